@@ -9,9 +9,9 @@ import importlib
 from types import ModuleType
 from typing import Any
 
-from .rooms import rooms_off, rooms_on
+from .rooms import register_modules, unregister_modules
 
-ROOMS = ("translations", "props", "prefs", "handlers", "jobs", "actuator", "preview", "ops", "tool", "ui")
+SUBMODULES = ("translations", "props", "prefs", "handlers", "jobs", "actuator", "preview", "ops", "tool", "ui")
 """Sub-modules with register() and unregister(), in order; each may use those before it. What handlers note, later ones
 hear of in the same change."""
 
@@ -26,7 +26,7 @@ def register() -> None:
     from . import rescue
 
     try:
-        rooms_on((importlib.import_module(f".{name}", __package__) for name in ROOMS), _registered)
+        register_modules((importlib.import_module(f".{name}", __package__) for name in SUBMODULES), _registered)
         _commands.append(bpy.utils.register_cli_command("hnf", _command))
     except Exception as error:
         unregister()
@@ -50,5 +50,5 @@ def unregister() -> None:
 
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
-    rooms_off(_registered)
+    unregister_modules(_registered)
     rescue.unregister()

@@ -25,9 +25,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run_touch(arguments: argparse.Namespace) -> int:
-    from hnf_core.cli.touch import request_from
+    from hnf_core.cli.touch import make_touch_request
 
-    request = request_from(arguments)
+    request = make_touch_request(arguments)
     if importlib.util.find_spec("bpy") is None:
         raise HnfError(
             "touch needs Blender, and this Python has no bpy.",
@@ -37,19 +37,19 @@ def run_touch(arguments: argparse.Namespace) -> int:
         from .bridge.importers import check_scene_file
 
         check_scene_file(request.scene)  # before Blender starts: a slip in a name is told at once
-    _know_strokes()
+    _register_properties()
     from .touch.run import run
 
     return run(request)
 
 
 def run_bench(arguments: argparse.Namespace) -> int:
-    from hnf_core.cli.bench import not_here, run_benches
+    from hnf_core.cli.bench import make_unavailable_error, run_benches
 
     try:
         from .bench.catalogue import BENCHES
     except ImportError as error:
-        raise not_here(error) from error
+        raise make_unavailable_error(error) from error
     return run_benches(arguments, BENCHES)
 
 
@@ -57,24 +57,24 @@ def run_export(arguments: argparse.Namespace) -> int:
     from hnf_core.cli import export
 
     without_blender = importlib.util.find_spec("bpy") is None
-    return export.run(arguments) if without_blender else export.run(arguments, surface_of_scene)
+    return export.run(arguments) if without_blender else export.run(arguments, read_scene_surface)
 
 
-def surface_of_scene(path: Path, origin: Mapping[str, str], object_name: str | None) -> TouchedSurface:
+def read_scene_surface(path: Path, provenance: Mapping[str, str], object_name: str | None) -> TouchedSurface:
     """What a signal was felt on, in a scene file. Raises HnfError."""
-    _know_strokes()
+    _register_properties()
     import bpy
 
     from .bridge.importers import open_scene
-    from .bridge.metres import metres_per_unit
-    from .bridge.touched_surface import surface_in_scene
+    from .bridge.metres import get_metres_per_unit
+    from .bridge.touched_surface import find_surface_in_scene
 
     scene, view_layer = open_scene(path), bpy.context.view_layer
     view_layer.update()
-    return surface_in_scene(scene, view_layer.depsgraph, metres_per_unit(scene), origin, object_name)
+    return find_surface_in_scene(scene, view_layer.depsgraph, get_metres_per_unit(scene), provenance, object_name)
 
 
-def _know_strokes() -> None:
+def _register_properties() -> None:
     """At a shell no add-on is switched on."""
     import bpy
 

@@ -5,52 +5,52 @@ from __future__ import annotations
 
 from typing import Any
 
-from .bridge.temporary import SCENE_NAME
-from .props.listed import NEWS
-from .rooms import ignore, listen
+from .bridge.temporary import TEMP_SCENE_NAME
+from .props.listed import CHANGES
+from .rooms import add_handlers, remove_handlers
 from .state import picked
 from .state.session import STATE
-from .state.watch import EVERYTHING, drain, forget
+from .state.watch import EVERYTHING, clear_trackers, process_changes
 
 INTERVAL_S = 0.25
-TELLING = frozenset({"Object", "Mesh", "Curve", "Material", "Image", "Action", "Key"})
+TRACKED_TYPES = frozenset({"Object", "Mesh", "Curve", "Material", "Image", "Action", "Key"})
 """Kinds of datablocks that a signal may follow from; node trees besides. A scene changes with everything."""
 
 
-def note_changes(scene: Any, depsgraph: Any = None) -> None:
+def on_depsgraph_update(scene: Any, depsgraph: Any = None) -> None:
     """depsgraph_update_post."""
-    if STATE.own or depsgraph is None or scene.name == SCENE_NAME:
+    if STATE.suppress_depth or depsgraph is None or scene.name == TEMP_SCENE_NAME:
         return
     for update in depsgraph.updates:
         block = update.id
         kind = block.bl_rna.identifier
-        if kind in TELLING or kind.endswith("NodeTree"):
-            STATE.dirty.add(block.name)
+        if kind in TRACKED_TYPES or kind.endswith("NodeTree"):
+            STATE.dirty_names.add(block.name)
             STATE.changes += 1
-            NEWS.forget()
+            CHANGES.mark_changed()
 
 
-def note_history(*_: Any) -> None:
+def on_undo_redo(*_: Any) -> None:
     """undo_post, redo_post: references are dead, and anything may be another."""
-    STATE.dirty.add(EVERYTHING)
+    STATE.dirty_names.add(EVERYTHING)
     STATE.changes += 1
-    NEWS.forget()
+    CHANGES.mark_changed()
 
 
-def leave_file(*_: Any) -> None:
+def on_load_pre(*_: Any) -> None:
     """load_pre: a job belongs to the file that is left."""
     from .jobs import current
 
     current.cancel()
 
 
-def enter_file(*_: Any) -> None:
+def on_load_post(*_: Any) -> None:
     """load_post."""
-    forget()
-    picked.forget()
+    clear_trackers()
+    picked.clear_active_strokes()
     STATE.clear()
-    NEWS.forget()
-    STATE.dirty.add(EVERYTHING)
+    CHANGES.mark_changed()
+    STATE.dirty_names.add(EVERYTHING)
     STATE.changes += 1
 
 
@@ -58,30 +58,32 @@ def tick() -> float:
     """Timer: look at what changed, unless the timeline plays."""
     import bpy
 
-    from .jobs.warm import is_ready
-    from .props.scene import listed_strokes
+    from .jobs.warm import is_preloaded
+    from .props.scene import list_cached_strokes
     from .state.redraw import redraw_tab
 
     windows = bpy.context.window_manager.windows
     if any(window.screen.is_animation_playing for window in windows):
         return INTERVAL_S
-    if any(picked.hold(window.scene) for window in windows):
+    if any(picked.restore_active_stroke(window.scene) for window in windows):
         redraw_tab()
-    if not (STATE.dirty or any(STATE.statuses.values())):
+    if not (STATE.dirty_names or any(STATE.statuses.values())):
         return INTERVAL_S
-    if (any(STATE.statuses.values()) or any(listed_strokes(window.scene) for window in windows)) and not is_ready():
+    if (
+        any(STATE.statuses.values()) or any(list_cached_strokes(window.scene) for window in windows)
+    ) and not is_preloaded():
         return INTERVAL_S
-    if drain((window.scene, window.view_layer) for window in windows):
+    if process_changes((window.scene, window.view_layer) for window in windows):
         redraw_tab()
     return INTERVAL_S
 
 
 HANDLERS = (
-    ("depsgraph_update_post", note_changes),
-    ("undo_post", note_history),
-    ("redo_post", note_history),
-    ("load_pre", leave_file),
-    ("load_post", enter_file),
+    ("depsgraph_update_post", on_depsgraph_update),
+    ("undo_post", on_undo_redo),
+    ("redo_post", on_undo_redo),
+    ("load_pre", on_load_pre),
+    ("load_post", on_load_post),
 )
 
 
@@ -90,15 +92,15 @@ def register() -> None:
 
     if bpy.app.background:
         return
-    STATE.dirty.add(EVERYTHING)
-    NEWS.is_told = True
-    listen(HANDLERS, tick, INTERVAL_S)
+    STATE.dirty_names.add(EVERYTHING)
+    CHANGES.is_notified = True
+    add_handlers(HANDLERS, tick, INTERVAL_S)
 
 
 def unregister() -> None:
-    ignore(HANDLERS, tick)
-    NEWS.is_told = False
-    NEWS.forget()
-    forget()
-    picked.forget()
+    remove_handlers(HANDLERS, tick)
+    CHANGES.is_notified = False
+    CHANGES.mark_changed()
+    clear_trackers()
+    picked.clear_active_strokes()
     STATE.clear()

@@ -9,7 +9,7 @@ import bpy
 from hnf_core.material.probe import PROBES
 
 from .state.session import STATE
-from .state.settings import DEFAULTS
+from .state.settings import DEFAULT_SETTINGS
 from .translations import tr
 
 
@@ -19,31 +19,31 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
     overlay: bpy.props.BoolProperty(
         name="Show strokes in the 3-D view",
         description="Paths coloured by force in newtons, direction ticks and the point of contact at the playhead",
-        default=DEFAULTS.overlay,
+        default=DEFAULT_SETTINGS.overlay,
     )
     default_probe: bpy.props.EnumProperty(
         name="Probe of new strokes",
         description="Default probe for new strokes",
         items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
-        default=DEFAULTS.default_probe,
+        default=DEFAULT_SETTINGS.default_probe,
     )
     output: bpy.props.StringProperty(
         name="Output",
         description="Address of the device that strokes are played on, on this machine; empty: Blender's own sound. "
         "Choose it in the Actuator panel",
-        default=DEFAULTS.output,
+        default=DEFAULT_SETTINGS.output,
     )
     external_python: bpy.props.StringProperty(
         name="External Python",
         description="A Python outside Blender (3.11 or newer) that has PyTorch, to learn materials from recordings. "
         "Everything else runs without it",
         subtype="FILE_PATH",
-        default=DEFAULTS.external_python,
+        default=DEFAULT_SETTINGS.external_python,
     )
 
     def draw(self, _context: Any) -> None:
         from .ui.diagnose_panel import draw_cache
-        from .ui.outside_python import draw_outside_python
+        from .ui.outside_python import draw_external_python
 
         layout = self.layout
         layout.use_property_split = True
@@ -60,7 +60,7 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         row.operator("hnf.assets_add", text="Add")
         row.operator("hnf.assets_remove", text="Remove")
         layout.label(text="Optional: only Learn a Material… needs an external Python with PyTorch", icon="INFO")
-        draw_outside_python(layout, self)
+        draw_external_python(layout, self)
 
 
 def register() -> None:

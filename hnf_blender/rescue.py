@@ -11,13 +11,13 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-LINE = 32
+LINE_CHARACTERS = 32
 """Characters of a line in a sidebar of usual width."""
 
-_shown: list[Any] = []
+_registered: list[Any] = []
 
 
-def plain_words(error: Exception) -> str:
+def explain_error(error: Exception) -> str:
     """What happened and what to do, for somebody who reads no tracebacks."""
     if isinstance(error, ImportError):
         missing = error.name or str(error)
@@ -34,7 +34,7 @@ def plain_words(error: Exception) -> str:
     )
 
 
-def report(error: Exception) -> str:
+def format_report(error: Exception) -> str:
     """Versions, place and traceback, for whoever helps."""
     import traceback
 
@@ -55,7 +55,7 @@ def register(error: Exception) -> None:
     """Show the Touch tab with nothing in it but what went wrong."""
     import bpy
 
-    words, text = plain_words(error), report(error)
+    words, text = explain_error(error), format_report(error)
     print(text, file=sys.stderr)
 
     class HNF_OT_rescue_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
@@ -75,7 +75,7 @@ def register(error: Exception) -> None:
 
         def draw(self, _context: Any) -> None:
             column = self.layout.column(align=True)
-            for number, line in enumerate(textwrap.wrap(words, LINE)):
+            for number, line in enumerate(textwrap.wrap(words, LINE_CHARACTERS)):
                 column.label(text=line, icon="ERROR" if number == 0 else "BLANK1")
             column = self.layout.column(align=True)
             for line in text.split("\n\n")[0].splitlines()[:3]:
@@ -84,12 +84,12 @@ def register(error: Exception) -> None:
 
     for each in (HNF_OT_rescue_copy, HNF_PT_rescue):
         bpy.utils.register_class(each)
-        _shown.append(each)
+        _registered.append(each)
 
 
 def unregister() -> None:
     """Take the panel away, if it is there."""
     import bpy
 
-    while _shown:
-        bpy.utils.unregister_class(_shown.pop())
+    while _registered:
+        bpy.utils.unregister_class(_registered.pop())

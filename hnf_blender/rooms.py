@@ -10,30 +10,30 @@ Handlers = Sequence[tuple[str, Callable[..., None]]]
 """Kinds of events as bpy.app.handlers names them, and what is called at each."""
 
 
-def rooms_on(rooms: Iterable[Any], done: list[Any]) -> None:
+def register_modules(modules: Iterable[Any], registered: list[Any]) -> None:
     """register() of each, in order; done grows with those that are on. Where one fails, those before it are taken back
     and the error is raised."""
     try:
-        for room in rooms:
+        for room in modules:
             room.register()
-            done.append(room)
+            registered.append(room)
     except Exception:
-        rooms_off(done)
+        unregister_modules(registered)
         raise
 
 
-def rooms_off(done: list[Any]) -> None:
+def unregister_modules(registered: list[Any]) -> None:
     """unregister() of each, the last one first; done is empty then."""
-    while done:
-        done.pop().unregister()
+    while registered:
+        registered.pop().unregister()
 
 
-def classes_of(package: str, modules: Iterable[str]) -> tuple[Any, ...]:
+def collect_classes(package: str, modules: Iterable[str]) -> tuple[Any, ...]:
     """CLASSES of the sub-modules, in order. All are imported before any is registered."""
     return tuple(each for name in modules for each in importlib.import_module(f".{name}", package).CLASSES)
 
 
-def switch_on(classes: Sequence[Any]) -> None:
+def register_classes(classes: Sequence[Any]) -> None:
     """Register the classes. Where one is refused, those before it are taken back and the error is raised."""
     import bpy
 
@@ -43,11 +43,11 @@ def switch_on(classes: Sequence[Any]) -> None:
             bpy.utils.register_class(each)
             done.append(each)
     except Exception:
-        switch_off(done)
+        unregister_classes(done)
         raise
 
 
-def switch_off(classes: Sequence[Any]) -> None:
+def unregister_classes(classes: Sequence[Any]) -> None:
     """Unregister the classes, the last one first."""
     import bpy
 
@@ -55,17 +55,17 @@ def switch_off(classes: Sequence[Any]) -> None:
         bpy.utils.unregister_class(each)
 
 
-def listen(handlers: Handlers, tick: Callable[[], float] | None = None, first_s: float = 0.0) -> None:
+def add_handlers(handlers: Handlers, tick: Callable[[], float] | None = None, first_interval_s: float = 0.0) -> None:
     """Have Blender call the handlers, and tick for the first time in first_s, whatever file is opened later."""
     import bpy
 
     for name, handler in handlers:
         getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
     if tick is not None:
-        bpy.app.timers.register(tick, first_interval=first_s, persistent=True)
+        bpy.app.timers.register(tick, first_interval=first_interval_s, persistent=True)
 
 
-def ignore(handlers: Handlers, tick: Callable[[], Any] | None = None) -> None:
+def remove_handlers(handlers: Handlers, tick: Callable[[], Any] | None = None) -> None:
     """Have Blender call none of them any more; also where it never did."""
     import bpy
 

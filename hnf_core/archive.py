@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-DAMAGED: tuple[type[Exception], ...] = (
+NPZ_ERRORS: tuple[type[Exception], ...] = (
     OSError,
     EOFError,
     ValueError,
@@ -30,7 +30,7 @@ DAMAGED: tuple[type[Exception], ...] = (
 )
 
 
-def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
+def read_npz(data: bytes) -> dict[str, NDArray[Any]]:
     """All arrays of an archive by name, without pickle. Raises one of DAMAGED.
 
     Its last record counts the entries: a damaged length in the list of them swallows the next one, and zipfile does

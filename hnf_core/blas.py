@@ -16,40 +16,40 @@ from pathlib import Path
 
 import numpy as np
 
-PREFIXES, SUFFIXES = ("", "scipy_"), ("", "64_")
+SYMBOL_PREFIXES, SYMBOL_SUFFIXES = ("", "scipy_"), ("", "64_")
 """Of OpenBLAS's names in numpy's wheels, which changed over the years."""
 
-_lock = threading.Lock()
-_users = 0
-_before = 1
+_blas_lock = threading.Lock()
+_blas_users = 0
+_blas_threads_before = 1
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
+def single_blas_thread() -> Iterator[None]:
     """Hold the OpenBLAS of numpy's wheels to one thread, in the whole process; whoever leaves last gives the others
     back. Another BLAS (macOS's own, a distribution's) is left as it is."""
-    global _users, _before
-    found = openblas_threads()
+    global _blas_users, _blas_threads_before
+    found = find_openblas_threads()
     if found is None:
         yield
         return
     count, choose = found
-    with _lock:
-        if _users == 0:
-            _before = count()
+    with _blas_lock:
+        if _blas_users == 0:
+            _blas_threads_before = count()
             choose(1)
-        _users += 1
+        _blas_users += 1
     try:
         yield
     finally:
-        with _lock:
-            _users -= 1
-            if _users == 0:
-                choose(_before)
+        with _blas_lock:
+            _blas_users -= 1
+            if _blas_users == 0:
+                choose(_blas_threads_before)
 
 
 @lru_cache(maxsize=1)
-def openblas_threads() -> tuple[Callable[[], int], Callable[[int], None]] | None:
+def find_openblas_threads() -> tuple[Callable[[], int], Callable[[int], None]] | None:
     """(how many threads, choose how many) of the OpenBLAS that numpy's wheel brought; None where there is none."""
     package = Path(np.__file__).parent
     for folder in (package.parent / "numpy.libs", package / ".dylibs"):
@@ -58,7 +58,9 @@ def openblas_threads() -> tuple[Callable[[], int], Callable[[int], None]] | None
                 library = ctypes.CDLL(str(path))
             except OSError:
                 continue
-            for name in (f"{prefix}openblas_{{}}_num_threads{suffix}" for prefix in PREFIXES for suffix in SUFFIXES):
+            for name in (
+                f"{prefix}openblas_{{}}_num_threads{suffix}" for prefix in SYMBOL_PREFIXES for suffix in SYMBOL_SUFFIXES
+            ):
                 if hasattr(library, name.format("get")) and hasattr(library, name.format("set")):
                     count, choose = library[name.format("get")], library[name.format("set")]
                     count.restype, count.argtypes = ctypes.c_int, []

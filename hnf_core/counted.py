@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 
-def counted(number: int, one: str) -> str:
+def pluralize(count: int, singular: str) -> str:
     """one: the thing in the singular, whose plural ends in s: 1 block, 2 blocks."""
-    return f"{number} {one}" if number == 1 else f"{number} {one}s"
+    return f"{count} {singular}" if count == 1 else f"{count} {singular}s"

@@ -12,14 +12,14 @@ from pathlib import Path
 from .errors import FileError
 
 
-def _umask() -> int:
+def _read_umask() -> int:
     # It can only be read by setting it; what another thread makes meanwhile is its owner's alone.
     mask = os.umask(0o077)
     os.umask(mask)
     return mask
 
 
-_UMASK = _umask()
+_UMASK = _read_umask()
 FILE_MODE, FOLDER_MODE = 0o666 & ~_UMASK, 0o777 & ~_UMASK
 """Of new files and folders, as the person's umask was at start: what is made under a temporary name is private."""
 
@@ -30,11 +30,11 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     Raises FileError when the folder or the disk refuses, or path is a folder.
     """
     if path.is_dir():
-        raise FileError("is a folder, and no file.", where=str(path), remedy=elsewhere(path))
+        raise FileError("is a folder, and no file.", where=str(path), remedy=suggest_other_path(path))
     if path.exists() and not path.is_file():
-        _write_into_device(path, write)
+        _write_to_device(path, write)
         return
-    temporary = _temporary_beside(path)
+    temporary = _create_temporary(path)
     try:
         write(temporary)
         temporary.chmod(path.stat().st_mode & 0o777 if path.is_file() else FILE_MODE)
@@ -55,12 +55,12 @@ def check_writable(path: Path) -> None:
     """Before a long time is spent on what is to be written there: make its folder, and a file in it that does not
     stay. Raises FileError as write_atomically would."""
     if path.is_dir():
-        raise FileError("is a folder, and no file.", where=str(path), remedy=elsewhere(path))
+        raise FileError("is a folder, and no file.", where=str(path), remedy=suggest_other_path(path))
     if not path.exists() or path.is_file():
-        _temporary_beside(path).unlink(missing_ok=True)
+        _create_temporary(path).unlink(missing_ok=True)
 
 
-def _temporary_beside(path: Path) -> Path:
+def _create_temporary(path: Path) -> Path:
     """An empty file in path's folder, which is made where there is none. Raises FileError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,12 +73,12 @@ def _temporary_beside(path: Path) -> Path:
     return Path(name)
 
 
-def elsewhere(path: Path) -> str:
+def suggest_other_path(path: Path) -> str:
     """What to do where something else is in path's place."""
     return f"Give another name, or move {path.name} away."
 
 
-def _write_into_device(path: Path, write: Callable[[Path], None]) -> None:
+def _write_to_device(path: Path, write: Callable[[Path], None]) -> None:
     """A device or pipe keeps nothing to harm, and a rename would put a file in its place."""
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -93,14 +93,14 @@ def _write_into_device(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    write_atomically(path, lambda temporary: _dump(temporary, data))
+    write_atomically(path, lambda temporary: _write_bytes_plain(temporary, data))
 
 
 def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def _dump(path: Path, data: bytes) -> None:
+def _write_bytes_plain(path: Path, data: bytes) -> None:
     path.write_bytes(data)
 
 

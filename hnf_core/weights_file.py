@@ -12,23 +12,23 @@ from numpy.typing import NDArray
 
 from .errors import FileError, WeightsError
 from .files import content_hash
-from .tensor_file import unpacked
+from .tensor_file import load_tensors
 
 T = TypeVar("T")
 
-LARGEST = 1 << 30
+MAX_FILE_BYTES = 1 << 30
 """Bytes of a file: ten times the largest network that is read here, a ResNet-50."""
 
 
 @dataclass(frozen=True)
-class Kind:
+class WeightsKind:
     """One sort of weights. name: as in "cannot read the encoder". format: what metadata["format"] must say. foreign:
     what is said of a file of another format. again: how a good file is come by."""
 
     name: str
     format: str
-    foreign: str
-    again: str
+    wrong_format: str
+    remedy: str
 
 
 @dataclass(frozen=True)
@@ -37,67 +37,67 @@ class WeightsFile:
     file's bytes."""
 
     where: str
-    kind: Kind
+    kind: WeightsKind
     tensors: Mapping[str, NDArray[Any]]
     metadata: Mapping[str, str]
     content_id: str
 
-    def refused(self, what: str) -> WeightsError:
+    def make_error(self, what: str) -> WeightsError:
         """To raise where the file cannot be used."""
-        return WeightsError(what, where=self.where, remedy=self.kind.again)
+        return WeightsError(what, where=self.where, remedy=self.kind.remedy)
 
-    def described(self, read: Callable[[Mapping[str, str]], T]) -> T:
+    def parse_metadata(self, parse: Callable[[Mapping[str, str]], T]) -> T:
         """What read makes of the metadata. Raises WeightsError where it raises for what is not as it should
         be: KeyError, TypeError, ValueError, or a number or a nesting beyond all measure."""
         try:
-            return read(self.metadata)
+            return parse(self.metadata)
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-            raise self.refused(f"unreadable description ({error}).") from error
+            raise self.make_error(f"unreadable description ({error}).") from error
 
-    def parameters(
-        self, shapes: Mapping[str, tuple[int, ...]], stored: type[np.floating[Any]] = np.floating
+    def check_parameters(
+        self, shapes: Mapping[str, tuple[int, ...]], dtype: type[np.floating[Any]] = np.floating
     ) -> dict[str, NDArray[np.float32]]:
         """All tensors, in float32. Raises WeightsError unless names and shapes are exactly these, and all numbers of
         type stored and finite in float32."""
         found = {name: tuple(value.shape) for name, value in self.tensors.items()}
         wrong = sorted(set(found.items()) ^ set(shapes.items()))
         if wrong:
-            raise self.refused(f"parameters do not fit the architecture: {wrong[:3]}.")
+            raise self.make_error(f"parameters do not fit the architecture: {wrong[:3]}.")
         out = {}
         for name, value in self.tensors.items():
-            if not np.issubdtype(value.dtype, stored):
-                raise self.refused(f"{name} is {value.dtype}, not {stored.__name__}.")
+            if not np.issubdtype(value.dtype, dtype):
+                raise self.make_error(f"{name} is {value.dtype}, not {dtype.__name__}.")
             with np.errstate(over="ignore"):
                 out[name] = value.astype(np.float32)
             if not np.isfinite(out[name]).all():
-                raise self.refused(f"{name} is not all finite.")
+                raise self.make_error(f"{name} is not all finite.")
         return out
 
 
-def read_weights(path: Path, kind: Kind) -> WeightsFile:
+def read_weights(path: Path, kind: WeightsKind) -> WeightsFile:
     """Raises FileError where there is no file, WeightsError where it is damaged, too large, or of another format."""
-    return parse_weights(read_limited(path, kind.name, "Check the path."), kind, str(path))
+    return parse_weights(read_weights_bytes(path, kind.name, "Check the path."), kind, str(path))
 
 
-def parse_weights(data: bytes, kind: Kind, where: str) -> WeightsFile:
+def parse_weights(data: bytes, kind: WeightsKind, where: str) -> WeightsFile:
     """The same of a file's bytes. Raises WeightsError where they are damaged or of another format."""
     try:
-        tensors, metadata = unpacked(data)
+        tensors, metadata = load_tensors(data)
     except ValueError as error:
         raise WeightsError(f"{error}.", where=where, remedy="Get the file again.") from error
     file = WeightsFile(where, kind, tensors, metadata, content_hash(data))
     if metadata.get("format") != kind.format:
         found = metadata.get("format", "no format")
-        raise file.refused(f"{kind.foreign} ({found}, not {kind.format}).")
+        raise file.make_error(f"{kind.wrong_format} ({found}, not {kind.format}).")
     return file
 
 
-def read_limited(path: Path, name: str, remedy: str) -> bytes:
+def read_weights_bytes(path: Path, name: str, remedy: str) -> bytes:
     """A file of weights whole. name: what it is, for the message. Raises FileError where it cannot be read,
     WeightsError where it is larger than LARGEST: of that nothing is read."""
     try:
-        if path.stat().st_size > LARGEST:
-            raise WeightsError(f"larger than any weights ({LARGEST >> 20} MiB).", where=str(path), remedy=remedy)
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise WeightsError(f"larger than any weights ({MAX_FILE_BYTES >> 20} MiB).", where=str(path), remedy=remedy)
         return path.read_bytes()
     except OSError as error:
         raise FileError(f"cannot read {name} ({error.strerror}).", where=str(path), remedy=remedy) from error

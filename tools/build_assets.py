@@ -21,12 +21,12 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 
-from asset_previews import material_preview, stroke_preview  # noqa: E402
+from asset_previews import draw_material_preview, draw_stroke_preview  # noqa: E402
 
 from hnf_blender import props  # noqa: E402
-from hnf_blender.bridge.own_material import give_look  # noqa: E402
+from hnf_blender.bridge.own_material import set_appearance  # noqa: E402
 from hnf_blender.bridge.placement import place_primitive  # noqa: E402
-from hnf_core.action.primitive_path import primitive_path  # noqa: E402
+from hnf_core.action.primitive_path import make_primitive_path  # noqa: E402
 from hnf_core.action.primitives import PRIMITIVES, Primitive  # noqa: E402
 from hnf_core.files import write_text  # noqa: E402
 from hnf_core.material.library import load_library  # noqa: E402
@@ -40,50 +40,52 @@ PLATE_M = 0.1
 STROKE_CATALOG = "Touch/Strokes"
 
 
-def material_catalog(category: str) -> str:
+def make_material_catalog(category: str) -> str:
     return f"Touch/Materials/{category.capitalize()}"
 
 
-def catalog_id(path: str) -> str:
+def compute_catalog_id(path: str) -> str:
     """The same for the same path in every build: asset browsers remember catalogs by it."""
     return str(uuid.uuid5(NAMESPACE, path))
 
 
-def catalogs_text() -> str:
+def format_catalogs() -> str:
     """blender_assets.cats.txt."""
-    leaves = {material_catalog(material.category) for material in load_library()} | {STROKE_CATALOG}
+    leaves = {make_material_catalog(material.category) for material in load_library()} | {STROKE_CATALOG}
     paths = leaves | {"Touch", "Touch/Materials"}
-    lines = [f"{catalog_id(path)}:{path}:{path.replace('/', '-')}" for path in sorted(paths)]
+    lines = [f"{compute_catalog_id(path)}:{path}:{path.replace('/', '-')}" for path in sorted(paths)]
     return "\n".join(
         ["# Catalogs of the asset library. tools/build_assets.py writes it.", "", "VERSION 1", "", *lines, ""]
     )
 
 
-def spoken(name: str) -> str:
+def format_name(name: str) -> str:
     """`oak-wood` → `Oak wood`."""
     return name.replace("-", " ").capitalize()
 
 
 def build_material(material: LibraryMaterial) -> Any:
     """A Blender material with the library material's look and, as the artist's own choice, its feel."""
-    made = bpy.data.materials.new(spoken(material.name))
-    give_look(made, material.appearance)
+    made = bpy.data.materials.new(format_name(material.name))
+    set_appearance(made, material.appearance)
     made.hnf_touch.library = material.name
     felt = material.mechanics
     friction = "" if felt.friction is None else f", friction {felt.friction:g}"
-    describe(
-        made, material_catalog(material.category), f"Looks and feels like {spoken(material.name).lower()}{friction}"
+    mark_asset(
+        made,
+        make_material_catalog(material.category),
+        f"Looks and feels like {format_name(material.name).lower()}{friction}",
     )
     for word in dict.fromkeys((material.category, *material.words)):
         made.asset_data.tags.new(word, skip_if_exists=True)
-    show(made, material_preview(material))
+    set_preview(made, draw_material_preview(material))
     return made
 
 
 def build_stroke(primitive: Primitive, plate: Any) -> Any:
     """The primitive as a stroke object around the origin, flat on z = 0, touching whatever it is laid on."""
     scene = bpy.context.scene
-    stroke = place_primitive(scene, plate, 0, primitive, 1.0, name=spoken(primitive.name)).curve
+    stroke = place_primitive(scene, plate, 0, primitive, 1.0, name=format_name(primitive.name)).curve
     stroke.parent = None
     stroke.hnf_stroke.surface = None
     points = stroke.data.splines[0].bezier_points
@@ -92,43 +94,48 @@ def build_stroke(primitive: Primitive, plate: Any) -> Any:
     for point in points:
         for part in ("co", "handle_left", "handle_right"):
             setattr(point, part, np.asarray(getattr(point, part)) - middle)
-    path = primitive_path(primitive)
-    describe(
+    path = make_primitive_path(primitive)
+    mark_asset(
         stroke, STROKE_CATALOG,
         f"{primitive.kind.capitalize()} at {primitive.speed * 1e3:g} mm/s and {primitive.force:g} N, "
         f"{path.duration_s:.1f} s. Drop it on a surface",
     )  # fmt: skip
     for word in dict.fromkeys(("stroke", primitive.kind, *primitive.name.split("-"))):
         stroke.asset_data.tags.new(word, skip_if_exists=True)
-    show(stroke, stroke_preview(path))
+    set_preview(stroke, draw_stroke_preview(path))
     return stroke
 
 
-def describe(datablock: Any, catalog: str, text: str) -> None:
+def mark_asset(datablock: Any, catalog: str, text: str) -> None:
     datablock.asset_mark()
     facts = datablock.asset_data
-    facts.catalog_id, facts.description, facts.author, facts.license = catalog_id(catalog), text, AUTHOR, LICENCE
+    facts.catalog_id, facts.description, facts.author, facts.license = (
+        compute_catalog_id(catalog),
+        text,
+        AUTHOR,
+        LICENCE,
+    )
 
 
-def show(datablock: Any, picture: Any) -> None:
+def set_preview(datablock: Any, image: Any) -> None:
     """Make picture (H, W, 4), 0–1, rows from the bottom, the datablock's preview."""
     preview = datablock.preview_ensure()
-    preview.image_size = (picture.shape[1], picture.shape[0])
-    preview.image_pixels_float.foreach_set(np.ascontiguousarray(picture, dtype=np.float32).ravel())
+    preview.image_size = (image.shape[1], image.shape[0])
+    preview.image_pixels_float.foreach_set(np.ascontiguousarray(image, dtype=np.float32).ravel())
 
 
-def build(folder: Path) -> None:
+def write_assets(folder: Path) -> None:
     """Write both .blend files and the catalogs. Whatever is open in this Blender is lost."""
     folder.mkdir(parents=True, exist_ok=True)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     _write(folder / MATERIALS, {build_material(material) for material in load_library()})
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    plate = _plate()
+    plate = _make_plate()
     _write(folder / STROKES, {build_stroke(primitive, plate) for primitive in PRIMITIVES.values()})
-    write_text(folder / CATALOGS, catalogs_text())
+    write_text(folder / CATALOGS, format_catalogs())
 
 
-def contents(folder: Path) -> dict[str, Any]:
+def read_contents(folder: Path) -> dict[str, Any]:
     """Everything the files say but their bytes: what two builds agree in. Whatever is open in this Blender is lost."""
     found: dict[str, Any] = {"catalogs": (folder / CATALOGS).read_text(encoding="utf-8")}
     for name, kind in ((MATERIALS, "materials"), (STROKES, "objects")):
@@ -143,19 +150,19 @@ def contents(folder: Path) -> dict[str, Any]:
                 "catalog": facts.catalog_id, "description": facts.description, "author": facts.author,
                 "licence": facts.license, "tags": sorted(tag.name for tag in facts.tags),
                 "picture": (*asset.preview.image_size, np.round(255.0 * pixels).astype(np.uint8).tobytes()),
-                **(_material_facts(asset) if kind == "materials" else _stroke_facts(asset)),
+                **(_read_material(asset) if kind == "materials" else _read_stroke(asset)),
             }  # fmt: skip
     return found
 
 
-def _material_facts(material: Any) -> dict[str, Any]:
+def _read_material(material: Any) -> dict[str, Any]:
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     colour = np.round(shader.inputs["Base Color"].default_value[:3], 5).tolist()
     values = [round(shader.inputs[name].default_value, 5) for name in ("Roughness", "Metallic", "Sheen Weight")]
     return {"feels": material.hnf_touch.library, "looks": [*colour, *values]}
 
 
-def _stroke_facts(stroke: Any) -> dict[str, Any]:
+def _read_stroke(stroke: Any) -> dict[str, Any]:
     from hnf_blender.compat import fcurves_of
 
     group = stroke.hnf_stroke
@@ -167,7 +174,7 @@ def _stroke_facts(stroke: Any) -> dict[str, Any]:
     return {"stroke": (group.is_stroke, group.law, group.probe, group.surface), "points": points, "keys": keys}
 
 
-def _plate() -> Any:
+def _make_plate() -> Any:
     half = PLATE_M / 2.0
     mesh = bpy.data.meshes.new("Plate")
     mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
@@ -191,7 +198,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     if not hasattr(bpy.types.Object, "hnf_stroke"):
         props.register()
-    build(chosen.out)
+    write_assets(chosen.out)
     for path in sorted(chosen.out.iterdir()):
         print(f"{path} ({path.stat().st_size / 1e3:.0f} kB)")
     return 0

@@ -28,16 +28,18 @@ from relative_imports import ImportRewriteError, rewrite_file
 ROOT = Path(__file__).resolve().parent.parent
 WHEELS = ROOT / "build" / "wheels"
 STAGING = ROOT / "build" / "extension"
-LEFT_OUT = frozenset(f"hnf_core/data/{name}.safetensors" for name in ("field-held-out", "field-encoders", "encoder"))
+OMITTED_FILES = frozenset(
+    f"hnf_core/data/{name}.safetensors" for name in ("field-held-out", "field-encoders", "encoder")
+)
 """Weights that only `hnf eval` asks, which needs torch and stays outside Blender; and E's network, whose tokens the
 shipped field refuses."""
-FROM_SOURCE = ("bench", "batch")
+SOURCE_ONLY = ("bench", "batch")
 """Folders of `hnf bench` and `hnf batch`, which run from the source."""
-SKIPPED = shutil.ignore_patterns(
-    "__pycache__", "*.pyc", ".*", "*.blend1", *FROM_SOURCE, *(Path(name).name for name in LEFT_OUT)
+IGNORED = shutil.ignore_patterns(
+    "__pycache__", "*.pyc", ".*", "*.blend1", *SOURCE_ONLY, *(Path(name).name for name in OMITTED_FILES)
 )
 TAGLINE_LIMIT = 64
-WITH_KERNEL = ("linux-x64", "windows-x64")
+KERNEL_PLATFORMS = ("linux-x64", "windows-x64")
 """On a Mac numpy does its work: it was built for one, and never run there."""
 
 
@@ -69,7 +71,7 @@ def read_source() -> dict[str, Any]:
     return source
 
 
-def project_version() -> str:
+def read_project_version() -> str:
     """hnf_core.__version__, read without importing. Raises BuildError where it is no x.y.z."""
     text = (ROOT / "hnf_core" / "__init__.py").read_text(encoding="utf-8")
     match = re.search(r'^__version__ = "(\d+\.\d+\.\d+[\w.+-]*)"$', text, re.MULTILINE)
@@ -78,7 +80,7 @@ def project_version() -> str:
     return match.group(1)
 
 
-def requirements(source: dict[str, Any], target: Target) -> list[str]:
+def list_requirements(source: dict[str, Any], target: Target) -> list[str]:
     """The pinned wheels of one target. Raises BuildError for a Python or platform the source does not name."""
     for table, key in (("python", target.python), ("platforms", target.platform)):
         if key not in source[table]:
@@ -88,7 +90,7 @@ def requirements(source: dict[str, Any], target: Target) -> list[str]:
 
 def fetch_wheels(source: dict[str, Any], target: Target) -> list[Path]:
     """The target's wheels, from build/wheels or the package index. Raises BuildError where pip finds none."""
-    wanted = requirements(source, target)
+    wanted = list_requirements(source, target)
     folder, stamp = WHEELS / target.tag, WHEELS / f"{target.tag}.stamp"
     digest = hashlib.sha256("\n".join([*wanted, *source["platforms"][target.platform]]).encode()).hexdigest()
     WHEELS.mkdir(parents=True, exist_ok=True)
@@ -104,10 +106,10 @@ def fetch_wheels(source: dict[str, Any], target: Target) -> list[Path]:
     return wheels
 
 
-def kernel_wheels(target: Target) -> list[Path]:
+def build_kernel_wheels(target: Target) -> list[Path]:
     """The compiled kernel, for platforms on which it has run (Windows: under Wine); none, and a line that says so,
     where its compiler is not installed. Raises BuildError where it does not compile."""
-    if target.platform not in WITH_KERNEL:
+    if target.platform not in KERNEL_PLATFORMS:
         return []
     if importlib.util.find_spec("ziglang") is None:
         print("Without the compiled kernel: tools/requirements/kernel.txt is not installed.", file=sys.stderr)
@@ -133,12 +135,12 @@ def download(wanted: list[str], platform_tags: list[str], python: str, folder: P
         raise BuildError(f"The wheels for Python {python} could not be downloaded:\n{run.stderr.strip()[-1500:]}")
 
 
-def toml_lines(table: dict[str, Any]) -> list[str]:
+def format_toml(table: dict[str, Any]) -> list[str]:
     """`key = value` lines of a table of strings and lists of strings, whose JSON form is a TOML form too."""
     return [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items()]
 
 
-def manifest_text(source: dict[str, Any], target: Target, version: str, wheels: list[Path]) -> str:
+def format_manifest(source: dict[str, Any], target: Target, version: str, wheels: list[Path]) -> str:
     """blender_manifest.toml of one target."""
     fields = {key: value for key, value in source["manifest"].items() if not isinstance(value, dict)}
     fields["version"] = version
@@ -146,7 +148,7 @@ def manifest_text(source: dict[str, Any], target: Target, version: str, wheels: 
     fields["platforms"] = [target.platform]
     fields["wheels"] = [f"./wheels/{wheel.name}" for wheel in wheels]
     tables = {key: value for key, value in source["manifest"].items() if isinstance(value, dict)}
-    lines = toml_lines(fields)
+    lines = format_toml(fields)
     for name, table in tables.items():
         lines += [
             "",
@@ -159,23 +161,23 @@ def manifest_text(source: dict[str, Any], target: Target, version: str, wheels: 
 def stage(source: dict[str, Any], target: Target, version: str, folder: Path) -> None:
     """Lay the extension out in `folder`: rewritten code, data files, licence, manifest, wheels."""
     shutil.rmtree(folder, ignore_errors=True)
-    shutil.copytree(ROOT / "hnf_blender", folder, ignore=SKIPPED)
-    shutil.copytree(ROOT / "hnf_core", folder / "hnf_core", ignore=SKIPPED)
+    shutil.copytree(ROOT / "hnf_blender", folder, ignore=IGNORED)
+    shutil.copytree(ROOT / "hnf_core", folder / "hnf_core", ignore=IGNORED)
     for path in sorted(folder.rglob("*.py")):
         try:
             rewrite_file(path, folder)
         except ImportRewriteError as error:
             raise BuildError(str(error)) from error
     shutil.copy2(ROOT / "LICENSE", folder / "LICENSE")
-    wheels = [*fetch_wheels(source, target), *kernel_wheels(target)]
+    wheels = [*fetch_wheels(source, target), *build_kernel_wheels(target)]
     (folder / "wheels").mkdir()
     for wheel in wheels:
         shutil.copy2(wheel, folder / "wheels" / wheel.name)
-    text = manifest_text(source, target, version, wheels)
+    text = format_manifest(source, target, version, wheels)
     (folder / "blender_manifest.toml").write_text(text, encoding="utf-8")
 
 
-def blender_scripts() -> Path:
+def find_blender_scripts() -> Path:
     """Folder `scripts` of this Python's bpy, found without importing it. Raises BuildError where there is none."""
     spec = importlib.util.find_spec("bpy")
     if spec is None or not spec.submodule_search_locations:
@@ -189,7 +191,7 @@ def blender_scripts() -> Path:
 def run_blender_tool(verb: str, *arguments: str, tags: bool = True) -> str:
     """Run Blender's extension tool; its output. tags: whether the verb checks an extension's tags. Raises BuildError
     with what it said where it refuses."""
-    scripts = blender_scripts()
+    scripts = find_blender_scripts()
     tool = scripts / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"
     command = [sys.executable, str(tool), verb, *arguments]
     if tags:
@@ -203,7 +205,7 @@ def run_blender_tool(verb: str, *arguments: str, tags: bool = True) -> str:
 
 def build(target: Target, out: Path, staging: Path = STAGING, version: str = "") -> Path:
     """Build and validate one zip; its path. version: of the manifest, "" = the project's own. Raises BuildError."""
-    source, version = read_source(), version or project_version()
+    source, version = read_source(), version or read_project_version()
     folder = staging / target.tag
     stage(source, target, version, folder)
     out.mkdir(parents=True, exist_ok=True)

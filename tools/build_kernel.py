@@ -22,15 +22,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCE = ROOT / "hnf_core" / "kernel" / "source"
-BUILT = ROOT / "build" / "kernel"
-CACHE = {"ZIG_GLOBAL_CACHE_DIR": str(BUILT / "cache"), "ZIG_LOCAL_CACHE_DIR": str(BUILT / "cache")}
+SOURCE_FOLDER = ROOT / "hnf_core" / "kernel" / "source"
+BUILD_FOLDER = ROOT / "build" / "kernel"
+CACHE = {"ZIG_GLOBAL_CACHE_DIR": str(BUILD_FOLDER / "cache"), "ZIG_LOCAL_CACHE_DIR": str(BUILD_FOLDER / "cache")}
 COMPILE_S, INSTALL_S = 300, 120
 OPTIONS = (
     "-O3", "-std=c11", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fno-sanitize=all",
     "-fvisibility=hidden", "-Wall", "-Wextra", "-Werror", "-shared", "-s",
 )  # fmt: skip
-INIT = '"""Compiled inner loops of hnf_core.kernel, which loads them."""\n'
+INIT_TEXT = '"""Compiled inner loops of hnf_core.kernel, which loads them."""\n'
 
 
 class KernelError(Exception):
@@ -59,7 +59,7 @@ PLATFORMS = {
 }
 
 
-def here() -> str:
+def detect_platform() -> str:
     """This machine's platform. Raises KernelError where the kernel is not built for it."""
     name = {"Linux": "linux", "Windows": "windows", "Darwin": "macos"}.get(platform.system(), "?")
     found = f"{name}-{'arm64' if platform.machine().lower() in ('arm64', 'aarch64') else 'x64'}"
@@ -68,40 +68,40 @@ def here() -> str:
     return found
 
 
-def fingerprint() -> str:
+def compute_fingerprint() -> str:
     """Hash of all that decides what is built."""
-    files = [*sorted(SOURCE.glob("*.[ch]")), Path(__file__), ROOT / "tools" / "requirements" / "constraints.txt"]
+    files = [*sorted(SOURCE_FOLDER.glob("*.[ch]")), Path(__file__), ROOT / "tools" / "requirements" / "constraints.txt"]
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()
 
 
-def version() -> str:
+def make_version() -> str:
     """hnf_core.__version__ and a number from the sources' hash: pip and Blender tell one build from another by it."""
     text = (ROOT / "hnf_core" / "__init__.py").read_text(encoding="utf-8")
     number = re.search(r'^__version__ = "(\d+\.\d+\.\d+)', text, re.MULTILINE)
     assert number is not None
-    return f"{number.group(1)}.post{int(fingerprint()[:8], 16)}"
+    return f"{number.group(1)}.post{int(compute_fingerprint()[:8], 16)}"
 
 
-def build(name: str, folder: Path = BUILT) -> Path:
+def build(name: str, folder: Path = BUILD_FOLDER) -> Path:
     """The wheel for one of PLATFORMS; one that is there already is left. Raises KernelError."""
     goal = PLATFORMS[name]
-    path = folder / f"hnf_kernel-{version()}-py3-none-{goal.wheel}.whl"
+    path = folder / f"hnf_kernel-{make_version()}-py3-none-{goal.wheel}.whl"
     if path.is_file():
         return path
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=folder) as temporary:
-        libraries = [compiled(goal, *each, Path(temporary)) for each in goal.processors]
-        packed(path, goal, libraries, Path(temporary))
+        libraries = [compile_library(goal, *each, Path(temporary)) for each in goal.processors]
+        pack_wheel(path, goal, libraries, Path(temporary))
     for old in folder.glob(f"hnf_kernel-*-{goal.wheel}.whl"):
         if old != path:
             old.unlink()
     return path
 
 
-def compiled(goal: Platform, library: str, processor: str, folder: Path) -> Path:
+def compile_library(goal: Platform, library: str, processor: str, folder: Path) -> Path:
     """One shared library. Raises KernelError with what the compiler said."""
     out = folder / f"{library}{goal.suffix}"
-    sources = [str(path) for path in sorted(SOURCE.glob("*.c"))]
+    sources = [str(path) for path in sorted(SOURCE_FOLDER.glob("*.c"))]
     command = [sys.executable, "-m", "ziglang", "cc", "-target", goal.target, f"-mcpu={processor}", *OPTIONS]
     command += [] if goal.suffix == ".dll" else ["-fPIC", "-lm"]
     try:
@@ -116,19 +116,19 @@ def compiled(goal: Platform, library: str, processor: str, folder: Path) -> Path
     return out
 
 
-def packed(path: Path, goal: Platform, libraries: list[Path], folder: Path) -> None:
+def pack_wheel(path: Path, goal: Platform, libraries: list[Path], folder: Path) -> None:
     """The libraries as a wheel, which appears when it is whole."""
     from wheel.wheelfile import WheelFile
 
-    facts = f"hnf_kernel-{version()}.dist-info"
+    facts = f"hnf_kernel-{make_version()}.dist-info"
     whole = folder / path.name
     with WheelFile(whole, "w") as wheel:
-        wheel.writestr("hnf_kernel/__init__.py", INIT)
+        wheel.writestr("hnf_kernel/__init__.py", INIT_TEXT)
         for library in libraries:
             wheel.write(library, f"hnf_kernel/{library.name}")
         wheel.writestr(
             f"{facts}/METADATA",
-            f"Metadata-Version: 2.1\nName: hnf-kernel\nVersion: {version()}\nLicense: GPL-3.0-or-later\n",
+            f"Metadata-Version: 2.1\nName: hnf-kernel\nVersion: {make_version()}\nLicense: GPL-3.0-or-later\n",
         )
         tag = f"Tag: py3-none-{goal.wheel}\n"
         wheel.writestr(f"{facts}/WHEEL", f"Wheel-Version: 1.0\nGenerator: hnf\nRoot-Is-Purelib: false\n{tag}")
@@ -137,14 +137,14 @@ def packed(path: Path, goal: Platform, libraries: list[Path], folder: Path) -> N
 
 def install(pythons: list[str]) -> None:
     """Into environments of this machine that do not have this build yet. Raises KernelError."""
-    digest = fingerprint()
+    digest = compute_fingerprint()
     stamps = {python: Path(python).parent.parent / "hnf-compiled.stamp" for python in pythons}
     old = [
         (python, stamp)
         for python, stamp in stamps.items()
         if not (stamp.is_file() and stamp.read_text(encoding="utf-8") == digest)
     ]
-    wheel = build(here()) if old else Path()
+    wheel = build(detect_platform()) if old else Path()
     for python, stamp in old:
         options = ["--disable-pip-version-check", "--no-input", "install", "-q", "--no-deps", "--force-reinstall"]
         run = subprocess.run(
@@ -166,7 +166,7 @@ def main(arguments: list[str] | None = None) -> int:
         if chosen.install:
             install(chosen.install)
         else:
-            print(build(chosen.platform or here()))
+            print(build(chosen.platform or detect_platform()))
     except KernelError as error:
         print(error, file=sys.stderr)
         return 1

@@ -17,43 +17,45 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 
-from recorded_ranges import within  # noqa: E402
+from recorded_ranges import check_ranges  # noqa: E402
 
 from hnf_core.files import write_text  # noqa: E402
 from hnf_core.material.encoder import describe  # noqa: E402
 from hnf_core.material.token import ENCODER_ID  # noqa: E402
-from hnf_core.simulation.classes import seed_of  # noqa: E402
-from hnf_core.simulation.feel import Feel, feel  # noqa: E402
+from hnf_core.simulation.classes import derive_seed  # noqa: E402
+from hnf_core.simulation.feel import TextureStatistics, compute_texture_statistics  # noqa: E402
 from hnf_core.simulation.sampling import SmoothedMaps  # noqa: E402
 from hnf_core.simulation.surface import TILE_PIXELS, TILE_SIZE_M, height_map  # noqa: E402
-from hnf_core.simulation.table import TABLE, Entry, recipe_of  # noqa: E402
+from hnf_core.simulation.table import MATERIAL_TABLE, MaterialEntry, build_recipe  # noqa: E402
 from hnf_core.tactile.height import tactile_map_from_height  # noqa: E402
 
 SCHEMA = 1
-TOGETHER = 8
+ENTRIES_PER_BATCH = 8
 """Entries per batch: ten strokes each."""
 LIMITS = {"rms": (0.1, 30.0), "below_1k": (0.5, 1.0), "v_exponent": (0.4, 1.4), "f_exponent": (-0.1, 0.7)}
 """What every entry must keep."""
 
 
-def broken(felt: Feel) -> list[str]:
+def find_breaches(statistics: TextureStatistics) -> list[str]:
     """The MUSTs that do not hold."""
-    values = asdict(felt)
+    values = asdict(statistics)
     found = [f"{key} {values[key]:.2f}" for key, (low, high) in LIMITS.items() if not low <= values[key] <= high]
     low, high = LIMITS["rms"]
     found += [f"{key} {values[key]:.2f}" for key in ("rms_along", "rms_across") if not low <= values[key] <= high]
     return found
 
 
-def felt_of(entries: Sequence[Entry]) -> list[Feel]:
+def measure_entries(entries: Sequence[MaterialEntry]) -> list[TextureStatistics]:
     """The entries' own tiles under the pen."""
-    surfaces = [(SmoothedMaps(height_map(recipe_of(entry), seed_of(entry.name))), entry.mechanics) for entry in entries]
-    return feel(surfaces, 2.0)
+    surfaces = [
+        (SmoothedMaps(height_map(build_recipe(entry), derive_seed(entry.name))), entry.mechanics) for entry in entries
+    ]
+    return compute_texture_statistics(surfaces, 2.0)
 
 
-def record(entry: Entry) -> dict[str, Any]:
+def make_record(entry: MaterialEntry) -> dict[str, Any]:
     """What library.json holds of an entry."""
-    recipe, seed = recipe_of(entry), seed_of(entry.name)
+    recipe, seed = build_recipe(entry), derive_seed(entry.name)
     pitch = TILE_SIZE_M / TILE_PIXELS
     token = describe(tactile_map_from_height(height_map(recipe, seed), None, pitch, 2.0 * pitch))
     if not token.known.all():
@@ -75,14 +77,16 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="write nothing")
     parser.add_argument("names", nargs="*", help="only these entries (implies --check)")
     arguments = parser.parse_args()
-    chosen = [entry for entry in TABLE if not arguments.names or entry.name in arguments.names]
+    chosen = [entry for entry in MATERIAL_TABLE if not arguments.names or entry.name in arguments.names]
     heads = f"{'RMS':>6}{'along':>7}{'across':>7}{'centr.':>7}{'<1k':>6}{'v exp':>7}{'F exp':>7}"
     print(f"{'name':18}{heads}  outside the recorded range")
     failed = 0
-    parts = [chosen[low : low + TOGETHER] for low in range(0, len(chosen), TOGETHER)]
-    for entry, felt in ((entry, felt) for part in parts for entry, felt in zip(part, felt_of(part), strict=True)):
-        breaches = broken(felt)
-        outside = [name for name, inside in within(felt, entry.hatt).items() if not inside]
+    parts = [chosen[low : low + ENTRIES_PER_BATCH] for low in range(0, len(chosen), ENTRIES_PER_BATCH)]
+    for entry, felt in (
+        (entry, felt) for part in parts for entry, felt in zip(part, measure_entries(part), strict=True)
+    ):
+        breaches = find_breaches(felt)
+        outside = [name for name, inside in check_ranges(felt, entry.hatt).items() if not inside]
         failed += bool(breaches)
         print(
             f"{entry.name:18}{felt.rms:6.2f}{felt.rms_along:7.2f}{felt.rms_across:7.2f}{felt.centroid_hz:7.0f}"
@@ -94,7 +98,11 @@ def main() -> int:
         print(f"{failed} entries break a MUST; nothing written.", file=sys.stderr)
         return 1
     if not (arguments.check or arguments.names):
-        library = {"schema": SCHEMA, "encoder": ENCODER_ID, "materials": [record(entry) for entry in TABLE]}
+        library = {
+            "schema": SCHEMA,
+            "encoder": ENCODER_ID,
+            "materials": [make_record(entry) for entry in MATERIAL_TABLE],
+        }
         write_text(ROOT / "hnf_core" / "data" / "library.json", json.dumps(library, indent=1) + "\n")
     return 0
 

@@ -46,17 +46,17 @@ ${body}
 """${body} and ${date} are Blender's to fill in."""
 
 
-def page(manifest: dict[str, Any]) -> str:
+def format_page(manifest: dict[str, Any]) -> str:
     """The HTML template that Blender's tool completes."""
     return PAGE.replace("$name", html.escape(manifest["name"])).replace("$tagline", html.escape(manifest["tagline"]))
 
 
-def generate(folder: Path) -> dict[str, Any]:
+def generate_index(folder: Path) -> dict[str, Any]:
     """Write index.json and index.html for the zips in folder; the index. Raises BuildError where Blender's tool
     refuses a zip or warns: two zips that the same Blender would take are one too many."""
     with tempfile.TemporaryDirectory() as scratch:
         template = Path(scratch) / "page.html"
-        template.write_text(page(read_source()["manifest"]), encoding="utf-8")
+        template.write_text(format_page(read_source()["manifest"]), encoding="utf-8")
         said = run_blender_tool(
             "server-generate", "--repo-dir", str(folder), "--html", "--html-template", str(template), tags=False
         )
@@ -67,7 +67,7 @@ def generate(folder: Path) -> dict[str, Any]:
     return index
 
 
-def publish(zips: list[Path], out: Path) -> dict[str, Any]:
+def publish_zips(zips: list[Path], out: Path) -> dict[str, Any]:
     """Make out hold these zips and their index, and no zip of another version; the index. Raises BuildError."""
     out.mkdir(parents=True, exist_ok=True)
     for old in set(out.glob("*.zip")) - {out / path.name for path in zips}:
@@ -75,7 +75,7 @@ def publish(zips: list[Path], out: Path) -> dict[str, Any]:
     for path in zips:
         if path.parent != out:
             shutil.copy2(path, out / path.name)
-    return generate(out)
+    return generate_index(out)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -88,7 +88,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         platforms = chosen.platform or list(read_source()["platforms"])
         targets = [Target(python, platform) for platform in platforms for python in chosen.python or PYTHONS]
-        index = publish([build(target, chosen.out) for target in targets], chosen.out)
+        index = publish_zips([build(target, chosen.out) for target in targets], chosen.out)
     except BuildError as error:
         print(error, file=sys.stderr)
         return 1

@@ -31,18 +31,18 @@ from sound_server import RATE_HZ, SoundServer, sound_server, why_not  # noqa: E4
 
 from hnf_core.actuators.limits import Limits  # noqa: E402
 from hnf_core.actuators.sinks.audio import AudioSink  # noqa: E402
-from hnf_core.actuators.sources.recorded import Recorded  # noqa: E402
+from hnf_core.actuators.sources.recorded import BufferSource  # noqa: E402
 from hnf_core.actuators.stream import Stream  # noqa: E402
 
 Play = Callable[[], Callable[[], None]]
 """Begins to play, and returns the command that shall end it."""
-Way = Callable[[], AbstractContextManager[Play]]
+Ending = Callable[[], AbstractContextManager[Play]]
 
-PLAYS_S = (0.15, 0.4)
-HEARD_S = 0.35
+PLAY_RANGE_S = (0.15, 0.4)
+RECORDED_AFTER_S = 0.35
 """Of recording after the command: what still sounds by then is told as that much."""
-GIVEN_UP_S = 30.0
-CHILD = f"""
+MAX_WAIT_S = 30.0
+CHILD_CODE = f"""
 import sys; sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / "tools")!r}]
 from check_audio_silence import endless
 with endless() as stream:
@@ -52,9 +52,9 @@ with endless() as stream:
 """
 
 
-def endless() -> Stream:
+def make_endless_stream() -> Stream:
     """Never zero, so that a frame of zero is silence."""
-    return Stream(Recorded(np.ones((500, 1)), 10_000.0, loop=True), AudioSink(), Limits(10.0))
+    return Stream(BufferSource(np.ones((500, 1)), 10_000.0, loop=True), AudioSink(), Limits(10.0))
 
 
 class Recorder:
@@ -65,34 +65,34 @@ class Recorder:
         self._process = subprocess.Popen(
             [*words, "--latency-msec=2"], stdout=subprocess.PIPE, env=server.environment, bufsize=0
         )
-        self._pieces: list[tuple[float, bytes]] = []
+        self._blocks: list[tuple[float, bytes]] = []
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
         while piece := self._process.stdout.read(4096):
-            self._pieces.append((time.monotonic(), piece))
+            self._blocks.append((time.monotonic(), piece))
 
-    def end(self) -> tuple[NDArray[np.int16], float]:
+    def stop(self) -> tuple[NDArray[np.int16], float]:
         """(counts (n,), the latest moment at which the first of them sounded)."""
         self._process.terminate()
-        self._process.wait(GIVEN_UP_S)
-        self._thread.join(GIVEN_UP_S)
-        ends = np.cumsum([len(piece) // 2 for _, piece in self._pieces])
-        begun = min(at - end / RATE_HZ for (at, _), end in zip(self._pieces, ends, strict=True))
-        return np.frombuffer(b"".join(piece for _, piece in self._pieces), dtype="<i2"), begun
+        self._process.wait(MAX_WAIT_S)
+        self._thread.join(MAX_WAIT_S)
+        ends = np.cumsum([len(piece) // 2 for _, piece in self._blocks])
+        begun = min(at - end / RATE_HZ for (at, _), end in zip(self._blocks, ends, strict=True))
+        return np.frombuffer(b"".join(piece for _, piece in self._blocks), dtype="<i2"), begun
 
 
-def sounded_s(server: SoundServer, play: Play, moment_s: float) -> float:
+def measure_sound_s(server: SoundServer, play: Play, moment_s: float) -> float:
     """Seconds from the command, moment_s after play(), until silence."""
     recorder = Recorder(server)
     command = play()
     time.sleep(moment_s)
     at = time.monotonic()
     command()
-    time.sleep(max(0.0, at + HEARD_S - time.monotonic()))
-    counts, begun = recorder.end()
+    time.sleep(max(0.0, at + RECORDED_AFTER_S - time.monotonic()))
+    counts, begun = recorder.stop()
     loud = np.flatnonzero(counts)
     if len(loud) == 0 or counts[loud[0] : loud[-1]].max() < 1000:
         raise SystemExit("nothing was heard: the sound server is too late for this machine; try again at rest.")
@@ -100,11 +100,11 @@ def sounded_s(server: SoundServer, play: Play, moment_s: float) -> float:
 
 
 @contextmanager
-def stopped() -> Iterator[Play]:
+def play_until_stop() -> Iterator[Play]:
     streams: list[Stream] = []
 
     def play() -> Callable[[], None]:
-        streams.append(endless())
+        streams.append(make_endless_stream())
         streams[-1].start()
         return streams[-1].stop
 
@@ -114,8 +114,8 @@ def stopped() -> Iterator[Play]:
 
 
 @contextmanager
-def paused() -> Iterator[Play]:
-    with endless() as stream:
+def play_until_pause() -> Iterator[Play]:
+    with make_endless_stream() as stream:
 
         def play() -> Callable[[], None]:
             stream.start()
@@ -124,11 +124,11 @@ def paused() -> Iterator[Play]:
         yield play
 
 
-def signalled(number: signal.Signals) -> Way:
+def play_until_signal(number: signal.Signals) -> Ending:
     @contextmanager
     def way() -> Iterator[Play]:
         with subprocess.Popen(
-            [sys.executable, "-c", CHILD], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            [sys.executable, "-c", CHILD_CODE], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         ) as child:
 
             def play() -> Callable[[], None]:
@@ -144,12 +144,12 @@ def signalled(number: signal.Signals) -> Way:
     return way
 
 
-WAYS: dict[str, Way] = {
-    "stop": stopped,
-    "pause": paused,
-    "Ctrl C": signalled(signal.SIGINT),
-    "the program is killed": signalled(signal.SIGKILL),
-    "the program stands still (SIGSTOP)": signalled(signal.SIGSTOP),
+ENDINGS: dict[str, Ending] = {
+    "stop": play_until_stop,
+    "pause": play_until_pause,
+    "Ctrl C": play_until_signal(signal.SIGINT),
+    "the program is killed": play_until_signal(signal.SIGKILL),
+    "the program stands still (SIGSTOP)": play_until_signal(signal.SIGSTOP),
 }
 
 
@@ -160,11 +160,11 @@ def main(times: int) -> None:
     rng = np.random.default_rng(0)
     print("| | median | 99 % | most | beyond 20 ms |\n|---|---|---|---|---|", flush=True)
     with tempfile.TemporaryDirectory() as folder, sound_server(Path(folder)) as server:
-        for name, way in WAYS.items():
+        for name, way in ENDINGS.items():
             found = []
             for _ in range(times):
                 with way() as play:
-                    found.append(1e3 * sounded_s(server, play, rng.uniform(*PLAYS_S)))
+                    found.append(1e3 * measure_sound_s(server, play, rng.uniform(*PLAY_RANGE_S)))
             middle, p99, beyond = np.median(found), np.percentile(found, 99), sum(each > 20.0 for each in found)
             print(f"| {name} | {middle:.1f} ms | {p99:.1f} | {max(found):.1f} | {beyond} of {times} |", flush=True)
 

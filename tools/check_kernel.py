@@ -17,19 +17,29 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import build_kernel
-from build_kernel import PLATFORMS, SOURCE
+from build_kernel import PLATFORMS, SOURCE_FOLDER
 
-CHECK = Path(__file__).resolve().parent / "kernel_check" / "check.c"
-RUN_S = 120
+CHECK_SOURCE = Path(__file__).resolve().parent / "kernel_check" / "check.c"
+MAX_RUN_S = 120
 
 
-def said(name: str, folder: Path, runner: list[str]) -> dict[str, str]:
+def run_check(name: str, folder: Path, runner: list[str]) -> dict[str, str]:
     """What the check prints, for each library of a platform's wheel. Raises KernelError."""
     platform, out = PLATFORMS[name], folder / name
     with zipfile.ZipFile(build_kernel.build(name)) as wheel:
         wheel.extractall(out)
     program = out / ("check.exe" if platform.suffix == ".dll" else "check")
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", platform.target, "-O1", f"-I{SOURCE}", str(CHECK)]
+    command = [
+        sys.executable,
+        "-m",
+        "ziglang",
+        "cc",
+        "-target",
+        platform.target,
+        "-O1",
+        f"-I{SOURCE_FOLDER}",
+        str(CHECK_SOURCE),
+    ]
     command += ["-o", str(program), *([] if platform.suffix == ".dll" else ["-ldl", "-lm"])]
     subprocess.run(command, check=True, timeout=build_kernel.COMPILE_S, env=os.environ | build_kernel.CACHE)
     found = {}
@@ -38,7 +48,7 @@ def said(name: str, folder: Path, runner: list[str]) -> dict[str, str]:
         if not runner:
             words[-1] = str(out / "hnf_kernel" / words[-1])
         run = subprocess.run(
-            words, cwd=out / "hnf_kernel", capture_output=True, text=True, timeout=RUN_S,
+            words, cwd=out / "hnf_kernel", capture_output=True, text=True, timeout=MAX_RUN_S,
             env=os.environ | {"WINEDEBUG": "-all"},
         )  # fmt: skip
         if run.returncode != 0:
@@ -55,8 +65,8 @@ def main() -> int:
     chosen = parser.parse_args()
     with TemporaryDirectory() as folder:
         try:
-            here = said(build_kernel.here(), Path(folder), [])
-            there = said(chosen.platform, Path(folder), shlex.split(chosen.runner))
+            here = run_check(build_kernel.detect_platform(), Path(folder), [])
+            there = run_check(chosen.platform, Path(folder), shlex.split(chosen.runner))
         except (build_kernel.KernelError, subprocess.SubprocessError, OSError) as error:
             print(error, file=sys.stderr)
             return 1

@@ -18,12 +18,12 @@ import mpmath as mp
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from precision_tables import HEAD, agreement_rows
+from precision_tables import PRECISION_HEADER, measure_precision
 
-from hnf_core.action.smooth import steady_action, wandering_action
+from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
 from hnf_core.field.blocks import render_block
 from hnf_core.field.field import Field
-from hnf_core.field.prepared import prepare
+from hnf_core.field.prepared import prepare_stroke
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.rendering import render, render_weights
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
@@ -35,7 +35,7 @@ from hnf_core.training.model import render_weights as twin
 
 DIGITS = 50
 LENGTHS = (1, 5, 64, 4096)
-TENSORS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+TORCH_TYPES = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 RATES = (2000.0, 2205.0, 4000.0, 8000.0, 11_025.0, 16_000.0, 22_050.0, 44_100.0, 48_000.0, 96_000.0, 192_000.0)
 BLOCK_SIZES = (1, 7, 64, 1000)
 
@@ -43,7 +43,7 @@ Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Worst:
+class WorstError:
     """Largest absolute error, and largest relative one where the true value is of the type's normal range; where:
     in words, of the relative one."""
 
@@ -51,15 +51,15 @@ class Worst:
     relative: float
     where: str
 
-    def worse(self, other: Worst) -> Worst:
+    def max_with(self, other: WorstError) -> WorstError:
         larger = other if other.relative > self.relative else self
-        return Worst(max(self.absolute, other.absolute), larger.relative, larger.where)
+        return WorstError(max(self.absolute, other.absolute), larger.relative, larger.where)
 
 
-NONE = Worst(0.0, 0.0, "nowhere")
+NO_ERROR = WorstError(0.0, 0.0, "nowhere")
 
 
-def density_cases(count: int, largest: float, smallest: float, seed: int = 0) -> dict[str, Float]:
+def make_density_cases(count: int, largest: float, smallest: float, seed: int = 0) -> dict[str, Float]:
     """Named σΔt (count,) in float64, within a type's least and greatest positive number: what a network gives, and
     what it should never give."""
     rng = np.random.default_rng(seed)
@@ -81,7 +81,7 @@ def density_cases(count: int, largest: float, smallest: float, seed: int = 0) ->
 
 
 @mp.workdps(DIGITS)
-def exact_weights(sigma_dt: Sequence[float]) -> list[mp.mpf]:
+def compute_exact_weights(sigma_dt: Sequence[float]) -> list[mp.mpf]:
     """w_n of the numbers as given, to DIGITS digits."""
     before, out = mp.mpf(0), []
     for value in sigma_dt:
@@ -93,9 +93,9 @@ def exact_weights(sigma_dt: Sequence[float]) -> list[mp.mpf]:
 
 
 @mp.workdps(DIGITS)
-def exact_gradient(sigma_dt: Sequence[float], upstream: Sequence[float]) -> tuple[list[mp.mpf], list[mp.mpf]]:
+def compute_exact_gradient(sigma_dt: Sequence[float], upstream: Sequence[float]) -> tuple[list[mp.mpf], list[mp.mpf]]:
     """d/dσ_j of Σ g_n w_n = g_j T_{j+1} − Σ_{n>j} g_n w_n; and the same with every term's absolute value."""
-    weights, after, magnitude = exact_weights(sigma_dt), mp.mpf(0), mp.mpf(0)
+    weights, after, magnitude = compute_exact_weights(sigma_dt), mp.mpf(0), mp.mpf(0)
     sums = [mp.mpf(0)]
     for value in sigma_dt:
         sums.append(sums[-1] + mp.mpf(float(value)))
@@ -109,23 +109,25 @@ def exact_gradient(sigma_dt: Sequence[float], upstream: Sequence[float]) -> tupl
 
 
 @mp.workdps(DIGITS)
-def worst_of(found: Float, exact: Sequence[mp.mpf], least: float, name: str, scale: Sequence[mp.mpf] = ()) -> Worst:
+def find_worst_error(
+    found: Float, exact: Sequence[mp.mpf], least: float, name: str, scale: Sequence[mp.mpf] = ()
+) -> WorstError:
     """Errors of found against exact; relative ones over scale (default: the exact value) where that is ≥ least.
 
     A value that is not finite counts as infinitely wrong.
     """
-    worst = NONE
+    worst = NO_ERROR
     for n, (value, truth) in enumerate(zip(found, exact, strict=True)):
         if not np.isfinite(value):
-            return Worst(np.inf, np.inf, f"{name}, n = {n}: {value}")
+            return WorstError(np.inf, np.inf, f"{name}, n = {n}: {value}")
         error, over = abs(mp.mpf(float(value)) - truth), scale[n] if scale else abs(truth)
         relative = float(error / over) if over >= least else 0.0
-        worst = worst.worse(Worst(float(error), relative, f"{name}, n = {n}"))
+        worst = worst.max_with(WorstError(float(error), relative, f"{name}, n = {n}"))
     return worst
 
 
 @dataclass(frozen=True)
-class Kind:
+class NumberType:
     """A number type: its name, unit roundoff, least normal, least positive and greatest numbers, and how to round to
     it."""
 
@@ -137,57 +139,59 @@ class Kind:
     round: Callable[[Float], torch.Tensor]
 
 
-def kind_of(dtype: torch.dtype) -> Kind:
+def describe_type(dtype: torch.dtype) -> NumberType:
     limits = torch.finfo(dtype)
-    return Kind(
+    return NumberType(
         str(dtype).removeprefix("torch."), limits.eps, limits.tiny, limits.tiny * limits.eps, limits.max,
         lambda values: torch.tensor(values, dtype=torch.float64).to(dtype),
     )  # fmt: skip
 
 
-def rounded_cases(dtype: torch.dtype, count: int) -> Iterator[tuple[str, torch.Tensor]]:
-    kind = kind_of(dtype)
-    for name, values in density_cases(count, kind.greatest, kind.least).items():
+def make_rounded_cases(dtype: torch.dtype, count: int) -> Iterator[tuple[str, torch.Tensor]]:
+    kind = describe_type(dtype)
+    for name, values in make_density_cases(count, kind.greatest, kind.least).items():
         yield name, kind.round(values)
     if kind.greatest > 1e30:
         span = np.geomspace(1e-30, 1e30, count) if count > 1 else np.array([1e30])
         yield "1e-30 … 1e30", kind.round(span)
 
 
-def weight_errors(dtype: torch.dtype, which: str, lengths: Sequence[int] = LENGTHS) -> Worst:
+def measure_weight_errors(dtype: torch.dtype, which: str, lengths: Sequence[int] = LENGTHS) -> WorstError:
     """Worst error of render_weights, "numpy" or "torch", over all cases."""
-    worst = NONE
+    worst = NO_ERROR
     with mp.workdps(DIGITS):
         for count in lengths:
-            for name, given in rounded_cases(dtype, count):
+            for name, given in make_rounded_cases(dtype, count):
                 found = torch.tensor(render_weights(given.numpy())) if which == "numpy" else twin(given)
-                exact = exact_weights(given.double().tolist())
-                worst = worst.worse(
-                    worst_of(found.double().numpy(), exact, kind_of(dtype).normal, f"{name}, N = {count}")
+                exact = compute_exact_weights(given.double().tolist())
+                worst = worst.max_with(
+                    find_worst_error(found.double().numpy(), exact, describe_type(dtype).normal, f"{name}, N = {count}")
                 )
     return worst
 
 
-def gradient_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS) -> Worst:
+def measure_gradient_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS) -> WorstError:
     """Worst error of the torch twin's gradient; relative to Σ of the terms' absolute values, since they cancel."""
-    worst = NONE
+    worst = NO_ERROR
     with mp.workdps(DIGITS):
         for count in lengths:
-            upstream = kind_of(dtype).round(np.random.default_rng(1).standard_normal(count))
-            for name, given in rounded_cases(dtype, count):
+            upstream = describe_type(dtype).round(np.random.default_rng(1).standard_normal(count))
+            for name, given in make_rounded_cases(dtype, count):
                 leaf = given.clone().requires_grad_()
                 twin(leaf).backward(upstream)
                 assert leaf.grad is not None
-                exact, scale = exact_gradient(given.double().tolist(), upstream.double().tolist())
+                exact, scale = compute_exact_gradient(given.double().tolist(), upstream.double().tolist())
                 found = leaf.grad.double().numpy()
-                worst = worst.worse(worst_of(found, exact, kind_of(dtype).normal, f"{name}, N = {count}", scale))
+                worst = worst.max_with(
+                    find_worst_error(found, exact, describe_type(dtype).normal, f"{name}, N = {count}", scale)
+                )
     return worst
 
 
-def emission_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS) -> Worst:
+def measure_emission_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS) -> WorstError:
     """Worst error of render(), α from the least to the greatest number of the type and both signs, K = 3 each;
     relative to Σ |w_n α_n|."""
-    worst, kind = NONE, kind_of(dtype)
+    worst, kind = NO_ERROR, describe_type(dtype)
     # Below the normal range the result itself is coarse, whatever the terms.
     least = kind.normal / kind.epsilon
     with mp.workdps(DIGITS):
@@ -198,31 +202,31 @@ def emission_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS) -> Wor
             alpha = np.stack([np.full(count, kind.greatest), sign * kind.greatest, sign * spread], axis=1)
             alpha = np.clip(alpha, -kind.greatest, kind.greatest)
             alpha = kind.round(alpha).numpy()
-            for name, given in rounded_cases(dtype, count):
-                weights = exact_weights(given.double().tolist())
+            for name, given in make_rounded_cases(dtype, count):
+                weights = compute_exact_weights(given.double().tolist())
                 terms = [[w * mp.mpf(float(a)) for w, a in zip(weights, column, strict=True)] for column in alpha.T]
                 exact, scale = [mp.fsum(column) for column in terms], [mp.fsum(map(abs, column)) for column in terms]
                 found = render(given.numpy(), alpha).astype(np.float64)
-                worst = worst.worse(worst_of(found, exact, least, f"{name}, N = {count}, K = 3", scale))
+                worst = worst.max_with(find_worst_error(found, exact, least, f"{name}, N = {count}, K = 3", scale))
     return worst
 
 
-def library_stroke(seconds: float, material: int = 0) -> StrokeInput:
+def make_library_stroke(seconds: float, material: int = 0) -> StrokeInput:
     """A steady stroke, 0.1 m/s and 1 N, on a material of the library."""
     entry = load_library()[material]
-    return uniform_stroke(steady_action(seconds, 0.1, 1.0), entry.token, entry.mechanics)
+    return uniform_stroke(make_steady_action(seconds, 0.1, 1.0), entry.token, entry.mechanics)
 
 
-def wandering_stroke(seconds: float, seed: int = 0, material: int = 0) -> StrokeInput:
+def make_wandering_stroke(seconds: float, seed: int = 0, material: int = 0) -> StrokeInput:
     """A stroke whose speed, force and direction wander."""
     entry = load_library()[material]
-    action = wandering_action(seconds, seed, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
+    action = make_random_smooth_action(seconds, seed, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
     return uniform_stroke(action, entry.token, entry.mechanics)
 
 
-def block_errors(field: Field, stroke: StrokeInput, size: int, start: int, count: int) -> float:
+def measure_block_errors(field: Field, stroke: StrokeInput, size: int, start: int, count: int) -> float:
     """Largest difference between one block of count samples and blocks of `size`, over its RMS."""
-    prepared = prepare(field, stroke, seed=5)
+    prepared = prepare_stroke(field, stroke, seed=5)
     whole = render_block(prepared, start, count)
     parts = [
         render_block(prepared, first, min(size, start + count - first)) for first in range(start, start + count, size)
@@ -230,7 +234,9 @@ def block_errors(field: Field, stroke: StrokeInput, size: int, start: int, count
     return float(np.max(np.abs(np.concatenate(parts) - whole)) / np.sqrt(np.mean(np.square(whole))))
 
 
-def rate_errors(field: Field, stroke: StrokeInput, rates: Sequence[float] = RATES) -> Iterator[tuple[float, float]]:
+def measure_rate_errors(
+    field: Field, stroke: StrokeInput, rates: Sequence[float] = RATES
+) -> Iterator[tuple[float, float]]:
     """(rate, largest difference [dB]) of Welch spectra between the output at each rate and at the model's: bins of
     10 Hz (of 2.5 Hz where a tenth of a second is no even number of samples) up to 1 kHz or 0.45 of the rate."""
     model = synthesise(field, stroke, seed=1).signal
@@ -244,7 +250,7 @@ def rate_errors(field: Field, stroke: StrokeInput, rates: Sequence[float] = RATE
         yield rate, float(np.max(np.abs(10.0 * np.log10(second[inside] / first[inside]))))
 
 
-def correlation(samples: Float, least_lag: int, greatest_lag: int) -> float:
+def compute_correlation(samples: Float, least_lag: int, greatest_lag: int) -> float:
     """Largest |autocorrelation| between the lags, each over the samples that overlap there."""
     count = len(samples)
     spectrum = np.fft.rfft(samples, 1 << (2 * count - 1).bit_length())
@@ -253,31 +259,34 @@ def correlation(samples: Float, least_lag: int, greatest_lag: int) -> float:
     return float(np.max(np.abs(products / (count - lags) * count / products[0])[least_lag:]))
 
 
-def spread_db(power: Float, pieces: int) -> tuple[float, float]:
+def compute_spread_db(power: Float, blocks_per_minute: int) -> tuple[float, float]:
     """Spread of mean power between minutes [dB], and the one to expect from that between the pieces of a minute, were
     they independent. power: (minutes · pieces,)."""
-    minutes = power.reshape(-1, pieces)
+    minutes = power.reshape(-1, blocks_per_minute)
     in_db = 10.0 / np.log(10.0) / power.mean()
-    expected = np.sqrt(minutes.var(axis=1, ddof=1).mean() / pieces)
+    expected = np.sqrt(minutes.var(axis=1, ddof=1).mean() / blocks_per_minute)
     return float(minutes.mean(axis=1).std(ddof=1) * in_db), float(expected * in_db)
 
 
-def stream_figures(field: Field, minutes: int) -> Iterator[tuple[str, str]]:
+def measure_stream(field: Field, minutes: int) -> Iterator[tuple[str, str]]:
     """What `minutes` of streaming do, block after block: (what, figure)."""
-    stroke, started = library_stroke(60.0 * minutes), time.process_time()
-    prepared = prepare(field, stroke, seed=7)
-    yield "preparing all states", f"{time.process_time() - started:.0f} s of one core, peak memory {peak_mb():.0f} MB"
+    stroke, started = make_library_stroke(60.0 * minutes), time.process_time()
+    prepared = prepare_stroke(field, stroke, seed=7)
+    yield (
+        "preparing all states",
+        f"{time.process_time() - started:.0f} s of one core, peak memory {read_peak_mb():.0f} MB",
+    )
     power, resident, kept = [], [], []
     for start in range(0, prepared.count, 10_000):
         block = render_block(prepared, start, 10_000)
         power.append(float(np.mean(np.square(block))))
         kept.append(block.astype(np.float32))
         if (start + 10_000) % 600_000 == 0:
-            resident.append(resident_mb() - sum(each.nbytes for each in kept) / 1e6)
+            resident.append(read_resident_mb() - sum(each.nbytes for each in kept) / 1e6)
     yield "resident memory less the signal, minute 1 and last", f"{resident[0]:.0f} MB, {resident[-1]:.0f} MB"
     inner = np.array(power)
     inner[0], inner[-1] = inner[1], inner[-2]  # the touch and the lift are no texture
-    between, expected = spread_db(inner, 60)
+    between, expected = compute_spread_db(inner, 60)
     yield "RMS by minute: spread, and what chance gives", f"{between:.3f} dB, {expected:.3f} dB"
     minute = np.arange(minutes)
     slope = np.polyfit(minute, 10.0 * np.log10(inner.reshape(minutes, 60).mean(axis=1)), 1)[0]
@@ -285,8 +294,11 @@ def stream_figures(field: Field, minutes: int) -> Iterator[tuple[str, str]]:
     yield "trend of the level, and what chance gives", f"{slope:+.4f} dB a minute, ± {chance:.4f}"
     signal = np.concatenate(kept).astype(np.float64)[10_000:-10_000]
     least, greatest = 1000, len(signal) // 2
-    yield "largest autocorrelation, lags 0.1 s to half the length", f"{correlation(signal, least, greatest):.4f}"
-    fresh = prepare(field, stroke, seed=7)
+    yield (
+        "largest autocorrelation, lags 0.1 s to half the length",
+        f"{compute_correlation(signal, least, greatest):.4f}",
+    )
+    fresh = prepare_stroke(field, stroke, seed=7)
     last = prepared.count - 20_000
     again = render_block(fresh, last, 10_000).astype(np.float32)
     yield (
@@ -300,37 +312,37 @@ def stream_figures(field: Field, minutes: int) -> Iterator[tuple[str, str]]:
         yield f"fast path against Fourier sums, from {start / 1e4:g} s", f"{error:.1f} dB"
 
 
-def peak_mb() -> float:
+def read_peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def resident_mb() -> float:
+def read_resident_mb() -> float:
     """Linux only, as the tool."""
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * resource.getpagesize() / 1e6
 
 
-def rendering_rows() -> Iterator[tuple[str, ...]]:
+def measure_rendering() -> Iterator[tuple[str, ...]]:
     span = "0 … ∞, N ≤ 4096"
-    for dtype in TENSORS[:1] + TENSORS[2:]:
-        yield row("weights, numpy", dtype, span, weight_errors(dtype, "numpy"))
-    for dtype in TENSORS:
-        yield row("weights, torch", dtype, span, weight_errors(dtype, "torch"))
-    for dtype in TENSORS:
-        yield row("gradient, torch", dtype, span, gradient_errors(dtype))
-    for dtype in TENSORS[:1] + TENSORS[2:]:
-        worst = emission_errors(dtype)
-        yield row("Σ w α, numpy", dtype, span + "; α to ± greatest", replace(worst, absolute=np.nan))
+    for dtype in TORCH_TYPES[:1] + TORCH_TYPES[2:]:
+        yield format_row("weights, numpy", dtype, span, measure_weight_errors(dtype, "numpy"))
+    for dtype in TORCH_TYPES:
+        yield format_row("weights, torch", dtype, span, measure_weight_errors(dtype, "torch"))
+    for dtype in TORCH_TYPES:
+        yield format_row("gradient, torch", dtype, span, measure_gradient_errors(dtype))
+    for dtype in TORCH_TYPES[:1] + TORCH_TYPES[2:]:
+        worst = measure_emission_errors(dtype)
+        yield format_row("Σ w α, numpy", dtype, span + "; α to ± greatest", replace(worst, absolute=np.nan))
 
 
-def row(quantity: str, dtype: torch.dtype, span: str, worst: Worst) -> tuple[str, ...]:
+def format_row(quantity: str, dtype: torch.dtype, span: str, worst: WorstError) -> tuple[str, ...]:
     absolute = "–" if np.isnan(worst.absolute) else f"{worst.absolute:.1e}"
-    kind = kind_of(dtype)
+    kind = describe_type(dtype)
     relative = f"{worst.relative:.1e} ({worst.relative / kind.epsilon:.2g} ε)"
     return quantity, kind.name, span, absolute, relative, worst.where
 
 
-def table(head: Sequence[str], rows: Iterator[tuple[str, ...]]) -> None:
+def print_table(head: Sequence[str], rows: Iterator[tuple[str, ...]]) -> None:
     print("| " + " | ".join(head) + " |\n|" + "---|" * len(head))
     for cells in rows:
         print("| " + " | ".join(cells) + " |", flush=True)
@@ -344,22 +356,25 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     if not options.synthesis:
-        table(("quantity", "type", "range of σΔt", "absolute", "relative", "where"), rendering_rows())
+        print_table(("quantity", "type", "range of σΔt", "absolute", "relative", "where"), measure_rendering())
     field = load_field()
-    table(
+    print_table(
         ("blocks of", "difference from the whole, over its RMS"),
         (
-            (str(size), f"{block_errors(field, wandering_stroke(3.0), size, 9000, min(64 * size, 4000)):.1e}")
+            (
+                str(size),
+                f"{measure_block_errors(field, make_wandering_stroke(3.0), size, 9000, min(64 * size, 4000)):.1e}",
+            )
             for size in BLOCK_SIZES
         ),
     )
-    table(
+    print_table(
         ("output rate", "largest difference below 1 kHz (or 0.45 of the rate)"),
-        ((f"{rate:g} Hz", f"{worst:.0e} dB") for rate, worst in rate_errors(field, wandering_stroke(8.0))),
+        ((f"{rate:g} Hz", f"{worst:.0e} dB") for rate, worst in measure_rate_errors(field, make_wandering_stroke(8.0))),
     )
-    table(HEAD, agreement_rows(field))
+    print_table(PRECISION_HEADER, measure_precision(field))
     if options.minutes:
-        table(("streaming", "figure"), stream_figures(field, options.minutes))
+        print_table(("streaming", "figure"), measure_stream(field, options.minutes))
     return 0
 
 

@@ -26,22 +26,22 @@ import numpy as np  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hnf_core.action.smooth import steady_action  # noqa: E402
-from hnf_core.datasets.autoregressive import power_spectrum  # noqa: E402
+from hnf_core.action.smooth import make_steady_action  # noqa: E402
+from hnf_core.datasets.autoregressive import compute_power_spectrum  # noqa: E402
 from hnf_core.datasets.catalogue import open_dataset  # noqa: E402
-from hnf_core.datasets.training_strokes import training_recordings  # noqa: E402
+from hnf_core.datasets.training_strokes import get_training_recordings  # noqa: E402
 from hnf_core.field.stroke import uniform_stroke  # noqa: E402
 from hnf_core.field.synthesis import synthesise  # noqa: E402
-from hnf_core.field.weights import own_material  # noqa: E402
+from hnf_core.field.weights import read_trained_material  # noqa: E402
 from hnf_core.metrics.average_spectrum import average_spectrum_distance_db  # noqa: E402
-from hnf_core.metrics.limits import limits_of  # noqa: E402
+from hnf_core.metrics.limits import compute_bounds  # noqa: E402
 from hnf_core.metrics.magnitudes import window_magnitudes  # noqa: E402
-from hnf_core.metrics.repetition import repetition  # noqa: E402
-from hnf_core.metrics.spectra import WINDOW, hann, welch  # noqa: E402
-from hnf_core.training.own_material import Choices, train_own  # noqa: E402
+from hnf_core.metrics.repetition import measure_repetition  # noqa: E402
+from hnf_core.metrics.spectra import WINDOW_SAMPLES, hann_window, welch  # noqa: E402
+from hnf_core.training.own_material import TrainingOverrides, train_from_recordings  # noqa: E402
 
 SPEEDS_M_S, FORCES_N = (0.05, 0.1, 0.15), (0.5, 1.0, 2.0)
-INSIDE = 0.99
+RANGE_SHARE = 0.99
 STROKE_S = 8.0
 REALISATIONS = 24
 """Of the true process at each condition: what the limits are measured on."""
@@ -63,52 +63,54 @@ class Row:
     cpu_s: float
 
 
-def check(job: tuple[Path, str, float, int]) -> Row:
+def evaluate_texture(job: tuple[Path, str, float, int]) -> Row:
     folder, material, seconds, seeds = job
     data = open_dataset("hatt", folder)
     process = data.process(material)
     assert process is not None
     began = time.process_time()
-    trained, _ = train_own(training_recordings(data, material, seconds, 0), "hatt", "", 0, Choices())
+    trained, _ = train_from_recordings(
+        get_training_recordings(data, material, seconds, 0), "hatt", "", 0, TrainingOverrides()
+    )
     spent = time.process_time() - began
-    own, top = own_material(trained.field, material), data.action_range(material)
+    own, top = read_trained_material(trained.field, material), data.action_range(material)
     found: list[tuple[float, ...]] = []
     for speed in SPEEDS_M_S:
         for force in FORCES_N:
-            at = min(speed, INSIDE * top.speed_m_s[1]), min(force, INSIDE * top.force_n[1])
-            action = steady_action(STROKE_S, *at)
-            exact, power = seen_through_window(process.model, *at)
+            at = min(speed, RANGE_SHARE * top.speed_m_s[1]), min(force, RANGE_SHARE * top.force_n[1])
+            action = make_steady_action(STROKE_S, *at)
+            exact, power = smooth_by_window(process.model, *at)
             truth = [each.samples for each in process.record([action] * REALISATIONS, 1000)]
-            limits = limits_of([window_magnitudes(each) for each in truth])
+            limits = compute_bounds([window_magnitudes(each) for each in truth])
             for seed in range(seeds):
                 stroke = uniform_stroke(action, own.token, own.mechanics)
                 ours = synthesise(trained.field, stroke, seed=seed).signal.samples.astype(np.float64)
-                found.append(_row(ours, truth[seed % REALISATIONS], limits, exact, power))
+                found.append(_compute_metrics(ours, truth[seed % REALISATIONS], limits, exact, power))
     return Row(material, seconds, *np.mean(found, axis=0), spent)  # type: ignore[arg-type]
 
 
-def _row(ours, oracle, limits, exact, power) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
+def _compute_metrics(ours, oracle, limits, exact, power) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
     frequency, density = welch(ours, RATE)
     return (
         average_spectrum_distance_db(density, exact, frequency),
         average_spectrum_distance_db(welch(oracle, RATE)[1], exact, frequency),
         10.0 * np.log10(np.mean(np.square(ours)) / power),
         limits.expected_mse(window_magnitudes(ours)) / limits.oracle,
-        repetition(ours, RATE),
-        repetition(oracle, RATE),
+        measure_repetition(ours, RATE),
+        measure_repetition(oracle, RATE),
     )
 
 
-def seen_through_window(model, speed: float, force: float) -> tuple[np.ndarray, float]:  # type: ignore[no-untyped-def]
+def smooth_by_window(model, speed: float, force: float) -> tuple[np.ndarray, float]:  # type: ignore[no-untyped-def]
     """(501,) exact density as a Hann window of 1000 samples shows it on average, and the whole power."""
     fine = 20
-    count = WINDOW * fine // 2
-    frequency = np.arange(count + 1) * (RATE / (WINDOW * fine))
-    density = power_spectrum(model, speed, force, frequency)
+    count = WINDOW_SAMPLES * fine // 2
+    frequency = np.arange(count + 1) * (RATE / (WINDOW_SAMPLES * fine))
+    density = compute_power_spectrum(model, speed, force, frequency)
     both = np.concatenate([density, density[-2:0:-1]])
-    kernel = np.square(np.abs(np.fft.fft(hann(WINDOW), WINDOW * fine)))
+    kernel = np.square(np.abs(np.fft.fft(hann_window(WINDOW_SAMPLES), WINDOW_SAMPLES * fine)))
     blurred = np.fft.ifft(np.fft.fft(both) * np.fft.fft(kernel / kernel.sum())).real
-    return blurred[: count + 1 : fine], float(np.sum(density) * (RATE / (WINDOW * fine)))
+    return blurred[: count + 1 : fine], float(np.sum(density) * (RATE / (WINDOW_SAMPLES * fine)))
 
 
 def main() -> int:
@@ -127,7 +129,7 @@ def main() -> int:
     print("|---|---|---|---|---|---|---|---|")
     rows: list[Row] = []
     with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
-        for row in pool.map(check, jobs):
+        for row in pool.map(evaluate_texture, jobs):
             rows.append(row)
             print(
                 f"| {row.material} | {row.seconds:g} s | {row.distance_db:.2f} | {row.oracle_db:.2f} | "

@@ -20,46 +20,52 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hnf_core.action.primitive_path import primitive_action  # noqa: E402
+from hnf_core.action.primitive_path import make_primitive_action  # noqa: E402
 from hnf_core.action.primitives import PRIMITIVES  # noqa: E402
-from hnf_core.field.blocks import contact_term, render_block  # noqa: E402
+from hnf_core.field.blocks import render_block, render_contact  # noqa: E402
 from hnf_core.field.field import Field, evaluate  # noqa: E402
-from hnf_core.field.prepared import prepare  # noqa: E402
+from hnf_core.field.prepared import prepare_stroke  # noqa: E402
 from hnf_core.field.reference import carriers_at  # noqa: E402
 from hnf_core.field.rendering import render_weights  # noqa: E402
 from hnf_core.field.stroke import StrokeInput, uniform_stroke  # noqa: E402
-from hnf_core.field.synthesis import fallen_short  # noqa: E402
-from hnf_core.field.timeline import SAMPLES_PER_STATE, condition_at, cubic, sample_count, states_of  # noqa: E402
+from hnf_core.field.synthesis import tolerance_warning  # noqa: E402
+from hnf_core.field.timeline import (  # noqa: E402
+    SAMPLES_PER_STATE,
+    interpolate_condition,
+    interpolate_cubic,
+    resample_action,
+    sample_count,
+)
 from hnf_core.field.weights import load_field  # noqa: E402
 from hnf_core.material.library import load_library  # noqa: E402
 
 Float = NDArray[np.float64]
 
 SEED = 0
-AT_ONCE = 500
+SAMPLES_PER_BATCH = 500
 TOLERANCES_DB = (-30.0, -35.0, -40.0, -45.0)
-FAST = "rub-fast"
+FAST_PRIMITIVE = "rub-fast"
 """It circles twice a second, so that tones pass through an octave of bands within some states."""
 
 
 @dataclass(frozen=True)
-class Found:
+class ErrorResult:
     """Of one stroke: error_db of the signal, told: whether it was said that the tolerance is not kept, knots: states
     that F_Θ was asked for."""
 
     primitive: str
     tolerance_db: float | None
     error_db: float
-    told: bool
+    warned: bool
     knots: int
 
 
-def literal_texture(field: Field, stroke: StrokeInput, waves: Float) -> Float:
+def compute_literal_texture(field: Field, stroke: StrokeInput, waves: Float) -> Float:
     """reference.texture_reference of the whole stroke; waves: its carriers, (count, K)."""
-    action, token_index = states_of(stroke)
+    action, token_index = resample_action(stroke)
     config, lag = field.config, field.config.stride * SAMPLES_PER_STATE
     sample = np.arange(-lag * config.states, len(waves))
-    parts = [evaluate(field, condition_at(stroke, action, token_index, at)) for at in pieces(sample)]
+    parts = [evaluate(field, interpolate_condition(stroke, action, token_index, at)) for at in split_samples(sample)]
     alpha = np.concatenate([part.alpha[:, 0] for part in parts])
     sigma_dt = np.concatenate([part.sigma_dt for part in parts])
     alpha[sample < 0] = 0.0
@@ -71,44 +77,46 @@ def literal_texture(field: Field, stroke: StrokeInput, waves: Float) -> Float:
     return np.asarray(np.einsum("nk,nk->n", total, waves))
 
 
-def pieces(sample: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    return np.split(sample, range(AT_ONCE, len(sample), AT_ONCE))
+def split_samples(sample: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    return np.split(sample, range(SAMPLES_PER_BATCH, len(sample), SAMPLES_PER_BATCH))
 
 
-def found_on(primitive: str, field: Field) -> Iterator[Found]:
+def measure_primitive(primitive: str, field: Field) -> Iterator[ErrorResult]:
     """Each material of the library under one stroke, each way."""
-    action = primitive_action(PRIMITIVES[primitive], seed=SEED)
+    action = make_primitive_action(PRIMITIVES[primitive], seed=SEED)
     waves: Float | None = None
     for material in load_library():
         stroke = uniform_stroke(action, material.token, material.mechanics)
-        at_states, _ = states_of(stroke)
+        at_states, _ = resample_action(stroke)
         if waves is None:
             sample = np.arange(sample_count(at_states))
             waves = np.concatenate([
-                carriers_at(field.config.carriers, SEED, at, cubic(at_states.position, at / SAMPLES_PER_STATE))
-                for at in pieces(sample)
+                carriers_at(field.config.carriers, SEED, at, interpolate_cubic(at_states.position, at / SAMPLES_PER_STATE))
+                for at in split_samples(sample)
             ])  # fmt: skip
-        every = prepare(field, stroke, seed=SEED)
+        every = prepare_stroke(field, stroke, seed=SEED)
         count = every.count
-        exact = every.audible * (literal_texture(field, stroke, waves[:count]) + contact_term(every, 0, count))
+        exact = every.audible * (
+            compute_literal_texture(field, stroke, waves[:count]) + render_contact(every, 0, count)
+        )
         for tolerance_db in (None, *TOLERANCES_DB):
             tolerance = None if tolerance_db is None else 10.0 ** (tolerance_db / 20.0)
-            prepared = every if tolerance is None else prepare(field, stroke, seed=SEED, tolerance=tolerance)
+            prepared = every if tolerance is None else prepare_stroke(field, stroke, seed=SEED, tolerance=tolerance)
             error = render_block(prepared, 0, count) - exact
             error_db = 10.0 * np.log10(np.mean(np.square(error)) / np.mean(np.square(exact)))
-            told = bool(fallen_short(prepared.missed, tolerance))
+            told = bool(tolerance_warning(prepared.residual_power, tolerance))
             knots = len(prepared.amplitude) if prepared.knots is None else len(prepared.knots)
-            yield Found(primitive, tolerance_db, float(error_db), told, knots)
+            yield ErrorResult(primitive, tolerance_db, float(error_db), told, knots)
 
 
-def table(found: list[Found]) -> str:
+def format_table(found: list[ErrorResult]) -> str:
     lines = [
         "| strokes | F_Θ | median error | 90 % within | worst | kept | said not to be | missed, and not said |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for strokes, ours in (
-        ("the seven others", [each for each in found if each.primitive != FAST]),
-        (FAST, [each for each in found if each.primitive == FAST]),
+        ("the seven others", [each for each in found if each.primitive != FAST_PRIMITIVE]),
+        (FAST_PRIMITIVE, [each for each in found if each.primitive == FAST_PRIMITIVE]),
     ):
         for tolerance_db in (None, *TOLERANCES_DB):
             rows = [each for each in ours if each.tolerance_db == tolerance_db]
@@ -121,7 +129,7 @@ def table(found: list[Found]) -> str:
             if tolerance_db is None:
                 cells += ["", "", ""]
             else:
-                kept, told = error <= tolerance_db, np.array([each.told for each in rows])
+                kept, told = error <= tolerance_db, np.array([each.warned for each in rows])
                 cells += [f"{kept.sum()} of {len(rows)}", str(told.sum()), str((~kept & ~told).sum())]
             way = "every state" if tolerance_db is None else f"within −{-tolerance_db:.0f} dB"
             lines.append(f"| {strokes} | {way} | " + " | ".join(cells) + " |")
@@ -131,10 +139,10 @@ def table(found: list[Found]) -> str:
 def main() -> int:
     names, field, found = sys.argv[1:] or list(PRIMITIVES), load_field(), []
     for name in names:
-        for each in found_on(name, field):
+        for each in measure_primitive(name, field):
             found.append(each)
         print(f"{name}: {len(found)} renders judged", file=sys.stderr)
-    print(table(found))
+    print(format_table(found))
     return 0
 
 

@@ -24,19 +24,19 @@ from hnf_core.action.action import ACTION_RATE_HZ, Action  # noqa: E402
 from hnf_core.datasets.catalogue import open_dataset  # noqa: E402
 from hnf_core.field.config import FieldConfig  # noqa: E402
 from hnf_core.training.material import Schedule, train_material  # noqa: E402
-from hnf_core.training.own_material import fine_carriers  # noqa: E402
+from hnf_core.training.own_material import make_fine_carriers  # noqa: E402
 
 STROKE_S = 5.0
 MATERIALS = ("oak-wood", "sandpaper", "denim", "rubber")
-BASE = FieldConfig(hidden=64, states=1, carriers=fine_carriers(), physics=False, action_octaves=1)
-FORMS = {
-    "N = 1": BASE,
-    "N = 5 heads of one state, as published": replace(BASE, states=5, accumulation="heads", spacing_s=0.0),
-    "N = 5 past states, 10 ms apart": replace(BASE, states=5, accumulation="past"),
+BASE_CONFIG = FieldConfig(hidden=64, states=1, carriers=make_fine_carriers(), physics=False, action_octaves=1)
+CONFIGS = {
+    "N = 1": BASE_CONFIG,
+    "N = 5 heads of one state, as published": replace(BASE_CONFIG, states=5, accumulation="heads", spacing_s=0.0),
+    "N = 5 past states, 10 ms apart": replace(BASE_CONFIG, states=5, accumulation="past"),
 }
 
 
-def rubbing(seed: int) -> Action:
+def make_rubbing_action(seed: int) -> Action:
     """To and fro two to five times a second at up to 0.05–0.2 m/s, the load swinging by half of itself."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(STROKE_S * ACTION_RATE_HZ) + 1) / ACTION_RATE_HZ
@@ -61,8 +61,10 @@ def main() -> int:
     for material in arguments.materials:
         process = library.process(material)
         assert process is not None
-        recordings = process.record([rubbing(seed) for seed in range(round(arguments.seconds / STROKE_S))], 0)
-        for name, config in FORMS.items():
+        recordings = process.record(
+            [make_rubbing_action(seed) for seed in range(round(arguments.seconds / STROKE_S))], 0
+        )
+        for name, config in CONFIGS.items():
             tests = [
                 train_material(recordings, config, seed, schedule=Schedule(epochs=25, batches=16)).test
                 for seed in range(arguments.seeds)

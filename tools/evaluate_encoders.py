@@ -18,42 +18,42 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hnf_core.action.smooth import wandering_action  # noqa: E402
+from hnf_core.action.smooth import make_random_smooth_action  # noqa: E402
 from hnf_core.datasets.tactile_pairs import (  # noqa: E402
     HELD_OUT_CLASSES,
     HELD_OUT_INSTANCES,
     UNSEEN_CLASSES,
     Pairs,
-    linear_rgb,
+    decode_rgb,
     load_pairs,
 )
 from hnf_core.evaluation.encoders import (  # noqa: E402
-    NEAR,
-    NOISE,
-    Piece,
-    Shot,
-    look,
-    neighbour_distance,
-    piece,
-    signal_distances_db,
-    steadiness,
-    tokens_at,
+    NEAR_VIEWS,
+    NOISE_LEVELS,
+    SensorView,
+    SurfaceSample,
+    compute_neighbour_distance,
+    compute_signal_distances_db,
+    compute_stability,
+    describe_samples,
+    make_sample,
+    render_maps,
 )
 from hnf_core.field.weights import load_field  # noqa: E402
 from hnf_core.files import write_text  # noqa: E402
 from hnf_core.material.encoder import describe  # noqa: E402
-from hnf_core.material.encoders import Encoder, describe_with, encoder_by_name  # noqa: E402
+from hnf_core.material.encoders import Encoder, describe_views, get_encoder  # noqa: E402
 from hnf_core.material.token import BAND_WAVELENGTHS_M, ENCODER_NAMES, Token  # noqa: E402
-from hnf_core.simulation.classes import classes  # noqa: E402
-from hnf_core.tactile.diffusion.predict import predict  # noqa: E402
+from hnf_core.simulation.classes import list_classes  # noqa: E402
+from hnf_core.tactile.diffusion.predict import predict_tactile_maps  # noqa: E402
 from hnf_core.tactile.diffusion.weights import MapWeights, load_map_weights  # noqa: E402
-from hnf_core.tactile.views import LookView  # noqa: E402
-from hnf_core.training.encoder.judge import Errors, errors_of, judge, map_of_view  # noqa: E402
+from hnf_core.tactile.views import AppearanceView  # noqa: E402
+from hnf_core.training.encoder.judge import TokenErrors, compute_token_errors, evaluate_encoder, make_view_map  # noqa: E402
 
-INSTANCE = 900
+INSTANCE_SEED = 900
 """Seed of the instances looked at here; pairs are made from others."""
-SHIFTS = (1, 2, 4)
-LAMPS = (1, 2)
+SHIFTS_PX = (1, 2, 4)
+LAMP_SEEDS = (1, 2)
 
 
 def main() -> int:
@@ -66,50 +66,50 @@ def main() -> int:
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="one of N views and classes only")
     arguments = parser.parse_args()
-    encoders = [encoder_by_name(name) for name in arguments.encoder]
+    encoders = [get_encoder(name) for name in arguments.encoder]
     figures: dict[str, Any] = {}
     for split in (HELD_OUT_INSTANCES, HELD_OUT_CLASSES):
         pairs = load_pairs(arguments.pairs, split)
-        figures[split] = {each.name: view_figures(each, pairs, arguments.every) for each in encoders}
+        figures[split] = {each.name: measure_views(each, pairs, arguments.every) for each in encoders}
         if arguments.maps:
-            predicted = predicted_figures(encoders, load_map_weights(arguments.maps), pairs, arguments.predicted)
+            predicted = measure_predicted(encoders, load_map_weights(arguments.maps), pairs, arguments.predicted)
             for name, found in predicted.items():
                 figures[split][name]["predicted, widest and finest"] = found
-        print(view_tables(split, figures[split]), flush=True)
-    pieces = [piece(name, INSTANCE) for name in classes()[:: arguments.every]]
-    figures["steadiness"] = {each.name: steadiness_figures(each, pieces) for each in encoders}
-    print(steadiness_table(figures["steadiness"]), flush=True)
-    figures["signal"] = signal_figures(encoders, pieces, arguments.seed)
-    print(signal_table(figures["signal"]), flush=True)
+        print(format_views(split, figures[split]), flush=True)
+    pieces = [make_sample(name, INSTANCE_SEED) for name in list_classes()[:: arguments.every]]
+    figures["steadiness"] = {each.name: measure_stability(each, pieces) for each in encoders}
+    print(format_stability(figures["steadiness"]), flush=True)
+    figures["signal"] = measure_signals(encoders, pieces, arguments.seed)
+    print(format_signals(figures["signal"]), flush=True)
     if arguments.json:
         write_text(arguments.json, json.dumps(figures, indent=1, default=np.ndarray.tolist) + "\n")
     return 0
 
 
-def view_figures(encoder: Encoder, pairs: Pairs, every: int) -> dict[str, Any]:
+def measure_views(encoder: Encoder, pairs: Pairs, every: int) -> dict[str, Any]:
     """Errors of single views under both sensors, and of a tile's views merged."""
     # Chosen at random: views of one pitch stand at equal distances.
     rows = np.sort(np.random.default_rng(0).permutation(len(pairs))[: len(pairs) // every])
     tiles = np.unique(pairs.tile_index)[::every]
     merged = [
-        describe_with(
-            encoder, [map_of_view(pairs, int(row), "gelsight") for row in np.flatnonzero(pairs.tile_index == tile)]
+        describe_views(
+            encoder, [make_view_map(pairs, int(row), "gelsight") for row in np.flatnonzero(pairs.tile_index == tile)]
         )
         for tile in tiles
     ]
-    together = errors_of(
+    together = compute_token_errors(
         np.array([token.values for token in merged], dtype=np.float64),
         np.array([token.known for token in merged]),
         pairs.token[tiles].astype(np.float64),
     )
     return {
-        "one view, GelSight": asdict(judge(encoder, pairs, list(rows), "gelsight")),
-        "one view, DIGIT": asdict(judge(encoder, pairs, list(rows), "digit")),
+        "one view, GelSight": asdict(evaluate_encoder(encoder, pairs, list(rows), "gelsight")),
+        "one view, DIGIT": asdict(evaluate_encoder(encoder, pairs, list(rows), "digit")),
         "four views merged": asdict(together),
     }
 
 
-def predicted_figures(encoders: list[Encoder], weights: MapWeights, pairs: Pairs, count: int) -> dict[str, Any]:
+def measure_predicted(encoders: list[Encoder], weights: MapWeights, pairs: Pairs, count: int) -> dict[str, Any]:
     """Errors of the tokens of maps that D_φ draws from a tile's look: its widest and its finest view, merged."""
     tiles = np.unique(pairs.tile_index)
     tiles = tiles[:: max(1, len(tiles) // count)][:count]
@@ -117,27 +117,29 @@ def predicted_figures(encoders: list[Encoder], weights: MapWeights, pairs: Pairs
     for tile in tiles:
         rows = [int(row) for row in np.flatnonzero(pairs.tile_index == tile) if pairs.pitch_index[row] in (0, 3)]
         looks = [
-            LookView(
-                linear_rgb(pairs.rgb[row]),
+            AppearanceView(
+                decode_rgb(pairs.rgb[row]),
                 pairs.depth[row].astype(np.float32) * np.float32(pairs.pitch_m[row]),
                 True,
                 float(pairs.pitch_m[row]),
             )
             for row in rows
         ]
-        maps = predict(weights, looks, "gelsight", seed=int(tile))
+        maps = predict_tactile_maps(weights, looks, "gelsight", seed=int(tile))
         for each in encoders:
-            tokens[each.name].append(describe_with(each, maps))
+            tokens[each.name].append(describe_views(each, maps))
     wanted = pairs.token[tiles].astype(np.float64)
     return {
         name: asdict(
-            errors_of(np.array([t.values for t in found], np.float64), np.array([t.known for t in found]), wanted)
+            compute_token_errors(
+                np.array([t.values for t in found], np.float64), np.array([t.known for t in found]), wanted
+            )
         )
         for name, found in tokens.items()
     }
 
 
-def view_tables(split: str, figures: dict[str, dict[str, Any]]) -> str:
+def format_views(split: str, figures: dict[str, dict[str, Any]]) -> str:
     heads = [f"{wavelength * 1e3:g} mm" for wavelength in BAND_WAVELENGTHS_M]
     lines = [
         f"### Against the whole tile: {split}",
@@ -147,9 +149,9 @@ def view_tables(split: str, figures: dict[str, dict[str, Any]]) -> str:
     ]
     for seen in next(iter(figures.values())):
         for name, found in figures.items():
-            errors = Errors(**found[seen])
+            errors = TokenErrors(**found[seen])
             cells = [f"{value:.2f}" for value in errors.level_db]
-            cells += [f"{errors.overall_db():.2f}", f"{errors.median_level_db:.2f}"]
+            cells += [f"{errors.compute_overall_db():.2f}", f"{errors.median_level_db:.2f}"]
             cells += [
                 f"{np.sqrt(np.nanmean(np.square(getattr(errors, key)))):.3f}"
                 for key in ("two_fold", "four_fold", "peak", "offset")
@@ -158,29 +160,29 @@ def view_tables(split: str, figures: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def steadiness_figures(encoder: Encoder, pieces: list[Piece]) -> dict[str, Any]:
+def measure_stability(encoder: Encoder, samples: list[SurfaceSample]) -> dict[str, Any]:
     out: dict[str, Any] = {}
-    for near, what in ((0, "whole map"), (NEAR, f"1 + {NEAR} views")):
-        plain = Shot(near=near)
-        first = tokens_at(encoder, pieces, plain)
-        out[what] = {"nearest other material": [neighbour_distance(first, pieces), float("nan")]}
-        for words, shots in perturbed(plain).items():
-            found = [steadiness(first, tokens_at(encoder, pieces, shot)) for shot in shots]
+    for near, what in ((0, "whole map"), (NEAR_VIEWS, f"1 + {NEAR_VIEWS} views")):
+        plain = SensorView(near_views=near)
+        first = describe_samples(encoder, samples, plain)
+        out[what] = {"nearest other material": [compute_neighbour_distance(first, samples), float("nan")]}
+        for words, shots in make_perturbations(plain).items():
+            found = [compute_stability(first, describe_samples(encoder, samples, shot)) for shot in shots]
             out[what][words] = [float(np.mean([f.token for f in found])), float(np.mean([f.level_db for f in found]))]
     return out
 
 
-def perturbed(plain: Shot) -> dict[str, list[Shot]]:
+def make_perturbations(base: SensorView) -> dict[str, list[SensorView]]:
     # A pixel of the widest view is eight of the tile; a finest view sees the tile's own.
     return {
-        **{f"moved by {shift} px (0.{39 * shift:03d} mm)": [replace(plain, shift_px=shift)] for shift in SHIFTS},
-        "other lamps": [replace(plain, lamps=seed) for seed in LAMPS],
-        **{f"noise {noise:g}": [replace(plain, noise=noise)] for noise in NOISE},
-        "DIGIT for GelSight": [replace(plain, sensor="digit")],
+        **{f"moved by {shift} px (0.{39 * shift:03d} mm)": [replace(base, shift_px=shift)] for shift in SHIFTS_PX},
+        "other lamps": [replace(base, lamps=seed) for seed in LAMP_SEEDS],
+        **{f"noise {noise:g}": [replace(base, noise=noise)] for noise in NOISE_LEVELS},
+        "DIGIT for GelSight": [replace(base, sensor="digit")],
     }
 
 
-def steadiness_table(figures: dict[str, dict[str, Any]]) -> str:
+def format_stability(figures: dict[str, dict[str, Any]]) -> str:
     lines = ["### How far a token moves", "", "| seen | change | " + " | ".join(figures) + " |"]
     lines.append("|---" * (2 + len(figures)) + "|")
     first = next(iter(figures.values()))
@@ -194,24 +196,33 @@ def steadiness_table(figures: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def signal_figures(encoders: list[Encoder], pieces: list[Piece], seed: int) -> dict[str, Any]:
-    field, action = load_field(), wandering_action(4.0, seed, speed_m_s=(0.05, 0.25), force_n=(0.5, 2.0))
-    truth: dict[str, Token] = {each.name: describe(look(each, Shot())[0]) for each in pieces}
-    names = {each.name: each.class_name for each in pieces}
-    out: dict[str, Any] = {"unseen": [names[each.name] in UNSEEN_CLASSES for each in pieces]}
+def measure_signals(encoders: list[Encoder], samples: list[SurfaceSample], seed: int) -> dict[str, Any]:
+    field, action = load_field(), make_random_smooth_action(4.0, seed, speed_m_s=(0.05, 0.25), force_n=(0.5, 2.0))
+    truth: dict[str, Token] = {each.name: describe(render_maps(each, SensorView())[0]) for each in samples}
+    names = {each.name: each.class_name for each in samples}
+    out: dict[str, Any] = {"unseen": [names[each.name] in UNSEEN_CLASSES for each in samples]}
 
     def add(words: str, token: Any) -> None:
-        out[words] = list(signal_distances_db(field, action, pieces, lambda each: truth[each.name], token))
+        out[words] = list(compute_signal_distances_db(field, action, samples, lambda each: truth[each.name], token))
 
     for encoder in encoders:
-        for near, what in ((0, "whole map"), (NEAR, f"1 + {NEAR} views")):
-            add(f"{encoder.name}, {what}", lambda each, e=encoder, n=near: describe_with(e, look(each, Shot(near=n))))
-    add("another tile of the piece", lambda each: describe(look(piece(each.class_name, INSTANCE, 1), Shot())[0]))
-    add("another piece of the class", lambda each: describe(look(piece(each.class_name, INSTANCE + 1), Shot())[0]))
+        for near, what in ((0, "whole map"), (NEAR_VIEWS, f"1 + {NEAR_VIEWS} views")):
+            add(
+                f"{encoder.name}, {what}",
+                lambda each, e=encoder, n=near: describe_views(e, render_maps(each, SensorView(near_views=n))),
+            )
+    add(
+        "another tile of the piece",
+        lambda each: describe(render_maps(make_sample(each.class_name, INSTANCE_SEED, 1), SensorView())[0]),
+    )
+    add(
+        "another piece of the class",
+        lambda each: describe(render_maps(make_sample(each.class_name, INSTANCE_SEED + 1), SensorView())[0]),
+    )
     return out
 
 
-def signal_table(figures: dict[str, Any]) -> str:
+def format_signals(figures: dict[str, Any]) -> str:
     unseen = np.array(figures["unseen"])
     lines = [
         "### What the signal makes of it",

@@ -18,20 +18,20 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
 import bpy
 import numpy as np
 from demo_scene import materials, things
-from demo_scene.strokes import add_stroke, from_above, on_surface
+from demo_scene.strokes import add_stroke, project_from_above, project_onto_surface
 from mathutils import Vector
 
 from hnf_blender import compat, props
-from hnf_blender.bridge.importers import empty_scene
-from hnf_blender.bridge.quiet import quiet
+from hnf_blender.bridge.importers import open_empty_scene
+from hnf_blender.bridge.quiet import suppress_output
 from hnf_core.files import write_atomically
 
-SIZE = (960, 540)
+RENDER_SIZE = (960, 540)
 
 
-def build() -> Any:
+def build_scene() -> Any:
     """Replace what is open by the demo scene, and return it."""
-    empty_scene()
+    open_empty_scene()
     if not hasattr(bpy.types.Object, "hnf_stroke"):
         props.register()
     scene = bpy.context.scene
@@ -39,41 +39,43 @@ def build() -> Any:
     scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 1.0
     scene.render.fps, scene.render.fps_base = 24, 1.0
     scene.collection.children.link(bpy.data.collections.new("Strokes"))
-    touched = {obj.name: obj for obj in (things.table(), things.cushion(), things.tin(), things.tile())}
-    touched["Notebook"] = things.notebook()
-    things.bowl()
-    peel = materials.lemon_peel()
-    things.lemon("Lemon", (0.075, 0.025, 0.0272), (1.45, 0.2, 0.9), peel)
-    things.lemon("Lemon in bowl", (0.228, 0.172, 0.049), (1.1, 0.5, 2.4), peel)
+    touched = {
+        obj.name: obj for obj in (things.make_table(), things.make_cushion(), things.make_tin(), things.make_tile())
+    }
+    touched["Notebook"] = things.make_notebook()
+    things.make_bowl()
+    peel = materials.make_lemon_peel()
+    things.make_lemon("Lemon", (0.075, 0.025, 0.0272), (1.45, 0.2, 0.9), peel)
+    things.make_lemon("Lemon in bowl", (0.228, 0.172, 0.049), (1.1, 0.5, 2.4), peel)
     bpy.context.view_layer.update()
-    _strokes(touched)
-    _light(scene)
-    _camera(scene)
-    _render_settings(scene)
+    _add_strokes(touched)
+    _add_lights(scene)
+    _add_camera(scene)
+    _set_up_render(scene)
     scene.frame_start, scene.frame_end = 1, 240
     scene.frame_set(1)
     return scene
 
 
-def _strokes(touched: dict[str, Any]) -> None:
+def _add_strokes(touched: dict[str, Any]) -> None:
     cushion, book, tile, tin = (touched[name] for name in ("Cushion", "Notebook", "Tile", "Tin"))
     add_stroke(
-        "Along the corduroy", cushion, from_above(cushion, (0.011, -0.07), (0.011, 0.06), 12), kind="BEZIER",
+        "Along the corduroy", cushion, project_from_above(cushion, (0.011, -0.07), (0.011, 0.06), 12), kind="BEZIER",
         start_frame=1, force=[(0.0, 0.0), (0.2, 0.9), (0.9, 1.4), (1.3, 0.7), (1.5, 0.0)],
         progress=[(0.1, 0.0), (1.5, 1.0)], seed=1,
     )  # fmt: skip
     add_stroke(
-        "Across the corduroy", cushion, from_above(cushion, (-0.065, 0.0), (0.065, 0.012), 12, bend=0.01),
+        "Across the corduroy", cushion, project_from_above(cushion, (-0.065, 0.0), (0.065, 0.012), 12, bend=0.01),
         kind="BEZIER", start_frame=49, force=[(0.0, 0.0), (0.2, 0.5), (1.1, 0.9), (1.65, 0.4), (1.85, 0.0)],
         progress=[(0.1, 0.0), (1.85, 1.0)], seed=2,
     )  # fmt: skip
     add_stroke(
-        "From linen to leather", book, from_above(book, (-0.066, -0.045), (0.055, 0.055), 7, bend=-0.018),
+        "From linen to leather", book, project_from_above(book, (-0.066, -0.045), (0.055, 0.055), 7, bend=-0.018),
         kind="BEZIER", start_frame=97, force=[(0.0, 0.0), (0.15, 0.3), (0.9, 0.5), (1.7, 0.8), (1.9, 0.0)],
         progress=[(0.1, 0.0), (0.85, 0.45), (1.85, 1.0)], seed=3,
     )  # fmt: skip
     add_stroke(
-        "Press and lift", tile, from_above(tile, (-0.07, -0.055), (0.07, 0.05), 6, bend=0.03), kind="NURBS",
+        "Press and lift", tile, project_from_above(tile, (-0.07, -0.055), (0.07, 0.05), 6, bend=0.03), kind="NURBS",
         start_frame=145, seed=4,
         force=[(0.0, 0.0), (0.15, 1.4), (0.5, 0.6), (0.8, 0.6), (0.95, 0.0),
                (1.15, 0.0), (1.3, 0.9), (1.9, 0.5), (2.0, 0.0)],
@@ -82,7 +84,7 @@ def _strokes(touched: dict[str, Any]) -> None:
     turns = np.linspace(-2.35, -0.75, 49)
     heights = np.linspace(0.035, 0.062, 49)
     out = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(49)])
-    around = on_surface(tin, 0.2 * out + np.column_stack([np.zeros((49, 2)), heights]), -out)
+    around = project_onto_surface(tin, 0.2 * out + np.column_stack([np.zeros((49, 2)), heights]), -out)
     add_stroke(
         "Around the tin", tin, around, kind="POLY", start_frame=193, seed=5,
         force=[(0.0, 0.0), (0.1, 0.8), (0.6, 1.5), (1.1, 0.8), (1.2, 0.0)],
@@ -90,20 +92,20 @@ def _strokes(touched: dict[str, Any]) -> None:
     )  # fmt: skip
 
 
-def _area_light(name: str, place: tuple[float, float, float], size: float, watts: float, colour: Any) -> None:
+def _add_area_light(name: str, location: tuple[float, float, float], size: float, watts: float, colour: Any) -> None:
     light = bpy.data.lights.new(name, "AREA")
     light.shape, light.size, light.energy, light.color = "DISK", size, watts, colour
     obj = bpy.data.objects.new(name, light)
-    obj.location = place
-    obj.rotation_euler = (Vector((0.0, 0.05, 0.0)) - Vector(place)).to_track_quat("-Z", "Y").to_euler()
+    obj.location = location
+    obj.rotation_euler = (Vector((0.0, 0.05, 0.0)) - Vector(location)).to_track_quat("-Z", "Y").to_euler()
     bpy.context.scene.collection.objects.link(obj)
 
 
-def _light(scene: Any) -> None:
+def _add_lights(scene: Any) -> None:
     # A low key from the left back grazes the relief; the fill keeps shadows open; the rim draws the edges.
-    _area_light("Key", (-0.75, 0.55, 0.55), 0.35, 19.0, (1.0, 0.88, 0.74))
-    _area_light("Fill", (0.8, -0.7, 0.8), 0.9, 4.0, (0.78, 0.88, 1.0))
-    _area_light("Rim", (0.55, 0.9, 0.45), 0.3, 6.0, (1.0, 0.95, 0.9))
+    _add_area_light("Key", (-0.75, 0.55, 0.55), 0.35, 19.0, (1.0, 0.88, 0.74))
+    _add_area_light("Fill", (0.8, -0.7, 0.8), 0.9, 4.0, (0.78, 0.88, 1.0))
+    _add_area_light("Rim", (0.55, 0.9, 0.45), 0.3, 6.0, (1.0, 0.95, 0.9))
     world = bpy.data.worlds.new("Room")
     compat.switch_nodes_on(world)
     background = next(node for node in world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
@@ -112,7 +114,7 @@ def _light(scene: Any) -> None:
     scene.world = world
 
 
-def _camera(scene: Any) -> None:
+def _add_camera(scene: Any) -> None:
     data = bpy.data.cameras.new("Camera")
     data.lens, data.clip_start = 55.0, 0.01
     camera = bpy.data.objects.new("Camera", data)
@@ -122,32 +124,32 @@ def _camera(scene: Any) -> None:
     scene.camera = camera
 
 
-def _render_settings(scene: Any) -> None:
+def _set_up_render(scene: Any) -> None:
     scene.render.engine = "CYCLES"
     scene.cycles.device, scene.cycles.samples, scene.cycles.use_denoising = "CPU", 48, False
     scene.cycles.seed, scene.cycles.max_bounces = 0, 5
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = *SIZE, 100
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = *RENDER_SIZE, 100
     scene.view_settings.view_transform = "Standard"
 
 
-def save(path: Path) -> None:
+def save_scene(path: Path) -> None:
     """Save a compressed .blend, leaving an earlier one alone until the new one is whole."""
     path = path.absolute()
 
     def write(temporary: Path) -> None:
         temporary.unlink()  # else Blender keeps the empty file as a backup, *.blend1
-        with quiet():
+        with suppress_output():
             bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True, relative_remap=False)
 
     write_atomically(path, write)
 
 
-def render(path: Path, samples: int) -> None:
+def render_scene(path: Path, samples: int) -> None:
     scene = bpy.context.scene
     scene.cycles.samples, scene.cycles.use_denoising = samples, True
     scene.render.image_settings.file_format = "PNG"
     scene.render.filepath = str(path.absolute())
-    with quiet():
+    with suppress_output():
         bpy.ops.render.render(write_still=True)
 
 
@@ -157,10 +159,10 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, help="render it into this PNG too")
     parser.add_argument("--samples", type=int, default=32)
     arguments = parser.parse_args()
-    build()
-    save(arguments.output)
+    build_scene()
+    save_scene(arguments.output)
     if arguments.picture:
-        render(arguments.picture, arguments.samples)
+        render_scene(arguments.picture, arguments.samples)
     print(arguments.output)
 
 

@@ -16,10 +16,10 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from hnf_core.datasets.pair_shards import make_pairs  # noqa: E402
+from hnf_core.datasets.pair_shards import write_pairs  # noqa: E402
 from hnf_core.datasets.pair_tiles import PairSizes  # noqa: E402
-from hnf_core.export.contact_sheet import contact_sheet  # noqa: E402
-from hnf_core.export.png import colour_png  # noqa: E402
+from hnf_core.export.contact_sheet import make_contact_sheet  # noqa: E402
+from hnf_core.export.png import encode_colour_png  # noqa: E402
 from hnf_core.files import write_bytes  # noqa: E402
 
 
@@ -38,9 +38,9 @@ def main() -> int:
         def told(done: int, total: int) -> None:
             print(f"{time.monotonic() - began:6.0f} s  {done}/{total} shards", file=sys.stderr, flush=True)
 
-        make_pairs(arguments.out, PairSizes(train=arguments.tiles), arguments.seed, arguments.workers, told)
+        write_pairs(arguments.out, PairSizes(train=arguments.tiles), arguments.seed, arguments.workers, told)
     sheet = arguments.sheet or arguments.out / "contact-sheet.png"
-    write_bytes(sheet, colour_png(contact_sheet(arguments.seed)))
+    write_bytes(sheet, encode_colour_png(make_contact_sheet(arguments.seed)))
     print(sheet)
     return 0
 

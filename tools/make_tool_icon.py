@@ -21,12 +21,12 @@ MINT: Colour = (117, 255, 175, 255)
 WIDTH, HEIGHT = 255, 255
 
 
-def fan(outline: Float, colour: Colour) -> list[tuple[Float, Colour]]:
+def make_fan(outline: Float, colour: Colour) -> list[tuple[Float, Colour]]:
     """Triangles of a convex outline (n, 2)."""
     return [(outline[[0, k, k + 1]], colour) for k in range(1, len(outline) - 1)]
 
 
-def ribbon(path: Float, width: Float, colour: Colour) -> list[tuple[Float, Colour]]:
+def make_ribbon(path: Float, width: Float, colour: Colour) -> list[tuple[Float, Colour]]:
     """Triangles of a line through path (n, 2) with a width (n,) at each point."""
     along = np.gradient(path, axis=0)
     aside = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
@@ -38,7 +38,7 @@ def ribbon(path: Float, width: Float, colour: Colour) -> list[tuple[Float, Colou
     return triangles
 
 
-def finger() -> list[tuple[Float, Colour]]:
+def draw_finger() -> list[tuple[Float, Colour]]:
     """A rounded bar that leans to the right, with its nail."""
     angle = np.linspace(np.pi, 2.0 * np.pi, 13)
     tip = np.stack([34.0 * np.cos(angle), 34.0 * np.sin(angle)], axis=1)
@@ -48,18 +48,18 @@ def finger() -> list[tuple[Float, Colour]]:
     lean = np.radians(-32.0)
     turn = np.array([[np.cos(lean), -np.sin(lean)], [np.sin(lean), np.cos(lean)]])
     place = np.array([92.0, 92.0])
-    return fan(outline @ turn.T + place, WHITE) + fan(nail @ turn.T + place, SHADE)
+    return make_fan(outline @ turn.T + place, WHITE) + make_fan(nail @ turn.T + place, SHADE)
 
 
-def wave() -> list[tuple[Float, Colour]]:
+def draw_wave() -> list[tuple[Float, Colour]]:
     """The surface's line; under the finger it swings."""
     x = np.linspace(20.0, 236.0, 73)
     swing = 15.0 * np.exp(-(((x - 150.0) / 60.0) ** 2)) * np.sin((x - 96.0) / 8.5)
     swing[x < 96.0] = 0.0
-    return ribbon(np.stack([x, 46.0 + swing], axis=1), np.full(len(x), 15.0), MINT)
+    return make_ribbon(np.stack([x, 46.0 + swing], axis=1), np.full(len(x), 15.0), MINT)
 
 
-def encoded(triangles: list[tuple[Float, Colour]]) -> bytes:
+def encode_triangles(triangles: list[tuple[Float, Colour]]) -> bytes:
     """Blender's VCO version 0: header, three corners a triangle as bytes, a colour for each corner."""
     corners = np.concatenate([corner for corner, _ in triangles])
     colours = np.repeat(np.array([colour for _, colour in triangles]), 3, axis=0)
@@ -69,7 +69,7 @@ def encoded(triangles: list[tuple[Float, Colour]]) -> bytes:
 
 def main() -> None:
     TARGET.parent.mkdir(exist_ok=True)
-    TARGET.write_bytes(encoded(wave() + finger()))
+    TARGET.write_bytes(encode_triangles(draw_wave() + draw_finger()))
     print(TARGET)
 
 

@@ -29,25 +29,25 @@ from numpy.typing import NDArray  # noqa: E402
 
 from hnf_blender import cli  # noqa: E402
 from hnf_blender.touch import run as touch_run  # noqa: E402
-from hnf_blender.touch.feel import BakedStroke, stroke_input  # noqa: E402
-from hnf_blender.touch.jobs import Job, gather  # noqa: E402
+from hnf_blender.touch.feel import BakedStroke, make_stroke_input  # noqa: E402
+from hnf_blender.touch.jobs import StrokeJob, gather_jobs  # noqa: E402
 from hnf_blender.touch.seeing import SENSOR  # noqa: E402
-from hnf_blender.touch.steps import CACHE_NAME, bake_steps  # noqa: E402
+from hnf_blender.touch.steps import CACHE_FOLDER_NAME, bake_steps  # noqa: E402
 from hnf_blender.touch.store import PatchRecord  # noqa: E402
 from hnf_core.cli.touch import TouchRequest  # noqa: E402
 from hnf_core.errors import HnfError, SceneError  # noqa: E402
-from hnf_core.evaluation.tables import table  # noqa: E402
+from hnf_core.evaluation.tables import format_table  # noqa: E402
 from hnf_core.export.figure import write_figure  # noqa: E402
 from hnf_core.field.synthesis import synthesise  # noqa: E402
 from hnf_core.field.weights import load_field  # noqa: E402
 from hnf_core.files import write_text  # noqa: E402
-from hnf_core.material.encoder import describe, smooth_token_values  # noqa: E402
+from hnf_core.material.encoder import describe, get_smooth_token_values  # noqa: E402
 from hnf_core.material.fuse import fuse  # noqa: E402
 from hnf_core.material.token import Token  # noqa: E402
 from hnf_core.metrics.average_spectrum import average_spectrum_distance_db  # noqa: E402
 from hnf_core.metrics.spectra import welch  # noqa: E402
 from hnf_core.tactile.height import tactile_map_from_height  # noqa: E402
-from hnf_core.tactile.spectral import filtered, frequencies, gaussian_mtf  # noqa: E402
+from hnf_core.tactile.spectral import apply_filters, frequencies, gaussian_mtf  # noqa: E402
 from hnf_core.tactile.tactile_map import Route  # noqa: E402
 
 if TYPE_CHECKING:
@@ -58,24 +58,24 @@ Height = NDArray[np.float32]
 
 BLUR_M = 1e-3
 """Standard deviation: half of a wave of 5.3 mm is left, a tenth of one of 2.9 mm."""
-AS_IT_IS, SMOOTH = "as it is", "smooth surface"
-SHOWN_S = 0.25
-COLOURS = {AS_IT_IS: "#1c2430", "blurred, 1 mm": "#0072b2", "twice as high": "#d55e00", "turned by 90°": "#009e73",
+UNCHANGED, SMOOTH_SURFACE = "as it is", "smooth surface"
+PLOTTED_S = 0.25
+COLOURS = {UNCHANGED: "#1c2430", "blurred, 1 mm": "#0072b2", "twice as high": "#d55e00", "turned by 90°": "#009e73",
            "flat": "#cc79a7"}  # fmt: skip
 
 
-def blurred(height: Height, metres_per_pixel: float) -> Height:
+def blur(height: Height, metres_per_pixel: float) -> Height:
     def response(shape: tuple[int, int]) -> list[Float]:
         fx, fy = frequencies(shape, metres_per_pixel)
         return [gaussian_mtf(np.hypot(fx, fy), BLUR_M)]
 
-    (kept,), _ = filtered(height.astype(np.float64), metres_per_pixel, response, "even", 6.0 * BLUR_M)
+    (kept,), _ = apply_filters(height.astype(np.float64), metres_per_pixel, response, "even", 6.0 * BLUR_M)
     return kept.astype(np.float32)
 
 
-CHANGES: dict[str, Callable[[Height, float], Height]] = {
-    AS_IT_IS: lambda height, pitch: height,
-    "blurred, 1 mm": blurred,
+RELIEF_CHANGES: dict[str, Callable[[Height, float], Height]] = {
+    UNCHANGED: lambda height, pitch: height,
+    "blurred, 1 mm": blur,
     "twice as high": lambda height, pitch: 2.0 * height,
     "turned by 90°": lambda height, pitch: np.ascontiguousarray(np.rot90(height)),
     "flat": lambda height, pitch: np.zeros_like(height),
@@ -83,33 +83,33 @@ CHANGES: dict[str, Callable[[Height, float], Height]] = {
 
 
 @dataclass(frozen=True)
-class Heard:
+class ReliefResult:
     """One change on one stroke. samples: a(t) at rate, of the product's path; alone: of the map without a library
     material. profile_m: RMS height under the path."""
 
     change: str
     samples: Float
-    alone: Float
+    map_only: Float
     rate: float
     profile_m: float
 
 
-def changed(baked: BakedStroke, change: str, *, alone: bool) -> BakedStroke:
+def change_relief(baked: BakedStroke, change: str, *, map_only: bool) -> BakedStroke:
     """The stroke on patches whose measured height is changed, described and fused anew."""
     records, fused = [], []
     for patch, record in zip(baked.patches, baked.records, strict=True):
-        new, told = _record(record, change)
+        new, told = _change_record(record, change)
         material = baked.materials[patch.slot]
-        prior = smooth_token_values() if alone else material.library.token
+        prior = get_smooth_token_values() if map_only else material.library.token
         records.append(new)
         fused.append(fuse(told, prior, material.confidence, Route.MEASURED if told is not None else record.route))
     return replace(baked, records=tuple(records), fused=tuple(fused))
 
 
-def _record(record: PatchRecord, change: str) -> tuple[PatchRecord, Token | None]:
+def _change_record(record: PatchRecord, change: str) -> tuple[PatchRecord, Token | None]:
     if record.height is None:
         return record, None
-    height = CHANGES[change](record.height, record.metres_per_pixel)
+    height = RELIEF_CHANGES[change](record.height, record.metres_per_pixel)
     mask = np.ascontiguousarray(np.rot90(record.mask)) if "turned" in change else record.mask
     tactile = tactile_map_from_height(
         height, mask, record.metres_per_pixel, record.resolved_wavelength_m, sensor=SENSOR,
@@ -119,72 +119,72 @@ def _record(record: PatchRecord, change: str) -> tuple[PatchRecord, Token | None
     return replace(record, height=height, mask=mask, token=token.values, known=token.known), token
 
 
-def heard(baked: BakedStroke, change: str, seed: int) -> Heard:
+def synthesise_changed(baked: BakedStroke, change: str, seed: int) -> ReliefResult:
     made = []
     for alone in (False, True):
-        given = stroke_input(changed(baked, change, alone=alone))
+        given = make_stroke_input(change_relief(baked, change, map_only=alone))
         made.append(synthesise(load_field(), given, seed=seed).signal)
     profile = 0.0 if given.profile is None else float(np.std(given.profile.height))
-    return Heard(change, made[0].samples.astype(np.float64), made[1].samples.astype(np.float64),
+    return ReliefResult(change, made[0].samples.astype(np.float64), made[1].samples.astype(np.float64),
                  float(made[0].sample_rate), profile)  # fmt: skip
 
 
-def smooth(baked: BakedStroke, seed: int) -> float:
+def measure_smooth(baked: BakedStroke, seed: int) -> float:
     """RMS of a(t) on the same path over a surface with nothing in it."""
     flat = replace(
         baked,
         records=tuple(replace(record, height=None, token=None, known=None) for record in baked.records),
-        fused=tuple(fuse(None, smooth_token_values(), each.confidence) for each in baked.fused),
+        fused=tuple(fuse(None, get_smooth_token_values(), each.confidence) for each in baked.fused),
     )
-    return rms(synthesise(load_field(), stroke_input(flat), seed=seed).signal.samples.astype(np.float64))
+    return compute_rms(synthesise(load_field(), make_stroke_input(flat), seed=seed).signal.samples.astype(np.float64))
 
 
-def rms(samples: Float) -> float:
+def compute_rms(samples: Float) -> float:
     """Of the middle third: full speed and force."""
     middle = samples[len(samples) // 3 : -len(samples) // 3]
     return float(np.sqrt(np.mean(middle**2)))
 
 
-def strokes_of(scene: Path, out: Path) -> Iterator[tuple[Job, BakedStroke]]:
+def bake_strokes(scene: Path, out: Path) -> Iterator[tuple[StrokeJob, BakedStroke]]:
     """Default strokes of a scene, baked by the main job's own steps. Raises HnfError where nothing can be touched."""
     request = TouchRequest(scene=scene, out=out)
-    cli._know_strokes()
-    session = touch_run._session(touch_run._open(request), request)
-    found = gather(session)
+    cli._register_properties()
+    session = touch_run._make_session(touch_run._open_request_scene(request), request)
+    found = gather_jobs(session)
     report = touch_run._new_report(session, found)
-    kept: list[tuple[Job, BakedStroke]] = []
+    kept: list[tuple[StrokeJob, BakedStroke]] = []
 
-    def each(job: Job, described: BakedStroke) -> list[str]:
+    def each(job: StrokeJob, described: BakedStroke) -> list[str]:
         kept.append((job, described))
         return []
 
-    for _ in bake_steps(session, found.jobs, out / CACHE_NAME, report, each):
+    for _ in bake_steps(session, found.jobs, out / CACHE_FOLDER_NAME, report, each):
         pass
     if not kept:
         raise SceneError("nothing could be touched.", where=str(scene), remedy="Run hnf touch on it to see why.")
     yield from kept
 
 
-def draw(path: Path, name: str, made: list[Heard]) -> None:
+def plot_signals(path: Path, name: str, results: list[ReliefResult]) -> None:
     """Of the map alone: what the library material fills in does not change with the map, and would hide it."""
-    size = (1000, 118 * len(made) + 96)
+    size = (1000, 118 * len(results) + 96)
 
     def fill(figure: Figure) -> None:
         figure.text(0.02, 1.0 - 28 / size[1], f"{name}: a(t) of the map alone, as its relief is changed", fontsize=14,
                     fontweight="bold")  # fmt: skip
-        top = max(float(np.abs(each.alone).max()) for each in made)
-        for row, each in enumerate(made):
+        top = max(float(np.abs(each.map_only).max()) for each in results)
+        for row, each in enumerate(results):
             bottom = (size[1] - 66 - 118 * (row + 1) + 30) / size[1]
             wave = figure.add_axes((0.075, bottom, 0.53, 74 / size[1]))
-            start = len(each.alone) // 2
-            count = min(round(SHOWN_S * each.rate), len(each.alone) - start)
-            wave.plot(1e3 * np.arange(count) / each.rate, each.alone[start : start + count],
+            start = len(each.map_only) // 2
+            count = min(round(PLOTTED_S * each.rate), len(each.map_only) - start)
+            wave.plot(1e3 * np.arange(count) / each.rate, each.map_only[start : start + count],
                       color=COLOURS[each.change], lw=0.9)  # fmt: skip
             wave.set_ylim(-top, top)
-            wave.set_title(f"{each.change}: {rms(each.alone):.3f} m/s² RMS", fontsize=10, loc="left")
+            wave.set_title(f"{each.change}: {compute_rms(each.map_only):.3f} m/s² RMS", fontsize=10, loc="left")
             spectrum = figure.add_axes((0.68, bottom, 0.29, 74 / size[1]))
-            for other, width in ((made[0], 2.4), (each, 1.2)):
-                hertz, density = spectrum_of(other.alone, other.rate)
+            for other, width in ((results[0], 2.4), (each, 1.2)):
+                hertz, density = compute_spectrum(other.map_only, other.rate)
                 spectrum.plot(hertz, 10 * np.log10(np.maximum(density, 1e-12)), color=COLOURS[other.change], lw=width,
                               alpha=0.35 if width > 2 else 1.0)  # fmt: skip
             spectrum.set_xscale("log")
@@ -193,7 +193,7 @@ def draw(path: Path, name: str, made: list[Heard]) -> None:
             spectrum.set_xticks([], minor=True)
             spectrum.set_ylim(-95, 5)
             for axes in (wave, spectrum):
-                axes.tick_params(labelbottom=each is made[-1])
+                axes.tick_params(labelbottom=each is results[-1])
             if row == 0:
                 spectrum.set_title("dB re 1 (m/s²)²/Hz; pale: as it is", fontsize=10, loc="left")
                 wave.set_ylabel("m/s²")
@@ -203,7 +203,7 @@ def draw(path: Path, name: str, made: list[Heard]) -> None:
     write_figure(path, size, fill)
 
 
-def spectrum_of(samples: Float, rate: float) -> tuple[Float, Float]:
+def compute_spectrum(samples: Float, rate: float) -> tuple[Float, Float]:
     middle = samples[len(samples) // 4 : -len(samples) // 4]
     hertz, density = welch(middle, rate)
     return np.asarray(hertz), np.asarray(density)
@@ -221,42 +221,44 @@ def main() -> int:
         print(f"maps_matter: {arguments.scene} is not there; nothing was measured.", file=sys.stderr)
         return 1
     try:
-        rows, figures = report(arguments)
+        rows, figures = make_report(arguments)
     except HnfError as error:
         print(error, file=sys.stderr)
         return 1
     header = ("material", "relief", "a(t) RMS [m/s²]", "spectrum [dB]", "map alone: RMS [m/s²]", "level [dB]",
               "spectrum [dB]", "height under the path [µm RMS]")  # fmt: skip
-    print("\n".join(table(header, rows)))
+    print("\n".join(format_table(header, rows)))
     if arguments.record is not None:
         write_text(arguments.record, json.dumps(figures, indent=1) + "\n")
     return 0
 
 
-def report(arguments: argparse.Namespace) -> tuple[list[tuple[str, ...]], list[dict[str, object]]]:
+def make_report(arguments: argparse.Namespace) -> tuple[list[tuple[str, ...]], list[dict[str, object]]]:
     rows: list[tuple[str, ...]] = []
     figures: list[dict[str, object]] = []
-    for job, baked in strokes_of(arguments.scene, arguments.out):
+    for job, baked in bake_strokes(arguments.scene, arguments.out):
         if all(record.height is None for record in baked.records):
             continue
         shader = baked.main_material.shader
-        made = [heard(baked, change, job.seed) for change in CHANGES]
+        made = [synthesise_changed(baked, change, job.seed) for change in RELIEF_CHANGES]
         for each in made:
-            level = 20.0 * np.log10(rms(each.alone) / rms(made[0].alone))
+            level = 20.0 * np.log10(compute_rms(each.map_only) / compute_rms(made[0].map_only))
             distance, alone = (
-                average_spectrum_distance_db(spectrum_of(ours, each.rate)[1], *spectrum_of(before, each.rate)[::-1])
-                for ours, before in ((each.samples, made[0].samples), (each.alone, made[0].alone))
+                average_spectrum_distance_db(
+                    compute_spectrum(ours, each.rate)[1], *compute_spectrum(before, each.rate)[::-1]
+                )
+                for ours, before in ((each.samples, made[0].samples), (each.map_only, made[0].map_only))
             )
-            rows.append((shader, each.change, f"{rms(each.samples):.3f}", f"{distance:.1f}", f"{rms(each.alone):.4f}",
+            rows.append((shader, each.change, f"{compute_rms(each.samples):.3f}", f"{distance:.1f}", f"{compute_rms(each.map_only):.4f}",
                          f"{level:+.1f}", f"{alone:.1f}", f"{1e6 * each.profile_m:.1f}"))  # fmt: skip
-            figures.append({"material": shader, "relief": each.change, "rms_m_s2": rms(each.samples),
-                            "distance_db": distance, "alone_rms_m_s2": rms(each.alone), "alone_level_db": level,
+            figures.append({"material": shader, "relief": each.change, "rms_m_s2": compute_rms(each.samples),
+                            "distance_db": distance, "alone_rms_m_s2": compute_rms(each.map_only), "alone_level_db": level,
                             "alone_distance_db": alone, "profile_rms_m": each.profile_m})  # fmt: skip
-        bare = smooth(baked, job.seed)
-        rows.append((shader, SMOOTH, "", "", f"{bare:.4f}", "", "", "0.0"))
-        figures.append({"material": shader, "relief": SMOOTH, "alone_rms_m_s2": bare})
+        bare = measure_smooth(baked, job.seed)
+        rows.append((shader, SMOOTH_SURFACE, "", "", f"{bare:.4f}", "", "", "0.0"))
+        figures.append({"material": shader, "relief": SMOOTH_SURFACE, "alone_rms_m_s2": bare})
         if arguments.picture is not None and shader == arguments.material:
-            draw(arguments.picture, shader, made)
+            plot_signals(arguments.picture, shader, made)
     return rows, figures
 
 

@@ -32,22 +32,22 @@ from hnf_core.errors import FileError  # noqa: E402
 from hnf_core.files import write_atomically  # noqa: E402
 from hnf_core.material import relief  # noqa: E402
 from hnf_core.material.encoder import describe  # noqa: E402
-from hnf_core.material.library import find, load_library  # noqa: E402
+from hnf_core.material.library import get_material, load_library  # noqa: E402
 from hnf_core.material.material import Appearance  # noqa: E402
 from hnf_core.material.prior import Suggestion, rank  # noqa: E402
 from hnf_core.material.token import LEVELS, Token, band_slice  # noqa: E402
-from hnf_core.material.words import CATEGORY_WORDS, is_picture_name  # noqa: E402
-from hnf_core.simulation.classes import category_of, classes, instance, seed_of  # noqa: E402
-from hnf_core.simulation.look.piece import piece_of  # noqa: E402
+from hnf_core.material.words import CATEGORY_WORDS, is_image_name  # noqa: E402
+from hnf_core.simulation.classes import derive_seed, get_category, list_classes, sample_instance  # noqa: E402
+from hnf_core.simulation.look.piece import sample_appearance  # noqa: E402
 from hnf_core.simulation.surface import TILE_PIXELS, TILE_SIZE_M, height_map  # noqa: E402
 from hnf_core.tactile.height import tactile_map_from_height  # noqa: E402
 
-CALIBRATION = range(1, 5)
+CALIBRATION_SEEDS = range(1, 5)
 """Seeds of the pieces that the constants were fitted to; those of the pairs lie far from them."""
-KEPT, PAIRS = ROOT / "build" / "suggestions", ROOT / "build" / "tactile-pairs"
-PIECES = 5
+CACHE_FOLDER, PAIRS_FOLDER = ROOT / "build" / "suggestions", ROOT / "build" / "tactile-pairs"
+SAMPLES_PER_CLASS = 5
 """Of each class, for the measurement."""
-ARTISTS_SCALE = 0.3
+HEIGHT_SCATTER_DECADES = 0.3
 """Decades, standard deviation: nobody knows how high their bump really is."""
 COARSE_BANDS = 4
 """8 to 1 mm: what a picture of a few pixels a millimetre resolves."""
@@ -56,76 +56,78 @@ DOUBTS = (0.05, 0.1, 0.2, 0.3, 0.5)
 
 
 @dataclass(frozen=True)
-class Piece:
+class SurfaceSample:
     """One generated piece: its class, what its looks and names say, its token."""
 
     name: str
-    look: Appearance
-    picture: str
+    appearance: Appearance
+    image_name: str
     token: Token
 
 
-def token_of(name: str, seed: int) -> np.ndarray:
+def compute_token(name: str, seed: int) -> np.ndarray:
     """(TOKEN_DIM,) of a piece's own tile."""
-    recipe, _ = instance(name, seed)
+    recipe, _ = sample_instance(name, seed)
     pitch = TILE_SIZE_M / TILE_PIXELS
     return describe(tactile_map_from_height(height_map(recipe, seed), None, pitch, 2.0 * pitch)).values
 
 
-def calibration_tokens() -> np.ndarray:
+def load_calibration_tokens() -> np.ndarray:
     """(classes, seeds, TOKEN_DIM); kept in build/, since a tile takes a third of a second."""
-    path = KEPT / f"tokens-{CALIBRATION[0]}-{CALIBRATION[-1]}.npy"
+    path = CACHE_FOLDER / f"tokens-{CALIBRATION_SEEDS[0]}-{CALIBRATION_SEEDS[-1]}.npy"
     if not path.is_file():
-        made = np.stack([[token_of(name, seed) for seed in CALIBRATION] for name in classes()])
+        made = np.stack([[compute_token(name, seed) for seed in CALIBRATION_SEEDS] for name in list_classes()])
         write_atomically(path, lambda temporary: np.save(temporary.open("wb"), made))
     return np.load(path)
 
 
-def held_out_tokens() -> dict[str, list[np.ndarray]]:
+def load_held_out_tokens() -> dict[str, list[np.ndarray]]:
     """Tokens of PIECES instances of each class, from the held-out splits. Raises FileError where they are not made."""
-    found: dict[str, dict[int, np.ndarray]] = {name: {} for name in classes()}
-    for path in sorted(path for split in SPLITS[1:] for path in (PAIRS / split).glob("*.safetensors")):
+    found: dict[str, dict[int, np.ndarray]] = {name: {} for name in list_classes()}
+    for path in sorted(path for split in SPLITS[1:] for path in (PAIRS_FOLDER / split).glob("*.safetensors")):
         with safe_open(path, "np") as shard:
             names = json.loads(shard.metadata()["class_name"])
             rows = zip(names, *(shard.get_tensor(each) for each in ("instance_seed", "patch", "token")), strict=True)
             for name, seed, patch, token in rows:
-                if name and patch == 0 and len(found[name]) < PIECES:
+                if name and patch == 0 and len(found[name]) < SAMPLES_PER_CLASS:
                     found[name][int(seed)] = token
-    short = [name for name, kept in found.items() if len(kept) < PIECES]
+    short = [name for name, kept in found.items() if len(kept) < SAMPLES_PER_CLASS]
     if short:
         raise FileError(
-            f"it lacks pieces of {', '.join(short[:5])}.", where=str(PAIRS), remedy="Run tools/make_tactile_pairs.py."
+            f"it lacks pieces of {', '.join(short[:5])}.",
+            where=str(PAIRS_FOLDER),
+            remedy="Run tools/make_tactile_pairs.py.",
         )
     return {name: list(kept.values()) for name, kept in found.items()}
 
 
-def pieces(tokens: Mapping[str, Sequence[np.ndarray]]) -> list[Piece]:
+def make_samples(tokens: Mapping[str, Sequence[np.ndarray]]) -> list[SurfaceSample]:
     """Pieces with these tokens by class, their looks and names drawn by their place, their heights scaled."""
     found = []
     for name, own in tokens.items():
         for number, values in enumerate(own):
-            rng = np.random.default_rng([seed_of(name), number, 7])
+            rng = np.random.default_rng([derive_seed(name), number, 7])
             scaled = np.array(values)
-            scaled[LEVELS] += np.float32(ARTISTS_SCALE * rng.standard_normal())
+            scaled[LEVELS] += np.float32(HEIGHT_SCATTER_DECADES * rng.standard_normal())
             token = Token(scaled, np.ones(len(scaled), dtype=bool))
-            found.append(Piece(name, _look(name, rng), _picture(name, rng), token))
+            found.append(SurfaceSample(name, _draw_appearance(name, rng), _draw_image_name(name, rng), token))
     return found
 
 
-def _look(name: str, rng: np.random.Generator) -> Appearance:
-    typical = find(name).appearance
-    made = piece_of(typical, category_of(name), rng)
+def _draw_appearance(name: str, rng: np.random.Generator) -> Appearance:
+    typical = get_material(name).appearance
+    made = sample_appearance(typical, get_category(name), rng)
     return replace(typical, base_color=made.base_color, roughness=made.roughness, metallic=made.metallic)
 
 
-def _picture(name: str, rng: np.random.Generator) -> str:
+def _draw_image_name(name: str, rng: np.random.Generator) -> str:
     kind, number = rng.integers(3), rng.integers(1, 99)
-    own, related = find(name).words, CATEGORY_WORDS[category_of(name)].split()
+    own, related = get_material(name).words, CATEGORY_WORDS[get_category(name)].split()
     word = ("", own[rng.integers(len(own))], related[rng.integers(len(related))])[kind]
     return f"T_{word.title()}_{number:02d}_BaseColor.png"
 
 
-def coarse(token: Token) -> Token:
+def select_coarse_bands(token: Token) -> Token:
     """Only what COARSE_BANDS resolve."""
     known = np.zeros_like(token.known)
     for band in range(COARSE_BANDS):
@@ -136,24 +138,24 @@ def coarse(token: Token) -> Token:
 EVIDENCE = ("words", "look", "relief", "relief, 8–1 mm", "words and look", "all", "all, relief 8–1 mm")
 
 
-def ranking(piece: Piece, evidence: str) -> tuple[Suggestion, ...]:
+def rank_sample(sample: SurfaceSample, evidence: str) -> tuple[Suggestion, ...]:
     everything = evidence.startswith("all")
-    seen = coarse(piece.token) if evidence.endswith("mm") else piece.token
+    seen = select_coarse_bands(sample.token) if evidence.endswith("mm") else sample.token
     return rank(
         load_library(),
-        piece.look if everything or "look" in evidence else Appearance(),
+        sample.appearance if everything or "look" in evidence else Appearance(),
         [""],
-        pictures=[piece.picture] if everything or "words" in evidence else [],
+        image_names=[sample.image_name] if everything or "words" in evidence else [],
         token=seen if everything or "relief" in evidence else None,
     )
 
 
-def hits(found: Sequence[Piece], evidence: str) -> dict[str, float]:
+def compute_hits(samples: Sequence[SurfaceSample], evidence: str) -> dict[str, float]:
     """Shares of pieces whose class and category come first, and among the first three."""
     category = {material.name: material.category for material in load_library()}
     rows = []
-    for piece in found:
-        order = [suggestion.name for suggestion in ranking(piece, evidence)]
+    for piece in samples:
+        order = [suggestion.name for suggestion in rank_sample(piece, evidence)]
         groups = list(dict.fromkeys(category[name] for name in order))
         own = category[piece.name]
         rows.append([order[0] == piece.name, piece.name in order[:3], groups[0] == own, own in groups[:3]])
@@ -161,13 +163,13 @@ def hits(found: Sequence[Piece], evidence: str) -> dict[str, float]:
     return dict(zip(names, (float(share) for share in np.mean(rows, axis=0)), strict=True))
 
 
-def name_hits(names: dict[str, str]) -> dict[str, float]:
+def compute_name_hits(names: dict[str, str]) -> dict[str, float]:
     """The same of categories, for names alone."""
     category = {material.name: material.category for material in load_library()}
     first, among = 0, 0
     for name, expected in names.items():
-        as_picture = is_picture_name(name)
-        ranked = rank(load_library(), Appearance(), [""] if as_picture else [name], pictures=[name] * as_picture)
+        as_picture = is_image_name(name)
+        ranked = rank(load_library(), Appearance(), [""] if as_picture else [name], image_names=[name] * as_picture)
         told = ranked[0].confidence - ranked[-1].confidence > 0.05
         groups = list(dict.fromkeys(category[each.name] for each in ranked)) if told else []
         first += groups[:1] == [expected]
@@ -178,24 +180,24 @@ def name_hits(names: dict[str, str]) -> dict[str, float]:
 def calibrate() -> dict[str, object]:
     """Scatter of the invariants within a class about the library's own token, and the temper and doubt under which
     the right class has the highest mean log probability, from all evidence together."""
-    tokens = calibration_tokens()
-    found = pieces(dict(zip(classes(), tokens, strict=True)))
-    typical = np.stack([find(name).token for name in classes()])
-    gap = relief.invariants(tokens.reshape(-1, tokens.shape[-1])) - np.repeat(
-        relief.invariants(typical), len(CALIBRATION), axis=0
+    tokens = load_calibration_tokens()
+    found = make_samples(dict(zip(list_classes(), tokens, strict=True)))
+    typical = np.stack([get_material(name).token for name in list_classes()])
+    gap = relief.compute_invariants(tokens.reshape(-1, tokens.shape[-1])) - np.repeat(
+        relief.compute_invariants(typical), len(CALIBRATION_SEEDS), axis=0
     )
-    kinds = [*np.repeat(relief.KINDS, relief.BANDS), *relief.SHAPE_FEATURES]
+    kinds = [*np.repeat(relief.INVARIANT_KINDS, relief.BAND_COUNT), *relief.SHAPE_FEATURES]
     within = {kind: float(np.sqrt(np.mean(gap[:, [k == kind for k in kinds]] ** 2))) for kind in dict.fromkeys(kinds)}
-    relief.WITHIN.update(within)
+    relief.WITHIN_CLASS_SPREAD.update(within)
     scores = {}
-    for relief.TEMPER in TEMPERS:
-        for relief.DOUBT in DOUBTS:
+    for relief.RELIEF_TEMPER in TEMPERS:
+        for relief.RELIEF_DOUBT in DOUBTS:
             told = [
-                np.log(next(each.probability for each in ranking(piece, evidence) if each.name == piece.name))
+                np.log(next(each.probability for each in rank_sample(piece, evidence) if each.name == piece.name))
                 for piece in found
                 for evidence in ("relief", "all", "all, relief 8–1 mm")
             ]
-            scores[f"temper {relief.TEMPER} doubt {relief.DOUBT}"] = float(np.mean(told))
+            scores[f"temper {relief.RELIEF_TEMPER} doubt {relief.RELIEF_DOUBT}"] = float(np.mean(told))
     best = sorted(scores.items(), key=lambda item: -item[1])[:6]
     return {"within": within, "log probability of the right class, best": dict(best)}
 
@@ -208,13 +210,13 @@ def main() -> int:
     if arguments.calibrate:
         print(json.dumps(calibrate(), indent=1))
         return 0
-    found = pieces(held_out_tokens())
-    rows = {evidence: hits(found, evidence) for evidence in EVIDENCE}
-    names = {"names, tuned half": name_hits(TUNED), "names, held back": name_hits(HELD_BACK)}
+    found = make_samples(load_held_out_tokens())
+    rows = {evidence: compute_hits(found, evidence) for evidence in EVIDENCE}
+    names = {"names, tuned half": compute_name_hits(TUNED), "names, held back": compute_name_hits(HELD_BACK)}
     if arguments.json:
         print(json.dumps({"pieces": len(found), **rows, **names}, indent=1))
         return 0
-    print(f"{len(found)} pieces of {len(classes())} classes; chance: 1/43 of classes, 1/12 of categories")
+    print(f"{len(found)} pieces of {len(list_classes())} classes; chance: 1/43 of classes, 1/12 of categories")
     for label, shares in rows.items():
         print(f"{label:<20}" + "  ".join(f"{name} {share:6.1%}" for name, share in shares.items()))
     for label, shares in names.items():

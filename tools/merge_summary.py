@@ -33,13 +33,13 @@ def read_cases(path: Path) -> list[Case]:
         for tag, word in (("skipped", "skipped"), ("failure", "failed"), ("error", "error")):
             child = element.find(tag)
             if child is not None:
-                outcome, reason = word, " ".join(reason_of(child).split())
+                outcome, reason = word, " ".join(get_reason(child).split())
         name = f"{element.get('classname', '')}::{element.get('name', '')}".removeprefix("::")
         cases.append(Case(path.stem, name, outcome, reason))
     return cases
 
 
-def reason_of(element: ElementTree.Element) -> str:
+def get_reason(element: ElementTree.Element) -> str:
     """Why a test was skipped or failed. A module skipped as a whole keeps its reason in the text, after `Skipped: `."""
     message = element.get("message") or ""
     if message == "collection skipped":
@@ -69,7 +69,7 @@ def read_properties(path: Path) -> list[str]:
     return [f"{path.stem}: {one.get('name', '')} {one.get('value', '')}" for one in found]
 
 
-def totals_line(cases: list[Case], seconds: float) -> str:
+def format_totals(cases: list[Case], seconds: float) -> str:
     """`==== 1 failed, 2 passed, 3 skipped in 4.00s ====`, the words and their order as pytest has them."""
     count = Counter(case.outcome for case in cases)
     plural = {"error": "errors"}
@@ -79,7 +79,7 @@ def totals_line(cases: list[Case], seconds: float) -> str:
     return f"==== {', '.join(words) or 'no tests ran'} in {seconds:.2f}s ===="
 
 
-def summary(cases: list[Case], seconds: float, properties: Iterable[str] = ()) -> str:
+def format_summary(cases: list[Case], seconds: float, properties: Iterable[str] = ()) -> str:
     """What the files say of themselves, skipped tests grouped by reason, every failed one by name, the totals last."""
     lines = ["==== merged summary ====", *properties]
     skipped = Counter((case.environment, case.reason) for case in cases if case.outcome == "skipped")
@@ -90,7 +90,7 @@ def summary(cases: list[Case], seconds: float, properties: Iterable[str] = ()) -
             for case in cases
             if case.outcome == word
         ]
-    return "\n".join([*lines, totals_line(cases, seconds)])
+    return "\n".join([*lines, format_totals(cases, seconds)])
 
 
 def has_failed(cases: list[Case]) -> bool:
@@ -110,7 +110,7 @@ def main(arguments: list[str]) -> int:
             properties += read_properties(path)
         except (OSError, ElementTree.ParseError) as error:
             cases.append(Case(path.stem, str(path), "error", f"no readable result: {error}"))
-    print(summary(cases, seconds, properties))
+    print(format_summary(cases, seconds, properties))
     return int(has_failed(cases))
 
 

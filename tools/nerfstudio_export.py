@@ -20,32 +20,32 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
 # ruff: noqa: E402
 import numpy as np
 from numpy.typing import NDArray
-from scene_splats.colours import unlit_colours, views_around
-from scene_splats.convert import PIXELS_A_SPACING
-from scene_splats.dense import dense_mesh
+from scene_splats.colours import make_surrounding_cameras, render_unlit_colours
+from scene_splats.convert import PIXELS_PER_SPACING
+from scene_splats.dense import subdivide_mesh
 from scene_splats.ply import UP_AXIS, write_mesh, write_obj, write_points
-from scene_splats.touched import touched_patches
-from splats_from_scene import FINE_M, SPACING_M, metres, open_session, scene_splats, visible_meshes
+from scene_splats.touched import find_touched_patches
+from splats_from_scene import FINE_M, SPACING_M, list_visible_meshes, make_scene_splats, open_session, parse_metres
 
-from hnf_blender.bridge.picture import Overviews
+from hnf_blender.bridge.picture import OverviewRenderer
 from hnf_blender.touch.jobs import Session
 from hnf_core.errors import HnfError, UsageError
-from hnf_core.export.png import colour_png, deep_grey_png
+from hnf_core.export.png import encode_colour_png, encode_grey16_png
 from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.files import write_bytes
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.nerfstudio import FILE_NAME, NerfstudioFrame, write_transforms
+from hnf_core.scene.nerfstudio import TRANSFORMS_FILE, NerfstudioFrame, write_transforms
 from hnf_core.scene.splats.cloud import Splats
 from hnf_core.scene.splats.inria import Y_00, write_inria
 
 Float = NDArray[np.float64]
 
 FIELD_OF_VIEW, ELEVATION = np.radians(45.0), np.radians(35.0)
-MILLIMETRES = 1e3
-DEEPEST = 65535
+MILLIMETRES_PER_METRE = 1e3
+MAX_DEPTH_CODE = 65535
 
 
-def cameras_around(points: Float, count: int, width: int, height: int) -> tuple[Camera, ...]:
+def make_ring_cameras(points: Float, count: int, width: int, height: int) -> tuple[Camera, ...]:
     """Perspective cameras on a ring above points (n, 3), each with all of them in its picture."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius = (low + high) / 2.0, max(float(np.linalg.norm(high - low)) / 2.0, 1e-3)
@@ -64,62 +64,64 @@ def cameras_around(points: Float, count: int, width: int, height: int) -> tuple[
     return tuple(made)
 
 
-def export_pictures(
+def export_images(
     session: Session, objects: Sequence[Any], cameras: Sequence[Camera], folder: Path, samples: int
 ) -> tuple[NerfstudioFrame, ...]:
     """Lit pictures and planar depths, written below folder."""
     frames = []
-    with Overviews(session.scene, metres_per_unit=session.metres_per_unit, samples=samples) as overviews:
+    with OverviewRenderer(session.scene, metres_per_unit=session.metres_per_unit, samples=samples) as overviews:
         for number, camera in enumerate(cameras, 1):
-            view, _ = overviews.view(camera, objects)
+            view, _ = overviews.render_view(camera, objects)
             frame = NerfstudioFrame(f"images/frame_{number:05d}.png", camera, f"depths/frame_{number:05d}.png")
             codes = np.rint(255.0 * linear_to_srgb(view.rgb)).astype(np.uint8)
-            depth = np.where(np.isfinite(view.depth), view.depth * MILLIMETRES, 0.0)
-            write_bytes(folder / frame.file_path, colour_png(codes))
-            deep = np.clip(np.rint(depth), 0, DEEPEST).astype(np.uint16)
-            write_bytes(folder / frame.depth_file_path, deep_grey_png(deep))
+            depth = np.where(np.isfinite(view.depth), view.depth * MILLIMETRES_PER_METRE, 0.0)
+            write_bytes(folder / frame.file_path, encode_colour_png(codes))
+            deep = np.clip(np.rint(depth), 0, MAX_DEPTH_CODE).astype(np.uint16)
+            write_bytes(folder / frame.depth_file_path, encode_grey16_png(deep))
             frames.append(frame)
     return tuple(frames)
 
 
-def painted_mesh(session: Session, objects: Sequence[Any], longest_m: float) -> tuple[Float, NDArray[np.int32], Float]:
+def make_coloured_mesh(
+    session: Session, objects: Sequence[Any], longest_m: float
+) -> tuple[Float, NDArray[np.int32], Float]:
     """All objects as one mesh in world metres: points (V, 3), triangles (T, 3), linear colour (V, 3)."""
     points, triangles, colours = [], [], []
     count = 0
     for obj in objects:
-        surface = session.surface(obj)
-        faces, samples = dense_mesh(surface.mesh, longest_m)
-        cameras = views_around(surface.mesh.vertices, longest_m / PIXELS_A_SPACING)
-        colours.append(unlit_colours(obj, surface, samples, cameras, session.metres_per_unit))
+        surface = session.get_surface(obj)
+        faces, samples = subdivide_mesh(surface.mesh, longest_m)
+        cameras = make_surrounding_cameras(surface.mesh.vertices, longest_m / PIXELS_PER_SPACING)
+        colours.append(render_unlit_colours(obj, surface, samples, cameras, session.metres_per_unit))
         points.append(samples.position @ surface.rigid[:3, :3].T + surface.rigid[:3, 3])
         triangles.append(faces + count)
         count += len(samples)
     return np.concatenate(points), np.concatenate(triangles), np.concatenate(colours)
 
 
-def codes_of(splats: Splats) -> NDArray[np.uint8]:
+def get_colour_codes(splats: Splats) -> NDArray[np.uint8]:
     shown = np.clip(0.5 + Y_00 * splats.harmonics[:, 0], 0.0, 1.0)
     return np.rint(255.0 * shown).astype(np.uint8)
 
 
-def export(arguments: argparse.Namespace) -> int:
+def export_scene(arguments: argparse.Namespace) -> int:
     """Returns how many splats were written."""
     folder: Path = arguments.out
     session = open_session(arguments.scene)
-    objects = visible_meshes(session, arguments.object)
-    patches = touched_patches(session) if arguments.touched else {}
-    splats = scene_splats(session, objects, arguments.spacing, arguments.fine, patches, arguments.seed)
+    objects = list_visible_meshes(session, arguments.object)
+    patches = find_touched_patches(session) if arguments.touched else {}
+    splats = make_scene_splats(session, objects, arguments.spacing, arguments.fine, patches, arguments.seed)
     write_inria(folder / "splat.ply", splats, comments=("Generated in the manner of nerfstudio", UP_AXIS))
-    write_points(folder / "point_cloud.ply", splats.means, np.zeros_like(splats.means), codes_of(splats))
+    write_points(folder / "point_cloud.ply", splats.means, np.zeros_like(splats.means), get_colour_codes(splats))
     if not arguments.without_mesh:
-        points, triangles, linear = painted_mesh(session, objects, arguments.spacing)
+        points, triangles, linear = make_coloured_mesh(session, objects, arguments.spacing)
         codes = np.rint(255.0 * linear_to_srgb(linear)).astype(np.uint8)
         write_mesh(folder / "poisson_mesh.ply", points, triangles, codes)
         write_obj(folder / "mesh.obj", points, triangles, codes)
-    cameras = cameras_around(splats.means.astype(np.float64), arguments.views, arguments.width, arguments.height)
-    frames = export_pictures(session, objects, cameras, folder, arguments.samples)
+    cameras = make_ring_cameras(splats.means.astype(np.float64), arguments.views, arguments.width, arguments.height)
+    frames = export_images(session, objects, cameras, folder, arguments.samples)
     identity = np.eye(4)[:3].tolist()
-    write_transforms(folder / FILE_NAME, frames, applied_transform=identity, ply_file_path="point_cloud.ply")
+    write_transforms(folder / TRANSFORMS_FILE, frames, applied_transform=identity, ply_file_path="point_cloud.ply")
     return len(splats)
 
 
@@ -134,18 +136,22 @@ def main() -> int:
     parser.add_argument("--width", type=int, default=480)
     parser.add_argument("--height", type=int, default=320)
     parser.add_argument("--samples", type=int, default=16, help="of a pixel (default: %(default)s)")
-    parser.add_argument("--spacing", type=metres, default=SPACING_M, metavar="M", help="metres (default: %(default)s)")
-    parser.add_argument("--fine", type=metres, default=FINE_M, metavar="M", help="on patches (default: %(default)s)")
+    parser.add_argument(
+        "--spacing", type=parse_metres, default=SPACING_M, metavar="M", help="metres (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--fine", type=parse_metres, default=FINE_M, metavar="M", help="on patches (default: %(default)s)"
+    )
     parser.add_argument("--touched", action="store_true", help="fine on what the scene's strokes touch")
     parser.add_argument("--without-mesh", action="store_true", help="splats and points alone")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     try:
-        count = export(arguments)
+        count = export_scene(arguments)
     except HnfError as error:
         print(error, file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
-    print(f"{arguments.out / FILE_NAME}: {arguments.views} pictures, {count} splats")
+    print(f"{arguments.out / TRANSFORMS_FILE}: {arguments.views} pictures, {count} splats")
     return 0
 
 

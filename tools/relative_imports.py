@@ -18,7 +18,7 @@ class ImportRewriteError(Exception):
     """An import that cannot be made relative; the message names file and line."""
 
 
-def rewrite(text: str, level: int, name: str) -> str:
+def rewrite_imports(text: str, level: int, name: str) -> str:
     """Source `text` with its hnf_core imports made relative, `level` dots deep; every other byte stays.
 
     Raises ImportRewriteError (naming `name` and the line) for `import hnf_core`, for an absolute import of
@@ -26,17 +26,17 @@ def rewrite(text: str, level: int, name: str) -> str:
     """
     lines = text.splitlines(keepends=True)
     for node in ast.walk(ast.parse(text)):
-        if _imports_from_core(node):
-            row, column = node.lineno - 1, _character_column(lines[node.lineno - 1], node.col_offset)
+        if _is_core_import(node):
+            row, column = node.lineno - 1, _to_character_column(lines[node.lineno - 1], node.col_offset)
             head, tail = lines[row][:column], lines[row][column:]
             lines[row] = head + re.sub(rf"^from\s+{CORE}\b", f"from {'.' * level}{CORE}", tail)
-        elif _refers_absolutely(node):
+        elif _is_absolute_reference(node):
             raise ImportRewriteError(
                 f"{name}:{getattr(node, 'lineno', 0)}: only `from {CORE}.x import y` and relative imports can move "
                 "into the extension. Write it so."
             )
     new = "".join(lines)
-    left = [node.lineno for node in ast.walk(ast.parse(new)) if _imports_from_core(node)]
+    left = [node.lineno for node in ast.walk(ast.parse(new)) if _is_core_import(node)]
     if left:
         raise ImportRewriteError(f"{name}:{left[0]}: `from` and `{CORE}` stand on different lines. Join them.")
     return new
@@ -48,30 +48,30 @@ def rewrite_file(path: Path, extension_root: Path) -> None:
     text = path.read_text(encoding="utf-8")
     if relative.parts[0] == CORE:
         # hnf_core moves as a whole and is relative inside already: anything to rewrite there is a mistake.
-        new = rewrite(text, len(relative.parts), str(relative))
+        new = rewrite_imports(text, len(relative.parts), str(relative))
         if new != text:
             raise ImportRewriteError(f"{relative}: inside {CORE} imports are relative. Write it so.")
         return
-    new = rewrite(text, len(relative.parts), f"{BRIDGE}/{relative}")
+    new = rewrite_imports(text, len(relative.parts), f"{BRIDGE}/{relative}")
     if new != text:
         path.write_text(new, encoding="utf-8")
 
 
-def _imports_from_core(node: ast.AST) -> TypeGuard[ast.ImportFrom]:
-    return isinstance(node, ast.ImportFrom) and node.level == 0 and _root(node.module) == CORE
+def _is_core_import(node: ast.AST) -> TypeGuard[ast.ImportFrom]:
+    return isinstance(node, ast.ImportFrom) and node.level == 0 and _get_top_package(node.module) == CORE
 
 
-def _root(module: str | None) -> str:
+def _get_top_package(module: str | None) -> str:
     return (module or "").partition(".")[0]
 
 
-def _character_column(line: str, byte_column: int) -> int:
+def _to_character_column(line: str, byte_column: int) -> int:
     return len(line.encode("utf-8")[:byte_column].decode("utf-8"))
 
 
-def _refers_absolutely(node: ast.AST) -> bool:
+def _is_absolute_reference(node: ast.AST) -> bool:
     if isinstance(node, ast.Import):
-        return any(_root(alias.name) in (CORE, BRIDGE) for alias in node.names)
+        return any(_get_top_package(alias.name) in (CORE, BRIDGE) for alias in node.names)
     if isinstance(node, ast.ImportFrom):
-        return node.level == 0 and _root(node.module) == BRIDGE
+        return node.level == 0 and _get_top_package(node.module) == BRIDGE
     return isinstance(node, ast.Constant) and isinstance(node.value, str) and bool(MODULE_NAME.fullmatch(node.value))

@@ -28,9 +28,9 @@ from merge_summary import Case
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "build" / "test"
 WORKERS = 2
-SHOWN_LINES = 80
+PRINTED_LINES = 80
 STOPPING = threading.Event()
-LIVE: set[subprocess.Popen[bytes]] = set()
+RUNNING: set[subprocess.Popen[bytes]] = set()
 
 
 @dataclass(frozen=True)
@@ -48,60 +48,60 @@ class Check:
     can_end: bool = True
 
 
-def without(folder: str, *names: str) -> tuple[str, ...]:
+def exclude_tests(folder: str, *names: str) -> tuple[str, ...]:
     """pytest's words for a folder, test files left out by name."""
     return (folder, *(f"--ignore-glob=*/{name}.py" for name in names))
 
 
 # Words, other processes and counted work: nothing that another Blender could change.
-SAME_ON_EVERY_BLENDER = (
+BLENDER_INDEPENDENT = (
     "test_batch_touch", "test_bench_scale", "test_touch_words", "test_jobs_choices", "test_repository",
     "test_second_run", "test_docs_reference",
 )  # fmt: skip
 # Long ones about networks, counted work and numbers: the newest Blender is enough.
-NEWEST_IS_ENOUGH = (
+NEWEST_ONLY = (
     "test_predicted_route", "test_probe_predicted", "test_touch_predicted", "test_jobs_predicted", "test_bench_*",
-    "test_check_splats", "test_stress", "test_lazy", "test_learn", *SAME_ON_EVERY_BLENDER,
+    "test_check_splats", "test_stress", "test_lazy", "test_learn", *BLENDER_INDEPENDENT,
 )  # fmt: skip
 # Long ones; the oldest and the newest Blender agree on them. What calls Blender's API runs on every one of them, and
 # test_jobs runs the main job there.
-ONCE_IS_ENOUGH = (
+NOT_ON_MIDDLE = (
     "test_real_scenes", "test_touch", "test_touch_again", "test_touch_bad_input", "test_probe", "test_extension",
-    "test_preview_export", "test_cache_truth", "test_splats_touch", *NEWEST_IS_ENOUGH,
+    "test_preview_export", "test_cache_truth", "test_splats_touch", *NEWEST_ONLY,
 )  # fmt: skip
 # Of the two real scenes, 4.2 imports and touches the smaller one.
-ON_THE_OLDEST = (*without("tests/blender", *NEWEST_IS_ENOUGH), "-k", "not FlightHelmet")
+OLDEST_ARGUMENTS = (*exclude_tests("tests/blender", *NEWEST_ONLY), "-k", "not FlightHelmet")
 # Real time, other processes, compilers and words: nothing that another numpy could change.
-SAME_ON_EVERY_NUMPY = (
+NUMPY_INDEPENDENT = (
     "test_faults*", "test_audio_sink", "test_player", "test_serial_s*", "test_osc_sink", "test_firmware_*",
     "test_stream_cli", "test_measure_sound", "test_make_tools", "test_tree", "test_docs", "test_batch_*",
     "test_bench*", "test_startup", "test_lazy", "test_near",
 )  # fmt: skip
 # Numpy 1.24 is that of Blender 4.2, which never trains, simulates or judges; its own tests play and stream with it.
-NOT_IN_BLENDER = (
+NOT_USED_IN_BLENDER = (
     "test_baselines_*", "test_live*", "test_limiter", "test_numerics_streaming", "test_stream*", "test_incremental",
     "test_virtual_*", "test_protocol", "test_fading_queue",
     "test_simulation*", "test_datasets_*", "test_eval*", "test_extrapolation", "test_contact_sheet",
     "test_pair_shards", "test_tactile_pairs", "test_optics_check", "test_encoder_comparison", "test_train*",
 )  # fmt: skip
 
-OLD_NUMPY = without("tests/core", *SAME_ON_EVERY_NUMPY, *NOT_IN_BLENDER)
+OLD_NUMPY_ARGUMENTS = exclude_tests("tests/core", *NUMPY_INDEPENDENT, *NOT_USED_IN_BLENDER)
 
 # The longest first and one of them in two parts, so that two workers end at about the same time.
 CHECKS = (
     Check("lint", ".venv", ("-m", "ruff", "check", "."), 120, is_pytest=False),
     Check("core", ".venv", ("tests/core",), 1300),
     Check("blender-5.0", ".venv", ("tests/blender",), 1200),
-    Check("blender-4.2", ".venv-4.2", ON_THE_OLDEST, 1200, can_end=False),
-    Check("blender-4.5", ".venv-4.5", without("tests/blender", *ONCE_IS_ENOUGH), 1200, can_end=False),
-    Check("core-numpy-1.24-a-l", ".venv-4.2", (*OLD_NUMPY, "--ignore-glob=*/test_[m-z]*.py"), 900),
-    Check("core-numpy-1.24-m-z", ".venv-4.2", (*OLD_NUMPY, "--ignore-glob=*/test_[a-l]*.py"), 900),
+    Check("blender-4.2", ".venv-4.2", OLDEST_ARGUMENTS, 1200, can_end=False),
+    Check("blender-4.5", ".venv-4.5", exclude_tests("tests/blender", *NOT_ON_MIDDLE), 1200, can_end=False),
+    Check("core-numpy-1.24-a-l", ".venv-4.2", (*OLD_NUMPY_ARGUMENTS, "--ignore-glob=*/test_[m-z]*.py"), 900),
+    Check("core-numpy-1.24-m-z", ".venv-4.2", (*OLD_NUMPY_ARGUMENTS, "--ignore-glob=*/test_[a-l]*.py"), 900),
     Check("types", ".venv", ("-m", "mypy"), 600, is_pytest=False),
 )
 APP = Check("app", ".venv", ("tests/app",), 1200)
 
 
-def command_of(check: Check) -> list[str]:
+def build_command(check: Check) -> list[str]:
     """The command line of one check."""
     python = str(ROOT / check.venv / "bin" / "python")
     if not check.is_pytest:
@@ -126,7 +126,7 @@ def run(check: Check) -> tuple[list[Case], str]:
     }
     with log_path.open("wb") as log:
         process = subprocess.Popen(
-            command_of(check),
+            build_command(check),
             cwd=ROOT,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -134,21 +134,21 @@ def run(check: Check) -> tuple[list[Case], str]:
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
-        LIVE.add(process)
+        RUNNING.add(process)
         try:
             code = process.wait(timeout=check.timeout_s)
             ending = f"ended with exit code {code}"
         except subprocess.TimeoutExpired:
             ending, code = f"was ended after {check.timeout_s:.0f} s", -1
         finally:
-            LIVE.discard(process)
+            RUNNING.discard(process)
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
-    return cases_of(check, code, ending, xml_path), log_path.read_text(encoding="utf-8", errors="replace")
+    return collect_cases(check, code, ending, xml_path), log_path.read_text(encoding="utf-8", errors="replace")
 
 
-def cases_of(check: Check, code: int, ending: str, xml_path: Path) -> list[Case]:
+def collect_cases(check: Check, code: int, ending: str, xml_path: Path) -> list[Case]:
     """What one ended check adds to the totals. A check that ended badly without a failed test is itself an error."""
     if not check.is_pytest:
         outcome = [Case(check.name, check.name, "passed" if code == 0 else "failed", ending if code else "")]
@@ -165,7 +165,7 @@ def cases_of(check: Check, code: int, ending: str, xml_path: Path) -> list[Case]
 def stop(_number: int, _frame: object) -> None:
     """Signal handler: end every running check, so that none outlives this process; the summary still follows."""
     STOPPING.set()
-    for process in list(LIVE):
+    for process in list(RUNNING):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
 
@@ -196,12 +196,12 @@ def main(names: list[str]) -> int:
             cases += found
             shown = log.rstrip().splitlines()
             print(f"\n---- {check.name} " + "-" * (100 - len(check.name)), flush=True)
-            if len(shown) > SHOWN_LINES:
-                print(f"… {len(shown) - SHOWN_LINES} lines before this in build/test/{check.name}.log")
-            print("\n".join(shown[-SHOWN_LINES:]), flush=True)
+            if len(shown) > PRINTED_LINES:
+                print(f"… {len(shown) - PRINTED_LINES} lines before this in build/test/{check.name}.log")
+            print("\n".join(shown[-PRINTED_LINES:]), flush=True)
     files = sorted(path for check in checks for path in RESULTS.glob(f"{check.name}.xml"))
     properties = [line for path in files for line in merge_summary.read_properties(path)]
-    print("\n" + merge_summary.summary(cases, time.monotonic() - started, properties), flush=True)
+    print("\n" + merge_summary.format_summary(cases, time.monotonic() - started, properties), flush=True)
     return int(merge_summary.has_failed(cases))
 
 

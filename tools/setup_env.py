@@ -25,18 +25,18 @@ ROOT = Path(__file__).resolve().parent.parent
 REQUIREMENTS = ROOT / "tools" / "requirements"
 FOLDERS = {"demo": ".venv", "test": ".venv", "blender-4.5": ".venv-4.5", "blender-4.2": ".venv-4.2"}
 # An environment that already holds a larger set serves the smaller one.
-SERVED_BY = {"demo": ("demo", "test")}
-WITH_KERNEL = (".venv", ".venv-4.5")
+COVERED_BY = {"demo": ("demo", "test")}
+KERNEL_FOLDERS = (".venv", ".venv-4.5")
 """Blender 4.2's is left without, as a platform is for which none is built: its tests show that numpy does the same."""
 PIP_TIMEOUT_S = 1800
-AT_ONCE = 2
+MAX_PARALLEL = 2
 
 
 class SetupError(Exception):
     """Set-up cannot go on; the message names the remedy."""
 
 
-def fingerprint(name: str) -> str:
+def compute_fingerprint(name: str) -> str:
     """Hash of the requirements, the pins, the project's own dependencies and the Python version."""
     with (ROOT / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)
@@ -49,16 +49,16 @@ def fingerprint(name: str) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
-def stamp_path(folder: Path, name: str) -> Path:
+def get_stamp_path(folder: Path, name: str) -> Path:
     """Where the hash of set `name` is kept."""
     return folder / f"hnf-{name}.stamp"
 
 
 def is_fresh(folder: Path, name: str) -> bool:
     """True where the environment holds set `name` as it is now, whether by that name or within a larger set."""
-    for served in SERVED_BY.get(name, (name,)):
-        stamp = stamp_path(folder, served)
-        if stamp.is_file() and stamp.read_text(encoding="utf-8") == fingerprint(served):
+    for served in COVERED_BY.get(name, (name,)):
+        stamp = get_stamp_path(folder, served)
+        if stamp.is_file() and stamp.read_text(encoding="utf-8") == compute_fingerprint(served):
             return (folder / "bin" / "python").exists()
     return False
 
@@ -87,11 +87,11 @@ def pip(python: Path, *arguments: str) -> None:
     """Run pip in the project's root, quietly. Bytecode is left to the first import: most of torch is never imported."""
     options = ["--disable-pip-version-check", "--no-input", "install", "-q", "--no-compile"]
     command = [str(python), "-m", "pip", *options, *arguments]
-    environment = os.environ | {"DIST_EXTRA_CONFIG": str(own_build_folder(python.parent.parent))}
+    environment = os.environ | {"DIST_EXTRA_CONFIG": str(write_build_config(python.parent.parent))}
     subprocess.run(command, cwd=ROOT, env=environment, check=True, timeout=PIP_TIMEOUT_S, stdin=subprocess.DEVNULL)
 
 
-def own_build_folder(folder: Path) -> Path:
+def write_build_config(folder: Path) -> Path:
     """A setuptools configuration with which builds for this environment write nothing into the project's root, where
     builds for several environments would meet."""
     config = folder / "build.cfg"
@@ -99,7 +99,7 @@ def own_build_folder(folder: Path) -> Path:
     return config
 
 
-def ensure(name: str) -> None:
+def ensure_environment(name: str) -> None:
     """Make the environment of set `name` hold exactly the pinned versions."""
     folder = ROOT / FOLDERS[name]
     if is_fresh(folder, name):
@@ -109,19 +109,19 @@ def ensure(name: str) -> None:
         f"Setting up {folder.name} for {name} (downloads about {'2 GB' if name == 'test' else '600 MB'}) …", flush=True
     )
     python = ensure_interpreter(folder)
-    stamp_path(folder, name).unlink(missing_ok=True)
+    get_stamp_path(folder, name).unlink(missing_ok=True)
     pip(python, "-c", str(REQUIREMENTS / "constraints.txt"), "setuptools")
     # Without isolation the build uses the pinned setuptools and downloads nothing else.
     pip(python, "--no-build-isolation", "-r", str(REQUIREMENTS / f"{name}.txt"))
-    stamp_path(folder, name).write_text(fingerprint(name), encoding="utf-8")
+    get_stamp_path(folder, name).write_text(compute_fingerprint(name), encoding="utf-8")
     print(f"{folder.name} is ready ({time.monotonic() - started:.0f} s).", flush=True)
 
 
-def complaints_of(names: list[str]) -> list[str]:
+def ensure_in_turn(names: list[str]) -> list[str]:
     """Ensure the sets of one folder in turn, to the first that fails: one line for the person."""
     for name in names:
         try:
-            ensure(name)
+            ensure_environment(name)
         except SetupError as error:
             return [str(error)]
         except (OSError, subprocess.SubprocessError) as error:
@@ -143,12 +143,12 @@ def main(names: list[str]) -> int:
     folders: dict[str, list[str]] = {}
     for name in names:
         folders.setdefault(FOLDERS[name], []).append(name)
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        complaints = [complaint for found in pool.map(complaints_of, folders.values()) for complaint in found]
+    with ThreadPoolExecutor(MAX_PARALLEL) as pool:
+        complaints = [complaint for found in pool.map(ensure_in_turn, folders.values()) for complaint in found]
     for complaint in complaints:
         print(complaint, file=sys.stderr)
     if not complaints:
-        install_kernel([folder for folder in folders if folder in WITH_KERNEL])
+        install_kernel([folder for folder in folders if folder in KERNEL_FOLDERS])
     return int(bool(complaints))
 
 
@@ -161,7 +161,7 @@ def install_kernel(folders: list[str]) -> None:
     try:
         if not is_fresh(ROOT / ".venv", "kernel"):
             pip(builder, "-r", str(REQUIREMENTS / "kernel.txt"))
-            stamp_path(ROOT / ".venv", "kernel").write_text(fingerprint("kernel"), encoding="utf-8")
+            get_stamp_path(ROOT / ".venv", "kernel").write_text(compute_fingerprint("kernel"), encoding="utf-8")
         subprocess.run(
             [str(builder), "tools/build_kernel.py", "--install", *pythons], cwd=ROOT, check=True,
             timeout=PIP_TIMEOUT_S, stdin=subprocess.DEVNULL,

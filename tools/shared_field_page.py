@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from hnf_core.field.config import FieldConfig
-from hnf_core.training.recipe import SHARED
+from hnf_core.training.recipe import SHARED_CONFIG
 from hnf_core.training.references import PATCHES, SECONDS, STARTS
-from hnf_core.training.shared_bars import mean_with_interval, own_config
+from hnf_core.training.shared_bars import bootstrap_mean, make_single_material_config
 
-GAP_BARS = (0.5, 1.5, 0.2)
-RATIO_BAR_DB = 1.0
+GAP_TARGETS_DB = (0.5, 1.5, 0.2)
+RATIO_TARGET_DB = 1.0
 ANISOTROPIC_DB = 6.0
-MARGIN_BAR_DB = 1.0
+MARGIN_TARGET_DB = 1.0
 
 
-TESTED = """## A field, not a noise table
+TESTED_SECTION = """## A field, not a noise table
 
 On the shipped weights, in `tests/core/test_shared_field.py`: another material's token under the same mechanics, no
 density σ, and one component of d reversed on a twill each change the spectrum by more than 1 dB; d and −d are the same,
@@ -27,17 +27,19 @@ mirrored strokes on isotropic surfaces nearly so. The tone of a described gratin
 250 mm/s, for pitches of 0.5, 1 and 2 mm."""
 
 
-def write_page(bench: Any, results: dict[str, dict[str, Any]], hidden: int, size: Callable[[FieldConfig], int]) -> str:
-    names = bench.gathered.names
-    parts = [_head(bench), _gap(results["own"], bench, hidden), _long(results["long"], results["own"], names),
-             _storage(results["own"], bench, hidden),
-             _curve(results["curve"], results["own"], bench, size), _direction(results["direction"]),
-             _unseen(results["unseen"])]  # fmt: skip
-    return "\n\n".join([*parts, TESTED])
+def format_page(
+    context: Any, results: dict[str, dict[str, Any]], hidden: int, size: Callable[[FieldConfig], int]
+) -> str:
+    names = context.gathered.names
+    parts = [_format_head(context), _format_gap(results["own"], context, hidden), _format_long(results["long"], results["own"], names),
+             _format_storage(results["own"], context, hidden),
+             _format_curve(results["curve"], results["own"], context, size), _format_direction(results["direction"]),
+             _format_unseen(results["unseen"])]  # fmt: skip
+    return "\n\n".join([*parts, TESTED_SECTION])
 
 
-def _head(bench: Any) -> str:
-    plan, gathered, references = bench.plan, bench.gathered, bench.references
+def _format_head(context: Any) -> str:
+    plan, gathered, references = context.plan, context.gathered, context.references
     seconds = PATCHES * STARTS * SECONDS
     per = len(gathered.only(gathered.material_of_strokes() == 0).strokes)
     return f"""# The shared field
@@ -45,7 +47,7 @@ def _head(bench: Any) -> str:
 One field for {len(gathered.names)} materials of {len(set(gathered.classes))} classes: every library material and
 {plan.sizes.instances} more instance of every class, {plan.sizes.patches} patches each, {per} steady strokes of \
 {plan.sizes.seconds:g} s per material
-({per * plan.sizes.seconds:.0f} s), and {plan.sizes.random} surfaces of no material. Seed {bench.seed}. Written by
+({per * plan.sizes.seconds:.0f} s), and {plan.sizes.random} surfaces of no material. Seed {context.seed}. Written by
 
     python tools/train_default_field.py && python tools/evaluate_shared_field.py > docs/shared-field.md
 
@@ -60,10 +62,10 @@ are those of the references' patches unless training tokens are named. A distanc
 patches."""
 
 
-def _gap(own: dict[str, Any], bench: Any, hidden: int) -> str:
-    alone, shared, seen = (np.array(own[key]) for key in ("own", "shared", "seen"))
+def _format_gap(single: dict[str, Any], context: Any, hidden: int) -> str:
+    alone, shared, seen = (np.array(single[key]) for key in ("own", "shared", "seen"))
     new_gap, seen_gap = shared - alone, seen - alone
-    names = bench.gathered.names
+    names = context.gathered.names
     worst = np.argsort(-new_gap)[:5]
     rows = [
         ("field of its own", alone, None),
@@ -76,7 +78,7 @@ def _gap(own: dict[str, Any], bench: Any, hidden: int) -> str:
         for label, d, gap in rows
     ]
     widest = ", ".join(f"{names[m]} {new_gap[m]:+.2f} (own {alone[m]:.2f}, shared {shared[m]:.2f})" for m in worst)
-    over = int(np.sum(new_gap > GAP_BARS[1]))
+    over = int(np.sum(new_gap > GAP_TARGETS_DB[1]))
     return f"""## Beside per-material fields
 
 A per-material field has the same carriers and linear contact, two layers of {hidden}, and the strokes of its material
@@ -86,16 +88,16 @@ alone ({len(alone)} fields, the same seconds per material as the shared one).
 |---|---|---|---|---|---|
 {chr(10).join(lines)}
 
-Bars: median gap ≤ {GAP_BARS[0]} dB: **{_met(np.median(new_gap) <= GAP_BARS[0])}**; worst ≤ {GAP_BARS[1]} dB: \
-**{_met(over == 0)}**{f" ({over} above)" if over else ""}; with training tokens, median ≤ {GAP_BARS[2]} dB: \
-**{_met(np.median(seen_gap) <= GAP_BARS[2])}**.
+Bars: median gap ≤ {GAP_TARGETS_DB[0]} dB: **{_format_result(np.median(new_gap) <= GAP_TARGETS_DB[0])}**; worst ≤ {GAP_TARGETS_DB[1]} dB: \
+**{_format_result(over == 0)}**{f" ({over} above)" if over else ""}; with training tokens, median ≤ {GAP_TARGETS_DB[2]} dB: \
+**{_format_result(np.median(seen_gap) <= GAP_TARGETS_DB[2])}**.
 Where the gap is widest: {widest}.
 Farthest off in absolute terms: {", ".join(f"{names[m]} {shared[m]:.2f}" for m in np.argsort(-shared)[:5])}."""
 
 
-def _long(long: dict[str, Any], own: dict[str, Any], names: Sequence[str]) -> str:
+def _format_long(long: dict[str, Any], single: dict[str, Any], names: Sequence[str]) -> str:
     some, alone = np.array(long["some"]), np.array(long["own"])
-    shared, same = (np.array(own[key])[some] for key in ("shared", "own"))
+    shared, same = (np.array(single[key])[some] for key in ("shared", "own"))
     gap = shared - alone
     fair, hard = slice(0, len(some) - long["hard"]), slice(len(some) - long["hard"], None)
     each = ", ".join(
@@ -109,19 +111,22 @@ As much as one material may be given, all under its own mechanics. On every {som
 {np.median(alone[fair]):.2f} dB, worst {alone[fair].max():.2f} (from the shared field's seconds \
 {np.median(same[fair]):.2f} and {same[fair].max():.2f}); the shared field to {np.median(shared[fair]):.2f} and \
 {shared[fair].max():.2f}. Gap: median
-{np.median(gap[fair]):+.2f} dB (**{_met(np.median(gap[fair]) <= GAP_BARS[0])}**), worst {gap[fair].max():+.2f} dB \
-(**{_met(gap[fair].max() <= GAP_BARS[1])}**). On the {long["hard"]} others from which the shared field is farthest:
-{each}. Worst: **{_met(gap.max() <= GAP_BARS[1])}**."""
+{np.median(gap[fair]):+.2f} dB (**{_format_result(np.median(gap[fair]) <= GAP_TARGETS_DB[0])}**), worst {gap[fair].max():+.2f} dB \
+(**{_format_result(gap[fair].max() <= GAP_TARGETS_DB[1])}**). On the {long["hard"]} others from which the shared field is farthest:
+{each}. Worst: **{_format_result(gap.max() <= GAP_TARGETS_DB[1])}**."""
 
 
-def _storage(own: dict[str, Any], bench: Any, hidden: int) -> str:
-    some = own["some"]
-    shared = np.array(own["shared"])[some]
-    table = {**{int(key): np.array(value) for key, value in own["smaller"].items()}, hidden: np.array(own["own"])[some]}
-    count, file = len(bench.gathered.names), Path(bench.weights).stat().st_size
+def _format_storage(single: dict[str, Any], context: Any, hidden: int) -> str:
+    some = single["some"]
+    shared = np.array(single["shared"])[some]
+    table = {
+        **{int(key): np.array(value) for key, value in single["smaller"].items()},
+        hidden: np.array(single["own"])[some],
+    }
+    count, file = len(context.gathered.names), Path(context.weights).stat().st_size
     rows = [
         f"| {count} × own, 2 × {width} | {np.median(values):.2f} | {values.max():.2f} | "
-        f"{count * own['bytes'][str(width)] / 1e6:.2f} MB |"
+        f"{count * single['bytes'][str(width)] / 1e6:.2f} MB |"
         for width, values in sorted(table.items())
     ]
     return f"""## Storage
@@ -134,18 +139,20 @@ On every {some[1] - some[0]}th material ({len(some)}):
 | one shared | {np.median(shared):.2f} | {shared.max():.2f} | {file / 1e6:.2f} MB |"""
 
 
-def _curve(curve: dict[str, Any], own: dict[str, Any], bench: Any, size: Callable[[FieldConfig], int]) -> str:
-    shared, alone = np.array(own["shared"]), np.array(own["own"])
+def _format_curve(
+    curve: dict[str, Any], single: dict[str, Any], context: Any, size: Callable[[FieldConfig], int]
+) -> str:
+    shared, alone = np.array(single["shared"]), np.array(single["own"])
     rows = [f"| 1 each | {np.median(alone):.2f} | {alone.max():.2f} | – | "
-            f"{len(alone) * size(own_config(64)) / 1e6:.2f} MB for all |"]  # fmt: skip
+            f"{len(alone) * size(make_single_material_config(64)) / 1e6:.2f} MB for all |"]  # fmt: skip
     for point in curve["points"]:
         kept, distance = point["materials"], np.array(point["distance"])
         rows.append(
             f"| {len(kept)} | {np.median(distance):.2f} | {distance.max():.2f} | "
-            f"{np.median(shared[kept] - distance):+.2f} | {size(SHARED) / 1e6:.2f} MB |"
+            f"{np.median(shared[kept] - distance):+.2f} | {size(SHARED_CONFIG) / 1e6:.2f} MB |"
         )
     rows.append(
-        f"| {len(shared)} (shipped) | {np.median(shared):.2f} | {shared.max():.2f} | 0 | {size(SHARED) / 1e6:.2f} MB |"
+        f"| {len(shared)} (shipped) | {np.median(shared):.2f} | {shared.max():.2f} | 0 | {size(SHARED_CONFIG) / 1e6:.2f} MB |"
     )
     return f"""## Number of materials
 
@@ -157,10 +164,10 @@ on those same materials (median).
 {chr(10).join(rows)}"""
 
 
-def _direction(direction: dict[str, Any]) -> str:
+def _format_direction(direction: dict[str, Any]) -> str:
     rows = direction["rows"]
     strong = [row for row in rows if row["anisotropy_db"] >= ANISOTROPIC_DB]
-    met = {key: sum(row[key] <= RATIO_BAR_DB for row in strong) for key in ("ratio_db", "third_db", "power_db")}
+    met = {key: sum(row[key] <= RATIO_TARGET_DB for row in strong) for key in ("ratio_db", "third_db", "power_db")}
     lines = [
         f"| {row['name']} | {row['anisotropy_db']:.1f} | {row['field_anisotropy_db']:.1f} | {row['ratio_db']:.2f} | "
         f"{row['third_db']:.2f} | {row['power_db']:.2f} |"
@@ -179,10 +186,10 @@ loudest direction, field against simulator, RMS over the other seven: per 10 Hz 
 |---|---|---|---|---|---|
 {chr(10).join(lines)}
 
-{len(strong)} of these have ≥ {ANISOTROPIC_DB:.0f} dB of anisotropy. Within {RATIO_BAR_DB:.0f} dB: \
+{len(strong)} of these have ≥ {ANISOTROPIC_DB:.0f} dB of anisotropy. Within {RATIO_TARGET_DB:.0f} dB: \
 {met["power_db"]} in power, {met["third_db"]} in third octaves, {met["ratio_db"]} per bin
 (medians {middle["power_db"]:.2f}, {middle["third_db"]:.2f}, {middle["ratio_db"]:.2f} dB). Bar (per bin): \
-**{_met(len(strong) >= 5 and met["ratio_db"] == len(strong))}**.
+**{_format_result(len(strong) >= 5 and met["ratio_db"] == len(strong))}**.
 
 Surfaces of noise are close; lattices are not. A token keeps one tone per octave and how its power divides between a
 direction and the one across it, so that a ribbed surface gets faint tones across its ribs, which the simulator's has
@@ -190,7 +197,7 @@ not (ribbed plastic), and a weave with two tones in one octave loses the weaker 
 such tones up and down, but puts none where the token has none."""
 
 
-def _unseen(unseen: dict[str, Any]) -> str:
+def _format_unseen(unseen: dict[str, Any]) -> str:
     rows = unseen["rows"]
     by_class: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
@@ -204,7 +211,7 @@ def _unseen(unseen: dict[str, Any]) -> str:
         lines.append(
             f"| {name} | {mean['field_db']:.2f} | {mean['category_db']:.2f} | {mean['nearest_db']:.2f} | {nearest} |"
         )
-    told = {key: mean_with_interval(np.array(values), 0) for key, values in margins.items()}
+    told = {key: bootstrap_mean(np.array(values), 0) for key, values in margins.items()}
     return f"""## Classes never met
 
 Not the shipped weights: a field trained by the same recipe without the last class of every category in the table \
@@ -218,17 +225,17 @@ takes the one nearest in token space.
 |---|---|---|---|---|
 {chr(10).join(lines)}
 
-{_margin("category mean", told["category_db"])}
-{_margin("nearest neighbour", told["nearest_db"])}"""
+{_format_margin("category mean", told["category_db"])}
+{_format_margin("nearest neighbour", told["nearest_db"])}"""
 
 
-def _margin(name: str, told: Sequence[float]) -> str:
-    mean, low, high = told
+def _format_margin(name: str, interval: Sequence[float]) -> str:
+    mean, low, high = interval
     return (
         f"Margin over {name}: {mean:.2f} dB, 95 % interval {low:.2f} … {high:.2f} (bootstrap over classes); "
-        f"bar ≥ {MARGIN_BAR_DB:.0f} dB, interval above 0: **{_met(mean >= MARGIN_BAR_DB and low > 0.0)}**."
+        f"bar ≥ {MARGIN_TARGET_DB:.0f} dB, interval above 0: **{_format_result(mean >= MARGIN_TARGET_DB and low > 0.0)}**."
     )
 
 
-def _met(true: bool) -> str:
+def _format_result(true: bool) -> str:
     return "met" if true else "missed"

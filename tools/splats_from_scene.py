@@ -21,13 +21,13 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
 # ruff: noqa: E402
 import bpy
 import numpy as np
-from scene_splats.convert import joined, object_splats
-from scene_splats.touched import touched_patches
+from scene_splats.convert import concatenate_splats, make_object_splats
+from scene_splats.touched import find_touched_patches
 
 from hnf_blender import props
 from hnf_blender.bridge.boxes import is_visible
 from hnf_blender.bridge.importers import open_scene
-from hnf_blender.touch.jobs import Session, scene_session
+from hnf_blender.touch.jobs import Session, make_scene_session
 from hnf_core.errors import HnfError, UsageError
 from hnf_core.scene.patch import Patch
 from hnf_core.scene.raycast import ReferenceGeometry
@@ -43,10 +43,10 @@ def open_session(path: Path) -> Session:
     if not hasattr(bpy.types.Object, "hnf_stroke"):
         props.register()
     scene = open_scene(path)
-    return scene_session(scene, scene.view_layers[0], Path(bpy.app.tempdir))
+    return make_scene_session(scene, scene.view_layers[0], Path(bpy.app.tempdir))
 
 
-def visible_meshes(session: Session, names: Sequence[str]) -> list[Any]:
+def list_visible_meshes(session: Session, names: Sequence[str]) -> list[Any]:
     """Those named, or all. Raises UsageError for a name that is no mesh of the scene."""
     meshes = {obj.name: obj for obj in session.scene.objects if obj.type == "MESH"}
     unknown = [name for name in names if name not in meshes]
@@ -57,12 +57,12 @@ def visible_meshes(session: Session, names: Sequence[str]) -> list[Any]:
     ]
 
 
-def patch_near(session: Session, objects: Sequence[Any], place: np.ndarray) -> tuple[str, Patch]:
+def find_patch_near(session: Session, objects: Sequence[Any], point: np.ndarray) -> tuple[str, Patch]:
     """The object whose surface is nearest to place (3,) (world metres), and the patch there."""
     best, answer = np.inf, None
     for obj in objects:
-        surface = session.surface(obj)
-        local = (place - surface.rigid[:3, 3]) @ surface.rigid[:3, :3]
+        surface = session.get_surface(obj)
+        local = (point - surface.rigid[:3, 3]) @ surface.rigid[:3, :3]
         found = ReferenceGeometry(surface.mesh).closest_points(local[None])
         if found.distance[0] < best:
             corners = surface.mesh.corner_positions()[found.triangle[0]]
@@ -76,51 +76,57 @@ def patch_near(session: Session, objects: Sequence[Any], place: np.ndarray) -> t
     return answer
 
 
-def scene_splats(
+def make_scene_splats(
     session: Session, objects: Sequence[Any], spacing_m: float, fine_m: float, patches: dict[str, tuple[Patch, ...]],
     seed: int,
 ) -> Splats:  # fmt: skip
     """patches: by object name, in its surface frame."""
-    return joined([
-        object_splats(
-            obj, session.surface(obj), spacing_m, seed + number, session.metres_per_unit, patches.get(obj.name, ()),
+    return concatenate_splats([
+        make_object_splats(
+            obj, session.get_surface(obj), spacing_m, seed + number, session.metres_per_unit, patches.get(obj.name, ()),
             fine_m,
         )
         for number, obj in enumerate(objects)
     ])  # fmt: skip
 
 
-def convert(arguments: argparse.Namespace) -> Splats:
+def convert_scene(arguments: argparse.Namespace) -> Splats:
     session = open_session(arguments.scene)
-    objects = visible_meshes(session, arguments.object)
-    patches = touched_patches(session) if arguments.touched else {}
+    objects = list_visible_meshes(session, arguments.object)
+    patches = find_touched_patches(session) if arguments.touched else {}
     for place in arguments.patch:
-        name, patch = patch_near(session, objects, place)
+        name, patch = find_patch_near(session, objects, place)
         patches[name] = (*patches.get(name, ()), patch)
-    return scene_splats(session, objects, arguments.spacing, arguments.fine, patches, arguments.seed)
+    return make_scene_splats(session, objects, arguments.spacing, arguments.fine, patches, arguments.seed)
 
 
-def parser() -> argparse.ArgumentParser:
+def build_parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(description="Write a Blender scene as 3-D Gaussian splats.")
     made.add_argument("scene", type=Path)
     made.add_argument("--out", type=Path, required=True, help="the .ply to write (INRIA layout)")
     made.add_argument("--object", action="append", default=[], metavar="NAME", help="only this object; may be repeated")
-    made.add_argument("--spacing", type=metres, default=SPACING_M, metavar="M", help="metres (default: %(default)s)")
-    made.add_argument("--fine", type=metres, default=FINE_M, metavar="M", help="on patches (default: %(default)s)")
+    made.add_argument(
+        "--spacing", type=parse_metres, default=SPACING_M, metavar="M", help="metres (default: %(default)s)"
+    )
+    made.add_argument(
+        "--fine", type=parse_metres, default=FINE_M, metavar="M", help="on patches (default: %(default)s)"
+    )
     made.add_argument("--touched", action="store_true", help="fine on what the scene's strokes touch")
-    made.add_argument("--patch", type=_place, action="append", default=[], metavar="X,Y,Z", help="fine around it too")
+    made.add_argument(
+        "--patch", type=_parse_point, action="append", default=[], metavar="X,Y,Z", help="fine around it too"
+    )
     made.add_argument("--seed", type=int, default=0)
     return made
 
 
-def metres(text: str) -> float:
+def parse_metres(text: str) -> float:
     value = float(text)
     if not 1e-6 <= value <= 1e3:
         raise argparse.ArgumentTypeError(f"{text} m is no spacing")
     return value
 
 
-def _place(text: str) -> np.ndarray:
+def _parse_point(text: str) -> np.ndarray:
     values = np.array([float(part) for part in text.split(",")])
     if values.shape != (3,) or not np.isfinite(values).all():
         raise argparse.ArgumentTypeError(f"'{text}' is not X,Y,Z")
@@ -128,9 +134,9 @@ def _place(text: str) -> np.ndarray:
 
 
 def main() -> int:
-    arguments = parser().parse_args()
+    arguments = build_parser().parse_args()
     try:
-        splats = convert(arguments)
+        splats = convert_scene(arguments)
         write_inria(arguments.out, splats, comments=(UP_AXIS,))
     except HnfError as error:
         print(error, file=sys.stderr)

@@ -13,12 +13,12 @@ ROOT = Path(__file__).resolve().parents[1]
 ARROW = " → "
 
 
-def stress_files() -> list[Path]:
+def list_stress_files() -> list[Path]:
     """The suite: of the core, then of Blender."""
     return [*sorted((ROOT / "tests" / "core").glob("test_stress_*.py")), ROOT / "tests" / "blender" / "test_stress.py"]
 
 
-def cases(path: Path) -> list[tuple[str, str]]:
+def read_cases(path: Path) -> list[tuple[str, str]]:
     """(case, what happens) of every test in a file. Raises ValueError where a test does not say so."""
     found = []
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
@@ -32,13 +32,13 @@ def cases(path: Path) -> list[tuple[str, str]]:
     return found
 
 
-def stress_table() -> str:
+def format_stress_table() -> str:
     """Markdown."""
     lines = ["| stress | what happens |", "|---|---|"]
-    for path in stress_files():
-        lines += [f"| {case} | {happens} |" for case, happens in cases(path)]
+    for path in list_stress_files():
+        lines += [f"| {case} | {happens} |" for case, happens in read_cases(path)]
     return "\n".join(lines)
 
 
 if __name__ == "__main__":
-    sys.stdout.write(stress_table() + "\n")
+    sys.stdout.write(format_stress_table() + "\n")

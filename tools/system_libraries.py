@@ -31,7 +31,7 @@ SONAMES = {
 PYTHON_MODULES = {"python3-venv": "ensurepip"}
 
 
-def packages() -> list[str]:
+def read_packages() -> list[str]:
     """The Debian packages of tools/apt.txt."""
     return APT_LIST.read_text(encoding="utf-8").split()
 
@@ -47,7 +47,7 @@ def is_present(package: str) -> bool:
     return True
 
 
-def install_command(missing: list[str]) -> str:
+def make_install_command(missing: list[str]) -> str:
     """One command for this machine's package manager that installs the `missing` Debian packages or their like."""
     sudo = "" if os.geteuid() == 0 else "sudo "
     if shutil.which("apt-get") or not shutil.which("dnf"):
@@ -58,11 +58,11 @@ def install_command(missing: list[str]) -> str:
 
 def main() -> int:
     """Print nothing and return 0 where all is there; else name what is missing and the command, and return 1."""
-    missing = [name for name in packages() if not is_present(name)]
+    missing = [name for name in read_packages() if not is_present(name)]
     if not missing:
         return 0
     names = ", ".join(SONAMES.get(name, name) for name in missing)
-    print(f"Missing on this machine: {names}.\nInstall with:  {install_command(missing)}", file=sys.stderr)
+    print(f"Missing on this machine: {names}.\nInstall with:  {make_install_command(missing)}", file=sys.stderr)
     return 1
 
 

@@ -20,44 +20,46 @@ sys.path.insert(0, str(ROOT))
 from hnf_core.cli.train_alignment import CHECKPOINT  # noqa: E402
 from hnf_core.errors import FileError  # noqa: E402
 from hnf_core.files import write_text  # noqa: E402
-from hnf_core.training.alignment.data import GeneratedSource, Judged  # noqa: E402
-from hnf_core.training.alignment.kept import load_measured, save_measured  # noqa: E402
-from hnf_core.training.alignment.measure import Measured, measure  # noqa: E402
-from hnf_core.training.alignment.models import Models, load_models, save_models  # noqa: E402
-from hnf_core.training.alignment.table import chances, markdown, report  # noqa: E402
-from hnf_core.training.alignment.train import Recipe, fit, use_threads  # noqa: E402
+from hnf_core.training.alignment.data import GeneratedSource, HeldOutTuples  # noqa: E402
+from hnf_core.training.alignment.kept import load_measurement, save_measurement  # noqa: E402
+from hnf_core.training.alignment.measure import Measurement, measure_encoders  # noqa: E402
+from hnf_core.training.alignment.models import AlignedEncoders, load_encoders, save_encoders  # noqa: E402
+from hnf_core.training.alignment.table import compute_chance_levels, format_report, make_report  # noqa: E402
+from hnf_core.training.alignment.train import Recipe, fit_encoders, set_torch_threads  # noqa: E402
 from hnf_core.training.alignment.tuples import Tuples  # noqa: E402
 
-SHARES = {"gelsight": 0.25, "digit": 0.25, "both": 0.5}
+BUDGET_SHARES = {"gelsight": 0.25, "digit": 0.25, "both": 0.5}
 """Of the steps or the time."""
 
 
-def trained(folder: Path, sensor: str, learn: Tuples, recipe: Recipe, threads: int) -> Models:
+def load_or_train(folder: Path, sensor: str, training: Tuples, recipe: Recipe, threads: int) -> AlignedEncoders:
     """The encoders in the folder, trained now where they are not there yet."""
     try:
-        return load_models(folder)
+        return load_encoders(folder)
     except FileError:
         pass
-    tuples = learn if sensor == "both" else learn.of_sensor(sensor)
-    version = use_threads(threads)
+    tuples = training if sensor == "both" else training.select_sensor(sensor)
+    version = set_torch_threads(threads)
 
     def watch(progress: float, loss: float) -> None:
         print(f"\r{sensor}: {100 * progress:.1f} %, loss {loss:.3f}", end="", file=sys.stderr, flush=True)
 
-    fitted = fit(tuples, recipe, folder / CHECKPOINT, watch)
+    fitted = fit_encoders(tuples, recipe, folder / CHECKPOINT, watch)
     print(file=sys.stderr)
     told = {"sensor": sensor, "tuples": len(tuples), "threads": threads, "trunk": None, "torch": version}
-    save_models(folder, fitted, recipe, told)
+    save_encoders(folder, fitted, recipe, told)
     (folder / CHECKPOINT).unlink(missing_ok=True)
-    return load_models(folder)
+    return load_encoders(folder)
 
 
-def measured(path: Path, models: Models, learn: Tuples, judged: Judged, seed: int) -> Measured:
+def load_or_measure(
+    path: Path, models: AlignedEncoders, training: Tuples, held_out: HeldOutTuples, seed: int
+) -> Measurement:
     """What these weights are worth, measured now where it is not there yet."""
-    found = load_measured(path, models.record["sha256"])
+    found = load_measurement(path, models.record["sha256"])
     if found is None:
-        found = measure(models, learn, judged, seed)
-        save_measured(path, found, models.record["sha256"])
+        found = measure_encoders(models, training, held_out, seed)
+        save_measurement(path, found, models.record["sha256"])
     return found
 
 
@@ -70,35 +72,36 @@ def main() -> int:
     parser.add_argument("--pixels", type=int, default=Recipe.pixels)
     parser.add_argument("--batch", type=int, default=Recipe.batch)
     parser.add_argument("--rate", type=float, default=Recipe.rate)
-    parser.add_argument("--only", choices=sorted(SHARES), help="train this one and judge nothing")
+    parser.add_argument("--only", choices=sorted(BUDGET_SHARES), help="train this one and judge nothing")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--data", type=Path, default=ROOT / "build" / "tactile-pairs")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "alignment")
     parser.add_argument("--record", type=Path, default=ROOT / "docs" / "alignment.json")
     arguments = parser.parse_args()
-    use_threads(arguments.threads)
+    set_torch_threads(arguments.threads)
     source = GeneratedSource(arguments.data)
-    learn = source.learn()
+    learn = source.load_training()
     models = []
-    for sensor, part in SHARES.items():
+    for sensor, part in BUDGET_SHARES.items():
         if arguments.only in (None, sensor):
             recipe = Recipe(
                 pixels=arguments.pixels, batch=arguments.batch, chunk=arguments.batch, rate=arguments.rate,
                 minutes=None if arguments.minutes is None else part * arguments.minutes,
                 steps=None if arguments.steps is None else round(part * arguments.steps), seed=arguments.seed,
             )  # fmt: skip
-            models.append(trained(arguments.out / sensor, sensor, learn, recipe, arguments.threads))
+            models.append(load_or_train(arguments.out / sensor, sensor, learn, recipe, arguments.threads))
     if arguments.only is not None:
         return 0
-    judged = source.judge()
+    judged = source.load_held_out()
     results = [
-        measured(arguments.out / each.sensor / "measured.json", each, learn, judged, arguments.seed) for each in models
+        load_or_measure(arguments.out / each.sensor / "measured.json", each, learn, judged, arguments.seed)
+        for each in models
     ]
-    told = report(results, chances(judged))
+    told = make_report(results, compute_chance_levels(judged))
     record = {**told.to_json(), "models": [dict(each.record) for each in models]}
     write_text(arguments.record, json.dumps(record, indent=1) + "\n")
-    print(markdown(told))
+    print(format_report(told))
     return 0
 
 

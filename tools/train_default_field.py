@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, save_field  # noqa: E402
-from hnf_core.training.recipe import HELD_OUT, SHARED, Plan, train  # noqa: E402
+from hnf_core.training.recipe import HELD_OUT, SHARED_CONFIG, TrainingPlan, train_shared_field  # noqa: E402
 
 CACHE = ROOT / "build" / "shared-field"
 
@@ -34,8 +34,10 @@ def main() -> int:
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
     left, shipped = (HELD_OUT, HELD_OUT_WEIGHTS) if arguments.held_out else ((), DEFAULT_WEIGHTS)
-    plan = Plan(encoders=tuple(arguments.encoder))
-    field = train(arguments.library, plan, SHARED, arguments.seed, arguments.cache, arguments.workers, left)
+    plan = TrainingPlan(encoders=tuple(arguments.encoder))
+    field = train_shared_field(
+        arguments.library, plan, SHARED_CONFIG, arguments.seed, arguments.cache, arguments.workers, left
+    )
     out = arguments.out or shipped
     save_field(out, field)
     print(f"{out}: {out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)

@@ -20,8 +20,8 @@ sys.path.insert(0, str(ROOT))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig  # noqa: E402
-from hnf_core.training.tactile_map.fit import Plan  # noqa: E402
-from hnf_core.training.tactile_map.recipe import RATES, train_map  # noqa: E402
+from hnf_core.training.tactile_map.fit import MapTrainingPlan  # noqa: E402
+from hnf_core.training.tactile_map.recipe import LEARNING_RATES, train_map  # noqa: E402
 from hnf_core.training.tactile_map.validate import Distance  # noqa: E402
 
 BUILD = ROOT / "build"
@@ -35,21 +35,21 @@ def main() -> int:
     parser.add_argument("--steps", type=int, help="at most so many")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--rate", type=float, help=f"of learning; default by objective: {RATES}")
-    parser.add_argument("--batch", type=int, default=Plan().batch)
+    parser.add_argument("--rate", type=float, help=f"of learning; default by objective: {LEARNING_RATES}")
+    parser.add_argument("--batch", type=int, default=MapTrainingPlan().batch)
     parser.add_argument("--objective", choices=(REGRESSION, DIFFUSION), default=REGRESSION)
     parser.add_argument("--partial", action="store_true", help="train on what shards are there")
     arguments = parser.parse_args()
     objective = arguments.objective
     out = arguments.out or BUILD / "tactile-map" / f"{objective}.safetensors"
-    rate = RATES[objective] if arguments.rate is None else arguments.rate
-    plan = Plan(steps=arguments.steps, minutes=arguments.minutes, seed=arguments.seed, threads=arguments.threads,
+    rate = LEARNING_RATES[objective] if arguments.rate is None else arguments.rate
+    plan = MapTrainingPlan(steps=arguments.steps, minutes=arguments.minutes, seed=arguments.seed, threads=arguments.threads,
                 rate=rate, batch=arguments.batch)  # fmt: skip
     began = time.monotonic()
 
     def watch(step: int, spent: float, loss: float, distances: Mapping[str, Distance]) -> None:
         if step % 100 == 0 or distances:
-            words = "; ".join(f"{name} {distance.in_words()}" for name, distance in distances.items())
+            words = "; ".join(f"{name} {distance.describe()}" for name, distance in distances.items())
             seconds = time.monotonic() - began
             print(f"{seconds:6.0f} s  step {step}, {spent:.1%}, loss {loss:.4f}  {words}", file=sys.stderr, flush=True)
 

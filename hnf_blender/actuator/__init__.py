@@ -7,80 +7,80 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from ..rooms import ignore, listen
+from ..rooms import add_handlers, remove_handlers
 
 if TYPE_CHECKING:
     from hnf_core.signal import Signal
 
-REDRAW_S = 0.2
+REDRAW_INTERVAL_S = 0.2
 """Least time between two pictures of a level that moves."""
 
-_shown_at = 0.0
+_redrawn_at = 0.0
 
 
 def tick(context: Any, stamp: str = "", signal: Signal | None = None) -> None:
     """Called by the preview's timer: take in what the processes said, tell the panel. Some comparisons while none
     runs. signal: that the preview shows, known by its stamp; None where it shows none."""
-    global _shown_at
-    from ..props.profile_file import FILE
-    from ..props.scene import actuator_of
+    global _redrawn_at
+    from ..props.profile_file import PROFILE_FROM_FILE
+    from ..props.scene import get_actuator_profile
     from ..state.redraw import redraw_tab
-    from .choice import chosen_output
-    from .facts import facts_of, phase_of
-    from .finding import FINDER
-    from .link import LINK
-    from .skin import SKIN, words
+    from .choice import get_selected_output
+    from .facts import get_phase, make_facts
+    from .finding import DEVICE_SCANNER
+    from .link import PLAYER_CLIENT
+    from .skin import SKIN_PREVIEW, describe_estimate
     from .state import ACTUATOR, VIRTUAL
 
-    profile = actuator_of(context.scene)
-    found = FINDER.tick()
-    told = LINK.tick()
-    virtual = chosen_output(context) == VIRTUAL
-    worth = signal if virtual or context.scene.hnf.actuator == FILE else None
-    if SKIN.look((stamp, profile, virtual), worth, profile, virtual=virtual):
-        ACTUATOR.skin, found = words(SKIN.shown), True
-    if told or (ACTUATOR.facts.phase, ACTUATOR.facts.problem) != (phase_of(LINK), LINK.problem):
-        facts = facts_of(LINK, profile)
+    profile = get_actuator_profile(context.scene)
+    found = DEVICE_SCANNER.tick()
+    told = PLAYER_CLIENT.tick()
+    virtual = get_selected_output(context) == VIRTUAL
+    worth = signal if virtual or context.scene.hnf.actuator == PROFILE_FROM_FILE else None
+    if SKIN_PREVIEW.update((stamp, profile, virtual), worth, profile, virtual=virtual):
+        ACTUATOR.skin_lines, found = describe_estimate(SKIN_PREVIEW.estimate), True
+    if told or (ACTUATOR.facts.phase, ACTUATOR.facts.problem) != (get_phase(PLAYER_CLIENT), PLAYER_CLIENT.problem):
+        facts = make_facts(PLAYER_CLIENT, profile)
         at_once = (facts.phase, facts.problem) != (ACTUATOR.facts.phase, ACTUATOR.facts.problem)
         ACTUATOR.facts = facts
-        if at_once or time.monotonic() - _shown_at > REDRAW_S:
+        if at_once or time.monotonic() - _redrawn_at > REDRAW_INTERVAL_S:
             found = True
     if found:
-        _shown_at = time.monotonic()
+        _redrawn_at = time.monotonic()
         redraw_tab()
 
 
-def leave_file(*_: Any) -> None:
+def on_load_pre(*_: Any) -> None:
     """load_pre: what is felt belongs to the file that is left."""
-    from .link import LINK
+    from .link import PLAYER_CLIENT
 
-    LINK.release()
+    PLAYER_CLIENT.release()
 
 
-def _stop() -> None:
+def _shut_down() -> None:
     """End what was begun; what was never begun is not imported for it."""
     if f"{__name__}.link" in sys.modules:
-        from .link import LINK
+        from .link import PLAYER_CLIENT
 
-        LINK.release()
+        PLAYER_CLIENT.release()
     if f"{__name__}.finding" in sys.modules:
-        from .finding import FINDER
+        from .finding import DEVICE_SCANNER
 
-        FINDER.end()
+        DEVICE_SCANNER.stop()
 
 
-HANDLERS = (("load_pre", leave_file),)
+HANDLERS = (("load_pre", on_load_pre),)
 
 
 def register() -> None:
     import bpy
 
-    atexit.register(_stop)
+    atexit.register(_shut_down)
     if not bpy.app.background:
-        listen(HANDLERS)
+        add_handlers(HANDLERS)
 
 
 def unregister() -> None:
-    atexit.unregister(_stop)
-    ignore(HANDLERS)
-    _stop()
+    atexit.unregister(_shut_down)
+    remove_handlers(HANDLERS)
+    _shut_down()

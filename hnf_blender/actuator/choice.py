@@ -6,40 +6,42 @@ from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any
 
-from ..state.settings import Settings, settings
+from ..state.settings import Settings, get_settings
 from ..translations import tr
 from .state import ACTUATOR, SPEAKERS, VIRTUAL, Output
 
 
-def chosen_output(context: Any = None) -> str:
+def get_selected_output(context: Any = None) -> str:
     """Target of the chosen output as `hnf stream --to` takes it; SPEAKERS for Blender's sound device."""
-    kept = settings(context)
-    return ACTUATOR.chosen if isinstance(kept, Settings) else str(kept.output)
+    kept = get_settings(context)
+    return ACTUATOR.selected if isinstance(kept, Settings) else str(kept.output)
 
 
-def choose_output(target: str) -> None:
+def select_output(target: str) -> None:
     """From now on strokes are played there."""
     import bpy
 
-    kept = settings()
+    kept = get_settings()
     if isinstance(kept, Settings):
-        ACTUATOR.chosen = target
+        ACTUATOR.selected = target
     elif kept.output != target:
         kept.output = target
         bpy.context.preferences.is_dirty = True
 
 
-def plays_whole(target: str) -> bool:
+def needs_offline_player(target: str) -> bool:
     """Is it a sound output that can only be reached through Blender's own sound, since sounddevice is missing?"""
-    return target.partition(":")[0] == "audio" and ("sounddevice" in ACTUATOR.without or not _is_installed())
+    return target.partition(":")[0] == "audio" and (
+        "sounddevice" in ACTUATOR.missing_packages or not _is_sounddevice_installed()
+    )
 
 
 @lru_cache(maxsize=1)
-def _is_installed() -> bool:
+def _is_sounddevice_installed() -> bool:
     return find_spec("sounddevice") is not None
 
 
-def always_there() -> tuple[Output, ...]:
+def list_builtin_outputs() -> tuple[Output, ...]:
     """The outputs that need not be looked for."""
     return (
         Output(SPEAKERS, tr("Speakers (Blender)")),
@@ -48,14 +50,14 @@ def always_there() -> tuple[Output, ...]:
     )
 
 
-def outputs(context: Any = None) -> tuple[Output, ...]:
+def list_outputs(context: Any = None) -> tuple[Output, ...]:
     """All that can be chosen now; the chosen one too where it was not found."""
-    chosen, listed = chosen_output(context), list(always_there())
+    chosen, listed = get_selected_output(context), list(list_builtin_outputs())
     listed += [each for each in ACTUATOR.outputs if each.target not in {one.target for one in listed}]
     if chosen not in {each.target for each in listed}:
         listed.append(Output(chosen, chosen))
     return tuple(listed)
 
 
-def title_of(target: str, context: Any = None) -> str:
-    return next((each.title for each in outputs(context) if each.target == target), target)
+def find_output_title(target: str, context: Any = None) -> str:
+    return next((each.title for each in list_outputs(context) if each.target == target), target)

@@ -10,36 +10,36 @@ from ..translations import tr
 from .state import ActuatorFacts, Phase
 
 if TYPE_CHECKING:
-    from .link import Link
+    from .link import PlayerClient
 
 
-def facts_of(link: Link, profile: ActuatorProfile) -> ActuatorFacts:
+def make_facts(client: PlayerClient, profile: ActuatorProfile) -> ActuatorFacts:
     """profile: whose limits the level is shown in."""
-    phase = phase_of(link)
-    heard = link.newest
+    phase = get_phase(client)
+    heard = client.current_status
     if heard is None or phase is Phase.OFF:
-        return ActuatorFacts(phase, problem=link.problem)
+        return ActuatorFacts(phase, problem=client.problem)
     status, limits = heard.status, profile.limits
     most = limits.full_scale_m_s2 * limits.peak
     level = status.level_m_s2 if phase in (Phase.PLAYING, Phase.LIVE) else 0.0
-    return ActuatorFacts(phase, level, min(level / most, 1.0), lines_of(link), link.problem)
+    return ActuatorFacts(phase, level, min(level / most, 1.0), describe_playback(client), client.problem)
 
 
-def phase_of(link: Link) -> Phase:
-    if not link.is_running:
+def get_phase(client: PlayerClient) -> Phase:
+    if not client.is_running:
         return Phase.OFF
-    if not link.is_playing:
+    if not client.is_playing:
         return Phase.READY
-    if link.newest is None:
+    if client.current_status is None:
         return Phase.OPENING
-    if link.is_live:
+    if client.is_live:
         return Phase.LIVE
-    return Phase.PAUSED if link.is_paused else Phase.PLAYING
+    return Phase.PAUSED if client.is_paused else Phase.PLAYING
 
 
-def lines_of(link: Link) -> tuple[str, ...]:
+def describe_playback(client: PlayerClient) -> tuple[str, ...]:
     """What was told of the newest play, one thought a line; what is as it should be is not mentioned."""
-    heard, began = link.newest, link.began
+    heard, began = client.current_status, client.began
     if heard is None:
         return ()
     status, lines = heard.status, []
@@ -55,6 +55,6 @@ def lines_of(link: Link) -> tuple[str, ...]:
         lines.append(tr("{count} invalid samples (NaN) played as 0").format(count=status.nonfinite))
     if status.underruns:
         lines.append(tr("Samples came too late {count} times").format(count=status.underruns))
-    if link.is_live and status.latency_p99_ms > 0.0:
+    if client.is_live and status.latency_p99_ms > 0.0:
         lines.append(tr("From the pen to the device: {latency} ms").format(latency=f"{status.latency_p99_ms:.0f}"))
     return tuple(lines)

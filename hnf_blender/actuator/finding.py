@@ -10,31 +10,31 @@ from collections.abc import Mapping
 from hnf_core.errors import FileError
 
 from ..translations import tr
-from .process import Process, commands
+from .process import LineProcess, list_worker_commands
 from .state import ACTUATOR, Output
-from .worker import DEVICES, UNFIT
+from .worker import LIST_DEVICES, WRONG_PYTHON
 
-LIMIT_S = 20.0
+SCAN_TIMEOUT_S = 20.0
 """A driver that has not answered by then will not."""
 
 
-class Finder:
+class DeviceScanner:
     """One search at a time."""
 
     def __init__(self) -> None:
-        self._process: Process | None = None
-        self._ways: list[list[str]] = []
-        self._until = 0.0
+        self._process: LineProcess | None = None
+        self._commands: list[list[str]] = []
+        self._deadline = 0.0
 
-    def look(self) -> None:
+    def start(self) -> None:
         """Begin to look; ACTUATOR has the outcome some ticks later. Raises DeviceError where no process can be
         started."""
         if self._process is not None:
             return
-        self._ways = list(commands(DEVICES, ()))
-        self._process = Process(self._ways.pop(0))
-        self._until = time.monotonic() + LIMIT_S
-        ACTUATOR.seeking = True
+        self._commands = list(list_worker_commands(LIST_DEVICES, ()))
+        self._process = LineProcess(self._commands.pop(0))
+        self._deadline = time.monotonic() + SCAN_TIMEOUT_S
+        ACTUATOR.is_scanning = True
 
     def tick(self) -> bool:
         """True where the search has ended."""
@@ -42,40 +42,40 @@ class Finder:
         if process is None:
             return False
         code = process.exit_code()
-        if code is None and time.monotonic() < self._until:
+        if code is None and time.monotonic() < self._deadline:
             return False
-        if code == UNFIT and self._ways:
-            self._process = Process(self._ways.pop(0))
+        if code == WRONG_PYTHON and self._commands:
+            self._process = LineProcess(self._commands.pop(0))
             return False
-        self.end()
+        self.stop()
         said = [line for line in process.lines() if line.startswith("{")]
         try:
-            take(said[-1] if said else "")
+            store_scan_result(said[-1] if said else "")
         except FileError as error:
             why = process.last_line or str(error)
-            ACTUATOR.missing = (tr("Devices could not be looked for: {why}").format(why=why),)
+            ACTUATOR.scan_notes = (tr("Devices could not be looked for: {why}").format(why=why),)
         return True
 
-    def end(self) -> None:
+    def stop(self) -> None:
         if self._process is not None:
             self._process.close()
             self._process = None
-        ACTUATOR.seeking = False
+        ACTUATOR.is_scanning = False
 
 
-def take(line: str) -> None:
+def store_scan_result(line: str) -> None:
     """ACTUATOR as the search says it is. Raises FileError where the line is none of worker.tell_devices()."""
     try:
         found = json.loads(line)
-        outputs = tuple(Output(str(each["target"]), titled(each)) for each in found["devices"])
+        outputs = tuple(Output(str(each["target"]), format_device_title(each)) for each in found["devices"])
         without, missing = ([str(each) for each in found[name]] for name in ("without", "missing"))
     except (ValueError, KeyError, TypeError) as error:
         raise FileError("the search for devices gave no answer.", remedy="Look again.") from error
-    ACTUATOR.outputs, ACTUATOR.looked = outputs, True
-    ACTUATOR.without, ACTUATOR.missing = frozenset(without), tuple(missing)
+    ACTUATOR.outputs, ACTUATOR.is_scanned = outputs, True
+    ACTUATOR.missing_packages, ACTUATOR.scan_notes = frozenset(without), tuple(missing)
 
 
-def titled(device: Mapping[str, object]) -> str:
+def format_device_title(device: Mapping[str, object]) -> str:
     """What a device calls itself, and the port or the facts by which it is told from one of the same name."""
     kind, _, port = str(device["target"]).partition(":")
     more = port if kind == "serial" else str(device["facts"])
@@ -83,4 +83,4 @@ def titled(device: Mapping[str, object]) -> str:
     return f"{title} ({more})" if more and more != title else title
 
 
-FINDER = Finder()
+DEVICE_SCANNER = DeviceScanner()

@@ -17,21 +17,23 @@ from typing import Any
 from hnf_core import errors
 from hnf_core.errors import DeviceError, HnfError
 
-from ..jobs.child import NEW_GROUP, NO_CONSOLE
+from ..jobs.child import CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
 
 WORKER = Path(__file__).with_name("worker.py")
-LAST_LINES = 12
-GRACE_S = 1.0
+ERROR_TAIL_LINES = 12
+EXIT_GRACE_S = 1.0
 """What a child is given to fall silent and leave by itself, before it is killed."""
 
 
-class Process:
+class LineProcess:
     """Lines sent are written by a thread, lines said are read by threads; every method returns at once."""
 
     def __init__(self, command: Sequence[str]) -> None:
         """Raises DeviceError where it cannot be started."""
         own_group: dict[str, Any] = (
-            {"creationflags": NEW_GROUP | NO_CONSOLE} if sys.platform == "win32" else {"start_new_session": True}
+            {"creationflags": CREATE_NEW_PROCESS_GROUP | CREATE_NO_WINDOW}
+            if sys.platform == "win32"
+            else {"start_new_session": True}
         )
         try:
             self._process: subprocess.Popen[bytes] = subprocess.Popen(
@@ -43,15 +45,15 @@ class Process:
                 where=command[0],
                 remedy="Choose Speakers as the output, or export the WAV and play it elsewhere.",
             ) from error
-        self._out: queue.SimpleQueue[tuple[str, Callable[[], None] | None] | None] = queue.SimpleQueue()
-        self._said: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._troubles: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._errors: deque[str] = deque(maxlen=LAST_LINES)
+        self._outgoing: queue.SimpleQueue[tuple[str, Callable[[], None] | None] | None] = queue.SimpleQueue()
+        self._received: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._send_errors: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._error_tail: deque[str] = deque(maxlen=ERROR_TAIL_LINES)
         self._readers = [
-            self._thread("hnf player said", self._read, self._process.stdout, self._said.put),
-            self._thread("hnf player errors", self._read, self._process.stderr, self._errors.append),
+            self._start_thread("hnf player said", self._read, self._process.stdout, self._received.put),
+            self._start_thread("hnf player errors", self._read, self._process.stderr, self._error_tail.append),
         ]
-        self._writer = self._thread("hnf player told", self._write)
+        self._writer = self._start_thread("hnf player told", self._write)
 
     @property
     def pid(self) -> int:
@@ -60,50 +62,50 @@ class Process:
     @property
     def last_line(self) -> str:
         """The last of what it printed as an error, "" = none."""
-        return next((line for line in reversed(self._errors) if line), "")
+        return next((line for line in reversed(self._error_tail) if line), "")
 
-    def send(self, line: str, first: Callable[[], None] | None = None) -> None:
+    def send(self, line: str, before_send: Callable[[], None] | None = None) -> None:
         """Tell it a line. first: done before, by the thread that writes (a file to be there when it reads of it); where
         that raises an HnfError the line is not told, and troubles() says why."""
-        self._out.put((line, first))
+        self._outgoing.put((line, before_send))
 
     def lines(self) -> Iterator[str]:
         """What it said since the last call."""
-        return _taken(self._said)
+        return _drain(self._received)
 
-    def troubles(self) -> Iterator[str]:
+    def send_errors(self) -> Iterator[str]:
         """Why lines could not be told, since the last call."""
-        return _taken(self._troubles)
+        return _drain(self._send_errors)
 
     def exit_code(self) -> int | None:
         """None while it lives or its last words are still being read; below 0: the signal that killed it."""
         code = self._process.poll()
         return None if code is None or any(reader.is_alive() for reader in self._readers) else code
 
-    def close(self, then: Callable[[], None] = lambda: None) -> None:
+    def close(self, on_exit: Callable[[], None] = lambda: None) -> None:
         """Nothing more will be told: its standard input ends, at which it falls silent and leaves. One that does not
         is killed after GRACE_S. then: called when it is gone, in a thread."""
-        self._out.put(None)
+        self._outgoing.put(None)
         try:
-            threading.Thread(target=self._bury, args=(then,), name="hnf player end").start()
+            threading.Thread(target=self._wait_for_exit, args=(on_exit,), name="hnf player end").start()
         except RuntimeError:  # Python is ending, and from 3.12 on begins no thread then
-            self._bury(then)
+            self._wait_for_exit(on_exit)
 
     def kill(self) -> None:
         """End it as a crash would."""
         with contextlib.suppress(OSError):
             self._process.send_signal(signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL)
 
-    def _bury(self, then: Callable[[], None]) -> None:
+    def _wait_for_exit(self, on_exit: Callable[[], None]) -> None:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(GRACE_S)
+            self._process.wait(EXIT_GRACE_S)
         if self._process.poll() is None:
             self.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(GRACE_S)
-        then()
+                self._process.wait(EXIT_GRACE_S)
+        on_exit()
 
-    def _thread(self, name: str, target: Callable[..., None], *args: Any) -> threading.Thread:
+    def _start_thread(self, name: str, target: Callable[..., None], *args: Any) -> threading.Thread:
         thread = threading.Thread(target=target, args=args, name=name, daemon=True)
         thread.start()
         return thread
@@ -113,40 +115,40 @@ class Process:
         if stream is None:
             return
         with contextlib.suppress(OSError, ValueError), stream:  # it is gone: exit_code() tells
-            while (item := self._out.get()) is not None:
+            while (item := self._outgoing.get()) is not None:
                 line, first = item
                 try:
                     if first is not None:
                         first()
                 except HnfError as error:
-                    self._troubles.put(str(error))
+                    self._send_errors.put(str(error))
                     continue
                 stream.write(line.encode("utf-8") + b"\n")
                 stream.flush()
 
     @staticmethod
-    def _read(stream: Any, take: Callable[[str], None]) -> None:
+    def _read(stream: Any, on_line: Callable[[str], None]) -> None:
         with contextlib.suppress(OSError, ValueError), stream:
             for raw in stream:
-                take(raw.decode("utf-8", "replace").strip())
+                on_line(raw.decode("utf-8", "replace").strip())
 
 
-def _taken(said: queue.SimpleQueue[str]) -> Iterator[str]:
+def _drain(lines: queue.SimpleQueue[str]) -> Iterator[str]:
     while True:
         try:
-            yield said.get_nowait()
+            yield lines.get_nowait()
         except queue.Empty:
             return
 
 
-def commands(module: str, words: Sequence[str]) -> tuple[list[str], ...]:
+def list_worker_commands(module: str, arguments: Sequence[str]) -> tuple[list[str], ...]:
     """The ways to run main(words) of a module of hnf_core in a process of its own, the lightest first: Blender's own
     Python, where it is one that can; else a second Blender in the background."""
     import bpy
 
     core = str(Path(errors.__file__).parent)
     version = "{}.{}".format(*sys.version_info)
-    given = [core, json.dumps([entry for entry in sys.path if entry]), version, module, *words]
+    given = [core, json.dumps([entry for entry in sys.path if entry]), version, module, *arguments]
     ways = []
     if sys.executable:
         ways.append([sys.executable, "-I", str(WORKER), *given])

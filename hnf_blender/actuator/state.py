@@ -48,14 +48,14 @@ class ActuatorState:
     on one that was measured, in words."""
 
     def __init__(self) -> None:
-        self.chosen = SPEAKERS
+        self.selected = SPEAKERS
         self.outputs: tuple[Output, ...] = ()
-        self.looked = False
-        self.seeking = False
-        self.without: frozenset[str] = frozenset()
-        self.missing: tuple[str, ...] = ()
+        self.is_scanned = False
+        self.is_scanning = False
+        self.missing_packages: frozenset[str] = frozenset()
+        self.scan_notes: tuple[str, ...] = ()
         self.facts = ActuatorFacts()
-        self.skin: tuple[str, ...] = ()
+        self.skin_lines: tuple[str, ...] = ()
 
 
 ACTUATOR = ActuatorState()

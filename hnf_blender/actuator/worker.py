@@ -11,10 +11,10 @@ import traceback
 from pathlib import Path
 
 CORE = "hnf_core"
-DEVICES = "devices"
+LIST_DEVICES = "devices"
 """In place of a module: say what there is to play on, one JSON object in one line, {"devices": [{"target", "title",
 "facts"}], "without": [package], "missing": [why a list is short]}."""
-UNFIT = 4
+WRONG_PYTHON = 4
 """Exit code of a Python that cannot do it: another version than the parent's, or one without numpy."""
 
 
@@ -30,27 +30,27 @@ def load_core(folder: str) -> None:
     spec.loader.exec_module(module)
 
 
-def main(core: str, paths: str, version: str, module: str, *words: str) -> int:
+def main(core: str, paths: str, version: str, module: str, *arguments: str) -> int:
     if version != "{}.{}".format(*sys.version_info):
-        return UNFIT
+        return WRONG_PYTHON
     sys.path += [entry for entry in json.loads(paths) if entry not in sys.path]
     try:
         importlib.import_module("numpy")
     except ImportError:
-        return UNFIT
+        return WRONG_PYTHON
     load_core(core)
-    if module == DEVICES:
-        return tell_devices()
-    return int(importlib.import_module(f"{CORE}.{module}").main(list(words)))
+    if module == LIST_DEVICES:
+        return print_devices()
+    return int(importlib.import_module(f"{CORE}.{module}").main(list(arguments)))
 
 
-def tell_devices() -> int:
+def print_devices() -> int:
     libraries = importlib.import_module(f"{CORE}.actuators.libraries")
-    found = importlib.import_module(f"{CORE}.actuators.targets").devices()
+    found = importlib.import_module(f"{CORE}.actuators.targets").list_devices()
     without, missing = [], list(found.missing)
-    for name, package in libraries.PACKAGES.items():
+    for name, package in libraries.PIP_PACKAGES.items():
         try:
-            libraries.library(name)
+            libraries.import_optional(name)
         except Exception as error:
             without.append(package)
             if not any(package in line for line in missing):

@@ -8,44 +8,50 @@ import numpy as np
 
 from hnf_core.action.pen_stroke import PenSamples, PenStyle
 from hnf_core.action.primitives import PRIMITIVES
-from hnf_core.bench.frame import Options, Row, Times
+from hnf_core.bench.frame import BenchOptions, Row, Times
 
-from .needs import need_bpy
-from .stage import CUTS, QUICK_CUTS, plate_with_strokes, playing
+from .needs import require_bpy
+from .stage import PLATE_CUTS, QUICK_PLATE_CUTS, add_plate_with_strokes, open_test_file
 
-NAME = "authoring"
-SECONDS, QUICK_SECONDS = 10.0, 1.0
+AUTHORING_NAME = "authoring"
+SCRIBBLE_S, QUICK_SCRIBBLE_S = 10.0, 1.0
 EVENTS_HZ = 100.0
 PIXEL_M = 0.3e-3
 """What a hand draws comes in steps of the screen."""
 PRIMITIVE = next(iter(PRIMITIVES))
 
 
-def rows(options: Options) -> list[Row]:
+def measure_authoring(options: BenchOptions) -> list[Row]:
     """One row for each way to make a stroke. Raises HnfError without bpy. Empties the file that is open."""
-    need_bpy(NAME)
-    from ..bridge.drawn_stroke import new_drawn_stroke
+    require_bpy(AUTHORING_NAME)
+    from ..bridge.drawn_stroke import create_drawn_stroke
     from ..bridge.placement import place_primitive
 
-    seconds = QUICK_SECONDS if options.quick else SECONDS
-    samples, drawn, placed, knots = scribble(seconds), Times(), Times(), 0
-    with playing() as (scene, layer):
-        plate = plate_with_strokes(QUICK_CUTS if options.quick else CUTS)
+    seconds = QUICK_SCRIBBLE_S if options.quick else SCRIBBLE_S
+    samples, drawn, placed, knots = make_scribble(seconds), Times(), Times(), 0
+    with open_test_file() as (scene, layer):
+        plate = add_plate_with_strokes(QUICK_PLATE_CUTS if options.quick else PLATE_CUTS)
         for repeat in range(options.repeats):
-            options.watch(f"{NAME}: {repeat + 1} of {options.repeats}")
+            options.watch(f"{AUTHORING_NAME}: {repeat + 1} of {options.repeats}")
             depsgraph = layer.depsgraph
-            draw = partial(new_drawn_stroke, scene, depsgraph, plate, samples, PenStyle())
-            made = drawn.take(partial(draw, start_frame=1.0, probe="pen", metres_per_unit=1.0))
-            knots = len(made.drawn.path.knot)
-            placed.take(partial(place_primitive, scene, plate, None, PRIMITIVE, 1.0, depsgraph))
+            draw = partial(create_drawn_stroke, scene, depsgraph, plate, samples, PenStyle())
+            made = drawn.measure(partial(draw, start_frame=1.0, probe="pen", metres_per_unit=1.0))
+            knots = len(made.pen_stroke.path.knot)
+            placed.measure(partial(place_primitive, scene, plate, None, PRIMITIVE, 1.0, depsgraph))
             layer.update()
     return [
-        Row(NAME, f"draw {seconds:g} s", drawn.seconds, drawn.cpu, note=f"{len(samples.time)} samples → {knots} knots"),
-        Row(NAME, f"place {PRIMITIVE}", placed.seconds, placed.cpu),
+        Row(
+            AUTHORING_NAME,
+            f"draw {seconds:g} s",
+            drawn.seconds,
+            drawn.cpu,
+            note=f"{len(samples.time)} samples → {knots} knots",
+        ),
+        Row(AUTHORING_NAME, f"place {PRIMITIVE}", placed.seconds, placed.cpu),
     ]
 
 
-def scribble(seconds: float) -> PenSamples:
+def make_scribble(seconds: float) -> PenSamples:
     """A hand's loops over 6 cm of the plane z = 0, as a pen tells of them."""
     time = np.arange(round(seconds * EVENTS_HZ)) / EVENTS_HZ
     turn = 2.0 * np.pi * time

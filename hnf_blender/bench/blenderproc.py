@@ -20,8 +20,8 @@ from hnf_core.scene.camera import Camera
 from hnf_core.scene.exr import read_exr
 
 from .. import compat
-from ..bridge.quiet import quiet
-from ..bridge.render import aim
+from ..bridge.quiet import suppress_output
+from ..bridge.render import set_camera
 
 Float32 = NDArray[np.float32]
 
@@ -38,7 +38,7 @@ BOUNCES = {
 }
 
 
-def few_bounces(scene: Any) -> None:
+def limit_bounces(scene: Any) -> None:
     """Its default light transport, which every method here is given: the picture that is meant must be one."""
     for name, value in BOUNCES.items():
         setattr(scene.cycles, name, value)
@@ -51,20 +51,20 @@ def render_as_blenderproc(
     size; scene in metres. It works in the scene itself, as BlenderProc does: for a scene that may be thrown away."""
     import bpy
 
-    _set_cycles(scene, samples)
+    _set_up_cycles(scene, samples)
     _key_cameras(scene, cameras)
     with tempfile.TemporaryDirectory(prefix="hnf-") as folder:
-        _compose(scene, folder, denoise)
+        _set_up_compositor(scene, folder, denoise)
         scene.render.filepath = str(Path(folder) / "rgb_")
-        with quiet():
+        with suppress_output():
             bpy.ops.render.render(animation=True, write_still=True, scene=scene.name)
         return [
-            (_only(Path(folder) / f"rgb_{frame:04d}.exr")[..., :3], _depth(Path(folder), frame))
+            (_read_single_pass(Path(folder) / f"rgb_{frame:04d}.exr")[..., :3], _read_depth(Path(folder), frame))
             for frame in range(len(cameras))
         ]
 
 
-def _set_cycles(scene: Any, samples: int) -> None:
+def _set_up_cycles(scene: Any, samples: int) -> None:
     render, cycles = scene.render, scene.cycles
     render.engine, cycles.device = "CYCLES", "CPU"
     render.resolution_percentage = 100
@@ -72,7 +72,7 @@ def _set_cycles(scene: Any, samples: int) -> None:
     render.use_persistent_data = True
     cycles.use_denoising, cycles.samples = False, samples
     cycles.use_adaptive_sampling, cycles.adaptive_threshold = True, NOISE_THRESHOLD
-    few_bounces(scene)
+    limit_bounces(scene)
 
 
 def _key_cameras(scene: Any, cameras: Sequence[Camera]) -> None:
@@ -84,14 +84,14 @@ def _key_cameras(scene: Any, cameras: Sequence[Camera]) -> None:
     scene.camera = camera_object
     camera_object.rotation_mode = "QUATERNION"
     for frame, camera in enumerate(cameras):
-        aim(scene, camera_object, camera, np.eye(4), 1.0)
+        set_camera(scene, camera_object, camera, np.eye(4), 1.0)
         camera_object.location, camera_object.rotation_quaternion, _ = camera_object.matrix_world.decompose()
         camera_object.keyframe_insert("location", frame=frame)
         camera_object.keyframe_insert("rotation_quaternion", frame=frame)
     scene.frame_start, scene.frame_end = 0, len(cameras) - 1
 
 
-def _compose(scene: Any, folder: str, denoise: bool) -> None:
+def _set_up_compositor(scene: Any, folder: str, denoise: bool) -> None:
     layer = scene.view_layers[0]
     layer.use_pass_z = layer.use_pass_normal = layer.use_pass_diffuse_color = True
     tree, composite = compat.new_compositor(scene)
@@ -111,11 +111,11 @@ def _compose(scene: Any, folder: str, denoise: bool) -> None:
     compat.use_exr(scene.render.image_settings)
 
 
-def _depth(folder: Path, frame: int) -> Float32:
-    depth = _only(next(folder.glob(f"depth_*{frame:04d}.exr")))
+def _read_depth(folder: Path, frame: int) -> Float32:
+    depth = _read_single_pass(next(folder.glob(f"depth_*{frame:04d}.exr")))
     return depth if depth.ndim == 2 else depth[..., 0]  # up to 4.5 in colour
 
 
-def _only(path: Path) -> Float32:
+def _read_single_pass(path: Path) -> Float32:
     """The one pass of a file."""
     return next(iter(read_exr(path).values()))

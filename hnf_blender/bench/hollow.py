@@ -8,41 +8,41 @@ from types import SimpleNamespace
 from typing import Any
 
 SIDEBAR_PX = 340
-IN_VIEW = 5
+VISIBLE_ROWS = 5
 """Lines of the list of strokes."""
 
 
-class Hollow:
+class FakeLayout:
     """A UILayout, or the properties of a button, that takes everything and keeps nothing."""
 
     def __getattr__(self, _name: str) -> Any:
-        return self._taken
+        return self._accept
 
     def __setattr__(self, _name: str, _value: Any) -> None:
         """Kept nowhere."""
 
-    def _taken(self, *_values: Any, **_named: Any) -> Hollow:
+    def _accept(self, *_values: Any, **_named: Any) -> FakeLayout:
         return self
 
 
 @contextmanager
-def tab_on() -> Iterator[None]:
+def register_tab() -> Iterator[None]:
     """As in a window: the tab's buttons and panels are registered (their poll() asks for each other), and changes are
     told of; the caller passes Blender's on to note_changes()."""
     import bpy
 
     from .. import ops, ui
-    from ..props.listed import NEWS
+    from ..props.listed import CHANGES
 
     rooms = () if hasattr(bpy.types, "HNF_PT_scene") else (ops, ui)
     for room in rooms:
         room.register()
-    was_told, NEWS.is_told = NEWS.is_told, True
+    was_told, CHANGES.is_notified = CHANGES.is_notified, True
     try:
         yield
     finally:
-        NEWS.is_told = was_told
-        NEWS.forget()
+        CHANGES.is_notified = was_told
+        CHANGES.mark_changed()
         for room in reversed(rooms):
             room.unregister()
 
@@ -51,15 +51,15 @@ def draw_tab(scene: Any, layer: Any) -> int:
     """As Blender does when the sidebar is redrawn, with every panel open; how many panels were drawn."""
     import bpy
 
-    from ..props.scene import listed_strokes
-    from ..rooms import classes_of
+    from ..props.scene import list_cached_strokes
+    from ..rooms import collect_classes
     from ..ui import MODULES
     from ..ui.stroke_list import HNF_UL_strokes
 
-    context, layout = tab_context(scene, layer, SIDEBAR_PX), Hollow()
+    context, layout = make_tab_context(scene, layer, SIDEBAR_PX), FakeLayout()
     panels = [
         each
-        for each in classes_of(f"{__package__.rpartition('.')[0]}.ui", MODULES)
+        for each in collect_classes(f"{__package__.rpartition('.')[0]}.ui", MODULES)
         if issubclass(each, bpy.types.Panel) and (not hasattr(each, "poll") or each.poll(context))
     ]
     for each in panels:
@@ -68,12 +68,12 @@ def draw_tab(scene: Any, layer: Any) -> int:
                 getattr(each, name)(SimpleNamespace(layout=layout, bl_rna=each.bl_rna), context)
     listed: Any = SimpleNamespace(filter_name="", bitflag_filter_item=1)
     HNF_UL_strokes.filter_items(listed, context, scene, "objects")
-    for index, obj in enumerate(listed_strokes(scene)[:IN_VIEW]):
+    for index, obj in enumerate(list_cached_strokes(scene)[:VISIBLE_ROWS]):
         HNF_UL_strokes.draw_item(listed, context, layout, scene, obj, 0, scene.hnf, "stroke_index", index)
     return len(panels)
 
 
-def tab_context(scene: Any, layer: Any, width_px: int) -> Any:
+def make_tab_context(scene: Any, layer: Any, width_px: int) -> Any:
     """What a panel is given in a region of this width; outside a window bpy.context has no region."""
     import bpy
 

@@ -7,7 +7,7 @@ import importlib.util
 from hnf_core.errors import HnfError
 
 
-def need_bpy(name: str) -> None:
+def require_bpy(name: str) -> None:
     """Raises HnfError where this Python has no bpy."""
     if importlib.util.find_spec("bpy") is None:
         raise HnfError(

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-PLATE, SIZE_M = "Plate", 0.12
+PLATE_NAME, PLATE_M = "Plate", 0.12
 CROWD_CUTS, CROWD_PITCH_M, CROWD_AWAY_M, CROWD_ROW = 10, 0.2, 1.0, 100
 """Of the other objects: faces along a side, their distance from each other and from the plate, and how many stand in a
 row."""
-APART_M = 0.05
+STROKE_PITCH_M = 0.05
 RIM_M = 0.03
 """Strokes over places of their own lie so far apart; slots that no stroke touches begin so far from the middle."""
 
 
-def empty_file() -> Any:
+def open_empty_file() -> Any:
     """The scene of a new file that knows strokes."""
     import bpy
 
@@ -28,22 +28,22 @@ def empty_file() -> Any:
     return bpy.context.scene
 
 
-def saved(path: Path) -> None:
+def save_file(path: Path) -> None:
     """What is open, as a file of its own."""
     import bpy
 
-    from ..bridge.quiet import quiet
+    from ..bridge.quiet import suppress_output
 
     bpy.context.view_layer.update()
-    with quiet():
+    with suppress_output():
         bpy.ops.wm.save_as_mainfile(filepath=str(path))
 
 
-def plate(cuts: int, size_m: float = SIZE_M, slots: int = 1) -> Any:
+def add_relief_plate(cuts: int, size_m: float = PLATE_M, slots: int = 1) -> Any:
     """A square of cuts × cuts faces with a relief in its shader. Its other slots cover its rim."""
-    obj = _object(PLATE, _grid(PLATE, cuts, size_m))
+    obj = _add_object(PLATE_NAME, _make_grid(PLATE_NAME, cuts, size_m))
     for slot in range(slots):
-        obj.data.materials.append(relief(f"Relief {slot}", 60.0 + 240.0 * slot / slots))
+        obj.data.materials.append(make_relief_material(f"Relief {slot}", 60.0 + 240.0 * slot / slots))
     if slots > 1:
         y = np.abs((np.arange(cuts) + 0.5) / cuts - 0.5) * size_m
         index = np.where(np.repeat(y, cuts) < RIM_M, 0, np.arange(cuts * cuts) % slots).astype(np.int32)
@@ -52,25 +52,25 @@ def plate(cuts: int, size_m: float = SIZE_M, slots: int = 1) -> Any:
     return obj
 
 
-def crowd(count: int, own_meshes: bool) -> None:
+def add_crowd(count: int, own_meshes: bool) -> None:
     """So many plates of 100 faces without a material, none within reach of the plate."""
-    mesh = _grid("Crowd", CROWD_CUTS, SIZE_M)
+    mesh = _make_grid("Crowd", CROWD_CUTS, PLATE_M)
     for number in range(count):
-        other = _object(f"Crowd {number}", mesh.copy() if own_meshes else mesh)
+        other = _add_object(f"Crowd {number}", mesh.copy() if own_meshes else mesh)
         row, column = divmod(number, CROWD_ROW)
         other.location = (CROWD_AWAY_M + CROWD_PITCH_M * column, CROWD_PITCH_M * row, 0.0)
 
 
-def strokes(count: int, surface: Any, apart: bool, length_m: float) -> None:
+def add_strokes(count: int, surface: Any, apart: bool, length_m: float) -> None:
     """So many strokes at 100 mm/s; apart: each over a place of its own, else all over one, with seeds of their own."""
     across = int(np.ceil(np.sqrt(count)))
     for number in range(count):
         row, column = divmod(number, across) if apart else (0, 0)
-        middle = APART_M * (np.array([column, row]) - (across - 1 if apart else 0) / 2.0)
-        _stroke(f"Stroke {number}", surface, middle, length_m, seed=number)
+        middle = STROKE_PITCH_M * (np.array([column, row]) - (across - 1 if apart else 0) / 2.0)
+        _add_stroke(f"Stroke {number}", surface, middle, length_m, seed=number)
 
 
-def relief(name: str, scale: float) -> Any:
+def make_relief_material(name: str, scale: float) -> Any:
     """A material whose bump is noise."""
     import bpy
 
@@ -87,7 +87,7 @@ def relief(name: str, scale: float) -> Any:
     return material
 
 
-def picture_relief(obj: Any, texels: int, seed: int) -> None:
+def set_image_relief(obj: Any, texels: int, seed: int) -> None:
     """Make obj's bump one of an image of texels × texels over all of it."""
     import bpy
 
@@ -105,7 +105,7 @@ def picture_relief(obj: Any, texels: int, seed: int) -> None:
     tree.links.new(texture.outputs["Color"], bump.inputs["Height"])
 
 
-def _grid(name: str, cuts: int, size_m: float) -> Any:
+def _make_grid(name: str, cuts: int, size_m: float) -> Any:
     """By arrays: ten million faces must not pass through Python."""
     import bpy
 
@@ -125,7 +125,7 @@ def _grid(name: str, cuts: int, size_m: float) -> Any:
     return mesh
 
 
-def _object(name: str, data: Any) -> Any:
+def _add_object(name: str, data: Any) -> Any:
     import bpy
 
     obj = bpy.data.objects.new(name, data)
@@ -133,7 +133,7 @@ def _object(name: str, data: Any) -> Any:
     return obj
 
 
-def _stroke(name: str, surface: Any, middle: np.ndarray[Any, Any], length_m: float, seed: int) -> None:
+def _add_stroke(name: str, surface: Any, middle: np.ndarray[Any, Any], length_m: float, seed: int) -> None:
     import bpy
 
     curve = bpy.data.curves.new(name, "CURVE")
@@ -142,5 +142,5 @@ def _stroke(name: str, surface: Any, middle: np.ndarray[Any, Any], length_m: flo
     spline.points.add(1)
     for point, side in zip(spline.points, (-length_m / 2.0, length_m / 2.0), strict=True):
         point.co = (middle[0] + side, middle[1], 0.0, 1.0)
-    group = _object(name, curve).hnf_stroke
+    group = _add_object(name, curve).hnf_stroke
     group.is_stroke, group.surface, group.start, group.force, group.seed = True, surface, 1.0, 1.0, seed

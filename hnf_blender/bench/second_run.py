@@ -10,48 +10,48 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.bench.frame import Options, Row
-from hnf_core.bench.process import run_alone
-from hnf_core.bench.startup import NAME, paired_rows
+from hnf_core.bench.frame import BenchOptions, Row
+from hnf_core.bench.process import run_process
+from hnf_core.bench.startup import STARTUP_NAME, measure_pairs
 from hnf_core.errors import HnfError
 
-from .needs import need_bpy
+from .needs import require_bpy
 
-OPEN, AGAIN = "import bpy, open the scene", "hnf touch, second run"
+OPEN_NAME, SECOND_RUN_NAME = "import bpy, open the scene", "hnf touch, second run"
 OPEN_CODE = """
 import sys, bpy
 bpy.ops.wm.open_mainfile(filepath={scene!r}, load_ui=False, use_scripts=False)
 """
-TOUCH = "from hnf_blender.cli import main; sys.exit(main(sys.argv[1:]))"
-MAKE = "from hnf_blender.bench.second_run import make_scene; make_scene(sys.argv[1], sys.argv[2] == 'quick')"
-NOTHING = ("renders", "rays", "network_calls", "diffusion_calls")
-PLATES = 2
-CUTS, QUICK_CUTS = 224, 4
-PIXELS, QUICK_PIXELS = 2048, 16
+TOUCH_CODE = "from hnf_blender.cli import main; sys.exit(main(sys.argv[1:]))"
+MAKE_CODE = "from hnf_blender.bench.second_run import make_scene; make_scene(sys.argv[1], sys.argv[2] == 'quick')"
+FREE_COUNTS = ("renders", "rays", "network_calls", "diffusion_calls")
+PLATE_COUNT = 2
+SCENE_CUTS, QUICK_SCENE_CUTS = 224, 4
+RELIEF_PIXELS, QUICK_RELIEF_PIXELS = 2048, 16
 
 
-def rows(options: Options) -> list[Row]:
+def measure_second_run(options: BenchOptions) -> list[Row]:
     """Two rows: the scene opened, and the second run. Raises HnfError without bpy, and where the second run renders,
     casts or calls a network."""
-    need_bpy(NAME)
+    require_bpy(STARTUP_NAME)
     with tempfile.TemporaryDirectory() as folder:
         scene, out = Path(folder) / "scene.blend", Path(folder) / "out"
         # Where quick, a look at one place instead of strokes and their pictures.
         place = ("--probe", "Plate 0:0.1,0.1") if options.quick else ()
         words = ("touch", str(scene), "--out", str(out), "--json", *place)
-        options.watch(f"{NAME}: making a scene")
-        run_alone(MAKE, str(scene), "quick" if options.quick else "whole")
-        options.watch(f"{NAME}: first run")
-        run_alone(TOUCH, *words)
+        options.watch(f"{STARTUP_NAME}: making a scene")
+        run_process(MAKE_CODE, str(scene), "quick" if options.quick else "whole")
+        options.watch(f"{STARTUP_NAME}: first run")
+        run_process(TOUCH_CODE, *words)
         code = OPEN_CODE.format(scene=str(scene))
-        found = paired_rows(options, OPEN, code, {AGAIN: (TOUCH, words)})
+        found = measure_pairs(options, OPEN_NAME, code, {SECOND_RUN_NAME: (TOUCH_CODE, words)})
         counts = json.loads((out / "report.json").read_text(encoding="utf-8"))["counts"]
-    if any(counts[name] for name in NOTHING):
-        raise HnfError(f"the second run was not free: {counts}", where=NAME)
+    if any(counts[name] for name in FREE_COUNTS):
+        raise HnfError(f"the second run was not free: {counts}", where=STARTUP_NAME)
     return found
 
 
-def make_scene(path: str, quick: bool) -> None:
+def write_scene(path: str, quick: bool) -> None:
     """Plates of 100,000 faces in all, each with a picture as its relief and a stroke, saved at path; of a handful of
     faces and pixels where quick."""
     import bpy
@@ -61,10 +61,10 @@ def make_scene(path: str, quick: bool) -> None:
     if not hasattr(bpy.types.Object, "hnf_stroke"):
         props.register()
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    from .stage import plate_of, stroke_on
+    from .stage import add_crossing_stroke, add_plate
 
-    for number in range(PLATES):
-        plate = plate_of(f"Plate {number}", QUICK_CUTS if quick else CUTS)
+    for number in range(PLATE_COUNT):
+        plate = add_plate(f"Plate {number}", QUICK_SCENE_CUTS if quick else SCENE_CUTS)
         plate.location.x = 0.5 * number
         uv = plate.data.uv_layers.new(name="UVMap")
         corners = np.empty(len(plate.data.loops), dtype=np.int32)
@@ -72,13 +72,15 @@ def make_scene(path: str, quick: bool) -> None:
         places = np.array([tuple(vertex.co)[:2] for vertex in plate.data.vertices], dtype=np.float32)
         uv.uv.foreach_set("vector", (5.0 * places[corners]).ravel())
         picture = Path(path).with_name(f"relief {number}.png")
-        plate.data.materials.append(_rough(picture, QUICK_PIXELS if quick else PIXELS, number))
-        stroke = stroke_on(plate, f"Stroke {number}", turned=0.4 * number)
+        plate.data.materials.append(
+            _make_rough_material(picture, QUICK_RELIEF_PIXELS if quick else RELIEF_PIXELS, number)
+        )
+        stroke = add_crossing_stroke(plate, f"Stroke {number}", turned=0.4 * number)
         stroke.location.x = plate.location.x
     bpy.ops.wm.save_as_mainfile(filepath=path)
 
 
-def _rough(path: Path, pixels: int, seed: int) -> Any:
+def _make_rough_material(path: Path, pixels: int, seed: int) -> Any:
     """A material whose height is a picture of noise, kept beside the scene."""
     import bpy
 

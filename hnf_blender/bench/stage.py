@@ -12,54 +12,54 @@ from unittest.mock import patch
 
 import numpy as np
 
-CUTS, QUICK_CUTS = 316, 8
+PLATE_CUTS, QUICK_PLATE_CUTS = 316, 8
 """Faces along each side of the plate: 99,856 of them, or 64."""
-SIZE_M = 0.2
-STROKES = 3
+LARGE_PLATE_M = 0.2
+STROKE_COUNT = 3
 
 
 @contextmanager
-def playing() -> Iterator[tuple[Any, Any]]:
+def open_test_file() -> Iterator[tuple[Any, Any]]:
     """An empty file with the add-on's properties, and a cache of its own; (scene, view layer)."""
     import bpy
 
     from .. import props
     from ..jobs import current, running
-    from ..jobs.warm import is_ready
+    from ..jobs.warm import is_preloaded
     from ..state.session import STATE
-    from ..state.watch import forget
+    from ..state.watch import clear_trackers
 
-    while not is_ready():
+    while not is_preloaded():
         time.sleep(0.01)
     if not hasattr(bpy.types.Object, "hnf_stroke"):
         props.register()
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    with tempfile.TemporaryDirectory() as folder, patch.object(running, "cache_folder", lambda: Path(folder)):
+    with tempfile.TemporaryDirectory() as folder, patch.object(running, "get_cache_folder", lambda: Path(folder)):
         try:
             yield bpy.context.scene, bpy.context.view_layer
         finally:
             current.cancel()
-            forget()
+            clear_trackers()
             STATE.clear()
 
 
-def plate_with_strokes(cuts: int) -> Any:
+def add_plate_with_strokes(cuts: int) -> Any:
     """A plate of cuts × cuts faces with strokes on it, one more of them to be edited."""
     import bpy
 
-    plate = plate_of("Plate", cuts)
-    for name in (*stroke_names(), "Beside"):
-        stroke_on(plate, name, turned=0.4 * len(name))
+    plate = add_plate("Plate", cuts)
+    for name in (*list_stroke_names(), "Beside"):
+        add_crossing_stroke(plate, name, turned=0.4 * len(name))
     bpy.context.view_layer.update()
     return plate
 
 
-def plate_of(name: str, cuts: int) -> Any:
+def add_plate(name: str, cuts: int) -> Any:
     """A plate of cuts × cuts faces in the scene."""
     import bpy
 
     mesh = bpy.data.meshes.new(name)
-    side = np.linspace(-SIZE_M / 2.0, SIZE_M / 2.0, cuts + 1)
+    side = np.linspace(-LARGE_PLATE_M / 2.0, LARGE_PLATE_M / 2.0, cuts + 1)
     x, y = np.meshgrid(side, side)
     corner = (np.arange(cuts)[:, None] * (cuts + 1) + np.arange(cuts)).reshape(-1, 1)
     mesh.from_pydata(
@@ -70,11 +70,11 @@ def plate_of(name: str, cuts: int) -> Any:
     return plate
 
 
-def stroke_names() -> tuple[str, ...]:
-    return tuple(f"Stroke {'i' * (k + 1)}" for k in range(STROKES))
+def list_stroke_names() -> tuple[str, ...]:
+    return tuple(f"Stroke {'i' * (k + 1)}" for k in range(STROKE_COUNT))
 
 
-def stroke_on(plate: Any, name: str, turned: float) -> Any:
+def add_crossing_stroke(plate: Any, name: str, turned: float) -> Any:
     """60 mm through the middle of the plate at 100 mm/s."""
     import bpy
 

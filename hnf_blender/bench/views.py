@@ -14,23 +14,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.bench.frame import Options, Row, Spread
-from hnf_core.bench.memory import with_peak
+from hnf_core.bench.frame import BenchOptions, Row, Spread
+from hnf_core.bench.memory import run_with_peak
 from hnf_core.errors import HnfError
 from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.scene.camera import Camera
 
-from .needs import need_bpy
-from .views_depth import depth_rows
-from .views_look import look_rows
-from .views_scene import Rectangle, around, patch_in, scenes, widened
+from .needs import require_bpy
+from .views_depth import measure_depth
+from .views_look import measure_appearance
+from .views_scene import Rectangle, expand_rectangle, find_patch, list_scenes, place_cameras
 
-NAME = "views"
-CAMERAS, SIZE, QUICK_SIZE = 2, (640, 480), (64, 48)
-REFERENCE, QUICK_REFERENCE = 256, 16
-THEIRS, OURS, ON_PATCHES = (1, 4, 16), (1, 2, 4, 8), (16, 64)
-QUICK_THEIRS, QUICK_OURS, QUICK_ON_PATCHES = (1, 4), (1, 4), (4,)
-EXACT = 1e-6
+VIEWS_NAME = "views"
+CAMERA_COUNT, IMAGE_SIZE, QUICK_IMAGE_SIZE = 2, (640, 480), (64, 48)
+REFERENCE_SAMPLES, QUICK_REFERENCE_SAMPLES = 256, 16
+BLENDERPROC_SAMPLES, HNF_SAMPLES, PATCH_SAMPLES = (1, 4, 16), (1, 2, 4, 8), (16, 64)
+QUICK_BLENDERPROC_SAMPLES, QUICK_HNF_SAMPLES, QUICK_PATCH_SAMPLES = (1, 4), (1, 4), (4,)
+MIN_ERROR = 1e-6
 """Of sRGB: a smaller error counts as this one."""
 AT_EQUAL_ERROR = "BlenderProc's at equal error"
 
@@ -38,17 +38,17 @@ Colours = list[NDArray[np.float32]]
 
 
 @dataclass
-class Timed:
+class TimedRenders:
     """One method. cpu: of all threads of this process. errors: of whole pictures, and inside the patches. peak_mb: of
     the first time, beyond what was there."""
 
     walls: list[float] = field(default_factory=list)
     cpus: list[float] = field(default_factory=list)
     error: float = 0.0
-    on_patches: float = 0.0
+    patch_error: float = 0.0
     peak_mb: float | None = None
 
-    def take(self, function: Callable[[], Colours]) -> Colours:
+    def measure(self, function: Callable[[], Colours]) -> Colours:
         def timed() -> Colours:
             wall, cpu = time.perf_counter(), time.process_time()
             found = function()
@@ -56,14 +56,14 @@ class Timed:
             self.cpus.append(time.process_time() - cpu)
             return found
 
-        found, peak = with_peak(timed)
+        found, peak = run_with_peak(timed)
         if len(self.walls) == 1:
             self.peak_mb = peak
         return found
 
 
 @dataclass(frozen=True)
-class Truth:
+class ReferenceViews:
     """What a scene looks like from its cameras, and where it is touched in each picture."""
 
     cameras: list[Camera]
@@ -71,146 +71,152 @@ class Truth:
     patches: list[Rectangle]
 
 
-def rows(options: Options) -> list[Row]:
+def measure_views(options: BenchOptions) -> list[Row]:
     """For each scene: BlenderProc's way and ours at several samples, patches alone, depth alone.
 
     Raises HnfError without bpy, or without Open Image Denoise. Empties the file that is open.
     """
-    need_bpy(NAME)
+    require_bpy(VIEWS_NAME)
     import bpy  # noqa: F401  # it brings _cycles, which is asked for the denoiser
 
     from ..compat import has_denoiser
 
     if not has_denoiser():
-        raise HnfError("this Blender has no Open Image Denoise, which BlenderProc's way goes by.", where=NAME)
+        raise HnfError("this Blender has no Open Image Denoise, which BlenderProc's way goes by.", where=VIEWS_NAME)
     found: list[Row] = []
-    for name, opened in scenes(options.quick).items():
-        options.watch(f"{NAME}: {name}, the reference")
-        truth = truth_of(opened(), options.quick)
-        found += _of(name, opened, truth, options) + depth_rows(NAME, name, opened, truth.cameras, options)
-    return found + look_rows(NAME, options)
+    for name, opened in list_scenes(options.quick).items():
+        options.watch(f"{VIEWS_NAME}: {name}, the reference")
+        truth = render_reference(opened(), options.quick)
+        found += _measure_scene(name, opened, truth, options) + measure_depth(
+            VIEWS_NAME, name, opened, truth.cameras, options
+        )
+    return found + measure_appearance(VIEWS_NAME, options)
 
 
-def truth_of(scene: Any, quick: bool) -> Truth:
+def render_reference(scene: Any, quick: bool) -> ReferenceViews:
     """By our own path, undenoised, with a seed of its own."""
-    cameras = around(scene, CAMERAS, *(QUICK_SIZE if quick else SIZE))
-    views = our_views(scene, cameras, QUICK_REFERENCE if quick else REFERENCE, denoise=False, seed=1)
-    patches = [patch_in(camera, depth) for camera, (_, depth) in zip(cameras, views, strict=True)]
-    return Truth(cameras, [rgb for rgb, _ in views], patches)
+    cameras = place_cameras(scene, CAMERA_COUNT, *(QUICK_IMAGE_SIZE if quick else IMAGE_SIZE))
+    views = render_views(scene, cameras, QUICK_REFERENCE_SAMPLES if quick else REFERENCE_SAMPLES, denoise=False, seed=1)
+    patches = [find_patch(camera, depth) for camera, (_, depth) in zip(cameras, views, strict=True)]
+    return ReferenceViews(cameras, [rgb for rgb, _ in views], patches)
 
 
-def our_views(
+def render_views(
     scene: Any, cameras: Sequence[Camera], samples: int, denoise: bool = True, seed: int = 0
 ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """Colour and depth as the product's pictures are made, but with BlenderProc's bounces."""
-    from ..bridge.picture import Overviews
-    from .blenderproc import few_bounces
+    from ..bridge.picture import OverviewRenderer
+    from .blenderproc import limit_bounces
 
-    with Overviews(scene, samples=samples, whole=True) as overviews:
+    with OverviewRenderer(scene, samples=samples, entire_scene=True) as overviews:
         own = overviews.temporary.scene
-        few_bounces(own)
+        limit_bounces(own)
         own.cycles.use_denoising, own.cycles.seed = denoise, seed
-        views = [overviews.view(camera)[0] for camera in cameras]
+        views = [overviews.render_view(camera)[0] for camera in cameras]
     return [(view.rgb, view.depth) for view in views]
 
 
-def _of(name: str, opened: Callable[[], Any], truth: Truth, options: Options) -> list[Row]:
+def _measure_scene(name: str, opened: Callable[[], Any], truth: ReferenceViews, options: BenchOptions) -> list[Row]:
     from .blenderproc import render_as_blenderproc
 
     cameras = truth.cameras
-    cut = [widened(patch, camera) for patch, camera in zip(truth.patches, cameras, strict=True)]
+    cut = [expand_rectangle(patch, camera) for patch, camera in zip(truth.patches, cameras, strict=True)]
     near = [
         camera.crop(each.left, each.top, each.width, each.height) for camera, each in zip(cameras, cut, strict=True)
     ]
     counts = (
-        (QUICK_THEIRS, QUICK_OURS, QUICK_ON_PATCHES) if options.quick else (THEIRS, OURS, ON_PATCHES)
+        (QUICK_BLENDERPROC_SAMPLES, QUICK_HNF_SAMPLES, QUICK_PATCH_SAMPLES) if options.quick else (BLENDERPROC_SAMPLES, HNF_SAMPLES, PATCH_SAMPLES)
     )  # fmt: skip
-    theirs, ours, on_patches = ({samples: Timed() for samples in each} for each in counts)
-    plain = Timed()
+    theirs, ours, on_patches = ({samples: TimedRenders() for samples in each} for each in counts)
+    plain = TimedRenders()
     for repeat in range(options.repeats):
-        options.watch(f"{NAME}: {name}, {repeat + 1} of {options.repeats}")
+        options.watch(f"{VIEWS_NAME}: {name}, {repeat + 1} of {options.repeats}")
         for samples, timed in theirs.items():
             scene = opened()
-            colours = timed.take(lambda: _colours(render_as_blenderproc(scene, cameras, samples)))  # noqa: B023
-            _judge(timed, colours, truth)
+            colours = timed.measure(lambda: _get_colours(render_as_blenderproc(scene, cameras, samples)))  # noqa: B023
+            _record_errors(timed, colours, truth)
         scene = opened()
         most = counts[0][-1]
-        _judge(plain, plain.take(lambda: _colours(render_as_blenderproc(scene, cameras, most, False))), truth)  # noqa: B023
+        _record_errors(
+            plain, plain.measure(lambda: _get_colours(render_as_blenderproc(scene, cameras, most, False))), truth  # noqa: B023
+        )
         for samples, timed in ours.items():
             scene = opened()
-            _judge(timed, timed.take(lambda: _colours(our_views(scene, cameras, samples))), truth)  # noqa: B023
+            _record_errors(timed, timed.measure(lambda: _get_colours(render_views(scene, cameras, samples))), truth)  # noqa: B023
         for samples, timed in on_patches.items():
             scene = opened()
-            colours = timed.take(lambda: _colours(our_views(scene, near, samples)))  # noqa: B023
-            timed.on_patches = _patch_error(colours, cut, truth)
+            colours = timed.measure(lambda: _get_colours(render_views(scene, near, samples)))  # noqa: B023
+            timed.patch_error = _compute_patch_error(colours, cut, truth)
     note = f"{name}, {len(cameras)} views of {cameras[0].width} × {cameras[0].height}"
     return [
-        *(_row(f"BlenderProc's way, {samples}", each, note) for samples, each in theirs.items()),
-        _row(f"the same without its denoiser, {most}", plain, note),
+        *(_make_row(f"BlenderProc's way, {samples}", each, note) for samples, each in theirs.items()),
+        _make_row(f"the same without its denoiser, {most}", plain, note),
         *(
-            _row(f"ours, {samples}", each, note, at_equal_error(each, theirs, lambda one: one.error))
+            _make_row(f"ours, {samples}", each, note, compute_ratio_at_equal_error(each, theirs, lambda one: one.error))
             for samples, each in ours.items()
         ),
         *(
-            _patch_row(f"touched patches only, {samples}", each, theirs, f"{name}, one of 20 mm a view")
+            _make_patch_row(f"touched patches only, {samples}", each, theirs, f"{name}, one of 20 mm a view")
             for samples, each in on_patches.items()
         ),
     ]
 
 
-def at_equal_error(mine: Timed, theirs: dict[int, Timed], error: Callable[[Timed], float]) -> Spread | None:
+def compute_ratio_at_equal_error(
+    method: TimedRenders, rivals: dict[int, TimedRenders], error: Callable[[TimedRenders], float]
+) -> Spread | None:
     """Mine to theirs, repeat by repeat, of CPU: theirs' time where its error is mine, along its own curve of log time
     over log error. Where mine is smaller than any of its errors, its slowest time counts, which flatters it; None where
     mine is larger than all."""
-    curve = sorted(theirs.values(), key=error)
-    errors = [max(error(each), EXACT) for each in curve]
-    if error(mine) > errors[-1]:
+    curve = sorted(rivals.values(), key=error)
+    errors = [max(error(each), MIN_ERROR) for each in curve]
+    if error(method) > errors[-1]:
         return None
-    reached = np.log(max(error(mine), EXACT))
+    reached = np.log(max(error(method), MIN_ERROR))
     times = np.array([each.cpus for each in curve])
     theirs_s = [np.exp(np.interp(reached, np.log(errors), np.log(column))) for column in times.T]
-    return Spread.of(np.divide(mine.cpus, theirs_s).tolist())
+    return Spread.from_values(np.divide(method.cpus, theirs_s).tolist())
 
 
-def _row(method: str, timed: Timed, note: str, ratio: Spread | None = None) -> Row:
+def _make_row(method: str, timed: TimedRenders, note: str, ratio: Spread | None = None) -> Row:
     return Row(
-        NAME, method, Spread.of(timed.walls), Spread.of(timed.cpus), ratio, AT_EQUAL_ERROR if ratio else "",
+        VIEWS_NAME, method, Spread.from_values(timed.walls), Spread.from_values(timed.cpus), ratio, AT_EQUAL_ERROR if ratio else "",
         timed.error, "of sRGB", timed.peak_mb, note=note,
     )  # fmt: skip
 
 
-def _patch_row(method: str, timed: Timed, theirs: dict[int, Timed], note: str) -> Row:
-    ratio = at_equal_error(timed, theirs, lambda one: one.on_patches)
-    least = min(each.on_patches for each in theirs.values())
+def _make_patch_row(method: str, timed: TimedRenders, rivals: dict[int, TimedRenders], note: str) -> Row:
+    ratio = compute_ratio_at_equal_error(timed, rivals, lambda one: one.patch_error)
+    least = min(each.patch_error for each in rivals.values())
     return Row(
-        NAME, method, Spread.of(timed.walls), Spread.of(timed.cpus), ratio, AT_EQUAL_ERROR if ratio else "",
-        timed.on_patches, "of sRGB, there", timed.peak_mb, note=f"{note}; BlenderProc's least error there {least:.3g}",
+        VIEWS_NAME, method, Spread.from_values(timed.walls), Spread.from_values(timed.cpus), ratio, AT_EQUAL_ERROR if ratio else "",
+        timed.patch_error, "of sRGB, there", timed.peak_mb, note=f"{note}; BlenderProc's least error there {least:.3g}",
     )  # fmt: skip
 
 
-def _judge(timed: Timed, colours: Colours, truth: Truth) -> None:
-    whole = [Rectangle(0, 0, camera.width, camera.height) for camera in truth.cameras]
-    timed.error = _patch_error(colours, whole, Truth(truth.cameras, truth.colours, whole))
-    timed.on_patches = _patch_error(colours, whole, truth)
+def _record_errors(timed: TimedRenders, colours: Colours, reference: ReferenceViews) -> None:
+    whole = [Rectangle(0, 0, camera.width, camera.height) for camera in reference.cameras]
+    timed.error = _compute_patch_error(colours, whole, ReferenceViews(reference.cameras, reference.colours, whole))
+    timed.patch_error = _compute_patch_error(colours, whole, reference)
 
 
-def _patch_error(colours: Colours, shown: Sequence[Rectangle], truth: Truth) -> float:
+def _compute_patch_error(colours: Colours, rectangles: Sequence[Rectangle], reference: ReferenceViews) -> float:
     """RMS of sRGB over the patches' pixels. shown: which pixels of the whole picture each colour holds."""
     differences = [
-        (srgb(patch_of(rgb, patch, part)) - srgb(patch.of(true))).ravel()
-        for rgb, true, patch, part in zip(colours, truth.colours, truth.patches, shown, strict=True)
+        (to_srgb(crop_patch(rgb, patch, part)) - to_srgb(patch.crop(true))).ravel()
+        for rgb, true, patch, part in zip(colours, reference.colours, reference.patches, rectangles, strict=True)
     ]
     return float(np.sqrt(np.mean(np.concatenate(differences) ** 2)))
 
 
-def patch_of(rgb: NDArray[np.float32], patch: Rectangle, part: Rectangle) -> NDArray[np.float32]:
+def crop_patch(rgb: NDArray[np.float32], patch: Rectangle, shown: Rectangle) -> NDArray[np.float32]:
     """The pixels of a patch, where rgb shows only a part of the picture."""
-    return Rectangle(patch.left - part.left, patch.top - part.top, patch.width, patch.height).of(rgb)
+    return Rectangle(patch.left - shown.left, patch.top - shown.top, patch.width, patch.height).crop(rgb)
 
 
-def srgb(rgb: NDArray[np.float32]) -> NDArray[np.float64]:
+def to_srgb(rgb: NDArray[np.float32]) -> NDArray[np.float64]:
     return linear_to_srgb(rgb)
 
 
-def _colours(views: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]) -> Colours:
+def _get_colours(views: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]) -> Colours:
     return [rgb for rgb, _ in views]

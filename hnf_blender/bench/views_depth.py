@@ -9,32 +9,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.bench.frame import Options, Row, Spread
+from hnf_core.bench.frame import BenchOptions, Row, Spread
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.raycast import ReferenceGeometry, cast_view, embree_caster
+from hnf_core.scene.raycast import ReferenceGeometry, cast_view, make_embree_caster
 
-from .views_scene import world_mesh
+from .views_scene import make_world_mesh
 
-RAYS, QUICK_RAYS = 250, 20
+REFERENCE_RAYS, QUICK_REFERENCE_RAYS = 250, 20
 """Compared with the reference, of each camera."""
 NO_DEPTH = 1e9
 
 Depths = list[NDArray[np.float32]]
 
 
-def depth_rows(
-    bench: str, name: str, opened: Callable[[], Any], cameras: Sequence[Camera], options: Options
+def measure_depth(
+    bench: str, name: str, opened: Callable[[], Any], cameras: Sequence[Camera], options: BenchOptions
 ) -> list[Row]:
     """BlenderProc's depth (one sample, no denoiser), Cycles' without light, and ours by rays: time, worst error."""
     from .blenderproc import render_as_blenderproc
 
-    mesh = world_mesh(opened())
-    pixels, true = reference(mesh, cameras, QUICK_RAYS if options.quick else RAYS)
+    mesh = make_world_mesh(opened())
+    pixels, true = compute_reference(mesh, cameras, QUICK_REFERENCE_RAYS if options.quick else REFERENCE_RAYS)
     methods: dict[str, Callable[[Any], Depths]] = {
         "depth: BlenderProc's way, 1": lambda scene: [d for _, d in render_as_blenderproc(scene, cameras, 1, False)],
-        "depth: Cycles without light": lambda scene: _unlit(scene, cameras),
-        "depth: rays": lambda scene: _cast(scene, cameras),
+        "depth: Cycles without light": lambda scene: _render_unlit_depth(scene, cameras),
+        "depth: rays": lambda scene: _cast_depth(scene, cameras),
     }
     walls: dict[str, list[float]] = {method: [] for method in methods}
     cpus: dict[str, list[float]] = {method: [] for method in methods}
@@ -46,12 +46,12 @@ def depth_rows(
             depths = render(scene)
             walls[method].append(time.perf_counter() - wall)
             cpus[method].append(time.process_time() - cpu)
-            errors[method] = error_of(depths, pixels, true)
+            errors[method] = compute_depth_error(depths, pixels, true)
     first = next(iter(methods))
     return [
         Row(
-            bench, method, Spread.of(walls[method]), Spread.of(cpus[method]),
-            None if method == first else Spread.of(np.divide(cpus[method], cpus[first]).tolist()),
+            bench, method, Spread.from_values(walls[method]), Spread.from_values(cpus[method]),
+            None if method == first else Spread.from_values(np.divide(cpus[method], cpus[first]).tolist()),
             "" if method == first else first, errors[method][1], "relative, 99.9 %",
             note=f"{name}, {len(cameras)} views, {len(mesh.triangles):,} triangles; median {errors[method][0]:.2g}",
         )
@@ -59,12 +59,12 @@ def depth_rows(
     ]  # fmt: skip
 
 
-def reference(
+def compute_reference(
     mesh: TriangleMesh, cameras: Sequence[Camera], count: int
 ) -> tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]:
     """Flat pixel numbers and planar depths of count pixels of each camera that surely show a surface."""
     rng = np.random.default_rng(0)
-    geometry, caster = ReferenceGeometry(mesh), embree_caster(mesh)
+    geometry, caster = ReferenceGeometry(mesh), make_embree_caster(mesh)
     pixels, depths = [], []
     for camera in cameras:
         solid = np.flatnonzero(np.isfinite(cast_view(caster, mesh, camera).depth).ravel())
@@ -75,7 +75,7 @@ def reference(
     return pixels, depths
 
 
-def error_of(
+def compute_depth_error(
     depths: Depths, pixels: Sequence[NDArray[np.int64]], true: Sequence[NDArray[np.float64]]
 ) -> tuple[float, float]:
     """Median and 99.9 % of the relative error; where only one of the two sees a surface, 1."""
@@ -89,17 +89,17 @@ def error_of(
     return float(median), float(most)
 
 
-def _unlit(scene: Any, cameras: Sequence[Camera]) -> Depths:
-    from ..bridge.picture import Overviews
-    from ..bridge.render import geometry_only
+def _render_unlit_depth(scene: Any, cameras: Sequence[Camera]) -> Depths:
+    from ..bridge.picture import OverviewRenderer
+    from ..bridge.render import disable_lighting
 
-    with Overviews(scene, samples=1, whole=True) as overviews:
-        geometry_only(overviews.temporary.scene)
+    with OverviewRenderer(scene, samples=1, entire_scene=True) as overviews:
+        disable_lighting(overviews.temporary.scene)
         overviews.temporary.scene.cycles.use_denoising = False
-        return [overviews.view(camera)[0].depth for camera in cameras]
+        return [overviews.render_view(camera)[0].depth for camera in cameras]
 
 
-def _cast(scene: Any, cameras: Sequence[Camera]) -> Depths:
-    mesh = world_mesh(scene)
-    caster = embree_caster(mesh)
+def _cast_depth(scene: Any, cameras: Sequence[Camera]) -> Depths:
+    mesh = make_world_mesh(scene)
+    caster = make_embree_caster(mesh)
     return [cast_view(caster, mesh, camera).depth.astype(np.float32) for camera in cameras]

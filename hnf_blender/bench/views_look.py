@@ -11,36 +11,36 @@ from unittest.mock import patch as patched
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.bench.frame import Options, Row, Spread
+from hnf_core.bench.frame import BenchOptions, Row, Spread
 from hnf_core.errors import HnfError
 from hnf_core.material.token import LEVELS, Token
 from hnf_core.scene.patch import Patch
 
-from .views_scene import DATA
+from .views_scene import SCENE_DATA
 
 SAMPLES, QUICK_SAMPLES = (1, 4, 16, 64, 256), (1, 4, 16)
 """The last is the reference."""
-CHAIR = DATA / "SheenChairScene" / "MixedLightingExample.gltf"
-PARTS = ("SheenChair_wood", "SheenChair_label")
-TRIES = 20
+CHAIR = SCENE_DATA / "SheenChairScene" / "MixedLightingExample.gltf"
+CHAIR_PARTS = ("SheenChair_wood", "SheenChair_label")
+MAX_TRIES = 20
 TEXELS, PLATE_M = 256, 0.1
 
 
-def look_rows(bench: str, options: Options) -> list[Row]:
+def measure_appearance(bench: str, options: BenchOptions) -> list[Row]:
     """For each material and number of samples: time of the close-up, and by how many dB its token's levels are off."""
     from ..bridge.importers import open_scene
 
     if options.quick or not CHAIR.is_file():
-        return _of(bench, printed_plate(), "a printed plate", options)
+        return _measure_object(bench, make_printed_plate(), "a printed plate", options)
     found: list[Row] = []
-    for name in PARTS:
+    for name in CHAIR_PARTS:
         options.watch(f"{bench}: the look of {name}")
-        found += _of(bench, open_scene(CHAIR).objects[name], name, options)
+        found += _measure_object(bench, open_scene(CHAIR).objects[name], name, options)
     return found
 
 
-def _of(bench: str, obj: Any, name: str, options: Options) -> list[Row]:
-    close_up = _place(obj)
+def _measure_object(bench: str, obj: Any, name: str, options: BenchOptions) -> list[Row]:
+    close_up = _find_readable_patch(obj)
     tokens: dict[int, Token] = {}
     times: dict[int, tuple[float, float]] = {}
     counts = QUICK_SAMPLES if options.quick else SAMPLES
@@ -48,72 +48,72 @@ def _of(bench: str, obj: Any, name: str, options: Options) -> list[Row]:
         wall, cpu = time.perf_counter(), time.process_time()
         seen = close_up(samples)
         times[samples] = time.perf_counter() - wall, time.process_time() - cpu
-        tokens[samples] = _token(seen)
+        tokens[samples] = _predict_token(seen)
     return [
         Row(
-            bench, f"look, {samples}", Spread.of([times[samples][0]]), Spread.of([times[samples][1]]),
-            error=off_db(tokens[samples], tokens[counts[-1]]), error_unit="dB of a band's level",
+            bench, f"look, {samples}", Spread.from_values([times[samples][0]]), Spread.from_values([times[samples][1]]),
+            error=compute_level_error_db(tokens[samples], tokens[counts[-1]]), error_unit="dB of a band's level",
             note=f"{name}, unlit, against {counts[-1]} samples",
         )
         for samples in counts[:-1]
     ]  # fmt: skip
 
 
-def off_db(token: Token, true: Token) -> float:
+def compute_level_error_db(token: Token, true: Token) -> float:
     """The largest difference of a band's level that both know, in dB."""
     known = token.known[LEVELS] & true.known[LEVELS]
     return float(20.0 * np.abs(token.values[LEVELS] - true.values[LEVELS])[known].max())
 
 
-def _place(obj: Any) -> Callable[[int], Any]:
+def _find_readable_patch(obj: Any) -> Callable[[int], Any]:
     """Samples → the close-up of a place of obj whose picture can be read. Raises HnfError where there is none."""
     import bpy
 
     from ..bridge import closeup
-    from ..bridge.meshes import ray_caster, surface_mesh
-    from ..bridge.render import prepare_cycles
-    from ..touch.seeing import Seeing
+    from ..bridge.meshes import make_ray_caster, read_surface
+    from ..bridge.render import configure_cycles
+    from ..touch.seeing import ReliefPredictor
 
-    surface = surface_mesh(obj, bpy.context.evaluated_depsgraph_get(), 1.0)
-    caster, seeing = ray_caster(surface.mesh), Seeing()
+    surface = read_surface(obj, bpy.context.evaluated_depsgraph_get(), 1.0)
+    caster, seeing = make_ray_caster(surface.mesh), ReliefPredictor()
 
     def sampled(place: Patch, samples: int) -> Any:
-        with patched.object(closeup, "prepare_cycles", lambda scene, **_: prepare_cycles(scene, samples)):
+        with patched.object(closeup, "configure_cycles", lambda scene, **_: configure_cycles(scene, samples)):
             return closeup.render_closeup(obj, place, surface=surface, caster=caster)
 
     corners = surface.mesh.corner_positions()
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
-    for chosen in np.random.default_rng(0).choice(len(area), TRIES, p=area / area.sum()):
-        place = _patch(corners[chosen], normal[chosen] / area[chosen], int(surface.mesh.slot[chosen]))
+    for chosen in np.random.default_rng(0).choice(len(area), MAX_TRIES, p=area / area.sum()):
+        place = _make_patch(corners[chosen], normal[chosen] / area[chosen], int(surface.mesh.slot[chosen]))
         seen = sampled(place, 1)
-        if seen.look is not None and seeing.views_of(seen.look, seen.mask, seen.metres_per_pixel):
+        if seen.look is not None and seeing.make_views(seen.look, seen.mask, seen.metres_per_pixel):
             return partial(sampled, place)
     raise HnfError(f"no place of '{obj.name}' has a picture that can be read.", where="views")
 
 
-def _patch(corners: NDArray[np.float64], normal: NDArray[np.float64], slot: int) -> Patch:
+def _make_patch(corners: NDArray[np.float64], normal: NDArray[np.float64], slot: int) -> Patch:
     along = corners[1] - corners[0]
     along = along - normal * (along @ normal)
     return Patch(corners.mean(axis=0), along / np.linalg.norm(along), normal, slot)
 
 
-def _token(seen: Any) -> Token:
-    from ..touch.seeing import Seeing
+def _predict_token(closeup: Any) -> Token:
+    from ..touch.seeing import ReliefPredictor
 
-    seeing = Seeing()
-    views = seeing.views_of(seen.look, seen.mask, seen.metres_per_pixel)
-    return seeing.predict(seen.look, views, seed=1).token
+    seeing = ReliefPredictor()
+    views = seeing.make_views(closeup.look, closeup.mask, closeup.metres_per_pixel)
+    return seeing.predict(closeup.look, views, seed=1).token
 
 
-def printed_plate() -> Any:
+def make_printed_plate() -> Any:
     """A plate of 100 mm under a picture of brown noise, 0.4 mm a texel."""
     import bpy
 
     from .. import compat
-    from ..bridge.importers import empty_scene
+    from ..bridge.importers import open_empty_scene
 
-    empty_scene()
+    open_empty_scene()
     bpy.ops.mesh.primitive_plane_add(size=PLATE_M)
     plate, material = bpy.context.object, bpy.data.materials.new("printed")
     plate.data.materials.append(material)

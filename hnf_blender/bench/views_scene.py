@@ -14,9 +14,12 @@ from hnf_core.scene.camera import Camera
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.patch import PATCH_SIZE_M
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "scenes"
-REAL = (DATA / "FlightHelmet" / "FlightHelmet.gltf", DATA / "SheenChairScene" / "MixedLightingExample.gltf")
-FLOOR = "Plane"
+SCENE_DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "scenes"
+REAL_SCENES = (
+    SCENE_DATA / "FlightHelmet" / "FlightHelmet.gltf",
+    SCENE_DATA / "SheenChairScene" / "MixedLightingExample.gltf",
+)
+FLOOR_NAME = "Plane"
 """Not what the cameras are to show."""
 MARGIN_PX = 8
 """Around a patch, so that the denoiser sees what goes on beside it."""
@@ -31,28 +34,28 @@ class Rectangle:
     width: int
     height: int
 
-    def of(self, image: NDArray[Any]) -> NDArray[Any]:
+    def crop(self, image: NDArray[Any]) -> NDArray[Any]:
         """Of an image (H, W, …)."""
         return image[self.top : self.top + self.height, self.left : self.left + self.width]
 
 
-def scenes(quick: bool) -> dict[str, Callable[[], Any]]:
+def list_scenes(quick: bool) -> dict[str, Callable[[], Any]]:
     """Name → what opens it anew, lit, and returns it."""
-    if quick or not all(path.is_file() for path in REAL):
-        return {"three balls": three_balls}
-    return {path.parent.name: lambda path=path: _opened(path) for path in REAL}  # type: ignore[misc]
+    if quick or not all(path.is_file() for path in REAL_SCENES):
+        return {"three balls": make_three_balls}
+    return {path.parent.name: lambda path=path: _open_scene(path) for path in REAL_SCENES}  # type: ignore[misc]
 
 
-def three_balls() -> Any:
+def make_three_balls() -> Any:
     """Balls of 60 mm on a floor, under a lamp."""
     import bpy
 
-    from ..bridge.importers import empty_scene
+    from ..bridge.importers import open_empty_scene
 
-    empty_scene()
+    open_empty_scene()
     scene = bpy.context.scene
     _, floor = bpy.ops.mesh.primitive_plane_add(size=0.6), bpy.context.object
-    floor.name = FLOOR
+    floor.name = FLOOR_NAME
     for place in (-0.08, 0.0, 0.08):
         bpy.ops.mesh.primitive_uv_sphere_add(segments=24, ring_count=12, radius=0.03, location=(place, place / 2, 0.03))
     lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "SUN"))
@@ -62,24 +65,24 @@ def three_balls() -> Any:
     return scene
 
 
-def around(scene: Any, count: int, width: int, height: int) -> list[Camera]:
+def place_cameras(scene: Any, count: int, width: int, height: int) -> list[Camera]:
     """count cameras on a ring, three-quarter views of all that stands on the floor."""
-    from ..bridge.boxes import world_box
-    from ..bridge.scene_camera import overview_camera
+    from ..bridge.boxes import get_world_box
+    from ..bridge.scene_camera import make_overview_camera
 
     depsgraph = scene.view_layers[0].depsgraph
-    boxes = [world_box(obj, depsgraph, 1.0) for obj in solids(scene) if obj.name != FLOOR]
+    boxes = [get_world_box(obj, depsgraph, 1.0) for obj in list_meshes(scene) if obj.name != FLOOR_NAME]
     low, high = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
     turns = 2.0 * np.pi * np.arange(count) / 12.0 + 0.3
-    return [overview_camera(corners, [np.cos(turn), np.sin(turn), 0.15], 0.05, width, height) for turn in turns]
+    return [make_overview_camera(corners, [np.cos(turn), np.sin(turn), 0.15], 0.05, width, height) for turn in turns]
 
 
-def solids(scene: Any) -> list[Any]:
+def list_meshes(scene: Any) -> list[Any]:
     return [obj for obj in scene.objects if obj.type == "MESH"]
 
 
-def patch_in(camera: Camera, depth: NDArray[np.float32]) -> Rectangle:
+def find_patch(camera: Camera, depth: NDArray[np.float32]) -> Rectangle:
     """What shows 20 mm of surface around the pixel nearest to the middle of the picture that shows any."""
     rows, columns = np.nonzero(np.isfinite(depth))
     nearest = np.argmin((rows - camera.height / 2.0) ** 2 + (columns - camera.width / 2.0) ** 2)
@@ -89,7 +92,7 @@ def patch_in(camera: Camera, depth: NDArray[np.float32]) -> Rectangle:
     return Rectangle(left, top, min(side, camera.width - left), min(side, camera.height - top))
 
 
-def widened(patch: Rectangle, camera: Camera) -> Rectangle:
+def expand_rectangle(patch: Rectangle, camera: Camera) -> Rectangle:
     """With MARGIN_PX around it, as far as the picture reaches."""
     left, top = max(0, patch.left - MARGIN_PX), max(0, patch.top - MARGIN_PX)
     right = min(camera.width, patch.left + patch.width + MARGIN_PX)
@@ -97,12 +100,12 @@ def widened(patch: Rectangle, camera: Camera) -> Rectangle:
     return Rectangle(left, top, right - left, bottom - top)
 
 
-def world_mesh(scene: Any) -> TriangleMesh:
+def make_world_mesh(scene: Any) -> TriangleMesh:
     """Every solid of the scene in one mesh, world metres."""
-    from ..bridge.meshes import surface_mesh
+    from ..bridge.meshes import read_surface
 
     depsgraph = scene.view_layers[0].depsgraph
-    parts = [surface_mesh(obj, depsgraph, 1.0) for obj in solids(scene)]
+    parts = [read_surface(obj, depsgraph, 1.0) for obj in list_meshes(scene)]
     starts = np.cumsum([0, *(len(part.mesh.vertices) for part in parts)])
     turned = [part.rigid[:3, :3] for part in parts]
     return TriangleMesh(
@@ -116,7 +119,7 @@ def world_mesh(scene: Any) -> TriangleMesh:
     )  # fmt: skip
 
 
-def _opened(path: Path) -> Any:
+def _open_scene(path: Path) -> Any:
     """Lit by a neutral dome where it has no light, as our pictures of it are."""
     from ..bridge.importers import open_scene
     from ..bridge.picture import add_dome, is_lit

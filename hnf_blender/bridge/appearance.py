@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hnf_core.material.material import Appearance
 
-from .shader_height import MicroGeometry, from_displacement, from_normal_input
+from .shader_height import MicroGeometry, read_displacement, read_normal_input
 from .taps import Constant, Passes, Quantity, Tapper
 
 Float = NDArray[np.float64]
@@ -55,12 +55,12 @@ def read_shader(tapper: Tapper) -> ShaderReading:
         return ShaderReading(None, MicroGeometry(), ("its node tree has no Material Output.",))
     notes: list[str] = []
     surface = tapper.graph.resolve(output.inputs["Surface"])
-    layers = _layers(surface, tapper, notes, BSDFS) or _layers(surface, tapper, notes, GLOWING)
-    displacement = from_displacement(output.inputs["Displacement"], tapper, notes)
+    layers = _read_layers(surface, tapper, notes, BSDFS) or _read_layers(surface, tapper, notes, EMISSIVE)
+    displacement = read_displacement(output.inputs["Displacement"], tapper, notes)
     return ShaderReading(layers, displacement, tuple(dict.fromkeys(notes)))
 
 
-def plain_shading(material: Any) -> Closure:
+def read_viewport_shading(material: Any) -> Closure:
     """A material without nodes: its viewport values."""
     colour = tuple(float(part) for part in material.diffuse_color)[:3]
     return Closure({
@@ -70,11 +70,11 @@ def plain_shading(material: Any) -> Closure:
     })  # fmt: skip
 
 
-def mixed(layers: Layers, passes: Passes, value: Callable[[Closure], Float | None]) -> Float | None:
+def mix_closures(layers: Layers, passes: Passes, value: Callable[[Closure], Float | None]) -> Float | None:
     """value of every closure, mixed by the factors; closures that do not know it (None) leave it to the others."""
     if isinstance(layers, Closure):
         return value(layers)
-    first, second = mixed(layers.first, passes, value), mixed(layers.second, passes, value)
+    first, second = mix_closures(layers.first, passes, value), mix_closures(layers.second, passes, value)
     if first is None or second is None:
         return second if first is None else first
     factor = np.clip(layers.factor.read(passes), 0.0, 1.0)
@@ -83,19 +83,19 @@ def mixed(layers: Layers, passes: Passes, value: Callable[[Closure], Float | Non
     return np.asarray((1.0 - factor) * first + factor * second)
 
 
-def closures(layers: Layers | None) -> list[Closure]:
+def list_closures(layers: Layers | None) -> list[Closure]:
     if layers is None:
         return []
     if isinstance(layers, Closure):
         return [layers]
-    return closures(layers.first) + closures(layers.second)
+    return list_closures(layers.first) + list_closures(layers.second)
 
 
-def factors(layers: Layers | None) -> list[Quantity]:
+def list_mix_factors(layers: Layers | None) -> list[Quantity]:
     """What the closures are mixed by."""
     if layers is None or isinstance(layers, Closure):
         return []
-    return [layers.factor, *factors(layers.first), *factors(layers.second)]
+    return [layers.factor, *list_mix_factors(layers.first), *list_mix_factors(layers.second)]
 
 
 def average_appearance(layers: Layers | None, passes: Passes, mask: NDArray[np.bool_]) -> Appearance:
@@ -104,7 +104,7 @@ def average_appearance(layers: Layers | None, passes: Passes, mask: NDArray[np.b
         return Appearance()
     values: dict[str, Any] = {}
     for name in SHADING:
-        image = mixed(layers, passes, partial(shading_value, name, passes))
+        image = mix_closures(layers, passes, partial(read_shading_value, name, passes))
         if image is None:
             continue
         if image.shape[:2] == mask.shape and image.ndim >= 2:
@@ -114,64 +114,64 @@ def average_appearance(layers: Layers | None, passes: Passes, mask: NDArray[np.b
     return Appearance(**values)
 
 
-def shading_value(name: str, passes: Passes, closure: Closure) -> Float | None:
+def read_shading_value(name: str, passes: Passes, closure: Closure) -> Float | None:
     quantity = closure.shading.get(name)
     return None if quantity is None else quantity.read(passes)
 
 
-_PRINCIPLED = {
+_PRINCIPLED_INPUTS = {
     "base_color": ("Base Color", "COLOR"), "roughness": ("Roughness", "VALUE"), "metallic": ("Metallic", "VALUE"),
     "sheen": ("Sheen Weight", "VALUE"), "transmission": ("Transmission Weight", "VALUE"),
 }  # fmt: skip
-_COLOUR = {"base_color": ("Color", "COLOR")}
-_ROUGH = {**_COLOUR, "roughness": ("Roughness", "VALUE")}
-Closures = Mapping[str, tuple[Mapping[str, tuple[str, str]], Mapping[str, float]]]
-BSDFS: Closures = {
-    "ShaderNodeBsdfPrincipled": (_PRINCIPLED, {}),
-    "ShaderNodeBsdfDiffuse": (_COLOUR, {"roughness": 1.0, "metallic": 0.0, "sheen": 0.0, "transmission": 0.0}),
-    "ShaderNodeBsdfAnisotropic": (_ROUGH, {"metallic": 1.0, "sheen": 0.0, "transmission": 0.0}),
-    "ShaderNodeBsdfGlossy": (_ROUGH, {"metallic": 1.0, "sheen": 0.0, "transmission": 0.0}),
+_COLOUR_INPUT = {"base_color": ("Color", "COLOR")}
+_ROUGHNESS_INPUTS = {**_COLOUR_INPUT, "roughness": ("Roughness", "VALUE")}
+ClosureTable = Mapping[str, tuple[Mapping[str, tuple[str, str]], Mapping[str, float]]]
+BSDFS: ClosureTable = {
+    "ShaderNodeBsdfPrincipled": (_PRINCIPLED_INPUTS, {}),
+    "ShaderNodeBsdfDiffuse": (_COLOUR_INPUT, {"roughness": 1.0, "metallic": 0.0, "sheen": 0.0, "transmission": 0.0}),
+    "ShaderNodeBsdfAnisotropic": (_ROUGHNESS_INPUTS, {"metallic": 1.0, "sheen": 0.0, "transmission": 0.0}),
+    "ShaderNodeBsdfGlossy": (_ROUGHNESS_INPUTS, {"metallic": 1.0, "sheen": 0.0, "transmission": 0.0}),
     "ShaderNodeBsdfMetallic": (
         {"base_color": ("Base Color", "COLOR"), "roughness": ("Roughness", "VALUE")},
         {"metallic": 1.0, "sheen": 0.0, "transmission": 0.0},
     ),
-    "ShaderNodeBsdfGlass": (_ROUGH, {"metallic": 0.0, "sheen": 0.0, "transmission": 1.0}),
-    "ShaderNodeBsdfRefraction": (_ROUGH, {"metallic": 0.0, "sheen": 0.0, "transmission": 1.0}),
-    "ShaderNodeBsdfSheen": (_COLOUR, {"roughness": 1.0, "metallic": 0.0, "sheen": 1.0, "transmission": 0.0}),
-    "ShaderNodeBsdfTranslucent": (_COLOUR, {"roughness": 1.0, "metallic": 0.0}),
-    "ShaderNodeSubsurfaceScattering": (_COLOUR, {"metallic": 0.0}),
-    "ShaderNodeBsdfToon": (_COLOUR, {"metallic": 0.0}),
-    "ShaderNodeBsdfHair": (_COLOUR, {"metallic": 0.0}),
-    "ShaderNodeBsdfHairPrincipled": (_COLOUR, {"metallic": 0.0}),
+    "ShaderNodeBsdfGlass": (_ROUGHNESS_INPUTS, {"metallic": 0.0, "sheen": 0.0, "transmission": 1.0}),
+    "ShaderNodeBsdfRefraction": (_ROUGHNESS_INPUTS, {"metallic": 0.0, "sheen": 0.0, "transmission": 1.0}),
+    "ShaderNodeBsdfSheen": (_COLOUR_INPUT, {"roughness": 1.0, "metallic": 0.0, "sheen": 1.0, "transmission": 0.0}),
+    "ShaderNodeBsdfTranslucent": (_COLOUR_INPUT, {"roughness": 1.0, "metallic": 0.0}),
+    "ShaderNodeSubsurfaceScattering": (_COLOUR_INPUT, {"metallic": 0.0}),
+    "ShaderNodeBsdfToon": (_COLOUR_INPUT, {"metallic": 0.0}),
+    "ShaderNodeBsdfHair": (_COLOUR_INPUT, {"metallic": 0.0}),
+    "ShaderNodeBsdfHairPrincipled": (_COLOUR_INPUT, {"metallic": 0.0}),
     "ShaderNodeEeveeSpecular": ({"base_color": ("Base Color", "COLOR"), "roughness": ("Roughness", "VALUE")}, {}),
 }
 """Tapped inputs and known values of every BSDF node."""
-GLOWING: Closures = {"ShaderNodeEmission": (_COLOUR, {}), "ShaderNodeBackground": (_COLOUR, {})}
+EMISSIVE: ClosureTable = {"ShaderNodeEmission": (_COLOUR_INPUT, {}), "ShaderNodeBackground": (_COLOUR_INPUT, {})}
 """Read where a surface has no BSDF at all: a scan is often saved as its own light, so that none is needed."""
 
 
-def _layers(socket: Any, tapper: Tapper, notes: list[str], closures: Closures) -> Layers | None:
+def _read_layers(socket: Any, tapper: Tapper, notes: list[str], table: ClosureTable) -> Layers | None:
     """Layers of a shader socket (already resolved), of such closures; None where it has none of them."""
     if not socket.is_output or socket.node.mute:
         return None
     node, graph = socket.node, tapper.graph
     if node.bl_idname in {"ShaderNodeMixShader", "ShaderNodeAddShader"}:
         sides = [entry for entry in node.inputs if entry.type == "SHADER"]
-        first, second = (_layers(graph.resolve(side), tapper, notes, closures) for side in sides)
+        first, second = (_read_layers(graph.resolve(side), tapper, notes, table) for side in sides)
         if first is None or second is None:  # cut-outs and glow are not felt
             return second if first is None else first
-        factor = tapper.input(node.inputs[0], "VALUE") if node.bl_idname == "ShaderNodeMixShader" else Constant(0.5)
+        factor = tapper.tap_input(node.inputs[0], "VALUE") if node.bl_idname == "ShaderNodeMixShader" else Constant(0.5)
         return Blend(factor, first, second)
-    if node.bl_idname not in closures:
+    if node.bl_idname not in table:
         return None
-    inputs, known = closures[node.bl_idname]
+    inputs, known = table[node.bl_idname]
     shading: dict[str, Quantity] = {name: Constant(value) for name, value in known.items()}
     for name, (socket_name, kind) in inputs.items():
         entry = node.inputs.get(socket_name)
         if entry is not None:
-            shading[name] = tapper.input(entry, "COLOR" if kind == "COLOR" else "VALUE")
+            shading[name] = tapper.tap_input(entry, "COLOR" if kind == "COLOR" else "VALUE")
     normal = node.inputs.get("Normal")
-    micro = MicroGeometry() if normal is None else from_normal_input(normal, tapper, notes)
+    micro = MicroGeometry() if normal is None else read_normal_input(normal, tapper, notes)
     coat = node.inputs.get("Coat Normal")
     if coat is not None and coat.is_linked and micro == MicroGeometry():
         notes.append(f"the coat normal of '{node.name}' is not read; link it to Normal too to feel it.")

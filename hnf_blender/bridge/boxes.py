@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
 
-REACH_M = 0.25
+NEIGHBOUR_DISTANCE_M = 0.25
 """A neighbour further away than this does not stand in a hand's way."""
 
 
 def is_visible(obj: Any, view_layer: Any) -> bool:
     """Shown in this view layer and in renders."""
-    return bool(visible([obj], view_layer))
+    return bool(filter_visible([obj], view_layer))
 
 
-def visible(objects: Iterable[Any], view_layer: Any) -> list[Any]:
+def filter_visible(objects: Iterable[Any], view_layer: Any) -> list[Any]:
     """Those of objects that are shown in this view layer and in renders."""
-    return [obj for obj in in_renders(objects, view_layer) if obj.visible_get(view_layer=view_layer)]
+    return [obj for obj in filter_rendered(objects, view_layer) if obj.visible_get(view_layer=view_layer)]
 
 
-def in_renders(objects: Iterable[Any], view_layer: Any) -> list[Any]:
+def filter_rendered(objects: Iterable[Any], view_layer: Any) -> list[Any]:
     """Those that are not disabled in renders, nor is every collection that they are in, by itself or by one around it.
     Of many objects collections are looked through once."""
     import bpy
@@ -34,27 +34,29 @@ def in_renders(objects: Iterable[Any], view_layer: Any) -> list[Any]:
     enabled = [obj for obj in objects if not obj.hide_render]
     if not disabled.any():
         return enabled
-    rendered = {obj.as_pointer() for each in _rendered(view_layer.layer_collection) for obj in each.objects}
+    rendered = {
+        obj.as_pointer() for each in _iter_rendered_collections(view_layer.layer_collection) for obj in each.objects
+    }
     return [obj for obj in enabled if obj.as_pointer() in rendered]
 
 
-def _rendered(layer: Any) -> Iterator[Any]:
+def _iter_rendered_collections(layer: Any) -> Iterator[Any]:
     """The collections of a tree that are rendered."""
     if layer.collection.hide_render:
         return
     if not layer.exclude:
         yield layer.collection
     for child in layer.children:
-        yield from _rendered(child)
+        yield from _iter_rendered_collections(child)
 
 
-def world_box(obj: Any, depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
+def get_world_box(obj: Any, depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
     """Lowest and highest corner (3,) of the evaluated object's bounding box, in world units × metres_per_unit."""
-    low, high = world_boxes([obj], depsgraph, metres_per_unit)
+    low, high = get_world_boxes([obj], depsgraph, metres_per_unit)
     return low[0], high[0]
 
 
-def world_boxes(objects: Sequence[Any], depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
+def get_world_boxes(objects: Sequence[Any], depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
     """The same of many, (n, 3) each."""
     evaluated = [obj.evaluated_get(depsgraph) for obj in objects]
     world = np.array([each.matrix_world for each in evaluated], dtype=np.float64).reshape(-1, 4, 4)
@@ -64,19 +66,23 @@ def world_boxes(objects: Sequence[Any], depsgraph: Any, metres_per_unit: float =
     return corners.min(axis=1), corners.max(axis=1)
 
 
-def neighbours_hash_parts(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> list[str]:
+def describe_neighbours(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> list[str]:
     """What stands around obj, as text: names, boxes (to 0.1 mm, relative to obj) and numbers of corners of visible
     meshes within reach. A corner that moves within its mesh's box is not seen: it could at most free a better place."""
-    low, high = world_box(obj, depsgraph, metres_per_unit)
-    others = visible((other for other in scene.objects if other != obj and other.type == "MESH"), depsgraph.view_layer)
-    lows, highs = world_boxes(others, depsgraph, metres_per_unit)
-    near = np.flatnonzero((lows <= high + REACH_M).all(axis=1) & (highs >= low - REACH_M).all(axis=1))
+    low, high = get_world_box(obj, depsgraph, metres_per_unit)
+    others = filter_visible(
+        (other for other in scene.objects if other != obj and other.type == "MESH"), depsgraph.view_layer
+    )
+    lows, highs = get_world_boxes(others, depsgraph, metres_per_unit)
+    near = np.flatnonzero(
+        (lows <= high + NEIGHBOUR_DISTANCE_M).all(axis=1) & (highs >= low - NEIGHBOUR_DISTANCE_M).all(axis=1)
+    )
     boxes = np.round(np.concatenate([lows[near] - low, highs[near] - low], axis=1), 4) + 0.0
     return sorted(
-        f"{others[index].name} {_corners(others[index], depsgraph)} {box.tolist()}"
+        f"{others[index].name} {_count_vertices(others[index], depsgraph)} {box.tolist()}"
         for index, box in zip(near, boxes, strict=True)
     )
 
 
-def _corners(obj: Any, depsgraph: Any) -> int:
+def _count_vertices(obj: Any, depsgraph: Any) -> int:
     return len(obj.evaluated_get(depsgraph).data.vertices)

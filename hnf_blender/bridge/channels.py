@@ -12,12 +12,12 @@ from hnf_core.action.fcurve import BEZIER, CONSTANT, LINEAR, FCurve
 from hnf_core.errors import StrokeError
 
 from .. import compat
-from .temporary import Temporary
-from .undisturbed import undisturbed
+from .temporary import TemporaryScene
+from .undisturbed import preserve_animated_values
 
 Float = NDArray[np.float64]
 
-EXACT = {CONSTANT, LINEAR, BEZIER}
+EXACT_INTERPOLATIONS = {CONSTANT, LINEAR, BEZIER}
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def read_channel(obj: Any, name: str, scene: Any) -> Channel:
     apart from its scene, and for keyframes that are not numbers, naming the frame."""
     path = f"hnf_stroke.{name}"
     animation = obj.animation_data
-    fcurve = _fcurve(obj, path)
+    fcurve = _find_fcurve(obj, path)
     if animation is None:
         return Channel(name, "set", -np.inf)
     driver = next((curve for curve in animation.drivers if curve.data_path == path and not curve.mute), None)
@@ -43,14 +43,14 @@ def read_channel(obj: Any, name: str, scene: Any) -> Channel:
         _check_driver(driver, f"stroke '{obj.name}'", name)
         # A driver has no end of its own; only one of progress says how long the hand moves.
         return Channel(name, "driven", float(scene.frame_end) if name == "progress" else -np.inf)
-    strips = [strip for strip in _strips(animation) if _animates(strip, path)]
+    strips = [strip for strip in _find_active_strips(animation) if _is_animating(strip, path)]
     blended = fcurve is not None and (animation.action_influence < 1.0 or animation.action_blend_type != "REPLACE")
     if strips or blended:
         ends = [float(strip.frame_end) for strip in strips]
         return Channel(name, "driven", max([*ends, *([] if fcurve is None else [float(fcurve.range()[1])])]))
     if fcurve is None:
         return Channel(name, "set", -np.inf)
-    keys = _read(fcurve, "co")
+    keys = _read_keyframes(fcurve, "co")
     broken = np.flatnonzero(~np.isfinite(keys).all(axis=1))
     if len(broken):
         at = keys[broken[0], 0]
@@ -67,12 +67,12 @@ def sample_channels(obj: Any, scene: Any, channels: tuple[Channel, ...], frames:
     """Values (n,) of each channel at (fractional) frames (n,), as Blender gives them, not yet clamped."""
     values: list[Float] = []
     driven = [channel.name for channel in channels if channel.source == "driven"]
-    evaluated = _evaluate(obj, scene, driven, frames) if driven else {}
+    evaluated = _evaluate_driven(obj, scene, driven, frames) if driven else {}
     for channel in channels:
         if channel.source == "driven":
             values.append(evaluated[channel.name])
         elif channel.source == "keyed":
-            values.append(_sample_fcurve(_fcurve(obj, f"hnf_stroke.{channel.name}"), frames))
+            values.append(_sample_fcurve(_find_fcurve(obj, f"hnf_stroke.{channel.name}"), frames))
         else:
             values.append(np.full(len(frames), float(getattr(obj.hnf_stroke, channel.name))))
     return tuple(values)
@@ -81,16 +81,16 @@ def sample_channels(obj: Any, scene: Any, channels: tuple[Channel, ...], frames:
 def _sample_fcurve(fcurve: Any, frames: Float) -> Float:
     interpolation = tuple(key.interpolation for key in fcurve.keyframe_points)
     plain = not any(not modifier.mute for modifier in fcurve.modifiers) and fcurve.extrapolation == "CONSTANT"
-    if plain and EXACT.issuperset(interpolation[:-1]) and interpolation:
-        key, left, right = (_read(fcurve, name) for name in ("co", "handle_left", "handle_right"))
+    if plain and EXACT_INTERPOLATIONS.issuperset(interpolation[:-1]) and interpolation:
+        key, left, right = (_read_keyframes(fcurve, name) for name in ("co", "handle_left", "handle_right"))
         return FCurve(key, left, right, interpolation).evaluate(frames)
     return np.array([fcurve.evaluate(float(frame)) for frame in frames])
 
 
-def _evaluate(obj: Any, scene: Any, names: list[str], frames: Float) -> dict[str, Float]:
+def _evaluate_driven(obj: Any, scene: Any, names: list[str], frames: Float) -> dict[str, Float]:
     """Through the depsgraph of a temporary scene that holds this object alone."""
     values = {name: np.empty(len(frames)) for name in names}
-    with undisturbed(scene, obj), Temporary() as temporary:
+    with preserve_animated_values(scene, obj), TemporaryScene() as temporary:
         temporary.link(obj)
         for i, frame in enumerate(frames):
             depsgraph = temporary.evaluate(float(frame))
@@ -116,7 +116,7 @@ def _check_driver(fcurve: Any, where: str, name: str) -> None:
                 )
 
 
-def _strips(animation: Any) -> list[Any]:
+def _find_active_strips(animation: Any) -> list[Any]:
     if not animation.use_nla:
         return []
     tracks = [track for track in animation.nla_tracks if not track.mute]
@@ -125,7 +125,7 @@ def _strips(animation: Any) -> list[Any]:
     return [strip for track in tracks for strip in track.strips if not strip.mute]
 
 
-def _animates(strip: Any, path: str) -> bool:
+def _is_animating(strip: Any, path: str) -> bool:
     if strip.type != "CLIP":
         return True
     return strip.action is not None and any(
@@ -133,7 +133,7 @@ def _animates(strip: Any, path: str) -> bool:
     )
 
 
-def _fcurve(obj: Any, path: str) -> Any:
+def _find_fcurve(obj: Any, path: str) -> Any:
     """The F-curve that animates a property, or None."""
     return next(
         (
@@ -145,7 +145,7 @@ def _fcurve(obj: Any, path: str) -> Any:
     )
 
 
-def _read(fcurve: Any, name: str) -> Float:
+def _read_keyframes(fcurve: Any, name: str) -> Float:
     values = np.empty(len(fcurve.keyframe_points) * 2, dtype=np.float32)
     fcurve.keyframe_points.foreach_get(name, values)
     return values.reshape(-1, 2).astype(np.float64)

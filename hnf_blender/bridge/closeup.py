@@ -15,33 +15,33 @@ from numpy.typing import NDArray
 
 from hnf_core.material.material import Appearance
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.near import mesh_near
+from hnf_core.scene.near import crop_mesh
 from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
 from hnf_core.scene.raycast import CastView, RayCaster, cast_view
 from hnf_core.scene.view import RgbdView
 from hnf_core.tactile.height import height_from_slopes
 
-from .appearance import Layers, average_appearance, closures, mixed, shading_value
-from .fewest_pixels import detail_of, fewest_pixels, is_of_images
-from .look import Look, look_of
-from .meshes import Surface, ray_caster
-from .own_surface import connected
-from .render import add_aovs, add_camera, aim, geometry_only, prepare_cycles, render_passes
+from .appearance import Layers, average_appearance, list_closures, mix_closures, read_shading_value
+from .fewest_pixels import choose_resolution, get_relief_sources, is_image_based
+from .look import UnlitImage, make_unlit_image
+from .meshes import Surface, make_ray_caster
+from .own_surface import find_connected_pixels
+from .render import add_aovs, add_camera, configure_cycles, disable_lighting, render_passes, set_camera
 from .shader_height import MicroGeometry, Relief, Slopes
-from .stage import SlotReading, Stage, set_stage, tap_slot
+from .stage import IsolatedObject, SlotReading, instrument_slot, isolate_object
 from .taps import Passes
-from .temporary import Temporary
-from .texels import resolved_wavelength
+from .temporary import TemporaryScene
+from .texels import compute_resolved_wavelength
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FLAT_M = 1e-9
+MIN_RELIEF_M = 1e-9
 """A relief lower than this is no micro-geometry: the shader says nothing."""
 APPEARANCE_PIXELS = 128
 """Side of a close-up where the shader has no relief and one colour: mean shading values and covered faces are all there
 is to see."""
-LIFT_M = 1e-4
+SELF_OCCLUSION_OFFSET_M = 1e-4
 """What lies nearer above a patch's centre is the patch itself, within the precision of its place."""
 
 
@@ -70,7 +70,7 @@ class CloseUp:
     faces: NDArray[np.int32]
     rays: int
     renders: int
-    look: Look | None = None
+    unlit: UnlitImage | None = None
 
     @property
     def metres_per_pixel(self) -> float:
@@ -117,9 +117,11 @@ def render_closeups(
         )
     )
     if samples and made:
-        from .picture import lit_pictures
+        from .picture import render_lit_images
 
-        pictures = lit_pictures(obj, [each.view.camera for each in made], samples, metres_per_unit, frame, view_layer)
+        pictures = render_lit_images(
+            obj, [each.view.camera for each in made], samples, metres_per_unit, frame, view_layer
+        )
         made = [
             replace(each, view=replace(each.view, rgb=rgb), renders=each.renders + 1)
             for each, rgb in zip(made, pictures, strict=True)
@@ -137,8 +139,8 @@ def iter_closeups(
     metres_per_unit: float = 1.0,
     frame: float | None = None,
     view_layer: Any = None,
-    first: int | None = None,
-    alone: Callable[[], None] = lambda: None,
+    first_pass_pixels: int | None = None,
+    wait_for_threads: Callable[[], None] = lambda: None,
 ) -> Generator[CloseUp, None, None]:
     """render_closeups, unlit, one after the other. Close it, or take all: the stage stands until then.
 
@@ -149,59 +151,59 @@ def iter_closeups(
     if not patches:
         return
     where = f"object '{obj.name}'"
-    alone()
-    with Temporary() as temporary:
-        prepare_cycles(temporary.scene, samples=1)
-        geometry_only(temporary.scene)
-        stage = set_stage(temporary, obj, metres_per_unit, frame, surface, view_layer)
-        surface = stage.surface if caster is not None else within_reach(stage.surface, patches)
-        caster = caster or ray_caster(surface.mesh)
-        readings = {slot: tap_slot(stage, slot, where) for slot in sorted({patch.slot for patch in patches})}
+    wait_for_threads()
+    with TemporaryScene() as temporary:
+        configure_cycles(temporary.scene, samples=1)
+        disable_lighting(temporary.scene)
+        stage = isolate_object(temporary, obj, metres_per_unit, frame, surface, view_layer)
+        surface = stage.surface if caster is not None else crop_to_patches(stage.surface, patches)
+        caster = caster or make_ray_caster(surface.mesh)
+        readings = {slot: instrument_slot(stage, slot, where) for slot in sorted({patch.slot for patch in patches})}
         taps = [tap for reading in readings.values() for tap in reading.taps]
         add_aovs(temporary.view_layer, taps)
         camera_object = add_camera(temporary)
         temporary.scene.render.use_persistent_data = len(patches) > 1
 
-        def look(patch: Patch, side: int, before: _Looked | None = None) -> _Looked:
+        def look(patch: Patch, side: int, before: _MaskedPatch | None = None) -> _MaskedPatch:
             try:
-                camera, rays = unoccluded(patch, side, caster)
+                camera, rays = make_unoccluded_camera(patch, side, caster)
                 cast = cast_view(caster, surface.mesh, camera)
             finally:
-                alone()
+                wait_for_threads()
             passes: Passes = {}
             if readings[patch.slot].taps:
-                aim(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
+                set_camera(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
                 passes = render_passes(temporary)
-            seen = _Seen(patch, camera, cast, passes, readings[patch.slot], stage, metres_per_unit)
+            seen = _RenderedPatch(patch, camera, cast, passes, readings[patch.slot], stage, metres_per_unit)
             rays, renders = rays + cast.depth.size, 1 if passes else 0
             if before is not None:
                 rays, renders = before.rays + rays, before.renders + renders
-            return _Looked(seen, _own_surface(seen, surface), rays, renders)
+            return _MaskedPatch(seen, _mask_patch_surface(seen, surface), rays, renders)
 
         for patch in patches:
             slot = readings[patch.slot]
             side = pixels if _has_detail(slot) else min(pixels, APPEARANCE_PIXELS)
-            if first is None or first >= side or not is_of_images(slot):
-                yield _closeup(look(patch, side), surface)
+            if first_pass_pixels is None or first_pass_pixels >= side or not is_image_based(slot):
+                yield _build_closeup(look(patch, side), surface)
                 continue
-            looked = look(patch, first)
-            cast, passes = looked.seen.cast, looked.seen.passes
-            enough = fewest_pixels(slot, passes, looked.mask, cast.triangle, patch.size_m, side)
-            yield _closeup(looked if enough <= first else look(patch, enough, looked), surface)
+            looked = look(patch, first_pass_pixels)
+            cast, passes = looked.rendered.cast, looked.rendered.passes
+            enough = choose_resolution(slot, passes, looked.mask, cast.triangle, patch.size_m, side)
+            yield _build_closeup(looked if enough <= first_pass_pixels else look(patch, enough, looked), surface)
 
 
-def within_reach(surface: Surface, patches: Sequence[Patch]) -> Surface:
+def crop_to_patches(surface: Surface, patches: Sequence[Patch]) -> Surface:
     """What the patches' cameras can see of it: no tree is built of faces out of reach."""
-    near = mesh_near(surface.mesh, [patch.centre for patch in patches], max(patch.reach_m for patch in patches))
+    near = crop_mesh(surface.mesh, [patch.centre for patch in patches], max(patch.reach_m for patch in patches))
     return replace(surface, mesh=near) if len(near.triangles) else surface
 
 
 def _has_detail(slot: SlotReading) -> bool:
-    return slot.colour is not None or bool(detail_of(slot))
+    return slot.colour is not None or bool(get_relief_sources(slot))
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _RenderedPatch:
     """All that is known of one patch after rendering and casting."""
 
     patch: Patch
@@ -209,7 +211,7 @@ class _Seen:
     cast: CastView
     passes: Passes
     slot: SlotReading
-    stage: Stage
+    isolated: IsolatedObject
     metres_per_unit: float
 
     @property
@@ -218,31 +220,35 @@ class _Seen:
 
 
 @dataclass(frozen=True)
-class _Looked:
+class _MaskedPatch:
     """mask: the patch's own surface. rays, renders: it took, first looks included."""
 
-    seen: _Seen
+    rendered: _RenderedPatch
     mask: Mask
     rays: int
     renders: int
 
 
-def unoccluded(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
+def make_unoccluded_camera(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
     """The patch's camera, its near clip moved under whatever part of the object hangs over the patch's centre."""
     camera = patch.camera(pixels)
-    lift = LIFT_M
+    lift = SELF_OCCLUSION_OFFSET_M
     above = float(caster.cast((patch.centre + lift * patch.normal)[None], patch.normal[None]).distance[0]) + lift
     if above < CAMERA_DISTANCE_M:
         camera = replace(camera, clip_start=CAMERA_DISTANCE_M - above / 2.0)
     return camera, 1
 
 
-def _closeup(looked: _Looked, surface: Surface) -> CloseUp:
-    seen, mask = looked.seen, looked.mask
+def _build_closeup(masked: _MaskedPatch, surface: Surface) -> CloseUp:
+    seen, mask = masked.rendered, masked.mask
     layers = seen.slot.reading.layers
-    notes = [*seen.stage.notes, *seen.slot.reading.notes]
-    height, source, resolved = _height(seen, mask, notes)
-    rgb = None if layers is None else mixed(layers, seen.passes, partial(shading_value, "base_color", seen.passes))
+    notes = [*seen.isolated.notes, *seen.slot.reading.notes]
+    height, source, resolved = _compute_height(seen, mask, notes)
+    rgb = (
+        None
+        if layers is None
+        else mix_closures(layers, seen.passes, partial(read_shading_value, "base_color", seen.passes))
+    )
     shape = mask.shape
     albedo = np.zeros((*shape, 3), np.float32) if rgb is None else np.broadcast_to(rgb, (*shape, 3)).astype(np.float32)
     view = RgbdView(
@@ -262,92 +268,104 @@ def _closeup(looked: _Looked, surface: Surface) -> CloseUp:
         resolved_wavelength_m=resolved,
         notes=tuple(dict.fromkeys(notes)),
         faces=np.unique(seen.cast.face_id[mask]),
-        rays=looked.rays,
-        renders=looked.renders,
-        look=_look(seen, albedo, mask, surface),
+        rays=masked.rays,
+        renders=masked.renders,
+        unlit=_build_unlit_image(seen, albedo, mask, surface),
     )
 
 
-def _look(seen: _Seen, albedo: NDArray[np.float32], mask: Mask, surface: Surface) -> Look | None:
-    if seen.slot.colour is None or not seen.passes:
+def _build_unlit_image(
+    rendered: _RenderedPatch, albedo: NDArray[np.float32], mask: Mask, surface: Surface
+) -> UnlitImage | None:
+    if rendered.slot.colour is None or not rendered.passes:
         return None
-    return look_of(
-        seen.slot.colour, albedo, seen.cast.depth, mask, passes=seen.passes, pixel_m=seen.pixel_m, mesh=surface.mesh,
-        triangle=seen.cast.triangle,
+    return make_unlit_image(
+        rendered.slot.colour, albedo, rendered.cast.depth, mask, passes=rendered.passes, pixel_m=rendered.pixel_m, mesh=surface.mesh,
+        triangle=rendered.cast.triangle,
     )  # fmt: skip
 
 
-def _own_surface(seen: _Seen, surface: Surface) -> Mask:
+def _mask_patch_surface(rendered: _RenderedPatch, surface: Surface) -> Mask:
     """Pixels of the patch's slot that connect to its centre without a step in depth."""
-    slot = np.where(seen.cast.triangle >= 0, surface.mesh.slot[seen.cast.triangle], -1)
-    return connected(slot == seen.patch.slot, seen.cast.depth, seen.pixel_m)
+    slot = np.where(rendered.cast.triangle >= 0, surface.mesh.slot[rendered.cast.triangle], -1)
+    return find_connected_pixels(slot == rendered.patch.slot, rendered.cast.depth, rendered.pixel_m)
 
 
-def _height(seen: _Seen, mask: Mask, notes: list[str]) -> tuple[NDArray[np.float32] | None, str, float]:
+def _compute_height(
+    rendered: _RenderedPatch, mask: Mask, notes: list[str]
+) -> tuple[NDArray[np.float32] | None, str, float]:
     """Height in metres (mean 0 over mask), its source, and the shortest wavelength it resolves."""
-    layers, displacement = seen.slot.reading.layers, seen.slot.reading.displacement
+    layers, displacement = rendered.slot.reading.layers, rendered.slot.reading.displacement
     nothing = (None, "", float("inf"))
-    if not mask.any() or not seen.passes:
+    if not mask.any() or not rendered.passes:
         return nothing
-    micros = [each.micro for each in closures(layers)] + [displacement]
+    micros = [each.micro for each in list_closures(layers)] + [displacement]
     reliefs = [relief for micro in micros for relief in micro.reliefs]
     slopes = [slope for micro in micros for slope in micro.slopes]
     height = np.zeros(mask.shape)
     used: list[Relief | Slopes] = []
     if reliefs:
-        height = height + _relief(seen, layers, displacement)
+        height = height + _compute_relief_height(rendered, layers, displacement)
         used.extend(reliefs)
     if slopes and displacement.reliefs:
         notes.append("a normal map beside a Displacement is not counted: they mostly show the same relief.")
     elif slopes and layers is not None:
-        height = height + _integrated(seen, layers, mask, notes)
+        height = height + _integrate_normals(rendered, layers, mask, notes)
         used.extend(slopes)
     height = np.where(mask, height - height[mask].mean(), 0.0)
     span = float(np.ptp(height[mask]))
     if not np.isfinite(span):
         notes.append("the shader's height is not a number here: it is not used.")
         return nothing
-    if span < FLAT_M:
+    if span < MIN_RELIEF_M:
         return nothing
-    resolved = resolved_wavelength(used, seen.passes, mask, seen.pixel_m)
-    return height.astype(np.float32), "; ".join(dict.fromkeys(_told(seen, each) for each in used)), resolved
+    resolved = compute_resolved_wavelength(used, rendered.passes, mask, rendered.pixel_m)
+    return (
+        height.astype(np.float32),
+        "; ".join(dict.fromkeys(_describe_source(rendered, each) for each in used)),
+        resolved,
+    )
 
 
-def _told(seen: _Seen, source: Relief | Slopes) -> str:
+def _describe_source(rendered: _RenderedPatch, source: Relief | Slopes) -> str:
     if isinstance(source, Slopes):
         return source.source
-    metres = _metres_per_unit(seen, source)
-    return ", ".join((source.node, *(amount.told(metres) for amount in source.amounts)))
+    metres = _get_height_scale(rendered, source)
+    return ", ".join((source.node, *(amount.format(metres) for amount in source.amounts)))
 
 
-def _metres_per_unit(seen: _Seen, relief: Relief) -> float:
+def _get_height_scale(rendered: _RenderedPatch, relief: Relief) -> float:
     """Of the units that its height is in."""
     if not relief.in_object_space:
-        return seen.metres_per_unit
+        return rendered.metres_per_unit
     # A step along the object's own normal, as long as the object's scale makes it.
-    along = seen.stage.stretch.T @ seen.patch.normal
-    step = seen.stage.stretch @ (along / np.linalg.norm(along))
-    return float(step @ seen.patch.normal)
+    along = rendered.isolated.stretch.T @ rendered.patch.normal
+    step = rendered.isolated.stretch @ (along / np.linalg.norm(along))
+    return float(step @ rendered.patch.normal)
 
 
-def _relief(seen: _Seen, layers: Layers | None, displacement: MicroGeometry) -> Float:
-    total = _sum(seen, displacement.reliefs)
-    bumps = None if layers is None else mixed(layers, seen.passes, lambda each: _sum(seen, each.micro.reliefs))
+def _compute_relief_height(rendered: _RenderedPatch, layers: Layers | None, displacement: MicroGeometry) -> Float:
+    total = _sum_reliefs(rendered, displacement.reliefs)
+    bumps = (
+        None
+        if layers is None
+        else mix_closures(layers, rendered.passes, lambda each: _sum_reliefs(rendered, each.micro.reliefs))
+    )
     return total if bumps is None else total + bumps
 
 
-def _sum(seen: _Seen, reliefs: Sequence[Relief]) -> Float:
-    total = np.zeros((seen.camera.height, seen.camera.width))
+def _sum_reliefs(rendered: _RenderedPatch, reliefs: Sequence[Relief]) -> Float:
+    total = np.zeros((rendered.camera.height, rendered.camera.width))
     for relief in reliefs:
-        total = total + _metres_per_unit(seen, relief) * relief.tap.read(seen.passes)
+        total = total + _get_height_scale(rendered, relief) * relief.tap.read(rendered.passes)
     return total
 
 
-def _integrated(seen: _Seen, layers: Layers, mask: Mask, notes: list[str]) -> Float:
+def _integrate_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, notes: list[str]) -> Float:
     """Height whose slopes against the smooth surface are those of the normal maps."""
 
     def along(axis: int) -> Float | None:
-        return mixed(layers, seen.passes, lambda each: _slope(seen, each.micro, axis))
+        return mix_closures(layers, rendered.passes, lambda each: _compute_slope(rendered, each.micro, axis))
 
     gx, gy = along(0), along(1)
     if gx is None or gy is None:
@@ -355,31 +373,31 @@ def _integrated(seen: _Seen, layers: Layers, mask: Mask, notes: list[str]) -> Fl
     valid = mask & np.isfinite(gx) & np.isfinite(gy)
     if not valid.any():
         return np.zeros(mask.shape)
-    if looks_flipped(gx, gy, valid):
+    if has_flipped_green(gx, gy, valid):
         notes.append(
-            f"material '{seen.slot.material}': its normal map looks like a DirectX one (green points down); "
+            f"material '{rendered.slot.material}': its normal map looks like a DirectX one (green points down); "
             "invert its green channel."
         )
-    return height_from_slopes(gx, gy, valid, seen.pixel_m)
+    return height_from_slopes(gx, gy, valid, rendered.pixel_m)
 
 
-def _slope(seen: _Seen, micro: MicroGeometry, axis: int) -> Float:
+def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int) -> Float:
     """∂h/∂x (axis 0) or ∂h/∂y (axis 1) of a closure in the patch frame; 0 where it has no normal map."""
-    total = np.zeros((seen.camera.height, seen.camera.width))
-    smooth = seen.cast.normal
-    frame = seen.patch.x_axis - smooth * (smooth @ seen.patch.x_axis)[..., None]
+    total = np.zeros((rendered.camera.height, rendered.camera.width))
+    smooth = rendered.cast.normal
+    frame = rendered.patch.x_axis - smooth * (smooth @ rendered.patch.x_axis)[..., None]
     length = np.linalg.norm(frame, axis=-1, keepdims=True)
     x_axis = frame / np.where(length > 0.0, length, 1.0)
     tangent = x_axis if axis == 0 else np.cross(smooth, x_axis)
     for slopes in micro.slopes:
-        normal = slopes.tap.read(seen.passes) @ seen.stage.rigid[:3, :3]
+        normal = slopes.tap.read(rendered.passes) @ rendered.isolated.rigid[:3, :3]
         up = np.sum(normal * smooth, axis=-1)
         lean = np.sum(normal * tangent, axis=-1)
         total = total - np.clip(lean / np.where(up > 0.05, up, np.nan), -10.0, 10.0)
     return total
 
 
-def looks_flipped(gx: Float, gy: Float, mask: Mask) -> bool:
+def has_flipped_green(gx: Float, gy: Float, mask: Mask) -> bool:
     """Would the slopes (∂h/∂x, ∂h/∂y; row → −y) fit a surface far better with the second one turned round?
 
     A height field has no curl: ∂(∂h/∂x)/∂y = ∂(∂h/∂y)/∂x.

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.action.pen_stroke import PenSamples, PenStroke, PenStyle, pen_stroke
+from hnf_core.action.pen_stroke import PenSamples, PenStroke, PenStyle, fit_pen_stroke
 from hnf_core.errors import SceneError
 from hnf_core.units import m_to_mm
 
-from .boxes import in_renders
-from .new_stroke import bezier_object, insert_keys, lay_on
+from .boxes import filter_rendered
+from .new_stroke import attach_to_surface, create_bezier_object, insert_keys
 from .splat_cloud import is_cloud
 
 Float = NDArray[np.float64]
 
-THROUGH = ("WIRE", "BOUNDS")
+SEE_THROUGH_DISPLAY_TYPES = ("WIRE", "BOUNDS")
 """Display types that a person sees through, so that a pen draws through them too."""
-LAYERS = 64
-STEP_BEHIND = 1e-5
+MAX_RAY_HITS = 64
+RAY_STEP_FRACTION = 1e-5
 """By how much of the way so far a ray goes on behind something it passes through."""
 
 
@@ -43,7 +43,7 @@ class DrawnStroke:
     """obj: the new stroke object. drawn: what it was made of."""
 
     obj: Any
-    drawn: PenStroke
+    pen_stroke: PenStroke
 
 
 def cast_on_surface(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
@@ -52,28 +52,28 @@ def cast_on_surface(scene: Any, depsgraph: Any, viewport: Any, origin: Any, dire
     from mathutils import Vector
 
     if any(is_cloud(obj) for obj in scene.objects):
-        return _cast_on_each(scene, depsgraph, viewport, Vector(origin), Vector(direction))
-    for world, normal, face, obj, matrix in along_ray(scene, depsgraph, origin, direction):
+        return _cast_per_object(scene, depsgraph, viewport, Vector(origin), Vector(direction))
+    for world, normal, face, obj, matrix in iter_ray_hits(scene, depsgraph, origin, direction):
         if _is_surface(obj, matrix, scene, depsgraph, viewport):
             return Hit(obj, np.array(matrix.inverted_safe() @ world), np.array(world), np.array(normal), int(face))
     return None
 
 
-def along_ray(scene: Any, depsgraph: Any, origin: Any, direction: Any) -> Iterator[tuple[Any, Any, int, Any, Any]]:
+def iter_ray_hits(scene: Any, depsgraph: Any, origin: Any, direction: Any) -> Iterator[tuple[Any, Any, int, Any, Any]]:
     """(place, normal, face, object, its matrix there) of what Blender's own ray meets, the nearest first, LAYERS of
     them at most; instances and whatever else it stops at."""
     from mathutils import Vector
 
     start, direction = Vector(origin), Vector(direction)
-    for _ in range(LAYERS):
+    for _ in range(MAX_RAY_HITS):
         found, world, normal, face, met, matrix = scene.ray_cast(depsgraph, start, direction)
         if not found:
             return
         yield world, normal, face, met.original, matrix
-        start = world + direction * max((world - Vector(origin)).length * STEP_BEHIND, 1e-7)
+        start = world + direction * max((world - Vector(origin)).length * RAY_STEP_FRACTION, 1e-7)
 
 
-def _cast_on_each(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
+def _cast_per_object(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
     """The same, object by object: Blender's own ray would walk over a hundred thousand ellipsoids first."""
     nearest: Hit | None = None
     for obj in scene.objects:
@@ -93,7 +93,7 @@ def _cast_on_each(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direct
 
 
 def _is_surface(obj: Any, matrix: Any, scene: Any, depsgraph: Any, viewport: Any) -> bool:
-    if obj.type != "MESH" or obj.display_type in THROUGH or scene.objects.get(obj.name) != obj:
+    if obj.type != "MESH" or obj.display_type in SEE_THROUGH_DISPLAY_TYPES or scene.objects.get(obj.name) != obj:
         return False
     if not obj.visible_get(view_layer=depsgraph.view_layer, viewport=viewport):
         return False
@@ -101,7 +101,7 @@ def _is_surface(obj: Any, matrix: Any, scene: Any, depsgraph: Any, viewport: Any
     return bool(np.allclose(own, np.array(matrix), rtol=1e-5, atol=1e-6))
 
 
-def new_drawn_stroke(
+def create_drawn_stroke(
     scene: Any,
     depsgraph: Any,
     surface: Any,
@@ -118,7 +118,7 @@ def new_drawn_stroke(
     pen_stroke). Raises StrokeError for what is no stroke and SceneError for a surface that no stroke can touch;
     then nothing is made.
     """
-    if not in_renders([surface], depsgraph.view_layer):
+    if not filter_rendered([surface], depsgraph.view_layer):
         raise SceneError(
             "it is hidden in renders, and what is touched is rendered.",
             where=f"object '{surface.name}'",
@@ -132,13 +132,15 @@ def new_drawn_stroke(
         )
     from_world = np.linalg.inv(to_world)
     in_metres = PenSamples(samples.time, samples.point * metres_per_unit, samples.pressure, samples.touching)
-    drawn = pen_stroke(in_metres, style, to_surface=_onto(evaluated, to_world, from_world, metres_per_unit))
+    drawn = fit_pen_stroke(
+        in_metres, style, project_to_surface=_make_surface_projector(evaluated, to_world, from_world, metres_per_unit)
+    )
     local = [
         points / metres_per_unit @ from_world[:3, :3].T + from_world[:3, 3]
         for points in (drawn.path.knot, drawn.path.left, drawn.path.right)
     ]
-    stroke = bezier_object(f"Stroke on {surface.name}", *local)
-    lay_on(stroke, surface, scene)
+    stroke = create_bezier_object(f"Stroke on {surface.name}", *local)
+    attach_to_surface(stroke, surface, scene)
     group = stroke.hnf_stroke
     group.start, group.probe = start_frame, probe
     per_second = float(scene.render.fps) / float(scene.render.fps_base)
@@ -151,7 +153,9 @@ def new_drawn_stroke(
     return DrawnStroke(stroke, drawn)
 
 
-def _onto(evaluated: Any, to_world: Float, from_world: Float, metres: float) -> Callable[[Float], Float]:
+def _make_surface_projector(
+    evaluated: Any, to_world: Float, from_world: Float, metres: float
+) -> Callable[[Float], Float]:
     """World points [m] → the nearest points of the evaluated object, as it is looked for in its own coordinates."""
 
     def nearest(points: Float) -> Float:
@@ -165,11 +169,13 @@ def _onto(evaluated: Any, to_world: Float, from_world: Float, metres: float) -> 
     return nearest
 
 
-def touching_surface(points: Float, surface: Any, depsgraph: Any, metres_per_unit: float, within_m: float) -> Any:
+def mask_points_near_surface(
+    points: Float, surface: Any, depsgraph: Any, metres_per_unit: float, within_m: float
+) -> Any:
     """(n,) bool: which world points (n, 3) lie within a distance of the surface object."""
     evaluated = surface.evaluated_get(depsgraph)
     to_world = np.array(evaluated.matrix_world, dtype=np.float64)
     from_world = np.linalg.inv(to_world)
-    on = _onto(evaluated, to_world, from_world, metres_per_unit)
+    on = _make_surface_projector(evaluated, to_world, from_world, metres_per_unit)
     metres = points * metres_per_unit
     return np.linalg.norm(on(metres) - metres, axis=1) <= within_m

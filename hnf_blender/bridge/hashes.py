@@ -10,9 +10,9 @@ from typing import Any
 from hnf_core.files import content_hash
 
 from .. import compat
-from .images import image_hash, whole_file
+from .images import hash_image, read_file_bytes
 
-COSMETIC = frozenset({
+COSMETIC_PROPERTIES = frozenset({
     "name", "label", "location", "location_absolute", "width", "height", "select", "color", "use_custom_color",
     "show_options", "show_preview", "show_texture", "hide", "parent", "dimensions", "is_active_output", "rna_type",
     "warning_propagation", "color_tag", "is_active_preview", "subsurface_method", "falloff",
@@ -20,7 +20,7 @@ COSMETIC = frozenset({
 """Node properties that say how a node looks in the editor, or how light is scattered below the surface (close-ups are
 unlit), not what it computes. Blender 5.2 calls the old scattering by another name."""
 
-NEUTRAL: dict[str, dict[str, object]] = {
+NEUTRAL_VALUES: dict[str, dict[str, object]] = {
     "ShaderNodeBsdfPrincipled": {"Diffuse Roughness": 0.0, "Thin Wall": False},
     "ShaderNodeBsdfGlass": {"Thin Film Thickness": 0.0, "Thin Film IOR": 1.33},
     "ShaderNodeBsdfMetallic": {"Thin Film Thickness": 0.0, "Thin Film IOR": 1.33},
@@ -45,17 +45,17 @@ TEXTURE_MAPPING = (
     "use_max", "min", "max",
 )  # fmt: skip
 
-OUTPUTS = ("ShaderNodeOutputMaterial", "ShaderNodeOutputWorld", "ShaderNodeOutputLight", "NodeGroupOutput")
+OUTPUT_NODES = ("ShaderNodeOutputMaterial", "ShaderNodeOutputWorld", "ShaderNodeOutputLight", "NodeGroupOutput")
 
-OfFile = Callable[[Path], bytes | str]
+FileReader = Callable[[Path], bytes | str]
 ImageHash = Callable[[Any, Any], str]
 """(image, its user in a node) → hash."""
 
-SAME = 1e-6
+FLOAT32_TOLERANCE = 1e-6
 """Blender keeps such values as float32."""
 
 
-def material_hash(material: Any, frame: int = 1, of_file: OfFile = whole_file) -> str:
+def hash_material(material: Any, frame: int = 1, read_file: FileReader = read_file_bytes) -> str:
     """Hash of everything a material's node tree computes, images' pixels included; "" for no material.
 
     frame: of the scene, which says what image sequences show; all other values are as they stand now. The file's
@@ -70,11 +70,14 @@ def material_hash(material: Any, frame: int = 1, of_file: OfFile = whole_file) -
         return content_hash("plain", repr([list(plain[0]), plain[1], plain[2]]))
     method = getattr(material, "displacement_method", "")
     return content_hash(
-        "nodes", method, *_tree_parts(material.node_tree, set(), _seen_at(frame, of_file)), *_working_space()
+        "nodes",
+        method,
+        *_iter_tree_values(material.node_tree, set(), _make_image_hash(frame, read_file)),
+        *_describe_working_space(),
     )
 
 
-def settings_text(block: Any) -> str:
+def format_settings(block: Any) -> str:
     """Every number, word and switch that a datablock or a group of properties has of its own, without what all
     datablocks have, and without its nodes; "" for None."""
     import bpy
@@ -83,47 +86,49 @@ def settings_text(block: Any) -> str:
         return ""
     common = {"rna_type", "name", "use_nodes", *bpy.types.ID.bl_rna.properties.keys()}
     found = [
-        (prop.identifier, _plain(getattr(block, prop.identifier)))
+        (prop.identifier, _to_plain_value(getattr(block, prop.identifier)))
         for prop in block.bl_rna.properties
         if prop.type not in {"POINTER", "COLLECTION"} and not prop.is_readonly and prop.identifier not in common
     ]
     return repr(sorted(found))
 
 
-def tree_hash(tree: Any, frame: int = 1, of_file: OfFile = whole_file) -> str:
+def hash_node_tree(tree: Any, frame: int = 1, read_file: FileReader = read_file_bytes) -> str:
     """As material_hash, of the node tree of a world or a light; "" for None."""
     if tree is None:
         return ""
-    return content_hash("tree", *_tree_parts(tree, set(), _seen_at(frame, of_file)), *_working_space())
+    return content_hash(
+        "tree", *_iter_tree_values(tree, set(), _make_image_hash(frame, read_file)), *_describe_working_space()
+    )
 
 
-def _seen_at(frame: int, of_file: OfFile) -> ImageHash:
-    return lambda image, user: image_hash(image, user, frame, of_file)
+def _make_image_hash(frame: int, read_file: FileReader) -> ImageHash:
+    return lambda image, user: hash_image(image, user, frame, read_file)
 
 
-def _working_space() -> Iterator[str]:
+def _describe_working_space() -> Iterator[str]:
     """Nothing for the usual one: a file has the same hash in Blenders that know no other."""
     yield from filter(None, [compat.working_space()])
 
 
-def _tree_parts(tree: Any, seen: set[str], hash_of: ImageHash) -> Iterator[str]:
+def _iter_tree_values(tree: Any, visited: set[str], image_hash: ImageHash) -> Iterator[str]:
     """Nodes in the order of their names (names give links their ends), then links."""
-    if tree.name_full in seen:
+    if tree.name_full in visited:
         return
-    seen.add(tree.name_full)
+    visited.add(tree.name_full)
     if tree.animation_data is not None and tree.animation_data.drivers:
         yield repr([(driver.data_path, driver.driver.expression) for driver in tree.animation_data.drivers])
-    yield from _active_outputs(tree)
+    yield from _iter_active_outputs(tree)
     for node in sorted(tree.nodes, key=lambda node: node.name):
         if node.bl_idname == "NodeFrame":
             continue
         yield node.name
         yield node.bl_idname
-        yield repr(sorted(_simple_properties(node)))
-        yield repr(list(_socket_values(node)))
+        yield repr(sorted(_iter_simple_properties(node)))
+        yield repr(list(_iter_socket_values(node)))
         if node.bl_idname.startswith(("ShaderNodeValue", "ShaderNodeRGB")) or node.bl_idname == "ShaderNodeNormal":
-            yield repr([_socket_value(socket) for socket in node.outputs])
-        yield from _special_parts(node, seen, hash_of)
+            yield repr([_read_socket_value(socket) for socket in node.outputs])
+        yield from _iter_special_values(node, visited, image_hash)
     yield from sorted(
         f"{link.from_node.name}|{link.from_socket.identifier}|{link.to_node.name}|{link.to_socket.identifier}"
         for link in tree.links
@@ -131,11 +136,15 @@ def _tree_parts(tree: Any, seen: set[str], hash_of: ImageHash) -> Iterator[str]:
     )
 
 
-def _simple_properties(node: Any) -> Iterator[tuple[str, str]]:
-    neutral = NEUTRAL.get(node.bl_idname, {})
+def _iter_simple_properties(node: Any) -> Iterator[tuple[str, str]]:
+    neutral = NEUTRAL_VALUES.get(node.bl_idname, {})
     for prop in node.bl_rna.properties:
         # bl_…: of the type, not of this node; descriptions and sizes of theirs differ between versions.
-        if prop.identifier in COSMETIC or prop.identifier.startswith("bl_") or prop.type in {"POINTER", "COLLECTION"}:
+        if (
+            prop.identifier in COSMETIC_PROPERTIES
+            or prop.identifier.startswith("bl_")
+            or prop.type in {"POINTER", "COLLECTION"}
+        ):
             continue
         if prop.is_readonly and prop.identifier != "mute":
             continue
@@ -145,19 +154,19 @@ def _simple_properties(node: Any) -> Iterator[tuple[str, str]]:
         yield prop.identifier, repr(list(value) if getattr(prop, "is_array", False) else value)
 
 
-def _socket_values(node: Any) -> Iterator[tuple[str, object]]:
+def _iter_socket_values(node: Any) -> Iterator[tuple[str, object]]:
     """By identifier, in their order: later versions have more of them."""
-    neutral = NEUTRAL.get(node.bl_idname, {})
+    neutral = NEUTRAL_VALUES.get(node.bl_idname, {})
     for socket in node.inputs:
-        value, name = _socket_value(socket), str(socket.identifier)
+        value, name = _read_socket_value(socket), str(socket.identifier)
         usual = neutral.get(name)
         if isinstance(usual, float) and isinstance(value, float):
-            usual = value if abs(value - usual) < SAME else usual
+            usual = value if abs(value - usual) < FLOAT32_TOLERANCE else usual
         if name not in neutral or socket.is_linked or value != usual:
             yield name, value
 
 
-def _socket_value(socket: Any) -> object:
+def _read_socket_value(socket: Any) -> object:
     value = getattr(socket, "default_value", None)
     if value is None or isinstance(value, (int, float, str, bool)):
         return value
@@ -167,10 +176,10 @@ def _socket_value(socket: Any) -> object:
         return getattr(value, "name_full", repr(value))
 
 
-def _special_parts(node: Any, seen: set[str], hash_of: ImageHash) -> Iterator[str]:
+def _iter_special_values(node: Any, visited: set[str], image_hash: ImageHash) -> Iterator[str]:
     image = getattr(node, "image", None)
     if image is not None:
-        yield hash_of(image, getattr(node, "image_user", None))
+        yield image_hash(image, getattr(node, "image_user", None))
     ramp = getattr(node, "color_ramp", None)
     if ramp is not None:
         kinds = (ramp.interpolation, ramp.color_mode, ramp.hue_interpolation)
@@ -178,10 +187,10 @@ def _special_parts(node: Any, seen: set[str], hash_of: ImageHash) -> Iterator[st
     mapping = getattr(node, "mapping", None)
     if mapping is not None and hasattr(mapping, "curves"):
         yield repr([[(list(point.location), point.handle_type) for point in curve.points] for curve in mapping.curves])
-        yield repr([_plain(getattr(mapping, name)) for name in CURVE_SETTINGS])
+        yield repr([_to_plain_value(getattr(mapping, name)) for name in CURVE_SETTINGS])
     texture = getattr(node, "texture_mapping", None)
     if texture is not None:
-        yield repr([_plain(getattr(texture, name)) for name in TEXTURE_MAPPING])
+        yield repr([_to_plain_value(getattr(texture, name)) for name in TEXTURE_MAPPING])
     for name in ("script", "ies"):
         text = getattr(node, name, None)
         if text is not None:
@@ -192,16 +201,16 @@ def _special_parts(node: Any, seen: set[str], hash_of: ImageHash) -> Iterator[st
     group = getattr(node, "node_tree", None)
     if group is not None:
         yield group.name_full
-        yield from _tree_parts(group, seen, hash_of)
+        yield from _iter_tree_values(group, visited, image_hash)
 
 
-def _active_outputs(tree: Any) -> Iterator[str]:
+def _iter_active_outputs(tree: Any) -> Iterator[str]:
     """Where a tree has several outputs of one kind: the one that counts."""
-    for kind in OUTPUTS:
+    for kind in OUTPUT_NODES:
         outputs = [node for node in tree.nodes if node.bl_idname == kind]
         if len(outputs) > 1:
             yield repr(sorted(node.name for node in outputs if node.is_active_output))
 
 
-def _plain(value: Any) -> object:
+def _to_plain_value(value: Any) -> object:
     return value if isinstance(value, (bool, int, float, str)) or not hasattr(value, "__len__") else list(value)

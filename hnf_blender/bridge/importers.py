@@ -13,17 +13,17 @@ from hnf_core.errors import FileError, SceneError
 from hnf_core.scene.ply_header import read_ply_header
 from hnf_core.scene.splats.read import check_splat_file
 
-from .nerfstudio import open_export
-from .painted import show_painted
-from .quiet import quiet
+from .nerfstudio import open_nerfstudio_export
+from .painted import show_vertex_colours
+from .quiet import suppress_output
 
-SUFFIXES = (".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".json")
+SCENE_SUFFIXES = (".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".json")
 SPLAT_SUFFIXES = (".splat", ".ksplat", ".spz", ".sog")
 # A curve may be a stroke, a light or camera is nothing to touch; an empty may stand for a collection of meshes.
 TOUCHABLE_TYPES = ("MESH", "SURFACE", "META", "FONT", "CURVE", "CURVES", "EMPTY")
 # ZStandard (3.0 and later) and gzip (before) are how Blender compresses.
-BLEND_STARTS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
-USD_STARTS = (b"#usda", b"PXR-USDC", b"PK\x03\x04")
+BLEND_MAGIC = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
+USD_MAGIC = (b"#usda", b"PXR-USDC", b"PK\x03\x04")
 
 
 def open_scene(
@@ -31,7 +31,7 @@ def open_scene(
     cache: Path | None = None,
     progress: Callable[[str, float], None] | None = None,
     *,
-    keep: bool = True,
+    write_cache: bool = True,
 ) -> Any:
     """Open a scene file and return its bpy Scene, which is then Blender's active one.
 
@@ -48,7 +48,7 @@ def open_scene(
     suffix = path.suffix.lower()
     check_scene_file(path)
     if suffix == ".blend":
-        _run(path, lambda: bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False))
+        _run_operator(path, lambda: bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False))
         scene = bpy.context.scene
         if not any(obj.type in TOUCHABLE_TYPES for obj in scene.objects):
             raise SceneError(
@@ -58,34 +58,38 @@ def open_scene(
             )
         return scene
     if suffix == ".json":
-        return open_export(path, lambda geometry: open_scene(geometry, cache, progress, keep=keep))
+        return open_nerfstudio_export(
+            path, lambda geometry: open_scene(geometry, cache, progress, write_cache=write_cache)
+        )
     if suffix == ".ply" and read_ply_header(path).is_splat:
-        return _open_splats(path, cache, progress, keep)
-    empty_scene()
-    importer = _importer(suffix, path)
-    _run(path, lambda: importer(filepath=str(path)))
+        return _open_splats(path, cache, progress, write_cache)
+    open_empty_scene()
+    importer = _find_importer(suffix, path)
+    _run_operator(path, lambda: importer(filepath=str(path)))
     scene = bpy.context.scene
     _check_import(scene, path)
     if suffix in {".ply", ".obj"}:
         for obj in scene.objects:
-            show_painted(obj)
+            show_vertex_colours(obj)
     return scene
 
 
-def _open_splats(path: Path, cache: Path | None, progress: Callable[[str, float], None] | None, keep: bool) -> Any:
+def _open_splats(
+    path: Path, cache: Path | None, progress: Callable[[str, float], None] | None, write_cache: bool
+) -> Any:
     import bpy
 
     from .splat_reconstruction import read_reconstruction
     from .splat_scene import add_reconstruction
 
-    made = read_reconstruction(path, cache, keep=keep, progress=progress)
-    empty_scene()
+    made = read_reconstruction(path, cache, write_cache=write_cache, progress=progress)
+    open_empty_scene()
     scene = bpy.context.scene
     add_reconstruction(scene, made)
     return scene
 
 
-def empty_scene() -> None:
+def open_empty_scene() -> None:
     """Replace what is open by a scene without any object; preferences and add-ons stay as they are."""
     import bpy
 
@@ -102,14 +106,14 @@ def check_scene_file(path: Path) -> None:
     if not path.is_file():
         raise FileError("is not a file.", where=where, remedy="Give the scene file itself.")
     if suffix in SPLAT_SUFFIXES:
-        raise _splat(where)
-    if suffix not in SUFFIXES:
+        raise _unreadable_splats_error(where)
+    if suffix not in SCENE_SUFFIXES:
         raise FileError(
             f"a file of kind '{suffix}' is no scene."
             if suffix
             else "it has no ending that says what kind of scene it is.",
             where=where,
-            remedy=f"Give a scene: {' '.join(SUFFIXES)}.",
+            remedy=f"Give a scene: {' '.join(SCENE_SUFFIXES)}.",
         )
     try:
         with path.open("rb") as stream:
@@ -119,15 +123,15 @@ def check_scene_file(path: Path) -> None:
             f"cannot be read ({error.strerror or error}).", where=where, remedy="Check its rights."
         ) from error
     if not head:
-        raise _damaged(path, "it is empty")
-    if suffix == ".blend" and not head.startswith(BLEND_STARTS):
-        raise _damaged(path, "it does not begin like a .blend file")
+        raise _damaged_file_error(path, "it is empty")
+    if suffix == ".blend" and not head.startswith(BLEND_MAGIC):
+        raise _damaged_file_error(path, "it does not begin like a .blend file")
     if suffix == ".glb" and not head.startswith(b"glTF"):
-        raise _damaged(path, "it does not begin like a binary glTF file")
+        raise _damaged_file_error(path, "it does not begin like a binary glTF file")
     if suffix == ".fbx" and not (head.startswith(b"Kaydara FBX Binary") or head.lstrip().startswith(b";")):
-        raise _damaged(path, "it does not begin like an FBX file")
-    if suffix.startswith(".usd") and not head.startswith(USD_STARTS):
-        raise _damaged(path, "it does not begin like a USD file")
+        raise _damaged_file_error(path, "it does not begin like an FBX file")
+    if suffix.startswith(".usd") and not head.startswith(USD_MAGIC):
+        raise _damaged_file_error(path, "it does not begin like a USD file")
     if suffix == ".gltf":
         _check_gltf(path)
     if suffix == ".ply":
@@ -153,7 +157,7 @@ def _check_gltf(path: Path) -> None:
         document = json.loads(path.read_bytes())
         buffers = [str(buffer.get("uri", "")) for buffer in document.get("buffers", [])]
     except (ValueError, AttributeError, TypeError, RecursionError) as error:
-        raise _damaged(path, "it is not a glTF document") from error
+        raise _damaged_file_error(path, "it is not a glTF document") from error
     for uri in buffers:
         if uri and not uri.startswith("data:") and not (path.parent / unquote(uri)).is_file():
             raise FileError(
@@ -161,7 +165,7 @@ def _check_gltf(path: Path) -> None:
             )
 
 
-def _importer(suffix: str, path: Path) -> Callable[..., Any]:
+def _find_importer(suffix: str, path: Path) -> Callable[..., Any]:
     """The operator of this Blender version; a bundled importer that is switched off is switched on for this session."""
     import bpy
 
@@ -174,13 +178,13 @@ def _importer(suffix: str, path: Path) -> Callable[..., Any]:
     if suffix == ".fbx":
         if "fbx_import" in dir(bpy.ops.wm):  # from 4.5 on
             return bpy.ops.wm.fbx_import  # type: ignore[no-any-return]
-        _switch_on("io_scene_fbx", path)
+        _enable_addon("io_scene_fbx", path)
         return bpy.ops.import_scene.fbx  # type: ignore[no-any-return]
-    _switch_on("io_scene_gltf2", path)
+    _enable_addon("io_scene_gltf2", path)
     return bpy.ops.import_scene.gltf  # type: ignore[no-any-return]
 
 
-def _switch_on(module: str, path: Path) -> None:
+def _enable_addon(module: str, path: Path) -> None:
     import addon_utils
 
     if not addon_utils.check(module)[1] and addon_utils.enable(module, default_set=False) is None:
@@ -191,13 +195,13 @@ def _switch_on(module: str, path: Path) -> None:
         )
 
 
-def _run(path: Path, operator: Callable[[], Any]) -> None:
+def _run_operator(path: Path, operator: Callable[[], Any]) -> None:
     try:
-        with quiet():
+        with suppress_output():
             result = operator()
     except RuntimeError as error:
         raise FileError(
-            f"Blender could not open it: {_one_line(str(error))}.", where=str(path), remedy="Export it again."
+            f"Blender could not open it: {_extract_reason(str(error))}.", where=str(path), remedy="Export it again."
         ) from error
     if "FINISHED" not in result:
         raise FileError("Blender could not open it.", where=str(path), remedy="Export it again.")
@@ -217,7 +221,7 @@ def _check_import(scene: Any, path: Path) -> None:
     raise SceneError(what, where=str(path), remedy=remedy)
 
 
-def _one_line(message: str) -> str:
+def _extract_reason(message: str) -> str:
     """The reason in an operator's error text, which may be a whole Python traceback."""
     lines = [line.strip() for line in message.splitlines() if line.strip() and not line.startswith("Location:")]
     raised = [
@@ -227,7 +231,7 @@ def _one_line(message: str) -> str:
     return re.sub(r"^Error:\s*", "", reason).rstrip(".")
 
 
-def _splat(where: str) -> SceneError:
+def _unreadable_splats_error(where: str) -> SceneError:
     return SceneError(
         "is a Gaussian-splat scene of a kind that cannot be read.",
         where=where,
@@ -235,5 +239,5 @@ def _splat(where: str) -> SceneError:
     )
 
 
-def _damaged(path: Path, why: str) -> FileError:
+def _damaged_file_error(path: Path, why: str) -> FileError:
     return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")

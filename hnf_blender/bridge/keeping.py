@@ -11,23 +11,23 @@ import json
 from typing import Any
 
 
-def keep(block: Any, name: str, value: bytes | str | int) -> None:
+def set_property(block: Any, name: str, value: bytes | str | int) -> None:
     """Set property name of a datablock to value.
 
     The old value goes first: over bytes Blender writes only what comes before the first zero (4.2, 4.5, 5.0).
     """
     if _is_override(block):
         encoded = {"bytes": base64.b85encode(value).decode()} if isinstance(value, bytes) else value
-        block.hnf_stroke.kept = json.dumps({**_own(block), name: encoded})
+        block.hnf_stroke.kept = json.dumps({**_read_override(block), name: encoded})
         return
     if name in block:
         del block[name]
     block[name] = value
 
 
-def kept(block: Any, name: str) -> Any:
+def get_property(block: Any, name: str) -> Any:
     """What keep set; None where there is nothing, b"" where an override's bytes are damaged."""
-    own = _own(block) if _is_override(block) else {}
+    own = _read_override(block) if _is_override(block) else {}
     if name not in own:
         return block.get(name)
     value = own[name]
@@ -39,16 +39,16 @@ def kept(block: Any, name: str) -> Any:
         return b""
 
 
-def has(block: Any, name: str) -> bool:
+def has_property(block: Any, name: str) -> bool:
     """Is there something that kept would return? For what is asked at every draw: nothing is decoded."""
-    own = _own(block) if _is_override(block) else {}
+    own = _read_override(block) if _is_override(block) else {}
     return own[name] is not None if name in own else name in block
 
 
-def drop(block: Any, name: str) -> None:
+def delete_property(block: Any, name: str) -> None:
     """Take property name off a datablock. On an override, what the linked original holds stays hidden."""
     if _is_override(block):
-        block.hnf_stroke.kept = json.dumps({**_own(block), name: None})
+        block.hnf_stroke.kept = json.dumps({**_read_override(block), name: None})
     elif name in block:
         del block[name]
 
@@ -57,7 +57,7 @@ def _is_override(block: Any) -> bool:
     return block.override_library is not None and hasattr(block, "hnf_stroke")
 
 
-def _own(block: Any) -> dict[str, Any]:
+def _read_override(block: Any) -> dict[str, Any]:
     """What the override itself holds; {} where its text is damaged: the original's shows then."""
     try:
         return dict(json.loads(block.hnf_stroke.kept or "{}"))

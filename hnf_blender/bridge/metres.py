@@ -8,7 +8,7 @@ from typing import Any
 from hnf_core.errors import SceneError
 
 
-def metres_per_unit(scene: Any, override: float | None = None) -> float:
+def get_metres_per_unit(scene: Any, override: float | None = None) -> float:
     """Length of one Blender unit in metres: override, as exact as the Touch tab keeps it, else what the Touch tab says,
     else the scene's unit scale (1 where it has no unit system)."""
     if override is None and scene.hnf.metres_per_unit > 0.0:
@@ -22,7 +22,7 @@ def metres_per_unit(scene: Any, override: float | None = None) -> float:
     return 1.0 if settings.system == "NONE" else float(settings.scale_length)
 
 
-def size_warning(obj: Any, metres: float) -> str | None:
+def get_size_warning(obj: Any, metres: float) -> str | None:
     """A line for a touched object whose bounding box no hand would meet: diagonal above 5 m or below 5 mm.
 
     metres: metres per Blender unit. Centimetre scenes and unapplied unit scales show here first.

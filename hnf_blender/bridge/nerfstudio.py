@@ -10,28 +10,28 @@ import numpy as np
 
 from hnf_core.errors import FileError
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.nerfstudio import TURN, NerfstudioFrame, read_export
+from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_model_transforms
 from hnf_core.scene.ply_header import read_ply_header
 
-MESHES = ("mesh.obj", "poisson_mesh.ply", "tsdf_mesh.ply", "sdf_marching_cubes_mesh.ply")
-SPLATS = "splat.ply"
-POINTS = "point_cloud.ply"
+EXPORT_MESHES = ("mesh.obj", "poisson_mesh.ply", "tsdf_mesh.ply", "sdf_marching_cubes_mesh.ply")
+EXPORT_SPLATS = "splat.ply"
+EXPORT_POINTS = "point_cloud.ply"
 """What ns-export calls its files."""
-CAMERAS = "Cameras"
+CAMERA_COLLECTION = "Cameras"
 SENSOR_MM = 36.0
-CLIP = (1e-3, 1e4)
-SYMBOL_SHARE = 0.05
+CLIP_RANGE = (1e-3, 1e4)
+CAMERA_SYMBOL_FRACTION = 0.05
 """Size of a camera's symbol in the viewport, of the distance between the two cameras farthest apart along an axis."""
 
 
-def open_export(path: Path, open_geometry: Callable[[Path], Any]) -> Any:
+def open_nerfstudio_export(path: Path, open_geometry: Callable[[Path], Any]) -> Any:
     """The scene of an export: its geometry, opened by open_geometry, in the export's own frame (z up), and its cameras.
 
     Raises FileError where transforms.json cannot be used or no geometry stands beside it, and what open_geometry
     raises. Nothing that is open is given up before both files are read.
     """
-    frames = read_export(path)
-    geometry = geometry_of(path)
+    frames = read_model_transforms(path)
+    geometry = find_geometry(path)
     scene = open_geometry(geometry)
     for obj in scene.objects:
         if obj.parent is None:  # importers turn what does not say which way is up
@@ -42,17 +42,17 @@ def open_export(path: Path, open_geometry: Callable[[Path], Any]) -> Any:
     return scene
 
 
-def geometry_of(path: Path) -> Path:
+def find_geometry(path: Path) -> Path:
     """What to touch of the export around transforms.json: a mesh with colours, else splats, else a bare mesh, else the
     cloud of points, which is refused when it is opened. Raises FileError where there is nothing of these."""
-    there = [path.with_name(name) for name in (*MESHES, SPLATS, POINTS)]
+    there = [path.with_name(name) for name in (*EXPORT_MESHES, EXPORT_SPLATS, EXPORT_POINTS)]
     there = [file for file in there if file.is_file()]
-    coloured = [file for file in there if file.name in MESHES and has_colours(file)]
-    splats = [file for file in there if file.name == SPLATS]
+    coloured = [file for file in there if file.name in EXPORT_MESHES and has_colours(file)]
+    splats = [file for file in there if file.name == EXPORT_SPLATS]
     found = [*coloured, *splats, *there]
     if not found:
         raise FileError(
-            f"there is no geometry next to it (looked for {', '.join((*MESHES, SPLATS))}).",
+            f"there is no geometry next to it (looked for {', '.join((*EXPORT_MESHES, EXPORT_SPLATS))}).",
             where=str(path),
             remedy="Export it with ns-export gaussian-splat or ns-export poisson into the same folder.",
         )
@@ -67,13 +67,13 @@ def has_colours(mesh: Path) -> bool:
     with mesh.open("rb") as stream:
         for line in stream:
             if line.startswith(b"mtllib "):
-                return _has_picture(mesh, line.split(maxsplit=1)[1].decode("utf-8", "replace").strip())
+                return _has_texture(mesh, line.split(maxsplit=1)[1].decode("utf-8", "replace").strip())
             if line.startswith(b"v "):
                 return len(line.split()) >= 7
     return False
 
 
-def _has_picture(mesh: Path, name: str) -> bool:
+def _has_texture(mesh: Path, name: str) -> bool:
     library = mesh.parent / name
     if not library.resolve().is_relative_to(mesh.parent.resolve()) or not library.is_file():
         return False
@@ -88,14 +88,14 @@ def add_cameras(scene: Any, frames: Sequence[NerfstudioFrame]) -> None:
     """
     import bpy
 
-    collection = bpy.data.collections.new(CAMERAS)
+    collection = bpy.data.collections.new(CAMERA_COLLECTION)
     scene.collection.children.link(collection)
     places = np.array([frame.camera.pose[:3, 3] for frame in frames])
-    symbol = SYMBOL_SHARE * float(np.ptp(places, axis=0).max())
+    symbol = CAMERA_SYMBOL_FRACTION * float(np.ptp(places, axis=0).max())
     for frame in frames:
-        camera = bpy.data.objects.new(frame.name, _lens(frame))
-        camera.matrix_world = _matrix(frame.camera)
-        camera.data.display_size = symbol if symbol > 0.0 else SYMBOL_SHARE
+        camera = bpy.data.objects.new(frame.name, _make_camera_data(frame))
+        camera.matrix_world = _make_camera_matrix(frame.camera)
+        camera.data.display_size = symbol if symbol > 0.0 else CAMERA_SYMBOL_FRACTION
         collection.objects.link(camera)
         if scene.camera is None:
             scene.camera = camera
@@ -106,7 +106,7 @@ def add_cameras(scene: Any, frames: Sequence[NerfstudioFrame]) -> None:
     render.pixel_aspect_x, render.pixel_aspect_y = max(1.0 / ratio, 1.0), max(ratio, 1.0)
 
 
-def _lens(frame: NerfstudioFrame) -> Any:
+def _make_camera_data(frame: NerfstudioFrame) -> Any:
     import bpy
 
     camera, data = frame.camera, bpy.data.cameras.new(frame.name)
@@ -116,11 +116,11 @@ def _lens(frame: NerfstudioFrame) -> Any:
     data.shift_x = (camera.width / 2.0 - camera.intrinsics[0, 2]) / camera.width
     # Shifts count in widths of the picture; a pixel is focal_x / focal_y as high as it is wide.
     data.shift_y = (camera.intrinsics[1, 2] - camera.height / 2.0) / camera.width * focal_x / focal_y
-    data.clip_start, data.clip_end = CLIP
+    data.clip_start, data.clip_end = CLIP_RANGE
     return data
 
 
-def _matrix(camera: Camera) -> Any:
+def _make_camera_matrix(camera: Camera) -> Any:
     from mathutils import Matrix
 
-    return Matrix((camera.pose @ TURN).tolist())
+    return Matrix((camera.pose @ OPENGL_CAMERA_AXES).tolist())

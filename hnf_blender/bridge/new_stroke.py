@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.action.keys import Keys
+from hnf_core.action.keys import Keyframes
 
 from .. import compat
-from ..props.listed import NEWS
+from ..props.listed import CHANGES
 
 Float = NDArray[np.float64]
 
-COLLECTION = "Touch strokes"
+STROKE_COLLECTION = "Touch strokes"
 MIN_KEY_FRAMES = 0.05
 STRAIGHT_COSINE = 1.0 - 1e-6
 
 
-def bezier_object(name: str, points: Float, left: Float, right: Float, *, cyclic: bool = False) -> Any:
+def create_bezier_object(name: str, points: Float, left: Float, right: Float, *, cyclic: bool = False) -> Any:
     """A curve object, not linked anywhere yet, with one Bézier spline: knots and handles (k, 3) in its coordinates.
 
     Handles in line with each other are aligned, so that editing keeps the curve smooth; the others stay free.
@@ -35,44 +35,44 @@ def bezier_object(name: str, points: Float, left: Float, right: Float, *, cyclic
         point.handle_left_type = point.handle_right_type = "FREE"
     for attribute, values in (("co", points), ("handle_left", left), ("handle_right", right)):
         spline.bezier_points.foreach_set(attribute, np.ascontiguousarray(values, dtype=np.float32).ravel())
-    for point, straight in zip(spline.bezier_points, _straight(points - left, right - points), strict=True):
+    for point, straight in zip(spline.bezier_points, _find_straight_knots(points - left, right - points), strict=True):
         if straight:
             point.handle_left_type = point.handle_right_type = "ALIGNED"
     return bpy.data.objects.new(name, curve)
 
 
-def _straight(before: Float, after: Float) -> NDArray[np.bool_]:
+def _find_straight_knots(before: Float, after: Float) -> NDArray[np.bool_]:
     size = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
     return np.asarray((before * after).sum(axis=1) > STRAIGHT_COSINE * size)
 
 
-def lay_on(stroke: Any, surface: Any, scene: Any) -> None:
+def attach_to_surface(stroke: Any, surface: Any, scene: Any) -> None:
     """Make it a stroke on a surface object, moving with it, in the scene's collection of strokes. The stroke's own
     coordinates are then the surface object's."""
-    into_collection(stroke, scene)
+    link_to_collection(stroke, scene)
     stroke.parent = surface
     group = stroke.hnf_stroke
     group.is_stroke, group.surface = True, surface
 
 
-def into_collection(stroke: Any, scene: Any) -> None:
+def link_to_collection(stroke: Any, scene: Any) -> None:
     """Link an object to the scene's "Touch strokes" (made where it is missing) and to nothing else."""
     import bpy
 
-    named = (child for child in scene.collection.children if child.name.split(".")[0] == COLLECTION)
+    named = (child for child in scene.collection.children if child.name.split(".")[0] == STROKE_COLLECTION)
     own = next((child for child in named if child.library is None), None)
     if own is None:
-        own = bpy.data.collections.new(COLLECTION)
+        own = bpy.data.collections.new(STROKE_COLLECTION)
         scene.collection.children.link(own)
     for collection in tuple(stroke.users_collection):
         if collection != own:
             collection.objects.unlink(stroke)
     if own not in stroke.users_collection:
         own.objects.link(stroke)
-    NEWS.forget()
+    CHANGES.mark_changed()
 
 
-def show_collection(stroke: Any, view_layer: Any) -> bool:
+def unhide_collection(stroke: Any, view_layer: Any) -> bool:
     """Show the scene's "Touch strokes" with the stroke in it where this view layer hides or excludes it: what was made
     a moment ago would vanish, and could not be selected. Was it hidden?"""
     view_layer.update()  # a collection made a moment ago is not in it yet
@@ -84,7 +84,7 @@ def show_collection(stroke: Any, view_layer: Any) -> bool:
     return hidden
 
 
-def insert_keys(stroke: Any, name: str, keys: Keys, start: float, per_second: float) -> None:
+def insert_keys(stroke: Any, name: str, keys: Keyframes, start: float, per_second: float) -> None:
     """Keyframes of hnf_stroke's property, time 0 at frame `start`, per_second frames a second.
 
     Handles lie a third of the way: the F-curve is then exactly the keys' cubic.

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-GROUP = "ShaderNodeGroup"
+GROUP_NODE = "ShaderNodeGroup"
 
 
 class NodeGraph:
     """A material copy whose node groups are made its own, so that every node exists once and may be edited; or, with
     own_groups False, a material as it is, to read: a group used twice is then entered from one of its places."""
 
-    def __init__(self, material: Any, own_groups: bool = True) -> None:
+    def __init__(self, material: Any, copy_groups: bool = True) -> None:
         self.material = material
         self.tree = material.node_tree
         self._parent: dict[str, Any] = {}
-        self._enter_groups(self.tree, own_groups)
+        self._enter_groups(self.tree, copy_groups)
 
     @property
     def output(self) -> Any:
@@ -38,12 +38,12 @@ class NodeGraph:
             return output if passed is None else self.resolve(passed.from_socket)
         if node.bl_idname == "NodeReroute":
             return self.resolve(node.inputs[0])
-        if node.bl_idname == GROUP and node.node_tree is not None:
-            inner = _group_output(node.node_tree)
-            return output if inner is None else self.resolve(_same(inner.inputs, output))
+        if node.bl_idname == GROUP_NODE and node.node_tree is not None:
+            inner = _find_group_output(node.node_tree)
+            return output if inner is None else self.resolve(_find_matching_socket(inner.inputs, output))
         if node.bl_idname == "NodeGroupInput":
             parent = self._parent.get(output.id_data.name_full)
-            return output if parent is None else self.resolve(_same(parent.inputs, output))
+            return output if parent is None else self.resolve(_find_matching_socket(parent.inputs, output))
         return output
 
     def source_node(self, socket: Any) -> Any:
@@ -64,31 +64,31 @@ class NodeGraph:
             if node.bl_idname not in stop:
                 waiting.extend(node.inputs)
 
-    def _enter_groups(self, tree: Any, own: bool) -> None:
+    def _enter_groups(self, tree: Any, copy_groups: bool) -> None:
         for node in tree.nodes:
-            if node.bl_idname == GROUP and node.node_tree is not None:
-                if own:
+            if node.bl_idname == GROUP_NODE and node.node_tree is not None:
+                if copy_groups:
                     node.node_tree = node.node_tree.copy()
                 self._parent[node.node_tree.name_full] = node
-                self._enter_groups(node.node_tree, own)
+                self._enter_groups(node.node_tree, copy_groups)
 
 
-def nodes_of(tree: Any, seen: set[str] | None = None) -> Iterator[Any]:
+def iter_nodes(tree: Any, visited: set[str] | None = None) -> Iterator[Any]:
     """Every node of a tree and of the groups in it."""
-    seen = set() if seen is None else seen
-    if tree is None or tree.name_full in seen:
+    visited = set() if visited is None else visited
+    if tree is None or tree.name_full in visited:
         return
-    seen.add(tree.name_full)
+    visited.add(tree.name_full)
     for node in tree.nodes:
         yield node
         if getattr(node, "node_tree", None) is not None:
-            yield from nodes_of(node.node_tree, seen)
+            yield from iter_nodes(node.node_tree, visited)
 
 
-def _group_output(tree: Any) -> Any:
+def _find_group_output(tree: Any) -> Any:
     outputs = [node for node in tree.nodes if node.bl_idname == "NodeGroupOutput"]
     return next((node for node in outputs if node.is_active_output), outputs[0] if outputs else None)
 
 
-def _same(sockets: Any, socket: Any) -> Any:
+def _find_matching_socket(sockets: Any, socket: Any) -> Any:
     return next(other for other in sockets if other.identifier == socket.identifier)

@@ -11,20 +11,20 @@ from hnf_core.action.deforming import DeformingMesh
 from hnf_core.errors import SceneError
 from hnf_core.scene.mesh import TriangleMesh
 
-from .meshes import evaluated_mesh, surface_frame
-from .temporary import Temporary
-from .undisturbed import lineage, undisturbed
+from .meshes import compute_surface_frame, evaluated_mesh
+from .temporary import TemporaryScene
+from .undisturbed import get_parent_chain, preserve_animated_values
 
 Float = NDArray[np.float64]
 
-SIMULATED = {"CLOTH", "SOFT_BODY", "FLUID", "DYNAMIC_PAINT", "EXPLODE", "PARTICLE_INSTANCE"}
-RUNS_BY_ITSELF = {"WAVE", "OCEAN", "NODES", "MESH_CACHE", "MESH_SEQUENCE_CACHE", "BUILD"}
-STILL_M = 1e-9
+SIMULATION_MODIFIERS = {"CLOTH", "SOFT_BODY", "FLUID", "DYNAMIC_PAINT", "EXPLODE", "PARTICLE_INSTANCE"}
+TIME_DEPENDENT_MODIFIERS = {"WAVE", "OCEAN", "NODES", "MESH_CACHE", "MESH_SEQUENCE_CACHE", "BUILD"}
+MIN_MOTION_M = 1e-9
 
 
 def is_moving(obj: Any) -> bool:
     """Whether an object's world matrix may depend on the frame: keys, drivers, NLA, constraints, or a parent's."""
-    return any(_is_animated(member) or _is_constrained(member) for member in lineage(obj))
+    return any(_is_animated(member) or _is_constrained(member) for member in get_parent_chain(obj))
 
 
 def _is_constrained(obj: Any) -> bool:
@@ -50,7 +50,7 @@ def may_deform(obj: Any) -> bool:
     blocks = [obj, obj.data, getattr(obj.data, "shape_keys", None)]
     modifiers = [modifier for modifier in obj.modifiers if modifier.show_viewport]
     for modifier in modifiers:
-        if modifier.type in SIMULATED:
+        if modifier.type in SIMULATION_MODIFIERS:
             raise SceneError(
                 f"it is simulated (modifier '{modifier.name}').",
                 where=f"object '{obj.name}'",
@@ -59,15 +59,15 @@ def may_deform(obj: Any) -> bool:
         for name in ("object", "target", "texture_coords_object", "auxiliary_target"):
             target = getattr(modifier, name, None)
             if target is not None:
-                blocks += [*lineage(target), target.data]
-    if any(modifier.type in RUNS_BY_ITSELF for modifier in modifiers):
+                blocks += [*get_parent_chain(target), target.data]
+    if any(modifier.type in TIME_DEPENDENT_MODIFIERS for modifier in modifiers):
         return True
     if obj.parent_type in {"ARMATURE", "LATTICE", "CURVE"} and obj.parent is not None:
         blocks += [obj.parent, obj.parent.data]
-    return any(_deforms(block, obj) for block in blocks if block is not None)
+    return any(_is_deforming(block, obj) for block in blocks if block is not None)
 
 
-def _deforms(block: Any, obj: Any) -> bool:
+def _is_deforming(block: Any, obj: Any) -> bool:
     if not _is_animated(block):
         return False
     if block != obj:
@@ -78,10 +78,10 @@ def _deforms(block: Any, obj: Any) -> bool:
     return bool(len(block.animation_data.nla_tracks)) or any(path.startswith(("modifiers", "pose")) for path in paths)
 
 
-def world_matrices(scene: Any, objects: tuple[Any, ...], frames: Float) -> Float:
+def sample_world_matrices(scene: Any, objects: tuple[Any, ...], frames: Float) -> Float:
     """World matrices (objects, n, 4, 4) at (fractional) frames (n,), from a temporary scene of these objects alone."""
     matrices = np.empty((len(objects), len(frames), 4, 4))
-    with undisturbed(scene, *objects), Temporary() as temporary:
+    with preserve_animated_values(scene, *objects), TemporaryScene() as temporary:
         for obj in dict.fromkeys(objects):
             temporary.link(obj)
         for i, frame in enumerate(frames):
@@ -91,18 +91,20 @@ def world_matrices(scene: Any, objects: tuple[Any, ...], frames: Float) -> Float
     return matrices
 
 
-def shape_over_time(
+def sample_shapes(
     obj: Any, scene: Any, mesh: TriangleMesh, frames: Float, seconds: Float, metres_per_unit: float
 ) -> DeformingMesh | None:
     """The surface's vertices in its own frame (m) at frames (F,), whose times are seconds (F,); None where the
     shape stays. mesh: at rest. Raises SceneError where the topology changes."""
     shapes = []
-    with undisturbed(scene, obj), Temporary() as temporary:
+    with preserve_animated_values(scene, obj), TemporaryScene() as temporary:
         temporary.link(obj)
         for frame in frames:
             depsgraph = temporary.evaluate(float(frame))
             evaluated = obj.evaluated_get(depsgraph)
-            _, stretch = surface_frame(np.array(evaluated.matrix_world), metres_per_unit, f"object '{obj.name}'")
+            _, stretch = compute_surface_frame(
+                np.array(evaluated.matrix_world), metres_per_unit, f"object '{obj.name}'"
+            )
             with evaluated_mesh(evaluated, depsgraph) as shape:
                 count = len(shape.vertices)
                 if count != len(mesh.vertices):
@@ -117,6 +119,6 @@ def shape_over_time(
             shapes.append((flat.reshape(-1, 3).astype(np.float64) @ stretch.T).astype(np.float32))
     vertices = np.stack(shapes)
     spread = np.abs(vertices - mesh.vertices.astype(np.float32)).max(initial=0.0)
-    if spread <= STILL_M + 1e-6 * float(np.abs(mesh.vertices).max(initial=0.0)):
+    if spread <= MIN_MOTION_M + 1e-6 * float(np.abs(mesh.vertices).max(initial=0.0)):
         return None
     return DeformingMesh(mesh, seconds, vertices)

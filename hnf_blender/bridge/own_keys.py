@@ -9,7 +9,7 @@ from hnf_core.errors import StrokeError
 from .. import compat
 
 
-def ensure_own_keys(stroke: Any) -> None:
+def make_keys_single_user(stroke: Any) -> None:
     """Give a stroke whose action others use too (a linked duplicate, Alt D) a copy of its own, so that what is done to
     its keyframes leaves theirs alone. Raises StrokeError where the keyframes are linked from another file."""
     action = None if stroke.animation_data is None else stroke.animation_data.action

@@ -13,10 +13,10 @@ from hnf_core.material.hnf_file import MaterialFile, parse_hnf
 from hnf_core.material.material import Appearance
 
 from .. import compat
-from ..props.material import OWN_DEFINITION, OWN_NAME
-from .keeping import keep
+from ..props.material import DEFINITION_NAME_PROPERTY, DEFINITION_PROPERTY
+from .keeping import set_property
 
-INPUTS = {
+PRINCIPLED_INPUTS = {
     "base_color": "Base Color",
     "roughness": "Roughness",
     "metallic": "Metallic",
@@ -26,7 +26,7 @@ INPUTS = {
 """Shading value → input of the Principled BSDF."""
 
 
-def carry(material: Any, definition: MaterialFile) -> None:
+def set_definition(material: Any, definition: MaterialFile) -> None:
     """Make definition what material feels like, in place of a choice made before. Raises SceneError where material is
     linked from another file, or a library override, which would forget it with the next load."""
     if not material.is_editable:
@@ -41,47 +41,47 @@ def carry(material: Any, definition: MaterialFile) -> None:
             where=f"material '{material.name}'",
             remedy="Make it local, or choose a material of the library.",
         )
-    keep(material, OWN_DEFINITION, definition.to_bytes())
-    keep(material, OWN_NAME, definition.name)
+    set_property(material, DEFINITION_PROPERTY, definition.to_bytes())
+    set_property(material, DEFINITION_NAME_PROPERTY, definition.name)
     material.hnf_touch.library = ""
     material.update_tag()
 
 
-def carried(material: Any) -> MaterialFile | None:
+def get_definition(material: Any) -> MaterialFile | None:
     """The definition that material carries, or None. Raises FileError, naming the material, where it is damaged or
     belongs to another encoder."""
-    data = material.get(OWN_DEFINITION)
+    data = material.get(DEFINITION_PROPERTY)
     if data is None:
         return None
     return parse_hnf(data if isinstance(data, bytes) else b"", f"material '{material.name}'")
 
 
-def own_word(material: Any) -> str | MaterialFile:
+def get_artist_choice(material: Any) -> str | MaterialFile:
     """What a Blender material itself says it feels like: the library material chosen by hand, else the definition that
     it carries, else "". Raises FileError, naming the material, where that definition is damaged."""
-    return material.hnf_touch.library or carried(material) or ""
+    return material.hnf_touch.library or get_definition(material) or ""
 
 
-def forget(material: Any) -> None:
+def clear_definition(material: Any) -> None:
     """Take the definition off again."""
-    for each in (OWN_DEFINITION, OWN_NAME):
+    for each in (DEFINITION_PROPERTY, DEFINITION_NAME_PROPERTY):
         if each in material:
             del material[each]
 
 
-def give(obj: Any, slot: int, definition: MaterialFile) -> Any:
+def assign_definition(obj: Any, slot: int, definition: MaterialFile) -> Any:
     """Make definition what a slot of obj feels like; its Blender material. An empty slot, or an object without slots,
     gets a new material that looks like it too. Raises SceneError where the object or its material is linked."""
     slots = obj.material_slots
     held = slots[slot].material if slot < len(slots) else None
     if held is not None:
-        carry(held, definition)
+        set_definition(held, definition)
         return held
     if not obj.is_editable or (slot >= len(slots) and not obj.data.is_editable):
         raise SceneError(
             "it is linked from another file.", where=f"object '{obj.name}'", remedy="Make it a library override first."
         )
-    made = new_material(definition)
+    made = create_material(definition)
     if slot < len(slots):
         slots[slot].material = made
     else:
@@ -89,21 +89,21 @@ def give(obj: Any, slot: int, definition: MaterialFile) -> Any:
     return made
 
 
-def new_material(definition: MaterialFile) -> Any:
+def create_material(definition: MaterialFile) -> Any:
     """A Blender material that looks and feels like definition."""
     import bpy
 
     material = bpy.data.materials.new(definition.name)
-    give_look(material, definition.appearance)
-    carry(material, definition)
+    set_appearance(material, definition.appearance)
+    set_definition(material, definition)
     return material
 
 
-def give_look(material: Any, appearance: Appearance) -> None:
+def set_appearance(material: Any, appearance: Appearance) -> None:
     """Set the known shading values on the material's Principled BSDF, and the viewport's colour."""
     compat.switch_nodes_on(material)
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    for name, socket in INPUTS.items():
+    for name, socket in PRINCIPLED_INPUTS.items():
         value = getattr(appearance, name)
         if value is not None:
             shader.inputs[socket].default_value = (*value, 1.0) if name == "base_color" else value

@@ -7,7 +7,7 @@ from typing import Any
 from .. import compat
 
 
-def show_painted(obj: Any) -> None:
+def show_vertex_colours(obj: Any) -> None:
     """A scan's colours lie on its points, and its file names no material: give it one that shows them. Nothing happens
     to what is no mesh, has a material, or has no colours."""
     import bpy

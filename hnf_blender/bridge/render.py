@@ -13,15 +13,15 @@ from hnf_core.scene.camera import Camera
 from hnf_core.scene.exr import read_exr
 
 from .. import compat
-from .quiet import quiet
+from .quiet import suppress_output
 from .taps import Tap
-from .temporary import Temporary
+from .temporary import TemporaryScene
 
-NO_DEPTH = 1e9
+NO_HIT_DEPTH = 1e9
 """Cycles writes 1e10 where a camera ray meets nothing."""
 
 
-def prepare_cycles(scene: Any, samples: int) -> None:
+def configure_cycles(scene: Any, samples: int) -> None:
     """Cycles on the CPU into a multilayer EXR, no compositor, no sequencer; one sample is exact, never denoised."""
     try:
         scene.render.engine = "CYCLES"
@@ -43,7 +43,7 @@ def prepare_cycles(scene: Any, samples: int) -> None:
     compat.use_multilayer_exr(render)
 
 
-def geometry_only(scene: Any) -> None:
+def disable_lighting(scene: Any) -> None:
     """No light is followed: one sample of the first surface under each pixel centre."""
     cycles = scene.cycles
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = 0
@@ -56,7 +56,7 @@ def add_aovs(view_layer: Any, taps: Iterable[Tap]) -> None:
         aov.name, aov.type = tap.name, tap.kind
 
 
-def add_camera(temporary: Temporary, name: str = "hnf camera") -> Any:
+def add_camera(temporary: TemporaryScene, name: str = "hnf camera") -> Any:
     import bpy
 
     camera = temporary.new_object(name, bpy.data.cameras.new(name))
@@ -64,7 +64,7 @@ def add_camera(temporary: Temporary, name: str = "hnf camera") -> Any:
     return camera
 
 
-def aim(scene: Any, camera_object: Any, camera: Camera, rigid: ArrayLike, metres_per_unit: float) -> None:
+def set_camera(scene: Any, camera_object: Any, camera: Camera, rigid: ArrayLike, metres_per_unit: float) -> None:
     """Set Blender's camera to camera, whose pose is in a frame that rigid (4, 4) brings to world metres.
 
     Square pixels only. Raises SceneError for a pixel aspect other than 1.
@@ -93,7 +93,7 @@ def aim(scene: Any, camera_object: Any, camera: Camera, rigid: ArrayLike, metres
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
 
 
-def render_passes(temporary: Temporary) -> dict[str, NDArray[np.float32]]:
+def render_passes(temporary: TemporaryScene) -> dict[str, NDArray[np.float32]]:
     """Render the temporary scene from its camera and read every pass. Raises SceneError where Blender fails."""
     import bpy
 
@@ -102,14 +102,14 @@ def render_passes(temporary: Temporary) -> dict[str, NDArray[np.float32]]:
     temporary.scene.render.filepath = str(path)
     try:
         # An operator updates its context's view layer: ours, or cost would follow the size of the user's scene.
-        with quiet(), bpy.context.temp_override(scene=temporary.scene, view_layer=temporary.view_layer):
+        with suppress_output(), bpy.context.temp_override(scene=temporary.scene, view_layer=temporary.view_layer):
             bpy.ops.render.render(scene=temporary.scene.name, layer=temporary.view_layer.name, write_still=True)
     except RuntimeError as error:
         raise SceneError(f"Blender could not render ({error}).", where="close-up") from error
     return read_exr(path)
 
 
-def planar_depth(passes: dict[str, NDArray[np.float32]], metres_per_unit: float) -> NDArray[np.float32]:
+def get_planar_depth(passes: dict[str, NDArray[np.float32]], metres_per_unit: float) -> NDArray[np.float32]:
     """Depth pass in metres, sky = inf."""
     depth = passes["Depth"]
-    return np.where(depth < NO_DEPTH, depth * np.float32(metres_per_unit), np.inf).astype(np.float32)
+    return np.where(depth < NO_HIT_DEPTH, depth * np.float32(metres_per_unit), np.inf).astype(np.float32)

@@ -12,11 +12,11 @@ from hnf_core.scene.camera import Camera
 
 Float = NDArray[np.float64]
 
-FIELD_OF_VIEW = np.radians(40.0)
+FIELD_OF_VIEW_RAD = np.radians(40.0)
 """Of the camera that is supplied, across the image."""
 
 
-def camera_record(scene: Any, camera_object: Any, metres_per_unit: float, matrix_world: Any = None) -> Camera:
+def read_camera(scene: Any, camera_object: Any, metres_per_unit: float, matrix_world: Any = None) -> Camera:
     """The camera that scene renders camera_object with: resolution and its percentage, pixel aspect, sensor fit and
     shift counted; a render border is not (the whole frame is meant).
 
@@ -53,7 +53,7 @@ def camera_record(scene: Any, camera_object: Any, metres_per_unit: float, matrix
     )
 
 
-def overview_camera(
+def make_overview_camera(
     points: ArrayLike, outward: ArrayLike, radius_m: float, width: int = 960, height: int = 540
 ) -> Camera:
     """A perspective camera that shows points (n, 3) (world metres, z up) at three-quarter view from the side that
@@ -70,7 +70,7 @@ def overview_camera(
     back = normal + lean
     back = back / np.linalg.norm(back)
     reach = max(float(np.linalg.norm(points - middle, axis=-1).max(initial=0.0)), radius_m, 1e-6)
-    focal = width / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
+    focal = width / (2.0 * np.tan(FIELD_OF_VIEW_RAD / 2.0))
     distance = 1.1 * reach * np.hypot(focal, min(width, height) / 2.0) / (min(width, height) / 2.0)
     right = np.cross(up, back)
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-6 else np.array([1.0, 0.0, 0.0])

@@ -8,8 +8,8 @@ from typing import Any
 from hnf_core.units import m_to_mm
 
 from .node_graph import NodeGraph
-from .taps import Tap, Tapper, constant_value, copy_input
-from .texels import IMAGE, PROCEDURAL, ImageTap, image_tap, is_plain, made_from
+from .taps import Tap, Tapper, copy_input, get_constant_value
+from .texels import IMAGE_NODE, PROCEDURAL_NODES, ImageTap, find_image_sources, is_texel_limited, tap_image
 
 BUMP_FACTORS = ("Distance", "Strength")
 
@@ -18,18 +18,18 @@ BUMP_FACTORS = ("Distance", "Strength")
 class Amount:
     """An input of a node, for the report. value: None where it is textured. is_length: of the tap's Blender units."""
 
-    word: str
+    label: str
     value: float | None
     is_length: bool
 
-    def told(self, metres_per_unit: float) -> str:
+    def format(self, metres_per_unit: float) -> str:
         if self.value is None:
-            return f"{self.word} textured"
+            return f"{self.label} textured"
         if not self.is_length:
-            return f"{self.word} {self.value:g}"
+            return f"{self.label} {self.value:g}"
         metres = self.value * metres_per_unit
         small = 0.0 < abs(metres) < 1e-6
-        return f"{self.word} {metres * 1e6:.3g} µm" if small else f"{self.word} {m_to_mm(metres):.6g} mm"
+        return f"{self.label} {metres * 1e6:.3g} µm" if small else f"{self.label} {m_to_mm(metres):.6g} mm"
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Relief:
     amounts: tuple[Amount, ...]
     images: tuple[ImageTap, ...]
     procedural: bool
-    plain: bool
+    texel_limited: bool
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Slopes:
     source: str
     images: tuple[ImageTap, ...]
     procedural: bool
-    plain: bool
+    texel_limited: bool
 
 
 @dataclass(frozen=True)
@@ -66,24 +66,24 @@ class MicroGeometry:
     slopes: tuple[Slopes, ...] = ()
 
 
-def from_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
+def read_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
     """Follow a closure's Normal input: bumps chained by their Normal inputs, and what stands at the chain's end."""
-    bumps, end = normal_chain(tapper.graph, socket)
-    reliefs = tuple(_bump(node, tapper) for node in bumps)
+    bumps, end = follow_normal_chain(tapper.graph, socket)
+    reliefs = tuple(_read_bump(node, tapper) for node in bumps)
     if end is None:
         return MicroGeometry(reliefs)
     _check_normal_map(end.node, tapper.graph, notes)
     images: tuple[ImageTap, ...]
-    if end.node.bl_idname == IMAGE:
-        images, procedural, plain = (image_tap(end.node, tapper),), False, True
+    if end.node.bl_idname == IMAGE_NODE:
+        images, procedural, plain = (tap_image(end.node, tapper),), False, True
     else:
-        images, procedural = made_from(tapper, end.node.inputs)
-        plain = is_plain(tapper.graph, end.node.inputs)
-    slopes = Slopes(tapper.output(end, "COLOR"), _label(end.node, "normals"), images, procedural, plain)
+        images, procedural = find_image_sources(tapper, end.node.inputs)
+        plain = is_texel_limited(tapper.graph, end.node.inputs)
+    slopes = Slopes(tapper.tap_output(end, "COLOR"), _format_label(end.node, "normals"), images, procedural, plain)
     return MicroGeometry(reliefs, (slopes,))
 
 
-def normal_chain(graph: NodeGraph, socket: Any) -> tuple[list[Any], Any]:
+def follow_normal_chain(graph: NodeGraph, socket: Any) -> tuple[list[Any], Any]:
     """The bumps behind a closure's Normal input, and the socket of the normal at the chain's end, None where that is
     the smooth surface's own. What is turned off (Strength 0, nothing linked to Height) does not count."""
     bumps: list[Any] = []
@@ -92,13 +92,13 @@ def normal_chain(graph: NodeGraph, socket: Any) -> tuple[list[Any], Any]:
         if graph.resolve(source.node.inputs["Height"]).is_output and not _is_off(graph, source.node, *BUMP_FACTORS):
             bumps.append(source.node)
         source = graph.resolve(source.node.inputs["Normal"])
-    if not source.is_output or source.node.mute or _is_plain_normal(source):
+    if not source.is_output or source.node.mute or _is_smooth_normal(source):
         return bumps, None
     off = source.node.bl_idname == "ShaderNodeNormalMap" and _is_off(graph, source.node, "Strength")
     return bumps, None if off else source
 
 
-def displaces(graph: NodeGraph, socket: Any) -> bool:
+def is_displacing(graph: NodeGraph, socket: Any) -> bool:
     """Does a Displacement node behind the Material Output's Displacement input raise anything?"""
     node = graph.source_node(socket)
     if node is None or node.bl_idname != "ShaderNodeDisplacement":
@@ -106,7 +106,7 @@ def displaces(graph: NodeGraph, socket: Any) -> bool:
     return graph.resolve(node.inputs["Height"]).is_output and not _is_off(graph, node, "Scale")
 
 
-def from_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
+def read_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
     """Height of a Displacement node: (Height − Midlevel) × Scale."""
     node = tapper.graph.source_node(socket)
     if node is None:
@@ -114,39 +114,39 @@ def from_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     if node.bl_idname != "ShaderNodeDisplacement":
         notes.append(f"'{node.name}' displaces in all directions: only Displacement nodes are read as height.")
         return MicroGeometry()
-    if not displaces(tapper.graph, socket):
+    if not is_displacing(tapper.graph, socket):
         return MicroGeometry()
     tree = node.id_data
     raised = tree.nodes.new("ShaderNodeMath")
     raised.operation = "SUBTRACT"
     copy_input(tree, node.inputs["Height"], raised.inputs[0])
     copy_input(tree, node.inputs["Midlevel"], raised.inputs[1])
-    height = tapper.product(tree, raised.outputs[0], node.inputs["Scale"])
-    images, procedural = made_from(tapper, [node.inputs["Height"]])
+    height = tapper.multiply(tree, raised.outputs[0], node.inputs["Scale"])
+    images, procedural = find_image_sources(tapper, [node.inputs["Height"]])
     relief = Relief(
-        tapper.output(height, "VALUE"),
+        tapper.tap_output(height, "VALUE"),
         node.space == "OBJECT",
         f"displacement '{node.name}'",
-        (_amount(node, "Scale", is_length=True),),
+        (_read_amount(node, "Scale", is_length=True),),
         images,
         procedural,
-        is_plain(tapper.graph, relief_inputs(node)),
+        is_texel_limited(tapper.graph, get_relief_inputs(node)),
     )
     return MicroGeometry((relief,))
 
 
-def _bump(node: Any, tapper: Tapper) -> Relief:
+def _read_bump(node: Any, tapper: Tapper) -> Relief:
     """Height × Distance × Strength of a Bump node (Cycles blends normals by Strength: its slope grows with it)."""
     sign = -1.0 if node.invert else 1.0
     factors = (node.inputs[name] for name in BUMP_FACTORS)
-    height = tapper.product(node.id_data, sign, node.inputs["Height"], *factors)
-    images, procedural = made_from(tapper, [node.inputs["Height"]])
-    amounts = (_amount(node, "Distance", is_length=True), _amount(node, "Strength", is_length=False))
-    plain = is_plain(tapper.graph, relief_inputs(node))
-    return Relief(tapper.output(height, "VALUE"), False, f"bump '{node.name}'", amounts, images, procedural, plain)
+    height = tapper.multiply(node.id_data, sign, node.inputs["Height"], *factors)
+    images, procedural = find_image_sources(tapper, [node.inputs["Height"]])
+    amounts = (_read_amount(node, "Distance", is_length=True), _read_amount(node, "Strength", is_length=False))
+    plain = is_texel_limited(tapper.graph, get_relief_inputs(node))
+    return Relief(tapper.tap_output(height, "VALUE"), False, f"bump '{node.name}'", amounts, images, procedural, plain)
 
 
-def relief_inputs(node: Any) -> list[Any]:
+def get_relief_inputs(node: Any) -> list[Any]:
     """What a Bump or a Displacement node makes its height from."""
     factors = BUMP_FACTORS if node.bl_idname == "ShaderNodeBump" else ("Midlevel", "Scale")
     return [node.inputs[name] for name in ("Height", *factors)]
@@ -155,10 +155,10 @@ def relief_inputs(node: Any) -> list[Any]:
 def _is_off(graph: NodeGraph, node: Any, *factors: str) -> bool:
     """Is one of these inputs set to 0, and no texture?"""
     ends = [graph.resolve(node.inputs[name]) for name in factors]
-    return any(not end.is_output and constant_value(end, "VALUE") == 0.0 for end in ends)
+    return any(not end.is_output and get_constant_value(end, "VALUE") == 0.0 for end in ends)
 
 
-def _is_plain_normal(source: Any) -> bool:
+def _is_smooth_normal(source: Any) -> bool:
     """The surface's own smooth normal, just passed along."""
     return source.node.bl_idname == "ShaderNodeNewGeometry" and source.name in {"Normal"}
 
@@ -166,16 +166,16 @@ def _is_plain_normal(source: Any) -> bool:
 def _check_normal_map(node: Any, graph: NodeGraph, notes: list[str]) -> None:
     if node.bl_idname != "ShaderNodeNormalMap":
         return
-    for each in graph.upstream(node.inputs["Color"], PROCEDURAL | {IMAGE}):
-        if each.bl_idname == IMAGE and each.image is not None and not each.image.colorspace_settings.is_data:
+    for each in graph.upstream(node.inputs["Color"], PROCEDURAL_NODES | {IMAGE_NODE}):
+        if each.bl_idname == IMAGE_NODE and each.image is not None and not each.image.colorspace_settings.is_data:
             space = each.image.colorspace_settings.name
             notes.append(f"normal map '{each.image.name}' is tagged {space}: set its Color Space to Non-Color.")
 
 
-def _amount(node: Any, name: str, *, is_length: bool) -> Amount:
+def _read_amount(node: Any, name: str, *, is_length: bool) -> Amount:
     socket = node.inputs[name]
     return Amount(name.lower(), None if socket.is_linked else float(socket.default_value), is_length)
 
 
-def _label(node: Any, kind: str) -> str:
+def _format_label(node: Any, kind: str) -> str:
     return f"normal map '{node.name}'" if node.bl_idname == "ShaderNodeNormalMap" else f"{kind} of '{node.name}'"

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-DRAWN_SHARE = 0.25
+SYMBOL_SIZE_FRACTION = 0.25
 """Size of a speaker's symbol, as a share of what it stands at: unscaled, one of a metre would cover a cup."""
 
 
-def middle_of(obj: Any) -> tuple[float, float, float]:
+def get_bounding_box_centre(obj: Any) -> tuple[float, float, float]:
     """World position (scene units) of the middle of an object's bounding box."""
-    corners = _world_corners(obj)
+    corners = _get_world_corners(obj)
     x, y, z = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
     return float(x), float(y), float(z)
 
@@ -36,11 +36,11 @@ def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any 
     if parent is not None:
         speaker.parent = parent
         speaker.matrix_parent_inverse = parent.matrix_world.inverted()
-        speaker.scale = (max(DRAWN_SHARE * float(np.ptp(_world_corners(parent), axis=0).max()), 1e-6),) * 3
+        speaker.scale = (max(SYMBOL_SIZE_FRACTION * float(np.ptp(_get_world_corners(parent), axis=0).max()), 1e-6),) * 3
     return speaker
 
 
-def _world_corners(obj: Any) -> NDArray[np.float64]:
+def _get_world_corners(obj: Any) -> NDArray[np.float64]:
     """(8, 3) corners of an object's bounding box in the world."""
     corners = np.array([(*corner, 1.0) for corner in obj.bound_box], dtype=np.float64)
     return np.asarray((corners @ np.array(obj.matrix_world, dtype=np.float64).T)[:, :3])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hnf_core.errors import SceneError
 from hnf_core.scene.splats.cloud import Splats
 
-from ..props.listed import Listed
+from ..props.listed import CachedFilter
 from .meshes import flush_edits
 from .storage import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
 
@@ -30,11 +30,11 @@ SOURCE_PROPERTY = "hnf_splats_source"
 NOTES_PROPERTY = "hnf_splats_notes"
 """Of a surface: what its reconstruction left to say, a line each."""
 SCHEMA = 1
-SCALE, ROTATION, OPACITY, HARMONIC = "scale", "rotation", "opacity", "sh_{}"
-COEFFICIENTS = (1, 4, 9, 16)
+SCALE_ATTRIBUTE, ROTATION_ATTRIBUTE, OPACITY_ATTRIBUTE, HARMONIC_ATTRIBUTE = "scale", "rotation", "opacity", "sh_{}"
+COEFFICIENT_COUNTS = (1, 4, 9, 16)
 
 
-def new_cloud(name: str, splats: Splats, source: str) -> Any:
+def create_cloud(name: str, splats: Splats, source: str) -> Any:
     """An object, in no scene yet, with a point a splat. source: name of the file, for the report. It is hidden from
     renders and cannot be clicked on: what is touched is the surface."""
     import bpy
@@ -42,11 +42,11 @@ def new_cloud(name: str, splats: Splats, source: str) -> Any:
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(splats))
     mesh.vertices.foreach_set("co", np.ascontiguousarray(splats.means).ravel())
-    _put(mesh, SCALE, "FLOAT_VECTOR", "vector", splats.scales)
-    _put(mesh, ROTATION, "QUATERNION", "value", splats.rotations)
-    _put(mesh, OPACITY, "FLOAT", "value", splats.opacities)
+    _write_attribute(mesh, SCALE_ATTRIBUTE, "FLOAT_VECTOR", "vector", splats.scales)
+    _write_attribute(mesh, ROTATION_ATTRIBUTE, "QUATERNION", "value", splats.rotations)
+    _write_attribute(mesh, OPACITY_ATTRIBUTE, "FLOAT", "value", splats.opacities)
     for place in range(splats.harmonics.shape[1]):
-        _put(mesh, HARMONIC.format(place), "FLOAT_VECTOR", "vector", splats.harmonics[:, place])
+        _write_attribute(mesh, HARMONIC_ATTRIBUTE.format(place), "FLOAT_VECTOR", "vector", splats.harmonics[:, place])
     mesh[SCHEMA_PROPERTY], mesh[SOURCE_PROPERTY] = SCHEMA, source
     cloud = bpy.data.objects.new(name, mesh)
     cloud.hide_render = cloud.hide_select = True
@@ -61,21 +61,28 @@ def read_cloud(cloud: Any) -> Splats:
     count = len(mesh.vertices)
     means = np.empty(3 * count, dtype=np.float32)
     mesh.vertices.foreach_get("co", means)
-    harmonics = [_get(mesh, HARMONIC.format(place), "FLOAT_VECTOR", "vector", 3, where) for place in _places(mesh)]
-    if len(harmonics) not in COEFFICIENTS:
-        raise _broken(where, f"it has {len(harmonics)} attributes of colour ({HARMONIC.format(0)}, …), not 1, 4, 9, 16")
+    harmonics = [
+        _read_attribute(mesh, HARMONIC_ATTRIBUTE.format(place), "FLOAT_VECTOR", "vector", 3, where)
+        for place in _list_harmonics(mesh)
+    ]
+    if len(harmonics) not in COEFFICIENT_COUNTS:
+        raise _unreadable_cloud_error(
+            where, f"it has {len(harmonics)} attributes of colour ({HARMONIC_ATTRIBUTE.format(0)}, …), not 1, 4, 9, 16"
+        )
     splats = Splats(
         means=means.reshape(-1, 3),
-        scales=_get(mesh, SCALE, "FLOAT_VECTOR", "vector", 3, where),
-        rotations=_get(mesh, ROTATION, "QUATERNION", "value", 4, where),
-        opacities=_get(mesh, OPACITY, "FLOAT", "value", 1, where).ravel(),
+        scales=_read_attribute(mesh, SCALE_ATTRIBUTE, "FLOAT_VECTOR", "vector", 3, where),
+        rotations=_read_attribute(mesh, ROTATION_ATTRIBUTE, "QUATERNION", "value", 4, where),
+        opacities=_read_attribute(mesh, OPACITY_ATTRIBUTE, "FLOAT", "value", 1, where).ravel(),
         harmonics=np.stack(harmonics, axis=1),
     )
     parts = (splats.means, splats.scales, splats.rotations, splats.opacities, splats.harmonics)
     if not all(np.isfinite(part).all() for part in parts):
-        raise _broken(where, "one of its values is not a number")
+        raise _unreadable_cloud_error(where, "one of its values is not a number")
     if count == 0 or splats.scales.min() <= 0.0 or not np.linalg.norm(splats.rotations, axis=1).min() > 0.0:
-        raise _broken(where, "it has no splats" if count == 0 else "a splat of it has no size or no direction")
+        raise _unreadable_cloud_error(
+            where, "it has no splats" if count == 0 else "a splat of it has no size or no direction"
+        )
     return splats
 
 
@@ -90,34 +97,34 @@ def link_cloud(surface: Any, cloud: Any, notes: Sequence[str] = ()) -> None:
     cloud.parent = surface
 
 
-def cloud_of(obj: Any) -> Any:
+def get_cloud(obj: Any) -> Any:
     """The object with the splats of a surface, or None."""
     cloud = obj.original.get(CLOUD_PROPERTY) if obj is not None else None
     return cloud if is_cloud(cloud) else None
 
 
-TOUCHABLE = Listed(lambda obj: cloud_of(obj) is not None)
+TOUCHABLE_SURFACES = CachedFilter(lambda obj: get_cloud(obj) is not None)
 """Surfaces that have splats."""
 
 
-def surface_of(cloud: Any) -> Any:
+def get_cloud_surface(cloud: Any) -> Any:
     """The surface of a cloud among its parents, or None."""
-    return cloud.parent if cloud.parent is not None and cloud_of(cloud.parent) == cloud else None
+    return cloud.parent if cloud.parent is not None and get_cloud(cloud.parent) == cloud else None
 
 
-def source_of(cloud: Any) -> str:
+def get_cloud_source(cloud: Any) -> str:
     """Name of the file that the splats are from."""
     return str(cloud.data.get(SOURCE_PROPERTY, cloud.name))
 
 
-def notes_of(surface: Any) -> tuple[str, ...]:
+def get_reconstruction_notes(surface: Any) -> tuple[str, ...]:
     """What the reconstruction of a surface left to say; nothing where the surface has no splats."""
-    if cloud_of(surface) is None:
+    if get_cloud(surface) is None:
         return ()
     return tuple(line for line in str(surface.original.get(NOTES_PROPERTY, "")).split("\n") if line)
 
 
-def cloud_hash(surface: Any, cloud: Any) -> str:
+def hash_cloud(surface: Any, cloud: Any) -> str:
     """Of all that a close-up of the surface sees in its splats: their values, their place on the surface, the name of
     their file. Names of objects, and where all of it stands, do not count. 128 bits, hex."""
     flush_edits(cloud)
@@ -125,9 +132,9 @@ def cloud_hash(surface: Any, cloud: Any) -> str:
     digest = hashlib.blake2b(digest_size=16)
     positions = np.empty(3 * len(mesh.vertices), dtype=np.float32)
     mesh.vertices.foreach_get("co", positions)
-    digest.update(f"{SCHEMA} {len(mesh.vertices)} {source_of(cloud)}".encode() + positions.tobytes())
-    kinds = {SCALE: ("vector", 3), ROTATION: ("value", 4), OPACITY: ("value", 1)}
-    kinds.update({HARMONIC.format(place): ("vector", 3) for place in _places(mesh)})
+    digest.update(f"{SCHEMA} {len(mesh.vertices)} {get_cloud_source(cloud)}".encode() + positions.tobytes())
+    kinds = {SCALE_ATTRIBUTE: ("vector", 3), ROTATION_ATTRIBUTE: ("value", 4), OPACITY_ATTRIBUTE: ("value", 1)}
+    kinds.update({HARMONIC_ATTRIBUTE.format(place): ("vector", 3) for place in _list_harmonics(mesh)})
     for name, (values, width) in kinds.items():
         attribute = mesh.attributes.get(name)
         digest.update(name.encode())
@@ -135,15 +142,15 @@ def cloud_hash(surface: Any, cloud: Any) -> str:
             data = np.empty(len(attribute.data) * width, dtype=np.float32)
             attribute.data.foreach_get(values, data)
             digest.update(data.tobytes())
-    digest.update((np.round(place_on(surface, cloud), 6) + 0.0).tobytes())
+    digest.update((np.round(get_cloud_placement(surface, cloud), 6) + 0.0).tobytes())
     return digest.hexdigest()
 
 
-def place_on(surface: Any, cloud: Any) -> Float:
+def get_cloud_placement(surface: Any, cloud: Any) -> Float:
     """(4, 4) surface's object space ← cloud's. By the cloud's own offset from its parent where that is the surface, or
     another one of these splats: nothing is evaluated, so a hidden cloud has its place too, and moving both changes no
     bit of it. By the places of both in the world where it was cut loose."""
-    if surface_of(cloud) is not None:
+    if get_cloud_surface(cloud) is not None:
         return np.array(cloud.matrix_parent_inverse @ cloud.matrix_basis, dtype=np.float64)
     from_world = np.linalg.inv(np.array(surface.matrix_world, dtype=np.float64))
     return np.asarray(from_world @ np.array(cloud.matrix_world, dtype=np.float64))
@@ -158,8 +165,10 @@ def write_point_tokens(cloud: Any, tokens: PointTokens) -> None:
         raise SceneError(
             f"it has {len(mesh.vertices)} splats, the bake has {len(tokens.index)}.", where=f"object '{cloud.name}'"
         )
-    _put(mesh, TOKEN_ATTRIBUTE, "INT", "value", np.ascontiguousarray(tokens.index, dtype=np.int32))
-    _put(mesh, CONFIDENCE_ATTRIBUTE, "FLOAT", "value", np.ascontiguousarray(tokens.confidence, dtype=np.float32))
+    _write_attribute(mesh, TOKEN_ATTRIBUTE, "INT", "value", np.ascontiguousarray(tokens.index, dtype=np.int32))
+    _write_attribute(
+        mesh, CONFIDENCE_ATTRIBUTE, "FLOAT", "value", np.ascontiguousarray(tokens.confidence, dtype=np.float32)
+    )
 
 
 def remove_point_tokens(cloud: Any) -> int:
@@ -187,14 +196,14 @@ def require_writable(cloud: Any) -> None:
         raise SceneError("its splats are in Edit Mode.", where=where, remedy="Leave Edit Mode and bake again.")
 
 
-def _places(mesh: Any) -> list[int]:
+def _list_harmonics(mesh: Any) -> list[int]:
     """Numbers of the harmonics that the mesh has, without a gap from 0 on."""
-    pattern = re.compile(HARMONIC.format(r"(\d+)"))
+    pattern = re.compile(HARMONIC_ATTRIBUTE.format(r"(\d+)"))
     found = {int(match[1]) for name in mesh.attributes.keys() if (match := pattern.fullmatch(name))}  # noqa: SIM118
     return list(range(next(number for number in range(len(found) + 1) if number not in found)))
 
 
-def _put(mesh: Any, name: str, kind: str, values: str, data: NDArray[Any]) -> None:
+def _write_attribute(mesh: Any, name: str, kind: str, values: str, data: NDArray[Any]) -> None:
     attribute = mesh.attributes.get(name)
     if attribute is not None and (attribute.data_type != kind or attribute.domain != "POINT"):
         mesh.attributes.remove(attribute)
@@ -204,16 +213,16 @@ def _put(mesh: Any, name: str, kind: str, values: str, data: NDArray[Any]) -> No
     mesh.attributes[name].data.foreach_set(values, np.ascontiguousarray(data).ravel())
 
 
-def _get(mesh: Any, name: str, kind: str, values: str, width: int, where: str) -> NDArray[np.float32]:
+def _read_attribute(mesh: Any, name: str, kind: str, values: str, width: int, where: str) -> NDArray[np.float32]:
     attribute = mesh.attributes.get(name)
     if attribute is None or attribute.data_type != kind or attribute.domain != "POINT":
-        raise _broken(where, f"its attribute '{name}' is gone or of another kind")
+        raise _unreadable_cloud_error(where, f"its attribute '{name}' is gone or of another kind")
     data = np.empty(width * len(mesh.vertices), dtype=np.float32)
     attribute.data.foreach_get(values, data)
     return data.reshape(-1, width)
 
 
-def _broken(where: str, why: str) -> SceneError:
+def _unreadable_cloud_error(where: str, why: str) -> SceneError:
     return SceneError(
         f"its splats cannot be read: {why}.", where=where, remedy="Undo that change, or import the file again."
     )

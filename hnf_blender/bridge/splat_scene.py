@@ -6,44 +6,44 @@ from typing import Any
 
 import numpy as np
 
-from .painted import show_painted
-from .splat_cloud import link_cloud, new_cloud
+from .painted import show_vertex_colours
+from .splat_cloud import create_cloud, link_cloud
 from .splat_reconstruction import Reconstruction, TouchSurface
-from .splat_shown import MOST_SHOWN, show_ellipsoids, shown_every
+from .splat_shown import MAX_SHOWN_SPLATS, get_display_stride, show_ellipsoids
 
-COLOUR = "Color"
+COLOUR_ATTRIBUTE = "Color"
 """Of the surface's points."""
 
 
-def add_reconstruction(scene: Any, made: Reconstruction) -> Any:
+def add_reconstruction(scene: Any, reconstruction: Reconstruction) -> Any:
     """The surface object, in scene's collection, upright; its splats are its child '<name> splats'.
 
     Both keep the file's frame and unit as their own; the surface's rotation turns the file's up to +z.
     """
     import bpy
 
-    surface = bpy.data.objects.new(made.name, _mesh(made.name, made.surface))
-    cloud = new_cloud(f"{made.name} splats", made.splats, made.source)
+    surface = bpy.data.objects.new(reconstruction.name, _create_mesh(reconstruction.name, reconstruction.surface))
+    cloud = create_cloud(f"{reconstruction.name} splats", reconstruction.splats, reconstruction.source)
     for obj in (surface, cloud):
         scene.collection.objects.link(obj)
-    notes = [f"object '{made.name}': {warning}" for warning in made.surface.warnings]
+    notes = [f"object '{reconstruction.name}': {warning}" for warning in reconstruction.surface.warnings]
     link_cloud(surface, cloud, notes)
-    show_painted(surface)
+    show_vertex_colours(surface)
     show_ellipsoids(cloud)
     surface.rotation_mode = "QUATERNION"
-    surface.rotation_quaternion = _upright(made.up)
+    surface.rotation_quaternion = _compute_upright_rotation(reconstruction.up)
     return surface
 
 
-def shown_note(made: Reconstruction) -> str:
+def describe_shown_splats(reconstruction: Reconstruction) -> str:
     """What the viewport leaves out of so many splats; "" where it shows all."""
-    every = shown_every(len(made.splats))
+    every = get_display_stride(len(reconstruction.splats))
     if every == 1:
         return ""
-    return f"the viewport shows one in {every} of its {len(made.splats)} splats ({MOST_SHOWN} at most); all are felt."
+    return f"the viewport shows one in {every} of its {len(reconstruction.splats)} splats ({MAX_SHOWN_SPLATS} at most); all are felt."
 
 
-def _mesh(name: str, surface: TouchSurface) -> Any:
+def _create_mesh(name: str, surface: TouchSurface) -> Any:
     import bpy
 
     mesh = bpy.data.meshes.new(name)
@@ -56,7 +56,7 @@ def _mesh(name: str, surface: TouchSurface) -> Any:
     mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
     mesh.polygons.foreach_set("use_smooth", np.ones(count, dtype=np.bool_))
     mesh.update(calc_edges=True)
-    colour = mesh.color_attributes.new(COLOUR, "FLOAT_COLOR", "POINT")
+    colour = mesh.color_attributes.new(COLOUR_ATTRIBUTE, "FLOAT_COLOR", "POINT")
     opaque = np.ones((len(surface.vertices), 4), dtype=np.float32)
     opaque[:, :3] = surface.colour
     colour.data.foreach_set("color", opaque.ravel())
@@ -64,7 +64,7 @@ def _mesh(name: str, surface: TouchSurface) -> Any:
     return mesh
 
 
-def _upright(up: tuple[float, float, float]) -> Any:
+def _compute_upright_rotation(up: tuple[float, float, float]) -> Any:
     """The shortest turn that brings up to +z; about x where it points straight down."""
     from mathutils import Quaternion, Vector
 

@@ -11,32 +11,32 @@ from numpy.typing import NDArray
 from hnf_core.errors import SceneError
 
 from .. import compat
-from .appearance import ShaderReading, plain_shading, read_shader
-from .images import missing_image
-from .meshes import Surface, evaluated_mesh, flush_edits, materials_of, surface_frame, surface_mesh
-from .node_graph import NodeGraph, nodes_of
-from .owner import dress, reads_of
-from .shader_colour import ColourSources, colour_sources
+from .appearance import ShaderReading, read_shader, read_viewport_shading
+from .images import explain_missing_image
+from .meshes import Surface, compute_surface_frame, evaluated_mesh, flush_edits, get_materials, read_surface
+from .node_graph import NodeGraph, iter_nodes
+from .owner import copy_object_inputs, find_shader_inputs
+from .shader_colour import ColourSources, find_colour_sources
 from .shader_height import MicroGeometry
 from .taps import Tap, Tapper
-from .temporary import Temporary
-from .texels import IMAGE
-from .unsaved import REMEDY, is_read_from_file
+from .temporary import TemporaryScene
+from .texels import IMAGE_NODE
+from .unsaved import UNSAVED_IMAGE_REMEDY, has_unsaved_paint
 
 Float = NDArray[np.float64]
 
-RANDOM = "Object Info's Random cannot be repeated in a close-up: its pattern may differ."
+RANDOM_NOTE = "Object Info's Random cannot be repeated in a close-up: its pattern may differ."
 
 
 @dataclass(frozen=True)
-class Stage:
+class IsolatedObject:
     """What stands on the temporary scene. actor: the object. rigid: (4, 4) stage metres ← surface frame.
     metres_per_unit: of the stage. stretch: (3, 3) surface frame ← object space. notes: about the whole object.
     owner: the user's own object. surface: what rays meet, of the very mesh that is rendered."""
 
-    temporary: Temporary
-    owner: Any
-    actor: Any
+    temporary: TemporaryScene
+    original: Any
+    stand_in: Any
     rigid: Float
     metres_per_unit: float
     stretch: Float
@@ -44,14 +44,14 @@ class Stage:
     surface: Surface
 
 
-def set_stage(
-    temporary: Temporary,
+def isolate_object(
+    temporary: TemporaryScene,
     obj: Any,
     metres_per_unit: float,
     frame: float | None,
     surface: Surface | None = None,
     view_layer: Any = None,
-) -> Stage:
+) -> IsolatedObject:
     """Copy obj onto the stage: without rotation and translation, in metres, so that no place in the world can
     change a bit of what is rendered; at its true place where its shaders look at the world.
 
@@ -62,45 +62,45 @@ def set_stage(
     original = obj.original
     where = f"object '{original.name}'"
     flush_edits(original)
-    home = view_layer or _home(original, temporary.scene)
+    home = view_layer or _find_home_layer(original, temporary.scene)
     if frame is None and home is not None:
         frame = float(home.id_data.frame_current_final)
     temporary.link(original)
     try:
         depsgraph = temporary.evaluate(frame)
         evaluated = original.evaluated_get(depsgraph)
-        rigid, stretch = surface_frame(evaluated.matrix_world, metres_per_unit, where)
+        rigid, stretch = compute_surface_frame(evaluated.matrix_world, metres_per_unit, where)
         with evaluated_mesh(evaluated, depsgraph) as mesh:
-            materials = materials_of(evaluated, mesh)
-        reads = reads_of(original, materials)
-        notes = (RANDOM,) if "Random" in reads.info else ()
+            materials = get_materials(evaluated, mesh)
+        reads = find_shader_inputs(original, materials)
+        notes = (RANDOM_NOTE,) if "Random" in reads.object_info else ()
         deformed = _is_deformed(original)
-        true_place = reads.worldly or (reads.generated and deformed)
-        surface = surface or surface_mesh(original, depsgraph, metres_per_unit)
+        true_place = reads.uses_world_space or (reads.uses_generated and deformed)
+        surface = surface or read_surface(original, depsgraph, metres_per_unit)
         data = original.data
         if deformed and not true_place:
-            data = _baked(evaluated, depsgraph)
+            data = _bake_mesh(evaluated, depsgraph)
     finally:
         temporary.scene.collection.objects.unlink(original)
     if true_place:
         actor = temporary.copy_object(original)
-        dress(actor, temporary.scene, original, home, reads)
-        _render_as_shown(actor)
+        copy_object_inputs(actor, temporary.scene, original, home, reads)
+        _match_viewport_modifiers(actor)
         temporary.evaluate(frame)
-        return Stage(temporary, original, actor, rigid, metres_per_unit, stretch, notes, surface)
+        return IsolatedObject(temporary, original, actor, rigid, metres_per_unit, stretch, notes, surface)
     actor = temporary.new_object("hnf actor", data)
-    dress(actor, temporary.scene, original, home, reads)
+    copy_object_inputs(actor, temporary.scene, original, home, reads)
     matrix = np.eye(4)
     matrix[:3, :3] = stretch
-    temporary.place(actor, matrix)
+    temporary.set_world_matrix(actor, matrix)
     for slot, material in zip(actor.material_slots, materials, strict=False):
         slot.link, slot.material = "OBJECT", material
-    return Stage(temporary, original, actor, np.eye(4), 1.0, stretch, notes, surface)
+    return IsolatedObject(temporary, original, actor, np.eye(4), 1.0, stretch, notes, surface)
 
 
-def _home(obj: Any, stage: Any) -> Any:
+def _find_home_layer(obj: Any, temporary_scene: Any) -> Any:
     """The first view layer of a scene other than the stage that obj stands in, None = none."""
-    scenes = (scene for scene in obj.users_scene if scene.library is None and scene != stage)
+    scenes = (scene for scene in obj.users_scene if scene.library is None and scene != temporary_scene)
     return next((scene.view_layers[0] for scene in scenes), None)
 
 
@@ -111,15 +111,15 @@ def _is_deformed(obj: Any) -> bool:
     return bool(obj.modifiers) or obj.data.shape_keys is not None or obj.parent_type in {"ARMATURE", "LATTICE"}
 
 
-def _baked(evaluated: Any, depsgraph: Any) -> Any:
+def _bake_mesh(evaluated: Any, depsgraph: Any) -> Any:
     import bpy
 
     return bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
 
 
-def _render_as_shown(actor: Any) -> None:
+def _match_viewport_modifiers(stand_in: Any) -> None:
     """Rays are cast on the viewport's mesh: let the render use the same modifiers and levels."""
-    for modifier in actor.modifiers:
+    for modifier in stand_in.modifiers:
         modifier.show_render = modifier.show_viewport
         if hasattr(modifier, "render_levels"):
             modifier.render_levels = modifier.levels
@@ -136,9 +136,9 @@ class SlotReading:
     colour: ColourSources | None = None
 
 
-def tap_slot(stage: Stage, slot: int, where: str) -> SlotReading:
+def instrument_slot(isolated: IsolatedObject, slot: int, where: str) -> SlotReading:
     """Replace the material in slot by a copy with taps, unlit. Raises SceneError for a missing texture."""
-    slots = stage.actor.material_slots
+    slots = isolated.stand_in.material_slots
     bare = (
         f"{where} has no material there: its feel is guessed from its name alone. Give it one, or say what it is "
         "under Feels in the Touch tab."
@@ -147,22 +147,22 @@ def tap_slot(stage: Stage, slot: int, where: str) -> SlotReading:
         return SlotReading("", ShaderReading(None, MicroGeometry(), (bare,)), ())
     original = slots[slot].material.original
     if not compat.use_nodes(original):
-        reading = ShaderReading(plain_shading(original), MicroGeometry(), ())
+        reading = ShaderReading(read_viewport_shading(original), MicroGeometry(), ())
         return SlotReading(original.name, reading, ())
     copy = original.copy()
     graph = NodeGraph(copy)
-    _prepare_textures(stage, graph)
+    _prepare_textures(isolated, graph)
     _check_images(graph, f"{where}, material '{original.name}'")
     tapper = Tapper(graph, f"hnf{slot}_")
-    colour = colour_sources(tapper)
+    colour = find_colour_sources(tapper)
     reading = read_shader(tapper)
-    _unlit(copy, graph)
+    _make_unlit(copy, graph)
     slots[slot].link = "OBJECT"
     slots[slot].material = copy
     return SlotReading(original.name, reading, tuple(tapper.taps), colour)
 
 
-def _unlit(copy: Any, graph: NodeGraph) -> None:
+def _make_unlit(copy: Any, graph: NodeGraph) -> None:
     """A surface that ends the path: taps are then read on the first surface met, whatever its transparency, and nothing
     is asked about light (the bits of an opaque plain surface, for a fifth less)."""
     output = graph.output
@@ -177,11 +177,11 @@ def _unlit(copy: Any, graph: NodeGraph) -> None:
         copy.displacement_method = "BUMP"
 
 
-def _prepare_textures(stage: Stage, graph: NodeGraph) -> None:
-    for node in nodes_of(graph.tree):
-        if node.bl_idname == "ShaderNodeTexCoord" and node.object == stage.owner:
+def _prepare_textures(isolated: IsolatedObject, graph: NodeGraph) -> None:
+    for node in iter_nodes(graph.tree):
+        if node.bl_idname == "ShaderNodeTexCoord" and node.object == isolated.original:
             node.object = None  # its own coordinates, wherever the copy stands
-        if node.bl_idname == IMAGE:
+        if node.bl_idname == IMAGE_NODE:
             node.interpolation = "Cubic"  # bilinear normals and heights hum at the texel rate
 
 
@@ -193,12 +193,14 @@ def _check_images(graph: NodeGraph, where: str) -> None:
         return
     for name in ("Surface", "Displacement"):
         for node in graph.upstream(output.inputs[name]):
-            if node.bl_idname == IMAGE and node.image is not None:
-                if is_read_from_file(node.image):
+            if node.bl_idname == IMAGE_NODE and node.image is not None:
+                if has_unsaved_paint(node.image):
                     raise SceneError(
-                        f"its texture '{node.image.name}' was painted and is not saved.", where=where, remedy=REMEDY
+                        f"its texture '{node.image.name}' was painted and is not saved.",
+                        where=where,
+                        remedy=UNSAVED_IMAGE_REMEDY,
                     )
-                problem = missing_image(node.image)
+                problem = explain_missing_image(node.image)
                 if problem is not None:
                     raise SceneError(
                         f"its texture '{node.image.name}' is not there: {problem}.",

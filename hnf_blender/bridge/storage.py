@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hnf_core.errors import SceneError
 from hnf_core.material.palette import Palette
 
-from .keeping import keep
+from .keeping import set_property
 
 TOKEN_ATTRIBUTE = "hnf_token"
 ROUGHNESS_ATTRIBUTE = "hnf_roughness"
@@ -54,12 +54,12 @@ def write_tokens(mesh: Any, tokens: FaceTokens) -> None:
     count = len(mesh.polygons)
     if not len(tokens.index) == len(tokens.roughness) == len(tokens.confidence) == count:
         raise SceneError(f"it has {count} faces, the bake has {len(tokens.index)}.", where=f"mesh '{mesh.name}'")
-    _write(mesh, TOKEN_ATTRIBUTE, "INT", np.ascontiguousarray(tokens.index, dtype=np.int32))
-    _write(mesh, ROUGHNESS_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.roughness, dtype=np.float32))
-    _write(mesh, CONFIDENCE_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.confidence, dtype=np.float32))
-    keep(mesh, PALETTE_PROPERTY, tokens.palette.to_bytes())
-    keep(mesh, SOURCE_PROPERTY, tokens.source)
-    keep(mesh, SCHEMA_PROPERTY, SCHEMA)
+    _write_attribute(mesh, TOKEN_ATTRIBUTE, "INT", np.ascontiguousarray(tokens.index, dtype=np.int32))
+    _write_attribute(mesh, ROUGHNESS_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.roughness, dtype=np.float32))
+    _write_attribute(mesh, CONFIDENCE_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.confidence, dtype=np.float32))
+    set_property(mesh, PALETTE_PROPERTY, tokens.palette.to_bytes())
+    set_property(mesh, SOURCE_PROPERTY, tokens.source)
+    set_property(mesh, SCHEMA_PROPERTY, SCHEMA)
 
 
 def read_tokens(mesh: Any) -> FaceTokens | None:
@@ -75,14 +75,14 @@ def read_tokens(mesh: Any) -> FaceTokens | None:
         return None
     return FaceTokens(
         palette=Palette.from_bytes(bytes(mesh[PALETTE_PROPERTY])),
-        index=_read(mesh, TOKEN_ATTRIBUTE, np.int32),
-        roughness=_read(mesh, ROUGHNESS_ATTRIBUTE, np.float32),
-        confidence=_read(mesh, CONFIDENCE_ATTRIBUTE, np.float32),
+        index=_read_attribute(mesh, TOKEN_ATTRIBUTE, np.int32),
+        roughness=_read_attribute(mesh, ROUGHNESS_ATTRIBUTE, np.float32),
+        confidence=_read_attribute(mesh, CONFIDENCE_ATTRIBUTE, np.float32),
         source=str(mesh[SOURCE_PROPERTY]),
     )
 
 
-def token_bytes(mesh: Any) -> int:
+def count_token_bytes(mesh: Any) -> int:
     """How much write_tokens left on mesh."""
     names = (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)
     attributes = sum(4 * len(mesh.polygons) for name in names if name in mesh.attributes)
@@ -93,7 +93,7 @@ def token_bytes(mesh: Any) -> int:
 def remove_tokens(mesh: Any) -> int:
     """Take off mesh what write_tokens left; returns the bytes freed. Raises SceneError as write_tokens does."""
     _check_writable(mesh)
-    freed = token_bytes(mesh)
+    freed = count_token_bytes(mesh)
     for name in (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE):
         attribute = mesh.attributes.get(name)
         if attribute is not None:
@@ -115,7 +115,7 @@ def _check_writable(mesh: Any) -> None:
         raise SceneError("it is in Edit Mode.", where=f"mesh '{mesh.name}'", remedy="Leave Edit Mode and bake again.")
 
 
-def _write(mesh: Any, name: str, kind: str, values: NDArray[Any]) -> None:
+def _write_attribute(mesh: Any, name: str, kind: str, values: NDArray[Any]) -> None:
     attribute = mesh.attributes.get(name)
     if attribute is not None and (attribute.data_type != kind or attribute.domain != "FACE"):
         mesh.attributes.remove(attribute)
@@ -125,7 +125,7 @@ def _write(mesh: Any, name: str, kind: str, values: NDArray[Any]) -> None:
     mesh.attributes[name].data.foreach_set("value", values)  # fetched anew: new() invalidates earlier references
 
 
-def _read(mesh: Any, name: str, dtype: type) -> NDArray[Any]:
+def _read_attribute(mesh: Any, name: str, dtype: type) -> NDArray[Any]:
     values: NDArray[Any] = np.empty(len(mesh.polygons), dtype=dtype)
     mesh.attributes[name].data.foreach_get("value", values)
     return values

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.action.curves import ArcCurve, by_arc_length
-from hnf_core.action.time_law import checked_force, checked_progress, time_grid
+from hnf_core.action.curves import ArcCurve, build_arc_curve
+from hnf_core.action.time_law import clamp_force, clamp_progress, make_time_grid
 
 from ..props.stroke import FORCE_MAX_N
 from .channels import Channel, read_channel, sample_channels
 from .splines import read_curve
-from .strokes import law_of, motion_of
+from .strokes import choose_motion_profile, compute_motion
 
 Float = NDArray[np.float64]
 
-RATE_HZ = 60.0
+TIMELINE_RATE_HZ = 60.0
 
 
 @dataclass(frozen=True)
-class Timeline:
+class StrokeTimeline:
     """frames: (n,) scene frames, even. position: (n,) m along the curve as its object stands now. force: (n,) N.
     arc: the curve in metres, in world axes."""
 
@@ -33,7 +33,7 @@ class Timeline:
     arc: ArcCurve
 
 
-def stroke_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = RATE_HZ) -> Timeline:
+def sample_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = TIMELINE_RATE_HZ) -> StrokeTimeline:
     """Sample a stroke's motion and force at rate [Hz]. What drivers and the NLA move counts with its present value.
 
     Raises StrokeError as read_stroke does.
@@ -41,30 +41,30 @@ def stroke_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = 
     group, where = obj.hnf_stroke, f"stroke '{obj.name}'"
     world = np.array(obj.matrix_world, dtype=np.float64)
     world[:3] *= metres_per_unit
-    arc = by_arc_length(read_curve(obj).transformed(world))
+    arc = build_arc_curve(read_curve(obj).transform(world))
     start, frame_s = float(group.start), float(scene.render.fps_base) / float(scene.render.fps)
-    channels = tuple(_plain(read_channel(obj, name, scene)) for name in ("force", "progress"))
-    law, duration = law_of(group, arc.length, (channels[0], channels[1]), start, frame_s, where)
-    time = time_grid(duration, rate, where=where)
+    channels = tuple(_ignore_drivers(read_channel(obj, name, scene)) for name in ("force", "progress"))
+    law, duration = choose_motion_profile(group, arc.length, (channels[0], channels[1]), start, frame_s, where)
+    time = make_time_grid(duration, rate, where=where)
     frames = start + time / frame_s
     force, progress = sample_channels(obj, scene, channels, frames)
-    motion = motion_of(group, law, checked_progress(progress, frames, where=where), time, arc.length, rate)
-    return Timeline(frames, motion.position, checked_force(force, frames, where=where, most=FORCE_MAX_N), arc)
+    motion = compute_motion(group, law, clamp_progress(progress, frames, where=where), time, arc.length, rate)
+    return StrokeTimeline(frames, motion.position, clamp_force(force, frames, where=where, max_force=FORCE_MAX_N), arc)
 
 
-def motion_end(obj: Any, scene: Any, metres_per_unit: float) -> float:
+def get_motion_end(obj: Any, scene: Any, metres_per_unit: float) -> float:
     """Frame at which the hand stops moving, whatever force does: the last key of progress, or the end of the law."""
     group, where = obj.hnf_stroke, f"stroke '{obj.name}'"
     start, frame_s = float(group.start), float(scene.render.fps_base) / float(scene.render.fps)
-    progress = _plain(read_channel(obj, "progress", scene))
+    progress = _ignore_drivers(read_channel(obj, "progress", scene))
     world = np.array(obj.matrix_world, dtype=np.float64)
     world[:3] *= metres_per_unit
-    length = by_arc_length(read_curve(obj).transformed(world)).length
+    length = build_arc_curve(read_curve(obj).transform(world)).length
     still = Channel("force", "set", -np.inf)
-    return start + law_of(group, length, (still, progress), start, frame_s, where)[1] / frame_s
+    return start + choose_motion_profile(group, length, (still, progress), start, frame_s, where)[1] / frame_s
 
 
-def _plain(channel: Channel) -> Channel:
+def _ignore_drivers(channel: Channel) -> Channel:
     """A driven channel as if it were set: evaluating drivers needs a scene of its own, which a redraw cannot wait
     for."""
     return channel if channel.source != "driven" else Channel(channel.name, "set", channel.last_frame)

@@ -47,28 +47,28 @@ class Tapper:
         self.graph = graph
         self.taps: list[Tap] = []
         self._prefix = prefix
-        self._known: dict[tuple[str, str, str, str], Tap] = {}
+        self._tap_cache: dict[tuple[str, str, str, str], Tap] = {}
 
-    def output(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Tap:
+    def tap_output(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Tap:
         """Tap an output socket, wherever its node stands."""
         key = (socket.id_data.name_full, socket.node.name, socket.identifier, kind)
-        if key not in self._known:
+        if key not in self._tap_cache:
             tap = Tap(f"{self._prefix}{len(self.taps)}", kind)
             node = socket.id_data.nodes.new("ShaderNodeOutputAOV")
             node.aov_name = tap.name
             socket.id_data.links.new(socket, node.inputs["Color" if kind == "COLOR" else "Value"])
             self.taps.append(tap)
-            self._known[key] = tap
-        return self._known[key]
+            self._tap_cache[key] = tap
+        return self._tap_cache[key]
 
-    def input(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Quantity:
+    def tap_input(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Quantity:
         """What an input socket receives: a tap, or a constant where nothing is linked."""
         source = self.graph.resolve(socket)
         if source.is_output and not source.node.mute:
-            return self.output(source, kind)
-        return Constant(constant_value(source, kind))
+            return self.tap_output(source, kind)
+        return Constant(get_constant_value(source, kind))
 
-    def product(self, tree: Any, *factors: Any) -> Any:
+    def multiply(self, tree: Any, *factors: Any) -> Any:
         """Output socket of a chain of Math nodes in tree: the product of factors (see copy_input)."""
         result: Any = None
         for factor in factors:
@@ -95,10 +95,10 @@ def copy_input(tree: Any, source: Any, target: Any) -> None:
     if link is not None:
         tree.links.new(link.from_socket, target)
     else:
-        target.default_value = constant_value(source, "VALUE")
+        target.default_value = get_constant_value(source, "VALUE")
 
 
-def constant_value(socket: Any, kind: str) -> Any:
+def get_constant_value(socket: Any, kind: str) -> Any:
     """A socket's default: a number for VALUE (colours by luminance, as Blender converts them), three for COLOR."""
     value = getattr(socket, "default_value", 0.0)
     if isinstance(value, (bool, int, float)):

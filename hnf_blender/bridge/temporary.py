@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-SCENE_NAME = "hnf temporary"
-LAYER_NAME = "hnf"  # no dot: EXR channels are "<layer>.<pass>.<component>"
+TEMP_SCENE_NAME = "hnf temporary"
+TEMP_LAYER_NAME = "hnf"  # no dot: EXR channels are "<layer>.<pass>.<component>"
 
 
-class Temporary:
+class TemporaryScene:
     """Holds one temporary scene; on leaving, every datablock made since entering is removed.
 
     The user's scenes, settings and selection are never touched. Use as a context manager. like: a scene to start
@@ -30,41 +30,41 @@ class Temporary:
 
     scene: Any
 
-    def __init__(self, like: Any = None, *, lasting: bool = False) -> None:
-        self._like, self._lasting = like, lasting
+    def __init__(self, template: Any = None, *, long_lived: bool = False) -> None:
+        self._template, self._long_lived = template, long_lived
 
-    def __enter__(self) -> Temporary:
+    def __enter__(self) -> TemporaryScene:
         import bpy
 
-        self._before = set(_all_ids())
+        self._before = set(_list_datablocks())
         self._made: set[int] = set()
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.scene = None
         try:
-            self.scene = bpy.data.scenes.new(SCENE_NAME) if self._like is None else self._like.copy()
+            self.scene = bpy.data.scenes.new(TEMP_SCENE_NAME) if self._template is None else self._template.copy()
             for layer in list(self.scene.view_layers)[1:]:
                 self.scene.view_layers.remove(layer)
-            self.view_layer.name, self.view_layer.use = LAYER_NAME, True
+            self.view_layer.name, self.view_layer.use = TEMP_LAYER_NAME, True
         except BaseException:
-            self._made = set(_all_ids()) - self._before
-            self._clean()
+            self._made = set(_list_datablocks()) - self._before
+            self._remove_created()
             raise
-        self._made = set(_all_ids()) - self._before
+        self._made = set(_list_datablocks()) - self._before
         return self
 
     @contextmanager
-    def making(self) -> Iterator[None]:
+    def track_new_data(self) -> Iterator[None]:
         """What is made in this block is removed with the rest, however long that is off."""
-        before = set(_all_ids())
+        before = set(_list_datablocks())
         try:
             yield
         finally:
-            self._made |= set(_all_ids()) - before
+            self._made |= set(_list_datablocks()) - before
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._clean()
+        self._remove_created()
 
     @property
     def folder(self) -> Path:
@@ -90,7 +90,7 @@ class Temporary:
         copy = obj.copy()
         if with_data:
             copy.data = obj.data.copy()
-        for name, value in VISIBLE.items():
+        for name, value in VISIBLE_SETTINGS.items():
             setattr(copy, name, value)
         return self.link(copy)
 
@@ -99,7 +99,7 @@ class Temporary:
 
         return self.link(bpy.data.objects.new(name, data))
 
-    def place(self, obj: Any, matrix: ArrayLike) -> None:
+    def set_world_matrix(self, obj: Any, matrix: ArrayLike) -> None:
         """Give a new object an exact world matrix, shear included, which location, rotation and scale cannot hold."""
         import bpy
         from mathutils import Matrix
@@ -118,21 +118,21 @@ class Temporary:
         self.view_layer.update()
         return self.view_layer.depsgraph
 
-    def _clean(self) -> None:
+    def _remove_created(self) -> None:
         import bpy
 
         if self.scene is not None:
             self.scene.render.use_persistent_data = False
-        made = [block for uid, block in _all_ids().items() if self._is_ours(uid)]
+        made = [block for uid, block in _list_datablocks().items() if self._is_created_here(uid)]
         bpy.data.batch_remove(made)
         if self._folder is not None:
             self._folder.cleanup()
 
-    def _is_ours(self, uid: int) -> bool:
-        return uid in self._made if self._lasting else uid not in self._before
+    def _is_created_here(self, uid: int) -> bool:
+        return uid in self._made if self._long_lived else uid not in self._before
 
 
-VISIBLE = {
+VISIBLE_SETTINGS = {
     "hide_viewport": False,
     "hide_render": False,
     "visible_camera": True,
@@ -142,17 +142,17 @@ VISIBLE = {
 }
 
 
-def _all_ids() -> dict[int, Any]:
-    return {block.session_uid: block for block in _blocks()}
+def _list_datablocks() -> dict[int, Any]:
+    return {block.session_uid: block for block in _iter_datablocks()}
 
 
-def _blocks() -> Iterator[Any]:
+def _iter_datablocks() -> Iterator[Any]:
     import bpy
 
     for prop in bpy.data.bl_rna.properties:
-        if prop.type == "COLLECTION" and prop.identifier not in NOT_OURS:
+        if prop.type == "COLLECTION" and prop.identifier not in IGNORED_COLLECTIONS:
             yield from getattr(bpy.data, prop.identifier)
 
 
-NOT_OURS = {"libraries", "screens", "window_managers", "workspaces", "brushes"}
+IGNORED_COLLECTIONS = {"libraries", "screens", "window_managers", "workspaces", "brushes"}
 """Kinds that the work here never makes and that Blender may make by itself at any time."""

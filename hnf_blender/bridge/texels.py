@@ -9,28 +9,28 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .images import picture_size
+from .images import get_image_size
 from .node_graph import NodeGraph
 from .taps import Passes, Tap, Tapper
 
 Mask = NDArray[np.bool_]
 
-PROCEDURAL = frozenset({
+PROCEDURAL_NODES = frozenset({
     "ShaderNodeTexNoise", "ShaderNodeTexVoronoi", "ShaderNodeTexWave", "ShaderNodeTexMagic", "ShaderNodeTexBrick",
     "ShaderNodeTexChecker", "ShaderNodeTexGradient", "ShaderNodeTexWhiteNoise", "ShaderNodeTexGabor",
     "ShaderNodeTexMusgrave", "ShaderNodeTexPointDensity", "ShaderNodeTexIES",
 })  # fmt: skip
-IMAGE = "ShaderNodeTexImage"
-COORDINATES = frozenset({"ShaderNodeUVMap", "ShaderNodeTexCoord", "ShaderNodeNewGeometry", "ShaderNodeAttribute"})
+IMAGE_NODE = "ShaderNodeTexImage"
+COORDINATE_NODES = frozenset({"ShaderNodeUVMap", "ShaderNodeTexCoord", "ShaderNodeNewGeometry", "ShaderNodeAttribute"})
 
 
-READ_PLAINLY = frozenset({
-    IMAGE, "ShaderNodeNormalMap", "ShaderNodeMath", "ShaderNodeInvert", "ShaderNodeRGBCurve", "ShaderNodeRGBToBW",
+TEXEL_LIMITED_NODES = frozenset({
+    IMAGE_NODE, "ShaderNodeNormalMap", "ShaderNodeMath", "ShaderNodeInvert", "ShaderNodeRGBCurve", "ShaderNodeRGBToBW",
     "ShaderNodeSeparateColor", "ShaderNodeCombineColor", "ShaderNodeSeparateRGB", "ShaderNodeCombineRGB",
     "ShaderNodeValue", "ShaderNodeRGB",
 })  # fmt: skip
 """What may stand between an image and a relief without making it finer than its texels."""
-STRAIGHT = frozenset({"ADD", "SUBTRACT", "MULTIPLY", "MULTIPLY_ADD", "DIVIDE"})
+STEPLESS_MATH = frozenset({"ADD", "SUBTRACT", "MULTIPLY", "MULTIPLY_ADD", "DIVIDE"})
 """Of Math nodes, those without a step."""
 
 
@@ -44,7 +44,7 @@ class ImageTap:
     texels: tuple[float, ...]
 
 
-class Detailed(Protocol):
+class ImageSourced(Protocol):
     """Something made from images, or in part from what has no texels."""
 
     @property
@@ -53,65 +53,69 @@ class Detailed(Protocol):
     def procedural(self) -> bool: ...
 
 
-def made_from(tapper: Tapper, sockets: Iterable[Any]) -> tuple[tuple[ImageTap, ...], bool]:
+def find_image_sources(tapper: Tapper, sockets: Iterable[Any]) -> tuple[tuple[ImageTap, ...], bool]:
     """The images that input sockets are made from, and whether procedural textures are among their sources.
 
     What only moves or bends an image's coordinates adds no detail of its own.
     """
-    stop = PROCEDURAL | {IMAGE}
+    stop = PROCEDURAL_NODES | {IMAGE_NODE}
     nodes = {
         (node.id_data.name_full, node.name): node for socket in sockets for node in tapper.graph.upstream(socket, stop)
     }
     images = tuple(
-        image_tap(node, tapper) for node in nodes.values() if node.bl_idname == IMAGE and node.image is not None
+        tap_image(node, tapper) for node in nodes.values() if node.bl_idname == IMAGE_NODE and node.image is not None
     )
     kinds = {node.bl_idname for node in nodes.values()}
-    return images, bool(kinds & PROCEDURAL) or (not images and bool(kinds & COORDINATES))
+    return images, bool(kinds & PROCEDURAL_NODES) or (not images and bool(kinds & COORDINATE_NODES))
 
 
-def is_plain(graph: NodeGraph, sockets: Iterable[Any]) -> bool:
+def is_texel_limited(graph: NodeGraph, sockets: Iterable[Any]) -> bool:
     """Are input sockets made from one image at most, by nothing that draws edges or details into it?
 
     A step of a ramp is as fine as pixels can be; two images multiplied have waves of both together.
     """
-    stop = frozenset({IMAGE})
+    stop = frozenset({IMAGE_NODE})
     nodes = {(node.id_data.name_full, node.name): node for each in sockets for node in graph.upstream(each, stop)}
-    steps = (node for node in nodes.values() if node.bl_idname == "ShaderNodeMath" and node.operation not in STRAIGHT)
-    images = sum(node.bl_idname == IMAGE for node in nodes.values())
-    return images <= 1 and next(steps, None) is None and {node.bl_idname for node in nodes.values()} <= READ_PLAINLY
+    steps = (
+        node for node in nodes.values() if node.bl_idname == "ShaderNodeMath" and node.operation not in STEPLESS_MATH
+    )
+    images = sum(node.bl_idname == IMAGE_NODE for node in nodes.values())
+    return (
+        images <= 1 and next(steps, None) is None and {node.bl_idname for node in nodes.values()} <= TEXEL_LIMITED_NODES
+    )
 
 
-def image_tap(node: Any, tapper: Tapper) -> ImageTap:
+def tap_image(node: Any, tapper: Tapper) -> ImageTap:
     """An Image Texture node, with a tap of the coordinates it is read at."""
     tree, vector = node.id_data, node.inputs["Vector"]
     if tapper.graph.resolve(vector).is_output:
-        tap = tapper.output(vector.links[0].from_socket, "COLOR")
+        tap = tapper.tap_output(vector.links[0].from_socket, "COLOR")
     else:
         active = tree.nodes.new("ShaderNodeUVMap")
         tree.links.new(active.outputs["UV"], vector)
-        tap = tapper.output(active.outputs["UV"], "COLOR")
+        tap = tapper.tap_output(active.outputs["UV"], "COLOR")
     scale = node.texture_mapping.scale
-    width, height = picture_size(node.image)
+    width, height = get_image_size(node.image)
     flat = (width * scale[0], height * scale[1])
     # Box, sphere and tube projections look along all three axes.
     return ImageTap(node.image.name, tap, flat if node.projection == "FLAT" else (*flat, width * scale[2]))
 
 
-def resolved_wavelength(sources: Iterable[Detailed], passes: Passes, mask: Mask, pixel_m: float) -> float:
+def compute_resolved_wavelength(sources: Iterable[ImageSourced], passes: Passes, mask: Mask, pixel_m: float) -> float:
     """Shortest wavelength in metres that the finest source resolves: two texels, never less than two pixels."""
-    return max(2.0 * finest_texel(sources, passes, mask, pixel_m), 2.0 * pixel_m)
+    return max(2.0 * find_finest_texel(sources, passes, mask, pixel_m), 2.0 * pixel_m)
 
 
-def finest_texel(sources: Iterable[Detailed], passes: Passes, mask: Mask, pixel_m: float) -> float:
+def find_finest_texel(sources: Iterable[ImageSourced], passes: Passes, mask: Mask, pixel_m: float) -> float:
     """Size in metres of the smallest texels among the sources: 0 where one has none, inf where it cannot be told."""
     sources = tuple(sources)
     if any(source.procedural for source in sources):
         return 0.0
-    texels = (texel_size(image, passes, mask, pixel_m) for source in sources for image in source.images)
+    texels = (measure_texel_size(image, passes, mask, pixel_m) for source in sources for image in source.images)
     return min(texels, default=float("inf"))
 
 
-def texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:
+def measure_texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:
     """Median size in metres of a texel, along the direction in which it is longest; inf where it cannot be told."""
     texels = np.asarray(image.texels, dtype=np.float64)
     place = image.vector.read(passes)[..., : len(texels)] * texels

@@ -13,13 +13,13 @@ from hnf_core.action.contacts import Contacts, find_contacts
 from hnf_core.errors import UsageError
 from hnf_core.export.surface import UNTOUCHED, StrokePath, TouchedSurface
 
-from .meshes import Surface, surface_mesh
-from .scene_names import name_in, object_in
+from .meshes import Surface, read_surface
+from .scene_names import find_object, get_scene_name
 from .storage import FaceTokens, read_tokens
 from .strokes import read_stroke
 
 
-def touched_surface(
+def read_touched_surface(
     scene: Any, depsgraph: Any, metres_per_unit: float, *, stroke: Any = None, obj: Any = None
 ) -> TouchedSurface:
     """What stroke (a stroke object) was drawn on, with its way; or obj, with the way where stroke touches just that.
@@ -27,18 +27,18 @@ def touched_surface(
     Raises StrokeError and SceneError where either cannot be read, FileError where the stored palette is damaged.
     """
     read = None if stroke is None else read_stroke(stroke, scene, depsgraph, metres_per_unit)
-    target = obj if obj is not None else object_in(scene, read.object_name) if read is not None else None
+    target = obj if obj is not None else find_object(scene, read.object_name) if read is not None else None
     if target is None:
         raise UsageError("no object to export.", remedy="Name a stroke or an object.")
-    surface = surface_mesh(target, depsgraph, metres_per_unit)
-    found = _with_tokens(surface, read_tokens(target.data) if target.type == "MESH" else None)
-    if read is None or read.object_name != name_in(scene, target):
+    surface = read_surface(target, depsgraph, metres_per_unit)
+    found = _make_touched_surface(surface, read_tokens(target.data) if target.type == "MESH" else None)
+    if read is None or read.object_name != get_scene_name(scene, target):
         return found
-    contacts = find_contacts(read.samples, read.surface(surface.mesh), where=f"stroke '{read.name}'")
-    return replace(found, path=path_of(contacts))
+    contacts = find_contacts(read.samples, read.get_surface(surface.mesh), where=f"stroke '{read.name}'")
+    return replace(found, path=make_stroke_path(contacts))
 
 
-def path_of(contacts: Contacts) -> StrokePath:
+def make_stroke_path(contacts: Contacts) -> StrokePath:
     """The way travelled over the material, and the triangles that are pressed on the way."""
     speed = np.linalg.norm(contacts.velocity, axis=1)
     steps = np.diff(contacts.time) * (speed[1:] + speed[:-1]) / 2.0
@@ -50,25 +50,25 @@ def path_of(contacts: Contacts) -> StrokePath:
     )
 
 
-def surface_in_scene(
-    scene: Any, depsgraph: Any, metres_per_unit: float, origin: Mapping[str, str], object_name: str | None
+def find_surface_in_scene(
+    scene: Any, depsgraph: Any, metres_per_unit: float, provenance: Mapping[str, str], object_name: str | None
 ) -> TouchedSurface:
     """The surface of a signal that says where it comes from. origin: provenance of its WAV, of which stroke and object
     count. object_name: as asked for, counts more; None = not. Raises UsageError naming what there is."""
-    stroke = object_in(scene, origin.get("stroke", ""))
+    stroke = find_object(scene, provenance.get("stroke", ""))
     if stroke is not None and not stroke.hnf_stroke.is_stroke:
         stroke = None
-    name = object_name or ("" if stroke is not None else origin.get("object", ""))
-    target = object_in(scene, name) if name else None
+    name = object_name or ("" if stroke is not None else provenance.get("object", ""))
+    target = find_object(scene, name) if name else None
     if (name and target is None) or (target is None and stroke is None):
         meshes = [obj.name for obj in scene.objects if obj.type == "MESH" and read_tokens(obj.data) is not None]
         said = f"there is no object '{name}' in scene '{scene.name}'" if name else "the WAV does not say its object"
         remedy = f"Name one with --object. Baked: {', '.join(meshes) or 'none; run hnf touch first'}."
         raise UsageError(f"{said}.", remedy=remedy)
-    return touched_surface(scene, depsgraph, metres_per_unit, stroke=stroke, obj=target)
+    return read_touched_surface(scene, depsgraph, metres_per_unit, stroke=stroke, obj=target)
 
 
-def _with_tokens(surface: Surface, tokens: FaceTokens | None) -> TouchedSurface:
+def _make_touched_surface(surface: Surface, tokens: FaceTokens | None) -> TouchedSurface:
     """Faces' tokens on their triangles; faces that a modifier made of none have none."""
     count = len(surface.mesh.triangles)
     index = np.full(count, UNTOUCHED, dtype=np.int32)

@@ -8,7 +8,7 @@ from ..translations import tr
 from .drawn_stroke import cast_on_surface
 
 
-def view_under(context: Any, event: Any) -> Any:
+def find_view_under_mouse(context: Any, event: Any) -> Any:
     """The 3-D view under the mouse, with its bars, or None."""
     for area in context.window.screen.areas if context.window is not None else ():
         inside = area.x <= event.mouse_x < area.x + area.width and area.y <= event.mouse_y < area.y + area.height
@@ -17,7 +17,7 @@ def view_under(context: Any, event: Any) -> Any:
     return None
 
 
-def region_under(context: Any, event: Any) -> Any:
+def find_region_under_mouse(context: Any, event: Any) -> Any:
     """The main region of the 3-D view under the pen, or None; not where a sidebar or header lies over it."""
     found = None
     for area in context.window.screen.areas if context.window is not None else ():
@@ -33,7 +33,7 @@ def region_under(context: Any, event: Any) -> Any:
     return found
 
 
-def object_under(context: Any, x: int, y: int) -> tuple[Any, int] | None:
+def pick_object(context: Any, x: int, y: int) -> tuple[Any, int] | None:
     """(object, material slot) of the surface that the pen would meet at pixel (x, y) of context's 3-D region, or
     None."""
     from bpy_extras import view3d_utils
@@ -43,10 +43,14 @@ def object_under(context: Any, x: int, y: int) -> tuple[Any, int] | None:
         return None
     origin = view3d_utils.region_2d_to_origin_3d(region, view, (x, y))
     direction = view3d_utils.region_2d_to_vector_3d(region, view, (x, y))
-    return first_hit(context.scene, context.evaluated_depsgraph_get(), context.space_data, origin, direction)
+    return pick_object_along_ray(
+        context.scene, context.evaluated_depsgraph_get(), context.space_data, origin, direction
+    )
 
 
-def first_hit(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> tuple[Any, int] | None:
+def pick_object_along_ray(
+    scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any
+) -> tuple[Any, int] | None:
     """(object, material slot) of the first surface that a person sees along a ray (cast_on_surface), or None."""
     met = cast_on_surface(scene, depsgraph, viewport, origin, direction)
     if met is None:
@@ -56,7 +60,7 @@ def first_hit(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction:
     return met.obj, min(slot, max(len(met.obj.material_slots) - 1, 0))
 
 
-def surface_under(context: Any, area: Any, region: Any, at: tuple[float, float]) -> Any:
+def pick_surface(context: Any, area: Any, region: Any, at: tuple[float, float]) -> Any:
     """What the pen meets at a place of a region of a 3-D view, in its pixels: a Hit, or None."""
     from bpy_extras import view3d_utils
 
@@ -69,14 +73,14 @@ def surface_under(context: Any, area: Any, region: Any, at: tuple[float, float])
     )
 
 
-def why_untouched(context: Any, region: Any, at: tuple[float, float]) -> str:
+def explain_untouchable(context: Any, region: Any, at: tuple[float, float]) -> str:
     """Why what is seen at a place of a region of a 3-D view, in its pixels, is no surface, and what to do; "" where
     nothing is seen there."""
     from bpy_extras import view3d_utils
 
-    from .untouchable import untouchable_seen
+    from .untouchable import find_untouchable
 
-    seen = untouchable_seen(
+    seen = find_untouchable(
         context.scene,
         context.evaluated_depsgraph_get(),
         view3d_utils.region_2d_to_origin_3d(region, region.data, at),

@@ -7,25 +7,25 @@ from typing import Any
 
 from hnf_core.errors import SceneError
 
-from .node_graph import nodes_of
+from .node_graph import iter_nodes
 
-REMEDY = "Save it (Image > Save in the Image Editor) or pack it (Image > Pack), and try again."
+UNSAVED_IMAGE_REMEDY = "Save it (Image > Save in the Image Editor) or pack it (Image > Pack), and try again."
 
 
-def check_saved(objects: Iterable[Any]) -> None:
+def check_images_saved(objects: Iterable[Any]) -> None:
     """Raises SceneError for the first texture on objects whose pixels a copy of the file would not hold."""
     for obj in objects:
         for slot in obj.material_slots:
-            for node in nodes_of(None if slot.material is None else slot.material.node_tree):
+            for node in iter_nodes(None if slot.material is None else slot.material.node_tree):
                 image = getattr(node, "image", None)
                 if image is not None and image.is_dirty:
                     raise SceneError(
                         f"its texture '{image.name}' was painted and is not saved, and a bake works on what is saved.",
                         where=f"object '{obj.name}', material '{slot.material.name}'",
-                        remedy=REMEDY,
+                        remedy=UNSAVED_IMAGE_REMEDY,
                     )
 
 
-def is_read_from_file(image: Any) -> bool:
+def has_unsaved_paint(image: Any) -> bool:
     """Was it painted, and would a render read its file instead, and forget the painting?"""
     return bool(image.is_dirty) and image.source in {"FILE", "TILED"} and not image.packed_files

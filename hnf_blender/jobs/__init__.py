@@ -6,15 +6,15 @@ import atexit
 
 
 def register() -> None:
-    atexit.register(_stop)
+    atexit.register(_cancel_job)
 
 
 def unregister() -> None:
-    atexit.unregister(_stop)
-    _stop()
+    atexit.unregister(_cancel_job)
+    _cancel_job()
 
 
-def _stop() -> None:
+def _cancel_job() -> None:
     from .current import cancel
 
     cancel()

@@ -17,60 +17,62 @@ from typing import Any
 
 from hnf_core.errors import FileError
 
-from .messages import Broken, Message, decode
+from .messages import Failed, Message, decode_message
 
 WORKER = Path(__file__).with_name("worker.py")
-LAST_LINES = 12
-DEATH_S = 5.0
+OUTPUT_TAIL_LINES = 12
+KILL_TIMEOUT_S = 5.0
 """How long is waited, beside the window, for a killed process to be gone; it can do nothing any more."""
 
 NICENESS = 5
 """The person's own Blender comes first, from the child's first moment: while it starts, it is at its busiest."""
-NEW_GROUP, NO_CONSOLE, BELOW_NORMAL = 0x200, 0x08000000, 0x4000
+CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW, BELOW_NORMAL_PRIORITY_CLASS = 0x200, 0x08000000, 0x4000
 """Windows: a process group of its own; no console window that flashes up; after the person's own Blender. subprocess
 names them there alone."""
-OWN_GROUP: dict[str, Any] = (
-    {"creationflags": NEW_GROUP | NO_CONSOLE | BELOW_NORMAL} if sys.platform == "win32" else {"start_new_session": True}
+PROCESS_GROUP_OPTIONS: dict[str, Any] = (
+    {"creationflags": CREATE_NEW_PROCESS_GROUP | CREATE_NO_WINDOW | BELOW_NORMAL_PRIORITY_CLASS}
+    if sys.platform == "win32"
+    else {"start_new_session": True}
 )
 """For Popen: end_group() then reaches all that the process starts."""
 
 
 @dataclass(frozen=True)
-class Program:
+class ChildProgram:
     """What a child is. words: that start it. name, remedy: for the message where they do not. environment: None =
     Blender's own."""
 
-    words: Sequence[str]
+    command: Sequence[str]
     name: str
     remedy: str
     environment: Mapping[str, str] | None = None
 
 
-class Child:
+class ChildProcess:
     """A process of its own at work on one job's folder."""
 
-    def __init__(self, folder: Path, program: Program) -> None:
+    def __init__(self, folder: Path, program: ChildProgram) -> None:
         """Raises FileError where it cannot be started."""
         self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
-        self._said: deque[str] = deque(maxlen=LAST_LINES)
+        self._output_tail: deque[str] = deque(maxlen=OUTPUT_TAIL_LINES)
         try:
             self._process: subprocess.Popen[bytes] = subprocess.Popen(
-                program.words,
+                program.command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 cwd=folder,
                 env=program.environment,
-                **OWN_GROUP,
+                **PROCESS_GROUP_OPTIONS,
             )
         except OSError as error:
             raise FileError(
                 f"{program.name} could not be started ({error.strerror}).",
-                where=program.words[0],
+                where=program.command[0],
                 remedy=program.remedy,
             ) from error
-        stand_back(self._process.pid)
-        self._reader = threading.Thread(target=self._read, name="hnf bake reader", daemon=True)
+        lower_priority(self._process.pid)
+        self._reader = threading.Thread(target=self._read_output, name="hnf bake reader", daemon=True)
         self._reader.start()
 
     @property
@@ -80,7 +82,7 @@ class Child:
     @property
     def last_lines(self) -> tuple[str, ...]:
         """The end of what it printed apart from messages."""
-        return tuple(self._said)
+        return tuple(self._output_tail)
 
     def messages(self) -> Iterator[Message]:
         """Those that came since the last call; never waits."""
@@ -95,35 +97,35 @@ class Child:
         code = self._process.poll()
         return None if code is None or self._reader.is_alive() else code
 
-    def kill(self, then: Callable[[], None]) -> None:
+    def kill(self, on_exit: Callable[[], None]) -> None:
         """End it and all that it started; waits for nothing. then: called when it is gone, in a thread, or at once
         where it has ended before."""
         if self._process.poll() is not None:
-            self._let_go()
-            then()
+            self._close_stdin()
+            on_exit()
             return
         if sys.platform != "win32":
-            end_group(self.pid)
+            kill_process_group(self.pid)
         try:
-            threading.Thread(target=self._bury, args=(then,), name="hnf bake end").start()
+            threading.Thread(target=self._reap, args=(on_exit,), name="hnf bake end").start()
         except RuntimeError:  # Python is ending, and from 3.12 on begins no thread then
-            self._bury(then)
+            self._reap(on_exit)
 
-    def _bury(self, then: Callable[[], None]) -> None:
+    def _reap(self, on_exit: Callable[[], None]) -> None:
         """The thread: a killed process that was busy starting takes a while to be cleared away."""
         if sys.platform == "win32":
-            end_group(self.pid)
+            kill_process_group(self.pid)
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(DEATH_S)
-        self._let_go()
-        then()
+            self._process.wait(KILL_TIMEOUT_S)
+        self._close_stdin()
+        on_exit()
 
-    def _let_go(self) -> None:
+    def _close_stdin(self) -> None:
         if self._process.stdin is not None:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
 
-    def _read(self) -> None:
+    def _read_output(self) -> None:
         """The thread: until the stream ends, which is the process's end. It alone may close what it reads."""
         stream = self._process.stdout
         if stream is None:
@@ -132,23 +134,23 @@ class Child:
             for raw in stream:
                 line = raw.decode("utf-8", "replace").strip()
                 try:
-                    message = decode(line)
+                    message = decode_message(line)
                 except FileError as error:
-                    message = Broken(str(error))
+                    message = Failed(str(error))
                 if message is not None:
                     self._messages.put(message)
                 elif line:
-                    self._said.append(line)
+                    self._output_tail.append(line)
 
 
-def stand_back(pid: int) -> None:
+def lower_priority(pid: int) -> None:
     """Let a process of our own come after this one. On Windows OWN_GROUP has done it."""
     if sys.platform != "win32":
         with contextlib.suppress(OSError):  # it has ended already
             os.setpriority(os.PRIO_PROCESS, pid, os.getpriority(os.PRIO_PROCESS, 0) + NICENESS)
 
 
-def end_group(pid: int) -> None:
+def kill_process_group(pid: int) -> None:
     """Kill a process that was started with OWN_GROUP, and all that it started. On Windows this takes a moment."""
     if sys.platform != "win32":
         with contextlib.suppress(OSError):
@@ -158,12 +160,12 @@ def end_group(pid: int) -> None:
         subprocess.run(
             ["taskkill", "/F", "/T", "/PID", str(pid)],
             capture_output=True,
-            timeout=DEATH_S,
-            creationflags=NO_CONSOLE,
+            timeout=KILL_TIMEOUT_S,
+            creationflags=CREATE_NO_WINDOW,
         )
 
 
-def second_blender(folder: Path) -> Program:
+def make_blender_program(folder: Path) -> ChildProgram:
     """This very Blender, or this Python with the bpy module."""
     import bpy
 
@@ -171,6 +173,6 @@ def second_blender(folder: Path) -> Program:
     words = [sys.executable, str(WORKER), str(folder)]
     if binary:
         words = [binary, "-b", "--factory-startup", "-noaudio", "--python", str(WORKER), "--", str(folder)]
-    return Program(
+    return ChildProgram(
         words, "a second Blender", "Bake in the background instead: blender -b FILE --command hnf touch --out DIR"
     )

@@ -10,25 +10,25 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
-from ..bridge.scene_names import name_in, named_objects
-from ..bridge.splat_cloud import cloud_of, require_writable, write_point_tokens
+from ..bridge.scene_names import get_named_objects, get_scene_name
+from ..bridge.splat_cloud import get_cloud, require_writable, write_point_tokens
 from ..bridge.storage import FaceTokens, write_tokens
-from ..state.guard import own_changes
+from ..state.guard import suppress_change_tracking
 from ..state.session import STATE
-from ..touch.inputs import Inputs
-from ..touch.jobs import Session, scene_session
+from ..touch.inputs import InputHashes
+from ..touch.jobs import Session, make_scene_session
 from ..touch.status import Freshness
-from ..touch.stored import keep, status_of
+from ..touch.stored import make_status, save_bake
 from ..touch.stroke_bake import StrokeBake
-from .order import BakedFile, Refusal, Result, TokenFile, unpack_tokens
+from .order import BakedFile, JobResult, Rejection, TokenFile, unpack_tokens
 
-ROUNDS = 3
+MAX_ROUNDS = 3
 """How often what changes while it is looked at is looked at again, bit by bit, before it is done in one go."""
-AGAIN = "It keeps what it had; bake it again."
+REBAKE_HINT = "It keeps what it had; bake it again."
 
 
 @dataclass(frozen=True)
-class Place:
+class CommitTarget:
     """Where the results belong: what was renamed meanwhile is found, and what took its name is not taken for it.
 
     scene, view_layer: names when the job began. scene_uid: session_uid. layer_index: of the view layer, which has no
@@ -42,109 +42,113 @@ class Place:
 
 
 @dataclass
-class Committed:
+class CommitResult:
     """strokes, meshes: names of what was written. refused: what was not, and why."""
 
     strokes: list[str] = field(default_factory=list)
     meshes: list[str] = field(default_factory=list)
-    refused: list[Refusal] = field(default_factory=list)
+    refused: list[Rejection] = field(default_factory=list)
 
 
 @dataclass
-class _Ready:
+class _Verified:
     """What may be written, by session_uid: a reference would not live until then. names: of these strokes when the
     job began; rechosen: of those for which another material was chosen meanwhile."""
 
-    strokes: list[tuple[int, StrokeBake, Inputs]] = field(default_factory=list)
+    strokes: list[tuple[int, StrokeBake, InputHashes]] = field(default_factory=list)
     meshes: list[tuple[int, FaceTokens]] = field(default_factory=list)
-    refused: list[Refusal] = field(default_factory=list)
-    names: set[str] = field(default_factory=set)
-    rechosen: set[str] = field(default_factory=set)
+    refused: list[Rejection] = field(default_factory=list)
+    stroke_names: set[str] = field(default_factory=set)
+    rechosen_strokes: set[str] = field(default_factory=set)
 
 
-def place_of(scene: Any, view_layer: Any) -> Place:
+def make_commit_target(scene: Any, view_layer: Any) -> CommitTarget:
     """As the scene is now."""
-    uids = {name: obj.session_uid for name, obj in named_objects(scene).items()}
-    return Place(scene.name, scene.session_uid, view_layer.name, scene.view_layers.find(view_layer.name), uids)
+    uids = {name: obj.session_uid for name, obj in get_named_objects(scene).items()}
+    return CommitTarget(scene.name, scene.session_uid, view_layer.name, scene.view_layers.find(view_layer.name), uids)
 
 
-def scene_of(place: Place) -> Any:
+def find_target_scene(target: CommitTarget) -> Any:
     """Its scene, whatever that is called now; None where it is gone."""
     import bpy
 
-    return next((scene for scene in bpy.data.scenes if scene.session_uid == place.scene_uid), None)
+    return next((scene for scene in bpy.data.scenes if scene.session_uid == target.scene_uid), None)
 
 
-def commit_steps(result: Result, folder: Path, place: Place) -> Generator[None, None, Committed]:
+def commit_steps(result: JobResult, folder: Path, target: CommitTarget) -> Generator[None, None, CommitResult]:
     """Compare, stroke by stroke and mesh by mesh; then write all that is still true, at once.
 
     Yields between comparisons: a window goes on meanwhile, and what changes there is compared anew. Whatever can fail
     fails before the first write. The caller makes the undo step. Raises HnfError where the folder is damaged or the
     scene is gone.
     """
-    for attempt in range(ROUNDS + 1):
-        patient = attempt < ROUNDS
-        ready, seen = _Ready(), _changes(place)
-        session = scene_session(*_scene(place), folder)
-        for compare in _comparisons(result, folder, place, session, ready):
-            session.scene, session.view_layer = _scene(place)  # an undo since the last step replaced them
-            with own_changes(session.view_layer):
+    for attempt in range(MAX_ROUNDS + 1):
+        patient = attempt < MAX_ROUNDS
+        ready, seen = _Verified(), _count_changes(target)
+        session = make_scene_session(*_require_target_scene(target), folder)
+        for compare in _list_comparisons(result, folder, target, session, ready):
+            session.scene, session.view_layer = _require_target_scene(
+                target
+            )  # an undo since the last step replaced them
+            with suppress_change_tracking(session.view_layer):
                 compare()
             if patient:
                 yield
-                if _changes(place) != seen:
+                if _count_changes(target) != seen:
                     break
-        if not patient or _changes(place) == seen:
+        if not patient or _count_changes(target) == seen:
             break
-    scene, view_layer = _scene(place)
-    with own_changes(view_layer):
+    scene, view_layer = _require_target_scene(target)
+    with suppress_change_tracking(view_layer):
         return _write(ready, scene)
 
 
-def _changes(place: Place) -> int:
+def _count_changes(target: CommitTarget) -> int:
     """STATE.changes, what Blender has not told yet included."""
-    _scene(place)[1].update()
+    _require_target_scene(target)[1].update()
     return STATE.changes
 
 
-def _scene(place: Place) -> tuple[Any, Any]:
-    scene = scene_of(place)
+def _require_target_scene(target: CommitTarget) -> tuple[Any, Any]:
+    scene = find_target_scene(target)
     if scene is None:
         raise HnfError(
-            "the scene that was baked is gone.", where=f"scene '{place.scene}'", remedy="Undo that, and bake again."
+            "the scene that was baked is gone.", where=f"scene '{target.scene}'", remedy="Undo that, and bake again."
         )
     layers = scene.view_layers
-    found = layers.get(place.view_layer)
-    return scene, layers[min(place.layer_index, len(layers) - 1)] if found is None else found
+    found = layers.get(target.view_layer)
+    return scene, layers[min(target.layer_index, len(layers) - 1)] if found is None else found
 
 
-def _comparisons(
-    result: Result, folder: Path, place: Place, session: Session, ready: _Ready
+def _list_comparisons(
+    result: JobResult, folder: Path, target: CommitTarget, session: Session, verified: _Verified
 ) -> Iterator[Callable[[], None]]:
     """One stroke or mesh each; strokes first, since a mesh goes by what became of them."""
 
     for baked in result.strokes:
-        yield partial(_compare_stroke, baked, folder, place, session, ready)
+        yield partial(_compare_stroke, baked, folder, target, session, verified)
     for tokens in result.meshes:
-        yield partial(_compare_mesh, tokens, folder, place, session, ready)
+        yield partial(_compare_mesh, tokens, folder, target, session, verified)
 
 
-def _compare_stroke(baked: BakedFile, folder: Path, place: Place, session: Session, ready: _Ready) -> None:
-    problem = _problem_of_stroke(baked, folder, place, session, ready)
+def _compare_stroke(
+    baked: BakedFile, folder: Path, target: CommitTarget, session: Session, verified: _Verified
+) -> None:
+    problem = _check_stroke(baked, folder, target, session, verified)
     if problem:
-        ready.refused.append(Refusal(baked.stroke, problem))
+        verified.refused.append(Rejection(baked.stroke, problem))
 
 
-def _compare_mesh(tokens: TokenFile, folder: Path, place: Place, session: Session, ready: _Ready) -> None:
-    problem = _problem_of_mesh(tokens, folder, place, session, ready)
+def _compare_mesh(tokens: TokenFile, folder: Path, target: CommitTarget, session: Session, verified: _Verified) -> None:
+    problem = _check_mesh(tokens, folder, target, session, verified)
     if problem:
-        ready.refused.append(Refusal(tokens.object_name, problem))
+        verified.refused.append(Rejection(tokens.object_name, problem))
 
 
-def _problem_of_stroke(baked: BakedFile, folder: Path, place: Place, session: Session, ready: _Ready) -> str:
+def _check_stroke(baked: BakedFile, folder: Path, target: CommitTarget, session: Session, verified: _Verified) -> str:
     """Why it cannot be kept; "" where it is ready."""
     where = f"stroke '{baked.stroke}'"
-    obj = _find(session.scene, place, baked.stroke)
+    obj = _find_object(session.scene, target, baked.stroke)
     if obj is None or not obj.hnf_stroke.is_stroke:
         return f"{where}: it was deleted while it was baked; its bake is dropped."
     if obj.library is not None:
@@ -152,23 +156,23 @@ def _problem_of_stroke(baked: BakedFile, folder: Path, place: Place, session: Se
             f"{where}: it is linked from {obj.library.filepath} and cannot be written. Make it local to keep its bake."
         )
     try:
-        job = session.job_of_curve(obj)
+        job = session.make_curve_job(obj)
     except HnfError as error:
         return f"{where}: it changed while it was baked, and now: {error}"
-    changed = job.inputs.changes(baked.inputs)
+    changed = job.inputs.describe_changes(baked.inputs)
     if job.inputs.choices != baked.inputs.choices:
-        ready.rechosen.add(baked.stroke)
+        verified.rechosen_strokes.add(baked.stroke)
     if changed:
-        return f"{where}: {' and '.join(changed)} changed while it was baked. {AGAIN}"
+        return f"{where}: {' and '.join(changed)} changed while it was baked. {REBAKE_HINT}"
     bake = StrokeBake.from_bytes((folder / baked.file).read_bytes(), where=where)
-    ready.strokes.append((obj.session_uid, bake, baked.inputs))
-    ready.names.add(baked.stroke)
+    verified.strokes.append((obj.session_uid, bake, baked.inputs))
+    verified.stroke_names.add(baked.stroke)
     return ""
 
 
-def _problem_of_mesh(tokens: TokenFile, folder: Path, place: Place, session: Session, ready: _Ready) -> str:
+def _check_mesh(tokens: TokenFile, folder: Path, target: CommitTarget, session: Session, verified: _Verified) -> str:
     where = f"object '{tokens.object_name}'"
-    obj = _find(session.scene, place, tokens.object_name)
+    obj = _find_object(session.scene, target, tokens.object_name)
     if obj is None or obj.type != "MESH":
         return f"{where}: it was deleted while it was baked; its tokens are dropped."
     if obj.data.library is not None:
@@ -178,48 +182,48 @@ def _problem_of_mesh(tokens: TokenFile, folder: Path, place: Place, session: Ses
         )
     if obj.data.is_editmode:
         return f"{where}: its mesh is in Edit Mode and got no tokens. Leave Edit Mode and bake again."
-    if not any(name in ready.names for name in tokens.strokes):
+    if not any(name in verified.stroke_names for name in tokens.strokes):
         return f"{where}: no stroke on it could keep its bake, so it got no tokens."
-    if ready.rechosen & set(tokens.strokes):
-        return f"{where}: a material choice changed while it was baked. {AGAIN}"
+    if verified.rechosen_strokes & set(tokens.strokes):
+        return f"{where}: a material choice changed while it was baked. {REBAKE_HINT}"
     try:
-        same = session.surface_key(obj) == tokens.surface_key
-        if (cloud := cloud_of(obj)) is not None:
+        same = session.compute_surface_key(obj) == tokens.surface_key
+        if (cloud := get_cloud(obj)) is not None:
             require_writable(cloud)
     except HnfError as error:
         return f"{where}: it changed while it was baked, and now: {error}"
     if not same:
-        return f"{where}: its shape or its materials changed while it was baked. {AGAIN}"
+        return f"{where}: its shape or its materials changed while it was baked. {REBAKE_HINT}"
     made = unpack_tokens((folder / tokens.file).read_bytes())
     if len(made.index) != len(obj.data.polygons):
-        return f"{where}: its faces changed while it was baked. {AGAIN}"
-    ready.meshes.append((obj.session_uid, made))
+        return f"{where}: its faces changed while it was baked. {REBAKE_HINT}"
+    verified.meshes.append((obj.session_uid, made))
     return ""
 
 
-def _find(scene: Any, place: Place, name: str) -> Any:
+def _find_object(scene: Any, target: CommitTarget, name: str) -> Any:
     """The object that had this name when the job began, or None."""
-    return _by_uid(scene).get(place.uids.get(name, -1))
+    return _index_by_uid(scene).get(target.uids.get(name, -1))
 
 
-def _by_uid(scene: Any) -> dict[int, Any]:
+def _index_by_uid(scene: Any) -> dict[int, Any]:
     return {obj.session_uid: obj for obj in scene.objects}
 
 
-def _write(ready: _Ready, scene: Any) -> Committed:
+def _write(verified: _Verified, scene: Any) -> CommitResult:
     STATE.plan = None  # it spoke of before
-    objects = _by_uid(scene)
-    done = Committed(refused=ready.refused)
-    for uid, bake, inputs in ready.strokes:
+    objects = _index_by_uid(scene)
+    done = CommitResult(refused=verified.refused)
+    for uid, bake, inputs in verified.strokes:
         obj = objects[uid]
-        keep(obj, bake, inputs)
-        STATE.strokes_in(scene)[name_in(scene, obj)] = status_of(bake, Freshness.FRESH)
+        save_bake(obj, bake, inputs)
+        STATE.get_statuses(scene)[get_scene_name(scene, obj)] = make_status(bake, Freshness.FRESH)
         if len(STATE.statuses) > 1:
-            STATE.dirty.add(obj.name)  # where it stands in another scene too, it may be stale there
+            STATE.dirty_names.add(obj.name)  # where it stands in another scene too, it may be stale there
         done.strokes.append(obj.name)
-    for uid, tokens in ready.meshes:
+    for uid, tokens in verified.meshes:
         write_tokens(objects[uid].data, tokens)
         if tokens.points is not None:
-            write_point_tokens(cloud_of(objects[uid]), tokens.points)
+            write_point_tokens(get_cloud(objects[uid]), tokens.points)
         done.meshes.append(objects[uid].data.name)
     return done

@@ -10,57 +10,57 @@ from hnf_core.errors import HnfError
 from ..state.session import LastJob
 
 if TYPE_CHECKING:
-    from hnf_core.cli.probe import ProbePlace
+    from hnf_core.cli.probe import TouchQuery
 
     from .child_job import ChildJob
-    from .running import Bake
+    from .running import BakeJob
 
 
 AnyJob = TypeVar("AnyJob", bound="ChildJob")
-_running: ChildJob | None = None
+_current_job: ChildJob | None = None
 
 
 def is_running() -> bool:
-    return _running is not None
+    return _current_job is not None
 
 
-def start(scene: Any, view_layer: Any, only: Sequence[str] = (), place: ProbePlace | None = None) -> Bake:
+def start_bake(scene: Any, view_layer: Any, only: Sequence[str] = (), point: TouchQuery | None = None) -> BakeJob:
     """A bake, or a look at one place. Raises HnfError where a job runs already, or this one cannot be begun."""
-    from .running import Bake
+    from .running import BakeJob
 
-    return begin(lambda: Bake(scene, view_layer, only, place))
+    return start_job(lambda: BakeJob(scene, view_layer, only, point))
 
 
-def begin(make: Callable[[], AnyJob]) -> AnyJob:
+def start_job(create_job: Callable[[], AnyJob]) -> AnyJob:
     """What make() begins is the job that runs. Raises HnfError where one runs already, and what make() raises."""
-    global _running
-    if _running is not None:
+    global _current_job
+    if _current_job is not None:
         raise HnfError("a job is running already.", remedy="Wait for it, or cancel it.")
-    made = make()
-    _running = made
+    made = create_job()
+    _current_job = made
     return made
 
 
 def tick() -> LastJob | None:
     """Go on for a moment. None while it runs; how it ended, once. Where none runs: None."""
-    global _running
-    if _running is None:
+    global _current_job
+    if _current_job is None:
         return None
     try:
-        ended = _running.tick()
+        ended = _current_job.tick()
     except BaseException:
-        _running = None
+        _current_job = None
         raise
     if ended is not None:
-        _running = None
+        _current_job = None
     return ended
 
 
 def cancel() -> bool:
     """Stop the job that runs, if one does; nothing of it is left. True where there was one."""
-    global _running
-    if _running is None:
+    global _current_job
+    if _current_job is None:
         return False
-    work, _running = _running, None
+    work, _current_job = _current_job, None
     work.cancel()
     return True

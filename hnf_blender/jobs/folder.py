@@ -9,24 +9,24 @@ from pathlib import Path
 
 from hnf_core.errors import FileError
 
-PREFIX = "hnf-job-"
+JOB_FOLDER_PREFIX = "hnf-job-"
 
 
-def job_root() -> Path:
+def get_job_root() -> Path:
     import tempfile  # brings shutil and four packers along: 3 ms that switching on need not take
 
     return Path(tempfile.gettempdir())
 
 
-def new_folder() -> Path:
+def make_job_folder() -> Path:
     """A fresh, private folder of this process; those of dead ones go. Raises FileError where the disk refuses."""
     import tempfile
 
     where = ""
     try:
-        where = str(job_root())
-        remove_abandoned()
-        return Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=where))
+        where = str(get_job_root())
+        remove_abandoned_folders()
+        return Path(tempfile.mkdtemp(prefix=f"{JOB_FOLDER_PREFIX}{os.getpid()}-", dir=where))
     except OSError as error:
         raise FileError(
             f"no temporary folder can be made ({error.strerror}).",
@@ -35,27 +35,27 @@ def new_folder() -> Path:
         ) from error
 
 
-def remove_folder(folder: Path) -> None:
+def remove_job_folder(folder: Path) -> None:
     import shutil
 
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def remove_abandoned() -> list[Path]:
+def remove_abandoned_folders() -> list[Path]:
     """Remove the folders of processes that are gone; returns them."""
     gone = []
-    for folder in job_root().glob(f"{PREFIX}*"):
-        owner = re.match(rf"{PREFIX}(\d+)-", folder.name)
-        if owner and not is_alive(int(owner.group(1))):
-            remove_folder(folder)
+    for folder in get_job_root().glob(f"{JOB_FOLDER_PREFIX}*"):
+        owner = re.match(rf"{JOB_FOLDER_PREFIX}(\d+)-", folder.name)
+        if owner and not is_process_alive(int(owner.group(1))):
+            remove_job_folder(folder)
             gone.append(folder)
     return gone
 
 
-def is_alive(pid: int) -> bool:
+def is_process_alive(pid: int) -> bool:
     """Does a process of this number run? A zombie does not."""
     if sys.platform == "win32":
-        return _is_alive_on_windows(pid)
+        return _is_windows_process_alive(pid)
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -68,7 +68,7 @@ def is_alive(pid: int) -> bool:
         return True
 
 
-def _is_alive_on_windows(pid: int) -> bool:
+def _is_windows_process_alive(pid: int) -> bool:
     import ctypes
 
     query, still_active = 0x1000, 259

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from hnf_core.errors import HnfError
 
-from ..bridge.quiet import quiet
-from .messages import Broken, Finished, Message, Step, encode
-from .order import SCENE_NAME, read_order, write_result
-from .work import work_steps
+from ..bridge.quiet import suppress_output
+from .messages import Failed, Finished, Message, Step, encode_message
+from .order import SCENE_NAME, read_request, write_result
+from .work import job_steps
 
 
-def run(folder: Path) -> int:
+def run_request(folder: Path) -> int:
     """Do the order in folder; returns the exit code. Never raises: what goes wrong is said."""
     import bpy
 
@@ -24,18 +24,18 @@ def run(folder: Path) -> int:
 
     def say(message: Message) -> None:
         # A new line first: Blender may have stopped in the middle of its own.
-        os.write(stream, f"\n{encode(message)}\n".encode())
+        os.write(stream, f"\n{encode_message(message)}\n".encode())
 
     try:
-        order = read_order(folder)
+        order = read_request(folder)
         say(Step("opening the copy", 0, 1))
         if not hasattr(bpy.types.Object, "hnf_stroke"):
             from .. import props
 
             props.register()
-        with quiet():
+        with suppress_output():
             bpy.ops.wm.open_mainfile(filepath=str(folder / SCENE_NAME), load_ui=False, use_scripts=order.use_scripts)
-        steps = work_steps(order, folder)
+        steps = job_steps(order, folder)
         while True:
             try:
                 say(next(steps))
@@ -45,8 +45,8 @@ def run(folder: Path) -> int:
         say(Finished())
         return 0
     except HnfError as error:
-        say(Broken(str(error)))
+        say(Failed(str(error)))
     except Exception as error:
         traceback.print_exc(file=sys.stderr)
-        say(Broken(f"internal error ({error!r}). Please report it."))
+        say(Failed(f"internal error ({error!r}). Please report it."))
     return 1

@@ -42,12 +42,12 @@ def load_core(folder: str) -> None:
     spec.loader.exec_module(module)
 
 
-def say(kind: str, **values: object) -> None:
+def send_message(kind: str, **values: object) -> None:
     # A new line first: a library may have stopped in the middle of its own.
     os.write(1, f"\n@hnf {kind} {json.dumps(values)}\n".encode())
 
 
-def main(core: str, lesson: str, out: str) -> int:
+def main(core: str, request: str, out: str) -> int:
     leave_with_parent()
     own = str(Path(__file__).resolve().parent)  # its modules are the add-on's, and no library is to meet them
     sys.path[:] = [entry for entry in sys.path if os.path.realpath(entry) != own]
@@ -55,15 +55,17 @@ def main(core: str, lesson: str, out: str) -> int:
         load_core(core)
         learn = importlib.import_module(f"{CORE}.cli.learn")
     except ImportError as error:
-        say("Broken", why=f"This Python cannot learn ({error}). Check it in the add-on's preferences.")
+        send_message("Failed", why=f"This Python cannot learn ({error}). Check it in the add-on's preferences.")
         return 1
     errors = importlib.import_module(f"{CORE}.errors")
     try:
-        learn.learn(learn.Lesson(**json.loads(lesson)), Path(out), lambda progress: say("Step", **vars(progress)))
+        learn.learn_material(
+            learn.LearnRequest(**json.loads(request)), Path(out), lambda progress: send_message("Step", **vars(progress))
+        )
     except errors.HnfError as error:
-        say("Broken", why=str(error))
+        send_message("Failed", why=str(error))
         return 1
-    say("Finished")
+    send_message("Finished")
     return 0
 
 

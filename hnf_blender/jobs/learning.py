@@ -9,109 +9,109 @@ from pathlib import Path
 from typing import Any
 
 from hnf_core import errors
-from hnf_core.cli.learn import TRAINING, Lesson
+from hnf_core.cli.learn import STAGE_TRAINING, LearnRequest
 from hnf_core.datasets.catalogue import LICENCES
 from hnf_core.errors import FileError, HnfError
-from hnf_core.field.learned import field_of, learned_material
+from hnf_core.field.learned import build_learned_material, load_material_field
 from hnf_core.files import content_hash
-from hnf_core.material.hnf_file import SUFFIX, MaterialFile, write_hnf
+from hnf_core.material.hnf_file import HNF_SUFFIX, MaterialFile, write_hnf
 
-from ..state.folders import learned_folder
+from ..state.folders import get_learned_folder
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
-from .child import Child, Program
+from .child import ChildProcess, ChildProgram
 from .child_job import ChildJob
-from .folder import new_folder, remove_folder
-from .messages import Broken, Finished, Message, Step
-from .outside_python import clean_environment
-from .records import to_text
+from .folder import make_job_folder, remove_job_folder
+from .messages import Failed, Finished, Message, Step
+from .outside_python import make_clean_environment
+from .records import to_json
 
 WORKER = Path(__file__).with_name("learn_worker.py")
-KILLED = "Nothing was changed. Learn it again with the same choices to resume. If it happens again, "
-KILLED += "close other programs (memory)."
+LEARNING_KILLED_REMEDY = "Nothing was changed. Learn it again with the same choices to resume. If it happens again, "
+LEARNING_KILLED_REMEDY += "close other programs (memory)."
 
 
 @dataclass(frozen=True)
-class Slot:
+class MaterialSlot:
     """Where a learned material belongs. object_name: "" = nowhere yet. slot: counted from 0."""
 
     object_name: str = ""
     slot: int = 0
 
 
-class Learning(ChildJob):
+class LearnJob(ChildJob):
     """A material being learned in a child process."""
 
-    what = "The process that learned"
-    killed = KILLED
+    process_name = "The process that learned"
+    killed_remedy = LEARNING_KILLED_REMEDY
 
-    def __init__(self, python: str, lesson: Lesson, slot: Slot) -> None:
+    def __init__(self, python: str, lesson: LearnRequest, slot: MaterialSlot) -> None:
         """Starts. Raises HnfError; nothing is left behind then."""
         self.started = time.monotonic()
         self._lesson, self._slot = lesson, slot
         self._training_since: float | None = None
-        self.out = weights_path(lesson)
-        self.folder = new_folder()
-        words = [python, str(WORKER), str(Path(errors.__file__).parent), to_text(lesson), str(self.out)]
-        program = Program(
-            words, "the external Python", "Check it in the add-on's preferences.", clean_environment()
+        self.out = make_weights_path(lesson)
+        self.folder = make_job_folder()
+        words = [python, str(WORKER), str(Path(errors.__file__).parent), to_json(lesson), str(self.out)]
+        program = ChildProgram(
+            words, "the external Python", "Check it in the add-on's preferences.", make_clean_environment()
         )  # fmt: skip
         try:
-            self._child = Child(self.folder, program)
+            self._child = ChildProcess(self.folder, program)
         except BaseException:
-            self.clean()
+            self.clean_up()
             raise
-        self._show(Step("starting", 0, 1))
+        self._update_status(Step("starting", 0, 1))
 
     def cancel(self) -> LastJob:
         """Stop now; nothing is changed, and what was learned so far waits for the same choices."""
         said = tr("Learning cancelled. Nothing was changed; run it again with the same choices to resume.")
-        return self._end(LastJob(True, said))
+        return self._finish(LastJob(True, said))
 
-    def clean(self) -> None:
+    def clean_up(self) -> None:
         """Nothing half written is left: of training the checkpoint alone, which was renamed into place whole."""
         if self._child is not None:
-            self._child.kill(then=partial(_sweep, self.folder, self.out))
+            self._child.kill(on_exit=partial(_remove_leftovers, self.folder, self.out))
             self._child = None
-        _sweep(self.folder, self.out)
+        _remove_leftovers(self.folder, self.out)
         STATE.job = None
 
-    def _hear(self, message: Message, child: Child) -> LastJob | None:
-        if isinstance(message, Broken):
+    def _on_message(self, message: Message, child: ChildProcess) -> LastJob | None:
+        if isinstance(message, Failed):
             return LastJob(False, message.why, child.last_lines)
         if isinstance(message, Finished):
-            return self._give()
+            return self._assign_result()
         if isinstance(message, Step):
-            self._show(message)
+            self._update_status(message)
         return None
 
-    def _give(self) -> LastJob:
+    def _assign_result(self) -> LastJob:
         try:
-            definition = learned_material(self.out.read_bytes(), str(self.out))
+            definition = build_learned_material(self.out.read_bytes(), str(self.out))
         except OSError as error:
             raise FileError(
                 f"cannot be read ({error.strerror}).", where=str(self.out), remedy="Learn it again."
             ) from error
-        kept = learned_folder() / f"{_plain(definition.name)} ({self._lesson.kind}){SUFFIX}"
+        kept = get_learned_folder() / f"{_sanitise_file_name(definition.name)} ({self._lesson.kind}){HNF_SUFFIX}"
         write_hnf(kept, definition)
         self.out.unlink(missing_ok=True)
-        learned = field_of(definition)
+        learned = load_material_field(definition)
         told = "" if learned is None else learned.metadata.get("training_data", "")
         details = tuple(text for text in (LICENCES[self._lesson.kind], told) if text)
-        return LastJob(True, give_to(definition, self._slot, kept), details, written=1)
+        return LastJob(True, assign_to_slot(definition, self._slot, kept), details, written=1)
 
-    def _show(self, step: Step) -> None:
+    def _update_status(self, step: Step) -> None:
         now, left = time.monotonic(), None
-        if step.stage == TRAINING:
+        if step.stage == STAGE_TRAINING:
             self._training_since = self._training_since or now
             if step.done > 1:  # the first epoch's share of the time is not known before it is over
                 left = (now - self._training_since) / step.done * (step.total - 1 - step.done)
         STATE.job = JobStatus(step.stage, step.done, step.total, now - self.started, left)
 
 
-def learn_in_line(python: str, lesson: Lesson, slot: Slot) -> LastJob:
+def learn_blocking(python: str, lesson: LearnRequest, slot: MaterialSlot) -> LastJob:
     """Wait for all of it. Raises HnfError where it cannot be begun or fails."""
-    learning = Learning(python, lesson, slot)
+    learning = LearnJob(python, lesson, slot)
     while (ended := learning.tick()) is None:
         time.sleep(0.05)
     if not ended.ok:
@@ -119,36 +119,36 @@ def learn_in_line(python: str, lesson: Lesson, slot: Slot) -> LastJob:
     return ended
 
 
-def weights_path(lesson: Lesson) -> Path:
+def make_weights_path(lesson: LearnRequest) -> Path:
     """Where the weights of a lesson are written, the checkpoint beside them: equal choices, equal place."""
-    return learned_folder() / f"{content_hash(repr(sorted(asdict(lesson).items())))}.safetensors"
+    return get_learned_folder() / f"{content_hash(repr(sorted(asdict(lesson).items())))}.safetensors"
 
 
-def give_to(definition: MaterialFile, slot: Slot, kept: Path) -> str:
+def assign_to_slot(definition: MaterialFile, slot: MaterialSlot, material_path: Path) -> str:
     """Make definition what the slot feels like, where nobody said anything else of it; a new Blender material that
     looks like nothing yet where somebody did, or where there is no such slot. Returns a sentence."""
-    from ..bridge.own_material import give, new_material
+    from ..bridge.own_material import assign_definition, create_material
 
-    obj = _free(slot)
+    obj = _find_assignable_object(slot)
     if obj is not None:
-        material = give(obj, slot.slot, definition)
+        material = assign_definition(obj, slot.slot, definition)
         said = tr("{object}: material '{material}' now feels like {name}, as learned")
         text = said.format(object=obj.name, material=material.name, name=definition.name)
     else:
-        material = new_material(definition)
+        material = create_material(definition)
         material.use_fake_user = True  # it belongs to no slot yet, and is to outlive a save
         text = tr("Learned: new material '{material}'. Put it in a slot, or open {file}").format(
-            material=material.name, file=kept
+            material=material.name, file=material_path
         )
-    STATE.dirty.add(material.name)
+    STATE.dirty_names.add(material.name)
     return text
 
 
-def _free(slot: Slot) -> Any:
+def _find_assignable_object(slot: MaterialSlot) -> Any:
     """The object, where its slot can be given to; else None."""
     import bpy
 
-    from ..props.material import OWN_DEFINITION
+    from ..props.material import DEFINITION_PROPERTY
 
     obj = bpy.data.objects.get(slot.object_name) if slot.object_name else None
     if obj is None or not hasattr(obj.data, "materials") or obj.data.library is not None or not obj.is_editable:
@@ -159,15 +159,15 @@ def _free(slot: Slot) -> Any:
     held = slots[slot.slot].material if slot.slot < len(slots) else None
     if held is None:
         return obj
-    is_said = bool(held.hnf_touch.library) or OWN_DEFINITION in held
+    is_said = bool(held.hnf_touch.library) or DEFINITION_PROPERTY in held
     return None if is_said or not held.is_editable or held.override_library is not None else obj
 
 
-def _sweep(folder: Path, out: Path) -> None:
-    remove_folder(folder)
+def _remove_leftovers(folder: Path, out: Path) -> None:
+    remove_job_folder(folder)
     for half in out.parent.glob(f".{out.stem}*"):
         half.unlink(missing_ok=True)
 
 
-def _plain(name: str) -> str:
+def _sanitise_file_name(name: str) -> str:
     return "".join(each if each.isalnum() or each in " -_." else "_" for each in name).strip(". ") or "material"

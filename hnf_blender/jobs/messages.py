@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from hnf_core.errors import FileError
 
-from .records import from_text, to_text
+from .records import from_json, to_json
 
-MARK = "@hnf "
+MESSAGE_PREFIX = "@hnf "
 
 
 @dataclass(frozen=True)
-class Began:
+class Started:
     """strokes: how many are baked; fresh: how many need nothing."""
 
     strokes: int
@@ -36,26 +36,26 @@ class Finished:
 
 
 @dataclass(frozen=True)
-class Broken:
+class Failed:
     """The job as a whole could not be done. why: what, where and what to do."""
 
     why: str
 
 
-Message = Began | Step | Finished | Broken
-KINDS: dict[str, type[Message]] = {kind.__name__: kind for kind in (Began, Step, Finished, Broken)}
+Message = Started | Step | Finished | Failed
+MESSAGE_TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in (Started, Step, Finished, Failed)}
 
 
-def encode(message: Message) -> str:
+def encode_message(message: Message) -> str:
     """A line, without its end."""
-    return f"{MARK}{type(message).__name__} {to_text(message)}"
+    return f"{MESSAGE_PREFIX}{type(message).__name__} {to_json(message)}"
 
 
-def decode(line: str) -> Message | None:
+def decode_message(line: str) -> Message | None:
     """The message in a line; None where the line is somebody else's. Raises FileError for a damaged message."""
-    if not line.startswith(MARK):
+    if not line.startswith(MESSAGE_PREFIX):
         return None
-    name, _, text = line[len(MARK) :].strip().partition(" ")
-    if name not in KINDS:
+    name, _, text = line[len(MESSAGE_PREFIX) :].strip().partition(" ")
+    if name not in MESSAGE_TYPES:
         raise FileError(f"there is no message {json.dumps(name)}.", where="message", remedy="Bake again.")
-    return from_text(KINDS[name], text, where="message")
+    return from_json(MESSAGE_TYPES[name], text, where="message")

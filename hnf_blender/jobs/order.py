@@ -8,20 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from hnf_core.archive import DAMAGED, read_arrays
+from hnf_core.archive import NPZ_ERRORS, read_npz
 from hnf_core.errors import FileError
 from hnf_core.files import write_text
 from hnf_core.material.palette import Palette
 
 from ..bridge.storage import FaceTokens, PointTokens
-from ..touch.inputs import Inputs
-from .records import from_text, to_text
+from ..touch.inputs import InputHashes
+from .records import from_json, to_json
 
-ORDER_NAME, RESULT_NAME, SCENE_NAME = "order.json", "result.json", "scene.blend"
+REQUEST_NAME, RESULT_NAME, SCENE_NAME = "order.json", "result.json", "scene.blend"
 
 
 @dataclass(frozen=True)
-class Order:
+class JobRequest:
     """scene, view_layer: by name. only: names of the strokes to bake, empty = all that are not muted. cache: folder of
     the patches' records. package, package_folder, sys_path: how the child finds this very code. use_scripts: may
     scripts in the file run, as the person has set it. probe_object, probe_at: instead of a bake, look at this place of
@@ -45,7 +45,7 @@ class BakedFile:
 
     stroke: str
     file: str
-    inputs: Inputs
+    inputs: InputHashes
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class TokenFile:
 
 
 @dataclass(frozen=True)
-class Refusal:
+class Rejection:
     """what: stroke or mesh that got nothing. why: in words, with what to do."""
 
     what: str
@@ -68,34 +68,34 @@ class Refusal:
 
 
 @dataclass(frozen=True)
-class Result:
+class JobResult:
     """All that a job made. fresh: how many strokes needed nothing. close_ups: made. probed: a place was looked at
     instead, and the answer lies in the folder (jobs.probe)."""
 
     strokes: tuple[BakedFile, ...]
     meshes: tuple[TokenFile, ...]
-    failed: tuple[Refusal, ...]
+    failed: tuple[Rejection, ...]
     warnings: tuple[str, ...]
     fresh: int
     close_ups: int
     probed: bool = False
 
 
-def write_order(folder: Path, order: Order) -> None:
-    write_text(folder / ORDER_NAME, to_text(order))
+def write_request(folder: Path, request: JobRequest) -> None:
+    write_text(folder / REQUEST_NAME, to_json(request))
 
 
-def read_order(folder: Path) -> Order:
-    return from_text(Order, _text(folder / ORDER_NAME), where=ORDER_NAME)
+def read_request(folder: Path) -> JobRequest:
+    return from_json(JobRequest, _read_text(folder / REQUEST_NAME), where=REQUEST_NAME)
 
 
-def write_result(folder: Path, result: Result) -> None:
+def write_result(folder: Path, result: JobResult) -> None:
     """The last thing that a job does: where it lies, everything it names lies too."""
-    write_text(folder / RESULT_NAME, to_text(result))
+    write_text(folder / RESULT_NAME, to_json(result))
 
 
-def read_result(folder: Path) -> Result:
-    return from_text(Result, _text(folder / RESULT_NAME), where=RESULT_NAME)
+def read_result(folder: Path) -> JobResult:
+    return from_json(JobResult, _read_text(folder / RESULT_NAME), where=RESULT_NAME)
 
 
 def pack_tokens(tokens: FaceTokens) -> bytes:
@@ -117,7 +117,7 @@ def pack_tokens(tokens: FaceTokens) -> bytes:
 def unpack_tokens(data: bytes) -> FaceTokens:
     """Raises FileError where data are not what pack_tokens made."""
     try:
-        arrays = read_arrays(data)
+        arrays = read_npz(data)
         return FaceTokens(
             palette=Palette.from_bytes(arrays["palette"].tobytes()),
             index=arrays["index"].astype(np.int32),
@@ -128,11 +128,11 @@ def unpack_tokens(data: bytes) -> FaceTokens:
             if "points_index" in arrays
             else None,
         )
-    except DAMAGED as error:
+    except NPZ_ERRORS as error:
         raise FileError(f"the tokens are damaged ({error}).", where="job folder", remedy="Bake again.") from error
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

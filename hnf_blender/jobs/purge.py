@@ -8,20 +8,20 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
-from ..bridge.splat_cloud import cloud_of, remove_point_tokens
+from ..bridge.splat_cloud import get_cloud, remove_point_tokens
 from ..bridge.storage import SCHEMA_PROPERTY, remove_tokens
-from ..props.scene import place_in
-from ..state.guard import own_changes
+from ..props.scene import find_index
+from ..state.guard import suppress_change_tracking
 from ..state.session import STATE
-from ..state.texts import byte_text
-from ..touch.jobs import Session, scene_session
+from ..state.texts import format_bytes
+from ..touch.jobs import Session, make_scene_session
 from ..touch.status import Freshness, StrokeStatus
-from ..touch.stored import forget, judge, stored_bytes, tokens_are_there
+from ..touch.stored import check_validity, clear_bake, count_stored_bytes, has_tokens
 from ..translations import tr
 
 
 @dataclass(frozen=True)
-class Freed:
+class PurgeResult:
     """bytes: what was removed. left: why something could not be."""
 
     bytes: int
@@ -29,61 +29,65 @@ class Freed:
 
     @property
     def message(self) -> str:
-        removed = tr("{size} of baked data removed.").format(size=byte_text(self.bytes))
+        removed = tr("{size} of baked data removed.").format(size=format_bytes(self.bytes))
         done = removed if self.bytes else tr("There was nothing to remove.")
         return " ".join((done, *self.left))
 
 
-def purge(scene: Any, view_layer: Any, *, everything: bool) -> Freed:
+def purge(scene: Any, view_layer: Any, *, everything: bool) -> PurgeResult:
     """Remove all bakes, tokens and palettes from the file; or, with everything False, those of this scene that its
     strokes and surfaces have outgrown. Strokes, keys and choices stay. Linked data are left alone."""
     import bpy
 
-    session = None if everything else scene_session(scene, view_layer, Path())
+    session = None if everything else make_scene_session(scene, view_layer, Path())
     freed, left = 0, []
     STATE.plan = None  # it spoke of before
-    with own_changes(view_layer):
+    with suppress_change_tracking(view_layer):
         for obj in bpy.data.objects:
-            if obj.library is None and stored_bytes(obj) and (session is None or _is_outgrown(session, obj)):
-                freed += forget(obj)
+            if obj.library is None and count_stored_bytes(obj) and (session is None or _is_stale_bake(session, obj)):
+                freed += clear_bake(obj)
                 for statuses in STATE.statuses.values():
                     if obj.name in statuses:
                         statuses[obj.name] = StrokeStatus(Freshness.UNBAKED, tr("Not baked yet."))
         for mesh in bpy.data.meshes:
-            if mesh.library is None and SCHEMA_PROPERTY in mesh and (session is None or _is_old(session, mesh)):
+            if (
+                mesh.library is None
+                and SCHEMA_PROPERTY in mesh
+                and (session is None or _has_stale_tokens(session, mesh))
+            ):
                 try:
                     freed += remove_tokens(mesh)
-                    freed += sum(remove_point_tokens(cloud) for cloud in _clouds_of(mesh))
+                    freed += sum(remove_point_tokens(cloud) for cloud in _find_clouds(mesh))
                 except HnfError as error:
                     left.append(f"{error.where}: {error.what}")
-    return Freed(freed, tuple(left))
+    return PurgeResult(freed, tuple(left))
 
 
-def _clouds_of(mesh: Any) -> list[Any]:
+def _find_clouds(mesh: Any) -> list[Any]:
     """The splats of the surfaces that have this mesh."""
     import bpy
 
-    clouds = [cloud_of(obj) for obj in bpy.data.objects if obj.data == mesh]
+    clouds = [get_cloud(obj) for obj in bpy.data.objects if obj.data == mesh]
     return [cloud for cloud in clouds if cloud is not None and cloud.data.library is None]
 
 
-def _is_outgrown(session: Session, obj: Any) -> bool:
+def _is_stale_bake(session: Session, obj: Any) -> bool:
     """Does the bake on obj fit nothing any more? What other scenes hold is left to them."""
-    if place_in(session.scene.objects, obj) < 0:
+    if find_index(session.scene.objects, obj) < 0:
         return False
     if not obj.hnf_stroke.is_stroke:
         return True
     try:
-        return judge(obj, session.job_of_curve(obj)).freshness in {Freshness.STALE, Freshness.UNBAKED}
+        return check_validity(obj, session.make_curve_job(obj)).freshness in {Freshness.STALE, Freshness.UNBAKED}
     except HnfError:
         return False  # a stroke that cannot be read now may be again
 
 
-def _is_old(session: Session, mesh: Any) -> bool:
+def _has_stale_tokens(session: Session, mesh: Any) -> bool:
     owner = next((obj for obj in session.scene.objects if obj.data == mesh), None)
     if owner is None:
         return False
     try:
-        return not tokens_are_there(session, owner)
+        return not has_tokens(session, owner)
     except HnfError:
         return False

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import threading
 
-_thread: threading.Thread | None = None
+_preload_thread: threading.Thread | None = None
 
 
-def is_ready() -> bool:
+def is_preloaded() -> bool:
     """Is everything loaded? The first call begins to."""
-    global _thread
-    if _thread is None:
-        _thread = threading.Thread(target=_load, name="hnf loading", daemon=True)
-        _thread.start()
-    return not _thread.is_alive()
+    global _preload_thread
+    if _preload_thread is None:
+        _preload_thread = threading.Thread(target=_preload, name="hnf loading", daemon=True)
+        _preload_thread.start()
+    return not _preload_thread.is_alive()
 
 
-def _load() -> None:
+def _preload() -> None:
     from hnf_core.field.weights import load_field
     from hnf_core.material.library import load_library
 
-    from ..touch.seeing import Seeing
+    from ..touch.seeing import ReliefPredictor
     from . import running  # noqa: F401  # all that a look or a bake imports
 
     load_field()
     load_library()
-    _ = Seeing().weights_hash  # the file is read once for it
+    _ = ReliefPredictor().weights_hash  # the file is read once for it

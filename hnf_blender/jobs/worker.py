@@ -58,7 +58,7 @@ def main(folder: Path) -> int:
     sys.path += [entry for entry in order["sys_path"] if entry not in sys.path]
     load_package(order["package"], order["package_folder"])
     child = importlib.import_module(order["package"] + ".jobs.in_child")
-    return int(child.run(folder))
+    return int(child.run_request(folder))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..rooms import classes_of, switch_off, switch_on
+from ..rooms import collect_classes, register_classes, unregister_classes
 
 MODULES = (
     "materials",
@@ -28,15 +28,15 @@ MODULES = (
 )
 """Sub-modules, each with a tuple CLASSES."""
 
-_on: list[Any] = []
+_registered_classes: list[Any] = []
 
 
 def register() -> None:
-    classes = classes_of(__package__, MODULES)
-    switch_on(classes)
-    _on.extend(classes)
+    classes = collect_classes(__package__, MODULES)
+    register_classes(classes)
+    _registered_classes.extend(classes)
 
 
 def unregister() -> None:
-    switch_off(_on)
-    _on.clear()
+    unregister_classes(_registered_classes)
+    _registered_classes.clear()

@@ -6,14 +6,14 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
-from ..props.listed import Remembered
-from ..props.scene import place_in
-from ..state.settings import settings
+from ..props.listed import ChangeCache
+from ..props.scene import find_index
+from ..state.settings import get_settings
 from ..translations import tr
 
-AS_SET = "AS_SET"
+DEFAULT_PROBE = "AS_SET"
 """Value of an operator's probe: the one of the preferences."""
-HELD = Remembered()
+LAYER_MEMBERSHIP = ChangeCache()
 """(scene, view layer, object) → does it hold that?"""
 
 
@@ -23,22 +23,24 @@ def make_active(context: Any, stroke: Any) -> None:
     layer.update()  # a collection made a moment ago is not in it yet
     for other in tuple(layer.objects.selected):
         other.select_set(False, view_layer=layer)
-    if place_in(layer.objects, stroke) >= 0:
+    if find_index(layer.objects, stroke) >= 0:
         stroke.select_set(True, view_layer=layer)
         layer.objects.active = stroke
-    context.scene.hnf.stroke_index = max(0, place_in(context.scene.objects, stroke))
+    context.scene.hnf.stroke_index = max(0, find_index(context.scene.objects, stroke))
 
 
-def make_shown(context: Any, stroke: Any) -> str:
+def make_active_and_visible(context: Any, stroke: Any) -> str:
     """make_active() a new stroke, its collection shown again where that was hidden; what is to be said of that."""
-    from ..bridge.new_stroke import COLLECTION, show_collection
+    from ..bridge.new_stroke import STROKE_COLLECTION, unhide_collection
 
-    hidden = show_collection(stroke, context.view_layer)
+    hidden = unhide_collection(stroke, context.view_layer)
     make_active(context, stroke)
-    return tr("; the collection '{name}' was hidden and is shown again").format(name=COLLECTION) if hidden else ""
+    return (
+        tr("; the collection '{name}' was hidden and is shown again").format(name=STROKE_COLLECTION) if hidden else ""
+    )
 
 
-def surface_here(context: Any, stroke: Any) -> Any:
+def get_surface_in_layer(context: Any, stroke: Any) -> Any:
     """The surface that was chosen for a stroke; None where there is none, or the view layer does not hold it: a deleted
     object may live on in another scene, or in the stroke alone. Buttons ask it in each redraw, of as many objects as
     there are."""
@@ -46,15 +48,15 @@ def surface_here(context: Any, stroke: Any) -> Any:
     if chosen is None:
         return None
     asked = context.scene.session_uid, layer.name, chosen.session_uid
-    return chosen if HELD.answer(asked, lambda: place_in(layer.objects, chosen) >= 0) else None
+    return chosen if LAYER_MEMBERSHIP.get(asked, lambda: find_index(layer.objects, chosen) >= 0) else None
 
 
-def probe_of(context: Any, chosen: str) -> str:
+def resolve_probe(context: Any, choice: str) -> str:
     """The probe of a new stroke: as chosen in the operator, or as in the preferences."""
-    return str(settings(context).default_probe) if chosen == AS_SET else chosen
+    return str(get_settings(context).default_probe) if choice == DEFAULT_PROBE else choice
 
 
-def one_line(error: HnfError) -> str:
+def format_error(error: HnfError) -> str:
     """An error as a report shows it."""
     text = str(error)
     return text[:1].upper() + text[1:]

@@ -8,21 +8,21 @@ import bpy
 
 from hnf_core.errors import HnfError
 
-from ..actuator.choice import choose_output, chosen_output, title_of
+from ..actuator.choice import find_output_title, get_selected_output, select_output
 from ..actuator.state import ACTUATOR, SPEAKERS
-from ..props.scene import actuator_of
+from ..props.scene import get_actuator_profile
 from ..state.redraw import redraw_tab
 from ..translations import tr
-from .active import one_line
-from .greyed import greyed
+from .active import format_error
+from .greyed import fail_poll
 
-NO_ACTUATOR = "Strokes are played on speakers: choose an actuator in the Actuator panel"
+NO_ACTUATOR_REASON = "Strokes are played on speakers: choose an actuator in the Actuator panel"
 
 
-def needs_actuator(cls: Any, context: Any) -> bool:
+def poll_actuator(cls: Any, context: Any) -> bool:
     """For poll(): True where an actuator is chosen, else says why greyed."""
-    if chosen_output(context) == SPEAKERS:
-        return greyed(cls, NO_ACTUATOR)
+    if get_selected_output(context) == SPEAKERS:
+        return fail_poll(cls, NO_ACTUATOR_REASON)
     return True
 
 
@@ -36,14 +36,14 @@ class HNF_OT_output_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
     )
 
     def execute(self, _context: Any) -> set[str]:
-        from ..actuator.link import LINK
+        from ..actuator.link import PLAYER_CLIENT
         from ..preview import current
 
-        if self.target != chosen_output():
+        if self.target != get_selected_output():
             current.stop()
-            LINK.release()
-            choose_output(str(self.target))
-            ACTUATOR.missing = ()  # what was not found is not wanted any more
+            PLAYER_CLIENT.release()
+            select_output(str(self.target))
+            ACTUATOR.scan_notes = ()  # what was not found is not wanted any more
         redraw_tab()
         return {"FINISHED"}
 
@@ -67,9 +67,9 @@ class HNF_OT_output_other(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
         from hnf_core.actuators.targets import parse_target
 
         try:
-            target = parse_target(str(self.target)).words
+            target = parse_target(str(self.target)).text
         except HnfError as error:
-            self.report({"WARNING"}, one_line(error))
+            self.report({"WARNING"}, format_error(error))
             return {"CANCELLED"}
         return set(bpy.ops.hnf.output_choose(target=target))
 
@@ -80,12 +80,12 @@ class HNF_OT_actuator_find(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
     bl_description = "List the serial ports and sound outputs of this machine, in a process of its own"
 
     def execute(self, _context: Any) -> set[str]:
-        from ..actuator.finding import FINDER
+        from ..actuator.finding import DEVICE_SCANNER
 
         try:
-            FINDER.look()
+            DEVICE_SCANNER.start()
         except HnfError as error:
-            self.report({"WARNING"}, one_line(error))
+            self.report({"WARNING"}, format_error(error))
             return {"CANCELLED"}
         redraw_tab()
         return {"FINISHED"}
@@ -98,25 +98,27 @@ class HNF_OT_actuator_test(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return needs_actuator(cls, context)
+        return poll_actuator(cls, context)
 
     def execute(self, context: Any) -> set[str]:
-        from ..actuator.sweep import sweep
+        from ..actuator.sweep import make_test_sweep
         from ..preview import current
         from ..preview.facts import PREVIEW
 
         PREVIEW.sounding = PREVIEW.play_when_ready = ""
         try:
-            current.PLAYER.play(sweep(actuator_of(context.scene)))
+            current.PLAYER.play(make_test_sweep(get_actuator_profile(context.scene)))
         except HnfError as error:
-            self.report({"WARNING"}, one_line(error))
+            self.report({"WARNING"}, format_error(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, tr("A soft sweep on {device}").format(device=title_of(chosen_output(context))))
+        self.report(
+            {"INFO"}, tr("A soft sweep on {device}").format(device=find_output_title(get_selected_output(context)))
+        )
         redraw_tab()
         return {"FINISHED"}
 
 
-CLASSES = (
+OUTPUT_CLASSES = (
     HNF_OT_output_choose,
     HNF_OT_output_other,
     HNF_OT_actuator_find,

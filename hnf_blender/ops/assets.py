@@ -7,16 +7,16 @@ from typing import Any
 
 import bpy
 
-from .greyed import greyed
+from .greyed import fail_poll
 
-FOLDER = Path(__file__).resolve().parents[1] / "assets"
-NAME = "Haptic Neural Fields"
+ASSET_FOLDER = Path(__file__).resolve().parents[1] / "assets"
+ASSET_LIBRARY_NAME = "Haptic Neural Fields"
 
 
-def asset_library(context: Any) -> Any:
+def find_asset_library(context: Any) -> Any:
     """The preferences' entry that points to the add-on's assets, or None."""
     libraries = context.preferences.filepaths.asset_libraries
-    return next((library for library in libraries if _same(library.path, FOLDER)), None)
+    return next((library for library in libraries if _is_same_folder(library.path, ASSET_FOLDER)), None)
 
 
 class HNF_OT_assets_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
@@ -29,17 +29,19 @@ class HNF_OT_assets_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if not FOLDER.is_dir():
-            return greyed(cls, "This copy of the add-on has no assets: run make assets in its source folder")
-        if asset_library(context) is not None:
-            return greyed(cls, "The asset library is in the preferences already")
+        if not ASSET_FOLDER.is_dir():
+            return fail_poll(cls, "This copy of the add-on has no assets: run make assets in its source folder")
+        if find_asset_library(context) is not None:
+            return fail_poll(cls, "The asset library is in the preferences already")
         return True
 
     def execute(self, context: Any) -> set[str]:
-        library = context.preferences.filepaths.asset_libraries.new(name=NAME, directory=str(FOLDER))
+        library = context.preferences.filepaths.asset_libraries.new(
+            name=ASSET_LIBRARY_NAME, directory=str(ASSET_FOLDER)
+        )
         library.import_method = "APPEND"  # strokes and choices are there to be edited
         context.preferences.is_dirty = True
-        self.report({"INFO"}, f"{library.name}: {FOLDER}")
+        self.report({"INFO"}, f"{library.name}: {ASSET_FOLDER}")
         return {"FINISHED"}
 
 
@@ -51,18 +53,18 @@ class HNF_OT_assets_remove(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if asset_library(context) is None:
-            return greyed(cls, "The asset library is not in the preferences")
+        if find_asset_library(context) is None:
+            return fail_poll(cls, "The asset library is not in the preferences")
         return True
 
     def execute(self, context: Any) -> set[str]:
-        context.preferences.filepaths.asset_libraries.remove(asset_library(context))
+        context.preferences.filepaths.asset_libraries.remove(find_asset_library(context))
         context.preferences.is_dirty = True
         return {"FINISHED"}
 
 
-def _same(path: str, folder: Path) -> bool:
+def _is_same_folder(path: str, folder: Path) -> bool:
     return bool(path) and Path(bpy.path.abspath(path)).resolve() == folder
 
 
-CLASSES = (HNF_OT_assets_add, HNF_OT_assets_remove)
+ASSET_CLASSES = (HNF_OT_assets_add, HNF_OT_assets_remove)

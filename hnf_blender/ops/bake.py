@@ -8,15 +8,15 @@ import bpy
 
 from hnf_core.errors import HnfError
 
-from ..bridge.scene_names import name_in
+from ..bridge.scene_names import get_scene_name
 from ..jobs import current
-from ..props.scene import active_stroke, has_strokes
+from ..props.scene import get_active_stroke, has_strokes
 from ..state.redraw import redraw_tab
 from ..state.session import STATE, JobStatus, LastJob
-from ..state.texts import job_text, left_text
+from ..state.texts import format_job, format_time_left
 from ..translations import tr
-from .greyed import greyed
-from .modal_job import ModalJob, no_job_runs
+from .greyed import fail_poll
+from .modal_job import ModalJob, poll_no_job
 
 
 class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
@@ -26,7 +26,7 @@ class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return _has_strokes(cls, context)
+        return _poll_strokes(cls, context)
 
     def execute(self, context: Any) -> set[str]:
         from ..jobs.plan_view import make_plan
@@ -56,43 +56,47 @@ class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return no_job_runs(cls) and _has_strokes(cls, context)
+        return poll_no_job(cls) and _poll_strokes(cls, context)
 
     def execute(self, context: Any) -> set[str]:
-        from ..jobs.running import bake_in_line
+        from ..jobs.running import bake_blocking
 
-        return self.in_line(lambda: bake_in_line(context.scene, context.view_layer, self._only(context)))
+        return self.run_blocking(
+            lambda: bake_blocking(context.scene, context.view_layer, self._get_stroke_names(context))
+        )
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         if bpy.app.background:
             return self.execute(context)
-        if not self.begin_job(context, lambda: current.start(context.scene, context.view_layer, self._only(context))):
+        if not self.start_job(
+            context, lambda: current.start_bake(context.scene, context.view_layer, self._get_stroke_names(context))
+        ):
             return {"CANCELLED"}
         context.window_manager.progress_begin(0.0, 1.0)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def _only(self, context: Any) -> tuple[str, ...]:
+    def _get_stroke_names(self, context: Any) -> tuple[str, ...]:
         if not self.only_active:
             return ()
-        stroke = active_stroke(context)
+        stroke = get_active_stroke(context)
         if stroke is None:
             raise HnfError("no stroke is active.", remedy="Select one, in the list or in the 3-D view.")
-        return (name_in(context.scene, stroke),)
+        return (get_scene_name(context.scene, stroke),)
 
-    def job_line(self, job: JobStatus) -> str:
-        return f"{tr('Touch bake')}: {job_text(job)}, {left_text(job)}"
+    def format_status(self, job: JobStatus) -> str:
+        return f"{tr('Touch bake')}: {format_job(job)}, {format_time_left(job)}"
 
-    def show(self, context: Any) -> None:
-        super().show(context)
+    def update_status(self, context: Any) -> None:
+        super().update_status(context)
         if STATE.job is not None:
             context.window_manager.progress_update(STATE.job.done / max(1, STATE.job.total))
 
-    def take_down(self, context: Any) -> None:
-        super().take_down(context)
+    def clean_up(self, context: Any) -> None:
+        super().clean_up(context)
         context.window_manager.progress_end()
 
-    def tell_end(self, ended: LastJob) -> set[str]:
+    def report_end(self, ended: LastJob) -> set[str]:
         """An undo step where something was written."""
         if not (ended.ok or ended.written):
             self.report({"ERROR"}, ended.message)
@@ -111,7 +115,7 @@ class HNF_OT_bake_cancel(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     @classmethod
     def poll(cls, context: Any) -> bool:
         if not current.is_running():
-            return greyed(cls, "No bake is running.")
+            return fail_poll(cls, "No bake is running.")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -138,25 +142,25 @@ class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
     @classmethod
     def poll(cls, _context: Any) -> bool:
-        return no_job_runs(cls)
+        return poll_no_job(cls)
 
     def invoke(self, context: Any, event: Any) -> set[str]:
         return set(context.window_manager.invoke_props_dialog(self))
 
     def execute(self, context: Any) -> set[str]:
         from ..jobs.purge import purge
-        from .diagnose import collect_again
+        from .diagnose import refresh_diagnosis
 
         freed = purge(context.scene, context.view_layer, everything=self.what == "ALL")
-        collect_again()
+        refresh_diagnosis()
         self.report({"INFO"}, freed.message)
         redraw_tab()
         return {"FINISHED"} if freed.bytes else {"CANCELLED"}
 
 
-def _has_strokes(operator: Any, context: Any) -> bool:
+def _poll_strokes(operator: Any, context: Any) -> bool:
     if not has_strokes(context.scene):
-        return greyed(operator, "The scene has no stroke yet. Draw one, or add one in the list of strokes.")
+        return fail_poll(operator, "The scene has no stroke yet. Draw one, or add one in the list of strokes.")
     return True
 
 

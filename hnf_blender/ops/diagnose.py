@@ -12,20 +12,20 @@ import bpy
 import numpy
 
 from hnf_core import __version__
-from hnf_core.cli.health import field_identity, kernel_state, version_of
+from hnf_core.cli.health import describe_field, describe_kernel, get_version
 from hnf_core.errors import HnfError
 
 from .. import compat
-from ..state.folders import cache_folder
+from ..state.folders import get_cache_folder
 from ..state.session import STATE
-from ..state.texts import byte_text
+from ..state.texts import format_bytes
 from ..translations import tr
-from .greyed import greyed
+from .greyed import fail_poll
 
-PACKAGES = ("OpenEXR", "embreex", "safetensors", "matplotlib")
+REPORTED_PACKAGES = ("OpenEXR", "embreex", "safetensors", "matplotlib")
 
 
-def versions() -> tuple[tuple[str, str], ...]:
+def list_versions() -> tuple[tuple[str, str], ...]:
     """What is known without looking anywhere: for the panel, at every draw."""
     return (
         ("Add-on", __version__),
@@ -35,26 +35,26 @@ def versions() -> tuple[tuple[str, str], ...]:
     )
 
 
-def collect() -> tuple[tuple[str, str], ...]:
+def collect_diagnosis() -> tuple[tuple[str, str], ...]:
     """Versions, identities, paths and the last error. Reads the weights and looks through folders; never raises."""
     from hnf_core.material.token import ENCODER_ID
 
-    cache = cache_folder()
+    cache = get_cache_folder()
     rows = [
-        *versions(),
+        *list_versions(),
         ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
-        *((package, version_of(package) or "not installed") for package in PACKAGES),
-        ("Compiled kernel", kernel_state()),
-        ("Field", field_identity()),
+        *((package, get_version(package) or "not installed") for package in REPORTED_PACKAGES),
+        ("Compiled kernel", describe_kernel()),
+        ("Field", describe_field()),
         ("Encoder", ENCODER_ID),
-        ("Weights for pictures", _map_weights()),
+        ("Weights for pictures", _describe_map_weights()),
         ("Blender file", bpy.data.filepath or "not saved"),
         ("Blender program", bpy.app.binary_path or sys.executable),
         ("Add-on folder", str(Path(__file__).resolve().parents[1])),
         ("Cache folder", str(cache)),
-        ("Cache size", byte_text(folder_bytes(cache))),
-        ("Baked data in this file", byte_text(touch_bytes())),
-        ("External Python", _outside()),
+        ("Cache size", format_bytes(measure_folder(cache))),
+        ("Baked data in this file", format_bytes(measure_baked_data())),
+        ("External Python", _describe_external_python()),
     ]
     if STATE.last_job is not None:
         outcome = "done" if STATE.last_job.ok else "failed"
@@ -63,19 +63,19 @@ def collect() -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
-def collect_again() -> None:
+def refresh_diagnosis() -> None:
     """After sizes changed: where they are shown, show those of now."""
     if STATE.diagnosis:
-        STATE.diagnosis = collect()
+        STATE.diagnosis = collect_diagnosis()
 
 
-def as_text(rows: tuple[tuple[str, str], ...]) -> str:
+def format_rows(rows: tuple[tuple[str, str], ...]) -> str:
     """The rows for the clipboard, aligned."""
     width = max((len(name) for name, _ in rows), default=0)
     return "\n".join(f"{name:<{width}}  {value}" for name, value in rows) + "\n"
 
 
-def folder_bytes(folder: Path) -> int:
+def measure_folder(folder: Path) -> int:
     """Bytes of all files below; 0 where there is no folder."""
     total = 0
     for path in folder.rglob("*"):
@@ -86,30 +86,32 @@ def folder_bytes(folder: Path) -> int:
     return total
 
 
-def touch_bytes() -> int:
+def measure_baked_data() -> int:
     """Bytes of bakes, tokens and palettes in the open file: what purging everything would take out."""
-    from ..bridge.storage import token_bytes
-    from ..touch.stored import stored_bytes
+    from ..bridge.storage import count_token_bytes
+    from ..touch.stored import count_stored_bytes
 
-    return sum(stored_bytes(obj) for obj in bpy.data.objects) + sum(token_bytes(mesh) for mesh in bpy.data.meshes)
+    return sum(count_stored_bytes(obj) for obj in bpy.data.objects) + sum(
+        count_token_bytes(mesh) for mesh in bpy.data.meshes
+    )
 
 
-def _outside() -> str:
+def _describe_external_python() -> str:
     """As last checked: it is not run for this."""
-    from .outside_python import found_text, python_path
+    from .outside_python import format_python_status, get_python_path
 
-    path, found = python_path(), STATE.outside
+    path, found = get_python_path(), STATE.external_python
     if not path:
         return "none"
     known = found is not None and bpy.path.abspath(found.path) == path
-    return f"{path}: {found_text(found) if known and found is not None else 'not checked'}"
+    return f"{path}: {format_python_status(found) if known and found is not None else 'not checked'}"
 
 
-def _map_weights() -> str:
-    from ..touch.seeing import Seeing
+def _describe_map_weights() -> str:
+    from ..touch.seeing import ReliefPredictor
 
     try:
-        return Seeing().weights_hash or "not there"
+        return ReliefPredictor().weights_hash or "not there"
     except (HnfError, ImportError) as error:
         return str(error)
 
@@ -121,7 +123,7 @@ class HNF_OT_diagnose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  
     bl_options = {"REGISTER"}  # noqa: RUF012  # Blender reads a set
 
     def execute(self, _context: Any) -> set[str]:
-        STATE.diagnosis = collect()
+        STATE.diagnosis = collect_diagnosis()
         return {"FINISHED"}
 
 
@@ -132,8 +134,8 @@ class HNF_OT_diagnose_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
     bl_options = {"REGISTER"}  # noqa: RUF012
 
     def execute(self, context: Any) -> set[str]:
-        STATE.diagnosis = collect()
-        context.window_manager.clipboard = as_text(STATE.diagnosis)
+        STATE.diagnosis = collect_diagnosis()
+        context.window_manager.clipboard = format_rows(STATE.diagnosis)
         self.report({"INFO"}, tr("Report copied: paste it when you report a problem"))
         return {"FINISHED"}
 
@@ -147,19 +149,19 @@ class HNF_OT_cache_clear(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     @classmethod
     def poll(cls, _context: Any) -> bool:
         if STATE.job is not None:
-            return greyed(cls, "A bake is running and uses the cache")
+            return fail_poll(cls, "A bake is running and uses the cache")
         return True
 
     def execute(self, _context: Any) -> set[str]:
-        folder = cache_folder()
-        before = folder_bytes(folder)
+        folder = get_cache_folder()
+        before = measure_folder(folder)
         for path in folder.rglob("*"):
             if path.is_file():
                 with suppress(OSError):  # in use by another Blender: Windows keeps it
                     path.unlink()
-        collect_again()
-        self.report({"INFO"}, tr("{size} freed").format(size=byte_text(before - folder_bytes(folder))))
+        refresh_diagnosis()
+        self.report({"INFO"}, tr("{size} freed").format(size=format_bytes(before - measure_folder(folder))))
         return {"FINISHED"}
 
 
-CLASSES = (HNF_OT_diagnose, HNF_OT_diagnose_copy, HNF_OT_cache_clear)
+DIAGNOSE_CLASSES = (HNF_OT_diagnose, HNF_OT_diagnose_copy, HNF_OT_cache_clear)

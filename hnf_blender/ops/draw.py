@@ -11,17 +11,17 @@ from hnf_core.errors import HnfError, SceneError
 from hnf_core.material.probe import PROBES
 from hnf_core.units import m_to_mm, mm_to_m
 
-from ..bridge.metres import metres_per_unit
+from ..bridge.metres import get_metres_per_unit
 from ..props.stroke import FORCE_MAX_N
 from ..translations import tr
-from .active import AS_SET, make_shown, one_line, probe_of
-from .greyed import greyed
+from .active import DEFAULT_PROBE, format_error, make_active_and_visible, resolve_probe
+from .greyed import fail_poll
 
 PROBE_ITEMS = [
-    (AS_SET, "Default", "The default probe set in the preferences"),
+    (DEFAULT_PROBE, "Default", "The default probe set in the preferences"),
     *((name, name.capitalize(), f"Touch with the {name}") for name in PROBES),
 ]
-TIMINGS = (
+TIMING_ITEMS = (
     ("HAND", "As drawn", "The stroke takes as long as your hand did: its timing becomes progress keys"),
     ("SPEED", "Constant", "One speed from end to end, however fast you draw; change it later in the Time panel"),
 )
@@ -82,7 +82,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         precision=2,
     )
     timing: bpy.props.EnumProperty(
-        name="Timing", description="Where the speed comes from", items=TIMINGS, default="HAND"
+        name="Timing", description="Where the speed comes from", items=TIMING_ITEMS, default="HAND"
     )
     speed_mm_s: bpy.props.FloatProperty(
         name="Speed",
@@ -103,13 +103,13 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         precision=0,
     )
     probe: bpy.props.EnumProperty(
-        name="Probe", description="What touches the surface", items=PROBE_ITEMS, default=AS_SET
+        name="Probe", description="What touches the surface", items=PROBE_ITEMS, default=DEFAULT_PROBE
     )
 
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            return greyed(cls, "Strokes are drawn in Object Mode: press Tab")
+            return fail_poll(cls, "Strokes are drawn in Object Mode: press Tab")
         return True
 
     def draw(self, _context: Any) -> None:
@@ -120,9 +120,9 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     def execute(self, context: Any) -> set[str]:
         try:
-            made = self._make(context)
+            made = self._make_stroke(context)
         except HnfError as error:
-            self.report({"ERROR"}, one_line(error))
+            self.report({"ERROR"}, format_error(error))
             return {"CANCELLED"}
         self.report({"INFO"}, made)
         return {"FINISHED"}
@@ -143,7 +143,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             raise
         if not begun:
             self._pen.close(context)
-            self.report({"WARNING"}, self._pen.why_not)
+            self.report({"WARNING"}, self._pen.reject_reason)
             return {"CANCELLED"}
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -156,20 +156,20 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             raise
 
     def _step(self, context: Any, event: Any) -> set[str]:
-        from ..bridge.under_cursor import region_under
-        from .pen import gives_up
+        from ..bridge.under_cursor import find_region_under_mouse
+        from .pen import is_cancel_event
 
         pen = self._pen
-        if gives_up(context, event, pressed=pen.is_down):
+        if is_cancel_event(context, event, pressed=pen.is_down):
             pen.close(context)
             return {"CANCELLED"}
         if not pen.is_down:
             pressed = event.type == "LEFTMOUSE" and event.value == "PRESS"
-            region = region_under(context, event) if pressed else None
+            region = find_region_under_mouse(context, event) if pressed else None
             if region is None:
                 return {"PASS_THROUGH"}
             if not pen.press(context, event, region):
-                self.report({"WARNING"}, pen.why_not)
+                self.report({"WARNING"}, pen.reject_reason)
             return {"RUNNING_MODAL"}
         if event.type in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
             pen.move(context, event)
@@ -194,9 +194,9 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             item = self.stroke.add()
             item.location, item.pressure, item.time, item.touching = sample
         try:
-            made = self._make(context)
+            made = self._make_stroke(context)
         except HnfError as error:
-            self.report({"WARNING"}, one_line(error))
+            self.report({"WARNING"}, format_error(error))
             return {"CANCELLED"}
         self.report({"INFO"}, made)
         return {"FINISHED"}
@@ -206,43 +206,43 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         low, high = sorted((float(self.force_min_n), float(self.force_max_n)))
         return low + (high - low) * pressure if is_pen else float(self.force_n)
 
-    def _make(self, context: Any) -> str:
+    def _make_stroke(self, context: Any) -> str:
         """Make the stroke object and select it; what was made, in words. Raises HnfError where nothing was made."""
         from hnf_core.action.contacts import CONTACT_TOLERANCE_M
         from hnf_core.action.pen_stroke import PenSamples, PenStyle
 
-        from ..bridge.drawn_stroke import new_drawn_stroke, touching_surface
+        from ..bridge.drawn_stroke import create_drawn_stroke, mask_points_near_surface
 
-        scene, depsgraph, metres = context.scene, context.evaluated_depsgraph_get(), metres_per_unit(context.scene)
+        scene, depsgraph, metres = context.scene, context.evaluated_depsgraph_get(), get_metres_per_unit(context.scene)
         if len(self.stroke) == 0:
             raise SceneError("nothing was drawn.", remedy="Take the stroke tool and drag over a surface.")
         time, pressure, touching = (
             np.array([getattr(sample, name) for sample in self.stroke]) for name in ("time", "pressure", "touching")
         )
         points = np.array([tuple(sample.location) for sample in self.stroke], dtype=np.float64)
-        surface = self._surface(context, points[touching], depsgraph, metres)
-        touching[touching] = touching_surface(points[touching], surface, depsgraph, metres, CONTACT_TOLERANCE_M)
+        surface = self._find_surface(context, points[touching], depsgraph, metres)
+        touching[touching] = mask_points_near_surface(points[touching], surface, depsgraph, metres, CONTACT_TOLERANCE_M)
         low, high = sorted((float(self.force_min_n), float(self.force_max_n)))
         speed = mm_to_m(float(self.speed_mm_s)) if self.timing == "SPEED" else None
-        made = new_drawn_stroke(
+        made = create_drawn_stroke(
             scene,
             depsgraph,
             surface,
             PenSamples(time.astype(np.float64), points, pressure.astype(np.float64), touching.astype(bool)),
             PenStyle((low, high), float(self.force_n), float(self.smoothing_ms) * 1e-3, speed),
             start_frame=float(scene.frame_current_final),
-            probe=probe_of(context, str(self.probe)),
+            probe=resolve_probe(context, str(self.probe)),
             metres_per_unit=metres,
         )
-        shown = make_shown(context, made.obj)
-        lifted = tr("; silent where it left the surface") if made.drawn.lifted else ""
+        shown = make_active_and_visible(context, made.obj)
+        lifted = tr("; silent where it left the surface") if made.pen_stroke.lifted else ""
         said = tr("{name}: {length} mm in {time} s")
-        length, seconds = m_to_mm(made.drawn.length_m), made.drawn.duration_s
+        length, seconds = m_to_mm(made.pen_stroke.length_m), made.pen_stroke.duration_s
         return said.format(name=made.obj.name, length=f"{length:.0f}", time=f"{seconds:.2f}") + lifted + shown
 
-    def _surface(self, context: Any, points: Any, depsgraph: Any, metres: float) -> Any:
-        from ..bridge.meshes import surface_mesh
-        from ..bridge.nearest_surface import nearest_surface
+    def _find_surface(self, context: Any, points: Any, depsgraph: Any, metres: float) -> Any:
+        from ..bridge.meshes import read_surface
+        from ..bridge.nearest_surface import find_nearest_surface
 
         if self.surface:
             found = context.scene.objects.get(self.surface)
@@ -253,11 +253,11 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             return found
         if len(points) == 0:
             raise SceneError("the stroke touches no surface.", remedy="Draw on a visible mesh.")
-        return nearest_surface(
+        return find_nearest_surface(
             points,
             context.scene,
             depsgraph,
-            lambda touched: surface_mesh(touched, depsgraph, metres),
+            lambda touched: read_surface(touched, depsgraph, metres),
             metres,
             where="the drawn stroke",
         )
@@ -278,4 +278,4 @@ def draw_style(layout: Any, props: Any, *, pen: bool = True, mouse: bool = True)
     layout.prop(props, "probe")
 
 
-CLASSES = (HnfPenSample, HNF_OT_stroke_draw)
+DRAW_CLASSES = (HnfPenSample, HNF_OT_stroke_draw)

@@ -9,11 +9,11 @@ import bpy
 from hnf_core.errors import HnfError
 
 from ..props.export_formats import FORMAT_ITEMS
-from ..props.scene import active_stroke, has_strokes, strokes_of
+from ..props.scene import get_active_stroke, has_strokes, list_strokes
 from ..state.redraw import redraw_tab
 from ..translations import tr
-from .greyed import greyed
-from .preview import can_be_heard
+from .greyed import fail_poll
+from .preview import poll_playable
 from .strokes import UNDOABLE
 
 
@@ -35,38 +35,38 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # 
     @classmethod
     def poll(cls, context: Any) -> bool:
         if not has_strokes(context.scene):
-            return greyed(cls, "This scene has no stroke to export")
+            return fail_poll(cls, "This scene has no stroke to export")
         return True
 
     def execute(self, context: Any) -> set[str]:
         from ..preview.facts import PREVIEW
-        from ..preview.losses import loss_sentence
-        from ..preview.outlet import export_folder, export_of
+        from ..preview.losses import describe_loss
+        from ..preview.outlet import export_stroke, get_export_folder
 
-        active = active_stroke(context)
+        active = get_active_stroke(context)
         chosen = [active] if active is not None else []
         if self.all:
-            chosen = [obj for obj in strokes_of(context.scene) if not obj.hnf_stroke.mute]
+            chosen = [obj for obj in list_strokes(context.scene) if not obj.hnf_stroke.mute]
         if not chosen:
             self.report({"ERROR"}, tr("No stroke to export: select one, or unmute one"))
             return {"CANCELLED"}
         word = self.format if self.properties.is_property_set("format") else context.scene.hnf.export_format
         written, refused = [], []
         try:
-            export_folder(context.scene)
+            get_export_folder(context.scene)
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         for obj in chosen:
             try:
-                written.append(export_of(obj, context, word))
+                written.append(export_stroke(obj, context, word))
             except HnfError as error:
                 refused.append(str(error))
         redraw_tab()
         if not written:
             self.report({"ERROR"}, "\n".join(refused))
             return {"CANCELLED"}
-        PREVIEW.exported = tuple(loss_sentence(each) for each in written)
+        PREVIEW.exported = tuple(describe_loss(each) for each in written)
         PREVIEW.losses = "\n\n".join(each.report() for each in written) + "\n"
         for text in refused:
             self.report({"WARNING"}, text)
@@ -92,7 +92,7 @@ class HNF_OT_export_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         from ..preview.facts import PREVIEW
 
         if not PREVIEW.losses:
-            return greyed(cls, "Nothing was exported yet")
+            return fail_poll(cls, "Nothing was exported yet")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -111,13 +111,13 @@ class HNF_OT_add_to_sequencer(bpy.types.Operator):  # type: ignore[misc]  # noqa
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return can_be_heard(cls, context)
+        return poll_playable(cls, context)
 
     def execute(self, context: Any) -> set[str]:
         from ..preview.outlet import add_strip
 
         try:
-            strip = add_strip(active_stroke(context), context)
+            strip = add_strip(get_active_stroke(context), context)
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -138,16 +138,16 @@ class HNF_OT_add_speaker(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            return greyed(cls, "Speakers are added in Object Mode: press Tab")
-        return can_be_heard(cls, context)
+            return fail_poll(cls, "Speakers are added in Object Mode: press Tab")
+        return poll_playable(cls, context)
 
     def execute(self, context: Any) -> set[str]:
-        from ..preview.outlet import add_speaker_of
+        from ..preview.outlet import add_stroke_speaker
 
-        stroke = active_stroke(context)
+        stroke = get_active_stroke(context)
         name = stroke.name
         try:
-            speaker = add_speaker_of(stroke, context)
+            speaker = add_stroke_speaker(stroke, context)
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

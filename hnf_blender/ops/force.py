@@ -8,20 +8,20 @@ import bpy
 
 from hnf_core.errors import HnfError
 
-from ..bridge.metres import metres_per_unit
-from ..props.scene import active_stroke
+from ..bridge.metres import get_metres_per_unit
+from ..props.scene import get_active_stroke
 from ..props.stroke import FORCE_MAX_N
 from ..translations import tr
-from .active import one_line
-from .greyed import greyed
-from .strokes import UNDOABLE, needs_editable, needs_stroke, refuse_linked
+from .active import format_error
+from .greyed import fail_poll
+from .strokes import UNDOABLE, poll_active_stroke, poll_editable_stroke, require_local
 
-FORCE = "hnf_stroke.force"
+FORCE_PATH = "hnf_stroke.force"
 
 
-def other_strokes(context: Any) -> list[Any]:
+def list_other_selected_strokes(context: Any) -> list[Any]:
     """The selected strokes apart from the active one."""
-    stroke = active_stroke(context)
+    stroke = get_active_stroke(context)
     selected = context.view_layer.objects.selected
     return [obj for obj in selected if obj != stroke and obj.hnf_stroke.is_stroke]
 
@@ -44,17 +44,17 @@ class HNF_OT_stroke_key_force(bpy.types.Operator):  # type: ignore[misc]  # noqa
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return needs_editable(cls, context)
+        return poll_editable_stroke(cls, context)
 
     def execute(self, context: Any) -> set[str]:
-        stroke, frame = active_stroke(context), float(context.scene.frame_current_final)
+        stroke, frame = get_active_stroke(context), float(context.scene.frame_current_final)
         group = stroke.hnf_stroke
         if self.force_n >= 0.0:
             group.force = self.force_n
         if frame < group.start:
             said = tr("Frame {frame} lies before the stroke's start at frame {start}")
             self.report({"WARNING"}, said.format(frame=f"{frame:g}", start=f"{group.start:g}"))
-        if not stroke.keyframe_insert(FORCE, frame=frame):
+        if not stroke.keyframe_insert(FORCE_PATH, frame=frame):
             said = tr("The force of '{name}' cannot be keyed: its animation is linked or locked")
             self.report({"ERROR"}, said.format(name=stroke.name))
             return {"CANCELLED"}
@@ -75,20 +75,20 @@ class HNF_OT_stroke_move(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return needs_editable(cls, context)
+        return poll_editable_stroke(cls, context)
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
-        self.frame = active_stroke(context).hnf_stroke.start
+        self.frame = get_active_stroke(context).hnf_stroke.start
         return set(context.window_manager.invoke_props_dialog(self))
 
     def execute(self, context: Any) -> set[str]:
-        from ..bridge.moved_keys import begin_at
+        from ..bridge.moved_keys import set_start_frame
 
-        stroke = active_stroke(context)
+        stroke = get_active_stroke(context)
         try:
-            begin_at(stroke, float(self.frame))
+            set_start_frame(stroke, float(self.frame))
         except HnfError as error:
-            self.report({"ERROR"}, one_line(error))
+            self.report({"ERROR"}, format_error(error))
             return {"CANCELLED"}
         said = tr("{name} begins at frame {frame}")
         self.report({"INFO"}, said.format(name=stroke.name, frame=f"{self.frame:g}"))
@@ -109,22 +109,22 @@ class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]  # noq
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if not needs_stroke(cls, context):
+        if not poll_active_stroke(cls, context):
             return False
-        if not other_strokes(context):
-            return greyed(cls, "Select the strokes to copy the force to; it is copied from the active stroke")
+        if not list_other_selected_strokes(context):
+            return fail_poll(cls, "Select the strokes to copy the force to; it is copied from the active stroke")
         return True
 
     def execute(self, context: Any) -> set[str]:
         from ..bridge.force_keys import copy_force
 
-        given, done = active_stroke(context), []
-        for stroke in other_strokes(context):
+        given, done = get_active_stroke(context), []
+        for stroke in list_other_selected_strokes(context):
             try:
-                refuse_linked(stroke, "Make it local or override it (Object > Library Override).")
-                copy_force(given, stroke, context.scene, metres_per_unit(context.scene), fit_time=self.fit_time)
+                require_local(stroke, "Make it local or override it (Object > Library Override).")
+                copy_force(given, stroke, context.scene, get_metres_per_unit(context.scene), fit_time=self.fit_time)
             except HnfError as error:
-                self.report({"WARNING"}, one_line(error))
+                self.report({"WARNING"}, format_error(error))
                 continue
             done.append(stroke.name)
         if not done:
@@ -142,28 +142,28 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if not needs_stroke(cls, context):
+        if not poll_active_stroke(cls, context):
             return False
         if bpy.app.background or context.window is None:
-            return greyed(cls, "A Graph Editor needs a window, and Blender runs in the background")
+            return fail_poll(cls, "A Graph Editor needs a window, and Blender runs in the background")
         return True
 
     def execute(self, context: Any) -> set[str]:
         from ..bridge.force_keys import ensure_force_keys
-        from .graph import graph_area, show_curve
+        from .graph import open_graph_editor, show_curve
 
-        stroke = active_stroke(context)
+        stroke = get_active_stroke(context)
         try:
-            area = graph_area(context)
+            area = open_graph_editor(context)
         except HnfError as error:
-            self.report({"WARNING"}, one_line(error))
+            self.report({"WARNING"}, format_error(error))
             return {"CANCELLED"}
         try:
-            ensure_force_keys(stroke, context.scene, metres_per_unit(context.scene))
+            ensure_force_keys(stroke, context.scene, get_metres_per_unit(context.scene))
         except HnfError as error:
-            self.report({"ERROR"}, one_line(error))
+            self.report({"ERROR"}, format_error(error))
             return {"CANCELLED"}
-        show_curve(context, stroke, FORCE, area)
+        show_curve(context, stroke, FORCE_PATH, area)
         return {"FINISHED"}
 
 

@@ -8,15 +8,15 @@ from typing import Any
 from hnf_core.errors import HnfError
 
 from .. import compat
-from ..props.scene import place_in
+from ..props.scene import find_index
 
-SHARE = 0.38
+GRAPH_AREA_SHARE = 0.38
 """Of the 3-D view's height, where an area must be split off for it."""
-FLAT_N = 0.05
+FLAT_RANGE_N = 0.05
 """A curve that varies by less is framed as a line without a scale..."""
-ROOM_N = 1.5
+FLAT_MARGIN_N = 1.5
 """... and gets this much above and below."""
-SETTLED_S = 0.1
+LAYOUT_DELAY_S = 0.1
 """A new area has no size before the next redraw; only then can its curve be fitted in."""
 
 
@@ -28,7 +28,7 @@ def show_curve(context: Any, obj: Any, data_path: str, area: Any) -> None:
     for fcurve in compat.fcurves_of(obj):
         fcurve.hide, fcurve.select = fcurve.data_path != data_path, fcurve.data_path == data_path
     layer = context.view_layer
-    if place_in(layer.objects, obj) >= 0:
+    if find_index(layer.objects, obj) >= 0:
         obj.select_set(True, view_layer=layer)
         layer.objects.active = obj
     space = area.spaces.active
@@ -36,11 +36,11 @@ def show_curve(context: Any, obj: Any, data_path: str, area: Any) -> None:
     space.dopesheet.show_hidden = False
     space.use_normalization = False
     area.tag_redraw()
-    fit = partial(_fit, window.screen.name, list(window.screen.areas).index(area), _is_flat(obj, data_path))
-    bpy.app.timers.register(fit, first_interval=SETTLED_S)
+    fit = partial(_fit_view, window.screen.name, list(window.screen.areas).index(area), _is_flat(obj, data_path))
+    bpy.app.timers.register(fit, first_interval=LAYOUT_DELAY_S)
 
 
-def graph_area(context: Any) -> Any:
+def open_graph_editor(context: Any) -> Any:
     """The Graph Editor of context's window: the one there is, or one split off the largest 3-D view. Raises HnfError
     where there is none and none can be made; then every editor stays what it is."""
     import bpy
@@ -59,7 +59,7 @@ def graph_area(context: Any) -> Any:
     largest = max(views, key=lambda area: area.width * area.height)
     before = {area.as_pointer() for area in areas}
     with context.temp_override(window=window, area=largest):
-        split = bpy.ops.screen.area_split(direction="HORIZONTAL", factor=SHARE)
+        split = bpy.ops.screen.area_split(direction="HORIZONTAL", factor=GRAPH_AREA_SHARE)
     added = [area for area in window.screen.areas if area.as_pointer() not in before]
     if "FINISHED" not in split or not added:
         raise HnfError(
@@ -74,17 +74,17 @@ def graph_area(context: Any) -> Any:
 def _is_flat(obj: Any, data_path: str) -> bool:
     curves = [curve for curve in compat.fcurves_of(obj) if curve.data_path == data_path]
     values = [point.co[1] for curve in curves for point in curve.keyframe_points]
-    return bool(values) and max(values) - min(values) < FLAT_N
+    return bool(values) and max(values) - min(values) < FLAT_RANGE_N
 
 
-def _fit(screen_name: str, place: int, flat: bool) -> None:
+def _fit_view(screen_name: str, area_index: int, flat: bool) -> None:
     """Timer, once: frame the whole curve, with room to drag a flat one."""
     import bpy
 
     for window in bpy.context.window_manager.windows:
-        if window.screen.name != screen_name or place >= len(window.screen.areas):
+        if window.screen.name != screen_name or area_index >= len(window.screen.areas):
             continue
-        area = window.screen.areas[place]
+        area = window.screen.areas[area_index]
         region = next((region for region in area.regions if region.type == "WINDOW"), None)
         if area.type == "GRAPH_EDITOR" and region is not None:
             with bpy.context.temp_override(window=window, area=area, region=region):
@@ -101,6 +101,6 @@ def _frame_all(flat: bool) -> None:
         preferences.view.smooth_view = 0
         bpy.ops.graph.view_all(include_handles=False)
         if flat:
-            bpy.ops.view2d.zoom(deltax=0.0, deltay=-ROOM_N, use_cursor_init=False)
+            bpy.ops.view2d.zoom(deltax=0.0, deltay=-FLAT_MARGIN_N, use_cursor_init=False)
     finally:
         preferences.view.smooth_view, preferences.is_dirty = smooth, was_dirty

@@ -11,20 +11,20 @@ from hnf_core.errors import HnfError
 
 from ..jobs import current
 from ..state.session import STATE, JobStatus, LastJob
-from ..state.texts import CHARACTER_PX, MARGIN_PX, job_text, left_text, wrapped
+from ..state.texts import CHARACTER_PX, MARGIN_PX, format_job, format_time_left, wrap_text
 from ..translations import tr
-from .active import one_line
-from .greyed import greyed
-from .materials import felt_object, listed_library
-from .modal_job import ModalJob, no_job_runs
-from .outside_python import python_path
+from .active import format_error
+from .greyed import fail_poll
+from .materials import find_material_object, get_library_items
+from .modal_job import ModalJob, poll_no_job
+from .outside_python import get_python_path
 
 if TYPE_CHECKING:
-    from hnf_core.cli.learn import Lesson
+    from hnf_core.cli.learn import LearnRequest
 
 EFFORTS = {"QUICK": (60.0, 10), "STANDARD": (480.0, 40)}
 """Effort → seconds of strokes where a data set holds models, and epochs at most."""
-KINDS = [
+RECORDING_ITEMS = [
     ("simulated", "Simulated", "The contact simulator on a material of the library: needs no recordings"),
     ("own", "Your Own", "A folder with a CSV table for each stroke: time, acceleration and preferably speed and force"),
     ("hatt", "HaTT", "Your copy of the Penn Haptic Texture Toolkit: models, recordings or both"),
@@ -32,14 +32,14 @@ KINDS = [
     ("lmt", "LMT", "Your copy of an LMT haptic texture database. Speed and force were not recorded"),
 ]
 DIALOG_PX = 420
-LAST: dict[str, str] = {}
+LAST_CHOICES: dict[str, str] = {}
 """What was asked for last in this session: a lesson that was cancelled goes on where the same is asked for again."""
 
 
-class Choices:
+class LearnChoices:
     """What both operators are asked."""
 
-    kind: bpy.props.EnumProperty(name="Recordings", description="Where the strokes come from", items=KINDS)
+    kind: bpy.props.EnumProperty(name="Recordings", description="Where the strokes come from", items=RECORDING_ITEMS)
     folder: bpy.props.StringProperty(
         name="Folder", description="Folder with the recordings", subtype="DIR_PATH", options={"SKIP_SAVE"}
     )
@@ -48,7 +48,7 @@ class Choices:
         description="Its name in the recordings, such as ABS Plastic; for your own, the folder with its tables",
     )
     library: bpy.props.EnumProperty(
-        name="Material", description="Material of the library to simulate", items=listed_library
+        name="Material", description="Material of the library to simulate", items=get_library_items
     )  # fmt: skip
     effort: bpy.props.EnumProperty(
         name="Effort",
@@ -69,23 +69,23 @@ class Choices:
     )
 
 
-def can_learn(operator: Any) -> bool:
+def poll_can_learn(operator: Any) -> bool:
     """For its poll(): whether a material could be learned now; where not, says why."""
-    if not no_job_runs(operator):
+    if not poll_no_job(operator):
         return False
-    if not python_path():
-        return greyed(operator, "Set an external Python in the add-on's preferences first")
-    found = STATE.outside
-    if found is not None and found.problem and bpy.path.abspath(found.path) == python_path():
-        return greyed(
+    if not get_python_path():
+        return fail_poll(operator, "Set an external Python in the add-on's preferences first")
+    found = STATE.external_python
+    if found is not None and found.problem and bpy.path.abspath(found.path) == get_python_path():
+        return fail_poll(
             operator, "The external Python lacks a package: the add-on's preferences show the command to install it"
         )
     return True
 
 
-def lesson_of(choices: Choices) -> "Lesson":
+def make_lesson(choices: LearnChoices) -> "LearnRequest":
     """What is to be learned. Raises HnfError where a choice is missing."""
-    from hnf_core.cli.learn import Lesson
+    from hnf_core.cli.learn import LearnRequest
 
     simulated = choices.kind == "simulated"
     if not simulated and not choices.folder:
@@ -96,10 +96,10 @@ def lesson_of(choices: Choices) -> "Lesson":
         name = name or Path(folder).name
     if not name:
         raise HnfError("no material is named.", remedy="Name it as the recordings do.")
-    return Lesson(choices.kind, folder, name, *EFFORTS[choices.effort])
+    return LearnRequest(choices.kind, folder, name, *EFFORTS[choices.effort])
 
 
-class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+class HNF_OT_learn(LearnChoices, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
     """Asks, and begins hnf.learn_run: what a dialog calls cannot go on beside the window itself."""
 
     bl_idname = "hnf.learn"
@@ -111,10 +111,10 @@ class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
 
     @classmethod
     def poll(cls, _context: Any) -> bool:
-        return can_learn(cls)
+        return poll_can_learn(cls)
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
-        for name, value in LAST.items():
+        for name, value in LAST_CHOICES.items():
             if not self.properties.is_property_set(name):
                 setattr(self, name, value)
         return set(context.window_manager.invoke_props_dialog(self, width=DIALOG_PX))
@@ -136,18 +136,18 @@ class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
         text = tr("Licence: {licence}").format(licence=licence)
         column = layout.column(align=True)
         column.scale_y = 0.8
-        for place, line in enumerate(wrapped(text, int((DIALOG_PX - MARGIN_PX) / CHARACTER_PX))):
+        for place, line in enumerate(wrap_text(text, int((DIALOG_PX - MARGIN_PX) / CHARACTER_PX))):
             column.label(text=line, icon="BLANK1" if place else "INFO", translate=False)
 
     def execute(self, _context: Any) -> set[str]:
         how = "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT"
-        choices = {name: getattr(self, name) for name in Choices.__annotations__}
-        LAST.update(choices)
+        choices = {name: getattr(self, name) for name in LearnChoices.__annotations__}
+        LAST_CHOICES.update(choices)
         try:
-            lesson_of(self)  # a choice that is missing is no error of a program
+            make_lesson(self)  # a choice that is missing is no error of a program
             done = set(bpy.ops.hnf.learn_run(how, **choices))
         except HnfError as error:
-            self.report({"ERROR"}, one_line(error))
+            self.report({"ERROR"}, format_error(error))
             return {"CANCELLED"}
         except RuntimeError as error:  # what the other one reported as an error
             self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
@@ -156,7 +156,7 @@ class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
         return {"FINISHED"} if done == {"RUNNING_MODAL"} else done
 
 
-class HNF_OT_learn_run(Choices, ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+class HNF_OT_learn_run(LearnChoices, ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     """No REGISTER: adjusting it afterwards would learn anew."""
 
     bl_idname = "hnf.learn_run"
@@ -166,33 +166,33 @@ class HNF_OT_learn_run(Choices, ModalJob, bpy.types.Operator):  # type: ignore[m
 
     @classmethod
     def poll(cls, _context: Any) -> bool:
-        return can_learn(cls)
+        return poll_can_learn(cls)
 
     def execute(self, context: Any) -> set[str]:
-        from ..jobs.learning import learn_in_line
+        from ..jobs.learning import learn_blocking
 
-        return self.in_line(lambda: learn_in_line(*self._asked(context)))
+        return self.run_blocking(lambda: learn_blocking(*self._get_job_arguments(context)))
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
-        from ..jobs.learning import Learning
+        from ..jobs.learning import LearnJob
 
-        if not self.begin_job(context, lambda: current.begin(lambda: Learning(*self._asked(context)))):
+        if not self.start_job(context, lambda: current.start_job(lambda: LearnJob(*self._get_job_arguments(context)))):
             return {"CANCELLED"}
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def _asked(self, context: Any) -> tuple[Any, ...]:
+    def _get_job_arguments(self, context: Any) -> tuple[Any, ...]:
         """What Learning takes. Raises HnfError where a choice is missing."""
-        from ..jobs.learning import Slot
+        from ..jobs.learning import MaterialSlot
 
-        obj = felt_object(context)
-        slot = Slot() if obj is None else Slot(obj.name, obj.active_material_index)
-        return python_path(), lesson_of(self), slot
+        obj = find_material_object(context)
+        slot = MaterialSlot() if obj is None else MaterialSlot(obj.name, obj.active_material_index)
+        return get_python_path(), make_lesson(self), slot
 
-    def job_line(self, job: JobStatus) -> str:
-        return f"{tr('Learning a material')}: {job_text(job)}, {left_text(job)}"
+    def format_status(self, job: JobStatus) -> str:
+        return f"{tr('Learning a material')}: {format_job(job)}, {format_time_left(job)}"
 
-    def tell_end(self, ended: LastJob) -> set[str]:
+    def report_end(self, ended: LastJob) -> set[str]:
         """An undo step where a material was given."""
         if not ended.ok:
             self.report({"ERROR"}, ended.message)
@@ -201,4 +201,4 @@ class HNF_OT_learn_run(Choices, ModalJob, bpy.types.Operator):  # type: ignore[m
         return {"FINISHED"} if ended.written else {"CANCELLED"}
 
 
-CLASSES = (HNF_OT_learn, HNF_OT_learn_run)
+LEARN_CLASSES = (HNF_OT_learn, HNF_OT_learn_run)

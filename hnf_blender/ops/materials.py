@@ -9,53 +9,53 @@ import bpy
 
 from hnf_core.errors import HnfError
 
-from ..bridge.scene_names import object_in
-from ..props.scene import active_stroke
+from ..bridge.scene_names import find_object
+from ..props.scene import get_active_stroke
 from ..state.session import STATE
 from ..translations import tr
-from .active import surface_here
-from .greyed import greyed
-from .strokes import UNDOABLE, needs_editable
+from .active import get_surface_in_layer
+from .greyed import fail_poll
+from .strokes import UNDOABLE, poll_editable_stroke
 
 ACRONYMS = {"Eva": "EVA"}
 
 
 @lru_cache(maxsize=1)
-def library_items() -> tuple[tuple[str, str, str], ...]:
+def list_library_items() -> tuple[tuple[str, str, str], ...]:
     """The library as a list to search, grouped by category: "Wood ▸ Oak wood". Kept, for Blender keeps no texts."""
     from hnf_core.material.library import load_library  # here: switching the add-on on needs no library
 
     shown = sorted((material.category, material.name, material.words) for material in load_library())
     return tuple(
-        (name, f"{category.capitalize()} ▸ {spoken(name)}", "Also found as: " + ", ".join(words))
+        (name, f"{category.capitalize()} ▸ {format_display_name(name)}", "Also found as: " + ", ".join(words))
         for category, name, words in shown
     )
 
 
-def listed_library(_properties: Any, _context: Any) -> tuple[tuple[str, str, str], ...]:
-    return library_items()
+def get_library_items(_properties: Any, _context: Any) -> tuple[tuple[str, str, str], ...]:
+    return list_library_items()
 
 
-def spoken(name: str) -> str:
+def format_display_name(name: str) -> str:
     """A library name for people: "oak-wood" → "Oak wood", "eva-foam" → "EVA foam"."""
     return " ".join(ACRONYMS.get(word, word) for word in name.replace("-", " ").capitalize().split(" "))
 
 
-def felt_object(context: Any) -> Any:
+def find_material_object(context: Any) -> Any:
     """The object whose materials are meant, or None: the active mesh, else the surface of the active stroke."""
     active = context.view_layer.objects.active
     if active is not None and active.type == "MESH":
         return active
-    stroke = active_stroke(context)
+    stroke = get_active_stroke(context)
     if stroke is None:
         return None
     if stroke.hnf_stroke.surface is not None:
-        return surface_here(context, stroke)
-    status = STATE.status_of(context.scene, stroke)
-    return None if status is None else object_in(context.scene, status.object_name)
+        return get_surface_in_layer(context, stroke)
+    status = STATE.get_status(context.scene, stroke)
+    return None if status is None else find_object(context.scene, status.object_name)
 
 
-def materials_of(obj: Any) -> list[Any]:
+def list_materials(obj: Any) -> list[Any]:
     """The materials in the object's slots, each once."""
     found = {slot.material.name_full: slot.material for slot in obj.material_slots if slot.material is not None}
     return list(found.values())
@@ -72,11 +72,11 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        obj = felt_object(context)
+        obj = find_material_object(context)
         if obj is None:
-            return greyed(cls, "Select a mesh, or a stroke that has a surface")
-        if not materials_of(obj):
-            return greyed(cls, "This object has no material to suggest for")
+            return fail_poll(cls, "Select a mesh, or a stroke that has a surface")
+        if not list_materials(obj):
+            return fail_poll(cls, "This object has no material to suggest for")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -84,18 +84,18 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
         from hnf_core.material.prior import rank
         from hnf_core.tactile.tactile_map import Route
 
-        from ..bridge.picture_names import picture_names
-        from ..bridge.shader_values import stated_appearance
+        from ..bridge.picture_names import list_texture_names
+        from ..bridge.shader_values import read_stated_appearance
 
-        obj = felt_object(context)
+        obj = find_material_object(context)
         try:
-            for material in materials_of(obj):
+            for material in list_materials(obj):
                 relief = STATE.reliefs.get(material.name_full)
                 STATE.suggestions[material.name_full] = rank(
                     load_library(),
-                    stated_appearance(material),
+                    read_stated_appearance(material),
                     [material.name, obj.name, obj.data.name],
-                    pictures=picture_names(material),
+                    image_names=list_texture_names(material),
                     token=None if relief is None else relief.token,
                     route=Route.PRIOR if relief is None else relief.route,
                 )
@@ -117,7 +117,7 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         description="Full name of the Blender material, to tell linked ones from those of this file",
         options={"HIDDEN"},
     )
-    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=listed_library)
+    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=get_library_items)
 
     @classmethod
     def description(cls, _context: Any, properties: Any) -> str:
@@ -125,7 +125,7 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         ranked = STATE.suggestions.get(properties.material, ()) if properties.is_property_set("name") else ()
         why = next((each.reason for each in ranked if each.name == properties.name), "")
         text = tr(cls.bl_description)
-        return f"{spoken(properties.name)}: {why}. {text}" if why else text
+        return f"{format_display_name(properties.name)}: {why}. {text}" if why else text
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         if self.properties.is_property_set("name"):
@@ -134,7 +134,7 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         return {"INTERFACE"}  # "RUNNING_MODAL", as in Blender's examples, would never free the operator
 
     def execute(self, _context: Any) -> set[str]:
-        return _write(self, self.material, self.name)
+        return _assign_library_material(self, self.material, self.name)
 
 
 class HNF_OT_material_auto(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
@@ -150,7 +150,7 @@ class HNF_OT_material_auto(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
     )
 
     def execute(self, _context: Any) -> set[str]:
-        return _write(self, self.material, "")
+        return _assign_library_material(self, self.material, "")
 
 
 class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
@@ -160,18 +160,18 @@ class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
     bl_options = UNDOABLE
     bl_property = "name"
 
-    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=listed_library)
+    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=get_library_items)
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return needs_editable(cls, context)
+        return poll_editable_stroke(cls, context)
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         context.window_manager.invoke_search_popup(self)
         return {"INTERFACE"}  # "RUNNING_MODAL", as in Blender's examples, would never free the operator
 
     def execute(self, context: Any) -> set[str]:
-        active_stroke(context).hnf_stroke.material = self.name
+        get_active_stroke(context).hnf_stroke.material = self.name
         return {"FINISHED"}
 
 
@@ -183,21 +183,21 @@ class HNF_OT_stroke_material_auto(bpy.types.Operator):  # type: ignore[misc]  # 
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return needs_editable(cls, context)
+        return poll_editable_stroke(cls, context)
 
     def execute(self, context: Any) -> set[str]:
-        active_stroke(context).hnf_stroke.material = ""
+        get_active_stroke(context).hnf_stroke.material = ""
         return {"FINISHED"}
 
 
-def _material(name: str) -> Any:
+def _find_material(name: str) -> Any:
     """The material of this full name, since a linked one may be called like one of this file; else of this name, as
     scripts give it; else None."""
     return next((each for each in bpy.data.materials if each.name_full == name), bpy.data.materials.get(name))
 
 
-def _write(operator: Any, material_name: str, library_name: str) -> set[str]:
-    material = _material(material_name)
+def _assign_library_material(operator: Any, material_name: str, library_name: str) -> set[str]:
+    material = _find_material(material_name)
     if material is None:
         operator.report({"ERROR"}, tr("There is no material '{name}' in this file").format(name=material_name))
         return {"CANCELLED"}
@@ -210,16 +210,16 @@ def _write(operator: Any, material_name: str, library_name: str) -> set[str]:
         )
         return {"CANCELLED"}
     if not library_name:
-        from ..bridge.own_material import forget
+        from ..bridge.own_material import clear_definition
 
-        forget(material)
+        clear_definition(material)
     material.hnf_touch.library = library_name
     material.update_tag()
-    STATE.dirty.add(material.name)
+    STATE.dirty_names.add(material.name)
     return {"FINISHED"}
 
 
-CLASSES = (
+MATERIAL_CLASSES = (
     HNF_OT_suggest,
     HNF_OT_material_choose,
     HNF_OT_material_auto,

@@ -11,16 +11,16 @@ from ..jobs import current
 from ..state.redraw import redraw_tab
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
-from .active import one_line
-from .greyed import greyed
+from .active import format_error
+from .greyed import fail_poll
 
 TICK_S = 0.1
 
 
-def no_job_runs(operator: Any) -> bool:
+def poll_no_job(operator: Any) -> bool:
     """For its poll(): whether a job may begin; where not, says why."""
     if current.is_running():
-        return greyed(operator, "A job is running. Wait for it, or press Esc to cancel it.")
+        return fail_poll(operator, "A job is running. Wait for it, or press Esc to cancel it.")
     return True
 
 
@@ -31,67 +31,67 @@ class ModalJob:
     _timer: Any = None
     """Of the ticks; None while there is no job."""
 
-    def job_line(self, job: JobStatus) -> str:
+    def format_status(self, job: JobStatus) -> str:
         """The status bar's text, translated."""
         raise NotImplementedError
 
-    def tell_end(self, ended: LastJob) -> set[str]:
+    def report_end(self, ended: LastJob) -> set[str]:
         """Report how it ended; Blender's word for that."""
         raise NotImplementedError
 
-    def in_line(self, run: Callable[[], LastJob]) -> set[str]:
+    def run_blocking(self, run: Callable[[], LastJob]) -> set[str]:
         """Without a window: all of it, now."""
         try:
             ended = run()
         except HnfError as error:
-            self._refuse(error)
+            self._report_error(error)
             return {"CANCELLED"}
         redraw_tab()
-        return self.tell_end(ended)
+        return self.report_end(ended)
 
-    def begin_job(self, context: Any, start: Callable[[], object]) -> bool:
+    def start_job(self, context: Any, start: Callable[[], object]) -> bool:
         """Start it in a second Blender and tick it from now on. False, and reported, where it cannot be begun."""
         try:
             start()
         except HnfError as error:
-            self._refuse(error)
+            self._report_error(error)
             return False
         self._timer = context.window_manager.event_timer_add(TICK_S, window=context.window)
-        self.show(context)
+        self.update_status(context)
         return True
 
     def modal(self, context: Any, event: Any) -> set[str]:
-        from ..bridge.under_cursor import view_under
+        from ..bridge.under_cursor import find_view_under_mouse
 
         if not current.is_running():  # cancelled from elsewhere
-            return self.end(context, STATE.last_job)
-        if event.type == "ESC" and event.value == "PRESS" and view_under(context, event) is not None:
+            return self.finish(context, STATE.last_job)
+        if event.type == "ESC" and event.value == "PRESS" and find_view_under_mouse(context, event) is not None:
             current.cancel()
-            return self.end(context, STATE.last_job)
+            return self.finish(context, STATE.last_job)
         if event.type == "TIMER":
             try:
                 ended = current.tick()
             except BaseException:
-                self.end(context, None)
+                self.finish(context, None)
                 raise
             if ended is not None:
-                return self.end(context, ended)
-            self.show(context)
+                return self.finish(context, ended)
+            self.update_status(context)
         return {"PASS_THROUGH"}
 
     def cancel(self, context: Any) -> None:
         """Blender's own word: the window closes, or another file is opened."""
         current.cancel()
-        self.end(context, None)
+        self.finish(context, None)
 
-    def show(self, context: Any) -> None:
+    def update_status(self, context: Any) -> None:
         """How far it is: status bar and panels."""
         job = STATE.job
         if job is not None:
-            context.workspace.status_text_set(f"{self.job_line(job)}.  {tr('Esc over the 3-D view: cancel')}")
+            context.workspace.status_text_set(f"{self.format_status(job)}.  {tr('Esc over the 3-D view: cancel')}")
             redraw_tab()
 
-    def take_down(self, context: Any) -> None:
+    def clean_up(self, context: Any) -> None:
         """Everything that was put up."""
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
@@ -99,11 +99,11 @@ class ModalJob:
         if context.workspace is not None:
             context.workspace.status_text_set(None)
 
-    def end(self, context: Any, ended: LastJob | None) -> set[str]:
+    def finish(self, context: Any, ended: LastJob | None) -> set[str]:
         """Leave nothing on screen, and tell; None: there is nothing to tell."""
-        self.take_down(context)
+        self.clean_up(context)
         redraw_tab()
-        return {"CANCELLED"} if ended is None else self.tell_end(ended)
+        return {"CANCELLED"} if ended is None else self.report_end(ended)
 
-    def _refuse(self, error: HnfError) -> None:
-        self.report({"ERROR"}, one_line(error))  # type: ignore[attr-defined]  # Blender's, of the other base
+    def _report_error(self, error: HnfError) -> None:
+        self.report({"ERROR"}, format_error(error))  # type: ignore[attr-defined]  # Blender's, of the other base

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ..state.session import STATE
-from ..state.settings import settings
+from ..state.settings import get_settings
 from ..translations import tr
-from .greyed import greyed
+from .greyed import fail_poll
 from .modal_job import TICK_S
 
 if TYPE_CHECKING:
-    from ..state.outside_python import OutsidePython
+    from ..state.outside_python import ExternalPython
 
 
-def python_path() -> str:
+def get_python_path() -> str:
     """Of the external Python, as a file's path; "" where none is named."""
-    named = settings().external_python
+    named = get_settings().external_python
     return bpy.path.abspath(named) if named else ""
 
 
-def found_text(found: "OutsidePython") -> str:
+def format_python_status(found: "ExternalPython") -> str:
     """One line: what it is, or why it cannot learn."""
     if not found.version:
         return found.problem
@@ -39,24 +39,24 @@ class HNF_OT_python_check(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
 
     @classmethod
     def poll(cls, _context: Any) -> bool:
-        if not python_path():
-            return greyed(cls, "Set an external Python in the add-on's preferences first")
+        if not get_python_path():
+            return fail_poll(cls, "Set an external Python in the add-on's preferences first")
         return True
 
     def execute(self, _context: Any) -> set[str]:
-        from ..jobs.outside_python import look
+        from ..jobs.outside_python import check_python
 
-        return self._told(settings().external_python, look(python_path()))
+        return self._store_result(get_settings().external_python, check_python(get_python_path()))
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         """In a thread: a first import of torch takes many seconds."""
         if context.window is None:
             return self.execute(context)
-        from ..jobs.outside_python import look
+        from ..jobs.outside_python import check_python
 
-        found: list[OutsidePython] = []  # all that the thread holds: Blender may free the operator before it ends
-        self._named, self._found, path = settings().external_python, found, python_path()
-        threading.Thread(target=lambda: found.append(look(path)), name="hnf python check", daemon=True).start()
+        found: list[ExternalPython] = []  # all that the thread holds: Blender may free the operator before it ends
+        self._path_setting, self._found, path = get_settings().external_python, found, get_python_path()
+        threading.Thread(target=lambda: found.append(check_python(path)), name="hnf python check", daemon=True).start()
         self._timer = context.window_manager.event_timer_add(TICK_S, window=context.window)
         context.workspace.status_text_set(tr("Asking the external Python…"))
         context.window_manager.modal_handler_add(self)
@@ -66,19 +66,19 @@ class HNF_OT_python_check(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
         if event.type != "TIMER" or not self._found:
             return {"PASS_THROUGH"}
         self.cancel(context)
-        return self._told(self._named, self._found[0])
+        return self._store_result(self._path_setting, self._found[0])
 
     def cancel(self, context: Any) -> None:
         context.window_manager.event_timer_remove(self._timer)
         if context.workspace is not None:
             context.workspace.status_text_set(None)
 
-    def _told(self, named: str, found: "OutsidePython") -> set[str]:
-        STATE.outside = replace(found, path=named)
+    def _store_result(self, named: str, found: "ExternalPython") -> set[str]:
+        STATE.external_python = replace(found, path=named)
         for area in (area for window in bpy.context.window_manager.windows for area in window.screen.areas):
             if area.type == "PREFERENCES":
                 area.tag_redraw()
-        self.report({"WARNING"} if found.problem else {"INFO"}, found_text(found))
+        self.report({"WARNING"} if found.problem else {"INFO"}, format_python_status(found))
         return {"FINISHED"}
 
 
@@ -89,15 +89,15 @@ class HNF_OT_python_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     @classmethod
     def poll(cls, _context: Any) -> bool:
-        if STATE.outside is None or not STATE.outside.command:
-            return greyed(cls, "There is nothing to install, or the external Python was not checked yet")
+        if STATE.external_python is None or not STATE.external_python.command:
+            return fail_poll(cls, "There is nothing to install, or the external Python was not checked yet")
         return True
 
     def execute(self, context: Any) -> set[str]:
-        if STATE.outside is not None:
-            context.window_manager.clipboard = STATE.outside.command
+        if STATE.external_python is not None:
+            context.window_manager.clipboard = STATE.external_python.command
         self.report({"INFO"}, tr("Command copied: paste it into a terminal"))
         return {"FINISHED"}
 
 
-CLASSES = (HNF_OT_python_check, HNF_OT_python_copy)
+PYTHON_CLASSES = (HNF_OT_python_check, HNF_OT_python_copy)

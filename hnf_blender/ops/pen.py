@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.action.pen_stroke import REST_S, evenly_in_time
-from hnf_core.export.force_colour import force_colour
+from hnf_core.action.pen_stroke import REST_S, spread_times_evenly
+from hnf_core.export.force_colour import force_to_colour
 from hnf_core.units import m_to_mm
 
-from ..bridge.boxes import in_renders
-from ..bridge.metres import metres_per_unit
-from ..bridge.under_cursor import region_under, surface_under, view_under, why_untouched
+from ..bridge.boxes import filter_rendered
+from ..bridge.metres import get_metres_per_unit
+from ..bridge.under_cursor import explain_untouchable, find_region_under_mouse, find_view_under_mouse, pick_surface
 from ..translations import tr
 
 STEP_PX = 4.0
 """Between two places of the pen further apart than this, rays look for the surface in between."""
-MOST_STEPS = 64
+MAX_STEPS = 64
 CLICK_PX = 4.0
 LINE_PX = 4.0
-EVENT_S = 1.0 / 60.0
+EVENT_INTERVAL_S = 1.0 / 60.0
 """How often a window system tells of a moving hand, at least."""
 
 Sample = tuple[tuple[float, float, float], float, float, bool]
@@ -33,7 +33,7 @@ class Pen:
     """From the press to the release; close() whatever happens."""
 
     def __init__(self, context: Any, force_at: Callable[[float, bool], float]) -> None:
-        self.surface, self.why_not, self.is_down = "", "", False
+        self.surface, self.reject_reason, self.is_down = "", "", False
         self._force_at = force_at
         self._area: Any = None
         self._region: Any = None
@@ -41,12 +41,12 @@ class Pen:
         self._pressure: list[float] = []
         self._time: list[float] = []
         self._touching: list[bool] = []
-        self._waiting: list[tuple[float, float, float]] = []
+        self._pending: list[tuple[float, float, float]] = []
         self._last = (0.0, 0.0, 0.0)
         self._travelled_px = 0.0
         self._length, self._is_pen = 0.0, False
         self._world = np.zeros(3)
-        self._metres = metres_per_unit(context.scene)
+        self._metres = get_metres_per_unit(context.scene)
         import bpy
 
         self._handle: Any = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_VIEW")
@@ -75,9 +75,9 @@ class Pen:
 
     def press(self, context: Any, event: Any, region: Any) -> bool:
         """Begin in a region of a 3-D view; False, with why_not, where there is nothing to touch."""
-        self.why_not = tr("No mesh under the pen: press on a surface that is visible here")
+        self.reject_reason = tr("No mesh under the pen: press on a surface that is visible here")
         if context.mode != "OBJECT":
-            self.why_not = tr("Strokes are drawn in Object Mode: press Tab")
+            self.reject_reason = tr("Strokes are drawn in Object Mode: press Tab")
             return False
         areas = context.window.screen.areas
         self._region = region
@@ -85,32 +85,32 @@ class Pen:
         if self._area is None or region.type != "WINDOW":
             return False
         x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
-        hit = self._cast(context, x, y)
+        hit = self._cast_ray(context, x, y)
         if hit is None:
-            self.why_not = why_untouched(context, self._region, (x, y)) or self.why_not
+            self.reject_reason = explain_untouchable(context, self._region, (x, y)) or self.reject_reason
             return False
-        if not in_renders([hit.obj], context.view_layer):
+        if not filter_rendered([hit.obj], context.view_layer):
             said = tr("'{name}' is hidden in renders: only what renders can be touched")
-            self.why_not = said.format(name=hit.obj.name)
+            self.reject_reason = said.format(name=hit.obj.name)
             return False
         self.surface, self.is_down, self._is_pen = str(hit.obj.name), True, bool(event.is_tablet)
-        self._last = (x, y, self._pressure_of(event))
-        self._note(hit, time.perf_counter(), self._last[2])
+        self._last = (x, y, self._read_pressure(event))
+        self._add_sample(hit, time.perf_counter(), self._last[2])
         return True
 
     def move(self, context: Any, event: Any) -> None:
         """Take in an event. Those in between come together with the next whole one: their times are spread."""
         x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
-        self._waiting.append((x, y, self._pressure_of(event)))
+        self._pending.append((x, y, self._read_pressure(event)))
         if event.type == "INBETWEEN_MOUSEMOVE":
             return
         now = time.perf_counter()
         if now - self._time[-1] > REST_S:
-            self._rest_until(now - len(self._waiting) * EVENT_S)
-        for to, at in zip(self._waiting, evenly_in_time(len(self._waiting), self._time[-1], now), strict=True):
+            self._add_rest(now - len(self._pending) * EVENT_INTERVAL_S)
+        for to, at in zip(self._pending, spread_times_evenly(len(self._pending), self._time[-1], now), strict=True):
             self._advance(context, to, float(at))
-        self._waiting.clear()
-        self._tell(context)
+        self._pending.clear()
+        self._update_status(context)
 
     def samples(self, context: Any) -> list[Sample]:
         """All of them, from time 0, in the world as the surface lies now."""
@@ -130,21 +130,21 @@ class Pen:
         distance = float(np.hypot(way[0], way[1]))
         if distance == 0.0 and way[2] == 0.0:
             return
-        count = min(MOST_STEPS, max(1, int(np.ceil(distance / STEP_PX))))
+        count = min(MAX_STEPS, max(1, int(np.ceil(distance / STEP_PX))))
         for k in range(1, count + 1):
             x, y, pressure = (start + way * (k / count)).tolist()
-            self._note(self._cast(context, x, y), before + (now - before) * k / count, pressure)
+            self._add_sample(self._cast_ray(context, x, y), before + (now - before) * k / count, pressure)
         self._travelled_px += distance
         self._last = to
 
-    def _rest_until(self, until: float) -> None:
+    def _add_rest(self, until: float) -> None:
         """No event came for long: the hand stayed where it was, and moves only now."""
         self._local.append(self._local[-1])
         self._pressure.append(self._pressure[-1])
         self._touching.append(self._touching[-1])
         self._time.append(max(self._time[-1], until))
 
-    def _note(self, hit: Any, now: float, pressure: float) -> None:
+    def _add_sample(self, hit: Any, now: float, pressure: float) -> None:
         touching = hit is not None and hit.obj.name == self.surface
         local = tuple(hit.local.tolist()) if touching else self._local[-1]
         if touching and self._local and self._touching[-1]:
@@ -156,7 +156,7 @@ class Pen:
         self._pressure.append(pressure)
         self._touching.append(touching)
 
-    def _pressure_of(self, event: Any) -> float:
+    def _read_pressure(self, event: Any) -> float:
         """Of an event; some drivers tell of the pen only after the press, or no longer at the release."""
         if not event.is_tablet:
             return self._last[2] if self._is_pen else 1.0
@@ -166,10 +166,10 @@ class Pen:
             self._last = (self._last[0], self._last[1], float(event.pressure))
         return float(event.pressure)
 
-    def _cast(self, context: Any, x: float, y: float) -> Any:
-        return surface_under(context, self._area, self._region, (x, y))
+    def _cast_ray(self, context: Any, x: float, y: float) -> Any:
+        return pick_surface(context, self._area, self._region, (x, y))
 
-    def _tell(self, context: Any) -> None:
+    def _update_status(self, context: Any) -> None:
         force = self._force_at(self._pressure[-1], self._is_pen)
         state = f"{force:.2f} N" if self._touching[-1] else tr("off the surface: silent")
         length = f"{m_to_mm(self._length * self._metres):.0f}"
@@ -190,7 +190,7 @@ class Pen:
             return
         pairs = [k for k in range(1, len(self._local)) if self._touching[k - 1] and self._touching[k]]
         ends = [self._local[j] for k in pairs for j in (k - 1, k)]
-        colours = [force_colour(self._force_at(self._pressure[j], self._is_pen)) for k in pairs for j in (k - 1, k)]
+        colours = [force_to_colour(self._force_at(self._pressure[j], self._is_pen)) for k in pairs for j in (k - 1, k)]
         shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR")
         batch = batch_for_shader(shader, "LINES", {"pos": ends, "color": colours})
         shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
@@ -202,11 +202,11 @@ class Pen:
         gpu.state.blend_set("NONE")
 
 
-def gives_up(context: Any, event: Any, *, pressed: bool = False) -> bool:
+def is_cancel_event(context: Any, event: Any, *, pressed: bool = False) -> bool:
     """Does the event end an operator that waits for the pen: Esc over a 3-D view, or a right click into one? Other
     editors keep theirs. pressed: the pen is down, then it counts wherever it is."""
     if event.value != "PRESS":
         return False
     if event.type == "RIGHTMOUSE":
-        return pressed or region_under(context, event) is not None
-    return event.type == "ESC" and (pressed or view_under(context, event) is not None)
+        return pressed or find_region_under_mouse(context, event) is not None
+    return event.type == "ESC" and (pressed or find_view_under_mouse(context, event) is not None)

@@ -9,30 +9,30 @@ import bpy
 from hnf_core.errors import HnfError
 
 from ..preview.facts import PREVIEW
-from ..props.scene import active_stroke
+from ..props.scene import get_active_stroke
 from ..state.redraw import redraw_tab
 from ..state.session import STATE
 from ..touch.status import Freshness
 from ..translations import tr
-from .greyed import greyed
-from .strokes import needs_stroke
+from .greyed import fail_poll
+from .strokes import poll_active_stroke
 
-NOT_BAKED = "Not baked yet: press Bake in the Touch tab"
+NOT_BAKED_REASON = "Not baked yet: press Bake in the Touch tab"
 
 
-def can_be_heard(cls: Any, context: Any) -> bool:
+def poll_playable(cls: Any, context: Any) -> bool:
     """For poll(): True where the active stroke has a bake that holds, else says why greyed."""
-    from ..bridge.keeping import has
+    from ..bridge.keeping import has_property
     from ..touch.stroke_bake import BAKE_PROPERTY
 
-    if not needs_stroke(cls, context):
+    if not poll_active_stroke(cls, context):
         return False
-    stroke = active_stroke(context)
-    if not has(stroke, BAKE_PROPERTY):
-        return greyed(cls, NOT_BAKED)
-    status = STATE.status_of(context.scene, stroke)
+    stroke = get_active_stroke(context)
+    if not has_property(stroke, BAKE_PROPERTY):
+        return fail_poll(cls, NOT_BAKED_REASON)
+    status = STATE.get_status(context.scene, stroke)
     if status is not None and status.freshness in (Freshness.STALE, Freshness.BROKEN):
-        return greyed(cls, status.why or "Changed since it was baked: bake it again")
+        return fail_poll(cls, status.why or "Changed since it was baked: bake it again")
     return True
 
 
@@ -46,19 +46,19 @@ class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return can_be_heard(cls, context)
+        return poll_playable(cls, context)
 
     def execute(self, context: Any) -> set[str]:
         from ..preview import current
 
-        stroke = active_stroke(context)
+        stroke = get_active_stroke(context)
         heard = current.refresh(stroke, context, wait=bpy.app.background)
         problem = PREVIEW.problems.get(stroke.name, "")
         if problem:
             self.report({"WARNING"}, problem)
             return {"CANCELLED"}
-        STATE.heard = True
-        if heard is None and stroke.name not in PREVIEW.on_kept:
+        STATE.has_played = True
+        if heard is None and stroke.name not in PREVIEW.showing_reference:
             PREVIEW.play_when_ready = stroke.name
             return {"FINISHED"}
         try:
@@ -66,7 +66,7 @@ class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
         except HnfError as error:
             self.report({"WARNING"}, str(error))
             return {"CANCELLED"}
-        current.tell(stroke.name, context.scene)
+        current.update_facts(stroke.name, context.scene)
         redraw_tab()
         return {"FINISHED"}
 
@@ -82,7 +82,7 @@ class HNF_OT_preview_stop(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
         was = PREVIEW.sounding
         current.stop()
         if was:
-            current.tell(was, context.scene)
+            current.update_facts(was, context.scene)
         redraw_tab()
         return {"FINISHED"}
 
@@ -97,18 +97,18 @@ class HNF_OT_preview_pause(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
         from ..preview.current import PLAYER
 
         if not (PREVIEW.sounding and PLAYER.is_playing):
-            return greyed(cls, "Nothing plays")
+            return fail_poll(cls, "Nothing plays")
         return True
 
     def execute(self, context: Any) -> set[str]:
         from ..preview import current
 
         try:
-            current.pause_or_go_on()
+            current.toggle_pause()
         except HnfError as error:
             self.report({"WARNING"}, str(error))
             return {"CANCELLED"}
-        current.tell(PREVIEW.sounding, context.scene)
+        current.update_facts(PREVIEW.sounding, context.scene)
         redraw_tab()
         return {"FINISHED"}
 
@@ -133,12 +133,12 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return can_be_heard(cls, context)
+        return poll_playable(cls, context)
 
     def execute(self, context: Any) -> set[str]:
         from ..preview import current
 
-        stroke = active_stroke(context)
+        stroke = get_active_stroke(context)
         name = stroke.name
         if self.action == "KEEP":
             heard = current.refresh(stroke, context, wait=bpy.app.background)
@@ -146,27 +146,27 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
                 made = tr("The signal is still being computed: try again in a moment")
                 self.report({"WARNING"}, PREVIEW.problems.get(name, made))
                 return {"CANCELLED"}
-            PREVIEW.kept[name] = heard
-        elif name not in PREVIEW.kept:
+            PREVIEW.references[name] = heard
+        elif name not in PREVIEW.references:
             self.report({"WARNING"}, tr("Nothing is kept as A yet: keep the current signal first"))
             return {"CANCELLED"}
         elif self.action == "SWITCH":
-            current.switch_kept(name)
+            current.toggle_ab(name)
         else:
-            if name in PREVIEW.on_kept:
-                current.switch_kept(name)
-            del PREVIEW.kept[name]
+            if name in PREVIEW.showing_reference:
+                current.toggle_ab(name)
+            del PREVIEW.references[name]
         if PREVIEW.sounding == name:
-            self._play_on(context, name)
-        current.tell(name, context.scene)
+            self._continue_playback(context, name)
+        current.update_facts(name, context.scene)
         redraw_tab()
         return {"FINISHED"}
 
-    def _play_on(self, context: Any, name: str) -> None:
+    def _continue_playback(self, context: Any, name: str) -> None:
         from ..preview import current
 
         try:
-            current.go_on(name, context.scene)
+            current.continue_playback(name, context.scene)
         except HnfError as error:
             self.report({"WARNING"}, str(error))
 

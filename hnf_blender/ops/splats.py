@@ -11,10 +11,10 @@ import bpy
 from hnf_core.errors import HnfError, SceneError
 
 from ..compat import beside_the_file
-from ..state.folders import cache_folder
+from ..state.folders import get_cache_folder
 from ..translations import tr
-from .active import make_active, one_line
-from .greyed import greyed
+from .active import format_error, make_active
+from .greyed import fail_poll
 from .strokes import UNDOABLE
 
 if TYPE_CHECKING:  # what reads files is loaded with the first drop, not when the add-on is switched on
@@ -27,15 +27,15 @@ class _StoppedError(Exception):
     pass
 
 
-class Reading:
+class SplatReader:
     """A file being read and its surface being made in a thread, which knows nothing of Blender."""
 
     def __init__(self, path: Path, cache: Path) -> None:
         self.stage, self.share = "", 0.0
-        self.made: Reconstruction | None = None
+        self.result: Reconstruction | None = None
         self.error: HnfError | None = None
         self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._work, args=(path, cache), daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(path, cache), daemon=True)
         self._thread.start()
 
     @property
@@ -46,9 +46,9 @@ class Reading:
         """It ends with its present stage; nothing comes of it."""
         self._stopped.set()
 
-    def _work(self, path: Path, cache: Path) -> None:
+    def _run(self, path: Path, cache: Path) -> None:
         try:
-            self.made = read_splat_file(path, cache, self._tell)
+            self.result = read_splat_file(path, cache, self._on_progress)
         except HnfError as error:
             self.error = error
         except _StoppedError:
@@ -56,7 +56,7 @@ class Reading:
         except Exception as error:  # a fault of ours, which a thread would swallow
             self.error = SceneError(f"internal error ({error!r}). Please report it.", where=str(path))
 
-    def _tell(self, stage: str, share: float) -> None:
+    def _on_progress(self, stage: str, share: float) -> None:
         if self._stopped.is_set():
             raise _StoppedError
         self.stage, self.share = stage, share
@@ -77,16 +77,16 @@ def read_splat_file(path: Path, cache: Path, progress: Any = None) -> "Reconstru
     return read_reconstruction(path, cache, progress=progress)
 
 
-class _Waiting:
+class _ImportState:
     """What an import holds while its surface is made. asked: Blender's file browser was opened for it, and calls
     execute()."""
 
-    _reading: Reading | None = None
+    _reader: SplatReader | None = None
     _timer: Any = None
-    _asked: bool = False
+    _browser_opened: bool = False
 
 
-class HNF_OT_import_splats(_Waiting, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
     bl_idname = "hnf.import_splats"
     bl_label = "Gaussian Splats (.ply)"
     bl_description = (
@@ -105,32 +105,32 @@ class HNF_OT_import_splats(_Waiting, bpy.types.Operator):  # type: ignore[misc] 
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            return greyed(cls, "Leave Edit Mode first: splats are added in Object Mode")
+            return fail_poll(cls, "Leave Edit Mode first: splats are added in Object Mode")
         return True
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         if not self.filepath:
-            self._asked = True
+            self._browser_opened = True
             context.window_manager.fileselect_add(self)
             return {"RUNNING_MODAL"}
-        return self._begin(context)
+        return self._start(context)
 
     def execute(self, context: Any) -> set[str]:
-        if self._asked and not bpy.app.background:
-            return self._begin(context)
+        if self._browser_opened and not bpy.app.background:
+            return self._start(context)
         try:
-            made = read_splat_file(self._path, cache_folder())
+            made = read_splat_file(self._path, get_cache_folder())
         except HnfError as error:
-            return self._refuse(error)
-        return self._add(context, made)
+            return self._report_error(error)
+        return self._add_to_scene(context, made)
 
     def modal(self, context: Any, event: Any) -> set[str]:
-        from ..bridge.under_cursor import view_under
+        from ..bridge.under_cursor import find_view_under_mouse
 
-        reading = self._reading
+        reading = self._reader
         if reading is None:
             return {"CANCELLED"}
-        if event.type == "ESC" and event.value == "PRESS" and view_under(context, event) is not None:
+        if event.type == "ESC" and event.value == "PRESS" and find_view_under_mouse(context, event) is not None:
             self.cancel(context)
             return {"CANCELLED"}
         if event.type != "TIMER":
@@ -140,50 +140,50 @@ class HNF_OT_import_splats(_Waiting, bpy.types.Operator):  # type: ignore[misc] 
             text = said.format(file=self._path.name, percent=f"{100 * reading.share:.0f}")
             context.workspace.status_text_set(text)
             return {"PASS_THROUGH"}
-        self._take_down(context)
+        self._clean_up(context)
         if reading.error is not None:
-            return self._refuse(reading.error)
-        if reading.made is None or context.mode != "OBJECT":
+            return self._report_error(reading.error)
+        if reading.result is None or context.mode != "OBJECT":
             self.report({"ERROR"}, tr("Leave Edit Mode first: splats are added in Object Mode"))
             return {"CANCELLED"}
-        return self._add(context, reading.made)
+        return self._add_to_scene(context, reading.result)
 
     def cancel(self, context: Any) -> None:
         """Blender's own word too: the window closes, or another file is opened."""
-        if self._reading is not None:
-            self._reading.stop()
-        self._take_down(context)
+        if self._reader is not None:
+            self._reader.stop()
+        self._clean_up(context)
 
     @property
     def _path(self) -> Path:
         return Path(bpy.path.abspath(self.filepath))
 
-    def _begin(self, context: Any) -> set[str]:
+    def _start(self, context: Any) -> set[str]:
         if bpy.app.background:
             return self.execute(context)
-        self._reading = Reading(self._path, cache_folder())
+        self._reader = SplatReader(self._path, get_cache_folder())
         self._timer = context.window_manager.event_timer_add(TICK_S, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def _add(self, context: Any, made: "Reconstruction") -> set[str]:
-        from ..bridge.splat_scene import add_reconstruction, shown_note
+    def _add_to_scene(self, context: Any, made: "Reconstruction") -> set[str]:
+        from ..bridge.splat_scene import add_reconstruction, describe_shown_splats
 
         surface = add_reconstruction(context.scene, made)
         make_active(context, surface)
         said = tr("{name}: {splats} splats, a surface of {faces} faces; Material Preview shows their colours")
         count = len(made.surface.triangles)
         self.report({"INFO"}, said.format(name=surface.name, splats=len(made.splats), faces=count))
-        for note in (*made.surface.warnings, shown_note(made)):
+        for note in (*made.surface.warnings, describe_shown_splats(made)):
             if note:
                 self.report({"WARNING"}, note[:1].upper() + note[1:])
         return {"FINISHED"}
 
-    def _refuse(self, error: HnfError) -> set[str]:
-        self.report({"ERROR"}, one_line(error))
+    def _report_error(self, error: HnfError) -> set[str]:
+        self.report({"ERROR"}, format_error(error))
         return {"CANCELLED"}
 
-    def _take_down(self, context: Any) -> None:
+    def _clean_up(self, context: Any) -> None:
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
@@ -204,4 +204,4 @@ class HNF_FH_splats(bpy.types.FileHandler):  # type: ignore[misc]  # noqa: N801
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-CLASSES = (HNF_OT_import_splats, HNF_FH_splats)
+SPLAT_CLASSES = (HNF_OT_import_splats, HNF_FH_splats)

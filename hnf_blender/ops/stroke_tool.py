@@ -6,9 +6,9 @@ from typing import Any
 
 import bpy
 
-from .greyed import greyed
+from .greyed import fail_poll
 
-TOOL = "hnf.stroke"
+TOOL_ID = "hnf.stroke"
 """bl_idname of the tool (tool/stroke_tool.py)."""
 
 
@@ -21,13 +21,13 @@ class HNF_OT_stroke_tool(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            return greyed(cls, "Strokes are drawn in Object Mode: press Tab")
+            return fail_poll(cls, "Strokes are drawn in Object Mode: press Tab")
         if context.area is None or context.area.type != "VIEW_3D":
-            return greyed(cls, "Strokes are drawn in a 3-D view")
+            return fail_poll(cls, "Strokes are drawn in a 3-D view")
         return True
 
     def execute(self, _context: Any) -> set[str]:
-        return set(bpy.ops.wm.tool_set_by_id(name=TOOL))
+        return set(bpy.ops.wm.tool_set_by_id(name=TOOL_ID))
 
 
-CLASSES = (HNF_OT_stroke_tool,)
+TOOL_CLASSES = (HNF_OT_stroke_tool,)

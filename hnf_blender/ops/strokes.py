@@ -9,31 +9,38 @@ import bpy
 from hnf_core.action.primitives import PRIMITIVES, Primitive
 from hnf_core.errors import HnfError, SceneError
 
-from ..bridge.metres import metres_per_unit
+from ..bridge.metres import get_metres_per_unit
 from ..compat import own_action
-from ..props.listed import NEWS
-from ..props.scene import active_stroke, has_strokes, place_in, stroke_named, strokes_of
+from ..props.listed import CHANGES
+from ..props.scene import find_index, find_stroke, get_active_stroke, has_strokes, list_strokes
 from ..translations import tr
-from .active import AS_SET, make_active, make_shown, one_line, probe_of, surface_here
+from .active import (
+    DEFAULT_PROBE,
+    format_error,
+    get_surface_in_layer,
+    make_active,
+    make_active_and_visible,
+    resolve_probe,
+)
 from .draw import PROBE_ITEMS
-from .greyed import greyed
+from .greyed import fail_poll
 
 UNDOABLE = {"REGISTER", "UNDO"}
-LINKED = "It is linked from another file: make it local or override it (Object > Library Override)"
-NOT_SELECTED = "No stroke is selected: click one in the Touch tab, or draw one with the stroke tool"
+LINKED_REASON = "It is linked from another file: make it local or override it (Object > Library Override)"
+NOT_SELECTED_REASON = "No stroke is selected: click one in the Touch tab, or draw one with the stroke tool"
 
 
-def in_words(primitive: Primitive) -> str:
+def describe_primitive(primitive: Primitive) -> str:
     """ "Scrape at 0.5 N and 100 mm/s": the tooltip of a primitive."""
     return f"{primitive.kind.capitalize()} at {primitive.force:g} N and {primitive.speed * 1e3:g} mm/s"
 
 
 PRIMITIVE_ITEMS = [
-    (name, name.replace("-", " ").capitalize(), in_words(primitive)) for name, primitive in PRIMITIVES.items()
+    (name, name.replace("-", " ").capitalize(), describe_primitive(primitive)) for name, primitive in PRIMITIVES.items()
 ]
 
 
-def touched_object(context: Any) -> Any:
+def find_surface_for_new_stroke(context: Any) -> Any:
     """The mesh that a new stroke goes on, or None: the active or selected one, else the active stroke's surface, else
     the only visible one."""
     active = context.view_layer.objects.active
@@ -42,35 +49,35 @@ def touched_object(context: Any) -> Any:
         return active
     if selected:
         return selected[0]
-    stroke = active_stroke(context)
-    surface = None if stroke is None else surface_here(context, stroke)
+    stroke = get_active_stroke(context)
+    surface = None if stroke is None else get_surface_in_layer(context, stroke)
     if surface is not None:
         return surface
     visible = [obj for obj in context.view_layer.objects if obj.type == "MESH" and obj.visible_get()]
     return visible[0] if len(visible) == 1 else None
 
 
-def needs_object_mode(cls: Any, context: Any) -> bool:
+def poll_object_mode(cls: Any, context: Any) -> bool:
     """For poll(): True in Object Mode, else says why greyed."""
     if context.mode != "OBJECT":
-        return greyed(cls, "Strokes are made in Object Mode: press Tab")
+        return fail_poll(cls, "Strokes are made in Object Mode: press Tab")
     return True
 
 
-def needs_stroke(cls: Any, context: Any) -> bool:
+def poll_active_stroke(cls: Any, context: Any) -> bool:
     """For poll(): True where there is an active stroke, else says why greyed."""
-    if active_stroke(context) is None:
-        return greyed(cls, NOT_SELECTED)
+    if get_active_stroke(context) is None:
+        return fail_poll(cls, NOT_SELECTED_REASON)
     return True
 
 
-def needs_editable(cls: Any, context: Any) -> bool:
+def poll_editable_stroke(cls: Any, context: Any) -> bool:
     """For poll(): True where there is an active stroke that can be changed, else says why greyed. Blender takes a
     change on a linked one and forgets it with the next load."""
-    if not needs_stroke(cls, context):
+    if not poll_active_stroke(cls, context):
         return False
-    if not active_stroke(context).is_editable:
-        return greyed(cls, LINKED)
+    if not get_active_stroke(context).is_editable:
+        return fail_poll(cls, LINKED_REASON)
     return True
 
 
@@ -98,24 +105,24 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         name="Seed", description="The same seed gives the same wandering and the same signal", default=0, min=0
     )
     probe: bpy.props.EnumProperty(
-        name="Probe", description="What touches the surface", items=PROBE_ITEMS, default=AS_SET
+        name="Probe", description="What touches the surface", items=PROBE_ITEMS, default=DEFAULT_PROBE
     )
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if not needs_object_mode(cls, context):
+        if not poll_object_mode(cls, context):
             return False
-        if touched_object(context) is None:
-            return greyed(cls, "Select the mesh object to touch")
+        if find_surface_for_new_stroke(context) is None:
+            return fail_poll(cls, "Select the mesh object to touch")
         return True
 
     def execute(self, context: Any) -> set[str]:
-        from hnf_core.action.words import primitive_of
+        from hnf_core.action.words import parse_stroke
 
-        from ..bridge.new_stroke import into_collection
+        from ..bridge.new_stroke import link_to_collection
         from ..bridge.placement import place_primitive
 
-        scene, touched = context.scene, touched_object(context)
+        scene, touched = context.scene, find_surface_for_new_stroke(context)
         if self.slot >= max(1, len(touched.material_slots)):
             said = tr("'{name}' has no material slot {slot}; the first is 0")
             self.report({"ERROR"}, said.format(name=touched.name, slot=self.slot))
@@ -128,21 +135,21 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
                 scene,
                 touched,
                 None if self.slot < 0 else int(self.slot),
-                primitive_of(self.words) if self.words.strip() else str(self.primitive),
-                metres_per_unit(scene),
+                parse_stroke(self.words) if self.words.strip() else str(self.primitive),
+                get_metres_per_unit(scene),
                 context.evaluated_depsgraph_get(),
                 seed=int(self.seed),
                 start_frame=float(scene.frame_current_final),
             )
         except HnfError as error:
-            self.report({"ERROR"}, one_line(error))
+            self.report({"ERROR"}, format_error(error))
             return {"CANCELLED"}
         finally:
             if window is not None:
                 window.cursor_modal_restore()
-        into_collection(placed.curve, scene)
-        placed.curve.hnf_stroke.probe = probe_of(context, str(self.probe))
-        shown = make_shown(context, placed.curve)
+        link_to_collection(placed.curve, scene)
+        placed.curve.hnf_stroke.probe = resolve_probe(context, str(self.probe))
+        shown = make_active_and_visible(context, placed.curve)
         self.report({"INFO"}, f"{placed.curve.name}: {placed.size_m * 1e3:.0f} mm{shown}")
         return {"FINISHED"}
 
@@ -159,81 +166,85 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noq
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if not needs_object_mode(cls, context):
+        if not poll_object_mode(cls, context):
             return False
         selected = context.view_layer.objects.selected
         if any(obj.type == "CURVE" and not obj.is_editable for obj in selected):
-            return greyed(cls, LINKED)
-        if not curves_to_convert(context):
-            return greyed(cls, "Select a curve that is not a stroke yet")
+            return fail_poll(cls, LINKED_REASON)
+        if not list_convertible_curves(context):
+            return fail_poll(cls, "Select a curve that is not a stroke yet")
         return True
 
     def execute(self, context: Any) -> set[str]:
         from ..bridge.splines import read_curve
 
         made = []
-        for obj in curves_to_convert(context):
+        for obj in list_convertible_curves(context):
             try:
                 read_curve(obj)
             except HnfError as error:
-                self.report({"WARNING"}, one_line(error))
+                self.report({"WARNING"}, format_error(error))
                 continue
             group = obj.hnf_stroke
             group.is_stroke, group.was_curve = True, True
             group.law, group.speed_mm_s = "SPEED", self.speed_mm_s
-            group.start, group.probe = float(context.scene.frame_current_final), probe_of(context, AS_SET)
+            group.start, group.probe = float(context.scene.frame_current_final), resolve_probe(context, DEFAULT_PROBE)
             made.append(obj)
-        NEWS.forget()  # Blender tells of no object: there is no new one
+        CHANGES.mark_changed()  # Blender tells of no object: there is no new one
         if not made:
             return {"CANCELLED"}
         active = context.view_layer.objects.active
         context.view_layer.objects.active = active if active in made else made[0]
-        context.scene.hnf.stroke_index = max(0, place_in(context.scene.objects, context.view_layer.objects.active))
+        context.scene.hnf.stroke_index = max(0, find_index(context.scene.objects, context.view_layer.objects.active))
         self.report({"INFO"}, tr("Strokes: {names}").format(names=", ".join(obj.name for obj in made)))
         return {"FINISHED"}
 
 
-def curves_to_convert(context: Any) -> list[Any]:
+def list_convertible_curves(context: Any) -> list[Any]:
     """The selected curve objects that are no strokes, and can become some."""
     selected = context.view_layer.objects.selected
     return [obj for obj in selected if obj.type == "CURVE" and obj.is_editable and not obj.hnf_stroke.is_stroke]
 
 
-class OfStroke:
+class StrokeOperator:
     """Operators that work on the stroke that is named, or else on the active one."""
 
     @classmethod
     def poll(cls, context: Any) -> bool:
         if not has_strokes(context.scene):
-            return greyed(cls, "There is no stroke yet: draw one with the stroke tool")
+            return fail_poll(cls, "There is no stroke yet: draw one with the stroke tool")
         return True
 
     def execute(self, context: Any) -> set[str]:
-        named = stroke_named(context.scene, self.name) if self.name else None  # type: ignore[attr-defined]
-        stroke = active_stroke(context) if named is None else named
+        named = find_stroke(context.scene, self.name) if self.name else None  # type: ignore[attr-defined]
+        stroke = get_active_stroke(context) if named is None else named
         if stroke is None:
-            self.report({"ERROR"}, tr(NOT_SELECTED))  # type: ignore[attr-defined]
+            self.report({"ERROR"}, tr(NOT_SELECTED_REASON))  # type: ignore[attr-defined]
             return {"CANCELLED"}
         try:
             self.report({"INFO"}, self.work(context, stroke))  # type: ignore[attr-defined]
         except HnfError as error:
-            self.report({"ERROR"}, one_line(error))  # type: ignore[attr-defined]
+            self.report({"ERROR"}, format_error(error))  # type: ignore[attr-defined]
             return {"CANCELLED"}
         return {"FINISHED"}
 
 
-class OfStrokeObject(OfStroke):
+class StrokeObjectOperator(StrokeOperator):
     """Those that make or remove objects: in Edit Mode they would pull it from under the edit."""
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return needs_object_mode(cls, context) and super().poll(context)
+        return poll_object_mode(cls, context) and super().poll(context)
 
 
-NAME = {"name": "Name", "description": "Stroke object; empty: the active one", "options": {"HIDDEN", "SKIP_SAVE"}}
+NAME_PROPERTY = {
+    "name": "Name",
+    "description": "Stroke object; empty: the active one",
+    "options": {"HIDDEN", "SKIP_SAVE"},
+}
 
 
-class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+class HNF_OT_stroke_delete(StrokeObjectOperator, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_delete"
     bl_label = "Delete Stroke"
     bl_description = (
@@ -241,15 +252,15 @@ class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[
     )
     bl_options = UNDOABLE
 
-    name: bpy.props.StringProperty(**NAME)
+    name: bpy.props.StringProperty(**NAME_PROPERTY)
 
     def work(self, context: Any, stroke: Any) -> str:
         scene = context.scene
         name, curve = stroke.name, stroke.data
-        refuse_linked(stroke, "Delete it in that file, or unlink its collection in the Outliner. Nothing was deleted.")
+        require_local(stroke, "Delete it in that file, or unlink its collection in the Outliner. Nothing was deleted.")
         if stroke.hnf_stroke.was_curve:
-            return to_curve(stroke)
-        strokes = strokes_of(scene)
+            return convert_to_curve(stroke)
+        strokes = list_strokes(scene)
         at = strokes.index(stroke)
         rest = [other for other in strokes if other != stroke]
         animation = stroke.animation_data
@@ -259,45 +270,45 @@ class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[
             if data is not None and data.users == 0:
                 kept.remove(data)
         if rest:
-            scene.hnf.stroke_index = max(0, place_in(scene.objects, rest[min(at, len(rest) - 1)]))
+            scene.hnf.stroke_index = max(0, find_index(scene.objects, rest[min(at, len(rest) - 1)]))
         return tr("Deleted {name}").format(name=name)
 
 
-class HNF_OT_stroke_to_curve(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+class HNF_OT_stroke_to_curve(StrokeObjectOperator, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_to_curve"
     bl_label = "Back to a Plain Curve"
     bl_description = "Turn the stroke back into a plain curve: removes its bake, keeps its keyframes"
     bl_options = UNDOABLE
 
-    name: bpy.props.StringProperty(**NAME)
+    name: bpy.props.StringProperty(**NAME_PROPERTY)
 
     def work(self, _context: Any, stroke: Any) -> str:
-        refuse_linked(stroke, "Make it local or override it (Object > Library Override).")
-        return to_curve(stroke)
+        require_local(stroke, "Make it local or override it (Object > Library Override).")
+        return convert_to_curve(stroke)
 
 
-def refuse_linked(stroke: Any, remedy: str) -> None:
+def require_local(stroke: Any, remedy: str) -> None:
     """Raises SceneError for a stroke of another file."""
     if stroke.library is not None:
         raise SceneError(f"it is linked from {stroke.library.name}.", where=f"stroke '{stroke.name}'", remedy=remedy)
 
 
-def to_curve(stroke: Any) -> str:
+def convert_to_curve(stroke: Any) -> str:
     """Make it a plain curve, and say so."""
-    from ..touch.stored import forget
+    from ..touch.stored import clear_bake
 
-    forget(stroke)
+    clear_bake(stroke)
     stroke.hnf_stroke.is_stroke = stroke.hnf_stroke.was_curve = False
     return tr("'{name}' is a plain curve again").format(name=stroke.name)
 
 
-class HNF_OT_stroke_duplicate(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+class HNF_OT_stroke_duplicate(StrokeObjectOperator, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_duplicate"
     bl_label = "Duplicate Stroke"
     bl_description = "A second stroke like this one, with a curve and keyframes of its own"
     bl_options = UNDOABLE
 
-    name: bpy.props.StringProperty(**NAME)
+    name: bpy.props.StringProperty(**NAME_PROPERTY)
 
     def work(self, context: Any, stroke: Any) -> str:
         copy = stroke.copy()
@@ -327,18 +338,18 @@ class HNF_OT_stroke_select(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return needs_object_mode(cls, context)
+        return poll_object_mode(cls, context)
 
     def invoke(self, context: Any, event: Any) -> set[str]:
         self.extend = bool(event.shift)
         return self.execute(context)
 
     def execute(self, context: Any) -> set[str]:
-        stroke = stroke_named(context.scene, self.name)
+        stroke = find_stroke(context.scene, self.name)
         if stroke is None:
             self.report({"ERROR"}, tr("There is no stroke '{name}' in this scene").format(name=self.name))
             return {"CANCELLED"}
-        if place_in(context.view_layer.objects, stroke) < 0 or not stroke.visible_get():
+        if find_index(context.view_layer.objects, stroke) < 0 or not stroke.visible_get():
             self.report({"WARNING"}, tr("'{name}' is hidden in this view layer").format(name=stroke.name))
         if self.extend:
             others = [obj for obj in context.view_layer.objects.selected if obj != stroke]
@@ -348,16 +359,16 @@ class HNF_OT_stroke_select(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
         return {"FINISHED"}
 
 
-class HNF_OT_stroke_solo(OfStroke, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+class HNF_OT_stroke_solo(StrokeOperator, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_solo"
     bl_label = "Solo"
     bl_description = "Mute all other strokes of the scene; click again to hear them all"
     bl_options = UNDOABLE
 
-    name: bpy.props.StringProperty(**NAME)
+    name: bpy.props.StringProperty(**NAME_PROPERTY)
 
     def work(self, context: Any, stroke: Any) -> str:
-        strokes = strokes_of(context.scene)
+        strokes = list_strokes(context.scene)
         own = [other for other in strokes if other.is_editable]
         others = [other.hnf_stroke.mute for other in own if other != stroke]
         alone = not stroke.hnf_stroke.mute and bool(others) and all(others)

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ..actuator.sound import Sound
-from ..props.scene import actuator_of
+from ..props.scene import get_actuator_profile
 from ..state.session import STATE
 from ..touch.status import Freshness
 from ..translations import tr
 from .facts import PREVIEW, PreviewFacts
-from .outputs import Outputs
+from .outputs import OutputRouter
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,109 +20,109 @@ if TYPE_CHECKING:
     from hnf_core.actuators.levels import Levels
     from hnf_core.actuators.profile import ActuatorProfile
 
-    from .hearing import Heard
-    from .pictures import Look, Theme
+    from .hearing import PreviewResult
+    from .pictures import ImageStyle, Theme
 
-PLAYER = Outputs()
-KEPT_LEVELS = 16
+PLAYER = OutputRouter()
+MAX_CACHED_LEVELS = 16
 _levels: dict[tuple[str, ActuatorProfile], Levels] = {}
-NOT_TRUE = (Freshness.STALE, Freshness.BROKEN)
+INVALID_STATES = (Freshness.STALE, Freshness.BROKEN)
 
 
-def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> Heard | None:
+def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> PreviewResult | None:
     """Make sure that the signal of obj as it is now is there, or comes. wait: hear it here and now, and return it;
     else it is asked for (first: before all others), and collect() takes it. None where there is none;
     PREVIEW.problems then says why."""
     from hnf_core.errors import HnfError
 
-    from .hearing import Kept, Listener, hear
-    from .present import present
+    from .hearing import RenderCache, SynthesisThread, synthesise_preview
+    from .present import read_current_bake
 
-    name, look = obj.name, look_of(context)
+    name, look = obj.name, get_image_style(context)
     try:
-        now = present(obj, context.scene)
+        now = read_current_bake(obj, context.scene)
     except HnfError as error:
-        _cannot(name, str(error))
+        _set_problem(name, str(error))
         return None
     if now is None:
-        _cannot(name, "Not baked yet.")
-        PREVIEW.heard.pop(name, None)
+        _set_problem(name, "Not baked yet.")
+        PREVIEW.results.pop(name, None)
         return None
     PREVIEW.problems.pop(name, None)
-    heard = PREVIEW.heard.get(name)
-    if heard is not None and (heard.stamp, heard.look) == (now.stamp, look):
-        PREVIEW.asked[name] = now.stamp, look
+    heard = PREVIEW.results.get(name)
+    if heard is not None and (heard.stamp, heard.style) == (now.stamp, look):
+        PREVIEW.requested[name] = now.stamp, look
         return heard
     if wait:
         try:
-            heard = hear(now, look, Kept())
+            heard = synthesise_preview(now, look, RenderCache())
         except HnfError as error:
-            _cannot(name, str(error))
+            _set_problem(name, str(error))
             return None
-        take(name, heard)
+        store_result(name, heard)
         return heard
-    if PREVIEW.asked.get(name) != (now.stamp, look):
-        PREVIEW.asked[name] = now.stamp, look
-        if PREVIEW.listener is None:
-            PREVIEW.listener = Listener()
-        PREVIEW.listener.ask(now, look, first=first)
+    if PREVIEW.requested.get(name) != (now.stamp, look):
+        PREVIEW.requested[name] = now.stamp, look
+        if PREVIEW.synthesis_thread is None:
+            PREVIEW.synthesis_thread = SynthesisThread()
+        PREVIEW.synthesis_thread.request(now, look, first=first)
     return None
 
 
-def take(name: str, heard: Heard) -> None:
+def store_result(name: str, result: PreviewResult) -> None:
     """A signal is there."""
-    PREVIEW.heard[name] = heard
-    PREVIEW.asked[name] = heard.stamp, heard.look
-    _show(name)
+    PREVIEW.results[name] = result
+    PREVIEW.requested[name] = result.stamp, result.style
+    _update_icon(name)
 
 
-def _show(name: str) -> None:
+def _update_icon(name: str) -> None:
     """The picture of what is heard of a stroke, as its icon."""
-    from ..state.icons import show
+    from ..state.icons import set_icon
 
-    shown = PREVIEW.shown(name)
+    shown = PREVIEW.get_shown(name)
     if shown is not None:
-        PREVIEW.icons[name] = show(f"stroke {name}", shown.picture)  # the probe's picture has a name there too
+        PREVIEW.icons[name] = set_icon(f"stroke {name}", shown.image)  # the probe's picture has a name there too
 
 
-def collect() -> set[str]:
+def collect_results() -> set[str]:
     """Take what the listener has heard; names of the strokes it was."""
-    if PREVIEW.listener is None:
+    if PREVIEW.synthesis_thread is None:
         return set()
-    done = PREVIEW.listener.take()
+    done = PREVIEW.synthesis_thread.pop_results()
     for name, outcome in done.items():
         if isinstance(outcome, str):
-            _cannot(name, outcome)
+            _set_problem(name, outcome)
         else:
-            take(name, outcome)
+            store_result(name, outcome)
     return set(done)
 
 
 def play(name: str, scene: Any) -> None:
     """Sound a stroke's shown signal from its start. Raises HnfError without a device."""
-    _sound(name, scene, PLAYER.play)
+    _start_sound(name, scene, PLAYER.play)
 
 
-def go_on(name: str, scene: Any) -> None:
+def continue_playback(name: str, scene: Any) -> None:
     """A stroke that sounds goes on as it is shown now. Raises as play() does."""
-    _sound(name, scene, PLAYER.change)
+    _start_sound(name, scene, PLAYER.change)
 
 
-def _sound(name: str, scene: Any, begin: Callable[[Sound], None]) -> None:
-    shown = PREVIEW.shown(name)
+def _start_sound(name: str, scene: Any, start: Callable[[Sound], None]) -> None:
+    shown = PREVIEW.get_shown(name)
     if shown is None:
         return
     PREVIEW.sounding = ""
-    begin(sound_of(shown.signal.samples, shown.signal.sample_rate, scene, loop=bool(scene.hnf.loop)))
+    start(make_sound(shown.signal.samples, shown.signal.sample_rate, scene, loop=bool(scene.hnf.loop)))
     PREVIEW.sounding = name
 
 
-def sound_of(samples: NDArray[np.float32], rate: float, scene: Any, *, loop: bool = False) -> Sound:
+def make_sound(samples: NDArray[np.float32], rate: float, scene: Any, *, loop: bool = False) -> Sound:
     """Samples (n,) m/s² as this scene plays them."""
-    return Sound(samples, rate, actuator_of(scene), loop, float(scene.hnf.monitor_gain_db))
+    return Sound(samples, rate, get_actuator_profile(scene), loop, float(scene.hnf.monitor_gain_db))
 
 
-def pause_or_go_on() -> None:
+def toggle_pause() -> None:
     """What sounds is held where it is, or what is held goes on."""
     if PLAYER.is_paused:
         PLAYER.resume()
@@ -135,56 +135,56 @@ def stop() -> None:
     PREVIEW.sounding = PREVIEW.play_when_ready = ""
 
 
-def switch_kept(name: str) -> bool:
+def toggle_ab(name: str) -> bool:
     """Change between A and the newest; False where there is no A."""
-    if name not in PREVIEW.kept:
+    if name not in PREVIEW.references:
         return False
-    PREVIEW.on_kept ^= {name}
-    _show(name)
+    PREVIEW.showing_reference ^= {name}
+    _update_icon(name)
     return True
 
 
-def problem_of(name: str, scene: Any) -> str:
+def get_problem(name: str, scene: Any) -> str:
     """Why the preview of a scene's stroke is not true, "" where it is."""
-    status = STATE.strokes_in(scene).get(name)
-    if status is not None and status.freshness in NOT_TRUE:
+    status = STATE.get_statuses(scene).get(name)
+    if status is not None and status.freshness in INVALID_STATES:
         return status.why
     return PREVIEW.problems.get(name, "")
 
 
-def tell(name: str, scene: Any) -> PreviewFacts:
+def update_facts(name: str, scene: Any) -> PreviewFacts:
     """Facts of a stroke for the panels, made anew."""
-    shown, profile = PREVIEW.shown(name), actuator_of(scene)
-    asked = PREVIEW.asked.get(name)
-    newest = PREVIEW.heard.get(name)
+    shown, profile = PREVIEW.get_shown(name), get_actuator_profile(scene)
+    asked = PREVIEW.requested.get(name)
+    newest = PREVIEW.results.get(name)
     busy = (
-        asked is not None and (newest is None or (newest.stamp, newest.look) != asked) and not problem_of(name, scene)
+        asked is not None and (newest is None or (newest.stamp, newest.style) != asked) and not get_problem(name, scene)
     )
     common = {
-        "shows": "A" if name in PREVIEW.on_kept else "now",
-        "has_kept": name in PREVIEW.kept,
+        "shows": "A" if name in PREVIEW.showing_reference else "now",
+        "has_kept": name in PREVIEW.references,
         "busy": busy,
         "playing": PREVIEW.sounding == name and PLAYER.is_playing,
         "paused": PREVIEW.sounding == name and PLAYER.is_paused,
-        "problem": problem_of(name, scene),
+        "problem": get_problem(name, scene),
     }
     if shown is None:
         facts = PreviewFacts(name, **common)  # type: ignore[arg-type]
     else:
-        levels = levels_against(shown, profile)
+        levels = compute_levels(shown, profile)
         facts = PreviewFacts(
             name, shown.signal.duration_s, levels.peak, levels.rms, levels.headroom_db, shown.confidence,
-            lines=(*words(shown, profile, scene.hnf.monitor_gain_db), *behind_words(name)), **common,  # type: ignore[arg-type]
+            lines=(*describe_signal(shown, profile, scene.hnf.monitor_gain_db), *describe_outdated_strips(name)), **common,  # type: ignore[arg-type]
         )  # fmt: skip
     PREVIEW.facts[name] = facts
     return facts
 
 
-def words(shown: Heard, profile: ActuatorProfile, gain_db: float) -> list[str]:
+def describe_signal(shown: PreviewResult, profile: ActuatorProfile, gain_db: float) -> list[str]:
     """A signal's figures, one line a thought."""
-    from .monitor import clips_by_db
+    from .monitor import compute_clipping_db
 
-    levels = levels_against(shown, profile)
+    levels = compute_levels(shown, profile)
     said = tr("{seconds} s; peak {peak} m/s², RMS {rms} m/s²")
     lines = [said.format(seconds=f"{shown.signal.duration_s:.2f}", peak=f"{levels.peak:.3g}", rms=f"{levels.rms:.3g}")]
     title = tr(profile.title)
@@ -204,44 +204,44 @@ def words(shown: Heard, profile: ActuatorProfile, gain_db: float) -> list[str]:
         )
         if share is not None and share >= 0.01
     ]
-    clipped = clips_by_db(levels.peak, gain_db)
+    clipped = compute_clipping_db(levels.peak, gain_db)
     said = tr("The preview clips by {over} dB: lower the monitor gain. The signal is not clipped")
     loud = [said.format(over=f"{clipped:.1f}")] if clipped else []
     return [*lines, *outside, *loud, *shown.warnings]
 
 
-def look_behind(obj: Any, scene: Any) -> None:
+def update_outdated_strips(obj: Any, scene: Any) -> None:
     """Keep the names of the stroke's strips and speakers that sound as it was."""
-    from .companions import behind
+    from .companions import find_outdated_strips
 
-    asked = PREVIEW.asked.get(obj.name)
-    PREVIEW.behind[obj.name] = [] if asked is None else behind(obj, scene, asked[0])
+    asked = PREVIEW.requested.get(obj.name)
+    PREVIEW.outdated[obj.name] = [] if asked is None else find_outdated_strips(obj, scene, asked[0])
 
 
-def behind_words(name: str) -> list[str]:
+def describe_outdated_strips(name: str) -> list[str]:
     said = tr("'{name}' still plays the sound from before the last change: add it again (Export)")
-    return [said.format(name=each) for each in PREVIEW.behind.get(name, ())]
+    return [said.format(name=each) for each in PREVIEW.outdated.get(name, ())]
 
 
-def levels_against(shown: Heard, profile: ActuatorProfile) -> Levels:
+def compute_levels(shown: PreviewResult, profile: ActuatorProfile) -> Levels:
     """Computed once for a signal and an actuator: facts are told many times a second."""
-    from hnf_core.actuators.levels import levels_of
+    from hnf_core.actuators.levels import compute_levels
 
     key = (shown.stamp, profile)
     if key not in _levels:
-        while len(_levels) >= KEPT_LEVELS:
+        while len(_levels) >= MAX_CACHED_LEVELS:
             del _levels[next(iter(_levels))]
-        _levels[key] = levels_of(shown.signal, profile)
+        _levels[key] = compute_levels(shown.signal, profile)
     return _levels[key]
 
 
-def look_of(context: Any) -> Look:
-    from .pictures import Look
+def get_image_style(context: Any) -> ImageStyle:
+    from .pictures import ImageStyle
 
-    return Look(_theme_of(context), actuator_of(context.scene).peak_m_s2)
+    return ImageStyle(_get_theme(context), get_actuator_profile(context.scene).peak_m_s2)
 
 
-def _theme_of(context: Any) -> Theme:
+def _get_theme(context: Any) -> Theme:
     """Dark or light, by the text of Blender's own buttons."""
     from .pictures import DARK, LIGHT
 
@@ -250,6 +250,6 @@ def _theme_of(context: Any) -> Theme:
     return DARK if sum(text[:3]) / 3.0 > 0.5 else LIGHT
 
 
-def _cannot(name: str, why: str) -> None:
+def _set_problem(name: str, why: str) -> None:
     PREVIEW.problems[name] = why
-    PREVIEW.asked.pop(name, None)
+    PREVIEW.requested.pop(name, None)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hnf_core.errors import SceneError
 
 from ..actuator.sound import Sound
-from .monitor import to_monitor
+from .monitor import apply_monitor_gain
 
 FADE_S = 0.06
 """A volume takes a buffer of the device to change, along a line; longer than any usual one lasts."""
@@ -31,62 +31,62 @@ class Speakers:
         self._name = ""
         self._handle: Any = None
         self._paused_at: float | None = None
-        self._begins_at: float | None = None
+        self._starts_at: float | None = None
         self._fading: list[tuple[float, Any]] = []
         self._is_shared = False
 
     def play(self, sound: Sound) -> None:
         """Raises SceneError without a sound device."""
-        self.sound(to_monitor(sound.samples, sound.gain_db), sound.rate, loop=sound.loop, start_s=sound.start_s)
+        self.start(apply_monitor_gain(sound.samples, sound.gain_db), sound.rate, loop=sound.loop, start_s=sound.start_s)
 
     def change(self, sound: Sound) -> None:
-        self.go_on_as(to_monitor(sound.samples, sound.gain_db), sound.rate, loop=sound.loop)
+        self.replace(apply_monitor_gain(sound.samples, sound.gain_db), sound.rate, loop=sound.loop)
 
-    def go_on_as(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
+    def replace(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
         """As sound(), at the place where it is now; what is paused stays so."""
         at, paused = self.position_s, self.is_paused
-        self.sound(samples, rate, loop=loop, start_s=min(at, len(samples) / rate), held=paused)
+        self.start(samples, rate, loop=loop, start_s=min(at, len(samples) / rate), paused=paused)
         if paused:
             self._paused_at = at
 
-    def sound(
+    def start(
         self,
         samples: NDArray[np.float32],
         rate: float,
         *,
         loop: bool = False,
         start_s: float = 0.0,
-        alone: bool = False,
-        held: bool = False,
+        after_fade: bool = False,
+        paused: bool = False,
     ) -> None:
         """Sound samples (n, channels), −1 … 1, from start_s on, in place of what sounds: that fades out meanwhile, or
         before where they are to be alone. held: not yet, resume() lets them go. Raises SceneError without a sound
         device."""
         self.stop()
-        aud = audio()
+        aud = import_aud()
         sound = aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate)
         was_open = self._device is not None
         try:
-            self._handle = self._begun(aud, sound, later=held or (alone and bool(self._fading)))
+            self._handle = self._start_handle(aud, sound, later=paused or (after_fade and bool(self._fading)))
         except Exception as error:  # aud.error, and what else a driver raises
             if not was_open:
-                raise SceneError(f"the sound device does not play ({error}).", remedy=NO_SOUND) from error
+                raise SceneError(f"the sound device does not play ({error}).", remedy=NO_SOUND_REMEDY) from error
             # The one that was open is gone: unplugged, or Blender took another.
-            self.sound(samples, rate, loop=loop, start_s=start_s, alone=alone, held=held)
+            self.start(samples, rate, loop=loop, start_s=start_s, after_fade=after_fade, paused=paused)
             return
         if loop:
             self._handle.loop_count = -1
         if not self._handle.status and len(samples):
             self._handle = None
-            raise SceneError("there is no sound device.", remedy=NO_SOUND)
+            raise SceneError("there is no sound device.", remedy=NO_SOUND_REMEDY)
         if start_s > 0.0:
             self._seek(start_s)
-        if held:
-            self._begins_at = None
+        if paused:
+            self._starts_at = None
 
-    def _begun(self, aud: Any, sound: Any, *, later: bool) -> Any:
+    def _start_handle(self, aud: Any, sound: Any, *, later: bool) -> Any:
         try:
-            device = self._opened(aud)
+            device = self._open_device(aud)
             if not later:
                 return device.play(sound)
             device.lock()
@@ -98,31 +98,31 @@ class Speakers:
         except Exception:
             self._device, self._fading = None, []  # with it went what sounded there
             raise
-        self._begins_at = time.monotonic() + FADE_S
+        self._starts_at = time.monotonic() + FADE_S
         return handle
 
     def rate_hz(self) -> float:
         """At which the device plays. Raises SceneError without one."""
         try:
-            return float(self._opened(audio()).rate)
+            return float(self._open_device(import_aud()).rate)
         except SceneError:
             raise
         except Exception as error:
-            raise SceneError(f"the sound device does not open ({error}).", remedy=NO_SOUND) from error
+            raise SceneError(f"the sound device does not open ({error}).", remedy=NO_SOUND_REMEDY) from error
 
-    def _opened(self, aud: Any) -> Any:
-        name = chosen_device()
+    def _open_device(self, aud: Any) -> Any:
+        name = get_device_name()
         if self._name != name:
             self._device, self._name = None, name
         # For "None" Blender opens nothing, and aud would open the system's usual one instead.
-        if self._device is None and self._is_shared and name != SILENT:
+        if self._device is None and self._is_shared and name != NO_DEVICE:
             with contextlib.suppress(aud.error):  # Blender has none open
                 self._device = aud.Device()
         if self._device is None:
             self._device = aud.Device(name)
         return self._device
 
-    def share(self, shared: bool) -> None:
+    def use_shared_device(self, shared: bool) -> None:
         """Play on the device that Blender itself has open, or again on one of our own. Silences what plays."""
         self.release()
         self._is_shared = shared
@@ -131,12 +131,12 @@ class Speakers:
         if self.is_playing:
             self._handle.volume = 0.0
             self._fading.append((time.monotonic(), self._handle))
-        self._handle = self._paused_at = self._begins_at = None
-        self.settle()
+        self._handle = self._paused_at = self._starts_at = None
+        self.update()
 
     def pause(self) -> None:
         if self.is_playing and not self.is_paused:
-            self._hold(float(self._handle.position))
+            self._fade_to_pause(float(self._handle.position))
 
     def resume(self) -> None:
         if self._paused_at is None:
@@ -148,7 +148,7 @@ class Speakers:
             self._handle.resume()
         self._paused_at = None
 
-    def settle(self) -> None:
+    def update(self) -> None:
         """End what has faded out, begin what waited for that. Called now and then."""
         now = time.monotonic()
         over = [handle for since, handle in self._fading if now - since >= FADE_S]
@@ -158,16 +158,16 @@ class Speakers:
                 handle.pause()
             elif handle.status:
                 handle.stop()
-        if self._begins_at is not None and now >= self._begins_at:
-            self._begins_at = None
+        if self._starts_at is not None and now >= self._starts_at:
+            self._starts_at = None
             if not self.is_paused:
                 self._handle.resume()
 
     def _seek(self, to_s: float) -> None:
-        with contextlib.suppress(audio().error):  # it ended in this very moment
+        with contextlib.suppress(import_aud().error):  # it ended in this very moment
             self._handle.position = to_s
 
-    def _hold(self, at_s: float) -> None:
+    def _fade_to_pause(self, at_s: float) -> None:
         """Fade out, and stay at at_s."""
         self._paused_at, self._handle.volume = at_s, 0.0
         self._fading.append((time.monotonic(), self._handle))
@@ -178,7 +178,7 @@ class Speakers:
 
     @property
     def is_sounding(self) -> bool:
-        return self.is_playing and self._begins_at is None
+        return self.is_playing and self._starts_at is None
 
     @property
     def is_paused(self) -> bool:
@@ -196,23 +196,23 @@ class Speakers:
         for handle in [self._handle, *(handle for _, handle in self._fading)]:
             if handle is not None and handle.status:
                 handle.stop()
-        self._handle = self._paused_at = self._begins_at = self._device = None
+        self._handle = self._paused_at = self._starts_at = self._device = None
         self._fading = []
 
 
-SILENT = "None"
+NO_DEVICE = "None"
 """The device of the preferences that is none."""
-NO_SOUND = "Choose one in Preferences > System > Sound, or export the WAV and play it elsewhere."
+NO_SOUND_REMEDY = "Choose one in Preferences > System > Sound, or export the WAV and play it elsewhere."
 
 
-def chosen_device() -> str:
+def get_device_name() -> str:
     """The one of Preferences > System > Sound: aud's own default may be another, or none that works."""
     import bpy
 
     return str(bpy.context.preferences.system.audio_device)
 
 
-def audio() -> Any:
+def import_aud() -> Any:
     """Blender's `aud` module. Raises SceneError where this Blender is built without it."""
     try:
         return importlib.import_module("aud")

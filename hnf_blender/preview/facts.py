@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from .hearing import Heard, Listener
+    from .hearing import PreviewResult, SynthesisThread
 
 
 class PreviewFacts(NamedTuple):
@@ -37,11 +37,11 @@ class PreviewState:
     timeline. exported: a sentence for each file of the last export, what it cost; losses: the whole report."""
 
     def __init__(self) -> None:
-        self.heard: dict[str, Heard] = {}
-        self.kept: dict[str, Heard] = {}
-        self.on_kept: set[str] = set()
-        self.asked: dict[str, tuple[str, object]] = {}
-        self.behind: dict[str, list[str]] = {}
+        self.results: dict[str, PreviewResult] = {}
+        self.references: dict[str, PreviewResult] = {}
+        self.showing_reference: set[str] = set()
+        self.requested: dict[str, tuple[str, object]] = {}
+        self.outdated: dict[str, list[str]] = {}
         self.problems: dict[str, str] = {}
         self.facts: dict[str, PreviewFacts] = {}
         self.icons: dict[str, int] = {}
@@ -49,26 +49,26 @@ class PreviewState:
         self.sounding = ""
         self.exported: tuple[str, ...] = ()
         self.losses = ""
-        self.listener: Listener | None = None
+        self.synthesis_thread: SynthesisThread | None = None
 
-    def shown(self, name: str) -> Heard | None:
+    def get_shown(self, name: str) -> PreviewResult | None:
         """What is heard and seen of a stroke: A, or the newest."""
-        return self.kept.get(name) if name in self.on_kept else self.heard.get(name)
+        return self.references.get(name) if name in self.showing_reference else self.results.get(name)
 
     @property
     def _by_name(self) -> tuple[dict[str, Any], ...]:
-        return self.heard, self.kept, self.asked, self.behind, self.problems, self.facts, self.icons
+        return self.results, self.references, self.requested, self.outdated, self.problems, self.facts, self.icons
 
-    def keep_only(self, names: set[str]) -> None:
+    def discard_except(self, names: set[str]) -> None:
         """Forget strokes that are no more, or are called otherwise now."""
-        self.on_kept &= names
+        self.showing_reference &= names
         for each in self._by_name:
             for name in each.keys() - names:
                 del each[name]
 
     def clear(self) -> None:
         """Another file is open."""
-        self.on_kept.clear()
+        self.showing_reference.clear()
         for each in self._by_name:
             each.clear()
         self.play_when_ready = self.sounding = self.losses = ""
@@ -78,11 +78,11 @@ class PreviewState:
 PREVIEW = PreviewState()
 
 
-def preview_facts(obj: Any) -> PreviewFacts | None:
+def get_preview_facts(obj: Any) -> PreviewFacts | None:
     """Of a stroke object; None where nothing is known of it yet."""
     return None if obj is None else PREVIEW.facts.get(obj.name)
 
 
-def preview_icon(obj: Any) -> int:
+def get_preview_icon(obj: Any) -> int:
     """Icon of a stroke's picture for template_icon; 0 where there is none (yet, or without a window)."""
     return 0 if obj is None else PREVIEW.icons.get(obj.name, 0)

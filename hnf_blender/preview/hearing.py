@@ -12,21 +12,21 @@ import numpy as np
 
 from hnf_core.action.action import Action
 from hnf_core.errors import HnfError
-from hnf_core.field.incremental import Rendered, Superseded, render
-from hnf_core.field.parts import parts_of, together
+from hnf_core.field.incremental import RenderedStroke, Superseded, render_incremental
+from hnf_core.field.parts import blend, split_by_field
 from hnf_core.field.weights import load_field
 from hnf_core.signal import Signal
 
-from ..touch.feel import delivered, mean_share
-from .pictures import Look, Rgba, stroke_picture
-from .present import Present
+from ..touch.feel import add_provenance, compute_mean_share
+from .pictures import ImageStyle, Rgba, draw_stroke_image
+from .present import CurrentBake
 
-KEPT_BYTES = 400_000_000
+CACHE_LIMIT_BYTES = 400_000_000
 """Of strokes kept to start from; a minute of stroke takes 70 MB, its profile under the hand 300 MB more."""
 
 
 @dataclass(frozen=True)
-class Heard:
+class PreviewResult:
     """signal: in m/s², with the provenance that `hnf touch` writes. action: what the hand does. stamp: of the Present
     it was made from. confidence, warnings: as `hnf touch` reports them. rendered: samples that had to be made."""
 
@@ -37,86 +37,90 @@ class Heard:
     confidence: float
     warnings: tuple[str, ...]
     rendered: int
-    picture: Rgba
-    look: Look
+    image: Rgba
+    style: ImageStyle
 
 
 @dataclass
-class Kept:
+class RenderCache:
     """The last synthesis of each path, the newest last, bounded by KEPT_BYTES."""
 
-    items: OrderedDict[str, Rendered] = field(default_factory=OrderedDict)
+    items: OrderedDict[str, RenderedStroke] = field(default_factory=OrderedDict)
 
-    def get(self, key: str) -> Rendered | None:
+    def get(self, key: str) -> RenderedStroke | None:
         return self.items.get(key)
 
-    def put(self, key: str, rendered: Rendered) -> None:
+    def put(self, key: str, rendered: RenderedStroke) -> None:
         self.items.pop(key, None)
         self.items[key] = rendered
-        while len(self.items) > 1 and sum(map(_weight, self.items.values())) > KEPT_BYTES:
+        while len(self.items) > 1 and sum(map(_count_bytes, self.items.values())) > CACHE_LIMIT_BYTES:
             self.items.popitem(last=False)
 
 
-def hear(now: Present, look: Look, kept: Kept, superseded: Callable[[], bool] = lambda: False) -> Heard:
+def synthesise_preview(
+    now: CurrentBake, style: ImageStyle, cache: RenderCache, is_superseded: Callable[[], bool] = lambda: False
+) -> PreviewResult:
     """Synthesise and draw, from the last synthesis of the same path where there is one.
 
     Raises Superseded where superseded() says so, StrokeError as synthesise() does.
     """
     bake = now.bake
-    parts, made = parts_of(load_field(), bake.stroke), []
+    parts, made = split_by_field(load_field(), bake.stroke), []
     for part in parts:
         key = f"{bake.path_key} {part.field.identity}"
-        earlier = kept.get(key)
+        earlier = cache.get(key)
         if earlier is not None and earlier.prepared.seed != bake.seed:
             earlier = None
-        made.append(render(part.field, part.stroke, seed=bake.seed, earlier=earlier, superseded=superseded))
-        kept.put(key, made[-1])
-    whole = together(parts, [each.synthesis for each in made])
+        made.append(
+            render_incremental(part.field, part.stroke, seed=bake.seed, earlier=earlier, superseded=is_superseded)
+        )
+        cache.put(key, made[-1])
+    whole = blend(parts, [each.synthesis for each in made])
     # Pressed nowhere, there is nothing to be unsure of.
-    share = mean_share(bake.shares, bake.patch_index) if (bake.patch_index >= 0).any() else 1.0
+    share = compute_mean_share(bake.shares, bake.patch_index) if (bake.patch_index >= 0).any() else 1.0
     confidence = share * whole.confidence
-    signal = delivered(whole.signal, now.name, bake.facts, confidence)
+    signal = add_provenance(whole.signal, now.name, bake.facts, confidence)
     action = bake.stroke.action
-    picture = stroke_picture(signal, action, look)
-    return Heard(
-        now.name, now.stamp, signal, action, confidence, whole.warnings, sum(each.rendered for each in made), picture,
-        look,
+    picture = draw_stroke_image(signal, action, style)
+    return PreviewResult(
+        now.name, now.stamp, signal, action, confidence, whole.warnings, sum(each.rendered_count for each in made), picture,
+        style,
     )  # fmt: skip
 
 
-Outcome = Heard | str
+Outcome = PreviewResult | str
 """Or why nothing could be heard, in words."""
 
 
-class Listener:
+class SynthesisThread:
     """A thread that hears what is asked for; of each stroke the newest request wins. What was asked for first of all
     does not wait for other strokes: they are begun again after it."""
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
-        self._wanted: OrderedDict[str, tuple[Present, Look]] = OrderedDict()
-        self._first = ""
+        self._requests: OrderedDict[str, tuple[CurrentBake, ImageStyle]] = OrderedDict()
+        self._first_name = ""
         self._done: dict[str, Outcome] = {}
         self._busy = False
-        self._kept = Kept()
-        self._ending = False
+        self._cache = RenderCache()
+        self._is_stopping = False
         self._thread: threading.Thread | None = None
 
-    def ask(self, now: Present, look: Look, *, first: bool = True) -> None:
+    def request(self, now: CurrentBake, style: ImageStyle, *, first: bool = True) -> None:
         """Begin to hear, before all others or after them; returns at once."""
         with self._condition:
-            self._wanted[now.name] = now, look
+            self._requests[now.name] = now, style
             if first:
-                self._first = now.name
-                self._wanted.move_to_end(now.name, last=False)
-            elif self._first == now.name:
-                self._first = ""
+                self._first_name = now.name
+                self._requests.move_to_end(now.name, last=False)
+            elif self._first_name == now.name:
+                self._first_name = ""
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="hnf preview", daemon=True)
                 self._thread.start()
             self._condition.notify()
 
-    def take(self) -> dict[str, Outcome]:
+    def pop_results(self) -> dict[str, Outcome]:
         """What was heard since the last call, by stroke name."""
         with self._condition:
             done, self._done = self._done, {}
@@ -125,13 +129,13 @@ class Listener:
     @property
     def is_busy(self) -> bool:
         with self._condition:
-            return bool(self._wanted) or self._busy
+            return bool(self._requests) or self._busy
 
-    def end(self, *, wait: bool = True) -> None:
+    def stop(self, *, wait: bool = True) -> None:
         """Stop the thread. wait: until it has ended; between two blocks it looks up, so not long."""
         with self._condition:
-            self._ending = True
-            self._wanted.clear()
+            self._is_stopping = True
+            self._requests.clear()
             self._condition.notify()
         if wait and self._thread is not None:
             self._thread.join(timeout=5.0)
@@ -139,15 +143,15 @@ class Listener:
     def _run(self) -> None:
         while True:
             with self._condition:
-                while not self._wanted and not self._ending:
+                while not self._requests and not self._is_stopping:
                     self._condition.wait()
-                if self._ending:
+                if self._is_stopping:
                     return
-                name, (now, look) = self._wanted.popitem(last=False)
+                name, (now, look) = self._requests.popitem(last=False)
                 self._busy = True
             outcome: Outcome | None
             try:
-                outcome = hear(now, look, self._kept, lambda name=name: self._is_superseded(name))  # type: ignore[misc]
+                outcome = synthesise_preview(now, look, self._cache, lambda name=name: self._is_superseded(name))  # type: ignore[misc]
             except Superseded:
                 outcome = None
             except HnfError as error:
@@ -159,16 +163,16 @@ class Listener:
                 self._busy = False
                 if outcome is not None:
                     self._done[now.name] = outcome
-                elif not self._ending:
-                    self._wanted.setdefault(name, (now, look))
+                elif not self._is_stopping:
+                    self._requests.setdefault(name, (now, look))
 
     def _is_superseded(self, name: str) -> bool:
         with self._condition:
-            return self._ending or name in self._wanted or self._first in self._wanted
+            return self._is_stopping or name in self._requests or self._first_name in self._requests
 
 
-def _weight(rendered: Rendered) -> int:
+def _count_bytes(rendered: RenderedStroke) -> int:
     prepared = rendered.prepared
-    arrays = (prepared.amplitude, prepared.profile_amplitude, prepared.unheld, prepared.audible, rendered.samples)
+    arrays = (prepared.amplitude, prepared.profile_amplitude, prepared.unbridged, prepared.audible, rendered.samples)
     waves = () if prepared.bands is None else prepared.bands.waves
     return sum(each.nbytes for each in (*arrays, *waves) if isinstance(each, np.ndarray))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-HEIGHT, ADVANCE = 7, 6
+GLYPH_HEIGHT, GLYPH_ADVANCE = 7, 6
 
-_COLUMNS = {
+_GLYPH_COLUMNS = {
     "0": "3E5149453E", "1": "00427F4000", "2": "4261514946", "3": "2141454B31", "4": "1814127F10", "5": "2745454539",
     "6": "3C4A494930", "7": "0171090503", "8": "3649494936", "9": "064949291E", ".": "0060600000", "-": "0808080808",
     "+": "08083E0808", "/": "2010080402", "m": "7C04180478", "s": "4854545424", "N": "7F0408107F", "H": "7F0808087F",
@@ -19,8 +19,8 @@ _COLUMNS = {
 }  # fmt: skip
 
 
-def dots(text: str) -> NDArray[np.bool_]:
+def rasterise_text(text: str) -> NDArray[np.bool_]:
     """(7, 6 · len) True where there is ink, the top row first. Raises KeyError for a character without a shape."""
-    columns = [bytes.fromhex(_COLUMNS[character]) + b"\0" for character in text]
+    columns = [bytes.fromhex(_GLYPH_COLUMNS[character]) + b"\0" for character in text]
     lines = np.frombuffer(b"".join(columns), np.uint8)
-    return np.asarray((lines[None, :] >> np.arange(HEIGHT)[:, None]) & 1, dtype=bool)
+    return np.asarray((lines[None, :] >> np.arange(GLYPH_HEIGHT)[:, None]) & 1, dtype=bool)

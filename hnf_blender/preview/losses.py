@@ -8,39 +8,39 @@ from typing import TYPE_CHECKING
 from ..translations import tr
 
 if TYPE_CHECKING:
-    from hnf_core.export.convert import Exported
-    from hnf_core.metrics.band_energy import Band
+    from hnf_core.export.convert import ExportResult
+    from hnf_core.metrics.band_energy import BandChange
 
-UNHEARD_DB = 0.05
+NEGLIGIBLE_DB = 0.05
 """Changes below it are told as none, in these very figures."""
 QUIET_DB = 40.0
 """Bands this far below the loudest are nothing to tell of."""
 
 
-def loss_sentence(exported: Exported) -> str:
+def describe_loss(exported: ExportResult) -> str:
     """Of one file: how its level, its most changed octave and its duration differ from the stroke's."""
     name, loss = exported.path.name, exported.loss
     if loss.exact:
         return tr("{file}: nothing is lost").format(file=name)
-    level = _decibels(loss.before.rms, loss.after.rms)
-    worst = _most_changed(loss.bands)
+    level = _level_change_db(loss.before.rms, loss.after.rms)
+    worst = _find_most_changed(loss.bands)
     longer = 1000.0 * (loss.after.duration_s - loss.before.duration_s)
     band_db = 0.0 if worst is None or worst.change_db is None else worst.change_db
-    if max(abs(level), abs(band_db)) < UNHEARD_DB and abs(longer) < 0.05:
+    if max(abs(level), abs(band_db)) < NEGLIGIBLE_DB and abs(longer) < 0.05:
         return tr("{file}: no octave changed by 0.05 dB").format(file=name)
     if worst is None:
         return tr("{file}: no signal is left").format(file=name)
     said = tr("{file}: level {level} dB, most changed {low:.0f}–{high:.0f} Hz {band} dB, duration {ms} ms")
     high = min(worst.high_hz, loss.before.sample_rate_hz / 2.0)
-    change = {"level": _signed(level), "band": _signed(band_db), "ms": _signed(longer)}
+    change = {"level": _format_signed(level), "band": _format_signed(band_db), "ms": _format_signed(longer)}
     return said.format(file=name, low=worst.low_hz, high=high, **change)
 
 
-def _signed(value: float) -> str:
+def _format_signed(value: float) -> str:
     return f"{value + 0.0:+.1f}".replace("-", "−")
 
 
-def _most_changed(bands: tuple[Band, ...]) -> Band | None:
+def _find_most_changed(bands: tuple[BandChange, ...]) -> BandChange | None:
     loudest = max((max(band.before, band.after) for band in bands), default=0.0)
     heard = [
         band for band in bands if band.before > loudest * 10.0 ** (-QUIET_DB / 10.0) and band.change_db is not None
@@ -48,5 +48,5 @@ def _most_changed(bands: tuple[Band, ...]) -> Band | None:
     return max(heard, key=lambda band: abs(band.change_db or 0.0), default=None)
 
 
-def _decibels(before: float, after: float) -> float:
+def _level_change_db(before: float, after: float) -> float:
     return 20.0 * math.log10(after / before) if before > 0.0 and after > 0.0 else 0.0

@@ -7,65 +7,65 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hnf_core.errors import FileError, SceneError
-from hnf_core.export.sidecar import Maker, maker_beside
-from hnf_core.export.wav import wav_bytes
+from hnf_core.export.sidecar import SourceStroke, read_source_stroke
+from hnf_core.export.wav import encode_wav
 from hnf_core.files import write_bytes
 from hnf_core.signal import Signal
 
-from ..bridge.scene_names import name_in, object_in
-from ..props.export_formats import CHOICE_OF
-from ..props.scene import actuator_of
+from ..bridge.scene_names import find_object, get_scene_name
+from ..props.export_formats import CHOICE_BY_NAME
+from ..props.scene import get_actuator_profile
 from ..state.session import STATE
 from ..touch.status import Freshness
-from .companions import companions, mark
+from .companions import find_linked_strips, mark_linked
 from .facts import PREVIEW
-from .monitor import monitor_factor
+from .monitor import compute_monitor_gain
 
 if TYPE_CHECKING:
-    from hnf_core.export.convert import Exported
+    from hnf_core.export.convert import ExportResult
     from hnf_core.export.formats import Format
     from hnf_core.export.options import ExportOptions
 
 
-def true_signal(obj: Any, context: Any) -> Signal:
+def get_current_signal(obj: Any, context: Any) -> Signal:
     """The signal of a stroke as `hnf touch` would write it now.
 
     Looks at the scene anew. Raises SceneError naming the stroke where its bake does not hold, StrokeError where it
     cannot be read.
     """
     from ..state.watch import refresh_status
-    from .hearing import Kept, hear
-    from .pictures import Look
-    from .present import present
+    from .hearing import RenderCache, synthesise_preview
+    from .pictures import ImageStyle
+    from .present import read_current_bake
 
-    name = name_in(context.scene, obj)
+    name = get_scene_name(context.scene, obj)
     refresh_status(context.scene, [name], context.view_layer)
-    status, where = STATE.status_of(context.scene, obj), f"stroke '{name}'"
+    status, where = STATE.get_status(context.scene, obj), f"stroke '{name}'"
     if status is None or status.freshness not in (Freshness.FRESH, Freshness.FORCE):
         why = status.why if status is not None else "it is not in this scene."
         # Other reasons say what to do.
         remedies = {Freshness.UNKNOWN: "Leave Edit Mode first.", Freshness.UNBAKED: "Bake it first."}
         remedy = "" if status is None else remedies.get(status.freshness, "")
         raise SceneError(why.removeprefix(f"{where}: "), where=where, remedy=remedy)
-    now = present(obj, context.scene)
+    now = read_current_bake(obj, context.scene)
     if now is None:
         raise SceneError("it is not baked.", where=where, remedy="Bake it first.")
-    heard = PREVIEW.heard.get(obj.name)
+    heard = PREVIEW.results.get(obj.name)
     if heard is not None and (heard.stamp, heard.name) == (now.stamp, now.name):
         return heard.signal
-    return hear(now, Look(), Kept()).signal
+    return synthesise_preview(now, ImageStyle(), RenderCache()).signal
 
 
-def _belongs(companion: Any, obj: Any, scene: Any) -> None:
-    from .current import look_behind
-    from .present import present
+def _mark_linked(strip: Any, obj: Any, scene: Any) -> None:
+    from .current import update_outdated_strips
+    from .present import read_current_bake
 
-    now = present(obj, scene)
-    mark(companion, obj, scene, "" if now is None else now.stamp)
-    look_behind(obj, scene)
+    now = read_current_bake(obj, scene)
+    mark_linked(strip, obj, scene, "" if now is None else now.stamp)
+    update_outdated_strips(obj, scene)
 
 
-def export_folder(scene: Any) -> Path:
+def get_export_folder(scene: Any) -> Path:
     """Where Scene.hnf says. Raises FileError where it is beside a file that is not saved yet."""
     import bpy
 
@@ -81,7 +81,7 @@ def export_folder(scene: Any) -> Path:
     return Path(bpy.path.abspath(text))
 
 
-def export_of(obj: Any, context: Any, word: str) -> Exported:
+def export_stroke(obj: Any, context: Any, format_name: str) -> ExportResult:
     """Write a stroke into the export folder in the format called word, in no other stroke's place; say what that cost.
 
     1 stands for the largest acceleration of the scene's actuator. Formats that have a place for a surface get it with
@@ -91,44 +91,48 @@ def export_of(obj: Any, context: Any, word: str) -> Exported:
     from hnf_core.export.convert import export_signal
     from hnf_core.export.formats import format_of
 
-    signal, form, blend = true_signal(obj, context), format_of(word), _blend_of(obj)
-    path = _own_path(export_folder(context.scene), Maker(obj.name, blend), f"{CHOICE_OF[word].stem}{form.suffix}")
-    return export_signal(signal, form, path, _options(obj, context, form), blend)
+    signal, form, blend = get_current_signal(obj, context), format_of(format_name), _get_blend_name(obj)
+    path = _find_free_path(
+        get_export_folder(context.scene),
+        SourceStroke(obj.name, blend),
+        f"{CHOICE_BY_NAME[format_name].stem}{form.suffix}",
+    )
+    return export_signal(signal, form, path, _make_options(obj, context, form), blend)
 
 
-def _blend_of(obj: Any) -> str:
+def _get_blend_name(obj: Any) -> str:
     """Name of the .blend that obj is in; "" where it is not saved yet."""
     import bpy
 
     return Path(bpy.data.filepath if obj.library is None else bpy.path.abspath(obj.library.filepath)).name
 
 
-def _own_path(folder: Path, maker: Maker, ending: str) -> Path:
+def _find_free_path(folder: Path, author: SourceStroke, ending: str) -> Path:
     """The file of maker's stroke in folder. Where another's is in its place, that one stays: another .blend's by this
     one's name put into ours, another stroke's by a number."""
-    from ..touch.deliver import file_stem, numbered
+    from ..touch.deliver import iter_numbered_stems, make_file_stem
 
-    stem = file_stem(maker.stroke)
-    there = maker_beside(folder / f"{stem}{ending}")
-    if there is not None and there.blend and there.blend != maker.blend:
-        stem = f"{stem}-{file_stem(Path(maker.blend).stem) if maker.blend else 'unsaved'}"
-    paths = (folder / f"{each}{ending}" for each in numbered(stem))
-    return next(path for path in paths if maker_beside(path) in (None, maker, Maker(maker.stroke, "")))
+    stem = make_file_stem(author.stroke)
+    there = read_source_stroke(folder / f"{stem}{ending}")
+    if there is not None and there.blend and there.blend != author.blend:
+        stem = f"{stem}-{make_file_stem(Path(author.blend).stem) if author.blend else 'unsaved'}"
+    paths = (folder / f"{each}{ending}" for each in iter_numbered_stems(stem))
+    return next(path for path in paths if read_source_stroke(path) in (None, author, SourceStroke(author.stroke, "")))
 
 
-def _options(obj: Any, context: Any, form: Format) -> ExportOptions:
-    from hnf_core.export.options import RANGE_HZ, ExportOptions
+def _make_options(obj: Any, context: Any, form: Format) -> ExportOptions:
+    from hnf_core.export.options import DEFAULT_RANGE_HZ, ExportOptions
 
-    from ..bridge.metres import metres_per_unit
-    from ..bridge.touched_surface import touched_surface
+    from ..bridge.metres import get_metres_per_unit
+    from ..bridge.touched_surface import read_touched_surface
 
-    profile, surface = actuator_of(context.scene), None
+    profile, surface = get_actuator_profile(context.scene), None
     if form.surface:
         depsgraph = context.evaluated_depsgraph_get()
-        surface = touched_surface(context.scene, depsgraph, metres_per_unit(context.scene), stroke=obj)
+        surface = read_touched_surface(context.scene, depsgraph, get_metres_per_unit(context.scene), stroke=obj)
     return ExportOptions(
         profile.limits.full_scale_m_s2,
-        profile.range_hz or RANGE_HZ,
+        profile.range_hz or DEFAULT_RANGE_HZ,
         surface=surface,
         full_scale_assumed=form.scaled and profile.assumes_full_scale,
     )
@@ -141,10 +145,10 @@ def add_strip(obj: Any, context: Any) -> Any:
 
     from ..compat import sequencer_strips, show_in_sequencer
 
-    path, scene = export_of(obj, context, "wav").path, context.scene
+    path, scene = export_stroke(obj, context, "wav").path, context.scene
     editor = scene.sequence_editor or scene.sequence_editor_create()
     strips = sequencer_strips(editor)
-    earlier = companions(obj, scene, strips)
+    earlier = find_linked_strips(obj, scene, strips)
     above = max((int(strip.channel) for strip in strips), default=0) + 1
     sound_path = bpy.path.relpath(str(path)) if scene.hnf.export_folder.startswith("//") else str(path)
     frame = round(float(obj.hnf_stroke.start))
@@ -160,38 +164,38 @@ def add_strip(obj: Any, context: Any) -> Any:
     for each in earlier:
         strips.remove(each)
     strip.channel, strip.name = channel, obj.name
-    _belongs(strip, obj, scene)
-    strip.volume = monitor_factor(scene.hnf.monitor_gain_db)
+    _mark_linked(strip, obj, scene)
+    strip.volume = compute_monitor_gain(scene.hnf.monitor_gain_db)
     show_in_sequencer(getattr(context, "workspace", None), scene)
     return strip
 
 
-def add_speaker_of(obj: Any, context: Any) -> Any:
+def add_stroke_speaker(obj: Any, context: Any) -> Any:
     """A Speaker where the stroke begins, moving with its surface, its sound packed into the .blend; in place of an
     earlier one of the same stroke. Object Mode only."""
     import bpy
 
-    from ..bridge.metres import metres_per_unit
+    from ..bridge.metres import get_metres_per_unit
     from ..bridge.speakers import add_speaker
-    from ..bridge.stroke_timeline import stroke_timeline
-    from ..touch.deliver import file_stem
+    from ..bridge.stroke_timeline import sample_timeline
+    from ..touch.deliver import make_file_stem
 
-    signal, scene = true_signal(obj, context), context.scene
-    scale = metres_per_unit(scene)
-    timeline = stroke_timeline(obj, scene, scale)
+    signal, scene = get_current_signal(obj, context), context.scene
+    scale = get_metres_per_unit(scene)
+    timeline = sample_timeline(obj, scene, scale)
     place = timeline.arc.point_at(timeline.position[:1])[0] / scale
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{file_stem(obj.name)}.wav"
-        write_bytes(path, wav_bytes(signal, where=f"stroke '{obj.name}'"))
+        path = Path(folder) / f"{make_file_stem(obj.name)}.wav"
+        write_bytes(path, encode_wav(signal, where=f"stroke '{obj.name}'"))
         sound = bpy.data.sounds.load(str(path), check_existing=False)
         sound.pack()
-    for other in companions(obj, scene, [each for each in scene.objects if each.type == "SPEAKER"]):
+    for other in find_linked_strips(obj, scene, [each for each in scene.objects if each.type == "SPEAKER"]):
         data = other.data
         bpy.data.objects.remove(other)
         if data.users == 0:
             bpy.data.speakers.remove(data)
-    surface = object_in(scene, STATE.strokes_in(scene)[name_in(scene, obj)].object_name)
+    surface = find_object(scene, STATE.get_statuses(scene)[get_scene_name(scene, obj)].object_name)
     speaker = add_speaker(sound, f"{obj.name} speaker", tuple(place), float(obj.hnf_stroke.start), surface)
-    _belongs(speaker, obj, scene)
-    speaker.data.volume = min(monitor_factor(scene.hnf.monitor_gain_db), 1.0)
+    _mark_linked(speaker, obj, scene)
+    speaker.data.volume = min(compute_monitor_gain(scene.hnf.monitor_gain_db), 1.0)
     return speaker

@@ -7,7 +7,7 @@ from ..actuator.sound import Player, Sound
 from .device import Speakers
 
 
-class Outputs:
+class OutputRouter:
     """A Player that asks at every play() which output is chosen. Only one of them sounds."""
 
     def __init__(self) -> None:
@@ -15,14 +15,14 @@ class Outputs:
         self._playing: Player = self._speakers
 
     def play(self, sound: Sound) -> None:
-        wanted = self._wanted()
+        wanted = self._select_player()
         if wanted is not self._playing:
             self._playing.stop()
             self._playing = wanted
         wanted.play(sound)
 
     def change(self, sound: Sound) -> None:
-        if self._playing.is_playing and self._wanted() is self._playing:
+        if self._playing.is_playing and self._select_player() is self._playing:
             self._playing.change(sound)
         else:
             self.play(sound)
@@ -36,9 +36,9 @@ class Outputs:
     def resume(self) -> None:
         self._playing.resume()
 
-    def settle(self) -> None:
+    def update(self) -> None:
         """Called now and then: what has faded out ends, and what waited for that begins."""
-        self._speakers.settle()
+        self._speakers.update()
 
     @property
     def is_playing(self) -> bool:
@@ -56,31 +56,31 @@ class Outputs:
     def position_s(self) -> float:
         return self._playing.position_s
 
-    def share(self, shared: bool) -> bool:
+    def use_shared_device(self, shared: bool) -> bool:
         """The timeline begins or ends to play: speakers sound on Blender's own device meanwhile. True where they are
         what is chosen."""
-        from ..actuator.choice import chosen_output, plays_whole
+        from ..actuator.choice import get_selected_output, needs_offline_player
         from ..actuator.state import SPEAKERS
 
-        self._speakers.share(shared)
-        return chosen_output() == SPEAKERS or plays_whole(chosen_output())
+        self._speakers.use_shared_device(shared)
+        return get_selected_output() == SPEAKERS or needs_offline_player(get_selected_output())
 
     def release(self) -> None:
         self._playing.release()
         self._speakers.release()
         self._playing = self._speakers
 
-    def _wanted(self) -> Player:
-        from ..actuator.choice import chosen_output, plays_whole
+    def _select_player(self) -> Player:
+        from ..actuator.choice import get_selected_output, needs_offline_player
         from ..actuator.state import SPEAKERS
 
-        target = chosen_output()
+        target = get_selected_output()
         if target == SPEAKERS:
             return self._speakers
-        if plays_whole(target):
-            from .whole import Whole
+        if needs_offline_player(target):
+            from .whole import OfflinePlayer
 
-            return self._playing if isinstance(self._playing, Whole) else Whole(self._speakers)
-        from ..actuator.link import LINK
+            return self._playing if isinstance(self._playing, OfflinePlayer) else OfflinePlayer(self._speakers)
+        from ..actuator.link import PLAYER_CLIENT
 
-        return LINK
+        return PLAYER_CLIENT

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
-from hnf_core.export.spectra import spectrogram
+from hnf_core.export.spectra import compute_spectrogram
 from hnf_core.signal import Signal
 from hnf_core.units import m_to_mm, power_to_db
 
-from .letters import ADVANCE, HEIGHT, dots
+from .letters import GLYPH_ADVANCE, GLYPH_HEIGHT, rasterise_text
 
 Rgba = NDArray[np.float32]
 Colour = tuple[float, float, float]
@@ -21,9 +21,9 @@ SIZE_PX = 512
 RANGE_DB = 50.0
 HIGHEST_HZ = 1000.0
 LOWEST_HZ = 20.0
-WAVE, SPECTRUM, HAND = (8, 172), (184, 388), (400, 504)
+WAVE_ROWS, SPECTROGRAM_ROWS, ACTION_ROWS = (8, 172), (184, 388), (400, 504)
 """Rows of the three tracks from the top."""
-LETTER = 2
+GLYPH_SCALE = 2
 """Pixels to a dot: read at half the size, as in a narrow sidebar."""
 
 
@@ -47,7 +47,7 @@ LIGHT = Theme((0.96, 0.96, 0.96), (0.10, 0.10, 0.10), (0.74, 0.74, 0.76), (0.08,
 
 
 @dataclass(frozen=True)
-class Look:
+class ImageStyle:
     """How a picture is drawn. limit_m_s2: the actuator's largest acceleration, two dashed lines; None draws none.
     logarithmic: frequency from 20 Hz to 1 kHz by octaves instead of 0–1 kHz evenly."""
 
@@ -56,18 +56,20 @@ class Look:
     logarithmic: bool = False
 
 
-def stroke_picture(signal: Signal, action: Action, look: Look) -> Rgba:
+def draw_stroke_image(signal: Signal, action: Action, style: ImageStyle) -> Rgba:
     """(512, 512, 4) float32 RGBA 0–1, the bottom row first, as Blender's images are."""
-    theme = look.theme
+    theme = style.theme
     canvas = np.empty((SIZE_PX, SIZE_PX, 4), dtype=np.float32)
     canvas[..., :3], canvas[..., 3] = theme.back, 1.0
-    draw_wave(canvas[slice(*WAVE)], signal, theme, look.limit_m_s2)
-    draw_spectrogram(canvas[slice(*SPECTRUM)], signal, theme, look.logarithmic)
-    draw_hand(canvas[slice(*HAND)], action, theme)
+    draw_wave(canvas[slice(*WAVE_ROWS)], signal, theme, style.limit_m_s2)
+    draw_spectrogram(canvas[slice(*SPECTROGRAM_ROWS)], signal, theme, style.logarithmic)
+    draw_action(canvas[slice(*ACTION_ROWS)], action, theme)
     return np.ascontiguousarray(canvas[::-1])
 
 
-def columns_of(samples: NDArray[np.float32], columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def compute_column_extrema(
+    samples: NDArray[np.float32], columns: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and greatest sample in each of columns equal stretches, (columns,) each: no peak is lost, whatever the
     width."""
     if len(samples) == 0:
@@ -78,7 +80,7 @@ def columns_of(samples: NDArray[np.float32], columns: int) -> tuple[NDArray[np.f
     return low.astype(np.float64), high.astype(np.float64)
 
 
-def nice_above(value: float) -> float:
+def round_up_nicely(value: float) -> float:
     """The next of 1, 2, 5 times a power of ten."""
     if not value > 0.0:
         return 1.0
@@ -90,12 +92,12 @@ def draw_wave(area: Rgba, signal: Signal, theme: Theme, limit_m_s2: float | None
     """Acceleration in m/s²; the scale is a round number above its peak."""
     rows, width = area.shape[:2]
     peak = float(np.abs(signal.samples).max(initial=0.0))
-    scale = nice_above(peak)
+    scale = round_up_nicely(peak)
 
     def row_of(value: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray((rows - 1) * (0.5 - 0.5 * np.clip(value / scale, -1.0, 1.0)))
 
-    low, high = columns_of(signal.samples, width)
+    low, high = compute_column_extrema(signal.samples, width)
     y = np.arange(rows)[:, None]
     area[rows // 2, :, :3] = theme.faint
     ink = (y >= np.floor(row_of(high))[None]) & (y <= np.ceil(row_of(low))[None])
@@ -104,15 +106,15 @@ def draw_wave(area: Rgba, signal: Signal, theme: Theme, limit_m_s2: float | None
         for side in (limit_m_s2, -limit_m_s2):
             at = int(row_of(np.array(side)))
             area[at : at + 2, np.arange(width) % 12 < 8, :3] = theme.limit
-    write(area, f"±{_short(scale)} m/s²", 4, 4, theme.ink, theme.back)
+    draw_text(area, f"±{_format_value(scale)} m/s²", 4, 4, theme.ink, theme.back)
     if limit_m_s2 is not None:
-        write(area, f"limit {_short(limit_m_s2)}", width - 4, 4, theme.limit, theme.back, right=True)
+        draw_text(area, f"limit {_format_value(limit_m_s2)}", width - 4, 4, theme.limit, theme.back, right=True)
 
 
 def draw_spectrogram(area: Rgba, signal: Signal, theme: Theme, logarithmic: bool = False) -> None:
     """Power density in dB, RANGE_DB below the loudest; faint lines every 200 Hz, or at 50, 100, 200 and 500 Hz."""
     rows, width = area.shape[:2]
-    found = spectrogram(signal)
+    found = compute_spectrogram(signal)
     level = power_to_db(np.maximum(found.power, 1e-30))
     shade = np.clip(1.0 + (level - level.max()) / RANGE_DB, 0.0, 1.0) if signal.rms > 0.0 else np.zeros_like(level)
     up = 1.0 - np.arange(rows) / (rows - 1)
@@ -121,52 +123,52 @@ def draw_spectrogram(area: Rgba, signal: Signal, theme: Theme, logarithmic: bool
     time = (np.arange(width) + 0.5) / width * max(signal.duration_s, 1e-6)
     hop = found.time[1] - found.time[0] if len(found.time) > 1 else 1.0
     column = np.clip(np.rint((time - found.time[0]) / hop).astype(int), 0, len(found.time) - 1)
-    area[..., :3] = heat(shade[row][:, column], theme)
+    area[..., :3] = map_heat_colours(shade[row][:, column], theme)
     for mark in (50.0, 100.0, 200.0, 500.0) if logarithmic else (200.0, 400.0, 600.0, 800.0):
         at = int(np.argmin(np.abs(place - mark)))
         area[at, ::4, :3] = theme.faint
         if not logarithmic and mark in (400.0, 800.0):
             continue
-        write(area, f"{mark:g}", width - 4, at - HEIGHT * LETTER // 2, theme.ink, theme.back, right=True)
-    write(area, "1 kHz", width - 4, 4, theme.ink, theme.back, right=True)
-    write(area, f"dB 0 to -{RANGE_DB:g}", 4, 4, theme.ink, theme.back)
+        draw_text(area, f"{mark:g}", width - 4, at - GLYPH_HEIGHT * GLYPH_SCALE // 2, theme.ink, theme.back, right=True)
+    draw_text(area, "1 kHz", width - 4, 4, theme.ink, theme.back, right=True)
+    draw_text(area, f"dB 0 to -{RANGE_DB:g}", 4, 4, theme.ink, theme.back)
 
 
-def draw_hand(area: Rgba, action: Action, theme: Theme) -> None:
+def draw_action(area: Rgba, action: Action, theme: Theme) -> None:
     """Force in N and speed in mm/s, each on its own round scale from 0."""
     rows, width = area.shape[:2]
     area[rows - 1, :, :3] = theme.faint
     texts = []
     for values, unit, colour in ((m_to_mm(1.0) * action.speed, "mm/s", theme.speed), (action.force, "N", theme.force)):
-        scale = nice_above(float(values.max(initial=0.0)))
+        scale = round_up_nicely(float(values.max(initial=0.0)))
         place = np.interp(np.linspace(0.0, len(values) - 1.0, width), np.arange(len(values)), values) / scale
         at = np.rint((rows - 3) * (1.0 - np.clip(place, 0.0, 1.0))).astype(int)
         before = np.concatenate([at[:1], at[:-1]])
         y = np.arange(rows)[:, None]
         area[(y >= np.minimum(at, before)) & (y <= np.maximum(at, before) + 1), :3] = colour
-        texts.append((f"{_short(scale)} {unit}", colour))
-    write(area, texts[1][0], 4, 4, texts[1][1], theme.back)
-    write(area, texts[0][0], width - 4, 4, texts[0][1], theme.back, right=True)
+        texts.append((f"{_format_value(scale)} {unit}", colour))
+    draw_text(area, texts[1][0], 4, 4, texts[1][1], theme.back)
+    draw_text(area, texts[0][0], width - 4, 4, texts[0][1], theme.back, right=True)
 
 
-def heat(shade: NDArray[np.float64], theme: Theme) -> NDArray[np.float32]:
+def map_heat_colours(shade: NDArray[np.float64], theme: Theme) -> NDArray[np.float32]:
     """0–1 → (…, 3): from the background through blue and orange to the brightest (or darkest) ink."""
     stops = np.array([theme.back, theme.wave, theme.force, theme.ink])
     at = np.array([0.0, 0.45, 0.8, 1.0])
     return np.stack([np.interp(shade, at, stops[:, k]) for k in range(3)], axis=-1).astype(np.float32)
 
 
-def write(area: Rgba, text: str, left: int, top: int, colour: Colour, back: Colour, *, right: bool = False) -> None:
+def draw_text(area: Rgba, text: str, left: int, top: int, colour: Colour, back: Colour, *, right: bool = False) -> None:
     """Letters at (left, top) in pixels, or ending at left; back: painted behind them."""
-    ink = np.kron(dots(text), np.ones((LETTER, LETTER), dtype=bool))
+    ink = np.kron(rasterise_text(text), np.ones((GLYPH_SCALE, GLYPH_SCALE), dtype=bool))
     rows, columns = ink.shape
     if right:
-        left -= ADVANCE * LETTER * len(text)
+        left -= GLYPH_ADVANCE * GLYPH_SCALE * len(text)
     top, left = max(top, 0), max(left, 0)
     part = area[top : top + rows, left : left + columns]
     part[..., :3] = back
     part[ink[: part.shape[0], : part.shape[1]], :3] = colour
 
 
-def _short(value: float) -> str:
+def _format_value(value: float) -> str:
     return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"

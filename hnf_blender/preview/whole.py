@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.actuators.compensation import stages_of
+from hnf_core.actuators.compensation import make_compensation
 from hnf_core.actuators.limiter import Limiter
-from hnf_core.actuators.limits import COUNTS, Limits
+from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits
 from hnf_core.actuators.profile import ActuatorProfile
-from hnf_core.actuators.resample import resampler
+from hnf_core.actuators.resample import make_resampler
 
 from ..actuator.sound import Sound
 from .device import Speakers
 
 
-class Whole:
+class OfflinePlayer:
     """A Player through Speakers, whose device is Blender's. The monitor's gain is not heard.
 
     However it goes on, it fades out, and begins anew within the limits: two sounds at once might leave them.
@@ -33,8 +33,8 @@ class Whole:
         to_hz = self._speakers.rate_hz()
         first = round(sound.start_s * sound.rate)
         begun = np.roll(sound.samples, -first) if sound.loop else sound.samples[first:]
-        samples = given_to(begun, sound.rate, to_hz, sound.profile, loop=sound.loop)
-        self._speakers.sound(samples, to_hz, loop=sound.loop, alone=True)
+        samples = process_for_output(begun, sound.rate, to_hz, sound.profile, loop=sound.loop)
+        self._speakers.start(samples, to_hz, loop=sound.loop, after_fade=True)
         self._sound = sound
 
     def change(self, sound: Sound) -> None:
@@ -78,17 +78,17 @@ class Whole:
         self._speakers.release()
 
 
-def given_to(
+def process_for_output(
     samples: NDArray[np.float32], from_hz: float, to_hz: float, profile: ActuatorProfile, *, loop: bool = False
 ) -> NDArray[np.float32]:
     """As limited(); an actuator whose response is known has it made up for first, as in a stream."""
     made_up = np.where(np.isfinite(samples), samples, np.float32(0.0)).astype(np.float32)[:, None]
-    for stage in stages_of(profile, from_hz, 1):
+    for stage in make_compensation(profile, from_hz, 1):
         made_up = stage.process(made_up)
-    return limited(made_up[:, 0], from_hz, to_hz, profile.limits, loop=loop)
+    return limit_offline(made_up[:, 0], from_hz, to_hz, profile.limits, loop=loop)
 
 
-def limited(
+def limit_offline(
     samples: NDArray[np.float32], from_hz: float, to_hz: float, limits: Limits, *, loop: bool = False
 ) -> NDArray[np.float32]:
     """(n,) m/s² → (m, 1) shares of full scale within limits, softly begun and ended, at the device's own rate: what
@@ -98,7 +98,7 @@ def limited(
     where that is more than the coil carries for ever.
     """
     finite = np.where(np.isfinite(samples), samples, 0.0).astype(np.float32)[:, None]
-    converter = resampler(from_hz, to_hz, 1, prompt=False)
+    converter = make_resampler(from_hz, to_hz, 1, low_latency=False)
     given = np.concatenate([converter.process(finite), converter.finish()]).astype(np.float64)
     most = limits.sustained * limits.full_scale_m_s2
     rms = float(np.sqrt(np.mean(np.square(given)))) if len(given) else 0.0
@@ -106,8 +106,8 @@ def limited(
         given = given * (most / rms)
     while True:
         limiter = Limiter(limits, to_hz, 1)
-        counts = np.concatenate([limiter.process(given), limiter.release()])
-        shares = np.ascontiguousarray(counts.astype(np.float32) / np.float32(COUNTS))
+        counts = np.concatenate([limiter.process(given), limiter.flush()])
+        shares = np.ascontiguousarray(counts.astype(np.float32) / np.float32(FULL_SCALE_COUNTS))
         warmth = float(np.mean(np.square(shares, dtype=np.float64))) if len(shares) else 0.0
         if not loop or warmth <= limits.sustained**2:
             return shares

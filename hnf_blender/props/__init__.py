@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from ..rooms import rooms_off, rooms_on
+from ..rooms import register_modules, unregister_modules
 from . import material, scene, stroke
 
 GROUPS = (stroke, material, scene)
@@ -13,8 +13,8 @@ _registered: list[ModuleType] = []
 
 
 def register() -> None:
-    rooms_on(GROUPS, _registered)
+    register_modules(GROUPS, _registered)
 
 
 def unregister() -> None:
-    rooms_off(_registered)
+    unregister_modules(_registered)

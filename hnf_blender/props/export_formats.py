@@ -9,7 +9,7 @@ class FormatChoice(NamedTuple):
     """word: in hnf_core.export.formats.FORMATS. scaled: its numbers are shares of the actuator's full scale. stem: what
     is added to the name of its files, where another format has the same suffix."""
 
-    word: str
+    format_name: str
     label: str
     description: str
     scaled: bool = True
@@ -34,5 +34,5 @@ FORMAT_CHOICES = (
     FormatChoice("csv", "CSV", "A table of time and acceleration in m/s²", scaled=False),
     FormatChoice("npz", "NPZ", "numpy arrays, in m/s²", scaled=False),
 )  # fmt: skip
-CHOICE_OF = {choice.word: choice for choice in FORMAT_CHOICES}
-FORMAT_ITEMS = [(choice.word, choice.label, choice.description) for choice in FORMAT_CHOICES]
+CHOICE_BY_NAME = {choice.format_name: choice for choice in FORMAT_CHOICES}
+FORMAT_ITEMS = [(choice.format_name, choice.label, choice.description) for choice in FORMAT_CHOICES]

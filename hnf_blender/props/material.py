@@ -4,11 +4,11 @@
 
 import bpy
 
-from .overriding import OVERRIDABLE, give, take_back
+from .overriding import OVERRIDABLE, register_pointer, unregister_pointer
 
-OWN_DEFINITION = "hnf_material"
+DEFINITION_PROPERTY = "hnf_material"
 """ID property: the bytes of a `.hnf` file that the material carries. hnf_touch.library goes before it."""
-OWN_NAME = "hnf_material_name"
+DEFINITION_NAME_PROPERTY = "hnf_material_name"
 """ID property: the name in those bytes, for panels, which open no file."""
 
 
@@ -25,8 +25,8 @@ class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no 
 
 
 def register() -> None:
-    give(bpy.types.Material, "hnf_touch", HnfMaterial)
+    register_pointer(bpy.types.Material, "hnf_touch", HnfMaterial)
 
 
 def unregister() -> None:
-    take_back(bpy.types.Material, "hnf_touch", HnfMaterial)
+    unregister_pointer(bpy.types.Material, "hnf_touch", HnfMaterial)

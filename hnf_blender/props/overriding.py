@@ -10,7 +10,7 @@ OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
 """For `override=`. Without it Blender takes a change on a library override and forgets it with the next load."""
 
 
-def give(kind: Any, name: str, group: Any) -> None:
+def register_pointer(kind: Any, name: str, group: Any) -> None:
     """Register a group of properties and give it to a kind of datablock under a name: both, or neither."""
     bpy.utils.register_class(group)
     try:
@@ -20,7 +20,7 @@ def give(kind: Any, name: str, group: Any) -> None:
         raise
 
 
-def take_back(kind: Any, name: str, group: Any) -> None:
+def unregister_pointer(kind: Any, name: str, group: Any) -> None:
     """What give() did."""
     delattr(kind, name)
     bpy.utils.unregister_class(group)

@@ -13,29 +13,29 @@ from hnf_core.errors import FileError, HnfError
 
 from ..translations import tr
 
-FILE = "file"
+PROFILE_FROM_FILE = "file"
 """Of Scene.hnf.actuator: the profile is in Scene.hnf.actuator_file."""
-LOOK_S = 2.0
+CHECK_INTERVAL_S = 2.0
 """Timers ask many times a second; the disk is asked this often whether the file has changed."""
 
-_seen: dict[str, ActuatorProfile] = {}
+_profiles: dict[str, ActuatorProfile] = {}
 """By path."""
 
 
-def profile_in_file(path: str) -> ActuatorProfile:
+def read_file_profile(path: str) -> ActuatorProfile:
     """Its name is the path: by that it is read again, with its response, where it is played. Where it cannot be read
     nothing is known of it, and source says why; playing on it is refused."""
-    _seen[path] = _read(path, _changed(path, int(time.monotonic() / LOOK_S)))
-    return _seen[path]
+    _profiles[path] = _read_profile(path, _read_mtime(path, int(time.monotonic() / CHECK_INTERVAL_S)))
+    return _profiles[path]
 
 
-def profile_as_seen(path: str) -> ActuatorProfile:
+def get_cached_profile(path: str) -> ActuatorProfile:
     """For panels, which ask no disk: as profile_in_file() found it last. A timer asks for what windows show."""
-    return _seen.get(path) or ActuatorProfile(path, _title(path), tr("Not read yet"))
+    return _profiles.get(path) or ActuatorProfile(path, _make_title(path), tr("Not read yet"))
 
 
 @lru_cache(maxsize=4)
-def _changed(path: str, _when: int) -> int:
+def _read_mtime(path: str, _when: int) -> int:
     try:
         return os.stat(path).st_mtime_ns
     except OSError:
@@ -43,7 +43,7 @@ def _changed(path: str, _when: int) -> int:
 
 
 @lru_cache(maxsize=4)
-def _read(path: str, _changed: int) -> ActuatorProfile:
+def _read_profile(path: str, _mtime: int) -> ActuatorProfile:
     from hnf_core.actuators.profile_file import read_profile
 
     try:
@@ -51,8 +51,8 @@ def _read(path: str, _changed: int) -> ActuatorProfile:
             raise FileError("no profile is chosen.", remedy="Choose the .json file that measuring your actuator gave.")
         return replace(read_profile(Path(path)), name=path, response=None)
     except HnfError as error:
-        return ActuatorProfile(path, _title(path), str(error))
+        return ActuatorProfile(path, _make_title(path), str(error))
 
 
-def _title(path: str) -> str:
+def _make_title(path: str) -> str:
     return Path(path).name or tr("Measured actuator")

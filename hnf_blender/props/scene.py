@@ -7,13 +7,13 @@ from typing import Any
 
 import bpy
 
-from hnf_core.actuators.profile import GENERIC, OWN, PROFILES, ActuatorProfile, own_profile
+from hnf_core.actuators.profile import GENERIC, PROFILES, USER_PROFILE_NAME, ActuatorProfile, make_user_profile
 
 from ..compat import beside_the_file
 from .export_formats import FORMAT_ITEMS
-from .listed import A_REDRAW_S, STROKES, object_at
-from .overriding import OVERRIDABLE, give, take_back
-from .profile_file import FILE, profile_as_seen, profile_in_file
+from .listed import REDRAW_LIFETIME_S, STROKES, get_object_at
+from .overriding import OVERRIDABLE, register_pointer, unregister_pointer
+from .profile_file import PROFILE_FROM_FILE, get_cached_profile, read_file_profile
 from .stroke import FORCE_MAX_N
 
 
@@ -51,8 +51,8 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         description="Actuator whose limits the preview compares the signal with",
         items=[
             *((name, profile.title, profile.source) for name, profile in PROFILES.items()),
-            (OWN, "My actuator", "A device of your own: enter what its data sheet says"),
-            (FILE, "Measured actuator", "A profile in a .json file, made by measuring your actuator"),
+            (USER_PROFILE_NAME, "My actuator", "A device of your own: enter what its data sheet says"),
+            (PROFILE_FROM_FILE, "Measured actuator", "A profile in a .json file, made by measuring your actuator"),
         ],
         default=GENERIC.name,
         override=OVERRIDABLE,
@@ -126,57 +126,59 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
 
 
 def register() -> None:
-    give(bpy.types.Scene, "hnf", HnfScene)
+    register_pointer(bpy.types.Scene, "hnf", HnfScene)
 
 
 def unregister() -> None:
-    take_back(bpy.types.Scene, "hnf", HnfScene)
+    unregister_pointer(bpy.types.Scene, "hnf", HnfScene)
 
 
-def actuator_of(scene: Any, in_file: Callable[[str], ActuatorProfile] = profile_in_file) -> ActuatorProfile:
+def get_actuator_profile(
+    scene: Any, read_profile_file: Callable[[str], ActuatorProfile] = read_file_profile
+) -> ActuatorProfile:
     """The scene's actuator; the generic one where its name is not known. in_file: how a file's profile is found."""
     settings = scene.hnf
-    if settings.actuator == OWN:
-        return own_profile(settings.own_peak_m_s2, settings.own_lowest_hz, settings.own_highest_hz)
-    if settings.actuator == FILE:
-        return in_file(bpy.path.abspath(settings.actuator_file))
+    if settings.actuator == USER_PROFILE_NAME:
+        return make_user_profile(settings.own_peak_m_s2, settings.own_lowest_hz, settings.own_highest_hz)
+    if settings.actuator == PROFILE_FROM_FILE:
+        return read_profile_file(bpy.path.abspath(settings.actuator_file))
     return PROFILES.get(settings.actuator, GENERIC)
 
 
-def actuator_shown(scene: Any) -> ActuatorProfile:
+def get_shown_profile(scene: Any) -> ActuatorProfile:
     """actuator_of() for panels: a file's profile as it was last read."""
-    return actuator_of(scene, profile_as_seen)
+    return get_actuator_profile(scene, get_cached_profile)
 
 
-def strokes_of(scene: Any) -> list[Any]:
+def list_strokes(scene: Any) -> list[Any]:
     """The scene's stroke objects, muted ones too, in the order of its objects."""
     return [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
 
 
-def listed_strokes(scene: Any) -> list[Any]:
+def list_cached_strokes(scene: Any) -> list[Any]:
     """strokes_of(), remembered while Blender tells of no change: for panels and timers, which ask all the time. A
     script may make a stroke of which Blender tells nothing, so operators look anew."""
-    return STROKES.of(scene)
+    return STROKES.list_objects(scene)
 
 
 def has_strokes(scene: Any) -> bool:
     """For poll(): cheap where there are some; that there are none is believed for the time of a redraw."""
-    return bool(STROKES.numbered(scene) or STROKES.numbered(scene, A_REDRAW_S))
+    return bool(STROKES.list_indexed(scene) or STROKES.list_indexed(scene, REDRAW_LIFETIME_S))
 
 
-def stroke_named(scene: Any, name: str) -> Any:
+def find_stroke(scene: Any, name: str) -> Any:
     """The scene's stroke of this full name, which for a linked one names its file too; else of this name; or None."""
-    strokes = strokes_of(scene)
+    strokes = list_strokes(scene)
     full = next((obj for obj in strokes if obj.name_full == name), None)
     return full if full is not None else next((obj for obj in strokes if obj.name == name), None)
 
 
-def namesake(scene: Any, stroke: Any) -> Any:
+def find_namesake(scene: Any, stroke: Any) -> Any:
     """Another stroke of the scene with this one's name, which one linked from another file may have; or None."""
-    return next((obj for obj in listed_strokes(scene) if obj.name == stroke.name and obj != stroke), None)
+    return next((obj for obj in list_cached_strokes(scene) if obj.name == stroke.name and obj != stroke), None)
 
 
-def place_in(objects: Any, obj: Any) -> int:
+def find_index(objects: Any, obj: Any) -> int:
     """Where obj is in a collection of objects; -1: nowhere. Its name alone may find another one's, linked or local."""
     at = int(objects.find(obj.name))
     if at < 0 or objects[at] == obj:
@@ -184,15 +186,15 @@ def place_in(objects: Any, obj: Any) -> int:
     return next((index for index, each in enumerate(objects) if each == obj), -1)
 
 
-def active_stroke(context: Any) -> Any:
+def get_active_stroke(context: Any) -> Any:
     """The stroke that panels and operators speak of, or None: the active object where it is one, else the one picked
     in the list, else the only one there is."""
     scene = context.scene
     active = context.view_layer.objects.active
     if active is not None and active.hnf_stroke.is_stroke:
         return active
-    picked = object_at(scene.objects, scene.hnf.stroke_index)
+    picked = get_object_at(scene.objects, scene.hnf.stroke_index)
     if picked is not None and picked.hnf_stroke.is_stroke:
         return picked
-    strokes = listed_strokes(scene)
+    strokes = list_cached_strokes(scene)
     return strokes[0] if len(strokes) == 1 else None

@@ -7,11 +7,11 @@ import bpy
 
 from hnf_core.material.probe import PROBES
 
-from .overriding import OVERRIDABLE, give, take_back
+from .overriding import OVERRIDABLE, register_pointer, unregister_pointer
 
 FORCE_MAX_N = 20.0
 
-LAWS = (
+MOTION_PROFILE_ITEMS = (
     ("PROGRESS", "Progress keys", "The keys of Progress say where along the curve the hand is at each frame"),
     ("SPEED", "Speed", "From end to end at a constant speed, unless Progress is keyed"),
     ("DURATION", "Duration", "From end to end in a given time, unless Progress is keyed"),
@@ -59,7 +59,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
     law: bpy.props.EnumProperty(
         name="Timing",
         description="How the stroke is timed when Progress has no keys",
-        items=LAWS,
+        items=MOTION_PROFILE_ITEMS,
         default="SPEED",
         override=OVERRIDABLE,
     )
@@ -109,8 +109,8 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
 
 
 def register() -> None:
-    give(bpy.types.Object, "hnf_stroke", HnfStroke)
+    register_pointer(bpy.types.Object, "hnf_stroke", HnfStroke)
 
 
 def unregister() -> None:
-    take_back(bpy.types.Object, "hnf_stroke", HnfStroke)
+    unregister_pointer(bpy.types.Object, "hnf_stroke", HnfStroke)

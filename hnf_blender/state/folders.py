@@ -7,17 +7,17 @@ from pathlib import Path
 PACKAGE = __name__.rsplit(".", 2)[0]
 
 
-def cache_folder() -> Path:
+def get_cache_folder() -> Path:
     """Close-ups of earlier bakes, named by content. Made where it is missing; survives upgrades of an extension."""
-    return _folder("cache")
+    return _make_data_folder("cache")
 
 
-def learned_folder() -> Path:
+def get_learned_folder() -> Path:
     """Learned materials, and what an unfinished lesson goes on from; likewise."""
-    return _folder("learned")
+    return _make_data_folder("learned")
 
 
-def _folder(name: str) -> Path:
+def _make_data_folder(name: str) -> Path:
     import tempfile  # brings shutil and four packers along: 3 ms that switching on need not take
 
     import bpy

@@ -8,27 +8,27 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-_images: Any = None
+_previews: Any = None
 
 
-def show(name: str, picture: NDArray[np.float32]) -> int:
+def set_icon(name: str, pixels: NDArray[np.float32]) -> int:
     """Put a picture (h, w, 4), bottom row first, under name; its icon id, 0 without a window."""
-    global _images
+    global _previews
     import bpy.utils.previews
 
-    if _images is None:
-        _images = bpy.utils.previews.new()
-    image = _images[name] if name in _images else _images.new(name)
-    height, width = picture.shape[:2]
+    if _previews is None:
+        _previews = bpy.utils.previews.new()
+    image = _previews[name] if name in _previews else _previews.new(name)
+    height, width = pixels.shape[:2]
     image.image_size = (width, height)
-    image.image_pixels_float.foreach_set(picture.ravel())
+    image.image_pixels_float.foreach_set(pixels.ravel())
     return int(image.icon_id)
 
 
-def release() -> None:
-    global _images
-    if _images is not None:
+def release_icons() -> None:
+    global _previews
+    if _previews is not None:
         import bpy.utils.previews
 
-        bpy.utils.previews.remove(_images)
-        _images = None
+        bpy.utils.previews.remove(_previews)
+        _previews = None

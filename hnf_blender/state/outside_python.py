@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class OutsidePython:
+class ExternalPython:
     """path: as the artist named it. version: "3.11.9", "" = it is no Python. found: (package, version) of what it can
     import. missing: packages that it cannot. problem: why it cannot train, one sentence; "" = it can. command: what
     installs the missing, "" = nothing would help."""

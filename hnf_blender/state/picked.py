@@ -5,29 +5,29 @@ from __future__ import annotations
 
 from typing import Any
 
-_picked: dict[str, tuple[int, str]] = {}
+_active_strokes: dict[str, tuple[int, str]] = {}
 """Scene → index as last seen, and the stroke there."""
 
 
-def hold(scene: Any) -> bool:
+def restore_active_stroke(scene: Any) -> bool:
     """Called now and then. Where the index is what it was and another object stands there: move it to where the stroke
     is now. True when it moved."""
-    index, name = int(scene.hnf.stroke_index), _stroke_at(scene, int(scene.hnf.stroke_index))
-    before, was = _picked.get(scene.name, (index, name))
+    index, name = int(scene.hnf.stroke_index), _get_stroke_name(scene, int(scene.hnf.stroke_index))
+    before, was = _active_strokes.get(scene.name, (index, name))
     moved = -1
     if was and was != name and before == index:
         moved = next((at for at, obj in enumerate(scene.objects) if obj.name_full == was), -1)
     if moved >= 0:
         scene.hnf.stroke_index, index, name = moved, moved, was
-    _picked[scene.name] = index, name
+    _active_strokes[scene.name] = index, name
     return moved >= 0
 
 
-def forget() -> None:
+def clear_active_strokes() -> None:
     """Another file."""
-    _picked.clear()
+    _active_strokes.clear()
 
 
-def _stroke_at(scene: Any, index: int) -> str:
+def _get_stroke_name(scene: Any, index: int) -> str:
     obj = scene.objects[index] if index < len(scene.objects) else None
     return str(obj.name_full) if obj is not None and obj.hnf_stroke.is_stroke else ""

@@ -19,7 +19,7 @@ class Relief:
 
 
 @dataclass(frozen=True)
-class NearView:
+class NearestMaterial:
     """A library material and how sure the ranking is of it. distance: of its token, None where nothing was seen."""
 
     name: str
@@ -29,7 +29,7 @@ class NearView:
 
 
 @dataclass(frozen=True)
-class ProbeView:
+class QueryView:
     """object_name, material: by name; material_full: full name of the Blender material, "" = none. library_material,
     confidence, reason: what is taken to be there. roughness_m: RMS of all bands; seen_m: of those that were seen, None
     where none was. friction, stiffness_n_m with the factor of one standard deviation. routes: in words. source: where
@@ -49,7 +49,7 @@ class ProbeView:
     stiffness_factor: float
     routes: str
     source: str
-    nearest: tuple[NearView, ...]
+    nearest: tuple[NearestMaterial, ...]
     notes: tuple[str, ...]
     icon: int
     scene: str

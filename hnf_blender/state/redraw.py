@@ -5,15 +5,15 @@ from __future__ import annotations
 
 def redraw_tab() -> None:
     """Mark the sidebars of all 3-D views to be drawn again; nothing without windows."""
-    _mark("UI")
+    _tag_regions("UI")
 
 
 def redraw_views() -> None:
     """Mark the 3-D views themselves, without their sidebars and headers."""
-    _mark("WINDOW")
+    _tag_regions("WINDOW")
 
 
-def _mark(kind: str) -> None:
+def _tag_regions(kind: str) -> None:
     import bpy
 
     for window in bpy.context.window_manager.windows:

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ..bridge.scene_names import name_in
-from ..props.listed import Remembered
+from ..bridge.scene_names import get_scene_name
+from ..props.listed import ChangeCache
 from ..touch.status import StrokeStatus
 
 if TYPE_CHECKING:
     from hnf_core.material.prior import Suggestion
 
-    from .outside_python import OutsidePython
-    from .probe import ProbeView, Relief
+    from .outside_python import ExternalPython
+    from .probe import QueryView, Relief
 
 
 class JobStatus(NamedTuple):
@@ -55,14 +55,14 @@ class PlanView(NamedTuple):
     scene: str = ""
 
 
-NAMES = Remembered()
+NAME_CACHE = ChangeCache()
 
 
-def shown_name(scene: Any, obj: Any) -> str:
+def get_shown_name(scene: Any, obj: Any) -> str:
     """See name_in: for panels, which ask it of every stroke in every redraw."""
     if obj.library is None:
         return str(obj.name)
-    return str(NAMES.answer((scene.session_uid, obj.session_uid), lambda: name_in(scene, obj)))
+    return str(NAME_CACHE.get((scene.session_uid, obj.session_uid), lambda: get_scene_name(scene, obj)))
 
 
 class SessionState:
@@ -76,36 +76,36 @@ class SessionState:
 
     def __init__(self) -> None:
         self.statuses: dict[int, dict[str, StrokeStatus]] = {}
-        self.dirty: set[str] = set()
+        self.dirty_names: set[str] = set()
         self.job: JobStatus | None = None
         self.last_job: LastJob | None = None
         self.plan: PlanView | None = None
         self.suggestions: dict[str, tuple[Suggestion, ...]] = {}
         self.reliefs: dict[str, Relief] = {}
         self.diagnosis: tuple[tuple[str, str], ...] = ()
-        self.heard = False
-        self.probe: ProbeView | None = None
-        self.outside: OutsidePython | None = None
+        self.has_played = False
+        self.query_view: QueryView | None = None
+        self.external_python: ExternalPython | None = None
         self.changes = 0
-        self.own = 0
+        self.suppress_depth = 0
 
-    def strokes_in(self, scene: Any) -> dict[str, StrokeStatus]:
+    def get_statuses(self, scene: Any) -> dict[str, StrokeStatus]:
         """Of a scene's strokes, by the names that it calls them (name_in). A stroke that stands in two scenes may be
         fresh in one and stale in the other, whose frames are shorter or whose surface moves."""
         return self.statuses.setdefault(scene.session_uid, {})
 
-    def status_of(self, scene: Any, stroke: Any) -> StrokeStatus | None:
+    def get_status(self, scene: Any, stroke: Any) -> StrokeStatus | None:
         """Of a stroke as it stands in a scene; None where nothing is known of it yet."""
-        return self.strokes_in(scene).get(shown_name(scene, stroke))
+        return self.get_statuses(scene).get(get_shown_name(scene, stroke))
 
     def clear(self) -> None:
         """Forget everything: another file is open."""
         self.statuses.clear()
-        self.dirty.clear()
+        self.dirty_names.clear()
         self.suggestions.clear()
         self.reliefs.clear()
         self.diagnosis = ()
-        self.job = self.last_job = self.plan = self.probe = None
+        self.job = self.last_job = self.plan = self.query_view = None
 
 
 STATE = SessionState()

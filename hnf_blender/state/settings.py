@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import bpy
 
-ADDON = __package__.rpartition(".")[0]
+ADDON_PACKAGE = __package__.rpartition(".")[0]
 """The package that Blender keeps preferences for: the one that this room is in."""
 
 
@@ -23,10 +23,10 @@ class Settings(NamedTuple):
     external_python: str = ""
 
 
-DEFAULTS = Settings()
+DEFAULT_SETTINGS = Settings()
 
 
-def settings(context: Any = None) -> Any:
+def get_settings(context: Any = None) -> Any:
     """The preferences, or DEFAULTS where Blender keeps none for this add-on; the names are the same."""
-    addon = (context or bpy.context).preferences.addons.get(ADDON)
-    return DEFAULTS if addon is None or addon.preferences is None else addon.preferences
+    addon = (context or bpy.context).preferences.addons.get(ADDON_PACKAGE)
+    return DEFAULT_SETTINGS if addon is None or addon.preferences is None else addon.preferences

@@ -16,7 +16,7 @@ CHARACTER_PX = 6.6
 MARGIN_PX = 78
 """What is no text in a line of a boxed label: borders, the icon, the column of tabs."""
 ELLIPSIS = "…"
-LOOKS = {
+STATUS_LABELS = {
     Freshness.UNKNOWN: ("QUESTION", "Not checked yet"),
     Freshness.UNBAKED: ("RADIOBUT_OFF", "Not baked yet"),
     Freshness.FRESH: ("CHECKMARK", "Up to date"),
@@ -25,8 +25,8 @@ LOOKS = {
     Freshness.BROKEN: ("ERROR", "Cannot be used"),
 }
 """Icon and words of every state of a stroke's bake."""
-AUDIBLE = (Freshness.FRESH, Freshness.FORCE)
-KINDS = {
+PLAYABLE_STATES = (Freshness.FRESH, Freshness.FORCE)
+PLAN_LABELS = {
     "needed": ("FILE_REFRESH", "To bake"),
     "fresh": ("CHECKMARK", "Up to date"),
     "skipped": ("RADIOBUT_OFF", "Skipped"),
@@ -34,16 +34,16 @@ KINDS = {
     "note": ("INFO", "Notes"),
 }
 """Icon and heading of every kind of plan line, in the order they are shown."""
-RELIEF = "its relief"
+RELIEF_PREFIX = "its relief"
 """How the part of a reason begins that speaks of a relief."""
-ROUTE_WORDS = {
+ROUTE_LABELS = {
     "measured": "seen in the shader's relief",
     "predicted": "estimated from the picture",
     "prior": "taken from the library",
 }
 
 
-class Step(NamedTuple):
+class FirstStep(NamedTuple):
     """One of the first steps. icon: done, current or still to come."""
 
     text: str
@@ -51,31 +51,31 @@ class Step(NamedTuple):
     current: bool
 
 
-def look(status: StrokeStatus | None) -> tuple[str, str]:
+def describe_status(status: StrokeStatus | None) -> tuple[str, str]:
     """Icon and sentence of a stroke; a sentence of its own where the status brings one."""
     freshness = Freshness.UNKNOWN if status is None else status.freshness
-    icon, text = LOOKS[freshness]
+    icon, text = STATUS_LABELS[freshness]
     return icon, tr(status.why if status is not None and status.why else text)
 
 
-def steps(strokes: int, audible: int, heard: bool) -> tuple[Step, ...]:
+def list_first_steps(strokes: int, playable: int, has_played: bool) -> tuple[FirstStep, ...]:
     """The way from an empty scene to the first sound; empty once that was heard."""
-    if audible and heard:
+    if playable and has_played:
         return ()
-    at = 2 if audible else 1 if strokes else 0
+    at = 2 if playable else 1 if strokes else 0
     texts = (tr("1  Draw a stroke on a surface"), tr("2  Bake"), tr("3  Play"))
     icons = ("CHECKMARK", "TRIA_RIGHT", "BLANK1")
     return tuple(
-        Step(text, icons[0] if place < at else icons[1] if place == at else icons[2], place == at)
+        FirstStep(text, icons[0] if place < at else icons[1] if place == at else icons[2], place == at)
         for place, text in enumerate(texts)
     )
 
 
-def counts_text(statuses: Iterable[StrokeStatus | None]) -> str:
+def format_counts(statuses: Iterable[StrokeStatus | None]) -> str:
     """ "2 up to date, 1 to bake" of the strokes given; "" of none."""
     found = [Freshness.UNKNOWN if status is None else status.freshness for status in statuses]
     parts = [
-        (tr("{count} up to date"), sum(each in AUDIBLE for each in found)),
+        (tr("{count} up to date"), sum(each in PLAYABLE_STATES for each in found)),
         (tr("{count} to bake"), sum(each in (Freshness.UNBAKED, Freshness.STALE) for each in found)),
         (tr("{count} not checked"), found.count(Freshness.UNKNOWN)),
         (tr("{count} broken"), found.count(Freshness.BROKEN)),
@@ -83,7 +83,7 @@ def counts_text(statuses: Iterable[StrokeStatus | None]) -> str:
     return ", ".join(text.format(count=count) for text, count in parts if count)
 
 
-def time_text(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Rounded as people say it: "under 1 s", "12 s", "3 min 20 s", "1 h 5 min"."""
     if seconds < 1.0:
         return tr("under 1 s")
@@ -97,7 +97,7 @@ def time_text(seconds: float) -> str:
     return f"{hours} h {rest} min" if rest else f"{hours} h"
 
 
-def byte_text(count: int) -> str:
+def format_bytes(count: int) -> str:
     """1234 → "1.2 kB"; decimal, as file managers write sizes."""
     if count < 1000:
         return f"{count} B"
@@ -107,7 +107,7 @@ def byte_text(count: int) -> str:
     return f"{value:.2g} {units[0]}" if value < 10.0 else f"{value:.0f} {units[0]}"
 
 
-def job_text(job: JobStatus) -> str:
+def format_job(job: JobStatus) -> str:
     """Stage and stroke of the running job: "Stroke 3, close-ups: 3 of 11". Its last step saves, and is no stroke."""
     stage, strokes = job.stage, job.total - 1
     if strokes < 1:
@@ -115,67 +115,69 @@ def job_text(job: JobStatus) -> str:
     return f"{stage}: {tr('{done} of {total}').format(done=min(job.done + 1, strokes), total=strokes)}"
 
 
-def left_text(job: JobStatus) -> str:
+def format_time_left(job: JobStatus) -> str:
     if job.left_s is None:
-        return tr("{time} so far").format(time=time_text(job.elapsed_s))
-    return tr("{time} left").format(time=time_text(job.left_s))
+        return tr("{time} so far").format(time=format_duration(job.elapsed_s))
+    return tr("{time} left").format(time=format_duration(job.left_s))
 
 
-def share_done(job: JobStatus) -> float:
+def compute_progress(job: JobStatus) -> float:
     """0–1, for the progress bar."""
     return min(max(job.done / job.total, 0.0), 1.0) if job.total else 0.0
 
 
-def estimate_text(plan: PlanView) -> str:
+def format_estimate(plan: PlanView) -> str:
     """What the plan costs; "" where nothing is needed."""
     if not any(line.kind == "needed" for line in plan.lines):
         return ""
     return tr("Takes {time}; keeps {size} in the .blend").format(
-        time=time_text(plan.seconds), size=byte_text(plan.bytes_after)
+        time=format_duration(plan.seconds), size=format_bytes(plan.bytes_after)
     )
 
 
-def plan_groups(plan: PlanView) -> tuple[tuple[str, str, tuple[PlanLine, ...]], ...]:
+def group_plan_lines(plan: PlanView) -> tuple[tuple[str, str, tuple[PlanLine, ...]], ...]:
     """Icon, heading with count, and lines of every kind that the plan holds."""
     groups = []
-    for kind, (icon, heading) in KINDS.items():
+    for kind, (icon, heading) in PLAN_LABELS.items():
         lines = tuple(line for line in plan.lines if line.kind == kind)
         if lines:
             groups.append((icon, f"{tr(heading)}: {len(lines)}", lines))
     return tuple(groups)
 
 
-def routes_lines(routes: str) -> tuple[str, ...]:
+def format_routes(routes: str) -> tuple[str, ...]:
     """ "8–2 mm measured, 1–0.125 mm prior" → one line a group, in words an artist knows."""
     lines = []
     for part in filter(None, routes.split(", ")):
         match = re.fullmatch(r"(.* mm) (\w+)", part)
-        if match is None or match[2] not in ROUTE_WORDS:
+        if match is None or match[2] not in ROUTE_LABELS:
             lines.append(part)
         else:
-            lines.append(f"{match[1]}: {tr(ROUTE_WORDS[match[2]])}")
+            lines.append(f"{match[1]}: {tr(ROUTE_LABELS[match[2]])}")
     return tuple(lines)
 
 
-def reason_text(reason: str) -> str:
+def format_reason(reason: str) -> str:
     """ "'oak' in 'Old oak table'; roughness 0.60 fits" → "the name says oak; roughness 0.60 fits"."""
-    from hnf_core.material.words import is_picture_name  # here: switching on need not compile its patterns
+    from hnf_core.material.words import is_image_name  # here: switching on need not compile its patterns
 
     found = re.findall(r"'([^']+)' in '([^']*)'", reason)
-    named = ", ".join(word for word, name in found if not is_picture_name(name))
-    pictured = ", ".join(word for word, name in found if is_picture_name(name))
+    named = ", ".join(word for word, name in found if not is_image_name(name))
+    pictured = ", ".join(word for word, name in found if is_image_name(name))
     parts = reason.split("; ")
-    values = [part for part in parts if part.endswith((" fits", " does not fit")) and not part.startswith(RELIEF)]
+    values = [
+        part for part in parts if part.endswith((" fits", " does not fit")) and not part.startswith(RELIEF_PREFIX)
+    ]
     said = [tr("the name says {words}").format(words=named)] if named else []
     said += [tr("a picture's name says {words}").format(words=pictured)] if pictured else []
-    like = [_likeness_text(part) for part in parts if part.startswith(f"{RELIEF} is like ")]
+    like = [_format_likeness(part) for part in parts if part.startswith(f"{RELIEF_PREFIX} is like ")]
     told = "; ".join(said + values + like)
-    if told and any(part.startswith(RELIEF) and part.endswith(" does not fit") for part in parts):
+    if told and any(part.startswith(RELIEF_PREFIX) and part.endswith(" does not fit") for part in parts):
         return tr("{reasons}, though its relief does not fit").format(reasons=told)
     return told or tr(reason)
 
 
-def height_text(metres: float) -> str:
+def format_height(metres: float) -> str:
     """A roughness as people say it: "850 nm", "12 µm", "0.35 mm"."""
     for unit, scale in (("nm", 1e9), ("µm", 1e6), ("mm", 1e3)):
         value = metres * scale
@@ -184,40 +186,44 @@ def height_text(metres: float) -> str:
     raise AssertionError("the last unit takes what is left")
 
 
-def factor_text(value: float, factor: float, pattern: str) -> str:
+def format_factor_range(value: float, factor: float, pattern: str) -> str:
     """A spread as a span: 0.3 within a factor 1.2 → "0.25 – 0.36"."""
     return f"{pattern.format(value / factor)} – {pattern.format(value * factor)}"
 
 
-def stiffness_text(newton_per_metre: float, factor: float) -> str:
+def format_stiffness(newton_per_metre: float, factor: float) -> str:
     """In N/mm, as springs are sold: "Stiffness: about 60 N/mm (45 – 80)"."""
     value = newton_per_metre / 1e3
     return tr("Stiffness: about {value} N/mm ({range})").format(
-        value=f"{value:.3g}", range=factor_text(value, factor, "{:.2g}")
+        value=f"{value:.3g}", range=format_factor_range(value, factor, "{:.2g}")
     )
 
 
-def _likeness_text(part: str) -> str:
+def _format_likeness(reason: str) -> str:
     """ "its relief is like denim's" in the interface's language."""
-    return tr("its relief is like {name}").format(name=part.removeprefix(f"{RELIEF} is like ").removesuffix("'s"))
+    return tr("its relief is like {name}").format(
+        name=reason.removeprefix(f"{RELIEF_PREFIX} is like ").removesuffix("'s")
+    )
 
 
-def sure_text(confidence: float) -> str:
+def format_confidence(confidence: float) -> str:
     """0.64 → "64 % sure"."""
     return tr("{percent} % sure").format(percent=round(100.0 * confidence))
 
 
-def shortened(text: str, most: int) -> str:
+def shorten_text(text: str, max_characters: int) -> str:
     """text in at most `most` characters, its middle left out: both ends of a long name tell it from others."""
-    if len(text) <= most:
+    if len(text) <= max_characters:
         return text
-    keep = max(most - len(ELLIPSIS), 2)
+    keep = max(max_characters - len(ELLIPSIS), 2)
     return text[: (keep + 1) // 2] + ELLIPSIS + text[len(text) - keep // 2 :]
 
 
-def wrapped(text: str, most: int) -> Sequence[str]:
+def wrap_text(text: str, max_characters: int) -> Sequence[str]:
     """Lines of at most `most` characters; a word longer than that (a path) is broken."""
     lines = [
-        line for part in text.splitlines() for line in textwrap.wrap(part, max(most, 8), break_on_hyphens=False) or [""]
+        line
+        for part in text.splitlines()
+        for line in textwrap.wrap(part, max(max_characters, 8), break_on_hyphens=False) or [""]
     ]
     return lines or [""]

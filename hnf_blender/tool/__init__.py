@@ -6,9 +6,9 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
-from ..rooms import rooms_off, rooms_on
+from ..rooms import register_modules, unregister_modules
 
-PARTS = (".stroke_tool", ".menus", ".overlay")
+MODULES = (".stroke_tool", ".menus", ".overlay")
 """Modules with register() and unregister(), in order."""
 
 _registered: list[ModuleType] = []
@@ -19,8 +19,8 @@ def register() -> None:
 
     if bpy.app.background:
         return
-    rooms_on((importlib.import_module(name, __package__) for name in PARTS), _registered)
+    register_modules((importlib.import_module(name, __package__) for name in MODULES), _registered)
 
 
 def unregister() -> None:
-    rooms_off(_registered)
+    unregister_modules(_registered)

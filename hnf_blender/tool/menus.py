@@ -6,16 +6,16 @@ from typing import Any
 
 import bpy
 
-from ..state.settings import settings
+from ..state.settings import get_settings
 
 
-def add_menu(self: Any, _context: Any) -> None:
+def draw_add_menu(self: Any, _context: Any) -> None:
     """Blender calls this while it draws its Add menu."""
     self.layout.separator()
     self.layout.menu("HNF_MT_stroke_add", text="Touch Stroke", icon="CURVE_PATH")
 
 
-def object_menu(self: Any, context: Any) -> None:
+def draw_object_menu(self: Any, context: Any) -> None:
     """Blender calls this while it draws the menu of the right click in Object Mode."""
     active = context.view_layer.objects.active
     if active is None or active.type not in {"CURVE", "MESH"}:
@@ -35,34 +35,34 @@ def object_menu(self: Any, context: Any) -> None:
         layout.operator("hnf.stroke_from_curve", icon="CURVE_PATH")
 
 
-def overlay_switch(self: Any, context: Any) -> None:
+def draw_overlay_switch(self: Any, context: Any) -> None:
     """Blender calls this while it draws the popover of the viewport's overlays."""
-    held = settings(context)
+    held = get_settings(context)
     if isinstance(held, bpy.types.AddonPreferences):
         self.layout.prop(held, "overlay", text="Touch Strokes")
 
 
-def import_menu(self: Any, _context: Any) -> None:
+def draw_import_menu(self: Any, _context: Any) -> None:
     """Blender calls this while it draws File > Import: what a drop on the 3-D view does, from a file browser."""
     self.layout.operator("hnf.import_material")
     self.layout.operator("hnf.import_sound")
     self.layout.operator("hnf.import_splats")
 
 
-PLACES = (
-    ("VIEW3D_MT_add", add_menu),
-    ("VIEW3D_MT_object_context_menu", object_menu),
-    ("VIEW3D_PT_overlay", overlay_switch),
-    ("TOPBAR_MT_file_import", import_menu),
+MENU_ENTRIES = (
+    ("VIEW3D_MT_add", draw_add_menu),
+    ("VIEW3D_MT_object_context_menu", draw_object_menu),
+    ("VIEW3D_PT_overlay", draw_overlay_switch),
+    ("TOPBAR_MT_file_import", draw_import_menu),
 )
 """Blender's own menus and panels, and what is added to the end of each."""
 
 
 def register() -> None:
-    for menu, entry in PLACES:
+    for menu, entry in MENU_ENTRIES:
         getattr(bpy.types, menu).append(entry)
 
 
 def unregister() -> None:
-    for menu, entry in reversed(PLACES):
+    for menu, entry in reversed(MENU_ENTRIES):
         getattr(bpy.types, menu).remove(entry)

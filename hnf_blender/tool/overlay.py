@@ -13,28 +13,28 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ..bridge.temporary import SCENE_NAME
-from ..props.scene import active_stroke, listed_strokes, strokes_of
-from ..rooms import ignore, listen
-from ..state.names import absent
+from ..bridge.temporary import TEMP_SCENE_NAME
+from ..props.scene import get_active_stroke, list_cached_strokes, list_strokes
+from ..rooms import add_handlers, remove_handlers
+from ..state.names import find_absent_names
 from ..state.redraw import redraw_views
 from ..state.session import STATE
-from ..state.settings import settings
-from ..state.watch import changed_names, parts_of
+from ..state.settings import get_settings
+from ..state.watch import get_changed_names, get_stroke_data_names
 
 if TYPE_CHECKING:
     from .overlay_paths import OverlayPath
 
-FEW = 4
+FEW_STROKES = 4
 """Strokes that a redraw can wait for: 2 ms each."""
-SOON_S = 0.05
+REFRESH_DELAY_S = 0.05
 """For more of them: a drag makes many changes, and only the last within this time is computed."""
-BUDGET_S = 0.04
+REFRESH_BUDGET_S = 0.04
 """No other stroke is begun in a tick after this; after an undo all of them are computed."""
 
 
 @dataclass
-class Overlay:
+class OverlayState:
     """paths: by stroke object name; None: it cannot be read. dirty: names of strokes that changed. all_dirty:
     nothing kept is known to hold. rates: what turns times into frames, by scene name. handle: of the draw handler."""
 
@@ -45,99 +45,99 @@ class Overlay:
     handle: Any = None
 
 
-OVERLAY = Overlay()
+OVERLAY = OverlayState()
 
 
 def register() -> None:
     """With a window only."""
-    listen(HANDLERS)
+    add_handlers(HANDLERS)
     OVERLAY.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
-    _everything()
+    _mark_all_dirty()
 
 
 def unregister() -> None:
     bpy.types.SpaceView3D.draw_handler_remove(OVERLAY.handle, "WINDOW")
-    ignore(HANDLERS, _refresh)
-    _forget_all()
+    remove_handlers(HANDLERS, _refresh)
+    _remove_all_paths()
 
 
-def _forget_all() -> None:
+def _remove_all_paths() -> None:
     OVERLAY.dirty.clear()
     OVERLAY.rates.clear()
     for name in list(OVERLAY.paths):
-        _forget(name)
+        _remove_path(name)
 
 
-def _forget(name: str) -> None:
+def _remove_path(name: str) -> None:
     from . import overlay_gpu
 
     del OVERLAY.paths[name]
-    overlay_gpu.forget(name)
+    overlay_gpu.remove_batches(name)
 
 
-def _changed(scene: Any, depsgraph: Any) -> None:
+def _on_depsgraph_update(scene: Any, depsgraph: Any) -> None:
     """Strokes whose object, curve or keys changed."""
-    if STATE.own or scene.name == SCENE_NAME:
+    if STATE.suppress_depth or scene.name == TEMP_SCENE_NAME:
         return
-    rate = _rate(scene)
+    rate = _get_time_scale(scene)
     if rate != OVERLAY.rates.get(scene.name):
         OVERLAY.rates[scene.name] = rate
-        _everything()
+        _mark_all_dirty()
         return
-    names = changed_names(depsgraph)
-    strokes = [obj for obj in listed_strokes(scene) if names & parts_of(obj)] if names else []
-    if len(strokes) > FEW or OVERLAY.all_dirty or OVERLAY.dirty:
+    names = get_changed_names(depsgraph)
+    strokes = [obj for obj in list_cached_strokes(scene) if names & get_stroke_data_names(obj)] if names else []
+    if len(strokes) > FEW_STROKES or OVERLAY.all_dirty or OVERLAY.dirty:
         OVERLAY.dirty |= {obj.name for obj in strokes}
-        _soon()
+        _schedule_refresh()
     elif strokes:
-        _compute(strokes, scene, depsgraph)
+        _compute_paths(strokes, scene, depsgraph)
         redraw_views()
 
 
-def _rate(scene: Any) -> tuple[object, ...]:
+def _get_time_scale(scene: Any) -> tuple[object, ...]:
     """What turns a speed into frames: a change of it tells of no object."""
     units = scene.unit_settings
     return scene.render.fps, scene.render.fps_base, scene.hnf.metres_per_unit, units.system, units.scale_length
 
 
-def _undone(*_arguments: Any) -> None:
+def _on_undo(*_arguments: Any) -> None:
     """Undo or redo: nothing kept is known to hold; it is drawn until the timer has come to it."""
-    _everything()
+    _mark_all_dirty()
 
 
-def _reloaded(*_arguments: Any) -> None:
+def _on_load_post(*_arguments: Any) -> None:
     """Another file."""
-    _forget_all()
-    _everything()
+    _remove_all_paths()
+    _mark_all_dirty()
 
 
 HANDLERS = (
-    ("depsgraph_update_post", _changed),
-    ("undo_post", _undone),
-    ("redo_post", _undone),
-    ("load_post", _reloaded),
+    ("depsgraph_update_post", _on_depsgraph_update),
+    ("undo_post", _on_undo),
+    ("redo_post", _on_undo),
+    ("load_post", _on_load_post),
 )
 
 
-def _everything() -> None:
+def _mark_all_dirty() -> None:
     OVERLAY.all_dirty = True
-    _soon()
+    _schedule_refresh()
 
 
-def _soon() -> None:
+def _schedule_refresh() -> None:
     if not bpy.app.timers.is_registered(_refresh):
-        bpy.app.timers.register(_refresh, first_interval=SOON_S)
+        bpy.app.timers.register(_refresh, first_interval=REFRESH_DELAY_S)
 
 
 def _refresh() -> float | None:
     """Timer: compute what has changed in the scenes that the windows show, until nothing is left or for BUDGET_S."""
     context = bpy.context
-    until = time.monotonic() + BUDGET_S
+    until = time.monotonic() + REFRESH_BUDGET_S
     shown = {window.scene.name: window for window in context.window_manager.windows}
-    strokes = {name: strokes_of(window.scene) for name, window in shown.items()}
+    strokes = {name: list_strokes(window.scene) for name, window in shown.items()}
     names = {obj.name for each in strokes.values() for obj in each}
     for name in set(OVERLAY.paths) - names:
-        _forget(name)
+        _remove_path(name)
     OVERLAY.dirty = names if OVERLAY.all_dirty else names & OVERLAY.dirty | names - OVERLAY.paths.keys()
     OVERLAY.all_dirty = False
     for name, window in shown.items():
@@ -146,7 +146,7 @@ def _refresh() -> float | None:
             with context.temp_override(window=window):
                 depsgraph = bpy.context.evaluated_depsgraph_get()
                 for obj in dirty:
-                    _compute([obj], window.scene, depsgraph)
+                    _compute_paths([obj], window.scene, depsgraph)
                     OVERLAY.dirty.discard(obj.name)
                     if time.monotonic() > until:
                         break
@@ -154,47 +154,47 @@ def _refresh() -> float | None:
     return 0.0 if OVERLAY.dirty else None
 
 
-def _compute(strokes: Sequence[Any], scene: Any, depsgraph: Any) -> None:
-    from ..bridge.metres import metres_per_unit
+def _compute_paths(strokes: Sequence[Any], scene: Any, depsgraph: Any) -> None:
+    from ..bridge.metres import get_metres_per_unit
     from . import overlay_gpu
-    from .overlay_paths import overlay_path
+    from .overlay_paths import compute_overlay_path
 
     for obj in strokes:
-        OVERLAY.paths[obj.name] = overlay_path(obj, scene, depsgraph, metres_per_unit(scene))
-        overlay_gpu.forget(obj.name)
+        OVERLAY.paths[obj.name] = compute_overlay_path(obj, scene, depsgraph, get_metres_per_unit(scene))
+        overlay_gpu.remove_batches(obj.name)
 
 
 def _draw() -> None:
     """Blender calls this for every 3-D view."""
     context = bpy.context
     space, scene = context.space_data, context.scene
-    if not OVERLAY.paths or not space.overlay.show_overlays or not settings(context).overlay:
+    if not OVERLAY.paths or not space.overlay.show_overlays or not get_settings(context).overlay:
         return
     import numpy as np
 
     from . import overlay_gpu
 
-    held = {obj.name: obj for obj in listed_strokes(scene)}
-    if absent(OVERLAY.paths.keys() - held.keys(), bpy.data.objects):
-        _everything()  # renamed or deleted
+    held = {obj.name: obj for obj in list_cached_strokes(scene)}
+    if find_absent_names(OVERLAY.paths.keys() - held.keys(), bpy.data.objects):
+        _mark_all_dirty()  # renamed or deleted
     drawn = ((held.get(name), path) for name, path in OVERLAY.paths.items())
     shown = [
         (obj, path) for obj, path in drawn if obj is not None and path is not None and obj.visible_get(viewport=space)
     ]
-    active = active_stroke(context)
-    view = overlay_gpu.View(context.region_data, context.region)
+    active = get_active_stroke(context)
+    view = overlay_gpu.OverlayView(context.region_data, context.region)
     for obj, path in shown:
         faint = bool(obj.hnf_stroke.mute)
-        overlay_gpu.draw_path(obj.name, path, obj.matrix_world, view, active=obj == active, faint=faint)
+        overlay_gpu.draw_path(obj.name, path, obj.matrix_world, view, is_active=obj == active, is_muted=faint)
     frame = float(scene.frame_current_final)
     for obj, path in shown:
         world = np.array(obj.matrix_world)
         if obj == active:
             overlay_gpu.draw_start(world[:3, :3] @ path.points[0] + world[:3, 3], view)
         if path.frames[0] <= frame <= path.frames[-1] and not obj.hnf_stroke.mute:
-            place = [np.interp(frame, path.frames, path.places[:, axis]) for axis in range(3)]
+            place = [np.interp(frame, path.frames, path.contact_points[:, axis]) for axis in range(3)]
             force = float(np.interp(frame, path.frames, path.forces))
-            overlay_gpu.draw_contact(world[:3, :3] @ place + world[:3, 3], force, view, active=obj == active)
+            overlay_gpu.draw_contact(world[:3, :3] @ place + world[:3, 3], force, view, is_active=obj == active)
 
 
 CLASSES = ()

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from hnf_core.action.curves import ArcCurve
 from hnf_core.errors import HnfError
-from hnf_core.export.force_colour import force_colour
+from hnf_core.export.force_colour import force_to_colour
 
-Float = NDArray[np.float64]
+Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 STEP_M = 1e-3
-MOST_POINTS = 1500
-TICKS_M = 8e-3
+MAX_POINTS = 1500
+TICK_SPACING_M = 8e-3
 """A direction tick every so many metres of path, but FEWEST to MOST_TICKS of them."""
-FEWEST_TICKS, MOST_TICKS = 2, 10
+MIN_TICKS, MAX_TICKS = 2, 10
 TICK_SHARE = 0.028
 """A tick's arms as a share of the curve's length, within TICK_SIZE_M."""
 TICK_SIZE_M = (0.6e-3, 4e-3)
@@ -36,17 +36,17 @@ class OverlayPath:
     points: Float32
     colours: Float32
     ticks: Float32
-    frames: Float
-    places: Float32
-    forces: Float
+    frames: Float64
+    contact_points: Float32
+    forces: Float64
 
 
-def overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> OverlayPath | None:
+def compute_overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> OverlayPath | None:
     """None where the stroke cannot be read: the Touch tab says why."""
-    from ..bridge.stroke_timeline import stroke_timeline
+    from ..bridge.stroke_timeline import sample_timeline
 
     try:
-        timeline = stroke_timeline(obj, scene, metres_per_unit)
+        timeline = sample_timeline(obj, scene, metres_per_unit)
     except HnfError:
         return None
     world = np.array(obj.matrix_world, dtype=np.float64)
@@ -55,26 +55,26 @@ def overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -
         return None
     local = np.linalg.inv(world)
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(timeline.position)))])
-    count = int(np.clip(np.ceil(way[-1] / STEP_M) + 1, 2, MOST_POINTS))
+    count = int(np.clip(np.ceil(way[-1] / STEP_M) + 1, 2, MAX_POINTS))
     at = np.interp(np.linspace(0.0, way[-1], count), way, np.arange(len(way)))
     position, force = (np.interp(at, np.arange(len(way)), each) for each in (timeline.position, timeline.force))
     arc = timeline.arc
     return OverlayPath(
-        points=_in(local, arc.point_at(position)),
-        colours=_colours(force),
-        ticks=_in(local, _ticks(arc, position, obj, depsgraph, metres_per_unit)),
+        points=_transform_points(local, arc.point_at(position)),
+        colours=_compute_colours(force),
+        ticks=_transform_points(local, _compute_ticks(arc, position, obj, depsgraph, metres_per_unit)),
         frames=timeline.frames,
-        places=_in(local, arc.point_at(timeline.position)),
+        contact_points=_transform_points(local, arc.point_at(timeline.position)),
         forces=timeline.force,
     )
 
 
-def _ticks(arc: ArcCurve, position: Float, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float:
+def _compute_ticks(arc: ArcCurve, position: Float64, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float64:
     """Chevrons that lie on the surface and point where the hand goes: (4m, 3) pairs of ends in metres."""
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
     if way[-1] <= 0.0:
         return np.empty((0, 3))
-    count = int(np.clip(way[-1] / TICKS_M, FEWEST_TICKS, MOST_TICKS))
+    count = int(np.clip(way[-1] / TICK_SPACING_M, MIN_TICKS, MAX_TICKS))
     share = (np.arange(count) + 0.5) / count
     index = np.clip(np.searchsorted(way, share * way[-1]), 1, len(way) - 1)
     tip = arc.point_at(position[index])
@@ -83,14 +83,14 @@ def _ticks(arc: ArcCurve, position: Float, obj: Any, depsgraph: Any, metres_per_
     ahead = arc.point_at(position[index] + size) - arc.point_at(position[index] - size)
     ahead *= np.sign(position[index] - position[index - 1])[:, None]
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
-    normal = _normals(tip, ahead, obj, depsgraph, metres_per_unit)
+    normal = _find_normals(tip, ahead, obj, depsgraph, metres_per_unit)
     aside = np.cross(normal, ahead)
     aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
     ends = [tip - size * (ahead + side * aside) for side in (-1.0, 1.0)]
     return np.asarray(np.stack([ends[0], tip, tip, ends[1]], axis=1).reshape(-1, 3))
 
 
-def _normals(points: Float, ahead: Float, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float:
+def _find_normals(points: Float64, ahead: Float64, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float64:
     """The touched surface's normals (m, 3) in the world at points [m]; without a surface, as level as can be."""
     up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     up[np.abs(ahead[:, 2]) > 0.9] = (1.0, 0.0, 0.0)
@@ -115,9 +115,9 @@ def _normals(points: Float, ahead: Float, obj: Any, depsgraph: Any, metres_per_u
     return up
 
 
-def _in(matrix: Float, points: Float) -> Float32:
+def _transform_points(matrix: Float64, points: Float64) -> Float32:
     return np.ascontiguousarray(points @ matrix[:3, :3].T + matrix[:3, 3], dtype=np.float32)
 
 
-def _colours(force: Float) -> Float32:
-    return np.array([force_colour(float(each)) for each in force], dtype=np.float32).reshape(-1, 4)
+def _compute_colours(force: Float64) -> Float32:
+    return np.array([force_to_colour(float(each)) for each in force], dtype=np.float32).reshape(-1, 4)

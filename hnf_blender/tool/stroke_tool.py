@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ..actuator.choice import chosen_output
+from ..actuator.choice import get_selected_output
 from ..actuator.state import SPEAKERS
 from ..ops.draw import draw_style
 
@@ -47,7 +47,7 @@ class HNF_TOOL_stroke(bpy.types.WorkSpaceTool):  # type: ignore[misc]  # noqa: N
     @staticmethod
     def draw_settings(context: Any, layout: Any, tool: Any) -> None:
         draw_style(layout, tool.operator_properties("hnf.stroke_draw"))
-        if chosen_output(context) != SPEAKERS:
+        if get_selected_output(context) != SPEAKERS:
             layout.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA")
 
 

@@ -20,19 +20,19 @@ from hnf_core.material.material import Appearance
 from hnf_core.material.token import Token
 from hnf_core.scene.patch import Patch
 from hnf_core.tactile.height import tactile_map_from_height
-from hnf_core.tactile.optics import render_sensor_image, sensor_by_name
+from hnf_core.tactile.optics import get_sensor, render_sensor_image
 from hnf_core.tactile.tactile_map import Route, TactileMap
 
 from ..bridge.closeup import CloseUp, iter_closeups
 from ..bridge.meshes import Surface
-from ..bridge.splat_cloud import cloud_of
+from ..bridge.splat_cloud import get_cloud
 from .report import Counts
-from .seeing import SENSOR, Seeing, predicted_maps
-from .store import STORE_VERSION, PatchRecord, load_patch, load_prediction, save_patch, save_prediction
+from .seeing import SENSOR, ReliefPredictor, make_predicted_maps
+from .store import PATCH_VERSION, PatchRecord, load_patch, load_prediction, save_patch, save_prediction
 
 PATCH_PIXELS = 512
 """39 µm a pixel on 20 mm: two pixels resolve the finest band of a token (0.125 mm)."""
-FIRST_PIXELS = 128
+FIRST_PASS_PIXELS = 128
 """Of a first look where all detail is in images: enough for texels of half a millimetre, at a fifth of the time."""
 
 
@@ -52,28 +52,28 @@ class TouchedObject:
     owner_hash: str
     metres_per_unit: float
     frame: float | None = None
-    chosen: tuple[str | MaterialFile, ...] = ()
-    pictures: tuple[tuple[str, ...], ...] = ()
-    splats: str = ""
-    reliefs: tuple[bool, ...] = ()
+    artist_choices: tuple[str | MaterialFile, ...] = ()
+    texture_names: tuple[tuple[str, ...], ...] = ()
+    splat_source: str = ""
+    has_relief: tuple[bool, ...] = ()
     view_layer: Any = None
 
-    def is_seen_in_splats(self, slot: int) -> bool:
+    def uses_splats(self, slot: int) -> bool:
         """A relief that the artist gave the surface counts for more than what its splats look like."""
-        return bool(self.splats) and not (slot < len(self.reliefs) and self.reliefs[slot])
+        return bool(self.splat_source) and not (slot < len(self.has_relief) and self.has_relief[slot])
 
 
-def patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:
+def compute_patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:
     """Name of a patch's content: geometry, shader, place on the surface, and the way it is looked at, the add-on's own
     version included; and the names that a record's notes say. encoder: content id of the E that describes what is
     measured."""
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
     place = np.round(np.concatenate([patch.centre, patch.x_axis, patch.normal]), 7) + 0.0
     here = slice(patch.slot, patch.slot + 1)
-    names = repr((touched.surface.materials[here], touched.pictures[here]))
+    names = repr((touched.surface.materials[here], touched.texture_names[here]))
     return content_hash(
         names, touched.shape_hash, shader, touched.owner_hash, place.tobytes(), f"{patch.slot} {patch.size_m:.9g}",
-        f"{__version__} {PATCH_PIXELS} {FIRST_PIXELS} {SENSOR} {encoder} {STORE_VERSION} {touched.frame}",
+        f"{__version__} {PATCH_PIXELS} {FIRST_PASS_PIXELS} {SENSOR} {encoder} {PATCH_VERSION} {touched.frame}",
     )  # fmt: skip
 
 
@@ -82,8 +82,8 @@ def bake_patches(
     patches: Sequence[Patch],
     folder: Path,
     counts: Counts,
-    seeing: Seeing,
-    chosen: Collection[int] = (),
+    predictor: ReliefPredictor,
+    chosen_slots: Collection[int] = (),
 ) -> Generator[float, None, tuple[PatchRecord, ...]]:
     """One record a patch. What the store lacks is rendered, all of it on one stage; where the relief is not known and
     the colour varies, it is estimated from the picture, once for each patch.
@@ -93,7 +93,7 @@ def bake_patches(
     them is done, with nothing at work meanwhile. counts grows by the work done. Raises SceneError where a texture is
     missing.
     """
-    keys = [patch_key(touched, patch, seeing.measured.content_id) for patch in patches]
+    keys = [compute_patch_key(touched, patch, predictor.measured_encoder.content_id) for patch in patches]
     wanted = dict(zip(keys, patches, strict=True))
     found = {key: record for key in wanted if (record := load_patch(folder, key)) is not None}
     missing = [patch for key, patch in wanted.items() if key not in found]
@@ -101,10 +101,10 @@ def bake_patches(
     def describe(key: str, closeup: CloseUp | None) -> None:
         patch = wanted[key]
         if closeup is not None:
-            found[key] = _record(closeup, touched.surface, seeing.measured, counts)
+            found[key] = _make_record(closeup, touched.surface, predictor.measured_encoder, counts)
             save_patch(folder, key, found[key])
-        if patch.slot not in chosen:
-            found[key] = _seen(found[key], key, noise_seed(touched, patch), folder, seeing, counts)
+        if patch.slot not in chosen_slots:
+            found[key] = _add_prediction(found[key], key, compute_noise_seed(touched, patch), folder, predictor, counts)
 
     with ThreadPoolExecutor(1) as beside:
         describing: list[Future[None]] = []
@@ -113,7 +113,7 @@ def bake_patches(
             while describing:
                 describing.pop().result()
 
-        with closing(_closeups(touched, missing, alone)) as closeups:
+        with closing(_iter_closeups(touched, missing, alone)) as closeups:
             for done, key in enumerate(wanted, 1):
                 closeup = None if key in found else next(closeups)
                 alone()
@@ -128,12 +128,12 @@ def bake_patches(
     return tuple(found[key] for key in keys)
 
 
-def _closeups(
-    touched: TouchedObject, patches: Sequence[Patch], alone: Callable[[], None]
+def _iter_closeups(
+    touched: TouchedObject, patches: Sequence[Patch], wait_for_threads: Callable[[], None]
 ) -> Generator[CloseUp, None, None]:
     """One a patch, in their order: in the splats of a reconstructed surface, else by its shader. alone: see
     iter_closeups."""
-    in_splats = [touched.is_seen_in_splats(patch.slot) for patch in patches]
+    in_splats = [touched.uses_splats(patch.slot) for patch in patches]
     drawn = iter_closeups(
         touched.obj,
         [patch for patch, splats in zip(patches, in_splats, strict=True) if not splats],
@@ -142,8 +142,8 @@ def _closeups(
         metres_per_unit=touched.metres_per_unit,
         frame=touched.frame,
         view_layer=touched.view_layer,
-        first=FIRST_PIXELS,
-        alone=alone,
+        first_pass_pixels=FIRST_PASS_PIXELS,
+        wait_for_threads=wait_for_threads,
     )
     with closing(drawn):
         if not any(in_splats):
@@ -152,14 +152,14 @@ def _closeups(
         from ..bridge.splat_closeup import iter_splat_closeups
 
         own = [patch for patch, splats in zip(patches, in_splats, strict=True) if splats]
-        cloud = cloud_of(touched.obj)
+        cloud = get_cloud(touched.obj)
         reconstructed = iter_splat_closeups(touched.obj, cloud, own, surface=touched.surface, pixels=PATCH_PIXELS)
         with closing(reconstructed):
             for splats in in_splats:
                 yield next(reconstructed if splats else drawn)
 
 
-def noise_seed(touched: TouchedObject, patch: Patch) -> int:
+def compute_noise_seed(touched: TouchedObject, patch: Patch) -> int:
     """Of a patch's prediction (a regression heeds none): of its material and its place on the surface to a millimetre.
     patch_key takes in every digit; a scene that is moved is rounded otherwise, and must feel as it did."""
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
@@ -168,80 +168,82 @@ def noise_seed(touched: TouchedObject, patch: Patch) -> int:
     return int(content_hash(shader, repr(place.tolist()))[:15], 16)
 
 
-def _seen(record: PatchRecord, key: str, seed: int, folder: Path, seeing: Seeing, counts: Counts) -> PatchRecord:
+def _add_prediction(
+    record: PatchRecord, key: str, seed: int, folder: Path, predictor: ReliefPredictor, counts: Counts
+) -> PatchRecord:
     """record with what can be estimated from its picture: from the store, else by one call of D_φ."""
-    if record.look is None or seeing.missing:
+    if record.unlit is None or predictor.missing_reason:
         return record
-    name = content_hash(key, seeing.content_id)
+    name = content_hash(key, predictor.content_id)
     prediction = load_prediction(folder, name)
     if prediction is None:
-        views = seeing.views_of(record.look, record.mask, record.metres_per_pixel)
+        views = predictor.make_views(record.unlit, record.mask, record.metres_per_pixel)
         if not views:
             return record
-        prediction = seeing.predict(record.look, views, seed)
+        prediction = predictor.predict(record.unlit, views, seed)
         counts.diffusion_calls += 1
         counts.tokens += 1
         save_prediction(folder, name, prediction)
     return replace(record, predicted=prediction)
 
 
-def tactile_map_of(record: PatchRecord) -> TactileMap | None:
+def get_measured_map(record: PatchRecord) -> TactileMap | None:
     """The measured tactile map that a record was described from; None where nothing was measured."""
     if record.height is None:
         return None
-    image = render_sensor_image(record.height, record.metres_per_pixel, sensor_by_name(SENSOR))
+    image = render_sensor_image(record.height, record.metres_per_pixel, get_sensor(SENSOR))
     return TactileMap(
         image, record.height, record.mask, record.metres_per_pixel, SENSOR, record.resolved_wavelength_m,
         Route.MEASURED, record.height_source,
     )  # fmt: skip
 
 
-def widest_map(record: PatchRecord) -> TactileMap | None:
+def get_widest_map(record: PatchRecord) -> TactileMap | None:
     """The tactile map to show of a patch, whatever its route; None where there is none."""
-    return tactile_map_of(record) if record.predicted is None else predicted_maps(record.predicted)[0]
+    return get_measured_map(record) if record.predicted is None else make_predicted_maps(record.predicted)[0]
 
 
-def token_of(record: PatchRecord) -> Token | None:
+def get_token(record: PatchRecord) -> Token | None:
     """E of the patch's map, measured or predicted; None where there is no map."""
     if record.predicted is not None:
         return record.predicted.token
     return None if record.token is None or record.known is None else Token(record.token, record.known)
 
 
-def resolved_wavelength_of(record: PatchRecord) -> float:
+def get_resolved_wavelength(record: PatchRecord) -> float:
     """Shortest wave that the source of the patch's map shows, in metres; inf where there is no map."""
     return record.resolved_wavelength_m if record.predicted is None else record.predicted.resolved_wavelength_m
 
 
-def source_of(record: PatchRecord) -> str:
+def get_map_source(record: PatchRecord) -> str:
     """What the patch's map was made from, in words; "" where there is none."""
-    if record.predicted is None or record.look is None:
+    if record.predicted is None or record.unlit is None:
         return record.height_source
-    return f"estimated from {record.look.source}"
+    return f"estimated from {record.unlit.source}"
 
 
-def encoder_of(record: PatchRecord) -> str:
+def get_encoder_name(record: PatchRecord) -> str:
     """The make of E that described the patch's map; "" where there is none."""
     return record.encoder if record.predicted is None else record.predicted.encoder
 
 
-def mean_appearance(records: Sequence[PatchRecord]) -> Appearance:
+def compute_mean_appearance(records: Sequence[PatchRecord]) -> Appearance:
     """Shading values of several patches of one material, each averaged over the patches that know it."""
     colours = [record.appearance.base_color for record in records if record.appearance.base_color is not None]
     red, green, blue = np.mean(colours, axis=0) if colours else (0.0, 0.0, 0.0)
     return Appearance(
         None if not colours else (float(red), float(green), float(blue)),
-        *(_mean([getattr(record.appearance, name) for record in records])
+        *(_average_known([getattr(record.appearance, name) for record in records])
           for name in ("roughness", "metallic", "sheen", "transmission")),
     )  # fmt: skip
 
 
-def _mean(values: Sequence[float | None]) -> float | None:
+def _average_known(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
 
 
-def _record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: Counts) -> PatchRecord:
+def _make_record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: Counts) -> PatchRecord:
     """E is called only where the shader has micro-geometry: a flat map has nothing to describe."""
     tactile, token = None, None
     if closeup.height is not None:
@@ -268,6 +270,6 @@ def _record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: Counts
         appearance=closeup.appearance,
         faces=np.unique(faces[faces >= 0]).astype(np.int32),
         notes=closeup.notes,
-        look=closeup.look,
+        unlit=closeup.unlit,
         encoder="" if token is None else encoder.name,
     )

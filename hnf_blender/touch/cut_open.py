@@ -11,11 +11,11 @@ from hnf_core.scene.camera import Camera
 
 Float = NDArray[np.float64]
 
-BEHIND_M = 3e-3
+OCCLUSION_DEPTH_M = 3e-3
 """A contact point this far behind what the picture shows there is hidden."""
 
 
-def depth_at(image: NDArray[np.float32], uv: Float) -> Float:
+def sample_depth(image: NDArray[np.float32], uv: Float) -> Float:
     """(n,) what a depth picture (H, W) holds at pixels (n, 2), counted from its upper left corner; outside, what is
     nearest there."""
     height, width = image.shape
@@ -24,7 +24,7 @@ def depth_at(image: NDArray[np.float32], uv: Float) -> Float:
     return np.asarray(image[row, column], dtype=np.float64)
 
 
-def cut_open(camera: Camera, depth: Float, shown: Float, room_m: float) -> Camera | None:
+def clip_obstacles(camera: Camera, depth: Float, visible_depth: Float, clearance_m: float) -> Camera | None:
     """camera, seeing nothing of what stands before a stroke; None where that stands beside the stroke instead, so that
     no cut parts them.
 
@@ -32,7 +32,7 @@ def cut_open(camera: Camera, depth: Float, shown: Float, room_m: float) -> Camer
     much before the stroke is kept where the obstacle is farther away.
     """
     nearest = float(depth.min())
-    before = shown[(shown < depth - BEHIND_M) & (shown < nearest - BEHIND_M)]
+    before = visible_depth[(visible_depth < depth - OCCLUSION_DEPTH_M) & (visible_depth < nearest - OCCLUSION_DEPTH_M)]
     if not len(before):
         return None
-    return replace(camera, clip_start=max(nearest - room_m, (float(before.max()) + nearest) / 2.0))
+    return replace(camera, clip_start=max(nearest - clearance_m, (float(before.max()) + nearest) / 2.0))

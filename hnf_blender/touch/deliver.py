@@ -14,27 +14,27 @@ import numpy as np
 from hnf_core.action.action import Action
 from hnf_core.errors import FileError
 from hnf_core.export.path_on_view import StrokeView
-from hnf_core.export.picture import stroke_picture
-from hnf_core.export.wav import read_wav, wav_bytes
+from hnf_core.export.picture import write_stroke_figure
+from hnf_core.export.wav import encode_wav, read_wav
 from hnf_core.files import content_hash, write_atomically, write_bytes
 from hnf_core.material.fuse import routes_by_band
 from hnf_core.signal import Signal
 
-from ..bridge.quiet import quiet
-from .bake import encoder_of, resolved_wavelength_of, widest_map
-from .choose import SlotMaterial, certainty_in_words
-from .feel import BakedStroke, Felt, delivered, signal_facts, stroke_input
-from .jobs import Job
+from ..bridge.quiet import suppress_output
+from .bake import get_encoder_name, get_resolved_wavelength, get_widest_map
+from .choose import SlotMaterial, format_certainty
+from .feel import BakedStroke, SynthesisedStroke, add_provenance, get_signal_facts, make_stroke_input
+from .jobs import StrokeJob
 from .report import StrokeReport
 
 
-def deliver(
+def write_stroke_files(
     folder: Path,
-    job: Job,
+    job: StrokeJob,
     baked: BakedStroke,
-    felt: Felt,
+    synthesised: SynthesisedStroke,
     view: StrokeView,
-    taken: Container[str] = (),
+    used_names: Container[str] = (),
     picture_key: str = "",
 ) -> StrokeReport:
     """Write the WAV, then the picture, each atomically; returns the stroke's entry for the report. taken: the WAVs of
@@ -42,15 +42,15 @@ def deliver(
     main, patch = baked.main_material, baked.main_patch
     record, fused = baked.records[patch], baked.fused[patch]
     routes = routes_by_band(fused.routes)
-    resolved = resolved_wavelength_of(record)
-    facts = signal_facts(baked)
+    resolved = get_resolved_wavelength(record)
+    facts = get_signal_facts(baked)
     names = facts["library_material"]
-    signal = delivered(felt.signal, job.name, facts, felt.confidence)
-    data = wav_bytes(signal, where=f"stroke '{job.name}'")
-    stem = next(each for each in numbered(file_stem(job.name)) if f"{each}.wav" not in taken)
+    signal = add_provenance(synthesised.signal, job.name, facts, synthesised.confidence)
+    data = encode_wav(signal, where=f"stroke '{job.name}'")
+    stem = next(each for each in iter_numbered_stems(make_file_stem(job.name)) if f"{each}.wav" not in used_names)
     write_bytes(folder / f"{stem}.wav", data)
-    confidence = round(felt.confidence, 4)
-    _draw(folder / f"{stem}.png", job, baked, felt.action, signal, confidence, view)
+    confidence = round(synthesised.confidence, 4)
+    _plot_stroke(folder / f"{stem}.png", job, baked, synthesised.action, signal, confidence, view)
     return StrokeReport(
         name=job.name,
         object=job.object_name,
@@ -70,60 +70,60 @@ def deliver(
         fresh=False,
         key=job.key,
         wav_hash=content_hash(data),
-        warnings=felt.warnings,
-        encoder=encoder_of(record),
+        warnings=synthesised.warnings,
+        encoder=get_encoder_name(record),
         tactile_map_weights="" if record.predicted is None else record.predicted.weights,
         picture_key=picture_key,
     )
 
 
-def draw_again(
-    folder: Path, entry: StrokeReport, job: Job, baked: BakedStroke, view: StrokeView, picture_key: str
+def redraw_stroke_plot(
+    folder: Path, entry: StrokeReport, job: StrokeJob, baked: BakedStroke, view: StrokeView, picture_key: str
 ) -> StrokeReport:
     """Another picture of a stroke whose signal is there; returns its entry with this picture's key."""
     signal = read_wav(folder / entry.wav)
-    _draw(folder / entry.picture, job, baked, stroke_input(baked).action, signal, entry.confidence, view)
+    _plot_stroke(folder / entry.picture, job, baked, make_stroke_input(baked).action, signal, entry.confidence, view)
     return replace(entry, picture_key=picture_key)
 
 
-def _draw(
-    path: Path, job: Job, baked: BakedStroke, action: Action, signal: Signal, confidence: float, view: StrokeView
+def _plot_stroke(
+    path: Path, job: StrokeJob, baked: BakedStroke, action: Action, signal: Signal, confidence: float, view: StrokeView
 ) -> None:
-    record, facts = baked.records[baked.main_patch], signal_facts(baked)
+    record, facts = baked.records[baked.main_patch], get_signal_facts(baked)
     slots = dict.fromkeys(baked.patches[index].slot for index in baked.patch_index if index >= 0)
-    stroke_picture(
+    write_stroke_figure(
         path, title=job.name, action=action, signal=signal, view=view,
         facts={
-            "Material": material_line(job.object_name, [baked.materials[slot] for slot in slots]),
+            "Material": format_material_line(job.object_name, [baked.materials[slot] for slot in slots]),
             "Routes": facts["routes"],
-            "Height": _height_line(facts["height_source"], resolved_wavelength_of(record)),
+            "Height": _format_height_line(facts["height_source"], get_resolved_wavelength(record)),
             "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",
         },
-        tactile=widest_map(record),
+        tactile=get_widest_map(record),
     )  # fmt: skip
 
 
-def file_stem(name: str) -> str:
+def make_file_stem(name: str) -> str:
     """A plain file name from a stroke's name; where it had to change, four digits of a hash part what looks alike."""
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     slug = re.sub(r"[^A-Za-z0-9]+", "-", plain).strip("-").lower()[:60] or "stroke"
     return f"{slug}-{content_hash(name)[:4]}" if slug != name.lower().replace(" ", "-") else slug
 
 
-def numbered(stem: str) -> Iterator[str]:
+def iter_numbered_stems(stem: str) -> Iterator[str]:
     """The stem, and where that one is taken: stem-2, stem-3, …"""
     yield stem
     yield from (f"{stem}-{count}" for count in itertools.count(2))
 
 
-def save_baked(path: Path) -> None:
+def save_baked_blend(path: Path) -> None:
     """Save a copy of what is open to path; the file the user has open stays what it is. Raises FileError."""
     import bpy
 
     def write(temporary: Path) -> None:
         temporary.unlink()  # Blender would keep the empty file as its backup
         try:
-            with quiet():
+            with suppress_output():
                 bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True, relative_remap=True)
         except RuntimeError as error:
             raise FileError(
@@ -135,16 +135,16 @@ def save_baked(path: Path) -> None:
     write_atomically(path, write)
 
 
-def material_line(object_name: str, met: Sequence[SlotMaterial]) -> str:
+def format_material_line(object_name: str, materials: Sequence[SlotMaterial]) -> str:
     """Each shader and what it is taken for, in the order in which the stroke meets them."""
     told = [
-        f"{each.shader or 'no material'}{place} → {each.library.name}, {certainty_in_words(each)}"
-        for each, place in zip(met, [f" on {object_name}"] + [""] * len(met), strict=False)
+        f"{each.shader or 'no material'}{place} → {each.library.name}, {format_certainty(each)}"
+        for each, place in zip(materials, [f" on {object_name}"] + [""] * len(materials), strict=False)
     ]
     return "; ".join(told)
 
 
-def _height_line(source: str, resolved: float) -> str:
+def _format_height_line(source: str, resolved: float) -> str:
     if not np.isfinite(resolved):
         return "no bump, normal or displacement in the shader"
     return f"{source}; resolves waves from {resolved * 1e3:.2g} mm"

@@ -13,26 +13,26 @@ from hnf_core.action.action import Action
 from hnf_core.action.contacts import Contacts, find_contacts, require_contact
 from hnf_core.action.patches import action_from_contacts, plan_patches
 from hnf_core.field.field import Field
-from hnf_core.field.parts import synthesise_parts
+from hnf_core.field.parts import synthesise_by_field
 from hnf_core.field.stroke import StrokeInput
-from hnf_core.field.stroke_profile import stroke_profile
-from hnf_core.material.fuse import BANDS, FusedToken, fuse, routes_in_words
+from hnf_core.field.stroke_profile import build_stroke_profile
+from hnf_core.material.fuse import BAND_COUNT, FusedToken, format_routes, fuse
 from hnf_core.scene.patch import Patch
 from hnf_core.signal import Signal
 
-from ..bridge.look import Look
+from ..bridge.look import UnlitImage
 from ..bridge.strokes import SceneStroke
-from .bake import TouchedObject, bake_patches, encoder_of, source_of, token_of
-from .choose import Asked, SlotMaterial, chosen_material, decide_material, guess_note
+from .bake import TouchedObject, bake_patches, get_encoder_name, get_map_source, get_token
+from .choose import MaterialRequest, SlotMaterial, decide_material, find_chosen_material, format_guess_note
 from .report import Counts
-from .seeing import Seeing, is_coarse, why_unread
+from .seeing import ReliefPredictor, explain_skipped, is_too_coarse
 from .store import PatchRecord
 
-USUAL_HEIGHT_M = (0.5e-6, 2e-3)
+USUAL_HEIGHT_RANGE_M = (0.5e-6, 2e-3)
 """Peak-to-peak heights outside this are most likely an artist's slip, or a bump made for looks."""
-FACTS = ("object", "material", "library_material", "routes", "height_source")
+FACT_NAMES = ("object", "material", "library_material", "routes", "height_source")
 """What signal_facts tells, in the order in which every file tells it."""
-MECHANICAL_PROPERTIES = 3
+MECHANICAL_PROPERTY_COUNT = 3
 """Stiffness, damping, friction."""
 
 
@@ -52,7 +52,7 @@ class BakedStroke:
     records: tuple[PatchRecord, ...]
     fused: tuple[FusedToken, ...]
     materials: Mapping[int, SlotMaterial]
-    unread: tuple[str, ...] = ()
+    skip_reasons: tuple[str, ...] = ()
 
     @property
     def main_patch(self) -> int:
@@ -68,7 +68,7 @@ class BakedStroke:
         own = list(self.stroke.notes) + list(self.touched.surface.notes)
         for record in self.records:
             own += record.notes
-        own += [*self._relief_notes(), *self._learned_notes(), *self._guess_notes(), *self.unread]
+        own += [*self._relief_notes(), *self._learned_notes(), *self._guess_notes(), *self.skip_reasons]
         off = float(np.mean(~self.contacts.on_surface))
         if off > 0.0:
             own.append(f"stroke '{self.stroke.name}': {off:.0%} of its time it is off the surface and silent.")
@@ -80,7 +80,7 @@ class BakedStroke:
         return tuple(dict.fromkeys(own))
 
     def _guess_notes(self) -> list[str]:
-        told = (guess_note(each, self.stroke.object_name) for each in self.materials.values())
+        told = (format_guess_note(each, self.stroke.object_name) for each in self.materials.values())
         return [note for note in told if note]
 
     def _learned_notes(self) -> list[str]:
@@ -99,15 +99,15 @@ class BakedStroke:
             tallest[shader] = max(tallest.get(shader, 0.0), record.height_peak_to_peak_m)
         return [
             f"material '{shader}': its relief is {height * 1e3:.3g} mm from top to bottom; "
-            f"{USUAL_HEIGHT_M[0] * 1e3:g}–{USUAL_HEIGHT_M[1] * 1e3:g} mm is usual. Check the Distance, Strength or "
+            f"{USUAL_HEIGHT_RANGE_M[0] * 1e3:g}–{USUAL_HEIGHT_RANGE_M[1] * 1e3:g} mm is usual. Check the Distance, Strength or "
             "Scale of its bump, and the scene's unit scale."
             for shader, height in tallest.items()
-            if height > 0.0 and not USUAL_HEIGHT_M[0] <= height <= USUAL_HEIGHT_M[1]
+            if height > 0.0 and not USUAL_HEIGHT_RANGE_M[0] <= height <= USUAL_HEIGHT_RANGE_M[1]
         ]
 
 
 @dataclass(frozen=True)
-class Felt:
+class SynthesisedStroke:
     """What a stroke gives. stroke: what synthesis was given. confidence: 0–1, of material and synthesis together.
     warnings: what lowered the synthesis's own."""
 
@@ -127,7 +127,7 @@ def bake_stroke_steps(
     choices: Mapping[int | None, str],
     folder: Path,
     counts: Counts,
-    seeing: Seeing,
+    predictor: ReliefPredictor,
 ) -> Generator[float, None, BakedStroke]:
     """Where and what a stroke touches. choices: slot (None = any) → library material named on the command line.
 
@@ -135,29 +135,29 @@ def bake_stroke_steps(
     force; MaterialError, before anything is rendered, where the artist names a material that does not exist.
     """
     where = f"stroke '{stroke.name}'"
-    contacts = find_contacts(stroke.samples, stroke.surface(touched.surface.mesh), where=where)
+    contacts = find_contacts(stroke.samples, stroke.get_surface(touched.surface.mesh), where=where)
     counts.rays += len(stroke.samples.time)
     require_contact(contacts, where=where, surface=stroke.object_name)
     patches, patch_index = plan_patches(contacts)
     slots = dict.fromkeys(patch.slot for patch in patches)
-    asked = Asked(choices, stroke.material, where)
-    chosen = {slot for slot in slots if chosen_material(touched, slot, asked) is not None}
-    records = yield from bake_patches(touched, patches, folder, counts, seeing, chosen)
+    asked = MaterialRequest(choices, stroke.material, where)
+    chosen = {slot for slot in slots if find_chosen_material(touched, slot, asked) is not None}
+    records = yield from bake_patches(touched, patches, folder, counts, predictor, chosen)
     materials = {}
     for slot in slots:
         own = [record for patch, record in zip(patches, records, strict=True) if patch.slot == slot]
         materials[slot] = decide_material(touched, slot, asked, own)
     fused = tuple(
-        fuse(token_of(record), materials[patch.slot].library.token, materials[patch.slot].confidence, record.route)
+        fuse(get_token(record), materials[patch.slot].library.token, materials[patch.slot].confidence, record.route)
         for patch, record in zip(patches, records, strict=True)
     )
     unread = {
-        f"material '{materials[slot].shader}': {seeing.missing or why_unread(look)}."
+        f"material '{materials[slot].shader}': {predictor.missing_reason or explain_skipped(look)}."
         for slot in materials.keys() - chosen
-        for look in _told_of(
-            record.look
+        for look in _select_skipped_images(
+            record.unlit
             for patch, record in zip(patches, records, strict=True)
-            if patch.slot == slot and record.look is not None and record.predicted is None
+            if patch.slot == slot and record.unlit is not None and record.predicted is None
         )
     }
     return BakedStroke(
@@ -165,43 +165,45 @@ def bake_stroke_steps(
     )
 
 
-def _told_of(looks: Iterable[Look]) -> list[Look]:
+def _select_skipped_images(unlit_images: Iterable[UnlitImage]) -> list[UnlitImage]:
     """Of the unread looks of a material, one for each reason and source: of those that are too coarse the finest, for
     patches of splats have a figure each, and ten lines say no more."""
-    told: dict[tuple[bool, str], Look] = {}
-    for look in looks:
-        kind = (is_coarse(look), look.source)
+    told: dict[tuple[bool, str], UnlitImage] = {}
+    for look in unlit_images:
+        kind = (is_too_coarse(look), look.source)
         if kind not in told or look.resolved_wavelength_m < told[kind].resolved_wavelength_m:
             told[kind] = look
     return list(told.values())
 
 
-def without_maps(baked: BakedStroke) -> BakedStroke:
+def drop_maps(baked: BakedStroke) -> BakedStroke:
     """What its faces' tokens follow from, and none of the maps and pictures that led there: a thousand strokes' would
     fill the memory."""
     none = np.zeros((0, 0), dtype=np.bool_)
     records = tuple(
-        replace(record, height=None, mask=none, look=None, predicted=None, encoder=encoder_of(record))
+        replace(record, height=None, mask=none, unlit=None, predicted=None, encoder=get_encoder_name(record))
         for record in baked.records
     )
     return replace(baked, records=records)
 
 
-def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:
+def synthesise_stroke(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> SynthesisedStroke:
     """Synthesise a baked stroke. counts grows by one F_Θ call."""
-    given = stroke_input(baked)
+    given = make_stroke_input(baked)
     counts.network_calls += 1
-    made = synthesise_parts(field, given, seed=seed)
-    share = mean_share(known_shares(baked), baked.patch_index)
-    return Felt(given, made.signal, share * made.confidence, made.warnings)
+    made = synthesise_by_field(field, given, seed=seed)
+    share = compute_mean_share(compute_known_shares(baked), baked.patch_index)
+    return SynthesisedStroke(given, made.signal, share * made.confidence, made.warnings)
 
 
-def stroke_input(baked: BakedStroke) -> StrokeInput:
+def make_stroke_input(baked: BakedStroke) -> StrokeInput:
     """What the field is asked about a baked stroke: one token and one mechanics per patch, and the field that its
     material brings. The height under the path is that of measured maps alone: a predicted one has the right texture,
     not the right place of every grain."""
     action = action_from_contacts(baked.contacts, baked.patches, baked.patch_index, baked.stroke.probe)
-    profile = stroke_profile(action.position, baked.contacts.point, baked.patch_index, baked.patches, baked.records)
+    profile = build_stroke_profile(
+        action.position, baked.contacts.point, baked.patch_index, baked.patches, baked.records
+    )
     if profile is not None:
         # Its maps are float32: more digits would say nothing, and a stored stroke would be twice as large.
         profile = replace(profile, height=profile.height.astype(np.float32).astype(np.float64))
@@ -210,48 +212,48 @@ def stroke_input(baked: BakedStroke) -> StrokeInput:
         action=action,
         tokens=np.stack([fused.values for fused in baked.fused]).astype(np.float32),
         mechanics=tuple(baked.materials[patch.slot].library.mechanics for patch in baked.patches),
-        token_index=_held(baked.patch_index),
+        token_index=_extend_patch_index(baked.patch_index),
         profile=profile,
         fields=() if all(each is None for each in brought) else brought,
     )
 
 
-def known_shares(baked: BakedStroke) -> NDArray[np.float64]:
+def compute_known_shares(baked: BakedStroke) -> NDArray[np.float64]:
     """(M,) how far the field's condition is known on each patch, 0–1: the seven bands of the texture by their routes,
     and the three mechanical properties, which no picture shows, by the confidence in the library material."""
     guess = [baked.materials[patch.slot].confidence for patch in baked.patches]
     return np.array([
-        (BANDS * fused.confidence + MECHANICAL_PROPERTIES * sure) / (BANDS + MECHANICAL_PROPERTIES)
+        (BAND_COUNT * fused.confidence + MECHANICAL_PROPERTY_COUNT * sure) / (BAND_COUNT + MECHANICAL_PROPERTY_COUNT)
         for fused, sure in zip(baked.fused, guess, strict=True)
     ])  # fmt: skip
 
 
-def mean_share(shares: NDArray[np.float64], patch_index: NDArray[np.int32]) -> float:
+def compute_mean_share(shares: NDArray[np.float64], patch_index: NDArray[np.int32]) -> float:
     """Mean of known_shares (M,) over touch time. patch_index: (n,), −1 where nothing is touched."""
     touched = np.bincount(patch_index[patch_index >= 0], minlength=len(shares))
     return float(np.average(shares, weights=touched))
 
 
-def signal_facts(baked: BakedStroke) -> dict[str, str]:
+def get_signal_facts(baked: BakedStroke) -> dict[str, str]:
     """What a WAV says of where its signal comes from, apart from the stroke's own name and its confidence."""
     patch = baked.main_patch
     return {
         "object": baked.stroke.object_name,
         "material": baked.main_material.shader,
         "library_material": ", ".join(dict.fromkeys(entry.library.name for entry in baked.materials.values())),
-        "routes": routes_in_words(baked.fused[patch].routes),
-        "height_source": source_of(baked.records[patch]),
+        "routes": format_routes(baked.fused[patch].routes),
+        "height_source": get_map_source(baked.records[patch]),
     }
 
 
-def delivered(signal: Signal, name: str, facts: Mapping[str, str], confidence: float) -> Signal:
+def add_provenance(signal: Signal, name: str, facts: Mapping[str, str], confidence: float) -> Signal:
     """The signal with its origin written on it, as every WAV of a stroke has it. facts: of signal_facts."""
-    told = {fact: facts[fact] for fact in FACTS if fact in facts}
+    told = {fact: facts[fact] for fact in FACT_NAMES if fact in facts}
     origin = {**signal.provenance, "stroke": name, **told, "confidence": f"{confidence:.3f}"}
     return replace(signal, provenance=origin)
 
 
-def _held(index: NDArray[np.int32]) -> NDArray[np.int32]:
+def _extend_patch_index(index: NDArray[np.int32]) -> NDArray[np.int32]:
     """Off the surface the last touched patch goes on, before the first touch the first one."""
     good = np.flatnonzero(index >= 0)
     at = np.clip(np.searchsorted(good, np.arange(len(index)), side="right") - 1, 0, None)

@@ -8,23 +8,23 @@ from dataclasses import asdict, dataclass, fields
 
 from hnf_core.files import content_hash
 
-TOUCH, PATH = "touch", "path"
-WORDS = {
+TOUCH_FIELD, PATH_FIELD = "touch", "path"
+CHANGE_DESCRIPTIONS = {
     "made_by": "the add-on, its library or its field",
     "scale": "the scene's unit scale",
     "shape": "the shape of the surface",
     "shading": "the materials of the surface",
     "sight": "the networks that estimate relief from pictures",
     "choices": "a material choice",
-    PATH: "path, timing or surface name",
-    TOUCH: "force, seed or probe",
+    PATH_FIELD: "path, timing or surface name",
+    TOUCH_FIELD: "force, seed or probe",
 }
-SAME_SURFACE = "path or timing"
+PATH_ON_SAME_SURFACE = "path or timing"
 """What is left of PATH where the surface is called as it was."""
 
 
 @dataclass(frozen=True)
-class Inputs:
+class InputHashes:
     """Hashes of: made_by: software, library, field. scale: metres per unit. shape: the surface's geometry.
     shading: its shaders, their pixels, and the names that a material is guessed from. sight: the networks that read its
     pictures, "" where none is to be read. choices: library materials that the artist named. path: where the hand is and
@@ -47,23 +47,23 @@ class Inputs:
     @property
     def path_key(self) -> str:
         """Of everything but force, seed and probe: while it is equal, the signal follows without a render."""
-        return content_hash(*self._without(TOUCH))
+        return content_hash(*self._iter_without(TOUCH_FIELD))
 
     @property
     def surface_key(self) -> str:
         """Of everything that the tokens on the mesh follow from, whatever strokes led there."""
-        return content_hash(*self._without(TOUCH, PATH))
+        return content_hash(*self._iter_without(TOUCH_FIELD, PATH_FIELD))
 
-    def changes(self, earlier: Inputs, *, same_surface: bool = False) -> tuple[str, ...]:
+    def describe_changes(self, previous: InputHashes, *, same_surface: bool = False) -> tuple[str, ...]:
         """What differs from earlier, in words. same_surface: it is known that the surface is called as it was."""
-        words = WORDS | {PATH: SAME_SURFACE} if same_surface else WORDS
-        return tuple(word for name, word in words.items() if getattr(self, name) != getattr(earlier, name))
+        words = CHANGE_DESCRIPTIONS | {PATH_FIELD: PATH_ON_SAME_SURFACE} if same_surface else CHANGE_DESCRIPTIONS
+        return tuple(word for name, word in words.items() if getattr(self, name) != getattr(previous, name))
 
     def to_text(self) -> str:
         return json.dumps(asdict(self), sort_keys=True)
 
     @classmethod
-    def from_text(cls, text: object) -> Inputs | None:
+    def from_text(cls, text: object) -> InputHashes | None:
         """What to_text wrote; None for anything else."""
         try:
             record = json.loads(str(text))
@@ -71,5 +71,5 @@ class Inputs:
         except (ValueError, KeyError, TypeError):
             return None
 
-    def _without(self, *names: str) -> Iterator[str]:
+    def _iter_without(self, *names: str) -> Iterator[str]:
         return (getattr(self, field.name) for field in fields(self) if field.name not in names)

@@ -7,11 +7,13 @@ from collections.abc import Callable, Generator
 from typing import TypeVar
 
 Step = TypeVar("Step")
-Told = TypeVar("Told")
+Mapped = TypeVar("Mapped")
 Result = TypeVar("Result")
 
 
-def mapped(steps: Generator[Step, None, Result], tell: Callable[[Step], Told]) -> Generator[Told, None, Result]:
+def map_steps(
+    steps: Generator[Step, None, Result], convert: Callable[[Step], Mapped]
+) -> Generator[Mapped, None, Result]:
     """tell() of each step; what steps returns in the end. Closes steps however it ends."""
     with contextlib.closing(steps):
         while True:
@@ -19,4 +21,4 @@ def mapped(steps: Generator[Step, None, Result], tell: Callable[[Step], Told]) -
                 step = next(steps)
             except StopIteration as finished:
                 return finished.value  # type: ignore[no-any-return]  # what the generator declares
-            yield tell(step)
+            yield convert(step)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-OPTIONS = {
+OPTION_FOR_TAB_PLACE = {
     "Units in the Touch tab": "--scale METRES_PER_UNIT",
     "Feels in the Touch tab": "--material OBJECT[:SLOT]=NAME",
 }
 """A place in the tab, as notes name it → the option that says the same."""
 
 
-def with_option(note: str) -> str:
+def add_option_hint(note: str) -> str:
     """The note, and the option that does what it asks for, where there is one."""
-    options = [option for place, option in OPTIONS.items() if place in note]
+    options = [option for place, option in OPTION_FOR_TAB_PLACE.items() if place in note]
     return f"{note} Here: {', '.join(options)}." if options else note

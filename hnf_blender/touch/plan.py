@@ -6,30 +6,30 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 
-from hnf_core.counted import counted
+from hnf_core.counted import pluralize
 from hnf_core.tactile.tactile_map import Route
 
-from .earlier import Again
-from .options import with_option
+from .earlier import RerunReason
+from .options import add_option_hint
 from .report import Failed, Skipped
-from .view import OWN_VIEWS
+from .view import MAX_STROKE_VIEWS
 
-LOOKS = 2
+RENDERS_PER_CLOSEUP = 2
 """Renders of a close-up at most: see closeup.iter_closeups."""
-PATTERN_SECONDS, IMAGE_SECONDS = 0.7, 0.2
+PROCEDURAL_CLOSEUP_SECONDS, IMAGE_CLOSEUP_SECONDS = 0.7, 0.2
 """Of a close-up with all pixels, and of one that a first look nearly suffices for."""
-PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.1, 1.8, 0.4
+PREDICTION_SECONDS, PLOT_SECONDS, SYNTHESIS_SECONDS = 0.1, 1.8, 0.4
 """Rough cost on two cores, for the estimate only."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
 
-AGAIN = {
-    Again.UNFINISHED: "The baked .blend is not there, or the earlier run did not finish it",
-    Again.CHANGED: "The scene's file has changed since",
-    Again.STROKES: "The earlier run had other strokes",
+RERUN_MESSAGES = {
+    RerunReason.UNFINISHED: "The baked .blend is not there, or the earlier run did not finish it",
+    RerunReason.CHANGED: "The scene's file has changed since",
+    RerunReason.STROKES: "The earlier run had other strokes",
 }
 
 
-def patches_at_most(length_m: float) -> int:
+def estimate_max_patches(length_m: float) -> int:
     """Upper bound of the close-ups that a stroke of this length takes."""
     return int(length_m / PATCH_PITCH_M) + 1
 
@@ -42,17 +42,17 @@ class SlotPlan:
     material: str
     route: Route
     why: str
-    seconds: float = PATTERN_SECONDS
+    seconds: float = PROCEDURAL_CLOSEUP_SECONDS
     unless: str = ""
 
 
-def closeup_seconds(slots: Iterable[SlotPlan]) -> float:
+def estimate_closeup_seconds(slots: Iterable[SlotPlan]) -> float:
     """Of one close-up on any of these slots."""
-    return max((slot.seconds for slot in slots), default=PATTERN_SECONDS)
+    return max((slot.seconds for slot in slots), default=PROCEDURAL_CLOSEUP_SECONDS)
 
 
 @dataclass(frozen=True)
-class Needed:
+class PlannedBake:
     """One stroke to be made. patches: upper bound of the close-ups it takes. why: what is not fresh. slots: what it may
     touch."""
 
@@ -70,7 +70,7 @@ class Needed:
 
 
 @dataclass(frozen=True)
-class Fresh:
+class UpToDate:
     """One stroke whose signal is there and still true."""
 
     stroke: str
@@ -79,7 +79,7 @@ class Fresh:
 
 
 @dataclass(frozen=True)
-class PlannedProbe:
+class PlannedQuery:
     """One place to be looked at. close_ups: 1, or 0 where the store knows the place. slot: how its relief will come to
     be known, None where its object has no slots."""
 
@@ -100,21 +100,21 @@ class Plan:
     """pictures: upper bound of those that fresh strokes get anew. again: why the .blend of an earlier run, which has
     fresh ones, is written anew."""
 
-    needed: tuple[Needed, ...]
-    fresh: tuple[Fresh, ...]
+    needed: tuple[PlannedBake, ...]
+    fresh: tuple[UpToDate, ...]
     skipped: tuple[Skipped, ...]
     failed: tuple[Failed, ...]
     notes: tuple[str, ...]
-    probes: tuple[PlannedProbe, ...] = ()
+    probes: tuple[PlannedQuery, ...] = ()
     pictures: int = 0
-    again: Again = Again.NOTHING
+    again: RerunReason = RerunReason.NOTHING
 
     @property
     def renders(self) -> int:
         """Upper bound: a close-up a patch, and one a probe, in two looks at most; for the pictures one view by the
         scene's camera, and each stroke's own past what stands before it."""
         drawn = len(self.needed) + self.pictures
-        return LOOKS * self.close_ups + OWN_VIEWS * drawn + min(1, drawn)
+        return RENDERS_PER_CLOSEUP * self.close_ups + MAX_STROKE_VIEWS * drawn + min(1, drawn)
 
     @property
     def close_ups(self) -> int:
@@ -128,12 +128,12 @@ class Plan:
 
     @property
     def seconds(self) -> float:
-        stroke = PICTURE_SECONDS + SYNTHESIS_SECONDS
-        looks = sum(entry.patches * closeup_seconds(entry.slots) for entry in self.needed)
+        stroke = PLOT_SECONDS + SYNTHESIS_SECONDS
+        looks = sum(entry.patches * estimate_closeup_seconds(entry.slots) for entry in self.needed)
         looks += sum(
-            each.close_ups * closeup_seconds(() if each.slot is None else (each.slot,)) for each in self.probes
+            each.close_ups * estimate_closeup_seconds(() if each.slot is None else (each.slot,)) for each in self.probes
         )
-        strokes = len(self.needed) * stroke + self.pictures * PICTURE_SECONDS
+        strokes = len(self.needed) * stroke + self.pictures * PLOT_SECONDS
         return looks + self.predictions * PREDICTION_SECONDS + strokes
 
     def as_json(self) -> str:
@@ -145,17 +145,17 @@ class Plan:
         record = {**asdict(self), "estimate": estimate}
         return json.dumps(record, indent=1, ensure_ascii=False)
 
-    def _cost_in_words(self) -> str:
+    def _format_cost(self) -> str:
         """Upper bounds, in what the lines above count."""
-        parts = [counted(self.close_ups, "close-up"), counted(len(self.needed) + self.pictures, "picture")]
+        parts = [pluralize(self.close_ups, "close-up"), pluralize(len(self.needed) + self.pictures, "picture")]
         if self.predictions:
-            parts.append(f"{counted(self.predictions, 'relief')} estimated from pictures")
+            parts.append(f"{pluralize(self.predictions, 'relief')} estimated from pictures")
         return f"at most {', '.join(parts[:-1])} and {parts[-1]}, about {self.seconds:.0f} s"
 
-    def _pictures_in_words(self) -> str:
+    def _format_plot_count(self) -> str:
         if not self.pictures:
             return ""
-        return f", and at most {counted(self.pictures, 'picture')}, where what it shows is not what it showed"
+        return f", and at most {pluralize(self.pictures, 'picture')}, where what it shows is not what it showed"
 
     def as_text(self) -> str:
         lines = []
@@ -164,32 +164,34 @@ class Plan:
             for entry in self.needed:
                 lines.append(
                     f"  {entry.stroke}: on {entry.object}, {entry.material or 'no material'}; "
-                    f"at most {counted(entry.patches, 'close-up')} ({entry.why})"
+                    f"at most {pluralize(entry.patches, 'close-up')} ({entry.why})"
                 )
-                lines += [_route_line(slot, entry.predictions) for slot in entry.slots]
-            lines.append(f"  In all {self._cost_in_words()}.")
+                lines += [_format_route(slot, entry.predictions) for slot in entry.slots]
+            lines.append(f"  In all {self._format_cost()}.")
         if self.probes:
             lines.append("Probes:")
             for probe in self.probes:
                 cost = "1 close-up" if probe.close_ups else "examined before, nothing to render"
                 lines.append(f"  {probe.name}: on {probe.object}, {probe.material or 'no material'}; {cost}")
-                lines += [_route_line(probe.slot, probe.predictions)] if probe.slot is not None else []
+                lines += [_format_route(probe.slot, probe.predictions)] if probe.slot is not None else []
         lines += ["Up to date:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
         if self.again:
-            lines.append(f"  {AGAIN[self.again]}: the baked .blend is written anew{self._pictures_in_words()}.")
-        lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
+            lines.append(
+                f"  {RERUN_MESSAGES[self.again]}: the baked .blend is written anew{self._format_plot_count()}."
+            )
+        lines += ["Skipped:", *_format_skipped(self.skipped)] if self.skipped else []
         lines += ["Problems:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
-        lines += ["Notes:", *(f"  {with_option(note)}" for note in self.notes)] if self.notes else []
+        lines += ["Notes:", *(f"  {add_option_hint(note)}" for note in self.notes)] if self.notes else []
         return "\n".join(lines) or "Nothing to do."
 
 
-def _route_line(slot: SlotPlan, predictions: int) -> str:
+def _format_route(slot: SlotPlan, predictions: int) -> str:
     said = ""
     if slot.route is Route.PREDICTED:
-        said = f", at most {counted(predictions, 'close-up')}, {predictions * PREDICTION_SECONDS:.1f} s"
+        said = f", at most {pluralize(predictions, 'close-up')}, {predictions * PREDICTION_SECONDS:.1f} s"
     unless = f"; prior if {slot.unless}" if slot.unless else ""
     return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}{unless}){said}"
 
 
-def _bullets(skipped: Sequence[Skipped]) -> list[str]:
+def _format_skipped(skipped: Sequence[Skipped]) -> list[str]:
     return [f"  {entry.what}: {entry.why}" for entry in skipped]

@@ -96,24 +96,24 @@ class Report:
     source: str = ""
     left_over: list[str] = field(default_factory=list)
 
-    def warn(self, text: str) -> None:
+    def add_warning(self, text: str) -> None:
         if text not in self.warnings:
             self.warnings.append(text)
 
     def as_json(self) -> str:
         record = {"schema": SCHEMA, **asdict(self)}
-        return json.dumps(_finite(record), indent=1, ensure_ascii=False) + "\n"
+        return json.dumps(_replace_non_finite(record), indent=1, ensure_ascii=False) + "\n"
 
     def write(self, folder: Path) -> None:
         write_text(folder / REPORT_NAME, self.as_json())
 
 
-def _finite(value: Any) -> Any:
+def _replace_non_finite(value: Any) -> Any:
     """JSON has no inf and no NaN: they become null."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
+        return {key: _replace_non_finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
+        return [_replace_non_finite(entry) for entry in value]
     return value

@@ -18,33 +18,33 @@ from hnf_core.files import content_hash
 from hnf_core.folder_lock import folder_lock
 
 from ..bridge.importers import open_scene
-from ..bridge.metres import metres_per_unit
-from ..bridge.scene_names import object_in
-from .deliver import deliver, draw_again, save_baked
-from .earlier import Again, Earlier, earlier_run, left_over
-from .feel import BakedStroke, feel
-from .jobs import Gathered, Job, Session, gather
-from .mapped import mapped
-from .outside import outside_files, source_hash
-from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
-from .probe_run import keep_strokes, run_probes, with_probes, without_strokes
+from ..bridge.metres import get_metres_per_unit
+from ..bridge.scene_names import find_object
+from .deliver import redraw_stroke_plot, save_baked_blend, write_stroke_files
+from .earlier import PreviousRun, RerunReason, find_orphaned_files, read_previous_run
+from .feel import BakedStroke, synthesise_stroke
+from .jobs import GatheredJobs, Session, StrokeJob, gather_jobs
+from .mapped import map_steps
+from .outside import hash_source_files, list_external_files
+from .plan import TYPICAL_PATH_M, Plan, PlannedBake, UpToDate, estimate_max_patches
+from .probe_run import add_queries, carry_over_strokes, run_queries, skip_strokes
 from .report import Report, StrokeReport
-from .routes import kept_reliefs, slot_plans
-from .steps import CACHE_NAME, bake_steps, timed
-from .tell import tell
+from .routes import describe_shader_reliefs, plan_slots
+from .steps import CACHE_FOLDER_NAME, bake_steps, record_time
+from .tell import print_summary
 from .tokens import store_tokens
-from .view import Views
+from .view import StrokeViews
 
 
 def run(request: TouchRequest) -> int:
     """Do request and tell the person; returns the exit code. Raises HnfError where nothing could be begun."""
     with _interruptible():
         if request.plan_only:  # nothing is written, so that no folder need be there or be held
-            plan = _prepared(request).plan
+            plan = _prepare(request).plan
             print(plan.as_json() if request.as_json else plan.as_text())
             return 1 if plan.failed else 0
         with folder_lock(request.folder):
-            return _touch(request)
+            return _run_request(request)
 
 
 @dataclass(frozen=True)
@@ -53,96 +53,98 @@ class _Prepared:
     of these. open_s, plan_s: seconds it took."""
 
     session: Session
-    found: Gathered
+    found: GatheredJobs
     files: list[str]
     source: str
-    earlier: Earlier
+    previous: PreviousRun
     plan: Plan
     open_s: float
     plan_s: float
 
 
-def _prepared(request: TouchRequest) -> _Prepared:
+def _prepare(request: TouchRequest) -> _Prepared:
     started = time.monotonic()
-    scene = _open(request)
+    scene = _open_request_scene(request)
     opened = time.monotonic()
-    session = _session(scene, request)
-    found = without_strokes(session) if request.only_probes else gather(session)
-    found.notes += kept_reliefs(session, found)
-    files = outside_files(_source(request))
-    source = source_hash(_source(request), files)
-    earlier = earlier_run(request.out)
-    plan = with_probes(session, make_plan(session, found, earlier, source))
+    session = _make_session(scene, request)
+    found = skip_strokes(session) if request.has_only_queries else gather_jobs(session)
+    found.notes += describe_shader_reliefs(session, found)
+    files = list_external_files(_get_scene_path(request))
+    source = hash_source_files(_get_scene_path(request), files)
+    earlier = read_previous_run(request.out)
+    plan = add_queries(session, make_plan(session, found, earlier, source))
     return _Prepared(session, found, files, source, earlier, plan, opened - started, time.monotonic() - opened)
 
 
-def _touch(request: TouchRequest) -> int:
+def _run_request(request: TouchRequest) -> int:
     started = time.monotonic()
-    ready = _prepared(request)
+    ready = _prepare(request)
     session, found = ready.session, ready.found
     report = _new_report(session, found, ready.files)
     report.timings = {"open_s": round(ready.open_s, 3), "plan_s": round(ready.plan_s, 3)}
     bar = ProgressBar()
     try:
-        if request.only_probes:
-            keep_strokes(report, request.folder, baked_name(session))
+        if request.has_only_queries:
+            carry_over_strokes(report, request.folder, get_blend_name(session))
         else:
-            for progress in touch_steps(session, found, ready.earlier, ready.source, report):
+            for progress in touch_steps(session, found, ready.previous, ready.source, report):
                 bar.show(progress)
-        for progress in run_probes(session, report):
+        for progress in run_queries(session, report):
             bar.show(progress)
     finally:
         bar.close()
         report.timings["total_s"] = round(time.monotonic() - started, 3)
         report.write(request.folder)
-    return tell(report, request)
+    return print_summary(report, request)
 
 
 def touch_steps(
-    session: Session, found: Gathered, earlier: Earlier, source: str, report: Report
+    session: Session, found: GatheredJobs, previous: PreviousRun, source: str, report: Report
 ) -> Generator[Progress, None, None]:
     """Everything that is needed; report grows with each stroke. Where all is fresh, and the scene's file is what it was
     (source: its hash), nothing is done. Where that is another, fresh strokes are described again from what is stored,
     so that their tokens come into the new .blend, and pictured again where their picture would show the change."""
     folder = session.request.folder
-    fresh = earlier.fresh(found.jobs, folder)
-    baked_path = folder / baked_name(session)
+    fresh = previous.find_fresh(found.jobs, folder)
+    baked_path = folder / get_blend_name(session)
     report.baked_blend = baked_path.name
     report.strokes = [replace(fresh[job.name], name=job.name, fresh=True) for job in found.jobs if job.name in fresh]
     for stroke in report.strokes:
         for warning in stroke.warnings:
-            report.warn(f"stroke '{stroke.name}': {warning}")
+            report.add_warning(f"stroke '{stroke.name}': {warning}")
     names = {job.name for job in found.jobs} | {each.stroke for each in found.failed}
-    report.left_over = left_over(earlier, folder, report.scene, report.strokes, names)
-    if found.jobs and len(fresh) == len(found.jobs) and not earlier.why_again(found.jobs, source, baked_path):
+    report.left_over = find_orphaned_files(previous, folder, report.scene, report.strokes, names)
+    if found.jobs and len(fresh) == len(found.jobs) and not previous.get_rerun_reason(found.jobs, source, baked_path):
         report.source = source
         return
-    with Views(session.scene, session.depsgraph, session.metres_per_unit, report.counts, source) as views:
+    with StrokeViews(session.scene, session.depsgraph, session.metres_per_unit, report.counts, source) as views:
 
-        def each(job: Job, described: BakedStroke) -> Iterator[str]:
-            key = _picture_key(job, described, views)
+        def each(job: StrokeJob, described: BakedStroke) -> Iterator[str]:
+            key = _compute_plot_key(job, described, views)
             if job.name not in fresh:
                 yield "synthesis"
-                report.strokes.append(_feel(session, job, described, views, key, report))
+                report.strokes.append(_synthesise(session, job, described, views, key, report))
             elif fresh[job.name].picture_key != key:
                 yield "picture"
-                _picture_again(session, job, described, views, key, report)
+                _redraw(session, job, described, views, key, report)
 
-        steps = bake_steps(session, found.jobs, folder / CACHE_NAME, report, each)
-        baked = yield from _written(steps, report, folder)
+        steps = bake_steps(session, found.jobs, folder / CACHE_FOLDER_NAME, report, each)
+        baked = yield from _write_after_each_stroke(steps, report, folder)
     if baked:
-        with timed(report, "save_s"):
+        with record_time(report, "save_s"):
             for warning in store_tokens(baked):
-                report.warn(warning)
+                report.add_warning(warning)
             if session.request.metres_per_unit is not None:
                 # Or it would be felt in another size where it is opened.
                 session.scene.hnf.metres_per_unit = session.metres_per_unit
-            save_baked(baked_path)
+            save_baked_blend(baked_path)
             report.source = source
-    report.left_over = left_over(earlier, folder, report.scene, report.strokes, {each.stroke for each in report.failed})
+    report.left_over = find_orphaned_files(
+        previous, folder, report.scene, report.strokes, {each.stroke for each in report.failed}
+    )
 
 
-def _written(
+def _write_after_each_stroke(
     steps: Generator[Progress, None, tuple[BakedStroke, ...]], report: Report, folder: Path
 ) -> Generator[Progress, None, tuple[BakedStroke, ...]]:
     """The same steps; the report is on disk after every stroke."""
@@ -155,47 +157,47 @@ def _written(
             report.write(folder)
         return progress
 
-    return (yield from mapped(steps, kept))
+    return (yield from map_steps(steps, kept))
 
 
-def make_plan(session: Session, found: Gathered, earlier: Earlier, source: str) -> Plan:
+def make_plan(session: Session, found: GatheredJobs, previous: PreviousRun, source: str) -> Plan:
     """Nothing is rendered and no ray is cast for it. source: hash of the scene's file."""
     needed, fresh = [], []
-    known = earlier.fresh(found.jobs, session.request.out)
+    known = previous.find_fresh(found.jobs, session.request.out)
     for job in found.jobs:
         if job.name in known:
-            fresh.append(Fresh(job.name, job.object_name, known[job.name].wav))
+            fresh.append(UpToDate(job.name, job.object_name, known[job.name].wav))
             continue
         length = TYPICAL_PATH_M if job.stroke is None else job.stroke.length_m
-        slots = session.facts(object_in(session.scene, job.object_name)).materials
+        slots = session.get_facts(find_object(session.scene, job.object_name)).materials
         shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
-        why = "changed since the last run" if earlier.has_name(job.name) else "not baked yet"
-        routes = slot_plans(session, job)
-        needed.append(Needed(job.name, job.object_name, shader, patches_at_most(length), why, routes))
-    folder, again = session.request.out, Again.NOTHING
+        why = "changed since the last run" if previous.has_name(job.name) else "not baked yet"
+        routes = plan_slots(session, job)
+        needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes))
+    folder, again = session.request.out, RerunReason.NOTHING
     if fresh and folder is not None:
-        again = earlier.why_again(found.jobs, source, folder / baked_name(session))
+        again = previous.get_rerun_reason(found.jobs, source, folder / get_blend_name(session))
     # Of the same file, only a picture of which nobody knows what it shows may be another.
-    pictures = sum(earlier.source != source or not entry.picture_key for entry in known.values())
+    pictures = sum(previous.source != source or not entry.picture_key for entry in known.values())
     return Plan(
         tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes), pictures=pictures,
         again=again,
     )  # fmt: skip
 
 
-def baked_name(session: Session) -> str:
-    source = _source(session.request)
+def get_blend_name(session: Session) -> str:
+    source = _get_scene_path(session.request)
     return f"{source.stem}_touched.blend"
 
 
-def _session(scene: Any, request: TouchRequest) -> Session:
+def _make_session(scene: Any, request: TouchRequest) -> Session:
     import bpy
 
     view_layer = bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
-    return Session(scene, view_layer, metres_per_unit(scene, request.metres_per_unit), request)
+    return Session(scene, view_layer, get_metres_per_unit(scene, request.metres_per_unit), request)
 
 
-def _open(request: TouchRequest) -> Any:
+def _open_request_scene(request: TouchRequest) -> Any:
     import bpy
 
     if request.scene is not None:
@@ -204,9 +206,9 @@ def _open(request: TouchRequest) -> Any:
             said = f"reconstructing {request.scene.name}"
             return open_scene(
                 request.scene,
-                None if request.out is None else request.out / CACHE_NAME,
+                None if request.out is None else request.out / CACHE_FOLDER_NAME,
                 lambda stage, share: bar.show(Progress(f"{said}: {stage}", 0, 1, share)),
-                keep=not request.plan_only,
+                write_cache=not request.plan_only,
             )
         finally:
             bar.close()
@@ -219,16 +221,16 @@ def _open(request: TouchRequest) -> Any:
     return bpy.context.scene
 
 
-def _source(request: TouchRequest) -> Path:
+def _get_scene_path(request: TouchRequest) -> Path:
     import bpy
 
     return request.scene if request.scene is not None else Path(bpy.data.filepath)
 
 
-def _new_report(session: Session, found: Gathered, files: list[str]) -> Report:
+def _new_report(session: Session, found: GatheredJobs, files: list[str]) -> Report:
     request = session.request
     report = Report(
-        scene=_source(request).name,
+        scene=_get_scene_path(request).name,
         metres_per_unit=float(f"{session.metres_per_unit:.7g}"),  # the scene keeps no more of it
         scale_source="the scene's units" if request.metres_per_unit is None else "--scale",
         skipped=list(found.skipped),
@@ -236,40 +238,42 @@ def _new_report(session: Session, found: Gathered, files: list[str]) -> Report:
         files=files,
     )
     for note in found.notes:
-        report.warn(note)
+        report.add_warning(note)
     return report
 
 
-def _feel(
-    session: Session, job: Job, baked: BakedStroke, views: Views, picture_key: str, report: Report
+def _synthesise(
+    session: Session, job: StrokeJob, baked: BakedStroke, views: StrokeViews, picture_key: str, report: Report
 ) -> StrokeReport:
-    with timed(report, "synthesis_s"):
-        felt = feel(baked, session.field, job.seed, report.counts)
+    with record_time(report, "synthesis_s"):
+        felt = synthesise_stroke(baked, session.field, job.seed, report.counts)
     for warning in felt.warnings:
-        report.warn(f"stroke '{job.name}': {warning}")
-    with timed(report, "picture_s"):
-        view, taken = _view(job, baked, views, report), {stroke.wav for stroke in report.strokes}
-        return deliver(session.request.folder, job, baked, felt, view, taken, picture_key)
+        report.add_warning(f"stroke '{job.name}': {warning}")
+    with record_time(report, "picture_s"):
+        view, taken = _render_view(job, baked, views, report), {stroke.wav for stroke in report.strokes}
+        return write_stroke_files(session.request.folder, job, baked, felt, view, taken, picture_key)
 
 
-def _picture_again(
-    session: Session, job: Job, baked: BakedStroke, views: Views, picture_key: str, report: Report
+def _redraw(
+    session: Session, job: StrokeJob, baked: BakedStroke, views: StrokeViews, picture_key: str, report: Report
 ) -> None:
-    with timed(report, "picture_s"):
+    with record_time(report, "picture_s"):
         at = next(index for index, stroke in enumerate(report.strokes) if stroke.name == job.name)
-        view = _view(job, baked, views, report)
-        report.strokes[at] = draw_again(session.request.folder, report.strokes[at], job, baked, view, picture_key)
+        view = _render_view(job, baked, views, report)
+        report.strokes[at] = redraw_stroke_plot(
+            session.request.folder, report.strokes[at], job, baked, view, picture_key
+        )
 
 
-def _view(job: Job, baked: BakedStroke, views: Views, report: Report) -> StrokeView:
-    view, notes = views.of_stroke(baked.contacts, baked.touched.surface, baked.touched.obj, job.name)
+def _render_view(job: StrokeJob, baked: BakedStroke, views: StrokeViews, report: Report) -> StrokeView:
+    view, notes = views.render_stroke(baked.contacts, baked.touched.surface, baked.touched.obj, job.name)
     for note in notes:
-        report.warn(note)
+        report.add_warning(note)
     return view
 
 
-def _picture_key(job: Job, baked: BakedStroke, views: Views) -> str:
-    return content_hash(job.name, views.hash_of(baked.contacts, baked.touched.surface, baked.touched.obj))
+def _compute_plot_key(job: StrokeJob, baked: BakedStroke, views: StrokeViews) -> str:
+    return content_hash(job.name, views.hash_view(baked.contacts, baked.touched.surface, baked.touched.obj))
 
 
 @contextlib.contextmanager

@@ -10,24 +10,24 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from hnf_core.blas import one_blas_thread
+from hnf_core.blas import single_blas_thread
 from hnf_core.cli.progress import Progress
 from hnf_core.errors import HnfError
 
-from ..bridge.scene_names import object_in
-from .feel import BakedStroke, bake_stroke_steps, without_maps
-from .jobs import Job, Session
-from .mapped import mapped
+from ..bridge.scene_names import find_object
+from .feel import BakedStroke, bake_stroke_steps, drop_maps
+from .jobs import Session, StrokeJob
+from .mapped import map_steps
 from .report import Failed, Report
 
-CACHE_NAME = "cache"
+CACHE_FOLDER_NAME = "cache"
 """Of the folder of patches beside a run's results."""
-Each = Callable[[Job, BakedStroke], Iterable[str]]
+OnStroke = Callable[[StrokeJob, BakedStroke], Iterable[str]]
 """What to do with a described stroke; gives the name of each stage before it begins."""
 
 
 def bake_steps(
-    session: Session, jobs: Sequence[Job], cache: Path, report: Report, each: Each
+    session: Session, jobs: Sequence[StrokeJob], cache: Path, report: Report, on_stroke: OnStroke
 ) -> Generator[Progress, None, tuple[BakedStroke, ...]]:
     """Bake every job and hand it to each; one that fails is named in the report and does not cost the others.
 
@@ -39,13 +39,13 @@ def bake_steps(
     for done, job in enumerate(jobs):
         yield Progress(job.name, done, total)
         try:
-            with timed(report, "bake_s"), one_blas_thread():  # Cycles and rays have both cores to fill
-                described = yield from mapped(
-                    _bake(session, job, cache, report),
-                    partial(_close_ups, job.name, done, total),
+            with record_time(report, "bake_s"), single_blas_thread():  # Cycles and rays have both cores to fill
+                described = yield from map_steps(
+                    _bake_job_steps(session, job, cache, report),
+                    partial(_closeup_progress, job.name, done, total),
                 )
-            baked.append(without_maps(described))
-            for stage in each(job, described):
+            baked.append(drop_maps(described))
+            for stage in on_stroke(job, described):
                 yield Progress(f"{job.name}: {stage}", done, total, 0.9)
         except HnfError as error:
             report.failed.append(Failed(job.name, str(error)))
@@ -59,13 +59,13 @@ def bake_steps(
     return tuple(baked)
 
 
-def _close_ups(name: str, done: int, total: int, share: float) -> Progress:
+def _closeup_progress(name: str, done: int, total: int, share: float) -> Progress:
     """The share of one stroke's patches that is done, as a share of the whole."""
     return Progress(f"{name}: close-ups", done, total, 0.9 * share)
 
 
 @contextlib.contextmanager
-def timed(report: Report, name: str) -> Iterator[None]:
+def record_time(report: Report, name: str) -> Iterator[None]:
     """Adds what the block takes to report.timings."""
     start = time.monotonic()
     try:
@@ -74,15 +74,17 @@ def timed(report: Report, name: str) -> Iterator[None]:
         report.timings[name] = round(report.timings.get(name, 0.0) + time.monotonic() - start, 3)
 
 
-def _bake(session: Session, job: Job, cache: Path, report: Report) -> Generator[float, None, BakedStroke]:
+def _bake_job_steps(
+    session: Session, job: StrokeJob, cache: Path, report: Report
+) -> Generator[float, None, BakedStroke]:
     stroke = job.stroke
     if stroke is None:
-        with timed(report, "place_s"):
-            curve = session.place(object_in(session.scene, job.object_name), job, report.counts)
-        stroke = session.read(curve)
-    touched = session.touched(object_in(session.scene, stroke.object_name))
-    choices = session.choices(stroke.object_name)
-    described = yield from bake_stroke_steps(stroke, touched, choices, cache, report.counts, session.seeing)
+        with record_time(report, "place_s"):
+            curve = session.place_stroke(find_object(session.scene, job.object_name), job, report.counts)
+        stroke = session.read_stroke(curve)
+    touched = session.get_touched_object(find_object(session.scene, stroke.object_name))
+    choices = session.get_choices(stroke.object_name)
+    described = yield from bake_stroke_steps(stroke, touched, choices, cache, report.counts, session.predictor)
     for note in described.notes:
-        report.warn(note)
+        report.add_warning(note)
     return described

@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.archive import DAMAGED
+from hnf_core.archive import NPZ_ERRORS
 from hnf_core.files import write_bytes
 from hnf_core.material.material import Appearance
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route
 
-from ..bridge.look import Look
+from ..bridge.look import UnlitImage
 
-STORE_VERSION = 4
+PATCH_VERSION = 4
 PREDICTION_VERSION = 1
 
-RECENT = 8
+PATCHES_IN_MEMORY = 8
 """Patches kept in memory, some 2 MB each, 6 with a picture: more than a stroke of 10 cm crosses."""
 
 
@@ -68,7 +68,7 @@ class PatchRecord:
     appearance: Appearance
     faces: NDArray[np.int32]
     notes: tuple[str, ...]
-    look: Look | None = None
+    unlit: UnlitImage | None = None
     encoder: str = ""
     predicted: Prediction | None = None
 
@@ -87,36 +87,36 @@ def load_patch(folder: Path, key: str) -> PatchRecord | None:
     try:
         stat = path.stat()
         return _read_patch(path, stat.st_mtime_ns, stat.st_size)
-    except DAMAGED:
+    except NPZ_ERRORS:
         return None
 
 
-@lru_cache(maxsize=RECENT)
+@lru_cache(maxsize=PATCHES_IN_MEMORY)
 def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None:
     """Raises what DAMAGED names. The last ones stay in memory as long as their files are what they were: strokes of a
     scene often cross the same place, and unpacking takes longer than all else that a stroke over it costs."""
     with np.load(path, allow_pickle=False) as data:
-        if int(data["version"]) != STORE_VERSION:
+        if int(data["version"]) != PATCH_VERSION:
             return None
         measured = bool(data["measured"])
         return PatchRecord(
-            height=_fixed(data["height"]) if measured else None,
-            mask=_fixed(data["mask"]),
+            height=_set_read_only(data["height"]) if measured else None,
+            mask=_set_read_only(data["mask"]),
             metres_per_pixel=float(data["metres_per_pixel"]),
             resolved_wavelength_m=float(data["resolved_wavelength_m"]),
             height_source=str(data["height_source"]),
             height_peak_to_peak_m=float(data["height_peak_to_peak_m"]),
-            token=_fixed(data["token"]) if measured else None,
-            known=_fixed(data["known"]) if measured else None,
-            appearance=_appearance_from(data["appearance"]),
-            faces=_fixed(data["faces"]),
+            token=_set_read_only(data["token"]) if measured else None,
+            known=_set_read_only(data["known"]) if measured else None,
+            appearance=_unpack_appearance(data["appearance"]),
+            faces=_set_read_only(data["faces"]),
             notes=tuple(str(note) for note in data["notes"]),
-            look=_look_from(data) if bool(data["pictured"]) else None,
+            unlit=_unpack_unlit_image(data) if bool(data["pictured"]) else None,
             encoder=str(data["encoder"]),
         )
 
 
-def _fixed(array: NDArray[Any]) -> NDArray[Any]:
+def _set_read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Made read-only: several records may hold it."""
     array.setflags(write=False)
     return array
@@ -125,7 +125,7 @@ def _fixed(array: NDArray[Any]) -> NDArray[Any]:
 def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
     empty = np.zeros(0, dtype=np.float32)
     arrays = {
-        "version": np.array(STORE_VERSION),
+        "version": np.array(PATCH_VERSION),
         "measured": np.array(record.height is not None),
         "height": empty if record.height is None else record.height,
         "mask": record.mask,
@@ -135,20 +135,20 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
         "height_peak_to_peak_m": np.array(record.height_peak_to_peak_m),
         "token": empty if record.token is None else record.token,
         "known": empty.astype(bool) if record.known is None else record.known,
-        "appearance": _appearance_row(record.appearance),
+        "appearance": _pack_appearance(record.appearance),
         "faces": record.faces,
         "notes": np.array(record.notes, dtype=np.str_),
-        "pictured": np.array(record.look is not None),
+        "pictured": np.array(record.unlit is not None),
         "encoder": np.array(record.encoder),
     }
-    if record.look is not None:
+    if record.unlit is not None:
         arrays |= {
-            "rgb": record.look.rgb,
-            "depth": record.look.depth_m,
-            "look_resolved": np.array(record.look.resolved_wavelength_m),
-            "look_source": np.array(record.look.source),
+            "rgb": record.unlit.rgb,
+            "depth": record.unlit.depth_m,
+            "look_resolved": np.array(record.unlit.resolved_wavelength_m),
+            "look_source": np.array(record.unlit.source),
         }
-    _save(folder / f"{key}.npz", arrays)
+    _save_arrays(folder / f"{key}.npz", arrays)
 
 
 def load_prediction(folder: Path, key: str) -> Prediction | None:
@@ -165,7 +165,7 @@ def load_prediction(folder: Path, key: str) -> Prediction | None:
                 encoder=str(data["encoder"]),
                 weights=str(data["weights"]),
             )
-    except DAMAGED:
+    except NPZ_ERRORS:
         return None
 
 
@@ -180,26 +180,31 @@ def save_prediction(folder: Path, key: str, prediction: Prediction) -> None:
         "encoder": np.array(prediction.encoder),
         "weights": np.array(prediction.weights),
     }
-    _save(folder / f"{key}.npz", arrays)
+    _save_arrays(folder / f"{key}.npz", arrays)
 
 
-def _save(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+def _save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     packed = io.BytesIO()  # in memory first: on a full disk a half-written archive complains again when dropped
     np.savez_compressed(packed, **arrays)
     write_bytes(path, packed.getvalue())
 
 
-def _look_from(data: Mapping[str, NDArray[Any]]) -> Look:
-    return Look(_fixed(data["rgb"]), _fixed(data["depth"]), float(data["look_resolved"]), str(data["look_source"]))
+def _unpack_unlit_image(data: Mapping[str, NDArray[Any]]) -> UnlitImage:
+    return UnlitImage(
+        _set_read_only(data["rgb"]),
+        _set_read_only(data["depth"]),
+        float(data["look_resolved"]),
+        str(data["look_source"]),
+    )
 
 
-def _appearance_row(appearance: Appearance) -> NDArray[np.float64]:
+def _pack_appearance(appearance: Appearance) -> NDArray[np.float64]:
     colour = appearance.base_color or (np.nan,) * 3
     rest = (appearance.roughness, appearance.metallic, appearance.sheen, appearance.transmission)
     return np.array([*colour, *(np.nan if value is None else value for value in rest)])
 
 
-def _appearance_from(row: NDArray[np.float64]) -> Appearance:
+def _unpack_appearance(row: NDArray[np.float64]) -> Appearance:
     values = [None if np.isnan(value) else float(value) for value in row]
     red, green, blue = values[:3]
     colour = None if red is None or green is None or blue is None else (red, green, blue)

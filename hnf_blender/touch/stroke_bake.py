@@ -15,19 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
-from hnf_core.archive import DAMAGED, read_arrays
+from hnf_core.archive import NPZ_ERRORS, read_npz
 from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.field.stroke import HeightProfile, StrokeInput
-from hnf_core.field.weights import field_bytes, parse_field
+from hnf_core.field.weights import parse_field, serialise_field
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.probe import PROBES
 
-from ..bridge.keeping import drop, keep, kept
+from ..bridge.keeping import delete_property, get_property, set_property
 
 if TYPE_CHECKING:
     from hnf_core.field.field import Field
 
-    from .feel import BakedStroke, Felt
+    from .feel import BakedStroke, SynthesisedStroke
 
 BAKE_PROPERTY = "hnf_bake"
 """ID property of the stroke's curve object."""
@@ -68,12 +68,12 @@ class StrokeBake:
         """
         action = self.stroke.action
         if force.shape != action.force.shape:
-            raise StrokeError(f"force has {len(force)} samples, the bake has {len(action.force)}.", remedy=_AGAIN)
+            raise StrokeError(f"force has {len(force)} samples, the bake has {len(action.force)}.", remedy=_REMEDY)
         fresh = (force > 0.0) & self.on_surface & (self.patch_index < 0)
         if fresh.any():
             at = float(np.flatnonzero(fresh)[0] / action.rate)
             raise StrokeError(
-                f"it now presses where the bake had no contact ({at:.2f} s after its start).", remedy=_AGAIN
+                f"it now presses where the bake had no contact ({at:.2f} s after its start).", remedy=_REMEDY
             )
         index = np.where(force > 0.0, self.patch_index, np.int32(-1))
         pressed = replace(action, force=force, contact=index >= 0, probe=probe or action.probe)
@@ -91,10 +91,10 @@ class StrokeBake:
             "schema": np.array(SCHEMA),
             "texts": np.frombuffer(json.dumps(texts, sort_keys=True).encode(), np.uint8),
             "rate": np.array(action.rate),
-            "direction": _planes(action.direction),
-            "speed": _planes(action.speed),
-            "force": _planes(action.force),
-            "position": _planes(action.position),
+            "direction": _split_byte_planes(action.direction),
+            "speed": _split_byte_planes(action.speed),
+            "force": _split_byte_planes(action.force),
+            "position": _split_byte_planes(action.position),
             "contact": action.contact,
             "tokens": self.stroke.tokens,
             "mechanics": np.array(mechanics, dtype=np.float64).reshape(-1, len(_MECHANICS)),
@@ -105,8 +105,8 @@ class StrokeBake:
         }
         if profile is not None:
             scale = (profile.step_m, profile.origin_m, profile.resolved_wavelength_m)
-            arrays |= {"profile_scale": np.array(scale), "profile": _planes(profile.height)}
-        arrays |= _packed_fields(self.stroke)
+            arrays |= {"profile_scale": np.array(scale), "profile": _split_byte_planes(profile.height)}
+        arrays |= _pack_fields(self.stroke)
         packed = io.BytesIO()
         np.savez_compressed(packed, **arrays)
         return packed.getvalue()
@@ -115,30 +115,32 @@ class StrokeBake:
     def from_bytes(cls, data: bytes, *, where: str = "stored bake") -> StrokeBake:
         """Raises FileError where data are damaged, or of another version."""
         try:
-            arrays = read_arrays(data)
+            arrays = read_npz(data)
             schema = int(arrays["schema"])
             if schema == SCHEMA:
                 return _unpack(arrays)
-        except _DAMAGE as error:
-            raise FileError(f"its stored bake is damaged ({error}).", where=where, remedy=_AGAIN) from error
-        raise FileError(f"its stored bake has format {schema}, this add-on reads {SCHEMA}.", where=where, remedy=_AGAIN)
+        except _DAMAGE_ERRORS as error:
+            raise FileError(f"its stored bake is damaged ({error}).", where=where, remedy=_REMEDY) from error
+        raise FileError(
+            f"its stored bake has format {schema}, this add-on reads {SCHEMA}.", where=where, remedy=_REMEDY
+        )
 
 
-def stroke_bake_of(baked: BakedStroke, felt: Felt, *, key: str, path_key: str) -> StrokeBake:
+def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key: str, path_key: str) -> StrokeBake:
     """What to keep of a stroke that was baked and felt. key, path_key: of its job."""
-    from .feel import known_shares, signal_facts
+    from .feel import compute_known_shares, get_signal_facts
 
     return StrokeBake(
-        stroke=felt.stroke,
+        stroke=synthesised.stroke,
         patch_index=baked.patch_index,
         on_surface=baked.contacts.on_surface,
-        shares=known_shares(baked),
-        seed=felt.signal.seed,
+        shares=compute_known_shares(baked),
+        seed=synthesised.signal.seed,
         key=key,
         path_key=path_key,
-        facts=signal_facts(baked),
-        confidence=felt.confidence,
-        warnings=felt.warnings,
+        facts=get_signal_facts(baked),
+        confidence=synthesised.confidence,
+        warnings=synthesised.warnings,
         notes=baked.notes,
     )
 
@@ -151,32 +153,32 @@ def store_bake(obj: Any, bake: StrokeBake) -> None:
             where=f"stroke '{obj.name}'",
             remedy="Make it local (Object > Relations > Make Local) to keep its bake.",
         )
-    keep(obj, BAKE_PROPERTY, bake.to_bytes())
+    set_property(obj, BAKE_PROPERTY, bake.to_bytes())
 
 
 def load_bake(obj: Any) -> StrokeBake | None:
     """What store_bake kept, or None. Raises FileError where it is damaged."""
-    data = kept(obj, BAKE_PROPERTY)
+    data = get_property(obj, BAKE_PROPERTY)
     if data is None:
         return None
     where = f"stroke '{obj.name}'"
     if not isinstance(data, bytes):
-        raise FileError("its stored bake is not a bake.", where=where, remedy=_AGAIN)
+        raise FileError("its stored bake is not a bake.", where=where, remedy=_REMEDY)
     return StrokeBake.from_bytes(data, where=where)
 
 
 def remove_bake(obj: Any) -> None:
     """Forget the bake of a stroke, if it has one."""
-    drop(obj, BAKE_PROPERTY)
+    delete_property(obj, BAKE_PROPERTY)
 
 
-_AGAIN = "Bake the stroke again."
+_REMEDY = "Bake the stroke again."
 
 
-_DAMAGE: tuple[type[Exception], ...] = (HnfError, *DAMAGED)
+_DAMAGE_ERRORS: tuple[type[Exception], ...] = (HnfError, *NPZ_ERRORS)
 
 
-def _planes(values: Float) -> NDArray[np.uint8]:
+def _split_byte_planes(values: Float) -> NDArray[np.uint8]:
     """(…) float64 → (8, …) uint8, byte by byte: signs and exponents beside each other compress, digits do not.
     (4, …) where float32 holds the same values."""
     short = values.astype("<f4")
@@ -185,7 +187,7 @@ def _planes(values: Float) -> NDArray[np.uint8]:
     return np.ascontiguousarray(np.moveaxis(flat.view(np.uint8).reshape(*flat.shape, size), -1, 0))
 
 
-def _joined(planes: NDArray[np.uint8]) -> Float:
+def _join_byte_planes(planes: NDArray[np.uint8]) -> Float:
     """The values that _planes took apart."""
     if planes.dtype != np.uint8 or planes.ndim < 2 or planes.shape[0] not in (4, 8):
         raise ValueError(f"an array of shape {planes.shape} is not one of byte planes")
@@ -199,10 +201,10 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
         raise ValueError(f"unknown probe '{texts['probe']}'")
     action = Action(
         rate=float(arrays["rate"]),
-        direction=_joined(arrays["direction"]),
-        speed=_joined(arrays["speed"]),
-        force=_joined(arrays["force"]),
-        position=_joined(arrays["position"]),
+        direction=_join_byte_planes(arrays["direction"]),
+        speed=_join_byte_planes(arrays["speed"]),
+        force=_join_byte_planes(arrays["force"]),
+        position=_join_byte_planes(arrays["position"]),
         contact=arrays["contact"].astype(bool),
         probe=str(texts["probe"]),
     )
@@ -213,7 +215,7 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
     profile = None
     if "profile" in arrays:
         step, origin, resolved = (float(value) for value in arrays["profile_scale"])
-        profile = HeightProfile(step, origin, _joined(arrays["profile"]), resolved)
+        profile = HeightProfile(step, origin, _join_byte_planes(arrays["profile"]), resolved)
     mechanics = tuple(
         Mechanics(*(None if np.isnan(value) else float(value) for value in row)) for row in arrays["mechanics"]
     )
@@ -222,7 +224,7 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
         raise ValueError("its patches and tokens do not fit together")
     return StrokeBake(
         stroke=StrokeInput(
-            action, tokens, mechanics, arrays["token_index"].astype(np.int32), profile, _unpacked_fields(arrays)
+            action, tokens, mechanics, arrays["token_index"].astype(np.int32), profile, _unpack_fields(arrays)
         ),
         patch_index=index,
         on_surface=arrays["on_surface"].astype(bool),
@@ -237,7 +239,7 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
     )
 
 
-def _packed_fields(stroke: StrokeInput) -> dict[str, NDArray[Any]]:
+def _pack_fields(stroke: StrokeInput) -> dict[str, NDArray[Any]]:
     """Each field that materials of the stroke bring, once, and which each token has, −1 = none; nothing where none
     brings one."""
     own = {each.identity: each for each in stroke.fields if each is not None}
@@ -245,11 +247,11 @@ def _packed_fields(stroke: StrokeInput) -> dict[str, NDArray[Any]]:
         return {}
     names = list(own)
     index = [-1 if each is None else names.index(each.identity) for each in stroke.fields]
-    weights = {f"field_{at}": np.frombuffer(field_bytes(own[name]), np.uint8) for at, name in enumerate(names)}
+    weights = {f"field_{at}": np.frombuffer(serialise_field(own[name]), np.uint8) for at, name in enumerate(names)}
     return {"field_index": np.array(index, dtype=np.int32), **weights}
 
 
-def _unpacked_fields(arrays: Mapping[str, NDArray[Any]]) -> tuple[Field | None, ...]:
+def _unpack_fields(arrays: Mapping[str, NDArray[Any]]) -> tuple[Field | None, ...]:
     if "field_index" not in arrays:
         return ()
     index = [int(at) for at in arrays["field_index"]]

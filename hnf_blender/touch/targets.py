@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hnf_core.closest import closest, listed
+from hnf_core.closest import close_matches, format_choices
 from hnf_core.errors import SceneError
 
-from ..bridge.scene_names import named_objects
+from ..bridge.scene_names import get_named_objects
 from ..bridge.splat_cloud import is_cloud
 
-MOST = 12
+MAX_NAMES = 12
 """Names in a message: more would not be read."""
 
 
@@ -30,14 +30,14 @@ def resolve_target(scene: Any, text: str) -> Target:
 
     Raises SceneError naming what is there instead.
     """
-    meshes = {name: obj for name, obj in named_objects(scene).items() if obj.type == "MESH"}
-    whole = _called(text, meshes)
+    meshes = {name: obj for name, obj in get_named_objects(scene).items() if obj.type == "MESH"}
+    whole = _match_name(text, meshes)
     if whole is not None:
         return Target(whole, None)
     before, colon, slot_text = text.rpartition(":")
-    name = _called(before, meshes) if colon else None
+    name = _match_name(before, meshes) if colon else None
     if name is not None:
-        return Target(name, _slot_index(meshes[name], slot_text))
+        return Target(name, _find_slot(meshes[name], slot_text))
     other = scene.objects.get(text)
     if other is not None:
         raise SceneError(
@@ -46,10 +46,12 @@ def resolve_target(scene: Any, text: str) -> Target:
             remedy="Name a mesh object, or convert this one to a mesh (Object > Convert > Mesh).",
         )
     asked = before if colon else text
-    raise SceneError("there is no such object in the scene.", where=f"object '{asked}'", remedy=_offer(asked, meshes))
+    raise SceneError(
+        "there is no such object in the scene.", where=f"object '{asked}'", remedy=_suggest_objects(asked, meshes)
+    )
 
 
-def _called(text: str, names: Iterable[str]) -> str | None:
+def _match_name(text: str, names: Iterable[str]) -> str | None:
     """The name that text stands for: itself, or the only one that differs from it in case alone; None where none is."""
     known = list(names)
     if text in known:
@@ -58,15 +60,15 @@ def _called(text: str, names: Iterable[str]) -> str | None:
     return same[0] if len(same) == 1 else None
 
 
-def _slot_index(obj: Any, text: str) -> int:
+def _find_slot(obj: Any, text: str) -> int:
     names = [slot.material.name if slot.material else "" for slot in obj.material_slots]
-    name = _called(text, names) if text else None
+    name = _match_name(text, names) if text else None
     if name is not None:
         return names.index(name)
     if text.isdecimal() and int(text) < max(1, len(names)):
         return int(text)
-    slots = [f"{index} {name or '(empty)'}" for index, name in enumerate(names[:MOST])]
-    more = f" and {len(names) - MOST} more" if len(names) > MOST else ""
+    slots = [f"{index} {name or '(empty)'}" for index, name in enumerate(names[:MAX_NAMES])]
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     raise SceneError(
         f"it has no material slot '{text}'.",
         where=f"object '{obj.name}'",
@@ -74,9 +76,13 @@ def _slot_index(obj: Any, text: str) -> int:
     )
 
 
-def _offer(text: str, meshes: Mapping[str, Any]) -> str:
+def _suggest_objects(text: str, meshes: Mapping[str, Any]) -> str:
     """The objects that could be meant: those with faces, those that are called like it first."""
     touchable = sorted(name for name, obj in meshes.items() if len(obj.data.polygons) and not is_cloud(obj))
-    near = closest(text, touchable)
+    near = close_matches(text, touchable)
     guess = f"Did you mean {' or '.join(repr(name) for name in near)}? " if near else ""
-    return f"{guess}Objects here: {listed(touchable, MOST)}." if touchable else "The scene holds no mesh with faces."
+    return (
+        f"{guess}Objects here: {format_choices(touchable, MAX_NAMES)}."
+        if touchable
+        else "The scene holds no mesh with faces."
+    )

@@ -15,13 +15,13 @@ from hnf_core.files import content_hash
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.view import RgbdView
 
-from ..bridge.boxes import world_boxes
+from ..bridge.boxes import get_world_boxes
 from ..bridge.meshes import Surface
-from ..bridge.picture import Overviews
-from ..bridge.picture_hash import PictureHashes
-from ..bridge.scene_camera import camera_record, overview_camera
+from ..bridge.picture import OverviewRenderer
+from ..bridge.picture_hash import RenderHashes
+from ..bridge.scene_camera import make_overview_camera, read_camera
 from ..compat import has_denoiser
-from .cut_open import BEHIND_M, cut_open, depth_at
+from .cut_open import OCCLUSION_DEPTH_M, clip_obstacles, sample_depth
 from .report import Counts
 
 Float = NDArray[np.float64]
@@ -33,17 +33,17 @@ SAMPLES = 2
 stroke is, and costs more than the touch itself."""
 SAMPLES_UNDENOISED = 12
 """0.018 there (0.012 with 24)."""
-LEAST_SHARE = 0.08
+MIN_STROKE_FRACTION = 0.08
 """A stroke shorter than this share of the picture's width is better seen by a camera of our own."""
-NEIGHBOURS, NEIGHBOUR_FACES = 40, 400_000
+MAX_NEIGHBOURS, MAX_NEIGHBOUR_FACES = 40, 400_000
 """What else may stand in the picture: its cost must not follow the size of the scene."""
-AROUND_M = (0.012, 0.03)
+MARGIN_RANGE_M = (0.012, 0.03)
 """What a camera of our own shows beside a stroke: less of a short one, or it would be a speck."""
-LEAST_SEEN = 0.25
+MIN_VISIBLE_FRACTION = 0.25
 """Of a stroke's points; with fewer in sight another view of it is looked for."""
-CUTS = 2
+MAX_CUTS = 2
 """One obstacle may stand behind another."""
-OWN_VIEWS = 1 + CUTS
+MAX_STROKE_VIEWS = 1 + MAX_CUTS
 """Renders for one stroke at most, beside the scene camera's view, which all share."""
 
 
@@ -56,7 +56,7 @@ class Overview:
 
 
 @dataclass(frozen=True)
-class Shot:
+class CameraView:
     """How a stroke is to be seen. path: (n, 3) world metres. radius_m: around it, that the picture is meant to show."""
 
     path: Float
@@ -65,7 +65,7 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class Crowd:
+class Surroundings:
     """What may stand in a picture beside what is touched. centre: (n, 3), radius: (n,) of the objects' bounding spheres
     in world metres."""
 
@@ -74,7 +74,7 @@ class Crowd:
     radius: Float
 
 
-def crowd_of(scene: Any, depsgraph: Any, metres_per_unit: float) -> Crowd:
+def collect_surroundings(scene: Any, depsgraph: Any, metres_per_unit: float) -> Surroundings:
     """All of the scene that renders, without its strokes."""
     objects = tuple(
         obj
@@ -83,11 +83,11 @@ def crowd_of(scene: Any, depsgraph: Any, metres_per_unit: float) -> Crowd:
         and not obj.hide_render
         and not (obj.type == "CURVE" and obj.hnf_stroke.is_stroke)
     )
-    low, high = world_boxes(objects, depsgraph, metres_per_unit)
-    return Crowd(objects, (low + high) / 2.0, np.linalg.norm(high - low, axis=1) / 2.0)
+    low, high = get_world_boxes(objects, depsgraph, metres_per_unit)
+    return Surroundings(objects, (low + high) / 2.0, np.linalg.norm(high - low, axis=1) / 2.0)
 
 
-class Views:
+class StrokeViews:
     """Overviews of one run; a scene camera that serves several strokes is rendered once. Use as a context manager.
 
     depsgraph: of the scene as it is now. A run adds nothing but strokes to it, so that boxes hold for all of it: after
@@ -96,27 +96,27 @@ class Views:
 
     def __init__(self, scene: Any, depsgraph: Any, metres_per_unit: float, counts: Counts, source: str = "") -> None:
         self._scene, self._metres, self._counts = scene, metres_per_unit, counts
-        self._crowd = crowd_of(scene, depsgraph, metres_per_unit)
-        self._hashes = PictureHashes(scene, depsgraph, metres_per_unit, source)
+        self._surroundings = collect_surroundings(scene, depsgraph, metres_per_unit)
+        self._hashes = RenderHashes(scene, depsgraph, metres_per_unit, source)
         self._from_scene_camera: Overview | None = None
         self._stack = ExitStack()
-        self._overviews: Overviews | None = None
+        self._overviews: OverviewRenderer | None = None
 
-    def __enter__(self) -> Views:
+    def __enter__(self) -> StrokeViews:
         return self
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
 
-    def hash_of(self, contacts: Contacts, surface: Surface, touched: Any) -> str:
+    def hash_view(self, contacts: Contacts, surface: Surface, touched: Any) -> str:
         """Of all that the picture of a stroke may show; nothing is rendered."""
-        shots = self._shots(contacts, surface)
-        views = (self._hashes.of(shot.camera, self._objects(shot, touched)) for shot in shots)
+        shots = self._make_camera_views(contacts, surface)
+        views = (self._hashes.hash_view(shot.camera, self._list_objects(shot, touched)) for shot in shots)
         return content_hash(
-            *views, shots[0].path.tobytes(), contacts.force.tobytes(), str(_samples()), str(has_denoiser())
+            *views, shots[0].path.tobytes(), contacts.force.tobytes(), str(_get_sample_count()), str(has_denoiser())
         )
 
-    def of_stroke(
+    def render_stroke(
         self, contacts: Contacts, surface: Surface, touched: Any, name: str
     ) -> tuple[StrokeView, tuple[str, ...]]:
         """The picture of stroke `name` with its path in it, and notes. touched: the object under the stroke.
@@ -124,70 +124,77 @@ class Views:
         The scene's camera where it shows enough of the stroke; else one before the surface, and where something stands
         between, that is cut away.
         """
-        *shared, own = self._shots(contacts, surface)
-        overview, told = None if not shared else self._shared(shared[0], touched), ""
-        if overview is None or sight(overview.view, own.path).mean() < LEAST_SEEN:
-            overview, told = self._past_obstacles(own, touched)
-        visible = sight(overview.view, own.path)
+        *shared, own = self._make_camera_views(contacts, surface)
+        overview, told = None if not shared else self._get_shared_overview(shared[0], touched), ""
+        if overview is None or mask_visible_points(overview.view, own.path).mean() < MIN_VISIBLE_FRACTION:
+            overview, told = self._render_past_obstacles(own, touched)
+        visible = mask_visible_points(overview.view, own.path)
         if not visible.any():
             told = "all of it is hidden in its picture."
         uv, _ = overview.view.camera.project(own.path)
         notes = (*overview.notes, *([f"stroke '{name}': {told}"] if told else []))
         return StrokeView(overview.view.rgb, uv, contacts.force, visible), notes
 
-    def _shots(self, contacts: Contacts, surface: Surface) -> tuple[Shot, ...]:
+    def _make_camera_views(self, contacts: Contacts, surface: Surface) -> tuple[CameraView, ...]:
         """By the scene's camera where it has the whole path in its frame, and by one of our own."""
         path = contacts.point @ surface.rigid[:3, :3].T + surface.rigid[:3, 3]
         outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
         half = float(np.linalg.norm(path - path.mean(axis=0), axis=1).max())
-        radius = 1.6 * half + float(np.clip(2.5 * half, *AROUND_M))
-        own = Shot(path, overview_camera(path, outward, radius, WIDTH, HEIGHT), radius)
-        camera = self._scene_camera()
-        return (own,) if camera is None or not shows(camera, path) else (Shot(path, camera, radius), own)
+        radius = 1.6 * half + float(np.clip(2.5 * half, *MARGIN_RANGE_M))
+        own = CameraView(path, make_overview_camera(path, outward, radius, WIDTH, HEIGHT), radius)
+        camera = self._read_scene_camera()
+        return (
+            (own,) if camera is None or not is_path_visible(camera, path) else (CameraView(path, camera, radius), own)
+        )
 
-    def _shared(self, shot: Shot, touched: Any) -> Overview:
+    def _get_shared_overview(self, camera_view: CameraView, touched: Any) -> Overview:
         if self._from_scene_camera is None:
-            self._from_scene_camera = self._render(shot, touched)
+            self._from_scene_camera = self._render(camera_view, touched)
         return self._from_scene_camera
 
-    def _past_obstacles(self, shot: Shot, touched: Any) -> tuple[Overview, str]:
+    def _render_past_obstacles(self, camera_view: CameraView, touched: Any) -> tuple[Overview, str]:
         """The view that shows most of the path, and what was done for it."""
-        views = [self._render(shot, touched)]
-        while len(views) <= CUTS and sight(views[-1].view, shot.path).mean() < LEAST_SEEN:
+        views = [self._render(camera_view, touched)]
+        while (
+            len(views) <= MAX_CUTS
+            and mask_visible_points(views[-1].view, camera_view.path).mean() < MIN_VISIBLE_FRACTION
+        ):
             last = views[-1].view
-            uv, depth = last.camera.project(shot.path)
-            camera = cut_open(last.camera, depth, depth_at(last.depth, uv), shot.radius_m)
+            uv, depth = last.camera.project(camera_view.path)
+            camera = clip_obstacles(last.camera, depth, sample_depth(last.depth, uv), camera_view.radius_m)
             if camera is None:
                 break
-            views.append(self._render(replace(shot, camera=camera), touched))
-        best = max(views, key=lambda each: sight(each.view, shot.path).sum())
+            views.append(self._render(replace(camera_view, camera=camera), touched))
+        best = max(views, key=lambda each: mask_visible_points(each.view, camera_view.path).sum())
         return best, "" if best is views[0] else "what stands before it is cut away in its picture."
 
-    def _render(self, shot: Shot, touched: Any) -> Overview:
+    def _render(self, camera_view: CameraView, touched: Any) -> Overview:
         if self._overviews is None:
-            overviews = Overviews(self._scene, metres_per_unit=self._metres, samples=_samples(), relief=True)
+            overviews = OverviewRenderer(
+                self._scene, metres_per_unit=self._metres, samples=_get_sample_count(), relief=True
+            )
             self._overviews = self._stack.enter_context(overviews)
         self._counts.renders += 1
-        return Overview(*self._overviews.view(shot.camera, self._objects(shot, touched)))
+        return Overview(*self._overviews.render_view(camera_view.camera, self._list_objects(camera_view, touched)))
 
-    def _objects(self, shot: Shot, touched: Any) -> list[Any]:
-        return in_view(self._crowd, shot.camera, shot.path, touched)
+    def _list_objects(self, camera_view: CameraView, touched: Any) -> list[Any]:
+        return select_visible_objects(self._surroundings, camera_view.camera, camera_view.path, touched)
 
-    def _scene_camera(self) -> Camera | None:
+    def _read_scene_camera(self) -> Camera | None:
         """The scene's camera at the picture's size; None where there is none, or it has no flat, square pixels."""
         if self._scene.camera is None or self._scene.camera.data.type not in {"PERSP", "ORTHO"}:
             return None
-        camera = camera_record(self._scene, self._scene.camera, self._metres)
+        camera = read_camera(self._scene, self._scene.camera, self._metres)
         if abs(camera.intrinsics[0, 0] / camera.intrinsics[1, 1] - 1.0) > 1e-6:
             return None
-        return resized(camera, WIDTH)
+        return resize_camera(camera, WIDTH)
 
 
-def _samples() -> int:
+def _get_sample_count() -> int:
     return SAMPLES if has_denoiser() else SAMPLES_UNDENOISED
 
 
-def resized(camera: Camera, width: int) -> Camera:
+def resize_camera(camera: Camera, width: int) -> Camera:
     """The same view, width pixels wide: a 4K scene does not need a 4K picture of its strokes."""
     share = width / camera.width
     return replace(
@@ -198,33 +205,33 @@ def resized(camera: Camera, width: int) -> Camera:
     )
 
 
-def shows(camera: Camera, path: Float) -> bool:
+def is_path_visible(camera: Camera, path: Float) -> bool:
     """Does the camera see the whole path (n, 3), and large enough?"""
     uv, depth = camera.project(path)
     size = np.array([camera.width, camera.height])
     inside = (uv > 0).all() and (uv < size).all() and (depth > camera.clip_start).all()
     extent = (uv.max(axis=0) - uv.min(axis=0)).max() if inside else 0.0
-    return bool(extent >= LEAST_SHARE * camera.width)
+    return bool(extent >= MIN_STROKE_FRACTION * camera.width)
 
 
-def in_view(crowd: Crowd, camera: Camera, path: Float, touched: Any) -> list[Any]:
+def select_visible_objects(surroundings: Surroundings, camera: Camera, path: Float, touched: Any) -> list[Any]:
     """The touched object and the nearest neighbours whose bounding sphere meets the picture."""
-    away = np.linalg.norm(crowd.centre - path.mean(axis=0), axis=1) - crowd.radius
-    seen = np.flatnonzero(meets_view(camera, crowd.centre, crowd.radius)).tolist()
+    away = np.linalg.norm(surroundings.centre - path.mean(axis=0), axis=1) - surroundings.radius
+    seen = np.flatnonzero(may_be_visible(camera, surroundings.centre, surroundings.radius)).tolist()
     near = sorted(
-        (index for index in seen if crowd.objects[index] != touched),
-        key=lambda index: (away[index], crowd.objects[index].name),
+        (index for index in seen if surroundings.objects[index] != touched),
+        key=lambda index: (away[index], surroundings.objects[index].name),
     )
     chosen, faces = [touched], 0
-    for obj in (crowd.objects[index] for index in near[:NEIGHBOURS]):
+    for obj in (surroundings.objects[index] for index in near[:MAX_NEIGHBOURS]):
         faces += len(obj.data.polygons) if obj.type == "MESH" else 1000
-        if faces > NEIGHBOUR_FACES:
+        if faces > MAX_NEIGHBOUR_FACES:
             break
         chosen.append(obj)
     return chosen
 
 
-def meets_view(camera: Camera, centre: Float, radius: Float) -> NDArray[np.bool_]:
+def may_be_visible(camera: Camera, centre: Float, radius: Float) -> NDArray[np.bool_]:
     """(n,) may spheres (n, 3), (n,) show in the picture? (Conservative: never False for one that does.)"""
     with np.errstate(divide="ignore", invalid="ignore"):  # a sphere around the camera's own plane is seen, see below
         uv, depth = camera.project(centre)
@@ -237,8 +244,8 @@ def meets_view(camera: Camera, centre: Float, radius: Float) -> NDArray[np.bool_
     return np.asarray((depth >= -radius) & (around | inside))
 
 
-def sight(view: RgbdView, path: Float) -> NDArray[np.bool_]:
+def mask_visible_points(view: RgbdView, path: Float) -> NDArray[np.bool_]:
     """(n,) is a point of the path (n, 3) what the picture shows there?"""
     uv, depth = view.camera.project(path)
     inside = (uv >= 0).all(axis=1) & (uv < [view.camera.width, view.camera.height]).all(axis=1)
-    return np.asarray(inside & (depth <= depth_at(view.depth, uv) + BEHIND_M))
+    return np.asarray(inside & (depth <= sample_depth(view.depth, uv) + OCCLUSION_DEPTH_M))

@@ -9,23 +9,25 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-OWNER = __name__
-FOLDER = Path(__file__).resolve().parent / "data"
+MODULE_NAME = __name__
+DATA_FOLDER = Path(__file__).resolve().parent / "data"
 CONTEXTS = ("*", "Operator")
 """Blender asks for the names of operators in a context of their own."""
 
 
-def words(locale: str) -> dict[str, str]:
+def read_translations(locale: str) -> dict[str, str]:
     """English → translation of one language, as its file has it."""
-    found: dict[str, str] = json.loads((FOLDER / f"{locale}.json").read_text(encoding="utf-8"))
+    found: dict[str, str] = json.loads((DATA_FOLDER / f"{locale}.json").read_text(encoding="utf-8"))
     return found
 
 
-def dictionary() -> dict[str, dict[tuple[str, str], str]]:
+def build_dictionary() -> dict[str, dict[tuple[str, str], str]]:
     """What Blender is given: {locale: {(context, English): translation}}, of every file there is."""
     return {
-        path.stem: {(context, text): said for text, said in words(path.stem).items() for context in CONTEXTS}
-        for path in sorted(FOLDER.glob("*.json"))
+        path.stem: {
+            (context, text): said for text, said in read_translations(path.stem).items() for context in CONTEXTS
+        }
+        for path in sorted(DATA_FOLDER.glob("*.json"))
     }
 
 
@@ -39,10 +41,10 @@ def tr(text: str) -> str:
 def register() -> None:
     import bpy
 
-    bpy.app.translations.register(OWNER, dictionary())
+    bpy.app.translations.register(MODULE_NAME, build_dictionary())
 
 
 def unregister() -> None:
     import bpy
 
-    bpy.app.translations.unregister(OWNER)
+    bpy.app.translations.unregister(MODULE_NAME)

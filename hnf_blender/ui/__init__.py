@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..rooms import classes_of, switch_off, switch_on
+from ..rooms import collect_classes, register_classes, unregister_classes
 from . import follow_selection
 
 MODULES = (
@@ -20,13 +20,13 @@ MODULES = (
 )
 """Sub-modules, each with a tuple CLASSES."""
 
-_on: list[Any] = []
+_registered_classes: list[Any] = []
 
 
 def register() -> None:
-    classes = classes_of(__package__, MODULES)
-    switch_on(classes)
-    _on.extend(classes)
+    classes = collect_classes(__package__, MODULES)
+    register_classes(classes)
+    _registered_classes.extend(classes)
     try:
         follow_selection.register()
     except Exception:
@@ -36,5 +36,5 @@ def register() -> None:
 
 def unregister() -> None:
     follow_selection.unregister()
-    switch_off(_on)
-    _on.clear()
+    unregister_classes(_registered_classes)
+    _registered_classes.clear()

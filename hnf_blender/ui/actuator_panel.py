@@ -6,16 +6,16 @@ from typing import Any
 
 import bpy
 
-from hnf_core.actuators.profile import OWN, ActuatorProfile
+from hnf_core.actuators.profile import USER_PROFILE_NAME, ActuatorProfile
 
-from ..actuator.choice import chosen_output, outputs, plays_whole, title_of
+from ..actuator.choice import find_output_title, get_selected_output, list_outputs, needs_offline_player
 from ..actuator.state import ACTUATOR, SPEAKERS, ActuatorFacts, Phase
-from ..props.profile_file import FILE
-from ..props.scene import actuator_shown
+from ..props.profile_file import PROFILE_FROM_FILE
+from ..props.scene import get_shown_profile
 from ..translations import tr
-from .layout import TouchPanel, hint, named, paragraph, side_by_side
+from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
 
-PHASES = {
+PHASE_LABELS = {
     Phase.OFF: ("RADIOBUT_OFF", "Not running"),
     Phase.OPENING: ("SORTTIME", "Connecting"),
     Phase.READY: ("RADIOBUT_ON", "Idle; device released"),
@@ -25,7 +25,7 @@ PHASES = {
 }
 
 
-def profile_lines(profile: ActuatorProfile) -> tuple[str, ...]:
+def describe_profile(profile: ActuatorProfile) -> tuple[str, ...]:
     """The limits that are known, one a line."""
     lines = []
     if profile.range_hz is not None:
@@ -46,22 +46,22 @@ class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.hnf
         layout.prop(settings, "actuator", text="")
-        if settings.actuator == OWN:
-            draw_own(layout, settings)
+        if settings.actuator == USER_PROFILE_NAME:
+            draw_user_actuator(layout, settings)
         else:
-            if settings.actuator == FILE:
+            if settings.actuator == PROFILE_FROM_FILE:
                 layout.prop(settings, "actuator_file", text="")
-            profile = actuator_shown(context.scene)
+            profile = get_shown_profile(context.scene)
             column = layout.column(align=True)
-            for line in profile_lines(profile):
-                paragraph(column, context, line, icon="DOT")
-            paragraph(layout, context, tr("Source: {source}").format(source=profile.source), icon="INFO")
-        for line in ACTUATOR.skin:
-            paragraph(layout, context, line, icon="VIEW_PAN")
+            for line in describe_profile(profile):
+                draw_paragraph(column, context, line, icon="DOT")
+            draw_paragraph(layout, context, tr("Source: {source}").format(source=profile.source), icon="INFO")
+        for line in ACTUATOR.skin_lines:
+            draw_paragraph(layout, context, line, icon="VIEW_PAN")
         draw_output(layout, context)
 
 
-def draw_own(layout: Any, settings: Any) -> None:
+def draw_user_actuator(layout: Any, settings: Any) -> None:
     """The artist's own figures, to be entered."""
     column = layout.column(align=True)
     column.prop(settings, "own_peak_m_s2", text="Largest (m/s²)")
@@ -71,25 +71,25 @@ def draw_own(layout: Any, settings: Any) -> None:
 
 def draw_output(layout: Any, context: Any) -> None:
     """Where strokes are played, and what can be done there."""
-    target = chosen_output(context)
+    target = get_selected_output(context)
     column = layout.column(align=True)
     column.label(text="Played on")
     row = column.row(align=True)
     icon = "SPEAKER" if target == SPEAKERS else "FORCE_HARMONIC"
-    row.menu("HNF_MT_output", text=named(context, title_of(target, context), taken=8), icon=icon)
+    row.menu("HNF_MT_output", text=shorten_name(context, find_output_title(target, context), reserved=8), icon=icon)
     row.operator("hnf.actuator_find", text="", icon="FILE_REFRESH")
-    if ACTUATOR.seeking:
-        paragraph(layout, context, tr("Looking for devices"), icon="SORTTIME")
-    for line in ACTUATOR.missing:
-        paragraph(layout, context, line, icon="INFO")
+    if ACTUATOR.is_scanning:
+        draw_paragraph(layout, context, tr("Looking for devices"), icon="SORTTIME")
+    for line in ACTUATOR.scan_notes:
+        draw_paragraph(layout, context, line, icon="INFO")
     if target == SPEAKERS:
-        hint(layout, context, tr("Speakers: the actuator's limits do not apply"))
+        draw_hint(layout, context, tr("Speakers: the actuator's limits do not apply"))
         return
-    row = side_by_side(layout, context)
+    row = make_button_row(layout, context)
     row.operator("hnf.actuator_test", text="Test", icon="IPO_EASE_IN_OUT")
     row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
-    if plays_whole(target):
-        hint(
+    if needs_offline_player(target):
+        draw_hint(
             layout,
             context,
             tr("Plays through Blender's sound, within limits. Live Touch needs the Python package sounddevice"),
@@ -102,18 +102,18 @@ def draw_output(layout: Any, context: Any) -> None:
 
 def draw_status(layout: Any, context: Any, facts: ActuatorFacts) -> None:
     """How it fares: state, level, figures, and what went wrong."""
-    icon, text = PHASES[facts.phase]
+    icon, text = PHASE_LABELS[facts.phase]
     column = layout.column(align=True)
     column.label(text=tr(text), icon=icon, translate=False)
     if facts.phase in (Phase.PLAYING, Phase.LIVE):
         level = tr("{level} m/s²").format(level=f"{facts.level_m_s2:.2g}")
         column.progress(factor=facts.share, text=level)
     for line in facts.lines:
-        paragraph(column, context, line, icon="DOT")
+        draw_paragraph(column, context, line, icon="DOT")
     if facts.problem:
         box = layout.box()
         box.alert = True
-        paragraph(box, context, facts.problem, icon="ERROR")
+        draw_paragraph(box, context, facts.problem, icon="ERROR")
 
 
 def draw_live(layout: Any, context: Any, facts: ActuatorFacts) -> None:
@@ -122,19 +122,19 @@ def draw_live(layout: Any, context: Any, facts: ActuatorFacts) -> None:
     column = layout.column(align=True)
     live = facts.phase is Phase.LIVE
     column.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA", depress=live)
-    row = side_by_side(column, context)
+    row = make_button_row(column, context)
     row.prop(settings, "live_pen_n", text="Pen (N)")
     row.prop(settings, "live_mouse_n", text="Mouse (N)")
     if live:
-        paragraph(column, context, tr("Drag over a surface to feel it. Esc ends"), icon="INFO")
+        draw_paragraph(column, context, tr("Drag over a surface to feel it. Esc ends"), icon="INFO")
 
 
 class HNF_MT_output(bpy.types.Menu):  # type: ignore[misc]  # noqa: N801
     bl_label = "Output"
 
     def draw(self, context: Any) -> None:
-        layout, chosen = self.layout, chosen_output(context)
-        for each in outputs(context):
+        layout, chosen = self.layout, get_selected_output(context)
+        for each in list_outputs(context):
             icon = "RADIOBUT_ON" if each.target == chosen else "RADIOBUT_OFF"
             layout.operator("hnf.output_choose", text=each.title, icon=icon, translate=False).target = each.target
         layout.separator()

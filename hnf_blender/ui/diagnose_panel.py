@@ -6,10 +6,10 @@ from typing import Any
 
 import bpy
 
-from ..ops.diagnose import versions
+from ..ops.diagnose import list_versions
 from ..state.session import STATE, SessionState
 from ..translations import tr
-from .layout import TouchPanel, paragraph, side_by_side
+from .layout import TouchPanel, draw_paragraph, make_button_row
 
 
 class HNF_PT_diagnose(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
@@ -20,9 +20,11 @@ class HNF_PT_diagnose(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
     def draw(self, context: Any) -> None:
         layout = self.layout
         column = layout.column(align=True)
-        for name, value in STATE.diagnosis or versions():
-            paragraph(column, context, f"{tr(name)}: {value}" if name else value, icon="NONE" if name else "BLANK1")
-        row = side_by_side(layout, context)
+        for name, value in STATE.diagnosis or list_versions():
+            draw_paragraph(
+                column, context, f"{tr(name)}: {value}" if name else value, icon="NONE" if name else "BLANK1"
+            )
+        row = make_button_row(layout, context)
         row.operator("hnf.diagnose", icon="VIEWZOOM")
         row.operator("hnf.diagnose_copy", icon="COPYDOWN")
         draw_cache(layout, STATE)

@@ -7,12 +7,12 @@ from typing import Any
 import bpy
 
 from ..preview.facts import PREVIEW
-from ..props.export_formats import CHOICE_OF
-from ..props.scene import active_stroke, actuator_shown, listed_strokes
+from ..props.export_formats import CHOICE_BY_NAME
+from ..props.scene import get_active_stroke, get_shown_profile, list_cached_strokes
 from ..translations import tr
-from .layout import TouchPanel, hint, paragraph, side_by_side
+from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row
 
-MOST_LINES = 4
+MAX_LINES = 4
 """Sentences shown of a large export; all of them are copied."""
 
 
@@ -23,12 +23,12 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
 
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
-        if not listed_strokes(scene):
-            hint(layout, context, tr("Draw and bake a stroke first; then it can be written as a file"))
+        if not list_cached_strokes(scene):
+            draw_hint(layout, context, tr("Draw and bake a stroke first; then it can be written as a file"))
         layout.prop(scene.hnf, "export_format", text="")
-        choice = CHOICE_OF.get(scene.hnf.export_format)
+        choice = CHOICE_BY_NAME.get(scene.hnf.export_format)
         if choice is not None and choice.scaled:
-            profile = actuator_shown(scene)
+            profile = get_shown_profile(scene)
             if profile.assumes_full_scale and profile.peak_m_s2 is not None:
                 said = tr("1 means {peak:g} m/s², an assumption ({actuator}, chosen under Actuator)")
             elif profile.assumes_full_scale:
@@ -36,28 +36,30 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
             else:
                 said = tr("1 means {peak:g} m/s² ({actuator}, chosen under Actuator)")
             text = said.format(peak=profile.limits.full_scale_m_s2, actuator=tr(profile.title))
-            paragraph(layout, context, text, icon="BLANK1")
+            draw_paragraph(layout, context, text, icon="BLANK1")
         layout.prop(scene.hnf, "export_folder", text="")
         if not bpy.data.filepath and scene.hnf.export_folder.startswith("//"):
-            hint(layout, context, tr("Save the .blend first, or choose a folder: // means the folder of the .blend"))
+            draw_hint(
+                layout, context, tr("Save the .blend first, or choose a folder: // means the folder of the .blend")
+            )
         elif not PREVIEW.exported:  # Blender paints a folder red that is not there yet
-            paragraph(layout, context, tr("Created on first export"), icon="BLANK1")
-        row = side_by_side(layout, context)
+            draw_paragraph(layout, context, tr("Created on first export"), icon="BLANK1")
+        row = make_button_row(layout, context)
         row.operator("hnf.export", text="This Stroke", icon="FILE_SOUND").all = False
         row.operator("hnf.export", text="All", icon="EXPORT").all = True
         if PREVIEW.exported:
             box = layout.box()
-            for sentence in PREVIEW.exported[:MOST_LINES]:
-                paragraph(box, context, sentence)
-            if len(PREVIEW.exported) > MOST_LINES:
-                more = tr("and {count} more").format(count=len(PREVIEW.exported) - MOST_LINES)
+            for sentence in PREVIEW.exported[:MAX_LINES]:
+                draw_paragraph(box, context, sentence)
+            if len(PREVIEW.exported) > MAX_LINES:
+                more = tr("and {count} more").format(count=len(PREVIEW.exported) - MAX_LINES)
                 box.label(text=more, translate=False)
             box.operator("hnf.export_copy", icon="COPYDOWN")
         column = layout.column(align=True)
         column.operator("hnf.add_to_sequencer", text="Add to Sequencer", icon="SEQUENCE")
         column.operator("hnf.add_speaker", text="Add Speaker at the Stroke", icon="OUTLINER_OB_SPEAKER")
-        if listed_strokes(scene) and active_stroke(context) is None:
-            hint(layout, context, tr("Click a stroke in the list: the buttons above act on the selected stroke"))
+        if list_cached_strokes(scene) and get_active_stroke(context) is None:
+            draw_hint(layout, context, tr("Click a stroke in the list: the buttons above act on the selected stroke"))
 
 
 CLASSES = (HNF_PT_export,)

@@ -7,44 +7,44 @@ from typing import Any
 
 import bpy
 
-from ..ops.materials import felt_object, spoken
-from ..ops.outside_python import python_path
-from ..props.material import OWN_DEFINITION, OWN_NAME
-from ..state.session import STATE, shown_name
-from ..state.texts import reason_text, routes_lines, sure_text
+from ..ops.materials import find_material_object, format_display_name
+from ..ops.outside_python import get_python_path
+from ..props.material import DEFINITION_NAME_PROPERTY, DEFINITION_PROPERTY
+from ..state.session import STATE, get_shown_name
+from ..state.texts import format_confidence, format_reason, format_routes
 from ..touch.status import StrokeStatus
 from ..translations import tr
-from .layout import TouchPanel, hint, named, paragraph, side_by_side
+from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
 
-MOST_SUGGESTIONS, MOST_BAKES = 4, 5
+MAX_SUGGESTIONS, MAX_BAKES = 4, 5
 
 
-def felt_text(material: Any) -> tuple[str, str]:
+def describe_material(material: Any) -> tuple[str, str]:
     """Icon and words of what a Blender material is taken to feel like."""
     if material.hnf_touch.library:
-        return "LOCKED", spoken(material.hnf_touch.library)
-    if OWN_DEFINITION in material:
-        return "LOCKED", str(material.get(OWN_NAME) or tr("Own (.hnf)"))
+        return "LOCKED", format_display_name(material.hnf_touch.library)
+    if DEFINITION_PROPERTY in material:
+        return "LOCKED", str(material.get(DEFINITION_NAME_PROPERTY) or tr("Own (.hnf)"))
     ranked = STATE.suggestions.get(material.name_full)
     if ranked:
-        return "UNLOCKED", f"{spoken(ranked[0].name)} ({sure_text(ranked[0].confidence)})"
-    baked = next((each for each in every_status() if each.shader == material.name), None)
+        return "UNLOCKED", f"{format_display_name(ranked[0].name)} ({format_confidence(ranked[0].confidence)})"
+    baked = next((each for each in iterate_statuses() if each.shader == material.name), None)
     if baked is not None and baked.library_material:
-        return "UNLOCKED", f"{spoken(baked.library_material)} ({tr('as baked')})"
+        return "UNLOCKED", f"{format_display_name(baked.library_material)} ({tr('as baked')})"
     return "UNLOCKED", tr("Automatic at bake")
 
 
-def every_status() -> Iterator[StrokeStatus]:
+def iterate_statuses() -> Iterator[StrokeStatus]:
     """Of the strokes of all scenes: a material may be used in any."""
     return (status for statuses in STATE.statuses.values() for status in statuses.values())
 
 
-def bakes_on(scene: Any, obj: Any) -> list[tuple[str, StrokeStatus]]:
+def list_bakes(scene: Any, obj: Any) -> list[tuple[str, StrokeStatus]]:
     """A scene's strokes that are baked on an object, by name."""
-    object_name = shown_name(scene, obj)
+    object_name = get_shown_name(scene, obj)
     return sorted(
         (name, status)
-        for name, status in STATE.strokes_in(scene).items()
+        for name, status in STATE.get_statuses(scene).items()
         if status.object_name == object_name and status.library_material
     )
 
@@ -59,8 +59,8 @@ class HNF_UL_slots(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801  # bpy
             layout.label(text="Empty slot", icon="MATERIAL")
             return
         row = layout.row()
-        row.label(text=named(context, slot.material.name, taken=18), icon_value=icon, translate=False)
-        lock, felt = felt_text(slot.material)
+        row.label(text=shorten_name(context, slot.material.name, reserved=18), icon_value=icon, translate=False)
+        lock, felt = describe_material(slot.material)
         row.label(text=felt, icon=lock, translate=False)
 
 
@@ -69,19 +69,19 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # no
     bl_order = 1
 
     def draw(self, context: Any) -> None:
-        layout, obj = self.layout, felt_object(context)
+        layout, obj = self.layout, find_material_object(context)
         if obj is None:
-            hint(layout, context, tr("Select a mesh or a stroke to see what its materials feel like"))
+            draw_hint(layout, context, tr("Select a mesh or a stroke to see what its materials feel like"))
             draw_learn(layout)
             return
-        layout.label(text=named(context, obj.name), icon="OBJECT_DATA", translate=False)
+        layout.label(text=shorten_name(context, obj.name), icon="OBJECT_DATA", translate=False)
         if len(obj.material_slots) > 1:
             layout.template_list(
                 "HNF_UL_slots", "", obj, "material_slots", obj, "active_material_index", rows=3, maxrows=6
             )
         material = obj.active_material
         if material is None:
-            hint(layout, context, tr("No material in this slot: its feel is guessed from names alone"))
+            draw_hint(layout, context, tr("No material in this slot: its feel is guessed from names alone"))
         else:
             draw_material(layout, context, material)
         draw_learn(layout)
@@ -89,42 +89,42 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # no
 
 def draw_learn(layout: Any) -> None:
     """The button that learns a material; not for those who named no Python for it, as it would only be grey."""
-    if python_path():
+    if get_python_path():
         layout.operator("hnf.learn", icon="REC")
 
 
 def draw_material(layout: Any, context: Any, material: Any) -> None:
     """One material: its word, the artist's lock, the suggestions."""
-    icon, felt = felt_text(material)
+    icon, felt = describe_material(material)
     box = layout.box()
-    box.label(text=named(context, material.name), icon="MATERIAL", translate=False)
+    box.label(text=shorten_name(context, material.name), icon="MATERIAL", translate=False)
     row = box.row(align=True)
     row.label(text=felt, icon=icon, translate=False)
     if icon == "LOCKED":
         row.operator("hnf.material_auto", text="Automatic", icon="LOOP_BACK").material = material.name_full
     column = box.column(align=True)
-    ranked = STATE.suggestions.get(material.name_full, ())[:MOST_SUGGESTIONS]
+    ranked = STATE.suggestions.get(material.name_full, ())[:MAX_SUGGESTIONS]
     for suggestion in ranked:
-        text = f"{spoken(suggestion.name)}  {round(100 * suggestion.confidence)} %"
+        text = f"{format_display_name(suggestion.name)}  {round(100 * suggestion.confidence)} %"
         choose = column.operator(
             "hnf.material_choose", text=text, translate=False,
             depress=material.hnf_touch.library == suggestion.name,
         )  # fmt: skip
         choose.material, choose.name = material.name_full, suggestion.name
     if ranked:
-        paragraph(box, context, tr("Why: {reason}").format(reason=reason_text(ranked[0].reason)), icon="INFO")
-    row = side_by_side(box, context)
+        draw_paragraph(box, context, tr("Why: {reason}").format(reason=format_reason(ranked[0].reason)), icon="INFO")
+    row = make_button_row(box, context)
     row.operator("hnf.suggest", text="Suggest", icon="LIGHT")
     row.operator("hnf.material_choose", text="Choose…", icon="VIEWZOOM").material = material.name_full
     row.operator("hnf.import_material", text="File…", icon="FILE_FOLDER")
 
 
-def alike(bakes: list[tuple[str, StrokeStatus]]) -> list[tuple[list[str], StrokeStatus]]:
+def group_equal_bakes(bakes: list[tuple[str, StrokeStatus]]) -> list[tuple[list[str], StrokeStatus]]:
     """Names of the strokes on one slot that were baked with one material by the same routes, and a status of theirs, in
     the order of the first of each."""
     found: dict[tuple[str, ...], tuple[list[str], StrokeStatus]] = {}
     for name, status in bakes:  # alike is what reads alike: confidences differ from stroke to stroke
-        told = status.shader, status.library_material, sure_text(status.confidence), status.routes
+        told = status.shader, status.library_material, format_confidence(status.confidence), status.routes
         found.setdefault(told, ([], status))[0].append(name)
     return list(found.values())
 
@@ -136,23 +136,23 @@ class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        obj = felt_object(context)
-        return obj is not None and bool(bakes_on(context.scene, obj))
+        obj = find_material_object(context)
+        return obj is not None and bool(list_bakes(context.scene, obj))
 
     def draw(self, context: Any) -> None:
-        obj = felt_object(context)
-        bakes = bakes_on(context.scene, obj)
-        for names, status in alike(bakes[:MOST_BAKES]):
+        obj = find_material_object(context)
+        bakes = list_bakes(context.scene, obj)
+        for names, status in group_equal_bakes(bakes[:MAX_BAKES]):
             column = self.layout.column(align=True)
-            paragraph(column, context, ", ".join(named(context, name) for name in names), icon="CURVE_DATA")
-            felt = f"{spoken(status.library_material)}, {sure_text(status.confidence)}"
-            shader = f"{named(context, status.shader, taken=6)}: " if status.shader else ""
-            paragraph(column, context, shader + felt, icon="BLANK1")
-            for line in routes_lines(status.routes):
-                paragraph(column, context, line, icon="BLANK1")
-        if len(bakes) > MOST_BAKES:
-            more = tr("and {count} more").format(count=len(bakes) - MOST_BAKES)
+            draw_paragraph(column, context, ", ".join(shorten_name(context, name) for name in names), icon="CURVE_DATA")
+            felt = f"{format_display_name(status.library_material)}, {format_confidence(status.confidence)}"
+            shader = f"{shorten_name(context, status.shader, reserved=6)}: " if status.shader else ""
+            draw_paragraph(column, context, shader + felt, icon="BLANK1")
+            for line in format_routes(status.routes):
+                draw_paragraph(column, context, line, icon="BLANK1")
+        if len(bakes) > MAX_BAKES:
+            more = tr("and {count} more").format(count=len(bakes) - MAX_BAKES)
             self.layout.label(text=more, icon="BLANK1", translate=False)
 
 
-CLASSES = (HNF_UL_slots, HNF_PT_materials, HNF_PT_as_baked)
+MATERIALS_CLASSES = (HNF_UL_slots, HNF_PT_materials, HNF_PT_as_baked)

@@ -7,26 +7,26 @@ from typing import Any
 import bpy
 
 from ..actuator.state import ACTUATOR
-from ..preview.facts import PreviewFacts, preview_facts, preview_icon
-from ..props.scene import active_stroke, listed_strokes
+from ..preview.facts import PreviewFacts, get_preview_facts, get_preview_icon
+from ..props.scene import get_active_stroke, list_cached_strokes
 from ..state.session import STATE
 from ..touch.status import Freshness
 from ..translations import tr
-from .layout import TouchPanel, hint, paragraph
+from .layout import TouchPanel, draw_hint, draw_paragraph
 
-UNIT_PX, PICTURE_UNITS = 20.0, (5.0, 18.0)
+UNIT_PX, IMAGE_SIZE_UNITS = 20.0, (5.0, 18.0)
 """Of Blender's interface; smallest and largest picture."""
 
 
-def picture_units(width_px: float, scale: float) -> float:
+def compute_image_size(width_px: float, scale: float) -> float:
     """Size of the square picture in interface units: as wide as the panel."""
-    least, most = PICTURE_UNITS
+    least, most = IMAGE_SIZE_UNITS
     return min(max((width_px / scale - 50.0) / UNIT_PX, least), most)
 
 
-def is_baked(scene: Any, stroke: Any) -> bool:
+def has_bake(scene: Any, stroke: Any) -> bool:
     """Is there a bake, even an old one? Where that is not known yet, it is taken for there."""
-    status = STATE.status_of(scene, stroke)
+    status = STATE.get_status(scene, stroke)
     return status is None or status.freshness is not Freshness.UNBAKED
 
 
@@ -35,14 +35,14 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
     bl_order = 3
 
     def draw(self, context: Any) -> None:
-        layout, stroke = self.layout, active_stroke(context)
+        layout, stroke = self.layout, get_active_stroke(context)
         if stroke is None:
-            text = tr("Click a stroke in the list to hear it") if listed_strokes(context.scene) else ""
-            hint(layout, context, text or tr("Nothing to hear yet: draw a stroke, then bake it"))
+            text = tr("Click a stroke in the list to hear it") if list_cached_strokes(context.scene) else ""
+            draw_hint(layout, context, text or tr("Nothing to hear yet: draw a stroke, then bake it"))
             return
-        facts, icon = preview_facts(stroke), preview_icon(stroke)
+        facts, icon = get_preview_facts(stroke), get_preview_icon(stroke)
         if icon:
-            size = picture_units(context.region.width, float(context.preferences.system.ui_scale))
+            size = compute_image_size(context.region.width, float(context.preferences.system.ui_scale))
             layout.template_icon(icon_value=icon, scale=size)
         row = layout.row(align=True)
         row.scale_y = 1.3
@@ -56,19 +56,19 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         if ACTUATOR.facts.problem:
             box = layout.box()
             box.alert = True
-            paragraph(box, context, ACTUATOR.facts.problem, icon="ERROR")
-        if facts is None or not is_baked(context.scene, stroke):
-            hint(layout, context, tr("Bake this stroke to see and hear it"))
+            draw_paragraph(box, context, ACTUATOR.facts.problem, icon="ERROR")
+        if facts is None or not has_bake(context.scene, stroke):
+            draw_hint(layout, context, tr("Bake this stroke to see and hear it"))
             return
         if facts.problem:
             box = layout.box()
             box.alert = True
-            paragraph(box, context, tr(facts.problem), icon="ERROR")
+            draw_paragraph(box, context, tr(facts.problem), icon="ERROR")
         elif facts.busy:
-            paragraph(layout, context, tr("Updating…"), icon="SORTTIME")
+            draw_paragraph(layout, context, tr("Updating…"), icon="SORTTIME")
         column = layout.column(align=True)
         for line in facts.lines:
-            paragraph(column, context, line, icon="DOT")
+            draw_paragraph(column, context, line, icon="DOT")
         draw_comparison(layout, facts)
 
 
@@ -99,7 +99,7 @@ class HNF_PT_monitor(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(settings, "monitor_gain_db", text="Gain (dB)")
-        paragraph(layout, context, tr("Preview only: exported files do not change"), icon="INFO")
+        draw_paragraph(layout, context, tr("Preview only: exported files do not change"), icon="INFO")
         layout.prop(settings, "follow_timeline")
 
 

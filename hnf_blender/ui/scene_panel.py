@@ -6,24 +6,24 @@ from typing import Any, TypeVar
 
 import bpy
 
-from ..props.scene import listed_strokes
+from ..props.scene import list_cached_strokes
 from ..state.session import STATE, LastJob, PlanView
 from ..state.texts import (
-    AUDIBLE,
-    counts_text,
-    estimate_text,
-    job_text,
-    left_text,
-    plan_groups,
-    share_done,
-    steps,
+    PLAYABLE_STATES,
+    compute_progress,
+    format_counts,
+    format_estimate,
+    format_job,
+    format_time_left,
+    group_plan_lines,
+    list_first_steps,
 )
 from ..translations import tr
-from .layout import TouchPanel, hint, named, paragraph, side_by_side
+from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
 
-Told = TypeVar("Told", LastJob, PlanView)
+SceneResult = TypeVar("SceneResult", LastJob, PlanView)
 
-MOST_LINES = 6
+MAX_LINES = 6
 """Of one kind in the plan; the rest is counted."""
 
 
@@ -36,7 +36,7 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
         if STATE.job is not None:
             draw_job(layout, context)
             return
-        strokes = listed_strokes(scene)
+        strokes = list_cached_strokes(scene)
         draw_first_steps(layout, context, strokes)
         row = layout.row(align=True)
         row.scale_y = 1.4
@@ -44,32 +44,32 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
         row.operator("hnf.bake", text="Active Only").only_active = True
         row.operator("hnf.plan", text="", icon="VIEWZOOM")
         if strokes:
-            text = counts_text(STATE.status_of(scene, obj) for obj in strokes if not obj.hnf_stroke.mute)
+            text = format_counts(STATE.get_status(scene, obj) for obj in strokes if not obj.hnf_stroke.mute)
             if text:
-                paragraph(layout, context, text, icon="CURVE_DATA")
-        plan = told_of(scene, STATE.plan)
-        estimate = "" if plan is None else estimate_text(plan)
+                draw_paragraph(layout, context, text, icon="CURVE_DATA")
+        plan = filter_by_scene(scene, STATE.plan)
+        estimate = "" if plan is None else format_estimate(plan)
         if estimate:
-            paragraph(layout, context, estimate, icon="TIME")
+            draw_paragraph(layout, context, estimate, icon="TIME")
         draw_last_job(layout, context)
 
 
-def told_of(scene: Any, told: Told | None) -> Told | None:
+def filter_by_scene(scene: Any, result: SceneResult | None) -> SceneResult | None:
     """A plan or a job's end where it is about this scene; a window may show another one."""
-    return told if told is not None and told.scene in ("", scene.name) else None
+    return result if result is not None and result.scene in ("", scene.name) else None
 
 
-def offers_tools(context: Any) -> bool:
+def shows_first_step_tools(context: Any) -> bool:
     """Whether the first step shows the stroke tool and the ready strokes; the Strokes panel then does not."""
     scene = context.scene
-    return STATE.job is None and not listed_strokes(scene) and any(obj.type == "MESH" for obj in scene.objects)
+    return STATE.job is None and not list_cached_strokes(scene) and any(obj.type == "MESH" for obj in scene.objects)
 
 
 def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
     """1 Draw, 2 Bake, 3 Play, until the first stroke can be heard."""
-    statuses = (STATE.status_of(context.scene, obj) for obj in strokes)
-    audible = sum(status is not None and status.freshness in AUDIBLE for status in statuses)
-    todo = steps(len(strokes), audible, STATE.heard)
+    statuses = (STATE.get_status(context.scene, obj) for obj in strokes)
+    audible = sum(status is not None and status.freshness in PLAYABLE_STATES for status in statuses)
+    todo = list_first_steps(len(strokes), audible, STATE.has_played)
     if not todo:
         return
     box = layout.box().column(align=True)
@@ -79,12 +79,12 @@ def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
         row.label(text=step.text, icon=step.icon, translate=False)
     if audible:
         box.operator("hnf.preview_play", text="Play", icon="PLAY")
-    if offers_tools(context):
-        row = side_by_side(box, context)
+    if shows_first_step_tools(context):
+        row = make_button_row(box, context)
         row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
         row.menu("HNF_MT_stroke_add", text="Ready Strokes")
     elif not strokes:
-        paragraph(box, context, tr("There is no mesh to touch yet: add or import one"), icon="ERROR")
+        draw_paragraph(box, context, tr("There is no mesh to touch yet: add or import one"), icon="ERROR")
 
 
 def draw_job(layout: Any, context: Any) -> None:
@@ -93,21 +93,21 @@ def draw_job(layout: Any, context: Any) -> None:
     if job is None:
         return
     row = layout.row(align=True)
-    row.progress(factor=share_done(job), text=named(context, job_text(job), taken=8))
+    row.progress(factor=compute_progress(job), text=shorten_name(context, format_job(job), reserved=8))
     row.operator("hnf.bake_cancel", text="", icon="X")
-    paragraph(layout, context, left_text(job), icon="TIME")
-    paragraph(layout, context, tr("Keep working; Esc over the 3-D view cancels"), icon="INFO")
+    draw_paragraph(layout, context, format_time_left(job), icon="TIME")
+    draw_paragraph(layout, context, tr("Keep working; Esc over the 3-D view cancels"), icon="INFO")
 
 
 def draw_last_job(layout: Any, context: Any) -> None:
-    last = told_of(context.scene, STATE.last_job)
+    last = filter_by_scene(context.scene, STATE.last_job)
     if last is None:
         return
     box = layout.box() if not last.ok else layout.column(align=True)
     box.alert = not last.ok and not last.written  # half a success is no alarm
-    paragraph(box, context, last.message, icon="CHECKMARK" if last.ok else "ERROR")
-    for detail in last.details[:MOST_LINES]:
-        paragraph(box, context, detail, icon="DOT")  # each begins with one: several lines would run together
+    draw_paragraph(box, context, last.message, icon="CHECKMARK" if last.ok else "ERROR")
+    for detail in last.details[:MAX_LINES]:
+        draw_paragraph(box, context, detail, icon="DOT")  # each begins with one: several lines would run together
 
 
 class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
@@ -116,18 +116,18 @@ class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     def draw(self, context: Any) -> None:
-        layout, plan = self.layout, told_of(context.scene, STATE.plan)
+        layout, plan = self.layout, filter_by_scene(context.scene, STATE.plan)
         layout.operator("hnf.plan", text="Show Plan", icon="VIEWZOOM")
         if plan is None:
-            hint(layout, context, tr("Lists what a bake would do and why, how long it takes, and what it keeps"))
+            draw_hint(layout, context, tr("Lists what a bake would do and why, how long it takes, and what it keeps"))
             return
-        for icon, heading, lines in plan_groups(plan):
+        for icon, heading, lines in group_plan_lines(plan):
             column = layout.column(align=True)
             column.label(text=heading, icon=icon, translate=False)
-            for line in lines[:MOST_LINES]:
-                paragraph(column, context, f"{line.what}: {line.why}" if line.why else line.what, icon="BLANK1")
-            if len(lines) > MOST_LINES:
-                more = tr("and {count} more").format(count=len(lines) - MOST_LINES)
+            for line in lines[:MAX_LINES]:
+                draw_paragraph(column, context, f"{line.what}: {line.why}" if line.why else line.what, icon="BLANK1")
+            if len(lines) > MAX_LINES:
+                more = tr("and {count} more").format(count=len(lines) - MAX_LINES)
                 column.label(text=more, icon="BLANK1", translate=False)
 
 
@@ -137,24 +137,24 @@ class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
-        from ..bridge.metres import metres_per_unit
-        from ..bridge.splat_cloud import TOUCHABLE
+        from ..bridge.metres import get_metres_per_unit
+        from ..bridge.splat_cloud import TOUCHABLE_SURFACES
 
         layout, scene = self.layout, context.scene
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(scene.hnf, "metres_per_unit")
-        metres = metres_per_unit(scene)
+        metres = get_metres_per_unit(scene)
         text = (
             tr("One unit is {size} (set here)")
             if scene.hnf.metres_per_unit
             else tr("One unit is {size} (from the scene's unit scale)")
         )
-        paragraph(layout, context, text.format(size=f"{metres:g} m"), icon="INFO")
+        draw_paragraph(layout, context, text.format(size=f"{metres:g} m"), icon="INFO")
         layout.operator("hnf.set_real_length", icon="DRIVER_DISTANCE")
-        if not scene.hnf.metres_per_unit and TOUCHABLE.of(scene):
+        if not scene.hnf.metres_per_unit and TOUCHABLE_SURFACES.list_objects(scene):
             said = tr("A reconstruction has no real-world size: select two points of it and say how far apart they are")
-            paragraph(layout, context, said, icon="ERROR")
+            draw_paragraph(layout, context, said, icon="ERROR")
 
 
 CLASSES = (HNF_PT_scene, HNF_PT_plan, HNF_PT_scale)

@@ -7,18 +7,18 @@ from typing import Any
 import bpy
 
 from .. import compat
-from ..actuator.choice import chosen_output
+from ..actuator.choice import get_selected_output
 from ..actuator.state import SPEAKERS
-from ..ops.materials import spoken
-from ..preview.facts import preview_facts
-from ..props.scene import active_stroke, listed_strokes, namesake
+from ..ops.materials import format_display_name
+from ..preview.facts import get_preview_facts
+from ..props.scene import find_namesake, get_active_stroke, list_cached_strokes
 from ..state.session import STATE
-from ..state.texts import look
+from ..state.texts import describe_status
 from ..translations import tr
-from .layout import TouchPanel, hint, paragraph, side_by_side
-from .scene_panel import offers_tools
+from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row
+from .scene_panel import shows_first_step_tools
 
-FEWEST_ROWS, MOST_ROWS = 2, 8
+MIN_ROWS, MAX_ROWS = 2, 8
 """Of the list; between them, as many as there are strokes."""
 
 
@@ -28,15 +28,15 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
 
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
-        strokes = listed_strokes(scene)
-        if not offers_tools(context):
-            row = side_by_side(layout, context)
+        strokes = list_cached_strokes(scene)
+        if not shows_first_step_tools(context):
+            row = make_button_row(layout, context)
             row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
             row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
-        if chosen_output(context) != SPEAKERS:
+        if get_selected_output(context) != SPEAKERS:
             layout.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA")
         if not strokes:
-            hint(
+            draw_hint(
                 layout,
                 context,
                 tr(
@@ -46,78 +46,78 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
             )
             return
         row = layout.row()
-        rows = min(max(len(strokes), FEWEST_ROWS), MOST_ROWS)
+        rows = min(max(len(strokes), MIN_ROWS), MAX_ROWS)
         row.template_list("HNF_UL_strokes", "", scene, "objects", scene.hnf, "stroke_index", rows=rows)
         side = row.column(align=True)
         side.operator("hnf.stroke_duplicate", text="", icon="DUPLICATE")
         side.operator("hnf.stroke_to_curve", text="", icon="OUTLINER_OB_CURVE")
         side.operator("hnf.stroke_delete", text="", icon="REMOVE")
-        stroke = active_stroke(context)
+        stroke = get_active_stroke(context)
         if stroke is None:
-            hint(layout, context, tr("Click a stroke to see what it is made of"))
+            draw_hint(layout, context, tr("Click a stroke to see what it is made of"))
 
 
-class OfStroke(TouchPanel):
+class ActiveStrokePanel(TouchPanel):
     """Panels that speak of the active stroke."""
 
     bl_parent_id = "HNF_PT_strokes"
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return active_stroke(context) is not None
+        return get_active_stroke(context) is not None
 
 
-class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+class HNF_PT_stroke(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Active Stroke"
 
     def draw(self, context: Any) -> None:
-        layout, stroke = self.layout, active_stroke(context)
+        layout, stroke = self.layout, get_active_stroke(context)
         group = stroke.hnf_stroke
         layout.prop(stroke, "name", text="", icon="CURVE_DATA")
-        if namesake(context.scene, stroke) is not None:
-            paragraph(
+        if find_namesake(context.scene, stroke) is not None:
+            draw_paragraph(
                 layout,
                 context,
                 tr("A linked stroke has the same name, and the other one may be shown instead. Rename yours"),
                 icon="ERROR",
             )
-        status, heard = STATE.status_of(context.scene, stroke), preview_facts(stroke)
-        icon, text = look(status)
-        paragraph(layout, context, text, icon=icon)
+        status, heard = STATE.get_status(context.scene, stroke), get_preview_facts(stroke)
+        icon, text = describe_status(status)
+        draw_paragraph(layout, context, text, icon=icon)
         if status is not None and (heard is None or not heard.lines):  # else the preview says it
             for warning in status.warnings:
-                paragraph(layout, context, warning, icon="ERROR")
+                draw_paragraph(layout, context, warning, icon="ERROR")
         layout.use_property_split = True
         column = layout.column()
         column.use_property_decorate = False
         column.prop(group, "surface")
         if group.surface is None:
-            paragraph(column, context, tr("Empty: the nearest visible mesh is touched"), icon="BLANK1")
+            draw_paragraph(column, context, tr("Empty: the nearest visible mesh is touched"), icon="BLANK1")
         column.prop(group, "probe")
-        row = labelled(column, "Feels")
-        felt = spoken(group.material) if group.material else tr("Surface material")
+        row = make_labelled_row(column, "Feels")
+        felt = format_display_name(group.material) if group.material else tr("Surface material")
         row.operator("hnf.stroke_material", text=felt, icon="MATERIAL", translate=False)
         if group.material:
             row.operator("hnf.stroke_material_auto", text="", icon="X")
 
 
-class HNF_PT_stroke_time(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+class HNF_PT_stroke_time(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Time"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     def draw(self, context: Any) -> None:
-        layout, stroke = self.layout, active_stroke(context)
+        layout, stroke = self.layout, get_active_stroke(context)
         group, keyed = stroke.hnf_stroke, is_keyed(stroke, "progress")
         layout.use_property_split = True
         column = layout.column()
         column.use_property_decorate = False
         if keyed or is_keyed(stroke, "force"):  # the bare number would leave the keys behind
-            row = labelled(column, "Start")
+            row = make_labelled_row(column, "Start")
             row.operator("hnf.stroke_move", text=tr("Frame {frame}…").format(frame=f"{group.start:g}"), translate=False)
         else:
             column.prop(group, "start")
         if keyed:
-            paragraph(column, context, tr("Progress keys control the timing"), icon="KEY_HLT")
+            draw_paragraph(column, context, tr("Progress keys control the timing"), icon="KEY_HLT")
         else:
             column.prop(group, "law")
             if group.law == "SPEED":
@@ -125,38 +125,38 @@ class HNF_PT_stroke_time(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # no
             elif group.law == "DURATION":
                 column.prop(group, "duration_s", text="Duration (s)")
             else:
-                paragraph(column, context, tr("Key progress at two frames at least"), icon="INFO")
+                draw_paragraph(column, context, tr("Key progress at two frames at least"), icon="INFO")
         if keyed or group.law == "PROGRESS":
             layout.prop(group, "progress")
 
 
-class HNF_PT_stroke_force(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+class HNF_PT_stroke_force(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Force"
 
     def draw(self, context: Any) -> None:
-        layout, stroke = self.layout, active_stroke(context)
+        layout, stroke = self.layout, get_active_stroke(context)
         split = layout.column()
         split.use_property_split = True
         split.prop(stroke.hnf_stroke, "force", text="Force (N)")
-        row = side_by_side(layout, context)
+        row = make_button_row(layout, context)
         row.operator("hnf.stroke_key_force", text="Key", icon="KEY_HLT")
         row.operator("hnf.force_graph", text="Graph Editor", icon="GRAPH")
         layout.operator("hnf.stroke_copy_force", text="Copy Force to Selected", icon="COPYDOWN")
         if is_keyed(stroke, "force"):
-            paragraph(layout, context, tr("Keyed: edit its curve and play again"), icon="FCURVE")
+            draw_paragraph(layout, context, tr("Keyed: edit its curve and play again"), icon="FCURVE")
 
 
-class HNF_PT_stroke_variation(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+class HNF_PT_stroke_variation(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Variation"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
-        self.layout.prop(active_stroke(context).hnf_stroke, "seed")
+        self.layout.prop(get_active_stroke(context).hnf_stroke, "seed")
 
 
-def labelled(layout: Any, text: str) -> Any:
+def make_labelled_row(layout: Any, text: str) -> Any:
     """A row for buttons behind a label that stands where those of properties stand."""
     split = layout.split(factor=0.4)
     label = split.row()
@@ -171,4 +171,4 @@ def is_keyed(obj: Any, name: str) -> bool:
     return any(fcurve.data_path == path and not fcurve.is_empty for fcurve in compat.fcurves_of(obj))
 
 
-CLASSES = (HNF_PT_strokes, HNF_PT_stroke, HNF_PT_stroke_time, HNF_PT_stroke_force, HNF_PT_stroke_variation)
+STROKE_CLASSES = (HNF_PT_strokes, HNF_PT_stroke, HNF_PT_stroke_time, HNF_PT_stroke_force, HNF_PT_stroke_variation)

@@ -47,16 +47,16 @@ class PiecewiseBezier:
         position = value[:, :-1] / weight
         return position, (slope[:, :-1] - position * slope[:, -1:]) / weight
 
-    def transformed(self, matrix: ArrayLike) -> PiecewiseBezier:
+    def transform(self, matrix: ArrayLike) -> PiecewiseBezier:
         """The curve under an affine map (dim + 1, dim + 1) acting on column vectors (exact: maps control points)."""
         return PiecewiseBezier(self.control @ np.asarray(matrix, dtype=np.float64).T, self.cyclic)
 
 
-def _homogeneous(points: Float) -> Float:
+def _to_homogeneous(points: Float) -> Float:
     return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
 
 
-def _checked(points: ArrayLike, what: str) -> Float:
+def _check_points(points: ArrayLike, what: str) -> Float:
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or len(array) == 0:
         raise StrokeError(f"the curve has no {what}.", remedy="Draw at least one point.")
@@ -65,36 +65,36 @@ def _checked(points: ArrayLike, what: str) -> Float:
     return array
 
 
-def poly_curve(points: ArrayLike, *, cyclic: bool = False) -> PiecewiseBezier:
+def make_poly_curve(points: ArrayLike, *, cyclic: bool = False) -> PiecewiseBezier:
     """Straight segments through points (k, dim). One point gives a curve of length zero."""
-    points = _checked(points, "points")
+    points = _check_points(points, "points")
     path = np.concatenate([points, points[:1]]) if cyclic or len(points) == 1 else points
-    return PiecewiseBezier(_homogeneous(np.stack([path[:-1], path[1:]], axis=1)), cyclic)
+    return PiecewiseBezier(_to_homogeneous(np.stack([path[:-1], path[1:]], axis=1)), cyclic)
 
 
-def bezier_curve(
+def make_bezier_curve(
     points: ArrayLike, handle_left: ArrayLike, handle_right: ArrayLike, *, cyclic: bool = False
 ) -> PiecewiseBezier:
     """Cubic Bézier spline: knots and the handles before and after each, all (k, dim), as Blender stores them."""
-    points = _checked(points, "points")
-    left, right = _checked(handle_left, "handles"), _checked(handle_right, "handles")
+    points = _check_points(points, "points")
+    left, right = _check_points(handle_left, "handles"), _check_points(handle_right, "handles")
     after = np.roll(np.arange(len(points)), -1)
     control = np.stack([points, right, left[after], points[after]], axis=1)
     if not cyclic and len(points) > 1:
         control = control[:-1]
     elif not cyclic:
         control = np.repeat(points[:, None], 4, axis=1)
-    return PiecewiseBezier(_homogeneous(control), cyclic)
+    return PiecewiseBezier(_to_homogeneous(control), cyclic)
 
 
-def smooth_curve(points: ArrayLike, *, cyclic: bool = False) -> PiecewiseBezier:
+def make_smooth_curve(points: ArrayLike, *, cyclic: bool = False) -> PiecewiseBezier:
     """A C¹ cubic Bézier spline through points (k, dim), handles from smooth_handles."""
-    points = _checked(points, "points")
-    left, right = smooth_handles(points, cyclic=cyclic)
-    return bezier_curve(points, left, right, cyclic=cyclic)
+    points = _check_points(points, "points")
+    left, right = compute_smooth_handles(points, cyclic=cyclic)
+    return make_bezier_curve(points, left, right, cyclic=cyclic)
 
 
-def smooth_handles(points: Float, *, cyclic: bool = False) -> tuple[Float, Float]:
+def compute_smooth_handles(points: Float, *, cyclic: bool = False) -> tuple[Float, Float]:
     """Left and right handles (k, dim) of a Catmull-Rom spline through points; ends point at their neighbour."""
     if len(points) == 1:
         return points.copy(), points.copy()

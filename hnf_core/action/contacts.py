@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ..errors import SceneError, StrokeError
 from ..scene.mesh import TriangleMesh
-from .deforming import DeformingMesh, to_rest
-from .nearest import nearest_on_triangles
+from .deforming import DeformingMesh, transform_to_rest
+from .nearest import find_nearest_on_triangles
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -90,18 +90,18 @@ def find_contacts(
     )
     moving = samples.moving or isinstance(surface, DeformingMesh)
     if isinstance(surface, DeformingMesh):
-        hit, corners, drift = surface.nearest(samples.time, samples.point)
+        hit, corners, drift = surface.find_nearest(samples.time, samples.point)
         relative = path_velocity - drift
-        at_rest = to_rest(mesh, hit.triangle, corners, relative)
-        tangent = to_rest(mesh, hit.triangle, corners, samples.tangent)
+        at_rest = transform_to_rest(mesh, hit.triangle, corners, relative)
+        tangent = transform_to_rest(mesh, hit.triangle, corners, samples.tangent)
     else:
-        hit = nearest_on_triangles(samples.point, mesh.corner_positions())
+        hit = find_nearest_on_triangles(samples.point, mesh.corner_positions())
         relative = at_rest = path_velocity
         tangent = samples.tangent
     corners = mesh.vertices[mesh.triangles[hit.triangle]]
-    normal = interpolated_normals(mesh.normals[hit.triangle], corners, hit.barycentric)
-    uv_tangent, uv_known = tangents(corners, None if mesh.uv is None else mesh.uv[hit.triangle], normal)
-    velocity = _along_surface(at_rest, np.linalg.norm(relative, axis=1), normal)
+    normal = interpolate_normals(mesh.normals[hit.triangle], corners, hit.barycentric)
+    uv_tangent, uv_known = compute_tangents(corners, None if mesh.uv is None else mesh.uv[hit.triangle], normal)
+    velocity = _project_velocity(at_rest, np.linalg.norm(relative, axis=1), normal)
     return Contacts(
         time=samples.time,
         point=np.einsum("nc,ncx->nx", hit.barycentric, corners),
@@ -112,7 +112,7 @@ def find_contacts(
         barycentric=hit.barycentric,
         face=mesh.face[hit.triangle],
         slot=mesh.slot[hit.triangle],
-        position=_travelled(samples, velocity, tangent) if moving else samples.position,
+        position=_integrate_travel(samples, velocity, tangent) if moving else samples.position,
         velocity=velocity,
         force=samples.force,
         on_surface=hit.distance <= tolerance_m,
@@ -120,7 +120,7 @@ def find_contacts(
     )
 
 
-def interpolated_normals(normals: Float, corners: Float, barycentric: Float) -> Float:
+def interpolate_normals(normals: Float, corners: Float, barycentric: Float) -> Float:
     """Unit normals (n, 3) at barycentric places from corner normals (n, 3, 3); where they cancel, the facet's own."""
     blended = np.einsum("nc,ncx->nx", barycentric, normals)
     size = np.linalg.norm(blended, axis=1)
@@ -132,7 +132,7 @@ def interpolated_normals(normals: Float, corners: Float, barycentric: Float) -> 
     return np.asarray(blended / size[:, None])
 
 
-def tangents(corners: Float, uv: Float | None, normal: Float) -> tuple[Float, Bool]:
+def compute_tangents(corners: Float, uv: Float | None, normal: Float) -> tuple[Float, Bool]:
     """Unit ∂p/∂u (n, 3) of triangles (n, 3, 3) with corner UVs (n, 3, 2), made orthogonal to normal (n, 3).
 
     Where there are no UVs, or they span no area, or are no numbers: the object's +X laid on the surface, or its +Y
@@ -148,15 +148,15 @@ def tangents(corners: Float, uv: Float | None, normal: Float) -> tuple[Float, Bo
         span = np.linalg.norm(du[:, 0], axis=1) * np.linalg.norm(du[:, 1], axis=1)
         known = area > 1e-9 * span
         direction = (du[:, 1, 1, None] * dv[:, 0] - du[:, 0, 1, None] * dv[:, 1]) * np.sign(determinant)[:, None]
-        direction, known_flat = _on_plane(direction, normal)
+        direction, known_flat = _project_onto_plane(direction, normal)
         known &= known_flat
     near_x = np.abs(normal[:, 0]) > np.cos(np.pi / 6)
     axis = np.where(near_x[:, None], np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]))
-    fallback, _ = _on_plane(axis, normal)
+    fallback, _ = _project_onto_plane(axis, normal)
     return np.where(known[:, None], direction, fallback), known
 
 
-def _on_plane(direction: Float, normal: Float) -> tuple[Float, Bool]:
+def _project_onto_plane(direction: Float, normal: Float) -> tuple[Float, Bool]:
     size = np.linalg.norm(direction, axis=1)
     flat = direction - normal * np.einsum("nx,nx->n", direction, normal)[:, None]
     length = np.linalg.norm(flat, axis=1)
@@ -164,7 +164,7 @@ def _on_plane(direction: Float, normal: Float) -> tuple[Float, Bool]:
     return flat / np.where(good, length, 1.0)[:, None], good
 
 
-def _along_surface(velocity: Float, speed: Float, normal: Float) -> Float:
+def _project_velocity(velocity: Float, speed: Float, normal: Float) -> Float:
     """Tangential velocity that keeps the speed (n,): a drawn curve and a facet's interpolated normal differ by some
     degrees, and projecting would make the speed hum at the facets' rate."""
     flat = velocity - normal * np.einsum("nx,nx->n", velocity, normal)[:, None]
@@ -173,7 +173,7 @@ def _along_surface(velocity: Float, speed: Float, normal: Float) -> Float:
     return np.asarray(flat * np.divide(speed * share, along, out=np.zeros_like(along), where=along > 0.0)[:, None])
 
 
-def _travelled(samples: StrokeSamples, velocity: Float, tangent: Float) -> Float:
+def _integrate_travel(samples: StrokeSamples, velocity: Float, tangent: Float) -> Float:
     """Signed way relative to a moving surface: backward where it runs against the curve's direction."""
     sign = np.where(np.einsum("nx,nx->n", velocity, tangent) < 0.0, -1.0, 1.0)
     rate = sign * np.linalg.norm(velocity, axis=1)
@@ -181,7 +181,7 @@ def _travelled(samples: StrokeSamples, velocity: Float, tangent: Float) -> Float
     return np.asarray(samples.position[0] + way)
 
 
-def _length_text(length_m: float) -> str:
+def _format_length(length_m: float) -> str:
     return f"{length_m * 1e3:.3g} mm" if length_m < 1.0 else f"{length_m:.3g} m"
 
 
@@ -192,7 +192,7 @@ def require_contact(contacts: Contacts, *, where: str, surface: str) -> None:
     if not contacts.on_surface.any():
         nearest = float(contacts.distance.min())
         raise StrokeError(
-            f"it touches nothing: '{surface}' stays {_length_text(nearest)} away.",
+            f"it touches nothing: '{surface}' stays {_format_length(nearest)} away.",
             where=where,
             remedy="Move the curve onto the surface, or snap its points to faces.",
         )

@@ -20,7 +20,7 @@ LENGTH_TOLERANCE = 1e-10
 _MAX_DEPTH = 40
 
 
-def _gauss_rule(count: int) -> tuple[Float, Float]:
+def _make_gauss_rule(count: int) -> tuple[Float, Float]:
     """Gauss-Legendre nodes and weights on [0, 1] (Golub and Welsch 1969)."""
     k = np.arange(1.0, count)
     off_diagonal = k / np.sqrt(4.0 * k * k - 1.0)
@@ -28,7 +28,7 @@ def _gauss_rule(count: int) -> tuple[Float, Float]:
     return (nodes + 1.0) / 2.0, vectors[0] ** 2
 
 
-_NODES, _WEIGHTS = _gauss_rule(12)
+_NODES, _WEIGHTS = _make_gauss_rule(12)
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class ArcCurve:
 
     def point_at(self, s: ArrayLike) -> Float:
         """Points (n, dim) at arc lengths s (n,), clamped to [0, length]."""
-        segment, u, _ = self._parameter(s)
+        segment, u, _ = self._find_parameter(s)
         return self.curve.evaluate(segment, u)[0]
 
     def tangent_at(self, s: ArrayLike) -> Float:
@@ -60,7 +60,7 @@ class ArcCurve:
 
         Zero vectors where the curve has no length at all.
         """
-        segment, u, panel = self._parameter(s)
+        segment, u, panel = self._find_parameter(s)
         if self.length == 0.0:
             return np.zeros((len(u), self.curve.dimension))
         derivative = self.curve.evaluate(segment, u)[1]
@@ -77,10 +77,10 @@ class ArcCurve:
 
     def parameter_at(self, s: ArrayLike) -> tuple[Int, Float]:
         """Segment number and its parameter u (n,) at arc lengths s (n,): the same place on any affine image."""
-        segment, u, _ = self._parameter(s)
+        segment, u, _ = self._find_parameter(s)
         return segment, u
 
-    def _parameter(self, s: ArrayLike) -> tuple[Int, Float, Int]:
+    def _find_parameter(self, s: ArrayLike) -> tuple[Int, Float, Int]:
         """Segment, parameter and panel of arc lengths: Newton on the panel's own quadrature, kept in a bracket."""
         target = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         panel = np.clip(np.searchsorted(self.station, target, side="right") - 1, 0, len(self.segment) - 1)
@@ -92,7 +92,7 @@ class ArcCurve:
         todo = np.arange(len(u))
         for _ in range(60):
             at = u[todo]
-            error = _arc_lengths(self.curve, segment[todo], base[todo], at) - rest[todo]
+            error = _compute_arc_lengths(self.curve, segment[todo], base[todo], at) - rest[todo]
             open_ = np.abs(error) > 1e-12 * self.station[-1]
             todo, at, error = todo[open_], at[open_], error[open_]
             if len(todo) == 0:
@@ -105,7 +105,7 @@ class ArcCurve:
         return segment, u, panel
 
 
-def _arc_lengths(curve: PiecewiseBezier, segment: Int, start: Float, end: Float) -> Float:
+def _compute_arc_lengths(curve: PiecewiseBezier, segment: Int, start: Float, end: Float) -> Float:
     """∫ |dC/du| du over [start, end] of each segment, one Gauss rule each."""
     width = end - start
     u = start[:, None] + width[:, None] * _NODES
@@ -113,7 +113,7 @@ def _arc_lengths(curve: PiecewiseBezier, segment: Int, start: Float, end: Float)
     return np.asarray(width * (np.linalg.norm(derivative, axis=1).reshape(u.shape) @ _WEIGHTS))
 
 
-def by_arc_length(curve: PiecewiseBezier) -> ArcCurve:
+def build_arc_curve(curve: PiecewiseBezier) -> ArcCurve:
     """Table of a curve's arc length by adaptive bisection of its segments.
 
     Raises StrokeError for a curve that reaches farther than lengths can be computed (some 1e150 m).
@@ -121,7 +121,7 @@ def by_arc_length(curve: PiecewiseBezier) -> ArcCurve:
     segment = np.arange(curve.segment_count, dtype=np.intp)
     start, end = np.zeros(len(segment)), np.ones(len(segment))
     with np.errstate(over="ignore", invalid="ignore"):
-        whole = _arc_lengths(curve, segment, start, end)
+        whole = _compute_arc_lengths(curve, segment, start, end)
     if not np.isfinite(whole.sum()):
         raise StrokeError(
             "the curve has no finite length.", remedy="Check its points, the object's scale and the scene's unit scale."
@@ -132,8 +132,8 @@ def by_arc_length(curve: PiecewiseBezier) -> ArcCurve:
     done: list[tuple[Int, Float, Float, Float]] = []
     for depth in range(_MAX_DEPTH + 1):
         middle = (start + end) / 2.0
-        first = _arc_lengths(curve, segment, start, middle)
-        second = _arc_lengths(curve, segment, middle, end)
+        first = _compute_arc_lengths(curve, segment, start, middle)
+        second = _compute_arc_lengths(curve, segment, middle, end)
         fine = (np.abs(first + second - whole) <= tolerance) | (depth == _MAX_DEPTH)
         # The halves are the panels: each is then as long as its own rule says, and no border is a step of the length.
         done.append((segment[fine], start[fine], middle[fine], first[fine]))
@@ -152,7 +152,7 @@ def by_arc_length(curve: PiecewiseBezier) -> ArcCurve:
     return ArcCurve(curve, segment[order], start[order], end[order], station)
 
 
-def only_spline(splines: Sequence[PiecewiseBezier], *, where: str) -> PiecewiseBezier:
+def require_single_spline(splines: Sequence[PiecewiseBezier], *, where: str) -> PiecewiseBezier:
     """The one spline of a stroke. Raises StrokeError for none, or for several: a stroke is one touch, and choosing
     the first silently would drop what the artist drew after it."""
     if not splines:

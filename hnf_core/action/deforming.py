@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene.mesh import TriangleMesh
-from ..scene.raycast import Closest
-from .nearest import gathered, nearest_on_triangles
+from ..scene.raycast import ClosestPoints
+from .nearest import concatenate_hits, find_nearest_on_triangles
 
 Float = NDArray[np.float64]
-Int = NDArray[np.int32]
+Int32 = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -27,27 +27,27 @@ class DeformingMesh:
     time: Float
     vertices: NDArray[np.float64] | NDArray[np.float32]
 
-    def corners_at(self, time: float, triangle: Int | None = None) -> Float:
+    def corners_at(self, time: float, triangle: Int32 | None = None) -> Float:
         """Corner positions (T or n, 3, 3) at a time, of all or the given triangles."""
         index = self.mesh.triangles if triangle is None else self.mesh.triangles[triangle]
-        frames, weights = self._blend(time)
+        frames, weights = self._compute_time_weights(time)
         return np.asarray(
             sum(w * self.vertices[f][index].astype(np.float64) for f, w in zip(frames, weights, strict=True))
         )
 
-    def nearest(self, time: Float, points: Float) -> tuple[Closest, Float, Float]:
+    def find_nearest(self, time: Float, points: Float) -> tuple[ClosestPoints, Float, Float]:
         """Closest material point of each sample (n,), (n, 3), at that sample's time: the hit, its triangle's corners
         (n, 3, 3) at that time, and the velocity (n, 3) m/s of the material there."""
         hits, corners = [], []
         for t, point in zip(time, points, strict=True):
             shape = self.corners_at(float(t))
-            hit = nearest_on_triangles(point[None], shape)
+            hit = find_nearest_on_triangles(point[None], shape)
             hits.append(hit)
             corners.append(shape[hit.triangle])
-        hit = gathered(hits)
-        return hit, np.concatenate(corners), self._drift(time, hit)
+        hit = concatenate_hits(hits)
+        return hit, np.concatenate(corners), self._compute_material_velocity(time, hit)
 
-    def _drift(self, time: Float, hit: Closest) -> Float:
+    def _compute_material_velocity(self, time: Float, hit: ClosestPoints) -> Float:
         step = 1e-3
         drift = np.empty((len(time), 3))
         for i, t in enumerate(time):
@@ -60,7 +60,7 @@ class DeformingMesh:
             drift[i] = hit.barycentric[i] @ change[0] / (after - before)
         return drift
 
-    def _blend(self, time: float) -> tuple[list[int], list[float]]:
+    def _compute_time_weights(self, time: float) -> tuple[list[int], list[float]]:
         """Frames and weights of the Catmull-Rom spline on an uneven grid (cubic Hermite, central slopes)."""
         count = len(self.time)
         if count == 1 or time <= self.time[0]:
@@ -83,16 +83,16 @@ class DeformingMesh:
         return list(weights), list(weights.values())
 
 
-def to_rest(mesh: TriangleMesh, triangle: Int, corners: Float, vectors: Float) -> Float:
+def transform_to_rest(mesh: TriangleMesh, triangle: Int32, corners: Float, vectors: Float) -> Float:
     """Vectors (n, 3) on triangles whose corners moved to (n, 3, 3), carried back to the shape at rest by the inverse
     of each triangle's deformation gradient; lengths change as the surface was stretched."""
-    rest, moved = _frames(mesh.vertices[mesh.triangles[triangle]]), _frames(corners)
+    rest, moved = _compute_edge_frames(mesh.vertices[mesh.triangles[triangle]]), _compute_edge_frames(corners)
     flat = np.abs(np.linalg.det(moved)) <= 1e-30  # a triangle without area tells nothing of how it turned
     rest[flat] = moved[flat] = np.eye(3)
     return np.asarray((rest @ np.linalg.solve(moved, vectors[:, :, None]))[:, :, 0])
 
 
-def _frames(corners: Float) -> Float:
+def _compute_edge_frames(corners: Float) -> Float:
     """Edge, edge and normal (as long as the edges) as the columns of (n, 3, 3)."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(first, second)

@@ -35,7 +35,7 @@ class FCurve:
         value = start[:, 1] + share * (end[:, 1] - start[:, 1])
         kind = np.array(self.interpolation)[i]
         bezier = np.flatnonzero(kind == BEZIER)
-        value[bezier] = _bezier(
+        value[bezier] = _evaluate_bezier(
             start[bezier], self.right[i[bezier]], self.left[i[bezier] + 1], end[bezier], share[bezier]
         )
         constant = kind == CONSTANT
@@ -44,20 +44,20 @@ class FCurve:
         return np.where(frame >= self.key[-1, 0], self.key[-1, 1], value)
 
 
-def _bezier(start: Float, right: Float, left: Float, end: Float, share: Float) -> Float:
+def _evaluate_bezier(start: Float, right: Float, left: Float, end: Float, share: Float) -> Float:
     """Values of cubic Bézier pieces at a share (n,) of their time; handles (n, 2) that reach past the piece are
     shortened to it, as Blender does, so that time never runs backward."""
     width = (end - start)[:, :1]
     width = np.where(width > 0.0, width, 1.0)  # two keys on one frame: the later one counts
     first, second = right - start, left - end
-    first = first * _shortening(first[:, :1], width)
-    second = second * _shortening(second[:, :1], width)
+    first = first * _compute_shortening(first[:, :1], width)
+    second = second * _compute_shortening(second[:, :1], width)
     a = first[:, 0] / width[:, 0]
     b = 1.0 + second[:, 0] / width[:, 0]
     low, high = np.zeros(len(share)), np.ones(len(share))
     u = share.copy()
     for _ in range(64):
-        error = _cubic(u, a, b) - share
+        error = _evaluate_cubic(u, a, b) - share
         low, high = np.where(error < 0.0, u, low), np.where(error > 0.0, u, high)
         slope = 3.0 * ((1 - u) ** 2 * a + 2 * u * (1 - u) * (b - a) + u * u * (1 - b))
         step = u - np.divide(error, slope, out=np.full_like(u, np.inf), where=slope > 0.0)
@@ -71,9 +71,9 @@ def _bezier(start: Float, right: Float, left: Float, end: Float, share: Float) -
     )
 
 
-def _cubic(u: Float, a: Float, b: Float) -> Float:
+def _evaluate_cubic(u: Float, a: Float, b: Float) -> Float:
     return np.asarray(3 * u * (1 - u) ** 2 * a + 3 * u * u * (1 - u) * b + u**3)
 
 
-def _shortening(reach: Float, width: Float) -> Float:
+def _compute_shortening(reach: Float, width: Float) -> Float:
     return np.asarray(width / np.maximum(np.abs(reach), width))

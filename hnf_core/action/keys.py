@@ -11,7 +11,7 @@ Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Keys:
+class Keyframes:
     """time (k,) s ascending, value (k,), slope (k,) per second. Between keys the cubic Hermite polynomial, which a
     Bézier F-curve draws exactly when its handles lie a third of the way in time; outside, the end values."""
 
@@ -35,7 +35,7 @@ class Keys:
         return value, np.where(outside, 0.0, rate)
 
 
-def eased_travel(distance: float, speed: float, ramp_s: float, start_s: float = 0.0) -> Keys:
+def make_eased_travel(distance: float, speed: float, ramp_s: float, start_s: float = 0.0) -> Keyframes:
     """Travel 0 → distance at constant speed, with S-shaped ramps (acceleration continuous) at both ends.
 
     Takes distance / speed + ramp. A ramp longer than distance / speed is shortened to it, so that the speed is
@@ -44,7 +44,7 @@ def eased_travel(distance: float, speed: float, ramp_s: float, start_s: float = 
     ramp = min(ramp_s, distance / speed)
     if ramp < 1e-6:
         lasting = distance / speed + ramp
-        return Keys(start_s + np.array([0.0, lasting]), np.array([0.0, distance]), np.array([speed, speed]))
+        return Keyframes(start_s + np.array([0.0, lasting]), np.array([0.0, distance]), np.array([speed, speed]))
     cruise = distance / speed - ramp
     # In half a ramp of duration r the speed goes 2v·(t/r)², which covers v·r/12; the second half mirrors it.
     half = np.array([0.0, ramp / 2, ramp])
@@ -52,6 +52,6 @@ def eased_travel(distance: float, speed: float, ramp_s: float, start_s: float = 
     rise = np.array([0.0, 0.5, 1.0])
     time = np.concatenate([half, ramp + cruise + half])
     value = np.concatenate([covered, ramp + cruise - covered[::-1]])
-    keys = Keys(start_s + time, speed * value, speed * np.concatenate([rise, rise[::-1]]))
+    keys = Keyframes(start_s + time, speed * value, speed * np.concatenate([rise, rise[::-1]]))
     distinct = np.concatenate([[True], np.diff(keys.time) > 1e-9])
-    return Keys(keys.time[distinct], keys.value[distinct], keys.slope[distinct])
+    return Keyframes(keys.time[distinct], keys.value[distinct], keys.slope[distinct])

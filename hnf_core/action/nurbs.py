@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import StrokeError
-from .bezier import PiecewiseBezier, poly_curve
+from .bezier import PiecewiseBezier, make_poly_curve
 
 Float = NDArray[np.float64]
 
 
-def blender_knots(count: int, order: int, *, cyclic: bool, endpoint: bool, bezier: bool) -> Float:
+def compute_blender_knots(count: int, order: int, *, cyclic: bool, endpoint: bool, bezier: bool) -> Float:
     """Knot vector of a Blender NURBS spline of count points (blenkernel, curve_nurbs.cc, calculate_knots).
 
     Uniform unit spans; endpoint repeats the end knots order times; bezier repeats the inner ones order − 1 times;
@@ -44,7 +44,7 @@ def has_nurbs_form(count: int, order: int, *, cyclic: bool, bezier: bool, endpoi
     return True
 
 
-def nurbs_curve(
+def make_nurbs_curve(
     points: ArrayLike,
     weights: ArrayLike,
     order: int,
@@ -66,21 +66,21 @@ def nurbs_curve(
             "the curve has NURBS weights that are not positive numbers.", remedy="Set the points' W above 0, e.g. to 1."
         )
     if not has_nurbs_form(len(points), order, cyclic=cyclic, bezier=bezier, endpoint=endpoint):
-        return poly_curve(points, cyclic=cyclic)
+        return make_poly_curve(points, cyclic=cyclic)
     if not np.all(np.isfinite(points)):
         raise StrokeError("the curve's points are not all finite.", remedy="Delete or redraw the broken points.")
     degree = order - 1
-    knots = blender_knots(len(points), order, cyclic=cyclic, endpoint=endpoint, bezier=bezier)
+    knots = compute_blender_knots(len(points), order, cyclic=cyclic, endpoint=endpoint, bezier=bezier)
     control = np.concatenate([points * weights[:, None], weights[:, None]], axis=1)
     if cyclic:
         control = np.concatenate([control, control[np.arange(degree) % len(control)]])
     spans = np.flatnonzero(np.diff(knots) > 0.0)
     spans = spans[(spans >= degree) & (spans < len(control))]
-    points_of = [_blossom(control, knots, degree, spans, i) for i in range(order)]
+    points_of = [_evaluate_blossom(control, knots, degree, spans, i) for i in range(order)]
     return PiecewiseBezier(np.stack(points_of, axis=1), cyclic)
 
 
-def _blossom(control: Float, knots: Float, degree: int, spans: NDArray[np.intp], ends: int) -> Float:
+def _evaluate_blossom(control: Float, knots: Float, degree: int, spans: NDArray[np.intp], ends: int) -> Float:
     """The polar form of each knot span [a, b], a = knots[span]: at a, but for the last `ends` of its degree arguments,
     which are b. (S, dim + 1), de Boor with one argument each level."""
     level = control[spans[:, None] + np.arange(-degree, 1)]

@@ -13,7 +13,7 @@ Float = NDArray[np.float64]
 Int32 = NDArray[np.int32]
 Bool = NDArray[np.bool_]
 
-REACH = 0.7
+USABLE_SHARE = 0.7
 """Share of the half side that the path may use: the rest keeps every touched point off the map's border."""
 MAX_TURN_COSINE = float(np.cos(np.radians(25.0)))
 REST_M_S = 1e-6
@@ -23,7 +23,7 @@ REST_M_S = 1e-6
 def covers(patch: Patch, contacts: Contacts) -> Bool:
     """(n,) whether each contact lies well inside the patch: same slot, within REACH, normal within 25°."""
     local = contacts.point - patch.centre
-    reach = REACH * patch.size_m / 2.0
+    reach = USABLE_SHARE * patch.size_m / 2.0
     inside = (np.abs(patch.to_plane(contacts.point)) <= reach).all(axis=1) & (np.abs(local @ patch.normal) <= reach)
     return np.asarray(inside & (contacts.slot == patch.slot) & (contacts.normal @ patch.normal >= MAX_TURN_COSINE))
 
@@ -42,19 +42,19 @@ def plan_patches(contacts: Contacts, patch_size: float = PATCH_SIZE_M) -> tuple[
     while open_.any():
         first = int(np.argmax(open_))
         centre = first
-        patch = _patch_at(contacts, first, patch_size)
+        patch = _make_patch(contacts, first, patch_size)
         for ahead in range(first + 1, len(open_)):
             if not open_[ahead]:
                 break
-            candidate = _patch_at(contacts, ahead, patch_size)
-            if not covers(candidate, _sample(contacts, slice(first, ahead + 1))).all():
+            candidate = _make_patch(contacts, ahead, patch_size)
+            if not covers(candidate, _slice_contacts(contacts, slice(first, ahead + 1))).all():
                 break
             patch, centre = candidate, ahead
         covered = covers(patch, contacts)
         covered[centre] = covered[first] = True
         open_ &= ~covered
         patches.append(patch)
-    return tuple(patches), _assign(contacts, patches, touched)
+    return tuple(patches), _assign_patches(contacts, patches, touched)
 
 
 def action_from_contacts(
@@ -73,7 +73,7 @@ def action_from_contacts(
         y_axis[on] = np.array([patch.y_axis for patch in patches])[patch_index[on]]
     flat = np.stack([np.einsum("nx,nx->n", contacts.velocity, axis) for axis in (x_axis, y_axis)], axis=1)
     size = np.linalg.norm(flat, axis=1)
-    direction = _hold_last_direction(flat / np.where(size > 0.0, size, 1.0)[:, None], (size > REST_M_S) & on)
+    direction = _fill_direction(flat / np.where(size > 0.0, size, 1.0)[:, None], (size > REST_M_S) & on)
     step = float(contacts.time[1] - contacts.time[0]) if len(contacts.time) > 1 else 1.0
     return Action(
         rate=round(1.0 / step, 9),
@@ -86,15 +86,15 @@ def action_from_contacts(
     )
 
 
-def _patch_at(contacts: Contacts, i: int, size_m: float) -> Patch:
+def _make_patch(contacts: Contacts, i: int, size_m: float) -> Patch:
     return Patch(contacts.point[i], contacts.uv_tangent[i], contacts.normal[i], int(contacts.slot[i]), size_m)
 
 
-def _sample(contacts: Contacts, part: slice) -> Contacts:
-    return Contacts(**{name: getattr(contacts, name)[part] for name in Contacts.__dataclass_fields__})
+def _slice_contacts(contacts: Contacts, rows: slice) -> Contacts:
+    return Contacts(**{name: getattr(contacts, name)[rows] for name in Contacts.__dataclass_fields__})
 
 
-def _assign(contacts: Contacts, patches: list[Patch], touched: Bool) -> Int32:
+def _assign_patches(contacts: Contacts, patches: list[Patch], touched: Bool) -> Int32:
     """The covering patch with the nearest centre; the earlier one of equals."""
     index = np.full(len(touched), -1, dtype=np.int32)
     best = np.full(len(touched), np.inf)
@@ -106,7 +106,7 @@ def _assign(contacts: Contacts, patches: list[Patch], touched: Bool) -> Int32:
     return index
 
 
-def _hold_last_direction(direction: Float, good: Bool) -> Float:
+def _fill_direction(direction: Float, good: Bool) -> Float:
     """Each row of direction where good, else the last good one before, or else the first after; +x if none is."""
     if not good.any():
         return np.tile([1.0, 0.0], (len(good), 1))

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ..errors import StrokeError
 from .action import ACTION_RATE_HZ
-from .bezier import bezier_curve
-from .curves import ArcCurve, by_arc_length
+from .bezier import make_bezier_curve
+from .curves import ArcCurve, build_arc_curve
 from .fit_bezier import FittedBezier, fit_bezier
-from .fit_keys import fit_keys
-from .keys import Keys
-from .time_law import MAX_DURATION_S, motion_at_speed, time_grid, travel_time
+from .fit_keys import fit_keyframes
+from .keys import Keyframes
+from .time_law import MAX_DURATION_S, compute_travel_time, make_motion_at_speed, make_time_grid
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -29,7 +29,7 @@ MIN_LENGTH_M = 0.5e-3
 REST_S = 0.15
 """A pause longer than this between two events is a hand that rests and then goes on, not one that creeps; a busy
 window may take as long to tell of a move."""
-LAND_S = 0.05
+LANDING_S = 0.05
 """How long the force takes to come and go where the hand leaves the surface on its way and lands again."""
 
 
@@ -64,13 +64,13 @@ class PenStroke:
     path: FittedBezier
     length_m: float
     duration_s: float
-    progress: Keys | None
-    force: Keys
+    progress: Keyframes | None
+    force: Keyframes
     lifted: bool
 
 
-def pen_stroke(
-    samples: PenSamples, style: PenStyle, *, to_surface: Callable[[Float], Float] | None = None
+def fit_pen_stroke(
+    samples: PenSamples, style: PenStyle, *, project_to_surface: Callable[[Float], Float] | None = None
 ) -> PenStroke:
     """The stroke that a hand drew.
 
@@ -80,38 +80,40 @@ def pen_stroke(
     straight and the force is 0. A pressure of 1 throughout is a mouse. Raises StrokeError for broken samples, and for
     a path too short to be a stroke.
     """
-    samples = _checked(samples)
-    time, point, force, touching = _on_grid(samples, style)
-    point = _smoothed_runs(point, touching, style.smoothing_s)
-    if to_surface is not None:
-        point[touching] = to_surface(point[touching])
-    force = _smoothed_runs(force[:, None], touching, style.smoothing_s)[:, 0] * _landing(touching)
+    samples = _trim_to_touching(samples)
+    time, point, force, touching = _resample_to_grid(samples, style)
+    point = _smooth_runs(point, touching, style.smoothing_s)
+    if project_to_surface is not None:
+        point[touching] = project_to_surface(point[touching])
+    force = _smooth_runs(force[:, None], touching, style.smoothing_s)[:, 0] * _compute_landing_envelope(touching)
     moved = np.concatenate([[True], np.linalg.norm(np.diff(point, axis=0), axis=1) > 1e-7])
     if np.linalg.norm(np.diff(point, axis=0), axis=1).sum() < MIN_LENGTH_M:
         raise StrokeError(
             f"it is shorter than {MIN_LENGTH_M * 1e3:g} mm.", where="the drawn stroke", remedy="Press and drag further."
         )
     path = fit_bezier(point[moved], PATH_TOLERANCE_M)
-    curve = by_arc_length(bezier_curve(path.knot, path.left, path.right))
-    place = _along(point, moved, path, curve)
+    curve = build_arc_curve(make_bezier_curve(path.knot, path.left, path.right))
+    place = _compute_progress(point, moved, path, curve)
     lifted = not bool(touching.all())
     if style.speed_m_s is None:
-        progress = fit_keys(time, place, PROGRESS_TOLERANCE_M / curve.length, rising=True)
-        keyed = fit_keys(time, force, FORCE_TOLERANCE_N)
+        progress = fit_keyframes(time, place, PROGRESS_TOLERANCE_M / curve.length, rising=True)
+        keyed = fit_keyframes(time, force, FORCE_TOLERANCE_N)
         return PenStroke(path, curve.length, float(time[-1]), progress, keyed, lifted)
-    steady = time_grid(travel_time(curve.length, style.speed_m_s), ACTION_RATE_HZ, where="the drawn stroke")
-    reached = motion_at_speed(steady, curve.length, style.speed_m_s).position / curve.length
-    keyed = fit_keys(steady, np.interp(reached, place, force), FORCE_TOLERANCE_N)
+    steady = make_time_grid(
+        compute_travel_time(curve.length, style.speed_m_s), ACTION_RATE_HZ, where="the drawn stroke"
+    )
+    reached = make_motion_at_speed(steady, curve.length, style.speed_m_s).position / curve.length
+    keyed = fit_keyframes(steady, np.interp(reached, place, force), FORCE_TOLERANCE_N)
     return PenStroke(path, curve.length, float(steady[-1]), None, keyed, lifted)
 
 
-def evenly_in_time(count: int, before: float, now: float) -> Float:
+def spread_times_evenly(count: int, before: float, now: float) -> Float:
     """(count,) times of events that reached us together at `now`, the last of them then: their own times are lost, and
     a hand moves evenly between two events of the window system."""
     return np.asarray(before + (now - before) * np.arange(1, count + 1) / count)
 
 
-def _checked(samples: PenSamples) -> PenSamples:
+def _trim_to_touching(samples: PenSamples) -> PenSamples:
     """From the first to the last touching sample, from time 0."""
     where, remedy = "the drawn stroke", "Draw it again."
     for name, values in (("time", samples.time), ("place", samples.point), ("pressure", samples.pressure)):
@@ -131,7 +133,7 @@ def _checked(samples: PenSamples) -> PenSamples:
     return PenSamples(time, samples.point[used], samples.pressure[used], samples.touching[used])
 
 
-def _on_grid(samples: PenSamples, style: PenStyle) -> tuple[Float, Float, Float, Bool]:
+def _resample_to_grid(samples: PenSamples, style: PenStyle) -> tuple[Float, Float, Float, Bool]:
     """Time, point, force [N] and touching at the action rate; a resting hand stays where it was."""
     down = samples.touching
     if (samples.pressure[down] == 1.0).all():
@@ -154,7 +156,7 @@ def _on_grid(samples: PenSamples, style: PenStyle) -> tuple[Float, Float, Float,
     return grid, points, force, touching
 
 
-def _smoothed_runs(values: Float, touching: Bool, width_s: float) -> Float:
+def _smooth_runs(values: Float, touching: Bool, width_s: float) -> Float:
     """Gaussian smoothing of (n, d) inside each run of touching; a run's ends stay where they are."""
     smooth = values.copy()
     reach = int(np.ceil(3.0 * width_s * ACTION_RATE_HZ))
@@ -176,7 +178,7 @@ def _smoothed_runs(values: Float, touching: Bool, width_s: float) -> Float:
     return smooth
 
 
-def _landing(touching: Bool) -> Float:
+def _compute_landing_envelope(touching: Bool) -> Float:
     """(n,) 0–1: 0 where the hand is off the surface, eased over LAND_S before and after."""
     off = np.flatnonzero(~touching)
     if len(off) == 0:
@@ -184,11 +186,11 @@ def _landing(touching: Bool) -> Float:
     at = np.arange(len(touching))
     beside = np.searchsorted(off, at)
     gap = np.minimum(np.abs(off[np.minimum(beside, len(off) - 1)] - at), np.abs(off[np.maximum(beside - 1, 0)] - at))
-    share = np.clip(gap / (LAND_S * ACTION_RATE_HZ), 0.0, 1.0)
+    share = np.clip(gap / (LANDING_S * ACTION_RATE_HZ), 0.0, 1.0)
     return np.asarray(share * share * (3.0 - 2.0 * share))
 
 
-def _along(point: Float, moved: Bool, path: FittedBezier, curve: ArcCurve) -> Float:
+def _compute_progress(point: Float, moved: Bool, path: FittedBezier, curve: ArcCurve) -> Float:
     """Share of the fitted length at each sample (n,): inside a piece, as the drawn way goes."""
     station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1))])
     knots = np.flatnonzero(moved)[path.index]

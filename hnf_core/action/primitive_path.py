@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError
 from .action import ACTION_RATE_HZ, Action
-from .bezier import smooth_curve
-from .curves import ArcCurve, by_arc_length
-from .keys import Keys, eased_travel
+from .bezier import make_smooth_curve
+from .curves import ArcCurve, build_arc_curve
+from .keys import Keyframes, make_eased_travel
 from .primitives import Primitive, find_primitive
 
 Float = NDArray[np.float64]
@@ -37,13 +37,13 @@ class PlanarPath:
 
     points: Float
     cyclic: bool
-    progress: Keys
-    force: Keys
+    progress: Keyframes
+    force: Keyframes
     duration_s: float
     extent_m: float
 
 
-def primitive_path(primitive: Primitive | str, *, size_m: float = SCRAPE_LENGTH_M, seed: int = 0) -> PlanarPath:
+def make_primitive_path(primitive: Primitive | str, *, size_m: float = SCRAPE_LENGTH_M, seed: int = 0) -> PlanarPath:
     """A primitive as a path that fits in a disc of diameter size_m; a smaller surface gives a shorter scrape, or a
     rub of more and smaller rounds, at the same speed and force.
 
@@ -59,19 +59,19 @@ def primitive_path(primitive: Primitive | str, *, size_m: float = SCRAPE_LENGTH_
     else:
         distance = primitive.speed * (RUB_DURATION_S - PRESS_S - RAMP_S)
         extent = min(size_m, RUB_EXTENT_M)
-        points = _rub_points(distance, extent, np.random.default_rng(seed))
-    progress, force, duration = primitive_keys(primitive, distance)
+        points = _make_rub_points(distance, extent, np.random.default_rng(seed))
+    progress, force, duration = make_primitive_keyframes(primitive, distance)
     return PlanarPath(points, primitive.kind == "rub", progress, force, duration, extent)
 
 
-def primitive_keys(primitive: Primitive, distance_m: float) -> tuple[Keys, Keys, float]:
+def make_primitive_keyframes(primitive: Primitive, distance_m: float) -> tuple[Keyframes, Keyframes, float]:
     """Keys of progress (0–1) and force (N), and the duration (s), of a primitive on a path of this length."""
-    travel = eased_travel(distance_m, primitive.speed, RAMP_S, start_s=PRESS_S / 2)
-    progress = Keys(travel.time, travel.value / distance_m, travel.slope / distance_m)
+    travel = make_eased_travel(distance_m, primitive.speed, RAMP_S, start_s=PRESS_S / 2)
+    progress = Keyframes(travel.time, travel.value / distance_m, travel.slope / distance_m)
     duration = float(travel.time[-1]) + PRESS_S / 2
     press = min(PRESS_S, duration / 2)
     keep = [0, 1, 2, 3] if duration - 2 * press > 1e-9 else [0, 1, 3]
-    force = Keys(
+    force = Keyframes(
         np.array([0.0, press, duration - press, duration])[keep],
         np.array([0.0, primitive.force, primitive.force, 0.0])[keep],
         np.zeros(len(keep)),
@@ -79,7 +79,7 @@ def primitive_keys(primitive: Primitive, distance_m: float) -> tuple[Keys, Keys,
     return progress, force, duration
 
 
-def _rub_points(distance: float, extent: float, rng: np.random.Generator) -> Float:
+def _make_rub_points(distance: float, extent: float, rng: np.random.Generator) -> Float:
     """Closed wandering rounds of exactly this arc length inside a disc: as few rounds as reach the length."""
     phase = rng.uniform(0.0, 2 * np.pi, size=(3, 3))
     squeeze, tilt = rng.uniform(0.6, 1.0), rng.uniform(0.0, np.pi)
@@ -93,7 +93,7 @@ def _rub_points(distance: float, extent: float, rng: np.random.Generator) -> Flo
         angle = handed * rounds * t + 0.5 * wander[2]
         loop = np.stack([np.cos(angle) * (1 + 0.3 * wander[0]), squeeze * np.sin(angle) * (1 + 0.3 * wander[1])], 1)
         loop = (loop + 0.35 * np.stack([wander[1], wander[0]], 1)) @ turn.T
-        arc = by_arc_length(smooth_curve(loop, cyclic=True))
+        arc = build_arc_curve(make_smooth_curve(loop, cyclic=True))
         dense = arc.point_at(np.linspace(0.0, arc.length, 40 * rounds))
         centre = (dense.min(axis=0) + dense.max(axis=0)) / 2
         reach = 1.001 * float(np.linalg.norm(dense - centre, axis=1).max())
@@ -107,12 +107,12 @@ def _rub_points(distance: float, extent: float, rng: np.random.Generator) -> Flo
     )
 
 
-def path_curve(path: PlanarPath) -> ArcCurve:
+def make_path_curve(path: PlanarPath) -> ArcCurve:
     """The path as a curve by arc length, (·, 2) metres."""
-    return by_arc_length(smooth_curve(path.points, cyclic=path.cyclic))
+    return build_arc_curve(make_smooth_curve(path.points, cyclic=path.cyclic))
 
 
-def primitive_action(
+def make_primitive_action(
     primitive: Primitive | str,
     *,
     rate: float = ACTION_RATE_HZ,
@@ -121,8 +121,8 @@ def primitive_action(
     probe: str = "pen",
 ) -> Action:
     """u(t) of a primitive on a flat surface whose tangent is +x, sampled at rate [Hz]. Raises UsageError."""
-    path = primitive_path(primitive, size_m=size_m, seed=seed)
-    curve = path_curve(path)
+    path = make_primitive_path(primitive, size_m=size_m, seed=seed)
+    curve = make_path_curve(path)
     time = np.arange(int(np.ceil(path.duration_s * rate - 1e-9)) + 1) / rate
     progress, slope = path.progress.sample(time)
     progress = np.clip(progress, 0.0, 1.0)

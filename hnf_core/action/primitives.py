@@ -39,13 +39,13 @@ PRIMITIVES = {
 PRIMITIVE_NAMES = tuple(PRIMITIVES)
 DEFAULT_PRIMITIVE = Primitive("default", "scrape", _RIGHT, 1.0, SCRAPE_SPEED_M_S)
 """What touches a material nobody drew a stroke on: a scrape at 100 mm/s and 1 N, where real data is tabulated."""
-DEFAULT_DOWN = Primitive("default-down", "scrape", _DOWN, 1.0, SCRAPE_SPEED_M_S)
+DEFAULT_PRIMITIVE_DOWN = Primitive("default-down", "scrape", _DOWN, 1.0, SCRAPE_SPEED_M_S)
 """The same from top to bottom, for what is long only that way (a hose)."""
 
 
 def find_primitive(name: str) -> Primitive:
     """The primitive of this name (or "default", "default-down"). Raises UsageError, listing the names."""
-    for default in (DEFAULT_PRIMITIVE, DEFAULT_DOWN):
+    for default in (DEFAULT_PRIMITIVE, DEFAULT_PRIMITIVE_DOWN):
         if name == default.name:
             return default
     if name not in PRIMITIVES:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileError, UsageError
-from ..export.wav import read_channels
+from ..export.wav import read_wav_channels
 from ..signal import Signal
 from .limits import Limits
 from .source import Samples
@@ -37,10 +37,10 @@ def read_acceleration(path: Path, limits: Limits) -> Acceleration:
     """A file that states m/s² is taken at its word. One without a unit whose samples lie within −1 … 1, as sound files'
     do, plays with 1 as the actuator's full scale; one that goes beyond is taken as m/s². Raises FileError,
     also where there is no sample in it."""
-    return acceleration_of(read_channels(path), limits, str(path))
+    return to_acceleration(read_wav_channels(path), limits, str(path))
 
 
-def acceleration_of(signals: Sequence[Signal], limits: Limits, where: str) -> Acceleration:
+def to_acceleration(signals: Sequence[Signal], limits: Limits, where: str) -> Acceleration:
     """As read_acceleration, of the channels of a file that messages name as where."""
     first = signals[0]
     if len(first.samples) == 0:
@@ -72,7 +72,7 @@ def read_accelerations(paths: Sequence[Path], limits: Limits) -> Acceleration:
     return Acceleration(np.concatenate(beside, axis=1), rates[0], "; ".join(dict.fromkeys(each.unit for each in found)))
 
 
-def factor(gain_db: float) -> float:
+def db_to_gain(gain_db: float) -> float:
     """Raises UsageError beyond ±120 dB."""
     if not abs(gain_db) <= 120.0:
         raise UsageError(f"a gain of {gain_db:g} dB is none.", remedy="Give −120 to 120 dB.")

@@ -6,10 +6,10 @@ from .profile import ActuatorProfile
 from .sink import SinkFormat
 
 
-def at_most(profile: ActuatorProfile, device: SinkFormat) -> str:
+def describe_peak_limit(profile: ActuatorProfile, device: SinkFormat) -> str:
     """The largest acceleration that leaves for device with profile, in m/s², and whose limit that is."""
     limits = profile.limits
-    within = limits.within(device.peak)
+    within = limits.with_device_peak(device.peak)
     strongest = f"at most {within.peak * within.full_scale_m_s2:.4g} m/s²"
     assumed = "an assumption"
     if within.peak < limits.peak:

@@ -10,36 +10,36 @@ import gc
 import sys
 import threading
 
-SWITCH_S = 0.0005
+SWITCH_INTERVAL_S = 0.0005
 """A busy thread hands the interpreter on after that long; Python's own 5 ms are a whole block."""
 
-_lock = threading.Lock()
-_holders = 0
-_switch_s = 0.0
-_frozen = False
+_low_latency_lock = threading.Lock()
+_low_latency_users = 0
+_saved_switch_interval_s = 0.0
+_gc_frozen = False
 
 
-def hold() -> None:
+def enter_low_latency() -> None:
     """From the first holder on: threads change places every SWITCH_S, and garbage collection leaves alone what is
     there now. To be undone by release(), once for each."""
-    global _holders, _switch_s, _frozen
-    with _lock:
-        _holders += 1
-        if _holders == 1:
-            _switch_s = sys.getswitchinterval()
-            sys.setswitchinterval(min(SWITCH_S, _switch_s))
-            _frozen = gc.get_freeze_count() == 0  # somebody else's is theirs to undo
-            if _frozen:
+    global _low_latency_users, _saved_switch_interval_s, _gc_frozen
+    with _low_latency_lock:
+        _low_latency_users += 1
+        if _low_latency_users == 1:
+            _saved_switch_interval_s = sys.getswitchinterval()
+            sys.setswitchinterval(min(SWITCH_INTERVAL_S, _saved_switch_interval_s))
+            _gc_frozen = gc.get_freeze_count() == 0  # somebody else's is theirs to undo
+            if _gc_frozen:
                 gc.freeze()
 
 
-def release() -> None:
+def exit_low_latency() -> None:
     """With the last holder everything is as it was."""
-    global _holders, _frozen
-    with _lock:
-        _holders -= 1
-        if _holders == 0:
-            sys.setswitchinterval(_switch_s)
-            if _frozen:
+    global _low_latency_users, _gc_frozen
+    with _low_latency_lock:
+        _low_latency_users -= 1
+        if _low_latency_users == 0:
+            sys.setswitchinterval(_saved_switch_interval_s)
+            if _gc_frozen:
                 gc.unfreeze()
-            _frozen = False
+            _gc_frozen = False

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 from ..errors import UsageError
 from .limiter import Limiter
 from .limits import Limits
-from .resample import resampler
+from .resample import make_resampler
 from .sink import Counts, SinkFormat
-from .source import Preparing, Samples, Source
-from .stage import Stage
+from .source import PreparableSource, Samples, Source
+from .stage import Processor
 
 
-class Chain:
+class SignalChain:
     """What a stream sends, block by block. A source of one channel goes to all of the device's.
 
     ended: the source has given its last frame. nonfinite: values that were no number; they are 0 before any filter
@@ -29,10 +29,10 @@ class Chain:
         source: Source,
         device: SinkFormat,
         limits: Limits,
-        stages: Sequence[Stage] = (),
+        processors: Sequence[Processor] = (),
         *,
-        prompt: bool = True,
-        heat: ArrayLike = 0.0,
+        low_latency: bool = True,
+        initial_heat: ArrayLike = 0.0,
     ) -> None:
         if source.channels not in (1, device.channels):
             raise UsageError(
@@ -40,14 +40,16 @@ class Chain:
                 remedy="Give one channel, or as many as the device has.",
             )
         # What the device would cut off hard by itself, ours holds back softly, and counts.
-        self.limiter = Limiter(limits.within(device.peak), device.rate_hz, device.channels, heat=heat)
+        self.limiter = Limiter(
+            limits.with_device_peak(device.peak), device.rate_hz, device.channels, initial_heat=initial_heat
+        )
         self.ended = False
         self._nonfinite = 0
-        self._source, self._stages, self._device = source, stages, device
-        self._preparing = source if isinstance(source, Preparing) else None
-        self._resampler = resampler(source.rate_hz, device.rate_hz, source.channels, prompt=prompt)
-        self._per_frame = source.rate_hz / device.rate_hz
-        self._owed = 0.0
+        self._source, self._processors, self._device = source, processors, device
+        self._preparable_source = source if isinstance(source, PreparableSource) else None
+        self._resampler = make_resampler(source.rate_hz, device.rate_hz, source.channels, low_latency=low_latency)
+        self._source_frames_per_frame = source.rate_hz / device.rate_hz
+        self._frame_balance = 0.0
 
     @property
     def channels(self) -> int:
@@ -55,24 +57,24 @@ class Chain:
         return self._device.channels
 
     @property
-    def resampler(self) -> str:
+    def resampler_name(self) -> str:
         return self._resampler.name
 
     @property
     def nonfinite(self) -> int:
         return self._nonfinite + self.limiter.nonfinite
 
-    def block(self, frames: int) -> Counts:
+    def render_block(self, frames: int) -> Counts:
         """(about frames, channels) counts: as many source frames as last that long, as far as the resampler can tell.
         After the source's end the rest of it, and then none. Raises what the source or a stage raises."""
         if self.ended:
             return np.zeros((0, self._device.channels), dtype=np.int16)
-        self._owed += frames * self._per_frame
-        wanted = max(math.floor(self._owed), 1)
-        self._owed -= wanted
-        given = self._finite(self._source.read(wanted))
+        self._frame_balance += frames * self._source_frames_per_frame
+        wanted = max(math.floor(self._frame_balance), 1)
+        self._frame_balance -= wanted
+        given = self._replace_nonfinite(self._source.read(wanted))
         self.ended = len(given) < wanted
-        for stage in self._stages if len(given) else ():
+        for stage in self._processors if len(given) else ():
             given = stage.process(given)
         samples = self._resampler.process(given)
         if self.ended:
@@ -83,10 +85,10 @@ class Chain:
 
     def prepare(self) -> None:
         """See source.Preparing."""
-        if self._preparing is not None and not self.ended:
-            self._preparing.prepare()
+        if self._preparable_source is not None and not self.ended:
+            self._preparable_source.prepare()
 
-    def _finite(self, block: Samples) -> Samples:
+    def _replace_nonfinite(self, block: Samples) -> Samples:
         good = np.isfinite(block)
         if good.all():
             return block
@@ -94,13 +96,18 @@ class Chain:
         return np.where(good, block, np.float32(0.0))
 
 
-def counts_of(
-    source: Source, device: SinkFormat, limits: Limits, stages: Sequence[Stage] = (), *, prompt: bool = True
+def render_counts(
+    source: Source,
+    device: SinkFormat,
+    limits: Limits,
+    processors: Sequence[Processor] = (),
+    *,
+    low_latency: bool = True,
 ) -> Counts:
     """All that a stream of source sends to device, where coils are cold and nobody pauses: what any sink must have got,
     to the byte. source must end."""
-    chain = Chain(source, device, limits, stages, prompt=prompt)
+    chain = SignalChain(source, device, limits, processors, low_latency=low_latency)
     blocks: list[Counts] = []
     while not chain.ended:
-        blocks.append(chain.block(4096))
-    return np.concatenate([*blocks, chain.limiter.release()])
+        blocks.append(chain.render_block(4096))
+    return np.concatenate([*blocks, chain.limiter.flush()])

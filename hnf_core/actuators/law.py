@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UsageError
-from .limits import COUNTS, Limits
+from .limits import FULL_SCALE_COUNTS, Limits
 
-KNEE = 0.8
+THERMAL_KNEE = 0.8
 """Share of the bound from which warming lowers the level."""
-_UPDATE_S = 0.005
+_GAIN_UPDATE_S = 0.005
 
 
 @dataclass(frozen=True)
-class Law:
+class LimiterParams:
     """Limits at one rate.
 
     full_scale_m_s2: what COUNTS stand for. peak: largest magnitude, counts. step: largest change from frame to frame,
@@ -30,42 +30,42 @@ class Law:
 
     full_scale_m_s2: float
     peak: int
-    step: int
+    max_step: int
     ramp: NDArray[np.float64]
-    bound: float
-    weight: float
-    grid: int
-    decay: float
+    max_mean_square: float
+    pole_weight: float
+    grid_frames: int
+    grid_decay: float
 
 
-def step_of(slew_per_s: float, rate_hz: float) -> int:
+def compute_max_step(slew_per_s: float, rate_hz: float) -> int:
     """Largest step from frame to frame in counts, of a slew in full scales per second."""
-    return int(min(slew_per_s * COUNTS / rate_hz, 2.0 * COUNTS))
+    return int(min(slew_per_s * FULL_SCALE_COUNTS / rate_hz, 2.0 * FULL_SCALE_COUNTS))
 
 
-def law_of(limits: Limits, rate_hz: float) -> Law:
+def compute_limiter_params(limits: Limits, rate_hz: float) -> LimiterParams:
     """Raises UsageError where limits leave less than one count, or rate_hz is no rate."""
     if not 0.0 < rate_hz < 1e9:
         raise UsageError(f"a device does not play {rate_hz:g} frames a second.")
     peak = limits.peak_counts
-    step = step_of(limits.slew_per_s, rate_hz)
-    if peak < 1 or step < 1 or limits.sustained * COUNTS < 1.0:
+    step = compute_max_step(limits.slew_per_s, rate_hz)
+    if peak < 1 or step < 1 or limits.sustained * FULL_SCALE_COUNTS < 1.0:
         raise UsageError(
             f"within these limits nothing can be felt at {rate_hz:g} Hz: {limits}.",
             remedy="Raise the peak, the slew or the sustained level.",
         )
     warming = max(limits.thermal_s * rate_hz, 0.01)
     weight = -math.expm1(-1.0 / warming)
-    bound = (min(limits.sustained, 2.0) * COUNTS) ** 2
-    grid = int(min(max(min(warming / 16.0, _UPDATE_S * rate_hz), 1.0), 4096.0))
+    bound = (min(limits.sustained, 2.0) * FULL_SCALE_COUNTS) ** 2
+    grid = int(min(max(min(warming / 16.0, _GAIN_UPDATE_S * rate_hz), 1.0), 4096.0))
     ramp_frames = int(min(max(math.ceil(limits.ramp_s * rate_hz), 1), 10.0 * rate_hz + 1.0))
-    return Law(
+    return LimiterParams(
         full_scale_m_s2=limits.full_scale_m_s2,
         peak=peak,
-        step=min(step, 2 * peak),
+        max_step=min(step, 2 * peak),
         ramp=0.5 - 0.5 * np.cos(np.pi * np.arange(ramp_frames + 1) / ramp_frames),
-        bound=math.inf if weight == 0.0 or bound >= float(peak * peak) else bound,
-        weight=weight,
-        grid=grid,
-        decay=math.exp(-grid / warming),
+        max_mean_square=math.inf if weight == 0.0 or bound >= float(peak * peak) else bound,
+        pole_weight=weight,
+        grid_frames=grid,
+        grid_decay=math.exp(-grid / warming),
     )

@@ -22,7 +22,7 @@ class Levels:
     above_share: float | None
 
 
-def levels_of(signal: Signal, profile: ActuatorProfile) -> Levels:
+def compute_levels(signal: Signal, profile: ActuatorProfile) -> Levels:
     """How signal fits profile. A silent signal has infinite headroom and no energy anywhere."""
     samples = np.asarray(signal.samples, dtype=np.float64)
     peak = float(np.abs(samples).max(initial=0.0))

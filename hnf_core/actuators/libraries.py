@@ -7,12 +7,12 @@ from typing import Any
 
 from ..errors import DeviceError
 
-PACKAGES = {"serial": "pyserial", "sounddevice": "sounddevice", "pythonosc.udp_client": "python-osc"}
+PIP_PACKAGES = {"serial": "pyserial", "sounddevice": "sounddevice", "pythonosc.udp_client": "python-osc"}
 
 
-def library(module: str) -> Any:
+def import_optional(module: str) -> Any:
     """The module, imported. Raises DeviceError where it, or a system library below it, is not there."""
-    package = PACKAGES[module]
+    package = PIP_PACKAGES[module]
     try:
         return importlib.import_module(module)
     except ImportError as error:

@@ -20,48 +20,50 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import UsageError
-from .law import KNEE, Law, law_of
-from .limits import COUNTS, Limits
+from .law import THERMAL_KNEE, LimiterParams, compute_limiter_params
+from .limits import FULL_SCALE_COUNTS, Limits
 from .sink import Counts
 
-Whole = NDArray[np.int64]
-Real = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
 
 
 class Limiter:
     """m/s² → counts. limited: samples that left other than they came, rounding and ramps aside. nonfinite: samples
     that were no number. heat: (channels,) or one for all, 0–1, how warm the coils are at the start."""
 
-    def __init__(self, limits: Limits, rate_hz: float, channels: int, *, heat: ArrayLike = 0.0) -> None:
+    def __init__(self, limits: Limits, rate_hz: float, channels: int, *, initial_heat: ArrayLike = 0.0) -> None:
         """Raises UsageError where limits leave nothing at rate_hz, or there is no channel."""
         if channels < 1:
             raise UsageError(f"a device has one channel or more, not {channels}.")
         self.limited = 0
         self.nonfinite = 0
-        self._law = law_of(limits, rate_hz)
+        self._params = compute_limiter_params(limits, rate_hz)
         self._channels = channels
         self._last = np.zeros(channels, dtype=np.int64)
-        self._playing = True
-        self._risen = 0
-        self._held = np.zeros(channels)
-        self._falling = 0
-        self._at = 0
-        self._energy = np.zeros(channels, dtype=np.int64)
-        warm = np.clip(np.broadcast_to(np.asarray(heat, dtype=np.float64), (channels,)), 0.0, 1.0)
-        self._square = warm * self._law.bound if np.isfinite(self._law.bound) else np.zeros(channels)
-        self._gain = self._earlier_gain = gains(self._law, self._square)
-        self._damped = bool((self._gain < 1.0).any())
-        self._cap = caps(self._law, self._square, self._last)
+        self._is_playing = True
+        self._fade_in_frames = 0
+        self._fade_out_start = np.zeros(channels)
+        self._fade_out_frames_left = 0
+        self._grid_position = 0
+        self._grid_energy = np.zeros(channels, dtype=np.int64)
+        warm = np.clip(np.broadcast_to(np.asarray(initial_heat, dtype=np.float64), (channels,)), 0.0, 1.0)
+        self._mean_square = (
+            warm * self._params.max_mean_square if np.isfinite(self._params.max_mean_square) else np.zeros(channels)
+        )
+        self._gain = self._previous_gain = compute_gains(self._params, self._mean_square)
+        self._is_damped = bool((self._gain < 1.0).any())
+        self._cap = compute_level_caps(self._params, self._mean_square, self._last)
 
     @property
-    def heat(self) -> Real:
+    def heat(self) -> FloatArray:
         """(channels,) of what the coils may warm to, 0–1; as of the last whole grid of frames."""
-        return self._square / self._law.bound
+        return self._mean_square / self._params.max_mean_square
 
     @property
-    def resting(self) -> bool:
+    def is_resting(self) -> bool:
         """Stopped, and nothing left to fade."""
-        return not self._playing and self._falling == 0 and not self._last.any()
+        return not self._is_playing and self._fade_out_frames_left == 0 and not self._last.any()
 
     def process(self, block: ArrayLike) -> Counts:
         """(n, channels) m/s² → (n, channels) counts. The first block, and the first after a soft stop, start softly.
@@ -71,165 +73,178 @@ class Limiter:
             raise UsageError(f"a block is (frames, {self._channels}), this one is {given.shape}.")
         if len(given) == 0:
             return np.zeros((0, self._channels), dtype=np.int16)
-        self._playing = True
+        self._is_playing = True
         finite = np.isfinite(given)
         if not finite.all():
             self.nonfinite += int(given.size - np.count_nonzero(finite))
             given = np.where(finite, given, 0.0)
-        most = 2.0 * self._law.full_scale_m_s2
+        most = 2.0 * self._params.full_scale_m_s2
         level = np.minimum(np.maximum(given, -most), most)
-        level /= self._law.full_scale_m_s2
-        level *= COUNTS
-        return self._limited(level)
+        level /= self._params.full_scale_m_s2
+        level *= FULL_SCALE_COUNTS
+        return self._limit(level)
 
     def soft_stop(self, frames: int) -> Counts:
         """(frames, channels) counts in a block's place: what left last, faded to exactly 0 within the ramp (or as soon
         as the slew allows), and 0 from there on. May be called again and again, as for a pause."""
-        if self._playing and frames > 0:
-            self._playing = False
-            self._risen = 0
-            self._held = self._last.astype(np.float64)
-            self._falling = len(self._law.ramp) - 1
-        return self._limited(np.zeros((frames, self._channels)))
+        if self._is_playing and frames > 0:
+            self._is_playing = False
+            self._fade_in_frames = 0
+            self._fade_out_start = self._last.astype(np.float64)
+            self._fade_out_frames_left = len(self._params.ramp) - 1
+        return self._limit(np.zeros((frames, self._channels)))
 
-    def release(self) -> Counts:
+    def flush(self) -> Counts:
         """All of a soft stop, ending with one frame of 0; nothing where it rests already. Nothing follows it."""
-        if self.resting or not (self._last.any() or self._falling):
+        if self.is_resting or not (self._last.any() or self._fade_out_frames_left):
             return np.zeros((0, self._channels), dtype=np.int16)
-        counts = self.soft_stop(len(self._law.ramp) + self._law.peak // self._law.step + 1)
+        counts = self.soft_stop(len(self._params.ramp) + self._params.peak // self._params.max_step + 1)
         sounding = np.flatnonzero(counts.any(axis=1))
         return counts[: (int(sounding[-1]) if len(sounding) else 0) + 2]
 
-    def _limited(self, level: Real) -> Counts:
+    def _limit(self, level: FloatArray) -> Counts:
         """level: counts wanted, not yet whole, (n, channels)."""
-        tail = self._ramped(level)
-        grid = self._law.grid if np.isfinite(self._law.bound) else max(len(level), 1)
+        tail = self._apply_ramps(level)
+        grid = self._params.grid_frames if np.isfinite(self._params.max_mean_square) else max(len(level), 1)
         counts = np.empty(level.shape, dtype=np.int16)
-        start = self._coolly(level, tail, counts)
+        start = self._limit_while_cool(level, tail, counts)
         while start < len(level):
-            end = min(start + grid - self._at, len(level))
-            counts[start:end] = self._piece(level[start:end], tail if tail is None else tail[start:end])
+            end = min(start + grid - self._grid_position, len(level))
+            counts[start:end] = self._limit_grid(level[start:end], tail if tail is None else tail[start:end])
             start = end
         return counts
 
-    def _ramped(self, level: Real) -> Real | None:
+    def _apply_ramps(self, level: FloatArray) -> FloatArray | None:
         """Fades level in, in place. Returns what fades out beneath it, if anything."""
-        ramp = self._law.ramp
-        if self._playing and self._risen < len(ramp) - 1:
+        ramp = self._params.ramp
+        if self._is_playing and self._fade_in_frames < len(ramp) - 1:
             steps = np.arange(1, len(level) + 1)
-            level *= ramp[np.minimum(self._risen + steps, len(ramp) - 1), None]
-            self._risen = min(self._risen + len(level), len(ramp) - 1)
-        if self._falling == 0:
+            level *= ramp[np.minimum(self._fade_in_frames + steps, len(ramp) - 1), None]
+            self._fade_in_frames = min(self._fade_in_frames + len(level), len(ramp) - 1)
+        if self._fade_out_frames_left == 0:
             return None
         steps = np.arange(1, len(level) + 1)
-        tail = self._held * ramp[np.maximum(self._falling - steps, 0), None]
-        self._falling = max(self._falling - len(level), 0)
+        tail = self._fade_out_start * ramp[np.maximum(self._fade_out_frames_left - steps, 0), None]
+        self._fade_out_frames_left = max(self._fade_out_frames_left - len(level), 0)
         return np.asarray(tail)
 
-    def _coolly(self, level: Real, tail: Real | None, counts: Counts) -> int:
+    def _limit_while_cool(self, level: FloatArray, tail: FloatArray | None, counts: Counts) -> int:
         """All of level in one go, as far as the coils stay so cool that peak and slew alone bound it; how many frames
         that is. What _piece makes of them grid by grid, for a third of the time."""
-        law = self._law
-        if len(level) == 0 or not np.isfinite(law.bound) or self._damped or not _cool(law, self._square):
+        law = self._params
+        if (
+            len(level) == 0
+            or not np.isfinite(law.max_mean_square)
+            or self._is_damped
+            or not _is_cool(law, self._mean_square)
+        ):
             return 0
         wanted = np.rint(level if tail is None else level + tail)
         whole = np.minimum(np.maximum(wanted, -law.peak), law.peak).astype(np.int64)
-        follow(whole, self._last, law.step)
-        starts = np.arange(-self._at, len(whole), law.grid)
+        limit_slew(whole, self._last, law.max_step)
+        starts = np.arange(-self._grid_position, len(whole), law.grid_frames)
         starts[0] = 0
         energies = np.add.reduceat(whole * whole, starts, axis=0)
-        whole_grids = (self._at + len(whole)) // law.grid
+        whole_grids = (self._grid_position + len(whole)) // law.grid_frames
         done = len(whole)
         for index in range(whole_grids):
-            self._square = law.decay * self._square + law.weight * (self._energy + energies[index])
-            self._energy = np.zeros_like(self._energy)
-            if not _cool(law, self._square):
-                done = (index + 1) * law.grid - self._at
+            self._mean_square = law.grid_decay * self._mean_square + law.pole_weight * (
+                self._grid_energy + energies[index]
+            )
+            self._grid_energy = np.zeros_like(self._grid_energy)
+            if not _is_cool(law, self._mean_square):
+                done = (index + 1) * law.grid_frames - self._grid_position
                 break
         self.limited += int(np.count_nonzero(whole[:done] != wanted[:done]))
         self._last = whole[done - 1].copy()
-        self._at = (self._at + done) % law.grid
-        if self._at:
-            self._energy = self._energy + energies[-1]
-        elif not _cool(law, self._square):
-            self._gain = gains(law, self._square)
-            self._damped = bool((self._gain < 1.0).any())
-            self._cap = caps(law, self._square, self._last)
+        self._grid_position = (self._grid_position + done) % law.grid_frames
+        if self._grid_position:
+            self._grid_energy = self._grid_energy + energies[-1]
+        elif not _is_cool(law, self._mean_square):
+            self._gain = compute_gains(law, self._mean_square)
+            self._is_damped = bool((self._gain < 1.0).any())
+            self._cap = compute_level_caps(law, self._mean_square, self._last)
         counts[:done] = whole[:done]
         return done
 
-    def _piece(self, level: Real, tail: Real | None) -> Whole:
+    def _limit_grid(self, level: FloatArray, tail: FloatArray | None) -> IntArray:
         """Within one grid of frames."""
-        law, heats = self._law, bool(np.isfinite(self._law.bound))
+        law, heats = self._params, bool(np.isfinite(self._params.max_mean_square))
         aim = wanted = np.rint(level if tail is None else level + tail)
-        if self._damped:
-            share = np.arange(self._at + 1, self._at + len(level) + 1)[:, None] / law.grid
-            level = level * (self._earlier_gain + (self._gain - self._earlier_gain) * share)
+        if self._is_damped:
+            share = np.arange(self._grid_position + 1, self._grid_position + len(level) + 1)[:, None] / law.grid_frames
+            level = level * (self._previous_gain + (self._gain - self._previous_gain) * share)
             aim = np.rint(level if tail is None else level + tail)
         whole = np.minimum(np.maximum(aim, -self._cap), self._cap).astype(np.int64)
-        follow(whole, self._last, law.step)
+        limit_slew(whole, self._last, law.max_step)
         self.limited += int(np.count_nonzero(whole != wanted))
         self._last = whole[-1].copy()
         if heats:
-            self._energy += np.einsum("nc,nc->c", whole, whole)
-            self._at += len(whole)
-            if self._at == law.grid:
-                self._warm()
+            self._grid_energy += np.einsum("nc,nc->c", whole, whole)
+            self._grid_position += len(whole)
+            if self._grid_position == law.grid_frames:
+                self._update_heat()
         return whole
 
-    def _warm(self) -> None:
-        law = self._law
+    def _update_heat(self) -> None:
+        law = self._params
         # Each frame counts in full, though the earlier ones have faded a little: never too little.
-        self._square = law.decay * self._square + law.weight * self._energy
-        self._energy[:] = 0
-        self._at = 0
-        self._earlier_gain, self._gain = self._gain, gains(law, self._square)
-        self._damped = bool((self._earlier_gain < 1.0).any() or (self._gain < 1.0).any())
-        self._cap = caps(law, self._square, self._last)
+        self._mean_square = law.grid_decay * self._mean_square + law.pole_weight * self._grid_energy
+        self._grid_energy[:] = 0
+        self._grid_position = 0
+        self._previous_gain, self._gain = self._gain, compute_gains(law, self._mean_square)
+        self._is_damped = bool((self._previous_gain < 1.0).any() or (self._gain < 1.0).any())
+        self._cap = compute_level_caps(law, self._mean_square, self._last)
 
 
-def _cool(law: Law, square: Real) -> bool:
+def _is_cool(params: LimiterParams, square: FloatArray) -> bool:
     """Whether no gain falls and no cap is near, by what gains() and caps() make of the warmest coil."""
     warmest = float(square.max())
-    return (1.0 - warmest / law.bound) / (1.0 - KNEE) >= 1.0 and _is_far(law, warmest)
+    return (1.0 - warmest / params.max_mean_square) / (1.0 - THERMAL_KNEE) >= 1.0 and _is_far_from_bound(
+        params, warmest
+    )
 
 
-def _is_far(law: Law, warmest: float) -> bool:
+def _is_far_from_bound(params: LimiterParams, warmest: float) -> bool:
     """Whether a grid of frames at the peak, and the way down from it, is not half of what the bound leaves."""
-    most = law.peak * law.peak * (law.grid + law.peak / law.step)
-    return (law.bound - law.decay * warmest) / law.weight > 2.0 * most
+    most = params.peak * params.peak * (params.grid_frames + params.peak / params.max_step)
+    return (params.max_mean_square - params.grid_decay * warmest) / params.pole_weight > 2.0 * most
 
 
-def gains(law: Law, square: Real) -> Real:
+def compute_gains(params: LimiterParams, square: FloatArray) -> FloatArray:
     """(channels,) 0–1: 1 up to KNEE of the bound, from there in a straight line to 0 at the bound."""
-    return np.asarray(np.clip((1.0 - square / law.bound) / (1.0 - KNEE), 0.0, 1.0))
+    return np.asarray(np.clip((1.0 - square / params.max_mean_square) / (1.0 - THERMAL_KNEE), 0.0, 1.0))
 
 
-def caps(law: Law, square: Real, last: Whole) -> Whole:
+def compute_level_caps(params: LimiterParams, square: FloatArray, last: IntArray) -> IntArray:
     """(channels,) counts: the largest level that keeps the mean square within the bound for a grid of frames and for
     the way down to 0 after it. square: now. last: counts that left last."""
-    highest = np.full(len(square), law.peak, dtype=np.int64)
-    if not np.isfinite(law.bound):
+    highest = np.full(len(square), params.peak, dtype=np.int64)
+    if not np.isfinite(params.max_mean_square):
         return highest
-    room = (law.bound - law.decay * square) / law.weight
-    owed = way_down(law, np.abs(last))
+    room = (params.max_mean_square - params.grid_decay * square) / params.pole_weight
+    owed = compute_ramp_down_energy(params, np.abs(last))
     lowest = np.zeros_like(highest)
-    if _is_far(law, float(square.max())):  # what follows would find the same
+    if _is_far_from_bound(params, float(square.max())):  # what follows would find the same
         return highest
     while (lowest < highest).any():
         middle = (lowest + highest + 1) // 2
-        fits = np.maximum(way_down(law, middle), owed) + law.grid * np.square(middle.astype(np.float64)) <= room
+        fits = (
+            np.maximum(compute_ramp_down_energy(params, middle), owed)
+            + params.grid_frames * np.square(middle.astype(np.float64))
+            <= room
+        )
         lowest, highest = np.where(fits, middle, lowest), np.where(fits, highest, middle - 1)
     return lowest
 
 
-def way_down(law: Law, level: Whole) -> Real:
+def compute_ramp_down_energy(params: LimiterParams, level: IntArray) -> FloatArray:
     """Counts² summed over the frames from level to 0 at the steepest slew: Σ (level − k·step)² ≤ level³ / 3 step."""
     real = level.astype(np.float64)
-    return np.asarray(real * real * real / (3.0 * law.step))
+    return np.asarray(real * real * real / (3.0 * params.max_step))
 
 
-def follow(target: Whole, last: Whole, step: int) -> None:
+def limit_slew(target: IntArray, last: IntArray, step: int) -> None:
     """Changes target (n, channels), n ≥ 1, where it leaves its last frame (channels,) or itself by more than step
     counts a frame: there it is followed as fast as that allows."""
     steep = np.abs(target[0] - last) > step

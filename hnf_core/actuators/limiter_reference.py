@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from .law import KNEE, Law, law_of
-from .limits import COUNTS, Limits
+from .law import THERMAL_KNEE, LimiterParams, compute_limiter_params
+from .limits import FULL_SCALE_COUNTS, Limits
 
 
 @dataclass
@@ -15,24 +15,24 @@ class ChannelReference:
     """One channel's limiter. process() and soft_stop() take and give one frame. square: the mean square's bound from
     above, counts²."""
 
-    law: Law
-    square: float = 0.0
+    params: LimiterParams
+    mean_square: float = 0.0
     last: int = 0
     limited: int = 0
     nonfinite: int = 0
     playing: bool = True
-    risen: int = 0
-    held: float = 0.0
-    falling: int = 0
-    at: int = 0
-    energy: int = 0
+    fade_in_frames: int = 0
+    fade_out_start: float = 0.0
+    fade_out_frames_left: int = 0
+    grid_position: int = 0
+    grid_energy: int = 0
     gain: float = field(init=False)
-    earlier_gain: float = field(init=False)
+    previous_gain: float = field(init=False)
     cap: int = field(init=False)
 
     def __post_init__(self) -> None:
-        self.gain = self.earlier_gain = self._gain_now()
-        self.cap = self._cap_now()
+        self.gain = self.previous_gain = self._compute_gain()
+        self.cap = self._compute_level_cap()
 
     def process(self, value: float) -> int:
         """m/s² → counts."""
@@ -40,69 +40,69 @@ class ChannelReference:
         if not math.isfinite(value):
             self.nonfinite += 1
             value = 0.0
-        level = min(max(value / self.law.full_scale_m_s2, -2.0), 2.0) * COUNTS
-        if self.risen < len(self.law.ramp) - 1:
-            self.risen += 1
-            level *= float(self.law.ramp[self.risen])
-        return self._limited(level)
+        level = min(max(value / self.params.full_scale_m_s2, -2.0), 2.0) * FULL_SCALE_COUNTS
+        if self.fade_in_frames < len(self.params.ramp) - 1:
+            self.fade_in_frames += 1
+            level *= float(self.params.ramp[self.fade_in_frames])
+        return self._limit(level)
 
     def soft_stop(self) -> int:
         """Counts of one frame of the fade to 0."""
         if self.playing:
             self.playing = False
-            self.risen = 0
-            self.held = float(self.last)
-            self.falling = len(self.law.ramp) - 1
-        return self._limited(0.0)
+            self.fade_in_frames = 0
+            self.fade_out_start = float(self.last)
+            self.fade_out_frames_left = len(self.params.ramp) - 1
+        return self._limit(0.0)
 
-    def _limited(self, level: float) -> int:
+    def _limit(self, level: float) -> int:
         tail = 0.0
-        if self.falling > 0:
-            self.falling -= 1
-            tail = self.held * float(self.law.ramp[self.falling])
+        if self.fade_out_frames_left > 0:
+            self.fade_out_frames_left -= 1
+            tail = self.fade_out_start * float(self.params.ramp[self.fade_out_frames_left])
         wanted = round(level + tail)
-        if math.isfinite(self.law.bound):
-            share = (self.at + 1) / self.law.grid
-            level = level * (self.earlier_gain + (self.gain - self.earlier_gain) * share)
+        if math.isfinite(self.params.max_mean_square):
+            share = (self.grid_position + 1) / self.params.grid_frames
+            level = level * (self.previous_gain + (self.gain - self.previous_gain) * share)
         aim = round(min(max(level + tail, -self.cap), self.cap))
-        self.last = min(max(aim, self.last - self.law.step), self.last + self.law.step)
+        self.last = min(max(aim, self.last - self.params.max_step), self.last + self.params.max_step)
         self.limited += self.last != wanted
-        if math.isfinite(self.law.bound):
-            self._warm()
+        if math.isfinite(self.params.max_mean_square):
+            self._update_heat()
         return self.last
 
-    def _warm(self) -> None:
-        self.energy += self.last * self.last
-        self.at += 1
-        if self.at == self.law.grid:
-            self.square = self.law.decay * self.square + self.law.weight * self.energy
-            self.energy = self.at = 0
-            self.earlier_gain, self.gain = self.gain, self._gain_now()
-            self.cap = self._cap_now()
+    def _update_heat(self) -> None:
+        self.grid_energy += self.last * self.last
+        self.grid_position += 1
+        if self.grid_position == self.params.grid_frames:
+            self.mean_square = self.params.grid_decay * self.mean_square + self.params.pole_weight * self.grid_energy
+            self.grid_energy = self.grid_position = 0
+            self.previous_gain, self.gain = self.gain, self._compute_gain()
+            self.cap = self._compute_level_cap()
 
-    def _gain_now(self) -> float:
-        return min(max((1.0 - self.square / self.law.bound) / (1.0 - KNEE), 0.0), 1.0)
+    def _compute_gain(self) -> float:
+        return min(max((1.0 - self.mean_square / self.params.max_mean_square) / (1.0 - THERMAL_KNEE), 0.0), 1.0)
 
-    def _cap_now(self) -> int:
-        if not math.isfinite(self.law.bound):
-            return self.law.peak
-        room = (self.law.bound - self.law.decay * self.square) / self.law.weight
-        owed = self._way_down(abs(self.last))
-        lowest, highest = 0, self.law.peak
+    def _compute_level_cap(self) -> int:
+        if not math.isfinite(self.params.max_mean_square):
+            return self.params.peak
+        room = (self.params.max_mean_square - self.params.grid_decay * self.mean_square) / self.params.pole_weight
+        owed = self._compute_ramp_down_energy(abs(self.last))
+        lowest, highest = 0, self.params.peak
         while lowest < highest:
             middle = (lowest + highest + 1) // 2
-            if max(self._way_down(middle), owed) + self.law.grid * float(middle) ** 2 <= room:
+            if max(self._compute_ramp_down_energy(middle), owed) + self.params.grid_frames * float(middle) ** 2 <= room:
                 lowest = middle
             else:
                 highest = middle - 1
         return lowest
 
-    def _way_down(self, level: int) -> float:
-        return float(level) * float(level) * float(level) / (3.0 * self.law.step)
+    def _compute_ramp_down_energy(self, level: int) -> float:
+        return float(level) * float(level) * float(level) / (3.0 * self.params.max_step)
 
 
-def limited(limits: Limits, rate_hz: float, frames: Sequence[Sequence[float]], channels: int) -> list[list[int]]:
+def limit(limits: Limits, rate_hz: float, frames: Sequence[Sequence[float]], channels: int) -> list[list[int]]:
     """frames of m/s², each of channels values → as many frames of counts, of a limiter that starts with them."""
-    law = law_of(limits, rate_hz)
+    law = compute_limiter_params(limits, rate_hz)
     lanes = [ChannelReference(law) for _ in range(channels)]
     return [[lane.process(float(value)) for lane, value in zip(lanes, frame, strict=True)] for frame in frames]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from ..errors import UsageError
 
-COUNTS = 32767
+FULL_SCALE_COUNTS = 32767
 """Counts of full scale on every wire: int16, symmetric."""
 
 
@@ -37,8 +37,8 @@ class Limits:
     @property
     def peak_counts(self) -> int:
         """Largest magnitude of a count; rounded down, never up."""
-        return int(self.peak * COUNTS)
+        return int(self.peak * FULL_SCALE_COUNTS)
 
-    def within(self, peak_counts: int) -> Limits:
+    def with_device_peak(self, peak_counts: int) -> Limits:
         """These, on a device that itself plays no count beyond peak_counts. Raises UsageError where that is none."""
-        return replace(self, peak=min(self.peak, peak_counts / COUNTS))
+        return replace(self, peak=min(self.peak, peak_counts / FULL_SCALE_COUNTS))

@@ -22,10 +22,10 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import HnfError, UsageError
-from ..field.live.materials import synthesis_for_material
-from .acceleration import factor, read_acceleration
-from .at_most import at_most
-from .compensation import stages_of
+from ..field.live.materials import create_live_synthesis
+from .acceleration import db_to_gain, read_acceleration
+from .at_most import describe_peak_limit
+from .compensation import make_compensation
 from .player_messages import (
     VERSION,
     Began,
@@ -34,6 +34,7 @@ from .player_messages import (
     LiveBegin,
     Loop,
     Move,
+    OutputSpec,
     Pause,
     Play,
     Quit,
@@ -45,29 +46,28 @@ from .player_messages import (
     Status,
     Stop,
     Swap,
-    Where,
     decode_command,
     encode,
 )
-from .playing import Playing
-from .profile import OWN, ActuatorProfile, own_profile
-from .profile_file import profile_at
-from .sources.live import Live
-from .sources.recorded import Recorded
+from .playing import Playback
+from .profile import USER_PROFILE_NAME, ActuatorProfile, make_user_profile
+from .profile_file import load_profile
+from .sources.live import LiveSource
+from .sources.recorded import BufferSource
 from .stream import Stream
-from .targets import FileTarget, parse_target, sink_of
+from .targets import FileTarget, make_sink, parse_target
 
-STATUS_S = 0.05
+STATUS_PERIOD_S = 0.05
 AHEAD_BLOCKS = 3
 LIVE_BLOCK_S = 0.005
-LEAVE_S = 1.0
+CLOSE_TIMEOUT_S = 1.0
 
 
-Lasting = Play | LiveBegin | Pause | Resume | Seek | Loop | Gain | Swap
+QueuedCommand = Play | LiveBegin | Pause | Resume | Seek | Loop | Gain | Swap
 """Commands that may take time, or are to be done in their turn."""
 
 
-class Overtaken(Exception):  # noqa: N818  # no error: somebody wanted silence
+class Superseded(Exception):  # noqa: N818  # no error: somebody wanted silence
     """It was stopped before it began."""
 
 
@@ -75,89 +75,89 @@ class Player:
     """hear() is for the thread that reads, do() for one that may wait: for a file, a material, a device. playing may be
     read from any. say: takes reports, at once."""
 
-    def __init__(self, say: Callable[[Report], None]) -> None:
-        self._say = say
-        self.playing: Playing | None = None
-        self.stops = 0
+    def __init__(self, send_report: Callable[[Report], None]) -> None:
+        self._send_report = send_report
+        self.playback: Playback | None = None
+        self.stop_count = 0
         """How often it was stopped. What was heard before the last time is not begun any more."""
         self._lock = threading.Lock()
-        self._heard_at = 0
+        self._stops_at_receipt = 0
         self._opening: Stream | None = None
-        self._moved: Move | None = None
+        self._pending_move: Move | None = None
 
-    def hear(self, command: Command) -> Lasting | None:
+    def receive(self, command: Command) -> QueuedCommand | None:
         """Does at once what cannot wait, a stop and where the hand is, and gives back what do() has to do."""
         if isinstance(command, Move):
-            self._move(command)
+            self._store_move(command)
             return None
         if isinstance(command, Stop | Quit):
             self.stop()
             return None
         if isinstance(command, Play | LiveBegin):
             with self._lock:
-                self._moved = None  # where the hand was before is not where it touches now
+                self._pending_move = None  # where the hand was before is not where it touches now
         return command
 
-    def do(self, command: Lasting, heard_at: int) -> None:
+    def execute(self, command: QueuedCommand, stops_at_receipt: int) -> None:
         """heard_at: stops, when it was heard. Raises HnfError where it cannot be done."""
-        self._heard_at = heard_at
+        self._stops_at_receipt = stops_at_receipt
         if isinstance(command, Play | LiveBegin):
             try:
-                self._play(command) if isinstance(command, Play) else self._live(command)
-            except Overtaken:
-                self._say(Status.over(command.play))
+                self._begin_play(command) if isinstance(command, Play) else self._begin_live(command)
+            except Superseded:
+                self._send_report(Status.make_ended(command.play))
         else:
-            with suppress(Overtaken):
-                self._adjust(command)
+            with suppress(Superseded):
+                self._adjust_playback(command)
 
     def stop(self) -> None:
         """Silence, and the device given back; what is about to begin does not."""
         with self._lock:
-            self.stops += 1
-            self._moved = None
-            streams = [None if self.playing is None else self.playing.stream, self._opening]
+            self.stop_count += 1
+            self._pending_move = None
+            streams = [None if self.playback is None else self.playback.stream, self._opening]
         for stream in streams:
             if stream is not None:
                 stream.stop()
 
-    def _move(self, command: Move) -> None:
+    def _store_move(self, command: Move) -> None:
         with self._lock:
-            self._moved = command
-            if self.playing is not None:
-                _feel(self.playing.source, command)
+            self._pending_move = command
+            if self.playback is not None:
+                _apply_move(self.playback.source, command)
 
-    def _adjust(self, command: Pause | Resume | Seek | Loop | Gain | Swap) -> None:
+    def _adjust_playback(self, command: Pause | Resume | Seek | Loop | Gain | Swap) -> None:
         """Of what plays."""
-        playing = self._now()
+        playing = self._get_playback()
         if isinstance(command, Pause):
             playing.stream.pause()
         elif isinstance(command, Resume):
             playing.stream.resume()
         else:
-            self._change(command, playing)
+            self._change_recording(command, playing)
 
-    def _change(self, command: Seek | Loop | Gain | Swap, playing: Playing) -> None:
+    def _change_recording(self, command: Seek | Loop | Gain | Swap, playing: Playback) -> None:
         source = playing.source
-        if not isinstance(source, Recorded):
+        if not isinstance(source, BufferSource):
             raise UsageError(f"a live touch takes no {type(command).__name__}.")
         if isinstance(command, Seek):
             source.seek(command.position_s)
         elif isinstance(command, Loop):
             source.set_loop(command.loop)
         elif isinstance(command, Gain):
-            source.set_gain(factor(command.gain_db) / playing.gain)
+            source.set_gain(db_to_gain(command.gain_db) / playing.gain)
         else:
-            found = read_acceleration(Path(command.file), profile_in(playing.where).limits)
+            found = read_acceleration(Path(command.file), resolve_profile(playing.where).limits)
             if found.rate_hz != source.rate_hz:
                 raise UsageError(f"it has {found.rate_hz:g} Hz, and {source.rate_hz:g} Hz plays.", where=command.file)
             source.swap(found.samples * np.float32(playing.gain))
 
-    def _play(self, command: Play) -> None:
-        limits = profile_in(command.where).limits
+    def _begin_play(self, command: Play) -> None:
+        limits = resolve_profile(command.where).limits
         found = read_acceleration(Path(command.file), limits)
-        gain = factor(command.gain_db)
+        gain = db_to_gain(command.gain_db)
         samples = found.samples * np.float32(gain)
-        source = Recorded(samples, found.rate_hz, loop=command.loop, start_s=command.start_s)
+        source = BufferSource(samples, found.rate_hz, loop=command.loop, start_s=command.start_s)
         self._begin(
             command.play,
             source,
@@ -165,90 +165,90 @@ class Player:
             found.unit,
             gain=gain,
             block_s=command.block_ms / 1e3,
-            ahead=AHEAD_BLOCKS,
+            ahead_blocks=AHEAD_BLOCKS,
             endless=command.loop,
         )
 
-    def _live(self, command: LiveBegin) -> None:
-        synthesis = synthesis_for_material(command.material, seed=command.seed, probe=command.probe)
+    def _begin_live(self, command: LiveBegin) -> None:
+        synthesis = create_live_synthesis(command.material, seed=command.seed, probe=command.probe)
         with self._lock:
-            self._still_wanted()
-            now = self.playing
-            goes_on = now is not None and now.where == command.where and not now.ended
-            if now is not None and goes_on and isinstance(now.source, Live):
-                now.source.touch(synthesis)
-                self._went_on(replace(now, play=command.play))
+            self._check_not_superseded()
+            now = self.playback
+            goes_on = now is not None and now.where == command.where and not now.has_ended
+            if now is not None and goes_on and isinstance(now.source, LiveSource):
+                now.source.set_synthesis(synthesis)
+                self._report_began(replace(now, play=command.play))
                 return
-        self._begin(command.play, Live(synthesis), command.where, "what the hand does")
+        self._begin(command.play, LiveSource(synthesis), command.where, "what the hand does")
 
     def _begin(
         self,
         play: int,
-        source: Recorded | Live,
-        where: Where,
+        source: BufferSource | LiveSource,
+        where: OutputSpec,
         note: str,
         *,
         gain: float = 1.0,
         block_s: float = LIVE_BLOCK_S,
-        ahead: int = 1,
+        ahead_blocks: int = 1,
         endless: bool = True,
     ) -> None:
-        profile, target = profile_in(where), parse_target(where.target)
+        profile, target = resolve_profile(where), parse_target(where.target)
         limits = profile.limits
         if isinstance(target, FileTarget) and endless:
             raise UsageError("what never ends cannot be played into a file.", remedy="Play it once.")
-        sink = sink_of(target, source.rate_hz, limits, source.channels)
-        stages = stages_of(profile, source.rate_hz, source.channels)
-        stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=ahead, stages=stages)
+        sink = make_sink(target, source.rate_hz, limits, source.channels)
+        stages = make_compensation(profile, source.rate_hz, source.channels)
+        stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=ahead_blocks, processors=stages)
         with self._lock:
-            self._still_wanted()
+            self._check_not_superseded()
             self._opening = stream
         try:
-            if self.playing is not None:
-                self.playing.stream.stop()
+            if self.playback is not None:
+                self.playback.stream.stop()
             device = stream.start()
             made_up = ", with its response corrected" if stages else ""
-            said = f"{note}; {at_most(profile, device)}{made_up}"
+            said = f"{note}; {describe_peak_limit(profile, device)}{made_up}"
             with self._lock:
-                self._still_wanted()
-                if self._moved is not None:
-                    _feel(source, self._moved)
-                self._went_on(Playing(play, stream, source, device, where, gain, ahead * block_s, said))
+                self._check_not_superseded()
+                if self._pending_move is not None:
+                    _apply_move(source, self._pending_move)
+                self._report_began(Playback(play, stream, source, device, where, gain, ahead_blocks * block_s, said))
         except BaseException as error:
             stream.stop()  # the device is given back before anybody is told: the next to begin may ask for it
             if isinstance(error, HnfError):
-                self._still_wanted()  # a stream that was stopped before it began says so in its own way
+                self._check_not_superseded()  # a stream that was stopped before it began says so in its own way
             raise
         finally:
             with self._lock:
                 self._opening = None
 
-    def _still_wanted(self) -> None:
+    def _check_not_superseded(self) -> None:
         """Raises Overtaken."""
-        if self.stops > self._heard_at:
-            raise Overtaken
+        if self.stop_count > self._stops_at_receipt:
+            raise Superseded
 
-    def _went_on(self, playing: Playing) -> None:
+    def _report_began(self, playing: Playback) -> None:
         device = playing.device
         queue_ms = 1e3 * device.queue_frames / device.rate_hz
-        self._say(Began(playing.play, device.device, device.rate_hz, queue_ms, playing.note))
-        self.playing = playing
+        self._send_report(Began(playing.play, device.device, device.rate_hz, queue_ms, playing.note))
+        self.playback = playing
 
-    def _now(self) -> Playing:
+    def _get_playback(self) -> Playback:
         """What plays, or did when the command was heard. Raises Overtaken where a stop came before it began."""
-        if self.playing is None:
-            self._still_wanted()
-        if self.playing is None or (self.playing.ended and self.stops == self._heard_at):
+        if self.playback is None:
+            self._check_not_superseded()
+        if self.playback is None or (self.playback.has_ended and self.stop_count == self._stops_at_receipt):
             raise UsageError("nothing plays.")
-        return self.playing
+        return self.playback
 
 
-def _feel(source: Recorded | Live, moved: Move) -> None:
-    if isinstance(source, Live):
-        source.move(moved.time_s, (moved.x_m, moved.y_m), moved.force_n)
+def _apply_move(source: BufferSource | LiveSource, move: Move) -> None:
+    if isinstance(source, LiveSource):
+        source.move(move.time_s, (move.x_m, move.y_m), move.force_n)
 
 
-class Teller(threading.Thread):
+class ReportWriter(threading.Thread):
     """Writes reports, and the status of what plays. It alone writes, so that a parent who does not read holds up
     nothing else."""
 
@@ -258,27 +258,27 @@ class Teller(threading.Thread):
         self._reports: queue.SimpleQueue[Report | None] = queue.SimpleQueue()
         self.player = Player(self._reports.put)
 
-    def say(self, report: Report) -> None:
+    def submit(self, report: Report) -> None:
         self._reports.put(report)
 
-    def leave(self) -> None:
+    def close(self) -> None:
         """Say what is left, and wait for it a little."""
         self._reports.put(None)
-        self.join(LEAVE_S)
+        self.join(CLOSE_TIMEOUT_S)
 
     def run(self) -> None:
-        told: Playing | None = None  # that it has ended
+        told: Playback | None = None  # that it has ended
         going = True
         with suppress(OSError, ValueError):  # the parent is gone: standard input ends too
             while going:
-                playing = self.player.playing  # before the reports: Began comes before its first status
+                playing = self.player.playback  # before the reports: Began comes before its first status
                 with suppress(queue.Empty):
-                    report = self._reports.get(timeout=STATUS_S)
+                    report = self._reports.get(timeout=STATUS_PERIOD_S)
                     while report is not None:
                         self._write(report)
                         report = self._reports.get_nowait()
                     going = False
-                    playing = self.player.playing
+                    playing = self.player.playback
                 if playing is not None and playing is not told:
                     status = playing.status()
                     told = playing if status.state == "ended" else told
@@ -291,84 +291,84 @@ class Teller(threading.Thread):
         self._out.flush()
 
 
-def profile_in(where: Where) -> ActuatorProfile:
+def resolve_profile(output: OutputSpec) -> ActuatorProfile:
     """Raises UsageError or FileError."""
-    if where.profile != OWN:
-        return profile_at(where.profile)
-    if len(where.own) != 3:
+    if output.profile != USER_PROFILE_NAME:
+        return load_profile(output.profile)
+    if len(output.own) != 3:
         raise UsageError("'own' takes three figures: peak, lowest and highest frequency.")
-    return own_profile(*where.own)
+    return make_user_profile(*output.own)
 
 
-def main(words: Sequence[str] = (), stdin: BinaryIO | None = None, stdout: BinaryIO | None = None) -> int:
+def main(arguments: Sequence[str] = (), stdin: BinaryIO | None = None, stdout: BinaryIO | None = None) -> int:
     """Play what stdin says until it ends or says Quit. Without streams: those of the process, whose signals it takes
     over too; what anything else prints goes to standard error."""
-    if words:
-        raise UsageError(f"the player takes no words, and got {' '.join(words)}.")
+    if arguments:
+        raise UsageError(f"the player takes no words, and got {' '.join(arguments)}.")
     if stdin is None:
-        signal.signal(signal.SIGTERM, _leave)
+        signal.signal(signal.SIGTERM, _exit_on_signal)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl C in a terminal is the parent's to answer
         stdin = sys.stdin.buffer
     if stdout is None:
         stdout = os.fdopen(os.dup(1), "wb")
         os.dup2(2, 1)
-    teller = Teller(stdout)
-    teller.say(Ready(VERSION))
+    teller = ReportWriter(stdout)
+    teller.submit(Ready(VERSION))
     teller.start()
-    doer = Doer(teller)
+    doer = CommandWorker(teller)
     doer.start()
     try:
         for raw in stdin:
             line = raw.decode("utf-8", "replace").strip()
-            if line and doer.heard(line):
+            if line and doer.submit_line(line):
                 break
     finally:
         teller.player.stop()
-        doer.leave()
-        teller.leave()
+        doer.close()
+        teller.close()
     return 0
 
 
-class Doer(threading.Thread):
+class CommandWorker(threading.Thread):
     """Does what takes time, in the order in which it was heard, so that the thread that reads can always stop."""
 
-    def __init__(self, teller: Teller) -> None:
+    def __init__(self, writer: ReportWriter) -> None:
         super().__init__(name="hnf-player-doer", daemon=True)
-        self._teller, self._player = teller, teller.player
-        self._heard: queue.SimpleQueue[tuple[Lasting | HnfError, int] | None] = queue.SimpleQueue()
+        self._writer, self._player = writer, writer.player
+        self._queue: queue.SimpleQueue[tuple[QueuedCommand | HnfError, int] | None] = queue.SimpleQueue()
 
-    def heard(self, line: str) -> bool:
+    def submit_line(self, line: str) -> bool:
         """By the thread that reads. Whether it said to leave."""
         try:
             command = decode_command(line)
         except HnfError as error:
-            self._heard.put((error, 0))  # told in its turn
+            self._queue.put((error, 0))  # told in its turn
             return False
-        lasting = self._player.hear(command)
+        lasting = self._player.receive(command)
         if lasting is not None:
-            self._heard.put((lasting, self._player.stops))
+            self._queue.put((lasting, self._player.stop_count))
         return isinstance(command, Quit)
 
-    def leave(self) -> None:
+    def close(self) -> None:
         """After what it does now, and no later than in a second: nothing of it sounds any more."""
-        self._heard.put(None)
-        self.join(LEAVE_S)
+        self._queue.put(None)
+        self.join(CLOSE_TIMEOUT_S)
 
     def run(self) -> None:
-        while (heard := self._heard.get()) is not None:
+        while (heard := self._queue.get()) is not None:
             command, heard_at = heard
             play = command.play if isinstance(command, Play | LiveBegin) else -1
             try:
                 if isinstance(command, HnfError):
                     raise command
-                self._player.do(command, heard_at)
+                self._player.execute(command, heard_at)
             except HnfError as error:
-                self._teller.say(Refused(play, " ".join(str(error).split())))
+                self._writer.submit(Refused(play, " ".join(str(error).split())))
             except Exception as error:  # a fault of ours must not silence the line
-                self._teller.say(Refused(play, f"it failed: {type(error).__name__}: {error}"))
+                self._writer.submit(Refused(play, f"it failed: {type(error).__name__}: {error}"))
 
 
-def _leave(_number: int, _frame: types.FrameType | None) -> None:
+def _exit_on_signal(_number: int, _frame: types.FrameType | None) -> None:
     raise SystemExit(0)
 
 

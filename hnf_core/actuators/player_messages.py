@@ -16,7 +16,7 @@ VERSION = 1
 
 
 @dataclass(frozen=True)
-class Where:
+class OutputSpec:
     """target: as `hnf stream --to` takes it. profile: a name or FILE.json as --profile takes it; "own" is the device
     of own: peak in m/s² (0 = not known), lowest and highest frequency in Hz."""
 
@@ -32,7 +32,7 @@ class Play:
 
     play: int
     file: str
-    where: Where
+    where: OutputSpec
     loop: bool = False
     start_s: float = 0.0
     gain_db: float = 0.0
@@ -47,7 +47,7 @@ class LiveBegin:
 
     play: int
     material: str
-    where: Where
+    where: OutputSpec
     seed: int = 0
     probe: str = "pen"
 
@@ -160,7 +160,7 @@ class Status:
     problem: str
 
     @classmethod
-    def over(cls, play: int) -> Status:
+    def make_ended(cls, play: int) -> Status:
         """Of what was stopped before it began."""
         return cls(play, "ended", 0.0, 0.0, 0.0, 0, 0, 0, 0.0, 0.0, None, "")
 
@@ -204,48 +204,48 @@ _REPORTS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Repor
 
 def _decode(line: str, kinds: dict[str, type[Any]]) -> Any:
     try:
-        found = json.loads(line, parse_constant=_no_number)
+        found = json.loads(line, parse_constant=_reject_constant)
         if not isinstance(found, dict):
             raise ValueError("it is no object")
         name = found.pop("is", None)
         kind = kinds.get(name) if isinstance(name, str) else None
         if kind is None:
             raise ValueError(f'"is" is none of {", ".join(kinds)}')
-        return _record(kind, found)
+        return _parse_record(kind, found)
     except (ValueError, OverflowError, RecursionError) as error:
         said = line if len(line) <= 60 else f"{line[:60]}…"
         why = " ".join(str(error).split())
         raise UsageError(f"a message that cannot be read, {why}: {json.dumps(said)}.") from error
 
 
-def _shape(kind: type[Any]) -> tuple[dict[str, Any], frozenset[str]]:
+def _find_field_types(kind: type[Any]) -> tuple[dict[str, Any], frozenset[str]]:
     """Type of each field, and those that must be there."""
     needed = frozenset(field.name for field in fields(kind) if field.default is MISSING)
     return get_type_hints(kind), needed
 
 
 # Looked up once: a hand moves a thousand times a second.
-_SHAPES = {kind: _shape(kind) for kind in (Where, *get_args(Command), *get_args(Report))}
+_FIELD_TYPES = {kind: _find_field_types(kind) for kind in (OutputSpec, *get_args(Command), *get_args(Report))}
 
 
-def _record(kind: type[Message], found: dict[str, Any]) -> Message:
-    hints, needed = _SHAPES[kind]
+def _parse_record(kind: type[Message], found: dict[str, Any]) -> Message:
+    hints, needed = _FIELD_TYPES[kind]
     unknown = found.keys() - hints.keys()
     if unknown:
         raise ValueError(f"{kind.__name__} has no field '{min(unknown)}'")
     missing = needed - found.keys()
     if missing:
         raise ValueError(f"{kind.__name__} needs '{min(missing)}'")
-    return kind(**{name: _value(hints[name], value, f"{kind.__name__}.{name}") for name, value in found.items()})
+    return kind(**{name: _parse_value(hints[name], value, f"{kind.__name__}.{name}") for name, value in found.items()})
 
 
-def _value(kind: Any, value: Any, name: str) -> Any:
+def _parse_value(kind: Any, value: Any, name: str) -> Any:
     if get_origin(kind) is UnionType:
-        return None if value is None else _value(get_args(kind)[0], value, name)
+        return None if value is None else _parse_value(get_args(kind)[0], value, name)
     if get_origin(kind) is tuple and isinstance(value, list):
-        return tuple(_value(get_args(kind)[0], each, name) for each in value)
-    if kind is Where and isinstance(value, dict):
-        return _record(Where, value)
+        return tuple(_parse_value(get_args(kind)[0], each, name) for each in value)
+    if kind is OutputSpec and isinstance(value, dict):
+        return _parse_record(OutputSpec, value)
     if kind is float and type(value) is int:
         value = float(value)
     if type(value) is not kind:
@@ -255,5 +255,5 @@ def _value(kind: Any, value: Any, name: str) -> Any:
     return value
 
 
-def _no_number(word: str) -> float:
-    raise ValueError(f"{word} is no number")
+def _reject_constant(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")

@@ -4,34 +4,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .player_messages import Status, Where
+from .player_messages import OutputSpec, Status
 from .sink import SinkFormat
-from .sources.live import Live
-from .sources.recorded import Recorded
+from .sources.live import LiveSource
+from .sources.recorded import BufferSource
 from .stream import Stream
 
 
 @dataclass(frozen=True, eq=False)
-class Playing:
+class Playback:
     """gain: that was multiplied into the source's samples beforehand. ahead_s: made ahead of the sink."""
 
     play: int
     stream: Stream
-    source: Recorded | Live
+    source: BufferSource | LiveSource
     device: SinkFormat
-    where: Where
+    where: OutputSpec
     gain: float
     ahead_s: float
     note: str
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         return self.stream.wait(0.0)
 
     def status(self) -> Status:
         report = self.stream.report
         made, latency_ms = 0.0, report.latency_p99_ms
-        if isinstance(self.source, Live):
+        if isinstance(self.source, LiveSource):
             latency_ms += self.source.latency_p99_ms
         else:
             owed_s = min(max(report.frames / self.device.rate_hz - report.played_s, 0.0), self._queue_s)

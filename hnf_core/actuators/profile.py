@@ -10,7 +10,7 @@ from ..errors import UsageError
 
 if TYPE_CHECKING:
     from .limits import Limits
-    from .response import Response
+    from .response import FrequencyResponse
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class ActuatorProfile:
     peak_m_s2: float | None = None
     sustained: float | None = None
     thermal_s: float | None = None
-    response: Response | None = None
+    response: FrequencyResponse | None = None
 
     @property
     def assumes_full_scale(self) -> bool:
@@ -79,10 +79,10 @@ PROFILES: dict[str, ActuatorProfile] = {
 }
 """Only what its maker's own document was read for; any other device is told by own_profile()."""
 
-OWN = "own"
+USER_PROFILE_NAME = "own"
 
 
-def own_profile(peak_m_s2: float, lowest_hz: float, highest_hz: float) -> ActuatorProfile:
+def make_user_profile(peak_m_s2: float, lowest_hz: float, highest_hz: float) -> ActuatorProfile:
     """A device as its owner knows it. peak_m_s2: largest acceleration, 0 = not known. lowest_hz, highest_hz: ends of
     its range, in either order.
 
@@ -94,7 +94,7 @@ def own_profile(peak_m_s2: float, lowest_hz: float, highest_hz: float) -> Actuat
             remedy="Give an acceleration of 0 (not known) or more and frequencies above 0.",
         )
     return ActuatorProfile(
-        OWN,
+        USER_PROFILE_NAME,
         "My actuator",
         "figures of its owner",
         range_hz=(min(lowest_hz, highest_hz), max(lowest_hz, highest_hz)),
@@ -102,7 +102,7 @@ def own_profile(peak_m_s2: float, lowest_hz: float, highest_hz: float) -> Actuat
     )
 
 
-def profile_of(name: str) -> ActuatorProfile:
+def get_profile(name: str) -> ActuatorProfile:
     """The profile called name. Raises UsageError naming those there are."""
     if name not in PROFILES:
         raise UsageError(f"there is no actuator '{name}'.", remedy=f"Known: {', '.join(PROFILES)}.")

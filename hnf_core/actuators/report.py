@@ -11,19 +11,19 @@ _BIN_MS = 0.01
 _BINS = 10_000
 
 
-class Durations:
+class DurationHistogram:
     """A histogram of times in bins of 10 µs up to 100 ms: as large after a day as after a second."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS + 1, dtype=np.int64)
         self.count = 0
-        self.highest_ms = 0.0
+        self.max_ms = 0.0
 
-    def note(self, seconds: float) -> None:
+    def record(self, seconds: float) -> None:
         milliseconds = max(seconds * 1e3, 0.0)
         self._counts[min(int(milliseconds / _BIN_MS), _BINS)] += 1
         self.count += 1
-        self.highest_ms = max(self.highest_ms, milliseconds)
+        self.max_ms = max(self.max_ms, milliseconds)
 
     def percentile_ms(self, percent: float) -> float:
         """The upper edge of the bin that percent of all times lie in or below, never more than the longest; 0 where
@@ -31,7 +31,7 @@ class Durations:
         if self.count == 0:
             return 0.0
         place = int(np.searchsorted(np.cumsum(self._counts), self.count * percent / 100.0))
-        return self.highest_ms if place >= _BINS else min((place + 1) * _BIN_MS, self.highest_ms)
+        return self.max_ms if place >= _BINS else min((place + 1) * _BIN_MS, self.max_ms)
 
 
 @dataclass(frozen=True)

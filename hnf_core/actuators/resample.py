@@ -22,11 +22,11 @@ from ..errors import UsageError
 from .source import Samples
 
 STOP_BAND_DB = 90.0
-CROSSINGS = 32
+ZERO_CROSSINGS = 32
 """Of the sinc, to either side: frames of the lower rate that the filter looks ahead."""
-_EXACT_PHASES = 4096
-_PHASES = 1024
-_AT_ONCE = 1024
+_MAX_EXACT_PHASES = 4096
+_INTERPOLATED_PHASES = 1024
+_CHUNK_FRAMES = 1024
 
 
 class Resampler(Protocol):
@@ -43,24 +43,24 @@ class Resampler(Protocol):
         ...
 
 
-def resampler(from_hz: float, to_hz: float, channels: int, *, prompt: bool = True) -> Resampler:
+def make_resampler(from_hz: float, to_hz: float, channels: int, *, low_latency: bool = True) -> Resampler:
     """prompt: answer within CROSSINGS frames of the lower rate. Otherwise soxr where it is installed. Equal rates: what
     comes goes, untouched. Raises UsageError where a rate is none."""
     if not (0.0 < from_hz < 1e9 and 0.0 < to_hz < 1e9):
         raise UsageError(f"nothing can be converted from {from_hz:g} Hz to {to_hz:g} Hz.")
     if from_hz == to_hz:
-        return Same(channels)
-    if not prompt:
+        return PassThroughResampler(channels)
+    if not low_latency:
         try:
             import soxr
         except ImportError:
             pass
         else:
-            return Soxr(soxr, from_hz, to_hz, channels)
-    return Polyphase(from_hz, to_hz, channels)
+            return SoxrResampler(soxr, from_hz, to_hz, channels)
+    return PolyphaseResampler(from_hz, to_hz, channels)
 
 
-class Same:
+class PassThroughResampler:
     """Nothing to convert."""
 
     name = "none"
@@ -75,7 +75,7 @@ class Same:
         return np.zeros((0, self._channels), dtype=np.float32)
 
 
-class Soxr:
+class SoxrResampler:
     """libsoxr, 'HQ'."""
 
     name = "soxr"
@@ -85,18 +85,18 @@ class Soxr:
         self._stream = module.ResampleStream(from_hz, to_hz, channels, dtype="float32", quality="HQ")
 
     def process(self, block: Samples) -> Samples:
-        return self._chunk(block, last=False)
+        return self._resample_chunk(block, last=False)
 
     def finish(self) -> Samples:
-        return self._chunk(np.zeros((0, self._channels), dtype=np.float32), last=True)
+        return self._resample_chunk(np.zeros((0, self._channels), dtype=np.float32), last=True)
 
-    def _chunk(self, block: Samples, *, last: bool) -> Samples:
+    def _resample_chunk(self, block: Samples, *, last: bool) -> Samples:
         given = np.ascontiguousarray(block, dtype=np.float32)
         found = np.asarray(self._stream.resample_chunk(given, last=last), dtype=np.float32)
         return found.reshape(-1, self._channels)
 
 
-class Polyphase:
+class PolyphaseResampler:
     """Output frame k lies at k · from / to frames of the input, an exact fraction (to 1 part in 10¹² where rates have
     none below 10⁶): no drift. Every output frame is one sum in one order, so that no cut shows."""
 
@@ -104,62 +104,66 @@ class Polyphase:
 
     def __init__(self, from_hz: float, to_hz: float, channels: int) -> None:
         ratio = (Fraction(from_hz) / Fraction(to_hz)).limit_denominator(1_000_000)
-        self._step, self._per = ratio.numerator, ratio.denominator
+        self._step, self._frames_per_step = ratio.numerator, ratio.denominator
         if self._step == 0:
             raise UsageError(f"{from_hz:g} Hz and {to_hz:g} Hz lie too far apart to convert.")
-        self._half = math.ceil(CROSSINGS * max(1.0, from_hz / to_hz))
-        exact = self._per <= _EXACT_PHASES
-        self._phases = self._per if exact else _PHASES
-        self._table = taps(np.arange(self._phases + (not exact)) / self._phases, self._half, min(1.0, to_hz / from_hz))
-        self._held = np.zeros((channels, self._half - 1))
-        self._first = 1 - self._half
-        self._given = 0
-        self._made = 0
+        self._half = math.ceil(ZERO_CROSSINGS * max(1.0, from_hz / to_hz))
+        exact = self._frames_per_step <= _MAX_EXACT_PHASES
+        self._phases = self._frames_per_step if exact else _INTERPOLATED_PHASES
+        self._table = design_polyphase_taps(
+            np.arange(self._phases + (not exact)) / self._phases, self._half, min(1.0, to_hz / from_hz)
+        )
+        self._buffer = np.zeros((channels, self._half - 1))
+        self._buffer_start = 1 - self._half
+        self._frames_in = 0
+        self._frames_out = 0
 
     def process(self, block: Samples) -> Samples:
-        self._given += len(block)
-        self._held = np.concatenate([self._held, np.asarray(block, dtype=np.float64).T], axis=1)
-        return self._until(-((self._half - self._given) * self._per // self._step))
+        self._frames_in += len(block)
+        self._buffer = np.concatenate([self._buffer, np.asarray(block, dtype=np.float64).T], axis=1)
+        return self._render_until(-((self._half - self._frames_in) * self._frames_per_step // self._step))
 
     def finish(self) -> Samples:
-        self._held = np.concatenate([self._held, np.zeros((len(self._held), self._half + 1))], axis=1)
-        return self._until(-(-self._given * self._per // self._step))
+        self._buffer = np.concatenate([self._buffer, np.zeros((len(self._buffer), self._half + 1))], axis=1)
+        return self._render_until(-(-self._frames_in * self._frames_per_step // self._step))
 
-    def _until(self, end: int) -> Samples:
+    def _render_until(self, end: int) -> Samples:
         """All frames before end that are not made yet."""
-        made = [self._frames(k, min(k + _AT_ONCE, end)) for k in range(self._made, end, _AT_ONCE)]
-        self._made = max(self._made, end)
-        needed = self._made * self._step // self._per - self._half + 1
-        drop = min(max(needed - self._first, 0), self._held.shape[1])
-        self._held = self._held[:, drop:]
-        self._first += drop
+        made = [
+            self._render_frames(k, min(k + _CHUNK_FRAMES, end)) for k in range(self._frames_out, end, _CHUNK_FRAMES)
+        ]
+        self._frames_out = max(self._frames_out, end)
+        needed = self._frames_out * self._step // self._frames_per_step - self._half + 1
+        drop = min(max(needed - self._buffer_start, 0), self._buffer.shape[1])
+        self._buffer = self._buffer[:, drop:]
+        self._buffer_start += drop
         if not made:
-            return np.zeros((0, len(self._held)), dtype=np.float32)
+            return np.zeros((0, len(self._buffer)), dtype=np.float32)
         return np.concatenate(made)
 
-    def _frames(self, start: int, end: int) -> Samples:
+    def _render_frames(self, start: int, end: int) -> Samples:
         position = np.arange(start, end, dtype=np.int64) * self._step
-        before, phase = position // self._per, position % self._per
-        under = np.lib.stride_tricks.sliding_window_view(self._held, 2 * self._half, axis=1)
-        rows = under[:, before - (self._half - 1) - self._first]
-        found = np.einsum("cnt,nt->cn", rows, self._weights(phase))
+        before, phase = position // self._frames_per_step, position % self._frames_per_step
+        under = np.lib.stride_tricks.sliding_window_view(self._buffer, 2 * self._half, axis=1)
+        rows = under[:, before - (self._half - 1) - self._buffer_start]
+        found = np.einsum("cnt,nt->cn", rows, self._get_filter_weights(phase))
         return np.ascontiguousarray(found.T, dtype=np.float32)
 
-    def _weights(self, phase: NDArray[np.int64]) -> NDArray[np.float64]:
+    def _get_filter_weights(self, phase: NDArray[np.int64]) -> NDArray[np.float64]:
         """(n, taps) for phases in 1 / per of a frame."""
-        if self._phases == self._per:
+        if self._phases == self._frames_per_step:
             return np.asarray(self._table[phase])
-        place = phase * (self._phases / self._per)
+        place = phase * (self._phases / self._frames_per_step)
         below = place.astype(np.int64)
         share = (place - below)[:, None]
         return np.asarray(self._table[below] * (1.0 - share) + self._table[below + 1] * share)
 
 
-def taps(shift: NDArray[np.float64], half: int, share: float) -> NDArray[np.float64]:
+def design_polyphase_taps(shift: NDArray[np.float64], half: int, rate_ratio: float) -> NDArray[np.float64]:
     """(n, 2 · half) weights of a frame that lies shift (n,) frames, 0 … 1, behind frame half − 1 of those under the
     filter. share: of the input's rate, what the lower rate is. Each row sums to 1: a constant stays one."""
-    width = (STOP_BAND_DB - 7.95) / (14.36 * 2.0 * CROSSINGS) * share
-    cut = 0.5 * share - 0.5 * width
+    width = (STOP_BAND_DB - 7.95) / (14.36 * 2.0 * ZERO_CROSSINGS) * rate_ratio
+    cut = 0.5 * rate_ratio - 0.5 * width
     beta = 0.1102 * (STOP_BAND_DB - 8.7)
     away = np.arange(1 - half, half + 1)[None] - shift[:, None]
     window = np.i0(beta * np.sqrt(np.clip(1.0 - np.square(away / half), 0.0, None))) * (np.abs(away) <= half)

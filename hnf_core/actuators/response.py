@@ -11,11 +11,11 @@ from ..errors import UsageError
 
 Float = NDArray[np.float64]
 
-QUIET_DB = -200.0
+MIN_GAIN_DB = -200.0
 
 
 @dataclass(frozen=True, eq=False)  # arrays do not compare to one truth
-class Response:
+class FrequencyResponse:
     """Acceleration got over acceleration asked.
 
     frequency_hz: (n,) ascending, above 0. gain_db, phase_rad: (n,), the latter unwrapped, without the way's delay_s.
@@ -37,7 +37,7 @@ class Response:
             and all(column.shape == self.frequency_hz.shape and np.isfinite(column).all() for column in columns)
             and self.frequency_hz[0] > 0.0
             and (np.diff(self.frequency_hz) > 0.0).all()
-            and (np.abs(self.gain_db) <= -QUIET_DB).all()
+            and (np.abs(self.gain_db) <= -MIN_GAIN_DB).all()
             and self.coherence.min() >= 0.0
             and self.coherence.max() <= 1.0
             and np.isfinite(self.delay_s)

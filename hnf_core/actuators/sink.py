@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .limits import COUNTS
+from .limits import FULL_SCALE_COUNTS
 
 Counts = NDArray[np.int16]
 
@@ -26,7 +26,7 @@ class SinkFormat:
     device: str
     coil: bool = True
     live: bool = True
-    peak: int = COUNTS
+    peak: int = FULL_SCALE_COUNTS
 
 
 @dataclass(frozen=True)

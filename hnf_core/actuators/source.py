@@ -26,7 +26,7 @@ class Source(Protocol):
 
 
 @runtime_checkable
-class Preparing(Source, Protocol):
+class PreparableSource(Source, Protocol):
     """A source with work that needs not wait until the next block is asked for."""
 
     def prepare(self) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Samples = NDArray[np.float32]
 
 
-class Stage(Protocol):
+class Processor(Protocol):
     """A causal filter at the source's rate, where there are fewest samples, with memory of its own."""
 
     def process(self, block: Samples) -> Samples:

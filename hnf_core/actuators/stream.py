@@ -23,22 +23,22 @@ import numpy as np
 
 from ..errors import DeviceError, HnfError, UsageError
 from . import calm, urgency
-from .chain import Chain
-from .limits import COUNTS, Limits
-from .report import Durations, StreamReport
-from .ring import Ring
+from .chain import SignalChain
+from .limits import FULL_SCALE_COUNTS, Limits
+from .report import DurationHistogram, StreamReport
+from .ring import RingBuffer
 from .sink import Counts, Sink, SinkFormat, SinkStatus
 from .source import Source
-from .stage import Stage
-from .warmth import WARMTH
+from .stage import Processor
+from .warmth import THERMAL_STATE
 
-_OPEN_S = 10.0
-_JOIN_S = 2.0
-_FINISH_S = 2.0
-_LOOK_S = 0.005
+_OPEN_TIMEOUT_S = 10.0
+_JOIN_TIMEOUT_S = 2.0
+_FINISH_TIMEOUT_S = 2.0
+_POLL_S = 0.005
 """How often the pump looks whether it shall stop and how the device is, at the least."""
-_ASLEEP_S = 0.1
-_LEVEL_S = 0.02
+_SPACE_TIMEOUT_S = 0.1
+_LEVEL_WINDOW_S = 0.02
 
 
 class Stream:
@@ -58,8 +58,8 @@ class Stream:
         *,
         block_s: float = 0.005,
         ahead_blocks: int = 3,
-        stages: Sequence[Stage] = (),
-        prompt: bool = True,
+        processors: Sequence[Processor] = (),
+        low_latency: bool = True,
     ) -> None:
         """Raises UsageError where block_s is not within 0.5 ms … 1 s or nothing is made ahead."""
         if not (0.0005 <= block_s <= 1.0 and ahead_blocks >= 1):
@@ -67,22 +67,22 @@ class Stream:
                 f"a stream cannot be made of {ahead_blocks} blocks of {block_s * 1e3:g} ms ahead.",
                 remedy="Give 0.5 to 1000 ms, and at least one block.",
             )
-        self._source, self._sink, self._limits, self._stages = source, sink, limits, tuple(stages)
-        self._block_s, self._ahead, self._prompt = block_s, ahead_blocks, prompt
+        self._source, self._sink, self._limits, self._processors = source, sink, limits, tuple(processors)
+        self._block_s, self._ahead_blocks, self._low_latency = block_s, ahead_blocks, low_latency
         self._opened: Future[SinkFormat] = Future()
         self._threads: list[threading.Thread] = []
-        self._go = threading.Event()
+        self._started = threading.Event()
         self._stopping = threading.Event()
         self._ended = threading.Event()
         self._paused = False
         self._lock = threading.Lock()
-        self.compute, self.compute_cpu, self.prepared, self.latency = (Durations() for _ in range(4))
+        self.compute, self.compute_cpu, self.prepared, self.latency = (DurationHistogram() for _ in range(4))
         self._device: SinkFormat | None = None
-        self._chain: Chain | None = None
-        self._ring: Ring | None = None
+        self._chain: SignalChain | None = None
+        self._ring: RingBuffer | None = None
         self._status = SinkStatus()
         self._frames = self._peak = 0
-        self._square = 0.0
+        self._mean_square = 0.0
         self._rate = 1.0
         self._realtime = False
         self._problem = ""
@@ -95,7 +95,7 @@ class Stream:
     ) -> None:
         self.stop()
 
-    def start(self, look: Callable[[SinkFormat], None] = lambda device: None) -> SinkFormat:
+    def start(self, on_open: Callable[[SinkFormat], None] = lambda device: None) -> SinkFormat:
         """Open the sink and play. look: called when it is open, before anything leaves; what it raises stops.
 
         Raises DeviceError where it cannot be opened, UsageError where signal, limits and device do not fit or the
@@ -104,27 +104,27 @@ class Stream:
             if self._threads or self._stopping.is_set():
                 raise UsageError("a stream plays once.", remedy="Make another one.")
             self._threads.append(threading.Thread(target=self._pump, name="hnf-pump", daemon=True))
-        _live.add(self)
+        _active_streams.add(self)
         self._threads[0].start()
         try:
-            device = self._opened.result(_OPEN_S)
+            device = self._opened.result(_OPEN_TIMEOUT_S)
         except TimeoutError as error:
             self.stop()
             raise DeviceError(
-                f"the device did not open within {_OPEN_S:g} s.", remedy="Unplug it, plug it in, and try again."
+                f"the device did not open within {_OPEN_TIMEOUT_S:g} s.", remedy="Unplug it, plug it in, and try again."
             ) from error
         try:
-            look(device)
+            on_open(device)
         except BaseException:
             self.stop()
             raise
-        self._go.set()
+        self._started.set()
         return device
 
     def stop(self) -> None:
         """Silence now, by the device's own soft stop, and give the device back. From any thread; again is harmless."""
         self._stopping.set()
-        self._go.set()
+        self._started.set()
         with self._lock:
             threads, device, ring = list(self._threads), self._device, self._ring
         if ring is not None and device is not None and device.live:
@@ -133,8 +133,10 @@ class Stream:
             self._ended.set()
         elif threading.current_thread() in threads:
             pass  # a source or a sink that stops its own stream goes on first
-        elif not self._ended.wait(2.0 * _JOIN_S):
-            self._tell(DeviceError("the device does not answer.", remedy="Unplug it, plug it in, and try again."), "")
+        elif not self._ended.wait(2.0 * _JOIN_TIMEOUT_S):
+            self._set_problem(
+                DeviceError("the device does not answer.", remedy="Unplug it, plug it in, and try again."), ""
+            )
 
     def pause(self) -> None:
         """Fade out and hold the source where it is; the device goes on with silence."""
@@ -167,66 +169,70 @@ class Stream:
                 underruns=self._status.underruns,
                 errors=self._status.errors,
                 compute_p99_ms=self.compute.percentile_ms(99.0),
-                compute_highest_ms=self.compute.highest_ms,
+                compute_highest_ms=self.compute.max_ms,
                 compute_cpu_p99_ms=self.compute_cpu.percentile_ms(99.0),
                 latency_p99_ms=self.latency.percentile_ms(99.0),
-                latency_highest_ms=self.latency.highest_ms,
-                peak=self._peak / COUNTS,
+                latency_highest_ms=self.latency.max_ms,
+                peak=self._peak / FULL_SCALE_COUNTS,
                 limited_samples=limiter.limited if limiter else 0,
                 nonfinite_samples=self._chain.nonfinite if self._chain else 0,
                 device_limited_samples=self._status.limited,
                 played_s=self._status.played / self._rate,
-                level_m_s2=float(np.sqrt(self._square)) * self._limits.full_scale_m_s2 / COUNTS,
+                level_m_s2=float(np.sqrt(self._mean_square)) * self._limits.full_scale_m_s2 / FULL_SCALE_COUNTS,
                 temperature_c=self._status.temperature_c,
-                resampler=self._chain.resampler if self._chain else "",
+                resampler=self._chain.resampler_name if self._chain else "",
                 realtime=self._realtime,
                 problem=self._problem,
             )
 
     # ------------------------------------------------------------------ producer
 
-    def _produce(self, chain: Chain, ring: Ring, frames: int) -> None:
+    def _produce(self, chain: SignalChain, ring: RingBuffer, frames: int) -> None:
         try:
-            if self._realtime and not urgency.ask():
+            if self._realtime and not urgency.request_realtime_priority():
                 self._realtime = False
             try:
-                self._fill(chain, ring, frames)
+                self._fill_ring(chain, ring, frames)
             except Exception as error:
-                self._tell(error, "the signal cannot be made any further")
-            ring.put(chain.limiter.release())
+                self._set_problem(error, "the signal cannot be made any further")
+            ring.put(chain.limiter.flush())
         finally:
             ring.finish()
 
-    def _fill(self, chain: Chain, ring: Ring, frames: int) -> None:
+    def _fill_ring(self, chain: SignalChain, ring: RingBuffer, frames: int) -> None:
         while not self._stopping.is_set() and not chain.ended:
             # Room first, then the source: nothing it gives grows old before the ring.
-            if not ring.wait_room(frames, _ASLEEP_S):
+            if not ring.wait_for_space(frames, _SPACE_TIMEOUT_S):
                 continue
             stamp, computed = time.perf_counter(), time.thread_time()
-            counts = chain.limiter.soft_stop(frames) if self._paused else chain.block(frames)
+            counts = chain.limiter.soft_stop(frames) if self._paused else chain.render_block(frames)
             taken, computed = time.perf_counter() - stamp, time.thread_time() - computed
             with self._lock:
-                self.compute.note(taken)
-                self.compute_cpu.note(computed)
+                self.compute.record(taken)
+                self.compute_cpu.record(computed)
             ring.put(counts, stamp)
             stamp = time.perf_counter()
             chain.prepare()
             with self._lock:
-                self.prepared.note(time.perf_counter() - stamp)
+                self.prepared.record(time.perf_counter() - stamp)
 
     # ------------------------------------------------------------------ pump
 
     def _pump(self) -> None:
         producer: threading.Thread | None = None
-        calm.hold()
+        calm.enter_low_latency()
         try:
             device = self._sink.open()
             _stop_first_at_exit()
-            self._realtime = device.live and urgency.ask()  # as fast as it can, it would keep a core from all others
-            heat = WARMTH.heat(device.device, self._limits, device.channels)
-            chain = Chain(self._source, device, self._limits, self._stages, prompt=self._prompt, heat=heat)
+            self._realtime = (
+                device.live and urgency.request_realtime_priority()
+            )  # as fast as it can, it would keep a core from all others
+            heat = THERMAL_STATE.get_heat(device.device, self._limits, device.channels)
+            chain = SignalChain(
+                self._source, device, self._limits, self._processors, low_latency=self._low_latency, initial_heat=heat
+            )
             frames = max(round(self._block_s * device.rate_hz), 1)
-            ring = Ring(self._ahead * frames, device.channels)
+            ring = RingBuffer(self._ahead_blocks * frames, device.channels)
             with self._lock:
                 self._device, self._chain, self._ring, self._rate = device, chain, ring, device.rate_hz
                 producer = threading.Thread(
@@ -234,46 +240,46 @@ class Stream:
                 )
                 self._threads.append(producer)
             self._opened.set_result(device)
-            self._go.wait()
+            self._started.wait()
             producer.start()
             self._send(ring, device, frames)
         except Exception as error:
             if self._opened.done():
-                self._tell(error, "the device failed")
+                self._set_problem(error, "the device failed")
             else:
                 self._opened.set_exception(error)
         finally:
-            self._end(producer)
+            self._close(producer)
 
-    def _send(self, ring: Ring, device: SinkFormat, frames: int) -> None:
+    def _send(self, ring: RingBuffer, device: SinkFormat, frames: int) -> None:
         grain = max(min(frames, device.queue_frames // 4), 1)
         while not self._stopping.is_set():
-            room = self._sink.wait(_LOOK_S)
+            room = self._sink.wait(_POLL_S)
             if room < grain and not ring.ended:
                 self._stopping.wait((grain - room) / device.rate_hz)  # a few frames at a time would only keep us busy
-                room = self._sink.wait(_LOOK_S)
-            counts, stamp = ring.take(room, _LOOK_S) if room > 0 else (_NONE, 0.0)
+                room = self._sink.wait(_POLL_S)
+            counts, stamp = ring.get(room, _POLL_S) if room > 0 else (_NO_COUNTS, 0.0)
             if len(counts):
                 self._sink.write(counts)
-            self._note(counts, stamp, self._sink.status())
+            self._update_statistics(counts, stamp, self._sink.status())
             if ring.ended:
                 if not self._stopping.is_set():
-                    self._sink.finish(_FINISH_S)
-                    self._note(_NONE, 0.0, self._sink.status())
+                    self._sink.finish(_FINISH_TIMEOUT_S)
+                    self._update_statistics(_NO_COUNTS, 0.0, self._sink.status())
                 return
         if not device.live:
-            self._let_end(ring)
+            self._drain_ring(ring)
 
-    def _let_end(self, ring: Ring) -> None:
+    def _drain_ring(self, ring: RingBuffer) -> None:
         """A file has no soft stop of its own: it gets what was made until then, and the limiter's."""
-        until = time.monotonic() + _JOIN_S
+        until = time.monotonic() + _JOIN_TIMEOUT_S
         while not ring.ended and time.monotonic() < until:
-            counts, stamp = ring.take(self._sink.wait(_LOOK_S), _LOOK_S)
+            counts, stamp = ring.get(self._sink.wait(_POLL_S), _POLL_S)
             if len(counts):
                 self._sink.write(counts)
-            self._note(counts, stamp, self._sink.status())
+            self._update_statistics(counts, stamp, self._sink.status())
 
-    def _note(self, counts: Counts, stamp: float, status: SinkStatus) -> None:
+    def _update_statistics(self, counts: Counts, stamp: float, status: SinkStatus) -> None:
         now = time.perf_counter()
         with self._lock:
             self._status = status
@@ -282,52 +288,54 @@ class Stream:
             self._frames += len(counts)
             wide = counts.astype(np.int64)
             self._peak = max(self._peak, int(np.abs(wide).max()))
-            forget = 1.0 - math.exp(-len(counts) / (_LEVEL_S * self._rate))
-            self._square += forget * (float(np.square(wide).mean()) - self._square)
+            forget = 1.0 - math.exp(-len(counts) / (_LEVEL_WINDOW_S * self._rate))
+            self._mean_square += forget * (float(np.square(wide).mean()) - self._mean_square)
             if stamp:
-                self.latency.note(now - stamp)
+                self.latency.record(now - stamp)
 
-    def _end(self, producer: threading.Thread | None) -> None:
+    def _close(self, producer: threading.Thread | None) -> None:
         self._stopping.set()
         try:
             if self._ring is not None:
                 self._ring.close()
             self._sink.close()
             with suppress(Exception):  # a file, say, that could not be written after all
-                self._tell(DeviceError(self._sink.status().problem), "")
+                self._set_problem(DeviceError(self._sink.status().problem), "")
             if producer is not None and producer.ident is not None:
-                producer.join(_JOIN_S)
+                producer.join(_JOIN_TIMEOUT_S)
                 if producer.is_alive():
-                    self._tell(DeviceError("the signal's source does not answer.", remedy="Start it anew."), "")
+                    self._set_problem(DeviceError("the signal's source does not answer.", remedy="Start it anew."), "")
         finally:
             with self._lock:
-                self._square = 0.0
+                self._mean_square = 0.0
                 if self._chain is not None and self._device is not None and self._device.coil:
-                    WARMTH.note(self._device.device, self._limits, self._chain.limiter.heat)
-            _live.discard(self)
-            calm.release()
+                    THERMAL_STATE.record(self._device.device, self._limits, self._chain.limiter.heat)
+            _active_streams.discard(self)
+            calm.exit_low_latency()
             self._ended.set()
 
-    def _tell(self, error: Exception, what: str) -> None:
+    def _set_problem(self, error: Exception, context: str) -> None:
         """The first problem is the one that is told."""
-        unforeseen = f"{what} ({type(error).__name__}: {error}). Start it anew; if that does not help, report it."
+        unforeseen = f"{context} ({type(error).__name__}: {error}). Start it anew; if that does not help, report it."
         text = str(error) if isinstance(error, HnfError) else unforeseen
         with self._lock:
             self._problem = self._problem or text
 
 
-_NONE: Counts = np.zeros((0, 1), dtype=np.int16)
-_live: weakref.WeakSet[Stream] = weakref.WeakSet()
+_NO_COUNTS: Counts = np.zeros((0, 1), dtype=np.int16)
+_active_streams: weakref.WeakSet[Stream] = weakref.WeakSet()
 
 
 def _stop_all() -> None:
     """The interpreter ends: so does all that still plays."""
-    for stream in list(_live):
+    for stream in list(_active_streams):
         stream.stop()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_live.clear)  # its threads are the parent's: nobody here could be waited for
+    os.register_at_fork(
+        after_in_child=_active_streams.clear
+    )  # its threads are the parent's: nobody here could be waited for
 
 
 def _stop_first_at_exit() -> None:

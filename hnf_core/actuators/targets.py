@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import DeviceError, UsageError
-from .libraries import library
+from .libraries import import_optional
 from .limits import Limits
 from .sink import Sink
-from .sinks.osc import ADDRESS
+from .sinks.osc import DEFAULT_ADDRESS
 
-FORMS = "serial:PORT[@BAUD], audio[:DEVICE], osc:HOST:PORT[/ADDRESS], file:PATH or virtual"
+TARGET_FORMS = "serial:PORT[@BAUD], audio[:DEVICE], osc:HOST:PORT[/ADDRESS], file:PATH or virtual"
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class SerialTarget:
     baudrate: int | None = None
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return f"serial:{self.port}" + (f"@{self.baudrate}" if self.baudrate is not None else "")
 
 
@@ -37,7 +37,7 @@ class AudioTarget:
     device: str | int | None = None
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return "audio" if self.device is None else f"audio:{self.device}"
 
 
@@ -45,12 +45,12 @@ class AudioTarget:
 class OscTarget:
     host: str
     port: int
-    address: str = ADDRESS
+    address: str = DEFAULT_ADDRESS
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"osc:{host}:{self.port}" + (self.address if self.address != ADDRESS else "")
+        return f"osc:{host}:{self.port}" + (self.address if self.address != DEFAULT_ADDRESS else "")
 
 
 @dataclass(frozen=True)
@@ -58,23 +58,23 @@ class FileTarget:
     path: Path
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return f"file:{self.path}"
 
 
 @dataclass(frozen=True)
 class VirtualTarget:
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return "virtual"
 
 
 Target = SerialTarget | AudioTarget | OscTarget | FileTarget | VirtualTarget
 
 
-def parse_target(words: str) -> Target:
+def parse_target(text: str) -> Target:
     """Raises UsageError, naming the form, where words are none."""
-    kind, colon, rest = words.strip().partition(":")
+    kind, colon, rest = text.strip().partition(":")
     if kind == "virtual" and not colon:
         return VirtualTarget()
     if kind == "audio" and (rest or not colon):
@@ -85,18 +85,18 @@ def parse_target(words: str) -> Target:
             port, baud = rest, ""
         if port and (not at or (re.fullmatch("[0-9]{1,9}", baud) and int(baud) > 0)):
             return SerialTarget(port, int(baud) if at else None)
-        raise _no_target(words, "serial:PORT[@BAUD], e.g. serial:/dev/ttyACM0 or serial:COM3@3000000")
+        raise _make_target_error(text, "serial:PORT[@BAUD], e.g. serial:/dev/ttyACM0 or serial:COM3@3000000")
     if kind == "osc":
         found = re.fullmatch(r"(?:\[([0-9A-Fa-f:.%\w]+)\]|([^\s:/\[\]]+)):([0-9]{1,5})(/[^\s#*,?\[\]{}]*)?", rest)
         if found and 0 < int(found[3]) < 65536:
-            return OscTarget(found[1] or found[2], int(found[3]), (found[4] or "").rstrip("/") or ADDRESS)
-        raise _no_target(words, "osc:HOST:PORT[/ADDRESS], e.g. osc:127.0.0.1:9000/avatar/parameters/hnf")
+            return OscTarget(found[1] or found[2], int(found[3]), (found[4] or "").rstrip("/") or DEFAULT_ADDRESS)
+        raise _make_target_error(text, "osc:HOST:PORT[/ADDRESS], e.g. osc:127.0.0.1:9000/avatar/parameters/hnf")
     if kind == "file" and rest:
         return FileTarget(Path(rest))
-    raise _no_target(words, FORMS)
+    raise _make_target_error(text, TARGET_FORMS)
 
 
-def sink_of(target: Target, source_rate_hz: float, limits: Limits, channels: int = 1) -> Sink:
+def make_sink(target: Target, source_rate_hz: float, limits: Limits, channels: int = 1) -> Sink:
     """The sink that target means, not opened yet. source_rate_hz: a device that can choose its rate takes it."""
     if isinstance(target, AudioTarget):
         from .sinks.audio import AudioSink
@@ -122,7 +122,7 @@ def sink_of(target: Target, source_rate_hz: float, limits: Limits, channels: int
 
 
 @dataclass(frozen=True)
-class Found:
+class Device:
     """A device. target: the words for it. title: what it calls itself. facts: what else is known of it."""
 
     target: str
@@ -131,37 +131,37 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Devices:
+class DeviceList:
     """missing: why one of the lists is empty, a line each."""
 
-    serial: tuple[Found, ...]
-    audio: tuple[Found, ...]
+    serial: tuple[Device, ...]
+    audio: tuple[Device, ...]
     missing: tuple[str, ...]
 
     @property
-    def all(self) -> tuple[Found, ...]:
+    def all(self) -> tuple[Device, ...]:
         return self.serial + self.audio
 
 
-def devices() -> Devices:
+def list_devices() -> DeviceList:
     """What is plugged in now, as the system tells it: whether it speaks our protocol is known when it is opened. Takes
     up to a second. Never raises."""
     missing: list[str] = []
-    serial: tuple[Found, ...] = ()
-    audio: tuple[Found, ...] = ()
+    serial: tuple[Device, ...] = ()
+    audio: tuple[Device, ...] = ()
     try:
-        serial = _serial_ports()
+        serial = _list_serial_ports()
     except DeviceError as error:
         missing.append(f"serial ports: {error}")
     try:
-        audio = _sound_outputs()
+        audio = _list_sound_outputs()
     except DeviceError as error:
         missing.append(f"sound outputs: {error}")
-    return Devices(serial, audio, tuple(missing))
+    return DeviceList(serial, audio, tuple(missing))
 
 
-def _serial_ports() -> tuple[Found, ...]:
-    library("serial")
+def _list_serial_ports() -> tuple[Device, ...]:
+    import_optional("serial")
     from serial.tools.list_ports import comports
 
     try:
@@ -173,16 +173,16 @@ def _serial_ports() -> tuple[Found, ...]:
         told = [port.manufacturer, f"USB {port.vid:04x}:{port.pid:04x}" if port.vid is not None else None]
         named = str(port.description or "n/a")
         facts = ", ".join(str(each) for each in told if each)
-        found.append(Found(f"serial:{port.device}", named if named != "n/a" else str(port.device), facts))
+        found.append(Device(f"serial:{port.device}", named if named != "n/a" else str(port.device), facts))
     return tuple(found)
 
 
-def _sound_outputs() -> tuple[Found, ...]:
-    from .sinks.audio import look_again
+def _list_sound_outputs() -> tuple[Device, ...]:
+    from .sinks.audio import rescan_devices
 
-    sounddevice = library("sounddevice")
+    sounddevice = import_optional("sounddevice")
     try:
-        look_again(sounddevice)
+        rescan_devices(sounddevice)
         default = sounddevice.default.device[1]
         apis = [str(api["name"]) for api in sounddevice.query_hostapis()]
         outputs = [each for each in sounddevice.query_devices() if each["max_output_channels"] > 0]
@@ -195,9 +195,9 @@ def _sound_outputs() -> tuple[Found, ...]:
         words = name if names.count(name) == 1 else str(each["index"])
         facts = f"{each['default_samplerate']:g} Hz, {each['max_output_channels']} channels"
         chosen = ", the default" if each["index"] == default else ""
-        found.append(Found(f"audio:{words}", str(each["name"]), facts + chosen))
+        found.append(Device(f"audio:{words}", str(each["name"]), facts + chosen))
     return tuple(found)
 
 
-def _no_target(words: str, form: str) -> UsageError:
-    return UsageError(f"'{words}' is no place to stream to.", remedy=f"Say {form}.")
+def _make_target_error(text: str, form: str) -> UsageError:
+    return UsageError(f"'{text}' is no place to stream to.", remedy=f"Say {form}.")

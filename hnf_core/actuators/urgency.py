@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import os
 
-PRIORITY = 10
+REALTIME_PRIORITY = 10
 """1 … 99: above all ordinary programs, below the kernel's own interrupt threads at 50."""
 
 
-def ask() -> bool:
+def request_realtime_priority() -> bool:
     """Whether the calling thread is a real-time thread from now on (SCHED_RR, until it ends). What it starts is not."""
     if not hasattr(os, "sched_setscheduler"):
         return False
     try:
-        os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(REALTIME_PRIORITY))
     except OSError:
         return False
     return True

@@ -12,7 +12,7 @@ from ..action.action import Action
 Float = NDArray[np.float64]
 
 
-def by_duration(actions: Sequence[Action], record: Callable[[list[Action], int], list[Float]]) -> list[Float]:
+def render_by_duration(actions: Sequence[Action], render: Callable[[list[Action], int], list[Float]]) -> list[Float]:
     """record(actions of one length, number of the group) for every length, in the order of `actions`.
 
     The number belongs into the seed, or the first of every group would be the same draw.
@@ -22,6 +22,6 @@ def by_duration(actions: Sequence[Action], record: Callable[[list[Action], int],
         groups.setdefault(len(action.speed), []).append(index)
     out: list[Float] = [np.zeros(0)] * len(actions)
     for group, indices in enumerate(groups.values()):
-        for index, samples in zip(indices, record([actions[i] for i in indices], group), strict=True):
+        for index, samples in zip(indices, render([actions[i] for i in indices], group), strict=True):
             out[index] = samples
     return out

@@ -25,20 +25,20 @@ from torch import Tensor, nn
 from ..action.action import Action
 from ..datasets.recording import Recording
 from ..errors import UsageError
-from ..field.features import normalised_tokens
+from ..field.features import normalise_tokens
 from ..field.resampling import resample
 from ..material.mechanics import Mechanics
 from ..material.token import TOKEN_DIM
-from ..metrics.spectra import hann
-from .griffin_lim import griffin_lim
-from .method import Fitted, Form, SharedFitted, Specimen
+from ..metrics.spectra import hann_window
+from .griffin_lim import run_griffin_lim
+from .method import FittedMaterial, FittedSharedModel, Form, MaterialRecordings
 
 Float = NDArray[np.float64]
 
 RATE_HZ, WIDE_RATE_HZ = 1000.0, 2500.0
 FINE_RATE_HZ = 10_000.0
 WINDOW_S = 0.1
-RECENT = 10
+RECENT_STEPS = 10
 RECENT_STEP_S = 0.01
 FLOOR_M_S, FLOOR_N = 1e-3, 0.02
 HIDDEN = 256
@@ -56,7 +56,7 @@ class GacmNetwork(nn.Module):
 
     def __init__(self, bins: int) -> None:
         super().__init__()
-        self.action = nn.Sequential(nn.Linear(2 * RECENT, ACTION_FEATURES), nn.ReLU(),
+        self.action = nn.Sequential(nn.Linear(2 * RECENT_STEPS, ACTION_FEATURES), nn.ReLU(),
                                     nn.Linear(ACTION_FEATURES, ACTION_FEATURES), nn.ReLU())  # fmt: skip
         self.texture = nn.Sequential(nn.Linear(TOKEN_DIM, ACTION_FEATURES), nn.ReLU())
         self.magnitude = nn.Sequential(nn.Linear(2 * ACTION_FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN),
@@ -68,7 +68,7 @@ class GacmNetwork(nn.Module):
 
 
 @dataclass(frozen=True)
-class Frame:
+class FrameSize:
     """Size of a spectrum. rate: Hz."""
 
     rate: float
@@ -87,7 +87,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Frames:
+class TrainingFrames:
     """texture (n, TOKEN_DIM), recent (n, 2 · RECENT), magnitude (n, bins) of Hann windows, weight (n,) of each row."""
 
     texture: Tensor
@@ -111,19 +111,19 @@ class Gacm:
     def form(self) -> Form:
         return "natural"
 
-    def fit(self, specimens: Sequence[Specimen], seed: int) -> SharedFitted:
+    def fit(self, specimens: Sequence[MaterialRecordings], seed: int) -> FittedSharedModel:
         """Adam with cosine annealing on mean (|A| − |Â|)², every material's error over its own power, so that the
         loudest does not decide alone. Raises UsageError where a specimen has no token."""
-        frame = Frame(WIDE_RATE_HZ if self.improved else RATE_HZ)
-        parts = [frames_of(specimen, frame) for specimen in specimens]
-        data = Frames(*(torch.cat(columns) for columns in zip(*(_columns(p) for p in parts), strict=True)))
+        frame = FrameSize(WIDE_RATE_HZ if self.improved else RATE_HZ)
+        parts = [make_frames(specimen, frame) for specimen in specimens]
+        data = TrainingFrames(*(torch.cat(columns) for columns in zip(*(_get_columns(p) for p in parts), strict=True)))
         scale = max(float(data.magnitude.square().mean().sqrt()), 1e-9)
-        network = train(data, scale, self.steps, seed)
+        network = train_network(data, scale, self.steps, seed)
         return GacmModel(network, frame, scale, GAUSSIAN_GAIN if self.improved else 1.0)
 
 
 @dataclass(frozen=True)
-class GacmAlone:
+class GacmSingleMaterial:
     """Method: the same network given one material only, its texture vector constant."""
 
     improved: bool = False
@@ -137,10 +137,10 @@ class GacmAlone:
     def form(self) -> Form:
         return "natural"
 
-    def fit(self, specimen: Specimen, seed: int) -> Fitted:
+    def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
         token = np.zeros(TOKEN_DIM, dtype=np.float32)
-        alone = Specimen(specimen.name, specimen.recordings, token, specimen.mechanics, specimen.category)
-        return Gacm(self.improved, self.steps).fit([alone], seed).of(token, specimen.mechanics)
+        alone = MaterialRecordings(specimen.name, specimen.recordings, token, specimen.mechanics, specimen.category)
+        return Gacm(self.improved, self.steps).fit([alone], seed).for_material(token, specimen.mechanics)
 
 
 @dataclass(frozen=True)
@@ -148,28 +148,30 @@ class GacmModel:
     """Trained. scale: of the network's magnitudes. gain: on top of it."""
 
     network: GacmNetwork
-    frame: Frame
+    frame: FrameSize
     scale: float
     gain: float
 
-    def of(self, token: NDArray[np.float32], mechanics: Mechanics) -> Fitted:
+    def for_material(self, token: NDArray[np.float32], mechanics: Mechanics) -> FittedMaterial:
         """One material by its token; the mechanics are not GACM's to see."""
         del mechanics
-        return GacmMaterial(self, token)
+        return FittedGacm(self, token)
 
 
 @dataclass(frozen=True)
-class GacmMaterial:
+class FittedGacm:
     model: GacmModel
     token: NDArray[np.float32]
 
-    def magnitudes(self, action: Action, start_s: Float) -> Float:
+    def predict_magnitudes(self, action: Action, start_s: Float) -> Float:
         """(n, bins) |DFT| of the Hann windows of 0.1 s that begin at these times; 0 out of contact."""
-        recent = torch.from_numpy(recent_action(action, start_s + WINDOW_S))
-        texture = torch.from_numpy(normalised_tokens(self.token.astype(np.float64))).float().expand(len(start_s), -1)
+        recent = torch.from_numpy(get_recent_action(action, start_s + WINDOW_S))
+        texture = torch.from_numpy(normalise_tokens(self.token.astype(np.float64))).float().expand(len(start_s), -1)
         with torch.no_grad():
             magnitude = self.model.network(texture, recent).numpy().astype(np.float64)
-        return np.asarray(magnitude * self.model.scale * self.model.gain * _audible(action, start_s)[:, None])
+        return np.asarray(
+            magnitude * self.model.scale * self.model.gain * _compute_contact_share(action, start_s)[:, None]
+        )
 
     def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
         """Griffin–Lim over windows a quarter apart, from the phases of seeded noise, then brought to 10 kHz."""
@@ -180,13 +182,13 @@ class GacmMaterial:
             frames = int(np.ceil((action.duration_s * rate + 2 * window) / hop)) + 1
             start = (np.arange(frames) * hop - window) / rate
             noise = np.random.default_rng([seed, index]).standard_normal(window + (frames - 1) * hop)
-            signal = griffin_lim(self.magnitudes(action, start), window, hop, ITERATIONS, noise)
+            signal = run_griffin_lim(self.predict_magnitudes(action, start), window, hop, ITERATIONS, noise)
             lead = round(window / rate * FINE_RATE_HZ)
             out.append(resample(signal, rate, FINE_RATE_HZ)[0][lead : lead + count])
         return out
 
 
-def frames_of(specimen: Specimen, frame: Frame) -> Frames:
+def make_frames(specimen: MaterialRecordings, frame: FrameSize) -> TrainingFrames:
     """Every window of 0.1 s in contact, half overlapping. Raises UsageError without a token."""
     if specimen.token is None:
         raise UsageError(
@@ -194,39 +196,39 @@ def frames_of(specimen: Specimen, frame: Frame) -> Frames:
         )
     recent, magnitude = [], []
     for recording in specimen.recordings:
-        start_s, measured = measured_magnitudes(recording, frame)
-        moving = _audible(recording.action, start_s) == 1.0
-        recent.append(recent_action(recording.action, start_s[moving] + WINDOW_S))
+        start_s, measured = compute_magnitudes(recording, frame)
+        moving = _compute_contact_share(recording.action, start_s) == 1.0
+        recent.append(get_recent_action(recording.action, start_s[moving] + WINDOW_S))
         magnitude.append(measured[moving])
     observed = np.concatenate(magnitude)
     if len(observed) == 0:
         raise UsageError(f"'{specimen.name}' is never touched for a tenth of a second.", remedy="Record it longer.")
-    texture = np.tile(normalised_tokens(specimen.token.astype(np.float64)), (len(observed), 1))
+    texture = np.tile(normalise_tokens(specimen.token.astype(np.float64)), (len(observed), 1))
     weight = np.full(len(observed), 1.0 / max(float(np.mean(np.square(observed))), 1e-12))
     parts = (texture, np.concatenate(recent), observed, weight)
-    return Frames(*(torch.from_numpy(np.asarray(part, dtype=np.float32)) for part in parts))
+    return TrainingFrames(*(torch.from_numpy(np.asarray(part, dtype=np.float32)) for part in parts))
 
 
-def measured_magnitudes(recording: Recording, frame: Frame) -> tuple[Float, Float]:
+def compute_magnitudes(recording: Recording, frame: FrameSize) -> tuple[Float, Float]:
     """Start [s] and |DFT| (n, bins) of half-overlapping Hann windows of 0.1 s at the frame's rate."""
     slow = resample(recording.samples, recording.sample_rate, frame.rate)[0]
     if len(slow) < frame.window:
         return np.zeros(0), np.zeros((0, frame.bins))
     hop = frame.window // 2
     cut = np.lib.stride_tricks.sliding_window_view(slow, frame.window)[::hop]
-    return np.arange(len(cut)) * hop / frame.rate, np.abs(np.fft.rfft(cut * hann(frame.window), axis=1))
+    return np.arange(len(cut)) * hop / frame.rate, np.abs(np.fft.rfft(cut * hann_window(frame.window), axis=1))
 
 
-def recent_action(action: Action, end_s: Float) -> NDArray[np.float32]:
+def get_recent_action(action: Action, end_s: Float) -> NDArray[np.float32]:
     """(n, 2 · RECENT) log force and log speed at end, end − 10 ms …: what GACM knows of the hand. No direction."""
-    at = end_s[:, None] - RECENT_STEP_S * np.arange(RECENT)
+    at = end_s[:, None] - RECENT_STEP_S * np.arange(RECENT_STEPS)
     force = np.interp(at, action.time, action.force)
     speed = np.interp(at, action.time, action.speed)
     columns = [np.log(np.maximum(force, FLOOR_N)), np.log(np.maximum(speed, FLOOR_M_S) / 0.1)]
     return np.asarray(np.concatenate(columns, axis=1), dtype=np.float32)
 
 
-def train(data: Frames, scale: float, steps: int, seed: int) -> GacmNetwork:
+def train_network(data: TrainingFrames, scale: float, steps: int, seed: int) -> GacmNetwork:
     """Fit to mean (|A| − |Â|)². Deterministic."""
     torch.set_num_threads(1)
     torch.manual_seed(seed)
@@ -245,11 +247,11 @@ def train(data: Frames, scale: float, steps: int, seed: int) -> GacmNetwork:
     return network
 
 
-def _columns(frames: Frames) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _get_columns(frames: TrainingFrames) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return frames.texture, frames.recent, frames.magnitude, frames.weight
 
 
-def _audible(action: Action, start_s: Float) -> Float:
+def _compute_contact_share(action: Action, start_s: Float) -> Float:
     """(n,) share of each window in contact and in motion."""
     at = start_s[:, None] + np.arange(5) / 4.0 * WINDOW_S
     sliding = (action.contact & (action.speed > FLOOR_M_S)).astype(np.float64)

@@ -10,16 +10,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..metrics.spectra import hann
+from ..metrics.spectra import hann_window
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def short_time(samples: Float, window: int, hop: int) -> Complex:
+def compute_stft(samples: Float, window: int, hop: int) -> Complex:
     """(n,) → (frames, window // 2 + 1) spectra of Hann windows at 0, hop, 2 hop …; n = window + (frames − 1) hop."""
     frames = np.lib.stride_tricks.sliding_window_view(samples, window)[::hop]
-    return np.asarray(np.fft.rfft(frames * hann(window), axis=1))
+    return np.asarray(np.fft.rfft(frames * hann_window(window), axis=1))
 
 
 def overlap_add(spectra: Complex, window: int, hop: int) -> Float:
@@ -27,7 +27,7 @@ def overlap_add(spectra: Complex, window: int, hop: int) -> Float:
 
     Near its two ends one window stands alone on its flank: leave a window there and cut it off.
     """
-    shape, count = hann(window), len(spectra)
+    shape, count = hann_window(window), len(spectra)
     frames = np.fft.irfft(spectra, window, axis=1) * shape
     total, weight = np.zeros(window + (count - 1) * hop), np.zeros(window + (count - 1) * hop)
     for index in range(count):
@@ -37,20 +37,20 @@ def overlap_add(spectra: Complex, window: int, hop: int) -> Float:
     return np.asarray(total / np.maximum(weight, 1e-12))
 
 
-def griffin_lim(magnitude: Float, window: int, hop: int, iterations: int, start: Float) -> Float:
+def run_griffin_lim(magnitude: Float, window: int, hop: int, iterations: int, start: Float) -> Float:
     """Signal (window + (frames − 1) hop,) towards short-time magnitudes (frames, window // 2 + 1), from the phases of
     `start` (same length as the result)."""
     signal = start
     for _ in range(iterations):
-        present = short_time(signal, window, hop)
+        present = compute_stft(signal, window, hop)
         size = np.abs(present)
         turn = np.divide(present, size, out=np.ones_like(present), where=size > 0.0)
         signal = overlap_add(magnitude * turn, window, hop)
     return signal
 
 
-def inconsistency(magnitude: Float, signal: Float, window: int, hop: int) -> float:
+def compute_inconsistency(magnitude: Float, signal: Float, window: int, hop: int) -> float:
     """Σ (|STFT| − magnitude)² over both halves of the spectrum: what the iteration lowers."""
-    miss = np.square(np.abs(short_time(signal, window, hop)) - magnitude)
+    miss = np.square(np.abs(compute_stft(signal, window, hop)) - magnitude)
     miss[:, 1 : (window + 1) // 2] *= 2.0
     return float(miss.sum())

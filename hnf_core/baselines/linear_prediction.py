@@ -21,7 +21,7 @@ class Prediction:
     reflection: Float
     error: Float
 
-    def polynomial(self, order: int) -> Float:
+    def get_polynomial(self, order: int) -> Float:
         """(order + 1,) AR coefficients, first 1 (Levinson's recursion)."""
         a = np.ones(1)
         for k in self.reflection[:order]:
@@ -30,13 +30,13 @@ class Prediction:
         return a
 
 
-def burg(pieces: ArrayLike, order: int, weight: ArrayLike | None = None) -> Prediction:
+def fit_burg(segments: ArrayLike, order: int, weight: ArrayLike | None = None) -> Prediction:
     """Burg's method (J. P. Burg 1975) over pieces (S, n) of one process, errors summed with weight (S,), 1 by default.
 
     Each reflection coefficient minimises the summed forward and backward errors. Raises ValueError where a piece is
     not longer than the order, or all of them are silent.
     """
-    x = np.atleast_2d(np.asarray(pieces, dtype=np.float64))
+    x = np.atleast_2d(np.asarray(segments, dtype=np.float64))
     w = np.ones(len(x)) if weight is None else np.asarray(weight, dtype=np.float64)
     if x.shape[1] <= order:
         raise ValueError(f"order {order} needs pieces of more than {order} samples, not {x.shape[1]}.")
@@ -54,7 +54,7 @@ def burg(pieces: ArrayLike, order: int, weight: ArrayLike | None = None) -> Pred
     return Prediction(reflection, error)
 
 
-def ar_density(polynomial: ArrayLike, variance: float, frequency_hz: ArrayLike, rate: float) -> Float:
+def compute_ar_density(polynomial: ArrayLike, variance: float, frequency_hz: ArrayLike, rate: float) -> Float:
     """One-sided power density V · 2 / rate / |A|² at each frequency."""
     a = np.asarray(polynomial, dtype=np.float64)
     phase = np.exp(-2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[..., None] / rate * np.arange(len(a)))

@@ -20,33 +20,33 @@ from torch import Tensor
 from ..action.action import ACTION_RATE_HZ, Action
 from ..datasets.recording import Recording
 from ..errors import UsageError
-from ..field.blocks import texture_term
+from ..field.blocks import render_carriers
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.config import FieldConfig
 from ..field.features import build_inputs
 from ..field.field import Field, initial_parameters
-from ..field.prepared import prepare
+from ..field.prepared import prepare_stroke
 from ..field.stroke import uniform_stroke
-from ..field.timeline import SAMPLES_PER_STATE, condition_of
+from ..field.timeline import SAMPLES_PER_STATE, build_condition
 from ..material.mechanics import Mechanics
 from ..material.token import TOKEN_DIM
-from ..metrics.spectra import WINDOW
-from ..training.losses import l_mag
+from ..metrics.spectra import WINDOW_SAMPLES
+from ..training.losses import compute_l_mag
 from ..training.model import FieldNetwork, render_weights
-from .method import Fitted, Form, Specimen
+from .method import FittedMaterial, Form, MaterialRecordings
 
 Float = NDArray[np.float64]
 
-SEGMENTS = 200
+WINDOWS_PER_BATCH = 200
 LEARNING_RATE, EPOCHS = 1e-2, 100
-RUN = 10
+SPLIT_LENGTH = 10
 """Consecutive windows that are split 8/1/1."""
-CHUNK = 20_000
+MAX_EVALUATIONS = 20_000
 """Evaluations of F_Θ held for the gradient at once; bounds memory, changes nothing else."""
 
 
 @dataclass(frozen=True)
-class LiteralHnf:
+class PublishedHnf:
     """Method: the paper's model and loss.
 
     every: samples between evaluations of F_Θ while training, with straight lines between; 1 is the letter, 50 the
@@ -60,19 +60,19 @@ class LiteralHnf:
     name: str = "HNF, literal"
     form: Form = "natural"
 
-    def fit(self, specimen: Specimen, seed: int) -> Fitted:
+    def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
         """Adam on L_mag; the epoch with the least validation loss is kept. Deterministic.
         Raises UsageError where there are fewer than 10 windows, or recordings of another rate than 10 kHz."""
         token = np.zeros(TOKEN_DIM, dtype=np.float32) if specimen.token is None else specimen.token
         windows = cut_windows(specimen.recordings, self.seconds)
-        data = segments(windows, token, specimen.mechanics, self.config, self.every)
-        network = train(data, self.config, self.epochs, seed)
-        trained = Field(self.config, network.parameters_numpy(), None)
-        return LiteralFitted(trained, token, specimen.mechanics)
+        data = build_window_batch(windows, token, specimen.mechanics, self.config, self.every)
+        network = train_network(data, self.config, self.epochs, seed)
+        trained = Field(self.config, network.to_numpy_parameters(), None)
+        return FittedPublishedHnf(trained, token, specimen.mechanics)
 
 
 @dataclass(frozen=True)
-class LiteralFitted:
+class FittedPublishedHnf:
     """One material. Nothing in it is random: every seed gives the same signal."""
 
     field: Field
@@ -83,20 +83,20 @@ class LiteralFitted:
         """Temporal rendering alone, without the product's contact transients."""
         out = []
         for action in actions:
-            prepared = prepare(self.field, uniform_stroke(action, self.token, self.mechanics), seed=seed)
-            out.append(texture_term(prepared, 0, prepared.count))
+            prepared = prepare_stroke(self.field, uniform_stroke(action, self.token, self.mechanics), seed=seed)
+            out.append(render_carriers(prepared, 0, prepared.count))
         return out
 
 
 @dataclass(frozen=True)
-class Segments:
+class WindowBatch:
     """x (C, Q, D) and gate (C, Q, K): inputs of F_Θ at Q places of each window. samples: (C, 1000). reading: (1000, Q)
     linear interpolation from places to samples. role: (C,) 0 train, 1 validation, 2 test."""
 
     x: Tensor
     gate: Tensor
     samples: Tensor
-    reading: Tensor
+    interpolation: Tensor
     role: NDArray[np.int_]
 
 
@@ -107,41 +107,41 @@ def cut_windows(recordings: Sequence[Recording], seconds: float) -> list[tuple[A
     for recording in recordings:
         if recording.sample_rate != MODEL_RATE_HZ:
             raise UsageError(f"{recording.source} has {recording.sample_rate:g} Hz.", remedy="Resample it to 10 kHz.")
-        for start in range(0, len(recording.samples) - WINDOW + 1, WINDOW):
-            out.append((recording.action, start, recording.samples[start : start + WINDOW]))
-    if len(out) < RUN:
+        for start in range(0, len(recording.samples) - WINDOW_SAMPLES + 1, WINDOW_SAMPLES):
+            out.append((recording.action, start, recording.samples[start : start + WINDOW_SAMPLES]))
+    if len(out) < SPLIT_LENGTH:
         raise UsageError(f"{len(out)} windows cannot be split 8/1/1.", remedy="Give at least 1 s of recordings.")
-    there = len(out) // RUN
-    wanted = min(max(round(seconds * MODEL_RATE_HZ / WINDOW / RUN), 1), there)
-    first = np.unique(np.linspace(0, there - 1, wanted).round().astype(int)) * RUN
-    return [window for low in first for window in out[low : low + RUN]]
+    there = len(out) // SPLIT_LENGTH
+    wanted = min(max(round(seconds * MODEL_RATE_HZ / WINDOW_SAMPLES / SPLIT_LENGTH), 1), there)
+    first = np.unique(np.linspace(0, there - 1, wanted).round().astype(int)) * SPLIT_LENGTH
+    return [window for low in first for window in out[low : low + SPLIT_LENGTH]]
 
 
-def segments(
+def build_window_batch(
     windows: Sequence[tuple[Action, int, Float]],
     token: NDArray[np.float32],
     mechanics: Mechanics,
     config: FieldConfig,
     every: int,
-) -> Segments:
+) -> WindowBatch:
     """F_Θ's inputs at every `every`-th sample of each window, both ends among them."""
-    place = np.arange(0, WINDOW + every, every)
+    place = np.arange(0, WINDOW_SAMPLES + every, every)
     xs, gates = [], []
     for action, start, _ in windows:
-        local = action_at(action, (start + place) / MODEL_RATE_HZ)
+        local = sample_action(action, (start + place) / MODEL_RATE_HZ)
         stroke = uniform_stroke(local, token, mechanics)
-        inputs = build_inputs(condition_of(stroke, local, stroke.token_index), config.carriers, config.physics)
+        inputs = build_inputs(build_condition(stroke, local, stroke.token_index), config.carriers, config.physics)
         xs.append(inputs.x)
         gates.append(inputs.gate)
-    sample = np.arange(WINDOW) / every
+    sample = np.arange(WINDOW_SAMPLES) / every
     reading = np.maximum(1.0 - np.abs(sample[:, None] - np.arange(len(place))), 0.0)
-    role = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, 2])[np.arange(len(windows)) % RUN]
+    role = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, 2])[np.arange(len(windows)) % SPLIT_LENGTH]
     arrays = (np.stack(xs), np.stack(gates), np.stack([each for _, _, each in windows]), reading)
     x, gate, samples, read = (torch.from_numpy(np.asarray(array, dtype=np.float32)) for array in arrays)
-    return Segments(x, gate, samples, read, role)
+    return WindowBatch(x, gate, samples, read, role)
 
 
-def action_at(action: Action, time_s: Float) -> Action:
+def sample_action(action: Action, time_s: Float) -> Action:
     """u at these times, read linearly; direction as a vector."""
     turned = np.stack([np.interp(time_s, action.time, action.direction[:, axis]) for axis in range(2)], axis=1)
     length = np.linalg.norm(turned, axis=1, keepdims=True)
@@ -157,17 +157,17 @@ def action_at(action: Action, time_s: Float) -> Action:
     )
 
 
-def predicted(network: FieldNetwork, data: Segments, rows: Tensor) -> Tensor:
+def predict_windows(network: FieldNetwork, data: WindowBatch, rows: Tensor) -> Tensor:
     """(C, 1000) â(t_i) = Σ_n w_{i,n} α_{i,n} at the places, straight lines between them."""
     count, places, width = data.x[rows].shape
     gate = data.gate[rows].reshape(count * places, -1)
     alpha, sigma_dt = network(data.x[rows].reshape(count * places, width), torch.zeros_like(gate), gate)
     rendered = (render_weights(sigma_dt) * alpha[:, :, 0]).sum(dim=1)
-    out: Tensor = rendered.reshape(count, places) @ data.reading.T
+    out: Tensor = rendered.reshape(count, places) @ data.interpolation.T
     return out
 
 
-def train(data: Segments, config: FieldConfig, epochs: int, seed: int) -> FieldNetwork:
+def train_network(data: WindowBatch, config: FieldConfig, epochs: int, seed: int) -> FieldNetwork:
     """Adam, cosine annealing over the epochs; gradients of a batch of SEGMENTS windows are summed chunk by chunk."""
     torch.set_num_threads(1)
     network = FieldNetwork(config, initial_parameters(config, seed))
@@ -175,18 +175,18 @@ def train(data: Segments, config: FieldConfig, epochs: int, seed: int) -> FieldN
     anneal = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
     generator = torch.Generator().manual_seed(seed)
     mine, other = (torch.from_numpy(np.flatnonzero(data.role == role)) for role in (0, 1))
-    chunk = max(CHUNK // data.x.shape[1], 1)
+    chunk = max(MAX_EVALUATIONS // data.x.shape[1], 1)
     best, least = copy.deepcopy(network.state_dict()), math.inf
     for _ in range(epochs):
-        for rows in torch.split(mine[torch.randperm(len(mine), generator=generator)], SEGMENTS):
+        for rows in torch.split(mine[torch.randperm(len(mine), generator=generator)], WINDOWS_PER_BATCH):
             optimiser.zero_grad()
             for part in torch.split(rows, chunk):
-                loss = l_mag(predicted(network, data, part), data.samples[part]) * (len(part) / len(rows))
+                loss = compute_l_mag(predict_windows(network, data, part), data.samples[part]) * (len(part) / len(rows))
                 loss.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
         anneal.step()
         with torch.no_grad():
-            held = float(l_mag(predicted(network, data, other), data.samples[other]))
+            held = float(compute_l_mag(predict_windows(network, data, other), data.samples[other]))
         if held < least:
             best, least = copy.deepcopy(network.state_dict()), held
     network.load_state_dict(best)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..datasets.recording import Recording
-from ..material.mechanics import UNKNOWN, Mechanics
+from ..material.mechanics import UNKNOWN_MECHANICS, Mechanics
 
 Float = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ one in every window, for benchmarks only. The two are never compared with each o
 
 
 @dataclass(frozen=True)
-class Specimen:
+class MaterialRecordings:
     """One material as a method may see it: what was felt on it, and what a sensor image and the library say of it.
 
     token: (TOKEN_DIM,) E(I), None where there is no picture. category: its class, empty where there is none.
@@ -30,11 +30,11 @@ class Specimen:
     name: str
     recordings: tuple[Recording, ...]
     token: NDArray[np.float32] | None = None
-    mechanics: Mechanics = UNKNOWN
+    mechanics: Mechanics = UNKNOWN_MECHANICS
     category: str = ""
 
 
-class Fitted(Protocol):
+class FittedMaterial(Protocol):
     """One material, learned."""
 
     def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
@@ -54,15 +54,15 @@ class Method(Protocol):
     @property
     def form(self) -> Form: ...
 
-    def fit(self, specimen: Specimen, seed: int) -> Fitted:
+    def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
         """Learn from specimen.recordings (all at one sample rate). Deterministic with a seed."""
         ...
 
 
-class SharedFitted(Protocol):
+class FittedSharedModel(Protocol):
     """Many materials, learned as one model."""
 
-    def of(self, token: NDArray[np.float32], mechanics: Mechanics) -> Fitted:
+    def for_material(self, token: NDArray[np.float32], mechanics: Mechanics) -> FittedMaterial:
         """The model's opinion of a material, which need not be among those it was fitted to."""
         ...
 
@@ -76,4 +76,4 @@ class SharedMethod(Protocol):
     @property
     def form(self) -> Form: ...
 
-    def fit(self, specimens: Sequence[Specimen], seed: int) -> SharedFitted: ...
+    def fit(self, specimens: Sequence[MaterialRecordings], seed: int) -> FittedSharedModel: ...

@@ -9,37 +9,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..datasets.recording import Process
-from .by_duration import by_duration
-from .method import Fitted, Form, Specimen
+from ..datasets.recording import TextureProcess
+from .by_duration import render_by_duration
+from .method import FittedMaterial, Form, MaterialRecordings
 
 Float = NDArray[np.float64]
 
-_APART = 0x5EED_0000_0000
+_SEED_OFFSET = 0x5EED_0000_0000
 """Far from any seed a person gives, so that the oracle is never the very draw it is compared with."""
 
 
 @dataclass(frozen=True)
-class ProcessFitted:
+class FittedProcess:
     """A process as it is."""
 
-    process: Process
+    process: TextureProcess
 
     def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
         """A seed of this call is never that of a recording: it is moved into numbers of its own."""
-        own = _APART + 1000 * seed
-        return by_duration(actions, lambda same, group: [r.samples for r in self.process.record(same, own + group)])
+        own = _SEED_OFFSET + 1000 * seed
+        return render_by_duration(
+            actions, lambda same, group: [r.samples for r in self.process.record(same, own + group)]
+        )
 
 
 @dataclass(frozen=True)
 class OracleMethod:
     """Method: the process that made the recordings."""
 
-    process: Process
+    process: TextureProcess
     name: str = "oracle (true process, another seed)"
     form: Form = "natural"
 
-    def fit(self, specimen: Specimen, seed: int) -> Fitted:
+    def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
         """Nothing is learned."""
         del specimen, seed
-        return ProcessFitted(self.process)
+        return FittedProcess(self.process)

@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from ..datasets.autoregressive import HattProcess
 from ..datasets.hatt_models import TextureModel
-from .by_duration import by_duration
-from .method import Form, Specimen
-from .pieces import cut
-from .piecewise_ar_fit import GRIDS, MAX_ORDER, as_model, fit
+from .by_duration import render_by_duration
+from .method import Form, MaterialRecordings
+from .pieces import cut_segments
+from .piecewise_ar_fit import GRIDS, MAX_ORDER, fit_best_grid, make_texture_model
 
 Float = NDArray[np.float64]
 
-_GROUPS = 1000
+_SEEDS_PER_CALL = 1000
 
 
 @dataclass(frozen=True)
-class PiecewiseArFitted:
+class FittedPiecewiseAr:
     """One material. model: in HaTT's own form."""
 
     model: TextureModel
@@ -33,8 +33,8 @@ class PiecewiseArFitted:
     def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
         """By datasets.autoregressive.HattProcess; outside the recorded speeds and forces as HaTT does, clamped."""
         process = HattProcess(self.model)
-        return by_duration(
-            actions, lambda same, group: [r.samples for r in process.record(same, _GROUPS * seed + group)]
+        return render_by_duration(
+            actions, lambda same, group: [r.samples for r in process.record(same, _SEEDS_PER_CALL * seed + group)]
         )
 
 
@@ -46,9 +46,9 @@ class PiecewiseAr:
     form: Form = "natural"
     grids: tuple[tuple[int, int], ...] = GRIDS
 
-    def fit(self, specimen: Specimen, seed: int) -> PiecewiseArFitted:
+    def fit(self, specimen: MaterialRecordings, seed: int) -> FittedPiecewiseAr:
         """Deterministic: nothing is drawn. Raises FileError where no piece of a recording is steady and in contact."""
         del seed
-        pieces = cut(specimen.recordings, MAX_ORDER)
-        fitted = fit(pieces, self.grids)
-        return PiecewiseArFitted(as_model(fitted.grid, fitted.lsf, fitted.variance, pieces, specimen.name))
+        pieces = cut_segments(specimen.recordings, MAX_ORDER)
+        fitted = fit_best_grid(pieces, self.grids)
+        return FittedPiecewiseAr(make_texture_model(fitted.grid, fitted.lsf, fitted.variance, pieces, specimen.name))

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 from torch import Tensor
 
-from ..datasets.autoregressive import local_filters
+from ..datasets.autoregressive import interpolate_filters
 from ..datasets.hatt_models import TextureModel
 from ..datasets.line_spectra import lsf_from_polynomial
 from ..errors import FileError
-from .linear_prediction import Prediction, burg
-from .pieces import Pieces
+from .linear_prediction import Prediction, fit_burg
+from .pieces import Segments
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -31,16 +31,16 @@ Index = NDArray[np.int64]
 MAX_ORDER = 24
 GRIDS = ((2, 1), (3, 2), (5, 3), (7, 4), (10, 6), (14, 9), (18, 12), (22, 15))
 """Speeds × forces to choose from, beside the axes."""
-START_PIECES = 100
-PIECES_PER_MODEL = (8, 250)
+START_SEGMENTS = 100
+SEGMENTS_PER_MODEL = (8, 250)
 """Fewer cannot carry a model, with more a finer grid is better (both seen on HaTT): other grids are not tried."""
-HELD_OUT = 10
+HOLD_OUT_EVERY = 10
 ITERATIONS = 60
 TRIAL_ITERATIONS = 30
-SILENT = 1e-4
+SILENCE_RATIO = 1e-4
 """Of the median power: less is silence (HaTT's own models are silent where nobody recorded), of which a likelihood
 without a floor would learn nothing but how silent."""
-INWARD = (0.9998, 0.999, 0.995, 0.98)
+POLE_RADII = (0.9998, 0.999, 0.995, 0.98)
 """Radius by which every pole of a start is drawn in, the first that serves: a pure tone would put one on the circle,
 where LSFs meet."""
 LEVEL_STEP, GAP_STEP = 1.0, 0.2
@@ -49,68 +49,72 @@ vertex that no piece came near takes after its neighbours."""
 
 
 @dataclass(frozen=True)
-class Grid:
+class VertexGrid:
     """models: (M, 2) speed [m/s] and force [N] of each model. place: (V, 2) of every vertex, the axes among them.
     own: (V,) which of the models it holds. silent: (V,) bool, the vertices on the axes: variance 0, as in HaTT, and the
     shape of their neighbour. triangles: (T, 3) vertices."""
 
     models: Float
-    place: Float
-    own: Index
+    points: Float
+    model_index: Index
     silent: NDArray[np.bool_]
     triangles: Index
 
 
-def make_grid(pieces: Pieces, speeds: int, forces: int) -> Grid:
+def make_grid(segments: Segments, speeds: int, forces: int) -> VertexGrid:
     """Even in the roots of speed and force, from the least to the greatest piece, closed by silence on the axes."""
-    v, f = (_levels(values, count) for values, count in ((pieces.speed, speeds), (pieces.force, forces)))
+    v, f = (
+        _compute_grid_levels(values, count) for values, count in ((segments.speed, speeds), (segments.force, forces))
+    )
     models = np.stack(np.meshgrid(v, f, indexing="ij"), axis=-1).reshape(-1, 2)
     rows, columns = np.meshgrid(np.arange(len(v) + 1), np.arange(len(f) + 1), indexing="ij")
     rows, columns = rows.ravel(), columns.ravel()
     place = np.stack([np.append(0.0, v)[rows], np.append(0.0, f)[columns]], axis=1)
     own = np.maximum(rows - 1, 0) * len(f) + np.maximum(columns - 1, 0)
     triangles = Delaunay(place / place.max(axis=0)).simplices.astype(np.int64)
-    return Grid(models, place, own, (rows == 0) | (columns == 0), triangles)
+    return VertexGrid(models, place, own, (rows == 0) | (columns == 0), triangles)
 
 
-def as_model(grid: Grid, lsf: Float, variance: Float, pieces: Pieces, material: str) -> TextureModel:
+def make_texture_model(
+    grid: VertexGrid, lsf: Float, variance: Float, segments: Segments, material: str
+) -> TextureModel:
     """HaTT's own form. lsf (M, p), variance (M,) of the grid's models."""
     return TextureModel(
         material=material,
         source="piecewise AR fitted to recordings",
-        sample_rate=pieces.rate,
-        speeds=grid.place[:, 0],
-        forces=grid.place[:, 1],
+        sample_rate=segments.rate,
+        speeds=grid.points[:, 0],
+        forces=grid.points[:, 1],
         triangles=grid.triangles,
-        ar_lsf=lsf[grid.own],
-        ma_lsf=np.zeros((len(grid.place), 0)),
-        variances=np.where(grid.silent, 0.0, variance[grid.own]),
-        gains=np.ones(len(grid.place)),
+        ar_lsf=lsf[grid.model_index],
+        ma_lsf=np.zeros((len(grid.points), 0)),
+        variances=np.where(grid.silent, 0.0, variance[grid.model_index]),
+        gains=np.ones(len(grid.points)),
         friction=None,
-        max_speed=float(grid.place[:, 0].max()),
-        max_force=float(grid.place[:, 1].max()),
+        max_speed=float(grid.points[:, 0].max()),
+        max_force=float(grid.points[:, 1].max()),
     )
 
 
-def covariances(pieces: Pieces) -> Float:
+def compute_covariances(segments: Segments) -> Float:
     """(S, lead + 1, lead + 1) Σ_n x[n − i] x[n − j]: all that the likelihood of a piece under any AR model needs."""
-    length = pieces.body.shape[1]
-    lagged = np.lib.stride_tricks.sliding_window_view(pieces.samples, length, axis=1)[:, ::-1]
+    length = segments.body.shape[1]
+    lagged = np.lib.stride_tricks.sliding_window_view(segments.samples, length, axis=1)[:, ::-1]
     return np.stack([each @ each.T for each in lagged])
 
 
-def starts(pieces: Pieces, grid: Grid, order: int) -> list[Prediction]:
+def fit_start_models(segments: Segments, grid: VertexGrid, order: int) -> list[Prediction]:
     """Burg at each model, over the pieces nearest to it in log speed and log force, each brought to the level there."""
-    log = np.log(np.stack([pieces.speed, pieces.force], axis=1))
+    log = np.log(np.stack([segments.speed, segments.force], axis=1))
     spread = np.maximum(log.std(axis=0), 1e-3)
-    power = np.mean(np.square(pieces.body), axis=1)
-    sounding = np.flatnonzero(power > SILENT * np.median(power))
+    power = np.mean(np.square(segments.body), axis=1)
+    sounding = np.flatnonzero(power > SILENCE_RATIO * np.median(power))
     out = []
     for model in np.log(grid.models):
         distance = np.sum(np.square((log[sounding] - model) / spread), axis=1)
-        nearest = sounding[np.argsort(distance)[:START_PIECES]]
+        nearest = sounding[np.argsort(distance)[:START_SEGMENTS]]
         level = float(np.exp(np.mean(np.log(power[nearest]))))
-        out.append(burg(pieces.body[nearest], order, level / (power[nearest] + 1e-3 * level)))
+        out.append(fit_burg(segments.body[nearest], order, level / (power[nearest] + 1e-3 * level)))
     return out
 
 
@@ -123,74 +127,74 @@ def choose_order(predictions: list[Prediction], samples: int) -> int:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class GridFit:
     """lsf: (M, p). variance: (M,). loss: mean negative log-likelihood per sample of the pieces held out."""
 
-    grid: Grid
+    grid: VertexGrid
     lsf: Float
     variance: Float
     loss: float
 
 
-def fit(pieces: Pieces, grids: Sequence[tuple[int, int]] = GRIDS) -> Fitted:
+def fit_best_grid(segments: Segments, grids: Sequence[tuple[int, int]] = GRIDS) -> GridFit:
     """The best of the grids that there are pieces for, fitted to all of them. Deterministic.
 
     Raises FileError where all pieces are silent or no grid can be fitted.
     """
-    if not pieces.body.any():
+    if not segments.body.any():
         raise FileError("every steady piece is silent.", where="recordings", remedy="Look at the sensor's channel.")
     torch.set_num_threads(1)
-    covariance = torch.from_numpy(covariances(pieces))
-    held_out = np.arange(len(pieces.speed)) % HELD_OUT == HELD_OUT - 1
-    tried: list[Fitted] = []
-    fewest, most = (len(pieces.speed) / share for share in reversed(PIECES_PER_MODEL))
+    covariance = torch.from_numpy(compute_covariances(segments))
+    held_out = np.arange(len(segments.speed)) % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
+    tried: list[GridFit] = []
+    fewest, most = (len(segments.speed) / share for share in reversed(SEGMENTS_PER_MODEL))
     suited = [grid for grid in grids if fewest <= grid[0] * grid[1] <= most]
     if not suited:
         suited = [min(grids, key=lambda grid: abs(np.log(grid[0] * grid[1] / fewest)))]
     for speeds, forces in suited:
-        grid = make_grid(pieces, speeds, forces)
-        tried.append(fit_grid(pieces, covariance, grid, ~held_out, TRIAL_ITERATIONS))
+        grid = make_grid(segments, speeds, forces)
+        tried.append(fit_grid(segments, covariance, grid, ~held_out, TRIAL_ITERATIONS))
         if len(tried) > 2 and min(tried[-1].loss, tried[-2].loss) > tried[-3].loss:
             break
     finite = [each for each in tried if np.isfinite(each.loss)]
     if not finite:
         raise FileError("no autoregressive model fits it.", where="recordings", remedy="Look for silence or clipping.")
     best = min(finite, key=lambda each: each.loss)
-    return fit_grid(pieces, covariance, best.grid, np.ones(len(held_out), dtype=np.bool_))
+    return fit_grid(segments, covariance, best.grid, np.ones(len(held_out), dtype=np.bool_))
 
 
 def fit_grid(
-    pieces: Pieces, covariance: Tensor, grid: Grid, train: NDArray[np.bool_], iterations: int = ITERATIONS
-) -> Fitted:
+    segments: Segments, covariance: Tensor, grid: VertexGrid, train: NDArray[np.bool_], iterations: int = ITERATIONS
+) -> GridFit:
     """Greatest posterior given the pieces in `train`; loss of the others."""
-    predictions = starts(pieces, grid, pieces.lead)
-    order = choose_order(predictions, min(START_PIECES, len(pieces.speed)) * pieces.body.shape[1])
-    lsf = np.stack([starting_lsf(each.polynomial(order)) for each in predictions])
+    predictions = fit_start_models(segments, grid, segments.lead)
+    order = choose_order(predictions, min(START_SEGMENTS, len(segments.speed)) * segments.body.shape[1])
+    lsf = np.stack([compute_start_lsf(each.get_polynomial(order)) for each in predictions])
     gaps = np.diff(np.concatenate([np.zeros((len(lsf), 1)), lsf, np.full((len(lsf), 1), np.pi)], axis=1), axis=1)
     shape = torch.tensor(np.log(gaps), requires_grad=True)
     level = torch.tensor(np.log([each.error[order] for each in predictions]), requires_grad=True)
-    unfitted = as_model(grid, lsf, np.ones(len(lsf)), pieces, "")
-    local = local_filters(unfitted, pieces.speed, pieces.force)
+    unfitted = make_texture_model(grid, lsf, np.ones(len(lsf)), segments, "")
+    local = interpolate_filters(unfitted, segments.speed, segments.force)
     vertices, weights = grid.triangles[local.triangle], local.weights
-    own = torch.from_numpy(grid.own[vertices])
+    own = torch.from_numpy(grid.model_index[vertices])
     share = torch.from_numpy(weights)
     sounding = torch.from_numpy(weights * ~grid.silent[vertices])
-    length = pieces.body.shape[1]
+    length = segments.body.shape[1]
     covariance = covariance[:, : order + 1, : order + 1]
-    floor = SILENT * float(np.median([each.error[order] for each in predictions]))
+    floor = SILENCE_RATIO * float(np.median([each.error[order] for each in predictions]))
 
     def loss(rows: Tensor) -> Tensor:
         angles = torch.cumsum(torch.softmax(shape, dim=1), dim=1)[:, :-1] * torch.pi
         between = (angles[own[rows]] * share[rows][..., None]).sum(dim=1)
         variance = (torch.exp(level)[own[rows]] * sounding[rows]).sum(dim=1) + floor
-        a = polynomial(between)
+        a = lsf_to_polynomial(between)
         residual = torch.einsum("si,sij,sj->s", a, covariance[rows], a)
         return 0.5 * (torch.log(variance) + (residual / length + floor) / variance).mean()
 
     rows = torch.from_numpy(np.flatnonzero(train))
     optimiser = torch.optim.LBFGS([shape, level], max_iter=iterations, history_size=20, line_search_fn="strong_wolfe")
 
-    edges = torch.from_numpy(neighbours(grid))
+    edges = torch.from_numpy(find_neighbours(grid))
 
     def roughness() -> Tensor:
         step = level[edges[:, 0]] - level[edges[:, 1]]
@@ -209,12 +213,12 @@ def fit_grid(
         other = torch.from_numpy(np.flatnonzero(~train))
         angles = torch.cumsum(torch.softmax(shape, dim=1), dim=1)[:, :-1] * torch.pi
         held = float(loss(other)) if len(other) else float(loss(rows))
-        return Fitted(grid, angles.numpy().copy(), torch.exp(level).numpy().copy(), held)
+        return GridFit(grid, angles.numpy().copy(), torch.exp(level).numpy().copy(), held)
 
 
-def starting_lsf(polynomial: Float) -> Float:
+def compute_start_lsf(polynomial: Float) -> Float:
     """LSFs of the polynomial with its poles drawn in. Raises FileError where none of INWARD tells them apart."""
-    for radius in INWARD:
+    for radius in POLE_RADII:
         try:
             return lsf_from_polynomial(radius ** np.arange(len(polynomial)) * polynomial)
         except ValueError:
@@ -222,37 +226,37 @@ def starting_lsf(polynomial: Float) -> Float:
     raise FileError("it is too pure a tone for an autoregressive model.", where="recordings", remedy="Leave AR out.")
 
 
-def neighbours(grid: Grid) -> Index:
+def find_neighbours(grid: VertexGrid) -> Index:
     """(E, 2) pairs of models that share an edge of a triangle."""
-    pairs = np.sort(grid.own[grid.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)], axis=1)
+    pairs = np.sort(grid.model_index[grid.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)], axis=1)
     return np.asarray(np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0))
 
 
-def polynomial(lsf: Tensor) -> Tensor:
+def lsf_to_polynomial(lsf: Tensor) -> Tensor:
     """Twin of datasets.line_spectra.polynomial_from_lsf with gradients: (S, p) → (S, p + 1)."""
     cosines = torch.cos(lsf)
     order = lsf.shape[1]
-    symmetric, antisymmetric = _product(cosines[:, 0::2]), _product(cosines[:, 1::2])
+    symmetric, antisymmetric = _multiply_factors(cosines[:, 0::2]), _multiply_factors(cosines[:, 1::2])
     if order % 2 == 0:
-        symmetric = _extended(symmetric, 0, 1) + _extended(symmetric, 1, 0)
-        antisymmetric = _extended(antisymmetric, 0, 1) - _extended(antisymmetric, 1, 0)
+        symmetric = _pad(symmetric, 0, 1) + _pad(symmetric, 1, 0)
+        antisymmetric = _pad(antisymmetric, 0, 1) - _pad(antisymmetric, 1, 0)
     else:
-        antisymmetric = _extended(antisymmetric, 0, 2) - _extended(antisymmetric, 2, 0)
+        antisymmetric = _pad(antisymmetric, 0, 2) - _pad(antisymmetric, 2, 0)
     return 0.5 * (symmetric + antisymmetric)[:, : order + 1]
 
 
-def _product(cosines: Tensor) -> Tensor:
+def _multiply_factors(cosines: Tensor) -> Tensor:
     out = torch.ones((len(cosines), 1), dtype=cosines.dtype)
     for column in range(cosines.shape[1]):
-        out = _extended(out, 0, 2) - 2.0 * cosines[:, column : column + 1] * _extended(out, 1, 1) + _extended(out, 2, 0)
+        out = _pad(out, 0, 2) - 2.0 * cosines[:, column : column + 1] * _pad(out, 1, 1) + _pad(out, 2, 0)
     return out
 
 
-def _extended(value: Tensor, before: int, after: int) -> Tensor:
+def _pad(value: Tensor, before: int, after: int) -> Tensor:
     return torch.nn.functional.pad(value, (before, after))
 
 
-def _levels(values: Float, count: int) -> Float:
+def _compute_grid_levels(values: Float, count: int) -> Float:
     low, high = float(values.min()), float(values.max())
     if high < 1.05 * low:
         return np.array([high])

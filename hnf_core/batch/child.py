@@ -17,13 +17,13 @@ from typing import IO
 from ..errors import FileError
 
 ROOT = Path(__file__).resolve().parents[2]
-IN_CHILD = f"{__package__}.in_child"
-LAST_LINES, LAST_BYTES = 20, 4000
+CHILD_MODULE = f"{__package__}.in_child"
+MAX_LINES, MAX_BYTES = 20, 4000
 POLL_S = 0.2
 
 
 @dataclass(frozen=True)
-class Ended:
+class CommandResult:
     """code: its exit code, below 0 the signal that killed it, None where it was stopped. stdout, stderr: last lines."""
 
     code: int | None
@@ -32,7 +32,9 @@ class Ended:
     stderr: tuple[str, ...]
 
 
-def run_child(words: Sequence[str], base: Path, held: int, may_go_on: Callable[[], bool]) -> Ended:
+def run_child(
+    arguments: Sequence[str], base: Path, lock_descriptor: int, should_continue: Callable[[], bool]
+) -> CommandResult:
     """Run `hnf words…` in folder base until it ends or may not go on.
 
     held: descriptor that the process holds too, whose lock tells that it lives. When this process dies, its child sees
@@ -48,14 +50,14 @@ def run_child(words: Sequence[str], base: Path, held: int, may_go_on: Callable[[
         try:
             process = subprocess.Popen(
                 # -P: the folder it runs in is the person's own, and no place to import from.
-                [sys.executable, "-P", "-m", IN_CHILD, *words],
+                [sys.executable, "-P", "-m", CHILD_MODULE, *arguments],
                 stdin=subprocess.PIPE,
                 stdout=out,
                 stderr=err,
                 cwd=base,
                 env=os.environ | {"PYTHONPATH": paths, "TMPDIR": scratch},
                 start_new_session=True,
-                pass_fds=(held,),
+                pass_fds=(lock_descriptor,),
             )
         except OSError as error:
             raise FileError(
@@ -64,21 +66,21 @@ def run_child(words: Sequence[str], base: Path, held: int, may_go_on: Callable[[
                 remedy="Check that this machine has the folder, and processes and memory left.",
             ) from error
         try:
-            code = _wait(process, may_go_on)
+            code = _wait(process, should_continue)
         finally:
-            _end(process)
-        return Ended(code, time.monotonic() - began, _last_lines(out), _last_lines(err))
+            _kill_process_group(process)
+        return CommandResult(code, time.monotonic() - began, _read_last_lines(out), _read_last_lines(err))
 
 
-def _wait(process: subprocess.Popen[bytes], may_go_on: Callable[[], bool]) -> int | None:
+def _wait(process: subprocess.Popen[bytes], should_continue: Callable[[], bool]) -> int | None:
     while True:
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(POLL_S)
-        if not may_go_on():
+        if not should_continue():
             return None
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _kill_process_group(process: subprocess.Popen[bytes]) -> None:
     """The whole group, also what the command started and left."""
     with contextlib.suppress(OSError):
         os.killpg(process.pid, signal.SIGKILL)
@@ -87,7 +89,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.stdin.close()
 
 
-def _last_lines(stream: IO[bytes]) -> tuple[str, ...]:
+def _read_last_lines(stream: IO[bytes]) -> tuple[str, ...]:
     size = stream.seek(0, os.SEEK_END)
-    stream.seek(max(0, size - LAST_BYTES))
-    return tuple(stream.read().decode("utf-8", "replace").splitlines()[-LAST_LINES:])
+    stream.seek(max(0, size - MAX_BYTES))
+    return tuple(stream.read().decode("utf-8", "replace").splitlines()[-MAX_LINES:])

@@ -17,32 +17,34 @@ from multiprocessing import resource_tracker
 from typing import Any
 
 from ..errors import HnfError, UsageError
-from .attempt import attempt, complaint
-from .order import Order, Outcome, State, encode, outcome_from
+from .attempt import explain_unsuitable_worker, run_attempt
+from .order import Outcome, Request, State, encode_message, parse_outcome
 
 HOST = "127.0.0.1"
 CONNECT_S, START_S, CLOSE_S = 10.0, 60.0, 10.0
-ADDRESS = re.compile(r"(tcp|tls)://\S+:\d+")
+ADDRESS_PATTERN = re.compile(r"(tcp|tls)://\S+:\d+")
 
 
 def check_address(address: str) -> None:
     """Raises UsageError where it is no scheduler's."""
-    if not ADDRESS.fullmatch(address):
+    if not ADDRESS_PATTERN.fullmatch(address):
         raise UsageError(
             f"--scheduler {address!r} is no address.", remedy="Example: --scheduler tcp://192.168.1.5:8786"
         )
 
 
 @contextlib.contextmanager
-def workers_of(address: str | None, count: int, retries: int) -> Iterator[Any]:
+def connect_workers(address: str | None, worker_count: int, retries: int) -> Iterator[Any]:
     """A distributed.Client: of the scheduler at address, or of count worker processes that live as long as this.
 
     retries: how often a job may lose its worker. Raises HnfError where dask is not there or no scheduler answers.
     """
-    dask, distributed = _import()
+    dask, distributed = _import_dask()
     with contextlib.ExitStack() as stack:
         if address is None:
-            address = stack.enter_context(_own_cluster(dask, distributed, count, retries)).scheduler_address
+            address = stack.enter_context(
+                _start_local_cluster(dask, distributed, worker_count, retries)
+            ).scheduler_address
         try:
             client = distributed.Client(
                 address,
@@ -56,12 +58,12 @@ def workers_of(address: str | None, count: int, retries: int) -> Iterator[Any]:
                 f"no scheduler answers at {address} ({error}).",
                 remedy="Start one there with: dask scheduler; and workers with: dask worker ADDRESS.",
             ) from error
-        stack.callback(_quietly_closed, client)
+        stack.callback(_close_client, client)
         yield client
 
 
 @contextlib.contextmanager
-def _own_cluster(dask: Any, distributed: Any, count: int, retries: int) -> Iterator[Any]:
+def _start_local_cluster(dask: Any, distributed: Any, worker_count: int, retries: int) -> Iterator[Any]:
     settings = {
         "distributed.scheduler.allowed-failures": retries,
         "distributed.scheduler.worker-saturation": 1.0,  # none waits on a worker: a dying one takes one job with it
@@ -72,9 +74,9 @@ def _own_cluster(dask: Any, distributed: Any, count: int, retries: int) -> Itera
         tempfile.TemporaryDirectory(prefix="hnf-batch-", ignore_cleanup_errors=True) as scratch,
         dask.config.set(settings),
     ):
-        with _without_interrupts():
+        with _block_interrupts():
             cluster = distributed.LocalCluster(
-                n_workers=count,
+                n_workers=worker_count,
                 threads_per_worker=1,
                 processes=True,
                 host=HOST,
@@ -90,7 +92,7 @@ def _own_cluster(dask: Any, distributed: Any, count: int, retries: int) -> Itera
 
 
 @contextlib.contextmanager
-def _without_interrupts() -> Iterator[None]:
+def _block_interrupts() -> Iterator[None]:
     """Ctrl-C waits, and what is started meanwhile never hears it, nor what that starts: a terminal sends it to every
     process, and workers are ended by ours."""
     resource_tracker.ensure_running()  # where multiprocessing starts it later, it lets interrupts through again
@@ -111,7 +113,7 @@ def check_workers(client: Any, folder: str, run: str, version: str, paths: Seque
             "the scheduler has no workers.", remedy="Start some, on machines that see the files: dask worker ADDRESS."
         ) from error
     try:
-        told = client.run(complaint, folder, run, version, list(paths))
+        told = client.run(explain_unsuitable_worker, folder, run, version, list(paths))
     except Exception as error:  # whatever it was there, it came over the wire
         raise HnfError(
             f"hnf does not run on every worker ({error!r}).",
@@ -123,42 +125,48 @@ def check_workers(client: Any, folder: str, run: str, version: str, paths: Seque
     return len(told)
 
 
-def outcomes(client: Any, orders: Sequence[Order]) -> Iterator[Outcome]:
+def run_requests(client: Any, requests: Sequence[Request]) -> Iterator[Outcome]:
     """Each attempt as it ends. One that met with an accident is given out again, as often as its order says: see
     Order.is_tried_again."""
-    _, distributed = _import()
-    waiting = {_submitted(client, order): order for order in orders}
+    _, distributed = _import_dask()
+    waiting = {_submit(client, order): order for order in requests}
     ended = distributed.as_completed(list(waiting), loop=client.loop)
     for future in ended:
         order = waiting.pop(future)
-        outcome = _outcome(future, order)
+        outcome = _read_outcome(future, order)
         future.release()
-        if order.is_tried_again(outcome):
+        if order.should_retry(outcome):
             again = replace(order, earlier=(*outcome.earlier, outcome.why))
-            future = _submitted(client, again)
+            future = _submit(client, again)
             waiting[future] = again
             ended.add(future)
         yield outcome
 
 
-def _submitted(client: Any, order: Order) -> Any:
-    return client.submit(attempt, encode(order), pure=False, key=f"hnf-{order.run}-{order.name}-{len(order.earlier)}")
+def _submit(client: Any, request: Request) -> Any:
+    return client.submit(
+        run_attempt, encode_message(request), pure=False, key=f"hnf-{request.run}-{request.name}-{len(request.earlier)}"
+    )
 
 
-def _outcome(future: Any, order: Order) -> Outcome:
+def _read_outcome(future: Any, request: Request) -> Outcome:
     if future.status == "finished":
         try:
-            return outcome_from(future.result())
+            return parse_outcome(future.result())
         except (HnfError, OSError, TypeError, ValueError) as error:
-            return Outcome(order.name, State.UNSEEN, f"a worker's answer is no text ({error}).", earlier=order.earlier)
+            return Outcome(
+                request.name, State.UNSEEN, f"a worker's answer is no text ({error}).", earlier=request.earlier
+            )
     if future.status != "error":
-        return Outcome(order.name, State.UNSEEN, "the scheduler was lost", earlier=order.earlier)
+        return Outcome(request.name, State.UNSEEN, "the scheduler was lost", earlier=request.earlier)
     # The scheduler has given up: the job's workers died under it more often than it allows.
     lost = "its worker was lost"
-    return Outcome(order.name, State.ACCIDENT, lost, earlier=(*order.earlier, *[lost] * order.retries)[: order.retries])
+    return Outcome(
+        request.name, State.ACCIDENT, lost, earlier=(*request.earlier, *[lost] * request.retries)[: request.retries]
+    )
 
 
-def _import() -> tuple[Any, Any]:
+def _import_dask() -> tuple[Any, Any]:
     try:
         import dask
         import distributed
@@ -172,6 +180,6 @@ def _import() -> tuple[Any, Any]:
     return dask, distributed
 
 
-def _quietly_closed(client: Any) -> None:
+def _close_client(client: Any) -> None:
     with contextlib.suppress(OSError, TimeoutError):
         client.close(timeout=CLOSE_S)

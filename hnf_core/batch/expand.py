@@ -7,24 +7,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..errors import UsageError
-from .job import Job, folder_name, job_from, refuse_twins
+from .job import Job, make_folder_name, make_job, reject_duplicates
 
 FILE_OPTIONS = ("--weights", "--action")
-NUMBERED = ("--seed",)
+NUMBERED_OPTIONS = ("--seed",)
 """Part of a name only where there are several, and with the option's own word."""
 
 
-def scene_jobs(scenes: Sequence[str], rest: Sequence[str]) -> tuple[Job, ...]:
+def make_scene_jobs(scenes: Sequence[str], arguments: Sequence[str]) -> tuple[Job, ...]:
     """`hnf touch SCENE rest…` for each scene, named after its file. Raises UsageError."""
     if not scenes:
         raise UsageError("no scene is named.", remedy="Example: hnf batch touch cup.blend bowl.gltf --out result")
-    jobs = tuple(job_from(_named(Path(scene).stem, "scene"), ["touch", scene, *rest]) for scene in scenes)
-    refuse_twins(jobs)
+    jobs = tuple(make_job(_make_job_name(Path(scene).stem, "scene"), ["touch", scene, *arguments]) for scene in scenes)
+    reject_duplicates(jobs)
     return jobs
 
 
-def combined_jobs(
-    head: Sequence[str], varied: Mapping[str, Sequence[str]], rest: Sequence[str], suffix: str
+def make_combined_jobs(
+    command: Sequence[str], varied: Mapping[str, Sequence[str]], arguments: Sequence[str], suffix: str
 ) -> tuple[Job, ...]:
     """`hnf head… --option value… rest…` for each combination of the values, named after them.
 
@@ -35,23 +35,23 @@ def combined_jobs(
     jobs = []
     for values in itertools.product(*(varied[option] for option in options)):
         chosen = dict(zip(options, values, strict=True))
-        parts = [_part(option, value) for option, value in chosen.items()
-                 if option not in NUMBERED or len(varied[option]) > 1]  # fmt: skip
-        name = _named("-".join(parts or head), "name")
-        words = [*head, *(word for pair in chosen.items() for word in pair), *rest]
-        jobs.append(job_from(name, [*words, "--out", f"{name}{suffix}" if suffix else "."]))
-    refuse_twins(jobs)
+        parts = [_format_name_token(option, value) for option, value in chosen.items()
+                 if option not in NUMBERED_OPTIONS or len(varied[option]) > 1]  # fmt: skip
+        name = _make_job_name("-".join(parts or command), "name")
+        words = [*command, *(word for pair in chosen.items() for word in pair), *arguments]
+        jobs.append(make_job(name, [*words, "--out", f"{name}{suffix}" if suffix else "."]))
+    reject_duplicates(jobs)
     return tuple(jobs)
 
 
-def _part(option: str, value: str) -> str:
-    if option in NUMBERED:
+def _format_name_token(option: str, value: str) -> str:
+    if option in NUMBERED_OPTIONS:
         return f"{option.strip('-')}-{value}"
     return Path(value).stem if option in FILE_OPTIONS else value
 
 
-def _named(text: str, what: str) -> str:
-    name = folder_name(text)
+def _make_job_name(text: str, what: str) -> str:
+    name = make_folder_name(text)
     if not name:
         raise UsageError(
             f"{text!r} is no {what} that a folder can be named after.", remedy="Use a jobs file (docs/batch.md)."

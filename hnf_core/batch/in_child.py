@@ -12,11 +12,11 @@ import traceback
 
 PROGRAM = "hnf_blender.cli"
 """The `hnf` command, by its name as a shell would: this package may not know it."""
-BROKEN = 70
+EXIT_BROKEN = 70
 """Exit code where an exception came through (EX_SOFTWARE of sysexits.h)."""
 
 
-def leave_with_parent() -> None:
+def exit_with_parent() -> None:
     """The parent holds the other end of standard input and never writes: its end is the parent's, however it died."""
 
     def watch() -> None:
@@ -28,19 +28,19 @@ def leave_with_parent() -> None:
                 break
         if os.getpgrp() == os.getpid():
             os.killpg(0, signal.SIGKILL)
-        os._exit(BROKEN)
+        os._exit(EXIT_BROKEN)
 
     threading.Thread(target=watch, name="hnf parent watch", daemon=True).start()
 
 
-def main(words: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """The command's exit code, or BROKEN. Never raises."""
-    leave_with_parent()
+    exit_with_parent()
     try:
-        return int(importlib.import_module(PROGRAM).main(words))
+        return int(importlib.import_module(PROGRAM).main(arguments))
     except BaseException:
         traceback.print_exc()
-        return BROKEN
+        return EXIT_BROKEN
 
 
 if __name__ == "__main__":

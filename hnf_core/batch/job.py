@@ -16,8 +16,8 @@ FOLDER_COMMANDS = (("touch",), ("train", "alignment"))
 """Whose --out is a folder: the job's own where none is named."""
 RECORD_NAME = "batch.json"
 FAILED_SUFFIX = ".failed"
-LONGEST_NAME, MOST_WORDS, LONGEST_WORD = 100, 1000, 4096
-_NAME = re.compile(rf"\w[\w.+-]{{0,{LONGEST_NAME - 1}}}")
+MAX_NAME_LENGTH, MAX_WORDS, MAX_WORD_LENGTH = 100, 1000, 4096
+_NAME = re.compile(rf"\w[\w.+-]{{0,{MAX_NAME_LENGTH - 1}}}")
 _OUT = re.compile(r"--out(=.*)?", re.DOTALL)
 _SHORT_OUT = re.compile(r"--ou?(=.*)?", re.DOTALL)
 
@@ -38,13 +38,13 @@ class Job:
         return (*self.words, "--out", self.out)
 
 
-def job_from(name: str, command: Sequence[str], inputs: Iterable[str] = ()) -> Job:
+def make_job(name: str, command: Sequence[str], inputs: Iterable[str] = ()) -> Job:
     """A job of these words, with or without a leading `hnf`. Raises UsageError where they are none."""
     _check_name(name)
     words = list(command[1:] if command[:1] == ["hnf"] or command[:1] == ("hnf",) else command)
     inputs = tuple(inputs)
     for text in (*words, *inputs):
-        if not text or "\0" in text or len(text) > LONGEST_WORD:
+        if not text or "\0" in text or len(text) > MAX_WORD_LENGTH:
             raise UsageError(f"a word is empty, too long or holds a NUL: {text[:40]!r}.", where=name)
     if not words or words[0] not in VERBS:
         raise UsageError(
@@ -52,13 +52,13 @@ def job_from(name: str, command: Sequence[str], inputs: Iterable[str] = ()) -> J
             where=name,
             remedy="Example: synth --material oak-wood --stroke rub-slow --out rub.wav",
         )
-    if len(words) > MOST_WORDS or "--" in words:
-        raise UsageError(f"a command has at most {MOST_WORDS} words, and no '--'.", where=name)
-    rest, out = _without_out(words, name)
+    if len(words) > MAX_WORDS or "--" in words:
+        raise UsageError(f"a command has at most {MAX_WORDS} words, and no '--'.", where=name)
+    rest, out = _split_out(words, name)
     return Job(name, rest, out, inputs)
 
 
-def refuse_twins(jobs: Sequence[Job]) -> None:
+def reject_duplicates(jobs: Sequence[Job]) -> None:
     """Raises UsageError where two jobs would write into one folder, on any file system."""
     seen: dict[str, str] = {}
     for job in jobs:
@@ -71,21 +71,21 @@ def refuse_twins(jobs: Sequence[Job]) -> None:
         seen[folder] = job.name
 
 
-def folder_name(text: str) -> str:
+def make_folder_name(text: str) -> str:
     """A name that a job may have, after any text; "" where nothing of it can stay."""
-    name = re.sub(r"[^\w.+-]+", "-", unicodedata.normalize("NFC", text)).strip("-.+")[:LONGEST_NAME]
+    name = re.sub(r"[^\w.+-]+", "-", unicodedata.normalize("NFC", text)).strip("-.+")[:MAX_NAME_LENGTH]
     return name.removesuffix(FAILED_SUFFIX).rstrip(".")
 
 
 def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name) or name.endswith((FAILED_SUFFIX, ".")) or name == RECORD_NAME:
         raise UsageError(
-            f"{name[:LONGEST_NAME]!r} cannot be the name of a job, which becomes a folder.",
-            remedy=f"Use letters, digits, _ - + and . inside, at most {LONGEST_NAME}; not ending in {FAILED_SUFFIX}.",
+            f"{name[:MAX_NAME_LENGTH]!r} cannot be the name of a job, which becomes a folder.",
+            remedy=f"Use letters, digits, _ - + and . inside, at most {MAX_NAME_LENGTH}; not ending in {FAILED_SUFFIX}.",
         )
 
 
-def _without_out(words: list[str], name: str) -> tuple[tuple[str, ...], str]:
+def _split_out(words: list[str], name: str) -> tuple[tuple[str, ...], str]:
     """The other words, and where the command writes."""
     if any(_SHORT_OUT.fullmatch(word) for word in words):
         raise UsageError("write --out in full.", where=name)
@@ -105,10 +105,10 @@ def _without_out(words: list[str], name: str) -> tuple[tuple[str, ...], str]:
     after = place + 1
     if not equals:
         value, after = (words[after], after + 1) if after < len(words) else ("", after)
-    return (*words[:place], *words[after:]), _inside(value, words, name)
+    return (*words[:place], *words[after:]), _check_out(value, words, name)
 
 
-def _inside(value: str, words: Sequence[str], name: str) -> str:
+def _check_out(value: str, words: Sequence[str], name: str) -> str:
     path = PurePosixPath(value)
     parts = path.parts
     is_folder = any(tuple(words[: len(head)]) == head for head in FOLDER_COMMANDS)
@@ -121,7 +121,7 @@ def _inside(value: str, words: Sequence[str], name: str) -> str:
         or (not parts and not is_folder)
     ):
         raise UsageError(
-            f"--out {value[:LONGEST_NAME]!r} is no place inside the job's own folder.",
+            f"--out {value[:MAX_NAME_LENGTH]!r} is no place inside the job's own folder.",
             where=name,
             remedy="Name a file, such as rub.wav; the folder is made by the batch, under the job's name.",
         )

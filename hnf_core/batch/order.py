@@ -39,7 +39,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Order:
+class Request:
     """One attempt at a job.
 
     words, out: as in Job. inputs: path → digest when it was planned. base: where the command runs. folder: of the whole
@@ -65,32 +65,32 @@ class Order:
         return content_hash(self.version, self.out, str(len(self.words)), *self.words, *parts)
 
     @property
-    def place(self) -> Path:
+    def result_folder(self) -> Path:
         """The job's own folder, there when it is finished."""
         return Path(self.folder) / self.name
 
-    def is_tried_again(self, outcome: Outcome) -> bool:
+    def should_retry(self, outcome: Outcome) -> bool:
         """After this end of an attempt another one is made."""
         return outcome.state is State.ACCIDENT and len(outcome.earlier) < self.retries
 
 
-def encode(message: Order | Outcome) -> str:
+def encode_message(message: Request | Outcome) -> str:
     return json.dumps(asdict(message) | ({"state": message.state.value} if isinstance(message, Outcome) else {}))
 
 
-def order_from(text: str) -> Order:
+def parse_request(text: str) -> Request:
     """Raises FileError where the text is no order."""
-    record = _record(text, Order)
-    return Order(**(record | {name: tuple(record[name]) for name in ("words", "earlier")}))
+    record = _parse_record(text, Request)
+    return Request(**(record | {name: tuple(record[name]) for name in ("words", "earlier")}))
 
 
-def outcome_from(text: Any) -> Outcome:
+def parse_outcome(text: Any) -> Outcome:
     """Raises FileError where it is no text of an outcome, whatever a worker sent."""
-    record = _record(text, Outcome)
+    record = _parse_record(text, Outcome)
     try:
         return Outcome(**(record | {"state": State(record["state"]), "earlier": tuple(record["earlier"])}))
     except ValueError as error:
-        raise _damaged("outcome") from error
+        raise _make_parse_error("outcome") from error
 
 
 _KINDS: dict[str, type | tuple[type, ...]] = {
@@ -99,21 +99,21 @@ _KINDS: dict[str, type | tuple[type, ...]] = {
 }  # fmt: skip
 
 
-def _record(text: Any, kind: type[Order] | type[Outcome]) -> dict[str, Any]:
+def _parse_record(text: Any, kind: type[Request] | type[Outcome]) -> dict[str, Any]:
     try:
         record = json.loads(text)
     except (TypeError, ValueError, RecursionError) as error:
-        raise _damaged(kind.__name__.lower()) from error
+        raise _make_parse_error(kind.__name__.lower()) from error
     if not isinstance(record, dict) or set(record) != {field.name for field in fields(kind)}:
-        raise _damaged(kind.__name__.lower())
+        raise _make_parse_error(kind.__name__.lower())
     for field in fields(kind):
         value = record[field.name]
         inner = value if isinstance(value, list) else [*value, *value.values()] if isinstance(value, dict) else ()
         if not isinstance(value, _KINDS[str(field.type)]) or not all(isinstance(each, str) for each in inner):
-            raise _damaged(kind.__name__.lower())
+            raise _make_parse_error(kind.__name__.lower())
     return record
 
 
-def _damaged(what: str) -> FileError:
+def _make_parse_error(what: str) -> FileError:
     return FileError(f"a worker and the batch do not understand each other: no {what}.",
                      remedy="Install the same version of hnf on every machine.")  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import FileError
 from ..files import write_text
-from .inputs import digest
+from .inputs import compute_digest
 from .job import RECORD_NAME
 
 SCHEMA = "hnf-batch-1"
@@ -20,7 +20,7 @@ CACHE_NAME = "cache"
 
 
 @dataclass(frozen=True)
-class Record:
+class JobRecord:
     """job: its name. command: words, with --out as the job says it. key: of all that the command names. inputs: those
     files and folders → digest. found: others that the scene referred to → digest, "" = changed while it was read.
     outputs: path in the folder → digest. seconds: of the attempt that ended. attempts: with this one. stdout, stderr:
@@ -41,46 +41,48 @@ class Record:
     stderr: tuple[str, ...]
 
 
-def write_record(folder: Path, record: Record) -> None:
+def write_record(folder: Path, record: JobRecord) -> None:
     """Atomically. Raises FileError."""
     text = json.dumps({"schema": SCHEMA, **asdict(record)}, indent=1, ensure_ascii=False)
     write_text(folder / RECORD_NAME, text + "\n")
 
 
-def read_record(folder: Path) -> Record | None:
+def read_record(folder: Path) -> JobRecord | None:
     """None where there is none, or none that this version understands."""
     try:
         record = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
         if record.pop("schema") != SCHEMA:
             return None
-        return Record(**{field.name: _of_kind(record, field.name, str(field.type)) for field in fields(Record)})
+        return JobRecord(
+            **{field.name: _parse_field(record, field.name, str(field.type)) for field in fields(JobRecord)}
+        )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 
 
-def is_ours(folder: Path) -> bool:
+def is_replaceable(folder: Path) -> bool:
     """There is nothing, or a folder that a batch has made and may replace."""
     return not (folder.exists() or folder.is_symlink()) or read_record(folder) is not None
 
 
-def holds(record: Record | None, key: str, folder: Path) -> bool:
+def is_fresh(record: JobRecord | None, key: str, folder: Path) -> bool:
     """The record is of a success of this key, every file is as it was written, and nothing it was made from has
     changed. Raises FileError where a file may not be read."""
     return (
         record is not None
         and record.key == key
         and record.exit_code == 0
-        and all(_is_inside(name) and digest(folder / name) == was for name, was in record.outputs.items())
-        and all(was != "" and digest(Path(path)) == was for path, was in record.found.items())
+        and all(_is_inside(name) and compute_digest(folder / name) == was for name, was in record.outputs.items())
+        and all(was != "" and compute_digest(Path(path)) == was for path, was in record.found.items())
     )
 
 
-def outputs_in(folder: Path) -> dict[str, str]:
+def hash_outputs(folder: Path) -> dict[str, str]:
     """Path → digest of what a command has written into the folder, but for caches, locks and our own record."""
-    return {path.relative_to(folder).as_posix(): digest(path) for path in _results(folder)}
+    return {path.relative_to(folder).as_posix(): compute_digest(path) for path in _list_results(folder)}
 
 
-def found_by(folder: Path, since: float) -> dict[str, str]:
+def hash_referenced_files(folder: Path, since: float) -> dict[str, str]:
     """Path → digest of the outside files that a touched scene refers to, as its report names them. since: when the
     command began [s, as files count]; a file changed later was perhaps read before."""
     try:
@@ -88,17 +90,17 @@ def found_by(folder: Path, since: float) -> dict[str, str]:
         paths = [Path(path) for path in files if isinstance(path, str) and "\0" not in path]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return {}
-    return {str(path): _digest_since(path, since) for path in paths if path.is_file()}
+    return {str(path): _digest_unchanged_since(path, since) for path in paths if path.is_file()}
 
 
-def _digest_since(path: Path, since: float) -> str:
+def _digest_unchanged_since(path: Path, since: float) -> str:
     try:
-        return digest(path) if path.stat().st_mtime < since else ""
+        return compute_digest(path) if path.stat().st_mtime < since else ""
     except (OSError, FileError):
         return ""
 
 
-def _results(folder: Path) -> Iterator[Path]:
+def _list_results(folder: Path) -> Iterator[Path]:
     for path in sorted(folder.rglob("*")):
         parts = path.relative_to(folder).parts
         hidden = any(part.startswith(".") for part in parts)
@@ -114,7 +116,7 @@ def _is_inside(name: str) -> bool:
 _KINDS: dict[str, type | tuple[type, ...]] = {"str": str, "int": int, "float": (int, float)}
 
 
-def _of_kind(record: dict[str, Any], name: str, kind: str) -> Any:
+def _parse_field(record: dict[str, Any], name: str, kind: str) -> Any:
     """The value as a Record has it. Raises ValueError where it is of another kind."""
     value = record[name]
     if kind in _KINDS:

@@ -21,17 +21,17 @@ from typing import IO
 from ..errors import FileError
 from ..files import FOLDER_MODE
 from .job import RECORD_NAME
-from .record import CACHE_NAME, holds, is_ours, read_record
+from .record import CACHE_NAME, is_fresh, is_replaceable, read_record
 
 MARKER_NAME = ".attempt"
-PART, OLD = ".part", ".old"
-CHECKPOINTS = "*checkpoint"
-DYING_S = 5.0
+STAGING_SUFFIX, BACKUP_SUFFIX = ".part", ".old"
+CHECKPOINT_PATTERN = "*checkpoint"
+EXIT_GRACE_S = 5.0
 """How long the child of a killed worker may take to see that it is alone."""
 
 
 @dataclass(frozen=True)
-class Marker:
+class StagingMarker:
     """Who works in a part folder. run: of which batch. earlier: why each attempt before ended."""
 
     run: str
@@ -40,15 +40,15 @@ class Marker:
 
 
 @contextlib.contextmanager
-def part_folder(folder: Path, name: str, marker: Marker) -> Iterator[tuple[Path, IO[str]]]:
+def make_staging_folder(folder: Path, name: str, marker: StagingMarker) -> Iterator[tuple[Path, IO[str]]]:
     """A new part folder and its locked marker. What is left of it at the end is reduced to what an attempt can begin
     with, unless it is finished. Raises FileError where the disk refuses."""
     try:
-        part = Path(tempfile.mkdtemp(prefix=f".{name}~", suffix=PART, dir=folder))
+        part = Path(tempfile.mkdtemp(prefix=f".{name}~", suffix=STAGING_SUFFIX, dir=folder))
         part.chmod(FOLDER_MODE)
         stream = (part / MARKER_NAME).open("w", encoding="utf-8")
     except OSError as error:
-        raise _refused(folder, error) from error
+        raise _make_write_error(folder, error) from error
     with stream:
         fcntl.flock(stream, fcntl.LOCK_EX)
         stream.write(json.dumps({"run": marker.run, "worker": marker.worker, "earlier": marker.earlier}))
@@ -56,30 +56,32 @@ def part_folder(folder: Path, name: str, marker: Marker) -> Iterator[tuple[Path,
         try:
             yield part, stream
         finally:
-            _leave(part)
+            _clean_up_attempt(part)
 
 
-def parts_of(folder: Path, name: str = "") -> list[Path]:
+def find_staging_folders(folder: Path, name: str = "") -> list[Path]:
     """The part folders of a job, "" = of all, the latest first."""
-    found = [path for path in folder.glob(f".{name}~*{PART}" if name else f".*~*{PART}") if path.is_dir()]
-    return sorted(found, key=_changed, reverse=True)
+    found = [
+        path for path in folder.glob(f".{name}~*{STAGING_SUFFIX}" if name else f".*~*{STAGING_SUFFIX}") if path.is_dir()
+    ]
+    return sorted(found, key=_get_modified_time, reverse=True)
 
 
-def marker_of(part: Path) -> Marker | None:
+def read_marker(staging: Path) -> StagingMarker | None:
     """None where it was not written to its end."""
     try:
-        record = json.loads((part / MARKER_NAME).read_text(encoding="utf-8"))
-        return Marker(str(record["run"]), str(record["worker"]), tuple(map(str, record["earlier"])))
+        record = json.loads((staging / MARKER_NAME).read_text(encoding="utf-8"))
+        return StagingMarker(str(record["run"]), str(record["worker"]), tuple(map(str, record["earlier"])))
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
-def is_dead(part: Path, wait_s: float = DYING_S) -> bool:
+def is_abandoned(staging: Path, wait_s: float = EXIT_GRACE_S) -> bool:
     """Nobody works in it any more, or within wait_s; a marker's lock ends with the last process that holds it."""
     until = time.monotonic() + wait_s
     while True:
         try:
-            with (part / MARKER_NAME).open("r+", encoding="utf-8") as stream:
+            with (staging / MARKER_NAME).open("r+", encoding="utf-8") as stream:
                 fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 return True
         except FileNotFoundError:
@@ -90,25 +92,25 @@ def is_dead(part: Path, wait_s: float = DYING_S) -> bool:
         time.sleep(0.05)
 
 
-def reduce(part: Path) -> None:
+def remove_unreusable(staging: Path) -> None:
     """Delete all that a later attempt cannot begin with, and the folder itself where nothing is left."""
-    for place, folders, names in os.walk(part, topdown=True):
-        folders[:] = [name for name in folders if not (Path(place) == part and name == CACHE_NAME)]
+    for place, folders, names in os.walk(staging, topdown=True):
+        folders[:] = [name for name in folders if not (Path(place) == staging and name == CACHE_NAME)]
         for path in (Path(place, name) for name in names):
-            if not path.match(CHECKPOINTS):
+            if not path.match(CHECKPOINT_PATTERN):
                 path.unlink(missing_ok=True)
-    for place, _, _ in os.walk(part, topdown=False):
+    for place, _, _ in os.walk(staging, topdown=False):
         with contextlib.suppress(OSError):  # it holds something
             Path(place).rmdir()
 
 
-def begin_with(source: Path, part: Path) -> None:
+def reuse_files(source: Path, staging: Path) -> None:
     """Give a new attempt the close-ups and checkpoints of an earlier one; those files are never written into again, so
     a second name for them is enough where the file system has such."""
     kept = [path for path in source.glob(f"{CACHE_NAME}/**/*") if path.is_file()]
-    kept += [path for path in source.rglob(CHECKPOINTS) if path.is_file()]
+    kept += [path for path in source.rglob(CHECKPOINT_PATTERN) if path.is_file()]
     for path in kept:
-        target = part / path.relative_to(source)
+        target = staging / path.relative_to(source)
         target.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(FileExistsError):
             try:
@@ -119,81 +121,83 @@ def begin_with(source: Path, part: Path) -> None:
                 shutil.copy2(path, target)
 
 
-def publish(part: Path, place: Path) -> None:
+def publish(staging: Path, result_folder: Path) -> None:
     """Rename part onto place, where an earlier result goes. Raises FileError, and the earlier result is back, where
     something of another kind is in the way, another attempt has taken part away, or the disk refuses."""
-    if not is_ours(place):
-        raise in_the_way(place)
+    if not is_replaceable(result_folder):
+        raise make_conflict_error(result_folder)
     try:
-        (part / MARKER_NAME).unlink()  # it fails where this attempt was given up: another has taken over
-        if place.exists():
-            aside = Path(tempfile.mkdtemp(prefix=f".{place.name}~", suffix=OLD, dir=place.parent))
-            place.rename(aside)
+        (staging / MARKER_NAME).unlink()  # it fails where this attempt was given up: another has taken over
+        if result_folder.exists():
+            aside = Path(
+                tempfile.mkdtemp(prefix=f".{result_folder.name}~", suffix=BACKUP_SUFFIX, dir=result_folder.parent)
+            )
+            result_folder.rename(aside)
             try:
-                part.rename(place)
+                staging.rename(result_folder)
             except OSError:
-                _put_back(aside, place)
+                _restore_backup(aside, result_folder)
                 raise
             shutil.rmtree(aside, ignore_errors=True)
         else:
-            part.rename(place)
+            staging.rename(result_folder)
     except OSError as error:
-        raise _refused(place, error) from error
+        raise _make_write_error(result_folder, error) from error
 
 
-def in_the_way(place: Path) -> FileError:
+def make_conflict_error(path: Path) -> FileError:
     """The refusal to replace what no batch has made."""
     return FileError(
         "is in the way: it was not made by a batch.",
-        where=str(place),
+        where=str(path),
         remedy="Rename or move it, or give another --out or another name to the job.",
     )
 
 
-def sweep(folder: Path, wait_s: float = DYING_S) -> list[Path]:
+def clean_up(folder: Path, wait_s: float = EXIT_GRACE_S) -> list[Path]:
     """Clear away what attempts have left, but for results and what others can begin with. Returns the parts that still
     live."""
     alive = []
-    for part in parts_of(folder):
-        if is_dead(part, wait_s):
-            _leave(part)
+    for part in find_staging_folders(folder):
+        if is_abandoned(part, wait_s):
+            _clean_up_attempt(part)
         else:
             alive.append(part)
-    for aside in folder.glob(f".*~*{OLD}"):
+    for aside in folder.glob(f".*~*{BACKUP_SUFFIX}"):
         place = folder / aside.name[1:].rpartition("~")[0]
         if place.exists() or not (aside / RECORD_NAME).exists():
             shutil.rmtree(aside, ignore_errors=True)
         else:
-            _put_back(aside, place)
+            _restore_backup(aside, place)
     return alive
 
 
-def _put_back(aside: Path, place: Path) -> None:
+def _restore_backup(backup: Path, result_folder: Path) -> None:
     with contextlib.suppress(OSError):  # the next sweep tries again
-        aside.rename(place)
+        backup.rename(result_folder)
 
 
-def _leave(part: Path) -> None:
+def _clean_up_attempt(staging: Path) -> None:
     """A finished result stays, for the next attempt to rename; of another part what an attempt can begin with."""
-    record = read_record(part)
+    record = read_record(staging)
     try:
-        is_finished = record is not None and holds(record, record.key, part)
+        is_finished = record is not None and is_fresh(record, record.key, staging)
     except FileError:  # not to be read now is no reason to delete it
         return
     if not is_finished:
-        reduce(part)
+        remove_unreusable(staging)
 
 
-def _changed(path: Path) -> float:
+def _get_modified_time(path: Path) -> float:
     try:
         return path.stat().st_mtime
     except OSError:
         return 0.0
 
 
-def _refused(place: Path, error: OSError) -> FileError:
+def _make_write_error(path: Path, error: OSError) -> FileError:
     return FileError(
         f"cannot be written ({error.strerror or error}).",
-        where=str(place),
+        where=str(path),
         remedy="Free some disk space, or give --out a folder that every worker may write to.",
     )

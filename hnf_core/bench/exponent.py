@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 from .frame import Spread
 
-DECADES = 2.0
+FITTED_DECADES = 2.0
 """The upper part of a curve that is fitted: below it what a size costs is hidden in what everything costs."""
 
 
-def exponent(sizes: Sequence[float], costs: Sequence[float]) -> Spread | None:
+def fit_exponent(sizes: Sequence[float], costs: Sequence[float]) -> Spread | None:
     """The slopes log cost over log size between all pairs of sizes in the upper decades: their median is the fit.
 
     H. Theil, "A rank-invariant method of linear and polynomial regression analysis", 1950; P. K. Sen, "Estimates of the
@@ -21,7 +21,7 @@ def exponent(sizes: Sequence[float], costs: Sequence[float]) -> Spread | None:
     """
     if not sizes:
         return None
-    least = max(sizes) / 10.0**DECADES * (1.0 - 1e-9)
+    least = max(sizes) / 10.0**FITTED_DECADES * (1.0 - 1e-9)
     upper = [(math.log(size), math.log(cost)) for size, cost in zip(sizes, costs, strict=True) if size >= least]
     slopes = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in itertools.combinations(upper, 2) if a[0] != b[0]]
-    return Spread.of(slopes) if slopes else None
+    return Spread.from_values(slopes) if slopes else None

@@ -8,19 +8,19 @@ import sys
 import numpy as np
 
 from ..actuators.sinks.serial import SerialSink
-from ..actuators.sources.recorded import Recorded
+from ..actuators.sources.recorded import BufferSource
 from ..actuators.stream import Stream
 from ..errors import HnfError
-from .faults_rig import LAW, LIMITS, RATE_HZ, noise
+from .faults_rig import LIMITER, LIMITS, RATE_HZ, make_noise
 
 
 def main(port: str) -> None:
     """Until standard input ends."""
-    samples = noise(np.random.default_rng(0), 1)
+    samples = make_noise(np.random.default_rng(0), 1)
     for _ in sys.stdin:
-        sink = SerialSink(port, rate_hz=RATE_HZ, peak=LAW.peak, slew_per_s=LIMITS.slew_per_s)
+        sink = SerialSink(port, rate_hz=RATE_HZ, peak=LIMITER.peak, slew_per_s=LIMITS.slew_per_s)
         try:
-            with Stream(Recorded(samples, RATE_HZ, loop=True), sink, LIMITS) as stream:
+            with Stream(BufferSource(samples, RATE_HZ, loop=True), sink, LIMITS) as stream:
                 stream.start()
                 print(json.dumps({"playing": True}), flush=True)
                 stream.wait()

@@ -14,41 +14,41 @@ import numpy as np
 from ..actuators.protocol.frames import Encoder
 from ..actuators.protocol.messages import Hello, Samples, Start
 from ..actuators.sinks.serial import SerialSink
-from ..actuators.virtual.device import Abilities, VirtualDevice
+from ..actuators.virtual.device import Capabilities, VirtualDevice
 from ..errors import DeviceError
-from .faults_process import killed, slept_briefly, slept_long
-from .faults_rig import RATE_HZ, Outcome, Rig, Since, seconds
+from .faults_process import kill_player, suspend_briefly, suspend_for_long
+from .faults_rig import RATE_HZ, FaultRig, Outcome, SilenceOrigin, to_seconds
 
-Trial = Callable[[Rig], Outcome]
+Trial = Callable[[FaultRig], Outcome]
 
-JUDGED_S = 40.0
+RATE_DETECTION_S = 40.0
 """Longest until a wrong rate is known: a host that is itself late, many times a second, waits for calmer seconds before
 it calls a device a liar. It begins to look anew every 10 s."""
 
 
 @dataclass(frozen=True)
-class Kind:
+class Fault:
     """name: in the table. trial: lets it happen once. told: messages that a person shall get. survives: the stream
     shall play on."""
 
     name: str
     trial: Trial
-    told: int = 1
+    expected_messages: int = 1
     survives: bool = False
 
 
-def unplugged(rig: Rig) -> Outcome:
+def unplug(rig: FaultRig) -> Outcome:
     """The plug is pulled; the device has power of its own."""
-    rig.play_for_a_while()
-    outcome = rig.ended(rig.strike(rig.port.unplug))
+    rig.play_random_time()
+    outcome = rig.wait_for_end(rig.inject_fault(rig.port.unplug))
     rig.port.plug()
-    return replace(outcome, not_again=rig.again())
+    return replace(outcome, restart_problem=rig.restart())
 
 
-def unplugged_while_opened(rig: Rig) -> Outcome:
+def unplug_while_opening(rig: FaultRig) -> Outcome:
     """The plug is pulled while host and device greet each other, or just after."""
     struck: list[int] = []
-    pull = threading.Timer(float(rig.rng.uniform(0.0, 0.02)), lambda: struck.append(rig.strike(rig.port.unplug)))
+    pull = threading.Timer(float(rig.rng.uniform(0.0, 0.02)), lambda: struck.append(rig.inject_fault(rig.port.unplug)))
     pull.start()
     told: tuple[str, ...] = ()
     try:
@@ -57,54 +57,54 @@ def unplugged_while_opened(rig: Rig) -> Outcome:
         told = (str(error),)
     pull.join()
     if told:
-        outcome = Outcome(seconds(rig.device.sounded - struck[0]), told, hung=not rig.quiet())
+        outcome = Outcome(to_seconds(rig.device.last_sound_clock - struck[0]), told, hung=not rig.wait_for_silence())
     else:
-        outcome = rig.ended(struck[0])
+        outcome = rig.wait_for_end(struck[0])
     rig.port.plug()
-    return replace(outcome, not_again=rig.again())
+    return replace(outcome, restart_problem=rig.restart())
 
 
-def stops_reading(rig: Rig) -> Outcome:
+def stop_reading(rig: FaultRig) -> Outcome:
     """The device plays what it has, tells its credit, and reads nothing more."""
 
     def deafen(deaf: bool) -> None:
-        rig.port.deaf = deaf
+        rig.port.ignores_host = deaf
 
-    rig.play_for_a_while()
-    outcome = rig.ended(rig.strike(lambda: deafen(True)))
+    rig.play_random_time()
+    outcome = rig.wait_for_end(rig.inject_fault(lambda: deafen(True)))
     deafen(False)
-    return replace(outcome, not_again=rig.again())
+    return replace(outcome, restart_problem=rig.restart())
 
 
-def damaged(share: float, to_device: bool, to_host: bool) -> Trial:
+def damage_bytes(share: float, to_device: bool, to_host: bool) -> Trial:
     """Every byte has a bit flipped with the probability share, from a random frame on."""
 
-    def trial(rig: Rig) -> Outcome:
+    def trial(rig: FaultRig) -> Outcome:
         def flip(data: bytes) -> bytes:
             found = np.frombuffer(data, dtype=np.uint8).copy()
             hit = rig.rng.random(len(found)) < share
             found[hit] ^= np.left_shift(1, rig.rng.integers(0, 8, int(hit.sum()))).astype(np.uint8)
             return found.tobytes()
 
-        return _on_the_wire(rig, flip, to_device, to_host, ends=share > 0.01, gets_through=share < 0.1)
+        return _disturb_wire(rig, flip, to_device, to_host, ends=share > 0.01, gets_through=share < 0.1)
 
     return trial
 
 
-def garbage(to_device: bool, to_host: bool) -> Trial:
+def send_garbage(to_device: bool, to_host: bool) -> Trial:
     """Random bytes instead of all that is sent, with pieces that look like the beginning of a message."""
 
-    def trial(rig: Rig) -> Outcome:
+    def trial(rig: FaultRig) -> Outcome:
         def replaced(data: bytes) -> bytes:
             return rig.rng.bytes(len(data) // 2) + b"\xa5\x5a" + rig.rng.bytes(len(data) // 2)
 
-        return _on_the_wire(rig, replaced, to_device, to_host, ends=True)
+        return _disturb_wire(rig, replaced, to_device, to_host, ends=True)
 
     return trial
 
 
-def _on_the_wire(
-    rig: Rig,
+def _disturb_wire(
+    rig: FaultRig,
     wire: Callable[[bytes], bytes],
     to_device: bool,
     to_host: bool,
@@ -120,77 +120,77 @@ def _on_the_wire(
         if to_host:
             rig.port.to_host = now
 
-    rig.play_for_a_while()
-    struck = rig.strike(lambda: lay(wire))
+    rig.play_random_time()
+    struck = rig.inject_fault(lambda: lay(wire))
     if not ends:
-        rig.reach(rig.device.played + RATE_HZ // 2)
-        with rig.port.standing():
+        rig.wait_for_frames(rig.device.played + RATE_HZ // 2)
+        with rig.port.freeze_clock():
             lay(bytes)
-        return rig.stopped()
-    since = Since.NOTICE if gets_through else Since.FAULT if to_device else Since.SAMPLES
-    outcome = rig.ended(struck, since)
-    with rig.port.standing():
+        return rig.stop_stream()
+    since = SilenceOrigin.NOTICE if gets_through else SilenceOrigin.FAULT if to_device else SilenceOrigin.SAMPLES
+    outcome = rig.wait_for_end(struck, since)
+    with rig.port.freeze_clock():
         lay(bytes)
-    return replace(outcome, not_again=rig.again())
+    return replace(outcome, restart_problem=rig.restart())
 
 
-def wrong_version(rig: Rig) -> Outcome:
+def announce_wrong_version(rig: FaultRig) -> Outcome:
     """The device has restarted with firmware of version 2."""
 
     def other(version: int) -> None:
         port = rig.port
-        port.device = VirtualDevice(Abilities(version=version), heard=port.recording.hear)
+        port.device = VirtualDevice(Capabilities(version=version), on_output=port.recording.record)
 
-    rig.play_for_a_while()
+    rig.play_random_time()
     assert rig.stream is not None
     rig.stream.stop()
-    rig.quiet()
-    rig.port.recording.forget()
-    rig.strike(lambda: other(2))
+    rig.wait_for_silence()
+    rig.port.recording.clear()
+    rig.inject_fault(lambda: other(2))
     told: tuple[str, ...] = ()
     try:
         rig.play()
     except DeviceError as error:
         told = (str(error),)
-    sounded = rig.device.sounded
-    rig.strike(lambda: other(1))
+    sounded = rig.device.last_sound_clock
+    rig.inject_fault(lambda: other(1))
     named = all("version 1" in words and "version 2" in words for words in told)
-    return Outcome(sounded / RATE_HZ, told if named else (*told, "does not name both"), not_again=rig.again())
+    return Outcome(sounded / RATE_HZ, told if named else (*told, "does not name both"), restart_problem=rig.restart())
 
 
-def rate_lie(rig: Rig) -> Outcome:
+def misreport_rate(rig: FaultRig) -> Outcome:
     """The sample clock is off by 15 to 30 %, to either side."""
 
     def pace(speed: float) -> None:
         rig.port.speed = speed
 
-    rig.play_for_a_while()
+    rig.play_random_time()
     off = float(rig.rng.choice([-1.0, 1.0]) * rig.rng.uniform(0.15, 0.3))
-    outcome = rig.ended(rig.strike(lambda: pace(1.0 + off)), Since.NOTICE, JUDGED_S)
+    outcome = rig.wait_for_end(rig.inject_fault(lambda: pace(1.0 + off)), SilenceOrigin.NOTICE, RATE_DETECTION_S)
     pace(1.0)
     named = all(f"{RATE_HZ} Hz" in words for words in outcome.messages)
     told = outcome.messages if named else (*outcome.messages, "does not name the rate")
-    return replace(outcome, messages=told, not_again=rig.again())
+    return replace(outcome, messages=told, restart_problem=rig.restart())
 
 
-def second_program(rig: Rig) -> Outcome:
+def open_from_second_program(rig: FaultRig) -> Outcome:
     """Another program opens the port while we play: it is refused, we play on."""
-    rig.play_for_a_while()
+    rig.play_random_time()
     told: tuple[str, ...] = ()
     try:
         SerialSink(rig.port.path).open()
     except DeviceError as error:
         told = (str(error),)
-    return rig.stopped(told)
+    return rig.stop_stream(told)
 
 
-def second_program_without_a_lock(rig: Rig) -> Outcome:
+def write_from_second_program(rig: FaultRig) -> Outcome:
     """Another program does not ask: it says HELLO and START and sends samples into ours."""
-    rig.play_for_a_while()
+    rig.play_random_time()
     encoder = Encoder()
     loud = np.full((32, 1), 30_000, dtype=np.int16)
     intruding = b"".join(
-        encoder.encode(message) for message in (Hello(), Start(RATE_HZ, 1, 32767, 1), Samples.of(1, 0, loud))
+        encoder.encode(message) for message in (Hello(), Start(RATE_HZ, 1, 32767, 1), Samples.from_counts(1, 0, loud))
     )
 
     def intrude() -> None:
@@ -200,18 +200,18 @@ def second_program_without_a_lock(rig: Rig) -> Outcome:
         finally:
             os.close(port)
 
-    return replace(rig.ended(rig.strike(intrude), Since.NOTICE), not_again=rig.again())
+    return replace(rig.wait_for_end(rig.inject_fault(intrude), SilenceOrigin.NOTICE), restart_problem=rig.restart())
 
 
-def short_writes(rig: Rig) -> Outcome:
+def write_few_bytes(rig: FaultRig) -> Outcome:
     """The system takes a few bytes of each write: slower, and whole all the same."""
-    with _system_write(lambda descriptor, data: os.write(descriptor, data[: int(rig.rng.integers(1, 40))])):
-        rig.play_for_a_while()
-        outcome = rig.stopped()
+    with _patch_system_write(lambda descriptor, data: os.write(descriptor, data[: int(rig.rng.integers(1, 40))])):
+        rig.play_random_time()
+        outcome = rig.stop_stream()
     return outcome
 
 
-def write_that_ends_short(rig: Rig) -> Outcome:
+def truncate_write(rig: FaultRig) -> Outcome:
     """The system takes half of a message, and then no more."""
     budget: list[int] = []
 
@@ -224,14 +224,14 @@ def write_that_ends_short(rig: Rig) -> Outcome:
             budget[0] -= count
         return count
 
-    with _system_write(write):
-        rig.play_for_a_while()
-        outcome = rig.ended(rig.strike(lambda: budget.append(int(rig.rng.integers(1, 40)))))
-    return replace(outcome, not_again=rig.again())
+    with _patch_system_write(write):
+        rig.play_random_time()
+        outcome = rig.wait_for_end(rig.inject_fault(lambda: budget.append(int(rig.rng.integers(1, 40)))))
+    return replace(outcome, restart_problem=rig.restart())
 
 
 @contextmanager
-def _system_write(write: Callable[[int, bytes], int]) -> Iterator[None]:
+def _patch_system_write(write: Callable[[int, bytes], int]) -> Iterator[None]:
     """What pyserial hands to the system goes through write."""
     from serial import serialposix
 
@@ -249,31 +249,31 @@ def _system_write(write: Callable[[int, bytes], int]) -> Iterator[None]:
         serialposix.os = before
 
 
-def stopped(rig: Rig) -> Outcome:
+def stop_normally(rig: FaultRig) -> Outcome:
     """No fault at all: stop()."""
-    rig.play_for_a_while()
-    return rig.stopped()
+    rig.play_random_time()
+    return rig.stop_stream()
 
 
-KINDS = (
-    Kind("stop()", stopped, 0, True),
-    Kind("port unplugged", unplugged),
-    Kind("port unplugged while it is opened", unplugged_while_opened),
-    Kind("device stops reading", stops_reading),
-    Kind("all messages to the device damaged", damaged(0.6, True, False)),
-    Kind("all messages to the host damaged", damaged(0.6, False, True)),
-    Kind("garbage to the device", garbage(True, False)),
-    Kind("garbage to the host", garbage(False, True)),
-    Kind("garbage both ways", garbage(True, True)),
-    Kind("1 byte in 2000 flipped, both ways", damaged(0.0005, True, True), 0, True),
-    Kind("1 byte in 40 flipped, both ways", damaged(0.025, True, True)),
-    Kind("wrong version", wrong_version),
-    Kind("short writes", short_writes, 0, True),
-    Kind("a write that ends short", write_that_ends_short),
-    Kind("sample rate lie", rate_lie),
-    Kind("second program, refused", second_program, 1, True),
-    Kind("second program without a lock", second_program_without_a_lock),
-    Kind("asleep for 0.3 s", slept_briefly, 0, True),
-    Kind("asleep for more than 1 s", slept_long),
-    Kind("process killed", killed, 0),
+FAULTS = (
+    Fault("stop()", stop_normally, 0, True),
+    Fault("port unplugged", unplug),
+    Fault("port unplugged while it is opened", unplug_while_opening),
+    Fault("device stops reading", stop_reading),
+    Fault("all messages to the device damaged", damage_bytes(0.6, True, False)),
+    Fault("all messages to the host damaged", damage_bytes(0.6, False, True)),
+    Fault("garbage to the device", send_garbage(True, False)),
+    Fault("garbage to the host", send_garbage(False, True)),
+    Fault("garbage both ways", send_garbage(True, True)),
+    Fault("1 byte in 2000 flipped, both ways", damage_bytes(0.0005, True, True), 0, True),
+    Fault("1 byte in 40 flipped, both ways", damage_bytes(0.025, True, True)),
+    Fault("wrong version", announce_wrong_version),
+    Fault("short writes", write_few_bytes, 0, True),
+    Fault("a write that ends short", truncate_write),
+    Fault("sample rate lie", misreport_rate),
+    Fault("second program, refused", open_from_second_program, 1, True),
+    Fault("second program without a lock", write_from_second_program),
+    Fault("asleep for 0.3 s", suspend_briefly, 0, True),
+    Fault("asleep for more than 1 s", suspend_for_long),
+    Fault("process killed", kill_player, 0),
 )

@@ -25,7 +25,7 @@ class Spread:
     count: int
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Spread:
+    def from_values(cls, values: Sequence[float]) -> Spread:
         """values: at least one."""
         found = np.asarray(values, dtype=np.float64)
         percentiles = np.percentile(found, [50.0, 99.0])
@@ -42,7 +42,7 @@ class Times:
         self._walls: list[float] = []
         self._cpus: list[float] = []
 
-    def take(self, function: Callable[[], Result]) -> Result:
+    def measure(self, function: Callable[[], Result]) -> Result:
         """Run it, note how long it took, and return what it returned."""
         wall, cpu = time.perf_counter(), self._clock()
         try:
@@ -51,11 +51,11 @@ class Times:
             self._walls.append(time.perf_counter() - wall)
             self._cpus.append(self._clock() - cpu)
 
-    def note(self, wall_s: float) -> None:
+    def add_wall_time(self, wall_s: float) -> None:
         """What was measured elsewhere."""
         self._walls.append(wall_s)
 
-    def times(self, factor: float) -> Times:
+    def scale(self, factor: float) -> Times:
         """As if each measurement were of so many times as much."""
         longer = Times(self._clock)
         longer._walls, longer._cpus = [factor * each for each in self._walls], [factor * each for each in self._cpus]
@@ -64,20 +64,20 @@ class Times:
     @property
     def seconds(self) -> Spread:
         """On the wall."""
-        return Spread.of(self._walls)
+        return Spread.from_values(self._walls)
 
     @property
     def cpu(self) -> Spread | None:
         """By the clock: of the thread that called, unless said otherwise; None where others did the work."""
-        return Spread.of(self._cpus) if self._cpus else None
+        return Spread.from_values(self._cpus) if self._cpus else None
 
-    def ratio(self, other: Times) -> Spread:
+    def compute_ratio(self, reference: Times) -> Spread:
         """This to the other, measurement by measurement, of CPU."""
-        return Spread.of([mine / its for mine, its in zip(self._cpus, other._cpus, strict=True)])
+        return Spread.from_values([mine / its for mine, its in zip(self._cpus, reference._cpus, strict=True)])
 
 
 @dataclass(frozen=True)
-class Size:
+class CurvePosition:
     """Where a row lies on a curve. of: what is counted, as "objects". line: which of its lines. count: how many."""
 
     of: str
@@ -110,7 +110,7 @@ class Row:
     peak_mb: float | None = None
     note: str = ""
     realtime_factor: float | None = None
-    size: Size | None = None
+    size: CurvePosition | None = None
     work: Mapping[str, int] | None = None
     exponent: Spread | None = None
 
@@ -127,7 +127,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Options:
+class BenchOptions:
     """repeats: of every measurement. quick: sizes so small that the rows mean nothing; it proves that they come.
     watch: is told what is measured now. scene: a file to measure on, besides what a bench makes itself."""
 
@@ -142,11 +142,11 @@ class Bench:
     """name: as asked for. what: it measures, in a sentence. rows: measures; may raise HnfError."""
 
     name: str
-    what: str
-    rows: Callable[[Options], list[Row]]
+    description: str
+    measure: Callable[[BenchOptions], list[Row]]
 
 
-def peak_mb(function: Callable[[], Any]) -> float:
+def measure_peak_mb(function: Callable[[], Any]) -> float:
     """Megabytes that Python and numpy held at once beyond what they held before. It slows what it measures."""
     tracemalloc.start()
     try:

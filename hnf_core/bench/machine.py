@@ -8,15 +8,15 @@ import sys
 from pathlib import Path
 
 from .. import __version__
-from ..kernel.library import why_not
+from ..kernel.library import why_unavailable
 
 PACKAGES = ("numpy", "bpy", "torch", "scipy", "OpenEXR", "embreex")
 """Those whose work may be what was measured: told where they are loaded."""
 
 
-def machine() -> dict[str, str]:
+def describe_machine() -> dict[str, str]:
     """Processor, cores, memory, load of the last minute, system, versions of what is loaded."""
-    facts = {"processor": _processor(), "cores": str(os.cpu_count() or 0)}
+    facts = {"processor": _find_processor(), "cores": str(os.cpu_count() or 0)}
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         facts["memory"] = f"{os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE') / 1e9:.0f} GB"
     if hasattr(os, "getloadavg"):
@@ -25,12 +25,12 @@ def machine() -> dict[str, str]:
     facts["hnf"], facts["python"] = __version__, platform.python_version()
     for name in PACKAGES:
         if name in sys.modules:
-            facts[name] = _version(name)
-    facts["kernel"] = why_not() or "compiled"
+            facts[name] = _find_version(name)
+    facts["kernel"] = why_unavailable() or "compiled"
     return facts
 
 
-def _processor() -> str:
+def _find_processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -39,14 +39,14 @@ def _processor() -> str:
     return named or platform.processor() or platform.machine()
 
 
-def _version(name: str) -> str:
+def _find_version(name: str) -> str:
     module = sys.modules[name]
     if name == "bpy":
         return str(module.app.version_string)
-    return str(getattr(module, "__version__", None) or _of_its_package(name))
+    return str(getattr(module, "__version__", None) or _find_package_version(name))
 
 
-def _of_its_package(name: str) -> str:
+def _find_package_version(name: str) -> str:
     """What pip calls a package that does not say its version itself; "?" where pip does not know it either."""
     from importlib.metadata import PackageNotFoundError, version
 

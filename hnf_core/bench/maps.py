@@ -13,60 +13,64 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blas import one_blas_thread
+from ..blas import single_blas_thread
 from ..material.encoder import describe
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, Token
-from ..tactile.diffusion.conditions import condition, look_of_view, pitch_index_of
-from ..tactile.diffusion.network import Network, network_of, run
-from ..tactile.diffusion.predict import predict
+from ..tactile.diffusion.conditions import build_condition, get_pitch_index, normalise_view
+from ..tactile.diffusion.network import UNet, build_unet, forward
+from ..tactile.diffusion.predict import predict_tactile_maps
 from ..tactile.diffusion.schedule import log_snr
 from ..tactile.diffusion.weights import MapWeights, load_map_weights
 from ..tactile.height import tactile_map_from_height
 from ..tactile.tactile_map import TactileMap
-from ..tactile.views import LookView, cut_views
-from .frame import Options, Row, Times, peak_mb
+from ..tactile.views import AppearanceView, cut_views
+from .frame import BenchOptions, Row, Times, measure_peak_mb
 
 Float = NDArray[np.float64]
 
-NAME = "maps"
+MAPS_NAME = "maps"
 PIXELS, QUICK_PIXELS = 512, 128
 SIZE_M = 0.02
 SEED = 5
 SENSOR = "gelsight"
-LEVEL = BAND_FEATURES.index("level")
+LEVEL_INDEX = BAND_FEATURES.index("level")
 
 
-def rows(options: Options) -> list[Row]:
+def measure_maps(options: BenchOptions) -> list[Row]:
     """Relief → sensor image → E, and picture → D_φ, each beside the same in float64."""
     pixels = QUICK_PIXELS if options.quick else PIXELS
-    height = relief(pixels)
+    height = make_relief(pixels)
     pitch = SIZE_M / pixels
-    options.watch(f"{NAME}: relief")
-    found = _of_relief(height, pitch, options.repeats)
-    options.watch(f"{NAME}: picture")
-    return found + _of_picture(height, pitch, options.repeats)
+    options.watch(f"{MAPS_NAME}: relief")
+    found = _measure_relief(height, pitch, options.repeats)
+    options.watch(f"{MAPS_NAME}: picture")
+    return found + _measure_image(height, pitch, options.repeats)
 
 
-def _of_relief(height: Float, pitch: float, repeats: int) -> list[Row]:
+def _measure_relief(height: Float, pitch: float, repeats: int) -> list[Row]:
     made, make = Times(), partial(tactile_map_from_height, height, None, pitch, 2.0 * pitch)
     for _ in range(repeats):
-        shown = made.take(make)
+        shown = made.measure(make)
     side = height.shape[0]
-    found = [Row(NAME, f"relief → sensor image, {side}²", made.seconds, made.cpu, peak_mb=peak_mb(make))]
+    found = [Row(MAPS_NAME, f"relief → sensor image, {side}²", made.seconds, made.cpu, peak_mb=measure_peak_mb(make))]
     maps = {"float32": shown, "float16": replace(shown, image=shown.image.astype(np.float16))}
     reference, taken = describe(shown), {name: Times() for name in maps}
     for _ in range(repeats):
         for name, times in taken.items():
-            times.take(partial(describe, maps[name]))
+            times.measure(partial(describe, maps[name]))
     for name, times in taken.items():
         row = Row(
-            NAME, f"E of an image in {name}", times.seconds, times.cpu, peak_mb=peak_mb(partial(describe, maps[name]))
+            MAPS_NAME,
+            f"E of an image in {name}",
+            times.seconds,
+            times.cpu,
+            peak_mb=measure_peak_mb(partial(describe, maps[name])),
         )
         if name != "float32":
-            error = _levels_apart_db(describe(maps[name]), reference)
+            error = _compute_level_difference_db(describe(maps[name]), reference)
             row = replace(
                 row,
-                ratio=times.ratio(taken["float32"]),
+                ratio=times.compute_ratio(taken["float32"]),
                 ratio_to=found[-1].method,
                 error=error,
                 error_unit="dB, worst band",
@@ -75,60 +79,70 @@ def _of_relief(height: Float, pitch: float, repeats: int) -> list[Row]:
     return found
 
 
-def _of_picture(height: Float, pitch: float, repeats: int) -> list[Row]:
+def _measure_image(height: Float, pitch: float, repeats: int) -> list[Row]:
     weights, cutting, asked = load_map_weights(), Times(), Times()
-    cut = partial(cut_views, picture_of(height, pitch), None, None, pitch, 2.0 * pitch)
+    cut = partial(cut_views, shade_relief(height, pitch), None, None, pitch, 2.0 * pitch)
     for _ in range(repeats):
-        views = cutting.take(cut)
-    found = [Row(NAME, f"picture → {len(views)} views", cutting.seconds, cutting.cpu, peak_mb=peak_mb(cut))]
+        views = cutting.measure(cut)
+    found = [
+        Row(MAPS_NAME, f"picture → {len(views)} views", cutting.seconds, cutting.cpu, peak_mb=measure_peak_mb(cut))
+    ]
     passes: dict[str, Callable[[], NDArray[Any]]] = {
-        name: partial(_pass, _network(weights, kind), weights, views[0], kind)
+        name: partial(_run_network, _make_network(weights, kind), weights, views[0], kind)
         for name, kind in (("float64", np.float64), ("float32", np.float32))
     }
     times = {name: Times() for name in passes}
-    with one_blas_thread():
+    with single_blas_thread():
         for _ in range(repeats):
             for name, one in passes.items():
-                times[name].take(one)
+                times[name].measure(one)
         exact = passes["float64"]()
         for name, one in passes.items():
-            row = Row(NAME, f"D_φ of one view in {name}", times[name].seconds, times[name].cpu, peak_mb=peak_mb(one))
+            row = Row(
+                MAPS_NAME,
+                f"D_φ of one view in {name}",
+                times[name].seconds,
+                times[name].cpu,
+                peak_mb=measure_peak_mb(one),
+            )
             if name != "float64":
                 missed = float(np.sqrt(np.mean(np.square(one() - exact)) / np.mean(np.square(exact))))
-                ratio = times[name].ratio(times["float64"])
+                ratio = times[name].compute_ratio(times["float64"])
                 row = replace(
                     row, ratio=ratio, ratio_to=found[-1].method, error=missed, error_unit="of the slopes' RMS"
                 )
             found.append(row)
-    every = partial(_predicted, weights, views)
+    every = partial(_predict_tokens, weights, views)
     for _ in range(repeats):
-        asked.take(every)
-    found.append(Row(NAME, f"{len(views)} views → maps → token", asked.seconds, peak_mb=peak_mb(every)))
+        asked.measure(every)
+    found.append(Row(MAPS_NAME, f"{len(views)} views → maps → token", asked.seconds, peak_mb=measure_peak_mb(every)))
     return found
 
 
-def _predicted(weights: MapWeights, views: tuple[LookView, ...]) -> list[Token]:
-    with one_blas_thread():
-        maps: tuple[TactileMap, ...] = predict(weights, views, SENSOR, seed=SEED)
+def _predict_tokens(weights: MapWeights, views: tuple[AppearanceView, ...]) -> list[Token]:
+    with single_blas_thread():
+        maps: tuple[TactileMap, ...] = predict_tactile_maps(weights, views, SENSOR, seed=SEED)
     return [describe(each) for each in maps]
 
 
-def _network(weights: MapWeights, kind: type[np.floating[Any]]) -> Network:
+def _make_network(weights: MapWeights, kind: type[np.floating[Any]]) -> UNet:
     network = weights.network
-    return network_of(network.config, {name: value.astype(kind) for name, value in network.parameters.items()})
+    return build_unet(network.config, {name: value.astype(kind) for name, value in network.parameters.items()})
 
 
-def _pass(network: Network, weights: MapWeights, view: LookView, kind: type[np.floating[Any]]) -> NDArray[Any]:
+def _run_network(
+    network: UNet, weights: MapWeights, view: AppearanceView, kind: type[np.floating[Any]]
+) -> NDArray[Any]:
     """(2, 64, 64): what the shipped regression makes of a view."""
-    look, config = look_of_view(view), weights.config
-    pitch, sensor = np.array([pitch_index_of(view.pitch_m)]), np.array([config.sensors.index(SENSOR)])
+    look, config = normalise_view(view), weights.config
+    pitch, sensor = np.array([get_pitch_index(view.pitch_m)]), np.array([config.sensors.index(SENSOR)])
     level = np.zeros(1, dtype=np.float32)
-    told = condition(np.array([log_snr(0.5)]), level, pitch, sensor, len(config.sensors), look.scalars)
-    empty = np.zeros((2, *look.pictures.shape[-2:]), dtype=kind)
-    return run(network, np.concatenate([empty, look.pictures[0].astype(kind)]), told[0].astype(kind))[0]
+    told = build_condition(np.array([log_snr(0.5)]), level, pitch, sensor, len(config.sensors), look.scalars)
+    empty = np.zeros((2, *look.images.shape[-2:]), dtype=kind)
+    return forward(network, np.concatenate([empty, look.images[0].astype(kind)]), told[0].astype(kind))[0]
 
 
-def relief(pixels: int) -> Float:
+def make_relief(pixels: int) -> Float:
     """(pixels, pixels) metres, SIZE_M wide: a wave in each band of E, the longer the higher."""
     rng, at = np.random.default_rng(SEED), np.arange(pixels) * (SIZE_M / pixels)
     x, y = np.meshgrid(at, at)
@@ -140,14 +154,14 @@ def relief(pixels: int) -> Float:
     return np.asarray(height)
 
 
-def picture_of(height: Float, pitch: float) -> NDArray[np.float32]:
+def shade_relief(height: Float, pitch: float) -> NDArray[np.float32]:
     """(H, W, 3) grey: the relief lit from one side."""
     light = 0.5 + 2.0 * np.gradient(height, pitch, axis=1)
     return np.repeat(np.clip(light, 0.0, 1.0)[..., None], 3, axis=2).astype(np.float32)
 
 
-def _levels_apart_db(one: Token, other: Token) -> float:
+def _compute_level_difference_db(first: Token, second: Token) -> float:
     """The largest difference of a known band's level."""
-    levels = np.arange(len(BAND_WAVELENGTHS_M)) * len(BAND_FEATURES) + LEVEL
-    known = levels[np.asarray(other.known)[levels]]
-    return float(20.0 * np.max(np.abs(one.values[known].astype(np.float64) - other.values[known]), initial=0.0))
+    levels = np.arange(len(BAND_WAVELENGTHS_M)) * len(BAND_FEATURES) + LEVEL_INDEX
+    known = levels[np.asarray(second.known)[levels]]
+    return float(20.0 * np.max(np.abs(first.values[known].astype(np.float64) - second.values[known]), initial=0.0))

@@ -8,38 +8,38 @@ from typing import TypeVar
 
 Result = TypeVar("Result")
 
-STATUS, RESET, SYSTEM = Path("/proc/self/status"), Path("/proc/self/clear_refs"), Path("/proc/meminfo")
+STATUS_FILE, RESET_FILE, SYSTEM_FILE = Path("/proc/self/status"), Path("/proc/self/clear_refs"), Path("/proc/meminfo")
 RESET_PEAK = "5"
 """Linux, proc(5): sets the peak of the resident memory back to what is resident now."""
 
 
-def with_peak(function: Callable[[], Result]) -> tuple[Result, float | None]:
+def run_with_peak(function: Callable[[], Result]) -> tuple[Result, float | None]:
     """What function returns, and the megabytes that were resident at once beyond those before; None where the system
     does not tell. Memory that was given back to the allocator and not to the system is counted as there before."""
-    before = _status_mb("VmRSS") if _reset() else None
+    before = _read_status_mb("VmRSS") if _reset_peak() else None
     result = function()
-    after = None if before is None else _status_mb("VmHWM")
+    after = None if before is None else _read_status_mb("VmHWM")
     return result, None if before is None or after is None else max(after - before, 0.0)
 
 
-def available_mb() -> float | None:
+def read_available_mb() -> float | None:
     """Megabytes that may still be taken; None where the system does not tell."""
-    return _field_mb(SYSTEM, "MemAvailable")
+    return _read_field_mb(SYSTEM_FILE, "MemAvailable")
 
 
-def _reset() -> bool:
+def _reset_peak() -> bool:
     try:
-        RESET.write_text(RESET_PEAK, encoding="ascii")
+        RESET_FILE.write_text(RESET_PEAK, encoding="ascii")
     except OSError:
         return False
     return True
 
 
-def _status_mb(name: str) -> float | None:
-    return _field_mb(STATUS, name)
+def _read_status_mb(name: str) -> float | None:
+    return _read_field_mb(STATUS_FILE, name)
 
 
-def _field_mb(path: Path, name: str) -> float | None:
+def _read_field_mb(path: Path, name: str) -> float | None:
     try:
         lines = path.read_text(encoding="ascii").splitlines()
     except OSError:

@@ -22,7 +22,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Trade:
+class TradeOff:
     """One panel: methods of one bench whose errors have one unit. measure: what time is, in words. left_out: rows with
     an error but no such time, or an error that is no number."""
 
@@ -30,10 +30,10 @@ class Trade:
     unit: str
     measure: str
     points: tuple[Point, ...]
-    left_out: int = 0
+    omitted: int = 0
 
 
-def pareto(points: Sequence[Point]) -> tuple[Point, ...]:
+def find_pareto_front(points: Sequence[Point]) -> tuple[Point, ...]:
     """The points that no other dominates, by error and then by time. Equal ones are all kept."""
     front: list[Point] = []
     for point in sorted(points, key=lambda each: (each.error, each.time)):
@@ -42,36 +42,40 @@ def pareto(points: Sequence[Point]) -> tuple[Point, ...]:
     return tuple(front)
 
 
-def dominates(one: Point, other: Point) -> bool:
+def dominates(first: Point, second: Point) -> bool:
     """Is one nowhere worse than other, and somewhere better?"""
-    return one.error <= other.error and one.time <= other.time and (one.error < other.error or one.time < other.time)
+    return (
+        first.error <= second.error
+        and first.time <= second.time
+        and (first.error < second.error or first.time < second.time)
+    )
 
 
-def trades(rows: Sequence[Row]) -> tuple[Trade, ...]:
+def group_trade_offs(rows: Sequence[Row]) -> tuple[TradeOff, ...]:
     """The panels of these rows, in their order; of a panel's measures the one that most of its rows have, and of equals
     that which says most on a busy machine: per second of signal, to one other method in pairs, on the wall, of CPU."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         if row.error is not None:
             groups.setdefault((row.bench, row.error_unit), []).append(row)
-    found = (_trade(bench, unit, group) for (bench, unit), group in groups.items())
+    found = (_make_trade_off(bench, unit, group) for (bench, unit), group in groups.items())
     return tuple(trade for trade in found if trade.points)
 
 
-def _trade(bench: str, unit: str, rows: Sequence[Row]) -> Trade:
+def _make_trade_off(bench: str, unit: str, rows: Sequence[Row]) -> TradeOff:
     references = sorted({row.ratio_to for row in rows if row.ratio is not None})
     measures = [PER_SIGNAL, *(f"processor time, {name} = 1" for name in references), SECONDS, CPU]
-    times = {measure: [time_of(row, measure, references) for row in rows] for measure in measures}
+    times = {measure: [get_time(row, measure, references) for row in rows] for measure in measures}
     best = max(measures, key=lambda measure: sum(time is not None for time in times[measure]))
     points = tuple(
         Point(row.method, row.error, time)
         for row, time in zip(rows, times[best], strict=True)
         if time is not None and row.error is not None and math.isfinite(max(row.error, 0.0))
     )
-    return Trade(bench, unit, best, points, len(rows) - len(points))
+    return TradeOff(bench, unit, best, points, len(rows) - len(points))
 
 
-def time_of(row: Row, measure: str, references: Sequence[str]) -> float | None:
+def get_time(row: Row, measure: str, references: Sequence[str]) -> float | None:
     """In what measure says; None where the row does not tell, or tells no positive time."""
     time: float | None = None
     if measure == PER_SIGNAL:

@@ -14,10 +14,10 @@ from pathlib import Path
 from ..errors import HnfError
 
 ROOT = Path(__file__).resolve().parents[2]
-HEAVY = ("numpy", "scipy", "torch", "matplotlib", "bpy")
+HEAVY_PACKAGES = ("numpy", "scipy", "torch", "matplotlib", "bpy")
 """Packages whose loading is told."""
 # Written at the very end, whatever way the code takes out: argparse ends --help by SystemExit.
-TELL = """
+REPORT_CODE = """
 import atexit, json, os, sys
 def tell():
     told = sorted(sys.modules)
@@ -29,7 +29,7 @@ atexit.register(tell)
 
 
 @dataclass(frozen=True)
-class Process:
+class ProcessRun:
     """One run. wall_s, cpu_s: from start to end, the interpreter's own included. peak_mb: of the whole process.
     modules: names of all that was loaded. said: its standard output."""
 
@@ -37,15 +37,15 @@ class Process:
     cpu_s: float
     peak_mb: float
     modules: tuple[str, ...]
-    said: str = ""
+    output: str = ""
 
     @property
-    def heavy(self) -> tuple[str, ...]:
+    def heavy_packages(self) -> tuple[str, ...]:
         """Which of HEAVY it loaded."""
-        return tuple(name for name in HEAVY if name in self.modules)
+        return tuple(name for name in HEAVY_PACKAGES if name in self.modules)
 
 
-def run_alone(code: str, *words: str) -> Process:
+def run_process(code: str, *arguments: str) -> ProcessRun:
     """Run code with sys.argv[1:] = words, from the source. Raises HnfError where it fails, and where this system does
     not tell what a process took (Windows)."""
     if not hasattr(os, "wait4"):
@@ -57,7 +57,7 @@ def run_alone(code: str, *words: str) -> Process:
         with out.open("wb") as stream:
             started = time.perf_counter()
             child = subprocess.Popen(
-                [sys.executable, "-c", TELL + code, *words], env=environment, stdin=subprocess.DEVNULL, stdout=stream,
+                [sys.executable, "-c", REPORT_CODE + code, *arguments], env=environment, stdin=subprocess.DEVNULL, stdout=stream,
                 stderr=subprocess.STDOUT,
             )  # fmt: skip
             _, status, usage = os.wait4(child.pid, 0)
@@ -68,4 +68,4 @@ def run_alone(code: str, *words: str) -> Process:
             raise HnfError(f"a process to be measured ended with code {child.returncode}:\n{said.strip()[-1500:]}")
         modules, peak = json.loads(told.read_text(encoding="utf-8"))
     # Linux counts what the parent held into ru_maxrss of a child, so there the child itself tells.
-    return Process(wall_s, usage.ru_utime + usage.ru_stime, (peak or usage.ru_maxrss) / 1e6, tuple(modules), said)
+    return ProcessRun(wall_s, usage.ru_utime + usage.ru_stime, (peak or usage.ru_maxrss) / 1e6, tuple(modules), said)

@@ -13,36 +13,36 @@ from numpy.typing import NDArray
 
 from ..scene.camera import Camera
 from ..scene.splats.cloud import Splats
-from ..scene.splats.harmonics import colours, directions
-from ..scene.splats.project import CUTOFF, MOST_ALPHA, footprints
+from ..scene.splats.harmonics import compute_view_directions, evaluate_sh_colours
+from ..scene.splats.project import MAX_ALPHA, MIN_ALPHA, project_splats
 from ..scene.splats.reference import render_reference
 from ..scene.splats.splatter import render_splats
 from ..scene.splats.view import SplatView
-from .frame import Options, Row, Spread, Times, peak_mb
+from .frame import BenchOptions, Row, Spread, Times, measure_peak_mb
 
 Single = NDArray[np.float32]
 
-NAME = "splats"
-COUNT, QUICK_COUNT = 60_000, 300
+SPLATS_NAME = "splats"
+SPLAT_COUNT, QUICK_SPLAT_COUNT = 60_000, 300
 PIXELS, QUICK_PIXELS = 256, 32
 FLOATERS = 0.1
 SEED = 7
-CROPS = (1, 2, 4, 8)
-NAIVE = "a loop over splats"
+CROP_FACTORS = (1, 2, 4, 8)
+NAIVE_NAME = "a loop over splats"
 
 
-def rows(options: Options) -> list[Row]:
+def measure_splats(options: BenchOptions) -> list[Row]:
     """Of a cloud made here and, where there is one, of options.scene. Raises FileError where that cannot be read."""
     pixels = QUICK_PIXELS if options.quick else PIXELS
-    found = _of_cloud("ball", ball(QUICK_COUNT if options.quick else COUNT), pixels, options)
+    found = _measure_cloud("ball", make_ball(QUICK_SPLAT_COUNT if options.quick else SPLAT_COUNT), pixels, options)
     if options.scene is not None:
         from ..scene.splats.read import read_splats
 
-        found += _of_cloud(options.scene.stem.partition(".")[0], read_splats(options.scene), pixels, options)
+        found += _measure_cloud(options.scene.stem.partition(".")[0], read_splats(options.scene), pixels, options)
     return found
 
 
-def ball(count: int, seed: int = SEED) -> Splats:
+def make_ball(count: int, seed: int = SEED) -> Splats:
     """A sphere of radius 1 covered with flat splats, as training leaves surfaces, and a tenth of faint floaters."""
     rng = np.random.default_rng(seed)
     normal = rng.normal(size=(count, 3))
@@ -59,7 +59,7 @@ def ball(count: int, seed: int = SEED) -> Splats:
     return Splats(*(np.ascontiguousarray(each, dtype=np.float32) for each in parts))
 
 
-def camera_on(splats: Splats, pixels: int) -> Camera:
+def make_camera(splats: Splats, pixels: int) -> Camera:
     """Looks along +z (+y of reconstructions points down) at the middle, a field of 50° round 98 % of the centres."""
     middle = np.median(splats.means, axis=0).astype(np.float64)
     radius = float(np.percentile(np.linalg.norm(splats.means - middle, axis=1), 98))
@@ -71,15 +71,15 @@ def camera_on(splats: Splats, pixels: int) -> Camera:
     return Camera("perspective", pixels, pixels, intrinsics, pose, 1e-3 * radius)
 
 
-def naive(splats: Splats, camera: Camera) -> tuple[Single, Single, Single]:
+def render_naively(splats: Splats, camera: Camera) -> tuple[Single, Single, Single]:
     """rgb, Σ w z and opacity: each splat's bounding box blended into the picture, one after the other."""
-    prints = footprints(splats, camera)
-    towards = directions(splats.means[prints.index], camera)
-    colour = colours(splats.harmonics[prints.index], towards).astype(np.float32)
+    prints = project_splats(splats, camera)
+    towards = compute_view_directions(splats.means[prints.index], camera)
+    colour = evaluate_sh_colours(splats.harmonics[prints.index], towards).astype(np.float32)
     light = np.ones((camera.height, camera.width), dtype=np.float32)
     rgb, weighted = np.zeros((*light.shape, 3), dtype=np.float32), np.zeros_like(light)
-    xx, xy = prints.sharp, -prints.sharp * prints.shear
-    yy = 1.0 / prints.var_y + prints.sharp * prints.shear**2
+    xx, xy = prints.precision, -prints.precision * prints.shear
+    yy = 1.0 / prints.var_y + prints.precision * prints.shear**2
     numbers = np.column_stack([xx, xy, yy, prints.u, prints.v, prints.opacity, prints.depth]).tolist()
     boxes = np.column_stack([prints.left, prints.right, prints.top, prints.bottom]).tolist()
     columns = np.arange(camera.width, dtype=np.float32) + np.float32(0.5)
@@ -87,8 +87,8 @@ def naive(splats: Splats, camera: Camera) -> tuple[Single, Single, Single]:
     for (a, b, c, u, v, opacity, z), (left, right, top, bottom), tint in zip(numbers, boxes, colour, strict=True):
         box = np.s_[top:bottom, left:right]
         dx, dy = columns[left:right] - u, rows_[top:bottom] - v
-        alpha = np.minimum(opacity * np.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy), MOST_ALPHA)
-        alpha *= alpha >= CUTOFF
+        alpha = np.minimum(opacity * np.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy), MAX_ALPHA)
+        alpha *= alpha >= MIN_ALPHA
         weight = alpha * light[box]
         rgb[box] += weight[..., None] * tint
         weighted[box] += weight * z
@@ -96,81 +96,83 @@ def naive(splats: Splats, camera: Camera) -> tuple[Single, Single, Single]:
     return rgb, weighted, 1.0 - light
 
 
-def _of_cloud(name: str, splats: Splats, pixels: int, options: Options) -> list[Row]:
-    camera = camera_on(splats, pixels)
+def _measure_cloud(name: str, splats: Splats, pixels: int, options: BenchOptions) -> list[Row]:
+    camera = make_camera(splats, pixels)
     ways: dict[str, Callable[[], object]] = {
-        NAIVE: partial(naive, splats, camera),
+        NAIVE_NAME: partial(render_naively, splats, camera),
         "one thread": partial(render_splats, splats, camera, threads=1),
         "two threads": partial(render_splats, splats, camera, threads=2),
     }
-    options.watch(f"{NAME}: {name}, reference")
+    options.watch(f"{SPLATS_NAME}: {name}, reference")
     plain = Times()
-    exact = plain.take(partial(render_reference, splats, camera))
-    options.watch(f"{NAME}: {name}, {len(ways)} ways")
+    exact = plain.measure(partial(render_reference, splats, camera))
+    options.watch(f"{SPLATS_NAME}: {name}, {len(ways)} ways")
     render_splats(splats, camera)
     walls: dict[str, list[float]] = {way: [] for way in ways}
     times = {way: Times() for way in ways}
     for _ in range(options.repeats):
         for way, run in ways.items():
             begin = time.perf_counter()
-            times[way].take(run)
+            times[way].measure(run)
             walls[way].append(time.perf_counter() - begin)
     title = f"{name}, {len(splats):,} at {pixels}²"
-    found = [Row(NAME, f"{title}: reference, float64", plain.seconds, plain.cpu, work=_work(exact))]
-    found.append(_timed(f"{title}: {NAIVE}", times[NAIVE], len(splats)))
-    rgb, _, opacity = naive(splats, camera)
-    found[-1] = replace(found[-1], error=_apart(rgb, opacity, exact), error_unit="of 1")
+    found = [Row(SPLATS_NAME, f"{title}: reference, float64", plain.seconds, plain.cpu, work=_count_work(exact))]
+    found.append(_make_row(f"{title}: {NAIVE_NAME}", times[NAIVE_NAME], len(splats)))
+    rgb, _, opacity = render_naively(splats, camera)
+    found[-1] = replace(found[-1], error=_compute_max_difference(rgb, opacity, exact), error_unit="of 1")
     for way in ("one thread", "two threads"):
-        ratio = Spread.of([mine / its for mine, its in zip(walls[way], walls[NAIVE], strict=True)])
+        ratio = Spread.from_values([mine / its for mine, its in zip(walls[way], walls[NAIVE_NAME], strict=True)])
         view = render_splats(splats, camera)
-        row = replace(_timed(f"{title}: {way}", times[way], len(splats)), work=_work(view))
+        row = replace(_make_row(f"{title}: {way}", times[way], len(splats)), work=_count_work(view))
         if way == "one thread":
-            ratio = times[way].ratio(times[NAIVE])
-            row = replace(row, peak_mb=peak_mb(ways[way]))
+            ratio = times[way].compute_ratio(times[NAIVE_NAME])
+            row = replace(row, peak_mb=measure_peak_mb(ways[way]))
         else:
             row = replace(row, cpu=None)
-        error = _apart(view.rgb, view.opacity, exact)
-        found.append(replace(row, ratio=ratio, ratio_to=NAIVE, error=error, error_unit="of 1"))
-    return found + _crops(title, splats, camera, exact, options)
+        error = _compute_max_difference(view.rgb, view.opacity, exact)
+        found.append(replace(row, ratio=ratio, ratio_to=NAIVE_NAME, error=error, error_unit="of 1"))
+    return found + _measure_crops(title, splats, camera, exact, options)
 
 
-def _crops(title: str, splats: Splats, camera: Camera, exact: SplatView, options: Options) -> list[Row]:
+def _measure_crops(title: str, splats: Splats, camera: Camera, exact: SplatView, options: BenchOptions) -> list[Row]:
     """The middle of the picture, by one thread."""
-    options.watch(f"{NAME}: {title}, crops")
-    found, times = [], {part: Times() for part in CROPS}
-    side = {part: camera.width // part for part in CROPS}
-    edge = {part: (camera.width - side[part]) // 2 for part in CROPS}
-    cameras = {part: camera.crop(edge[part], edge[part], side[part], side[part]) for part in CROPS}
-    views = {part: render_splats(splats, cameras[part], threads=1) for part in CROPS}
+    options.watch(f"{SPLATS_NAME}: {title}, crops")
+    found, times = [], {part: Times() for part in CROP_FACTORS}
+    side = {part: camera.width // part for part in CROP_FACTORS}
+    edge = {part: (camera.width - side[part]) // 2 for part in CROP_FACTORS}
+    cameras = {part: camera.crop(edge[part], edge[part], side[part], side[part]) for part in CROP_FACTORS}
+    views = {part: render_splats(splats, cameras[part], threads=1) for part in CROP_FACTORS}
     for _ in range(options.repeats):
-        for part in CROPS:
-            times[part].take(partial(render_splats, splats, cameras[part], threads=1))
-    for part in CROPS[1:]:
+        for part in CROP_FACTORS:
+            times[part].measure(partial(render_splats, splats, cameras[part], threads=1))
+    for part in CROP_FACTORS[1:]:
         span = np.s_[edge[part] : edge[part] + side[part], edge[part] : edge[part] + side[part]]
         part_of = replace(exact, rgb=exact.rgb[span], opacity=exact.opacity[span])
         row = Row(
-            NAME,
+            SPLATS_NAME,
             f"{title}: 1/{part * part} of the area",
             times[part].seconds,
             times[part].cpu,
-            times[part].ratio(times[1]),
+            times[part].compute_ratio(times[1]),
             "all of it",
-            _apart(views[part].rgb, views[part].opacity, part_of),
+            _compute_max_difference(views[part].rgb, views[part].opacity, part_of),
             "of 1",
-            work=_work(views[part]),
+            work=_count_work(views[part]),
         )
         found.append(row)
     return found
 
 
-def _timed(method: str, times: Times, count: int) -> Row:
-    return Row(NAME, method, times.seconds, times.cpu, note=f"{count / times.seconds.median:,.0f} splats/s")
+def _make_row(method: str, times: Times, count: int) -> Row:
+    return Row(SPLATS_NAME, method, times.seconds, times.cpu, note=f"{count / times.seconds.median:,.0f} splats/s")
 
 
-def _work(view: SplatView) -> dict[str, int]:
+def _count_work(view: SplatView) -> dict[str, int]:
     return {"splats": view.drawn, "pairs": view.pairs}
 
 
-def _apart(rgb: NDArray[np.floating[Any]], opacity: NDArray[np.floating[Any]], exact: SplatView) -> float:
+def _compute_max_difference(
+    rgb: NDArray[np.floating[Any]], opacity: NDArray[np.floating[Any]], exact: SplatView
+) -> float:
     """The largest difference of colour or opacity."""
     return float(max(np.abs(rgb - exact.rgb).max(), np.abs(opacity - exact.opacity).max()))

@@ -15,16 +15,16 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from ..actuators.urgency import PRIORITY
+from ..actuators.urgency import REALTIME_PRIORITY
 from .process import ROOT
 
-LEAST_S = 0.004
+MIN_STALL_S = 0.004
 """What is shorter counts for nothing: a stream has more than that in hand."""
 _SLEEP_S = 0.001
-_LEAVE_S = 10.0
+_MAX_EXIT_S = 10.0
 
 
-class Standstills:
+class StallLog:
     """lengths_s: of each, on all cores, once the watch has ended. watched: False where this system grants no such
     program (then there are none to tell of)."""
 
@@ -36,24 +36,24 @@ class Standstills:
         if not self.watched:
             return "whether the machine stood still is not known"
         most = f", {1e3 * max(self.lengths_s):.0f} ms at most" if self.lengths_s else ""
-        return f"the machine stood still {len(self.lengths_s)} times for {1e3 * LEAST_S:.0f} ms or more{most}"
+        return f"the machine stood still {len(self.lengths_s)} times for {1e3 * MIN_STALL_S:.0f} ms or more{most}"
 
 
 @contextmanager
-def standstills() -> Iterator[Standstills]:
+def watch_stalls() -> Iterator[StallLog]:
     """Watched from here to the end of the block, on every core that this process may use."""
-    found = Standstills()
+    found = StallLog()
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    children = [watcher(core) for core in cores]
+    children = [start_watcher(core) for core in cores]
     try:
         yield found
     finally:
-        told = [ended(child) for child in children]
+        told = [stop_watcher(child) for child in children]
         found.watched = bool(told) and all(each is not None for each in told)
         found.lengths_s = [length for each in told for length in each or ()]
 
 
-def watcher(core: int) -> subprocess.Popen[str]:
+def start_watcher(core: int) -> subprocess.Popen[str]:
     """A program that watches one core from now on, to be given to ended()."""
     child = subprocess.Popen(
         [sys.executable, "-m", __spec__.name, str(core)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
@@ -64,10 +64,10 @@ def watcher(core: int) -> subprocess.Popen[str]:
     return child
 
 
-def ended(child: subprocess.Popen[str]) -> list[float] | None:
+def stop_watcher(child: subprocess.Popen[str]) -> list[float] | None:
     """The lengths [s] that a watcher saw, which leaves; None where it could not watch."""
     try:
-        said, _ = child.communicate(timeout=_LEAVE_S)  # its input ends: it tells and leaves
+        said, _ = child.communicate(timeout=_MAX_EXIT_S)  # its input ends: it tells and leaves
     except subprocess.TimeoutExpired:
         child.kill()
         child.communicate()
@@ -75,10 +75,10 @@ def ended(child: subprocess.Popen[str]) -> list[float] | None:
     return [float(each) for each in json.loads(said)] if child.returncode == 0 else None
 
 
-def _watch(core: int) -> list[float] | None:
+def _record_stalls(core: int) -> list[float] | None:
     try:
         os.sched_setaffinity(0, {core})
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(2 * PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(2 * REALTIME_PRIORITY))
     except OSError:
         return None
     lengths, over = list[float](), False
@@ -87,14 +87,14 @@ def _watch(core: int) -> list[float] | None:
     while not over:  # no second thread: this one would wait for it
         over = bool(select.select([sys.stdin], [], [], _SLEEP_S)[0])
         now = time.monotonic()
-        if now - before - _SLEEP_S >= LEAST_S:
+        if now - before - _SLEEP_S >= MIN_STALL_S:
             lengths.append(now - before - _SLEEP_S)
         before = now
     return lengths
 
 
 if __name__ == "__main__":
-    seen = _watch(int(sys.argv[1]))
+    seen = _record_stalls(int(sys.argv[1]))
     if seen is None:
         sys.exit(1)
     print(json.dumps(seen))

@@ -16,19 +16,19 @@ import numpy as np
 from ..actuators.virtual.port import VirtualPort
 
 
-class Paced:
+class PacedLine:
     """Bytes as a line of baudrate carries them, ten bits each: those that come faster wait. clock: s."""
 
     def __init__(self, baudrate: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._per_s, self._clock = baudrate / 10.0, clock
         self._waiting = b""
-        self._allowed, self._then = 0.0, clock()
+        self._allowed, self._last_time = 0.0, clock()
 
     def __call__(self, data: bytes) -> bytes:
         now = self._clock()
         self._waiting += data
-        self._allowed = min(self._allowed + (now - self._then) * self._per_s, float(len(self._waiting)))
-        self._then, count = now, int(self._allowed)
+        self._allowed = min(self._allowed + (now - self._last_time) * self._per_s, float(len(self._waiting)))
+        self._last_time, count = now, int(self._allowed)
         self._allowed -= count
         through, self._waiting = self._waiting[:count], self._waiting[count:]
         return through
@@ -37,11 +37,11 @@ class Paced:
 def main(baudrate: int, record: Path) -> None:
     """record: .npy, (n, channels) int16: what was played, from the first sound to the last."""
     with VirtualPort() as port:
-        port.from_host = Paced(baudrate)
+        port.from_host = PacedLine(baudrate)
         print(json.dumps({"port": port.path}), flush=True)
         sys.stdin.readline()
         np.save(record, port.recording.counts)
-        print(json.dumps({"slipped": port.slipped}), flush=True)
+        print(json.dumps({"slipped": port.skipped_frames}), flush=True)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,6 @@ def has_bfloat16() -> bool:
 
 def evaluate_in_bfloat16(model: Field, condition: Condition) -> Emission:
     """evaluate(), with every number of F_Θ's layers and heads in bfloat16."""
-    from ..training.narrow import heads
+    from ..training.narrow import evaluate_heads_bfloat16
 
-    return evaluate(model, condition, partial(heads, model.parameters, model.config.layers))
+    return evaluate(model, condition, partial(evaluate_heads_bfloat16, model.parameters, model.config.layers))

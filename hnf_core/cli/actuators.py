@@ -9,31 +9,31 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..actuators.acceleration import Acceleration, acceleration_of
-from ..actuators.measure.bands import BandError, band_errors, largest_db, rms_db
-from ..actuators.measure.estimate import estimate
-from ..actuators.measure.excitation import noise, sweep
-from ..actuators.measure.felt import UNKNOWN_RANGE_HZ, felt, felt_bands
-from ..actuators.measure.profiled import Measured, profiled
+from ..actuators.acceleration import Acceleration, to_acceleration
+from ..actuators.measure.bands import BandError, compute_band_errors, compute_rms_db, find_largest_errors_db
+from ..actuators.measure.estimate import estimate_response
+from ..actuators.measure.excitation import make_noise, make_sweep
+from ..actuators.measure.felt import DEFAULT_RANGE_HZ, compute_band_changes, simulate_output
+from ..actuators.measure.profiled import MeasuredProfile, make_measured_profile
 from ..actuators.profile import GENERIC, PROFILES, ActuatorProfile
-from ..actuators.profile_file import profile_at, write_profile
+from ..actuators.profile_file import load_profile, write_profile
 from ..actuators.targets import (
     AudioTarget,
-    Devices,
+    DeviceList,
     FileTarget,
     OscTarget,
     VirtualTarget,
-    devices,
+    list_devices,
+    make_sink,
     parse_target,
-    sink_of,
 )
-from ..counted import counted
+from ..counted import pluralize
 from ..errors import FileError, UsageError
 from ..export.wav import read_wav, write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..signal import Signal
 from .actuators_describe import add_describe
-from .seed import seed_of
+from .seed import parse_seed
 from .verbs import HELP
 
 LOW_HZ, HIGH_HZ, SECONDS = 10.0, 1000.0, 8.0
@@ -65,7 +65,7 @@ def _add_sweep(actions: Any) -> None:
         description="Write an exponential sine sweep, or noise, as a WAV in m/s². Play it on the actuator, record the "
         "accelerometer, and give both files to: hnf actuators measure --played … --response …",
     )
-    _excitation_options(parser)
+    _add_excitation_options(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="F.wav", help="file to write")
     parser.set_defaults(run=run_sweep)
 
@@ -91,7 +91,7 @@ def _add_measure(actions: Any) -> None:
     )
     parser.add_argument("--title", default="Measured actuator", help="its name for people")
     parser.add_argument("--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="its range in Hz, if you know it")
-    _excitation_options(parser)
+    _add_excitation_options(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="PROFILE.json", help="file to write")
     parser.set_defaults(run=run_measure)
 
@@ -109,22 +109,22 @@ def _add_report(actions: Any) -> None:
     parser.set_defaults(run=run_report)
 
 
-def _excitation_options(parser: argparse.ArgumentParser) -> None:
+def _add_excitation_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--noise", action="store_true", help="pink noise instead of a sweep")
     parser.add_argument("--seconds", type=float, default=SECONDS, metavar="S", help=f"how long (default {SECONDS:g})")
     parser.add_argument("--low", type=float, default=LOW_HZ, metavar="HZ", help=f"from (default {LOW_HZ:g})")
     parser.add_argument("--high", type=float, default=HIGH_HZ, metavar="HZ", help=f"to (default {HIGH_HZ:g})")
     parser.add_argument("--level", type=float, default=LEVEL, metavar="SHARE", help=f"of full scale (default {LEVEL})")
     parser.add_argument("--rate", type=float, default=RATE_HZ, metavar="HZ", help=f"sample rate (default {RATE_HZ:g})")
-    parser.add_argument("--seed", type=seed_of, default=0, metavar="N", help="of the noise")
+    parser.add_argument("--seed", type=parse_seed, default=0, metavar="N", help="of the noise")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run_list(arguments: argparse.Namespace) -> int:
     """Print what is there. Returns the exit code."""
-    found = devices()
+    found = list_devices()
     if arguments.json:
-        print(json.dumps(_listed(found), indent=1, ensure_ascii=False))
+        print(json.dumps(_devices_to_json(found), indent=1, ensure_ascii=False))
         return 0
     for each in found.all:
         print(f"{each.target:<32}  {each.title}" + (f" ({each.facts})" if each.facts else ""))
@@ -138,11 +138,11 @@ def run_list(arguments: argparse.Namespace) -> int:
         print(f"not listed: {line}")
     print("\nprofiles:")
     for profile in PROFILES.values():
-        print(f"{profile.name:<32}  {profile.title}: {_limits_in_words(profile)}")
+        print(f"{profile.name:<32}  {profile.title}: {_format_limits(profile)}")
     return 0
 
 
-def _listed(found: Devices) -> dict[str, Any]:
+def _devices_to_json(found: DeviceList) -> dict[str, Any]:
     profiles = [
         {
             "name": profile.name, "title": profile.title, "source": profile.source, "range_hz": profile.range_hz,
@@ -155,14 +155,14 @@ def _listed(found: Devices) -> dict[str, Any]:
     return {"devices": listed, "missing": list(found.missing), "profiles": profiles}
 
 
-def _limits_in_words(profile: ActuatorProfile) -> str:
+def _format_limits(profile: ActuatorProfile) -> str:
     low, high = profile.range_hz or (None, None)
     band = f"{low:g} to {high:g} Hz" if low is not None else "range not known"
     peak = f"{profile.peak_m_s2:g} m/s²" if profile.peak_m_s2 is not None else "largest acceleration not stated"
     return f"{band}, {peak}"
 
 
-def excitation_of(arguments: argparse.Namespace, full_scale_m_s2: float) -> Signal:
+def make_excitation(arguments: argparse.Namespace, full_scale_m_s2: float) -> Signal:
     """Raises UsageError."""
     if not 0.0 < arguments.level <= 1.0:
         raise UsageError(
@@ -170,12 +170,12 @@ def excitation_of(arguments: argparse.Namespace, full_scale_m_s2: float) -> Sign
         )
     peak = arguments.level * full_scale_m_s2
     shape = (arguments.rate, arguments.seconds, arguments.low, arguments.high, peak)
-    return noise(*shape, seed=arguments.seed) if arguments.noise else sweep(*shape)
+    return make_noise(*shape, seed=arguments.seed) if arguments.noise else make_sweep(*shape)
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    signal = excitation_of(arguments, GENERIC.limits.full_scale_m_s2)
+    signal = make_excitation(arguments, GENERIC.limits.full_scale_m_s2)
     write_wav(arguments.out, signal)
     record = {"wav": str(arguments.out), "duration_s": signal.duration_s, "rms_m_s2": signal.rms, **signal.provenance}
     print(
@@ -186,37 +186,37 @@ def run_sweep(arguments: argparse.Namespace) -> int:
 
 def run_measure(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    base = profile_at(arguments.profile)
-    asked, got, calibrated = _asked_and_got(arguments, base)
-    response = estimate(asked.samples, got.samples, asked.sample_rate, arguments.low, arguments.high)
+    base = load_profile(arguments.profile)
+    asked, got, calibrated = _get_excitation_and_recording(arguments, base)
+    response = estimate_response(asked.samples, got.samples, asked.sample_rate, arguments.low, arguments.high)
     range_hz = None if arguments.range is None else (arguments.range[0], arguments.range[1])
-    found = profiled(base, response, title=arguments.title, calibrated=calibrated, range_hz=range_hz)
-    errors = band_errors(response_of(found), range_of(found), asked.sample_rate)
+    found = make_measured_profile(base, response, title=arguments.title, calibrated=calibrated, range_hz=range_hz)
+    errors = compute_band_errors(get_response(found), get_range(found), asked.sample_rate)
     write_profile(arguments.out, found.profile)
     if arguments.json:
-        print(json.dumps(_measured_record(arguments.out, found, errors, calibrated), indent=1, ensure_ascii=False))
+        print(json.dumps(_measurement_to_json(arguments.out, found, errors, calibrated), indent=1, ensure_ascii=False))
         return 0
     if not calibrated:
         print("hnf: without --sensitivity the level is not known; full scale stays as it was.", file=sys.stderr)
-    print(_measured_in_words(arguments.out, found, errors))
+    print(_format_measurement(arguments.out, found, errors))
     return 0
 
 
-def response_of(found: Measured) -> Any:
+def get_response(found: MeasuredProfile) -> Any:
     """Of a measured profile, which has one."""
     assert found.profile.response is not None
     return found.profile.response
 
 
-def range_of(found: Measured) -> tuple[float, float]:
+def get_range(found: MeasuredProfile) -> tuple[float, float]:
     """Of a measured profile, which has one."""
     assert found.profile.range_hz is not None
     return found.profile.range_hz
 
 
-def _asked_and_got(arguments: argparse.Namespace, base: ActuatorProfile) -> tuple[Signal, Signal, bool]:
+def _get_excitation_and_recording(arguments: argparse.Namespace, base: ActuatorProfile) -> tuple[Signal, Signal, bool]:
     """At one rate; whether the second's m/s² are true."""
-    from ..actuators.measure.run import Accelerometer, at_rate, measure, simulate
+    from ..actuators.measure.run import Accelerometer, measure_actuator, resample_signal, simulate_measurement
 
     if (arguments.played is None) != (arguments.response is None) or (arguments.to is None) == (
         arguments.played is None
@@ -234,35 +234,37 @@ def _asked_and_got(arguments: argparse.Namespace, base: ActuatorProfile) -> tupl
         if stated and arguments.sensitivity is not None:
             raise UsageError("it is in m/s² already.", where=str(arguments.response), remedy="Leave out --sensitivity.")
         true = stated or arguments.sensitivity is not None
-        got = at_rate(came, asked.sample_rate)
+        got = resample_signal(came, asked.sample_rate)
         return asked, Signal(got.samples * sensitivity, got.sample_rate, 0), true
     target, limits = parse_target(arguments.to), base.limits
     if isinstance(target, FileTarget | OscTarget):
         raise UsageError(f"nothing moves behind {arguments.to}.", remedy="Measure on serial, audio or virtual.")
-    excitation = excitation_of(arguments, limits.full_scale_m_s2)
+    excitation = make_excitation(arguments, limits.full_scale_m_s2)
     if isinstance(target, VirtualTarget):
-        return *simulate(excitation, limits), True
-    sensor = Accelerometer(_input_of(arguments.input), sensitivity)
-    asked, got = measure(sink_of(target, arguments.rate, limits), sensor, excitation, limits)
+        return *simulate_measurement(excitation, limits), True
+    sensor = Accelerometer(_parse_input(arguments.input), sensitivity)
+    asked, got = measure_actuator(make_sink(target, arguments.rate, limits), sensor, excitation, limits)
     return asked, got, arguments.sensitivity is not None
 
 
-def _input_of(words: str | None) -> str | int | None:
-    target = None if words is None else parse_target(words)
+def _parse_input(text: str | None) -> str | int | None:
+    target = None if text is None else parse_target(text)
     if not isinstance(target, AudioTarget):
         raise UsageError("the accelerometer has no input.", remedy="Name its sound input: --input audio[:DEVICE].")
     return target.device
 
 
-def _measured_record(path: Path, found: Measured, errors: tuple[BandError, ...], calibrated: bool) -> dict[str, Any]:
-    before, after = largest_db(errors)
+def _measurement_to_json(
+    path: Path, found: MeasuredProfile, errors: tuple[BandError, ...], calibrated: bool
+) -> dict[str, Any]:
+    before, after = find_largest_errors_db(errors)
     return {
         "profile": str(path),
         "calibrated": calibrated,
         "gain_db": found.gain_db,
         "full_scale_m_s2": found.profile.limits.full_scale_m_s2,
-        "range_hz": range_of(found),
-        "delay_ms": 1e3 * response_of(found).delay_s,
+        "range_hz": get_range(found),
+        "delay_ms": 1e3 * get_response(found).delay_s,
         "resonator": asdict(found.resonator),
         "bands": [asdict(each) for each in errors],
         "largest_error_before_db": before,
@@ -270,8 +272,8 @@ def _measured_record(path: Path, found: Measured, errors: tuple[BandError, ...],
     }
 
 
-def _measured_in_words(path: Path, found: Measured, errors: tuple[BandError, ...]) -> str:
-    resonator, (low, high) = found.resonator, range_of(found)
+def _format_measurement(path: Path, found: MeasuredProfile, errors: tuple[BandError, ...]) -> str:
+    resonator, (low, high) = found.resonator, get_range(found)
     model = (
         f"resonance {resonator.resonance_hz:.1f} Hz, damping {resonator.damping:.2f} (that model is off by "
         f"{resonator.error_db:.2f} dB RMS)"
@@ -283,19 +285,19 @@ def _measured_in_words(path: Path, found: Measured, errors: tuple[BandError, ...
         f"{'band':>9}  {'without':>9}  {'with compensation':>18}",
     ]
     lines += [f"{each.centre_hz:>6.0f} Hz  {each.before_db:>+6.1f} dB  {each.after_db:>+15.2f} dB" for each in errors]
-    rms = rms_db([each.before_db for each in errors]), rms_db([each.after_db for each in errors])
+    rms = compute_rms_db([each.before_db for each in errors]), compute_rms_db([each.after_db for each in errors])
     return "\n".join([*lines, f"{'RMS':>9}  {rms[0]:>6.1f} dB  {rms[1]:>15.2f} dB"])
 
 
 def run_report(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    profile = profile_at(arguments.profile)
-    found = acceleration_of([read_wav(arguments.file)], profile.limits, str(arguments.file))
+    profile = load_profile(arguments.profile)
+    found = to_acceleration([read_wav(arguments.file)], profile.limits, str(arguments.file))
     signal = Signal(found.samples[:, 0], found.rate_hz, 0)
-    plain, made_up = (felt(signal, profile, compensate=compensate) for compensate in (False, True))
-    without, compensated = (felt_bands(signal, each.signal, profile) for each in (plain, made_up))
+    plain, made_up = (simulate_output(signal, profile, compensate=compensate) for compensate in (False, True))
+    without, compensated = (compute_band_changes(signal, each.signal, profile) for each in (plain, made_up))
     if not any(band.before > 0.0 for band in without):
-        raise _nothing_in(found, profile, str(arguments.file))
+        raise _make_empty_signal_error(found, profile, str(arguments.file))
     rows = [
         {"low_hz": one.low_hz, "high_hz": one.high_hz, "before_db": one.change_db, "after_db": other.change_db}
         for one, other in zip(without, compensated, strict=True)
@@ -316,7 +318,7 @@ def run_report(arguments: argparse.Namespace) -> int:
     for what, each in (("", plain), (" with compensation", made_up)):
         if each.limited_samples and (each is plain or profile.response is not None):
             print(
-                f"hnf: its limits change {counted(each.limited_samples, 'sample')}{what}; a softer signal keeps its "
+                f"hnf: its limits change {pluralize(each.limited_samples, 'sample')}{what}; a softer signal keeps its "
                 "shape.",
                 file=sys.stderr,
             )
@@ -328,13 +330,13 @@ def run_report(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _nothing_in(found: Acceleration, profile: ActuatorProfile, where: str) -> FileError:
+def _make_empty_signal_error(found: Acceleration, profile: ActuatorProfile, where: str) -> FileError:
     """Why there is no band to report on."""
     if found.peak_m_s2 == 0.0:
         return FileError("is silent: there is nothing to report.", where=where, remedy="Give a file with a vibration.")
-    low, high = profile.range_hz or UNKNOWN_RANGE_HZ
+    low, high = profile.range_hz or DEFAULT_RANGE_HZ
     return FileError(
-        f"has nothing from {low:g} to {high:g} Hz, or is too short ({counted(len(found.samples), 'sample')}): there is "
+        f"has nothing from {low:g} to {high:g} Hz, or is too short ({pluralize(len(found.samples), 'sample')}): there is "
         "nothing to report.",
         where=where,
         remedy="Give a longer file, or the profile of an actuator that it is made for.",

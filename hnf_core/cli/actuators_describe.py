@@ -7,14 +7,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..actuators.measure.bands import band_errors, rms_db
-from ..actuators.measure.described import described
+from ..actuators.measure.bands import compute_band_errors, compute_rms_db
+from ..actuators.measure.described import make_datasheet_profile
 from ..actuators.profile_file import write_profile
 from ..errors import UsageError
 from ..field.carriers import MODEL_RATE_HZ
 
 STANDARD_GRAVITY_M_S2 = 9.80665
-BEFORE_AFTER = ("before_db", "after_db")
+BAND_ERROR_FIELDS = ("before_db", "after_db")
 
 
 def add_describe(actions: Any) -> None:
@@ -57,7 +57,7 @@ def run_describe(arguments: argparse.Namespace) -> int:
     if arguments.range is not None and not 0.0 < arguments.range[0] < arguments.range[1]:
         raise UsageError("--range goes from low to high.", remedy="Give e.g. --range 100 300.")
     peak = arguments.peak if arguments.peak_g is None else arguments.peak_g * STANDARD_GRAVITY_M_S2
-    profile = described(
+    profile = make_datasheet_profile(
         arguments.title,
         arguments.source,
         resonance_hz=arguments.resonance,
@@ -69,10 +69,12 @@ def run_describe(arguments: argparse.Namespace) -> int:
     )
     assert profile.response is not None
     assert profile.range_hz is not None
-    errors = band_errors(profile.response, profile.range_hz, MODEL_RATE_HZ)
+    errors = compute_band_errors(profile.response, profile.range_hz, MODEL_RATE_HZ)
     write_profile(arguments.out, profile)
     # Of a range narrower than a third of an octave there is no band to tell of.
-    before, after = (rms_db([getattr(each, when) for each in errors]) if errors else None for when in BEFORE_AFTER)
+    before, after = (
+        compute_rms_db([getattr(each, when) for each in errors]) if errors else None for when in BAND_ERROR_FIELDS
+    )
     low, high = profile.range_hz
     full = profile.limits.full_scale_m_s2
     if arguments.json:

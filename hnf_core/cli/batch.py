@@ -12,24 +12,24 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..cores import cores
+from ..cores import available_cpus
 from ..errors import HnfError, UsageError
 from .progress import Progress, ProgressBar
 
 if TYPE_CHECKING:
     from ..batch.job import Job
     from ..batch.order import Outcome
-    from ..batch.run import Summary
+    from ..batch.run import BatchSummary
 
-DIRECT = ("touch", "synth", "train")
-VARIED = {
+DIRECT_COMMANDS = ("touch", "synth", "train")
+VARIED_OPTIONS = {
     "touch": (),
     "synth": ("--material", "--weights", "--stroke", "--action", "--seed"),
     "train": ("--material", "--seed"),
 }
 """Options that make a job for each of their values; of `hnf touch` its scenes do."""
 RETRIES = 2
-NOT_NAMED = ("out", "verb", "what", "run")
+NON_INPUT_ARGUMENTS = ("out", "verb", "what", "run")
 """What a parsed command holds that is none of its inputs."""
 
 
@@ -66,13 +66,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
     try:
         from ..batch.cluster import check_address
-        from ..batch.run import Options, run_batch
+        from ..batch.run import BatchOptions, run_batch
     except ImportError as error:
         raise HnfError(
             f"batch is no part of the extension, and needs Linux or macOS ({error}).",
             remedy="Run it from the source: pip install -e '.[batch]', then hnf batch.",
         ) from error
-    jobs, base = _jobs(arguments)
+    jobs, base = _read_jobs(arguments)
     if arguments.out is None:
         raise UsageError("a batch writes into a folder.", remedy="Say where: --out DIR.")
     if arguments.retries < 0 or (arguments.workers is not None and arguments.workers < 1):
@@ -81,14 +81,14 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.workers is not None:
             raise UsageError("--workers are those of this machine, --scheduler names others.", remedy="Give one.")
         check_address(arguments.scheduler)
-    options = Options(arguments.scheduler, arguments.workers or cores(), arguments.retries)
+    options = BatchOptions(arguments.scheduler, arguments.workers or available_cpus(), arguments.retries)
     folder = Path(os.path.abspath(arguments.out))
-    named = {job.name: _inputs(job, base, folder / job.name) for job in jobs}
+    named = {job.name: _find_inputs(job, base, folder / job.name) for job in jobs}
     bar = ProgressBar()
 
-    def watch(outcome: Outcome, again: bool, summary: Summary) -> None:
+    def watch(outcome: Outcome, again: bool, summary: BatchSummary) -> None:
         bar.close()
-        _tell(outcome, again, folder, arguments.json)
+        _report_outcome(outcome, again, folder, arguments.json)
         done = summary.skipped + summary.finished + len(summary.failed)
         bar.show(Progress(f"after {outcome.name}", done, summary.jobs))
 
@@ -97,12 +97,12 @@ def run(arguments: argparse.Namespace) -> int:
         summary = run_batch(jobs, named, base, folder, options, watch)
     finally:
         bar.close()
-    return _sum_up(summary, folder, arguments.json)
+    return _report_summary(summary, folder, arguments.json)
 
 
-def _jobs(arguments: argparse.Namespace) -> tuple[tuple[Job, ...], Path]:
+def _read_jobs(arguments: argparse.Namespace) -> tuple[tuple[Job, ...], Path]:
     """The jobs, and the folder that their paths count from; the batch's own options among the words are taken out."""
-    from ..batch.expand import combined_jobs, scene_jobs
+    from ..batch.expand import make_combined_jobs, make_scene_jobs
     from ..batch.jobs_file import SUFFIXES, read_jobs
 
     what = arguments.what
@@ -110,23 +110,23 @@ def _jobs(arguments: argparse.Namespace) -> tuple[tuple[Job, ...], Path]:
         prog=f"hnf batch {what}", allow_abbrev=False, epilog="Other options are those of the command itself."
     )
     _add_options(own)
-    for option in VARIED.get(what, ()):
+    for option in VARIED_OPTIONS.get(what, ()):
         own.add_argument(option, action="append", default=[], dest=option, metavar="VALUE", help="again for more jobs")
     _, rest = own.parse_known_args(arguments.words, arguments)
-    varied = {option: getattr(arguments, option) for option in VARIED.get(what, ())}
+    varied = {option: getattr(arguments, option) for option in VARIED_OPTIONS.get(what, ())}
     if what == "touch":
         first = next((place for place, word in enumerate(rest) if word.startswith("-")), len(rest))
-        return scene_jobs(rest[:first], rest[first:]), Path.cwd()
+        return make_scene_jobs(rest[:first], rest[first:]), Path.cwd()
     if what == "synth":
-        return combined_jobs(["synth"], varied, rest, ".wav"), Path.cwd()
+        return make_combined_jobs(["synth"], varied, rest, ".wav"), Path.cwd()
     if what == "train":
         if not rest or rest[0].startswith("-"):
             raise UsageError("what is to be trained?", remedy="Example: hnf batch train field --data simulated …")
         suffix = "" if rest[0] == "alignment" else ".safetensors"
-        return combined_jobs(["train", rest[0]], varied, rest[1:], suffix), Path.cwd()
+        return make_combined_jobs(["train", rest[0]], varied, rest[1:], suffix), Path.cwd()
     if Path(what).suffix.lower() not in SUFFIXES:
         raise UsageError(
-            f"{what!r} is neither a file of jobs ({', '.join(SUFFIXES)}) nor one of {', '.join(DIRECT)}.",
+            f"{what!r} is neither a file of jobs ({', '.join(SUFFIXES)}) nor one of {', '.join(DIRECT_COMMANDS)}.",
             remedy="See: hnf batch --help",
         )
     if rest:
@@ -135,20 +135,20 @@ def _jobs(arguments: argparse.Namespace) -> tuple[tuple[Job, ...], Path]:
     return read_jobs(path), path.parent
 
 
-def _inputs(job: Job, base: Path, own: Path) -> tuple[str, ...]:
+def _find_inputs(job: Job, base: Path, job_folder: Path) -> tuple[str, ...]:
     """The files and folders that a job names, absolute. Raises UsageError where hnf does not take its command, or an
     input that was declared is not there."""
-    from ..batch.inputs import named_files
+    from ..batch.inputs import find_named_files
 
-    parsed = _parsed(job)
+    parsed = _parse_job(job)
     for path in job.inputs:
-        if not named_files([path], base):
+        if not find_named_files([path], base):
             raise UsageError(f"its input {path} is not there.", where=f"job {job.name}", remedy="Check the path.")
-    values = [value for name, value in vars(parsed).items() if name not in NOT_NAMED]
-    return named_files([values, *job.inputs], base, own)
+    values = [value for name, value in vars(parsed).items() if name not in NON_INPUT_ARGUMENTS]
+    return find_named_files([values, *job.inputs], base, job_folder)
 
 
-def _parsed(job: Job) -> argparse.Namespace:
+def _parse_job(job: Job) -> argparse.Namespace:
     from .main import build_parser
 
     said = io.StringIO()
@@ -164,19 +164,19 @@ def _parsed(job: Job) -> argparse.Namespace:
         ) from refused
 
 
-def _tell(outcome: Outcome, again: bool, folder: Path, as_json: bool) -> None:
+def _report_outcome(outcome: Outcome, retried: bool, folder: Path, as_json: bool) -> None:
     """One line an attempt: a result to stdout, the reason of another attempt to stderr."""
     from ..batch.order import State
 
-    reasons: Sequence[str] = (*outcome.earlier, outcome.why) if again else outcome.earlier
-    if again or (reasons and outcome.state is State.DONE):
-        ending = "it is tried again" if again else "another has done it"
+    reasons: Sequence[str] = (*outcome.earlier, outcome.why) if retried else outcome.earlier
+    if retried or (reasons and outcome.state is State.DONE):
+        ending = "it is tried again" if retried else "another has done it"
         print(f"hnf: {outcome.name}: {reasons[-1]}; {ending}.", file=sys.stderr, flush=True)
     if outcome.state is State.DONE and not as_json:
         print(f"{outcome.name}: {outcome.seconds:.1f} s → {folder / outcome.name}", flush=True)
 
 
-def _sum_up(summary: Summary, folder: Path, as_json: bool) -> int:
+def _report_summary(summary: BatchSummary, folder: Path, as_json: bool) -> int:
     """The end: counts to stdout, what to do to stderr. Returns the exit code."""
     from ..batch.order import State
 

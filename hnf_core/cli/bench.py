@@ -38,21 +38,21 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace) -> int:
     """The benches that need no Blender. Raises HnfError; returns the exit code."""
     try:
-        from ..bench.catalogue import BENCHES
+        from ..bench.catalogue import CORE_BENCHES
     except ImportError as error:
-        raise not_here(error) from error
-    return run_benches(arguments, BENCHES)
+        raise make_unavailable_error(error) from error
+    return run_benches(arguments, CORE_BENCHES)
 
 
 def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
     """Print what those asked for measure. Raises UsageError and what a bench raises."""
-    from ..bench.frame import Options
-    from ..bench.machine import machine
-    from ..bench.table import markdown
+    from ..bench.frame import BenchOptions
+    from ..bench.machine import describe_machine
+    from ..bench.table import format_rows
 
     chosen = [bench for bench in benches if arguments.name in (None, bench.name)]
     if not chosen:
-        listed = "\n".join(f"  {bench.name:<16} {bench.what}" for bench in benches)
+        listed = "\n".join(f"  {bench.name:<16} {bench.description}" for bench in benches)
         raise UsageError(f"there is no bench '{arguments.name}'.", remedy=f"There are:\n{listed}")
     if arguments.repeats < 1:
         raise UsageError("--repeats must be at least 1.")
@@ -60,23 +60,23 @@ def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
         from ..bench.plot import check_suffix
 
         check_suffix(arguments.plot)
-    before, bar, rows = machine(), ProgressBar(), []
+    before, bar, rows = describe_machine(), ProgressBar(), []
     try:
         for place, bench in enumerate(chosen):
-            options = Options(
+            options = BenchOptions(
                 arguments.repeats,
                 arguments.quick,
                 lambda what, place=place: bar.show(Progress(what, place, len(chosen))),  # type: ignore[misc]
                 arguments.scene,
             )
-            rows += bench.rows(options)
+            rows += bench.measure(options)
     finally:
         bar.close()
-    facts = machine() | {name: before[name] for name in ("load",) if name in before}  # before we made one
+    facts = describe_machine() | {name: before[name] for name in ("load",) if name in before}  # before we made one
     if arguments.json:
         print(json.dumps([row.to_json() | {"machine": facts} for row in rows], indent=1, ensure_ascii=False))
     else:
-        print(markdown(rows, facts))
+        print(format_rows(rows, facts))
     if arguments.plot is not None:
         from ..bench.plot import write_plot
 
@@ -84,7 +84,7 @@ def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
     return 0
 
 
-def not_here(error: ImportError) -> HnfError:
+def make_unavailable_error(error: ImportError) -> HnfError:
     """The extension's zip holds no benches."""
     return HnfError(
         f"benches are no part of the extension ({error}).",

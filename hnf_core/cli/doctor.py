@@ -6,10 +6,18 @@ import argparse
 import json
 from typing import Any
 
-from .health import PACKAGES, Fact, base_versions, field_identity, file_hashes, kernel_state, version_of
+from .health import (
+    OPTIONAL_PACKAGES,
+    Fact,
+    describe_field,
+    describe_kernel,
+    get_base_versions,
+    get_version,
+    hash_data_files,
+)
 from .verbs import HELP
 
-CACHE = "in the folder 'cache' of each --out"
+CACHE_LOCATION = "in the folder 'cache' of each --out"
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -25,13 +33,13 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace) -> int:
     """Prints; returns the exit code, 0 whatever is missing."""
     facts = (
-        *base_versions(),
-        Fact("compiled_kernel", "Compiled kernel", kernel_state()),
-        Fact("field", "Field", field_identity()),
-        *file_hashes(),
-        Fact("touch_cache", "Cache of touch", CACHE),
+        *get_base_versions(),
+        Fact("compiled_kernel", "Compiled kernel", describe_kernel()),
+        Fact("field", "Field", describe_field()),
+        *hash_data_files(),
+        Fact("touch_cache", "Cache of touch", CACHE_LOCATION),
     )
-    packages = [(each, version_of(each.name)) for each in PACKAGES]
+    packages = [(each, get_version(each.name)) for each in OPTIONAL_PACKAGES]
     if arguments.json:
         found = {
             each.name: {"version": version or None, "without": "" if version else each.without}

@@ -13,7 +13,7 @@ from ..errors import UsageError
 from .eval_alignment import add_parser as _add_alignment
 from .eval_tactile_map import add_parser as _add_tactile_map
 from .progress import Progress, ProgressBar
-from .train_needs import torch_for
+from .train_needs import require_torch
 from .verbs import HELP
 
 SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_tactile_map)
@@ -54,27 +54,27 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("hnf eval writes a report and pictures.", remedy="Say where: --out DIR.")
     if arguments.workers < 1 or arguments.seed < 0 or arguments.textures < 0 or not 5.0 <= arguments.seconds <= 1e4:
         raise UsageError("--workers must be at least 1, --seed and --textures 0, --seconds 5.")
-    with torch_for("evaluation trains its methods and"):
+    with require_torch("evaluation trains its methods and"):
         from ..training import material  # noqa: F401
     from ..evaluation.methods import Budget
-    from ..evaluation.run import QUICK, SIMULATED, Options, run_evaluation
-    from ..evaluation.tables import markdown
+    from ..evaluation.run import QUICK_SIZES, SIMULATED_MATERIALS, EvaluationOptions, run_evaluation
+    from ..evaluation.tables import format_report
 
-    options = Options(
+    options = EvaluationOptions(
         out=arguments.out,
         budget=Budget(weights=arguments.weights),
         keys=None if arguments.methods is None else tuple(arguments.methods),
         hatt=arguments.hatt,
         seed=arguments.seed,
         workers=arguments.workers,
-        simulated=SIMULATED if arguments.materials is None else tuple(arguments.materials),
+        simulated=SIMULATED_MATERIALS if arguments.materials is None else tuple(arguments.materials),
     )
     sizes = replace(
         options.sizes, simulated=len(options.simulated), hatt=arguments.textures, training_s=arguments.seconds
     )
     options = replace(options, sizes=sizes)
     if arguments.quick:
-        options = replace(options, sizes=QUICK, budget=replace(options.budget, epochs=2, steps=50))
+        options = replace(options, sizes=QUICK_SIZES, budget=replace(options.budget, epochs=2, steps=50))
     bar, stages = ProgressBar(), [0]
 
     def watch(stage: str) -> None:
@@ -85,5 +85,5 @@ def run(arguments: argparse.Namespace) -> int:
         report = run_evaluation(options, watch)
     finally:
         bar.close()
-    print(json.dumps(report.to_json(), indent=1, default=str) if arguments.json else markdown(report))
+    print(json.dumps(report.to_json(), indent=1, default=str) if arguments.json else format_report(report))
     return 0

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..errors import UsageError
 from .progress import Progress, ProgressBar
-from .train_alignment import PAIRS, add_data, needs_torch
+from .train_alignment import PAIRS, add_data_option, prepare_torch
 
 
 def add_parser(subjects: Any) -> None:
@@ -19,7 +19,7 @@ def add_parser(subjects: Any) -> None:
         description="Probe, retrieve and bridge with the encoders of one or more `hnf train alignment`, on places that "
         "none of them was trained on. Takes a minute or two for each.",
     )
-    add_data(parser)
+    add_data_option(parser)
     parser.add_argument(
         "--models", nargs="+", type=Path, required=True, metavar="DIR", help="folders of hnf train alignment"
     )
@@ -34,23 +34,23 @@ def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
     if arguments.seed < 0 or arguments.threads < 1 or (arguments.items is not None and arguments.items < 20):
         raise UsageError("--seed must be at least 0, --threads 1, --items 20.")
-    needs_torch(arguments.threads)
+    prepare_torch(arguments.threads)
     from ..training.alignment.data import open_source
-    from ..training.alignment.measure import PROBE_ITEMS, measure
-    from ..training.alignment.models import load_models
-    from ..training.alignment.table import chances, markdown, report
+    from ..training.alignment.measure import PROBE_ITEMS, measure_encoders
+    from ..training.alignment.models import load_encoders
+    from ..training.alignment.table import compute_chance_levels, format_report, make_report
 
-    models = [load_models(folder) for folder in arguments.models]
+    models = [load_encoders(folder) for folder in arguments.models]
     source = open_source(arguments.data or [[PAIRS]])
-    learn, judged = source.learn(), source.judge()
+    learn, judged = source.load_training(), source.load_held_out()
     bar, measured = ProgressBar(), []
     try:
         for number, each in enumerate(models):
             bar.show(Progress(f"encoders trained on {each.sensor}", number, len(models)))
-            measured.append(measure(each, learn, judged, arguments.seed, arguments.items or PROBE_ITEMS))
+            measured.append(measure_encoders(each, learn, judged, arguments.seed, arguments.items or PROBE_ITEMS))
     finally:
         bar.close()
-    told = report(measured, chances(judged))
-    record = {**told.to_json(), "models": [dict(each.record) for each in models], "data": list(source.told)}
-    print(json.dumps(record, indent=1) if arguments.json else markdown(told))
+    told = make_report(measured, compute_chance_levels(judged))
+    record = {**told.to_json(), "models": [dict(each.record) for each in models], "data": list(source.messages)}
+    print(json.dumps(record, indent=1) if arguments.json else format_report(told))
     return 0

@@ -44,9 +44,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--seed must be at least 0, --tiles 2.")
     from dataclasses import replace
 
-    from ..evaluation.tactile_map.figures import draw_pictures
-    from ..evaluation.tactile_map.run import QUICK, Setup, Sizes, measure
-    from ..evaluation.tactile_map.tables import markdown, to_json
+    from ..evaluation.tactile_map.figures import write_plots
+    from ..evaluation.tactile_map.run import QUICK_SIZES, MapSetup, MapSizes, measure_maps
+    from ..evaluation.tactile_map.tables import format_map_report, report_to_json
     from ..tactile.diffusion.weights import load_map_weights
 
     weights = load_map_weights(arguments.weights)
@@ -54,17 +54,19 @@ def run(arguments: argparse.Namespace) -> int:
     data = arguments.data
     if data is None and not arguments.quick and PAIRS.is_dir():
         data = PAIRS
-    sizes = QUICK if arguments.quick else Sizes()
+    sizes = QUICK_SIZES if arguments.quick else MapSizes()
     if arguments.tiles is not None:
         fewer = {name: min(getattr(sizes, name), arguments.tiles) for name in ("varied", "all_pitches", "curve")}
         sizes = replace(sizes, instances=arguments.tiles, classes=arguments.tiles, **fewer)
-    setup = Setup(weights, beside, data, sizes, arguments.seed, arguments.cache)
+    setup = MapSetup(weights, beside, data, sizes, arguments.seed, arguments.cache)
     bar = ProgressBar()
     try:
-        measured = measure(setup, lambda what, done, total: bar.show(Progress(what, done, total)))
+        measured = measure_maps(setup, lambda what, done, total: bar.show(Progress(what, done, total)))
     finally:
         bar.close()
     if arguments.pictures is not None:
-        draw_pictures(arguments.pictures, setup, measured)
-    print(json.dumps(to_json(setup, measured), indent=1) if arguments.json else markdown(setup, measured))
+        write_plots(arguments.pictures, setup, measured)
+    print(
+        json.dumps(report_to_json(setup, measured), indent=1) if arguments.json else format_map_report(setup, measured)
+    )
     return 0

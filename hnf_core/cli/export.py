@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from ..actuators.profile import GENERIC, PROFILES
-from ..actuators.profile_file import profile_at
+from ..actuators.profile_file import load_profile
 from ..errors import UsageError
 from ..export.convert import export_signal
 from ..export.formats import FORMATS, format_of
-from ..export.options import FULL_SCALE_M_S2, RANGE_HZ, ExportOptions
+from ..export.options import DEFAULT_FULL_SCALE_M_S2, DEFAULT_RANGE_HZ, ExportOptions
 from ..export.surface import TouchedSurface
-from ..export.wav_copies import read_own_wav
+from ..export.wav_copies import read_wav_with_units
 from .verbs import HELP
 
 SceneReader = Callable[[Path, Mapping[str, str], str | None], TouchedSurface]
@@ -40,32 +40,35 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "--scene", type=Path, metavar="BAKED.blend", help="what the stroke was drawn on, for hjif and glb"
     )
     parser.add_argument("--object", metavar="NAME", help="which mesh of --scene; default: as FILE.wav says")
-    add_scale(parser)
+    add_scale_options(parser)
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser
 
 
-def add_scale(parser: argparse.ArgumentParser) -> None:
+def add_scale_options(parser: argparse.ArgumentParser) -> None:
     """The options that say what 1 stands for."""
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
         "--profile", metavar="NAME", help=f"an actuator, for full scale and range: {', '.join(PROFILES)}, or FILE.json"
     )
     scale.add_argument(
-        "--full-scale", type=float, metavar="M_S2", help=f"m/s² that 1.0 stands for (default {FULL_SCALE_M_S2:g})"
+        "--full-scale",
+        type=float,
+        metavar="M_S2",
+        help=f"m/s² that 1.0 stands for (default {DEFAULT_FULL_SCALE_M_S2:g})",
     )
-    low, high = RANGE_HZ
+    low, high = DEFAULT_RANGE_HZ
     parser.add_argument(
         "--range", type=float, nargs=2, metavar=("LOW", "HIGH"),
         help=f"Hz that a frequency of 0 and of 1 stand for (default {low:g} {high:g})",
     )  # fmt: skip
 
 
-def scale_of(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, float] | None]:
+def get_scale(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, float] | None]:
     """Full scale and range as told, None where they are not, not even by the profile. Raises UsageError."""
     full_scale, range_hz = arguments.full_scale, None
     if arguments.profile is not None:
-        profile = profile_at(arguments.profile)
+        profile = load_profile(arguments.profile)
         full_scale = None if profile.assumes_full_scale else profile.peak_m_s2
         range_hz = profile.range_hz
     if arguments.range is not None:
@@ -73,7 +76,7 @@ def scale_of(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, 
     return full_scale, range_hz
 
 
-def check_out(out: Path, suffix: str, source: Path) -> None:
+def check_output(out: Path, suffix: str, source: Path) -> None:
     """Other programs go by the suffix, and what is read must not be written over. Raises UsageError."""
     if out.suffix.lower() != suffix:
         raise UsageError(f"--out {out}: such a file ends in {suffix}.", remedy=f"Give --out {out.stem}{suffix}")
@@ -81,7 +84,7 @@ def check_out(out: Path, suffix: str, source: Path) -> None:
         raise UsageError(f"--out {out} is the file that is read.", remedy="Give another name.")
 
 
-def no_scene(scene: Path, origin: Mapping[str, str], object_name: str | None) -> TouchedSurface:
+def refuse_scene(scene: Path, provenance: Mapping[str, str], object_name: str | None) -> TouchedSurface:
     """Where there is no Blender. Raises UsageError."""
     raise UsageError(
         f"{scene} can be opened with Blender alone, and this Python has no bpy.",
@@ -89,16 +92,16 @@ def no_scene(scene: Path, origin: Mapping[str, str], object_name: str | None) ->
     )
 
 
-def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> int:
+def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -> int:
     """read_scene: --scene, the WAV's provenance and --object → the surface. Raises HnfError; returns the exit code."""
     form = format_of(arguments.format)
-    check_out(arguments.out, form.suffix, arguments.file)
+    check_output(arguments.out, form.suffix, arguments.file)
     if arguments.scene is not None and not form.surface:
         takers = ", ".join(each.word for each in FORMATS.values() if each.surface)
         raise UsageError(f"the format '{form.word}' has no place for --scene.", remedy=f"Those that have: {takers}.")
     if arguments.object is not None and arguments.scene is None:
         raise UsageError("--object without --scene.", remedy="Name the baked scene too: --scene BAKED.blend")
-    full_scale, range_hz = scale_of(arguments)
+    full_scale, range_hz = get_scale(arguments)
     if form.fit is not None and full_scale is not None:
         raise UsageError(
             f"the format '{form.word}' finds its full scale in the signal: --full-scale and --profile have no place.",
@@ -106,9 +109,11 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> in
         )
     assumed = form.scaled and full_scale is None
     options = ExportOptions(
-        FULL_SCALE_M_S2 if full_scale is None else full_scale, range_hz or RANGE_HZ, full_scale_assumed=assumed
+        DEFAULT_FULL_SCALE_M_S2 if full_scale is None else full_scale,
+        range_hz or DEFAULT_RANGE_HZ,
+        full_scale_assumed=assumed,
     )
-    signal = read_own_wav(arguments.file)
+    signal = read_wav_with_units(arguments.file)
     if arguments.scene is not None:
         surface = read_scene(arguments.scene, signal.provenance, arguments.object)
         options = replace(options, surface=surface)
@@ -118,11 +123,11 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> in
     if exported.clipped:
         print("hnf: what was clipped fits a larger --full-scale, or a stronger actuator.", file=sys.stderr)
     elif assumed and not arguments.json:
-        print(f"- 1 is {FULL_SCALE_M_S2:g} m/s², {_assumption(arguments.profile)}")
+        print(f"- 1 is {DEFAULT_FULL_SCALE_M_S2:g} m/s², {_explain_assumption(arguments.profile)}")
     return 0
 
 
-def _assumption(profile: str | None) -> str:
+def _explain_assumption(profile: str | None) -> str:
     """Why full scale is the default, and what to do about it."""
     if profile in (None, GENERIC.name):
         return "an assumption, the generic voice coil's: another --profile or --full-scale say otherwise."

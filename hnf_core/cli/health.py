@@ -27,7 +27,7 @@ class Package:
     without: str
 
 
-PACKAGES = (
+OPTIONAL_PACKAGES = (
     Package("bpy", "no scene is opened at a shell: touch runs in Blender alone (blender -b --command hnf touch …)"),
     Package("OpenEXR", "close-ups cannot be read: touch does not work"),
     Package("embreex", "rays are cast more slowly"),
@@ -40,17 +40,17 @@ PACKAGES = (
 )
 
 
-def base_versions() -> tuple[Fact, ...]:
+def get_base_versions() -> tuple[Fact, ...]:
     """Of the program, of Python and of what it cannot run without."""
     return (
         Fact("hnf", "hnf", __version__),
         Fact("python", "Python", platform.python_version()),
-        Fact("numpy", "numpy", version_of("numpy") or "not installed"),
+        Fact("numpy", "numpy", get_version("numpy") or "not installed"),
         Fact("system", "System", f"{platform.system()} {platform.release()} {platform.machine()}"),
     )
 
 
-def version_of(package: str) -> str:
+def get_version(package: str) -> str:
     """ "" where it is not installed."""
     from importlib.metadata import PackageNotFoundError, version
 
@@ -60,14 +60,14 @@ def version_of(package: str) -> str:
         return ""
 
 
-def kernel_state() -> str:
+def describe_kernel() -> str:
     """Whether the inner loops of synthesis are compiled: numpy does the same in about twice the time."""
-    from ..kernel.library import kernel, why_not
+    from ..kernel.library import load_kernel, why_unavailable
 
-    return "at work" if kernel() is not None else f"using slower numpy version ({why_not()})"
+    return "at work" if load_kernel() is not None else f"using slower numpy version ({why_unavailable()})"
 
 
-def field_identity() -> str:
+def describe_field() -> str:
     """Of the shipped field, or what is wrong with it."""
     from ..field.weights import load_field
 
@@ -77,7 +77,7 @@ def field_identity() -> str:
         return str(error)
 
 
-def file_hashes() -> tuple[Fact, ...]:
+def hash_data_files() -> tuple[Fact, ...]:
     """Content hashes of the material library and of the network that reads pictures; "not there" without the file."""
     from ..files import content_hash
     from ..material.library import LIBRARY_PATH

@@ -12,15 +12,21 @@ import numpy as np
 
 from ..export.convert import import_signal
 from ..export.formats import SUFFIXES, format_of, format_of_file
-from ..export.loss import earlier_loss, levels_table, loss_between, loss_table, rendered_table
-from ..export.options import RENDER_RATE_HZ, ImportOptions
-from ..export.sidecar import loss_beside, sidecar_of
+from ..export.loss import (
+    describe_sidecar_loss,
+    format_level_table,
+    format_loss_table,
+    format_rendered_summary,
+    measure_loss,
+)
+from ..export.options import DEFAULT_RENDER_RATE_HZ, ImportOptions
+from ..export.sidecar import get_sidecar_path, read_sidecar_loss
 from ..export.wav import write_wav
-from ..export.wav_copies import read_any_wav
-from .export import add_scale, check_out, scale_of
+from ..export.wav_copies import read_wav_scaled
+from .export import add_scale_options, check_output, get_scale
 from .verbs import HELP
 
-TOLD = ("scale", "assumed", "carrier", "ignored")
+REPORTED_PROVENANCE = ("scale", "assumed", "carrier", "ignored")
 """Of the provenance: what was assumed, made up, and left out."""
 
 
@@ -34,10 +40,10 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("file", type=Path, metavar="FILE", help="what to read")
     parser.add_argument("--out", type=Path, required=True, metavar="X.wav", help="file to write")
     parser.add_argument("--format", metavar="WORD", help="where the file's name does not say (see `hnf export --help`)")
-    add_scale(parser)
+    add_scale_options(parser)
     parser.add_argument(
-        "--rate", type=float, default=RENDER_RATE_HZ, metavar="HZ",
-        help=f"of what is rendered (default {RENDER_RATE_HZ:g}); samples keep their own",
+        "--rate", type=float, default=DEFAULT_RENDER_RATE_HZ, metavar="HZ",
+        help=f"of what is rendered (default {DEFAULT_RENDER_RATE_HZ:g}); samples keep their own",
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="draws where the sine starts (default 0)")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
@@ -46,16 +52,16 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    check_out(arguments.out, ".wav", arguments.file)
+    check_output(arguments.out, ".wav", arguments.file)
     form = format_of_file(arguments.file) if arguments.format is None else format_of(arguments.format)
-    full_scale, range_hz = scale_of(arguments)
+    full_scale, range_hz = get_scale(arguments)
     options = ImportOptions(full_scale, range_hz, arguments.rate, arguments.seed)
     signal = import_signal(arguments.file, options, form)
     write_wav(arguments.out, signal)
-    told = tuple(f"{name}: {signal.provenance[name]}" for name in TOLD if name in signal.provenance)
-    if (lost := loss_beside(arguments.file)) is not None:
-        told += earlier_loss(lost, sidecar_of(arguments.file).name)
-    loss = loss_between(signal, read_any_wav(arguments.out, options), told)
+    told = tuple(f"{name}: {signal.provenance[name]}" for name in REPORTED_PROVENANCE if name in signal.provenance)
+    if (lost := read_sidecar_loss(arguments.file)) is not None:
+        told += describe_sidecar_loss(lost, get_sidecar_path(arguments.file).name)
+    loss = measure_loss(signal, read_wav_scaled(arguments.out, options), told)
     # What was rendered equals itself, which says nothing of a file that holds no samples.
     loss = replace(loss, exact=loss.exact and form.sampled)
     record = {
@@ -75,6 +81,6 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(record, indent=1))
         return 0
     print(f"{arguments.out}: what {arguments.file} says, in m/s²")
-    print(loss_table(loss) if form.sampled else rendered_table(loss))
-    print(levels_table(loss.after, loss.bands))
+    print(format_loss_table(loss) if form.sampled else format_rendered_summary(loss))
+    print(format_level_table(loss.after, loss.bands))
     return 0

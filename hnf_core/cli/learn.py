@@ -10,12 +10,12 @@ from ..errors import HnfError
 from ..field.weights import save_field
 from .progress import Progress
 
-GATHERING, TRAINING = "gathering recordings", "epoch"
+STAGE_GATHERING, STAGE_TRAINING = "gathering recordings", "epoch"
 """Stages, in their order."""
 
 
 @dataclass(frozen=True)
-class Lesson:
+class LearnRequest:
     """kind, folder: of the data set (datasets.catalogue), "" = no folder. material: as the data set calls it. seconds:
     of strokes to synthesise, where it holds models. epochs: at most so many."""
 
@@ -26,29 +26,29 @@ class Lesson:
     epochs: int
 
 
-def learn(lesson: Lesson, out: Path, show: Callable[[Progress], None]) -> None:
+def learn_material(request: LearnRequest, out: Path, report_progress: Callable[[Progress], None]) -> None:
     """Train, and write the weights at out. A killed run goes on from the checkpoint beside it when the same lesson is
     asked for again. The last of the steps that show() is told of is the saving.
 
     Raises HnfError, also where a package is missing.
     """
     from ..datasets.catalogue import LICENCES, open_dataset
-    from ..datasets.training_strokes import training_recordings
+    from ..datasets.training_strokes import get_training_recordings
 
-    steps = lesson.epochs + 1
-    show(Progress(GATHERING, 0, 1))
-    data = open_dataset(lesson.kind, Path(lesson.folder) if lesson.folder else None)
-    data.process(lesson.material)  # a wrong name is told before torch is loaded
+    steps = request.epochs + 1
+    report_progress(Progress(STAGE_GATHERING, 0, 1))
+    data = open_dataset(request.kind, Path(request.folder) if request.folder else None)
+    data.process(request.material)  # a wrong name is told before torch is loaded
     try:
-        from ..training.own_material import Choices, train_own
+        from ..training.own_material import TrainingOverrides, train_from_recordings
     except ImportError as error:
         raise HnfError(
             f"this Python cannot train ({error}).", remedy="Check it in the add-on's preferences."
         ) from error
-    recordings = training_recordings(data, lesson.material, lesson.seconds, seed=0)
-    show(Progress(TRAINING, 0, steps))
-    trained, _ = train_own(
-        recordings, lesson.kind, LICENCES[lesson.kind], 0, Choices(epochs=lesson.epochs),
-        out.with_name(f"{out.name}.checkpoint"), lambda done, _total, _loss: show(Progress(TRAINING, done, steps)),
+    recordings = get_training_recordings(data, request.material, request.seconds, seed=0)
+    report_progress(Progress(STAGE_TRAINING, 0, steps))
+    trained, _ = train_from_recordings(
+        recordings, request.kind, LICENCES[request.kind], 0, TrainingOverrides(epochs=request.epochs),
+        out.with_name(f"{out.name}.checkpoint"), lambda done, _total, _loss: report_progress(Progress(STAGE_TRAINING, done, steps)),
     )  # fmt: skip
     save_field(out, trained.field)

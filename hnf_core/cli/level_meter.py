@@ -10,28 +10,28 @@ from typing import TextIO
 
 from ..actuators.report import StreamReport
 
-LOWEST_DB = -60.0
-PLAIN_S = 5.0
-WIDTH = 12
+METER_MIN_DB = -60.0
+PLAIN_LINE_INTERVAL_S = 5.0
+METER_WIDTH = 12
 
 
 class LevelMeter:
     """full_m_s2: where the meter ends. whole_s: how long it plays, None = until it is stopped."""
 
-    def __init__(self, full_m_s2: float, whole_s: float | None, stream: TextIO | None = None) -> None:
-        self._full, self._whole = full_m_s2, whole_s
+    def __init__(self, full_m_s2: float, duration_s: float | None, stream: TextIO | None = None) -> None:
+        self._full, self._duration_s = full_m_s2, duration_s
         self._stream = stream or sys.stderr
         self._redraws = self._stream.isatty()
-        self._next_s = time.monotonic() + PLAIN_S
+        self._next_s = time.monotonic() + PLAIN_LINE_INTERVAL_S
 
     def show(self, report: StreamReport) -> None:
-        line = meter_line(report, self._full, self._whole)
+        line = format_meter(report, self._full, self._duration_s)
         if self._redraws:
             columns = shutil.get_terminal_size().columns  # a line that wraps cannot be redrawn
             self._stream.write(f"\r\x1b[K{line[: columns - 1]}")
             self._stream.flush()
         elif time.monotonic() >= self._next_s:
-            self._next_s += PLAIN_S
+            self._next_s += PLAIN_LINE_INTERVAL_S
             print(line, file=self._stream, flush=True)
 
     def close(self) -> None:
@@ -40,13 +40,13 @@ class LevelMeter:
             self._stream.flush()
 
 
-def meter_line(report: StreamReport, full_m_s2: float, whole_s: float | None) -> str:
+def format_meter(report: StreamReport, full_m_s2: float, duration_s: float | None) -> str:
     """Time, RMS level in dB below full_m_s2 as a bar and a figure, underruns, samples that were limited."""
-    of = f" of {whole_s:.1f}" if whole_s is not None else ""
+    of = f" of {duration_s:.1f}" if duration_s is not None else ""
     level_db = 20.0 * math.log10(report.level_m_s2 / full_m_s2) if report.level_m_s2 > 0.0 else -math.inf
-    share = min(max(1.0 - level_db / LOWEST_DB, 0.0), 1.0)
-    filled = round(WIDTH * share)
-    level = f"{level_db:4.0f} dB" if level_db >= LOWEST_DB else " silent"
-    bar = f"{'█' * filled}{'·' * (WIDTH - filled)}"
+    share = min(max(1.0 - level_db / METER_MIN_DB, 0.0), 1.0)
+    filled = round(METER_WIDTH * share)
+    level = f"{level_db:4.0f} dB" if level_db >= METER_MIN_DB else " silent"
+    bar = f"{'█' * filled}{'·' * (METER_WIDTH - filled)}"
     counts = f"underruns {report.underruns}  limited {report.limited_samples}"
     return f"{report.played_s:6.1f}{of} s  {bar} {level} {report.level_m_s2:6.2f} m/s²  {counts}"

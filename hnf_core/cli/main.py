@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import HnfError, UsageError
-from .verbs import ELSEWHERE, EXAMPLES, HELP, MODULES, module_of
+from .verbs import COMMAND_HINTS, COMMAND_MODULES, EXAMPLES, HELP, import_command
 
 Runner = Callable[[argparse.Namespace], int]
 
@@ -32,11 +32,11 @@ def build_parser(
     parser.add_argument("--version", action="version", version=f"hnf {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
     given = {"touch": run_touch, "bench": run_bench, "export": run_export}
-    for verb in MODULES:
+    for verb in COMMAND_MODULES:
         if only not in (None, verb):
             verbs.add_parser(verb, help=HELP[verb])
             continue
-        module = module_of(verb)
+        module = import_command(verb)
         added = module.add_parser(verbs)
         run = given.get(verb) or getattr(module, "run", None)
         if run is not None:
@@ -57,8 +57,10 @@ def main(
         if not argv:
             parser.print_help()
             return 2
-        if argv[0] not in MODULES and not argv[0].startswith("-"):  # after an option, argparse judges: --help helps
-            raise _no_such_command(argv[0])
+        if argv[0] not in COMMAND_MODULES and not argv[0].startswith(
+            "-"
+        ):  # after an option, argparse judges: --help helps
+            raise _make_unknown_command_error(argv[0])
         arguments = parser.parse_args(list(argv))
         code = int(arguments.run(arguments))
         print(end="", flush=True)
@@ -79,12 +81,12 @@ def main(
         return 1
 
 
-def _no_such_command(word: str) -> UsageError:
-    from ..closest import closest  # here: who makes no mistake needs no guesses
+def _make_unknown_command_error(word: str) -> UsageError:
+    from ..closest import close_matches  # here: who makes no mistake needs no guesses
 
-    near = closest(word, MODULES)
+    near = close_matches(word, COMMAND_MODULES)
     guess = f"Did you mean {' or '.join(repr(name) for name in near)}? " if near else ""
     return UsageError(
         f"there is no command '{word}'.",
-        remedy=ELSEWHERE.get(word) or f"{guess}Commands: {', '.join(MODULES)}. What each does: hnf --help",
+        remedy=COMMAND_HINTS.get(word) or f"{guess}Commands: {', '.join(COMMAND_MODULES)}. What each does: hnf --help",
     )

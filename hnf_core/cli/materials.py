@@ -9,15 +9,15 @@ from typing import Any
 
 from ..errors import UsageError
 from ..material.hnf_file import from_library, write_hnf
-from ..material.library import find, load_library
+from ..material.library import get_material, load_library
 from ..material.material import Appearance
-from ..material.prior import NOTHING_TELLS, Suggestion, rank
-from ..material.words import is_picture_name
+from ..material.prior import NO_EVIDENCE, Suggestion, rank
+from ..material.words import is_image_name
 from .verbs import HELP
 
-LICENCE = "GPL-3.0-or-later"
+LIBRARY_LICENCE = "GPL-3.0-or-later"
 """Of the library, and so of what is exported from it."""
-SHOWN = 8
+MAX_SUGGESTIONS = 8
 """Suggestions for a person; --json gives all."""
 
 
@@ -40,12 +40,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.suggest is not None:
         if arguments.export is not None or arguments.out is not None:
             raise UsageError("--suggest writes nothing.", remedy="Leave out --export and --out.")
-        return _suggest(arguments.suggest, arguments.json)
+        return _print_suggestions(arguments.suggest, arguments.json)
     if arguments.export is not None or arguments.out is not None:
         return _export(arguments.export, arguments.out)
     library = load_library()
     if arguments.json:
-        print(json.dumps([_record(material) for material in library], indent=1))
+        print(json.dumps([_to_json(material) for material in library], indent=1))
         return 0
     width = max(len(material.name) for material in library)
     for material in library:
@@ -53,18 +53,18 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def suggestions(words: str) -> tuple[Suggestion, ...]:
+def rank_suggestions(words: str) -> tuple[Suggestion, ...]:
     """The whole library, the most apt first, for a name alone: of a texture's file where it ends like one ("….png"),
     else of a material. Raises UsageError where it holds no letter."""
     if not any(letter.isalpha() for letter in words):
         raise UsageError(f"--suggest {words!r} holds no word.", remedy="Example: --suggest 'old oak table'")
-    if is_picture_name(words):
-        return rank(load_library(), Appearance(), [""], pictures=[words])
+    if is_image_name(words):
+        return rank(load_library(), Appearance(), [""], image_names=[words])
     return rank(load_library(), Appearance(), [words])
 
 
-def _suggest(words: str, as_json: bool) -> int:
-    ranked = suggestions(words)
+def _print_suggestions(words: str, as_json: bool) -> int:
+    ranked = rank_suggestions(words)
     if as_json:
         category = {material.name: material.category for material in load_library()}
         records = [
@@ -74,7 +74,7 @@ def _suggest(words: str, as_json: bool) -> int:
         ]  # fmt: skip
         print(json.dumps(records, indent=1, ensure_ascii=False))
         return 0
-    told = [each for each in ranked if each.reason != NOTHING_TELLS][:SHOWN]
+    told = [each for each in ranked if each.reason != NO_EVIDENCE][:MAX_SUGGESTIONS]
     if not told:
         print(f"no word of {words!r} names a material that the library knows; hnf materials lists them.")
     width = max((len(each.name) for each in told), default=0)
@@ -86,13 +86,13 @@ def _suggest(words: str, as_json: bool) -> int:
 def _export(name: str | None, path: Path | None) -> int:
     if name is None or path is None:
         raise UsageError("--export NAME and --out FILE.hnf belong together.", remedy="Give both.")
-    material = find(name)
-    write_hnf(path, from_library(material, LICENCE))
+    material = get_material(name)
+    write_hnf(path, from_library(material, LIBRARY_LICENCE))
     print(f"{material.name} → {path}")
     return 0
 
 
-def _record(material: Any) -> dict[str, Any]:
+def _to_json(material: Any) -> dict[str, Any]:
     mechanics = material.mechanics
     return {
         "name": material.name,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-SHAPE = "OBJECT:u,v"
+QUERY_FORMAT = "OBJECT:u,v"
 
 
 @dataclass(frozen=True)
-class ProbePlace:
+class TouchQuery:
     """target: name of an object, and after a colon of a material slot where only that is meant. at: its UV (2 numbers),
     or a point in its own coordinates, Blender units (3)."""
 
@@ -22,7 +22,7 @@ class ProbePlace:
         return f"{self.target}:{','.join(f'{value:.9g}' for value in self.at)}"
 
 
-def probe_place(text: str) -> ProbePlace:
+def parse_touch_query(text: str) -> TouchQuery:
     """ "Cup:0.5,0.25" → a place. Object names may hold colons: the last one counts. Raises ArgumentTypeError."""
     from argparse import ArgumentTypeError  # here: switching the add-on on knows places, and no command line
 
@@ -33,6 +33,6 @@ def probe_place(text: str) -> ProbePlace:
         at = ()
     if not colon or not target or len(at) not in (2, 3) or not all(math.isfinite(value) for value in at):
         raise ArgumentTypeError(
-            f"{text!r} is not {SHAPE} (or OBJECT:x,y,z in the object's own coordinates). Example: --probe Cup:0.5,0.25"
+            f"{text!r} is not {QUERY_FORMAT} (or OBJECT:x,y,z in the object's own coordinates). Example: --probe Cup:0.5,0.25"
         )
-    return ProbePlace(target, at)
+    return TouchQuery(target, at)

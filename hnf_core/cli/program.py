@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 
-def program(argv: Sequence[str] | None = None) -> list[str]:
+def get_command_prefix(argv: Sequence[str] | None = None) -> list[str]:
     """The words before a command: hnf as it was found, or Blender's way to it. argv: None = sys.argv."""
     first = (sys.argv if argv is None else argv)[0]
     name = Path(first).name.lower()

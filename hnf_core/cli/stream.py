@@ -17,29 +17,29 @@ from typing import Any
 
 import numpy as np
 
-from ..actuators.acceleration import Acceleration, factor, read_accelerations
-from ..actuators.at_most import at_most
-from ..actuators.chain import Chain
-from ..actuators.compensation import stages_of
-from ..actuators.foretold import foretell
+from ..actuators.acceleration import Acceleration, db_to_gain, read_accelerations
+from ..actuators.at_most import describe_peak_limit
+from ..actuators.chain import SignalChain
+from ..actuators.compensation import make_compensation
+from ..actuators.foretold import predict_limiting
 from ..actuators.limits import Limits
 from ..actuators.profile import GENERIC, ActuatorProfile
-from ..actuators.profile_file import profile_at
+from ..actuators.profile_file import load_profile
 from ..actuators.report import StreamReport
 from ..actuators.sink import SinkFormat
 from ..actuators.source import Source
-from ..actuators.sources.limited import Limited
-from ..actuators.sources.recorded import Recorded
+from ..actuators.sources.limited import TruncatedSource
+from ..actuators.sources.recorded import BufferSource
 from ..actuators.stream import Stream
-from ..actuators.targets import FORMS, FileTarget, Target, parse_target, sink_of
-from ..counted import counted
+from ..actuators.targets import TARGET_FORMS, FileTarget, Target, make_sink, parse_target
+from ..counted import pluralize
 from ..errors import DeviceError, UsageError
 from .level_meter import LevelMeter
-from .stream_warning import CHECKED_S, checked_s, strongest_of, warning_of
+from .stream_warning import MAX_CHECKED_S, compute_checked_duration, cut_strongest, format_limit_warning
 from .verbs import HELP
 
 AHEAD_BLOCKS = 3
-LOOK_S = 0.05
+POLL_S = 0.05
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -51,7 +51,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "wav", type=Path, nargs="+", metavar="FILE.wav", help="m/s² where it says so; several play beside each other"
     )
-    parser.add_argument("--to", required=True, metavar="TARGET", help=FORMS)
+    parser.add_argument("--to", required=True, metavar="TARGET", help=TARGET_FORMS)
     parser.add_argument(
         "--profile", default=GENERIC.name, metavar="NAME|FILE.json",
         help=f"what the actuator can do, see `hnf actuators` (default {GENERIC.name})",
@@ -71,36 +71,38 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    target, gain = parse_target(arguments.to), factor(arguments.gain)
-    _check(arguments, target)
-    profile = profile_at(arguments.profile)
+    target, gain = parse_target(arguments.to), db_to_gain(arguments.gain)
+    _check_arguments(arguments, target)
+    profile = load_profile(arguments.profile)
     limits = profile.limits
     found = read_accelerations(arguments.wav, limits)
-    source, whole_s = _source(found, gain, arguments.loop, arguments.seconds)
-    sink = sink_of(target, found.rate_hz, limits, source.channels)
+    source, whole_s = _make_source(found, gain, arguments.loop, arguments.seconds)
+    sink = make_sink(target, found.rate_hz, limits, source.channels)
     # Nobody touches a recording: the resampler may take its time.
-    stages = () if arguments.raw else stages_of(profile, found.rate_hz, source.channels)
+    stages = () if arguments.raw else make_compensation(profile, found.rate_hz, source.channels)
     block_s = arguments.block / 1e3
-    stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=AHEAD_BLOCKS, stages=stages, prompt=False)
+    stream = Stream(
+        source, sink, limits, block_s=block_s, ahead_blocks=AHEAD_BLOCKS, processors=stages, low_latency=False
+    )
 
     def look(device: SinkFormat) -> None:
         if not arguments.json:
-            print(_announcement(arguments, found, profile, device), flush=True)
-        _warn(arguments, found, profile, device)
+            print(_describe_playback(arguments, found, profile, device), flush=True)
+        _print_warning(arguments, found, profile, device)
 
-    with _terminating_as_ctrl_c():
+    with _sigterm_as_ctrl_c():
         try:
             device = stream.start(look)
-            within = limits.within(device.peak)
-            _watch(stream, LevelMeter(within.peak * within.full_scale_m_s2, whole_s))
+            within = limits.with_device_peak(device.peak)
+            _show_levels(stream, LevelMeter(within.peak * within.full_scale_m_s2, whole_s))
         except KeyboardInterrupt:
             pass
         finally:
             stream.stop()
-    return _told(arguments, profile, found, stream.report)
+    return _report_result(arguments, profile, found, stream.report)
 
 
-def _check(arguments: argparse.Namespace, target: Target) -> None:
+def _check_arguments(arguments: argparse.Namespace, target: Target) -> None:
     if arguments.seconds is not None and not 0.0 < arguments.seconds < 1e7:
         raise UsageError(f"--seconds {arguments.seconds:g} is no time to play.", remedy="Give more than 0.")
     if not isinstance(target, FileTarget):
@@ -111,15 +113,15 @@ def _check(arguments: argparse.Namespace, target: Target) -> None:
         raise UsageError("--loop into a file never ends.", remedy="Say how long: --seconds 10.")
 
 
-def _source(found: Acceleration, gain: float, loop: bool, seconds: float | None) -> tuple[Source, float | None]:
+def _make_source(found: Acceleration, gain: float, loop: bool, seconds: float | None) -> tuple[Source, float | None]:
     """And how long it plays, None = for ever."""
-    recorded, whole_s = Recorded(found.samples * np.float32(gain), found.rate_hz, loop=loop), found.duration_s
+    recorded, whole_s = BufferSource(found.samples * np.float32(gain), found.rate_hz, loop=loop), found.duration_s
     if seconds is None:
         return recorded, None if loop else whole_s
-    return Limited(recorded, round(seconds * found.rate_hz)), seconds if loop else min(seconds, whole_s)
+    return TruncatedSource(recorded, round(seconds * found.rate_hz)), seconds if loop else min(seconds, whole_s)
 
 
-def _announcement(
+def _describe_playback(
     arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat
 ) -> str:
     owed_ms = 1e3 * device.queue_frames / device.rate_hz
@@ -127,60 +129,64 @@ def _announcement(
     made_up = ", with its response corrected" if profile.response is not None and not arguments.raw else ""
     channels = f" on {found.samples.shape[1]} channels" if found.samples.shape[1] > 1 else ""
     return (
-        f"{_names(arguments)}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz{channels}, {found.unit}, "
+        f"{_join_names(arguments)}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz{channels}, {found.unit}, "
         f"largest {found.peak_m_s2:.3g} m/s²\n"
         f"to {device.device}: {device.rate_hz:g} Hz{owes}; gain {arguments.gain:g} dB; "
-        f"{at_most(profile, device)}{made_up}"
+        f"{describe_peak_limit(profile, device)}{made_up}"
     )
 
 
-def _names(arguments: argparse.Namespace) -> str:
+def _join_names(arguments: argparse.Namespace) -> str:
     return ", ".join(map(str, arguments.wav))
 
 
-def _warn(arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat) -> None:
+def _print_warning(
+    arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat
+) -> None:
     """Beforehand, so that nobody wonders; the limiter counts what it really changed."""
     limits, loop = profile.limits, arguments.loop
     plays_s = found.duration_s if arguments.seconds is None or loop else min(arguments.seconds, found.duration_s)
     played = replace(found, samples=found.samples[: max(round(plays_s * found.rate_hz), 1)])
-    seen = strongest_of(played, CHECKED_S)
-    seconds = checked_s(seen.duration_s, arguments.seconds, loop=loop, thermal_s=limits.thermal_s)
+    seen = cut_strongest(played, MAX_CHECKED_S)
+    seconds = compute_checked_duration(seen.duration_s, arguments.seconds, loop=loop, thermal_s=limits.thermal_s)
 
-    def chained(limits: Limits, gain_db: float) -> Chain:
-        source, _ = _source(seen, factor(gain_db), loop, seconds)
-        stages = () if arguments.raw else stages_of(profile, found.rate_hz, source.channels)
-        return Chain(source, device, limits, stages, prompt=False)
+    def chained(limits: Limits, gain_db: float) -> SignalChain:
+        source, _ = _make_source(seen, db_to_gain(gain_db), loop, seconds)
+        stages = () if arguments.raw else make_compensation(profile, found.rate_hz, source.channels)
+        return SignalChain(source, device, limits, stages, low_latency=False)
 
-    most = limits.within(device.peak).peak * limits.full_scale_m_s2
+    most = limits.with_device_peak(device.peak).peak * limits.full_scale_m_s2
     guess_db = 20.0 * math.log10(most / seen.peak_m_s2) if seen.peak_m_s2 > 0.0 else 0.0
-    foretold = foretell(chained, limits, arguments.gain, guess_db)
+    foretold = predict_limiting(chained, limits, arguments.gain, guess_db)
     if foretold is not None:
-        largest, in_part = seen.peak_m_s2 * factor(arguments.gain), seen is not played
-        print(f"hnf: {warning_of(foretold, profile, device, largest, in_part=in_part)}", file=sys.stderr)
+        largest, in_part = seen.peak_m_s2 * db_to_gain(arguments.gain), seen is not played
+        print(f"hnf: {format_limit_warning(foretold, profile, device, largest, partial=in_part)}", file=sys.stderr)
 
 
-def _watch(stream: Stream, meter: LevelMeter) -> None:
+def _show_levels(stream: Stream, meter: LevelMeter) -> None:
     try:
-        while not stream.wait(LOOK_S):
+        while not stream.wait(POLL_S):
             meter.show(stream.report)
     finally:
         meter.close()
 
 
-def _told(arguments: argparse.Namespace, profile: ActuatorProfile, found: Acceleration, report: StreamReport) -> int:
+def _report_result(
+    arguments: argparse.Namespace, profile: ActuatorProfile, found: Acceleration, report: StreamReport
+) -> int:
     if arguments.json:
-        asked = {"wav": _names(arguments), "unit": found.unit, "target": arguments.to, "profile": profile.name}
+        asked = {"wav": _join_names(arguments), "unit": found.unit, "target": arguments.to, "profile": profile.name}
         scale = {"full_scale_m_s2": profile.limits.full_scale_m_s2, "full_scale_assumed": profile.assumes_full_scale}
         print(json.dumps(asked | scale | report.to_json(), indent=1))
     else:
         print(
-            f"{report.played_s:.2f} s played: {counted(report.blocks, 'block')}, 99 % of them computed within "
-            f"{report.compute_p99_ms:.2f} ms, {counted(report.underruns, 'underrun')}; peak {report.peak:.0%} of full "
-            f"scale, {counted(report.limited_samples, 'sample')} limited"
+            f"{report.played_s:.2f} s played: {pluralize(report.blocks, 'block')}, 99 % of them computed within "
+            f"{report.compute_p99_ms:.2f} ms, {pluralize(report.underruns, 'underrun')}; peak {report.peak:.0%} of full "
+            f"scale, {pluralize(report.limited_samples, 'sample')} limited"
         )
     if report.device_limited_samples:
         print(
-            f"hnf: the device itself cut {counted(report.device_limited_samples, 'sample')} short. "
+            f"hnf: the device itself cut {pluralize(report.device_limited_samples, 'sample')} short. "
             "Play softer, or correct the peak in its firmware.",
             file=sys.stderr,
         )
@@ -190,7 +196,7 @@ def _told(arguments: argparse.Namespace, profile: ActuatorProfile, found: Accele
 
 
 @contextmanager
-def _terminating_as_ctrl_c() -> Iterator[None]:
+def _sigterm_as_ctrl_c() -> Iterator[None]:
     """Meanwhile a polite kill stops as softly as Ctrl C does."""
     if threading.current_thread() is not threading.main_thread():
         yield

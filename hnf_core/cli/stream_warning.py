@@ -7,23 +7,23 @@ from dataclasses import replace
 import numpy as np
 
 from ..actuators.acceleration import Acceleration
-from ..actuators.foretold import Foretold
+from ..actuators.foretold import LimitingForecast
 from ..actuators.profile import ActuatorProfile
 from ..actuators.sink import SinkFormat
 
-CHECKED_S = 120.0
+MAX_CHECKED_S = 120.0
 """So much of a long signal is looked at beforehand, about its strongest place: somebody waits meanwhile."""
-WARM = 6.0
+WARM_TIME_CONSTANTS = 6.0
 """Time constants after which a coil is as warm as it gets."""
 
 
-def checked_s(whole_s: float, seconds: float | None, *, loop: bool, thermal_s: float) -> float:
+def compute_checked_duration(duration_s: float, seconds: float | None, *, loop: bool, thermal_s: float) -> float:
     """How much of what plays is looked at: of a loop as much as warms the coil."""
-    plays_s = whole_s + WARM * thermal_s if loop else whole_s
-    return min(plays_s if seconds is None else seconds if loop else min(seconds, whole_s), CHECKED_S)
+    plays_s = duration_s + WARM_TIME_CONSTANTS * thermal_s if loop else duration_s
+    return min(plays_s if seconds is None else seconds if loop else min(seconds, duration_s), MAX_CHECKED_S)
 
 
-def strongest_of(found: Acceleration, seconds: float) -> Acceleration:
+def cut_strongest(found: Acceleration, seconds: float) -> Acceleration:
     """So much of it, its largest sample in the middle; all of what is no longer."""
     count = round(seconds * found.rate_hz)
     if count >= len(found.samples):
@@ -33,11 +33,11 @@ def strongest_of(found: Acceleration, seconds: float) -> Acceleration:
     return replace(found, samples=found.samples[start : start + count])
 
 
-def warning_of(
-    found: Foretold, profile: ActuatorProfile, device: SinkFormat, largest_m_s2: float, *, in_part: bool
+def format_limit_warning(
+    found: LimitingForecast, profile: ActuatorProfile, device: SinkFormat, largest_m_s2: float, *, partial: bool
 ) -> str:
     """One line. largest_m_s2: of the signal, its gain included. in_part: only strongest_of it was looked at."""
-    limits = profile.limits.within(device.peak)
+    limits = profile.limits.with_device_peak(device.peak)
     most = limits.peak * limits.full_scale_m_s2
     reasons = []
     if found.peak and largest_m_s2 > most:
@@ -52,7 +52,7 @@ def warning_of(
         reasons.append(f"it warms the coil of '{profile.title}' beyond what it carries for long")
     share = f"{found.share:.2%}" if found.share >= 5e-5 else "less than 0.01%"
     fits = "No --gain makes it fit: check the file's unit."
-    if found.fits_db is not None:
-        fits = f"--gain {found.fits_db:.1f} fits."
-    where = f" about its strongest place ({CHECKED_S:.0f} s)" if in_part else ""
+    if found.max_gain_db is not None:
+        fits = f"--gain {found.max_gain_db:.1f} fits."
+    where = f" about its strongest place ({MAX_CHECKED_S:.0f} s)" if partial else ""
     return f"{', and '.join(reasons)}: {share} of the samples{where} are limited. {fits}"

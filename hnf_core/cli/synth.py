@@ -13,32 +13,32 @@ from typing import Any
 
 import numpy as np
 
-from ..action.primitive_path import primitive_action
+from ..action.primitive_path import make_primitive_action
 from ..action.primitives import PRIMITIVES
 from ..action.table import read_action_csv
-from ..action.words import primitive_of
+from ..action.words import parse_stroke
 from ..errors import UsageError
 from ..export.wav import write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.field import Field
-from ..field.learned import field_of
-from ..field.prepared import adapts
-from ..field.resampling import FASTEST_HZ, SLOWEST_HZ
+from ..field.learned import load_material_field
+from ..field.prepared import supports_tolerance
+from ..field.resampling import MAX_RATE_HZ, MIN_RATE_HZ
 from ..field.stroke import StrokeInput, uniform_stroke
 from ..field.synthesis import synthesise
-from ..field.weights import field_for, load_field, own_material
-from ..material.hnf_file import SUFFIX, completed, read_hnf
-from ..material.library import find
+from ..field.weights import load_field, load_field_for_encoders, read_trained_material
+from ..material.hnf_file import HNF_SUFFIX, read_hnf, with_library_defaults
+from ..material.library import get_material
 from ..material.material import LibraryMaterial
 from ..material.probe import PROBES
 from ..material.token import split_encoders
-from .seed import seed_of
-from .synth_long import Written, is_long, write_long
+from .seed import parse_seed
+from .synth_long import WrittenSignal, is_long, write_in_chunks
 from .verbs import HELP
 
-_NEGATIVE = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|^-(inf|nan)$", re.IGNORECASE)
+_NEGATIVE_NUMBER = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|^-(inf|nan)$", re.IGNORECASE)
 """Of argparse's own, -1e1 is no number but an option that nobody knows."""
-LOOSEST_DB, TIGHTEST_DB = -10.0, -45.0
+MAX_TOLERANCE_DB, MIN_TOLERANCE_DB = -10.0, -45.0
 """Below it what the reference itself does in single samples is not followed."""
 
 
@@ -56,7 +56,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     material.add_argument("--weights", type=Path, metavar="FILE", help="a field trained for one material")
     stroke = parser.add_mutually_exclusive_group(required=True)
     stroke.add_argument(
-        "--stroke", type=primitive_of, metavar="WORDS",
+        "--stroke", type=parse_stroke, metavar="WORDS",
         help=f"{', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s'",
     )  # fmt: skip
     stroke.add_argument(
@@ -65,12 +65,12 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=MODEL_RATE_HZ, metavar="HZ", help="sample rate (default 10000)")
     parser.add_argument(
         "--tolerance", type=float, metavar="DB",
-        help=f"evaluate the field where the stroke asks for it, to within {LOOSEST_DB:g} to {TIGHTEST_DB:g} dB of the "
+        help=f"evaluate the field where the stroke asks for it, to within {MAX_TOLERANCE_DB:g} to {MIN_TOLERANCE_DB:g} dB of the "
         "model taken literally (default: 200 times a second, whatever that gives)",
     )  # fmt: skip
-    parser._negative_number_matcher = _NEGATIVE
+    parser._negative_number_matcher = _NEGATIVE_NUMBER
     parser.add_argument(
-        "--seed", type=seed_of, default=0, metavar="N", help="another seed, another draw of the same touch"
+        "--seed", type=parse_seed, default=0, metavar="N", help="another seed, another draw of the same touch"
     )
     parser.add_argument("--probe", choices=sorted(PROBES), default="pen", help="what touches (default pen)")
     parser.add_argument("--out", type=Path, required=True, metavar="X.wav", help="file to write")
@@ -80,30 +80,30 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    if not SLOWEST_HZ <= arguments.rate <= FASTEST_HZ:
+    if not MIN_RATE_HZ <= arguments.rate <= MAX_RATE_HZ:
         raise UsageError(
-            f"--rate {arguments.rate:.10g}: not within {SLOWEST_HZ:.0f} to {FASTEST_HZ:.0f} Hz.",
+            f"--rate {arguments.rate:.10g}: not within {MIN_RATE_HZ:.0f} to {MAX_RATE_HZ:.0f} Hz.",
             remedy="Give e.g. 10000.",
         )
     if arguments.rate != round(arguments.rate):
         raise UsageError(f"--rate {arguments.rate:.10g}: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
-    tolerance = _ratio(arguments.tolerance)
-    field, material = _known(arguments.material, arguments.weights)
+    tolerance = _db_to_ratio(arguments.tolerance)
+    field, material = _load_field_and_material(arguments.material, arguments.weights)
     doubts: list[str] = []
     if arguments.action is not None:
         action = read_action_csv(arguments.action, arguments.probe, warn=doubts.append)
         stroke_name = arguments.action.name
     else:
-        action = replace(primitive_action(arguments.stroke, seed=arguments.seed), probe=arguments.probe)
+        action = replace(make_primitive_action(arguments.stroke, seed=arguments.seed), probe=arguments.probe)
         stroke_name = arguments.stroke.name
     stroke = uniform_stroke(action, material.token, material.mechanics)
-    if tolerance is not None and not adapts(field, stroke):
+    if tolerance is not None and not supports_tolerance(field, stroke):
         raise UsageError(
             "--tolerance has no say over these weights: their heads lag one another, and are heard at every state.",
             remedy="Leave it out, or train with --accumulation past.",
         )
     facts = {"stroke": stroke_name, "material": material.name}
-    write = write_long if is_long(action.duration_s, arguments.rate) else _write_whole
+    write = write_in_chunks if is_long(action.duration_s, arguments.rate) else _write_in_memory
     written = write(
         arguments.out, field, stroke, seed=arguments.seed, rate=arguments.rate, facts=facts, tolerance=tolerance
     )
@@ -132,36 +132,37 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _write_whole(
+def _write_in_memory(
     path: Path, field: Field, stroke: StrokeInput, *, seed: int, rate: float, facts: Mapping[str, str],
     tolerance: float | None,
-) -> Written:  # fmt: skip
+) -> WrittenSignal:  # fmt: skip
     result = synthesise(field, stroke, seed=seed, sample_rate=rate, tolerance=tolerance)
     signal = replace(result.signal, provenance={**result.signal.provenance, **facts})
     write_wav(path, signal)
     peak = float(np.max(np.abs(signal.samples), initial=0.0))
-    return Written(signal.sample_rate, signal.duration_s, signal.rms, peak, result.confidence, result.warnings)
+    return WrittenSignal(signal.sample_rate, signal.duration_s, signal.rms, peak, result.confidence, result.warnings)
 
 
-def _ratio(tolerance_db: float | None) -> float | None:
+def _db_to_ratio(tolerance_db: float | None) -> float | None:
     if tolerance_db is None:
         return None
-    if not TIGHTEST_DB <= tolerance_db <= LOOSEST_DB:
+    if not MIN_TOLERANCE_DB <= tolerance_db <= MAX_TOLERANCE_DB:
         raise UsageError(
-            f"--tolerance {tolerance_db:g}: not within {LOOSEST_DB:g} to {TIGHTEST_DB:g} dB.", remedy="Give e.g. -40."
+            f"--tolerance {tolerance_db:g}: not within {MAX_TOLERANCE_DB:g} to {MIN_TOLERANCE_DB:g} dB.",
+            remedy="Give e.g. -40.",
         )
     return float(10.0 ** (tolerance_db / 20.0))
 
 
-def _known(material: str | None, weights: Path | None) -> tuple[Field, LibraryMaterial]:
+def _load_field_and_material(material: str | None, weights: Path | None) -> tuple[Field, LibraryMaterial]:
     """The field, and a material that it knows: of the library, of a `.hnf` file, or its own."""
     if material is None:
         field = load_field(weights)
-        return field, own_material(field, str(weights))
-    if material.lower().endswith(SUFFIX):
+        return field, read_trained_material(field, str(weights))
+    if material.lower().endswith(HNF_SUFFIX):
         described = read_hnf(Path(material))
-        learned = field_of(described)
+        learned = load_material_field(described)
         if learned is not None:
-            return learned, own_material(learned, material)
-        return field_for(split_encoders(described.encoder)), completed(described)
-    return load_field(), find(material)
+            return learned, read_trained_material(learned, material)
+        return load_field_for_encoders(split_encoders(described.encoder)), with_library_defaults(described)
+    return load_field(), get_material(material)

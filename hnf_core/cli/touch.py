@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from ..action.primitives import PRIMITIVES, Primitive
-from ..action.words import primitive_of
+from ..action.words import parse_stroke
 from ..errors import UsageError
-from .probe import ProbePlace, probe_place
-from .seed import seed_of
+from .probe import TouchQuery, parse_touch_query
+from .seed import parse_seed
 from .verbs import HELP
 
 
 @dataclass(frozen=True)
-class Placement:
+class StrokeRequest:
     """A primitive to be placed: --stroke WORDS --on OBJECT[:SLOT]."""
 
     primitive: Primitive
@@ -44,13 +44,13 @@ class TouchRequest:
 
     scene: Path | None
     out: Path | None
-    placements: tuple[Placement, ...] = ()
+    strokes: tuple[StrokeRequest, ...] = ()
     choices: tuple[MaterialChoice, ...] = ()
     metres_per_unit: float | None = None
     seed: int | None = None
     plan_only: bool = False
     as_json: bool = False
-    probes: tuple[ProbePlace, ...] = ()
+    queries: tuple[TouchQuery, ...] = ()
     encoder: str = ""
 
     @property
@@ -61,9 +61,9 @@ class TouchRequest:
         return self.out
 
     @property
-    def only_probes(self) -> bool:
+    def has_only_queries(self) -> bool:
         """Look at places, and do nothing else."""
-        return bool(self.probes) and not self.placements
+        return bool(self.queries) and not self.strokes
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -88,7 +88,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help="folder for the results; with --plan: of an earlier run, to say what is fresh",
     )
     parser.add_argument(
-        "--stroke", action="append", default=[], metavar="WORDS", type=primitive_of, dest="strokes",
+        "--stroke", action="append", default=[], metavar="WORDS", type=parse_stroke, dest="strokes",
         help=f"place a stroke: {', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s'. "
         "Needs --on. Strokes drawn in the scene are computed too",
     )  # fmt: skip
@@ -101,7 +101,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help="use this library material there (see: hnf materials)",
     )  # fmt: skip
     parser.add_argument(
-        "--probe", action="append", default=[], metavar="OBJECT:u,v", type=probe_place, dest="probes",
+        "--probe", action="append", default=[], metavar="OBJECT:u,v", type=parse_touch_query, dest="probes",
         help="say what is felt at this place of the surface: tactile map, roughness, friction, nearest materials; "
         "without --stroke nothing else is done. Or OBJECT:x,y,z in the object's own coordinates",
     )  # fmt: skip
@@ -111,13 +111,13 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "hnf train encoder; default: band-descriptor-1",
     )  # fmt: skip
     parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
-    parser.add_argument("--seed", type=seed_of, metavar="N", help="seed of all strokes; default: each stroke's own")
+    parser.add_argument("--seed", type=parse_seed, metavar="N", help="seed of all strokes; default: each stroke's own")
     parser.add_argument("--plan", action="store_true", help="say what would be done, skipped and why; write nothing")
     parser.add_argument("--json", action="store_true", help="print the report (or the plan) as JSON")
     return parser
 
 
-def request_from(arguments: argparse.Namespace) -> TouchRequest:
+def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
     """Parsed words → request. Raises UsageError where they do not fit together."""
     if len(arguments.strokes) != len(arguments.targets):
         raise UsageError(
@@ -131,13 +131,13 @@ def request_from(arguments: argparse.Namespace) -> TouchRequest:
     request = TouchRequest(
         scene=arguments.scene,
         out=arguments.out,
-        placements=tuple(Placement(p, t) for p, t in zip(arguments.strokes, arguments.targets, strict=True)),
-        choices=tuple(_choice(text) for text in arguments.materials),
+        strokes=tuple(StrokeRequest(p, t) for p, t in zip(arguments.strokes, arguments.targets, strict=True)),
+        choices=tuple(_parse_material_choice(text) for text in arguments.materials),
         metres_per_unit=arguments.scale,
         seed=arguments.seed,
         plan_only=arguments.plan,
         as_json=arguments.json,
-        probes=tuple(arguments.probes),
+        queries=tuple(arguments.probes),
         encoder=arguments.encoder,
     )
     if not request.plan_only:
@@ -145,7 +145,7 @@ def request_from(arguments: argparse.Namespace) -> TouchRequest:
     return request
 
 
-def _choice(text: str) -> MaterialChoice:
+def _parse_material_choice(text: str) -> MaterialChoice:
     target, equals, material = text.rpartition("=")
     if not equals or not target or not material:
         raise UsageError(f"--material {text!r} is not OBJECT[:SLOT]=NAME.", remedy="Example: --material Cup=oak-wood")

@@ -15,14 +15,14 @@ from ..field.weights import save_field
 from .progress import Progress, ProgressBar
 from .train_alignment import add_parser as _add_alignment
 from .train_encoder import add_parser as _add_encoder
-from .train_needs import check_seed_and_weights, torch_for
-from .train_tactile_map import add_parser as _add_tactile_map
+from .train_needs import check_seed_and_weights, require_torch
+from .train_tactile_map import _add_tactile_map as _add_tactile_map
 from .verbs import HELP
 
 if TYPE_CHECKING:
     from ..datasets.dataset import DataSet
     from ..datasets.recording import Recording
-    from ..training.material import Trained
+    from ..training.material import TrainingResult
 
 SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_tactile_map, _add_encoder, _add_alignment)
 """What else can be trained: each adds a parser that names its own runner as the default of `run`."""
@@ -78,22 +78,22 @@ def _add_field(subjects: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
     check_seed_and_weights(arguments)
-    from ..datasets.training_strokes import training_recordings
+    from ..datasets.training_strokes import get_training_recordings
 
-    kind, data = _open(arguments.data)
-    recordings = training_recordings(data, arguments.material, arguments.seconds, arguments.seed, arguments.source)
-    trained, record = _train(arguments, kind, data, recordings)
-    from ..export.training_curve import training_curve
+    kind, data = _open_data(arguments.data)
+    recordings = get_training_recordings(data, arguments.material, arguments.seconds, arguments.seed, arguments.source)
+    trained, record = _train_field(arguments, kind, data, recordings)
+    from ..export.training_curve import write_training_curve
 
     save_field(arguments.out, trained.field)
     curve = arguments.out.with_suffix(".curve.png")
-    training_curve(curve, f"{record['material']}: {record['training_data']}", trained.history)
+    write_training_curve(curve, f"{record['material']}: {record['training_data']}", trained.history)
     record.update(weights=str(arguments.out), curve=str(curve))
-    print(json.dumps(record, indent=1) if arguments.json else _in_words(record))
+    print(json.dumps(record, indent=1) if arguments.json else _format_record(record))
     return 0
 
 
-def _open(words: list[str]) -> tuple[str, DataSet]:
+def _open_data(words: list[str]) -> tuple[str, DataSet]:
     from ..datasets.catalogue import open_dataset
 
     if len(words) > 2:
@@ -101,13 +101,13 @@ def _open(words: list[str]) -> tuple[str, DataSet]:
     return words[0], open_dataset(words[0], Path(words[1]) if len(words) == 2 else None)
 
 
-def _train(
+def _train_field(
     arguments: argparse.Namespace, kind: str, data: DataSet, recordings: list[Recording]
-) -> tuple[Trained, dict[str, Any]]:
+) -> tuple[TrainingResult, dict[str, Any]]:
     from ..datasets.catalogue import LICENCES
 
-    with torch_for("training"):
-        from ..training.own_material import Choices, train_own
+    with require_torch("training"):
+        from ..training.own_material import TrainingOverrides, train_from_recordings
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
     if arguments.fresh:
         checkpoint.unlink(missing_ok=True)
@@ -120,16 +120,16 @@ def _train(
         bar.show(Progress(f"validation loss {loss:.4f}", done, total))
 
     try:
-        return train_own(
+        return train_from_recordings(
             recordings, kind, LICENCES[kind], arguments.seed,
-            Choices(arguments.hidden, arguments.layers, arguments.states, arguments.accumulation, arguments.epochs),
+            TrainingOverrides(arguments.hidden, arguments.layers, arguments.states, arguments.accumulation, arguments.epochs),
             checkpoint, watch,
         )  # fmt: skip
     finally:
         bar.close()
 
 
-def _in_words(record: dict[str, Any]) -> str:
+def _format_record(record: dict[str, Any]) -> str:
     test = record["test"]
     held_out = (
         "too short to hold a test out"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
 from .progress import Progress, ProgressBar
-from .train_needs import torch_for
+from .train_needs import require_torch
 
 if TYPE_CHECKING:
     from ..training.alignment.train import Recipe
@@ -26,7 +26,7 @@ def add_parser(subjects: Any) -> None:
         "vision.safetensors, touch.safetensors and alignment.json. A killed run resumes where it was when the same "
         "command is given again.",
     )
-    add_data(parser)
+    add_data_option(parser)
     parser.add_argument("--sensor", choices=["gelsight", "digit", "both"], default="both", help="whose tuples")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into")
     parser.add_argument("--minutes", type=float, metavar="N", help="of training; the learning rate follows the clock")
@@ -43,7 +43,7 @@ def add_parser(subjects: Any) -> None:
     parser.set_defaults(run=run)
 
 
-def add_data(parser: argparse.ArgumentParser) -> None:
+def add_data_option(parser: argparse.ArgumentParser) -> None:
     """The words for what it is trained on and judged by."""
     parser.add_argument(
         "--data", nargs="+", action="append", metavar="WORD",
@@ -56,20 +56,20 @@ def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
     if arguments.seed < 0 or arguments.threads < 1 or not (arguments.minutes is None or arguments.minutes > 0.0):
         raise UsageError("--seed must be at least 0, --threads 1, and --minutes more than none.")
-    version = needs_torch(arguments.threads)
+    version = prepare_torch(arguments.threads)
     from ..training.alignment.data import open_source
-    from ..training.alignment.models import save_models
-    from ..training.alignment.train import fit
+    from ..training.alignment.models import save_encoders
+    from ..training.alignment.train import fit_encoders
     from ..training.state_dict import read_state_dict
 
-    recipe = _recipe(arguments)
+    recipe = _make_recipe(arguments)
     start = None
     if arguments.trunk is not None:
         start, _ = read_state_dict(arguments.trunk, "resnet50")
     source = open_source(arguments.data or [[PAIRS]])
-    tuples = source.learn()
+    tuples = source.load_training()
     if arguments.sensor != "both":
-        tuples = tuples.of_sensor(arguments.sensor)
+        tuples = tuples.select_sensor(arguments.sensor)
     checkpoint = arguments.out / CHECKPOINT
     if arguments.fresh:
         checkpoint.unlink(missing_ok=True)
@@ -79,27 +79,27 @@ def run(arguments: argparse.Namespace) -> int:
         bar.show(Progress(f"% of training, loss {loss:.3f}", round(100 * progress), 100))
 
     try:
-        fitted = fit(tuples, recipe, checkpoint, watch, start)
+        fitted = fit_encoders(tuples, recipe, checkpoint, watch, start)
     finally:
         bar.close()
     told = {
-        "sensor": arguments.sensor, "tuples": len(tuples), "data": list(source.told), "threads": arguments.threads,
+        "sensor": arguments.sensor, "tuples": len(tuples), "data": list(source.messages), "threads": arguments.threads,
         "trunk": None if arguments.trunk is None else arguments.trunk.name, "torch": version,
     }  # fmt: skip
-    record = save_models(arguments.out, fitted, recipe, told)
+    record = save_encoders(arguments.out, fitted, recipe, told)
     checkpoint.unlink(missing_ok=True)
-    print(json.dumps(record, indent=1) if arguments.json else _in_words(arguments.out, record))
+    print(json.dumps(record, indent=1) if arguments.json else _format_record(arguments.out, record))
     return 0
 
 
-def needs_torch(threads: int) -> str:
+def prepare_torch(threads: int) -> str:
     """The version of torch, which from now on uses so many threads. Raises HnfError where it is missing."""
-    with torch_for("alignment"):
-        from ..training.alignment.train import use_threads
-    return use_threads(threads)
+    with require_torch("alignment"):
+        from ..training.alignment.train import set_torch_threads
+    return set_torch_threads(threads)
 
 
-def _recipe(arguments: argparse.Namespace) -> Recipe:
+def _make_recipe(arguments: argparse.Namespace) -> Recipe:
     from ..training.alignment.train import Recipe
 
     given = {name: getattr(arguments, name) for name in ("pixels", "batch", "chunk", "rate", "minutes", "steps")}
@@ -108,7 +108,7 @@ def _recipe(arguments: argparse.Namespace) -> Recipe:
     return Recipe(seed=arguments.seed, **{name: value for name, value in given.items() if value is not None})
 
 
-def _in_words(folder: Path, record: Any) -> str:
+def _format_record(folder: Path, record: Any) -> str:
     loss = record["curve"][-1][2] if record["curve"] else float("nan")
     return (
         f"{folder}: {record['sensor']}, {record['tuples']} tuples, {record['steps']} steps in {record['seconds']:.0f} "

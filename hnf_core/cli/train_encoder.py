@@ -9,7 +9,7 @@ from typing import Any
 
 from ..errors import UsageError
 from .progress import Progress, ProgressBar
-from .train_needs import check_seed_and_weights, torch_for
+from .train_needs import check_seed_and_weights, require_torch
 
 PERCENT = 100
 
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--steps must be a whole number from 1.")
     if arguments.minutes is not None and not 0.0 < arguments.minutes < float("inf"):
         raise UsageError("--minutes must be positive.")
-    with torch_for("training"):
+    with require_torch("training"):
         from ..training.encoder.fit import Schedule
         from ..training.encoder.recipe import train_encoder
     from ..material.alexnet.weights import save_encoder
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.data,
             Schedule(steps=steps, minutes=arguments.minutes),
             arguments.seed,
-            trunk=arguments.trunk,
+            backbone=arguments.trunk,
             partial=arguments.partial,
             watch=watch,
         )

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 
 from ..errors import HnfError, UsageError
 
-LEAST_PYTHON = (3, 11)
-PACKAGES = {"numpy": "numpy>=1.24", "safetensors": "safetensors==0.8.0", "torch": "torch==2.13.0"}
+MIN_TRAINING_PYTHON = (3, 11)
+TRAINING_PACKAGES = {"numpy": "numpy>=1.24", "safetensors": "safetensors==0.8.0", "torch": "torch==2.13.0"}
 """What `hnf train field` imports → what pip is asked for, as pyproject.toml pins it."""
 
 
 @contextmanager
-def torch_for(what: str) -> Iterator[None]:
+def require_torch(what: str) -> Iterator[None]:
     """For imports that torch is needed for. Raises HnfError, which names what, where they fail."""
     try:
         yield

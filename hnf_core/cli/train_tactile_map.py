@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 from ..errors import UsageError
 from ..tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
 from .progress import Progress, ProgressBar
-from .train_needs import check_seed_and_weights, torch_for
+from .train_needs import check_seed_and_weights, require_torch
 
 if TYPE_CHECKING:
     from ..training.tactile_map.validate import Distance
 
-SIMULATED = "simulated"
+SIMULATED_PAIRS = "simulated"
 DEFAULT_MINUTES = 60.0
 
 
-def add_parser(subjects: Any) -> argparse.ArgumentParser:
+def _add_tactile_map(subjects: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = subjects.add_parser(
         "tactile-map",
         help="the network that predicts tactile maps from a look",
@@ -43,11 +43,11 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument("--fresh", action="store_true", help="start anew even where a killed run could go on")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=_run_tactile_map)
     return parser
 
 
-def run(arguments: argparse.Namespace) -> int:
+def _run_tactile_map(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
     check_seed_and_weights(arguments)
     if not arguments.minutes > 0.0:
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
     if arguments.fresh:
         checkpoint.unlink(missing_ok=True)
-    record = _train(arguments, checkpoint)
+    record = _train_tactile_map(arguments, checkpoint)
     checkpoint.unlink(missing_ok=True)
     words = record.pop("in_words")
     text = f"{record['weights']}: {record['training_data']}; {record['views']} views seen; {words}"
@@ -63,33 +63,35 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _train(arguments: argparse.Namespace, checkpoint: Path) -> dict[str, Any]:
-    with torch_for("training"):
-        from ..training.tactile_map.fit import Plan
-        from ..training.tactile_map.recipe import RATES, train_map
+def _train_tactile_map(arguments: argparse.Namespace, checkpoint: Path) -> dict[str, Any]:
+    with require_torch("training"):
+        from ..training.tactile_map.fit import MapTrainingPlan
+        from ..training.tactile_map.recipe import LEARNING_RATES, train_map
 
     bar = ProgressBar()
 
     def watch(step: int, spent: float, loss: float, distances: Mapping[str, Distance]) -> None:
         bar.show(Progress(f"% loss {loss:.4f}", int(100 * spent), 100))
         for name, distance in distances.items():
-            print(f"hnf: {step} steps, {name}: {distance.in_words()}", file=sys.stderr)
+            print(f"hnf: {step} steps, {name}: {distance.describe()}", file=sys.stderr)
 
     try:
-        folder = _pairs_of(arguments, bar)
-        plan = Plan(minutes=arguments.minutes, seed=arguments.seed, rate=RATES[arguments.objective])
+        folder = _find_pairs(arguments, bar)
+        plan = MapTrainingPlan(minutes=arguments.minutes, seed=arguments.seed, rate=LEARNING_RATES[arguments.objective])
         config = MapConfig(objective=arguments.objective)
         return train_map(folder, plan, config, arguments.out, checkpoint, watch)
     finally:
         bar.close()
 
 
-def _pairs_of(arguments: argparse.Namespace, bar: ProgressBar) -> Path:
-    if arguments.data != SIMULATED:
+def _find_pairs(arguments: argparse.Namespace, bar: ProgressBar) -> Path:
+    if arguments.data != SIMULATED_PAIRS:
         return Path(arguments.data)
-    from ..datasets.pair_shards import make_pairs
+    from ..datasets.pair_shards import write_pairs
     from ..datasets.pair_tiles import PairSizes
 
     folder = arguments.out.with_name(f"{arguments.out.stem}-pairs")
-    make_pairs(folder, PairSizes(), arguments.seed, told=lambda done, total: bar.show(Progress("shards", done, total)))
+    write_pairs(
+        folder, PairSizes(), arguments.seed, on_progress=lambda done, total: bar.show(Progress("shards", done, total))
+    )
     return Path(folder)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from types import ModuleType
 
-MODULES = {
+COMMAND_MODULES = {
     "touch": "touch",
     "synth": "synth",
     "train": "train",
@@ -44,10 +44,10 @@ EXAMPLES = """examples:
   hnf touch scene.blend --out result                    a WAV and a picture for every stroke
   hnf synth --material oak-wood --stroke rub-slow --out rub.wav"""
 
-ELSEWHERE = {"probe": "To ask about one place: hnf touch SCENE --out DIR --probe OBJECT:u,v"}
+COMMAND_HINTS = {"probe": "To ask about one place: hnf touch SCENE --out DIR --probe OBJECT:u,v"}
 """What people look for as a command of its own → what does it."""
 
 
-def module_of(verb: str) -> ModuleType:
+def import_command(verb: str) -> ModuleType:
     """Where a verb's words stand."""
-    return import_module(f".{MODULES[verb]}", __package__)
+    return import_module(f".{COMMAND_MODULES[verb]}", __package__)

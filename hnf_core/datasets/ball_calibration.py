@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..archive import DAMAGED
+from ..archive import NPZ_ERRORS
 from ..errors import FileError
 
 Float = NDArray[np.float64]
 
 BALL_RADIUS_M = 2e-3
-PITCH_M = {"objectfolder": 0.1245e-3, "taxim": 0.0295e-3}
-LARGEST_BYTES = 512 * 2**20
-_AGAIN = "Get the file again from the calibration's own repository."
+PIXEL_PITCH_M = {"objectfolder": 0.1245e-3, "taxim": 0.0295e-3}
+MAX_UNPACKED_BYTES = 512 * 2**20
+_REMEDY = "Get the file again from the calibration's own repository."
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +56,12 @@ def read_ball_presses(path: Path, ball_radius_px: float) -> BallPresses:
     parts = _read_npz(path, ("f0", "imgs", "touch_center"))
     background, frames, centre = parts["f0"], parts["imgs"], parts["touch_center"]
     if frames.ndim != 4 or frames.shape[1:] != background.shape or frames.shape[3] != 3 or not len(frames):
-        raise FileError(f"frames {frames.shape}, background {background.shape}.", where=str(path), remedy=_AGAIN)
+        raise FileError(f"frames {frames.shape}, background {background.shape}.", where=str(path), remedy=_REMEDY)
     if frames.dtype != np.uint8 or background.dtype != np.uint8:
-        raise FileError(f"frames are {frames.dtype}, expected 8 bits.", where=str(path), remedy=_AGAIN)
+        raise FileError(f"frames are {frames.dtype}, expected 8 bits.", where=str(path), remedy=_REMEDY)
     size = frames.shape[2], frames.shape[1]
     if centre.shape != (len(frames), 2) or not ((centre >= 0) & (centre < size)).all():
-        raise FileError("a ball's centre is outside its frame.", where=str(path), remedy=_AGAIN)
+        raise FileError("a ball's centre is outside its frame.", where=str(path), remedy=_REMEDY)
     return BallPresses(
         frames[..., ::-1] / 255.0, background[..., ::-1] / 255.0, centre.astype(np.float64), ball_radius_px
     )
@@ -73,10 +73,10 @@ def read_polynomial_table(path: Path) -> PolynomialTable:
     channels = list(_read_npz(path, names).values())
     shape = channels[0].shape
     if len(shape) != 3 or shape[0] != shape[1] or shape[2] != 6 or any(each.shape != shape for each in channels):
-        raise FileError(f"{', '.join(names)} are {[each.shape for each in channels]}.", where=str(path), remedy=_AGAIN)
+        raise FileError(f"{', '.join(names)} are {[each.shape for each in channels]}.", where=str(path), remedy=_REMEDY)
     values = np.stack(channels[::-1], axis=2).astype(np.float64)
     if not np.isfinite(values).all():
-        raise FileError("a coefficient is not finite.", where=str(path), remedy=_AGAIN)
+        raise FileError("a coefficient is not finite.", where=str(path), remedy=_REMEDY)
     return PolynomialTable(values / 255.0)
 
 
@@ -84,17 +84,17 @@ def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
-        if size > LARGEST_BYTES:
-            raise FileError(f"{size / 2**20:.0f} MB unpacked are too much.", where=str(path), remedy=_AGAIN)
+        if size > MAX_UNPACKED_BYTES:
+            raise FileError(f"{size / 2**20:.0f} MB unpacked are too much.", where=str(path), remedy=_REMEDY)
         with np.load(path, allow_pickle=False) as archive:
             missing = [name for name in names if name not in archive]
             if missing:
-                raise FileError(f"{', '.join(missing)} are missing.", where=str(path), remedy=_AGAIN)
+                raise FileError(f"{', '.join(missing)} are missing.", where=str(path), remedy=_REMEDY)
             parts = {name: np.asarray(archive[name]) for name in names}
-    except DAMAGED as error:
+    except NPZ_ERRORS as error:
         raise FileError(
-            f"is no archive of plain arrays ({error}). Pickled ones are not read.", where=str(path), remedy=_AGAIN
+            f"is no archive of plain arrays ({error}). Pickled ones are not read.", where=str(path), remedy=_REMEDY
         ) from error
     if any(part.dtype.kind not in "fiu" for part in parts.values()):
-        raise FileError("holds something else than numbers.", where=str(path), remedy=_AGAIN)
+        raise FileError("holds something else than numbers.", where=str(path), remedy=_REMEDY)
     return parts

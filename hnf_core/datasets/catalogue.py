@@ -10,13 +10,13 @@ from .cluster import ClusterFolder
 from .dataset import DataSet
 from .hatt import HattFolder
 from .lmt import LmtFolder
-from .own import OwnFolder
+from .own import UserFolder
 from .simulated import SimulatedLibrary
 
-_FOLDERS: dict[str, Callable[[Path], DataSet]] = {
-    "own": OwnFolder, "hatt": HattFolder, "cluster": ClusterFolder, "lmt": LmtFolder,
+_FOLDER_TYPES: dict[str, Callable[[Path], DataSet]] = {
+    "own": UserFolder, "hatt": HattFolder, "cluster": ClusterFolder, "lmt": LmtFolder,
 }  # fmt: skip
-KINDS = (*_FOLDERS, "simulated")
+DATASET_KINDS = (*_FOLDER_TYPES, "simulated")
 LICENCES = {
     "own": "trained on the user's own recordings",
     "hatt": "trained on the Penn Haptic Texture Toolkit: non-profit research only, not to be redistributed",
@@ -32,12 +32,12 @@ def open_dataset(kind: str, folder: Path | None) -> DataSet:
 
     Raises UsageError for an unknown kind, a missing folder, or one too many.
     """
-    if kind not in KINDS:
-        raise UsageError(f"{kind!r} is no data set.", remedy=f"Known are {', '.join(KINDS)}.")
+    if kind not in DATASET_KINDS:
+        raise UsageError(f"{kind!r} is no data set.", remedy=f"Known are {', '.join(DATASET_KINDS)}.")
     if kind == "simulated":
         if folder is not None:
             raise UsageError("simulated data have no folder.", remedy="Leave the folder out.")
         return SimulatedLibrary()
     if folder is None:
         raise UsageError(f"{kind} needs the folder of your recordings.", remedy=f"For example: --data {kind} DIR")
-    return _FOLDERS[kind](folder)
+    return _FOLDER_TYPES[kind](folder)

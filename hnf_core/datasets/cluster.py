@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from ..simulation.dft321 import dft321
 from .columns import read_table
-from .dataset import ActionRange, DataSet, range_of
-from .folders import files_below
+from .dataset import ActionRange, DataSet, compute_action_range
+from .folders import find_files
 from .names import match_name
 from .recording import Recording
 from .series import (
     SIGNAL_RATE_HZ,
-    action_of,
-    check_grid,
-    hand_series,
-    motion,
-    resampled,
-    sampling_of,
-    straight_direction,
-    whole_action_samples,
+    build_action,
+    check_time_grid,
+    constant_direction,
+    count_action_samples,
+    derive_motion,
+    interpolate_series,
+    measure_sampling_rate,
+    resample_to_action_rate,
 )
-from .written_units import unit_factor
+from .written_units import parse_unit_factor
 
 Float = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class ClusterFolder(DataSet):
     def _strokes(self) -> dict[int, dict[str, dict[str, Path]]]:
         """Identity → stroke → quantity → file."""
         out: dict[int, dict[str, dict[str, Path]]] = {}
-        for path in files_below(self.folder, (".csv",)):
+        for path in find_files(self.folder, (".csv",)):
             match = _NAME.fullmatch(path.stem)
             above = [part.lower() for part in path.relative_to(self.folder).parts[:-1]] or [self.folder.name.lower()]
             quantity = next(
@@ -69,33 +69,33 @@ class ClusterFolder(DataSet):
                 where=str(self.folder),
                 remedy="Give the folder that holds sensor_data, or sensor_data itself.",
             )
-        return tuple(f"{family(each)} {each}" for each in sorted(self._strokes))
+        return tuple(f"{get_family(each)} {each}" for each in sorted(self._strokes))
 
     def recordings(self, name: str) -> list[Recording]:
-        known, identity = self._identity(name)
+        known, identity = self._find_identity(name)
         strokes = self._strokes[identity]
         return [read_stroke(files, known) for _, files in sorted(strokes.items()) if "accel" in files]
 
     def process(self, name: str) -> None:
-        self._identity(name)
+        self._find_identity(name)
 
     def action_range(self, name: str) -> ActionRange:
-        return range_of(self.recordings(name))
+        return compute_action_range(self.recordings(name))
 
     def image(self, name: str) -> Path | None:
-        identity = self._identity(name)[1]
-        found = files_below(self.folder, (".jpg", ".jpeg", ".png"))
+        identity = self._find_identity(name)[1]
+        found = find_files(self.folder, (".jpg", ".jpeg", ".png"))
         matching = [path for path in found if re.fullmatch(rf"(?i)img[ _]?0*{identity}", path.stem)]
         # The picture of the scanned area is the one that the strokes ran over.
         return max(matching, key=lambda path: "scan" in str(path.parent).lower(), default=None)
 
-    def _identity(self, name: str) -> tuple[str, int]:
+    def _find_identity(self, name: str) -> tuple[str, int]:
         numbered = {material.rpartition(" ")[2]: material for material in self.materials}
         known = numbered.get(name.strip()) or match_name(name, self.materials, str(self.folder))
         return known, int(known.rpartition(" ")[2])
 
 
-def family(identity: int) -> str:
+def get_family(identity: int) -> str:
     return next((name for beyond, name in FAMILIES if identity < beyond), "material")
 
 
@@ -108,48 +108,48 @@ def read_stroke(files: dict[str, Path], material: str) -> Recording:
     """
     path = files["accel"]
     where = str(path)
-    time, axes = _series(path, ("X", "Y", "Z"), "acceleration", "g")
-    rate, of_the_grid = sampling_of(time, where)
-    force = _series(files["force"], ("force",), "force", "N") if "force" in files else None
-    place = _series(files["position"], ("X", "Y"), "position", "mm") if "position" in files else None
+    time, axes = _read_series(path, ("X", "Y", "Z"), "acceleration", "g")
+    rate, of_the_grid = measure_sampling_rate(time, where)
+    force = _read_series(files["force"], ("force",), "force", "N") if "force" in files else None
+    place = _read_series(files["position"], ("X", "Y"), "position", "mm") if "position" in files else None
     grids = [time, *(series[0] for series in (force, place) if series is not None)]
     start, stop = max(grid[0] for grid in grids), min(grid[-1] for grid in grids)
-    count = whole_action_samples(stop - start, where)
+    count = count_action_samples(stop - start, where)
     at = start + np.arange(round((count - 1) / 200.0 * SIGNAL_RATE_HZ)) / SIGNAL_RATE_HZ
-    samples = resampled(time, axes, at)
+    samples = interpolate_series(time, axes, at)
     resampled_from = f"{rate:.0f} Hz resampled to 10 kHz; gravity removed"
     known, notes = set(), [resampled_from, "the probe is taken as the pen", *of_the_grid]
-    angle, speed, newtons = _announced(path)
+    angle, speed, newtons = _parse_stroke_name(path)
     if force is None:
         pressed = np.full(count, newtons)
         notes.append(f"no force file: {newtons:g} N assumed, as its name says")
     else:
-        pressed = hand_series(*force, start, count)[:, 0]
+        pressed = resample_to_action_rate(*force, start, count)[:, 0]
         known.add("force")
     if place is None:
-        direction, pace = straight_direction(count, angle), np.full(count, speed)
+        direction, pace = constant_direction(count, angle), np.full(count, speed)
         notes.append(f"no position file: {np.degrees(angle):g}° and {speed:g} m/s assumed, as its name says")
     else:
-        direction, pace = motion(hand_series(*place, start, count))
+        direction, pace = derive_motion(resample_to_action_rate(*place, start, count))
         known |= {"direction", "speed"}
     return Recording(
-        action_of(direction, pace, pressed), dft321(samples - samples.mean(axis=0)), SIGNAL_RATE_HZ, material, where,
+        build_action(direction, pace, pressed), dft321(samples - samples.mean(axis=0)), SIGNAL_RATE_HZ, material, where,
         frozenset(known), tuple(notes),
     )  # fmt: skip
 
 
-def _series(path: Path, columns: tuple[str, ...], quantity: str, unit: str) -> tuple[Float, Float]:
+def _read_series(path: Path, columns: tuple[str, ...], quantity: str, unit: str) -> tuple[Float, Float]:
     """Time (n,) s and values (n, k) in SI units."""
     table, units = read_table(path, ("time", *columns))
-    time = table[:, 0] * unit_factor("time", units.get("time", "s"), str(path))
-    check_grid(time, str(path))
+    time = table[:, 0] * parse_unit_factor("time", units.get("time", "s"), str(path))
+    check_time_grid(time, str(path))
     written = {units.get(column, unit) for column in columns}
     if len(written) != 1:
         raise FileError(f"columns in different units, {sorted(written)}.", where=str(path), remedy="Use one unit.")
-    return time, table[:, 1:] * unit_factor(quantity, written.pop(), str(path))
+    return time, table[:, 1:] * parse_unit_factor(quantity, written.pop(), str(path))
 
 
-def _announced(path: Path) -> tuple[float, float, float]:
+def _parse_stroke_name(path: Path) -> tuple[float, float, float]:
     """Direction [rad], speed [m/s] and force [N] that the file's name gives."""
     match = _NAME.fullmatch(path.stem)
     if match is None:

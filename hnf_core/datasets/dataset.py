@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from ..errors import FileError
-from .recording import Process, Recording
+from .recording import Recording, TextureProcess
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class DataSet(Protocol):
         """Everything recorded of a material, empty where the data set holds models only."""
         ...
 
-    def process(self, name: str) -> Process | None:
+    def process(self, name: str) -> TextureProcess | None:
         """What can be stroked anew; None where there are recordings only."""
         ...
 
@@ -48,7 +48,7 @@ class DataSet(Protocol):
         ...
 
 
-def range_of(recordings: Sequence[Recording]) -> ActionRange:
+def compute_action_range(recordings: Sequence[Recording]) -> ActionRange:
     """What recorded strokes cover: 5th to 95th percentile of speed and force while in contact and moving.
 
     Raises FileError where there is no such moment.

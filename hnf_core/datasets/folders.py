@@ -8,12 +8,12 @@ from pathlib import Path
 
 from ..errors import FileError
 
-DEEPEST = 8
-MOST_FILES = 500_000
-LONGEST_NAME = 200
+MAX_FOLDER_DEPTH = 8
+MAX_FILES = 500_000
+MAX_NAME_LENGTH = 200
 
 
-def files_below(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+def find_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Sorted files with one of the suffixes (lower case, with dot), at most DEEPEST folders down; links to folders are
     not followed, hidden ones are left out. Raises FileError where folder is none, or holds more than MOST_FILES files.
     """
@@ -23,11 +23,11 @@ def files_below(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     seen = 0
     for here, folders, names in os.walk(folder):
         depth = len(Path(here).relative_to(folder).parts)
-        folders[:] = [] if depth >= DEEPEST else [name for name in folders if not name.startswith(".")]
+        folders[:] = [] if depth >= MAX_FOLDER_DEPTH else [name for name in folders if not name.startswith(".")]
         seen += len(names)
-        if seen > MOST_FILES:
+        if seen > MAX_FILES:
             raise FileError(
-                f"more than {MOST_FILES} files.", where=str(folder), remedy="Give the data set's own folder."
+                f"more than {MAX_FILES} files.", where=str(folder), remedy="Give the data set's own folder."
             )
         wanted = (name for name in names if not name.startswith(".") and os.path.splitext(name)[1].lower() in suffixes)
         # A pipe or device of such a name would be waited for.
@@ -35,7 +35,7 @@ def files_below(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     return sorted(found)
 
 
-def opening(path: Path, size: int = 4096) -> bytes:
+def read_head(path: Path, size: int = 4096) -> bytes:
     """The first bytes of a file; empty where it cannot be read (who needs the file will say so)."""
     try:
         with path.open("rb") as stream:
@@ -44,13 +44,13 @@ def opening(path: Path, size: int = 4096) -> bytes:
         return b""
 
 
-def is_plain(name: str) -> bool:
+def is_safe_name(name: str) -> bool:
     """Whether a name written in a file is one file's or folder's own: on no system does it lead anywhere else."""
-    fits = len(name) <= LONGEST_NAME and re.fullmatch(r"\w[\w .,+()&'-]*", name) is not None
+    fits = len(name) <= MAX_NAME_LENGTH and re.fullmatch(r"\w[\w .,+()&'-]*", name) is not None
     return fits and not name.endswith((" ", "."))
 
 
-def file_names(folder: Path) -> frozenset[str]:
+def list_file_names(folder: Path) -> frozenset[str]:
     """Names of the files that lie directly in a folder; empty where there is no such folder."""
     try:
         with os.scandir(folder) as entries:

@@ -9,15 +9,15 @@ from pathlib import Path
 
 from ..errors import FileError
 from .autoregressive import PROCESS_RATE_HZ, HattProcess
-from .dataset import ActionRange, DataSet, range_of
-from .folders import files_below, opening
+from .dataset import ActionRange, DataSet, compute_action_range
+from .folders import find_files, read_head
 from .hatt_models import TextureModel, read_texture_model
-from .hatt_recordings import QUANTITIES, quantity_in, read_signals
-from .measured import assemble
-from .names import match_name, plain_name
+from .hatt_recordings import QUANTITIES, detect_quantity, read_signals
+from .measured import assemble_recording
+from .names import match_name, normalise_name
 from .recording import Recording
 
-PICTURES = (".bmp", ".jpg", ".jpeg", ".png", ".tif", ".tiff")
+IMAGE_SUFFIXES = (".bmp", ".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -33,17 +33,17 @@ class HattFolder(DataSet):
         """Material → model file; and every file that may be a recording."""
         models: dict[str, tuple[bool, Path]] = {}
         others: list[Path] = []
-        for path in files_below(self.folder, (".xml",)):
-            start = opening(path).lower()
+        for path in find_files(self.folder, (".xml",)):
+            start = read_head(path).lower()
             if b"<modelset" not in start and not path.stem.lower().startswith("models_"):
-                named = quantity_in("/".join(path.relative_to(self.folder).parts))
-                if named or quantity_in(start.decode("latin-1")):
+                named = detect_quantity("/".join(path.relative_to(self.folder).parts))
+                if named or detect_quantity(start.decode("latin-1")):
                     others.append(path)
                 continue
-            name = _spaced(re.sub(r"(?i)^models_", "", path.stem))
+            name = _normalise_spaces(re.sub(r"(?i)^models_", "", path.stem))
             rate = re.search(rb"<samplerate>\s*([0-9.]+)", start)
             full = rate is None or float(rate[1]) == PROCESS_RATE_HZ
-            key = next((known for known in models if plain_name(known) == plain_name(name)), name)
+            key = next((known for known in models if normalise_name(known) == normalise_name(name)), name)
             if key not in models or (full and not models[key][0]):
                 models[key] = (full, path)
         return {name: path for name, (_, path) in models.items()}, others
@@ -56,9 +56,9 @@ class HattFolder(DataSet):
         for path in others:
             relative = path.relative_to(self.folder)
             bare = re.sub(rf"(?i)({'|'.join(QUANTITIES)})\w*?(?=_|\b|[A-Z])", "", path.stem)
-            material = _material_of(bare, tuple(models))
-            above = [part for part in relative.parts[:-1] if quantity_in(part) is None]
-            out.setdefault(material, {}).setdefault("/".join([*above, plain_name(bare)]), []).append(path)
+            material = _match_material(bare, tuple(models))
+            above = [part for part in relative.parts[:-1] if detect_quantity(part) is None]
+            out.setdefault(material, {}).setdefault("/".join([*above, normalise_name(bare)]), []).append(path)
         return out
 
     @cached_property
@@ -76,7 +76,7 @@ class HattFolder(DataSet):
         known = match_name(name, self.materials, str(self.folder))
         strokes = self._strokes.get(known, {})
         return [
-            assemble([signal for path in paths for signal in read_signals(path)], known, str(paths[0]))
+            assemble_recording([signal for path in paths for signal in read_signals(path)], known, str(paths[0]))
             for _, paths in sorted(strokes.items())
         ]
 
@@ -89,15 +89,15 @@ class HattFolder(DataSet):
         """Of a model: from the least speed and force at which it sounds (axes and corners of its hull are the toolkit's
         own additions) to the hull's largest. Without one: what its recordings cover."""
         process = self.process(name)
-        return range_of(self.recordings(name)) if process is None else _hull_range(process.model)
+        return compute_action_range(self.recordings(name)) if process is None else _get_hull_range(process.model)
 
     def image(self, name: str) -> Path | None:
-        wanted = plain_name(match_name(name, self.materials, str(self.folder)))
-        pictures = {plain_name(path.stem): path for path in reversed(files_below(self.folder, PICTURES))}
+        wanted = normalise_name(match_name(name, self.materials, str(self.folder)))
+        pictures = {normalise_name(path.stem): path for path in reversed(find_files(self.folder, IMAGE_SUFFIXES))}
         return pictures.get(wanted + "square") or pictures.get(wanted)
 
 
-def _hull_range(model: TextureModel) -> ActionRange:
+def _get_hull_range(model: TextureModel) -> ActionRange:
     sounding = model.variances > 0.0
     if not sounding.any():
         raise FileError("every variance is 0: it is silent.", where=model.source, remedy="Get the file again.")
@@ -107,17 +107,17 @@ def _hull_range(model: TextureModel) -> ActionRange:
     )
 
 
-def _spaced(name: str) -> str:
+def _normalise_spaces(name: str) -> str:
     return " ".join(name.replace("_", " ").split())
 
 
-def _material_of(stem: str, known: tuple[str, ...]) -> str:
+def _match_material(stem: str, known: tuple[str, ...]) -> str:
     """The known material that the stem ends with (a number of the take may follow); else what stands behind the prefix
     and before _<number>, _train or _test."""
     plain = re.sub(r"(?i)_(train|test)\w*$", "", stem)
     for ending in (plain, re.sub(r"_\d+$", "", plain)):
-        fitting = [name for name in known if plain_name(ending).endswith(plain_name(name))]
+        fitting = [name for name in known if normalise_name(ending).endswith(normalise_name(name))]
         if fitting:
             return max(fitting, key=len)
     rest = re.sub(r"_\d+$", "", plain)
-    return _spaced(rest.partition("_")[2] or rest) or stem
+    return _normalise_spaces(rest.partition("_")[2] or rest) or stem

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from .line_spectra import lsf_from_polynomial
 from .safe_xml import read_xml
-from .written_units import BEYOND, measurable, unit_factor
+from .written_units import MAX_MEASURABLE, is_measurable, parse_unit_factor
 
 Float = NDArray[np.float64]
-SLOWEST_HZ, FASTEST_HZ = 500.0, 1e5
+MIN_FILTER_RATE_HZ, MAX_FILTER_RATE_HZ = 500.0, 1e5
 """Slower filters hold nothing of touch; the toolkit has 1 and 10 kHz."""
-_AGAIN = "Get the file again from the toolkit."
+_TOOLKIT_REMEDY = "Get the file again from the toolkit."
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def read_texture_model(path: Path) -> TextureModel:
         raise FileError("there is no modelSet in it.", where=where, remedy="Give a HaTT model (Models_….xml).")
     notes: list[str] = []
     speed_unit, force_unit, accel_unit = (
-        _unit(root, tag, quantity, default, where, notes)
+        _read_unit(root, tag, quantity, default, where, notes)
         for tag, quantity, default in (
             ("SpeedUnits", "speed", "mm/s"),
             ("ForceUnits", "force", "N"),
@@ -71,45 +71,45 @@ def read_texture_model(path: Path) -> TextureModel:
         )
     )
     models = [child for child in root if child.tag.lower() == "model"]
-    count = _count(root, "numMod", len(models), "models", where)
-    speeds = speed_unit * _vertices(root, models, "speedList", "speedMod", count, where)
-    forces = force_unit * _vertices(root, models, "forceList", "forceMod", count, where)
-    ar_lsf, ma_lsf, variances, gains = _filters(models, where)
+    count = _check_count(root, "numMod", len(models), "models", where)
+    speeds = speed_unit * _read_vertices(root, models, "speedList", "speedMod", count, where)
+    forces = force_unit * _read_vertices(root, models, "forceList", "forceMod", count, where)
+    ar_lsf, ma_lsf, variances, gains = _read_filters(models, where)
     return TextureModel(
-        material=_text(root, "material") or path.stem.removeprefix("Models_"),
+        material=_read_text(root, "material") or path.stem.removeprefix("Models_"),
         source=where,
-        sample_rate=_sample_rate(root, where, notes),
+        sample_rate=_read_sample_rate(root, where, notes),
         speeds=speeds,
         forces=forces,
-        triangles=_triangles(root, speeds, forces, where, notes),
+        triangles=_read_triangles(root, speeds, forces, where, notes),
         ar_lsf=ar_lsf,
         ma_lsf=ma_lsf,
         variances=variances * accel_unit**2,
         gains=gains,
-        friction=_friction(root, where),
-        max_speed=speed_unit * _positive(root, "maxSpeed", float(speeds.max()) / speed_unit, where, notes),
-        max_force=force_unit * _positive(root, "maxForce", float(forces.max()) / force_unit, where, notes),
+        friction=_read_friction(root, where),
+        max_speed=speed_unit * _read_positive(root, "maxSpeed", float(speeds.max()) / speed_unit, where, notes),
+        max_force=force_unit * _read_positive(root, "maxForce", float(forces.max()) / force_unit, where, notes),
         notes=tuple(notes),
     )
 
 
-def _find(parent: Element, tag: str) -> Element | None:
+def _find_child(parent: Element, tag: str) -> Element | None:
     return next((child for child in parent if child.tag.lower() == tag.lower()), None)
 
 
-def _text(parent: Element, tag: str) -> str:
-    child = _find(parent, tag)
+def _read_text(parent: Element, tag: str) -> str:
+    child = _find_child(parent, tag)
     return " ".join((child.text or "").split()) if child is not None else ""
 
 
-def _unit(root: Element, tag: str, quantity: str, default: str, where: str, notes: list[str]) -> float:
-    written = _text(root, tag)
+def _read_unit(root: Element, tag: str, quantity: str, default: str, where: str, notes: list[str]) -> float:
+    written = _read_text(root, tag)
     if not written:
         notes.append(f"{tag} is missing: taken as {default}")
-    return unit_factor(quantity, written or default, f"{where}, {tag}")
+    return parse_unit_factor(quantity, written or default, f"{where}, {tag}")
 
 
-def _numbers(element: Element | None, place: str) -> Float:
+def _read_numbers(element: Element | None, where: str) -> Float:
     """<value> children, or numbers separated by blanks or commas; () where there is no element or it is empty."""
     if element is None:
         return np.zeros(0)
@@ -118,95 +118,97 @@ def _numbers(element: Element | None, place: str) -> Float:
     try:
         numbers = np.array([float(word) for word in words])
     except ValueError as error:
-        raise FileError(f"{error}.", where=place, remedy=_AGAIN) from error
-    if not measurable(numbers).all():
-        bad = int(np.argmin(measurable(numbers))) + 1
-        raise FileError(f"value {bad} is not finite or beyond {BEYOND:g}.", where=place, remedy=_AGAIN)
+        raise FileError(f"{error}.", where=where, remedy=_TOOLKIT_REMEDY) from error
+    if not is_measurable(numbers).all():
+        bad = int(np.argmin(is_measurable(numbers))) + 1
+        raise FileError(f"value {bad} is not finite or beyond {MAX_MEASURABLE:g}.", where=where, remedy=_TOOLKIT_REMEDY)
     return numbers
 
 
-def _number(parent: Element, tag: str, where: str) -> float | None:
-    numbers = _numbers(_find(parent, tag), f"{where}, {tag}")
+def _read_number(parent: Element, tag: str, where: str) -> float | None:
+    numbers = _read_numbers(_find_child(parent, tag), f"{where}, {tag}")
     if len(numbers) > 1:
-        raise FileError(f"{len(numbers)} numbers instead of one.", where=f"{where}, {tag}", remedy=_AGAIN)
+        raise FileError(f"{len(numbers)} numbers instead of one.", where=f"{where}, {tag}", remedy=_TOOLKIT_REMEDY)
     return float(numbers[0]) if len(numbers) else None
 
 
-def _positive(root: Element, tag: str, default: float, where: str, notes: list[str]) -> float:
-    value = _number(root, tag, where)
+def _read_positive(root: Element, tag: str, default: float, where: str, notes: list[str]) -> float:
+    value = _read_number(root, tag, where)
     if value is None:
         notes.append(f"{tag} is missing: taken as {default:g}")
         value = default
     if value <= 0.0:
-        raise FileError(f"{value:g} is not above 0.", where=f"{where}, {tag}", remedy=_AGAIN)
+        raise FileError(f"{value:g} is not above 0.", where=f"{where}, {tag}", remedy=_TOOLKIT_REMEDY)
     return value
 
 
-def _sample_rate(root: Element, where: str, notes: list[str]) -> float:
-    rate = _positive(root, "SampleRate", 10_000.0, where, notes)
-    if not SLOWEST_HZ <= rate <= FASTEST_HZ:
-        raise FileError(f"{rate:g} Hz is no rate of a texture.", where=f"{where}, SampleRate", remedy=_AGAIN)
+def _read_sample_rate(root: Element, where: str, notes: list[str]) -> float:
+    rate = _read_positive(root, "SampleRate", 10_000.0, where, notes)
+    if not MIN_FILTER_RATE_HZ <= rate <= MAX_FILTER_RATE_HZ:
+        raise FileError(f"{rate:g} Hz is no rate of a texture.", where=f"{where}, SampleRate", remedy=_TOOLKIT_REMEDY)
     return rate
 
 
-def _friction(root: Element, where: str) -> float | None:
-    value = _number(root, "mu", where)
+def _read_friction(root: Element, where: str) -> float | None:
+    value = _read_number(root, "mu", where)
     if value is not None and value < 0.0:
-        raise FileError(f"friction {value:g} is negative.", where=f"{where}, mu", remedy=_AGAIN)
+        raise FileError(f"friction {value:g} is negative.", where=f"{where}, mu", remedy=_TOOLKIT_REMEDY)
     return value
 
 
-def _count(root: Element, tag: str, found: int, things: str, where: str) -> int:
-    said = _number(root, tag, where)
+def _check_count(root: Element, tag: str, found: int, things: str, where: str) -> int:
+    said = _read_number(root, tag, where)
     if found == 0 or (said is not None and said != found):
         announced = "" if said is None else f", {said:g} announced"
-        raise FileError(f"{found} {things}{announced}.", where=f"{where}, {tag}", remedy=_AGAIN)
+        raise FileError(f"{found} {things}{announced}.", where=f"{where}, {tag}", remedy=_TOOLKIT_REMEDY)
     return found
 
 
-def _vertices(root: Element, models: list[Element], tag: str, own: str, count: int, where: str) -> Float:
-    values = _numbers(_find(root, tag), f"{where}, {tag}")
+def _read_vertices(root: Element, models: list[Element], tag: str, model_tag: str, count: int, where: str) -> Float:
+    values = _read_numbers(_find_child(root, tag), f"{where}, {tag}")
     if len(values) == 0:
-        each = [_number(model, own, f"{where}, model {index}") for index, model in enumerate(models, start=1)]
+        each = [
+            _read_number(model, model_tag, f"{where}, model {index}") for index, model in enumerate(models, start=1)
+        ]
         values = np.array([value for value in each if value is not None])
     if len(values) != count:
-        raise FileError(f"{len(values)} values for {count} models.", where=f"{where}, {tag}", remedy=_AGAIN)
+        raise FileError(f"{len(values)} values for {count} models.", where=f"{where}, {tag}", remedy=_TOOLKIT_REMEDY)
     if values.min() < 0.0 or values.max() == 0.0:
-        raise FileError("values must be 0 or more, and not all 0.", where=f"{where}, {tag}", remedy=_AGAIN)
+        raise FileError("values must be 0 or more, and not all 0.", where=f"{where}, {tag}", remedy=_TOOLKIT_REMEDY)
     return values
 
 
-def _triangles(root: Element, speeds: Float, forces: Float, where: str, notes: list[str]) -> NDArray[np.int64]:
+def _read_triangles(root: Element, speeds: Float, forces: Float, where: str, notes: list[str]) -> NDArray[np.int64]:
     found = [child for child in root if child.tag.lower() == "tri"]
-    _count(root, "numTri", len(found), "triangles", where)
-    rows = [_numbers(tri, f"{where}, tri {index}") for index, tri in enumerate(found, start=1)]
+    _check_count(root, "numTri", len(found), "triangles", where)
+    rows = [_read_numbers(tri, f"{where}, tri {index}") for index, tri in enumerate(found, start=1)]
     for index, row in enumerate(rows, start=1):
         if len(row) != 3 or np.any(row != np.round(row)) or row.min() < 1 or row.max() > len(speeds):
             raise FileError(
                 f"{row.tolist()} are not three vertices between 1 and {len(speeds)}.",
                 where=f"{where}, tri {index}",
-                remedy=_AGAIN,
+                remedy=_TOOLKIT_REMEDY,
             )
     triangles = np.array(rows).astype(np.int64) - 1
     points = np.stack([speeds / speeds.max(), forces / forces.max()], axis=1)[triangles]
     (ax, ay), (bx, by) = (points[:, 1] - points[:, 0]).T, (points[:, 2] - points[:, 0]).T
     flat = np.abs(ax * by - ay * bx) < 1e-9
     if flat.all():
-        raise FileError("no triangle has an area.", where=f"{where}, tri", remedy=_AGAIN)
+        raise FileError("no triangle has an area.", where=f"{where}, tri", remedy=_TOOLKIT_REMEDY)
     if flat.any():
         notes.append(f"{int(flat.sum())} triangles without area left out")
     return np.asarray(triangles[~flat])
 
 
-def _filters(models: list[Element], where: str) -> tuple[Float, Float, Float, Float]:
+def _read_filters(models: list[Element], where: str) -> tuple[Float, Float, Float, Float]:
     ar, ma, variances, gains = [], [], [], []
     for index, model in enumerate(models, start=1):
         place = f"{where}, model {index}"
-        ar.append(_lsf(model, "AR", place))
-        ma.append(_lsf(model, "MA", place))
-        variance, gain = _number(model, "var", place), _number(model, "gain", place)
+        ar.append(_read_lsf(model, "AR", place))
+        ma.append(_read_lsf(model, "MA", place))
+        variance, gain = _read_number(model, "var", place), _read_number(model, "gain", place)
         if variance is None or variance < 0.0:
-            raise FileError("no variance of 0 or more.", where=f"{place}, var", remedy=_AGAIN)
+            raise FileError("no variance of 0 or more.", where=f"{place}, var", remedy=_TOOLKIT_REMEDY)
         variances.append(variance)
         gains.append(1.0 if gain is None else gain)
     for name, rows in (("AR", ar), ("MA", ma)):
@@ -215,31 +217,31 @@ def _filters(models: list[Element], where: str) -> tuple[Float, Float, Float, Fl
                 raise FileError(
                     f"order {len(row)}, but model 1 has {len(rows[0])}.",
                     where=f"{where}, model {index}, {name}lsf",
-                    remedy=_AGAIN,
+                    remedy=_TOOLKIT_REMEDY,
                 )
     if len(ar[0]) == 0:
-        raise FileError("no autoregressive coefficients.", where=f"{where}, model 1, ARlsf", remedy=_AGAIN)
+        raise FileError("no autoregressive coefficients.", where=f"{where}, model 1, ARlsf", remedy=_TOOLKIT_REMEDY)
     return np.array(ar), np.array(ma).reshape(len(models), -1), np.array(variances), np.array(gains)
 
 
-def _lsf(model: Element, kind: str, place: str) -> Float:
-    lsf = _numbers(_find(model, f"{kind}lsf"), f"{place}, {kind}lsf")
-    coefficients = _numbers(_find(model, f"{kind}coeff"), f"{place}, {kind}coeff")
+def _read_lsf(model: Element, kind: str, where: str) -> Float:
+    lsf = _read_numbers(_find_child(model, f"{kind}lsf"), f"{where}, {kind}lsf")
+    coefficients = _read_numbers(_find_child(model, f"{kind}coeff"), f"{where}, {kind}coeff")
     if len(lsf) == 0 and len(coefficients) > 1:
         try:
             return lsf_from_polynomial(coefficients)
         except ValueError as error:
-            raise FileError(f"{error}", where=f"{place}, {kind}coeff", remedy=_AGAIN) from error
+            raise FileError(f"{error}", where=f"{where}, {kind}coeff", remedy=_TOOLKIT_REMEDY) from error
     if len(lsf) and len(coefficients) and len(coefficients) != len(lsf) + 1:
         raise FileError(
             f"{len(lsf)} frequencies beside {len(coefficients)} coefficients.",
-            where=f"{place}, {kind}lsf",
-            remedy=_AGAIN,
+            where=f"{where}, {kind}lsf",
+            remedy=_TOOLKIT_REMEDY,
         )
     if len(lsf) and (lsf[0] <= 0.0 or lsf[-1] >= np.pi or np.any(np.diff(lsf) <= 0.0)):
         raise FileError(
             "line spectral frequencies must rise between 0 and π: the filter is not stable.",
-            where=f"{place}, {kind}lsf",
-            remedy=_AGAIN,
+            where=f"{where}, {kind}lsf",
+            remedy=_TOOLKIT_REMEDY,
         )
     return lsf

@@ -14,16 +14,16 @@ from functools import cached_property, partial
 from pathlib import Path
 
 from ..errors import FileError
-from .folders import files_below
-from .names import plain_name
-from .photographs import PICTURES, middle_square, read_picture, read_touch, resized
-from .vision_touch import FilePairs, PairFiles, VisionTouchPair, counted, named_split
+from .folders import find_files
+from .names import normalise_name
+from .photographs import IMAGE_SUFFIXES, crop_centre_square, read_photograph, read_touch_image, resize_by_area
+from .vision_touch import FilePairs, PairFiles, VisionTouchPair, format_left_out, get_split
 
 PHOTO_SIDE_M = 1024 / 15e3
 """A HaTT photograph is square, 1024 pixels at 15 a millimetre."""
-SIDE = 256
-BACKGROUNDS = ("background", "bg", "blank", "flat", "reference", "nocontact", "notouch")
-_TAKES = re.compile(r"(\d|gelsight|tactile|touch|img|image|frame|take|square|crop)*")
+IMAGE_SIDE = 256
+BACKGROUND_NAMES = ("background", "bg", "blank", "flat", "reference", "nocontact", "notouch")
+_TAKE_SUFFIX = re.compile(r"(\d|gelsight|tactile|touch|img|image|frame|take|square|crop)*")
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class HattTouchFolder:
 
     photographs: Path
     touch: Path
-    side: int = SIDE
+    side: int = IMAGE_SIDE
 
     @cached_property
     def pairs(self) -> FilePairs:
@@ -43,17 +43,17 @@ class HattTouchFolder:
         Notes say what was assumed, and count what was left out. Raises FileError where a folder is none, or nothing in
         them goes together.
         """
-        photos = self._photos
-        taken, named = set(photos.values()), {plain_name(name): name for name in photos}
+        photos = self._photographs_by_material
+        taken, named = set(photos.values()), {normalise_name(name): name for name in photos}
         left_out: Counter[str] = Counter()
         touches, backgrounds = [], dict[Path, Path]()
-        for path in files_below(self.touch, PICTURES):
+        for path in find_files(self.touch, IMAGE_SUFFIXES):
             if path in taken:
                 continue
-            if plain_name(re.sub(r"\d+$", "", path.stem)) in BACKGROUNDS:
+            if normalise_name(re.sub(r"\d+$", "", path.stem)) in BACKGROUND_NAMES:
                 backgrounds.setdefault(path.parent, path)
                 continue
-            material = self._material_of(path, named)
+            material = self._match_material(path, named)
             if material is None:
                 left_out["touch images of no photographed material"] += 1
             else:
@@ -77,24 +77,24 @@ class HattTouchFolder:
             "a touch image is of the material that its folder or the beginning of its name says; numbers are takes",
             "photograph and touch show the same texture, not the same place of it",
             *((f"{bare} have no background",) if bare else ()),
-            *counted(left_out),
+            *format_left_out(left_out),
         )
         return FilePairs(entries, partial(read_pair, side=self.side), notes)
 
     def split(self, name: str, seed: int = 0) -> FilePairs:
         """train, val or test by texture (vision_touch.named_split). Raises FileError as pairs does, too."""
-        return named_split(self.pairs, name, seed, str(self.touch))
+        return get_split(self.pairs, name, seed, str(self.touch))
 
     @cached_property
-    def _photos(self) -> dict[str, Path]:
+    def _photographs_by_material(self) -> dict[str, Path]:
         """Material → photograph. Where some are called <material>_square, as in the toolkit, only those count."""
-        found = [path for path in files_below(self.photographs, PICTURES) if not path.is_relative_to(self.touch)
+        found = [path for path in find_files(self.photographs, IMAGE_SUFFIXES) if not path.is_relative_to(self.touch)
                  or self.photographs.is_relative_to(self.touch)]  # fmt: skip
         square = [path for path in found if path.stem.lower().endswith("square")]
         out: dict[str, Path] = {}
         for path in square or found:
             name = " ".join(re.sub(r"(?i)[_ ]*square$", "", path.stem).replace("_", " ").split())
-            if name and plain_name(name) not in map(plain_name, out):
+            if name and normalise_name(name) not in map(normalise_name, out):
                 out[name] = path
         if not out:
             raise FileError(
@@ -104,31 +104,31 @@ class HattTouchFolder:
             )
         return out
 
-    def _material_of(self, path: Path, named: dict[str, str]) -> str | None:
+    def _match_material(self, path: Path, named: dict[str, str]) -> str | None:
         """By the nearest folder that is called as a material, else by how the file's own name begins: word by word, so
         that Brick 1_2 is Brick 1 where there is a Brick 12; or with words run together."""
         for part in reversed(path.relative_to(self.touch).parts[:-1]):
-            if plain_name(part) in named:
-                return named[plain_name(part)]
-        words = _words(path.stem)
-        whole = [name for name in named.values() if words[: len(_words(name))] == _words(name)]
+            if normalise_name(part) in named:
+                return named[normalise_name(part)]
+        words = _split_words(path.stem)
+        whole = [name for name in named.values() if words[: len(_split_words(name))] == _split_words(name)]
         glued = [named[start] for count in range(1, len(words) + 1) if (start := "".join(words[:count])) in named]
         for name in (*sorted(whole, key=len, reverse=True), *glued):
-            rest = "".join(words)[len(plain_name(name)) :]
-            if _TAKES.fullmatch(rest):
+            rest = "".join(words)[len(normalise_name(name)) :]
+            if _TAKE_SUFFIX.fullmatch(rest):
                 return name
         return None
 
 
-def _words(name: str) -> list[str]:
-    return [plain_name(word) for word in re.split(r"[\W_]+", name) if word]
+def _split_words(name: str) -> list[str]:
+    return [normalise_name(word) for word in re.split(r"[\W_]+", name) if word]
 
 
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
     """The photograph as it is, touch and background at side × side pixels. Raises FileError where a file is damaged, or
     touch and background differ in size."""
-    rgb, touch = read_picture(files.rgb), read_touch(files.touch)
-    background = None if files.background is None else read_touch(files.background)
+    rgb, touch = read_photograph(files.rgb), read_touch_image(files.touch)
+    background = None if files.background is None else read_touch_image(files.background)
     if background is not None and background.shape != touch.shape:
         raise FileError(
             f"is {background.shape[:2]}, the touch image {files.touch.name} {touch.shape[:2]}.",
@@ -138,8 +138,8 @@ def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
     return VisionTouchPair(
         rgb=rgb,
         depth_m=None,
-        touch=resized(middle_square(touch), side),
-        background=None if background is None else resized(middle_square(background), side),
+        touch=resize_by_area(crop_centre_square(touch), side),
+        background=None if background is None else resize_by_area(crop_centre_square(background), side),
         sensor="gelsight",
         label=files.label,
         where=files.where,

@@ -21,12 +21,12 @@ def polynomial_from_lsf(lsf: ArrayLike) -> Float:
     """
     cosines = np.cos(np.moveaxis(np.asarray(lsf, dtype=np.float64), -1, 0))  # (p, …): long axis last, for speed
     order = len(cosines)
-    symmetric, antisymmetric = _product(cosines[0::2]), _product(cosines[1::2])
+    symmetric, antisymmetric = _multiply_quadratics(cosines[0::2]), _multiply_quadratics(cosines[1::2])
     if order % 2 == 0:
-        symmetric = _times(symmetric, (1.0, 1.0))
-        antisymmetric = _times(antisymmetric, (1.0, -1.0))
+        symmetric = _multiply_polynomials(symmetric, (1.0, 1.0))
+        antisymmetric = _multiply_polynomials(antisymmetric, (1.0, -1.0))
     else:
-        antisymmetric = _times(antisymmetric, (1.0, 0.0, -1.0))
+        antisymmetric = _multiply_polynomials(antisymmetric, (1.0, 0.0, -1.0))
     return np.moveaxis(0.5 * (symmetric + antisymmetric)[: order + 1], 0, -1)
 
 
@@ -50,7 +50,7 @@ def lsf_from_polynomial(coefficients: ArrayLike) -> Float:
     return lsf
 
 
-def _product(cosines: Float) -> Float:
+def _multiply_quadratics(cosines: Float) -> Float:
     """(k, …) → (2k + 1, …): Π (1 − 2 cos ω z⁻¹ + z⁻²)."""
     out = np.ones((1, *cosines.shape[1:]))
     for cosine in cosines:
@@ -62,7 +62,7 @@ def _product(cosines: Float) -> Float:
     return out
 
 
-def _times(polynomial: Float, factor: tuple[float, ...]) -> Float:
+def _multiply_polynomials(polynomial: Float, factor: tuple[float, ...]) -> Float:
     out = np.zeros((len(polynomial) + len(factor) - 1, *polynomial.shape[1:]))
     for shift, weight in enumerate(factor):
         if weight:

@@ -20,22 +20,22 @@ from ..errors import FileError
 from ..simulation.dft321 import dft321
 from .columns import read_numbers
 from .dataset import ActionRange, DataSet
-from .folders import files_below
-from .names import match_name, plain_name
+from .folders import find_files
+from .names import match_name, normalise_name
 from .recording import Recording
-from .series import SIGNAL_RATE_HZ, action_of, straight_direction, whole_action_samples
+from .series import SIGNAL_RATE_HZ, build_action, constant_direction, count_action_samples
 
 Float = NDArray[np.float64]
 
 ASSUMED_SPEED_M_S = 0.1
 ASSUMED_FORCE_N = 1.0
-ASSUMPTION = (
+ASSUMPTIONS = (
     f"no action was recorded: direction +x, {ASSUMED_SPEED_M_S:g} m/s and {ASSUMED_FORCE_N:g} N are assumed",
     "the files have no units: 10 kHz and m/s² are assumed",
     "the probe is taken as the pen",
 )
 _TAKE = r"(?P<take>(?:query|train|training|test|testing)_?\d+)"
-_FORMS = (
+_NAME_PATTERNS = (
     re.compile(rf"(?i)(?P<name>G\d.*?)(?:_(?:Movement|Accel\w*?))*(?:_(?P<axis>[XYZ]))?_{_TAKE}(?:_(?P<last>[XYZ]))?"),
     re.compile(rf"(?i)(?P<name>.+?)_{_TAKE}"),
     re.compile(r"(?P<name>.+?)_(?P<take>[^_]+)"),
@@ -53,16 +53,16 @@ class LmtFolder(DataSet):
         """Material → take → axis ("" for a fused file) → file."""
         out: dict[str, dict[str, dict[str, Path]]] = {}
         shown: dict[str, str] = {}
-        for path in files_below(self.folder, (".txt",)):
+        for path in find_files(self.folder, (".txt",)):
             parts = path.relative_to(self.folder).parts[:-1]
             if any(word in part.lower() for part in parts for word in ("sound", "image", "audio", "tapping", "impact")):
                 continue
-            match = next((found for form in _FORMS if (found := form.fullmatch(path.stem))), None)
+            match = next((found for form in _NAME_PATTERNS if (found := form.fullmatch(path.stem))), None)
             among_scans = any("accel" in part.lower() for part in (self.folder.name, *parts))
-            if match is None or not (among_scans or _name_is_certain(path.stem)):
+            if match is None or not (among_scans or _is_dataset_name(path.stem)):
                 continue
             groups = match.groupdict()
-            name = shown.setdefault(plain_name(groups["name"]), groups["name"])
+            name = shown.setdefault(normalise_name(groups["name"]), groups["name"])
             axis = (groups.get("axis") or groups.get("last") or "").lower()
             axes_apart = [part for part in parts if part.lower() not in ("x", "y", "z")]
             if not axis and len(axes_apart) < len(parts):
@@ -94,14 +94,14 @@ class LmtFolder(DataSet):
         return ActionRange((ASSUMED_SPEED_M_S,) * 2, (ASSUMED_FORCE_N,) * 2)
 
     def image(self, name: str) -> Path | None:
-        wanted = plain_name(match_name(name, self.materials, str(self.folder)))
-        found = files_below(self.folder, (".jpg", ".jpeg", ".png", ".bmp"))
-        return next((path for path in found if plain_name(path.stem).startswith(wanted)), None)
+        wanted = normalise_name(match_name(name, self.materials, str(self.folder)))
+        found = find_files(self.folder, (".jpg", ".jpeg", ".png", ".bmp"))
+        return next((path for path in found if normalise_name(path.stem).startswith(wanted)), None)
 
 
-def _name_is_certain(stem: str) -> bool:
+def _is_dataset_name(stem: str) -> bool:
     """Whether a name is one of the sets' own, wherever the file lies; <label>_<person> alone is not."""
-    return any(form.fullmatch(stem) for form in _FORMS[:2])
+    return any(form.fullmatch(stem) for form in _NAME_PATTERNS[:2])
 
 
 def read_scan(files: dict[str, Path], material: str) -> Recording:
@@ -120,9 +120,11 @@ def read_scan(files: dict[str, Path], material: str) -> Recording:
     if len({len(column) for column in columns}) != 1:
         raise FileError("its axes are not equally long.", where=where, remedy="Get the files again.")
     values = np.stack([column - column.mean() for column in columns], axis=1)
-    count = whole_action_samples(len(values) / SIGNAL_RATE_HZ, where)
-    action = action_of(
-        straight_direction(count, 0.0), np.full(count, ASSUMED_SPEED_M_S), np.full(count, ASSUMED_FORCE_N)
+    count = count_action_samples(len(values) / SIGNAL_RATE_HZ, where)
+    action = build_action(
+        constant_direction(count, 0.0), np.full(count, ASSUMED_SPEED_M_S), np.full(count, ASSUMED_FORCE_N)
     )
     fused = dft321(values) if values.shape[1] == 3 else values[:, 0].copy()
-    return Recording(action, fused[: (count - 1) * 50].copy(), SIGNAL_RATE_HZ, material, where, frozenset(), ASSUMPTION)
+    return Recording(
+        action, fused[: (count - 1) * 50].copy(), SIGNAL_RATE_HZ, material, where, frozenset(), ASSUMPTIONS
+    )

@@ -13,15 +13,23 @@ from ..errors import FileError
 from ..field.resampling import resample
 from ..simulation.dft321 import dft321
 from .recording import Recording
-from .series import SIGNAL_RATE_HZ, action_of, hand_series, motion, resampled, straight_direction, whole_action_samples
+from .series import (
+    SIGNAL_RATE_HZ,
+    build_action,
+    constant_direction,
+    count_action_samples,
+    derive_motion,
+    interpolate_series,
+    resample_to_action_rate,
+)
 
 Float = NDArray[np.float64]
 
-LENGTHS_AGREE = 0.02
+DURATION_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredSignal:
     """One quantity, (n, axes) in SI units, axes in the order x, y, z, or one."""
 
     quantity: str
@@ -36,7 +44,7 @@ class Measured:
         return np.arange(len(self.values)) / self.rate
 
 
-def assemble(signals: Sequence[Measured], material: str, where: str) -> Recording:
+def assemble_recording(signals: Sequence[MeasuredSignal], material: str, where: str) -> Recording:
     """The signals of one stroke → Recording. What is not there is assumed and said: direction +x, 0.1 m/s, 1 N.
 
     Raises FileError without acceleration, with a quantity twice, or where they do not last equally long (to 2 %).
@@ -48,22 +56,22 @@ def assemble(signals: Sequence[Measured], material: str, where: str) -> Recordin
         raise FileError("there is no acceleration.", where=where, remedy="Give the Accel file of this stroke too.")
     lasting = {name: len(signal.values) / signal.rate for name, signal in by_name.items()}
     shortest, longest = min(lasting.values()), max(lasting.values())
-    if longest - shortest > LENGTHS_AGREE * longest:
+    if longest - shortest > DURATION_TOLERANCE * longest:
         listed = ", ".join(f"{name} {seconds:.3f} s" for name, seconds in sorted(lasting.items()))
         raise FileError(f"its signals do not belong together: {listed}.", where=where, remedy="Get the file again.")
-    count = whole_action_samples(shortest, where)
+    count = count_action_samples(shortest, where)
     notes = [note for signal in signals for note in signal.notes]
     acceleration = by_name["acceleration"]
-    samples = _samples(acceleration, round((count - 1) * SIGNAL_RATE_HZ / ACTION_RATE_HZ), where)
-    force, force_known = _force(by_name.get("force"), count, notes, where)
-    direction, speed, moving_known = _movement(by_name, count, notes, where)
+    samples = _resample_acceleration(acceleration, round((count - 1) * SIGNAL_RATE_HZ / ACTION_RATE_HZ), where)
+    force, force_known = _resample_force(by_name.get("force"), count, notes, where)
+    direction, speed, moving_known = _resample_motion(by_name, count, notes, where)
     return Recording(
-        action_of(direction, speed, force), samples, SIGNAL_RATE_HZ, material, where,
+        build_action(direction, speed, force), samples, SIGNAL_RATE_HZ, material, where,
         frozenset(force_known + moving_known), tuple(dict.fromkeys(notes)),
     )  # fmt: skip
 
 
-def _samples(acceleration: Measured, count: int, where: str) -> Float:
+def _resample_acceleration(acceleration: MeasuredSignal, count: int, where: str) -> Float:
     values = acceleration.values - acceleration.values.mean(axis=0)
     if values.shape[1] not in (1, 3):
         raise FileError(f"acceleration has {values.shape[1]} axes.", where=where, remedy="One or three are expected.")
@@ -71,11 +79,11 @@ def _samples(acceleration: Measured, count: int, where: str) -> Float:
     if acceleration.rate > SIGNAL_RATE_HZ:  # what only the faster rate holds must not fold into the touch band
         fused = resample(fused, acceleration.rate, SIGNAL_RATE_HZ)[0]
     elif acceleration.rate < SIGNAL_RATE_HZ:
-        fused = resampled(acceleration.time, fused, np.arange(count) / SIGNAL_RATE_HZ)
+        fused = interpolate_series(acceleration.time, fused, np.arange(count) / SIGNAL_RATE_HZ)
     return fused[:count].copy()
 
 
-def _force(signal: Measured | None, count: int, notes: list[str], where: str) -> tuple[Float, list[str]]:
+def _resample_force(signal: MeasuredSignal | None, count: int, notes: list[str], where: str) -> tuple[Float, list[str]]:
     if signal is None:
         notes.append("no force was recorded: 1 N assumed")
         return np.ones(count), []
@@ -85,20 +93,22 @@ def _force(signal: Measured | None, count: int, notes: list[str], where: str) ->
     if normal.mean() < 0.0:
         notes.append("force is negative on average: its sign is turned")
         normal = -normal
-    return hand_series(signal.time, normal, 0.0, count), ["force"]
+    return resample_to_action_rate(signal.time, normal, 0.0, count), ["force"]
 
 
-def _movement(signals: dict[str, Measured], count: int, notes: list[str], where: str) -> tuple[Float, Float, list[str]]:
+def _resample_motion(
+    signals: dict[str, MeasuredSignal], count: int, notes: list[str], where: str
+) -> tuple[Float, Float, list[str]]:
     position, speed = signals.get("position"), signals.get("speed")
-    direction, pace, known = straight_direction(count, 0.0), np.full(count, 0.1), []
+    direction, pace, known = constant_direction(count, 0.0), np.full(count, 0.1), []
     if position is not None and position.values.shape[1] >= 2:
-        direction, pace = motion(hand_series(position.time, position.values[:, :2], 0.0, count))
+        direction, pace = derive_motion(resample_to_action_rate(position.time, position.values[:, :2], 0.0, count))
         known = ["direction", "speed"]
     else:
         notes.append("no position in a plane was recorded: direction +x assumed")
     if speed is not None:
         along = speed.values[:, 0] if speed.values.shape[1] == 1 else np.linalg.norm(speed.values[:, :2], axis=1)
-        pace = np.abs(hand_series(speed.time, along, 0.0, count))
+        pace = np.abs(resample_to_action_rate(speed.time, along, 0.0, count))
         known = [*known, "speed"]
     elif not known:
         notes.append("no speed was recorded: 0.1 m/s assumed")

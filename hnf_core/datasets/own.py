@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from ..errors import FileError
 from .columns import read_header, read_table
-from .dataset import ActionRange, DataSet, range_of
-from .folders import files_below
-from .measured import Measured, assemble
+from .dataset import ActionRange, DataSet, compute_action_range
+from .folders import find_files
+from .measured import MeasuredSignal, assemble_recording
 from .names import match_name
 from .recording import Recording
-from .series import check_grid, resampled, sampling_of
-from .written_units import unit_factor
+from .series import check_time_grid, interpolate_series, measure_sampling_rate
+from .written_units import parse_unit_factor
 
 Float = NDArray[np.float64]
 
@@ -31,13 +31,15 @@ COLUMNS = {
     "x": ("position", "x"), "y": ("position", "y"),
 }  # fmt: skip
 """Name → quantity and axis."""
-_SI = {"time": "s", "acceleration": "m/s²", "force": "N", "speed": "m/s", "position": "m"}
-_EXPECTED = "Name its columns time, acceleration (or ax, ay, az), force, speed, x, y: all but the first two may lack."
-PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
+_SI_UNITS = {"time": "s", "acceleration": "m/s²", "force": "N", "speed": "m/s", "position": "m"}
+_EXPECTED_COLUMNS = (
+    "Name its columns time, acceleration (or ax, ay, az), force, speed, x, y: all but the first two may lack."
+)
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 
 
 @dataclass(frozen=True)
-class OwnFolder(DataSet):
+class UserFolder(DataSet):
     """Materials are called like the folders that their tables lie in; tables in the folder itself like that one."""
 
     folder: Path
@@ -45,7 +47,7 @@ class OwnFolder(DataSet):
     @cached_property
     def _strokes(self) -> dict[str, list[Path]]:
         out: dict[str, list[Path]] = {}
-        for path in files_below(self.folder, (".csv",)):
+        for path in find_files(self.folder, (".csv",)):
             out.setdefault((path.parent if path.parent != self.folder else self.folder.absolute()).name, []).append(
                 path
             )
@@ -62,55 +64,60 @@ class OwnFolder(DataSet):
         return tuple(sorted(self._strokes))
 
     def recordings(self, name: str) -> list[Recording]:
-        known = self._known(name)
+        known = self._match_material(name)
         return [read_stroke(path, known) for path in self._strokes[known]]
 
     def process(self, name: str) -> None:
-        self._known(name)
+        self._match_material(name)
 
     def action_range(self, name: str) -> ActionRange:
-        return range_of(self.recordings(name))
+        return compute_action_range(self.recordings(name))
 
     def image(self, name: str) -> Path | None:
-        beside = self._strokes[self._known(name)][0].parent
-        return next((path for path in sorted(beside.iterdir()) if path.suffix.lower() in PICTURES), None)
+        beside = self._strokes[self._match_material(name)][0].parent
+        return next((path for path in sorted(beside.iterdir()) if path.suffix.lower() in IMAGE_SUFFIXES), None)
 
-    def _known(self, name: str) -> str:
+    def _match_material(self, name: str) -> str:
         return match_name(name, self.materials, str(self.folder))
 
 
 def read_stroke(path: Path, material: str) -> Recording:
     """One table → Recording. Raises FileError that says what is missing, in which column or line."""
     where = str(path)
-    found, notes = _found(path)
+    found, notes = _find_columns(path)
     table, bracketed = read_table(path, tuple(found))
     columns = [
-        values * unit_factor(COLUMNS[name][0], bracketed.get(title, unit) or _SI[COLUMNS[name][0]], f"{where}, {title}")
+        values
+        * parse_unit_factor(
+            COLUMNS[name][0], bracketed.get(title, unit) or _SI_UNITS[COLUMNS[name][0]], f"{where}, {title}"
+        )
         for values, (title, (name, unit)) in zip(table.T, found.items(), strict=True)
     ]
     names = [name for name, _ in found.values()]
     bare = [title for title, (name, unit) in found.items() if not unit and title not in bracketed]
     if bare:
-        units = ", ".join(f"{title} in {_SI[COLUMNS[found[title][0]][0]]}" for title in bare)
+        units = ", ".join(f"{title} in {_SI_UNITS[COLUMNS[found[title][0]][0]]}" for title in bare)
         notes.append(f"without a unit, so taken as: {units}")
     time = columns[names.index("time")]
-    check_grid(time, where)
-    rate, of_the_grid = sampling_of(time, where)
+    check_time_grid(time, where)
+    rate, of_the_grid = measure_sampling_rate(time, where)
     even = time[0] + np.arange(int((time[-1] - time[0]) * rate * (1.0 + 1e-9)) + 1) / rate
     signals = []
     for quantity in ("acceleration", "force", "speed", "position"):
         at = sorted((index for index, name in enumerate(names) if COLUMNS[name][0] == quantity), key=names.__getitem__)
         if at:
-            values = resampled(time, np.stack([columns[index] for index in at], axis=1), even)
-            signals.append(Measured(quantity, tuple(COLUMNS[names[index]][1] for index in at), values, rate, where))
-    whole = assemble(signals, material, where)
+            values = interpolate_series(time, np.stack([columns[index] for index in at], axis=1), even)
+            signals.append(
+                MeasuredSignal(quantity, tuple(COLUMNS[names[index]][1] for index in at), values, rate, where)
+            )
+    whole = assemble_recording(signals, material, where)
     return Recording(
         whole.action, whole.samples, whole.sample_rate, material, where, whole.known,
         (*notes, *of_the_grid, *whole.notes, "the probe is taken as the pen"),
     )  # fmt: skip
 
 
-def _found(path: Path) -> tuple[dict[str, tuple[str, str]], list[str]]:
+def _find_columns(path: Path) -> tuple[dict[str, tuple[str, str]], list[str]]:
     """Title of each column that is read → (name in COLUMNS, unit behind an underscore or ""), and notes."""
     where, found, unread = str(path), dict[str, tuple[str, str]](), []
     for title in read_header(path):
@@ -125,7 +132,9 @@ def _found(path: Path) -> tuple[dict[str, tuple[str, str]], list[str]]:
     axes = names & {"ax", "ay", "az"}
     if "time" not in names or not names & {"acceleration", "ax", "ay", "az"}:
         raise FileError(
-            f"there is no column of {'acceleration' if 'time' in names else 'time'}.", where=where, remedy=_EXPECTED
+            f"there is no column of {'acceleration' if 'time' in names else 'time'}.",
+            where=where,
+            remedy=_EXPECTED_COLUMNS,
         )
     if ("acceleration" in names and axes) or len(axes) == 2:
         raise FileError(

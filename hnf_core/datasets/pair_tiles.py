@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from ..material.encoder import describe
 from ..material.mechanics import Mechanics
-from ..simulation.classes import ROWS, category_of, classes, instance, seed_of
-from ..simulation.look.albedo import albedo, cavity
-from ..simulation.look.light import drawn_light, lit, sky_hidden
-from ..simulation.look.macro_depth import between, centred_grid, drawn_shape, macro_depth
-from ..simulation.look.piece import Piece, piece_of
+from ..simulation.classes import CLASS_ENTRIES, derive_seed, get_category, list_classes, sample_instance
+from ..simulation.look.albedo import compute_cavity_depth, render_albedo
+from ..simulation.look.light import compute_ambient_occlusion, sample_light, shade_surface
+from ..simulation.look.macro_depth import centred_grid, interpolate_bilinear, sample_shape, simulate_macro_depth
+from ..simulation.look.piece import SurfaceAppearance, sample_appearance
 from ..simulation.recipes import random_recipe
 from ..simulation.surface import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map, wavenumbers
 from ..tactile.optics import SENSORS, Sensor, limit_slope, shade
 from ..tactile.spectral import frequencies, gaussian_mtf
 from ..tactile.tactile_map import Route, TactileMap
-from ..tactile.views import PASS, PITCHES_M, VIEW_PIXELS
-from .tactile_pairs import HELD_OUT_INSTANCES, PAIR_SENSORS, TRAIN, UNSEEN_CLASSES, Pairs, encoded_rgb
+from ..tactile.views import PASSBAND_SHARE, PITCHES_M, VIEW_PIXELS
+from .tactile_pairs import HELD_OUT_INSTANCES, PAIR_SENSORS, TRAIN, UNSEEN_CLASSES, Pairs, encode_rgb
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -33,16 +33,16 @@ Complex = NDArray[np.complex128]
 
 PITCH_M = TILE_SIZE_M / TILE_PIXELS
 FACTORS = tuple(round(pitch / PITCH_M) for pitch in PITCHES_M)
-RANDOM_EVERY = 5
+RANDOM_TILE_INTERVAL = 5
 """Every fifth training tile is a random or fused surface with random looks."""
 FIRST_SEED = {TRAIN: 1_000_000, HELD_OUT_INSTANCES: 2_000_000}
-LAST_FIRST_SEED = 3_000_000
+HELD_OUT_CLASSES_FIRST_SEED = 3_000_000
 """Instance seeds of the splits lie apart, and beyond those that fields are trained and judged on."""
-PATCHES = 2
+PATCHES_PER_INSTANCE = 2
 """Tiles of each held-out instance; the second is the floor of the first."""
-LEVEL_DECADES = (-1.1, 0.3)
+RANDOM_SCALE_DECADES = (-1.1, 0.3)
 """By how much a random surface is scaled, uniformly: recipes are rough, silk is 0.2 µm."""
-FUSION_BORDER_M = (0.2e-3, 6e-3)
+CROSSOVER_WAVELENGTH_M = (0.2e-3, 6e-3)
 """Every second random surface is fused of two, because tokens in use are: measured long waves of a bake with a library
 material's short waves."""
 BLUR_PIXELS = (0.0, 0.6)
@@ -62,7 +62,7 @@ class PairSizes:
 
 
 @dataclass(frozen=True)
-class TileOrder:
+class TileRequest:
     """Which tile to make. class_name: "" for a random surface, instance_seed −1 then."""
 
     class_name: str
@@ -71,37 +71,37 @@ class TileOrder:
     patch: int = 0
 
 
-def orders(split: str, sizes: PairSizes, seed: int) -> tuple[TileOrder, ...]:
+def list_tile_requests(split: str, sizes: PairSizes, seed: int) -> tuple[TileRequest, ...]:
     """All tiles of a split. No instance is in two splits, no class of held-out-classes in another."""
-    known = tuple(name for name in classes() if name not in UNSEEN_CLASSES)
+    known = tuple(name for name in list_classes() if name not in UNSEEN_CLASSES)
     if split != TRAIN:
         names, count = (
             (known, sizes.instances) if split == HELD_OUT_INSTANCES else (UNSEEN_CLASSES, sizes.unseen_instances)
         )
-        first = FIRST_SEED.get(split, LAST_FIRST_SEED)
+        first = FIRST_SEED.get(split, HELD_OUT_CLASSES_FIRST_SEED)
         return tuple(
-            _order(name, first + number, seed, patch)
+            _make_request(name, first + number, seed, patch)
             for number in range(count)
             for name in names
-            for patch in range(PATCHES)
+            for patch in range(PATCHES_PER_INSTANCE)
         )
-    made: list[TileOrder] = []
+    made: list[TileRequest] = []
     for index in range(sizes.train):
-        number, rest = divmod(index, RANDOM_EVERY)
-        if rest == RANDOM_EVERY - 1:
-            made.append(TileOrder("", -1, seed_of(f"{seed}/random/{number}")))
+        number, rest = divmod(index, RANDOM_TILE_INTERVAL)
+        if rest == RANDOM_TILE_INTERVAL - 1:
+            made.append(TileRequest("", -1, derive_seed(f"{seed}/random/{number}")))
         else:
-            place = number * (RANDOM_EVERY - 1) + rest
-            made.append(_order(known[place % len(known)], FIRST_SEED[TRAIN] + place // len(known), seed, 0))
+            place = number * (RANDOM_TILE_INTERVAL - 1) + rest
+            made.append(_make_request(known[place % len(known)], FIRST_SEED[TRAIN] + place // len(known), seed, 0))
     return tuple(made)
 
 
-def _order(name: str, instance_seed: int, seed: int, patch: int) -> TileOrder:
-    return TileOrder(name, instance_seed, seed_of(f"{seed}/{name}/{instance_seed}") + patch, patch)
+def _make_request(name: str, instance_seed: int, seed: int, patch: int) -> TileRequest:
+    return TileRequest(name, instance_seed, derive_seed(f"{seed}/{name}/{instance_seed}") + patch, patch)
 
 
 @dataclass(frozen=True)
-class LaidTile:
+class RenderedTile:
     """A whole tile under its light, before it is cut into views (native pitch PITCH_M, 512 × 512).
 
     height: (H, W) metres. membranes: (sensor, 2, H, W) slopes in the order of PAIR_SENSORS. photograph: (3, H, W)
@@ -120,11 +120,11 @@ class LaidTile:
     rng: np.random.Generator
 
 
-def make_tile(order: TileOrder) -> Pairs:
+def make_tile(request: TileRequest) -> Pairs:
     """The four views of one tile. The same order gives the same bytes on the same numpy."""
-    tile = laid_tile(order)
+    tile = render_tile(request)
     periodic = np.concatenate([tile.height[None], tile.membranes.reshape(-1, *tile.height.shape)])
-    views = [_view(periodic, tile.photograph, tile.depth, factor, tile.rng) for factor in FACTORS]
+    views = [_cut_view(periodic, tile.photograph, tile.depth, factor, tile.rng) for factor in FACTORS]
     return Pairs(
         rgb=np.stack([view.rgb for view in views]),
         depth=np.stack([view.depth for view in views]),
@@ -132,51 +132,53 @@ def make_tile(order: TileOrder) -> Pairs:
         slopes=np.stack([view.slopes for view in views]),
         pitch_index=np.arange(len(FACTORS)),
         tile_index=np.zeros(len(FACTORS), dtype=np.int64),
-        class_name=(order.class_name,),
-        instance_seed=np.array([order.instance_seed]),
-        tile_seed=np.array([order.tile_seed]),
-        patch=np.array([order.patch]),
+        class_name=(request.class_name,),
+        instance_seed=np.array([request.instance_seed]),
+        tile_seed=np.array([request.tile_seed]),
+        patch=np.array([request.patch]),
         token=tile.token[None],
-        mechanics=_row(tile.mechanics)[None],
+        mechanics=_pack_mechanics(tile.mechanics)[None],
         turn=np.array([tile.turn]),
         unlit=np.array([tile.unlit]),
     )
 
 
-def laid_tile(order: TileOrder) -> LaidTile:
+def render_tile(request: TileRequest) -> RenderedTile:
     """One tile, made, lit and touched."""
-    recipe, mechanics, piece, turn = _thing(order)
-    rng = np.random.default_rng([1, order.tile_seed])
-    height = _random_height(order, recipe) if not order.class_name else height_map(recipe, order.tile_seed)
+    recipe, mechanics, piece, turn = _sample_surface(request)
+    rng = np.random.default_rng([1, request.tile_seed])
+    height = _sample_random_height(request, recipe) if not request.class_name else height_map(recipe, request.tile_seed)
     spectrum = np.fft.rfft2(height)
-    colour = turned(albedo(recipe, spectrum, piece, TILE_SIZE_M, rng), turn)
-    height = turned(height, turn)
+    colour = rotate_tile(render_albedo(recipe, spectrum, piece, TILE_SIZE_M, rng), turn)
+    height = rotate_tile(height, turn)
     spectrum = np.fft.rfft2(height)
 
-    light, shape = drawn_light(rng), drawn_shape(rng)
+    light, shape = sample_light(rng), sample_shape(rng)
     # Light meets the surface itself; only touch meets the gel.
-    bare = surface_slopes(spectrum, TILE_PIXELS, PITCH_M, 0.0)
+    bare = compute_slopes(spectrum, TILE_PIXELS, PITCH_M, 0.0)
     bent = shape.slopes(*centred_grid(TILE_PIXELS, TILE_SIZE_M))
-    seen = lit(
+    seen = shade_surface(
         colour,
         bare[0] + bent[0],
         bare[1] + bent[1],
         light,
         roughness=piece.roughness,
         metallic=piece.metallic,
-        occlusion=sky_hidden(cavity(spectrum, TILE_PIXELS, TILE_SIZE_M, piece.reach_m), piece.reach_m),
+        occlusion=compute_ambient_occlusion(
+            compute_cavity_depth(spectrum, TILE_PIXELS, TILE_SIZE_M, piece.reach_m), piece.reach_m
+        ),
     )
     if not light.unlit:
-        seen = seen * _exposure(seen, rng)
-    membranes = [membrane(spectrum, TILE_PIXELS, PITCH_M, SENSORS[name]) for name in PAIR_SENSORS]
+        seen = seen * _sample_exposure(seen, rng)
+    membranes = [compute_membrane_slopes(spectrum, TILE_PIXELS, PITCH_M, SENSORS[name]) for name in PAIR_SENSORS]
     height = np.asarray(height, dtype=np.float32)
-    coarse = decimation(FACTORS[0], True) @ height @ decimation(FACTORS[0], True).T
-    return LaidTile(
+    coarse = compute_decimation_matrix(FACTORS[0], True) @ height @ compute_decimation_matrix(FACTORS[0], True).T
+    return RenderedTile(
         height=height,
         membranes=np.stack([np.stack(pair) for pair in membranes]).astype(np.float32),
         photograph=np.ascontiguousarray(np.moveaxis(np.clip(seen, 0.0, 1.0), -1, 0)),
-        depth=macro_depth(coarse.astype(np.float64), shape, TILE_SIZE_M, rng),
-        token=token_of(*membranes[0], SENSORS[PAIR_SENSORS[0]]),
+        depth=simulate_macro_depth(coarse.astype(np.float64), shape, TILE_SIZE_M, rng),
+        token=describe_tile(*membranes[0], SENSORS[PAIR_SENSORS[0]]),
         mechanics=mechanics,
         turn=turn,
         unlit=light.unlit,
@@ -184,53 +186,55 @@ def laid_tile(order: TileOrder) -> LaidTile:
     )
 
 
-def _exposure(seen: Single, rng: np.random.Generator) -> Single:
+def _sample_exposure(image: Single, rng: np.random.Generator) -> Single:
     """(3,) factors of exposure and white balance; no photographer lets the bulk of a picture burn out."""
     factors = np.exp(rng.uniform(-EXPOSURE, EXPOSURE) + rng.uniform(-BALANCE, BALANCE, 3))
-    sample = seen[::8, ::8]
+    sample = image[::8, ::8]
     bright = float(np.max((sample.mean(axis=(0, 1)) + 2.0 * sample.std(axis=(0, 1))) * factors))
     return np.asarray(factors * min(1.0, 0.95 / max(bright, 1e-6)), dtype=np.float32)
 
 
-def _thing(order: TileOrder) -> tuple[SurfaceRecipe, Mechanics | None, Piece, int]:
+def _sample_surface(request: TileRequest) -> tuple[SurfaceRecipe, Mechanics | None, SurfaceAppearance, int]:
     """What does not change between photographs of one piece."""
-    if order.class_name:
-        rng = np.random.default_rng([2, seed_of(order.class_name), order.instance_seed])
-        recipe, mechanics = instance(order.class_name, order.instance_seed)
-        appearance, category = ROWS[order.class_name].appearance, category_of(order.class_name)
-        return recipe, mechanics, piece_of(appearance, category, rng), int(rng.integers(8))
-    rng = np.random.default_rng([3, order.tile_seed])
-    return random_recipe(rng), None, piece_of(None, "", rng), int(rng.integers(8))
+    if request.class_name:
+        rng = np.random.default_rng([2, derive_seed(request.class_name), request.instance_seed])
+        recipe, mechanics = sample_instance(request.class_name, request.instance_seed)
+        appearance, category = CLASS_ENTRIES[request.class_name].appearance, get_category(request.class_name)
+        return recipe, mechanics, sample_appearance(appearance, category, rng), int(rng.integers(8))
+    rng = np.random.default_rng([3, request.tile_seed])
+    return random_recipe(rng), None, sample_appearance(None, "", rng), int(rng.integers(8))
 
 
-def _random_height(order: TileOrder, recipe: SurfaceRecipe) -> Single:
-    rng = np.random.default_rng([4, order.tile_seed])
-    height = height_map(recipe, order.tile_seed) * np.float32(10.0 ** rng.uniform(*LEVEL_DECADES))
+def _sample_random_height(request: TileRequest, recipe: SurfaceRecipe) -> Single:
+    rng = np.random.default_rng([4, request.tile_seed])
+    height = height_map(recipe, request.tile_seed) * np.float32(10.0 ** rng.uniform(*RANDOM_SCALE_DECADES))
     if rng.random() < 0.5:
         return height
-    other = height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(10.0 ** rng.uniform(*LEVEL_DECADES))
-    return fuse(height, other, 1.0 / float(np.exp(rng.uniform(*np.log(FUSION_BORDER_M)))))
+    other = height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(
+        10.0 ** rng.uniform(*RANDOM_SCALE_DECADES)
+    )
+    return splice_spectra(height, other, 1.0 / float(np.exp(rng.uniform(*np.log(CROSSOVER_WAVELENGTH_M)))))
 
 
-def fuse(low: Single, high: Single, border_per_m: float) -> Single:
+def splice_spectra(low: Single, high: Single, crossover_per_m: float) -> Single:
     """Waves longer than 1 / border from one tile, shorter ones from another."""
     kx, ky = wavenumbers(low.shape[0], TILE_SIZE_M)
-    keep = np.hypot(kx, ky) < border_per_m
+    keep = np.hypot(kx, ky) < crossover_per_m
     spectrum = np.where(keep, np.fft.rfft2(low), np.fft.rfft2(high))
     return np.fft.irfft2(spectrum, low.shape).astype(np.float32)
 
 
-def turned(tile: Single, turn: int) -> Single:
+def rotate_tile(tile: Single, turn: int) -> Single:
     """(H, W, …) mirrored left to right where turn ≥ 4, then turn % 4 quarter turns counter-clockwise as seen."""
     mirrored = tile[:, ::-1] if turn >= 4 else tile
     return np.ascontiguousarray(np.rot90(mirrored, turn % 4))
 
 
-def surface_slopes(spectrum: Complex, pixels: int, metres_per_pixel: float, sigma_m: float) -> tuple[Float, Float]:
+def compute_slopes(spectrum: Complex, pixels: int, metres_per_pixel: float, sigma_m: float) -> tuple[Float, Float]:
     """∂h/∂x, ∂h/∂y (H, W) of a tile that repeats, under a Gaussian blur; spectrum: rfft2 of its height.
 
     optics.gel_gradients without its padding: a tile has no edge."""
-    across, up = _derivatives(pixels, metres_per_pixel, sigma_m)
+    across, up = _compute_derivative_filters(pixels, metres_per_pixel, sigma_m)
     return (
         np.asarray(np.fft.irfft2(spectrum * across, s=(pixels, pixels))),
         np.asarray(np.fft.irfft2(spectrum * up, s=(pixels, pixels))),
@@ -238,7 +242,7 @@ def surface_slopes(spectrum: Complex, pixels: int, metres_per_pixel: float, sigm
 
 
 @lru_cache(maxsize=8)
-def _derivatives(pixels: int, metres_per_pixel: float, sigma_m: float) -> tuple[Complex, Complex]:
+def _compute_derivative_filters(pixels: int, metres_per_pixel: float, sigma_m: float) -> tuple[Complex, Complex]:
     fx, fy = frequencies((pixels, pixels), metres_per_pixel)
     blurred = 2j * np.pi * gaussian_mtf(np.hypot(fx, fy), sigma_m)
     # The derivative of a real signal has no Nyquist term on an even grid.
@@ -246,15 +250,17 @@ def _derivatives(pixels: int, metres_per_pixel: float, sigma_m: float) -> tuple[
     return np.asarray(blurred * (fx * keep_x)), np.asarray(blurred * (fy * keep_y))
 
 
-def membrane(spectrum: Complex, pixels: int, metres_per_pixel: float, sensor: Sensor) -> tuple[Float, Float]:
+def compute_membrane_slopes(
+    spectrum: Complex, pixels: int, metres_per_pixel: float, sensor: Sensor
+) -> tuple[Float, Float]:
     """∂h/∂x, ∂h/∂y (H, W) of the sensor's membrane on a tile that repeats."""
-    gx, gy = surface_slopes(spectrum, pixels, metres_per_pixel, sensor.gel_sigma_m)
+    gx, gy = compute_slopes(spectrum, pixels, metres_per_pixel, sensor.gel_sigma_m)
     if max(float(np.abs(gx).max()), float(np.abs(gy).max())) < 0.7 * sensor.max_slope:
         return gx, gy
     return limit_slope(gx, gy, sensor.max_slope)
 
 
-def token_of(gx: Float, gy: Float, sensor: Sensor) -> Single:
+def describe_tile(gx: Float, gy: Float, sensor: Sensor) -> Single:
     """(TOKEN_DIM,) what the band descriptor says of the whole tile, from its membrane's slopes."""
     seen = np.ones(gx.shape, dtype=bool)
     return describe(
@@ -263,12 +269,12 @@ def token_of(gx: Float, gy: Float, sensor: Sensor) -> Single:
 
 
 @lru_cache(maxsize=16)
-def decimation(factor: int, periodic: bool) -> Single:
+def compute_decimation_matrix(factor: int, periodic: bool) -> Single:
     """(512/factor, 512) matrix D: D X Dᵀ is tactile.views.decimated_tile of X where the tile repeats; else X is
     continued by reflection at its edges (what is lit on a bent object does not repeat)."""
     size = TILE_PIXELS if periodic else 2 * TILE_PIXELS
     frequency = np.fft.rfftfreq(size)
-    place = np.clip((2.0 * factor * frequency - PASS) / (1.0 - PASS), 0.0, 1.0)
+    place = np.clip((2.0 * factor * frequency - PASSBAND_SHARE) / (1.0 - PASSBAND_SHARE), 0.0, 1.0)
     shift = np.exp(2j * np.pi * frequency * (factor - 1) / 2.0)
     response = (0.5 + 0.5 * np.cos(np.pi * place)) * shift if factor > 1 else np.ones_like(frequency)
     full = np.fft.irfft(np.fft.rfft(np.eye(size), axis=0) * response[:, None], size, axis=0)
@@ -287,33 +293,33 @@ class _View:
     slopes: NDArray[np.float16]
 
 
-def _view(periodic: Single, photograph: Single, depth: Float, factor: int, rng: np.random.Generator) -> _View:
+def _cut_view(periodic: Single, photograph: Single, depth: Float, factor: int, rng: np.random.Generator) -> _View:
     """One view at a random place (the widest is the whole tile), in units of its own pitch."""
     row, column = (int(start) for start in rng.integers(0, TILE_PIXELS // factor - VIEW_PIXELS + 1, 2))
     rows, columns = slice(row, row + VIEW_PIXELS), slice(column, column + VIEW_PIXELS)
     pitch = factor * PITCH_M
-    height, *slopes = _cut(periodic, factor, rows, columns, True)
-    red_green_blue = _cut(photograph, factor, rows, columns, False)
+    height, *slopes = _decimate_window(periodic, factor, rows, columns, True)
+    red_green_blue = _decimate_window(photograph, factor, rows, columns, False)
     centres = (np.arange(VIEW_PIXELS) + 0.5) * factor / FACTORS[0] - 0.5
     first = factor / FACTORS[0]
-    near = between(depth, centres + row * first, centres + column * first) / pitch
+    near = interpolate_bilinear(depth, centres + row * first, centres + column * first) / pitch
     level = height / np.float32(pitch)
     return _View(
-        rgb=encoded_rgb(photographed(red_green_blue, rng)),
+        rgb=encode_rgb(simulate_camera(red_green_blue, rng)),
         depth=(near - near.mean()).astype(np.float16),
         height=(level - level.mean()).astype(np.float16),
         slopes=np.reshape(slopes, (len(PAIR_SENSORS), 2, VIEW_PIXELS, VIEW_PIXELS)).astype(np.float16),
     )
 
 
-def _cut(layers: Single, factor: int, rows: slice, columns: slice, periodic: bool) -> Single:
+def _decimate_window(layers: Single, factor: int, rows: slice, columns: slice, periodic: bool) -> Single:
     if factor == 1:
         return layers[:, rows, columns]
-    matrix = decimation(factor, periodic)
+    matrix = compute_decimation_matrix(factor, periodic)
     return np.asarray(matrix[rows] @ layers @ matrix[columns].T)
 
 
-def photographed(layers: Single, rng: np.random.Generator) -> Single:
+def simulate_camera(layers: Single, rng: np.random.Generator) -> Single:
     """(3, n, n) light → (n, n, 3) picture: a little blur, and noise that grows with light as photons' does."""
     sigma, noise = rng.uniform(*BLUR_PIXELS), rng.uniform(*NOISE)
     place = np.arange(layers.shape[-1])
@@ -324,7 +330,7 @@ def photographed(layers: Single, rng: np.random.Generator) -> Single:
     return np.moveaxis(seen + np.float32(noise) * grain, 0, -1)
 
 
-def _row(mechanics: Mechanics | None) -> Single:
+def _pack_mechanics(mechanics: Mechanics | None) -> Single:
     given = mechanics or Mechanics()
     values = (given.stiffness_n_m, given.damping_ratio, given.friction)
     return np.array([np.nan if value is None else value for value in values], dtype=np.float32)

@@ -48,7 +48,7 @@ class Recording:
         return len(self.samples) / self.sample_rate
 
 
-class Process(Protocol):
+class TextureProcess(Protocol):
     """Something that can be stroked as often as one likes: a simulated surface, a published texture model.
 
     A new seed is a new draw of the same process (noise, or another place on the surface): the oracle of evaluation.

@@ -14,10 +14,10 @@ from xml.parsers import expat
 
 from ..errors import FileError
 
-LARGEST_BYTES = 256 * 2**20
+MAX_FILE_BYTES = 256 * 2**20
 """A recording of 10 s at 10 kHz is some 30 MB; more than this is no file of a data set."""
-DEEPEST = 64
-_AGAIN = "Get the file again from the data set."
+MAX_XML_DEPTH = 64
+_XML_REMEDY = "Get the file again from the data set."
 
 
 class _DtdError(Exception):
@@ -36,8 +36,8 @@ def read_xml(path: Path) -> Element:
     """
     try:
         size = path.stat().st_size
-        if size > LARGEST_BYTES:
-            raise FileError(f"{size / 2**20:.0f} MB are too much.", where=str(path), remedy=_AGAIN)
+        if size > MAX_FILE_BYTES:
+            raise FileError(f"{size / 2**20:.0f} MB are too much.", where=str(path), remedy=_XML_REMEDY)
         data = path.read_bytes()
     except OSError as error:
         raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
@@ -51,7 +51,7 @@ def parse_xml(data: bytes, where: str) -> Element:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth > DEEPEST:
+        if depth > MAX_XML_DEPTH:
             raise _DepthError
         builder.start(tag.rpartition(":")[2], attributes)
 
@@ -79,6 +79,6 @@ def parse_xml(data: bytes, where: str) -> Element:
             f"line {line} declares a DTD, which could hide anything.", where=where, remedy="Remove it from the file."
         ) from error
     except _DepthError as error:
-        raise FileError(f"elements nest deeper than {DEEPEST}.", where=where, remedy=_AGAIN) from error
+        raise FileError(f"elements nest deeper than {MAX_XML_DEPTH}.", where=where, remedy=_XML_REMEDY) from error
     except (expat.ExpatError, LookupError, ValueError) as error:
-        raise FileError(f"not well-formed XML ({error}).", where=where, remedy=_AGAIN) from error
+        raise FileError(f"not well-formed XML ({error}).", where=where, remedy=_XML_REMEDY) from error

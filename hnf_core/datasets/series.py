@@ -11,22 +11,22 @@ from ..errors import FileError
 Float = NDArray[np.float64]
 
 SIGNAL_RATE_HZ = 10_000.0
-HAND_HZ = 20.0
+HAND_BANDWIDTH_HZ = 20.0
 """A hand does not move faster; what a force or speed sensor shows above is the vibration itself, and an action that
 carries the answer would be learned from instead of the material."""
-RESTING_M_S = 1e-3
+REST_SPEED_M_S = 1e-3
 """Slower than this, the last direction is kept: below it a tracked position is mostly noise."""
-SHORTEST_S = 0.1
-SLOWEST_SAMPLING_HZ = 2000.0
+MIN_DURATION_S = 0.1
+MIN_SAMPLING_HZ = 2000.0
 """Slower than this, an accelerometer does not hold the touch band."""
 LONG_GAP_S = 5e-3
-WRITTEN = 1e-5
+RATE_ROUNDING = 1e-5
 """Of a rate: what rounded times make of a whole number."""
-AROUND_S = 0.2
+SMOOTHING_MARGIN_S = 0.2
 """What smoothing may look at beyond the part that is kept."""
 
 
-def check_grid(time: Float, where: str) -> None:
+def check_time_grid(time: Float, where: str) -> None:
     """Raises FileError unless time [s] (n ≥ 4,) rises from sample to sample, by a nanosecond or more."""
     if len(time) < 4:
         raise FileError(f"only {len(time)} samples.", where=where, remedy="Get the file again.")
@@ -36,23 +36,23 @@ def check_grid(time: Float, where: str) -> None:
         raise FileError(f"time does not rise at sample {row}.", where=where, remedy="Get the file again.")
 
 
-def sampling_of(time: Float, where: str) -> tuple[float, tuple[str, ...]]:
+def measure_sampling_rate(time: Float, where: str) -> tuple[float, tuple[str, ...]]:
     """Mean rate [Hz] of a grid of accelerations, and a note of its longest gap where that is long. Raises FileError
     where it is too slow."""
     rate = (len(time) - 1) / float(time[-1] - time[0])
-    if rate < SLOWEST_SAMPLING_HZ:
+    if rate < MIN_SAMPLING_HZ:
         raise FileError(
             f"sampled {rate:.0f} times a second only.",
             where=where,
-            remedy=f"Its time column should be in seconds; {SLOWEST_SAMPLING_HZ:g} Hz are the least.",
+            remedy=f"Its time column should be in seconds; {MIN_SAMPLING_HZ:g} Hz are the least.",
         )
     gap = float(np.diff(time).max())
-    if abs(rate - round(rate)) < WRITTEN * rate:
+    if abs(rate - round(rate)) < RATE_ROUNDING * rate:
         rate = float(round(rate))
     return rate, (f"a gap of {1e3 * gap:.0f} ms between samples is bridged",) if gap > LONG_GAP_S else ()
 
 
-def resampled(time: Float, values: Float, at: Float) -> Float:
+def interpolate_series(time: Float, values: Float, new_time: Float) -> Float:
     """values (n,) or (n, k) on a rising grid, at other times: cubic Hermite, slopes by parabolas through three samples.
 
     Beyond the ends the end values are kept.
@@ -63,16 +63,16 @@ def resampled(time: Float, values: Float, at: Float) -> Float:
     slope = np.concatenate(
         [secant[:1], (secant[:-1] * step[1:] + secant[1:] * step[:-1]) / (step[:-1] + step[1:]), secant[-1:]]
     )
-    at = np.clip(at, time[0], time[-1])
-    low = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    new_time = np.clip(new_time, time[0], time[-1])
+    low = np.clip(np.searchsorted(time, new_time, side="right") - 1, 0, len(time) - 2)
     width = step[low]
-    t = ((at - time[low]).reshape(width.shape)) / width
+    t = ((new_time - time[low]).reshape(width.shape)) / width
     rise = values[low + 1] - values[low]
     bend = width * (slope[low] + slope[low + 1]) - 2.0 * rise
     return np.asarray(values[low] + t * (width * slope[low] + t * (rise - width * slope[low] - bend * (1.0 - t))))
 
 
-def smoothed(values: Float, rate: float, cutoff_hz: float = HAND_HZ) -> Float:
+def smooth_series(values: Float, rate: float, cutoff_hz: float = HAND_BANDWIDTH_HZ) -> Float:
     """(n,) or (n, k) without what is faster than cutoff_hz (Gaussian, −3 dB there, no delay; ends point-mirrored)."""
     sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * cutoff_hz)
     pad = min(len(values) - 1, int(np.ceil(6.0 * sigma * rate)))
@@ -83,22 +83,22 @@ def smoothed(values: Float, rate: float, cutoff_hz: float = HAND_HZ) -> Float:
     return np.asarray(np.fft.irfft(spectrum, len(longer), axis=0)[pad : pad + len(values)])
 
 
-def hand_series(time: Float, values: Float, start: float, count: int) -> Float:
+def resample_to_action_rate(time: Float, values: Float, start: float, count: int) -> Float:
     """A measured quantity at the action rate, count samples from start [s], without what is faster than a hand.
 
     Smoothed on a grid as fine as the measurement, so that its vibration does not alias.
     """
     rate = max(ACTION_RATE_HZ, (len(time) - 1) / float(time[-1] - time[0]))
-    first = max(float(time[0]), start - AROUND_S)
-    last = min(float(time[-1]), start + count / ACTION_RATE_HZ + AROUND_S)
+    first = max(float(time[0]), start - SMOOTHING_MARGIN_S)
+    last = min(float(time[-1]), start + count / ACTION_RATE_HZ + SMOOTHING_MARGIN_S)
     even = first + np.arange(int((last - first) * rate + 1e-6) + 1) / rate
-    slow = smoothed(resampled(time, values, even), rate)
-    return resampled(even, slow, start + np.arange(count) / ACTION_RATE_HZ)
+    slow = smooth_series(interpolate_series(time, values, even), rate)
+    return interpolate_series(even, slow, start + np.arange(count) / ACTION_RATE_HZ)
 
 
-def whole_action_samples(duration_s: float, where: str) -> int:
+def count_action_samples(duration_s: float, where: str) -> int:
     """Action samples that fit into a duration. Raises FileError for less than SHORTEST_S."""
-    if not duration_s >= SHORTEST_S:
+    if not duration_s >= MIN_DURATION_S:
         raise FileError(
             f"all its signals together last {max(duration_s, 0.0):.3f} s only.",
             where=where,
@@ -107,24 +107,24 @@ def whole_action_samples(duration_s: float, where: str) -> int:
     return int(duration_s * ACTION_RATE_HZ + 1e-6) + 1
 
 
-def action_of(direction: Float, speed: Float, force: Float, probe: str = "pen") -> Action:
+def build_action(direction: Float, speed: Float, force: Float, probe: str = "pen") -> Action:
     """Series (n, 2), (n,) m/s, (n,) N at the action rate → Action; negative speed and force count as 0."""
     speed, force = np.maximum(speed, 0.0), np.maximum(force, 0.0)
     position = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) / ACTION_RATE_HZ
     return Action(ACTION_RATE_HZ, direction, speed, force, position, force > 0.0, probe)
 
 
-def motion(position: Float) -> tuple[Float, Float]:
+def derive_motion(position: Float) -> tuple[Float, Float]:
     """(n, 2) m at the action rate → direction (n, 2), speed (n,). Where the hand rests, the last direction is kept
     (before the first motion, the first; with no motion at all, +x)."""
     velocity = np.gradient(position, 1.0 / ACTION_RATE_HZ, axis=0)
     speed = np.linalg.norm(velocity, axis=1)
-    moving = np.flatnonzero(speed > RESTING_M_S)
+    moving = np.flatnonzero(speed > REST_SPEED_M_S)
     if len(moving) == 0:
-        return straight_direction(len(position), 0.0), speed
+        return constant_direction(len(position), 0.0), speed
     latest = moving[np.maximum(np.searchsorted(moving, np.arange(len(speed)), side="right") - 1, 0)]
     return velocity[latest] / speed[latest, None], speed
 
 
-def straight_direction(count: int, angle_rad: float) -> Float:
+def constant_direction(count: int, angle_rad: float) -> Float:
     return np.tile([np.cos(angle_rad), np.sin(angle_rad)], (count, 1))

@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, UsageError
 from ..files import write_bytes
-from ..simulation.classes import category_of, classes
+from ..simulation.classes import get_category, list_classes
 from ..tactile.views import PITCHES_M
-from ..tensor_file import packed, unpacked
+from ..tensor_file import dump_tensors, load_tensors
 
 FORMAT = "hnf-tactile-pairs-1"
 TRAIN, HELD_OUT_INSTANCES, HELD_OUT_CLASSES = SPLITS = ("train", "held-out-instances", "held-out-classes")
 PAIR_SENSORS = ("gelsight", "digit")
 """The second axis of Pairs.slopes, names in tactile.optics.SENSORS."""
-UNSEEN_CLASSES = tuple({category_of(name): name for name in classes()}.values())
+UNSEEN_CLASSES = tuple({get_category(name): name for name in list_classes()}.values())
 """The last class of every category in the table: met in held-out-classes only, as the field's held-out weights do."""
-_AGAIN = "Make the pairs again: tools/make_tactile_pairs.py continues where it stopped."
+_REMEDY = "Make the pairs again: tools/make_tactile_pairs.py continues where it stopped."
 
 
 @dataclass(frozen=True)
@@ -78,52 +78,52 @@ class Pairs:
 _ARRAYS = tuple(field.name for field in fields(Pairs) if field.name != "class_name")
 
 
-def linear_rgb(encoded: NDArray[np.uint8]) -> NDArray[np.float32]:
+def decode_rgb(encoded: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Linear colour 0–1 of Pairs.rgb."""
     return np.asarray(np.square(encoded.astype(np.float32) / np.float32(255.0)))
 
 
-def encoded_rgb(linear: NDArray[Any]) -> NDArray[np.uint8]:
+def encode_rgb(linear: NDArray[Any]) -> NDArray[np.uint8]:
     """Pairs.rgb of linear colour, cut to 0–1."""
     return np.asarray(np.rint(255.0 * np.sqrt(np.clip(linear, 0.0, 1.0))), dtype=np.uint8)
 
 
-def joined(parts: list[Pairs]) -> Pairs:
+def concatenate_pairs(chunks: list[Pairs]) -> Pairs:
     """One after the other; tile_index moves along. Raises UsageError where there is none."""
-    if not parts:
+    if not chunks:
         raise UsageError("there are no pairs to join.")
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
-    first = np.cumsum([0, *(part.tiles for part in parts[:-1])])
-    arrays["tile_index"] = arrays["tile_index"] + np.repeat(first, [len(part) for part in parts])
-    return Pairs(class_name=tuple(name for part in parts for name in part.class_name), **arrays)
+    arrays = {name: np.concatenate([getattr(part, name) for part in chunks]) for name in _ARRAYS}
+    first = np.cumsum([0, *(part.tiles for part in chunks[:-1])])
+    arrays["tile_index"] = arrays["tile_index"] + np.repeat(first, [len(part) for part in chunks])
+    return Pairs(class_name=tuple(name for part in chunks for name in part.class_name), **arrays)
 
 
-def shard_path(folder: Path, split: str, index: int) -> Path:
+def get_shard_path(folder: Path, split: str, index: int) -> Path:
     """Where one shard lies. Raises UsageError for an unknown split."""
     if split not in SPLITS:
         raise UsageError(f"no split is called {split!r}.", remedy=f"Choose one of {', '.join(SPLITS)}.")
     return folder / split / f"{index:04d}.safetensors"
 
 
-def save_shard(path: Path, pairs: Pairs, *, shards: int, key: str) -> None:
+def save_shard(path: Path, pairs: Pairs, *, shard_count: int, key: str) -> None:
     """Write one shard atomically; equal pairs give equal bytes. shards: how many its split has. key: of the recipe
     that made it, so that shards of different recipes never mix. Raises FileError."""
-    metadata = {"format": FORMAT, "shards": str(shards), "key": key, "class_name": json.dumps(pairs.class_name)}
+    metadata = {"format": FORMAT, "shards": str(shard_count), "key": key, "class_name": json.dumps(pairs.class_name)}
     tensors = {name: np.ascontiguousarray(getattr(pairs, name)) for name in _ARRAYS}
-    write_bytes(path, packed(tensors, metadata))
+    write_bytes(path, dump_tensors(tensors, metadata))
 
 
 def load_shard(path: Path) -> tuple[Pairs, int, str]:
     """The pairs of one shard, how many shards its split has, and the recipe's key. Raises FileError."""
     try:
-        tensors, metadata = unpacked(path.read_bytes())
+        tensors, metadata = load_tensors(path.read_bytes())
         if metadata.get("format") != FORMAT:
             raise ValueError(f"format {metadata.get('format')!r}, not {FORMAT!r}")
         arrays = {name: tensors[name] for name in _ARRAYS}
         pairs = Pairs(class_name=tuple(json.loads(metadata["class_name"])), **arrays)
         shards, key = int(metadata["shards"]), metadata["key"]
     except (OSError, KeyError, TypeError, ValueError) as error:
-        raise FileError(f"no readable shard of tactile pairs ({error}).", where=str(path), remedy=_AGAIN) from error
+        raise FileError(f"no readable shard of tactile pairs ({error}).", where=str(path), remedy=_REMEDY) from error
     return pairs, shards, key
 
 
@@ -133,14 +133,14 @@ def load_pairs(folder: Path, split: str, *, partial: bool = False) -> Pairs:
     partial: take what is there already, else every shard must be. Raises FileError where shards are missing, damaged
     or of different recipes, UsageError for an unknown split.
     """
-    paths = sorted(shard_path(folder, split, 0).parent.glob("[0-9]*.safetensors"))
+    paths = sorted(get_shard_path(folder, split, 0).parent.glob("[0-9]*.safetensors"))
     if not paths:
-        raise FileError("no tactile pairs here.", where=str(folder / split), remedy=_AGAIN)
+        raise FileError("no tactile pairs here.", where=str(folder / split), remedy=_REMEDY)
     read = [load_shard(path) for path in paths]
     recipes = {(shards, key) for _, shards, key in read}
     if len(recipes) > 1:
         raise FileError("shards of different recipes.", where=str(folder / split), remedy="Empty the folder first.")
     shards = read[0][1]
     if not partial and len(paths) != shards:
-        raise FileError(f"{len(paths)} of {shards} shards.", where=str(folder / split), remedy=_AGAIN)
-    return joined([pairs for pairs, _, _ in read])
+        raise FileError(f"{len(paths)} of {shards} shards.", where=str(folder / split), remedy=_REMEDY)
+    return concatenate_pairs([pairs for pairs, _, _ in read])

@@ -15,15 +15,15 @@ from functools import cached_property, partial
 from pathlib import Path
 
 from ..errors import FileError, UsageError
-from .folders import file_names, is_plain
-from .photographs import Float32, middle_square, read_depth, read_picture, read_touch, resized
-from .vision_touch import FilePairs, PairFiles, VisionTouchPair, counted
+from .folders import is_safe_name, list_file_names
+from .photographs import Float32, crop_centre_square, read_depth, read_photograph, read_touch_image, resize_by_area
+from .vision_touch import FilePairs, PairFiles, VisionTouchPair, format_left_out
 
 SPLIT_FILE = "split_interval.json"
 TOUCH_SCALE = "40_30"
-FARTHEST_M = 5.0
-SIDE = 256
-LARGEST_SPLIT_BYTES = 64 * 2**20
+MAX_DEPTH_M = 5.0
+IMAGE_SIDE = 256
+MAX_SPLIT_BYTES = 64 * 2**20
 _REMEDY = "Get the split file again from the data set."
 
 
@@ -34,7 +34,7 @@ class TarfFolder:
 
     folder: Path
     scale: str = TOUCH_SCALE
-    side: int = SIDE
+    side: int = IMAGE_SIDE
 
     @cached_property
     def _root(self) -> Path:
@@ -49,7 +49,7 @@ class TarfFolder:
         )
 
     @cached_property
-    def _listed(self) -> dict[str, list[tuple[str, str]]]:
+    def _listed_splits(self) -> dict[str, list[tuple[str, str]]]:
         """Split → (scene, index), as the split file has them."""
         around = [self._root, self.folder, *sorted(each for each in self.folder.iterdir() if each.is_dir())]
         path = next((each / SPLIT_FILE for each in around if (each / SPLIT_FILE).is_file()), None)
@@ -60,7 +60,7 @@ class TarfFolder:
     @property
     def splits(self) -> tuple[str, ...]:
         """Names, as the split file orders them. Raises FileError where the folder or its split file cannot be used."""
-        return tuple(self._listed)
+        return tuple(self._listed_splits)
 
     def split(self, name: str) -> FilePairs:
         """The pairs of one split whose view and touch both exist. A pair that two splits name is in the first only.
@@ -68,19 +68,19 @@ class TarfFolder:
         Notes count what was left out or lacks depth or background. Raises UsageError for an unknown split, FileError
         where the folder or its split file cannot be used or none of the pairs exists.
         """
-        if name not in self._listed:
-            raise UsageError(f"{name!r} is no split of it.", remedy=f"There are {', '.join(self._listed)}.")
-        earlier = {pair for split in self.splits[: self.splits.index(name)] for pair in self._listed[split]}
+        if name not in self._listed_splits:
+            raise UsageError(f"{name!r} is no split of it.", remedy=f"There are {', '.join(self._listed_splits)}.")
+        earlier = {pair for split in self.splits[: self.splits.index(name)] for pair in self._listed_splits[split]}
         left_out: Counter[str] = Counter()
         lacking: Counter[str] = Counter()
-        entries, seen, folders = [], set[tuple[str, str]](), _Folders(self._root, self.scale)
-        for pair in self._listed[name]:
-            files = folders.files(*pair)
+        entries, seen, folders = [], set[tuple[str, str]](), _FolderListing(self._root, self.scale)
+        for pair in self._listed_splits[name]:
+            files = folders.get_pair_files(*pair)
             reason = (
                 "named twice" if pair in seen
                 else "in an earlier split too" if pair in earlier
-                else "no view (vision)" if files.rgb.name not in folders.names(files.rgb.parent)
-                else "no touch image" if files.touch.name not in folders.names(files.touch.parent)
+                else "no view (vision)" if files.rgb.name not in folders.list_names(files.rgb.parent)
+                else "no touch image" if files.touch.name not in folders.list_names(files.touch.parent)
                 else ""
             )  # fmt: skip
             seen.add(pair)
@@ -92,31 +92,31 @@ class TarfFolder:
             entries.append(files)
         if not entries:
             raise FileError(
-                f"no pair of the split {name!r} is there ({'; '.join(counted(left_out)) or 'it is empty'}).",
+                f"no pair of the split {name!r} is there ({'; '.join(format_left_out(left_out)) or 'it is empty'}).",
                 where=str(self._root),
                 remedy=f"Check that the view folders end in _{self.scale}.",
             )
         notes = (
             "views are taken as sRGB, touch images as they are, depth as metres; the views' scale is unknown",
-            *counted(left_out),
+            *format_left_out(left_out),
             *(f"{count} {what}" for what, count in lacking.items() if count),
         )
         return FilePairs(tuple(entries), partial(read_pair, side=self.side), notes)
 
 
-class _Folders:
+class _FolderListing:
     """What lies where, each folder listed once."""
 
     def __init__(self, root: Path, scale: str) -> None:
         self._root, self._scale = root, scale
         self._names: dict[Path, frozenset[str]] = {}
 
-    def names(self, folder: Path) -> frozenset[str]:
+    def list_names(self, folder: Path) -> frozenset[str]:
         if folder not in self._names:
-            self._names[folder] = file_names(folder)
+            self._names[folder] = list_file_names(folder)
         return self._names[folder]
 
-    def files(self, scene: str, index: str) -> PairFiles:
+    def get_pair_files(self, scene: str, index: str) -> PairFiles:
         seen, touched = f"{scene}_{self._scale}", f"{scene}_{TOUCH_SCALE}"
         depth = self._root / "depth" / seen / f"{index}.npy"
         background = self._root / "touch_bg" / touched / "bg.jpg"
@@ -124,8 +124,8 @@ class _Folders:
             rgb=self._root / "vision" / seen / f"{index}.jpg",
             touch=self._root / "touch" / touched / f"{index}.jpg",
             where=scene,
-            depth=depth if depth.name in self.names(depth.parent) else None,
-            background=background if background.name in self.names(background.parent) else None,
+            depth=depth if depth.name in self.list_names(depth.parent) else None,
+            background=background if background.name in self.list_names(background.parent) else None,
         )
 
 
@@ -133,7 +133,7 @@ def read_split(path: Path) -> dict[str, list[tuple[str, str]]]:
     """Split → (scene, index). Raises FileError where it is no such JSON, or a name would lead out of the folder."""
     where = str(path)
     try:
-        if path.stat().st_size > LARGEST_SPLIT_BYTES:
+        if path.stat().st_size > MAX_SPLIT_BYTES:
             raise ValueError("too large")
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
@@ -148,7 +148,7 @@ def read_split(path: Path) -> dict[str, list[tuple[str, str]]]:
         for number, pair in enumerate(pairs, 1):
             if not (isinstance(pair, list) and len(pair) == 2 and all(isinstance(part, str) for part in pair)):
                 raise FileError(f"{split}, pair {number}: expected [scene, index].", where=where, remedy=_REMEDY)
-            if not all(is_plain(part) for part in pair):
+            if not all(is_safe_name(part) for part in pair):
                 raise FileError(
                     f"{split}, pair {number}: {pair} are no names of files in it.", where=where, remedy=_REMEDY
                 )
@@ -158,10 +158,10 @@ def read_split(path: Path) -> dict[str, list[tuple[str, str]]]:
 
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
     """One pair at side × side pixels. Raises FileError where a file is damaged or two do not go together in shape."""
-    rgb, touch = read_picture(files.rgb), read_touch(files.touch)
-    depth = None if files.depth is None else read_depth(files.depth, FARTHEST_M)
-    background = None if files.background is None else read_touch(files.background)
-    if depth is not None and not _one_shape(depth, rgb):
+    rgb, touch = read_photograph(files.rgb), read_touch_image(files.touch)
+    depth = None if files.depth is None else read_depth(files.depth, MAX_DEPTH_M)
+    background = None if files.background is None else read_touch_image(files.background)
+    if depth is not None and not _has_same_aspect(depth, rgb):
         raise FileError(
             f"is {depth.shape}, its view {rgb.shape[:2]}.", where=str(files.depth), remedy="Get both files again."
         )
@@ -173,7 +173,7 @@ def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
         )
 
     def prepared(values: Float32) -> Float32:
-        return resized(middle_square(values), side)
+        return resize_by_area(crop_centre_square(values), side)
 
     return VisionTouchPair(
         rgb=prepared(rgb),
@@ -187,7 +187,7 @@ def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
     )
 
 
-def _one_shape(depth: Float32, rgb: Float32) -> bool:
+def _has_same_aspect(depth: Float32, rgb: Float32) -> bool:
     """Of one view, even where one was stored smaller: the sides' ratios agree to a pixel."""
     (rows, columns), (tall, wide) = depth.shape, rgb.shape[:2]
     return abs(rows * wide - columns * tall) <= max(wide, tall)

@@ -16,20 +16,20 @@ from functools import cached_property, partial
 from pathlib import Path
 
 from ..errors import FileError
-from .folders import file_names, is_plain
-from .photographs import PICTURES, middle_square, read_picture, read_touch, resized
-from .vision_touch import FilePairs, PairFiles, VisionTouchPair, counted, named_split
+from .folders import is_safe_name, list_file_names
+from .photographs import IMAGE_SUFFIXES, crop_centre_square, read_photograph, read_touch_image, resize_by_area
+from .vision_touch import FilePairs, PairFiles, VisionTouchPair, format_left_out, get_split
 
-CLASSES = 20
-UNDECIDED = -1
+CLASS_COUNT = 20
+UNDECIDED_LABEL = -1
 """The label of frames whose material the annotators could not tell."""
-SIDE = 256
-LABELS = "label.txt"
-CATEGORIES = ("category_reference.txt", "category.txt", "categories.txt")
-LARGEST_TEXT_BYTES = 256 * 2**20
-VIEW, TOUCH = "video_frame", "gelsight_frame"
-_LINE = re.compile(r"([^/\\,]+)[/\\]([^/\\,]+)\.(?:jpe?g|png)\s*,\s*(-?\d{1,9})", re.IGNORECASE)
-_CATEGORY = re.compile(r"\s*(\S.*?)\s*:\s*(\d{1,9})\b.*")
+IMAGE_SIDE = 256
+LABEL_FILE = "label.txt"
+CATEGORY_FILES = ("category_reference.txt", "category.txt", "categories.txt")
+MAX_TEXT_BYTES = 256 * 2**20
+VIEW_FOLDER, TOUCH_FOLDER = "video_frame", "gelsight_frame"
+_LABEL_LINE = re.compile(r"([^/\\,]+)[/\\]([^/\\,]+)\.(?:jpe?g|png)\s*,\s*(-?\d{1,9})", re.IGNORECASE)
+_CATEGORY_LINE = re.compile(r"\s*(\S.*?)\s*:\s*(\d{1,9})\b.*")
 
 
 @dataclass(frozen=True)
@@ -38,14 +38,14 @@ class TouchAndGoFolder:
     picture, a centred square."""
 
     folder: Path
-    side: int = SIDE
+    side: int = IMAGE_SIDE
 
     @cached_property
     def recordings(self) -> tuple[str, ...]:
         """Sorted names of those with extracted frames. Raises FileError where there are none."""
         names, videos = [], 0
         for place in sorted(self._root.iterdir()) if self._root.is_dir() else []:
-            if (place / VIEW).is_dir() or (place / TOUCH).is_dir():
+            if (place / VIEW_FOLDER).is_dir() or (place / TOUCH_FOLDER).is_dir():
                 names.append(place.name)
             elif any((place / video).is_file() for video in ("video.mp4", "gelsight.mp4")):
                 videos += 1
@@ -53,9 +53,9 @@ class TouchAndGoFolder:
             raise FileError(
                 f"{videos} recordings have videos, none has frames." if videos else "no recordings are in it.",
                 where=str(self.folder),
-                remedy=f"Extract {VIEW} and {TOUCH} with the data set's own script."
+                remedy=f"Extract {VIEW_FOLDER} and {TOUCH_FOLDER} with the data set's own script."
                 if videos
-                else f"Give the folder with dataset/<recording>/{VIEW} and {TOUCH}.",
+                else f"Give the folder with dataset/<recording>/{VIEW_FOLDER} and {TOUCH_FOLDER}.",
             )
         return tuple(names)
 
@@ -73,47 +73,49 @@ class TouchAndGoFolder:
             labelled.setdefault(recording, []).append(stem)
         entries = []
         for recording in self.recordings:
-            views, touches = (_by_stem(self._root / recording / kind) for kind in (VIEW, TOUCH))
+            views, touches = (
+                _list_images_by_stem(self._root / recording / kind) for kind in (VIEW_FOLDER, TOUCH_FOLDER)
+            )
             for stem in sorted(labelled.pop(recording, ()) if labels is not None else {*views, *touches}):
                 if stem not in views or stem not in touches:
-                    left_out[f"no {VIEW}" if stem not in views else f"no {TOUCH}"] += 1
+                    left_out[f"no {VIEW_FOLDER}" if stem not in views else f"no {TOUCH_FOLDER}"] += 1
                     continue
-                number = UNDECIDED if labels is None else labels[recording, stem]
-                label = None if number == UNDECIDED else names.get(number, f"class {number}")
+                number = UNDECIDED_LABEL if labels is None else labels[recording, stem]
+                label = None if number == UNDECIDED_LABEL else names.get(number, f"class {number}")
                 entries.append(PairFiles(views[stem], touches[stem], recording, label))
         left_out["their recording is not there"] += sum(map(len, labelled.values()))
         if not entries:
             raise FileError(
-                f"no moment has both frames ({'; '.join(counted(left_out))}).",
+                f"no moment has both frames ({'; '.join(format_left_out(left_out))}).",
                 where=str(self.folder),
-                remedy=f"Check {VIEW} and {TOUCH}, or get them again.",
+                remedy=f"Check {VIEW_FOLDER} and {TOUCH_FOLDER}, or get them again.",
             )
         unlabelled = sum(entry.label is None for entry in entries)
         notes = (
             "views are taken as sRGB, touch images as they are; their scale is unknown; no background was recorded",
-            *((f"no {LABELS}: no pair has a label",) if labels is None else ()),
+            *((f"no {LABEL_FILE}: no pair has a label",) if labels is None else ()),
             *((f"{unlabelled} are labelled as undecided",) if labels is not None and unlabelled else ()),
-            *counted(left_out),
+            *format_left_out(left_out),
         )
         return FilePairs(tuple(entries), partial(read_pair, side=self.side), notes)
 
     def split(self, name: str, seed: int = 0) -> FilePairs:
         """train, val or test by recording (vision_touch.named_split). Raises FileError as pairs does, too."""
-        return named_split(self.pairs, name, seed, str(self.folder))
+        return get_split(self.pairs, name, seed, str(self.folder))
 
     @property
     def _root(self) -> Path:
         return self.folder / "dataset" if (self.folder / "dataset").is_dir() else self.folder
 
     def _labels(self, left_out: Counter[str]) -> dict[tuple[str, str], int] | None:
-        path = self.folder / LABELS
+        path = self.folder / LABEL_FILE
         return read_labels(path, left_out) if path.is_file() else None
 
     def _class_names(self) -> dict[int, str]:
-        path = next((self.folder / name for name in CATEGORIES if (self.folder / name).is_file()), None)
+        path = next((self.folder / name for name in CATEGORY_FILES if (self.folder / name).is_file()), None)
         if path is None:
             return {}
-        found = (match for line in _lines(path) if (match := _CATEGORY.fullmatch(line)))
+        found = (match for line in _read_lines(path) if (match := _CATEGORY_LINE.fullmatch(line)))
         return {int(match[2]): match[1] for match in found}
 
 
@@ -125,12 +127,12 @@ def read_labels(path: Path, left_out: Counter[str]) -> dict[tuple[str, str], int
     labels: dict[tuple[str, str], int] = {}
     twofold: set[tuple[str, str]] = set()
     read = wrong = 0
-    for number, line in enumerate(map(str.strip, _lines(path)), 1):
+    for number, line in enumerate(map(str.strip, _read_lines(path)), 1):
         if not line:
             continue
         read += 1
-        match = _LINE.fullmatch(line)
-        if match is None or not is_plain(match[1]) or not is_plain(match[2]):
+        match = _LABEL_LINE.fullmatch(line)
+        if match is None or not is_safe_name(match[1]) or not is_safe_name(match[2]):
             if line.startswith(("/", "\\")) or ".." in re.split(r"[/\\]", line):
                 raise FileError(
                     f"line {number} leads out of the folder.", where=str(path), remedy="Get the file again."
@@ -138,8 +140,8 @@ def read_labels(path: Path, left_out: Counter[str]) -> dict[tuple[str, str], int
             wrong += 1
             continue
         key, label = (match[1], match[2]), int(match[3])
-        if not UNDECIDED <= label < CLASSES:
-            left_out[f"a class beyond 0 to {CLASSES - 1}"] += 1
+        if not UNDECIDED_LABEL <= label < CLASS_COUNT:
+            left_out[f"a class beyond 0 to {CLASS_COUNT - 1}"] += 1
         elif key in twofold or labels.get(key, label) != label:
             left_out["labelled as two classes"] += 1 + (key not in twofold)
             twofold.add(key)
@@ -161,9 +163,9 @@ def read_labels(path: Path, left_out: Counter[str]) -> dict[tuple[str, str], int
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
     """One pair at side × side pixels. Raises FileError where a file is damaged."""
     return VisionTouchPair(
-        rgb=resized(middle_square(read_picture(files.rgb)), side),
+        rgb=resize_by_area(crop_centre_square(read_photograph(files.rgb)), side),
         depth_m=None,
-        touch=resized(middle_square(read_touch(files.touch)), side),
+        touch=resize_by_area(crop_centre_square(read_touch_image(files.touch)), side),
         background=None,
         sensor="gelsight",
         label=files.label,
@@ -172,17 +174,17 @@ def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
     )
 
 
-def _by_stem(folder: Path) -> dict[str, Path]:
+def _list_images_by_stem(folder: Path) -> dict[str, Path]:
     """Pictures by name without ending; of two kinds of one name the .jpg counts, as in the published lists."""
     names = sorted(
-        file_names(folder), key=lambda name: (not name.lower().endswith((".jpg", ".jpeg")), name), reverse=True
+        list_file_names(folder), key=lambda name: (not name.lower().endswith((".jpg", ".jpeg")), name), reverse=True
     )
-    return {Path(name).stem: folder / name for name in names if Path(name).suffix.lower() in PICTURES}
+    return {Path(name).stem: folder / name for name in names if Path(name).suffix.lower() in IMAGE_SUFFIXES}
 
 
-def _lines(path: Path) -> list[str]:
+def _read_lines(path: Path) -> list[str]:
     try:
-        if path.stat().st_size > LARGEST_TEXT_BYTES:
+        if path.stat().st_size > MAX_TEXT_BYTES:
             raise ValueError("it is too large")
         return path.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError) as error:

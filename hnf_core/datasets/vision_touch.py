@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, UsageError
 
-Picture = NDArray[np.float32]
+ImageArray = NDArray[np.float32]
 SensorName = Literal["gelsight", "digit"]
-SHARES: Mapping[str, float] = MappingProxyType({"train": 0.8, "val": 0.1, "test": 0.1})
+SPLIT_SHARES: Mapping[str, float] = MappingProxyType({"train": 0.8, "val": 0.1, "test": 0.1})
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +32,10 @@ class VisionTouchPair:
     metres_per_pixel: of rgb, None where it is unknown.
     """
 
-    rgb: Picture
-    depth_m: Picture | None
-    touch: Picture
-    background: Picture | None
+    rgb: ImageArray
+    depth_m: ImageArray | None
+    touch: ImageArray
+    background: ImageArray | None
     sensor: SensorName
     label: str | None
     where: str
@@ -67,7 +67,7 @@ class VisionTouchPairs(Protocol):
     def labels(self) -> tuple[str | None, ...]: ...
 
     @property
-    def places(self) -> tuple[str, ...]:
+    def locations(self) -> tuple[str, ...]:
         """`where` of each pair."""
         ...
 
@@ -114,11 +114,11 @@ class FilePairs(Sequence[VisionTouchPair]):
         return tuple(entry.label for entry in self.entries)
 
     @property
-    def places(self) -> tuple[str, ...]:
+    def locations(self) -> tuple[str, ...]:
         return tuple(entry.where for entry in self.entries)
 
 
-def split_by_place(pairs: FilePairs, seed: int, shares: Mapping[str, float] = SHARES) -> dict[str, FilePairs]:
+def split_by_location(pairs: FilePairs, seed: int, shares: Mapping[str, float] = SPLIT_SHARES) -> dict[str, FilePairs]:
     """Whole places (recordings, scenes, textures) dealt to named splits, so that no place is in two of them.
 
     Places come in an order drawn from their names and the seed; each goes to the split that lacks most of its share of
@@ -127,7 +127,7 @@ def split_by_place(pairs: FilePairs, seed: int, shares: Mapping[str, float] = SH
     """
     if not shares or min(shares.values()) <= 0.0:
         raise UsageError(f"shares {dict(shares)} are not all above 0.", remedy="Leave out a split that is not wanted.")
-    size = Counter(pairs.places)
+    size = Counter(pairs.locations)
     whole = sum(shares.values())
     missing = {name: share / whole * len(pairs) for name, share in shares.items()}
     home = {}
@@ -140,22 +140,22 @@ def split_by_place(pairs: FilePairs, seed: int, shares: Mapping[str, float] = SH
     }
 
 
-def named_split(pairs: FilePairs, name: str, seed: int, where: str) -> FilePairs:
+def get_split(pairs: FilePairs, name: str, seed: int, where: str) -> FilePairs:
     """One split of split_by_place with SHARES. Raises UsageError for a name that is none, FileError where there are too
     few places for it. where: the folder, for the message."""
-    if name not in SHARES:
-        raise UsageError(f"{name!r} is no split.", remedy=f"There are {', '.join(SHARES)}.")
-    part = split_by_place(pairs, seed)[name]
+    if name not in SPLIT_SHARES:
+        raise UsageError(f"{name!r} is no split.", remedy=f"There are {', '.join(SPLIT_SHARES)}.")
+    part = split_by_location(pairs, seed)[name]
     if not part:
         raise FileError(
-            f"{len(set(pairs.places))} places are too few for a split {name!r}.",
+            f"{len(set(pairs.locations))} places are too few for a split {name!r}.",
             where=where,
             remedy="Get more of them, or split them yourself with split_by_place.",
         )
     return part
 
 
-def readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Iterator[VisionTouchPair]:
+def iterate_readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Iterator[VisionTouchPair]:
     """The pairs whose files can be used, in order; the errors of the others are appended to skipped.
 
     One damaged picture among thousands must not end a training, nor go unnoticed.
@@ -169,6 +169,6 @@ def readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Iterator[Visi
         yield pair
 
 
-def counted(left_out: Counter[str]) -> tuple[str, ...]:
+def format_left_out(left_out: Counter[str]) -> tuple[str, ...]:
     """Reasons with their counts as notes, the most frequent first: "3 left out: no touch image"."""
     return tuple(f"{count} left out: {reason}" for reason, count in left_out.most_common() if count)

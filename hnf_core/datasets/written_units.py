@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from ..units import STANDARD_GRAVITY
 
-_FACTORS = {
+_UNIT_FACTORS = {
     "acceleration": {
         "m/s2": 1.0, "m/s/s": 1.0, "ms-2": 1.0, "mm/s2": 1e-3, "g": STANDARD_GRAVITY, "g0": STANDARD_GRAVITY,
         "mg": 1e-3 * STANDARD_GRAVITY, "gravity": STANDARD_GRAVITY,
@@ -24,21 +24,21 @@ _FACTORS = {
     "rate": {"hz": 1.0, "khz": 1e3, "samples/s": 1.0},
 }  # fmt: skip
 
-BEYOND = 1e12
+MAX_MEASURABLE = 1e12
 """No sensor of touch gives such a number, in whatever unit; its square would overflow."""
 
 
-def measurable(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+def is_measurable(values: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Finite and below BEYOND, element by element."""
-    return np.abs(values) < BEYOND  # False for NaN
+    return np.abs(values) < MAX_MEASURABLE  # False for NaN
 
 
-def unit_factor(quantity: str, written: str, where: str) -> float:
+def parse_unit_factor(quantity: str, written: str, where: str) -> float:
     """What a number in the written unit is multiplied by to be SI; case, blanks, ^ and brackets do not count.
 
     quantity: acceleration, speed, force, position, time or rate. Raises FileError for a unit that is not one of these.
     """
-    known = _FACTORS[quantity]
+    known = _UNIT_FACTORS[quantity]
     plain = re.sub(r"[\s^*\[\](){}·]", "", written.replace("²", "2").replace("µ", "u").replace("μ", "u")).lower()
     if plain not in known:
         raise FileError(

@@ -19,12 +19,12 @@ from ..tactile.optics import SENSORS, Sensor, decode_gradients, shade
 Float = NDArray[np.float64]
 Form = Literal["frame", "difference", "ratio"]
 
-SATURATED = 250.0 / 255.0
+SATURATION_VALUE = 250.0 / 255.0
 """Code values from here on are clipped, and say nothing of the light."""
 
 
 @dataclass(frozen=True, eq=False)
-class Pixels:
+class BallPixels:
     """(m, …) pixels under balls. normal: (m, 3) unit. colour, background: (m, 3). column, row: (m,). press: (m,)."""
 
     normal: Float
@@ -34,8 +34,8 @@ class Pixels:
     row: Float
     press: NDArray[np.int64]
 
-    def of(self, wanted: NDArray[np.bool_]) -> Pixels:
-        return Pixels(*(getattr(self, name)[wanted] for name in self.__dataclass_fields__))
+    def select(self, wanted: NDArray[np.bool_]) -> BallPixels:
+        return BallPixels(*(getattr(self, name)[wanted] for name in self.__dataclass_fields__))
 
     @property
     def tilt(self) -> Float:
@@ -43,25 +43,25 @@ class Pixels:
         return np.asarray(np.arccos(np.clip(self.normal[:, 2], -1.0, 1.0)))
 
 
-def contact_radius_px(presses: BallPresses) -> float:
+def find_contact_radius_px(presses: BallPresses) -> float:
     """Where the frames differ most from the background, as the mean over all presses and directions, in whole pixels.
 
     Under a ball the slope grows outwards; beyond the contact's edge the membrane leaves it and flattens.
     """
     change = np.abs(presses.frames - presses.background).mean(axis=-1)
-    distance = np.hypot(*offsets_px(presses))
+    distance = np.hypot(*compute_offsets_px(presses))
     rings = [change[(distance >= r - 0.5) & (distance < r + 0.5)] for r in range(1, int(presses.ball_radius_px) + 1)]
     return 1.0 + float(np.argmax([ring.mean() if ring.size else 0.0 for ring in rings]))
 
 
-def pixels_under(presses: BallPresses, radius_px: float) -> Pixels:
+def select_pixels_under(presses: BallPresses, radius_px: float) -> BallPixels:
     """Pixels less than radius_px from a ball's centre, press by press. Raises UsageError where the ball is smaller."""
     if not 0.0 < radius_px < presses.ball_radius_px:
         raise UsageError(f"{radius_px:g} pixels are no part of a ball of {presses.ball_radius_px:g}.")
-    x, y = offsets_px(presses)
+    x, y = compute_offsets_px(presses)
     press, row, column = np.nonzero(np.hypot(x, y) < radius_px)
     flat = np.stack([x[press, row, column], y[press, row, column]], axis=1) / presses.ball_radius_px
-    return Pixels(
+    return BallPixels(
         normal=np.concatenate([flat, np.sqrt(1.0 - np.sum(flat**2, axis=1, keepdims=True))], axis=1),
         colour=presses.frames[press, row, column],
         background=presses.background[row, column],
@@ -71,7 +71,7 @@ def pixels_under(presses: BallPresses, radius_px: float) -> Pixels:
     )
 
 
-def offsets_px(presses: BallPresses) -> tuple[Float, Float]:
+def compute_offsets_px(presses: BallPresses) -> tuple[Float, Float]:
     """(n, H, W) each: how far a pixel is to the right of a ball's centre, and above it."""
     rows, columns = presses.background.shape[:2]
     x = np.arange(columns)[None, None, :] - presses.centre_px[:, 0, None, None]
@@ -91,35 +91,35 @@ class LinearOptics:
     sensor: Sensor
     form: Form
 
-    def predicted(self, pixels: Pixels) -> Float:
+    def predict(self, pixels: BallPixels) -> Float:
         """(m, 3) code values, clipped to 0…1."""
-        gx, gy = slopes(pixels.normal)
+        gx, gy = compute_slopes(pixels.normal)
         light = shade(gx, gy, self.sensor).astype(np.float64)
-        return np.asarray(np.clip(_frame(light, pixels.background, self.form), 0.0, 1.0))
+        return np.asarray(np.clip(_to_frame(light, pixels.background, self.form), 0.0, 1.0))
 
-    def decoded(self, pixels: Pixels) -> Float:
+    def decode(self, pixels: BallPixels) -> Float:
         """(m, 3) unit normals by tactile.optics.decode_gradients."""
-        gx, gy = decode_gradients(_light(pixels.colour, pixels.background, self.form), self.sensor)
+        gx, gy = decode_gradients(_to_light(pixels.colour, pixels.background, self.form), self.sensor)
         return np.asarray(np.stack([-gx, -gy, np.ones_like(gx)], axis=-1) / np.sqrt(1.0 + gx**2 + gy**2)[..., None])
 
 
-def fit_linear(pixels: Pixels, form: Form) -> LinearOptics:
+def fit_linear_optics(pixels: BallPixels, form: Form) -> LinearOptics:
     """Least squares of light = ambient + S n: twelve numbers. Saturated values are left out, channel by channel.
 
     Raises UsageError where the normals do not span all directions.
     """
-    light = _light(pixels.colour, pixels.background, form)
+    light = _to_light(pixels.colour, pixels.background, form)
     terms = np.concatenate([pixels.normal, np.ones((len(pixels.normal), 1))], axis=1)
     solved = np.empty((4, 3))
     for channel in range(3):
-        good = pixels.colour[:, channel] < SATURATED
+        good = pixels.colour[:, channel] < SATURATION_VALUE
         solved[:, channel], _, rank, _ = np.linalg.lstsq(terms[good], light[good, channel], rcond=None)
         if rank < 4:
             raise UsageError("the normals under the balls do not tell the lamps apart.")
-    return LinearOptics(sensor_of(solved[:3].T, solved[3]), form)
+    return LinearOptics(make_sensor(solved[:3].T, solved[3]), form)
 
 
-def sensor_of(shading: Float, ambient: Float) -> Sensor:
+def make_sensor(shading: Float, ambient: Float) -> Sensor:
     """A sensor with this S (3, 3) and ambient light (3,): the nominal GelSight's gel and lamp directions, everything
     that differs in the crosstalk."""
     nominal = SENSORS["gelsight"]
@@ -134,29 +134,29 @@ def sensor_of(shading: Float, ambient: Float) -> Sensor:
     )
 
 
-def slopes(normal: Float) -> tuple[Float, Float]:
+def compute_slopes(normal: Float) -> tuple[Float, Float]:
     """(∂h/∂x, ∂h/∂y) of surfaces with these unit normals (…, 3)."""
     return -normal[..., 0] / normal[..., 2], -normal[..., 1] / normal[..., 2]
 
 
-def turned(sensor: Sensor, angle_rad: float, mirrored: bool, channels: tuple[int, ...]) -> Sensor:
+def mount_sensor(sensor: Sensor, angle_rad: float, mirrored: bool, channels: tuple[int, ...]) -> Sensor:
     """The same sensor mounted otherwise: turned in its plane, seen in a mirror, its channels in another order."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     mount = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ np.diag(
         [-1.0 if mirrored else 1.0, 1.0, 1.0]
     )
     order = list(channels)
-    out = sensor_of((sensor.shading @ mount)[order], np.asarray(sensor.ambient)[order])
+    out = make_sensor((sensor.shading @ mount)[order], np.asarray(sensor.ambient)[order])
     return replace(out, name=sensor.name)
 
 
-def _light(colour: Float, background: Float, form: Form) -> Float:
+def _to_light(colour: Float, background: Float, form: Form) -> Float:
     if form == "difference":
         return colour - background
     return colour / np.maximum(background, 1.0 / 255.0) if form == "ratio" else colour
 
 
-def _frame(light: Float, background: Float, form: Form) -> Float:
+def _to_frame(light: Float, background: Float, form: Form) -> Float:
     if form == "difference":
         return light + background
     return light * np.maximum(background, 1.0 / 255.0) if form == "ratio" else light

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from .direction import Directions
-from .jobs import Done
-from .report import Cell, Extra, summary
+from .direction import DirectionSpectra
+from .jobs import JobResult
+from .report import Cell, ExtraTable, summarise
 
-SENSOR_WORDS = {"gelsight": "GelSight", "digit": "DIGIT"}
-NOT_YET = {"predicted map": "not yet: needs D_φ", "bridged": "not yet: needs bridging"}
+SENSOR_LABELS = {"gelsight": "GelSight", "digit": "DIGIT"}
+UNSUPPORTED_SOURCES = {"predicted map": "not yet: needs D_φ", "bridged": "not yet: needs bridging"}
 SENSOR_METRICS = {
     "st_sim_tum": "ST-SIM TUM ↑",
     "st_sim_cosine": "ST-SIM cosine ↑",
@@ -20,19 +20,19 @@ SENSOR_METRICS = {
 }
 
 
-def sensor_table(done: Sequence[Done]) -> Extra:
+def make_sensor_table(results: Sequence[JobResult]) -> ExtraTable:
     """The paper's columns: the shared field with tokens of each sensor. Sources that do not exist yet say so."""
     cells: dict[str, list[Cell]] = {}
-    for each in done:
+    for each in results:
         for sensor, made in each.sensors.items():
             cells.setdefault(sensor, []).extend(made)
-    figures = {sensor: summary(made) for sensor, made in cells.items()}
+    figures = {sensor: summarise(made) for sensor, made in cells.items()}
     rows = [
-        (SENSOR_WORDS.get(sensor, sensor), *(f"{found[name]['median']:.3g}" for name in SENSOR_METRICS))
+        (SENSOR_LABELS.get(sensor, sensor), *(f"{found[name]['median']:.3g}" for name in SENSOR_METRICS))
         for sensor, found in figures.items()
     ]
-    rows += [(source, why, *["–"] * (len(SENSOR_METRICS) - 1)) for source, why in NOT_YET.items()]
-    return Extra(
+    rows += [(source, why, *["–"] * (len(SENSOR_METRICS) - 1)) for source, why in UNSUPPORTED_SOURCES.items()]
+    return ExtraTable(
         "token_source",
         "Token source (shared field, held-out windows)",
         "The paper's columns. Token = E of each sensor's image, by its optics model, of one and the same height map. "
@@ -43,15 +43,15 @@ def sensor_table(done: Sequence[Done]) -> Extra:
     )
 
 
-def direction_table(measured: Directions, names: Mapping[str, str]) -> Extra:
+def make_direction_table(measured: DirectionSpectra, names: Mapping[str, str]) -> ExtraTable:
     """names: key of a method → words."""
-    errors = {key: measured.ratio_error_db(key) for key in measured.methods}
-    return Extra(
+    errors = {key: measured.compute_ratio_error_db(key) for key in measured.methods}
+    return ExtraTable(
         "direction",
         f"By direction: {measured.material}",
-        f"Eight directions over half a circle, steady; {measured.anisotropy_db():.1f} dB of anisotropy. RMS error of "
+        f"Eight directions over half a circle, steady; {measured.compute_anisotropy_db():.1f} dB of anisotropy. RMS error of "
         "the level ratio of each direction's spectrum to the first one's.",
         ("method", "ratio error [dB]"),
         tuple((names.get(key, key), f"{value:.2f}") for key, value in errors.items()),
-        {"material": measured.material, "anisotropy_db": measured.anisotropy_db(), "ratio_error_db": errors},
+        {"material": measured.material, "anisotropy_db": measured.compute_anisotropy_db(), "ratio_error_db": errors},
     )

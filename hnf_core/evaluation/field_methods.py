@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..baselines.method import Fitted, Form, Specimen
+from ..baselines.method import FittedMaterial, Form, MaterialRecordings
 from ..errors import UsageError
 from ..field.field import Field
 from ..field.many_strokes import synthesise_many
@@ -19,11 +19,11 @@ from ..material.token import TOKEN_DIM
 from .expected_magnitude import synthesise_expected_magnitude
 
 Float = NDArray[np.float64]
-_SEEDS_A_CALL = 1000
+_SEEDS_PER_CALL = 1000
 
 
 @dataclass(frozen=True)
-class FieldFitted:
+class FittedField:
     """A field and the material it is asked about."""
 
     field: Field
@@ -36,7 +36,7 @@ class FieldFitted:
         strokes = [uniform_stroke(action, self.token, self.mechanics) for action in actions]
         if self.form == "expected magnitude":
             return [synthesise_expected_magnitude(self.field, stroke) for stroke in strokes]
-        first = _SEEDS_A_CALL * seed
+        first = _SEEDS_PER_CALL * seed
         made = synthesise_many(self.field, strokes, seeds=range(first, first + len(strokes)))
         return [each.signal.samples.astype(np.float64) for each in made]
 
@@ -50,18 +50,18 @@ class TrainedField:
     form: Form = "natural"
     epochs: int | None = None
 
-    def fit(self, specimen: Specimen, seed: int) -> Fitted:
+    def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
         from ..training.material import Schedule, train_material
-        from ..training.own_material import config_for
+        from ..training.own_material import choose_config
 
         recordings = list(specimen.recordings)
-        config = config_for(recordings, arc=specimen.token is not None, token_known=specimen.token is not None)
+        config = choose_config(recordings, arc=specimen.token is not None, token_known=specimen.token is not None)
         schedule = Schedule() if self.epochs is None else Schedule(epochs=self.epochs)
         trained = train_material(
             recordings, config, seed, schedule=schedule, token=specimen.token, mechanics=specimen.mechanics
         )
         token = np.zeros(TOKEN_DIM, dtype=np.float32) if specimen.token is None else specimen.token
-        return FieldFitted(trained.field, token, specimen.mechanics, self.form)
+        return FittedField(trained.field, token, specimen.mechanics, self.form)
 
 
 @dataclass(frozen=True)
@@ -73,11 +73,11 @@ class SharedField:
     name: str = "field, shared"
     form: Form = "natural"
 
-    def fit(self, specimen: Specimen, seed: int) -> Fitted:
+    def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
         """Raises UsageError for a material without a token."""
         del seed
         if specimen.token is None:
             raise UsageError(
                 f"'{specimen.name}' has no token.", remedy="The shared field needs one; leave it out here."
             )
-        return FieldFitted(self.field, specimen.token, specimen.mechanics, self.form)
+        return FittedField(self.field, specimen.token, specimen.mechanics, self.form)

@@ -11,7 +11,7 @@ from ..baselines.method import Form, Method
 from ..errors import UsageError
 from ..field.weights import load_field
 from .field_methods import SharedField, TrainedField
-from .strokes import Diet
+from .strokes import TrainingStrokes
 
 
 @dataclass(frozen=True)
@@ -24,55 +24,55 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Entry:
+class MethodEntry:
     """key: for --methods. diet: what it learns from. make: the method itself (imports torch only then). most: materials
     of a run on which it takes part; None = all. learns: False where recordings are not needed. shows: key of the
     entry whose fit this one shows in another form, so that it is trained once."""
 
     key: str
-    diet: Diet
-    make: Callable[[Budget], Method]
-    most: int | None = None
-    learns: bool = True
+    training_strokes: TrainingStrokes
+    build: Callable[[Budget], Method]
+    max_materials: int | None = None
+    needs_recordings: bool = True
     needs_token: bool = False
-    shows: str = ""
+    reuses: str = ""
 
 
-def entries() -> tuple[Entry, ...]:
+def list_entries() -> tuple[MethodEntry, ...]:
     return (
-        Entry("field", "wandering", lambda budget: TrainedField(epochs=budget.epochs)),
-        Entry("shared", "wandering", lambda budget: _shared(budget, "natural"), learns=False, needs_token=True),
-        Entry("ar", "wandering", _ar),
-        Entry("gacm", "wandering", lambda budget: _gacm(budget, False)),
-        Entry("gacm-improved", "wandering", lambda budget: _gacm(budget, True)),
-        Entry("playback", "wandering", _playback),
-        Entry(
+        MethodEntry("field", "wandering", lambda budget: TrainedField(epochs=budget.epochs)),
+        MethodEntry("shared", "wandering", lambda budget: _make_shared(budget, "natural"), needs_recordings=False, needs_token=True),
+        MethodEntry("ar", "wandering", _make_piecewise_ar),
+        MethodEntry("gacm", "wandering", lambda budget: _make_gacm(budget, False)),
+        MethodEntry("gacm-improved", "wandering", lambda budget: _make_gacm(budget, True)),
+        MethodEntry("playback", "wandering", _make_nearest_neighbour),
+        MethodEntry(
             "hnf",
             "circular",
             lambda budget: TrainedField("HNF with carriers, circular strokes only", epochs=budget.epochs),
         ),
-        Entry(
+        MethodEntry(
             "hnf-plus",
             "circular and primitives",
             lambda budget: TrainedField("HNF+ with carriers, circles and eight primitives", epochs=budget.epochs),
         ),
-        Entry("hnf-literal", "circular", _literal, most=3),
-        Entry(
+        MethodEntry("hnf-literal", "circular", _make_published_hnf, max_materials=3),
+        MethodEntry(
             "field-expected",
             "wandering",
             lambda budget: TrainedField("field, per material", "expected magnitude", budget.epochs),
-            shows="field",
+            reuses="field",
         ),
-        Entry(
-            "shared-expected", "wandering", lambda budget: _shared(budget, "expected magnitude"), learns=False,
-            needs_token=True, shows="shared",
+        MethodEntry(
+            "shared-expected", "wandering", lambda budget: _make_shared(budget, "expected magnitude"), needs_recordings=False,
+            needs_token=True, reuses="shared",
         ),
     )  # fmt: skip
 
 
-def chosen(keys: Sequence[str] | None) -> tuple[Entry, ...]:
+def select_entries(keys: Sequence[str] | None) -> tuple[MethodEntry, ...]:
     """The entries of these keys, all for None. Raises UsageError that lists the keys."""
-    every = {entry.key: entry for entry in entries()}
+    every = {entry.key: entry for entry in list_entries()}
     unknown = [key for key in keys or () if key not in every]
     if unknown:
         raise UsageError(f"no method is called {', '.join(unknown)}.", remedy=f"Choose among {', '.join(every)}.")
@@ -80,33 +80,33 @@ def chosen(keys: Sequence[str] | None) -> tuple[Entry, ...]:
 
 
 @lru_cache(maxsize=4)
-def _field(path: Path | None):  # type: ignore[no-untyped-def]
+def _load_field_cached(path: Path | None):  # type: ignore[no-untyped-def]
     return load_field(path)
 
 
-def _shared(budget: Budget, form: Form) -> Method:
-    return SharedField(_field(budget.weights), form=form)
+def _make_shared(budget: Budget, form: Form) -> Method:
+    return SharedField(_load_field_cached(budget.weights), form=form)
 
 
-def _ar(budget: Budget) -> Method:
+def _make_piecewise_ar(budget: Budget) -> Method:
     from ..baselines.piecewise_ar import PiecewiseAr
 
     return PiecewiseAr()
 
 
-def _playback(budget: Budget) -> Method:
-    from ..baselines.playback import Playback
+def _make_nearest_neighbour(budget: Budget) -> Method:
+    from ..baselines.playback import NearestNeighbour
 
-    return Playback()
-
-
-def _gacm(budget: Budget, improved: bool) -> Method:
-    from ..baselines.gacm import STEPS, GacmAlone
-
-    return GacmAlone(improved, STEPS if budget.steps is None else budget.steps)
+    return NearestNeighbour()
 
 
-def _literal(budget: Budget) -> Method:
-    from ..baselines.literal import LiteralHnf
+def _make_gacm(budget: Budget, improved: bool) -> Method:
+    from ..baselines.gacm import STEPS, GacmSingleMaterial
 
-    return LiteralHnf() if budget.epochs is None else LiteralHnf(epochs=budget.epochs)
+    return GacmSingleMaterial(improved, STEPS if budget.steps is None else budget.steps)
+
+
+def _make_published_hnf(budget: Budget) -> Method:
+    from ..baselines.literal import PublishedHnf
+
+    return PublishedHnf() if budget.epochs is None else PublishedHnf(epochs=budget.epochs)

@@ -20,30 +20,30 @@ from ..tactile.optics import SENSORS, Sensor
 from ..units import srgb_to_linear
 from . import polynomial_optics
 from .ball_press import (
-    SATURATED,
+    SATURATION_VALUE,
+    BallPixels,
     Form,
     LinearOptics,
-    Pixels,
-    contact_radius_px,
-    fit_linear,
-    offsets_px,
-    pixels_under,
-    sensor_of,
-    turned,
+    compute_offsets_px,
+    find_contact_radius_px,
+    fit_linear_optics,
+    make_sensor,
+    mount_sensor,
+    select_pixels_under,
 )
 
 Float = NDArray[np.float64]
 
 TILT_EDGES_DEG = (0.0, 15.0, 30.0, 45.0, 90.0)
 REFIT_BINS = 40
-DECODED_ONE_IN = 16
+DECODING_STRIDE = 16
 """Reading a table backwards tries every cell for every pixel."""
 STEEPEST_DEG = 58.0
 """Of the normals that a table is read back to: what the project's own decoding is limited to."""
-FAR_PX = 60.0
-NOMINAL = SENSORS["gelsight"]
+FAR_DISTANCE_PX = 60.0
+NOMINAL_SENSOR = SENSORS["gelsight"]
 GRAZING_DEG = 20.0
-LINEAR: dict[Form, str] = {
+LINEAR_NAMES: dict[Form, str] = {
     "frame": "ours, fitted to frames",
     "difference": "ours, fitted to frame − background",
     "ratio": "ours, fitted to frame / background",
@@ -51,7 +51,7 @@ LINEAR: dict[Form, str] = {
 
 
 @dataclass(frozen=True)
-class Row:
+class OpticsRow:
     """numbers: fitted. rms_codes: error of predicted pixels, code values of 255. angle_deg: mean and median angle
     between true and decoded normal, None where the method does not decode. by_tilt_codes: rms per TILT_EDGES_DEG."""
 
@@ -75,7 +75,7 @@ class BallCheck:
     contact_px: float
     steepest_deg: float
     noise_codes: float
-    rows: tuple[Row, ...]
+    rows: tuple[OpticsRow, ...]
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class TableCheck:
 
 
 @dataclass(frozen=True)
-class _Guess:
+class _Prediction:
     colour: Float
     normal: Float | None
     sample: NDArray[np.bool_]
@@ -102,44 +102,55 @@ def check_presses(presses: BallPresses, published: PolynomialTable | None = None
     too: a floor more than a rival. Raises UsageError for one press, or where they do not span all normals."""
     if len(presses.frames) < 2:
         raise UsageError("one press can be fitted or judged, not both.", remedy="Give more presses.")
-    contact = contact_radius_px(presses)
-    pixels = pixels_under(presses, contact)
-    methods: dict[str, tuple[int, Callable[[Pixels, Pixels], _Guess]]] = {
-        "untouched: the background": (0, lambda fit, judge: _Guess(judge.background, None, _every(judge, 1))),
-        "ours, nominal GelSight as it is": (0, lambda fit, judge: _guess(_mounted(NOMINAL.shading), judge)),
+    contact = find_contact_radius_px(presses)
+    pixels = select_pixels_under(presses, contact)
+    methods: dict[str, tuple[int, Callable[[BallPixels, BallPixels], _Prediction]]] = {
+        "untouched: the background": (
+            0,
+            lambda fit, judge: _Prediction(judge.background, None, _select_every(judge, 1)),
+        ),
+        "ours, nominal GelSight as it is": (
+            0,
+            lambda fit, judge: _predict_linear(_make_mounted_optics(NOMINAL_SENSOR.shading), judge),
+        ),
         "ours, nominal GelSight, turned and exposed as fits best": (
             2,
-            lambda fit, judge: _guess(_best_mount(fit, NOMINAL), judge),
+            lambda fit, judge: _predict_linear(_fit_mount(fit, NOMINAL_SENSOR), judge),
         ),
-        f"the same, its lamps {GRAZING_DEG:g}° above the gel instead of {NOMINAL.elevation_deg:g}°": (2, _grazing),
-        **{name: (12, _linear(form)) for form, name in LINEAR.items()},
-        "the same difference, code values decoded as sRGB first": (12, _decoded_first),
-        "linear in the normal, S a quadratic of the place": (72, _varying),
-        f"polynomials fitted anew ({REFIT_BINS} × {REFIT_BINS} cells)": (REFIT_BINS**2 * 18, _refitted),
+        f"the same, its lamps {GRAZING_DEG:g}° above the gel instead of {NOMINAL_SENSOR.elevation_deg:g}°": (
+            2,
+            _predict_grazing,
+        ),
+        **{name: (12, _make_linear_predictor(form)) for form, name in LINEAR_NAMES.items()},
+        "the same difference, code values decoded as sRGB first": (12, _predict_linearised),
+        "linear in the normal, S a quadratic of the place": (72, _predict_varying),
+        f"polynomials fitted anew ({REFIT_BINS} × {REFIT_BINS} cells)": (REFIT_BINS**2 * 18, _predict_refitted),
     }
     if published is not None:
         bins = len(published.coefficients)
         methods[f"published polynomials ({bins} × {bins} cells; saw every press)"] = (
             published.coefficients.size,
-            lambda fit, judge: _by_table(published, judge),
+            lambda fit, judge: _predict_by_table(published, judge),
         )
-    halves = [pixels.of(pixels.press % 2 == each) for each in (0, 1)]
+    halves = [pixels.select(pixels.press % 2 == each) for each in (0, 1)]
     rows = []
     for name, (numbers, guess) in methods.items():
         judged = [(judge, guess(fit, judge)) for fit, judge in (halves, halves[::-1])]
-        rows.append(_row(name, numbers, judged))
-    far = (presses.frames - presses.background)[np.hypot(*offsets_px(presses)) > FAR_PX]
+        rows.append(_make_row(name, numbers, judged))
+    far = (presses.frames - presses.background)[np.hypot(*compute_offsets_px(presses)) > FAR_DISTANCE_PX]
     return BallCheck(
         presses=len(presses.frames),
         pixels=len(pixels.press),
         contact_px=contact,
         steepest_deg=float(np.degrees(pixels.tilt.max())),
-        noise_codes=255.0 * _rms(far) if far.size else 0.0,
+        noise_codes=255.0 * _compute_rms(far) if far.size else 0.0,
         rows=tuple(rows),
     )
 
 
-def check_table(name: str, table: PolynomialTable, size_px: tuple[int, int], nominal: Sensor = NOMINAL) -> TableCheck:
+def check_table(
+    name: str, table: PolynomialTable, size_px: tuple[int, int], nominal: Sensor = NOMINAL_SENSOR
+) -> TableCheck:
     """size_px: width and height of the frames it was made for. nominal: the project's sensor of that kind. Judged
     at 15 places in the middle 60 %, up to 52°."""
     width, height = size_px
@@ -149,16 +160,19 @@ def check_table(name: str, table: PolynomialTable, size_px: tuple[int, int], nom
     tilt, towards = np.radians(grid[:, 2]), np.radians(grid[:, 3])
     normal = np.stack([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)], axis=1)
     grey = np.full((len(grid), 3), 0.5)
-    bare = Pixels(normal, grey, grey, grid[:, 0], grid[:, 1], np.zeros(len(grid), dtype=np.int64))
-    change = polynomial_optics.change(table, bare)
-    pixels = Pixels(normal, np.minimum(grey + change, 0.97), grey, grid[:, 0], grid[:, 1], bare.press)
-    linear = fit_linear(pixels, "difference").predicted(pixels)
-    mounted = _best_mount(pixels, nominal).predicted(pixels)
-    left = (255.0 * _rms(guess - pixels.colour) for guess in (linear, _varying(pixels, pixels).colour, mounted))
-    return TableCheck(name, 255.0 * _rms(change), *left)
+    bare = BallPixels(normal, grey, grey, grid[:, 0], grid[:, 1], np.zeros(len(grid), dtype=np.int64))
+    change = polynomial_optics.compute_polynomial_change(table, bare)
+    pixels = BallPixels(normal, np.minimum(grey + change, 0.97), grey, grid[:, 0], grid[:, 1], bare.press)
+    linear = fit_linear_optics(pixels, "difference").predict(pixels)
+    mounted = _fit_mount(pixels, nominal).predict(pixels)
+    left = (
+        255.0 * _compute_rms(guess - pixels.colour)
+        for guess in (linear, _predict_varying(pixels, pixels).colour, mounted)
+    )
+    return TableCheck(name, 255.0 * _compute_rms(change), *left)
 
 
-def lamps_of(sensor: Sensor) -> list[tuple[float, float, float]]:
+def get_lamps(sensor: Sensor) -> list[tuple[float, float, float]]:
     """Per channel: azimuth and elevation in degrees of the direction it is lit from, and its strength."""
     out = []
     for x, y, z in sensor.shading:
@@ -167,9 +181,9 @@ def lamps_of(sensor: Sensor) -> list[tuple[float, float, float]]:
     return out
 
 
-def markdown(check: BallCheck) -> str:
+def format_ball_check(check: BallCheck) -> str:
     """Two tables: errors, and errors by how steep the ball is."""
-    names = [f"{low:g}–{min(high, check.steepest_deg):.0f}°" for low, high in _tilt_ranges(check)]
+    names = [f"{low:g}–{min(high, check.steepest_deg):.0f}°" for low, high in _list_tilt_ranges(check)]
     lines = [
         "| | numbers | RMS [codes] | PSNR [dB] | normal, mean (median) |",
         "|---|---:|---:|---:|---:|",
@@ -189,7 +203,7 @@ def markdown(check: BallCheck) -> str:
     return "\n".join(lines) + "\n"
 
 
-def tables_markdown(checks: Sequence[TableCheck]) -> str:
+def format_table_checks(checks: Sequence[TableCheck]) -> str:
     def left(each: TableCheck, codes: float) -> str:
         return f"{codes:.1f} ({100 * codes / each.change_codes:.0f} %)"
 
@@ -205,107 +219,109 @@ def tables_markdown(checks: Sequence[TableCheck]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _linear(form: Form) -> Callable[[Pixels, Pixels], _Guess]:
-    def guess(fit: Pixels, judge: Pixels) -> _Guess:
-        return _guess(fit_linear(fit, form), judge)
+def _make_linear_predictor(form: Form) -> Callable[[BallPixels, BallPixels], _Prediction]:
+    def guess(fit: BallPixels, judge: BallPixels) -> _Prediction:
+        return _predict_linear(fit_linear_optics(fit, form), judge)
 
     return guess
 
 
-def _guess(optics: LinearOptics, judge: Pixels) -> _Guess:
-    return _Guess(optics.predicted(judge), optics.decoded(judge), _every(judge, 1))
+def _predict_linear(optics: LinearOptics, test: BallPixels) -> _Prediction:
+    return _Prediction(optics.predict(test), optics.decode(test), _select_every(test, 1))
 
 
-def _decoded_first(fit: Pixels, judge: Pixels) -> _Guess:
+def _predict_linearised(fit: BallPixels, test: BallPixels) -> _Prediction:
     """Whether a camera's code values should be linearised as a photograph's are."""
 
-    def linear(pixels: Pixels) -> Pixels:
+    def linear(pixels: BallPixels) -> BallPixels:
         return replace(pixels, colour=srgb_to_linear(pixels.colour), background=srgb_to_linear(pixels.background))
 
-    guess = _guess(fit_linear(linear(fit.of((fit.colour < SATURATED).all(axis=1))), "difference"), linear(judge))
+    guess = _predict_linear(
+        fit_linear_optics(linear(fit.select((fit.colour < SATURATION_VALUE).all(axis=1))), "difference"), linear(test)
+    )
     return replace(guess, colour=linear_to_srgb(guess.colour))
 
 
-def _refitted(fit: Pixels, judge: Pixels) -> _Guess:
-    return _by_table(polynomial_optics.fit_table(fit, REFIT_BINS), judge)
+def _predict_refitted(fit: BallPixels, test: BallPixels) -> _Prediction:
+    return _predict_by_table(polynomial_optics.fit_polynomial_table(fit, REFIT_BINS), test)
 
 
-def _by_table(table: PolynomialTable, judge: Pixels) -> _Guess:
-    sample = _every(judge, DECODED_ONE_IN)
-    normal = polynomial_optics.decoded(table, judge.of(sample), np.radians(STEEPEST_DEG))
-    return _Guess(polynomial_optics.predicted(table, judge), normal, sample)
+def _predict_by_table(table: PolynomialTable, test: BallPixels) -> _Prediction:
+    sample = _select_every(test, DECODING_STRIDE)
+    normal = polynomial_optics.decode_polynomial(table, test.select(sample), np.radians(STEEPEST_DEG))
+    return _Prediction(polynomial_optics.predict_polynomial(table, test), normal, sample)
 
 
-def _grazing(fit: Pixels, judge: Pixels) -> _Guess:
-    return _guess(_best_mount(fit, replace(NOMINAL, elevation_deg=GRAZING_DEG)), judge)
+def _predict_grazing(fit: BallPixels, test: BallPixels) -> _Prediction:
+    return _predict_linear(_fit_mount(fit, replace(NOMINAL_SENSOR, elevation_deg=GRAZING_DEG)), test)
 
 
-def _varying(fit: Pixels, judge: Pixels) -> _Guess:
+def _predict_varying(fit: BallPixels, test: BallPixels) -> _Prediction:
     """Near lamps: ambient and S each a quadratic of the place. Not the project's model, but the step beyond it."""
 
-    def terms(pixels: Pixels, scale: Float) -> Float:
+    def terms(pixels: BallPixels, scale: Float) -> Float:
         x, y = pixels.column / scale[0], pixels.row / scale[1]
         return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
     scale = np.array([fit.column.max(), fit.row.max()])
-    light, known = fit.colour - fit.background, fit.colour < SATURATED
+    light, known = fit.colour - fit.background, fit.colour < SATURATION_VALUE
     whole = np.concatenate([fit.normal, np.ones((len(fit.normal), 1))], axis=1)
     columns = (whole[:, :, None] * terms(fit, scale)[:, None, :]).reshape(len(whole), -1)
     solved = [np.linalg.lstsq(columns[good], light[good, k], rcond=None)[0] for k, good in enumerate(known.T)]
-    here = np.einsum("kit,mt->mki", np.reshape(solved, (3, 4, 6)), terms(judge, scale))
+    here = np.einsum("kit,mt->mki", np.reshape(solved, (3, 4, 6)), terms(test, scale))
     shading, ambient = here[:, :, :3], here[:, :, 3]
-    colour = judge.background + np.einsum("mki,mi->mk", shading, judge.normal) + ambient
-    normal = np.linalg.solve(shading, (judge.colour - judge.background - ambient)[:, :, None])[:, :, 0]
+    colour = test.background + np.einsum("mki,mi->mk", shading, test.normal) + ambient
+    normal = np.linalg.solve(shading, (test.colour - test.background - ambient)[:, :, None])[:, :, 0]
     normal *= np.sign(normal[:, 2:]) / np.linalg.norm(normal, axis=1, keepdims=True)
-    return _Guess(np.clip(colour, 0.0, 1.0), normal, _every(judge, 1))
+    return _Prediction(np.clip(colour, 0.0, 1.0), normal, _select_every(test, 1))
 
 
-def _mounted(shading: Float) -> LinearOptics:
+def _make_mounted_optics(shading: Float) -> LinearOptics:
     """A sensor's S as a change against a real background: 0 on the flat gel."""
-    return LinearOptics(sensor_of(shading, -shading[:, 2]), "difference")
+    return LinearOptics(make_sensor(shading, -shading[:, 2]), "difference")
 
 
-def _best_mount(pixels: Pixels, sensor: Sensor) -> LinearOptics:
+def _fit_mount(pixels: BallPixels, sensor: Sensor) -> LinearOptics:
     """A nominal sensor turned (steps of 5°), mirrored, its channels ordered and its camera exposed as fits best."""
-    few = pixels.of(_every(pixels, max(1, len(pixels.press) // 2000)))
+    few = pixels.select(_select_every(pixels, max(1, len(pixels.press) // 2000)))
     tilted, change = few.normal - [0.0, 0.0, 1.0], few.colour - few.background
     best, least = sensor.shading, np.inf
     for angle, mirrored, order in product(np.arange(0.0, 360.0, 5.0), (False, True), permutations(range(3))):
-        shading = turned(sensor, float(np.radians(angle)), mirrored, order).shading
+        shading = mount_sensor(sensor, float(np.radians(angle)), mirrored, order).shading
         light = tilted @ shading.T
         exposure = max(0.0, float(np.sum(light * change) / np.sum(light * light)))
-        error = _rms(exposure * light - change)
+        error = _compute_rms(exposure * light - change)
         if error < least:
             best, least = exposure * shading, error
-    return _mounted(best)
+    return _make_mounted_optics(best)
 
 
-def _every(pixels: Pixels, step: int) -> NDArray[np.bool_]:
+def _select_every(pixels: BallPixels, step: int) -> NDArray[np.bool_]:
     return np.asarray(np.arange(len(pixels.press)) % step == 0)
 
 
-def _row(name: str, numbers: int, judged: Sequence[tuple[Pixels, _Guess]]) -> Row:
-    error = np.concatenate([guess.colour - pixels.colour for pixels, guess in judged])
-    tilt = np.degrees(np.concatenate([pixels.tilt for pixels, _ in judged]))
+def _make_row(name: str, numbers: int, results: Sequence[tuple[BallPixels, _Prediction]]) -> OpticsRow:
+    error = np.concatenate([guess.colour - pixels.colour for pixels, guess in results])
+    tilt = np.degrees(np.concatenate([pixels.tilt for pixels, _ in results]))
     bins = [error[(tilt >= low) & (tilt < high)] for low, high in pairwise(TILT_EDGES_DEG)]
     angles = [
         np.arccos(np.clip(np.sum(guess.normal * pixels.normal[guess.sample], axis=1), -1.0, 1.0))
-        for pixels, guess in judged
+        for pixels, guess in results
         if guess.normal is not None
     ]
     angle = np.degrees(np.concatenate(angles)) if angles else np.zeros(0)
-    return Row(
+    return OpticsRow(
         name=name,
         numbers=numbers,
-        rms_codes=255.0 * _rms(error),
+        rms_codes=255.0 * _compute_rms(error),
         angle_deg=(float(angle.mean()), float(np.median(angle))) if angles else None,
-        by_tilt_codes=tuple(255.0 * _rms(each) if each.size else 0.0 for each in bins),
+        by_tilt_codes=tuple(255.0 * _compute_rms(each) if each.size else 0.0 for each in bins),
     )
 
 
-def _tilt_ranges(check: BallCheck) -> list[tuple[float, float]]:
+def _list_tilt_ranges(check: BallCheck) -> list[tuple[float, float]]:
     return [(low, high) for low, high in pairwise(TILT_EDGES_DEG) if low < check.steepest_deg]
 
 
-def _rms(values: Float) -> float:
+def _compute_rms(values: Float) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

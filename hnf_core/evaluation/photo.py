@@ -18,19 +18,27 @@ from ..datasets.dataset import DataSet
 from ..errors import FileError
 from ..field.field import Field
 from ..material.encoder import describe
-from ..material.mechanics import UNKNOWN
+from ..material.mechanics import UNKNOWN_MECHANICS
 from ..material.token import LEVELS, SMOOTH_LEVEL
 from ..tactile.height import tactile_map_from_height
-from .held_out import BAND, Known, category_mean, distance_db, expected, long_run, nearest_token
-from .report import Extra
+from .held_out import (
+    COUNTED_BINS,
+    KnownMaterial,
+    compute_category_mean,
+    compute_distance_db,
+    find_nearest_token,
+    measure_long_run,
+    predict_spectrum,
+)
+from .report import ExtraTable
 
 Float = NDArray[np.float64]
 
 PIXELS_PER_MM = 15.0
 PATCH_MM = 20.0
-GREY_M = 1e-5
+GREY_HEIGHT_M = 1e-5
 """Height of the whole grey scale before the factor: where its search begins."""
-FACTORS = np.linspace(-2.5, 2.0, 19)
+LOG_FACTORS = np.linspace(-2.5, 2.0, 19)
 """log10 of the factors tried for each texture, read linearly between."""
 CATEGORIES = {
     "wood": ("wood", "cork", "plywood", "mdf", "balsa"),
@@ -47,13 +55,13 @@ CATEGORIES = {
 }  # fmt: skip
 
 
-def category_of(name: str) -> str:
+def find_category(name: str) -> str:
     """By words in a texture's name (paper before its grit: sandpaper is paper, as in the toolkit); "" = none fits."""
     plain = name.lower().replace("_", " ")
     return next((category for category, words in CATEGORIES.items() if any(word in plain for word in words)), "")
 
 
-def token_of_photo(path: Path) -> NDArray[np.float32]:
+def describe_photo(path: Path) -> NDArray[np.float32]:
     """Token of the middle 20 mm of a square photograph of 15 pixels/mm, height = GREY_M × grey level.
 
     Raises FileError where the picture cannot be read or is too small.
@@ -71,11 +79,11 @@ def token_of_photo(path: Path) -> NDArray[np.float32]:
     side = min(round(PATCH_MM * PIXELS_PER_MM), *grey.shape)
     row, column = (grey.shape[0] - side) // 2, (grey.shape[1] - side) // 2
     pitch = 1e-3 / PIXELS_PER_MM
-    height = GREY_M / top * grey[row : row + side, column : column + side]
+    height = GREY_HEIGHT_M / top * grey[row : row + side, column : column + side]
     return describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch)).values
 
 
-def scaled(token: NDArray[np.float32], decades: float) -> NDArray[np.float32]:
+def scale_token(token: NDArray[np.float32], decades: float) -> NDArray[np.float32]:
     """The token of a surface 10^decades times as high. Waves too short for the photograph (133 µm) go on with the slope
     of the resolved ones, as those of a self-affine surface do."""
     out = token.copy()
@@ -91,36 +99,38 @@ def scaled(token: NDArray[np.float32], decades: float) -> NDArray[np.float32]:
     return out
 
 
-def textures(data: DataSet, action: Action, draws: int, seed: int) -> list[Known]:
+def load_textures(data: DataSet, action: Action, draws: int, seed: int) -> list[KnownMaterial]:
     """Every texture that has both a process and a photograph. The action must suit all of them."""
     out = []
     for name in data.materials:
         image, process = data.image(name), data.process(name)
         if image is not None and process is not None:
-            density = long_run(process, action, draws, seed)
-            out.append(Known(name, category_of(name), token_of_photo(image), UNKNOWN, density))
+            density = measure_long_run(process, action, draws, seed)
+            out.append(KnownMaterial(name, find_category(name), describe_photo(image), UNKNOWN_MECHANICS, density))
     return out
 
 
-def best_decades(field: Field, one: Known, action: Action) -> float:
+def fit_height_decades(field: Field, material: KnownMaterial, action: Action) -> float:
     """log10 of the factor with which the field's power in 10–1000 Hz is the recorded one."""
-    levels = np.log([max(_power(field, one, action, float(each)), 1e-30) for each in FACTORS])
-    return float(np.interp(np.log(float(one.density[BAND].sum())), np.maximum.accumulate(levels), FACTORS))
+    levels = np.log([max(_predict_power(field, material, action, float(each)), 1e-30) for each in LOG_FACTORS])
+    return float(
+        np.interp(np.log(float(material.density[COUNTED_BINS].sum())), np.maximum.accumulate(levels), LOG_FACTORS)
+    )
 
 
-def photo_table(field: Field, known: Sequence[Known], action: Action) -> Extra:
+def make_photo_table(field: Field, known: Sequence[KnownMaterial], action: Action) -> ExtraTable:
     """Leave one out: distance in dB of the field from the photo's token, the category mean and the nearest photo."""
-    decades = np.array([best_decades(field, one, action) for one in known])
+    decades = np.array([fit_height_decades(field, one, action) for one in known])
     rows, figures = [], []
     for index, one in enumerate(known):
         others = [each for each in known if each is not one]
         left_out = float(np.delete(decades, index).mean())
-        mean, what = category_mean(one, others)
-        near = nearest_token(one, others)
+        mean, what = compute_category_mean(one, others)
+        near = find_nearest_token(one, others)
         values = (
-            distance_db(expected(field, _with_scale(one, left_out), action), one.density),
-            distance_db(mean, one.density),
-            distance_db(near.density, one.density),
+            compute_distance_db(predict_spectrum(field, _scale_material(one, left_out), action), one.density),
+            compute_distance_db(mean, one.density),
+            compute_distance_db(near.density, one.density),
         )
         figures.append({"texture": one.name, "photo_token_field_db": values[0], "category_mean_db": values[1],
                         "nearest_photo_db": values[2], "category": what, "nearest": near.name})  # fmt: skip
@@ -128,7 +138,7 @@ def photo_table(field: Field, known: Sequence[Known], action: Action) -> Extra:
     keys = ("photo_token_field_db", "category_mean_db", "nearest_photo_db")
     medians = [float(np.median([entry[key] for entry in figures])) for key in keys]
     rows.append(("median", *(f"{value:.2f}" for value in medians), "", ""))
-    return Extra(
+    return ExtraTable(
         "photos",
         "(d) HaTT: photo → token → spectrum, leaving one out [dB]",
         "Reported, not gated. Grey level stands for height, with one factor for all from the other textures; the "
@@ -140,9 +150,11 @@ def photo_table(field: Field, known: Sequence[Known], action: Action) -> Extra:
     )
 
 
-def _with_scale(one: Known, decades: float) -> Known:
-    return Known(one.name, one.category, scaled(one.token, decades), one.mechanics, one.density)
+def _scale_material(material: KnownMaterial, decades: float) -> KnownMaterial:
+    return KnownMaterial(
+        material.name, material.category, scale_token(material.token, decades), material.mechanics, material.density
+    )
 
 
-def _power(field: Field, one: Known, action: Action, decades: float) -> float:
-    return float(expected(field, _with_scale(one, decades), action).sum())
+def _predict_power(field: Field, material: KnownMaterial, action: Action, decades: float) -> float:
+    return float(predict_spectrum(field, _scale_material(material, decades), action).sum())

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..datasets.recording import Process
-from ..metrics.limits import REALISATIONS, Limits, limits_of
+from ..datasets.recording import TextureProcess
+from ..metrics.limits import REALISATION_COUNT, MetricBounds, compute_bounds
 from ..metrics.magnitudes import window_magnitudes
-from ..metrics.spectra import WINDOW, welch
+from ..metrics.spectra import WINDOW_SAMPLES, welch
 
 Float = NDArray[np.float64]
 
 RATE_HZ = 10_000.0
-FREQUENCY_HZ = np.fft.rfftfreq(WINDOW, 1.0 / RATE_HZ)
-OFFSETS = (0, 250, 500, 750)
+FREQUENCY_HZ = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / RATE_HZ)
+WINDOW_OFFSETS = (0, 250, 500, 750)
 """Window offsets at which expected-magnitude forms are tried: a natural form does not care."""
 
 
@@ -47,20 +47,24 @@ class Reference:
         return np.asarray(np.mean([welch(each, RATE_HZ)[1] for each in self.draws], axis=0))
 
     @cached_property
-    def limits(self) -> tuple[Limits, ...]:
+    def limits(self) -> tuple[MetricBounds, ...]:
         """One for each window offset of OFFSETS."""
-        return tuple(limits_of([window_magnitudes(each[offset:]) for each in self.draws]) for offset in OFFSETS)
+        return tuple(
+            compute_bounds([window_magnitudes(each[offset:]) for each in self.draws]) for offset in WINDOW_OFFSETS
+        )
 
 
-def references(
-    process: Process, strokes: Sequence[tuple[str, Action]], seed: int, realisations: int, renders: int
+def make_references(
+    process: TextureProcess, strokes: Sequence[tuple[str, Action]], seed: int, realisations: int, renders: int
 ) -> list[Reference]:
     """One Reference per named stroke, all equally long. Two seeds for the draws (one for few), another for the oracle:
     none stands on a single piece of surface."""
     actions = [action for _, action in strokes]
-    half = -(-realisations // 2) if realisations >= REALISATIONS else realisations
-    drawn = [_record(process, actions, 3 * seed + part, count) for part, count in ((0, half), (1, realisations - half))]
-    oracle = _record(process, actions, 3 * seed + 2, renders)
+    half = -(-realisations // 2) if realisations >= REALISATION_COUNT else realisations
+    drawn = [
+        _record_draws(process, actions, 3 * seed + part, count) for part, count in ((0, half), (1, realisations - half))
+    ]
+    oracle = _record_draws(process, actions, 3 * seed + 2, renders)
     return [
         Reference(
             process.name,
@@ -73,7 +77,7 @@ def references(
     ]
 
 
-def _record(process: Process, actions: Sequence[Action], seed: int, times: int) -> list[Float]:
+def _record_draws(process: TextureProcess, actions: Sequence[Action], seed: int, times: int) -> list[Float]:
     """(times, n) per action, all in one call: the simulator's cost is by the call."""
     if times == 0:
         return [np.zeros((0, 0))] * len(actions)

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..baselines.method import Form
-from .score import METRICS, Score
+from .score import METRIC_NAMES, Score
 
 Float = NDArray[np.float64]
 
 SCHEMA = 1
-ORACLE, BEST = "oracle: the true process, another seed", "best: the true process's mean magnitude"
+ORACLE_NAME, BEST_NAME = "oracle: the true process, another seed", "best: the true process's mean magnitude"
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Extra:
+class ExtraTable:
     """A table of its own: header, rows of text, and the figures behind it. note: how to read it."""
 
     key: str
@@ -67,7 +67,7 @@ class Report:
 
     settings: dict[str, Any]
     columns: tuple[Column, ...]
-    extras: tuple[Extra, ...] = ()
+    extras: tuple[ExtraTable, ...] = ()
     notes: tuple[str, ...] = ()
     timings: dict[str, float] = field(default_factory=dict)
 
@@ -87,7 +87,7 @@ class Report:
                             "method": row.name,
                             "form": row.form,
                             "seconds": round(row.seconds, 2),
-                            "summary": summary(row.cells),
+                            "summary": summarise(row.cells),
                             "cells": [
                                 {"material": cell.material, "stroke": cell.stroke, **cell.score.values()}
                                 for cell in row.cells
@@ -107,10 +107,10 @@ class Report:
         }
 
 
-def summary(cells: Sequence[Cell]) -> dict[str, dict[str, float]]:
+def summarise(cells: Sequence[Cell]) -> dict[str, dict[str, float]]:
     """Metric → median, mean, min, max and count over the cells that have it."""
     out = {}
-    for name in METRICS:
+    for name in METRIC_NAMES:
         values = [value for cell in cells if (value := cell.score.values()[name]) is not None]
         if values:
             out[name] = {

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..action.smooth import steady_action, wandering_action
+from ..action.smooth import make_random_smooth_action, make_steady_action
 from ..datasets.catalogue import open_dataset
 from ..datasets.dataset import DataSet
 from ..datasets.simulated import SimulatedLibrary
@@ -21,20 +21,20 @@ from ..errors import MaterialError
 from ..field.field import Field
 from ..field.weights import HELD_OUT_WEIGHTS, load_field
 from ..files import write_text
-from .extras import direction_table, sensor_table
-from .held_out import held_out_names, held_out_table, known_material
-from .jobs import Done, Job, run_jobs
-from .materials import Sizes, column
-from .methods import Budget, chosen
-from .photo import photo_table, textures
-from .pictures import directions_picture, spectra_picture
-from .report import Column, Extra, Report
-from .tables import markdown
+from .extras import make_direction_table, make_sensor_table
+from .held_out import find_held_out_names, make_held_out_table, measure_known_material
+from .jobs import EvaluationJob, JobResult, run_jobs
+from .materials import EvaluationSizes, make_column
+from .methods import Budget, select_entries
+from .photo import load_textures, make_photo_table
+from .pictures import plot_directions, plot_spectra
+from .report import Column, ExtraTable, Report
+from .tables import format_report
 
-SIMULATED = ("sandstone", "denim", "brushed-metal")
+SIMULATED_MATERIALS = ("sandstone", "denim", "brushed-metal")
 """Rough, woven, and the one whose directions are pictured."""
-HATT = ("ABS Plastic", "Brick 1", "Cork")
-QUICK = Sizes(2.0, 8, 1, 20.0, 1, 1, 3, 6)
+HATT_MATERIALS = ("ABS Plastic", "Brick 1", "Cork")
+QUICK_SIZES = EvaluationSizes(2.0, 8, 1, 20.0, 1, 1, 3, 6)
 HELD_OUT_DRAWS, KNOWN_DRAWS = 12, 2
 """Realisations behind a long-run spectrum of (c): 48 s of a class that is asked about, 8 s of a stand-in."""
 PHOTO_STROKE = (0.1, 1.0)
@@ -42,54 +42,58 @@ PHOTO_STROKE = (0.1, 1.0)
 
 
 @dataclass(frozen=True)
-class Options:
+class EvaluationOptions:
     """keys: of methods, None = all. hatt: folder of the user's copy, or None. weights: of the shared field, None = the
     shipped ones."""
 
     out: Path
-    sizes: Sizes = default(default_factory=Sizes)
+    sizes: EvaluationSizes = default(default_factory=EvaluationSizes)
     budget: Budget = default(default_factory=Budget)
     keys: tuple[str, ...] | None = None
     hatt: Path | None = None
     seed: int = 0
     workers: int = 2
-    simulated: tuple[str, ...] = SIMULATED
+    simulated: tuple[str, ...] = SIMULATED_MATERIALS
 
 
-def run_evaluation(options: Options, watch: Callable[[str], None] = lambda _: None) -> Report:
+def run_evaluation(options: EvaluationOptions, watch: Callable[[str], None] = lambda _: None) -> Report:
     """Evaluate, and write eval.md, eval.json and pictures under options.out. Raises HnfError for what a person can act
     on: unknown methods, a folder without textures, weights that cannot be read."""
-    entries = chosen(options.keys)
+    entries = select_entries(options.keys)
     hatt = None if options.hatt is None else open_dataset("hatt", options.hatt)
     field = load_field(options.budget.weights)
     timings: dict[str, float] = {}
-    with _timed(timings, "materials"):
-        done = list(run_jobs(_jobs(options, hatt), options.workers, watch))
+    with _Timer(timings, "materials"):
+        done = list(run_jobs(_make_jobs(options, hatt), options.workers, watch))
     simulated = [each for each in done if each.job.kind == "simulated"]
     recorded = [each for each in done if each.job.kind == "hatt"]
-    notes = [note for each in done for note in each.judged.notes]
-    columns = _columns(options, simulated, recorded)
-    extras = [sensor_table(simulated)] if any(each.sensors for each in simulated) else []
-    extras += [direction_table(each.directions, _names(columns)) for each in simulated if each.directions is not None]
-    with _timed(timings, "held-out classes"):
+    notes = [note for each in done for note in each.result.notes]
+    columns = _make_columns(options, simulated, recorded)
+    extras = [make_sensor_table(simulated)] if any(each.sensors for each in simulated) else []
+    extras += [
+        make_direction_table(each.directions, _collect_names(columns))
+        for each in simulated
+        if each.directions is not None
+    ]
+    with _Timer(timings, "held-out classes"):
         watch("held-out classes")
-        held = _held_out(options, None if options.budget.weights is None else field)
+        held = _make_held_out_table(options, None if options.budget.weights is None else field)
         notes += [held] if isinstance(held, str) else []
-        extras += [held] if isinstance(held, Extra) else []
+        extras += [held] if isinstance(held, ExtraTable) else []
     if hatt is None:
         notes.append("(d) HaTT: no folder was given (--hatt DIR).")
     else:
-        with _timed(timings, "photographs"):
+        with _Timer(timings, "photographs"):
             watch("photographs")
-            extras.append(_photos(hatt, field, options))
+            extras.append(_make_photo_table(hatt, field, options))
     settings = {**asdict(options.sizes), "seed": options.seed, "field": field.identity,
                 "methods": " ".join(entry.key for entry in entries)}  # fmt: skip
     report = Report(settings, tuple(columns), tuple(extras), tuple(notes), timings)
-    _write(report, done, options.out)
+    _write_report(report, done, options.out)
     return report
 
 
-class _timed:  # noqa: N801
+class _Timer:
     def __init__(self, timings: dict[str, float], name: str) -> None:
         self._timings, self._name, self._began = timings, name, time.monotonic()
 
@@ -99,18 +103,18 @@ class _timed:  # noqa: N801
         self._timings[self._name] = time.monotonic() - self._began
 
 
-def _jobs(options: Options, hatt: DataSet | None) -> list[Job]:
-    keys = tuple(entry.key for entry in chosen(options.keys))
+def _make_jobs(options: EvaluationOptions, hatt: DataSet | None) -> list[EvaluationJob]:
+    keys = tuple(entry.key for entry in select_entries(options.keys))
 
-    def job(kind: str, name: str, place: int, directions: bool = False) -> Job:
-        return Job(
+    def job(kind: str, name: str, place: int, directions: bool = False) -> EvaluationJob:
+        return EvaluationJob(
             kind, name, options.hatt, place, keys, options.sizes, options.budget, options.seed + 10 * place, directions
         )
 
     names = options.simulated[-options.sizes.simulated :]
     jobs = [job("simulated", name, place, name == names[-1]) for place, name in enumerate(names)]
     if hatt is not None:
-        known = [name for name in HATT if name in hatt.materials]
+        known = [name for name in HATT_MATERIALS if name in hatt.materials]
         rest = [name for name in hatt.materials if name not in known]
         jobs += [
             job("hatt", name, len(jobs) + place) for place, name in enumerate([*known, *rest][: options.sizes.hatt])
@@ -118,13 +122,17 @@ def _jobs(options: Options, hatt: DataSet | None) -> list[Job]:
     return jobs
 
 
-def _columns(options: Options, simulated: Sequence[Done], recorded: Sequence[Done]) -> list[Column]:
-    keys = tuple(entry.key for entry in chosen(options.keys))
+def _make_columns(
+    options: EvaluationOptions, simulated: Sequence[JobResult], recorded: Sequence[JobResult]
+) -> list[Column]:
+    keys = tuple(entry.key for entry in select_entries(options.keys))
 
-    def make(key: str, title: str, what: str, kinds: Sequence[str], done: Sequence[Done]) -> Column:
+    def make(key: str, title: str, what: str, kinds: Sequence[str], done: Sequence[JobResult]) -> Column:
         names = ", ".join(each.job.name for each in done)
         note = f"{names}. {what} Methods learned from {options.sizes.training_s:g} s of each material."
-        return column(key, title, note, kinds, [each.judged for each in done], chosen(keys), options.budget)
+        return make_column(
+            key, title, note, kinds, [each.result for each in done], select_entries(keys), options.budget
+        )
 
     out = []
     if simulated:
@@ -142,22 +150,22 @@ def _columns(options: Options, simulated: Sequence[Done], recorded: Sequence[Don
     return out
 
 
-def _held_out(options: Options, field: Field | None) -> Extra | str:
+def _make_held_out_table(options: EvaluationOptions, field: Field | None) -> ExtraTable | str:
     """field: the user's own weights; None = those shipped for this."""
     if field is None:
         if not HELD_OUT_WEIGHTS.is_file():
             return f"(c) Held-out classes: {HELD_OUT_WEIGHTS.name} is not part of the Blender extension."
         field = load_field(HELD_OUT_WEIGHTS)
     library = SimulatedLibrary()
-    names = held_out_names(field, library.materials)[: options.sizes.held_out]
+    names = find_held_out_names(field, library.materials)[: options.sizes.held_out]
     if len(names) < 2:
         return (
             "(c) Held-out classes: the weights name no classes that were kept from training "
             '(metadata "held_out", a JSON list). Without --weights, the field that was trained so is asked.'
         )
-    kept_away = set(held_out_names(field, library.materials))
+    kept_away = set(find_held_out_names(field, library.materials))
     limits = library.action_range(names[0])
-    action = wandering_action(
+    action = make_random_smooth_action(
         options.sizes.seconds, 4242 + options.seed, speed_m_s=limits.speed_m_s, force_n=limits.force_n
     )
     sizes = options.sizes
@@ -165,53 +173,58 @@ def _held_out(options: Options, field: Field | None) -> Extra | str:
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
         held = [
             pool.submit(
-                known_material, name, action, min(sizes.realisations, HELD_OUT_DRAWS), sizes.renders, options.seed
+                measure_known_material,
+                name,
+                action,
+                min(sizes.realisations, HELD_OUT_DRAWS),
+                sizes.renders,
+                options.seed,
             )
             for name in names
         ]
-        trained = [pool.submit(known_material, name, action, KNOWN_DRAWS, 0, options.seed) for name in others]
-        return held_out_table(
+        trained = [pool.submit(measure_known_material, name, action, KNOWN_DRAWS, 0, options.seed) for name in others]
+        return make_held_out_table(
             field, action, [each.result() for each in held], [each.result() for each in trained], options.seed
         )
 
 
-def _photos(hatt: DataSet, field: Field, options: Options) -> Extra:
-    known = textures(hatt, steady_action(options.sizes.seconds, *PHOTO_STROKE), 8, options.seed)
+def _make_photo_table(hatt: DataSet, field: Field, options: EvaluationOptions) -> ExtraTable:
+    known = load_textures(hatt, make_steady_action(options.sizes.seconds, *PHOTO_STROKE), 8, options.seed)
     if len(known) < 3:
         raise MaterialError(
             f"{len(known)} textures with a photograph.", where=str(options.hatt), remedy="Give the toolkit's folder."
         )
-    return photo_table(field, known, steady_action(1.0, *PHOTO_STROKE))
+    return make_photo_table(field, known, make_steady_action(1.0, *PHOTO_STROKE))
 
 
-def _names(columns: Sequence[Column]) -> dict[str, str]:
+def _collect_names(columns: Sequence[Column]) -> dict[str, str]:
     return {row.key: row.name for found in columns for row in found.rows if row.form == "natural"}
 
 
-def _write(report: Report, done: Sequence[Done], out: Path) -> None:
-    names = _names(report.columns)
+def _write_report(report: Report, done: Sequence[JobResult], out: Path) -> None:
+    names = _collect_names(report.columns)
     names.pop("oracle", None)
-    lines = [markdown(report), "## Pictures", ""]
+    lines = [format_report(report), "## Pictures", ""]
     for kind, key, title in (
         ("window", "simulated", "Simulated, held-out windows"),
         ("unseen", "simulated", "Simulated, unseen kinds of stroke"),
         ("unseen", "hatt", "HaTT, unseen kinds of stroke"),
     ):
-        judged = [each.judged for each in done if each.job.kind == key]
+        judged = [each.result for each in done if each.job.kind == key]
         if judged:
             picture = out / f"spectra-{key}-{kind}.png"
-            spectra_picture(picture, judged, kind, names, title)
+            plot_spectra(picture, judged, kind, names, title)
             lines += [f"![{title}]({picture.name})", ""]
     for each in done:
         if each.directions is not None:
             picture = out / f"directions-{each.job.name}.png"
-            directions_picture(picture, each.directions, names)
+            plot_directions(picture, each.directions, names)
             lines += [f"![By direction]({picture.name})", ""]
-    write_text(out / "eval.json", json.dumps(report.to_json(), indent=1, default=_plain) + "\n")
+    write_text(out / "eval.json", json.dumps(report.to_json(), indent=1, default=_to_json_value) + "\n")
     write_text(out / "eval.md", "\n".join(lines))
 
 
-def _plain(value: object) -> object:
+def _to_json_value(value: object) -> object:
     if isinstance(value, np.generic):
         return value.item()
     return str(value)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..baselines.method import Form
-from .report import Column, Extra, Report, Row, summary
+from .report import Column, ExtraTable, Report, Row, summarise
 
-METRIC_WORDS = {
+METRIC_LABELS = {
     "distance_db": "average spectrum [dB]",
     "power_bias_db": "power bias [dB]",
     "nine_band_db": "nine bands [dB]",
@@ -25,10 +25,10 @@ METRIC_WORDS = {
     "spqi": "SPQI",
     "repetition": "repetition",
 }
-DIGITS = {"power_bias_db": "+.2f", "mse": ".4g", "lsd_db": ".1f", "lsd_log10": ".2f", "gfc": ".3f", "st_sim_tum": ".3f",
+NUMBER_FORMATS = {"power_bias_db": "+.2f", "mse": ".4g", "lsd_db": ".1f", "lsd_log10": ".2f", "gfc": ".3f", "st_sim_tum": ".3f",
           "st_sim_cosine": ".3f", "spqi": ".3f"}  # fmt: skip
 NATURAL_ONLY = ("distance_db", "power_bias_db", "nine_band_db", "repetition")
-FORMS: tuple[tuple[Form, str], ...] = (
+FORM_TITLES: tuple[tuple[Form, str], ...] = (
     ("natural", "Natural forms: signals to feel"),
     ("expected magnitude", "Expected-magnitude forms: for benchmarks, compared with each other only"),
 )
@@ -40,35 +40,35 @@ LEGEND = (
 )
 
 
-def markdown(report: Report) -> str:
+def format_report(report: Report) -> str:
     """The whole report."""
-    lines = ["# Evaluation", "", LEGEND, "", _settings(report), ""]
-    lines += _overview(report.columns)
+    lines = ["# Evaluation", "", LEGEND, "", _format_settings(report), ""]
+    lines += _format_overview(report.columns)
     for column in report.columns:
         lines += [f"## {column.title}", "", column.note, ""]
-        for form, words in FORMS:
+        for form, words in FORM_TITLES:
             rows = [row for row in column.rows if row.form == form]
             if rows:
-                lines += [f"**{words}**", "", *_column_table(rows, form), ""]
+                lines += [f"**{words}**", "", *_format_column(rows, form), ""]
     for extra in report.extras:
-        lines += [f"## {extra.title}", "", extra.note, "", *_extra_table(extra), ""]
+        lines += [f"## {extra.title}", "", extra.note, "", *_format_extra(extra), ""]
     if report.notes:
         lines += ["## Left out", "", *[f"* {note}" for note in report.notes], ""]
     lines += ["Seconds: " + ", ".join(f"{name} {seconds:.0f}" for name, seconds in report.timings.items()), ""]
     return "\n".join(lines)
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a Markdown table; the first column is text, the others are set to the right."""
     marks = ["---"] + ["---:"] * (len(header) - 1)
     return ["| " + " | ".join(each) + " |" for each in (header, marks, *rows)]
 
 
-def _settings(report: Report) -> str:
+def _format_settings(report: Report) -> str:
     return "Settings: " + ", ".join(f"{name} {value}" for name, value in report.settings.items()) + "."
 
 
-def _overview(columns: Sequence[Column]) -> list[str]:
+def _format_overview(columns: Sequence[Column]) -> list[str]:
     """Methods by columns: the average-spectrum distance, and the MSE over the oracle's."""
     names = list(dict.fromkeys(row.name for column in columns for row in column.rows if row.form == "natural"))
     rows = []
@@ -76,7 +76,7 @@ def _overview(columns: Sequence[Column]) -> list[str]:
         cells = [name]
         for column in columns:
             row = next((row for row in column.rows if row.name == name and row.form == "natural"), None)
-            found = summary(row.cells) if row else {}
+            found = summarise(row.cells) if row else {}
             cells.append(
                 f"{found['distance_db']['median']:.2f} dB, {found['mse_oracle']['mean']:.2f}×" if found else "–"
             )
@@ -84,24 +84,24 @@ def _overview(columns: Sequence[Column]) -> list[str]:
     if not rows:
         return []
     header = ["average spectrum, MSE / oracle", *(column.title for column in columns)]
-    return ["## Overview, natural forms", "", *table(header, rows), ""]
+    return ["## Overview, natural forms", "", *format_table(header, rows), ""]
 
 
-def _column_table(rows: Sequence[Row], form: Form) -> list[str]:
-    metrics = [name for name in METRIC_WORDS if form == "natural" or name not in NATURAL_ONLY]
+def _format_column(rows: Sequence[Row], form: Form) -> list[str]:
+    metrics = [name for name in METRIC_LABELS if form == "natural" or name not in NATURAL_ONLY]
     body = []
     for row in rows:
-        found = summary(row.cells)
-        body.append([row.name, str(len(row.cells)), *(_number(name, found) for name in metrics)])
-    return table(["method", "strokes", *(METRIC_WORDS[name] for name in metrics)], body)
+        found = summarise(row.cells)
+        body.append([row.name, str(len(row.cells)), *(_format_number(name, found) for name in metrics)])
+    return format_table(["method", "strokes", *(METRIC_LABELS[name] for name in metrics)], body)
 
 
-def _number(name: str, found: dict[str, dict[str, float]]) -> str:
+def _format_number(name: str, found: dict[str, dict[str, float]]) -> str:
     if name not in found:
         return "–"
     value = found[name]["mean" if name == "power_bias_db" else "median"]
-    return format(value, DIGITS.get(name, ".2f")) if np.isfinite(value) else "–"
+    return format(value, NUMBER_FORMATS.get(name, ".2f")) if np.isfinite(value) else "–"
 
 
-def _extra_table(extra: Extra) -> list[str]:
-    return table(extra.header, extra.rows)
+def _format_extra(extra: ExtraTable) -> list[str]:
+    return format_table(extra.header, extra.rows)

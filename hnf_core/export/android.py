@@ -17,42 +17,42 @@ import numpy as np
 
 from ..errors import FileError
 from ..signal import Signal
-from .envelope import Envelope, envelope_of
-from .json_files import Reading, read_json, write_json
+from .envelope import Envelope, compute_envelope
+from .json_files import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
-from .origin import Origin, origin_of, origin_record, rendered_facts
-from .shares import clipped_words
-from .tone import render
+from .origin import Provenance, make_provenance_record, make_rendered_provenance, parse_provenance
+from .shares import format_clipped
+from .tone import render_envelope
 
-LARGEST = 255
+MAX_AMPLITUDE = 255
 STEP_MS = 10
 """A choice of ours: Android takes any whole number of milliseconds."""
-LONGEST_MS = 10_000_000
+MAX_TIMING_MS = 10_000_000
 DROPPED = (
     "The waveform and every frequency: strength over time is kept, and a device plays it at its own resonance.",
-    f"Loudness that changes within {STEP_MS} ms, and steps finer than 1/{LARGEST} of full scale.",
+    f"Loudness that changes within {STEP_MS} ms, and steps finer than 1/{MAX_AMPLITUDE} of full scale.",
 )
 
 
 def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
     """What was left out. Raises FileError where a sample is not finite, the disk refuses, or the signal is shorter than
     a millisecond, which Android does not play."""
-    envelope = envelope_of(signal, options.range_hz, clicks=False, where=str(path))
-    timings, amplitudes, clipped = steps(envelope, options.full_scale_m_s2)
+    envelope = compute_envelope(signal, options.range_hz, separate_clicks=False, where=str(path))
+    timings, amplitudes, clipped = encode_steps(envelope, options.full_scale_m_s2)
     if not timings:
         raise FileError("shorter than 1 ms, which Android does not play.", where=str(path), remedy="Write WAV instead.")
-    centre = float(np.clip(centre_of(envelope), *options.range_hz))
+    centre = float(np.clip(compute_centre_frequency(envelope), *options.range_hz))
     record = {
         "timings": timings,
         "amplitudes": amplitudes,
         "repeat": -1,
-        "metadata": {**origin_record(signal, options), "frequency_hz": centre},
+        "metadata": {**make_provenance_record(signal, options), "frequency_hz": centre},
     }
     write_json(path, record)
-    return DROPPED + clipped_words(clipped, options)
+    return DROPPED + format_clipped(clipped, options)
 
 
-def steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int], list[int], int]:
+def encode_steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int], list[int], int]:
     """Timings [ms], amplitudes 0 … 255, each a step's root mean square, and how many steps exceeded full scale. Equal
     neighbours are one step."""
     whole = round(1000.0 * envelope.duration_s)
@@ -61,7 +61,7 @@ def steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int], list[i
     power = np.square(np.interp(1e-3 * fine, envelope.time, envelope.amplitude))
     level = np.sqrt([power[first:last].mean() for first, last in pairwise(edges)])
     share = np.round(level / full_scale_m_s2, 12)
-    counts = np.minimum(np.rint(LARGEST * share), LARGEST).astype(int)
+    counts = np.minimum(np.rint(MAX_AMPLITUDE * share), MAX_AMPLITUDE).astype(int)
     timings, amplitudes = [], []
     for value, group in groupby(zip(np.diff(edges).tolist(), counts.tolist(), strict=True), key=lambda each: each[1]):
         timings.append(sum(each[0] for each in group))
@@ -69,7 +69,7 @@ def steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int], list[i
     return timings, amplitudes, int(np.count_nonzero(share > 1.0))
 
 
-def centre_of(envelope: Envelope) -> float:
+def compute_centre_frequency(envelope: Envelope) -> float:
     """Hz: the frequency's mean, weighted with power."""
     power = np.square(envelope.amplitude)
     if not power.any():
@@ -81,38 +81,38 @@ def read_android(path: Path, options: ImportOptions) -> Signal:
     """The steps, rendered at the frequency that metadata states, else in the middle of the range. Raises FileError."""
     record = read_json(path)
     metadata = record.get("metadata")
-    origin = origin_of(json.dumps(metadata) if isinstance(metadata, dict) else None, options)
-    envelope = android_envelope(record, origin, path)
-    samples = render(envelope, options.rate_hz, options.seed, where=str(path))
+    origin = parse_provenance(json.dumps(metadata) if isinstance(metadata, dict) else None, options)
+    envelope = decode_steps(record, origin, path)
+    samples = render_envelope(envelope, options.rate_hz, options.seed, where=str(path))
     assumed: tuple[str, ...] = ()
-    if not _states_frequency(record):
+    if not _has_frequency(record):
         assumed = (f"{envelope.frequency[0]:g} Hz, the middle of the range, since the file gives no frequency",)
-    return Signal(samples, options.rate_hz, options.seed, rendered_facts(origin, path.name, assumed=assumed))
+    return Signal(samples, options.rate_hz, options.seed, make_rendered_provenance(origin, path.name, assumed=assumed))
 
 
-def android_envelope(record: dict[str, Any], origin: Origin, path: Path) -> Envelope:
+def decode_steps(record: dict[str, Any], origin: Provenance, path: Path) -> Envelope:
     """Steps as ramps of a nanosecond, in m/s². Raises FileError."""
-    reading = Reading(path)
-    timings, amplitudes = reading.rows(record, "timings"), reading.rows(record, "amplitudes")
+    reading = JsonReader(path)
+    timings, amplitudes = reading.get_array(record, "timings"), reading.get_array(record, "amplitudes")
     if len(timings) != len(amplitudes):
-        raise reading.wrong(f"it has {len(timings)} timings and {len(amplitudes)} amplitudes")
-    if "repeat" in record and reading.number(record, "repeat", -1, 1e9) != -1:
-        raise reading.wrong("it repeats for ever, which no file can hold")
-    length = np.array([reading.number({"timing": each}, "timing", 0, LONGEST_MS) for each in timings])
-    level = np.array([reading.number({"amplitude": each}, "amplitude", 0, LARGEST) for each in amplitudes])
+        raise reading.make_error(f"it has {len(timings)} timings and {len(amplitudes)} amplitudes")
+    if "repeat" in record and reading.get_number(record, "repeat", -1, 1e9) != -1:
+        raise reading.make_error("it repeats for ever, which no file can hold")
+    length = np.array([reading.get_number({"timing": each}, "timing", 0, MAX_TIMING_MS) for each in timings])
+    level = np.array([reading.get_number({"amplitude": each}, "amplitude", 0, MAX_AMPLITUDE) for each in amplitudes])
     if not length.sum() > 0.0:
-        raise reading.wrong("all its timings are 0")
+        raise reading.make_error("all its timings are 0")
     played = length > 0.0
     end = np.cumsum(length[played]) / 1000.0
     start = np.concatenate([[0.0], end[:-1] + 1e-9])
     time = np.stack([start, end], axis=1).ravel()
-    amplitude = np.repeat(level[played] / LARGEST * origin.full_scale_m_s2, 2)
+    amplitude = np.repeat(level[played] / MAX_AMPLITUDE * origin.full_scale_m_s2, 2)
     middle = 0.5 * (origin.range_hz[0] + origin.range_hz[1])
-    stated = _states_frequency(record)
-    hertz = reading.number(record["metadata"], "frequency_hz", *origin.range_hz) if stated else middle
+    stated = _has_frequency(record)
+    hertz = reading.get_number(record["metadata"], "frequency_hz", *origin.range_hz) if stated else middle
     return Envelope(time, amplitude, np.full(len(time), hertz))
 
 
-def _states_frequency(record: dict[str, Any]) -> bool:
+def _has_frequency(record: dict[str, Any]) -> bool:
     metadata = record.get("metadata")
     return isinstance(metadata, dict) and "frequency_hz" in metadata

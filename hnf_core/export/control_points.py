@@ -9,27 +9,27 @@ import numpy as np
 
 from .envelope import Envelope, Float, Index
 
-FREQUENCY_ERROR = 0.02
+MAX_FREQUENCY_ERROR = 0.02
 """Of the frequency, between its control points."""
 
 
-def control_points(time: Float, value: Float, error: float, kept: Iterable[int] = ()) -> Index:
+def select_control_points(time: Float, value: Float, error: float, required: Iterable[int] = ()) -> Index:
     """Indices (m,) of as few of the points as a greedy pass finds whose connecting lines stay within error of all
     others; the first, the last and kept are always among them."""
     times, values = time.tolist(), value.tolist()
     chosen = [0]
-    for stop in sorted({*kept, len(times) - 1}):
+    for stop in sorted({*required, len(times) - 1}):
         while chosen[-1] < stop:
-            chosen.append(_farthest(times, values, error, chosen[-1], stop))
+            chosen.append(_find_farthest_point(times, values, error, chosen[-1], stop))
     return np.asarray(chosen, dtype=np.intp)
 
 
-def tone_points(envelope: Envelope) -> Index:
+def select_frequency_points(envelope: Envelope) -> Index:
     """Where the frequency needs a control point."""
-    return control_points(envelope.time, np.log(envelope.frequency), FREQUENCY_ERROR)
+    return select_control_points(envelope.time, np.log(envelope.frequency), MAX_FREQUENCY_ERROR)
 
 
-def steps_as_ramps(time: Float) -> Float:
+def separate_equal_times(time: Float) -> Float:
     """Times that never fall → times that rise: of two equal ones, a step, the second comes a nanosecond later."""
     rising = time.copy()
     for index in np.flatnonzero(np.diff(time) <= 0.0) + 1:
@@ -37,7 +37,7 @@ def steps_as_ramps(time: Float) -> Float:
     return np.maximum.accumulate(rising)
 
 
-def _farthest(time: Sequence[float], value: Sequence[float], error: float, start: int, stop: int) -> int:
+def _find_farthest_point(time: Sequence[float], value: Sequence[float], error: float, start: int, stop: int) -> int:
     """The farthest point up to stop that a line from start reaches within error of all between. Such a line lies in the
     cone of slopes that pass each of them within error (J. Sklansky and V. Gonzalez 1980); it only narrows."""
     low, high, best = -math.inf, math.inf, start + 1

@@ -17,33 +17,33 @@ from numpy.typing import NDArray
 
 from ..errors import FileError
 from ..signal import Signal
-from .samples import LONGEST_SAMPLES, finite_samples, rendered_rate
+from .samples import MAX_RENDERED_SAMPLES, choose_render_rate, get_finite_samples
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-STEP_S = 0.005
+ENVELOPE_STEP_S = 0.005
 """From one value to the next before control points are chosen."""
 HALF_WINDOW_S = 0.010
-REACH_S = 0.025
+PEAK_REACH_S = 0.025
 """An amplitude is never above the largest sample this near: half a period of the slowest vibration that is felt."""
-EDGE_OCTAVES = 0.5
+FLANK_OCTAVES = 0.5
 """Width of the flanks outside the range."""
-CLICK, CREST = 4.0, 1.8
+CLICK_RATIO, CLICK_CREST = 4.0, 1.8
 """A sample this far above the amplitude before and after (more than 5 σ of a noise), and this far above that of its own
 place, is a click, which an envelope cannot hold. That amplitude is of all that is not below the range: beside what is
 within it alone, every steady vibration above it would be a row of clicks."""
-ASIDE = (3, 12)
+SIDE_STEPS = (3, 12)
 """Steps from a place to where before and after begin and end."""
-CLICK_SHARE = 0.2
+MIN_CLICK_SHARE = 0.2
 """Of the signal's peak, that a click has at least."""
-CLICKS_APART_S = 0.030
-QUIET = 1e-3
+MIN_CLICK_SPACING_S = 0.030
+MIN_AMPLITUDE_SHARE = 1e-3
 """Share of the largest amplitude below which a frequency means nothing; it is then taken from the neighbours."""
-ROUNDING = 1e-12
+ROUNDING_SHARE = 1e-12
 """Share of the largest sample below which an amplitude is what transforms round: a constant has no frequency."""
-_ROWS = 4096
+_WINDOWS_PER_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -70,119 +70,124 @@ class Envelope:
         return float(self.time[-1])
 
 
-def envelope_of(
-    signal: Signal, range_hz: tuple[float, float], *, clicks: bool = True, where: str = "envelope"
+def compute_envelope(
+    signal: Signal, range_hz: tuple[float, float], *, separate_clicks: bool = True, where: str = "envelope"
 ) -> Envelope:
     """The envelope of signal within range_hz, every STEP_S. Silence has amplitude 0, and the range's middle frequency.
     clicks: are told apart, and are then not in amplitude; else they are in it, as all else.
 
     Raises FileError naming where, if a sample is not finite or the signal is longer than could be rendered again.
     """
-    x, rate = finite_samples(signal, where).astype(np.float64), float(signal.sample_rate)
-    if signal.duration_s * (heard_at := rendered_rate(signal, range_hz)) > LONGEST_SAMPLES:
+    x, rate = get_finite_samples(signal, where).astype(np.float64), float(signal.sample_rate)
+    if signal.duration_s * (heard_at := choose_render_rate(signal, range_hz)) > MAX_RENDERED_SAMPLES:
         raise FileError(
             f"{signal.duration_s:.0f} s are too long for strength and frequency over time.",
             where=where,
-            remedy=f"At most {LONGEST_SAMPLES / heard_at:.0f} s: split it, or write WAV.",
+            remedy=f"At most {MAX_RENDERED_SAMPLES / heard_at:.0f} s: split it, or write WAV.",
         )
-    at = grid(len(x), rate)
+    at = make_envelope_grid(len(x), rate)
     middle = 0.5 * (range_hz[0] + range_hz[1])
     if not x.any():
         return Envelope(at / rate, np.zeros(len(at)), np.full(len(at), middle))
-    z, slope, quick = analytic(x, rate, range_hz)
+    z, slope, quick = compute_analytic_signal(x, rate, range_hz)
     half = max(1, round(HALF_WINDOW_S * rate))
     shape = np.hanning(2 * half + 3)[1:-1]
 
     def smooth(values: Float) -> Float:
-        return around(values, at, half, lambda rows, inside: _mean(rows, inside * shape))
+        return reduce_windows(values, at, half, lambda rows, inside: _weighted_mean(rows, inside * shape))
 
     power, turning = smooth(np.square(np.abs(z))), smooth(np.imag(np.conj(z) * slope))
-    near = around(np.abs(x), at, max(1, round(REACH_S * rate)), _largest)
+    near = reduce_windows(np.abs(x), at, max(1, round(PEAK_REACH_S * rate)), _window_max)
     amplitude = np.minimum(np.sqrt(np.maximum(power, 0.0)), near)
-    floor = ROUNDING * float(np.abs(x).max())
-    heard = amplitude > max(QUIET * amplitude.max(initial=0.0), floor)
+    floor = ROUNDING_SHARE * float(np.abs(x).max())
+    heard = amplitude > max(MIN_AMPLITUDE_SHARE * amplitude.max(initial=0.0), floor)
     frequency = np.full(len(at), middle)
     if heard.any():
         centroid = turning[heard] / (2.0 * np.pi * power[heard])
         frequency = np.interp(at, at[heard], np.clip(centroid, *range_hz))
     found = {}
-    if clicks:
+    if separate_clicks:
         # What swings below the range is high too, and no click.
         height, body = np.minimum(np.abs(quick), np.abs(x)), np.sqrt(2.0 * smooth(np.square(quick)))
-        found = _clicks(height, rate, at, body, floor)
+        found = _detect_clicks(height, rate, at, body, floor)
     beside = np.ones(len(at), bool)
     for index in found:
-        beside[max(0, index - ASIDE[0]) : index + ASIDE[0] + 1] = False
+        beside[max(0, index - SIDE_STEPS[0]) : index + SIDE_STEPS[0] + 1] = False
     if beside.any():
         amplitude = np.interp(at, at[beside], amplitude[beside])
     marks = (Emphasis(float(at[index] / rate), peak, float(frequency[index])) for index, peak in found.items())
     return Envelope(at / rate, amplitude, frequency, tuple(marks))
 
 
-def grid(count: int, rate: float) -> Index:
+def make_envelope_grid(count: int, rate: float) -> Index:
     """Samples of the envelope: one every STEP_S, and count itself, the end."""
-    steps = int(count / rate / STEP_S) + 1
-    at = np.minimum(np.round(np.arange(steps) * STEP_S * rate).astype(np.intp), count)
+    steps = int(count / rate / ENVELOPE_STEP_S) + 1
+    at = np.minimum(np.round(np.arange(steps) * ENVELOPE_STEP_S * rate).astype(np.intp), count)
     return np.asarray(np.unique(np.append(at, count)))
 
 
-def analytic(x: Float, rate: float, range_hz: tuple[float, float]) -> tuple[Complex, Complex, Float]:
+def compute_analytic_signal(x: Float, rate: float, range_hz: tuple[float, float]) -> tuple[Complex, Complex, Float]:
     """z and dz/dt of x within range_hz, cosine flanks of EDGE_OCTAVES outside; and x without what is below. x is
     followed by its mirror image, so that it goes on at both ends as it was there: what starts at once is not heard as
     swelling, and what rests on a constant has no step."""
     hertz = np.fft.rfftfreq(2 * len(x), 1.0 / rate)
     octaves = np.log2(np.maximum(hertz, 1e-9))
-    spectrum = np.fft.rfft(np.concatenate([x, x[::-1]])) * _flank(np.log2(range_hz[0]) - octaves)
+    spectrum = np.fft.rfft(np.concatenate([x, x[::-1]])) * _cosine_flank(np.log2(range_hz[0]) - octaves)
     half = np.zeros(2 * len(x), np.complex128)
-    half[: len(hertz)] = 2.0 * spectrum * _flank(octaves - np.log2(range_hz[1]))
+    half[: len(hertz)] = 2.0 * spectrum * _cosine_flank(octaves - np.log2(range_hz[1]))
     z = np.fft.ifft(half)[: len(x)]
     half[: len(hertz)] *= 2j * np.pi * hertz
     return z, np.fft.ifft(half)[: len(x)], np.fft.irfft(spectrum, 2 * len(x))[: len(x)]
 
 
-def _flank(outside: Float) -> Float:
+def _cosine_flank(outside: Float) -> Float:
     """1 within, 0 from EDGE_OCTAVES outside on."""
-    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / EDGE_OCTAVES, 0.0, 1.0)))
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / FLANK_OCTAVES, 0.0, 1.0)))
 
 
-def around(values: Float, at: Index, reach: int, fold: Callable[[Float, Float], Float]) -> Float:
+def reduce_windows(values: Float, centres: Index, half_width: int, reduce: Callable[[Float, Float], Float]) -> Float:
     """fold(rows (m, 2 reach + 1), inside (same, 1 where there is a sample)) → (m,), of the values within reach samples
     of each of at. In pieces, so that memory stays bounded."""
-    found = np.empty(len(at))
-    offsets = np.arange(-reach, reach + 1)
-    for first in range(0, len(at), _ROWS):
-        place = at[first : first + _ROWS, None] + offsets
+    found = np.empty(len(centres))
+    offsets = np.arange(-half_width, half_width + 1)
+    for first in range(0, len(centres), _WINDOWS_PER_BLOCK):
+        place = centres[first : first + _WINDOWS_PER_BLOCK, None] + offsets
         inside = ((place >= 0) & (place < len(values))).astype(np.float64)
         rows = values[np.clip(place, 0, len(values) - 1)]
-        found[first : first + _ROWS] = fold(rows, inside)
+        found[first : first + _WINDOWS_PER_BLOCK] = reduce(rows, inside)
     return found
 
 
-def _clicks(height: Float, rate: float, at: Index, body: Float, floor: float) -> dict[int, float]:
+def _detect_clicks(height: Float, rate: float, centres: Index, body: Float, min_height: float) -> dict[int, float]:
     """Where on the grid → how high, in order of time. Of those nearer than CLICKS_APART_S, the highest. body: on the
     grid, the amplitude of what height is of. floor: a height below it is rounding."""
-    half = max(1, round(0.5 * STEP_S * rate))
-    peak = around(height, at, half, _largest)
-    calm = around(body, np.arange(len(at)), ASIDE[1], _beside)
-    least = np.maximum(np.maximum(CREST * body, CLICK * calm), max(CLICK_SHARE * float(height.max()), floor))
+    half = max(1, round(0.5 * ENVELOPE_STEP_S * rate))
+    peak = reduce_windows(height, centres, half, _window_max)
+    calm = reduce_windows(body, np.arange(len(centres)), SIDE_STEPS[1], _larger_side_median)
+    least = np.maximum(
+        np.maximum(CLICK_CREST * body, CLICK_RATIO * calm), max(MIN_CLICK_SHARE * float(height.max()), min_height)
+    )
     loud = np.flatnonzero(peak >= least)
     taken: list[int] = []
     for index in loud[np.argsort(-peak[loud], kind="stable")].tolist():
         place = bisect(taken, index)
-        if all(abs(at[index] - at[each]) >= CLICKS_APART_S * rate for each in taken[max(0, place - 1) : place + 1]):
+        if all(
+            abs(centres[index] - centres[each]) >= MIN_CLICK_SPACING_S * rate
+            for each in taken[max(0, place - 1) : place + 1]
+        ):
             taken.insert(place, index)
     return {index: float(peak[index]) for index in taken}
 
 
-def _mean(rows: Float, weight: Float) -> Float:
+def _weighted_mean(rows: Float, weight: Float) -> Float:
     return np.asarray((rows * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
 
 
-def _largest(rows: Float, inside: Float) -> Float:
+def _window_max(rows: Float, inside: Float) -> Float:
     return np.asarray((rows * inside).max(axis=1))
 
 
-def _beside(rows: Float, inside: Float) -> Float:
+def _larger_side_median(rows: Float, inside: Float) -> Float:
     """The greater of the medians before and after."""
-    side = ASIDE[1] - ASIDE[0] + 1
+    side = SIDE_STEPS[1] - SIDE_STEPS[0] + 1
     return np.asarray(np.maximum(np.median(rows[:, :side], axis=1), np.median(rows[:, -side:], axis=1)))

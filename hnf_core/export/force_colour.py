@@ -9,7 +9,7 @@ from bisect import bisect_right
 
 Colour = tuple[float, float, float, float]
 
-STOPS: tuple[tuple[float, Colour], ...] = (
+FORCE_COLOUR_STOPS: tuple[tuple[float, Colour], ...] = (
     (0.0, (0.62, 0.66, 0.72, 1.0)),
     (0.05, (0.20, 0.62, 1.00, 1.0)),
     (0.5, (0.10, 0.82, 0.95, 1.0)),
@@ -21,14 +21,14 @@ STOPS: tuple[tuple[float, Colour], ...] = (
 """Newtons → RGBA: grey is no contact, blue light, green 1 N, yellow firm, red hard."""
 
 
-def force_colour(newtons: float) -> Colour:
+def force_to_colour(newtons: float) -> Colour:
     """RGBA, 0 to 1 each, of a normal force; linear between the stops, held beyond them."""
-    after = bisect_right([force for force, _ in STOPS], newtons)
+    after = bisect_right([force for force, _ in FORCE_COLOUR_STOPS], newtons)
     if after == 0:
-        return STOPS[0][1]
-    if after == len(STOPS):
-        return STOPS[-1][1]
-    (low, a), (high, b) = STOPS[after - 1], STOPS[after]
+        return FORCE_COLOUR_STOPS[0][1]
+    if after == len(FORCE_COLOUR_STOPS):
+        return FORCE_COLOUR_STOPS[-1][1]
+    (low, a), (high, b) = FORCE_COLOUR_STOPS[after - 1], FORCE_COLOUR_STOPS[after]
     share = (newtons - low) / (high - low)
     return (
         a[0] + share * (b[0] - a[0]),

@@ -26,11 +26,11 @@ from .glb import read_glb, write_glb
 from .haptic import read_haptic, write_haptic
 from .hjif import write_hjif
 from .hjif_read import read_hjif
-from .listen import WORD as LISTEN
-from .listen import loud_options, write_listen
+from .listen import LISTEN_FORMAT as LISTEN
+from .listen import fit_full_scale, write_listening_copy
 from .options import ExportOptions, ImportOptions
 from .table import read_csv, read_npz, write_csv, write_npz
-from .wav_copies import copy_writer, read_any_wav, write_native
+from .wav_copies import make_copy_writer, read_wav_scaled, write_native_wav
 
 Writer = Callable[[Path, Signal, ExportOptions], tuple[str, ...]]
 Reader = Callable[[Path, ImportOptions], Signal]
@@ -74,19 +74,19 @@ FORMATS: dict[str, Format] = {
     for each in (
         Format(
             "wav", ".wav", "WAV, 32-bit float in m/s², at the signal's own rate",
-            _RIFF, write_native, read_any_wav, scaled=False,
+            _RIFF, write_native_wav, read_wav_scaled, scaled=False,
         ),
         Format(
             "wav8k", ".wav", "WAV for an actuator: 8 kHz, 16 bit, full scale as told",
-            _RIFF, copy_writer(8000), read_any_wav,
+            _RIFF, make_copy_writer(8000), read_wav_scaled,
         ),
         Format(
             "wav48k", ".wav", "WAV for a sound card: 48 kHz, 16 bit, full scale as told",
-            _RIFF, copy_writer(48000), read_any_wav,
+            _RIFF, make_copy_writer(48000), read_wav_scaled,
         ),
         Format(
             LISTEN, ".wav", "WAV to listen to, for no actuator: 48 kHz, 16 bit, as loud as it goes without clipping",
-            _RIFF, write_listen, read_any_wav, scaled=False, fit=loud_options,
+            _RIFF, write_listening_copy, read_wav_scaled, scaled=False, fit=fit_full_scale,
         ),
         Format(
             "haptic", ".haptic", "Meta Haptics (Lofelt) 1.0.0: strength and frequency over time",

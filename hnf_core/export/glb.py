@@ -17,15 +17,15 @@ from .. import __version__
 from ..errors import FileError, UsageError
 from ..files import write_bytes
 from ..signal import Signal
-from .gltf_file import Buffer, glb_bytes, glb_parts, view_bytes
-from .gltf_haptics import EXTENSION, haptic_parts, palette_record
-from .gltf_mesh import VertexTable, placement_matrix, vertex_table
-from .json_files import read_bytes
+from .gltf_file import BufferBuilder, decode_glb, encode_glb, get_view_bytes
+from .gltf_haptics import HAPTIC_EXTENSION, encode_haptic_material, encode_palette
+from .gltf_mesh import VertexTable, build_vertex_table, encode_placement
+from .json_files import read_limited_bytes
 from .options import ExportOptions, ImportOptions
 from .surface import TouchedSurface
-from .wav import wav_bytes, wav_signal
+from .wav import decode_wav, encode_wav
 
-LARGEST_READ = 512 * 2**20
+MAX_READ_BYTES = 512 * 2**20
 GENERATOR = "Haptic Neural Fields"
 """How what a file says of its maker begins."""
 _TRIANGLES = 4
@@ -40,7 +40,7 @@ def write_glb(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
             remedy="Name the baked scene: --scene BAKED.blend, and with --object NAME which mesh.",
         )
     surface = options.surface
-    write_bytes(path, surface_bytes(surface, vertex_table(surface), signal, where=str(path)))
+    write_bytes(path, encode_surface(surface, build_vertex_table(surface), signal, where=str(path)))
     left_out = []
     if surface.palette is None:
         left_out.append(f"What it feels like: nothing is baked on object '{surface.name}'.")
@@ -50,31 +50,31 @@ def write_glb(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
 
 def read_glb(path: Path, options: ImportOptions) -> Signal:
     """The signal in a GLB of write_glb, as it was. Raises FileError where the file is damaged or holds none."""
-    tree, block = glb_parts(read_bytes(path, LARGEST_READ), path)
+    tree, block = decode_glb(read_limited_bytes(path, MAX_READ_BYTES), path)
     try:
         view = tree["asset"]["extras"]["hnf"]["signal"]["bufferView"]
     except (KeyError, TypeError) as error:
         raise FileError(
             "holds no vibration.", where=str(path), remedy="Give a .glb that hnf wrote, or open it as a scene."
         ) from error
-    return wav_signal(view_bytes(tree, block, view, path), path)
+    return decode_wav(get_view_bytes(tree, block, view, path), path)
 
 
-def surface_bytes(
+def encode_surface(
     surface: TouchedSurface, table: VertexTable, signal: Signal | None = None, *, where: str = "glb"
 ) -> bytes:
     """The file of a surface, and of a stroke's signal on it. Equal input gives equal bytes."""
-    buffer = Buffer()
-    tree = _tree(surface, table, buffer)
+    buffer = BufferBuilder()
+    tree = _encode_tree(surface, table, buffer)
     if signal is not None:
-        view = buffer.add_bytes(wav_bytes(signal, where=where))
+        view = buffer.add_bytes(encode_wav(signal, where=where))
         facts = {str(name): str(value) for name, value in signal.provenance.items()}
         tree["asset"]["extras"]["hnf"]["signal"] = {"bufferView": view, "mimeType": "audio/wav", "provenance": facts}
     tree |= {"accessors": buffer.accessors, "bufferViews": buffer.views}
-    return glb_bytes(tree, buffer.data, where=where)
+    return encode_glb(tree, buffer.data, where=where)
 
 
-def _tree(surface: TouchedSurface, table: VertexTable, buffer: Buffer) -> dict[str, Any]:
+def _encode_tree(surface: TouchedSurface, table: VertexTable, buffer: BufferBuilder) -> dict[str, Any]:
     attributes = {
         "POSITION": buffer.add_vertices(table.position),
         "NORMAL": buffer.add_vertices(table.normal),
@@ -95,14 +95,14 @@ def _tree(surface: TouchedSurface, table: VertexTable, buffer: Buffer) -> dict[s
         },
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": surface.name, "mesh": 0, **_placed(surface)}],
+        "nodes": [{"name": surface.name, "mesh": 0, **_encode_node_matrix(surface)}],
         "meshes": [mesh],
-        "materials": [{"name": _material_name(surface, int(slot))} for slot in slots],
+        "materials": [{"name": _get_material_name(surface, int(slot))} for slot in slots],
     }
     if surface.palette is not None:
-        tree |= haptic_parts(surface.palette, buffer, len(maps) - 1)
-        mesh["extensions"] = {EXTENSION: {"hapticMaterialIndex": 0}}
-        mesh["extras"] = {"hnf": {"palette": palette_record(surface.palette)}}
+        tree |= encode_haptic_material(surface.palette, buffer, len(maps) - 1)
+        mesh["extensions"] = {HAPTIC_EXTENSION: {"hapticMaterialIndex": 0}}
+        mesh["extras"] = {"hnf": {"palette": encode_palette(surface.palette)}}
     for number, slot in enumerate(slots):
         corners = table.corner[surface.mesh.slot == slot]
         primitive = {"attributes": attributes, "indices": buffer.add_indices(corners), "mode": _TRIANGLES}
@@ -110,10 +110,10 @@ def _tree(surface: TouchedSurface, table: VertexTable, buffer: Buffer) -> dict[s
     return tree
 
 
-def _placed(surface: TouchedSurface) -> dict[str, Any]:
-    matrix = placement_matrix(surface.placement)
+def _encode_node_matrix(surface: TouchedSurface) -> dict[str, Any]:
+    matrix = encode_placement(surface.placement)
     return {} if matrix == np.eye(4).ravel().tolist() else {"matrix": matrix}
 
 
-def _material_name(surface: TouchedSurface, slot: int) -> str:
+def _get_material_name(surface: TouchedSurface, slot: int) -> str:
     return surface.materials[slot] if slot < len(surface.materials) else ""

@@ -19,11 +19,11 @@ from ..errors import FileError
 _MAGIC, _JSON, _BIN = b"glTF", 0x4E4F534A, 0x004E4942
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 _FLOAT, _UINT32 = 5126, 5125
-_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
-_LARGEST = 2**32 - 1
+_ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+_MAX_GLB_BYTES = 2**32 - 1
 
 
-class Buffer:
+class BufferBuilder:
     """The bytes of a file, with the views and accessors that speak of them."""
 
     def __init__(self) -> None:
@@ -50,77 +50,77 @@ class Buffer:
         rows = np.ascontiguousarray(values.reshape(len(values), -1), dtype="<f4")
         bounds = {"min": [float(v) for v in rows.min(axis=0)], "max": [float(v) for v in rows.max(axis=0)]}
         view = self.add_bytes(rows.tobytes(), ARRAY_BUFFER)
-        return self._accessor(view, _FLOAT, len(rows), _KINDS[rows.shape[1]], bounds)
+        return self._add_accessor(view, _FLOAT, len(rows), _ACCESSOR_TYPES[rows.shape[1]], bounds)
 
     def add_indices(self, values: NDArray[np.uint32]) -> int:
         """Index of a new accessor of vertex indices."""
         flat = np.ascontiguousarray(values.ravel(), dtype="<u4")
         bounds = {"min": [int(flat.min())], "max": [int(flat.max())]}
         view = self.add_bytes(flat.tobytes(), ELEMENT_ARRAY_BUFFER)
-        return self._accessor(view, _UINT32, len(flat), "SCALAR", bounds)
+        return self._add_accessor(view, _UINT32, len(flat), "SCALAR", bounds)
 
-    def _accessor(self, view: int, kind: int, count: int, shape: str, bounds: dict[str, Any]) -> int:
+    def _add_accessor(self, view: int, kind: int, count: int, shape: str, bounds: dict[str, Any]) -> int:
         self.accessors.append({"bufferView": view, "componentType": kind, "count": count, "type": shape, **bounds})
         return len(self.accessors) - 1
 
 
-def glb_bytes(tree: dict[str, Any], data: bytes, *, where: str = "glb") -> bytes:
+def encode_glb(tree: dict[str, Any], data: bytes, *, where: str = "glb") -> bytes:
     """The file of tree and its one buffer. Equal input gives equal bytes. Raises FileError above 4 GB."""
     tree = {**tree, "buffers": [{"byteLength": len(data)}]}
     text = json.dumps(tree, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     data += b"\0" * (-len(data) % 4)
     total = 12 + 8 + len(text) + 8 + len(data)
-    if total > _LARGEST:
+    if total > _MAX_GLB_BYTES:
         raise FileError("is more than a GLB can hold (4 GB).", where=where, remedy="Decimate the mesh.")
     head = struct.pack("<4sII", _MAGIC, 2, total)
     return b"".join([head, struct.pack("<II", len(text), _JSON), text, struct.pack("<II", len(data), _BIN), data])
 
 
-def glb_parts(data: bytes, path: Path) -> tuple[dict[str, Any], bytes]:
+def decode_glb(data: bytes, path: Path) -> tuple[dict[str, Any], bytes]:
     """JSON and bytes of a GLB. Raises FileError where it is damaged."""
     if len(data) < 20 or data[:4] != _MAGIC:
-        raise _damaged(path, "it does not begin like a binary glTF file")
+        raise _damaged_error(path, "it does not begin like a binary glTF file")
     version, total = struct.unpack_from("<II", data, 4)
     if version != 2 or total > len(data):
-        raise _damaged(path, f"it is of version {version} and says {total} bytes, {len(data)} are there")
+        raise _damaged_error(path, f"it is of version {version} and says {total} bytes, {len(data)} are there")
     tree, block, at = None, b"", 12
     while at + 8 <= total:
         size, kind = struct.unpack_from("<II", data, at)
         body = data[at + 8 : at + 8 + size]
         if len(body) < size:
-            raise _damaged(path, "it ends early")
+            raise _damaged_error(path, "it ends early")
         if kind == _JSON and tree is None:
-            tree = _object(body, path)
+            tree = _parse_json_chunk(body, path)
         elif kind == _BIN and not block:
             block = body
         at += 8 + size
     if tree is None:
-        raise _damaged(path, "it has no JSON")
+        raise _damaged_error(path, "it has no JSON")
     return tree, block
 
 
-def view_bytes(tree: dict[str, Any], block: bytes, index: object, path: Path) -> bytes:
+def get_view_bytes(tree: dict[str, Any], block: bytes, index: object, path: Path) -> bytes:
     """The bytes of a view. Raises FileError where it is not there."""
     try:
         view = tree["bufferViews"][index]
         start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise _damaged(path, "a part that it names is missing") from error
+        raise _damaged_error(path, "a part that it names is missing") from error
     if start < 0 or length < 0 or start + length > len(block):
-        raise _damaged(path, "a part that it names lies beyond its end")
+        raise _damaged_error(path, "a part that it names lies beyond its end")
     return block[start : start + length]
 
 
-def _object(body: bytes, path: Path) -> dict[str, Any]:
+def _parse_json_chunk(body: bytes, path: Path) -> dict[str, Any]:
     try:
         tree = json.loads(body.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise _damaged(path, f"its JSON cannot be read ({error})") from error
+        raise _damaged_error(path, f"its JSON cannot be read ({error})") from error
     if not isinstance(tree, dict):
-        raise _damaged(path, "its JSON is no object")
+        raise _damaged_error(path, "its JSON is no object")
     return tree
 
 
-def _damaged(path: Path, why: str) -> FileError:
+def _damaged_error(path: Path, why: str) -> FileError:
     return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")

@@ -33,29 +33,29 @@ from ..errors import FileError
 from ..files import write_bytes
 from ..signal import Signal
 from ..units import m_to_mm
-from .glb import surface_bytes
-from .gltf_mesh import vertex_table, vertices_under
+from .glb import encode_surface
+from .gltf_mesh import build_vertex_table, find_vertices_on_path
 from .json_files import write_json
 from .options import ExportOptions
-from .samples import finite_samples
+from .samples import get_finite_samples
 from .surface import StrokePath, TouchedSurface
 from .wav import UNITS
 
 VERSION, PROFILE, LEVEL = "2025", "Main", 1
-LARGEST_TIMESCALE = 48_000
-MOST_SAMPLES = 480_000
+MAX_TIMESCALE = 48_000
+MAX_WRITTEN_SAMPLES = 480_000
 """Some 68 bytes each: what a reader of 32 MB holds (`json_files.py`); 48 s at 10 kHz."""
-LARGEST_TEXT = 255
-HIGHEST_DEVICE_HZ = 10_000.0
-MOST_VERTICES = 2**16 - 1
+MAX_TEXT_BYTES = 255
+MAX_DEVICE_HZ = 10_000.0
+MAX_VERTICES = 2**16 - 1
 TEXTURE_EXPONENTS = (-6, -5, -4)
 """Ticks of 1, 10 or 100 µm: the finest whose timescale the profile allows."""
-_TEXT_FACTS = ("stroke", "object", "field", "material", "library_material", "probe", "confidence")
+_PRIORITY_FACTS = ("stroke", "object", "field", "material", "library_material", "probe", "confidence")
 _REMEDY = "Write WAV instead, or shorten the stroke."
 
 
 @dataclass(frozen=True)
-class Texture:
+class VibrotactileTexture:
     """A vibration over the way of a stroke. samples: (n,) m/s², one a tick. rate: ticks a second at the stroke's mean
     speed. exponent: a tick is 10^exponent m. vertices: those under the stroke. mesh: file that they count in."""
 
@@ -66,12 +66,12 @@ class Texture:
     mesh: str
 
 
-def mesh_beside(path: Path) -> Path:
+def get_mesh_path(path: Path) -> Path:
     """The GLB that a texture in path counts its vertices in."""
     return path.with_name(f"{path.name}.glb")
 
 
-def has_way(surface: TouchedSurface | None) -> bool:
+def has_path(surface: TouchedSurface | None) -> bool:
     """Whether a stroke lies on it as a texture, so that its mesh is written too."""
     return surface is not None and surface.path is not None and surface.path.mean_speed_m_s > 0.0
 
@@ -82,65 +82,70 @@ def write_hjif(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
     Returns what was left out. Raises FileError where the signal is not finite or longer than the format holds.
     """
     surface, texture = options.surface, None
-    mesh, beside = mesh_beside(path), b""
+    mesh, beside = get_mesh_path(path), b""
     left_out: list[str] = []
-    if surface is not None and surface.path is not None and has_way(surface):
-        table = vertex_table(surface)
-        vertices = vertices_under(surface, table)
-        texture = texture_of(signal, surface.path, vertices[:MOST_VERTICES], mesh.name, str(path))
-        beside = surface_bytes(surface, table, signal, where=str(mesh))
+    if surface is not None and surface.path is not None and has_path(surface):
+        table = build_vertex_table(surface)
+        vertices = find_vertices_on_path(surface, table)
+        texture = make_texture(signal, surface.path, vertices[:MAX_VERTICES], mesh.name, str(path))
+        beside = encode_surface(surface, table, signal, where=str(mesh))
         left_out.append(
             f"Time and force: a texture lies along the stroke's way of {m_to_mm(surface.path.length_m):.3g} mm, as it "
             f"was pressed, without the moments at rest; read back, it is played at its mean speed, "
             f"{m_to_mm(surface.path.mean_speed_m_s):.3g} mm/s. Its vertices are those of {mesh.name}, beside it."
         )
-        if len(vertices) > MOST_VERTICES:
-            left_out.append(f"{len(vertices) - MOST_VERTICES} of {len(vertices)} vertices: a channel counts 65535.")
+        if len(vertices) > MAX_VERTICES:
+            left_out.append(f"{len(vertices) - MAX_VERTICES} of {len(vertices)} vertices: a channel counts 65535.")
     elif surface is not None:
         left_out.append(f"The vertices: where the stroke goes on object '{surface.name}' is not known.")
     else:
         left_out.append("The vertices: they are on the baked scene, which was not given.")
-    cut = [name for name in signal.provenance if name not in _told(signal.provenance)]
+    cut = [name for name in signal.provenance if name not in _select_facts(signal.provenance)]
     if cut:
         left_out.append(f"Of its origin: {', '.join(sorted(cut))}. A description holds 255 bytes; the .json has all.")
     today = datetime.date.today().isoformat()
-    tree = hjif_tree(signal, options, date=today, texture=texture, where=str(path))
+    tree = encode_hjif(signal, options, date=today, texture=texture, where=str(path))
     if beside:
         write_bytes(mesh, beside)
     write_json(path, tree, indent=None)
     return tuple(left_out)
 
 
-def hjif_tree(
-    signal: Signal, options: ExportOptions, *, date: str, texture: Texture | None = None, where: str = "hjif"
+def encode_hjif(
+    signal: Signal,
+    options: ExportOptions,
+    *,
+    date: str,
+    texture: VibrotactileTexture | None = None,
+    where: str = "hjif",
 ) -> dict[str, Any]:
     """The file as JSON objects; equal input gives equal trees. date: ISO 8601. Raises FileError as write_hjif does."""
-    rate = _whole_rate(signal, where) if texture is None else texture.rate
-    given = signal if texture is None else played(signal, texture)
-    samples = finite_samples(given, where).astype(np.float64)
-    if len(samples) > MOST_SAMPLES:
-        why = f"{len(samples)} samples are more than the {MOST_SAMPLES} that are written as text."
+    rate = _require_integer_rate(signal, where) if texture is None else texture.rate
+    given = signal if texture is None else texture_to_signal(signal, texture)
+    samples = get_finite_samples(given, where).astype(np.float64)
+    if len(samples) > MAX_WRITTEN_SAMPLES:
+        why = f"{len(samples)} samples are more than the {MAX_WRITTEN_SAMPLES} that are written as text."
         raise FileError(why, where=where, remedy=_REMEDY)
     full_scale_m_s2 = options.full_scale_m_s2
     gain = max(1.0, float(np.abs(samples).max(initial=0.0)) / full_scale_m_s2)
     head = {"hnf": __version__, "units": UNITS, "full_scale": full_scale_m_s2, "seed": signal.seed}
     channel: dict[str, Any] = {
         "id": 0,
-        "description": _short(signal.provenance.get("stroke", "")),
+        "description": _truncate_text(signal.provenance.get("stroke", "")),
         "gain": gain,
         "mixing_coefficient": 1.0,
         "body_part_mask": 0,
         "reference_device_id": 0,
         "frequency_sampling": rate,
         "sample_count": len(samples),
-        "bands": [_band(samples / (full_scale_m_s2 * gain), rate)],
+        "bands": [_encode_band(samples / (full_scale_m_s2 * gain), rate)],
     }
     perception: dict[str, Any] = {
         "id": 0,
         "avatar_id": 0,
-        "description": _json_text(_told(signal.provenance)),
+        "description": _dump_compact_json(_select_facts(signal.provenance)),
         "perception_modality": "Vibrotactile",
-        "reference_devices": [_device(options)],
+        "reference_devices": [_encode_device(options)],
         "effect_library": [],
         "channels": [channel],
     }
@@ -158,7 +163,7 @@ def hjif_tree(
         "profile": PROFILE,
         "level": LEVEL,
         "date": date,
-        "description": _json_text(head),
+        "description": _dump_compact_json(head),
         "timescale": rate,
         "avatars": avatars,
         "perceptions": [perception],
@@ -166,15 +171,15 @@ def hjif_tree(
     }
 
 
-def texture_of(
+def make_texture(
     signal: Signal, path: StrokePath, vertices: NDArray[np.int32], mesh: str, where: str = "hjif"
-) -> Texture:
+) -> VibrotactileTexture:
     """Signal over the way that the hand travelled: linear interpolation of a(t) at t(way), one sample a tick. While the
     hand rests, there is no way, and nothing is kept. Raises FileError where the hand does not move."""
     speed = path.mean_speed_m_s
     if speed <= 0.0:
         raise FileError("the hand does not move, so no texture lies along its way.", where=where, remedy=_REMEDY)
-    fits = [each for each in TEXTURE_EXPONENTS if 1 <= round(speed / 10.0**each) <= LARGEST_TIMESCALE]
+    fits = [each for each in TEXTURE_EXPONENTS if 1 <= round(speed / 10.0**each) <= MAX_TIMESCALE]
     if not fits:
         raise FileError(f"a mean speed of {speed:g} m/s fits no timescale.", where=where, remedy=_REMEDY)
     tick = 10.0 ** fits[0]
@@ -183,15 +188,15 @@ def texture_of(
     time = np.interp(way, path.distance[first], path.time[first])
     grid = np.arange(len(signal.samples)) / signal.sample_rate
     samples = np.interp(time, grid, signal.samples.astype(np.float64)) if len(grid) else np.zeros(0)
-    return Texture(samples.astype(np.float32), round(speed / tick), fits[0], vertices, mesh)
+    return VibrotactileTexture(samples.astype(np.float32), round(speed / tick), fits[0], vertices, mesh)
 
 
-def played(signal: Signal, texture: Texture) -> Signal:
+def texture_to_signal(signal: Signal, texture: VibrotactileTexture) -> Signal:
     """The texture as it is read back: at the mean speed."""
     return replace(signal, samples=texture.samples, sample_rate=float(texture.rate))
 
 
-def _band(shares: NDArray[np.float64], rate: int) -> dict[str, Any]:
+def _encode_band(shares: NDArray[np.float64], rate: int) -> dict[str, Any]:
     # Nine digits tell every float32 from its neighbours.
     values = [float(f"{share:.9g}") for share in shares]
     effects = []
@@ -212,38 +217,41 @@ def _band(shares: NDArray[np.float64], rate: int) -> dict[str, Any]:
     }
 
 
-def _device(options: ExportOptions) -> dict[str, Any]:
+def _encode_device(options: ExportOptions) -> dict[str, Any]:
     """maximum_amplitude is left out: in which unit it counts is not public."""
-    low, high = (min(hertz, HIGHEST_DEVICE_HZ) for hertz in options.range_hz)
+    low, high = (min(hertz, MAX_DEVICE_HZ) for hertz in options.range_hz)
     name = f"a device of {options.full_scale_m_s2:g} m/s^2"
     return {"id": 0, "name": name, "minimum_frequency": low, "maximum_frequency": high}
 
 
-def _whole_rate(signal: Signal, where: str) -> int:
+def _require_integer_rate(signal: Signal, where: str) -> int:
     rate = signal.sample_rate
-    if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= LARGEST_TIMESCALE):
+    if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= MAX_TIMESCALE):
         raise FileError(
-            f"a rate of {rate:g} Hz: the format counts whole ticks, {LARGEST_TIMESCALE} a second at most.",
+            f"a rate of {rate:g} Hz: the format counts whole ticks, {MAX_TIMESCALE} a second at most.",
             where=where,
             remedy="Resample it, e.g. to 10000 Hz.",
         )
     return int(rate)
 
 
-def _told(provenance: Mapping[str, str]) -> dict[str, str]:
+def _select_facts(provenance: Mapping[str, str]) -> dict[str, str]:
     """The facts that a description holds, the most telling first."""
     told: dict[str, str] = {}
-    ordered = [*(name for name in _TEXT_FACTS if name in provenance), *sorted(set(provenance) - set(_TEXT_FACTS))]
+    ordered = [
+        *(name for name in _PRIORITY_FACTS if name in provenance),
+        *sorted(set(provenance) - set(_PRIORITY_FACTS)),
+    ]
     for name in ordered:
         more = {**told, name: str(provenance[name])}
-        if len(_json_text(more).encode()) <= LARGEST_TEXT:
+        if len(_dump_compact_json(more).encode()) <= MAX_TEXT_BYTES:
             told = more
     return told
 
 
-def _json_text(facts: Mapping[str, Any]) -> str:
+def _dump_compact_json(facts: Mapping[str, Any]) -> str:
     return json.dumps(facts, separators=(",", ":"), ensure_ascii=False)
 
 
-def _short(text: str) -> str:
-    return text.encode()[:LARGEST_TEXT].decode(errors="ignore")
+def _truncate_text(text: str) -> str:
+    return text.encode()[:MAX_TEXT_BYTES].decode(errors="ignore")

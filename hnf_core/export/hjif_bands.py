@@ -14,7 +14,7 @@ TRANSIENT_S = 0.022
 
 
 @dataclass(frozen=True)
-class Ticks:
+class TickGrid:
     """The grid to render on: count samples, rate a second, with timescale ticks a second."""
 
     count: int
@@ -23,14 +23,14 @@ class Ticks:
 
 
 @dataclass(frozen=True)
-class EffectKeys:
+class EffectKeyframes:
     """An effect's keyframes. start: tick at which it begins. place: (k,) ticks after it, never falling. amplitude,
     frequency: (k,), Hz, NaN where a keyframe has none. phase: rad. shape: of its wave. low_hz, high_hz: of its band.
     linear: whether a curve goes in lines. joined: another begins exactly where this one ends. tail: ticks that it
     sounds on after its last keyframe."""
 
     start: int
-    place: Float
+    position: Float
     amplitude: Float
     frequency: Float
     phase: float
@@ -44,17 +44,17 @@ class EffectKeys:
     @property
     def end(self) -> float:
         """Tick at which it is over."""
-        return self.start + (float(self.place[-1]) if len(self.place) else 0.0) + self.tail
+        return self.start + (float(self.position[-1]) if len(self.position) else 0.0) + self.tail
 
 
-def curve(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
+def render_curve(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
     """(first sample, values) of a curve: lines, or cubics that are level at each keyframe."""
     known = np.isfinite(effect.amplitude)
-    place, value = effect.place[known], effect.amplitude[known]
-    first, at = _places(effect, ticks)
+    place, value = effect.position[known], effect.amplitude[known]
+    first, at = _sample_ticks(effect, ticks)
     if len(place) == 0:
         return first, np.zeros(0)
-    if effect.joined and len(at) and at[-1] >= effect.place[-1]:
+    if effect.joined and len(at) and at[-1] >= effect.position[-1]:
         at = at[:-1]
     if effect.linear or len(place) == 1:
         return first, np.interp(at, place, value)
@@ -64,41 +64,41 @@ def curve(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
     return first, value[after - 1] + (value[after] - value[after - 1]) * (3.0 - 2.0 * share) * share**2
 
 
-def wave(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
+def render_wave(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
     """(first sample, values) of a wave whose amplitude and frequency go in lines from keyframe to keyframe."""
-    first, at = _places(effect, ticks)
-    if len(effect.place) == 0:
+    first, at = _sample_ticks(effect, ticks)
+    if len(effect.position) == 0:
         return first, np.zeros(0)
     known = np.isfinite(effect.amplitude)
-    amplitude = np.interp(at, effect.place[known], effect.amplitude[known]) if known.any() else np.ones(len(at))
+    amplitude = np.interp(at, effect.position[known], effect.amplitude[known]) if known.any() else np.ones(len(at))
     tones = np.isfinite(effect.frequency)
     cycles = np.full(len(at), effect.phase / (2.0 * np.pi))
     if tones.any():
-        place = effect.place[tones] / ticks.timescale
+        place = effect.position[tones] / ticks.timescale
         tone = np.clip(effect.frequency[tones], effect.low_hz, effect.high_hz)
-        cycles = cycles + _integral(at / ticks.timescale, place, tone)
-    return first, amplitude * _SHAPES.get(effect.shape, _sine)(cycles)
+        cycles = cycles + _integrate_frequency(at / ticks.timescale, place, tone)
+    return first, amplitude * _WAVEFORMS.get(effect.shape, _sine)(cycles)
 
 
-def transient(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
+def render_transient(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
     """(first sample, values) of clicks: two periods of a sine at each keyframe."""
-    first, at = _places(effect, ticks)
+    first, at = _sample_ticks(effect, ticks)
     values = np.zeros(len(at))
-    for place, amplitude in zip(effect.place, effect.amplitude, strict=True):
+    for place, amplitude in zip(effect.position, effect.amplitude, strict=True):
         inside = slice(*np.searchsorted(at, (place, place + TRANSIENT_S * ticks.timescale)))
         turn = (at[inside] - place) / (TRANSIENT_S * ticks.timescale)
         values[inside] += np.nan_to_num(amplitude) * np.sin(4.0 * np.pi * turn)
     return first, values
 
 
-BANDS: dict[str, Callable[[EffectKeys, Ticks], tuple[int, Float]]] = {
-    "Curve": curve,
-    "VectorialWave": wave,
-    "Transient": transient,
+BAND_RENDERERS: dict[str, Callable[[EffectKeyframes, TickGrid], tuple[int, Float]]] = {
+    "Curve": render_curve,
+    "VectorialWave": render_wave,
+    "Transient": render_transient,
 }
 
 
-def _places(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
+def _sample_ticks(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
     """First sample of an effect within the grid, and the ticks after its start of all its samples."""
     # In whole numbers: a tick of a float grid may fall short of a keyframe that it stands on.
     first = max(0, -((-effect.start * ticks.rate) // ticks.timescale))
@@ -107,10 +107,12 @@ def _places(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
     return min(first, ticks.count), at
 
 
-def _integral(time: Float, place: Float, tone: Float) -> Float:
+def _integrate_frequency(time: Float, keyframe_time: Float, keyframe_frequency: Float) -> Float:
     """Cycles from 0 to time of a frequency that goes in lines through (place, tone), and stays before and after."""
-    knots = np.concatenate([[0.0], place]) if place[0] > 0.0 else place
-    tones = np.concatenate([[tone[0]], tone]) if place[0] > 0.0 else tone
+    knots = np.concatenate([[0.0], keyframe_time]) if keyframe_time[0] > 0.0 else keyframe_time
+    tones = (
+        np.concatenate([[keyframe_frequency[0]], keyframe_frequency]) if keyframe_time[0] > 0.0 else keyframe_frequency
+    )
     area = np.concatenate([[0.0], np.cumsum(np.diff(knots) * (tones[1:] + tones[:-1]) / 2.0)])
     index = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(knots) - 1)
     here = np.interp(time, knots, tones)
@@ -121,7 +123,7 @@ def _sine(cycles: Float) -> Float:
     return np.asarray(np.sin(2.0 * np.pi * cycles))
 
 
-_SHAPES: dict[str, Callable[[Float], Float]] = {
+_WAVEFORMS: dict[str, Callable[[Float], Float]] = {
     "Sine": _sine,
     "Square": lambda cycles: 1.0 - 2.0 * np.round(cycles - np.floor(cycles)),
     "Triangle": lambda cycles: 1.0 - 4.0 * np.abs(np.round(cycles - 0.25) - (cycles - 0.25)),

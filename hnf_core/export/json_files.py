@@ -9,29 +9,29 @@ from typing import Any
 from ..errors import FileError
 from ..files import write_bytes
 
-LARGEST_BYTES = 32 * 2**20
+MAX_JSON_BYTES = 32 * 2**20
 """A quarter of an hour of control points every 5 ms; a stroke is kilobytes."""
-_PIECE = 2**20
-AGAIN = "Export or download it again."
+_READ_BLOCK_BYTES = 2**20
+REEXPORT_REMEDY = "Export or download it again."
 
 
-def read_bytes(path: Path, largest: int) -> bytes:
+def read_limited_bytes(path: Path, max_bytes: int) -> bytes:
     """The file's bytes. Raises FileError where it cannot be read or is larger."""
     try:
         size = path.stat().st_size
-        if size > largest:
+        if size > max_bytes:
             raise FileError(f"{size / 2**20:.0f} MB are too much.", where=str(path), remedy="Split it.")
         data = bytearray()
         with path.open("rb") as stream:
             # A device says that it is empty: what it gives is counted.
-            while len(data) <= largest and (piece := stream.read(_PIECE)):
+            while len(data) <= max_bytes and (piece := stream.read(_READ_BLOCK_BYTES)):
                 data += piece
     except OSError as error:
         raise FileError(
             f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the file's path."
         ) from error
-    if len(data) > largest:
-        raise FileError(f"it has no end within {largest / 2**20:.0f} MB.", where=str(path), remedy="Give a file.")
+    if len(data) > max_bytes:
+        raise FileError(f"it has no end within {max_bytes / 2**20:.0f} MB.", where=str(path), remedy="Give a file.")
     return bytes(data)
 
 
@@ -39,13 +39,15 @@ def read_json(path: Path) -> dict[str, Any]:
     """The file's one object. Raises FileError where it is larger than LARGEST_BYTES, no UTF-8, no JSON (NaN and
     Infinity are none), nested beyond Python's depth, or no object."""
     try:
-        found = json.loads(read_bytes(path, LARGEST_BYTES).decode("utf-8-sig"), parse_constant=_refuse)
+        found = json.loads(
+            read_limited_bytes(path, MAX_JSON_BYTES).decode("utf-8-sig"), parse_constant=_refuse_constant
+        )
     except UnicodeDecodeError as error:
         raise FileError("is no UTF-8 text.", where=str(path), remedy="Save it as UTF-8.") from error
     except (ValueError, RecursionError) as error:
-        raise FileError(f"is no JSON ({error}).", where=str(path), remedy=AGAIN) from error
+        raise FileError(f"is no JSON ({error}).", where=str(path), remedy=REEXPORT_REMEDY) from error
     if not isinstance(found, dict):
-        raise FileError("holds no JSON object.", where=str(path), remedy=AGAIN)
+        raise FileError("holds no JSON object.", where=str(path), remedy=REEXPORT_REMEDY)
     return found
 
 
@@ -55,47 +57,47 @@ def write_json(path: Path, record: dict[str, Any], *, indent: int | None = 1) ->
     separators = (",", ":") if indent is None else None
     text = json.dumps(record, indent=indent, separators=separators, ensure_ascii=False, allow_nan=False)
     data = (text + "\n").encode()
-    if len(data) > LARGEST_BYTES:
-        why = f"it would be {len(data) / 2**20:.0f} MB of text, and {LARGEST_BYTES / 2**20:.0f} are read again."
+    if len(data) > MAX_JSON_BYTES:
+        why = f"it would be {len(data) / 2**20:.0f} MB of text, and {MAX_JSON_BYTES / 2**20:.0f} are read again."
         raise FileError(why, where=str(path), remedy="Split the signal, or write WAV.")
     write_bytes(path, data)
 
 
-class Reading:
+class JsonReader:
     """Values of one file by name; the first that is wrong raises FileError."""
 
     def __init__(self, path: Path) -> None:
         self._where = str(path)
 
-    def wrong(self, why: str) -> FileError:
-        return FileError(f"{why}.", where=self._where, remedy=AGAIN)
+    def make_error(self, why: str) -> FileError:
+        return FileError(f"{why}.", where=self._where, remedy=REEXPORT_REMEDY)
 
-    def table(self, owner: dict[str, Any], name: str) -> dict[str, Any]:
+    def get_object(self, owner: dict[str, Any], name: str) -> dict[str, Any]:
         """The object called name."""
         found = owner.get(name)
         if not isinstance(found, dict):
-            raise self.wrong(f"'{name}' is missing" if found is None else f"'{name}' is no object")
+            raise self.make_error(f"'{name}' is missing" if found is None else f"'{name}' is no object")
         return found
 
-    def rows(self, owner: dict[str, Any], name: str) -> list[Any]:
+    def get_array(self, owner: dict[str, Any], name: str) -> list[Any]:
         """The array called name."""
         found = owner.get(name)
         if not isinstance(found, list):
-            raise self.wrong(f"'{name}' is missing" if found is None else f"'{name}' is no array")
+            raise self.make_error(f"'{name}' is missing" if found is None else f"'{name}' is no array")
         return found
 
-    def number(self, owner: Any, name: str, low: float, high: float) -> float:
+    def get_number(self, owner: Any, name: str, low: float, high: float) -> float:
         """The number called name, low … high."""
         if not isinstance(owner, dict):
-            raise self.wrong(f"where '{name}' should stand is no object")
+            raise self.make_error(f"where '{name}' should stand is no object")
         found = owner.get(name)
         if isinstance(found, bool) or not isinstance(found, int | float):
-            raise self.wrong(f"'{name}' is missing" if found is None else f"'{name}' is no number")
+            raise self.make_error(f"'{name}' is missing" if found is None else f"'{name}' is no number")
         if not low <= found <= high:
             shown = f"{found:g}" if -1e300 < found < 1e300 else "beyond all measure"
-            raise self.wrong(f"'{name}' is {shown}, and not within {low:g} … {high:g}")
+            raise self.make_error(f"'{name}' is {shown}, and not within {low:g} … {high:g}")
         return float(found)
 
 
-def _refuse(constant: str) -> float:
+def _refuse_constant(constant: str) -> float:
     raise ValueError(f"{constant} is no number")

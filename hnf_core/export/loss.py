@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from ..metrics.band_energy import Band, band_changes
+from ..metrics.band_energy import BandChange, compare_bands
 from ..signal import Signal
 
 FRAME_S = 0.02
-FLOOR_DB = -120.0
+SILENCE_DB = -120.0
 """Levels below it, re 1 m/s², are silence."""
-ALL_LOST = "All of it: what is read back is silent. A .wav in m/s² keeps every sample."
-QUIET_DB = 60.0
+SILENT_OUTPUT = "All of it: what is read back is silent. A .wav in m/s² keeps every sample."
+BAND_RANGE_DB = 60.0
 """A band this far below the loudest says nothing, and is not in the table."""
 
 
 @dataclass(frozen=True)
-class Facts:
+class SignalStats:
     """duration_s, sample_rate_hz; rms, peak: m/s². crest_db: peak over RMS. range_db: from the 5th to the 95th
     percentile of the levels of 20 ms frames. None: of silence."""
 
@@ -34,13 +34,13 @@ class Facts:
 
 
 @dataclass(frozen=True)
-class Loss:
+class ConversionLoss:
     """before, after: the conversion; bands: of energy; exact: every sample is as it was; dropped: what the format has
     no place for, in words."""
 
-    before: Facts
-    after: Facts
-    bands: tuple[Band, ...]
+    before: SignalStats
+    after: SignalStats
+    bands: tuple[BandChange, ...]
     exact: bool
     dropped: tuple[str, ...]
 
@@ -49,8 +49,8 @@ class Loss:
             {
                 "low_hz": band.low_hz,
                 "high_hz": None if math.isinf(band.high_hz) else band.high_hz,
-                "before_db": level_db(band.before),
-                "after_db": level_db(band.after),
+                "before_db": power_to_level_db(band.before),
+                "after_db": power_to_level_db(band.after),
                 "change_db": band.change_db,
             }
             for band in self.bands
@@ -65,127 +65,138 @@ class Loss:
         }
 
 
-def loss_between(before: Signal, after: Signal, dropped: tuple[str, ...] = ()) -> Loss:
+def measure_loss(before: Signal, after: Signal, dropped: tuple[str, ...] = ()) -> ConversionLoss:
     """after: read again from the file. Where nothing of it is left, ALL_LOST comes first in dropped."""
-    bands = band_changes(before.samples, before.sample_rate, after.samples, after.sample_rate)
+    bands = compare_bands(before.samples, before.sample_rate, after.samples, after.sample_rate)
     exact = before.sample_rate == after.sample_rate and np.array_equal(before.samples, after.samples)
-    was, now = facts_of(before), facts_of(after)
-    all_lost = (ALL_LOST,) if now.rms == 0.0 < was.rms else ()
-    return Loss(was, now, bands, exact, (*all_lost, *dropped))
+    was, now = compute_signal_stats(before), compute_signal_stats(after)
+    all_lost = (SILENT_OUTPUT,) if now.rms == 0.0 < was.rms else ()
+    return ConversionLoss(was, now, bands, exact, (*all_lost, *dropped))
 
 
-def facts_of(signal: Signal) -> Facts:
+def compute_signal_stats(signal: Signal) -> SignalStats:
     samples = np.asarray(signal.samples, dtype=np.float64)
     peak, rms = float(np.abs(samples).max(initial=0.0)), signal.rms
     crest = None if rms == 0.0 else 20.0 * math.log10(peak / rms)
-    return Facts(signal.duration_s, signal.sample_rate, rms, peak, crest, _range_db(samples, signal.sample_rate))
+    return SignalStats(
+        signal.duration_s, signal.sample_rate, rms, peak, crest, _compute_range_db(samples, signal.sample_rate)
+    )
 
 
-def _range_db(samples: np.ndarray[Any, np.dtype[np.float64]], rate: float) -> float | None:
+def _compute_range_db(samples: np.ndarray[Any, np.dtype[np.float64]], rate: float) -> float | None:
     frame = max(1, round(FRAME_S * rate))
     count = len(samples) // frame
     if count == 0:
         return None
     power = np.square(samples[: count * frame]).reshape(count, frame).mean(axis=1)
-    heard = power[power > 10.0 ** (FLOOR_DB / 10.0)]
+    heard = power[power > 10.0 ** (SILENCE_DB / 10.0)]
     if len(heard) == 0:
         return None
     low, high = np.percentile(10.0 * np.log10(heard), [5.0, 95.0])
     return float(high - low)
 
 
-def level_db(power: float) -> float | None:
+def power_to_level_db(power: float) -> float | None:
     """re 1 (m/s²)²; None for what is silent."""
-    return 10.0 * math.log10(power) if power > 10.0 ** (FLOOR_DB / 10.0) else None
+    return 10.0 * math.log10(power) if power > 10.0 ** (SILENCE_DB / 10.0) else None
 
 
-def loss_table(loss: Loss) -> str:
+def format_loss_table(loss: ConversionLoss) -> str:
     """A few lines for a terminal; of a conversion that is exact, one."""
     before, after = loss.before, loss.after
     if loss.exact:
-        return _listed(f"Every sample reads back as it was: {_short(before)}.", loss)
+        return _append_dropped(f"Every sample reads back as it was: {_format_stats(before)}.", loss)
     rows: list[tuple[str, ...]] = [
         ("", "before", "after", "change"),
         ("duration", f"{before.duration_s:.4f} s", f"{after.duration_s:.4f} s",
          f"{1000.0 * (after.duration_s - before.duration_s):+.2f} ms"),
         ("sample rate", f"{before.sample_rate_hz:g} Hz", f"{after.sample_rate_hz:g} Hz", ""),
-        ("level (RMS)", f"{before.rms:.3g} m/s²", f"{after.rms:.3g} m/s²", _ratio(before.rms, after.rms)),
-        ("peak", f"{before.peak:.3g} m/s²", f"{after.peak:.3g} m/s²", _ratio(before.peak, after.peak)),
-        ("crest factor", *_both(before.crest_db, after.crest_db)),
-        ("dynamics, 5–95 %", *_both(before.range_db, after.range_db)),
+        ("level (RMS)", f"{before.rms:.3g} m/s²", f"{after.rms:.3g} m/s²", _format_ratio(before.rms, after.rms)),
+        ("peak", f"{before.peak:.3g} m/s²", f"{after.peak:.3g} m/s²", _format_ratio(before.peak, after.peak)),
+        ("crest factor", *_format_pair(before.crest_db, after.crest_db)),
+        ("dynamics, 5–95 %", *_format_pair(before.range_db, after.range_db)),
     ]  # fmt: skip
-    rows += [(_name(band), *_both(level_db(band.before), level_db(band.after))) for band in _heard(loss.bands)]
-    return _listed(_aligned(rows), loss)
+    rows += [
+        (_format_band(band), *_format_pair(power_to_level_db(band.before), power_to_level_db(band.after)))
+        for band in _significant_bands(loss.bands)
+    ]
+    return _append_dropped(_align_columns(rows), loss)
 
 
-def rendered_table(loss: Loss) -> str:
+def format_rendered_summary(loss: ConversionLoss) -> str:
     """In place of loss_table, of a signal whose file holds no samples: there is nothing to compare it with."""
     head = "Rendered from strength and frequency over time, and its waveform is made up"
-    return _listed(f"{head}: {_short(loss.after)}.", loss)
+    return _append_dropped(f"{head}: {_format_stats(loss.after)}.", loss)
 
 
-def earlier_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...]:
+def describe_sidecar_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...]:
     """Lines on what an export changed, from its Loss.to_json in the file called where. Its sentences follow as they
     are: not each of them is of a loss, as the one that states a gain."""
     if loss["exact"]:
         return (f"Its export, as {where} says, kept every sample.",)
     before, after = loss["before"], loss["after"]
-    ratios = {word: _ratio(float(before[key]), float(after[key])) for word, key in (("level", "rms"), ("peak", "peak"))}
-    changed = [f"the {word} by {ratio}" for word, ratio in ratios.items() if ratio not in ("", _change(0.0))]
+    ratios = {
+        word: _format_ratio(float(before[key]), float(after[key])) for word, key in (("level", "rms"), ("peak", "peak"))
+    }
+    changed = [f"the {word} by {ratio}" for word, ratio in ratios.items() if ratio not in ("", _format_change(0.0))]
     if not changed:
         return (f"Of its export, {where} says:", *loss["dropped"])
     return (f"Its export, as {where} says, changed {' and '.join(changed)}. It says:", *loss["dropped"])
 
 
-def levels_table(facts: Facts, bands: tuple[Band, ...]) -> str:
+def format_level_table(facts: SignalStats, bands: tuple[BandChange, ...]) -> str:
     """How strong a signal is, whole and octave by octave (bands: of it, as after): for a terminal."""
     rows: list[tuple[str, ...]] = [
-        ("crest factor", _db(facts.crest_db)),
-        ("dynamics, 5–95 %", _db(facts.range_db)),
-        *((_name(band), _db(level_db(band.after))) for band in _heard(bands)),
+        ("crest factor", _format_level(facts.crest_db)),
+        ("dynamics, 5–95 %", _format_level(facts.range_db)),
+        *((_format_band(band), _format_level(power_to_level_db(band.after))) for band in _significant_bands(bands)),
     ]
-    return _aligned(rows)
+    return _align_columns(rows)
 
 
-def _short(facts: Facts) -> str:
+def _format_stats(facts: SignalStats) -> str:
     at = f"{facts.duration_s:.4f} s at {facts.sample_rate_hz:g} Hz"
     return f"{at}, {facts.rms:.3g} m/s² RMS, peak {facts.peak:.3g} m/s²"
 
 
-def _heard(bands: tuple[Band, ...]) -> list[Band]:
+def _significant_bands(bands: tuple[BandChange, ...]) -> list[BandChange]:
     """Those that are not QUIET_DB below the loudest."""
     loudest = max(max(band.before, band.after) for band in bands)
-    return [each for each in bands if max(each.before, each.after) > loudest * 10.0 ** (-QUIET_DB / 10.0)]
+    return [each for each in bands if max(each.before, each.after) > loudest * 10.0 ** (-BAND_RANGE_DB / 10.0)]
 
 
-def _aligned(rows: list[tuple[str, ...]]) -> str:
+def _align_columns(rows: list[tuple[str, ...]]) -> str:
     """The first column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [[row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows]
     return "\n".join("  ".join(line).rstrip() for line in lines)
 
 
-def _listed(text: str, loss: Loss) -> str:
+def _append_dropped(text: str, loss: ConversionLoss) -> str:
     return "\n".join([text, *(f"- {each}" for each in loss.dropped)])
 
 
-def _name(band: Band) -> str:
+def _format_band(band: BandChange) -> str:
     low, high = (f"{edge:.2g}" if edge < 99.5 else f"{edge:.0f}" for edge in (band.low_hz, min(band.high_hz, 1e9)))
     return f"above {low} Hz" if math.isinf(band.high_hz) else f"{low}–{high} Hz"
 
 
-def _both(before: float | None, after: float | None) -> tuple[str, str, str]:
-    return _db(before), _db(after), "" if before is None or after is None else _change(after - before)
+def _format_pair(before: float | None, after: float | None) -> tuple[str, str, str]:
+    return (
+        _format_level(before),
+        _format_level(after),
+        "" if before is None or after is None else _format_change(after - before),
+    )
 
 
-def _change(decibels: float) -> str:
+def _format_change(decibels: float) -> str:
     # + 0.0: what rounds to nothing has no sign
     return f"{round(decibels, 1) + 0.0:+.1f} dB"
 
 
-def _db(value: float | None) -> str:
+def _format_level(value: float | None) -> str:
     return "silent" if value is None else f"{round(value, 1) + 0.0:.1f} dB"
 
 
-def _ratio(before: float, after: float) -> str:
-    return _change(20.0 * math.log10(after / before)) if before > 0.0 and after > 0.0 else ""
+def _format_ratio(before: float, after: float) -> str:
+    return _format_change(20.0 * math.log10(after / before)) if before > 0.0 and after > 0.0 else ""

@@ -13,38 +13,38 @@ from numpy.typing import NDArray
 from ..tactile.tactile_map import TactileMap
 from ..units import m_to_mm
 from .figure import write_figure
-from .rows import wrapped
+from .rows import wrap_lines
 from .srgb import linear_to_srgb
-from .tracks import INK, QUIET
+from .tracks import INK, MUTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE_PX = (640, 800)
-MOST_ROWS = 7
+MAX_TEXT_ROWS = 7
 """Of text below the map: down to the lower edge."""
-SPREAD = 0.2
+CONTRAST_TARGET = 0.2
 """How far the strongest percent of a map's pixels is drawn from its mean: its own contrast is that of a gel."""
-BAR_SHARE = 0.4
+MAX_BAR_SHARE = 0.4
 """Of the map's width, that the scale bar does not exceed."""
 
 
-def gain_of(tactile: TactileMap) -> float:
+def compute_contrast_gain(tactile: TactileMap) -> float:
     """By how much the contrast is raised; 1 where it is strong enough."""
     seen = np.asarray(tactile.image, dtype=np.float64)[tactile.mask]
     spread = float(np.percentile(np.abs(seen - seen.mean(axis=0)), 99)) if len(seen) else 0.0
-    return max(1.0, SPREAD / max(spread, 1e-3))
+    return max(1.0, CONTRAST_TARGET / max(spread, 1e-3))
 
 
-def stretched(tactile: TactileMap) -> NDArray[np.float64]:
+def stretch_contrast(tactile: TactileMap) -> NDArray[np.float64]:
     """(H, W, 3) linear, gain_of as far from its mean; what is not seen is the mean."""
     image = np.asarray(tactile.image, dtype=np.float64)
     seen = image[tactile.mask]
     mean = seen.mean(axis=0) if len(seen) else image.mean(axis=(0, 1))
-    return np.where(tactile.mask[..., None], mean + (image - mean) * gain_of(tactile), mean)
+    return np.where(tactile.mask[..., None], mean + (image - mean) * compute_contrast_gain(tactile), mean)
 
 
-def map_picture(path: Path, tactile: TactileMap, title: str, facts: Sequence[str] = ()) -> None:
+def write_tactile_map_figure(path: Path, tactile: TactileMap, title: str, facts: Sequence[str] = ()) -> None:
     """Draw a tactile map into a PNG of 640 × 800 pixels, atomically: enlarged, with a scale bar [mm], and below it what
     sensor and light it is, how far its contrast is raised, and facts, a paragraph each, fewer than MOST_ROWS. What has
     no room is cut short, with a mark.
@@ -58,17 +58,17 @@ def map_picture(path: Path, tactile: TactileMap, title: str, facts: Sequence[str
             0.05, 0.965, textwrap.shorten(title, 52, placeholder=" …"), fontsize=14, fontweight="bold", va="top"
         )
         _draw_map(figure, tactile)
-        said = [("", text) for text in (_what(tactile), *facts)]
-        for number, (_, row) in enumerate(wrapped(said, 82, MOST_ROWS)):
-            figure.text(0.05, 0.165 - 0.024 * number, row, fontsize=9.5, color=QUIET, va="top")
+        said = [("", text) for text in (_describe_map(tactile), *facts)]
+        for number, (_, row) in enumerate(wrap_lines(said, 82, MAX_TEXT_ROWS)):
+            figure.text(0.05, 0.165 - 0.024 * number, row, fontsize=9.5, color=MUTED, va="top")
 
     write_figure(path, SIZE_PX, draw)
 
 
-def bar_mm(width_mm: float) -> float:
+def choose_bar_length_mm(width_mm: float) -> float:
     """The longest of 1, 2, 5 times a power of ten that is BAR_SHARE of width_mm at most."""
-    decade = 10.0 ** np.floor(np.log10(BAR_SHARE * width_mm))
-    return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= BAR_SHARE * width_mm))
+    decade = 10.0 ** np.floor(np.log10(MAX_BAR_SHARE * width_mm))
+    return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= MAX_BAR_SHARE * width_mm))
 
 
 def _draw_map(figure: Figure, tactile: TactileMap) -> None:
@@ -76,10 +76,10 @@ def _draw_map(figure: Figure, tactile: TactileMap) -> None:
 
     height, width = tactile.image.shape[:2]
     axes = figure.add_axes((0.05, 0.2, 0.9, 0.72))
-    axes.imshow(linear_to_srgb(stretched(tactile)), extent=(0, width, height, 0), interpolation="nearest")
+    axes.imshow(linear_to_srgb(stretch_contrast(tactile)), extent=(0, width, height, 0), interpolation="nearest")
     axes.set(xticks=[], yticks=[])
     axes.grid(False)
-    millimetres = bar_mm(m_to_mm(width * tactile.metres_per_pixel))
+    millimetres = choose_bar_length_mm(m_to_mm(width * tactile.metres_per_pixel))
     long, left, low = millimetres / m_to_mm(tactile.metres_per_pixel), 0.04 * width, 0.95 * height
     back = Rectangle((left - 0.015 * width, low - 0.055 * height), long + 0.03 * width, 0.08 * height)
     back.set(fc="white", ec="none", alpha=0.85)
@@ -88,8 +88,8 @@ def _draw_map(figure: Figure, tactile: TactileMap) -> None:
     axes.text(left + long / 2, low - 0.008 * height, f"{millimetres:g} mm", ha="center", va="bottom", color=INK)
 
 
-def _what(tactile: TactileMap) -> str:
-    gain, wide = gain_of(tactile), m_to_mm(tactile.image.shape[1] * tactile.metres_per_pixel)
+def _describe_map(tactile: TactileMap) -> str:
+    gain, wide = compute_contrast_gain(tactile), m_to_mm(tactile.image.shape[1] * tactile.metres_per_pixel)
     raised = f"; contrast raised {gain:.2g}-fold" if gain > 1.0 else ""
     return (
         f"What a {tactile.sensor} touch sensor would see of the surface: relief lit from the sides, "

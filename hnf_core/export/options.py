@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from ..errors import UsageError
 from .surface import TouchedSurface
 
-FULL_SCALE_M_S2 = 30.0
+DEFAULT_FULL_SCALE_M_S2 = 30.0
 """Where nobody says: the generic voice coil's largest acceleration (`hnf_core/actuators/profile.py`)."""
-RANGE_HZ = (20.0, 1000.0)
+DEFAULT_RANGE_HZ = (20.0, 1000.0)
 """Where nobody says: the generic voice coil's range."""
-SMALLEST_SCALE, LARGEST_SCALE = 1e-6, 1e6
+MIN_FULL_SCALE_M_S2, MAX_FULL_SCALE_M_S2 = 1e-6, 1e6
 """m/s²; no device is outside."""
-ENVELOPE_ERROR = 0.01
-RENDER_RATE_HZ = 10_000.0
+DEFAULT_ENVELOPE_ERROR = 0.01
+DEFAULT_RENDER_RATE_HZ = 10_000.0
 
 
 @dataclass(frozen=True)
@@ -26,14 +26,14 @@ class ExportOptions:
     full_scale_assumed: nobody stated or measured full_scale_m_s2; the sidecar says so.
     """
 
-    full_scale_m_s2: float = FULL_SCALE_M_S2
-    range_hz: tuple[float, float] = RANGE_HZ
-    error: float = ENVELOPE_ERROR
+    full_scale_m_s2: float = DEFAULT_FULL_SCALE_M_S2
+    range_hz: tuple[float, float] = DEFAULT_RANGE_HZ
+    error: float = DEFAULT_ENVELOPE_ERROR
     surface: TouchedSurface | None = None
     full_scale_assumed: bool = False
 
     def __post_init__(self) -> None:
-        _check(self.full_scale_m_s2, self.range_hz)
+        _check_scale_and_range(self.full_scale_m_s2, self.range_hz)
         if not 0.0 < self.error <= 0.5:
             raise UsageError(f"an error of {self.error:g} is no share of a peak.", remedy="Give e.g. 0.01.")
 
@@ -45,17 +45,20 @@ class ImportOptions:
 
     full_scale_m_s2: float | None = None
     range_hz: tuple[float, float] | None = None
-    rate_hz: float = RENDER_RATE_HZ
+    rate_hz: float = DEFAULT_RENDER_RATE_HZ
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _check(FULL_SCALE_M_S2 if self.full_scale_m_s2 is None else self.full_scale_m_s2, self.range_hz or RANGE_HZ)
+        _check_scale_and_range(
+            DEFAULT_FULL_SCALE_M_S2 if self.full_scale_m_s2 is None else self.full_scale_m_s2,
+            self.range_hz or DEFAULT_RANGE_HZ,
+        )
         if not (1.0 <= self.rate_hz <= 1e6 and self.rate_hz == round(self.rate_hz)):
             raise UsageError(f"{self.rate_hz:g} Hz: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
 
 
-def _check(full_scale_m_s2: float, range_hz: tuple[float, float]) -> None:
-    if not SMALLEST_SCALE <= full_scale_m_s2 <= LARGEST_SCALE:
+def _check_scale_and_range(full_scale_m_s2: float, range_hz: tuple[float, float]) -> None:
+    if not MIN_FULL_SCALE_M_S2 <= full_scale_m_s2 <= MAX_FULL_SCALE_M_S2:
         raise UsageError(f"a full scale of {full_scale_m_s2:g} m/s² fits no device.", remedy="Give e.g. 30.")
     if not 0.0 < range_hz[0] < range_hz[1] <= 1e5:
         raise UsageError(f"{range_hz[0]:g} to {range_hz[1]:g} Hz is no range.", remedy="Give e.g. 20 and 1000.")

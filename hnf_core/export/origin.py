@@ -8,15 +8,22 @@ from typing import Any
 
 from .. import __version__
 from ..signal import Signal
-from .options import FULL_SCALE_M_S2, LARGEST_SCALE, RANGE_HZ, SMALLEST_SCALE, ExportOptions, ImportOptions
-from .tone import CARRIER
+from .options import (
+    DEFAULT_FULL_SCALE_M_S2,
+    DEFAULT_RANGE_HZ,
+    MAX_FULL_SCALE_M_S2,
+    MIN_FULL_SCALE_M_S2,
+    ExportOptions,
+    ImportOptions,
+)
+from .tone import CARRIER_DESCRIPTION
 
-EDITOR = f"Haptic Neural Fields {__version__}"
+SOFTWARE = f"Haptic Neural Fields {__version__}"
 UNITS = "m/s^2"
-_SCHEMA = 1
+_RECORD_SCHEMA = 1
 
 
-def origin_record(signal: Signal, options: ExportOptions | None) -> dict[str, Any]:
+def make_provenance_record(signal: Signal, options: ExportOptions | None) -> dict[str, Any]:
     """What can be written beside the data: schema, units, full scale and range (options None: a number is what it says,
     in units), seed, rate and provenance."""
     scale: dict[str, Any] = {"scale": 1.0}
@@ -25,7 +32,7 @@ def origin_record(signal: Signal, options: ExportOptions | None) -> dict[str, An
         if options.full_scale_assumed:
             scale["full_scale_assumed"] = True
     return {
-        "schema": _SCHEMA,
+        "schema": _RECORD_SCHEMA,
         "units": UNITS,
         **scale,
         "seed": int(signal.seed),
@@ -34,12 +41,12 @@ def origin_record(signal: Signal, options: ExportOptions | None) -> dict[str, An
     }
 
 
-def origin_text(signal: Signal, options: ExportOptions | None) -> str:
-    return json.dumps(origin_record(signal, options), ensure_ascii=False)
+def encode_provenance(signal: Signal, options: ExportOptions | None) -> str:
+    return json.dumps(make_provenance_record(signal, options), ensure_ascii=False)
 
 
 @dataclass(frozen=True)
-class Origin:
+class Provenance:
     """full_scale_m_s2, range_hz: what 1 and 0 … 1 stand for. stated: whether the file said so. provenance: its own."""
 
     full_scale_m_s2: float
@@ -48,22 +55,26 @@ class Origin:
     provenance: dict[str, str]
 
 
-def origin_of(text: object, options: ImportOptions) -> Origin:
+def parse_provenance(text: object, options: ImportOptions) -> Provenance:
     """What text states, else what options say, else the defaults. Text of others, or damaged, states nothing."""
-    mine = Origin(options.full_scale_m_s2 or FULL_SCALE_M_S2, options.range_hz or RANGE_HZ, False, {})
+    mine = Provenance(
+        options.full_scale_m_s2 or DEFAULT_FULL_SCALE_M_S2, options.range_hz or DEFAULT_RANGE_HZ, False, {}
+    )
     try:
         record = json.loads(text) if isinstance(text, str) else {}
         low, high = (float(each) for each in record["range_hz"])
         scale = float(record["full_scale"])
         facts = {str(name): str(value) for name, value in record["provenance"].items()}
-        sound = record["units"] == UNITS and SMALLEST_SCALE <= scale <= LARGEST_SCALE and 0.0 < low < high <= 1e5
+        sound = (
+            record["units"] == UNITS and MIN_FULL_SCALE_M_S2 <= scale <= MAX_FULL_SCALE_M_S2 and 0.0 < low < high <= 1e5
+        )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         return mine
     return replace(mine, full_scale_m_s2=scale, range_hz=(low, high), stated=True, provenance=facts) if sound else mine
 
 
-def rendered_facts(
-    origin: Origin, name: str, ignored: tuple[str, ...] = (), assumed: tuple[str, ...] = ()
+def make_rendered_provenance(
+    origin: Provenance, name: str, ignored: tuple[str, ...] = (), assumed: tuple[str, ...] = ()
 ) -> dict[str, str]:
     """Provenance of what was rendered from the envelopes in the file called name. ignored, assumed: what was not
     understood in it, and what it leaves open. Those of the file before it, in origin, speak of that file alone."""
@@ -73,7 +84,7 @@ def rendered_facts(
     return {
         **{key: value for key, value in origin.provenance.items() if key not in named},
         "source": name,
-        "carrier": CARRIER,
+        "carrier": CARRIER_DESCRIPTION,
         "scale": f"1 = {origin.full_scale_m_s2:g} m/s², 0 … 1 = {low:g} … {high:g} Hz ({said})",
         **{key: value for key, value in named.items() if value},
     }

@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .force_colour import force_colour
+from .force_colour import force_to_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TICKS_N = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+FORCE_TICKS_N = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Under the colour bar, which is the same in every picture; the last is its end."""
-DARK = "#10141a"
-FULL_SIZE_PX = 130.0
+CASING_COLOUR = "#10141a"
+FULL_WEIGHT_EXTENT_PX = 130.0
 """Of the finished picture: a stroke that reaches less far is drawn with a finer line and smaller marks, or they would
 cover it."""
-LEAST_SIZE = 0.3
-DOT_PX = 8.0
+MIN_MARK_SCALE = 0.3
+DOT_EXTENT_PX = 8.0
 """Below this a stroke is a dot."""
-HEAD_PX = 17.0
-MOST_HEADS = 4
-FINE_N = 0.25
+ARROW_HEAD_PX = 17.0
+MAX_ARROW_HEADS = 4
+BAR_LINEAR_LIMIT_N = 0.25
 """Above this the bar runs by the force's logarithm, below it nearly evenly: most strokes are of 0.3 to 3 N."""
 
 
@@ -57,59 +57,63 @@ def draw_path(figure: Figure, axes: Axes, view: StrokeView, bar: tuple[float, fl
     seen = np.ones(len(path), bool) if view.visible is None else np.asarray(view.visible, bool)
     scale = axes.get_window_extent().width / view.rgb.shape[1]
     extent = float(np.linalg.norm(np.ptp(path, axis=0))) * scale if len(path) else 0.0
-    size = float(np.clip(extent / FULL_SIZE_PX, LEAST_SIZE, 1.0))
+    size = float(np.clip(extent / FULL_WEIGHT_EXTENT_PX, MIN_MARK_SCALE, 1.0))
     clear = seen[:-1] & seen[1:]
     pieces = np.stack([path[:-1], path[1:]], axis=1)[clear] if len(path) > 1 else np.zeros((0, 2, 2))
     shade = (0.5 * (force[:-1] + force[1:]))[clear]
-    for width, colour, alpha in ((9.0, "white", 0.9), (6.6, DARK, 1.0)):
+    for width, colour, alpha in ((9.0, "white", 0.9), (6.6, CASING_COLOUR, 1.0)):
         casing = LineCollection(list(pieces), colors=colour, linewidths=size * width, capstyle="round", alpha=alpha)
         axes.add_collection(casing)
-    line = LineCollection(list(pieces), colors=_colours(shade), linewidths=4.6 * size, capstyle="round")
+    line = LineCollection(list(pieces), colors=_forces_to_colours(shade), linewidths=4.6 * size, capstyle="round")
     axes.add_collection(line)
-    for run in _runs(~clear):
+    for run in _find_runs(~clear):
         x, y = path[run.start : run.stop + 1].T
-        axes.plot(x, y, color=DARK, lw=3.4, ls=(0, (1.6, 1.6)), dash_capstyle="round")
+        axes.plot(x, y, color=CASING_COLOUR, lw=3.4, ls=(0, (1.6, 1.6)), dash_capstyle="round")
         axes.plot(x, y, color="white", lw=1.8, ls=(0, (3.02, 3.02)), dash_capstyle="round")
-    legs = _legs(path)
-    pressed = extent < DOT_PX
+    legs = _split_at_turns(path)
+    pressed = extent < DOT_EXTENT_PX
     if not pressed:
-        _draw_heads(axes, path, legs, HEAD_PX * size / scale, 1.6 * size)
+        _draw_arrow_heads(axes, path, legs, ARROW_HEAD_PX * size / scale, 1.6 * size)
     if len(path):
-        face = force_colour(float(np.max(force, initial=0.0))) if pressed else "white"
+        face = force_to_colour(float(np.max(force, initial=0.0))) if pressed else "white"
         wide = 13.0 if pressed else 13.0 * size
-        axes.plot(path[:1, 0], path[:1, 1], "o", ms=wide, mfc=face, mec=DARK, mew=max(2.2 * size, 0.8), zorder=5)
-    _draw_bar(figure.add_axes(bar))
+        axes.plot(
+            path[:1, 0], path[:1, 1], "o", ms=wide, mfc=face, mec=CASING_COLOUR, mew=max(2.2 * size, 0.8), zorder=5
+        )
+    _draw_colour_bar(figure.add_axes(bar))
     start = "pressed here, colour of the strongest" if pressed else "start"
-    marks = [Line2D([], [], marker="o", ms=9, mfc="white", mec=DARK, mew=1.8, ls="", label=start)]
+    marks = [Line2D([], [], marker="o", ms=9, mfc="white", mec=CASING_COLOUR, mew=1.8, ls="", label=start)]
     if not pressed:
         turns = len(legs) - 1
         said = "direction" + (f", turns {'once' if turns == 1 else f'{turns} times'}" if turns else "")
-        marks.append(Line2D([], [], marker=">", ms=9, mfc="white", mec=DARK, mew=1.8, ls="", label=said))
+        marks.append(Line2D([], [], marker=">", ms=9, mfc="white", mec=CASING_COLOUR, mew=1.8, ls="", label=said))
     if not seen.all():
-        marks.append(Line2D([], [], color=DARK, lw=2.5, ls=(0, (1.6, 1.6)), label="hidden from this view"))
+        marks.append(Line2D([], [], color=CASING_COLOUR, lw=2.5, ls=(0, (1.6, 1.6)), label="hidden from this view"))
     axes.legend(handles=marks, loc="upper right", ncols=len(marks), framealpha=0.85, edgecolor="none", fontsize=9.5)
 
 
-def _draw_bar(axes: Axes) -> None:
-    along = _along_bar(np.array(TICKS_N))
-    force = FINE_N * (2.0 ** np.linspace(0.0, along[-1], 512) - 1.0)
-    axes.imshow(_colours(force)[None], extent=(0.0, along[-1], 0.0, 1.0), aspect="auto", interpolation="nearest")
+def _draw_colour_bar(axes: Axes) -> None:
+    along = _force_to_bar_position(np.array(FORCE_TICKS_N))
+    force = BAR_LINEAR_LIMIT_N * (2.0 ** np.linspace(0.0, along[-1], 512) - 1.0)
+    axes.imshow(
+        _forces_to_colours(force)[None], extent=(0.0, along[-1], 0.0, 1.0), aspect="auto", interpolation="nearest"
+    )
     axes.set_yticks([])
-    axes.set_xticks(along.tolist(), labels=[f"{newtons:g}" for newtons in TICKS_N])
+    axes.set_xticks(along.tolist(), labels=[f"{newtons:g}" for newtons in FORCE_TICKS_N])
     axes.grid(False)
     axes.spines[:].set_visible(False)
     axes.set_xlabel("normal force [N]")
 
 
-def _along_bar(force: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.log2(1.0 + force / FINE_N))
+def _force_to_bar_position(force: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.log2(1.0 + force / BAR_LINEAR_LIMIT_N))
 
 
-def _colours(force: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.array([force_colour(float(each)) for each in force]).reshape(-1, 4)
+def _forces_to_colours(force: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([force_to_colour(float(each)) for each in force]).reshape(-1, 4)
 
 
-def _legs(path: NDArray[np.float64]) -> list[slice]:
+def _split_at_turns(path: NDArray[np.float64]) -> list[slice]:
     """The path's points from turn to turn: where the hand goes back on its way."""
     steps = np.diff(path, axis=0)
     moving = np.flatnonzero(np.linalg.norm(steps, axis=1) > 1e-9)
@@ -120,16 +124,18 @@ def _legs(path: NDArray[np.float64]) -> list[slice]:
     return [slice(low, high + 1) for low, high in itertools.pairwise(edges)]
 
 
-def _draw_heads(axes: Axes, path: NDArray[np.float64], legs: list[slice], size: float, line_pt: float) -> None:
+def _draw_arrow_heads(
+    axes: Axes, path: NDArray[np.float64], segments: list[slice], size: float, line_pt: float
+) -> None:
     """Arrow heads of size (pixels of the view) along the path: half way and at the end of a long leg, else past the
     middle of each of the first legs; none lies on another or on the start."""
     from matplotlib.patches import Polygon
 
     taken = [path[0]]
-    for leg in legs[:MOST_HEADS]:
+    for leg in segments[:MAX_ARROW_HEADS]:
         way = path[leg]
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
-        for share in (0.5, 1.0) if len(legs) == 1 and length[-1] > 8.0 * size else (0.7,):
+        for share in (0.5, 1.0) if len(segments) == 1 and length[-1] > 8.0 * size else (0.7,):
             at = [max(share * length[-1] - back, 0.0) for back in (0.0, size)]
             tip, tail = (np.array([np.interp(each, length, way[:, axis]) for axis in (0, 1)]) for each in at)
             ahead = (tip - tail) / max(float(np.linalg.norm(tip - tail)), 1e-9)
@@ -138,10 +144,10 @@ def _draw_heads(axes: Axes, path: NDArray[np.float64], legs: list[slice], size: 
             taken.append(tip)
             side = 0.55 * size * np.array([-ahead[1], ahead[0]])
             corners = np.stack([tip, tip - size * ahead + side, tip - size * ahead - side])
-            axes.add_patch(Polygon(corners, fc="white", ec=DARK, lw=line_pt, joinstyle="round", zorder=4))
+            axes.add_patch(Polygon(corners, fc="white", ec=CASING_COLOUR, lw=line_pt, joinstyle="round", zorder=4))
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[slice]:
+def _find_runs(flags: NDArray[np.bool_]) -> list[slice]:
     """Slices of consecutive True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -5,14 +5,14 @@ from __future__ import annotations
 import textwrap
 
 
-def wrapped(lines: list[tuple[str, str]], letters: int, most: int) -> list[tuple[str, str]]:
+def wrap_lines(lines: list[tuple[str, str]], width: int, max_rows: int) -> list[tuple[str, str]]:
     """(label, row) of each line, cut short only where together they are more than `most` rows; the longest first."""
-    for each in range(most, 0, -1):
+    for each in range(max_rows, 0, -1):
         rows = [
             (label, row)
             for label, text in lines
-            for row in textwrap.wrap(text, letters, max_lines=each, placeholder=" …") or [""]
+            for row in textwrap.wrap(text, width, max_lines=each, placeholder=" …") or [""]
         ]
-        if len(rows) <= most:
+        if len(rows) <= max_rows:
             break
     return rows

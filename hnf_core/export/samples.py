@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from ..signal import Signal
 
-LONGEST_SAMPLES = 2**24
+MAX_RENDERED_SAMPLES = 2**24
 """Rendered from envelopes: 28 minutes at 10 kHz. A file that claims more is damaged, or made to fill memory."""
 
 
-def finite_samples(signal: Signal, where: str) -> NDArray[np.float32]:
+def get_finite_samples(signal: Signal, where: str) -> NDArray[np.float32]:
     """The signal's samples, (n,). Raises FileError where there is one that is not finite, or another shape."""
     with np.errstate(over="ignore"):
         samples = np.asarray(signal.samples, dtype="<f4")
@@ -28,6 +28,6 @@ def finite_samples(signal: Signal, where: str) -> NDArray[np.float32]:
     return samples
 
 
-def rendered_rate(signal: Signal, range_hz: tuple[float, float]) -> float:
+def choose_render_rate(signal: Signal, range_hz: tuple[float, float]) -> float:
     """Hz at which an envelope of signal is rendered again: the signal's own, or what holds the range."""
     return float(min(max(round(signal.sample_rate), round(2.5 * range_hz[1]), 1), 1_000_000))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..signal import Signal
 
 Float = NDArray[np.float64]
-WINDOW_S = 0.064
+SPECTROGRAM_WINDOW_S = 0.064
 """Long enough to part 30 Hz steps, short enough to show a 20 Hz gesture."""
 
 
@@ -28,7 +28,7 @@ class Spectrogram:
         return np.asarray(self.power.mean(axis=1))
 
 
-def spectrogram(signal: Signal, window_s: float = WINDOW_S, overlap: float = 0.75) -> Spectrogram:
+def compute_spectrogram(signal: Signal, window_s: float = SPECTROGRAM_WINDOW_S, overlap: float = 0.75) -> Spectrogram:
     """Short-time periodograms under a Hann window (Welch 1967; scaled so that the integral over frequency of a
     stationary signal's mean is its mean square). A signal shorter than the window is padded with silence."""
     n = max(8, round(window_s * signal.sample_rate))

@@ -62,9 +62,13 @@ class TouchedSurface:
         if count == 0:
             raise SceneError("it has no faces.", where=where, remedy="Choose an object with faces.")
         if not len(self.token) == len(self.roughness) == len(self.confidence) == count:
-            raise SceneError(f"it has {count} triangles, its bake has {len(self.token)}.", where=where, remedy=_AGAIN)
+            raise SceneError(
+                f"it has {count} triangles, its bake has {len(self.token)}.", where=where, remedy=_REBAKE_REMEDY
+            )
         if self.token.min() < UNTOUCHED or self.token.max() >= entries:
-            raise SceneError(f"its faces speak of materials beyond the {entries} baked.", where=where, remedy=_AGAIN)
+            raise SceneError(
+                f"its faces speak of materials beyond the {entries} baked.", where=where, remedy=_REBAKE_REMEDY
+            )
 
 
-_AGAIN = "Bake the object again."
+_REBAKE_REMEDY = "Bake the object again."

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from ..signal import Signal
 from ..units import m_to_mm, power_to_db
-from .spectra import spectrogram
+from .spectra import compute_spectrogram
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 # Okabe & Ito's palette and matplotlib's cividis keep apart under every common colour blindness.
 # Force is orange and speed is green in the add-on's Preview too.
-INK, QUIET, FORCE, SPEED = "#1c2430", "#5c6672", "#d55e00", "#009e73"
-POWER_MAP = "cividis"
-SPAN_DB = 70.0
+INK, MUTED, FORCE_COLOUR, SPEED_COLOUR = "#1c2430", "#5c6672", "#d55e00", "#009e73"
+POWER_COLOUR_MAP = "cividis"
+DISPLAY_RANGE_DB = 70.0
 TRACKS_BOTTOM = 0.075
 SILENCE_DB = -120.0
 """Density at which the picture calls a signal silent: 1 µ(m/s²)²/Hz is far below any skin."""
@@ -34,8 +34,8 @@ def draw_tracks(
     end = max(action.duration_s, signal.duration_s, 1e-3)
     rows = {"force": (0.785, 0.13), "speed": (0.62, 0.13), "wave": (0.425, 0.16), "power": (TRACKS_BOTTOM, 0.315)}
     axes = {name: figure.add_axes((left, bottom, width, tall)) for name, (bottom, tall) in rows.items()}
-    _draw_action(axes["force"], action, action.force, "force", "N", FORCE)
-    _draw_action(axes["speed"], action, m_to_mm(1.0) * action.speed, "speed", "mm/s", SPEED)
+    _draw_action(axes["force"], action, action.force, "force", "N", FORCE_COLOUR)
+    _draw_action(axes["speed"], action, m_to_mm(1.0) * action.speed, "speed", "mm/s", SPEED_COLOUR)
     _draw_wave(axes["wave"], signal)
     _draw_power(
         figure, axes["power"], signal, (left + width + 0.012, TRACKS_BOTTOM, 0.010, 0.315), frequency_scale, highest_hz
@@ -48,10 +48,10 @@ def draw_tracks(
     axes["power"].set_xlabel("time [s]")
 
 
-def draw_spectrum(figure: Figure, signal: Signal, place: tuple[float, float, float, float]) -> None:
+def draw_spectrum(figure: Figure, signal: Signal, bounds: tuple[float, float, float, float]) -> None:
     """The whole signal's power density over 10 Hz … 1 kHz, both axes logarithmic."""
-    axes = figure.add_axes(place)
-    spectra = spectrogram(signal, window_s=0.128)
+    axes = figure.add_axes(bounds)
+    spectra = compute_spectrogram(signal, window_s=0.128)
     decibels = power_to_db(spectra.mean())
     band = (spectra.frequency >= 4.0) & (spectra.frequency <= 1000.0)
     axes.set_xscale("log")
@@ -62,7 +62,7 @@ def draw_spectrum(figure: Figure, signal: Signal, place: tuple[float, float, flo
     axes.set_ylabel("mean density [dB]")
     top = float(decibels[band].max(initial=-np.inf))
     if top >= SILENCE_DB:
-        low = max(float(decibels[band].min()) - 3.0, top - SPAN_DB)
+        low = max(float(decibels[band].min()) - 3.0, top - DISPLAY_RANGE_DB)
         axes.fill_between(spectra.frequency[band], low, decibels[band], color=INK, alpha=0.1, lw=0)
         axes.plot(spectra.frequency[band], decibels[band], color=INK, lw=1.6)
         axes.set_ylim(low, top + 4.0)
@@ -80,19 +80,21 @@ def _draw_action(axes: Axes, action: Action, values: NDArray[np.float64], name: 
             action.time, low, high, where=away.tolist(), facecolor="none", edgecolor="#c3c8ce", hatch="///", lw=0
         )
         if name == "force":
-            axes.set_title("hatched: no contact", loc="right", fontsize=9, color=QUIET, pad=3)
+            axes.set_title("hatched: no contact", loc="right", fontsize=9, color=MUTED, pad=3)
 
 
 def _draw_wave(axes: Axes, signal: Signal) -> None:
     samples = np.nan_to_num(signal.samples.astype(np.float64))
-    time, low, high = _envelope(samples, signal.sample_rate)
+    time, low, high = _compute_column_ranges(samples, signal.sample_rate)
     axes.fill_between(time, low, high, color=INK, lw=0.4)
     reach = 1.1 * max(float(np.abs(samples).max(initial=0.0)), 1e-6)
     axes.set_ylim(-reach, reach)
     axes.set_ylabel("acceleration [m/s²]")
 
 
-def _envelope(samples: NDArray[np.float64], rate: float, columns: int = 1100) -> tuple[NDArray[np.float64], ...]:
+def _compute_column_ranges(
+    samples: NDArray[np.float64], rate: float, columns: int = 1100
+) -> tuple[NDArray[np.float64], ...]:
     """Time, lowest and highest value per drawn column, so that no peak is lost between pixels. Each column begins
     with the last sample of the one before: the drawn line then has no gaps."""
     if len(samples) == 0:
@@ -111,7 +113,7 @@ def _draw_power(
     frequency_scale: Literal["linear", "log"],
     highest_hz: float,
 ) -> None:
-    spectra = spectrogram(signal)
+    spectra = compute_spectrogram(signal)
     decibels = np.maximum(power_to_db(spectra.power), -300.0)
     top = float(decibels.max())
     axes.grid(False)
@@ -121,7 +123,7 @@ def _draw_power(
     axes.set_yscale("log" if frequency_scale == "log" else "linear")
     axes.set_ylim(lowest if frequency_scale == "log" else 0.0, highest)
     if top < SILENCE_DB:
-        axes.text(0.5, 0.5, "silent", transform=axes.transAxes, ha="center", va="center", color=QUIET, fontsize=16)
+        axes.text(0.5, 0.5, "silent", transform=axes.transAxes, ha="center", va="center", color=MUTED, fontsize=16)
         return
     # What lies above the picture costs as much as what is in it; one row more, since colours run from row to row.
     rows = slice(int(frequency_scale == "log"), int(np.searchsorted(spectra.frequency, highest)) + 1)
@@ -129,8 +131,8 @@ def _draw_power(
         spectra.time,
         spectra.frequency[rows],
         decibels[rows],
-        cmap=POWER_MAP,
-        vmin=top - SPAN_DB,
+        cmap=POWER_COLOUR_MAP,
+        vmin=top - DISPLAY_RANGE_DB,
         vmax=top,
         shading="gouraud" if len(spectra.time) > 1 else "nearest",
         rasterized=True,

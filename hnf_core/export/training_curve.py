@@ -13,10 +13,10 @@ from .figure import write_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIZE_PX = (900, 520)
+TRAINING_CURVE_SIZE_PX = (900, 520)
 
 
-def training_curve(path: Path, title: str, history: NDArray[np.float64]) -> None:
+def write_training_curve(path: Path, title: str, history: NDArray[np.float64]) -> None:
     """history: (epochs, 3) number, training and validation loss. Marks the epoch that was kept. Raises FileError."""
     kept = int(np.argmin(history[:, 2]))
 
@@ -29,4 +29,4 @@ def training_curve(path: Path, title: str, history: NDArray[np.float64]) -> None
         axes.legend(frameon=False)
         figure.text(0.1, 0.92, title, fontsize=14, fontweight="bold")
 
-    write_figure(path, SIZE_PX, draw)
+    write_figure(path, TRAINING_CURVE_SIZE_PX, draw)

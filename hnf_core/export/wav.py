@@ -25,13 +25,13 @@ from .. import __version__
 from ..errors import FileError
 from ..files import write_atomically, write_bytes
 from ..signal import Signal
-from .samples import finite_samples
+from .samples import get_finite_samples
 
 UNITS = "m/s^2"
 SCHEMA = 1
 _PCM, _IEEE_FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
-_LARGEST = 2**32 - 1
-_UNTOLD = _LARGEST
+_MAX_UINT32 = 2**32 - 1
+_UNKNOWN_SIZE = _MAX_UINT32
 """Size of a chunk by who could not know it when it began."""
 
 
@@ -41,10 +41,10 @@ def write_wav(path: Path, signal: Signal) -> None:
     Raises FileError when a sample is not finite, the rate is not a whole number of Hz, the signal is longer than a
     WAV can hold (4 GB), or the disk refuses; an earlier file at path is then unharmed.
     """
-    write_bytes(Path(path), wav_bytes(signal, where=str(path)))
+    write_bytes(Path(path), encode_wav(signal, where=str(path)))
 
 
-def write_wav_stream(path: Path, head: Signal, count: int, blocks: Iterable[NDArray[np.float32]]) -> None:
+def write_wav_stream(path: Path, template: Signal, sample_count: int, blocks: Iterable[NDArray[np.float32]]) -> None:
     """As write_wav, of a signal of count samples that arrives in blocks: only one of them is held.
 
     head: a signal without samples, for the rate, seed and provenance. Raises what write_wav raises (a signal too long
@@ -52,40 +52,40 @@ def write_wav_stream(path: Path, head: Signal, count: int, blocks: Iterable[NDAr
     earlier file at path is then unharmed.
     """
     path = Path(path)
-    start = _head(head, count, str(path))
+    start = _encode_header(template, sample_count, str(path))
 
     def write(temporary: Path) -> None:
         written = 0
         with temporary.open("wb") as stream:
             stream.write(start)
             for block in blocks:
-                samples = finite_samples(replace(head, samples=block), str(path))
+                samples = get_finite_samples(replace(template, samples=block), str(path))
                 stream.write(samples.tobytes())
                 written += len(samples)
-        if written != count:
-            raise FileError(f"{written} samples came of {count}, so nothing was written.", where=str(path))
+        if written != sample_count:
+            raise FileError(f"{written} samples came of {sample_count}, so nothing was written.", where=str(path))
 
     write_atomically(path, write)
 
 
-def wav_bytes(signal: Signal, *, where: str = "WAV") -> bytes:
+def encode_wav(signal: Signal, *, where: str = "WAV") -> bytes:
     """The file that write_wav writes. Equal signals give equal bytes."""
-    samples = finite_samples(signal, where)
-    return _head(signal, len(samples), where) + samples.tobytes()
+    samples = get_finite_samples(signal, where)
+    return _encode_header(signal, len(samples), where) + samples.tobytes()
 
 
-def _head(signal: Signal, count: int, where: str) -> bytes:
+def _encode_header(signal: Signal, count: int, where: str) -> bytes:
     """All of the file that comes before its count samples."""
     rate, size = signal.sample_rate, 4 * count
-    if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= _LARGEST // 4):
+    if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= _MAX_UINT32 // 4):
         raise FileError(
             f"a WAV needs a whole sample rate, not {rate:g} Hz.", where=where, remedy="Synthesise at e.g. 8000 Hz."
         )
     format_chunk = struct.pack("<HHIIHHH", _IEEE_FLOAT, 1, int(rate), int(rate) * 4, 4, 32, 0)
-    head = _chunk(b"fmt ", format_chunk) + _chunk(b"fact", struct.pack("<I", min(count, _LARGEST)))
-    head += info_chunk(signal)
-    body = b"WAVE" + head + b"data" + struct.pack("<I", min(size, _LARGEST))
-    if len(body) + size > _LARGEST:
+    head = _encode_chunk(b"fmt ", format_chunk) + _encode_chunk(b"fact", struct.pack("<I", min(count, _MAX_UINT32)))
+    head += encode_info_chunk(signal)
+    body = b"WAVE" + head + b"data" + struct.pack("<I", min(size, _MAX_UINT32))
+    if len(body) + size > _MAX_UINT32:
         raise FileError(
             f"{count / rate:.0f} s at {rate:g} Hz is more than a WAV can hold (4 GB).",
             where=where,
@@ -103,16 +103,16 @@ def read_wav(path: Path) -> Signal:
     samples that are not finite.
     """
     path = Path(path)
-    return wav_signal(_bytes_of(path), path)
+    return decode_wav(_read_file(path), path)
 
 
-def read_channels(path: Path) -> tuple[Signal, ...]:
+def read_wav_channels(path: Path) -> tuple[Signal, ...]:
     """As read_wav, of a file with any number of channels: a signal of each."""
     path = Path(path)
-    return wav_channels(_bytes_of(path), path)
+    return decode_wav_channels(_read_file(path), path)
 
 
-def _bytes_of(path: Path) -> bytes:
+def _read_file(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
@@ -121,9 +121,9 @@ def _bytes_of(path: Path) -> bytes:
         ) from error
 
 
-def wav_signal(data: bytes, path: Path) -> Signal:
+def decode_wav(data: bytes, path: Path) -> Signal:
     """As read_wav, of the bytes of a file. path: what messages name."""
-    signals = wav_channels(data, path)
+    signals = decode_wav_channels(data, path)
     if len(signals) != 1:
         raise FileError(
             f"has {len(signals)} channels, a vibration has one.", where=str(path), remedy="Export one channel as mono."
@@ -131,26 +131,26 @@ def wav_signal(data: bytes, path: Path) -> Signal:
     return signals[0]
 
 
-def wav_channels(data: bytes, path: Path) -> tuple[Signal, ...]:
+def decode_wav_channels(data: bytes, path: Path) -> tuple[Signal, ...]:
     """As read_channels, of the bytes of a file."""
     if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise FileError("is not a RIFF/WAVE file.", where=str(path), remedy="Give a .wav file.")
     form: bytes | None = None
     content: bytes | None = None
     info: dict[str, str] = {}
-    for tag, body in _chunks(data[12:], str(path)):
+    for tag, body in _iter_chunks(data[12:], str(path)):
         if tag == b"fmt " and form is None:
             form = body
         elif tag == b"data" and content is None:
             content = body
         elif tag == b"LIST" and body[:4] == b"INFO":
-            info = {name.decode("latin-1"): _text(text) for name, text in _chunks(body[4:], str(path))}
+            info = {name.decode("latin-1"): _decode_text(text) for name, text in _iter_chunks(body[4:], str(path))}
     if form is None or content is None:
-        raise _damaged(path, "it has no " + ("fmt" if form is None else "data") + " chunk")
+        raise _damaged_error(path, "it has no " + ("fmt" if form is None else "data") + " chunk")
     if len(form) < 16:
-        raise _damaged(path, "its fmt chunk is too short")
-    rate, samples = _decode(form, content, path)
-    record = _record(info.get("ICMT", ""))
+        raise _damaged_error(path, "its fmt chunk is too short")
+    rate, samples = _decode_samples(form, content, path)
+    record = _parse_comment(info.get("ICMT", ""))
     seed, provenance = 0, {"units": "as stored", "source": path.name}
     if record is not None:
         seed, provenance = record.seed, record.provenance
@@ -159,61 +159,63 @@ def wav_channels(data: bytes, path: Path) -> tuple[Signal, ...]:
     elif info.get("ICMT"):
         provenance["comment"] = info["ICMT"]
     if not np.isfinite(samples).all():
-        raise _damaged(path, "some samples are not finite")
+        raise _damaged_error(path, "some samples are not finite")
     return tuple(Signal(channel, float(rate), seed, provenance) for channel in samples)
 
 
-def info_chunk(signal: Signal, scale: float = 1.0) -> bytes:
+def encode_info_chunk(signal: Signal, scale: float = 1.0) -> bytes:
     """LIST/INFO with signal's origin; a stored sample (PCM: −1 … 1) times scale is in m/s²."""
-    return _chunk(b"LIST", b"INFO" + b"".join(_chunk(tag, text) for tag, text in _info(signal, scale)))
+    return _encode_chunk(
+        b"LIST", b"INFO" + b"".join(_encode_chunk(tag, text) for tag, text in _iter_info(signal, scale))
+    )
 
 
-def _info(signal: Signal, scale: float) -> Iterator[tuple[bytes, bytes]]:
+def _iter_info(signal: Signal, scale: float) -> Iterator[tuple[bytes, bytes]]:
     facts = {str(name): str(value) for name, value in signal.provenance.items()}
     record = {"schema": SCHEMA, "units": UNITS, "scale": scale, "seed": int(signal.seed), "provenance": facts}
-    yield b"ISFT", _terminated(f"Haptic Neural Fields {__version__}")
+    yield b"ISFT", _encode_text(f"Haptic Neural Fields {__version__}")
     for tag, name in ((b"INAM", "stroke"), (b"ISBJ", "material")):
         if facts.get(name):
-            yield tag, _terminated(facts[name])
-    yield b"ICMT", _terminated(json.dumps(record))
+            yield tag, _encode_text(facts[name])
+    yield b"ICMT", _encode_text(json.dumps(record))
 
 
-def _terminated(text: str) -> bytes:
+def _encode_text(text: str) -> bytes:
     return text.replace("\0", " ").encode("utf-8", "replace") + b"\0"
 
 
-def _text(data: bytes) -> str:
+def _decode_text(data: bytes) -> str:
     return data.split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
-def _chunk(tag: bytes, body: bytes) -> bytes:
+def _encode_chunk(tag: bytes, body: bytes) -> bytes:
     """A RIFF chunk; odd bodies are padded, and the size does not count the pad byte."""
     return tag + struct.pack("<I", len(body)) + body + b"\0" * (len(body) % 2)
 
 
-def _chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
+def _iter_chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
     """Tag and body of each chunk. Fewer than 8 trailing bytes are ignored, as most readers do. Samples of a size that
     was never filled in, as by what writes into a pipe, go on to the end."""
     at = 0
     while at + 8 <= len(data):
         tag, size = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]
         body = data[at + 8 : at + 8 + size]
-        if len(body) < size and not (tag == b"data" and size == _UNTOLD):
+        if len(body) < size and not (tag == b"data" and size == _UNKNOWN_SIZE):
             name = tag.decode("latin-1").strip()
-            raise _damaged(Path(where), f"chunk '{name}' should hold {size} bytes and {len(body)} are there")
+            raise _damaged_error(Path(where), f"chunk '{name}' should hold {size} bytes and {len(body)} are there")
         yield tag, body
         at += 8 + size + size % 2
 
 
-def _decode(form: bytes, content: bytes, path: Path) -> tuple[int, NDArray[np.float32]]:
+def _decode_samples(format_chunk: bytes, data_chunk: bytes, path: Path) -> tuple[int, NDArray[np.float32]]:
     """Sample rate and samples (channels, n)."""
-    kind, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", form)
-    if kind == _EXTENSIBLE and len(form) >= 26:
-        kind = struct.unpack_from("<H", form, 24)[0]
+    kind, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", format_chunk)
+    if kind == _EXTENSIBLE and len(format_chunk) >= 26:
+        kind = struct.unpack_from("<H", format_chunk, 24)[0]
     if channels == 0:
-        raise _damaged(path, "it has no channel")
+        raise _damaged_error(path, "it has no channel")
     if rate == 0:
-        raise _damaged(path, "its sample rate is 0")
+        raise _damaged_error(path, "its sample rate is 0")
     if kind not in (_PCM, _IEEE_FLOAT) or bits not in ((8, 16, 24, 32) if kind == _PCM else (32, 64)):
         raise FileError(
             f"has an encoding that cannot be read (format {kind}, {bits} bits).",
@@ -221,29 +223,29 @@ def _decode(form: bytes, content: bytes, path: Path) -> tuple[int, NDArray[np.fl
             remedy="Convert it to PCM or 32-bit float.",
         )
     size = bits // 8
-    if block != channels * size or len(content) % block:
-        raise _damaged(path, "its data does not divide into whole samples")
+    if block != channels * size or len(data_chunk) % block:
+        raise _damaged_error(path, "its data does not divide into whole samples")
     if kind == _IEEE_FLOAT:
         with np.errstate(over="ignore", invalid="ignore"):  # refused by their number, later
-            return rate, _apart(np.frombuffer(content, f"<f{size}").astype(np.float32), channels)
+            return rate, _deinterleave(np.frombuffer(data_chunk, f"<f{size}").astype(np.float32), channels)
     if bits == 8:
-        values = np.frombuffer(content, np.uint8).astype(np.float64) - 128.0
+        values = np.frombuffer(data_chunk, np.uint8).astype(np.float64) - 128.0
     elif bits == 24:
-        wide = np.zeros((len(content) // 3, 4), np.uint8)
-        wide[:, 1:] = np.frombuffer(content, np.uint8).reshape(-1, 3)
+        wide = np.zeros((len(data_chunk) // 3, 4), np.uint8)
+        wide[:, 1:] = np.frombuffer(data_chunk, np.uint8).reshape(-1, 3)
         values = (wide.view("<i4")[:, 0] >> 8).astype(np.float64)
     else:
-        values = np.frombuffer(content, f"<i{size}").astype(np.float64)
-    return rate, _apart((values / 2.0 ** (bits - 1)).astype(np.float32), channels)
+        values = np.frombuffer(data_chunk, f"<i{size}").astype(np.float64)
+    return rate, _deinterleave((values / 2.0 ** (bits - 1)).astype(np.float32), channels)
 
 
-def _apart(samples: NDArray[np.float32], channels: int) -> NDArray[np.float32]:
+def _deinterleave(samples: NDArray[np.float32], channels: int) -> NDArray[np.float32]:
     """Samples as they are stored, channel after channel at each moment → (channels, n)."""
     return samples[None] if channels == 1 else np.ascontiguousarray(samples.reshape(-1, channels).T)
 
 
 @dataclass(frozen=True)
-class _Record:
+class _CommentRecord:
     """What this project wrote into ICMT."""
 
     seed: int
@@ -251,17 +253,17 @@ class _Record:
     provenance: dict[str, str]
 
 
-def _record(comment: str) -> _Record | None:
+def _parse_comment(comment: str) -> _CommentRecord | None:
     """None for a comment that is not this project's."""
     try:
         record = json.loads(comment)
         if record["units"] != UNITS or not isinstance(record["provenance"], dict):
             return None
         facts = {str(name): str(value) for name, value in record["provenance"].items()}
-        return _Record(int(record["seed"]), float(record["scale"]), facts)
+        return _CommentRecord(int(record["seed"]), float(record["scale"]), facts)
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         return None
 
 
-def _damaged(path: Path, why: str) -> FileError:
+def _damaged_error(path: Path, why: str) -> FileError:
     return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")

@@ -19,62 +19,62 @@ from ..field.resampling import resample
 from ..files import write_bytes
 from ..signal import Signal
 from .options import ExportOptions, ImportOptions
-from .samples import finite_samples
-from .shares import clipped_words
-from .wav import UNITS, info_chunk, read_wav, write_wav
+from .samples import get_finite_samples
+from .shares import format_clipped
+from .wav import UNITS, encode_info_chunk, read_wav, write_wav
 
-COUNTS = 32767
-AS_STORED = "as stored"
+FULL_SCALE_COUNTS = 32767
+UNSTATED_UNITS = "as stored"
 """What read_wav says of a file without a unit."""
-_STEPS = 32768.0
+_PCM16_DIVISOR = 32768.0
 """What a 16-bit sample is divided by to lie within −1 … 1."""
-_LARGEST = 2**32 - 2**16
+_MAX_COPY_BYTES = 2**32 - 2**16
 
 
-def write_native(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
+def write_native_wav(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
     """float32 in m/s² at the signal's own rate: nothing is lost."""
     write_wav(path, signal)
     return ()
 
 
-def copy_writer(rate_hz: int) -> Callable[[Path, Signal, ExportOptions], tuple[str, ...]]:
+def make_copy_writer(rate_hz: int) -> Callable[[Path, Signal, ExportOptions], tuple[str, ...]]:
     """The writer of copies at rate_hz."""
 
     def write(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-        return write_copy(path, signal, float(rate_hz), options)
+        return write_pcm16_wav(path, signal, float(rate_hz), options)
 
     return write
 
 
-def write_copy(path: Path, signal: Signal, rate_hz: float, options: ExportOptions) -> tuple[str, ...]:
+def write_pcm16_wav(path: Path, signal: Signal, rate_hz: float, options: ExportOptions) -> tuple[str, ...]:
     """Write signal at rate_hz as PCM; what was lost, in words. Below 0.9 of the lower Nyquist frequency the resampler
     (`field/resampling.py`) keeps amplitudes within 0.01 dB.
 
     Raises FileError where a sample is not finite, the file would exceed 4 GB, or the disk refuses.
     """
-    samples = finite_samples(signal, str(path)).astype(np.float64)
+    samples = get_finite_samples(signal, str(path)).astype(np.float64)
     resampled, warnings = resample(samples, signal.sample_rate, rate_hz)
     share = resampled / options.full_scale_m_s2
-    counts = np.clip(np.rint(share * COUNTS), -COUNTS, COUNTS).astype("<i2")
-    if counts.nbytes > _LARGEST:
+    counts = np.clip(np.rint(share * FULL_SCALE_COUNTS), -FULL_SCALE_COUNTS, FULL_SCALE_COUNTS).astype("<i2")
+    if counts.nbytes > _MAX_COPY_BYTES:
         raise FileError(f"{signal.duration_s:.0f} s are more than a WAV can hold (4 GB).", where=str(path))
-    scale = options.full_scale_m_s2 * _STEPS / COUNTS
+    scale = options.full_scale_m_s2 * _PCM16_DIVISOR / FULL_SCALE_COUNTS
     head = struct.pack("<4sIHHIIHH", b"fmt ", 16, 1, 1, int(rate_hz), int(rate_hz) * 2, 2, 16)
-    body = b"WAVE" + head + info_chunk(replace(signal, sample_rate=rate_hz), scale)
+    body = b"WAVE" + head + encode_info_chunk(replace(signal, sample_rate=rate_hz), scale)
     body += b"data" + struct.pack("<I", counts.nbytes)
     write_bytes(path, b"RIFF" + struct.pack("<I", len(body) + counts.nbytes) + body + counts.tobytes())
-    step = options.full_scale_m_s2 / COUNTS
+    step = options.full_scale_m_s2 / FULL_SCALE_COUNTS
     words: tuple[str, ...] = (f"Everything finer than half a step of {step:.3g} m/s² (16 bit).",)
     if rate_hz < signal.sample_rate:
         words += (f"Frequencies above {0.45 * rate_hz:.0f} Hz fade; above {0.5 * rate_hz:.0f} Hz there are none.",)
-    clipped = int(np.count_nonzero(np.abs(share) > 1.0 + 0.5 / COUNTS))
-    return words + warnings + clipped_words(clipped, options)
+    clipped = int(np.count_nonzero(np.abs(share) > 1.0 + 0.5 / FULL_SCALE_COUNTS))
+    return words + warnings + format_clipped(clipped, options)
 
 
-def read_own_wav(path: Path) -> Signal:
+def read_wav_with_units(path: Path) -> Signal:
     """A WAV that states its unit. Raises FileError for one that does not, and for what read_wav refuses."""
     signal = read_wav(path)
-    if signal.provenance.get("units") == AS_STORED:
+    if signal.provenance.get("units") == UNSTATED_UNITS:
         raise FileError(
             "states no unit, so that nobody knows how strong it is.",
             where=str(path),
@@ -83,13 +83,13 @@ def read_own_wav(path: Path) -> Signal:
     return signal
 
 
-def read_any_wav(path: Path, options: ImportOptions) -> Signal:
+def read_wav_scaled(path: Path, options: ImportOptions) -> Signal:
     """A WAV of this project as it was; any other one times options.full_scale_m_s2.
 
     Raises FileError for a file that states no unit where options give no full scale, and for what read_wav refuses.
     """
     signal = read_wav(path)
-    if signal.provenance.get("units") != AS_STORED:
+    if signal.provenance.get("units") != UNSTATED_UNITS:
         return signal
     if options.full_scale_m_s2 is None:
         raise FileError(

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.contact import between_rows
-from ..kernel.library import kernel
+from ..kernel.contact import blend_rows
+from ..kernel.library import load_kernel
 from .config import FieldConfig
 from .field import Emission
 from .rendering import render_weights
@@ -26,26 +26,26 @@ Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Samples = NDArray[np.int64]
 
-COARSEST, FINEST = 800, 2
+MAX_INTERVAL, MIN_INTERVAL = 800, 2
 """Samples between evaluations at most and at least: 80 ms, and 0.2 ms."""
-SAFETY = 0.42
+TOLERANCE_SAFETY = 0.42
 """Share of the requested tolerance that is aimed at. What an interval misses is judged by its middle alone; and where
 the error is in few bands for a few milliseconds, one realisation of their noise may be far louder than the expected
 one. docs/benchmarks.md says how often the tolerance is then kept over the library."""
 UNREFINED_ERROR_SHARE = 0.8
 """Share of the error budget that is left to intervals which are not halved again, since halves miss something too. With
 all of it a ten-second stroke took five to eight rounds, the last of a few states each; with this, three or four."""
-_PARABOLA = 8.0 / 15.0
+_PARABOLA_MEAN_SQUARE = 8.0 / 15.0
 """Mean square of what a parabola misses of its chord, over the square in the middle."""
-AT_ONCE = 512
-EXPECTED = 1024
+BATCH_SAMPLES = 512
+INITIAL_CAPACITY = 1024
 """Evaluations that there is room for from the start: what is not used costs nothing."""
-MOST = 40_000
+MAX_EVALUATIONS = 40_000
 """Cap on evaluations (0.8 GB on the way): nothing is gained from following a 200 Hz action further than that."""
 
 
 @dataclass(frozen=True)
-class Sampled:
+class SampledEmission:
     """Emissions of one head at samples at (m,), ascending: alpha (m, K), sigma_dt (m, N); straight lines between them.
     missed: power left out, over that of all, as is to be expected of a signal at worst: what is seen of it in the
     intervals' middles, over SAFETY². It is within the square of the tolerance unless the samples did not suffice."""
@@ -53,27 +53,27 @@ class Sampled:
     at: Samples
     alpha: Float32
     sigma_dt: Float
-    missed: float
+    residual_power: float
 
-    def place(self, sample: Samples) -> tuple[Samples, Float]:
+    def locate(self, sample: Samples) -> tuple[Samples, Float]:
         """The evaluation before each sample (…), and how far it is on the way to the next, 0 … 1."""
         row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
         begin = self.at[row]
         return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
 
 
-Sampling = Generator[Samples, Emission, Sampled]
+SampleRequests = Generator[Samples, Emission, SampledEmission]
 """Yields samples of the model rate (m,), is sent what is emitted there, and returns all of it."""
-Sampler = Callable[[int, float, Samples], Sampling]
+Sampler = Callable[[int, float, Samples], SampleRequests]
 """As sampling: the samples of the stroke, the tolerance, the breakpoints."""
 
 
-def between(values: Float32, row: Samples, share: Float, factor: Float) -> Float32:
+def interpolate_rows(values: Float32, row: Samples, share: Float, factor: Float) -> Float32:
     """(n, K) Σ over terms of factor times what lies share of the way from a row of values (m, K) to the next; row,
     share, factor: (n, terms)."""
-    compiled = kernel()
+    compiled = load_kernel()
     if compiled is not None:
-        return between_rows(compiled, np.ascontiguousarray(values), row, share, np.ascontiguousarray(factor))
+        return blend_rows(compiled, np.ascontiguousarray(values), row, share, np.ascontiguousarray(factor))
     out = np.zeros((len(row), values.shape[1]))
     for one, part, times in zip(row.T, share.T, factor.T, strict=True):
         far = (times * part)[:, None]
@@ -81,46 +81,46 @@ def between(values: Float32, row: Samples, share: Float, factor: Float) -> Float
     return out.astype(np.float32)
 
 
-def sampling(count: int, tolerance: float, breakpoints: Samples | None = None) -> Sampling:
+def sample_adaptively(count: int, tolerance: float, breakpoints: Samples | None = None) -> SampleRequests:
     """Emissions over samples 0 … count of a field with one head.
 
     tolerance: root of the power that the straight lines miss over that of the stroke, 0 for as fine as FINEST.
     breakpoints: samples that are asked for in any case, since something begins or ends there. At MOST samples it stops.
     """
     known = np.arange(0) if breakpoints is None else breakpoints[breakpoints < count]
-    grid = np.unique(np.concatenate([np.arange(0, count, COARSEST), known, [count]]))
+    grid = np.unique(np.concatenate([np.arange(0, count, MAX_INTERVAL), known, [count]]))
     pending = np.stack([np.arange(len(grid) - 1), np.arange(1, len(grid))], axis=1)
-    pending = pending[np.diff(grid) > FINEST]
-    asked, before = _Asked(), np.zeros(len(pending))
+    pending = pending[np.diff(grid) > MIN_INTERVAL]
+    asked, before = _Samples(), np.zeros(len(pending))
     # Every middle of the grid is asked for whatever is found there, so all of it at once.
-    yield from asked.ask(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
+    yield from asked.request(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
     middle = slice(len(grid), asked.count)
     settled, power, claimed = np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0)
     while True:
         if len(pending):
-            halves, found = asked.halved(pending, middle)
+            halves, found = asked.bisect(pending, middle)
             settled, power = np.concatenate([settled, halves]), np.concatenate([power, np.tile(found, 2)])
-            claimed = np.concatenate([claimed, np.tile(_predicted_child_error(found, before), 2)])
-        total = asked.total()
-        left_out = claimed * asked.lengths(settled) * _PARABOLA
+            claimed = np.concatenate([claimed, np.tile(_predict_child_error(found, before), 2)])
+        total = asked.total_power()
+        left_out = claimed * asked.lengths(settled) * _PARABOLA_MEAN_SQUARE
         order = np.argsort(left_out)
         so_far = np.cumsum(left_out[order])
-        missed = float(so_far[-1] / total) / SAFETY**2 if len(so_far) and total > 0.0 else 0.0
-        limit = (SAFETY * tolerance) ** 2 * total
+        missed = float(so_far[-1] / total) / TOLERANCE_SAFETY**2 if len(so_far) and total > 0.0 else 0.0
+        limit = (TOLERANCE_SAFETY * tolerance) ** 2 * total
         if len(so_far) == 0 or so_far[-1] <= limit:
-            return asked.sampled(missed)
+            return asked.to_sampled_emission(missed)
         worst = order[np.searchsorted(so_far, UNREFINED_ERROR_SHARE * limit, side="right") :]
-        worst = worst[asked.lengths(settled[worst]) > FINEST]
-        worst = worst[len(worst) - min(len(worst), max(MOST - asked.count, 0) // 2) :]
+        worst = worst[asked.lengths(settled[worst]) > MIN_INTERVAL]
+        worst = worst[len(worst) - min(len(worst), max(MAX_EVALUATIONS - asked.count, 0) // 2) :]
         if len(worst) == 0:
-            return asked.sampled(missed)
+            return asked.to_sampled_emission(missed)
         worst.sort()
         pending, before = settled[worst], power[worst]
-        middle = yield from asked.ask(asked.middles(pending))
+        middle = yield from asked.request(asked.middles(pending))
         settled, power, claimed = np.delete(settled, worst, axis=0), np.delete(power, worst), np.delete(claimed, worst)
 
 
-class _Asked:
+class _Samples:
     """Evaluations in the order in which they were asked for; an interval is the rows (p, 2) of its two ends."""
 
     def __init__(self) -> None:
@@ -137,7 +137,7 @@ class _Asked:
         """Samples (p,)."""
         return np.asarray(self._at[intervals].sum(axis=1) // 2)
 
-    def halved(self, intervals: Samples, rows: slice) -> tuple[Samples, Float]:
+    def bisect(self, intervals: Samples, rows: slice) -> tuple[Samples, Float]:
         """Their halves (2p, 2), and what the straight line of each misses in its middle (p,), as power. rows: of the
         middles, in the order of the intervals."""
         low, high = intervals.T
@@ -146,50 +146,53 @@ class _Asked:
             each[rows] - (each[low] + share * (each[high] - each[low])) for each in (self._alpha, self._sigma_dt)
         )
         # Weights answer to densities one to one at most, so a density's error is one of the whole amplitude.
-        missed = _squares(off) + self._power[rows] * _squares(thinner)
+        missed = _sum_squares(off) + self._power[rows] * _sum_squares(thinner)
         between = np.arange(rows.start, rows.stop)
         return np.concatenate([np.stack([low, between], 1), np.stack([between, high], 1)]), missed
 
-    def total(self) -> float:
+    def total_power(self) -> float:
         """Power of the straight lines, times samples."""
         order = np.argsort(self._at[: self.count])
         power, at = self._power[order], self._at[order]
         return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(at)))
 
-    def sampled(self, missed: float) -> Sampled:
+    def to_sampled_emission(self, residual_power: float) -> SampledEmission:
         order = np.argsort(self._at[: self.count])
-        return Sampled(self._at[order], self._alpha[order], self._sigma_dt[order], missed)
+        return SampledEmission(self._at[order], self._alpha[order], self._sigma_dt[order], residual_power)
 
-    def ask(self, at: Samples) -> Generator[Samples, Emission, slice]:
+    def request(self, at: Samples) -> Generator[Samples, Emission, slice]:
         """The rows of what is emitted at these samples."""
         begin = self.count
-        for low in range(0, len(at), AT_ONCE):
-            asked = at[low : low + AT_ONCE]
+        for low in range(0, len(at), BATCH_SAMPLES):
+            asked = at[low : low + BATCH_SAMPLES]
             emission, rows = (yield asked), slice(self.count, self.count + len(asked))
             alpha = emission.alpha[:, 0].astype(np.float32)
-            self._at, self._power = _with(self._at, rows, asked), _with(self._power, rows, _squares(alpha))
-            self._alpha = _with(self._alpha, rows, alpha)
-            self._sigma_dt = _with(self._sigma_dt, rows, emission.sigma_dt)
+            self._at, self._power = (
+                _append_rows(self._at, rows, asked),
+                _append_rows(self._power, rows, _sum_squares(alpha)),
+            )
+            self._alpha = _append_rows(self._alpha, rows, alpha)
+            self._sigma_dt = _append_rows(self._sigma_dt, rows, emission.sigma_dt)
             self.count = rows.stop
         return slice(begin, self.count)
 
 
-def _with(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
+def _append_rows(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
     """kept with new in these rows, which follow the last; where there is no room, in twice the memory."""
     if rows.stop > len(kept):
-        grown = np.empty((max(2 * len(kept), rows.stop, EXPECTED), *new.shape[1:]), dtype=new.dtype)
+        grown = np.empty((max(2 * len(kept), rows.stop, INITIAL_CAPACITY), *new.shape[1:]), dtype=new.dtype)
         grown[: rows.start] = kept[: rows.start] if rows.start else 0.0
         kept = grown
     kept[rows] = new
     return kept
 
 
-def _squares(values: NDArray[np.floating[Any]]) -> Float:
+def _sum_squares(values: NDArray[np.floating[Any]]) -> Float:
     """(n,) sums of squares of (n, K)."""
     return np.asarray(np.einsum("nk,nk->n", values, values))
 
 
-def _predicted_child_error(found: Float, before: Float) -> Float:
+def _predict_child_error(found: Float, before: Float) -> Float:
     """Error expected in the middle of each half of an interval, as power (p,), from that in the interval's own middle,
     found (p,), and in the middle of the interval it is a half of, before (p,), 0 where there was none.
 
@@ -200,13 +203,13 @@ def _predicted_child_error(found: Float, before: Float) -> Float:
     return found * share
 
 
-def accumulated(config: FieldConfig, sampled: Sampled, count: int) -> tuple[Samples, Float32]:
+def accumulate_samples(config: FieldConfig, sampled: SampledEmission, count: int) -> tuple[Samples, Float32]:
     """Knots (m,) in 0 … count and the amplitudes (m, K) there, over the past states of each (field.accumulate)."""
     lag = config.stride * SAMPLES_PER_STATE
     # What bends now bends again in the nearest memory; of what lies further back a hundredth is left.
     at = np.unique(np.concatenate([sampled.at, np.minimum(sampled.at + lag, count)]))
-    row, share = sampled.place(at[:, None] - lag * np.arange(config.states))
+    row, share = sampled.locate(at[:, None] - lag * np.arange(config.states))
     density, state = sampled.sigma_dt, np.arange(config.states)
     before = density[row, state]
     weights = render_weights(before + share * (density[row + 1, state] - before))
-    return at, between(sampled.alpha, row, share, weights * (at[:, None] >= lag * state))
+    return at, interpolate_rows(sampled.alpha, row, share, weights * (at[:, None] >= lag * state))

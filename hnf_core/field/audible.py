@@ -8,20 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .carriers import MODEL_RATE_HZ
-from .hops import HOP
+from .hops import HOP_SIZE
 from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
 
 BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06
 """Beyond these distances from contact the signal is exactly zero."""
-BLOCK = HOP
+BLOCK_SAMPLES = HOP_SIZE
 """Samples of a block: how much a small change costs; the last bit of what a profile adds depends on it."""
-BLOCKS_AT_ONCE = 32
+MAX_JOINED_BLOCKS = 32
 """Blocks that are rendered in one go where neighbours are heard: 13 s, whose carriers are held together."""
 
 
-def audible_gain(contact: NDArray[np.bool_], count: int) -> Float:
+def compute_audible_gain(contact: NDArray[np.bool_], count: int) -> Float:
     """(count,) 1 in contact (n,), fading to exactly 0 at BEFORE_CONTACT_S ahead of it and AFTER_CONTACT_S behind it."""
     indices = np.flatnonzero(contact)
     if len(indices) == 0:
@@ -41,23 +41,23 @@ def audible_gain(contact: NDArray[np.bool_], count: int) -> Float:
     return out
 
 
-def is_heard(audible: Float) -> bool:
+def is_audible(audible: Float) -> bool:
     """Whether any of audible (count,) is heard: its largest is found sooner than any()."""
     return bool(audible.max(initial=0.0) > 0.0)
 
 
-def blocks_of(count: int) -> list[tuple[int, int]]:
+def split_blocks(count: int) -> list[tuple[int, int]]:
     """(start, length) of the blocks in which count samples are rendered."""
-    return [(start, min(BLOCK, count - start)) for start in range(0, count, BLOCK)]
+    return [(start, min(BLOCK_SAMPLES, count - start)) for start in range(0, count, BLOCK_SAMPLES)]
 
 
-def heard_spans(audible: Float) -> Iterator[tuple[int, int]]:
+def find_audible_spans(audible: Float) -> Iterator[tuple[int, int]]:
     """(start, length) of neighbouring blocks in which anything of audible (count,) is heard, BLOCKS_AT_ONCE at most."""
     begin, end = 0, 0
-    for start, count in blocks_of(len(audible)):
-        if not is_heard(audible[start : start + count]):
+    for start, count in split_blocks(len(audible)):
+        if not is_audible(audible[start : start + count]):
             continue
-        if end > begin and (start > end or start - begin == BLOCKS_AT_ONCE * BLOCK):
+        if end > begin and (start > end or start - begin == MAX_JOINED_BLOCKS * BLOCK_SAMPLES):
             yield begin, end - begin
             begin = start
         begin, end = (start, start + count) if end == begin else (begin, start + count)

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel import noise as kernel_noise
-from ..kernel.library import kernel
-from ..kernel.noise import TILE
+from ..kernel.library import load_kernel
+from ..kernel.noise import TILE_SAMPLES
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Complex = NDArray[np.complex128]
 Starts = NDArray[np.intp]
 
-WIDEST = 32
+MAX_PRODUCT_BINS = 32
 """Bins of a band up to which a product is the faster."""
 
 
@@ -47,7 +47,7 @@ class WavePlan:
     def size(self) -> int:
         return len(self.window)
 
-    def part(self, low: int, high: int) -> WavePlan:
+    def select_bands(self, low: int, high: int) -> WavePlan:
         """Of bands low … high − 1 alone."""
         narrow = slice(*np.searchsorted(self.narrow, (low, high)))
         broad = self.broad[slice(*np.searchsorted(self.broad, (low, high)))] - low
@@ -58,31 +58,31 @@ class WavePlan:
         )  # fmt: skip
 
 
-def wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
+def make_wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
     """Of bands that are turned back by `middle` turns a period; window: (size,)."""
     width, size = np.diff(starts), len(window)
-    narrow, broad = np.flatnonzero(width <= WIDEST), np.flatnonzero(width > WIDEST)
-    slow = _turns(np.arange(int(width[narrow].max(initial=0))), size)
+    narrow, broad = np.flatnonzero(width <= MAX_PRODUCT_BINS), np.flatnonzero(width > MAX_PRODUCT_BINS)
+    slow = _sinusoids(np.arange(int(width[narrow].max(initial=0))), size)
     return WavePlan(
         np.ascontiguousarray(starts, dtype=np.int64), window.astype(np.float32), narrow, broad, np.concatenate(slow),
-        _turns(starts[narrow] - middle, size),
+        _sinusoids(starts[narrow] - middle, size),
     )  # fmt: skip
 
 
-def real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None) -> Float32:
+def render_real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None) -> Float32:
     """2 Re Σ_k X_k e^{2πikn/size} of each of B bands, times the window; (B, size).
 
     bins: (Σ W,) X of the bands one after another; every bin lies between 0 and size / 2. out: where to put them.
     """
     out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.float32) if out is None else out
-    compiled = kernel()
-    if len(plan.narrow) and compiled is not None and plan.size % TILE == 0:
+    compiled = load_kernel()
+    if len(plan.narrow) and compiled is not None and plan.size % TILE_SAMPLES == 0:
         given = plan.starts, plan.narrow, plan.slow, plan.turns, plan.window
-        kernel_noise.real_waves(compiled, bins, *given, out)
+        kernel_noise.render_real_waves(compiled, bins, *given, out)
     elif len(plan.narrow):
         cosine, sine = plan.turns
         ahead, back = _envelopes(2.0 * _padded(bins, plan), plan.slow)
-        out[plan.narrow] = plan.window * _whole(
+        out[plan.narrow] = plan.window * _mirror(
             ahead.real * cosine - ahead.imag * sine, back.real * cosine + back.imag * sine
         )
     if len(plan.broad):
@@ -97,17 +97,19 @@ def real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None) -> Flo
     return out
 
 
-def complex_waves(bins: Complex, plan: WavePlan, out: NDArray[np.complex64] | None = None) -> NDArray[np.complex64]:
+def render_complex_waves(
+    bins: Complex, plan: WavePlan, out: NDArray[np.complex64] | None = None
+) -> NDArray[np.complex64]:
     """Σ_k X_k e^{2πi(k − middle)n/size} of each of B bands of at most WIDEST bins, times the window; (B, size). out:
     where to put them."""
     out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.complex64) if out is None else out
-    compiled = kernel()
-    if compiled is not None and plan.size % TILE == 0:
-        kernel_noise.complex_waves(compiled, bins, plan.starts, plan.slow, plan.turns, plan.window, out)
+    compiled = load_kernel()
+    if compiled is not None and plan.size % TILE_SAMPLES == 0:
+        kernel_noise.render_complex_waves(compiled, bins, plan.starts, plan.slow, plan.turns, plan.window, out)
         return out
     turn = plan.turns[0] + 1j * plan.turns[1]
     ahead, back = _envelopes(_padded(bins, plan), plan.slow)
-    return np.multiply(plan.window, _whole(ahead * turn, back * turn.conj()), out=out, casting="same_kind")
+    return np.multiply(plan.window, _mirror(ahead * turn, back * turn.conj()), out=out, casting="same_kind")
 
 
 def _padded(bins: Complex, plan: WavePlan) -> Complex:
@@ -127,12 +129,12 @@ def _envelopes(bins: Complex, slow: Float32) -> tuple[NDArray[np.complex64], NDA
     return x + y, x - y
 
 
-def _whole(ahead: NDArray[Any], back: NDArray[Any]) -> NDArray[Any]:
+def _mirror(ahead: NDArray[Any], back: NDArray[Any]) -> NDArray[Any]:
     """(B, size) of samples n and −n, n = 0 … size / 2."""
     return np.concatenate([ahead, back[:, -2:0:-1]], axis=1)
 
 
-def _turns(wavenumbers: Starts, size: int) -> tuple[Float32, Float32]:
+def _sinusoids(wavenumbers: Starts, size: int) -> tuple[Float32, Float32]:
     """cos and sin of 2πkn/size, (B, size / 2 + 1), from one period of each."""
     angle = 2.0 * np.pi * np.arange(size) / size
     at = np.multiply.outer(wavenumbers, np.arange(size // 2 + 1)) % size

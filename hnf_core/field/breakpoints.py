@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..kernel.library import kernel
-from ..kernel.turns import bends
+from ..kernel.library import load_kernel
+from ..kernel.turns import find_bends
 from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
 from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
 Samples = NDArray[np.int64]
 
-BENT = 0.25
+MAX_DEVIATION = 0.25
 """Largest deviation of log speed, log force and direction (radians) from the straight line between two breakpoints.
 F_Θ answers to them about one to one, and what it makes of such a bend is seen in the middle between two of them."""
 
 
-def breakpoints_of(action: Action, token_index: NDArray[np.int32]) -> Samples:
+def find_breakpoints(action: Action, token_index: NDArray[np.int32]) -> Samples:
     """Samples of the model rate, ascending, between which an action at ACTION_RATE_HZ is straight within BENT, on one
     material, and in contact or in the air throughout: states, and places between two of them."""
     force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
@@ -31,17 +31,19 @@ def breakpoints_of(action: Action, token_index: NDArray[np.int32]) -> Samples:
     course = np.column_stack([np.log(speed), np.log(force), action.direction])
     changes = np.flatnonzero((np.diff(token_index) != 0) | (np.diff(action.contact.astype(np.int8)) != 0))
     kept = np.unique(np.concatenate([[0, len(speed) - 1], changes, changes + 1]))
-    compiled = kernel()
-    found = _bends(course, kept) if compiled is None else bends(compiled, course, kept, BENT)
+    compiled = load_kernel()
+    found = _find_bends_numpy(course, kept) if compiled is None else find_bends(compiled, course, kept, MAX_DEVIATION)
     states: Samples = SAMPLES_PER_STATE * found.astype(np.int64)
-    all_: Samples = np.unique(np.concatenate([states, _between_states(speed), _between_states(force)]))
+    all_: Samples = np.unique(
+        np.concatenate([states, _find_bends_between_states(speed), _find_bends_between_states(force)])
+    )
     return all_
 
 
-def _bends(course: Float, kept: Samples) -> Samples:
+def _find_bends_numpy(course: Float, fixed: Samples) -> Samples:
     """In numpy: what the kernel is tested against."""
-    pending = list(zip(kept[:-1].tolist(), kept[1:].tolist(), strict=True))
-    found = set(kept.tolist())
+    pending = list(zip(fixed[:-1].tolist(), fixed[1:].tolist(), strict=True))
+    found = set(fixed.tolist())
     while pending:
         low, high = pending.pop()
         if high - low < 2:
@@ -49,19 +51,19 @@ def _bends(course: Float, kept: Samples) -> Samples:
         share = np.arange(1, high - low)[:, None] / (high - low)
         off = np.abs(course[low + 1 : high] - (course[low] + share * (course[high] - course[low]))).max(axis=1)
         worst = int(np.argmax(off))
-        if off[worst] > BENT:
+        if off[worst] > MAX_DEVIATION:
             found.add(low + 1 + worst)
             pending += [(low, low + 1 + worst), (low + 1 + worst, high)]
     return np.array(sorted(found), dtype=np.int64)
 
 
-def _between_states(value: Float) -> Samples:
+def _find_bends_between_states(value: Float) -> Samples:
     """Samples where a value > 0 that goes straight from state to state bends in its logarithm by more than BENT: a stop
     or a start within one state. It bends most where it is the logarithmic mean of its ends."""
     rise, growth = np.diff(value), np.diff(np.log(value))
     row = np.flatnonzero(np.abs(growth) > 1.0)
     mean = rise[row] / growth[row]
     share = (mean - value[row]) / rise[row]
-    bent = np.log(mean / value[row]) - share * growth[row] > BENT
+    bent = np.log(mean / value[row]) - share * growth[row] > MAX_DEVIATION
     at: Samples = SAMPLES_PER_STATE * row[bent] + np.rint(SAMPLES_PER_STATE * share[bent]).astype(np.int64)
     return at

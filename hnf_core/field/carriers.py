@@ -17,7 +17,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .noise import band_spectra, crossfade_window
+from .noise import crossfade_window, draw_band_spectra
 
 Float = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ ARC_BLOCK = 8192
 ARC_SAMPLES_PER_WAVE = 16
 """Spatial samples per shortest wavelength of an octave; cubic interpolation then errs below −60 dB."""
 ARC_PER_OCTAVE = 24
-KEPT_TIME_BLOCKS, KEPT_ARC_BLOCKS = 8, 32
+CACHED_TIME_BLOCKS, CACHED_ARC_BLOCKS = 8, 32
 """Noise blocks kept for the next render, 3.7 MB and 1.6 MB each: neighbouring renders meet the same ones again."""
 ARC_STREAM = 1_000
 
@@ -103,39 +103,39 @@ class Carriers:
         """rfft spectra (24, ARC_BLOCK // 2 + 1) of one block of one octave, before its fade."""
         first = octave * ARC_PER_OCTAVE
         edges = self.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (self.arc_step_m(octave) * ARC_BLOCK)
-        return band_spectra(seed, ARC_STREAM + octave, block, edges, ARC_BLOCK)
+        return draw_band_spectra(seed, ARC_STREAM + octave, block, edges, ARC_BLOCK)
 
     def time_block_spectra(self, seed: int, block: int) -> NDArray[np.complex128]:
         """rfft spectra (Kt, TIME_BLOCK // 2 + 1) of one block, before its fade."""
-        return band_spectra(seed, 0, block, self.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
+        return draw_band_spectra(seed, 0, block, self.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
 
     def time_samples(self, seed: int, start: int, count: int) -> Float:
         """Time carriers (Kt, count) at samples start … start + count − 1 of the model rate."""
-        return _stitch(lambda block: _time_wave(self, seed, block), TIME_BLOCK, self.time_count, start, count)
+        return _overlap_add(lambda block: _time_wave(self, seed, block), TIME_BLOCK, self.time_count, start, count)
 
     def arc_samples(self, seed: int, octave: int, start: int, count: int) -> Float:
         """One octave's carriers (24, count) at spatial samples start … (multiples of arc_step_m)."""
-        return _stitch(lambda block: _arc_wave(self, seed, octave, block), ARC_BLOCK, ARC_PER_OCTAVE, start, count)
+        return _overlap_add(lambda block: _arc_wave(self, seed, octave, block), ARC_BLOCK, ARC_PER_OCTAVE, start, count)
 
 
-@lru_cache(maxsize=KEPT_TIME_BLOCKS)
+@lru_cache(maxsize=CACHED_TIME_BLOCKS)
 def _time_wave(carriers: Carriers, seed: int, block: int) -> Float:
-    return _faded(carriers.time_block_spectra(seed, block), TIME_BLOCK)
+    return _apply_window(carriers.time_block_spectra(seed, block), TIME_BLOCK)
 
 
-@lru_cache(maxsize=KEPT_ARC_BLOCKS)
+@lru_cache(maxsize=CACHED_ARC_BLOCKS)
 def _arc_wave(carriers: Carriers, seed: int, octave: int, block: int) -> Float:
-    return _faded(carriers.arc_block_spectra(seed, octave, block), ARC_BLOCK)
+    return _apply_window(carriers.arc_block_spectra(seed, octave, block), ARC_BLOCK)
 
 
-def _faded(spectra: NDArray[np.complex128], size: int) -> Float:
+def _apply_window(spectra: NDArray[np.complex128], size: int) -> Float:
     """(bands, size) one block's waves under its window."""
     waves = np.fft.irfft(spectra, size, axis=-1) * crossfade_window(size)
     waves.setflags(write=False)
     return np.asarray(waves)
 
 
-def _stitch(waves: Callable[[int], Float], size: int, bands: int, start: int, count: int) -> Float:
+def _overlap_add(waves: Callable[[int], Float], size: int, bands: int, start: int, count: int) -> Float:
     """Sum of the faded blocks that meet [start, start + count)."""
     out = np.zeros((bands, count))
     if count <= 0 or bands == 0:

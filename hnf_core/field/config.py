@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..action.action import ACTION_RATE_HZ
 from .carriers import Carriers
 from .features import input_size
-from .lines import GAINS
+from .lines import LINE_GAIN_COUNT
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class FieldConfig:
     def alpha_outputs(self) -> int:
         """Values of one α head."""
         spared = self.carriers.arc_count - self.arc_knots if self.arc_knots and self.carriers.arc_count else 0
-        return self.carriers.count - spared + (GAINS if self.line_gains else 0)
+        return self.carriers.count - spared + (LINE_GAIN_COUNT if self.line_gains else 0)
 
     def expansion(self) -> NDArray[np.float32] | None:
         """(Ka, arc_knots) linear interpolation from knots to arc carriers, or None where each has its own value."""

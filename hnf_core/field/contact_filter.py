@@ -15,39 +15,39 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from ..kernel.library import kernel
+from ..kernel.library import load_kernel
 from ..kernel.press import StateResponses
 from ..material.contact import force_response, height_response
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES, Probe
 from .carriers import MODEL_RATE_HZ
-from .modulation import interpolate, states_read
-from .timeline import SAMPLES_PER_STATE, SHARES, smooth
+from .modulation import find_states_read, interpolate_amplitudes
+from .timeline import SAMPLES_PER_STATE, STATE_FRACTIONS, evaluate_bspline
 
 Float = NDArray[np.float64]
 Response = Callable[[ArrayLike, Mechanics, Probe, ArrayLike], NDArray[np.complex128]]
 
-LEAD, TAIL = 256, 3840
+LEAD_SAMPLES, TAIL_SAMPLES = 256, 3840
 """Samples of an impulse response kept before and after t = 0 (0.38 s: a 50 Hz contact of 5 % damping is 50 dB down)."""
-RESPONSE_GRID = 8192
+RESPONSE_PERIOD = 8192
 """Samples of the period in which a response is worked out."""
 LOADS_PER_OCTAVE = 2
 """Between two loads their responses are blended: over the library's materials 0.6 % of the response's energy norm off
 at worst, 0.02 % in the median (a test holds it)."""
-LIGHTEST_OCTAVE = -6
+MIN_FORCE_OCTAVE = -6
 """2⁻⁶ N = 16 mN; what presses less answers alike."""
-LASTS = 1e-12
+RESIDUAL_ENERGY = 1e-12
 """Of a response's energy: what comes after is left out. Half of the library's last 72 ms, the longest 0.26 s."""
-KEPT_RESPONSES = 512
-Contact = tuple[Mechanics, Probe, float]
+CACHED_RESPONSES = 512
+LoadedContact = tuple[Mechanics, Probe, float]
 """What is touched, with what, at which load [N]."""
 
-STATE_CURVE = np.concatenate([smooth(unit, 1.0 + SHARES) for unit in np.eye(4)[::-1]])
+STATE_CURVE = np.concatenate([evaluate_bspline(unit, 1.0 + STATE_FRACTIONS) for unit in np.eye(4)[::-1]])
 """What one state of 1 N makes of the force: the spline between the second and the third of four states, oldest last."""
 CURVE_LEAD = 2 * SAMPLES_PER_STATE
 """Samples of it before the state's own."""
-STATES_AHEAD = -(-(LEAD + CURVE_LEAD) // SAMPLES_PER_STATE)
-STATES_BEHIND = (TAIL + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
+STATES_AHEAD = -(-(LEAD_SAMPLES + CURVE_LEAD) // SAMPLES_PER_STATE)
+STATES_BEHIND = (TAIL_SAMPLES + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
 """Past states that contribute to the 50 samples after a state."""
 
 
@@ -55,71 +55,75 @@ STATES_BEHIND = (TAIL + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
 class FilterBank:
     """contacts: B of them. weights: (n, B) of each at every state, sum 1."""
 
-    contacts: tuple[Contact, ...]
+    contacts: tuple[LoadedContact, ...]
     weights: Float
 
-    def height_term(self, height: Float, start: int) -> Float:
+    def render_height(self, height: Float, start: int) -> Float:
         """Acceleration (count,) [m/s²] of a profile height (TAIL + count + LEAD,) [m], which begins TAIL samples before
         sample `start`."""
-        count = len(height) - LEAD - TAIL
+        count = len(height) - LEAD_SAMPLES - TAIL_SAMPLES
         # A circle as long as the signal is enough: what wraps round is in the samples before `start`.
         size = 1 << (len(height) - 1).bit_length()
-        used = self._used(states_read(len(self.weights), start, count))
-        kernels = np.stack([impulse_response(height_response, *self.contacts[each]) for each in used])
+        used = self._find_active(find_states_read(len(self.weights), start, count))
+        kernels = np.stack([compute_impulse_response(height_response, *self.contacts[each]) for each in used])
         full = np.fft.irfft(np.fft.rfft(height, size) * np.fft.rfft(kernels, size), size)
-        fades = interpolate(self.weights[:, used], start, count)
-        return np.asarray(np.einsum("tb,bt->t", fades, full[:, TAIL + LEAD : TAIL + LEAD + count]))
+        fades = interpolate_amplitudes(self.weights[:, used], start, count)
+        return np.asarray(
+            np.einsum("tb,bt->t", fades, full[:, TAIL_SAMPLES + LEAD_SAMPLES : TAIL_SAMPLES + LEAD_SAMPLES + count])
+        )
 
-    def force_term(self, force: Float, start: int, count: int) -> Float:
+    def render_force(self, force: Float, start: int, count: int) -> Float:
         """The same, of the force (n,) [N] that presses at each state, with the cubic B-spline through them.
 
         Spline and response are linear, so each state adds the same curve, at its own place, to all samples about it:
         a small sum for a state, where a transform would be of all its samples.
         """
         first, last = start // SAMPLES_PER_STATE, (start + count - 1) // SAMPLES_PER_STATE
-        states, compiled = last + 1 - first, kernel()
+        states, compiled = last + 1 - first, load_kernel()
         if compiled is not None:
             low = min(max(first - STATES_BEHIND, 0), len(force) - 1)
             near = slice(low, max(first + states + STATES_AHEAD + 1, low + 1))
             pressed, weights = np.ascontiguousarray(force[near]), np.ascontiguousarray(self.weights[near])
-            out = self._given.pressed(compiled, pressed, weights, first - low, states)
+            out = self._responses.compute_force_response(compiled, pressed, weights, first - low, states)
         else:
-            out = self._pressed(force, first, states)
+            out = self._render_force_numpy(force, first, states)
         return out[start - first * SAMPLES_PER_STATE :][:count]
 
-    def _pressed(self, force: Float, first: int, count: int) -> Float:
+    def _render_force_numpy(self, force: Float, first: int, count: int) -> Float:
         """In numpy: what the kernel is tested against."""
         near = force[np.clip(np.arange(first - STATES_BEHIND, first + count + STATES_AHEAD), 0, len(force) - 1)]
         out = np.zeros((count, SAMPLES_PER_STATE))
         around = sliding_window_view(near, STATES_BEHIND + 1 + STATES_AHEAD)
         states = np.clip(np.arange(first, first + count + 1), 0, len(force) - 1)
-        for each in self._used(slice(states[0], states[-1] + 1)):
-            table, weight = self._given.tables[each], self.weights[states, each]
+        for each in self._find_active(slice(states[0], states[-1] + 1)):
+            table, weight = self._responses.tables[each], self.weights[states, each]
             pressing = around[:, -len(table) :]
             # The responses pass nothing constant on, and most hands press evenly for a while.
             rows = np.flatnonzero(np.ptp(pressing, axis=1) > 0.0)
-            fade = weight[rows, None] * (1.0 - SHARES) + weight[rows + 1, None] * SHARES
+            fade = weight[rows, None] * (1.0 - STATE_FRACTIONS) + weight[rows + 1, None] * STATE_FRACTIONS
             out[rows] += fade * (pressing[rows] @ table)
         return out.reshape(-1)
 
     @cached_property
-    def _given(self) -> StateResponses:
-        return StateResponses([_state_responses(*each) for each in self.contacts], STATES_AHEAD)
+    def _responses(self) -> StateResponses:
+        return StateResponses([_state_response_table(*each) for each in self.contacts], STATES_AHEAD)
 
-    def _used(self, states: slice) -> NDArray[np.intp]:
+    def _find_active(self, states: slice) -> NDArray[np.intp]:
         return np.flatnonzero(np.any(self.weights[states] > 0.0, axis=0))
 
 
-def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], force: Float, probe: str) -> FilterBank:
+def build_filter_bank(
+    mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], force: Float, probe: str
+) -> FilterBank:
     """Every different mechanics that is touched, at the loads next to those it is pressed with.
 
     material: (n,) index into mechanics at each state; force: (n,) N.
     """
-    floor = 2.0**LIGHTEST_OCTAVE
+    floor = 2.0**MIN_FORCE_OCTAVE
     place = LOADS_PER_OCTAVE * np.log2(np.maximum(force, floor) / floor)
     kinds = list(dict.fromkeys(mechanics[index] for index in np.unique(material)))
     kind = np.array([kinds.index(each) if each in kinds else -1 for each in mechanics])[material]
-    contacts: list[Contact] = []
+    contacts: list[LoadedContact] = []
     weights = []
     for index, each in enumerate(kinds):
         mine = kind == index
@@ -134,41 +138,45 @@ def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], f
     return FilterBank(tuple(contacts), np.concatenate(weights, axis=1))
 
 
-@lru_cache(maxsize=KEPT_RESPONSES)
-def _state_responses(mechanics: Mechanics, probe: Probe, force: float) -> Float:
+@lru_cache(maxsize=CACHED_RESPONSES)
+def _state_response_table(mechanics: Mechanics, probe: Probe, force: float) -> Float:
     """(states behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE): response of a state's samples to 1 N at each
     neighbouring state, the earliest first; as many behind as the response lasts, STATES_BEHIND at most."""
-    response = impulse_response(force_response, mechanics, probe, force)
-    lasts = int(np.flatnonzero(response)[-1]) + 1 - LEAD
-    curve = np.fft.irfft(np.fft.rfft(response, RESPONSE_GRID) * np.fft.rfft(STATE_CURVE, RESPONSE_GRID), RESPONSE_GRID)
+    response = compute_impulse_response(force_response, mechanics, probe, force)
+    lasts = int(np.flatnonzero(response)[-1]) + 1 - LEAD_SAMPLES
+    curve = np.fft.irfft(
+        np.fft.rfft(response, RESPONSE_PERIOD) * np.fft.rfft(STATE_CURVE, RESPONSE_PERIOD), RESPONSE_PERIOD
+    )
     behind = (lasts + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
     whole = np.zeros((behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE))
-    begin = STATES_AHEAD * SAMPLES_PER_STATE - LEAD - CURVE_LEAD
-    length = LEAD + lasts + len(STATE_CURVE) - 1
+    begin = STATES_AHEAD * SAMPLES_PER_STATE - LEAD_SAMPLES - CURVE_LEAD
+    length = LEAD_SAMPLES + lasts + len(STATE_CURVE) - 1
     whole.reshape(-1)[begin : begin + length] = curve[:length]
     table = np.ascontiguousarray(whole[::-1])
     table.setflags(write=False)
     return table
 
 
-@lru_cache(maxsize=KEPT_RESPONSES)
-def impulse_response(response: Response, mechanics: Mechanics, probe: Probe, force: float) -> Float:
+@lru_cache(maxsize=CACHED_RESPONSES)
+def compute_impulse_response(response: Response, mechanics: Mechanics, probe: Probe, force: float) -> Float:
     """(LEAD + TAIL,) samples at the model rate from −LEAD on; no DC, no slope, nothing above 4.8 kHz. Zero where less
     than LASTS of its energy is left."""
-    frequency = np.fft.rfftfreq(RESPONSE_GRID, 1.0 / MODEL_RATE_HZ)
+    frequency = np.fft.rfftfreq(RESPONSE_PERIOD, 1.0 / MODEL_RATE_HZ)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency - 4000.0) / 800.0, 0.0, 1.0))
-    whole = np.fft.irfft(response(frequency, mechanics, probe, force) * taper, RESPONSE_GRID)
-    kept = np.roll(whole, LEAD)[: LEAD + TAIL]
-    window = np.ones(LEAD + TAIL)
-    window[:LEAD] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(LEAD) + 0.5) / LEAD)
-    fade = TAIL // 4
+    whole = np.fft.irfft(response(frequency, mechanics, probe, force) * taper, RESPONSE_PERIOD)
+    kept = np.roll(whole, LEAD_SAMPLES)[: LEAD_SAMPLES + TAIL_SAMPLES]
+    window = np.ones(LEAD_SAMPLES + TAIL_SAMPLES)
+    window[:LEAD_SAMPLES] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(LEAD_SAMPLES) + 0.5) / LEAD_SAMPLES)
+    fade = TAIL_SAMPLES // 4
     window[-fade:] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
     kept = kept * window
     left = np.cumsum(np.square(kept[::-1]))[::-1]
-    window[left < LASTS * left[0]] = 0.0
+    window[left < RESIDUAL_ENERGY * left[0]] = 0.0
     kept = kept * (window > 0.0)
     # What is constant must give nothing, also after the cut, and what rises evenly too: the mass follows it at rest.
-    steady = np.stack([np.ones(LEAD + TAIL), (np.arange(LEAD + TAIL) - LEAD) / TAIL])
+    steady = np.stack(
+        [np.ones(LEAD_SAMPLES + TAIL_SAMPLES), (np.arange(LEAD_SAMPLES + TAIL_SAMPLES) - LEAD_SAMPLES) / TAIL_SAMPLES]
+    )
     kept = kept - window * (np.linalg.solve((steady * window) @ steady.T, steady @ kept) @ steady)
     kept.setflags(write=False)
     return np.asarray(kept)

@@ -10,39 +10,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel import emission as compiled
-from ..kernel.contact import TOUCH
-from ..kernel.emission import Emitter
+from ..kernel.contact import CONTACT_COLUMNS
+from ..kernel.emission import EmissionTables
 from ..material.mechanics import Mechanics
 from .config import FieldConfig
 from .features import (
-    DIRECTION_AT,
-    MECHANICS_AT,
-    PACE_M_S,
-    PITCH_HZ,
+    AMPLITUDE_FLOOR_M_S2,
+    DIRECTION_COLUMN,
+    MECHANICS_COLUMN,
     PROBE_NAMES,
-    QUIET_M_S2,
+    REFERENCE_RESONANCE_HZ,
+    REFERENCE_SPEED_M_S,
     TIME_SHARE_DB,
+    encode_mechanics,
     input_size,
-    mechanics_columns,
-    moving,
-    token_scale,
+    motion_gate,
+    token_normalisation,
 )
 from .linear_contact import (
     FORCE_FLOOR_N,
     SPEED_FLOOR_M_S,
     Condition,
-    contact_columns,
+    compute_contact_columns,
     lateral_hand_impedance,
-    time_edges,
+    time_edges_in_arc_bands,
 )
-from .linear_texture import kernel_tables
-from .lines import QUIET_LINE_M_S2, SHIFTS, START_LOG
+from .linear_texture import build_kernel_tables
+from .lines import HARMONIC_SHIFTS, HARMONIC_START_LOG, LINE_FLOOR_M_S2
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 
-def fits(config: FieldConfig) -> bool:
+def kernel_supports(config: FieldConfig) -> bool:
     """Whether the kernel knows a field of this form."""
     carriers = config.carriers
     shipped = config.physics and config.emission == "log" and config.alpha_heads == 1 and not config.action_octaves
@@ -50,54 +50,56 @@ def fits(config: FieldConfig) -> bool:
 
 
 @lru_cache(maxsize=16)
-def emitter_of(config: FieldConfig, skip: bytes, probe: str, ceiling: float) -> Emitter:
+def get_emitter(config: FieldConfig, skip: bytes, probe: str, ceiling: float) -> EmissionTables:
     """skip: the parameter's float32 numbers. ceiling: of a log amplitude."""
     carriers = config.carriers
-    shift, scale = token_scale()
+    shift, scale = token_normalisation()
     knots = config.arc_knots or carriers.arc_count
     place = np.linspace(0.0, knots - 1.0, carriers.arc_count)
     knot = np.minimum(place.astype(np.int64), max(knots - 2, 0))
-    return Emitter(
-        kernel_tables(carriers, *lateral_hand_impedance(probe)), token_shift=shift, token_scale=scale,
-        time_edge=time_edges(carriers),
+    return EmissionTables(
+        build_kernel_tables(carriers, *lateral_hand_impedance(probe)), token_shift=shift, token_scale=scale,
+        time_edge=time_edges_in_arc_bands(carriers),
         skip=np.frombuffer(skip, dtype=np.float32).astype(np.float64), knot=knot, knot_share=place - knot,
-        harmonic_shift=np.array(SHIFTS), harmonic_start=np.array(START_LOG),
-        inputs=input_size(carriers, config.physics), fixed_at=MECHANICS_AT, fixed=DIRECTION_AT - MECHANICS_AT,
-        direction_at=DIRECTION_AT, outputs=config.alpha_outputs, stroke_frame=config.stroke_frame,
-        directed=config.directed, line_gains=config.line_gains, quiet_power=QUIET_M_S2**2,
-        quiet_line_power=QUIET_LINE_M_S2**2, time_share=10.0 ** (TIME_SHARE_DB / 10.0), ceiling=ceiling, pace=PACE_M_S,
-        pitch=PITCH_HZ,
+        harmonic_shift=np.array(HARMONIC_SHIFTS), harmonic_start=np.array(HARMONIC_START_LOG),
+        inputs=input_size(carriers, config.physics), fixed_at=MECHANICS_COLUMN, fixed=DIRECTION_COLUMN - MECHANICS_COLUMN,
+        direction_at=DIRECTION_COLUMN, outputs=config.alpha_outputs, stroke_frame=config.stroke_frame,
+        directed=config.directed, line_gains=config.line_gains, quiet_power=AMPLITUDE_FLOOR_M_S2**2,
+        quiet_line_power=LINE_FLOOR_M_S2**2, time_share=10.0 ** (TIME_SHARE_DB / 10.0), ceiling=ceiling, pace=REFERENCE_SPEED_M_S,
+        pitch=REFERENCE_RESONANCE_HZ,
     )  # fmt: skip
 
 
-def fixed_inputs(mechanics: Mechanics, probe: str) -> tuple[float, ...]:
+def encode_fixed_inputs(mechanics: Mechanics, probe: str) -> tuple[float, ...]:
     """Of a material under a probe, what no state changes: inputs from MECHANICS_AT on."""
-    return (*mechanics_columns(mechanics), *(float(name == probe) for name in PROBE_NAMES))
+    return (*encode_mechanics(mechanics), *(float(name == probe) for name in PROBE_NAMES))
 
 
-def emission(
-    kernel: CDLL, emitter: Emitter, condition: Condition, answer: Callable[[Float32], tuple[Float32, Float32]]
+def evaluate_compiled(
+    kernel: CDLL, emitter: EmissionTables, condition: Condition, network: Callable[[Float32], tuple[Float32, Float32]]
 ) -> tuple[Float, Float32]:
     """alpha (n, K), and what the σ head answers. answer: inputs (n, D) → both heads' (n, …)."""
-    tokens, motion, touch = _states(condition)
-    known = np.array([fixed_inputs(each, condition.probe) for each in condition.mechanics])
-    x, expected = compiled.inputs(kernel, emitter, tokens, known[condition.material], motion, touch)
-    head, sigma = answer(x)
-    return compiled.emitted(kernel, emitter, np.ascontiguousarray(head, dtype=np.float32), motion, expected), sigma
+    tokens, motion, touch = _state_columns(condition)
+    known = np.array([encode_fixed_inputs(each, condition.probe) for each in condition.mechanics])
+    x, expected = compiled.compute_inputs(kernel, emitter, tokens, known[condition.material], motion, touch)
+    head, sigma = network(x)
+    return compiled.decode_head(kernel, emitter, np.ascontiguousarray(head, dtype=np.float32), motion, expected), sigma
 
 
-def answered(kernel: CDLL, emitter: Emitter, condition: Condition, head: Float32) -> Float:
+def decode_outputs(kernel: CDLL, emitter: EmissionTables, condition: Condition, head: Float32) -> Float:
     """alpha (n, K) of what the α head has answered (n, outputs)."""
-    return compiled.answered(kernel, emitter, *_states(condition), np.ascontiguousarray(head, dtype=np.float32))
+    return compiled.decode_known_head(
+        kernel, emitter, *_state_columns(condition), np.ascontiguousarray(head, dtype=np.float32)
+    )
 
 
-def _states(condition: Condition) -> tuple[Float, Float, Float]:
+def _state_columns(condition: Condition) -> tuple[Float, Float, Float]:
     """Of n states: tokens (n, TOKEN_DIM), and the columns MOTION and TOUCH."""
-    touch, resonance = contact_columns(condition)
-    motion = np.empty((len(resonance), len(compiled.MOTION)))
+    touch, resonance = compute_contact_columns(condition)
+    motion = np.empty((len(resonance), len(compiled.MOTION_COLUMNS)))
     motion[:, :2] = condition.direction
     np.maximum(condition.speed, SPEED_FLOOR_M_S, out=motion[:, 2])
     np.maximum(condition.force, FORCE_FLOOR_N, out=motion[:, 3])
-    motion[:, 4], motion[:, 5], motion[:, 6] = touch["mass"], resonance, moving(condition)
-    columns = np.stack([touch[name] for name in TOUCH], axis=1)
+    motion[:, 4], motion[:, 5], motion[:, 6] = touch["mass"], resonance, motion_gate(condition)
+    columns = np.stack([touch[name] for name in CONTACT_COLUMNS], axis=1)
     return np.ascontiguousarray(condition.tokens, dtype=np.float64), motion, columns

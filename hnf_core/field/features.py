@@ -21,24 +21,24 @@ from .linear_contact import (
     SPEED_FLOOR_M_S,
     Condition,
     arc_gain,
-    linear_contact,
+    compute_linear_contact,
     time_band_power,
 )
-from .lines import prior_columns
+from .lines import encode_line_prior
 
 Float = NDArray[np.float64]
 
-QUIET_M_S2 = 2e-4
+AMPLITUDE_FLOOR_M_S2 = 2e-4
 """Amplitude floor per band, m/s²: added in power before the logarithm."""
 TIME_SHARE_DB = -20.0
 """Where the time carriers start beside the arc carriers: geometry belongs to arc length until data say otherwise."""
-PACE_M_S, PITCH_HZ = 0.1, 150.0
+REFERENCE_SPEED_M_S, REFERENCE_RESONANCE_HZ = 0.1, 150.0
 """Reference speed [m/s] and resonance [Hz]; inputs are log ratios to these."""
 PROBE_NAMES = tuple(PROBES)
-MECHANICS_AT = TOKEN_DIM
-PROBE_AT = MECHANICS_AT + 6
-DIRECTION_AT = PROBE_AT + len(PROBE_NAMES)
-_ACTION_END = DIRECTION_AT + 4
+MECHANICS_COLUMN = TOKEN_DIM
+PROBE_COLUMN = MECHANICS_COLUMN + 6
+DIRECTION_COLUMN = PROBE_COLUMN + len(PROBE_NAMES)
+_ACTION_END = DIRECTION_COLUMN + 4
 _PHYSICS_SCALARS = 3
 
 
@@ -76,11 +76,13 @@ def build_inputs(
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
     force = np.maximum(condition.force, FORCE_FLOOR_N)
     columns = [
-        normalised_tokens(seen_from(condition.tokens, condition.direction) if stroke_frame else condition.tokens),
-        np.array([mechanics_columns(m) for m in condition.mechanics])[condition.material],
+        normalise_tokens(
+            rotate_to_stroke_frame(condition.tokens, condition.direction) if stroke_frame else condition.tokens
+        ),
+        np.array([encode_mechanics(m) for m in condition.mechanics])[condition.material],
         np.tile([float(name == condition.probe) for name in PROBE_NAMES], (len(speed), 1)),
         condition.direction if directed and not stroke_frame else np.zeros_like(condition.direction),
-        np.log(speed / PACE_M_S)[:, None],
+        np.log(speed / REFERENCE_SPEED_M_S)[:, None],
         np.log(force)[:, None],
         encode_action(condition.direction, speed, force, action_octaves, directed),
     ]
@@ -89,7 +91,7 @@ def build_inputs(
         # Without arc carriers the default wavenumbers serve, and the time carriers start with all of the power.
         grid = carriers if carriers.arc_count else replace(carriers, arc_octaves=Carriers().arc_octaves)
         share = 10.0 ** (TIME_SHARE_DB / 10.0) if carriers.arc_count else 1.0
-        linear = linear_contact(condition, grid)
+        linear = compute_linear_contact(condition, grid)
         time_power = time_band_power(linear.power, speed, grid)
         bounce = PROBES[condition.probe].mass_kg * np.sqrt(linear.normal) / force
         columns += [
@@ -97,24 +99,24 @@ def build_inputs(
             0.5 * log_amplitude(linear.power.sum(axis=1))[:, None],
             # Above 1 the inertia of the linear solution exceeds the load: the probe hops.
             0.5 * np.log(bounce + 1e-3)[:, None],
-            np.log(linear.resonance / PITCH_HZ)[:, None],
+            np.log(linear.resonance / REFERENCE_RESONANCE_HZ)[:, None],
         ]
         prior[:, carriers.time_slice] = log_amplitude(time_power * share)
         if carriers.arc_count:
             prior[:, carriers.arc_slice] = log_amplitude(linear.noise if line_gains else linear.power)
         if line_gains:
-            prior = np.concatenate([prior, prior_columns(linear.lines)], axis=1)
-    return Inputs(np.concatenate(columns, axis=1), prior, gate_of(condition, carriers))
+            prior = np.concatenate([prior, encode_line_prior(linear.lines)], axis=1)
+    return Inputs(np.concatenate(columns, axis=1), prior, compute_gate(condition, carriers))
 
 
-def gate_of(condition: Condition, carriers: Carriers) -> Float:
+def compute_gate(condition: Condition, carriers: Carriers) -> Float:
     """(n, K) factor 0 … 1 on what is emitted, as in Inputs."""
-    gate = np.repeat(moving(condition)[:, None], carriers.count, axis=1)
+    gate = np.repeat(motion_gate(condition)[:, None], carriers.count, axis=1)
     gate[:, carriers.arc_slice] *= arc_gain(carriers.arc_centres(), np.maximum(condition.speed, SPEED_FLOOR_M_S))
     return gate
 
 
-def moving(condition: Condition) -> Float:
+def motion_gate(condition: Condition) -> Float:
     """(n,) 0 … 1: 0 at rest and out of contact."""
     slides = np.clip(condition.speed / SPEED_FLOOR_M_S, 0.0, 1.0) * np.clip(condition.force / FORCE_FLOOR_N, 0.0, 1.0)
     return np.where(condition.contact, slides, 0.0)
@@ -138,7 +140,7 @@ def encode_action(direction: Float, speed: Float, force: Float, octaves: int, di
     return np.stack(columns, axis=1) if columns else np.zeros((len(speed), 0))
 
 
-def seen_from(tokens: Float, direction: Float) -> Float:
+def rotate_to_stroke_frame(tokens: Float, direction: Float) -> Float:
     """Tokens (n, TOKEN_DIM) with their moments of direction turned into the frame of unit vectors d (n, 2).
 
     What depends on them alone cannot tell a surface and a stroke both turned from the same two unturned, nor d from −d.
@@ -154,16 +156,16 @@ def seen_from(tokens: Float, direction: Float) -> Float:
 
 
 def log_amplitude(power: Float) -> Float:
-    return np.asarray(0.5 * np.log(power + QUIET_M_S2**2))
+    return np.asarray(0.5 * np.log(power + AMPLITUDE_FLOOR_M_S2**2))
 
 
-def normalised_tokens(tokens: Float) -> Float:
+def normalise_tokens(tokens: Float) -> Float:
     """(n, TOKEN_DIM) with every component of order 1."""
-    shift, scale = token_scale()
+    shift, scale = token_normalisation()
     return np.asarray((np.asarray(tokens, dtype=np.float64) - shift) * scale)
 
 
-def token_scale() -> tuple[Float, Float]:
+def token_normalisation() -> tuple[Float, Float]:
     """(TOKEN_DIM,) what is taken from each component, and its factor after that; moments of direction stay."""
     bands, width = len(BAND_WAVELENGTHS_M), len(BAND_FEATURES)
     scale, shift = np.ones(TOKEN_DIM), np.zeros(TOKEN_DIM)
@@ -174,7 +176,7 @@ def token_scale() -> tuple[Float, Float]:
     return shift, scale
 
 
-def mechanics_columns(mechanics: Mechanics) -> tuple[float, ...]:
+def encode_mechanics(mechanics: Mechanics) -> tuple[float, ...]:
     """Normalised value and known flag of stiffness, damping and friction; the defaults stand for unknowns."""
     full = with_defaults(mechanics)
     known = [value is not None for value in (mechanics.stiffness_n_m, mechanics.damping_ratio, mechanics.friction)]

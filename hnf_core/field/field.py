@@ -17,23 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel.layers import Layers
-from ..kernel.library import kernel
+from ..kernel.library import load_kernel
 from .config import FieldConfig
-from .emitter import answered, emission, emitter_of, fits
+from .emitter import decode_outputs, evaluate_compiled, get_emitter, kernel_supports
 from .features import build_inputs
 from .linear_contact import Condition
-from .lines import GAINS, line_power
-from .network import heads
-from .ranges import Ranges
+from .lines import LINE_GAIN_COUNT, compute_line_power
+from .network import run_network
+from .ranges import TrainingRanges
 from .rendering import render_weights
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 UNTRAINED = "untrained"
 """Identity of every field that was never saved."""
-Answers = tuple[Float32, Float32]
+NetworkOutput = tuple[Float32, Float32]
 """What the α head and the σ head say of n states, (n, …) each."""
-Answer = Callable[[Float32], Answers]
+NetworkFn = Callable[[Float32], NetworkOutput]
 """Of their inputs (n, D)."""
 
 LOG_AMPLITUDE_CEILING = 6.0
@@ -52,7 +52,7 @@ class Field:
 
     config: FieldConfig
     parameters: Mapping[str, NDArray[np.float32]]
-    ranges: Ranges | None = None
+    ranges: TrainingRanges | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
     identity: str = UNTRAINED
 
@@ -64,9 +64,9 @@ class Field:
         return Layers(weights, biases)
 
 
-def same_field(one: Field, other: Field) -> bool:
+def is_same_field(first: Field, second: Field) -> bool:
     """Whether what one made may stand for what the other would make. Two that were never saved have one name."""
-    return one is other or (one.identity == other.identity and one.identity != UNTRAINED)
+    return first is second or (first.identity == second.identity and first.identity != UNTRAINED)
 
 
 @dataclass(frozen=True)
@@ -76,45 +76,45 @@ class Emission:
     alpha: Float
     sigma_dt: Float
 
-    def of(self, rows: slice) -> Emission:
+    def rows(self, rows: slice) -> Emission:
         return Emission(self.alpha[rows], self.sigma_dt[rows])
 
-    def take(self, rows: NDArray[np.bool_], given: Emission) -> None:
+    def assign(self, rows: NDArray[np.bool_], values: Emission) -> None:
         """In these rows, what is given of them."""
-        self.alpha[rows], self.sigma_dt[rows] = given.alpha, given.sigma_dt
+        self.alpha[rows], self.sigma_dt[rows] = values.alpha, values.sigma_dt
 
 
-def kernel_for(model: Field) -> CDLL | None:
+def find_kernel(model: Field) -> CDLL | None:
     """The kernel, where it knows fields of this form: then what a state gives is the same to the last bit whatever
     others are asked for beside it."""
-    return kernel() if fits(model.config) and model.parameters["skip"].dtype == np.float32 else None
+    return load_kernel() if kernel_supports(model.config) and model.parameters["skip"].dtype == np.float32 else None
 
 
-def network_of(model: Field) -> Answer:
+def get_network(model: Field) -> NetworkFn:
     """F_Θ's layers and heads."""
-    compiled = kernel_for(model)
+    compiled = find_kernel(model)
     if compiled is None:
-        return partial(heads, model.parameters, model.config.layers)
-    return partial(model.layers.answers, compiled)
+        return partial(run_network, model.parameters, model.config.layers)
+    return partial(model.layers.evaluate, compiled)
 
 
-def evaluate(model: Field, condition: Condition, answer: Answer | Answers | None = None) -> Emission:
+def evaluate(model: Field, condition: Condition, network: NetworkFn | NetworkOutput | None = None) -> Emission:
     """F_Θ at each of n states, in float32 products (as the torch twin). answer: what stands for the network, or what it
     would have answered."""
-    config, weights, compiled = model.config, model.parameters, kernel_for(model)
-    if answer is None:
-        answer = network_of(model)
+    config, weights, compiled = model.config, model.parameters, find_kernel(model)
+    if network is None:
+        network = get_network(model)
     if compiled is None:
-        return _in_numpy(model, condition, answer if callable(answer) else lambda _: answer)
-    emitter = emitter_of(config, weights["skip"].tobytes(), condition.probe, LOG_AMPLITUDE_CEILING)
-    if callable(answer):
-        alpha, sigma = emission(compiled, emitter, condition, answer)
+        return _evaluate_numpy(model, condition, network if callable(network) else lambda _: network)
+    emitter = get_emitter(config, weights["skip"].tobytes(), condition.probe, LOG_AMPLITUDE_CEILING)
+    if callable(network):
+        alpha, sigma = evaluate_compiled(compiled, emitter, condition, network)
     else:
-        alpha, sigma = answered(compiled, emitter, condition, answer[0]), answer[1]
+        alpha, sigma = decode_outputs(compiled, emitter, condition, network[0]), network[1]
     return Emission(alpha[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
 
 
-def _in_numpy(model: Field, condition: Condition, answer: Answer) -> Emission:
+def _evaluate_numpy(model: Field, condition: Condition, network: NetworkFn) -> Emission:
     """Every form of field, and what the kernel is tested against."""
     config, weights = model.config, model.parameters
     inputs = build_inputs(
@@ -126,9 +126,11 @@ def _in_numpy(model: Field, condition: Condition, answer: Answer) -> Emission:
         config.line_gains,
         config.stroke_frame,
     )
-    head, sigma = answer(inputs.x.astype(np.float32))
+    head, sigma = network(inputs.x.astype(np.float32))
     alpha = head.astype(np.float64).reshape(len(head), config.alpha_heads, config.alpha_outputs)
-    alpha, gains = (alpha[..., :-GAINS], alpha[:, 0, -GAINS:]) if config.line_gains else (alpha, None)
+    alpha, gains = (
+        (alpha[..., :-LINE_GAIN_COUNT], alpha[:, 0, -LINE_GAIN_COUNT:]) if config.line_gains else (alpha, None)
+    )
     prior, tones = np.split(inputs.prior, [config.carriers.count], axis=1)
     expansion, first = config.expansion(), config.carriers.arc_slice.start
     if expansion is not None:
@@ -138,7 +140,7 @@ def _in_numpy(model: Field, condition: Condition, answer: Answer) -> Emission:
     if config.emission == "log":
         alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
     if gains is not None:
-        ringing = line_power(gains, tones, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
+        ringing = compute_line_power(gains, tones, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
         alpha[:, 0, config.carriers.arc_slice] = np.sqrt(np.square(alpha[:, 0, config.carriers.arc_slice]) + ringing)
     return Emission(alpha * inputs.gate[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
 

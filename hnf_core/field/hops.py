@@ -13,108 +13,108 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.hop import Piece, TimeHop
-from .band_waves import WavePlan, complex_waves, real_waves, wave_plan
+from ..kernel.hop import ArcHop, TimeHop
+from .band_waves import WavePlan, make_wave_plan, render_complex_waves, render_real_waves
 from .carriers import ARC_BLOCK, ARC_PER_OCTAVE, ARC_STREAM, MODEL_RATE_HZ, TIME_BLOCK, Carriers
-from .noise import Bins, band_bins, bins_of, crossfade_window
+from .noise import Bins, crossfade_window, draw_band_bins, make_bins
 
 Float32 = NDArray[np.float32]
 Waves = NDArray[np.complex64]
 
-HOP = TIME_BLOCK // 2
+HOP_SIZE = TIME_BLOCK // 2
 """Samples of the model rate in a hop of time carriers."""
 MAX_RELATIVE_FREQUENCY = 0.25
 """Highest frequency of a carrier over its stored sample rate: half of Nyquist's."""
-MARGINS = (0, 6, 10)
+LEVEL_MARGINS = (0, 6, 10)
 """Samples kept before and after a hop at the model's rate, its half and its quarter: half of the next one's, and the
 reach of the filter that doubles the rate. At an eighth, amplitudes that jump between states would lose 6 dB more."""
-LEVELS = len(MARGINS)
+LEVEL_COUNT = len(LEVEL_MARGINS)
 
-CELL = 8
+CELL_SAMPLES = 8
 """Spatial samples of an octave in a cell: two cells per shortest wavelength."""
-ARC_CELLS = ARC_BLOCK // CELL
-ARC_HOP = ARC_CELLS // 2
+ARC_BLOCK_CELLS = ARC_BLOCK // CELL_SAMPLES
+ARC_HOP_CELLS = ARC_BLOCK_CELLS // 2
 DEMODULATION_CYCLES = 3 * ARC_BLOCK // 64
 """Heterodyne frequency of an octave, cycles per block: an octave has 2/64 to 4/64 of ARC_BLOCK. Even, so that blocks
 agree."""
-KEPT_TIME_HOPS, KEPT_ARC_HOPS = 48, 256
+CACHED_TIME_HOPS, CACHED_ARC_HOPS = 48, 256
 """0.45 MB and 98 kB each: 20 s of time, and half a metre or more of path."""
 
 
-def level_of(frequency_hz: float) -> int:
+def find_level(frequency_hz: float) -> int:
     """How often the model's rate may be halved for a carrier of this frequency."""
-    level = LEVELS - 1
+    level = LEVEL_COUNT - 1
     while level and frequency_hz > MAX_RELATIVE_FREQUENCY * MODEL_RATE_HZ / 2**level:
         level -= 1
     return level
 
 
 @lru_cache(maxsize=8)
-def time_levels(carriers: Carriers) -> tuple[slice, ...]:
+def group_time_levels(carriers: Carriers) -> tuple[slice, ...]:
     """The time carriers that are kept at each level, which ascending bands make contiguous."""
-    levels = [level_of(float(edge)) for edge in carriers.time_edges()[1:]]
-    ends = [sum(each >= level for each in levels) for level in range(LEVELS + 1)]
-    return tuple(slice(ends[level + 1], ends[level]) for level in range(LEVELS))
+    levels = [find_level(float(edge)) for edge in carriers.time_edges()[1:]]
+    ends = [sum(each >= level for each in levels) for level in range(LEVEL_COUNT + 1)]
+    return tuple(slice(ends[level + 1], ends[level]) for level in range(LEVEL_COUNT))
 
 
-@lru_cache(maxsize=KEPT_TIME_HOPS)
-def time_hop(carriers: Carriers, seed: int, hop: int) -> TimeHop:
+@lru_cache(maxsize=CACHED_TIME_HOPS)
+def get_time_hop(carriers: Carriers, seed: int, hop: int) -> TimeHop:
     """At each level its carriers, (bands, MARGINS[level] + HOP / 2^level + MARGINS[level])."""
-    one, two, three, four = (_time_block(carriers, seed, hop + shift) for shift in (-2, -1, 0, 1))
-    levels = zip(one, two, three, four, MARGINS, strict=True)
-    return TimeHop.of(tuple(_joined(*each) for each in levels))
+    one, two, three, four = (_draw_time_block(carriers, seed, hop + shift) for shift in (-2, -1, 0, 1))
+    levels = zip(one, two, three, four, LEVEL_MARGINS, strict=True)
+    return TimeHop.from_waves(tuple(_join_time_blocks(*each) for each in levels))
 
 
-def _joined(one: Float32, two: Float32, three: Float32, four: Float32, margin: int) -> Float32:
+def _join_time_blocks(first: Float32, second: Float32, third: Float32, fourth: Float32, margin: int) -> Float32:
     """Where block three fades in over block two, and `margin` samples on either side."""
-    half = two.shape[1] // 2
-    out = np.empty((len(two), half + 2 * margin), dtype=np.float32)
-    np.add(two[:, half:], three[:, :half], out=out[:, margin : margin + half])
+    half = second.shape[1] // 2
+    out = np.empty((len(second), half + 2 * margin), dtype=np.float32)
+    np.add(second[:, half:], third[:, :half], out=out[:, margin : margin + half])
     if margin:
-        np.add(one[:, -margin:], two[:, half - margin : half], out=out[:, :margin])
-        np.add(three[:, half : half + margin], four[:, :margin], out=out[:, -margin:])
+        np.add(first[:, -margin:], second[:, half - margin : half], out=out[:, :margin])
+        np.add(third[:, half : half + margin], fourth[:, :margin], out=out[:, -margin:])
     out.setflags(write=False)
     return out
 
 
-@lru_cache(maxsize=KEPT_ARC_HOPS)
-def arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> Piece:
+@lru_cache(maxsize=CACHED_ARC_HOPS)
+def get_arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> ArcHop:
     """(24, ARC_HOP) of one octave, at s = (hop · ARC_HOP + j) · CELL · arc_step_m(octave)."""
-    waves = join_arc(*(_arc_block(carriers, seed, octave, block) for block in (hop - 1, hop)))
+    waves = join_arc_blocks(*(_get_arc_block(carriers, seed, octave, block) for block in (hop - 1, hop)))
     waves.setflags(write=False)
-    return Piece.of(waves)
+    return ArcHop.from_waves(waves)
 
 
-def join_arc(before: Waves, after: Waves, out: Waves | None = None) -> Waves:
+def join_arc_blocks(before: Waves, after: Waves, out: Waves | None = None) -> Waves:
     """Where a block (24, ARC_CELLS) fades in over the one before it: (24, ARC_HOP)."""
-    return np.add(before[:, ARC_HOP:], after[:, :ARC_HOP], out=out)
+    return np.add(before[:, ARC_HOP_CELLS:], after[:, :ARC_HOP_CELLS], out=out)
 
 
 def draw_arc_block(carriers: Carriers, seed: int, octave: int, block: int, out: Waves | None = None) -> Waves:
     """(24, ARC_CELLS), to be joined to its neighbours."""
     bins, plan = _arc_plan(carriers, octave)
-    return complex_waves(2.0 * band_bins(seed, ARC_STREAM + octave, block, bins), plan, out)
+    return render_complex_waves(2.0 * draw_band_bins(seed, ARC_STREAM + octave, block, bins), plan, out)
 
 
 @lru_cache(maxsize=4)
-def _time_block(carriers: Carriers, seed: int, block: int) -> tuple[Float32, ...]:
+def _draw_time_block(carriers: Carriers, seed: int, block: int) -> tuple[Float32, ...]:
     bins, plans = _time_plans(carriers)
-    drawn, begin = band_bins(seed, 0, block, bins), bins.starts[0]
-    return tuple(real_waves(drawn[plan.starts[0] - begin : plan.starts[-1] - begin], plan) for plan in plans)
+    drawn, begin = draw_band_bins(seed, 0, block, bins), bins.starts[0]
+    return tuple(render_real_waves(drawn[plan.starts[0] - begin : plan.starts[-1] - begin], plan) for plan in plans)
 
 
 @lru_cache(maxsize=32)  # of eight octaves the two or three that a hop meets
-def _arc_block(carriers: Carriers, seed: int, octave: int, block: int) -> Waves:
+def _get_arc_block(carriers: Carriers, seed: int, octave: int, block: int) -> Waves:
     return draw_arc_block(carriers, seed, octave, block)
 
 
 @lru_cache(maxsize=4)
 def _time_plans(carriers: Carriers) -> tuple[Bins, tuple[WavePlan, ...]]:
     """Of each level."""
-    bins = bins_of(carriers.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
+    bins = make_bins(carriers.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
     return bins, tuple(
-        wave_plan(bins.starts[bands.start : bands.stop + 1], block_window(TIME_BLOCK, 1 << level))
-        for level, bands in enumerate(time_levels(carriers))
+        make_wave_plan(bins.starts[bands.start : bands.stop + 1], block_window(TIME_BLOCK, 1 << level))
+        for level, bands in enumerate(group_time_levels(carriers))
     )
 
 
@@ -122,8 +122,8 @@ def _time_plans(carriers: Carriers) -> tuple[Bins, tuple[WavePlan, ...]]:
 def _arc_plan(carriers: Carriers, octave: int) -> tuple[Bins, WavePlan]:
     first = octave * ARC_PER_OCTAVE
     edges = carriers.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (carriers.arc_step_m(octave) * ARC_BLOCK)
-    bins = bins_of(edges, ARC_BLOCK)
-    return bins, wave_plan(bins.starts, block_window(ARC_BLOCK, CELL), DEMODULATION_CYCLES)
+    bins = make_bins(edges, ARC_BLOCK)
+    return bins, make_wave_plan(bins.starts, block_window(ARC_BLOCK, CELL_SAMPLES), DEMODULATION_CYCLES)
 
 
 def block_window(size: int, step: int) -> NDArray[np.float64]:

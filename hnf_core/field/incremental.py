@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.library import one_blas_thread_in_numpy
-from .audible import blocks_of, is_heard
+from ..kernel.library import single_blas_thread_without_kernel
+from .audible import is_audible, split_blocks
 from .blocks import render_block
-from .contact_filter import LEAD, TAIL
-from .field import Field, same_field
-from .modulation import states_read
-from .noise_ahead import noise_ahead
-from .prepared import Prepared, prepare
+from .contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
+from .field import Field, is_same_field
+from .modulation import find_states_read
+from .noise_ahead import prefetch_noise
+from .prepared import PreparedStroke, prepare_stroke
 from .stroke import StrokeInput, Synthesis
-from .synthesis import to_synthesis
-from .timeline import SAMPLES_PER_STATE, states_of
+from .synthesis import make_result
+from .timeline import SAMPLES_PER_STATE, resample_action
 
 Float = NDArray[np.float64]
 
@@ -37,51 +37,51 @@ class Superseded(Exception):  # noqa: N818  # no error: something newer was aske
 
 
 @dataclass(frozen=True)
-class Rendered:
+class RenderedStroke:
     """A synthesised stroke, kept to start from. samples: (count,) float64 m/s² at the model rate. rendered: samples
     that were rendered for it; the others were there."""
 
     field: Field
     stroke: StrokeInput
-    prepared: Prepared
+    prepared: PreparedStroke
     samples: Float
     synthesis: Synthesis
-    rendered: int
+    rendered_count: int
 
 
-def render(
+def render_incremental(
     field: Field,
     stroke: StrokeInput,
     *,
     seed: int,
-    earlier: Rendered | None = None,
+    earlier: RenderedStroke | None = None,
     superseded: Callable[[], bool] = lambda: False,
-) -> Rendered:
+) -> RenderedStroke:
     """Synthesise stroke, from earlier where that helps; the signal is that of synthesise(), byte for byte.
 
     superseded: asked between blocks. Raises Superseded when it says yes, and what synthesise() raises.
     """
-    start = earlier if earlier is not None and same_path(earlier, field, stroke, seed) else None
+    start = earlier if earlier is not None and is_same_path(earlier, field, stroke, seed) else None
     # What is made from earlier has its carriers, and takes few of them anew.
-    with nullcontext() if start is not None else noise_ahead(field.config, seed, states_of(stroke)[0]):
-        prepared = prepare(field, stroke, seed=seed, earlier=None if start is None else start.prepared)
+    with nullcontext() if start is not None else prefetch_noise(field.config, seed, resample_action(stroke)[0]):
+        prepared = prepare_stroke(field, stroke, seed=seed, earlier=None if start is None else start.prepared)
     samples = np.empty(prepared.count) if start is None else start.samples.copy()
-    blocks = blocks_of(prepared.count)
+    blocks = split_blocks(prepared.count)
     if start is not None:
-        blocks = changed_blocks(start.prepared, prepared)
-    with one_blas_thread_in_numpy():
+        blocks = find_changed_blocks(start.prepared, prepared)
+    with single_blas_thread_without_kernel():
         for first, count in blocks:
             if superseded():
                 raise Superseded
             samples[first : first + count] = render_block(prepared, first, count)
-    synthesis = to_synthesis(field, stroke, prepared, samples)
-    return Rendered(field, stroke, prepared, samples, synthesis, sum(count for _, count in blocks))
+    synthesis = make_result(field, stroke, prepared, samples)
+    return RenderedStroke(field, stroke, prepared, samples, synthesis, sum(count for _, count in blocks))
 
 
-def same_path(earlier: Rendered, field: Field, stroke: StrokeInput, seed: int) -> bool:
+def is_same_path(earlier: RenderedStroke, field: Field, stroke: StrokeInput, seed: int) -> bool:
     """Do the two differ in force and contact alone?"""
     mine, other = stroke, earlier.stroke
-    if not same_field(earlier.field, field) or earlier.prepared.seed != seed or mine.mechanics != other.mechanics:
+    if not is_same_field(earlier.field, field) or earlier.prepared.seed != seed or mine.mechanics != other.mechanics:
         return False
     a, b = mine.action, other.action
     if (a.rate, a.probe, len(a.speed)) != (b.rate, b.probe, len(b.speed)):
@@ -101,7 +101,7 @@ def same_path(earlier: Rendered, field: Field, stroke: StrokeInput, seed: int) -
     return all(first is second or np.array_equal(first, second) for first, second in pairs)
 
 
-def changed_blocks(old: Prepared, new: Prepared) -> list[tuple[int, int]]:
+def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[int, int]]:
     """(start, count) of the blocks in which a sample may differ; both of the same path."""
     states = len(new.force)
     texture = _rows_differ(old.amplitude, new.amplitude)
@@ -111,13 +111,13 @@ def changed_blocks(old: Prepared, new: Prepared) -> list[tuple[int, int]]:
         height = _rows_differ(old.profile_amplitude, new.profile_amplitude)
     audible = old.audible != new.audible
     blocks = []
-    for start, count in blocks_of(new.count):
-        near = states_read(states, start, count)
+    for start, count in split_blocks(new.count):
+        near = find_states_read(states, start, count)
         # The contact's memory: what was pressed TAIL samples ago, and the blend of its responses now.
-        low = (start - TAIL) // SAMPLES_PER_STATE - _SPLINE_STATES
-        far = slice(max(low, 0), (start + count + LEAD) // SAMPLES_PER_STATE + _SPLINE_STATES + 1)
+        low = (start - TAIL_SAMPLES) // SAMPLES_PER_STATE - _SPLINE_STATES
+        far = slice(max(low, 0), (start + count + LEAD_SAMPLES) // SAMPLES_PER_STATE + _SPLINE_STATES + 1)
         if audible[start : start + count].any() or (
-            is_heard(new.audible[start : start + count])
+            is_audible(new.audible[start : start + count])
             and (texture[near].any() or pressing[far].any() or height[far].any())
         ):
             blocks.append((start, count))

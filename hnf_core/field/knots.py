@@ -20,23 +20,23 @@ class Knots:
     at: Samples
     amplitude: NDArray[np.floating[Any]]
 
-    def spans(self, first: Samples, last: Samples) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def find_rows(self, first: Samples, last: Samples) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Those that say what happens at samples first … last of many stretches (n,), two at least: where they begin,
         and where they end."""
         low = np.maximum(np.searchsorted(self.at, first, side="right") - 1, 0)
         high = np.minimum(np.searchsorted(self.at, last, side="left") + 1, len(self.at))
         return np.minimum(low, len(self.at) - 2), np.maximum(high, 2)
 
-    def around(self, first: int, last: int) -> Knots:
+    def select_range(self, first: int, last: int) -> Knots:
         """Those of one stretch alone, in float32."""
-        low, high = self.spans(np.array([first]), np.array([last]))
+        low, high = self.find_rows(np.array([first]), np.array([last]))
         rows = slice(int(low[0]), int(high[0]))
         return Knots(self.at[rows], np.ascontiguousarray(self.amplitude[rows], dtype=np.float32))
 
     def select_carriers(self, carriers: slice) -> Knots:
         return Knots(self.at, self.amplitude[:, carriers])
 
-    def between(self, sample: Samples) -> tuple[NDArray[np.intp], Float32]:
+    def locate(self, sample: Samples) -> tuple[NDArray[np.intp], Float32]:
         """Index of the knot before each sample (n,), and how far it is on the way to the next, 0 … 1."""
         row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
         span = self.at[row + 1] - self.at[row]
@@ -46,7 +46,7 @@ class Knots:
         """(K / carriers, m) whether any of so many neighbouring amplitudes is not zero."""
         return np.asarray(self.amplitude.reshape(len(self.at), -1, carriers).any(axis=2).T)
 
-    def ranges(self, loud: NDArray[np.bool_], first: int, last: int) -> list[tuple[int, int]]:
+    def find_active_ranges(self, loud: NDArray[np.bool_], first: int, last: int) -> list[tuple[int, int]]:
         """Ranges of samples within first … last − 1 beside a knot that is loud (m,)."""
         if loud.all():
             return [(first, last)]

@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MaterialError
 from ..material.token import TOKEN_DIM
-from .features import normalised_tokens, seen_from
+from .features import normalise_tokens, rotate_to_stroke_frame
 
 Float = NDArray[np.float64]
 
-TURNS = 36
+ROTATION_COUNT = 36
 """Directions tried over half a turn: every 5°. After half a turn every moment of a token is what it was."""
 
 
@@ -27,10 +27,10 @@ def token_distances(values: ArrayLike, known: NDArray[np.bool_], others: ArrayLi
         raise MaterialError(f"tokens hold {TOKEN_DIM} values, not {own.shape}, {known.shape} and {rest.shape}.")
     if not known.any():
         raise MaterialError("a token of which nothing is known is like no other.")
-    normal = normalised_tokens(own[None])[0, known]
+    normal = normalise_tokens(own[None])[0, known]
     least = np.full(len(rest), np.inf)
-    for angle in np.pi * np.arange(TURNS) / TURNS:
+    for angle in np.pi * np.arange(ROTATION_COUNT) / ROTATION_COUNT:
         direction = np.tile([np.cos(angle), np.sin(angle)], (len(rest), 1))
-        gap = normalised_tokens(seen_from(rest, direction))[:, known] - normal
+        gap = normalise_tokens(rotate_to_stroke_frame(rest, direction))[:, known] - normal
         least = np.minimum(least, np.sqrt(np.mean(gap**2, axis=1)))
     return least

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel import contact as kernel_contact
-from ..kernel.contact import TOUCH
-from ..kernel.library import kernel
+from ..kernel.contact import CONTACT_COLUMNS
+from ..kernel.library import load_kernel
 from ..material.contact import (
     contact_radius,
     contact_stiffness,
@@ -29,8 +29,8 @@ from ..material.contact import (
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_texture import add_at, cut_lines, cut_noise, kernel_tables, texture_of
-from .lines import Lines
+from .linear_texture import add_at, build_kernel_tables, compute_surface_spectrum, project_lines, project_noise
+from .lines import SpectralLines
 
 Float = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ class LinearContact:
     normal: Float
     resonance: Float
     noise: Float
-    lines: Lines
+    lines: SpectralLines
 
 
 def arc_gain(wavenumber: Float, speed: Float) -> Float:
@@ -93,20 +93,20 @@ def upper_fade(frequency: Float) -> Float:
     return np.asarray(1.0 - _smoothstep((frequency - 4000.0) / (BAND_END_HZ - 4000.0)))
 
 
-def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
+def compute_linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     """Expected power of each state, as if it lasted; out of contact as at the force floor."""
-    touch, resonance = contact_columns(condition)
-    compiled = kernel()
+    touch, resonance = compute_contact_columns(condition)
+    compiled = load_kernel()
     if compiled is None:
-        return _linear_contact(condition, carriers, touch, resonance)
+        return _linear_contact_numpy(condition, carriers, touch, resonance)
     tokens = np.ascontiguousarray(condition.tokens, dtype=np.float64)
-    columns = np.stack([touch[name] for name in TOUCH], axis=1)
-    tables = kernel_tables(carriers, *lateral_hand_impedance(condition.probe))
-    found = kernel_contact.linear_contact(compiled, tables, tokens, columns)
-    return LinearContact(found.power, found.normal, resonance, found.noise, Lines(found.lines, found.low))
+    columns = np.stack([touch[name] for name in CONTACT_COLUMNS], axis=1)
+    tables = build_kernel_tables(carriers, *lateral_hand_impedance(condition.probe))
+    found = kernel_contact.compute_linear_contact(compiled, tables, tokens, columns)
+    return LinearContact(found.power, found.normal, resonance, found.noise, SpectralLines(found.lines, found.low))
 
 
-def contact_columns(condition: Condition) -> tuple[dict[str, Float], Float]:
+def compute_contact_columns(condition: Condition) -> tuple[dict[str, Float], Float]:
     """Contact parameters (n,) of each state in SI units, by the names in TOUCH, and its resonance [Hz]."""
     probe, force = PROBES[condition.probe], np.maximum(condition.force, FORCE_FLOOR_N)
     radius, stiffness, damping, friction, resonance = np.zeros((5, len(force)))
@@ -138,13 +138,15 @@ def lateral_hand_impedance(probe: str) -> tuple[float, float]:
     return hand, 4.0 * HAND_DAMPING_RATIO**2 * hand
 
 
-def _linear_contact(
+def _linear_contact_numpy(
     condition: Condition, carriers: Carriers, touch: dict[str, Float], resonance: Float
 ) -> LinearContact:
     """In numpy: what the kernel is tested against."""
     kappa, wave = carriers.arc_centres(), np.square(2.0 * np.pi * carriers.arc_centres())
-    texture = texture_of(condition.tokens, condition.direction, carriers)
-    speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (touch[name][:, None] for name in TOUCH[1:])
+    texture = compute_surface_spectrum(condition.tokens, condition.direction, carriers)
+    speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (
+        touch[name][:, None] for name in CONTACT_COLUMNS[1:]
+    )
     square = np.square(2.0 * np.pi * kappa * speed)
     hand, hand_damping = lateral_hand_impedance(condition.probe)
     lateral = np.square(square) / (np.square(hand - square) + hand_damping * square)
@@ -152,16 +154,16 @@ def _linear_contact(
     up, aside = power_gain(square, stiffness, damping, mass) * fade, lateral * load_square * fade
     passed, leaned = np.square(tip_gain(kappa, radius)), np.square(tip_gain(ASPERITY_SHARE * kappa, radius))
     weights = np.stack([passed, leaned * wave, leaned])
-    height, slope, leaning = cut_noise(texture, weights, carriers)
+    height, slope, leaning = project_noise(texture, weights, carriers)
     normal = height * up
     noise = normal * rubbed + (slope + flank * wave * leaning) * aside
     # The same for the tones, each where it sounds.
-    cut, low = cut_lines(texture, weights, carriers)
+    cut, low = project_lines(texture, weights, carriers)
     met, leant, climbed = np.moveaxis(cut, 1, 0)
     at = np.clip(low + np.arange(2)[:, None, None], 0, len(kappa) - 1)
     rows = np.arange(len(speed))[:, None]
     tone = met * up[rows, at]
-    lines = Lines(tone * rubbed + (leant + flank * climbed * wave[at]) * aside[rows, at], low)
+    lines = SpectralLines(tone * rubbed + (leant + flank * climbed * wave[at]) * aside[rows, at], low)
     power = noise.copy()
     for tap in range(2):
         add_at(power, low + tap, lines.power[tap])
@@ -187,14 +189,14 @@ def time_band_power(arc_power: Float, speed: Float, carriers: Carriers) -> Float
     """Power that falls into each time band when arc band k moves at speed v. (n, Ka), (n,) → (n, Kt)."""
     cumulative = np.concatenate([np.zeros((len(arc_power), 1)), np.cumsum(arc_power, axis=1)], axis=1)
     octaves = np.log2(np.maximum(speed, SPEED_FLOOR_M_S))[:, None]
-    place = np.clip(time_edges(carriers) - ARC_PER_OCTAVE * octaves, 0.0, arc_power.shape[1])
+    place = np.clip(time_edges_in_arc_bands(carriers) - ARC_PER_OCTAVE * octaves, 0.0, arc_power.shape[1])
     low = np.minimum(place.astype(int), arc_power.shape[1] - 1)
     rows = np.arange(len(arc_power))[:, None]
     at_edge = cumulative[rows, low] + (place - low) * (cumulative[rows, low + 1] - cumulative[rows, low])
     return np.asarray(np.diff(at_edge, axis=1))
 
 
-def time_edges(carriers: Carriers) -> Float:
+def time_edges_in_arc_bands(carriers: Carriers) -> Float:
     """(Kt + 1,) arc bands from the first to the one that each edge in time meets at 1 m/s."""
     return np.asarray(ARC_PER_OCTAVE * np.log2(carriers.time_edges() / carriers.arc_start_per_m))
 

@@ -18,19 +18,19 @@ from .carriers import ARC_PER_OCTAVE
 
 Float = NDArray[np.float64]
 
-LINES = 2 * len(BAND_WAVELENGTHS_M)
+LINE_COUNT = 2 * len(BAND_WAVELENGTHS_M)
 HARMONICS = (1, 2, 3)
 HARMONIC_START_DB = (0.0, -25.0, -30.0)
 """Level of a harmonic beside the tone, before training."""
-SHIFTS = tuple(round(ARC_PER_OCTAVE * float(np.log2(harmonic))) for harmonic in HARMONICS)
-START_LOG = tuple(level * np.log(10.0) / 20.0 for level in HARMONIC_START_DB)
-GAINS = LINES * len(HARMONICS)
+HARMONIC_SHIFTS = tuple(round(ARC_PER_OCTAVE * float(np.log2(harmonic))) for harmonic in HARMONICS)
+HARMONIC_START_LOG = tuple(level * np.log(10.0) / 20.0 for level in HARMONIC_START_DB)
+LINE_GAIN_COUNT = LINE_COUNT * len(HARMONICS)
 """Outputs of the α head for tones: by harmonic, then by line."""
-QUIET_LINE_M_S2 = 1e-5
+LINE_FLOOR_M_S2 = 1e-5
 
 
 @dataclass(frozen=True)
-class Lines:
+class SpectralLines:
     """power: (2, n, LINES) acceleration power [(m/s²)²] in the two arc carriers about each tone. low: (n, LINES) index
     of the lower one; it may lie outside the carriers."""
 
@@ -38,25 +38,25 @@ class Lines:
     low: NDArray[np.intp]
 
 
-def prior_columns(lines: Lines) -> Float:
+def encode_line_prior(lines: SpectralLines) -> Float:
     """(n, 3 LINES) appended to the prior: log amplitude in the lower and in the upper of the two carriers about each
     tone, then the lower one's index."""
-    level = 0.5 * np.log(lines.power + QUIET_LINE_M_S2**2)
+    level = 0.5 * np.log(lines.power + LINE_FLOOR_M_S2**2)
     return np.concatenate([level[0], level[1], lines.low.astype(np.float64)], axis=1)
 
 
-def line_power(gains: Float, columns: Float, count: int, ceiling: float) -> Float:
+def compute_line_power(gains: Float, columns: Float, count: int, ceiling: float) -> Float:
     """Power per arc carrier (n, count) of tones with log gains (n, GAINS) and prior_columns (n, 3 LINES).
 
     ceiling: of a log amplitude.
     """
-    rows = np.broadcast_to(np.arange(len(gains))[:, None], (len(gains), LINES))
-    low = columns[:, 2 * LINES :].astype(np.intp)
+    rows = np.broadcast_to(np.arange(len(gains))[:, None], (len(gains), LINE_COUNT))
+    low = columns[:, 2 * LINE_COUNT :].astype(np.intp)
     out = np.zeros((len(gains), count))
-    for order, (shift, start) in enumerate(zip(SHIFTS, START_LOG, strict=True)):
-        gain = gains[:, order * LINES : (order + 1) * LINES] + start
+    for order, (shift, start) in enumerate(zip(HARMONIC_SHIFTS, HARMONIC_START_LOG, strict=True)):
+        gain = gains[:, order * LINE_COUNT : (order + 1) * LINE_COUNT] + start
         for tap in range(2):
-            power = np.exp(2.0 * np.minimum(gain + columns[:, tap * LINES : (tap + 1) * LINES], ceiling))
+            power = np.exp(2.0 * np.minimum(gain + columns[:, tap * LINE_COUNT : (tap + 1) * LINE_COUNT], ceiling))
             index = low + (shift + tap)
             inside = (index >= 0) & (index < count)
             np.add.at(out, (rows[inside], index[inside]), power[inside])

@@ -17,40 +17,40 @@ from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ, Action
 from ..errors import UsageError
-from .audible import AFTER_CONTACT_S, BEFORE_CONTACT_S, BLOCK
-from .blocks import rendered
-from .contact_filter import LEAD, TAIL
+from .audible import AFTER_CONTACT_S, BEFORE_CONTACT_S, BLOCK_SAMPLES
+from .blocks import render_samples
+from .contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
 from .field import Field
-from .hops import HOP
-from .noise_ahead import noise_ahead
-from .prepared import STATES_AT_ONCE, memory, prepare
+from .hops import HOP_SIZE
+from .noise_ahead import prefetch_noise
+from .prepared import CHUNK_STATES, count_memory_states, prepare_stroke
 from .stroke import StrokeInput
-from .timeline import SAMPLES_PER_STATE, sample_count, states_of
+from .timeline import SAMPLES_PER_STATE, resample_action, sample_count
 
 Float = NDArray[np.float64]
 
-STEP = math.lcm(BLOCK, HOP, STATES_AT_ONCE * SAMPLES_PER_STATE)
+CHUNK_STEP = math.lcm(BLOCK_SAMPLES, HOP_SIZE, CHUNK_STATES * SAMPLES_PER_STATE)
 """Samples: portions are cut where blocks and groups of states both begin."""
-PORTION = 6 * STEP
+CHUNK_SAMPLES = 6 * CHUNK_STEP
 """61 s: F_Θ's amplitudes take 25 MB of it."""
-_AROUND = 4
+_MARGIN_STATES = 4
 """States to either side that splines and the reading of a band look at."""
 
 
 @dataclass(frozen=True)
-class Portion:
+class RenderedChunk:
     """samples: (m,) float64 m/s² at the model rate, following those of the portion before. loudest: the field's largest
     amplitude in it, m/s². missed: see Prepared."""
 
     samples: Float
     loudest: float
-    missed: float
+    residual_power: float
 
 
-def portions(
-    field: Field, stroke: StrokeInput, *, seed: int, length: int = PORTION, begin: int = 0,
+def render_chunks(
+    field: Field, stroke: StrokeInput, *, seed: int, length: int = CHUNK_SAMPLES, begin: int = 0,
     tolerance: float | None = None,
-) -> Iterator[Portion]:  # fmt: skip
+) -> Iterator[RenderedChunk]:  # fmt: skip
     """synthesise() at the model rate, portion by portion: together within 1e-6 of its RMS (places are counted from
     another zero, and rounded to float32), in memory that does not grow with the stroke.
 
@@ -59,37 +59,41 @@ def portions(
     as much. Raises StrokeError for an action without duration, UsageError for another length, or for a stroke
     with a height profile, which is one piece.
     """
-    if length <= 0 or length % STEP or begin < 0 or begin % STEP:
-        raise UsageError(f"a portion of {length} samples from {begin} on: both must be whole numbers of {STEP}.")
+    if length <= 0 or length % CHUNK_STEP or begin < 0 or begin % CHUNK_STEP:
+        raise UsageError(f"a portion of {length} samples from {begin} on: both must be whole numbers of {CHUNK_STEP}.")
     if stroke.profile is not None:
         raise UsageError(
             "a stroke with a height profile cannot be cut into portions.", remedy="Synthesise it whole, or without it."
         )
-    action, token_index = states_of(stroke)
+    action, token_index = resample_action(stroke)
     count = sample_count(action)
     for start in range(begin, count, length):
         stop = min(start + length, count)
-        rows = _rows(field, start, stop, len(action.speed))
+        rows = _find_chunk_states(field, start, stop, len(action.speed))
         origin = rows.start * SAMPLES_PER_STATE
-        piece = StrokeInput(_states(action, rows), stroke.tokens, stroke.mechanics, token_index[rows])
-        with noise_ahead(field.config, seed, piece.action, origin):
-            prepared = replace(prepare(field, piece, seed=seed, tolerance=tolerance), origin=origin)
-        samples = rendered(prepared, start - origin, stop - origin)
-        yield Portion(samples, float(prepared.loudest.max(initial=0.0)), prepared.missed)
+        piece = StrokeInput(_select_action_states(action, rows), stroke.tokens, stroke.mechanics, token_index[rows])
+        with prefetch_noise(field.config, seed, piece.action, origin):
+            prepared = replace(prepare_stroke(field, piece, seed=seed, tolerance=tolerance), origin=origin)
+        samples = render_samples(prepared, start - origin, stop - origin)
+        yield RenderedChunk(samples, float(prepared.loudest.max(initial=0.0)), prepared.residual_power)
 
 
-def _rows(field: Field, start: int, stop: int, states: int) -> slice:
+def _find_chunk_states(field: Field, start: int, stop: int, states: int) -> slice:
     """The states that samples start … stop − 1 follow from."""
-    before = max(math.ceil(TAIL / SAMPLES_PER_STATE), memory(field), math.ceil(AFTER_CONTACT_S * ACTION_RATE_HZ))
-    after = max(math.ceil(LEAD / SAMPLES_PER_STATE), math.ceil(BEFORE_CONTACT_S * ACTION_RATE_HZ))
-    first = start // SAMPLES_PER_STATE - before - memory(field) - _AROUND
-    last = -(-stop // SAMPLES_PER_STATE) + after + _AROUND
+    before = max(
+        math.ceil(TAIL_SAMPLES / SAMPLES_PER_STATE),
+        count_memory_states(field),
+        math.ceil(AFTER_CONTACT_S * ACTION_RATE_HZ),
+    )
+    after = max(math.ceil(LEAD_SAMPLES / SAMPLES_PER_STATE), math.ceil(BEFORE_CONTACT_S * ACTION_RATE_HZ))
+    first = start // SAMPLES_PER_STATE - before - count_memory_states(field) - _MARGIN_STATES
+    last = -(-stop // SAMPLES_PER_STATE) + after + _MARGIN_STATES
     return slice(
-        max(first // STATES_AT_ONCE * STATES_AT_ONCE, 0),
-        min(-(-last // STATES_AT_ONCE) * STATES_AT_ONCE, states),
+        max(first // CHUNK_STATES * CHUNK_STATES, 0),
+        min(-(-last // CHUNK_STATES) * CHUNK_STATES, states),
     )
 
 
-def _states(action: Action, rows: slice) -> Action:
+def _select_action_states(action: Action, rows: slice) -> Action:
     names = ("direction", "speed", "force", "position", "contact")
     return replace(action, **{name: getattr(action, name)[rows] for name in names})

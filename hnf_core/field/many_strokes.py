@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 
-from .blocks import rendered
+from .blocks import render_samples
 from .carriers import MODEL_RATE_HZ
-from .emissions import answered_together
-from .field import Field, kernel_for
-from .noise_ahead import noise_ahead
-from .prepared import preparing
+from .emissions import evaluate_requests_together
+from .field import Field, find_kernel
+from .noise_ahead import prefetch_noise
+from .prepared import request_prepared_stroke
 from .stroke import StrokeInput, Synthesis
-from .synthesis import synthesise, told
-from .timeline import states_of
+from .synthesis import make_result_within_tolerance, synthesise
+from .timeline import resample_action
 
-STATES_TOGETHER = 4096
+GROUP_STATES = 4096
 """Of the strokes that are asked about at once, where one alone does not have more: 10 MB on the way."""
 
 
@@ -33,38 +33,38 @@ def synthesise_many(
     """
     if len(strokes) != len(seeds):
         raise ValueError(f"{len(strokes)} strokes with {len(seeds)} seeds")
-    if kernel_for(field) is None:  # numpy's bytes depend on what is asked for at once
+    if find_kernel(field) is None:  # numpy's bytes depend on what is asked for at once
         return (
             synthesise(field, stroke, seed=seed, sample_rate=sample_rate, tolerance=tolerance)
             for stroke, seed in zip(strokes, seeds, strict=True)
         )
-    return _in_batches(field, strokes, seeds, sample_rate, tolerance)
+    return _synthesise_in_batches(field, strokes, seeds, sample_rate, tolerance)
 
 
-def _in_batches(
+def _synthesise_in_batches(
     field: Field, strokes: Sequence[StrokeInput], seeds: Sequence[int], sample_rate: float, tolerance: float | None
 ) -> Iterator[Synthesis]:
-    for some in _together(strokes):
+    for some in _group_strokes(strokes):
         group, drawn_from = strokes[some], seeds[some]
         asking = [
-            preparing(field, stroke, seed=seed, tolerance=tolerance)
+            request_prepared_stroke(field, stroke, seed=seed, tolerance=tolerance)
             for stroke, seed in zip(group, drawn_from, strict=True)
         ]
-        with noise_ahead(field.config, drawn_from[0], states_of(group[0])[0]):
-            prepared = answered_together(field, asking)
+        with prefetch_noise(field.config, drawn_from[0], resample_action(group[0])[0]):
+            prepared = evaluate_requests_together(field, asking)
         for stroke, one, following in zip(group, prepared, [*prepared[1:], prepared[-1]], strict=True):
             draws = following.seed != one.seed
-            with noise_ahead(field.config, following.seed, following.action) if draws else nullcontext():
-                samples = rendered(one)
-            yield told(field, stroke, one, samples, sample_rate, tolerance)
+            with prefetch_noise(field.config, following.seed, following.action) if draws else nullcontext():
+                samples = render_samples(one)
+            yield make_result_within_tolerance(field, stroke, one, samples, sample_rate, tolerance)
 
 
-def _together(strokes: Sequence[StrokeInput]) -> Iterator[slice]:
+def _group_strokes(strokes: Sequence[StrokeInput]) -> Iterator[slice]:
     """Neighbours, up to STATES_TOGETHER."""
     begin = states = 0
     for at, stroke in enumerate(strokes):
         count = len(stroke.action.speed)
-        if at > begin and states + count > STATES_TOGETHER:
+        if at > begin and states + count > GROUP_STATES:
             yield slice(begin, at)
             begin, states = at, 0
         states += count

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from .carriers import ARC_PER_OCTAVE, Carriers
 from .linear_contact import SPEED_FLOOR_M_S, Condition, profile_band_power
 from .stroke import HeightProfile
-from .timeline import cubic
+from .timeline import interpolate_cubic
 
 Float = NDArray[np.float64]
 
 SEAM_RATIO = 6.0
 """A stretch with more than this times the median power of its octave is an event, not texture."""
-_MIN_STRETCHES = 8
+_MIN_SEGMENTS = 8
 _MAX_EVENTS = 0.15
 
 
@@ -38,7 +38,7 @@ class ProfileBands:
     first: tuple[int, ...]
     power: Float
 
-    def source(self, octave: int, start: int, count: int) -> Float:
+    def read_bands(self, octave: int, start: int, count: int) -> Float:
         """An ArcSource: zero outside the profile."""
         out = np.zeros((ARC_PER_OCTAVE, count))
         if octave < len(self.waves):
@@ -50,7 +50,7 @@ class ProfileBands:
 
 
 @dataclass(frozen=True)
-class Shares:
+class PowerShares:
     """What each excitation keeps. profile: (n, Ka) factor g on the height. arc: (n, Ka), time: (n, Kt) factors on the
     noise carriers' amplitudes."""
 
@@ -73,7 +73,7 @@ def split_profile(profile: HeightProfile, carriers: Carriers) -> ProfileBands:
     place = (np.arange(first, int(np.floor((profile.origin_m + length) / step)) + 1) * step - profile.origin_m) / step
     if len(place) < 4:
         return ProfileBands((), (), power)  # shorter than four samples of the finest octave: nothing to feel
-    height = cubic(np.asarray(profile.height, dtype=np.float64), place * step / profile.step_m)
+    height = interpolate_cubic(np.asarray(profile.height, dtype=np.float64), place * step / profile.step_m)
     height = height - np.linspace(height[0], height[-1], len(height))
     # Room for the ringing of the narrowest band, so that one end does not reach round to the other.
     size = 1 << int(np.ceil(np.log2(len(height) + 0.02 / step)))
@@ -116,7 +116,7 @@ def _stationary_power(total: Float, level: Float, band_edges: Float) -> Float:
     stretch = max(round(4.0 / float(band_edges[0]) / step), 1)
     count = len(total) // stretch
     keep = np.ones(len(total))
-    if count >= _MIN_STRETCHES:
+    if count >= _MIN_SEGMENTS:
         local = np.mean(np.square(total[: count * stretch].reshape(count, stretch)), axis=1)
         event = local > SEAM_RATIO * np.median(local)
         event[1:] |= event[:-1].copy()
@@ -135,7 +135,7 @@ def _stationary_power(total: Float, level: Float, band_edges: Float) -> Float:
     return np.asarray(2.0 * energy / size / np.square(mask).sum())
 
 
-def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, carriers: Carriers) -> Shares:
+def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, carriers: Carriers) -> PowerShares:
     """Divide the field's power between profile and noise at every state; amplitude (n, K) as accumulated."""
     arc_amplitude, time_amplitude = amplitude[:, carriers.arc_slice], amplitude[:, carriers.time_slice]
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
@@ -168,4 +168,4 @@ def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, car
 
         covered = np.maximum(over_time_bands(width_hz), np.diff(time_edges))
         time_left = 1.0 - over_time_bands(width_hz * (1.0 - left)) / covered
-    return Shares(np.where(present, np.sqrt(gain2), 1.0), np.sqrt(left), np.sqrt(time_left))
+    return PowerShares(np.where(present, np.sqrt(gain2), 1.0), np.sqrt(left), np.sqrt(time_left))

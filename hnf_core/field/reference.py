@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..errors import UsageError
-from .blocks import contact_term
+from .blocks import render_contact
 from .carriers import ARC_BLOCK, TIME_BLOCK, Carriers
 from .field import Field, evaluate
-from .prepared import prepare
+from .prepared import prepare_stroke
 from .rendering import render_weights
 from .stroke import StrokeInput
-from .timeline import SAMPLES_PER_STATE, condition_at, cubic, sample_count, states_of
+from .timeline import SAMPLES_PER_STATE, interpolate_condition, interpolate_cubic, resample_action, sample_count
 
 Float = NDArray[np.float64]
 
@@ -30,11 +30,11 @@ def synthesise_reference(field: Field, stroke: StrokeInput, *, seed: int, start:
     """
     if stroke.profile is not None:
         raise UsageError("the reference does not take a height profile.", remedy="Compare without it.")
-    action, token_index = states_of(stroke)
+    action, token_index = resample_action(stroke)
     count = min(count, sample_count(action) - start)
-    prepared = prepare(field, stroke, seed=seed)
+    prepared = prepare_stroke(field, stroke, seed=seed)
     texture = texture_reference(field, stroke, action, token_index, seed, start, count)
-    out = prepared.audible[start : start + count] * (texture + contact_term(prepared, start, count))
+    out = prepared.audible[start : start + count] * (texture + render_contact(prepared, start, count))
     return np.asarray(out)
 
 
@@ -56,7 +56,7 @@ def texture_reference(
         emissions = []
         for n in range(config.states if config.accumulation == "past" else 1):
             at = sample - n * lag
-            emission = evaluate(field, condition_at(stroke, action, token_index, at))
+            emission = evaluate(field, interpolate_condition(stroke, action, token_index, at))
             emissions.append((np.where(at[:, None, None] < 0, 0.0, emission.alpha), emission.sigma_dt))
         if config.accumulation == "past":
             sigma = np.stack([emission[1][:, n] for n, emission in enumerate(emissions)], axis=1)
@@ -68,7 +68,7 @@ def texture_reference(
             terms = [(n, weights[:, n, None] * alpha[:, n]) for n in range(config.states)]
         total = np.zeros(len(sample))
         for delay, amplitude in terms:
-            place = cubic(action.position, (sample - delay) / SAMPLES_PER_STATE)
+            place = interpolate_cubic(action.position, (sample - delay) / SAMPLES_PER_STATE)
             total += np.einsum("ik,ik->i", amplitude, carriers_at(carriers, seed, sample - delay, place))
         out[offset : offset + len(sample)] = total
     return out

@@ -19,23 +19,23 @@ KAISER_BETA = 9.0
 """About −90 dB in the stop band (Kaiser 1974)."""
 ROLL_OFF = 0.95
 """Cut-off as a share of the lower of both Nyquist frequencies. With these three, flat to 0.9 of it."""
-SLOWEST_HZ, FASTEST_HZ = 1.0, 1e7
+MIN_RATE_HZ, MAX_RATE_HZ = 1.0, 1e7
 """A kernel is as long as 64 samples of the slower rate: slower still, and one outlasts any stroke."""
 
-MOST_PHASES = 200_000
+MAX_PHASES = 200_000
 """Every whole number of Hz up to it is met exactly; the clock of any other is right to 5 millionths."""
-_ROWS, _NUMBERS = 2**16, 2**23
+_MAX_ROWS, _MAX_NUMBERS = 2**16, 2**23
 """At a time, so that an hour takes no more memory than a minute: a row is a kernel long, 13 475 numbers at 100 Hz."""
-_KERNELS = 2**15
+_KERNEL_NUMBERS = 2**15
 """Numbers of kernels that are made together: each costs a call otherwise, and more of them leave the cache."""
-_FEW = 8
+_FEW_OUTPUTS = 8
 """Outputs of a phase up to which all phases are computed together: with more, each by itself is the faster."""
-MOST_OUTPUTS = 2**22
+MAX_BLOCK_OUTPUTS = 2**22
 """That a stream gives at once: a minute at 48 kHz, and half a second at 10 MHz."""
 
 
 @dataclass(frozen=True)
-class Conversion:
+class RateConversion:
     """From rate_in to rate_out [Hz]: output m stands at input m · ratio, and is made of `reach` samples around it."""
 
     rate_in: float
@@ -44,20 +44,20 @@ class Conversion:
     scale: float
     reach: int
 
-    def count(self, samples: int) -> int:
+    def count_outputs(self, samples: int) -> int:
         """Outputs that this many samples make."""
         return round(samples * self.rate_out / self.rate_in)
 
-    def at(self, output: int) -> int:
+    def find_input(self, output: int) -> int:
         """The sample that output stands at, or after."""
         return output * self.ratio.numerator // self.ratio.denominator
 
-    def outputs(self, samples: Float, origin: int, first: int, count: int) -> Float:
+    def convert(self, samples: Float, origin: int, first: int, count: int) -> Float:
         """Outputs first … first + count − 1, (count,), of samples that begin at sample `origin`; 0 beyond them."""
         padded = np.concatenate([np.zeros(self.reach), samples, np.zeros(self.reach + 1)])
         length = 2 * self.reach + 1
         windows = np.lib.stride_tricks.sliding_window_view(padded, length)
-        rows = min(_ROWS, max(_NUMBERS // length, 1))
+        rows = min(_MAX_ROWS, max(_MAX_NUMBERS // length, 1))
         numerator, denominator = self.ratio.numerator, self.ratio.denominator
         out = np.zeros(count)
 
@@ -65,11 +65,11 @@ class Conversion:
             return windows[np.clip(m * numerator // denominator - origin, 0, len(windows) - 1)]
 
         # Every denominator-th output shares a phase, and so a kernel.
-        phases, together = min(denominator, count), max(_KERNELS // length, 1)
+        phases, together = min(denominator, count), max(_KERNEL_NUMBERS // length, 1)
         for start in range(0, phases, together):
             m = np.arange(first + start, first + min(start + together, phases), dtype=np.int64)
-            kernels = self._kernels(m)
-            if count <= _FEW * denominator:
+            kernels = self._compute_kernels(m)
+            if count <= _FEW_OUTPUTS * denominator:
                 for later in range(0, count, denominator):
                     here = (m + later)[m + later < first + count]
                     out[here - first] = np.einsum("ij,ij->i", windows_of(here), kernels[: len(here)])
@@ -81,7 +81,7 @@ class Conversion:
                     out[part - first] = windows_of(part) @ kernel
         return out
 
-    def _kernels(self, outputs: NDArray[np.int64]) -> Float:
+    def _compute_kernels(self, outputs: NDArray[np.int64]) -> Float:
         """(n, 2 · reach + 1) what each output takes of the samples about its place."""
         shares = (outputs * self.ratio.numerator % self.ratio.denominator) / self.ratio.denominator
         distance = np.arange(-self.reach, self.reach + 1) - shares[:, None]
@@ -90,18 +90,18 @@ class Conversion:
         return np.asarray(kernels)
 
 
-def conversion(rate_in: float, rate_out: float) -> Conversion:
+def plan_conversion(rate_in: float, rate_out: float) -> RateConversion:
     """Raises UsageError for a rate_out that is no number from 1 Hz to 10 MHz, or 200 000 times rate_in."""
-    if not SLOWEST_HZ <= rate_out <= FASTEST_HZ:
+    if not MIN_RATE_HZ <= rate_out <= MAX_RATE_HZ:
         raise UsageError(
-            f"{rate_out} is no sample rate to write: {SLOWEST_HZ:g} Hz to {FASTEST_HZ:.0f} Hz are.",
+            f"{rate_out} is no sample rate to write: {MIN_RATE_HZ:g} Hz to {MAX_RATE_HZ:.0f} Hz are.",
             remedy="Give one in Hz, for example 10000 or 48000.",
         )
-    ratio = Fraction(rate_in / rate_out).limit_denominator(MOST_PHASES)
+    ratio = Fraction(rate_in / rate_out).limit_denominator(MAX_PHASES)
     if ratio <= 0:
         raise UsageError(f"nothing can be converted from {rate_in:g} Hz to {rate_out:g} Hz.")
     scale = min(1.0, rate_out / rate_in) * ROLL_OFF
-    return Conversion(rate_in, rate_out, ratio, scale, int(np.ceil(HALF_WIDTH / scale)))
+    return RateConversion(rate_in, rate_out, ratio, scale, int(np.ceil(HALF_WIDTH / scale)))
 
 
 def rate_warnings(rate_out: float) -> tuple[str, ...]:
@@ -116,24 +116,24 @@ def resample(samples: Float, rate_in: float, rate_out: float) -> tuple[Float, tu
 
     Below 0.9 of the lower Nyquist frequency amplitudes are kept within 0.01 dB. Raises what conversion() raises.
     """
-    convert = conversion(rate_in, rate_out)
+    convert = plan_conversion(rate_in, rate_out)
     if rate_out != rate_in:
-        samples = convert.outputs(samples, 0, 0, convert.count(len(samples)))
+        samples = convert.convert(samples, 0, 0, convert.count_outputs(len(samples)))
     return samples, rate_warnings(rate_out)
 
 
-def resample_stream(portions: Iterable[Float], total: int, rate_in: float, rate_out: float) -> Iterator[Float]:
+def resample_stream(blocks: Iterable[Float], total: int, rate_in: float, rate_out: float) -> Iterator[Float]:
     """resample() of what portions, of total samples together, make: piece by piece, within rounding of the whole.
 
     Holds one portion, the kernel's reach, and MOST_OUTPUTS. Raises what conversion() raises.
     """
-    convert = conversion(rate_in, rate_out)
+    convert = plan_conversion(rate_in, rate_out)
     if rate_out == rate_in:
-        yield from portions
+        yield from blocks
         return
-    count, done, origin, arrived = convert.count(total), 0, 0, 0
+    count, done, origin, arrived = convert.count_outputs(total), 0, 0, 0
     held = np.zeros(0)
-    for portion in portions:
+    for portion in blocks:
         held, arrived = np.concatenate([held, portion]), arrived + len(portion)
         ready = count
         if arrived < total:
@@ -142,10 +142,10 @@ def resample_stream(portions: Iterable[Float], total: int, rate_in: float, rate_
                 max(-((convert.reach - arrived) * convert.ratio.denominator // convert.ratio.numerator), 0), count
             )
         if ready > done:
-            for first in range(done, ready, MOST_OUTPUTS):
-                yield convert.outputs(held, origin, first, min(MOST_OUTPUTS, ready - first))
+            for first in range(done, ready, MAX_BLOCK_OUTPUTS):
+                yield convert.convert(held, origin, first, min(MAX_BLOCK_OUTPUTS, ready - first))
             done = ready
-            behind = max(convert.at(done) - convert.reach - origin, 0)
+            behind = max(convert.find_input(done) - convert.reach - origin, 0)
             held, origin = held[behind:], origin + behind
 
 

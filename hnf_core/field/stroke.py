@@ -71,7 +71,7 @@ class StrokeInput:
     fields: tuple[Field | None, ...] = ()
 
     def __post_init__(self) -> None:
-        problem = _problem(self)
+        problem = _find_problem(self)
         if problem:
             raise StrokeError(problem, where="stroke input", remedy=_REMEDY)
 
@@ -90,7 +90,7 @@ def uniform_stroke(action: Action, token: NDArray[np.float32], mechanics: Mechan
     return StrokeInput(action, token[None, :], (mechanics,), np.zeros(len(action.speed), dtype=np.int32))
 
 
-def _problem(stroke: StrokeInput) -> str:
+def _find_problem(stroke: StrokeInput) -> str:
     action, samples = stroke.action, len(stroke.action.speed)
     if action.speed.ndim != 1:
         return f"speed has shape {action.speed.shape}, not (n,)."
@@ -112,14 +112,14 @@ def _problem(stroke: StrokeInput) -> str:
         return f"token_index points outside the {len(stroke.tokens)} tokens."
     if samples and (action.speed.min() < 0.0 or action.force.min() < 0.0):
         return "speed and force must not be negative."
-    for name, values in _numbers(stroke):
+    for name, values in _bounded_values(stroke):
         low, high = LIMITS[name]
         if values.size and not (values.min() >= low and values.max() <= high):
             return f"{name} holds NaN or leaves {low:g} … {high:g}: {values.min():g} … {values.max():g}."
     return ""
 
 
-def _numbers(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def _bounded_values(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float64]]]:
     """Everything that LIMITS bound, by its name there; unknown mechanics left out."""
     action, profile = stroke.action, stroke.profile
     yield "action rate [Hz]", np.array([action.rate])
@@ -129,9 +129,9 @@ def _numbers(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float64]]]:
     yield "direction", action.direction
     yield "token", stroke.tokens.astype(np.float64)
     mechanics = stroke.mechanics
-    yield "stiffness [N/m]", _known(each.stiffness_n_m for each in mechanics)
-    yield "damping ratio", _known(each.damping_ratio for each in mechanics)
-    yield "friction", _known(each.friction for each in mechanics)
+    yield "stiffness [N/m]", _known_values(each.stiffness_n_m for each in mechanics)
+    yield "damping ratio", _known_values(each.damping_ratio for each in mechanics)
+    yield "friction", _known_values(each.friction for each in mechanics)
     if profile is not None:
         yield "profile step [m]", np.array([profile.step_m])
         yield "profile height [m]", profile.height
@@ -139,5 +139,5 @@ def _numbers(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float64]]]:
         yield "resolved wavelength [m]", np.array([profile.resolved_wavelength_m])
 
 
-def _known(values: Iterable[float | None]) -> NDArray[np.float64]:
+def _known_values(values: Iterable[float | None]) -> NDArray[np.float64]:
     return np.array([value for value in values if value is not None], dtype=np.float64)

@@ -19,12 +19,12 @@ OVERLAP_M = 1.5e-3
 """Neighbouring patches fade into each other over this length: each has its own mean plane, and a step between planes
 would be felt as an edge that is not there."""
 SAMPLES_PER_WAVELENGTH = 4.0
-SHORTEST_STEP_M, LONGEST_STEP_M = 20e-6, 0.5e-3
-MOST_SAMPLES = 2**23
+MIN_STEP_M, MAX_STEP_M = 20e-6, 0.5e-3
+MAX_SAMPLES = 2**23
 """168 m at the finest step, 1.3 km at that of a usual map: its bands take 200 bytes a sample."""
 
 
-def stroke_profile(
+def build_stroke_profile(
     position: Float,
     point: Float,
     patch_index: NDArray[np.int32],
@@ -38,40 +38,42 @@ def stroke_profile(
     height or resolves no finite wavelength, nothing was measured (flat there). The profile resolves what the coarsest
     measured map resolves. Raises StrokeError for a path that takes more than MOST_SAMPLES.
     """
-    measured = [tactile.resolved_wavelength_m for tactile in maps if tactile is not None and _resolves(tactile)]
+    measured = [
+        tactile.resolved_wavelength_m for tactile in maps if tactile is not None and _has_resolved_height(tactile)
+    ]
     touched = np.flatnonzero(patch_index >= 0)
     if not measured or len(touched) < 2:
         return None
     places, first = np.unique(position[touched], return_index=True)
-    if places[-1] - places[0] < SHORTEST_STEP_M:
+    if places[-1] - places[0] < MIN_STEP_M:
         return None
-    step = float(np.clip(min(measured) / SAMPLES_PER_WAVELENGTH, SHORTEST_STEP_M, LONGEST_STEP_M))
+    step = float(np.clip(min(measured) / SAMPLES_PER_WAVELENGTH, MIN_STEP_M, MAX_STEP_M))
     length = float(places[-1] - places[0])
-    if length > MOST_SAMPLES * step:
+    if length > MAX_SAMPLES * step:
         raise StrokeError(
-            f"its path over relief is {length:.3g} m long, and {MOST_SAMPLES * step:.3g} m is the most.",
+            f"its path over relief is {length:.3g} m long, and {MAX_SAMPLES * step:.3g} m is the most.",
             remedy="Check the scene's unit scale, or draw a shorter path.",
         )
     grid = np.arange(places[0], places[-1] + step, step)
     points = np.stack([np.interp(grid, places, point[touched[first], axis]) for axis in range(3)], axis=-1)
-    owner = _owner(grid, position, patch_index)
+    owner = _find_owner(grid, position, patch_index)
     height = np.zeros(len(grid))
     for index in np.unique(owner[owner >= 0]):
         tactile = maps[index]
-        if tactile is None or not _resolves(tactile):
+        if tactile is None or not _has_resolved_height(tactile):
             continue
-        weight = _fade((owner == index).astype(np.float64), OVERLAP_M / step)
+        weight = _smooth_indicator((owner == index).astype(np.float64), OVERLAP_M / step)
         inside = weight > 0.0
         height[inside] += weight[inside] * sample_height(tactile, patches[index].to_plane(points[inside]))
     return HeightProfile(step, float(grid[0]), height, max(measured))
 
 
-def _resolves(tactile: HeightMap) -> bool:
+def _has_resolved_height(tactile: HeightMap) -> bool:
     """A map whose texels are collapsed (UVs projected from the side) has a height, and an infinite wavelength."""
     return tactile.height is not None and bool(np.isfinite(tactile.resolved_wavelength_m))
 
 
-def _owner(grid: Float, position: Float, patch_index: NDArray[np.int32]) -> NDArray[np.int32]:
+def _find_owner(grid: Float, position: Float, patch_index: NDArray[np.int32]) -> NDArray[np.int32]:
     """Patch of the action sample nearest to each place; samples off the surface own their places too."""
     places, first = np.unique(position, return_index=True)
     right = np.clip(np.searchsorted(places, grid), 1, len(places) - 1)
@@ -79,7 +81,7 @@ def _owner(grid: Float, position: Float, patch_index: NDArray[np.int32]) -> NDAr
     return np.asarray(patch_index[first[nearest]], dtype=np.int32)
 
 
-def _fade(indicator: Float, length: float) -> Float:
+def _smooth_indicator(indicator: Float, length: float) -> Float:
     """Smooth a 0/1 track with a raised cosine. Smoothed indicators of a partition still sum to 1."""
     half = max(1, round(length))
     kernel = 1.0 + np.cos(np.pi * np.arange(-half, half + 1) / (half + 1))

@@ -16,22 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel import hop as kernel_hop
-from ..kernel.hop import HopTables
-from ..kernel.library import kernel
+from ..kernel.hop import CarrierTables
+from ..kernel.library import load_kernel
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, Carriers
 from .hops import (
-    ARC_CELLS,
-    ARC_HOP,
-    CELL,
+    ARC_BLOCK_CELLS,
+    ARC_HOP_CELLS,
+    CELL_SAMPLES,
     DEMODULATION_CYCLES,
-    HOP,
-    LEVELS,
-    MARGINS,
+    HOP_SIZE,
+    LEVEL_COUNT,
+    LEVEL_MARGINS,
     MAX_RELATIVE_FREQUENCY,
-    arc_hop,
-    level_of,
-    time_hop,
-    time_levels,
+    find_level,
+    get_arc_hop,
+    get_time_hop,
+    group_time_levels,
 )
 from .knots import Knots
 from .linear_contact import BAND_END_HZ
@@ -39,86 +39,90 @@ from .linear_contact import BAND_END_HZ
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-_TAPS = 6
+_HALF_BAND_TAPS = 6
 """On either side of the filter that reads halfway between two samples: −90 dB up to MAX_RELATIVE_FREQUENCY."""
-REACH = max(margin << level for level, margin in enumerate(MARGINS))
+REACH_SAMPLES = max(margin << level for level, margin in enumerate(LEVEL_MARGINS))
 _READ_CELLS = 4
-_ROWS = 48
+_KNOTS_PER_PRODUCT = 48
 """Knots whose bands are summed at once: a sample needs two of the sums."""
 
 
-def texture_hops(knots: Knots, carriers: Carriers, seed: int, place: Float, hops: range) -> Float:
+def render_carrier_hops(knots: Knots, carriers: Carriers, seed: int, position: Float, hops: range) -> Float:
     """Σ_k A_k(t) c_k over the carriers in time and in arc length, samples of neighbouring hops, (n · HOP,); hop h has
     samples h · HOP … + HOP − 1, and is the same whatever is asked for beside it.
 
     place: (REACH + n · HOP + REACH,) s [m] from REACH samples before the first hop on. At most −57 dB of what is
     rendered are wrong where amplitudes take 20 ms to change, −50 dB where they jump from state to state.
     """
-    compiled = kernel()
+    compiled = load_kernel()
     if compiled is None:
-        found = [_hop(knots, carriers, seed, _about(place, hop - hops.start), hop) for hop in hops]
+        found = [
+            _render_hop(knots, carriers, seed, _select_hop_positions(position, hop - hops.start), hop) for hop in hops
+        ]
         return np.concatenate(found)
-    begin = hops.start * HOP - REACH
-    near = knots.around(begin, begin + len(place))
-    sounds = _sounding(near, near.amplitude[:, carriers.time_slice].any(axis=1), hops)
-    return kernel_hop.hops(
-        compiled, hop_tables(carriers), near.at, near.amplitude, hops.start * HOP, np.ascontiguousarray(place),
-        [time_hop(carriers, seed, hop) if each else None for hop, each in zip(hops, sounds, strict=True)],
-        lambda octave, number: arc_hop(carriers, seed, octave, number),
+    begin = hops.start * HOP_SIZE - REACH_SAMPLES
+    near = knots.select_range(begin, begin + len(position))
+    sounds = _find_active_hops(near, near.amplitude[:, carriers.time_slice].any(axis=1), hops)
+    return kernel_hop.render_hops(
+        compiled, build_hop_tables(carriers), near.at, near.amplitude, hops.start * HOP_SIZE, np.ascontiguousarray(position),
+        [get_time_hop(carriers, seed, hop) if each else None for hop, each in zip(hops, sounds, strict=True)],
+        lambda octave, number: get_arc_hop(carriers, seed, octave, number),
     )  # fmt: skip
 
 
-def _about(place: Float, hop: int) -> Float:
+def _select_hop_positions(position: Float, hop: int) -> Float:
     """Of the places of all hops, those of one."""
-    return place[hop * HOP : (hop + 1) * HOP + 2 * REACH]
+    return position[hop * HOP_SIZE : (hop + 1) * HOP_SIZE + 2 * REACH_SAMPLES]
 
 
-def _sounding(knots: Knots, loud: NDArray[np.bool_], hops: range) -> list[bool]:
+def _find_active_hops(knots: Knots, loud: NDArray[np.bool_], hops: range) -> list[bool]:
     """Of each hop, whether any of the knots that say what happens in it is loud (m,)."""
-    begin = HOP * np.arange(hops.start, hops.stop) - REACH
-    first, last = knots.spans(begin, begin + HOP + 2 * REACH)
+    begin = HOP_SIZE * np.arange(hops.start, hops.stop) - REACH_SAMPLES
+    first, last = knots.find_rows(begin, begin + HOP_SIZE + 2 * REACH_SAMPLES)
     so_far = np.concatenate([[0], np.cumsum(loud)])
     return list((so_far[last] > so_far[first]).tolist())
 
 
-def _hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: int) -> Float:
+def _render_hop(knots: Knots, carriers: Carriers, seed: int, position: Float, hop: int) -> Float:
     """In numpy: what the kernel is tested against."""
-    first = hop * HOP
-    begin = first - REACH
-    near = knots.around(begin, begin + len(place))
-    when = _Interpolation(begin, *near.between(begin + np.arange(len(place))))
+    first = hop * HOP_SIZE
+    begin = first - REACH_SAMPLES
+    near = knots.select_range(begin, begin + len(position))
+    when = _Interpolation(begin, *near.locate(begin + np.arange(len(position))))
     rates = _MultirateSum(first)
     if carriers.time_count and np.any(near.amplitude[:, carriers.time_slice]):
-        found = time_hop(carriers, seed, hop).waves
-        for level, (bands, waves) in enumerate(zip(time_levels(carriers), found, strict=True)):
-            start = first - (MARGINS[level] << level)
-            samples = when.at(start, 1 << level, waves.shape[1])
-            rates.add(level, start, _faded(near.amplitude[:, carriers.time_slice][:, bands], waves, samples))
-    for (level, start, count), octaves in _readings(near, carriers, place, rates).items():
-        at = place[start - begin :: 1 << level][:count]
-        rates.add(level, start, _in_arc(near, carriers, seed, octaves, at, when.at(start, 1 << level, count)))
-    return rates.together()
+        found = get_time_hop(carriers, seed, hop).waves
+        for level, (bands, waves) in enumerate(zip(group_time_levels(carriers), found, strict=True)):
+            start = first - (LEVEL_MARGINS[level] << level)
+            samples = when.decimate(start, 1 << level, waves.shape[1])
+            rates.add(level, start, _sum_time_bands(near.amplitude[:, carriers.time_slice][:, bands], waves, samples))
+    for (level, start, count), octaves in _plan_readings(near, carriers, position, rates).items():
+        at = position[start - begin :: 1 << level][:count]
+        rates.add(
+            level, start, _sum_arc_bands(near, carriers, seed, octaves, at, when.decimate(start, 1 << level, count))
+        )
+    return rates.upsample_and_sum()
 
 
-def _readings(
-    near: Knots, carriers: Carriers, place: Float, rates: _MultirateSum
+def _plan_readings(
+    near: Knots, carriers: Carriers, position: Float, rates: _MultirateSum
 ) -> dict[tuple[int, int, int], list[int]]:
     """Octaves that are read at the same samples: (level, first sample, how many) → octaves."""
-    begin, found = rates.first - REACH, defaultdict[tuple[int, int, int], list[int]](list)
-    speed = np.abs(np.diff(place)) * MODEL_RATE_HZ
+    begin, found = rates.first - REACH_SAMPLES, defaultdict[tuple[int, int, int], list[int]](list)
+    speed = np.abs(np.diff(position)) * MODEL_RATE_HZ
     for octave, loud in enumerate(near.select_carriers(carriers.arc_slice).nonzero_by_group(ARC_PER_OCTAVE)):
         lowest = carriers.arc_start_per_m * 2.0**octave
-        for stretch in near.ranges(loud, begin, begin + len(place)):
-            for low, high in _audible(speed, begin, stretch, lowest):
+        for stretch in near.find_active_ranges(loud, begin, begin + len(position)):
+            for low, high in _find_unaliased_ranges(speed, begin, stretch, lowest):
                 fastest = float(speed[low - begin : high - begin - 1].max(initial=0.0))
-                level = level_of(2.0 * lowest * fastest)
-                start, count = rates.kept(level, low, high)
+                level = find_level(2.0 * lowest * fastest)
+                start, count = rates.stored_range(level, low, high)
                 if count:
                     found[level, start, count].append(octave)
     return found
 
 
-def _bands(carriers: Carriers, octave: int) -> slice:
+def _octave_bands(carriers: Carriers, octave: int) -> slice:
     first = carriers.arc_slice.start + octave * ARC_PER_OCTAVE
     return slice(first, first + ARC_PER_OCTAVE)
 
@@ -132,7 +136,7 @@ class _Interpolation:
     row: NDArray[np.intp]
     share: Float32
 
-    def at(self, start: int, step: int, count: int) -> _Interpolation:
+    def decimate(self, start: int, step: int, count: int) -> _Interpolation:
         """Every step-th sample from start on."""
         part = slice(start - self.begin, start - self.begin + step * count, step)
         return _Interpolation(start, self.row[part], self.share[part])
@@ -143,48 +147,50 @@ class _MultirateSum:
 
     def __init__(self, first: int) -> None:
         self.first = first
-        self._sums: list[Float32 | None] = [None] * LEVELS
+        self._sums: list[Float32 | None] = [None] * LEVEL_COUNT
 
-    def kept(self, level: int, low: int, high: int) -> tuple[int, int]:
+    def stored_range(self, level: int, low: int, high: int) -> tuple[int, int]:
         """The first of the samples low … high − 1 that this rate keeps, and how many they are."""
-        margin, step = MARGINS[level] << level, 1 << level
+        margin, step = LEVEL_MARGINS[level] << level, 1 << level
         start = -(-max(low, self.first - margin) // step) * step
-        return start, max(-(-(min(high, self.first + HOP + margin) - start) // step), 0)
+        return start, max(-(-(min(high, self.first + HOP_SIZE + margin) - start) // step), 0)
 
     def add(self, level: int, start: int, values: Float32) -> None:
         """values: every 2^level-th sample from `start` on."""
-        sums, margin = self._sums[level], MARGINS[level]
+        sums, margin = self._sums[level], LEVEL_MARGINS[level]
         if sums is None:
-            sums = self._sums[level] = np.zeros((HOP >> level) + 2 * margin, dtype=np.float32)
+            sums = self._sums[level] = np.zeros((HOP_SIZE >> level) + 2 * margin, dtype=np.float32)
         offset = ((start - self.first) >> level) + margin
         sums[offset : offset + len(values)] += values
 
-    def together(self) -> Float:
+    def upsample_and_sum(self) -> Float:
         """(HOP,) everything at the model rate."""
         slower: Float32 | None = None
-        for level in range(LEVELS - 1, 0, -1):
+        for level in range(LEVEL_COUNT - 1, 0, -1):
             here = self._sums[level]
             if slower is not None:
                 here = slower if here is None else here + slower
-            slower = None if here is None else _twice(here, level)
-        total = np.zeros(HOP) if self._sums[0] is None else self._sums[0].astype(np.float64)
+            slower = None if here is None else _upsample_by_two(here, level)
+        total = np.zeros(HOP_SIZE) if self._sums[0] is None else self._sums[0].astype(np.float64)
         return total if slower is None else total + slower
 
 
-def _twice(values: Float32, level: int) -> Float32:
+def _upsample_by_two(values: Float32, level: int) -> Float32:
     """The next rate up, with the margin that it keeps."""
-    margin, wanted = MARGINS[level], MARGINS[level - 1]
-    out = np.empty((HOP >> (level - 1)) + 2 * wanted, dtype=np.float32)
+    margin, wanted = LEVEL_MARGINS[level], LEVEL_MARGINS[level - 1]
+    out = np.empty((HOP_SIZE >> (level - 1)) + 2 * wanted, dtype=np.float32)
     begin, count = margin - wanted // 2, len(out) // 2
     out[::2] = values[begin : begin + count]
-    out[1::2] = np.convolve(values[begin - _TAPS + 1 : begin + count + _TAPS], _half_band(), mode="valid")
+    out[1::2] = np.convolve(
+        values[begin - _HALF_BAND_TAPS + 1 : begin + count + _HALF_BAND_TAPS], _half_band_filter(), mode="valid"
+    )
     return out
 
 
-def _faded(amplitude: Float32, waves: Float32, when: _Interpolation) -> Float32:
+def _sum_time_bands(amplitude: Float32, waves: Float32, when: _Interpolation) -> Float32:
     """Σ_k A_k c_k of waves (K, n); (n,)."""
     out = np.empty(waves.shape[1], dtype=np.float32)
-    for rows, part in _parts(when.row):
+    for rows, part in _split_by_knots(when.row):
         sums = amplitude[rows] @ waves[:, part]
         index, column = when.row[part] - rows.start, np.arange(sums.shape[1])
         here = sums[index, column]
@@ -192,22 +198,22 @@ def _faded(amplitude: Float32, waves: Float32, when: _Interpolation) -> Float32:
     return out
 
 
-def _in_arc(
-    near: Knots, carriers: Carriers, seed: int, octaves: list[int], place: Float, when: _Interpolation
+def _sum_arc_bands(
+    near: Knots, carriers: Carriers, seed: int, octaves: list[int], position: Float, when: _Interpolation
 ) -> Float32:
     """Σ_k A_k c_k of the octaves at samples at place (n,) [m]; (n,)."""
-    at = place / (CELL * np.array([[carriers.arc_step_m(octave)] for octave in octaves]))
+    at = position / (CELL_SAMPLES * np.array([[carriers.arc_step_m(octave)] for octave in octaves]))
     cell = np.floor(at).astype(np.int64)
-    weights = [weight.astype(np.complex64) for weight in cell_weights((at - cell).astype(np.float32))]
+    weights = [weight.astype(np.complex64) for weight in compute_cell_weights((at - cell).astype(np.float32))]
     out = np.empty(at.shape, dtype=np.complex64)
-    for rows, part in _parts(when.row):
+    for rows, part in _split_by_knots(when.row):
         index, sums, behind = np.empty_like(cell[:, part]), [], 0
         nexts = np.empty((len(octaves), 1), dtype=np.int64)
         for which, octave in enumerate(octaves):
             own = cell[which, part]
             origin = int(own.min()) - 1
-            waves = _cells(carriers, seed, octave, origin, int(own.max()) + 3)
-            amplitude = near.amplitude[rows, _bands(carriers, octave)]
+            waves = _gather_cells(carriers, seed, octave, origin, int(own.max()) + 3)
+            amplitude = near.amplitude[rows, _octave_bands(carriers, octave)]
             sums.append((amplitude @ waves.view(np.float32)).view(np.complex64).ravel())
             nexts[which] = waves.shape[1]
             index[which] = (when.row[part] - rows.start) * waves.shape[1] + own + (behind - origin - 1)
@@ -217,74 +223,74 @@ def _in_arc(
         index += nexts
         after = sum(weight[:, part] * flat.take(index + tap) for tap, weight in enumerate(weights))
         out[:, part] = here + when.share[part] * (after - here)
-    turn = at * (DEMODULATION_CYCLES / ARC_CELLS)
+    turn = at * (DEMODULATION_CYCLES / ARC_BLOCK_CELLS)
     angle = (2.0 * np.pi * (turn - np.floor(turn))).astype(np.float32)
     return np.asarray((out.real * np.cos(angle) - out.imag * np.sin(angle)).sum(axis=0))
 
 
 @lru_cache(maxsize=8)
-def hop_tables(carriers: Carriers) -> HopTables:
-    levels = time_levels(carriers)
-    return HopTables(
-        margin=np.array(MARGINS), time_band=np.array([each.start for each in levels]),
+def build_hop_tables(carriers: Carriers) -> CarrierTables:
+    levels = group_time_levels(carriers)
+    return CarrierTables(
+        margin=np.array(LEVEL_MARGINS), time_band=np.array([each.start for each in levels]),
         time_bands=np.array([each.stop - each.start for each in levels]),
-        cells_per_m=np.array([1.0 / (CELL * carriers.arc_step_m(each)) for each in range(carriers.arc_octaves)]),
-        half_band=_half_band(), cubic=np.array(_cubic()), hop=HOP, reach=REACH, time_first=carriers.time_slice.start,
-        arc_first=carriers.arc_slice.start, bands=ARC_PER_OCTAVE, piece_cells=ARC_HOP, rate=MODEL_RATE_HZ,
+        cells_per_m=np.array([1.0 / (CELL_SAMPLES * carriers.arc_step_m(each)) for each in range(carriers.arc_octaves)]),
+        half_band=_half_band_filter(), cubic=np.array(_cubic_coefficients()), hop=HOP_SIZE, reach=REACH_SAMPLES, time_first=carriers.time_slice.start,
+        arc_first=carriers.arc_slice.start, bands=ARC_PER_OCTAVE, piece_cells=ARC_HOP_CELLS, rate=MODEL_RATE_HZ,
         highest=MAX_RELATIVE_FREQUENCY, band_end=BAND_END_HZ, lowest=carriers.arc_start_per_m,
-        turns=DEMODULATION_CYCLES / ARC_CELLS,
+        turns=DEMODULATION_CYCLES / ARC_BLOCK_CELLS,
     )  # fmt: skip
 
 
-def _cells(carriers: Carriers, seed: int, octave: int, first: int, last: int) -> NDArray[np.complex64]:
+def _gather_cells(carriers: Carriers, seed: int, octave: int, first: int, last: int) -> NDArray[np.complex64]:
     """(24, last − first) contiguous."""
-    hops = range(first // ARC_HOP, (last - 1) // ARC_HOP + 1)
+    hops = range(first // ARC_HOP_CELLS, (last - 1) // ARC_HOP_CELLS + 1)
     waves = np.empty((ARC_PER_OCTAVE, last - first), dtype=np.complex64)
     for hop in hops:
-        low, high = max(first, hop * ARC_HOP), min(last, (hop + 1) * ARC_HOP)
-        source = arc_hop(carriers, seed, octave, hop).waves
-        waves[:, low - first : high - first] = source[:, low - hop * ARC_HOP : high - hop * ARC_HOP]
+        low, high = max(first, hop * ARC_HOP_CELLS), min(last, (hop + 1) * ARC_HOP_CELLS)
+        source = get_arc_hop(carriers, seed, octave, hop).waves
+        waves[:, low - first : high - first] = source[:, low - hop * ARC_HOP_CELLS : high - hop * ARC_HOP_CELLS]
     return waves
 
 
-def _parts(row: NDArray[np.intp]) -> Iterator[tuple[slice, slice]]:
+def _split_by_knots(row: NDArray[np.intp]) -> Iterator[tuple[slice, slice]]:
     """Knots, _ROWS or a few more, and the stretch of samples with ascending rows (n,) that lie between them."""
     low = 0
     while low < len(row):
-        high = int(np.searchsorted(row, row[low] + _ROWS, side="left"))
+        high = int(np.searchsorted(row, row[low] + _KNOTS_PER_PRODUCT, side="left"))
         yield slice(int(row[low]), int(row[high - 1]) + 2), slice(low, high)
         low = high
 
 
-def _audible(speed: Float, begin: int, stretch: tuple[int, int], lowest: float) -> list[tuple[int, int]]:
+def _find_unaliased_ranges(speed: Float, begin: int, segment: tuple[int, int], lowest: float) -> list[tuple[int, int]]:
     """What of a stretch is not faster than an octave from wavenumber `lowest` on can sound: a jump of the hand, whose
     amplitudes are zero, would ask for metres of cells. speed: m/s from each sample after begin to the next."""
-    low, high = stretch
+    low, high = segment
     too_fast = speed[low - begin : high - begin - 1] * lowest >= BAND_END_HZ
     if not too_fast.any():
-        return [stretch]
+        return [segment]
     slow = np.concatenate([[False], ~too_fast, [False]])
     edges = np.flatnonzero(np.diff(slow.astype(np.int8)))
     return [(low + int(a), low + int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 @lru_cache(maxsize=1)
-def _half_band() -> Float32:
+def _half_band_filter() -> Float32:
     """(2 · _TAPS,) of the filter that reads halfway between two samples, by least squares up to
     MAX_RELATIVE_FREQUENCY."""
     frequency = np.linspace(0.0, MAX_RELATIVE_FREQUENCY, 200)
-    waves = 2.0 * np.cos(2.0 * np.pi * frequency[:, None] * (np.arange(_TAPS) + 0.5))
+    waves = 2.0 * np.cos(2.0 * np.pi * frequency[:, None] * (np.arange(_HALF_BAND_TAPS) + 0.5))
     half = np.linalg.lstsq(waves, np.ones(len(frequency)), rcond=None)[0]
     return np.asarray(np.concatenate([half[::-1], half]).astype(np.float32))
 
 
-def cell_weights(t: Float32) -> list[Float32]:
+def compute_cell_weights(t: Float32) -> list[Float32]:
     """Weights of cells −1, 0, 1, 2 at t in 0 … 1."""
-    return [((d * t + c) * t + b) * t + a for a, b, c, d in _cubic()]
+    return [((d * t + c) * t + b) * t + a for a, b, c, d in _cubic_coefficients()]
 
 
 @lru_cache(maxsize=1)
-def _cubic() -> tuple[tuple[np.float32, ...], ...]:
+def _cubic_coefficients() -> tuple[tuple[np.float32, ...], ...]:
     """Per cell, the powers of t: least squares over the eighth of a turn per cell that half an octave spans."""
     t, frequency = np.linspace(0.0, 1.0, 41), np.linspace(-0.125, 0.125, 81)
     waves = np.exp(2j * np.pi * frequency[:, None] * (np.arange(_READ_CELLS) - 1))

@@ -18,11 +18,11 @@ from .stroke import StrokeInput
 Float = NDArray[np.float64]
 
 SAMPLES_PER_STATE = round(MODEL_RATE_HZ / ACTION_RATE_HZ)
-SHARES = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
+STATE_FRACTIONS = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 """Of the way from a state to the next, at the samples between them."""
 
 
-def states_of(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
+def resample_action(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
     """The action and token index at ACTION_RATE_HZ.
 
     Another rate is interpolated: direction as a vector (an angle would turn the long way round at ±180°), contact and
@@ -45,16 +45,19 @@ def states_of(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
         direction=np.where(length > 1e-9, direction / np.maximum(length, 1e-9), action.direction[nearest]),
         speed=np.interp(time, source, action.speed),
         force=np.interp(time, source, action.force),
-        position=cubic(action.position, time * action.rate),
+        position=interpolate_cubic(action.position, time * action.rate),
         contact=action.contact[nearest],
         probe=action.probe,
     )
     return resampled, stroke.token_index[nearest]
 
 
-def condition_of(stroke: StrokeInput, action: Action, token_index: NDArray[np.int32]) -> Condition:
+def build_condition(stroke: StrokeInput, action: Action, token_index: NDArray[np.int32]) -> Condition:
     """F_Θ's condition at every state."""
-    tokens, (mechanics, of_row) = stroke.tokens.astype(np.float64)[token_index], distinct(stroke.mechanics)
+    tokens, (mechanics, of_row) = (
+        stroke.tokens.astype(np.float64)[token_index],
+        find_distinct_mechanics(stroke.mechanics),
+    )
     return Condition(
         tokens,
         mechanics,
@@ -67,7 +70,7 @@ def condition_of(stroke: StrokeInput, action: Action, token_index: NDArray[np.in
     )
 
 
-def distinct(mechanics: Sequence[Mechanics]) -> tuple[tuple[Mechanics, ...], NDArray[np.int32]]:
+def find_distinct_mechanics(mechanics: Sequence[Mechanics]) -> tuple[tuple[Mechanics, ...], NDArray[np.int32]]:
     """Each once, in the order in which they are met, and (M,) which of them each is: the patches of a surface have a
     token each and mostly one mechanics."""
     index: dict[Mechanics, int] = {}
@@ -75,7 +78,7 @@ def distinct(mechanics: Sequence[Mechanics]) -> tuple[tuple[Mechanics, ...], NDA
     return tuple(index), np.array(of_row, dtype=np.int32)
 
 
-def condition_at(
+def interpolate_condition(
     stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], sample: NDArray[np.int64]
 ) -> Condition:
     """The same at samples of the model rate, clamped to the stroke: linear between states, direction as a vector,
@@ -90,11 +93,11 @@ def condition_at(
     material = token_index[nearest]
     speed, force = (np.interp(place, states, values) for values in (action.speed, action.force))
     tokens, contact = stroke.tokens.astype(np.float64)[material], action.contact[nearest]
-    mechanics, of_row = distinct(stroke.mechanics)
+    mechanics, of_row = find_distinct_mechanics(stroke.mechanics)
     return Condition(tokens, mechanics, of_row[material], direction, speed, force, contact, action.probe)
 
 
-def states_in(condition: Condition, rows: slice | NDArray[np.bool_]) -> Condition:
+def select_states(condition: Condition, rows: slice | NDArray[np.bool_]) -> Condition:
     """The states in rows alone."""
     names = ("tokens", "material", "direction", "speed", "force", "contact")
     return replace(condition, **{name: getattr(condition, name)[rows] for name in names})
@@ -105,38 +108,38 @@ def sample_count(action: Action) -> int:
     return (len(action.speed) - 1) * SAMPLES_PER_STATE
 
 
-def fastest(action: Action) -> Float:
+def find_peak_speed(action: Action) -> Float:
     """(n,) m/s |ds/dt| within two states of each."""
     around = np.pad(np.abs(np.diff(action.position)) * ACTION_RATE_HZ, 2)
     return np.asarray(np.max([around[k : k + len(action.position)] for k in range(4)], axis=0))
 
 
-def cubic(values: Float, place: Float) -> Float:
+def interpolate_cubic(values: Float, index: Float) -> Float:
     """Catmull–Rom interpolation of values (n,) at fractional indices, held beyond the ends; C1."""
     last = len(values) - 1
-    place = np.clip(place, 0.0, last)
-    low = np.minimum(np.floor(place).astype(int), max(last - 1, 0))
-    t = place - low
+    index = np.clip(index, 0.0, last)
+    low = np.minimum(np.floor(index).astype(int), max(last - 1, 0))
+    t = index - low
     padded = np.concatenate(
         [[2 * values[0] - values[min(1, last)]], values, [2 * values[-1] - values[max(last - 1, 0)]]]
     )
-    weights = _through(t)
+    weights = _catmull_rom_weights(t)
     return np.asarray(sum(w * padded[np.minimum(low + k, last + 2)] for k, w in enumerate(weights)))
 
 
-def smooth(values: Float, place: Float) -> Float:
+def evaluate_bspline(values: Float, index: Float) -> Float:
     """Cubic B-spline with values (n,) as control points, read at fractional indices, held beyond the ends; C2.
 
     It smooths (−3 dB at about 60 Hz of 200 Hz samples) instead of interpolating: its images of a slow ramp lie 80 dB
     down, so that action-rate steps do not hum through a contact that answers to F″.
     """
     last = len(values) - 1
-    low = np.floor(place).astype(int)
-    weights = _beside(place - low)
+    low = np.floor(index).astype(int)
+    weights = _bspline_weights(index - low)
     return np.asarray(sum(w * values[np.clip(low + k - 1, 0, last)] for k, w in enumerate(weights)))
 
 
-def cubic_samples(values: Float, start: int, count: int) -> Float:
+def interpolate_cubic_samples(values: Float, start: int, count: int) -> Float:
     """cubic() of states (n,) at samples start … start + count − 1 of the model rate, (count,).
 
     A state's samples lie at the same shares of the way to the next: their weights are the same for every state.
@@ -148,13 +151,13 @@ def cubic_samples(values: Float, start: int, count: int) -> Float:
     state = np.arange(first, (start + max(count, 1) - 1) // SAMPLES_PER_STATE + 1)[:, None]
     four = padded[np.clip(state + np.arange(4), 0, last + 2)]
     four = np.where(state < 0, values[0], np.where(state >= last, values[-1], four))
-    out = four[:, :1] * _WEIGHTS[0]
+    out = four[:, :1] * _CATMULL_ROM_TABLE[0]
     for tap in range(1, 4):
-        out += four[:, tap : tap + 1] * _WEIGHTS[tap]
+        out += four[:, tap : tap + 1] * _CATMULL_ROM_TABLE[tap]
     return np.asarray(out.reshape(-1)[start - first * SAMPLES_PER_STATE :][:count])
 
 
-def _through(t: Float) -> tuple[Float, ...]:
+def _catmull_rom_weights(t: Float) -> tuple[Float, ...]:
     """Catmull–Rom weights of the four values about a place, t on the way from the second to the third."""
     return (
         0.5 * t * (2.0 * t - 1.0 - t**2),
@@ -164,7 +167,7 @@ def _through(t: Float) -> tuple[Float, ...]:
     )
 
 
-def _beside(t: Float) -> tuple[Float, ...]:
+def _bspline_weights(t: Float) -> tuple[Float, ...]:
     """The same of the cubic B-spline."""
     return (
         (1.0 - t) ** 3 / 6.0,
@@ -174,4 +177,4 @@ def _beside(t: Float) -> tuple[Float, ...]:
     )
 
 
-_WEIGHTS = _through(SHARES)
+_CATMULL_ROM_TABLE = _catmull_rom_weights(STATE_FRACTIONS)

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from ..errors import WeightsError
 from ..files import write_bytes
 from ..material.material import Appearance, LibraryMaterial
-from ..material.mechanics import MECHANICS_NAMES, Mechanics, beyond_limits
+from ..material.mechanics import MECHANICS_NAMES, Mechanics, describe_limit_violation
 from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM
-from ..tensor_file import packed
-from ..weights_file import Kind, WeightsFile, parse_weights, read_weights
+from ..tensor_file import dump_tensors
+from ..weights_file import WeightsFile, WeightsKind, parse_weights, read_weights
 from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .config import FieldConfig
 from .field import Field
-from .noise import first_bins
-from .ranges import SECTORS, Given, Ranges
+from .noise import find_first_bins
+from .ranges import SECTORS, PropertyRange, TrainingRanges
 
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
 HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")
@@ -31,21 +31,21 @@ HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")
 EVERY_ENCODER_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-encoders.safetensors")
 """Trained on tokens of every make of E; a little worse than the default on those of the library's make."""
 FORMAT = "hnf-field-1"
-MOST_OCTAVES, MOST_LAYERS = 16, 100
-LOWEST_PER_M, HIGHEST_PER_M = 1e-3, 1e9
+MAX_OCTAVES, MAX_LAYERS = 16, 100
+MIN_WAVENUMBER_PER_M, MAX_WAVENUMBER_PER_M = 1e-3, 1e9
 """Of arc carriers [cycles/m]: waves of a kilometre and of a nanometre."""
 _TOKEN_LOW, _TOKEN_HIGH = "ranges.token_low", "ranges.token_high"
-_KIND = Kind(
+_KIND = WeightsKind(
     "weights", FORMAT, "these are not field weights", "Train it again with this version, or choose other weights."
 )
 
 
 def save_field(path: Path, field: Field) -> None:
     """Write field_bytes atomically. Raises FileError."""
-    write_bytes(path, field_bytes(field))
+    write_bytes(path, serialise_field(field))
 
 
-def field_bytes(field: Field) -> bytes:
+def serialise_field(field: Field) -> bytes:
     """A file of parameters, ranges and metadata; of a field that was read, the bytes that it was read from.
     field.metadata (training data, seed, metrics, licence, all text) is kept, with the encoders of the tokens it was
     trained on (where it names none, the library's); format, architecture and ranges are added."""
@@ -58,11 +58,11 @@ def field_bytes(field: Field) -> bytes:
     }
     if field.ranges is not None:
         tensors[_TOKEN_LOW], tensors[_TOKEN_HIGH] = field.ranges.token_low, field.ranges.token_high
-        metadata["ranges"] = json.dumps(_ranges_record(field.ranges))
-    return packed(tensors, metadata)
+        metadata["ranges"] = json.dumps(_serialise_ranges(field.ranges))
+    return dump_tensors(tensors, metadata)
 
 
-def encoders_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
+def read_encoders(metadata: Mapping[str, str]) -> tuple[str, ...]:
     """Names of the encoders whose tokens a field was trained on, from its metadata["encoder"]: a JSON list of names,
     or one plain name."""
     text = metadata.get("encoder", "")
@@ -73,10 +73,10 @@ def encoders_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(str(name) for name in listed) if isinstance(listed, list) else (text,)
 
 
-def refuse_other_encoders(field: Field, names: Iterable[str], where: str = "") -> None:
+def check_encoders(field: Field, names: Iterable[str], where: str = "") -> None:
     """Raises WeightsError where a name is of no encoder whose tokens the field was trained on. A field that says
     nothing of its encoders (made by hand, in memory) knows the library's."""
-    known = encoders_of(field.metadata) or (ENCODER_ID,)
+    known = read_encoders(field.metadata) or (ENCODER_ID,)
     foreign = [name for name in names if name not in known]
     if foreign:
         raise WeightsError(
@@ -92,15 +92,15 @@ def load_field(path: Path | str | None = None) -> Field:
     Raises FileError where there is no file, WeightsError where it is damaged, of another format or architecture, not
     finite, or belongs to another encoder.
     """
-    return _load(DEFAULT_WEIGHTS) if path is None else _read(Path(path))
+    return _load(DEFAULT_WEIGHTS) if path is None else _read_field(Path(path))
 
 
 def parse_field(data: bytes, where: str) -> Field:
     """The field that field_bytes wrote; where names the source in messages. Raises WeightsError as load_field does."""
-    return _field(parse_weights(data, _KIND, where))
+    return _build_field(parse_weights(data, _KIND, where))
 
 
-def field_for(encoders: Iterable[str]) -> Field:
+def load_field_for_encoders(encoders: Iterable[str]) -> Field:
     """The shipped field for tokens of these makes of E: the default where it knows them all, else the one that was
     trained on every make.
 
@@ -109,7 +109,7 @@ def field_for(encoders: Iterable[str]) -> Field:
     """
     names = tuple(encoders)
     field = load_field()
-    if all(name in encoders_of(field.metadata) for name in names):
+    if all(name in read_encoders(field.metadata) for name in names):
         return field
     if not EVERY_ENCODER_WEIGHTS.is_file():
         raise WeightsError(
@@ -118,11 +118,11 @@ def field_for(encoders: Iterable[str]) -> Field:
             remedy=f"Choose {ENCODER_ID}, or install hnf outside Blender: pip install from its source.",
         )
     field = load_field(EVERY_ENCODER_WEIGHTS)
-    refuse_other_encoders(field, names, str(EVERY_ENCODER_WEIGHTS))
+    check_encoders(field, names, str(EVERY_ENCODER_WEIGHTS))
     return field
 
 
-def own_material(field: Field, where: str) -> LibraryMaterial:
+def read_trained_material(field: Field, where: str) -> LibraryMaterial:
     """The one material that weights were trained for, from their metadata["material"].
 
     Raises WeightsError where they were trained for many, or name none.
@@ -133,7 +133,7 @@ def own_material(field: Field, where: str) -> LibraryMaterial:
         if token.shape != (TOKEN_DIM,) or not (np.abs(token) <= LARGEST_VALUE).all():
             raise ValueError("its token is damaged")
         mechanics = Mechanics(**record.get("mechanics", {}))
-        problem = beyond_limits(mechanics)
+        problem = describe_limit_violation(mechanics)
         if problem:
             raise ValueError(problem.rstrip("."))
         return LibraryMaterial(str(record["name"]), "", (), Appearance(), mechanics, token)
@@ -147,46 +147,46 @@ def own_material(field: Field, where: str) -> LibraryMaterial:
 
 @lru_cache(maxsize=1)
 def _load(path: Path) -> Field:
-    return _read(path)
+    return _read_field(path)
 
 
-def _read(path: Path) -> Field:
-    return _field(read_weights(path, _KIND))
+def _read_field(path: Path) -> Field:
+    return _build_field(read_weights(path, _KIND))
 
 
-def _field(file: WeightsFile) -> Field:
-    if ENCODER_ID not in encoders_of(file.metadata):
-        raise file.refused(
+def _build_field(file: WeightsFile) -> Field:
+    if ENCODER_ID not in read_encoders(file.metadata):
+        raise file.make_error(
             f"trained on tokens of encoder {file.metadata.get('encoder')!r}, but tokens here come from {ENCODER_ID!r}."
         )
-    config = file.described(lambda metadata: _config(json.loads(metadata["architecture"])))
-    ranges = file.described(lambda metadata: _ranges(metadata, file.tensors))
+    config = file.parse_metadata(lambda metadata: _parse_config(json.loads(metadata["architecture"])))
+    ranges = file.parse_metadata(lambda metadata: _parse_ranges(metadata, file.tensors))
     bounds = {} if ranges is None else {_TOKEN_LOW: (TOKEN_DIM,), _TOKEN_HIGH: (TOKEN_DIM,)}
-    tensors = file.parameters({**config.shapes(), **bounds}, np.float32)
+    tensors = file.check_parameters({**config.shapes(), **bounds}, np.float32)
     parameters = {name: value for name, value in tensors.items() if name not in bounds}
     return Field(config, parameters, ranges, file.metadata, file.content_id)
 
 
-def _config(record: Mapping[str, Any]) -> FieldConfig:
+def _parse_config(record: Mapping[str, Any]) -> FieldConfig:
     carriers = dict(record["carriers"])
     carriers["time_edges_hz"] = tuple(float(edge) for edge in carriers["time_edges_hz"])
     # Before they are made of it: what is of another kind would fail there in words of Python's own.
-    _check_kinds(FieldConfig, record)
-    _check_kinds(Carriers, carriers)
+    _check_types(FieldConfig, record)
+    _check_types(Carriers, carriers)
     config = FieldConfig(**{**record, "carriers": Carriers(**carriers)})
     _check_carriers(config.carriers)
     if config.accumulation not in ("past", "heads") or config.emission not in ("log", "linear"):
         raise ValueError(f"unknown accumulation {config.accumulation!r} or emission {config.emission!r}")
     if (
         min(config.hidden, config.layers, config.states) < 1
-        or config.layers > MOST_LAYERS
+        or config.layers > MAX_LAYERS
         or config.arc_knots not in (0, *range(2, 1000))
     ):
         raise ValueError(
-            f"hidden, layers and states must be positive, layers {MOST_LAYERS} at most, arc_knots 0 or 2 up"
+            f"hidden, layers and states must be positive, layers {MAX_LAYERS} at most, arc_knots 0 or 2 up"
         )
-    if not 0 <= config.action_octaves <= MOST_OCTAVES:
-        raise ValueError(f"action_octaves must lie between 0 and {MOST_OCTAVES}")
+    if not 0 <= config.action_octaves <= MAX_OCTAVES:
+        raise ValueError(f"action_octaves must lie between 0 and {MAX_OCTAVES}")
     physical = config.physics and (config.emission, config.accumulation) == ("log", "past")
     if config.line_gains and not (physical and config.carriers.arc_count):
         raise ValueError("line gains need the linear contact, log emission, past states and arc carriers")
@@ -198,7 +198,7 @@ def _config(record: Mapping[str, Any]) -> FieldConfig:
 _NUMBERS: dict[str, type | tuple[type, ...]] = {"int": int, "float": (int, float), "bool": bool}
 
 
-def _check_kinds(made: type[FieldConfig | Carriers], record: Mapping[str, Any]) -> None:
+def _check_types(made: type[FieldConfig | Carriers], record: Mapping[str, Any]) -> None:
     """Raises TypeError where a number of the record is of another kind than what is made of it has there."""
     kinds = {each.name: str(each.type) for each in dataclasses.fields(made)}
     for name, value in record.items():
@@ -212,15 +212,17 @@ def _check_carriers(carriers: Carriers) -> None:
     edges = carriers.time_edges()
     if not ((edges > 0.0) & (edges <= MODEL_RATE_HZ)).all():
         raise ValueError(f"time_edges_hz leave 0 to {MODEL_RATE_HZ:g} Hz")
-    first_bins(edges * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
-    if not 0 <= carriers.arc_octaves <= MOST_OCTAVES:
-        raise ValueError(f"arc_octaves must lie between 0 and {MOST_OCTAVES}, not {carriers.arc_octaves}")
+    find_first_bins(edges * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
+    if not 0 <= carriers.arc_octaves <= MAX_OCTAVES:
+        raise ValueError(f"arc_octaves must lie between 0 and {MAX_OCTAVES}, not {carriers.arc_octaves}")
     start = carriers.arc_start_per_m
-    if not (start >= LOWEST_PER_M and start * 2.0**carriers.arc_octaves <= HIGHEST_PER_M):
-        raise ValueError(f"arc carriers must lie between {LOWEST_PER_M:g} and {HIGHEST_PER_M:g} cycles per metre")
+    if not (start >= MIN_WAVENUMBER_PER_M and start * 2.0**carriers.arc_octaves <= MAX_WAVENUMBER_PER_M):
+        raise ValueError(
+            f"arc carriers must lie between {MIN_WAVENUMBER_PER_M:g} and {MAX_WAVENUMBER_PER_M:g} cycles per metre"
+        )
 
 
-def _ranges_record(ranges: Ranges) -> dict[str, Any]:
+def _serialise_ranges(ranges: TrainingRanges) -> dict[str, Any]:
     record: dict[str, Any] = {"speed_m_s": ranges.speed, "force_n": ranges.force}
     if ranges.hull is not None:
         record["hull_m_s_n"] = ranges.hull.tolist()
@@ -233,7 +235,7 @@ def _ranges_record(ranges: Ranges) -> dict[str, Any]:
     return record
 
 
-def _ranges(metadata: Mapping[str, str], tensors: Mapping[str, NDArray[np.float32]]) -> Ranges | None:
+def _parse_ranges(metadata: Mapping[str, str], tensors: Mapping[str, NDArray[np.float32]]) -> TrainingRanges | None:
     """What weights say of their training; keys that older files lack stay None. Raises KeyError, TypeError or
     ValueError."""
     if "ranges" not in metadata:
@@ -246,30 +248,34 @@ def _ranges(metadata: Mapping[str, str], tensors: Mapping[str, NDArray[np.float3
     probes = record.get("probes")
     if sectors is not None and (len(sectors) not in (0, SECTORS) or (sectors and not any(sectors))):
         raise ValueError(f"trained directions are not {SECTORS} sectors")
-    return Ranges(
-        _span(record["speed_m_s"]),
-        _span(record["force_n"]),
+    return TrainingRanges(
+        _parse_span(record["speed_m_s"]),
+        _parse_span(record["force_n"]),
         low,
         high,
-        hull=None if hull is None else _hull(hull),
+        hull=None if hull is None else _parse_hull(hull),
         sectors=None if sectors is None else tuple(bool(sector) for sector in sectors),
-        mechanics=None if mechanics is None else {name: _given(mechanics[name]) for name in MECHANICS_NAMES},
+        mechanics=None
+        if mechanics is None
+        else {name: _parse_property_range(mechanics[name]) for name in MECHANICS_NAMES},
         probes=None if probes is None else tuple(str(probe) for probe in probes),
     )
 
 
-def _hull(record: Any) -> NDArray[np.float64]:
+def _parse_hull(record: Any) -> NDArray[np.float64]:
     hull = np.asarray(record, dtype=np.float64)
     if hull.ndim != 2 or hull.shape[0] < 1 or hull.shape[1] != 2 or not (np.isfinite(hull) & (hull > 0.0)).all():
         raise ValueError("the region of speeds and forces is not a polygon of positive numbers")
     return hull
 
 
-def _given(record: Mapping[str, Any]) -> Given:
-    return Given(None if record["span"] is None else _span(record["span"], zero=True), bool(record["unknown"]))
+def _parse_property_range(record: Mapping[str, Any]) -> PropertyRange:
+    return PropertyRange(
+        None if record["span"] is None else _parse_span(record["span"], zero=True), bool(record["unknown"])
+    )
 
 
-def _span(record: Any, *, zero: bool = False) -> tuple[float, float]:
+def _parse_span(record: Any, *, zero: bool = False) -> tuple[float, float]:
     low, high = (float(value) for value in record)
     if not 0.0 <= low <= high < float("inf") or (low == 0.0 and not zero):
         raise ValueError(f"{low:g} to {high:g} is not a range")

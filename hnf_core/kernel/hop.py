@@ -12,36 +12,36 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cores import in_parts
-from .library import address, pointers, rows
+from ..cores import parallel_for
+from .library import get_address, get_row_layout, pack_pointers
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
-_COUNTS = ("hop", "reach", "levels", "time_first", "arc_first", "octaves", "bands", "piece_cells", "taps")
-_NUMBERS = ("rate", "highest", "band_end", "lowest", "turns")
-_ARRAYS = ("margin", "time_band", "time_bands", "cells_per_m", "half_band", "cubic")
-_MOST_LEVELS = 8
-_READING = 8
+_CARRIER_COUNTS = ("hop", "reach", "levels", "time_first", "arc_first", "octaves", "bands", "piece_cells", "taps")
+_CARRIER_NUMBERS = ("rate", "highest", "band_end", "lowest", "turns")
+_CARRIER_ARRAYS = ("margin", "time_band", "time_bands", "cells_per_m", "half_band", "cubic")
+_MAX_LEVELS = 8
+_READING_SIZE = 8
 """Numbers of an hnf_reading."""
-_FIRST_CELL, _LAST_CELL, _PIECE = 4, 5, 6
-HALF = 2
+_FIRST_CELL_COLUMN, _LAST_CELL_COLUMN, _ARC_HOP_COLUMN = 4, 5, 6
+MIN_HOPS_PER_THREAD = 2
 """Hops that are worth a thread of their own."""
-_FARTHEST_CELL = 2.0**52
-_ROOM = 16
+_MAX_CELL = 2.0**52
+_EXPECTED_READINGS_PER_HOP = 16
 """Readings of a hop that are expected: one for each octave where a hand does not jump."""
 
 
-class Piece(NamedTuple):
+class ArcHop(NamedTuple):
     """waves: (B, cells), contiguous. address: of its numbers, worked out once."""
 
     waves: NDArray[np.complex64]
     address: int
 
     @staticmethod
-    def of(waves: NDArray[np.complex64]) -> Piece:
-        return Piece(waves, address(waves, np.complex64))
+    def from_waves(waves: NDArray[np.complex64]) -> ArcHop:
+        return ArcHop(waves, get_address(waves, np.complex64))
 
 
 class TimeHop(NamedTuple):
@@ -52,25 +52,25 @@ class TimeHop(NamedTuple):
     addresses: bytes
 
     @staticmethod
-    def of(waves: tuple[Float32, ...]) -> TimeHop:
-        return TimeHop(waves, pointers([address(each, np.float32) for each in waves]))
+    def from_waves(waves: tuple[Float32, ...]) -> TimeHop:
+        return TimeHop(waves, pack_pointers([get_address(each, np.float32) for each in waves]))
 
 
-class _Struct(ctypes.Structure):
+class _CarrierStruct(ctypes.Structure):
     _fields_ = (
-        *((name, ctypes.c_int64) for name in _COUNTS),
-        *((name, ctypes.c_double) for name in _NUMBERS),
-        *((name, ctypes.c_void_p) for name in _ARRAYS),
+        *((name, ctypes.c_int64) for name in _CARRIER_COUNTS),
+        *((name, ctypes.c_double) for name in _CARRIER_NUMBERS),
+        *((name, ctypes.c_void_p) for name in _CARRIER_ARRAYS),
     )
 
 
-class _Knots(ctypes.Structure):
+class _KnotsStruct(ctypes.Structure):
     _fields_ = (
         ("at", ctypes.c_void_p), ("amplitude", ctypes.c_void_p), ("count", ctypes.c_int64), ("stride", ctypes.c_int64),
     )  # fmt: skip
 
 
-class HopTables:
+class CarrierTables:
     """What no stroke changes, as hnf_carriers in hnf_kernel.h; its arrays stay where they are.
 
     margin, time_band, time_bands: (levels,); cells_per_m: (octaves,); half_band: (2 taps,); cubic: (4, 4); scalars by
@@ -83,14 +83,14 @@ class HopTables:
     ) -> None:  # fmt: skip
         arrays = (margin, time_band, time_bands, cells_per_m, half_band, cubic)
         wanted: Sequence[Any] = (np.int64, np.int64, np.int64, np.float64, np.float32, np.float32)
-        self._kept = [np.ascontiguousarray(each, dtype=kind) for each, kind in zip(arrays, wanted, strict=True)]
+        self._arrays = [np.ascontiguousarray(each, dtype=kind) for each, kind in zip(arrays, wanted, strict=True)]
         self.levels, self.octaves, self.cells_per_m = len(margin), len(cells_per_m), cells_per_m.tolist()
         given = {"levels": self.levels, "octaves": self.octaves, "taps": len(half_band) // 2, **numbers}
         self.hop, self.reach = int(numbers["hop"]), int(numbers["reach"])
         self.bands, self.piece_cells = int(numbers["bands"]), int(numbers["piece_cells"])
         self.time_bands = time_bands.tolist()
-        self.kept = [(self.hop >> level) + 2 * int(each) for level, each in enumerate(margin)]
-        fits = 0 < self.levels <= _MOST_LEVELS and len(time_band) == len(time_bands) == self.levels
+        self.samples_per_level = [(self.hop >> level) + 2 * int(each) for level, each in enumerate(margin)]
+        fits = 0 < self.levels <= _MAX_LEVELS and len(time_band) == len(time_bands) == self.levels
         # The filter that doubles a rate looks this far beyond what the next one keeps; the hop halves evenly.
         fits &= self.hop % (1 << self.levels) == 0 and cubic.shape == (4, 4) and len(half_band) % 2 == 0
         fits &= all(
@@ -100,20 +100,20 @@ class HopTables:
         fits &= all(int(each) << level <= self.reach for level, each in enumerate(margin))
         if not fits:
             raise ValueError(f"a hop of {self.hop} samples at {self.levels} rates with margins {margin.tolist()}")
-        self.time_shapes = list(zip(self.time_bands, self.kept, strict=True))
+        self.time_shapes = list(zip(self.time_bands, self.samples_per_level, strict=True))
         self.columns = max(
             int(numbers["arc_first"]) + self.octaves * self.bands,
             int(numbers["time_first"]) + int((time_band + time_bands).max(initial=0)),
         )
-        self.struct = _Struct(
-            *(int(given[name]) for name in _COUNTS), *(given[name] for name in _NUMBERS),
-            *(each.__array_interface__["data"][0] for each in self._kept),
+        self.struct = _CarrierStruct(
+            *(int(given[name]) for name in _CARRIER_COUNTS), *(given[name] for name in _CARRIER_NUMBERS),
+            *(each.__array_interface__["data"][0] for each in self._arrays),
         )  # fmt: skip
 
 
-def hops(
-    kernel: ctypes.CDLL, tables: HopTables, at: Integers, amplitude: Float32, first: int, place: Float,
-    waves: Sequence[TimeHop | None], piece: Callable[[int, int], Piece],
+def render_hops(
+    kernel: ctypes.CDLL, tables: CarrierTables, at: Integers, amplitude: Float32, first: int, position: Float,
+    waves: Sequence[TimeHop | None], get_arc_hop: Callable[[int, int], ArcHop],
 ) -> Float:  # fmt: skip
     """(n · hop,) Σ_k A_k c_k from sample `first` on, in n hops, each as it is alone.
 
@@ -121,31 +121,31 @@ def hops(
     each hop; None where they are silent. piece: (octave, number) → its cells. Raises ValueError where these do not fit,
     or a place is not finite.
     """
-    _extent(tables, place)
+    _find_extent(tables, position)
     count = len(waves)
-    if len(place) != count * tables.hop + 2 * tables.reach or not 2 <= len(at) == len(amplitude):
-        raise ValueError(f"{len(place)} places, {len(at)} knots and {len(amplitude)} rows of amplitudes")
+    if len(position) != count * tables.hop + 2 * tables.reach or not 2 <= len(at) == len(amplitude):
+        raise ValueError(f"{len(position)} places, {len(at)} knots and {len(amplitude)} rows of amplitudes")
     if amplitude.shape[1] < tables.columns:
         raise ValueError(f"amplitudes of {amplitude.shape[1]} carriers, of which {tables.columns} are read")
-    knots = _Knots(address(at, np.int64), *_of_rows(amplitude))
+    knots = _KnotsStruct(get_address(at, np.int64), *_get_knot_layout(amplitude))
     shared = ctypes.byref(tables.struct), ctypes.byref(knots)
-    readings, counts = _planned(kernel, shared, first, count, place)
-    table = _gathered(tables, readings, piece)
-    in_time = b"".join(_waves(tables, each) for each in waves)
-    pieces = pointers([each.address for each in table])
-    cells = int((readings[:, _LAST_CELL] - readings[:, _FIRST_CELL]).max(initial=0)) + 1
+    readings, counts = _plan_readings(kernel, shared, first, count, position)
+    table = _collect_arc_hops(tables, readings, get_arc_hop)
+    in_time = b"".join(_pack_time_hop(tables, each) for each in waves)
+    pieces = pack_pointers([each.address for each in table])
+    cells = int((readings[:, _LAST_CELL_COLUMN] - readings[:, _FIRST_CELL_COLUMN]).max(initial=0)) + 1
     begun, out = np.concatenate([[0], np.cumsum(counts)]), np.empty((count, tables.hop))
     waves_each = len(in_time) // max(count, 1)
 
     def part(low: int, high: int) -> None:
-        scratch = np.empty(3 * sum(tables.kept) + 2 * cells)
+        scratch = np.empty(3 * sum(tables.samples_per_level) + 2 * cells)
         kernel.hnf_hops(
-            *shared, first + low * tables.hop, high - low, address(place[low * tables.hop :], np.float64),
-            in_time[low * waves_each :], pieces, address(readings[begun[low] :], np.int64),
-            address(counts[low:], np.int64), address(scratch, np.float64), address(out[low:], np.float64),
+            *shared, first + low * tables.hop, high - low, get_address(position[low * tables.hop :], np.float64),
+            in_time[low * waves_each :], pieces, get_address(readings[begun[low] :], np.int64),
+            get_address(counts[low:], np.int64), get_address(scratch, np.float64), get_address(out[low:], np.float64),
         )  # fmt: skip
 
-    in_parts(part, count, HALF)
+    parallel_for(part, count, MIN_HOPS_PER_THREAD)
     return out.reshape(-1)
 
 
@@ -154,25 +154,25 @@ class ArcReader:
     set up once. share: (count,) of the way from one knot to the other.
     """
 
-    def __init__(self, tables: HopTables, share: Float32) -> None:
+    def __init__(self, tables: CarrierTables, share: Float32) -> None:
         self._tables, self._count = tables, len(share)
         self.amplitude = np.zeros((2, tables.octaves * tables.bands), dtype=np.float32)
         self._out = np.empty(self._count, dtype=np.float32)
         row = np.zeros(self._count, dtype=np.int64)
-        self._before = ctypes.byref(tables.struct), *rows(self.amplitude)
-        self._between = address(row, np.int64), address(share, np.float32), self._count
-        self._scratch, self._kept = np.empty(0), (share, row)
+        self._before = ctypes.byref(tables.struct), *get_row_layout(self.amplitude)
+        self._between = get_address(row, np.int64), get_address(share, np.float32), self._count
+        self._scratch, self._buffers = np.empty(0), (share, row)
 
     def read(
-        self, kernel: ctypes.CDLL, octaves: Sequence[int], place: Float, piece: Callable[[int, int], Piece]
+        self, kernel: ctypes.CDLL, octaves: Sequence[int], position: Float, get_arc_hop: Callable[[int, int], ArcHop]
     ) -> Float32:
         """(count,) at place (count,) [m], of the amplitudes (2, octaves · bands) that were put into self.amplitude. The
         next call overwrites it. piece: as of hop(). Raises ValueError where these do not fit, or a place is not
         finite."""
         tables, cells = self._tables, self._tables.piece_cells
-        least, most = _extent(tables, place)
-        if len(place) != self._count or not all(0 <= octave < tables.octaves for octave in octaves):
-            raise ValueError(f"octaves {list(octaves)} at {len(place)} places")
+        least, most = _find_extent(tables, position)
+        if len(position) != self._count or not all(0 <= octave < tables.octaves for octave in octaves):
+            raise ValueError(f"octaves {list(octaves)} at {len(position)} places")
         readings, pieces, longest = list[int](), list[int](), 0
         for octave in octaves:
             per_m = tables.cells_per_m[octave]
@@ -180,37 +180,37 @@ class ArcReader:
             begin = first // cells
             readings += (octave, 0, 0, self._count, first, last, len(pieces), begin * cells)
             for number in range(begin, last // cells + 1):
-                pieces.append(_checked(tables, piece(octave, number)).address)
+                pieces.append(_check_arc_hop(tables, get_arc_hop(octave, number)).address)
             longest = max(longest, last - first + 1)
         if len(self._scratch) < 2 * longest:
             self._scratch = np.empty(2 * longest)
         kernel.hnf_read_arcs(
-            *self._before, pointers(pieces), struct.pack(f"{len(readings)}q", *readings), len(octaves),
-            address(place, np.float64), *self._between, address(self._scratch, np.float64),
-            address(self._out, np.float32),
+            *self._before, pack_pointers(pieces), struct.pack(f"{len(readings)}q", *readings), len(octaves),
+            get_address(position, np.float64), *self._between, get_address(self._scratch, np.float64),
+            get_address(self._out, np.float32),
         )  # fmt: skip
         return self._out
 
 
-def _extent(tables: HopTables, place: Float) -> tuple[float, float]:
+def _find_extent(tables: CarrierTables, position: Float) -> tuple[float, float]:
     """Raises ValueError where a place is not finite, or so far that cells there are no whole numbers."""
-    least, most = float(place.min()), float(place.max())
-    if not max(-least, most) * max(tables.cells_per_m, default=1.0) < _FARTHEST_CELL:
+    least, most = float(position.min()), float(position.max())
+    if not max(-least, most) * max(tables.cells_per_m, default=1.0) < _MAX_CELL:
         raise ValueError(f"places from {least} to {most} m")
     return least, most
 
 
-def _planned(
-    kernel: ctypes.CDLL, shared: tuple[Any, Any], first: int, count: int, place: Float
+def _plan_readings(
+    kernel: ctypes.CDLL, shared: tuple[Any, Any], first: int, count: int, position: Float
 ) -> tuple[Integers, Integers]:
     """Readings of all hops, and how many each has."""
-    room, counts = _ROOM * count, np.empty(count, dtype=np.int64)
+    room, counts = _EXPECTED_READINGS_PER_HOP * count, np.empty(count, dtype=np.int64)
     while True:
-        readings = np.empty((room, _READING), dtype=np.int64)
+        readings = np.empty((room, _READING_SIZE), dtype=np.int64)
         found = int(
             kernel.hnf_plan_hops(
-                *shared, first, count, address(place, np.float64), room, address(readings, np.int64),
-                address(counts, np.int64),
+                *shared, first, count, get_address(position, np.float64), room, get_address(readings, np.int64),
+                get_address(counts, np.int64),
             )
         )  # fmt: skip
         if found <= room:
@@ -218,31 +218,36 @@ def _planned(
         room = found
 
 
-def _gathered(tables: HopTables, readings: Integers, piece: Callable[[int, int], Piece]) -> list[Piece]:
+def _collect_arc_hops(
+    tables: CarrierTables, readings: Integers, get_arc_hop: Callable[[int, int], ArcHop]
+) -> list[ArcHop]:
     """The pieces of all readings, which are told where theirs begin."""
-    table: list[Piece] = []
+    table: list[ArcHop] = []
     begun: list[int] = []
-    met: dict[tuple[int, int], Piece] = {}
+    met: dict[tuple[int, int], ArcHop] = {}
     cells = tables.piece_cells
-    for octave, first, last in readings[:, [0, _FIRST_CELL, _LAST_CELL]].tolist():
+    for octave, first, last in readings[:, [0, _FIRST_CELL_COLUMN, _LAST_CELL_COLUMN]].tolist():
         begun.append(len(table))
         for number in range(first // cells, last // cells + 1):
             found = met.get((octave, number))
             if found is None:
-                found = met[octave, number] = _checked(tables, piece(octave, number))
+                found = met[octave, number] = _check_arc_hop(tables, get_arc_hop(octave, number))
             table.append(found)
-    readings[:, _PIECE], readings[:, _PIECE + 1] = begun, readings[:, _FIRST_CELL] // cells * cells
+    readings[:, _ARC_HOP_COLUMN], readings[:, _ARC_HOP_COLUMN + 1] = (
+        begun,
+        readings[:, _FIRST_CELL_COLUMN] // cells * cells,
+    )
     return table
 
 
-def _checked(tables: HopTables, piece: Piece) -> Piece:
-    if piece.waves.shape != (tables.bands, tables.piece_cells):
+def _check_arc_hop(tables: CarrierTables, arc_hop: ArcHop) -> ArcHop:
+    if arc_hop.waves.shape != (tables.bands, tables.piece_cells):
         wanted = f"{tables.bands} bands of {tables.piece_cells} cells"
-        raise ValueError(f"a piece of {piece.waves.shape} where {wanted} are read")
-    return piece
+        raise ValueError(f"a piece of {arc_hop.waves.shape} where {wanted} are read")
+    return arc_hop
 
 
-def _waves(tables: HopTables, waves: TimeHop | None) -> bytes:
+def _pack_time_hop(tables: CarrierTables, waves: TimeHop | None) -> bytes:
     if waves is None:
         return bytes(tables.levels * struct.calcsize("P"))
     shapes = [each.shape for each in waves.waves]
@@ -251,17 +256,17 @@ def _waves(tables: HopTables, waves: TimeHop | None) -> bytes:
     return waves.addresses
 
 
-def _of_rows(amplitude: Float32) -> tuple[int, int, int]:
-    begin, stride = rows(amplitude)
+def _get_knot_layout(amplitude: Float32) -> tuple[int, int, int]:
+    begin, stride = get_row_layout(amplitude)
     return begin, len(amplitude), stride
 
 
-def place(kernel: ctypes.CDLL, position: Float, samples_per_state: int, start: int, count: int) -> Float:
+def interpolate_position(kernel: ctypes.CDLL, position: Float, samples_per_state: int, start: int, count: int) -> Float:
     """s(t) [m] (count,) from sample start on, of position (n,) at states. Raises ValueError for fewer than two."""
     if len(position) < 2:
         raise ValueError(f"a path of {len(position)} states")
     out = np.empty(count)
     kernel.hnf_place(
-        address(position, np.float64), len(position), samples_per_state, start, count, address(out, np.float64)
+        get_address(position, np.float64), len(position), samples_per_state, start, count, get_address(out, np.float64)
     )
     return out

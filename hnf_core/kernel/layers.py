@@ -14,16 +14,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cores import in_parts
-from .library import address, pointers
+from ..cores import parallel_for
+from .library import get_address, pack_pointers
 
 Float32 = NDArray[np.float32]
 
-PANEL = 32
+PANEL_WIDTH = 32
 """Outputs whose weights lie side by side, as in layers.c."""
-AT_ONCE = 96
+STATES_PER_CALL = 96
 """States whose numbers on the way stay near the processor."""
-WORTH_A_CORE = 1 << 24
+MIN_MULTIPLICATIONS_PER_THREAD = 1 << 24
 """Multiplications: about a third of a millisecond."""
 
 
@@ -44,48 +44,48 @@ class Layers:
             raise TypeError("the kernel takes layers of float32")
         self.inputs, self.outputs, self.densities = shapes[0][1], shapes[-2][0], shapes[-1][0]
         self.widths = np.array([shapes[0][1], *(shape[0] for shape in shapes)], dtype=np.int64)
-        self.panels, self.biases = [_panels(each) for each in weights], [_filled(each) for each in biases]
-        self._room = 2 * int(self.widths[:-2].max())
-        self._least = max(WORTH_A_CORE // sum(each.size for each in self.panels), 1)
+        self.panels, self.biases = [_pack_panels(each) for each in weights], [_pad_rows(each) for each in biases]
+        self._scratch_size = 2 * int(self.widths[:-2].max())
+        self._min_states = max(MIN_MULTIPLICATIONS_PER_THREAD // sum(each.size for each in self.panels), 1)
 
-    def answers(self, kernel: ctypes.CDLL, x: Float32) -> tuple[Float32, Float32]:
+    def evaluate(self, kernel: ctypes.CDLL, x: Float32) -> tuple[Float32, Float32]:
         """What the α head and the σ head say of inputs x (n, D), (n, …) each. Raises ValueError for another D."""
         if x.ndim != 2 or x.shape[1] != self.inputs:
             raise ValueError(f"inputs of {x.shape} for layers that take {self.inputs}")
         head, sigma = (np.empty((len(x), count), dtype=np.float32) for count in (self.outputs, self.densities))
 
         def part(low: int, high: int) -> None:
-            room = self.room(min(high - low, AT_ONCE))
-            for at in range(low, high, AT_ONCE):
-                rows = slice(at, min(at + AT_ONCE, high))
-                kernel.hnf_layers(*self.call(x[rows], room, head[rows], sigma[rows]))
+            room = self.allocate_scratch(min(high - low, STATES_PER_CALL))
+            for at in range(low, high, STATES_PER_CALL):
+                rows = slice(at, min(at + STATES_PER_CALL, high))
+                kernel.hnf_layers(*self.make_arguments(x[rows], room, head[rows], sigma[rows]))
 
-        in_parts(part, len(x), self._least)
+        parallel_for(part, len(x), self._min_states)
         return head, sigma
 
-    def room(self, states: int) -> Float32:
+    def allocate_scratch(self, states: int) -> Float32:
         """What so many states at once are worked out in."""
-        return np.empty(states * self._room, dtype=np.float32)
+        return np.empty(states * self._scratch_size, dtype=np.float32)
 
-    def call(self, x: Float32, room: Float32, head: Float32, sigma: Float32) -> tuple[object, ...]:
+    def make_arguments(self, x: Float32, scratch: Float32, head: Float32, sigma: Float32) -> tuple[object, ...]:
         """What hnf_layers is called with; all of it is to be kept for as long as that."""
         addresses = (
-            pointers([each.__array_interface__["data"][0] for each in some]) for some in (self.panels, self.biases)
+            pack_pointers([each.__array_interface__["data"][0] for each in some]) for some in (self.panels, self.biases)
         )
         return (
-            *addresses, address(self.widths, np.int64), len(self.panels) - 2, address(x, np.float32), len(x),
-            address(room, np.float32), address(head, np.float32), address(sigma, np.float32),
+            *addresses, get_address(self.widths, np.int64), len(self.panels) - 2, get_address(x, np.float32), len(x),
+            get_address(scratch, np.float32), get_address(head, np.float32), get_address(sigma, np.float32),
         )  # fmt: skip
 
 
-def _panels(weight: Float32) -> Float32:
+def _pack_panels(weight: Float32) -> Float32:
     """Weights (outputs, inputs) as (panels, inputs, PANEL)."""
     inputs = weight.shape[1]
-    return np.ascontiguousarray(_filled(weight).reshape(-1, PANEL, inputs).transpose(0, 2, 1))
+    return np.ascontiguousarray(_pad_rows(weight).reshape(-1, PANEL_WIDTH, inputs).transpose(0, 2, 1))
 
 
-def _filled(values: Float32) -> Float32:
+def _pad_rows(values: Float32) -> Float32:
     """Rows of 0 after the last, to a whole number of panels."""
-    filled = np.zeros((-(-len(values) // PANEL) * PANEL, *values.shape[1:]), dtype=np.float32)
+    filled = np.zeros((-(-len(values) // PANEL_WIDTH) * PANEL_WIDTH, *values.shape[1:]), dtype=np.float32)
     filled[: len(values)] = values
     return filled

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blas import one_blas_thread
+from ..blas import single_blas_thread
 
 ABI = 7
 """hnf_kernel.h's HNF_ABI: another one has other functions."""
-SWITCH = "HNF_KERNEL"
-SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+SWITCH_VARIABLE = "HNF_KERNEL"
+LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 _Integer, _Word, _Number, _Pointer = ctypes.c_int64, ctypes.c_uint64, ctypes.c_double, ctypes.c_void_p
 _SIGNATURES = {
@@ -59,25 +59,25 @@ _SIGNATURES = {
         _Pointer, _Pointer, _Integer, _Integer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Pointer,
     ),
 }  # fmt: skip
-_plain = threading.local()
+_thread_override = threading.local()
 
 
-def kernel() -> ctypes.CDLL | None:
+def load_kernel() -> ctypes.CDLL | None:
     """The compiled functions, or None where numpy does their work."""
-    return None if getattr(_plain, "asked", False) else _found()[0]
+    return None if getattr(_thread_override, "asked", False) else _find_library()[0]
 
 
-def why_not() -> str:
+def why_unavailable() -> str:
     """Why there is no kernel; empty where there is one."""
-    return _found()[1]
+    return _find_library()[1]
 
 
-def build_id() -> str:
+def get_build_id() -> str:
     """Which build of it is at work: its version, which holds the hash of the sources it was made from, whatever machine
     it was made for; "" where numpy does its work."""
     from importlib.metadata import PackageNotFoundError, version  # 20 ms that no synthesis needs
 
-    if why_not():
+    if why_unavailable():
         return ""
     try:
         return version("hnf-kernel")
@@ -86,37 +86,37 @@ def build_id() -> str:
 
 
 @contextmanager
-def plainly() -> Iterator[None]:
+def without_kernel() -> Iterator[None]:
     """Numpy alone, in this thread: what the kernel is measured and tested against."""
-    before, _plain.asked = getattr(_plain, "asked", False), True
+    before, _thread_override.asked = getattr(_thread_override, "asked", False), True
     try:
         yield
     finally:
-        _plain.asked = before
+        _thread_override.asked = before
 
 
-def one_blas_thread_in_numpy() -> AbstractContextManager[None]:
+def single_blas_thread_without_kernel() -> AbstractContextManager[None]:
     """one_blas_thread() where numpy does the kernel's work; the kernel asks no BLAS."""
-    return one_blas_thread() if kernel() is None else nullcontext()
+    return single_blas_thread() if load_kernel() is None else nullcontext()
 
 
-def address(array: NDArray[Any], dtype: Any, *, written: bool = False) -> int:
+def get_address(array: NDArray[Any], dtype: Any, *, writable: bool = False) -> int:
     """Where an array's numbers begin. Raises TypeError where they are of another type or not one piece of memory: C
     would read something else; and where C is to write and nobody may."""
-    if written and not array.flags.writeable:
+    if writable and not array.flags.writeable:
         raise TypeError("the kernel would write into an array that is read-only")
     if array.dtype != dtype or not array.flags.c_contiguous:
         raise TypeError(f"the kernel takes contiguous {np.dtype(dtype)}, not {array.dtype} of strides {array.strides}")
     return int(array.__array_interface__["data"][0])
 
 
-def pointers(addresses: Sequence[int]) -> bytes:
+def pack_pointers(addresses: Sequence[int]) -> bytes:
     """A table of them, for as long as the call that it is given to takes. (A ctypes array has a class of its own for
     every length, which waits for the garbage collector.)"""
     return struct.pack(f"{len(addresses)}P", *addresses)
 
 
-def rows(array: NDArray[np.float32]) -> tuple[int, int]:
+def get_row_layout(array: NDArray[np.float32]) -> tuple[int, int]:
     """Where a table (m, K) of float32 begins, and the numbers between its rows; each row is one piece."""
     if array.dtype != np.float32 or array.strides[1] != array.itemsize:
         raise TypeError(f"the kernel takes rows of float32, not {array.dtype} of strides {array.strides}")
@@ -124,25 +124,25 @@ def rows(array: NDArray[np.float32]) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=1)
-def _found() -> tuple[ctypes.CDLL | None, str]:
-    if os.environ.get(SWITCH, "").lower() in ("off", "0"):
-        return None, f"switched off by {SWITCH}"
+def _find_library() -> tuple[ctypes.CDLL | None, str]:
+    if os.environ.get(SWITCH_VARIABLE, "").lower() in ("off", "0"):
+        return None, f"switched off by {SWITCH_VARIABLE}"
     try:
         import hnf_kernel
     except ImportError:
         return None, "not installed"
     folder = Path(hnf_kernel.__file__).parent
     try:
-        library = _load(folder / f"hnf_kernel{SUFFIX}")
-        wide = folder / f"hnf_kernel_wide{SUFFIX}"
+        library = _load_library(folder / f"hnf_kernel{LIBRARY_SUFFIX}")
+        wide = folder / f"hnf_kernel_wide{LIBRARY_SUFFIX}"
         if library.hnf_has_wide_vectors() and wide.is_file():
-            library = _load(wide)
+            library = _load_library(wide)
     except (OSError, AttributeError) as error:  # not a library, or one without our functions
         return None, str(error)
     return library, ""
 
 
-def _load(path: Path) -> ctypes.CDLL:
+def _load_library(path: Path) -> ctypes.CDLL:
     """Raises OSError where it cannot be loaded or is another version."""
     library = ctypes.CDLL(str(path))
     for name in ("hnf_abi", "hnf_has_wide_vectors"):

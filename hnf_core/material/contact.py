@@ -103,9 +103,9 @@ def height_response(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe,
     below the resonance the probe follows the profile (−ω²); without contact (F = 0) nothing comes through. The height
     is what tip_response leaves of it; loss of contact is not in a linear model.
     """
-    omega, stiffness, damper, denominator = _oscillator(frequency_hz, mechanics, probe, force_n)
+    omega, stiffness, damper, denominator = _oscillator_terms(frequency_hz, mechanics, probe, force_n)
     spring_and_damper: Complex = np.asarray(stiffness + 1j * omega * damper, dtype=np.complex128)
-    return _ratio(-np.square(omega) * spring_and_damper, denominator)
+    return _divide_or_zero(-np.square(omega) * spring_and_damper, denominator)
 
 
 def height_power(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Float:
@@ -116,11 +116,11 @@ def height_power(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, fo
     return power_gain(square, stiffness, damping, np.asarray(probe.mass_kg))
 
 
-def power_gain(square: Float, stiffness: ArrayLike, damping: ArrayLike, mass_kg: ArrayLike) -> Float:
+def power_gain(omega_squared: Float, stiffness: ArrayLike, damping: ArrayLike, mass_kg: ArrayLike) -> Float:
     """height_power() at ω² of a contact of stiffness k and damping c² = 4 ζ² k m; arguments broadcast."""
-    spring, damped = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64) * square
-    above = np.square(square) * (np.square(spring) + damped)
-    below = np.square(spring - np.asarray(mass_kg, dtype=np.float64) * square) + damped
+    spring, damped = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64) * omega_squared
+    above = np.square(omega_squared) * (np.square(spring) + damped)
+    below = np.square(spring - np.asarray(mass_kg, dtype=np.float64) * omega_squared) + damped
     return np.divide(above, below, out=np.zeros(np.broadcast_shapes(above.shape, below.shape)), where=below != 0.0)
 
 
@@ -130,8 +130,8 @@ def force_response(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, 
     m ẍ + c ẋ + k x = −F, so H = ω² / (k − mω² + iωc): 0 for slow pressing, −1/m for a blow. force_n is the load at
     which the contact is linearised (for an onset: the load that is reached).
     """
-    omega, _, _, denominator = _oscillator(frequency_hz, mechanics, probe, force_n)
-    return _ratio(np.asarray(np.square(omega), dtype=np.complex128), denominator)
+    omega, _, _, denominator = _oscillator_terms(frequency_hz, mechanics, probe, force_n)
+    return _divide_or_zero(np.asarray(np.square(omega), dtype=np.complex128), denominator)
 
 
 def resonance_hz(mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Float:
@@ -139,7 +139,7 @@ def resonance_hz(mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Floa
     return np.asarray(np.sqrt(contact_stiffness(mechanics, probe, force_n) / probe.mass_kg) / (2.0 * np.pi))
 
 
-def _oscillator(
+def _oscillator_terms(
     frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, force_n: ArrayLike
 ) -> tuple[Float, Float, Float, Complex]:
     omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
@@ -149,7 +149,7 @@ def _oscillator(
     return omega, stiffness, damper, np.asarray(denominator)
 
 
-def _ratio(numerator: Complex, denominator: Complex) -> Complex:
+def _divide_or_zero(numerator: Complex, denominator: Complex) -> Complex:
     """numerator / denominator, and 0 where both vanish (no contact at zero frequency)."""
     numerator, denominator = np.broadcast_arrays(numerator, denominator)
     out = np.zeros(numerator.shape, dtype=np.complex128)

@@ -11,13 +11,13 @@ import numpy as np
 from ..errors import UsageError
 from ..files import content_hash
 from ..tactile.tactile_map import Route, TactileMap
-from .alexnet.reading import describe_by_alexnet
+from .alexnet.reading import describe_with_alexnet
 from .alexnet.weights import load_encoder
 from .encoder import describe
-from .merge import merge
+from .merge import merge_tokens
 from .token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, Token
 
-PREFERRED = {Route.MEASURED: (ENCODER_ID,), Route.PREDICTED: (ALEXNET_ID, ENCODER_ID)}
+PREFERRED_ENCODERS = {Route.MEASURED: (ENCODER_ID,), Route.PREDICTED: (ALEXNET_ID, ENCODER_ID)}
 """Which makes describe maps of which route, best first: the descriptor is exact on a whole map that has no noise; of a
 few views it takes chance for peaks, which the network does not (docs/encoder.md has the figures)."""
 
@@ -32,7 +32,7 @@ class Encoder:
     describe: Callable[[TactileMap], Token]
 
 
-def encoder_by_name(name: str) -> Encoder:
+def get_encoder(name: str) -> Encoder:
     """The encoder of that name, or the one in the file of that name (.safetensors, see `hnf train encoder`).
 
     Raises UsageError for an unknown name, FileError and WeightsError where a file cannot be used, MaterialError where
@@ -49,30 +49,30 @@ def encoder_by_name(name: str) -> Encoder:
     return Encoder(
         ALEXNET_ID,
         content_hash(ALEXNET_ID, network.content_id),
-        lambda tactile_map: describe_by_alexnet(network, tactile_map),
+        lambda tactile_map: describe_with_alexnet(network, tactile_map),
     )
 
 
-def default_encoder(route: Route, known: Sequence[str] = (ENCODER_ID,)) -> Encoder:
+def get_default_encoder(route: Route, known: Sequence[str] = (ENCODER_ID,)) -> Encoder:
     """The make that describes maps of a route where nobody chose one: the best of those that the field knows.
 
     known: field.weights.encoders_of the field in use. Raises UsageError for the prior route, and where the field knows
     none of the route's makes; MaterialError where the Blender extension leaves out the one that it knows best.
     """
-    found = next((name for name in PREFERRED.get(route, ()) if name in known), None)
+    found = next((name for name in PREFERRED_ENCODERS.get(route, ()) if name in known), None)
     if found is None:
         raise UsageError(
             f"there is no make of E for {route.value} maps among {', '.join(known)}.",
             remedy=f"Use a field that was trained on tokens of {ENCODER_ID}.",
         )
-    return encoder_by_name(found)
+    return get_encoder(found)
 
 
-def describe_with(encoder: Encoder, maps: Sequence[TactileMap]) -> Token:
+def describe_views(encoder: Encoder, maps: Sequence[TactileMap]) -> Token:
     """One token of a patch from its tactile map, or from several views of it (merged band by band, by the area that
     each shows).
 
     Raises MaterialError where there is no map.
     """
     sizes = [max(np.count_nonzero(each.mask), 1) * each.metres_per_pixel**2 for each in maps]
-    return merge([encoder.describe(each) for each in maps], sizes)
+    return merge_tokens([encoder.describe(each) for each in maps], sizes)

@@ -16,7 +16,7 @@ Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Estimate:
+class PropertyEstimate:
     """value: geometric mean, so that a stiffness of 10³ and one of 10⁵ N/m meet at 10⁴. factor: one standard deviation,
     as a factor ≥ 1 to either side: how far the likely materials, and pieces of each, lie apart."""
 
@@ -24,7 +24,7 @@ class Estimate:
     factor: float
 
 
-def weights_of(library: Sequence[LibraryMaterial], ranked: Sequence[Suggestion]) -> dict[str, float]:
+def get_probabilities(library: Sequence[LibraryMaterial], ranked: Sequence[Suggestion]) -> dict[str, float]:
     """Name → probability of every material that is ranked. Raises MaterialError where the library lacks one."""
     known = {material.name for material in library}
     missing = [each.name for each in ranked if each.name not in known]
@@ -33,7 +33,9 @@ def weights_of(library: Sequence[LibraryMaterial], ranked: Sequence[Suggestion])
     return {each.name: each.probability for each in ranked}
 
 
-def estimate(library: Sequence[LibraryMaterial], weights: Mapping[str, float], field: str, within: float) -> Estimate:
+def estimate_property(
+    library: Sequence[LibraryMaterial], weights: Mapping[str, float], field: str, spread_within: float
+) -> PropertyEstimate:
     """A mechanical property (a field of Mechanics) over the likely materials.
 
     weights: name → probability; need not sum to 1. within: standard deviation of the natural logarithm between pieces
@@ -51,4 +53,4 @@ def estimate(library: Sequence[LibraryMaterial], weights: Mapping[str, float], f
     logs, share = np.array(values), np.array(shares) / np.sum(shares)
     mean = float(share @ logs)
     between = float(share @ (logs - mean) ** 2)
-    return Estimate(float(np.exp(mean)), float(np.exp(np.sqrt(between + within**2))))
+    return PropertyEstimate(float(np.exp(mean)), float(np.exp(np.sqrt(between + spread_within**2))))

@@ -13,12 +13,12 @@ from ..errors import MaterialError
 from ..tactile.tactile_map import Route
 from .token import BAND_WAVELENGTHS_M, SHAPE_FEATURES, SMOOTH_LEVEL, TOKEN_DIM, Token, band_slice
 
-BANDS = len(BAND_WAVELENGTHS_M)
-DRAWN_DECADES = 2.5
+BAND_COUNT = len(BAND_WAVELENGTHS_M)
+SIGNIFICANT_DECADES = 2.5
 """A band 50 dB below the strongest holds what filters and windows leak, nothing that anyone drew."""
-NOTHING_LEVEL = SMOOTH_LEVEL + 0.3
+EMPTY_LEVEL = SMOOTH_LEVEL + 0.3
 """2 nm RMS: the floor of the descriptor."""
-CERTAINTY = {Route.MEASURED: 1.0, Route.PREDICTED: 0.5}
+ROUTE_CONFIDENCE = {Route.MEASURED: 1.0, Route.PREDICTED: 0.5}
 """What a band that a map told is worth. What was estimated from a picture is never worth what was read off a relief,
 and one picture fits many reliefs; docs/tactile-maps-evaluation.md has the errors."""
 
@@ -35,7 +35,9 @@ class FusedToken:
     confidence: float
 
 
-def fuse(told: Token | None, prior: ArrayLike, prior_confidence: float, route: Route = Route.MEASURED) -> FusedToken:
+def fuse(
+    measured: Token | None, prior: ArrayLike, prior_confidence: float, route: Route = Route.MEASURED
+) -> FusedToken:
     """Bands that a measured map tells stay as they are, those of a predicted one meet the prior (see weight_of), the
     others come from the prior (TOKEN_DIM,), a library token.
 
@@ -47,36 +49,36 @@ def fuse(told: Token | None, prior: ArrayLike, prior_confidence: float, route: R
     library = np.asarray(prior, dtype=np.float32)
     if library.shape != (TOKEN_DIM,) or not np.isfinite(library).all():
         raise MaterialError(f"a library token must hold {TOKEN_DIM} finite values, not {library.shape}.")
-    bands = [False] * BANDS
-    if told is not None:
-        bands = drawn_bands(told) if route is Route.MEASURED else known_bands_of(told)
-    shape_told = told is not None and bool(told.known[-len(SHAPE_FEATURES) :].all()) and any(bands)
+    bands = [False] * BAND_COUNT
+    if measured is not None:
+        bands = find_significant_bands(measured) if route is Route.MEASURED else find_known_bands(measured)
+    shape_told = measured is not None and bool(measured.known[-len(SHAPE_FEATURES) :].all()) and any(bands)
     guess = float(np.clip(prior_confidence, 0.0, 1.0))
     values = library.copy()
-    if told is not None:
-        weight = weight_of(route, guess)
-        for band in range(BANDS):
+    if measured is not None:
+        weight = get_map_weight(route, guess)
+        for band in range(BAND_COUNT):
             if bands[band]:
                 at = band_slice(band)
                 # The floor stands for "nothing"; halfway between something and nothing, in decades, is no estimate.
-                nothing = told.values[at.start] <= NOTHING_LEVEL
-                values[at] = _met(told.values[at], values[at], 1.0 if nothing else weight)
+                nothing = measured.values[at.start] <= EMPTY_LEVEL
+                values[at] = _blend(measured.values[at], values[at], 1.0 if nothing else weight)
         if shape_told:
             at = slice(-len(SHAPE_FEATURES), None)
-            values[at] = _met(told.values[at], values[at], weight)
+            values[at] = _blend(measured.values[at], values[at], weight)
     return FusedToken(
         values=values,
         routes=tuple(route if is_told else Route.PRIOR for is_told in bands),
         shape_route=route if shape_told else Route.PRIOR,
-        confidence=(sum(bands) * CERTAINTY.get(route, guess) + (BANDS - sum(bands)) * guess) / BANDS,
+        confidence=(sum(bands) * ROUTE_CONFIDENCE.get(route, guess) + (BAND_COUNT - sum(bands)) * guess) / BAND_COUNT,
     )
 
 
-def _met(told: NDArray[np.float32], prior: NDArray[np.float32], weight: float) -> NDArray[np.float32]:
-    return np.asarray(told * np.float32(weight) + prior * np.float32(1.0 - weight))
+def _blend(measured: NDArray[np.float32], prior: NDArray[np.float32], weight: float) -> NDArray[np.float32]:
+    return np.asarray(measured * np.float32(weight) + prior * np.float32(1.0 - weight))
 
 
-def weight_of(route: Route, prior_confidence: float) -> float:
+def get_map_weight(route: Route, prior_confidence: float) -> float:
     """How much of a band is what the map told, 0–1; the rest is the prior.
 
     A relief that was read counts alone. A picture and a prior err independently of each other, and each speaks as loud
@@ -85,34 +87,34 @@ def weight_of(route: Route, prior_confidence: float) -> float:
     """
     if route is not Route.PREDICTED:
         return 1.0
-    return CERTAINTY[route] / (CERTAINTY[route] + prior_confidence)
+    return ROUTE_CONFIDENCE[route] / (ROUTE_CONFIDENCE[route] + prior_confidence)
 
 
-def known_bands_of(token: Token) -> list[bool]:
+def find_known_bands(token: Token) -> list[bool]:
     """Which bands a token knows altogether."""
-    return [bool(token.known[band_slice(band)].all()) for band in range(BANDS)]
+    return [bool(token.known[band_slice(band)].all()) for band in range(BAND_COUNT)]
 
 
-def drawn_bands(measured: Token) -> list[bool]:
+def find_significant_bands(measured: Token) -> list[bool]:
     """Which bands an artist's map really says something about: known, and not next to nothing beside its strongest.
 
     A sine bump has one band and leaves the others empty, but no surface is smooth to the nanometre below its ridges:
     a drawn relief stands on the material's own roughness. Natural roughness falls by some 5 dB an octave, 35 dB over
     all bands, and is kept whole.
     """
-    levels = np.array([measured.values[band_slice(band).start] for band in range(BANDS)], dtype=np.float64)
-    known = np.array(known_bands_of(measured))
+    levels = np.array([measured.values[band_slice(band).start] for band in range(BAND_COUNT)], dtype=np.float64)
+    known = np.array(find_known_bands(measured))
     if not known.any():
-        return [False] * BANDS
-    least = max(float(levels[known].max()) - DRAWN_DECADES, NOTHING_LEVEL)
+        return [False] * BAND_COUNT
+    least = max(float(levels[known].max()) - SIGNIFICANT_DECADES, EMPTY_LEVEL)
     return [bool(each) for each in known & (levels > least)]
 
 
-def routes_in_words(routes: Sequence[Route]) -> str:
+def format_routes(routes: Sequence[Route]) -> str:
     """For a person: "8–2 mm measured, 1–0.125 mm prior"."""
     names = [f"{wavelength * 1e3:g}" for wavelength in BAND_WAVELENGTHS_M]
     parts = []
-    for route, group in groupby(range(BANDS), key=lambda band: routes[band]):
+    for route, group in groupby(range(BAND_COUNT), key=lambda band: routes[band]):
         bands = list(group)
         span = names[bands[0]] if len(bands) == 1 else f"{names[bands[0]]}–{names[bands[-1]]}"
         parts.append(f"{span} mm {route.value}")

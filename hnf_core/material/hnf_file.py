@@ -17,21 +17,21 @@ import numpy as np
 
 from ..errors import FileError, MaterialError
 from ..files import write_bytes
-from ..tensor_file import framed, unframed
+from ..tensor_file import pack_header, split_header
 from .fuse import fuse
 from .library import load_library
 from .material import Appearance, LibraryMaterial
-from .mechanics import UNKNOWN, Mechanics, beyond_limits
+from .mechanics import UNKNOWN_MECHANICS, Mechanics, describe_limit_violation
 from .prior import rank
 from .token import ENCODER_ID, ENCODER_NAMES, LARGEST_VALUE, TOKEN_DIM, Token
 
-SUFFIX = ".hnf"
-FORMAT = "hnf-material-1"
-LARGEST = 1 << 24
+HNF_SUFFIX = ".hnf"
+HNF_FORMAT = "hnf-material-1"
+MAX_FILE_BYTES = 1 << 24
 """Bytes of a whole file, and more than any header needs: a file that claims more is not a material."""
-LONGEST_NAME = 63
+MAX_NAME_BYTES = 63
 """Bytes of a name that Blender keeps whole."""
-UNSEEN = Appearance()
+UNKNOWN_APPEARANCE = Appearance()
 _TENSORS = {"token": ("F32", 4), "known": ("BOOL", 1)}
 _FIELD = "field"
 _REMEDY = "Get the file again, or write it with: hnf materials --export NAME --out FILE.hnf"
@@ -51,17 +51,17 @@ class MaterialFile:
 
     name: str
     token: Token
-    mechanics: Mechanics = UNKNOWN
+    mechanics: Mechanics = UNKNOWN_MECHANICS
     category: str = ""
     words: tuple[str, ...] = ()
-    appearance: Appearance = UNSEEN
+    appearance: Appearance = UNKNOWN_APPEARANCE
     licence: str = ""
     encoder: str = ENCODER_ID
     field: bytes = b""
 
     def __post_init__(self) -> None:
-        if not self.name.strip() or not self.name.isprintable() or len(self.name.encode()) > LONGEST_NAME:
-            raise MaterialError(f"a material's name must be one line of at most {LONGEST_NAME} bytes.")
+        if not self.name.strip() or not self.name.isprintable() or len(self.name.encode()) > MAX_NAME_BYTES:
+            raise MaterialError(f"a material's name must be one line of at most {MAX_NAME_BYTES} bytes.")
         values, known = self.token.values, self.token.known
         if values.shape != (TOKEN_DIM,) or known.shape != (TOKEN_DIM,):
             raise MaterialError(f"a token has {TOKEN_DIM} values and flags, not {values.shape} and {known.shape}.")
@@ -69,7 +69,7 @@ class MaterialFile:
             raise MaterialError(
                 f"a token's values must be finite float32, none beyond ±{LARGEST_VALUE:g}, its flags true or false."
             )
-        problem = beyond_limits(self.mechanics)
+        problem = describe_limit_violation(self.mechanics)
         if problem:
             raise MaterialError(problem)
         for name, value in asdict(self.appearance).items():
@@ -77,9 +77,9 @@ class MaterialFile:
                 if not 0.0 <= channel <= 1.0:
                     raise MaterialError(f"{name} must lie between 0 and 1, not {channel:g}.")
         size = len(self._header()) + TOKEN_DIM * sum(width for _, width in _TENSORS.values()) + len(self.field)
-        if size > LARGEST:
+        if size > MAX_FILE_BYTES:
             raise MaterialError(
-                f"its file would be of {size} bytes, and {LARGEST} ({LARGEST >> 20} MiB) are the most.",
+                f"its file would be of {size} bytes, and {MAX_FILE_BYTES} ({MAX_FILE_BYTES >> 20} MiB) are the most.",
                 remedy="Train its field with fewer units (hidden), or shorten its words.",
             )
 
@@ -96,7 +96,7 @@ class MaterialFile:
 
     def _header(self) -> bytes:
         metadata = {
-            "format": FORMAT,
+            "format": HNF_FORMAT,
             "encoder": self.encoder,
             "name": self.name,
             "category": self.category,
@@ -115,7 +115,7 @@ class MaterialFile:
             header[_FIELD] = {
                 "dtype": "U8", "shape": [len(self.field)], "data_offsets": [start, start + len(self.field)]
             }  # fmt: skip
-        return framed(header)
+        return pack_header(header)
 
     def complete(self, prior: LibraryMaterial) -> LibraryMaterial:
         """This material with nothing left open: what its token does not know comes from prior, and so does each
@@ -127,7 +127,7 @@ class MaterialFile:
         return LibraryMaterial(self.name, self.category, self.words, self.appearance, mechanics, token)
 
 
-def completed(material: MaterialFile) -> LibraryMaterial:
+def with_library_defaults(material: MaterialFile) -> LibraryMaterial:
     """material with nothing left open; what it does not know comes from the library material that is most apt by its
     name, category, words and looks."""
     library = load_library()
@@ -153,7 +153,7 @@ def read_hnf(path: Path) -> MaterialFile:
     """Read a `.hnf` file. Raises FileError where it is missing or damaged (see parse_hnf)."""
     try:
         with path.open("rb") as stream:
-            data = stream.read(LARGEST + 1)
+            data = stream.read(MAX_FILE_BYTES + 1)
     except OSError as error:
         raise FileError(
             f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the file's path."
@@ -169,8 +169,8 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
     """
     try:
         metadata, arrays = _unpack(data)
-        if metadata.get("format") != FORMAT:
-            raise ValueError(f"its format is {metadata.get('format', 'not given')!r}, not {FORMAT!r}")
+        if metadata.get("format") != HNF_FORMAT:
+            raise ValueError(f"its format is {metadata.get('format', 'not given')!r}, not {HNF_FORMAT!r}")
         encoder = str(metadata.get("encoder", ""))
         if not all(name in ENCODER_NAMES for name in encoder.split("+")):
             raise FileError(
@@ -181,11 +181,11 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
             )
         return MaterialFile(
             name=metadata["name"],
-            token=Token(np.frombuffer(arrays["token"], "<f4").astype(np.float32), _flags(arrays["known"])),
-            mechanics=Mechanics(**_numbers(dict(json.loads(metadata["mechanics"])), Mechanics)),
+            token=Token(np.frombuffer(arrays["token"], "<f4").astype(np.float32), _parse_flags(arrays["known"])),
+            mechanics=Mechanics(**_parse_numbers(dict(json.loads(metadata["mechanics"])), Mechanics)),
             category=metadata.get("category", ""),
-            words=_words(metadata.get("words", "[]")),
-            appearance=_appearance(dict(json.loads(metadata["appearance"]))),
+            words=_parse_words(metadata.get("words", "[]")),
+            appearance=_parse_appearance(dict(json.loads(metadata["appearance"]))),
             licence=metadata.get("licence", ""),
             encoder=encoder,
             field=arrays.get(_FIELD, b""),
@@ -197,9 +197,9 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
 
 def _unpack(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
     """Metadata and the raw bytes of the two arrays. Raises ValueError, KeyError or TypeError on damage."""
-    if len(data) >= 8 and max(len(data), int.from_bytes(data[:8], "little")) > LARGEST:
+    if len(data) >= 8 and max(len(data), int.from_bytes(data[:8], "little")) > MAX_FILE_BYTES:
         raise ValueError("it is larger than any material, or something else")
-    header, body = unframed(data)
+    header, body = split_header(data)
     metadata = {str(key): str(value) for key, value in dict(header["__metadata__"]).items()}
     arrays = {}
     for name, (dtype, width) in _TENSORS.items():
@@ -218,21 +218,21 @@ def _unpack(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
     return metadata, arrays
 
 
-def _flags(data: bytes) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _parse_flags(data: bytes) -> np.ndarray[Any, np.dtype[np.bool_]]:
     flags = np.frombuffer(data, np.uint8)
     if (flags > 1).any():
         raise ValueError("known holds something else than true and false")
     return flags.astype(np.bool_)
 
 
-def _words(text: str) -> tuple[str, ...]:
+def _parse_words(text: str) -> tuple[str, ...]:
     words = json.loads(text)
     if not isinstance(words, list):
         raise ValueError("its words are no list")
     return tuple(str(word) for word in words)
 
 
-def _numbers(record: Mapping[str, Any], kind: type) -> dict[str, float | None]:
+def _parse_numbers(record: Mapping[str, Any], kind: type) -> dict[str, float | None]:
     """The fields of a dataclass of numbers; what is not there is unknown, what is too much is refused."""
     unknown = set(record) - {field.name for field in fields(kind)}
     if unknown:
@@ -240,9 +240,9 @@ def _numbers(record: Mapping[str, Any], kind: type) -> dict[str, float | None]:
     return {name: None if value is None else float(value) for name, value in record.items()}
 
 
-def _appearance(record: dict[str, Any]) -> Appearance:
+def _parse_appearance(record: dict[str, Any]) -> Appearance:
     colour = record.pop("base_color", None)
     if colour is not None:
         red, green, blue = (float(channel) for channel in colour)
         colour = (red, green, blue)
-    return Appearance(colour, **_numbers(record, Appearance))
+    return Appearance(colour, **_parse_numbers(record, Appearance))

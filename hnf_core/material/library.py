@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from ..closest import closest
+from ..closest import close_matches
 from ..errors import MaterialError
 from .material import Appearance, LibraryMaterial
 from .mechanics import Mechanics
 from .token import ENCODER_ID, TOKEN_DIM
 
 LIBRARY_PATH = Path(__file__).resolve().parents[1] / "data" / "library.json"
-SCHEMA = 1
-_REBUILD = "Reinstall the package, or run tools/build_library.py."
+LIBRARY_SCHEMA = 1
+_REBUILD_REMEDY = "Reinstall the package, or run tools/build_library.py."
 
 
 @lru_cache(maxsize=1)
@@ -35,43 +35,45 @@ def read_library(path: Path) -> tuple[LibraryMaterial, ...]:
     """A library file; see load_library. Raises MaterialError: missing, damaged, or tokens of another encoder."""
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-        if record["schema"] != SCHEMA or record["encoder"] != ENCODER_ID:
+        if record["schema"] != LIBRARY_SCHEMA or record["encoder"] != ENCODER_ID:
             raise MaterialError(
                 f"was built for schema {record['schema']} and encoder {record['encoder']}, "
-                f"not for {SCHEMA} and {ENCODER_ID}.",
+                f"not for {LIBRARY_SCHEMA} and {ENCODER_ID}.",
                 where=str(path),
-                remedy=_REBUILD,
+                remedy=_REBUILD_REMEDY,
             )
-        return tuple(_material(entry) for entry in record["materials"])
+        return tuple(_parse_material(entry) for entry in record["materials"])
     except OSError as error:
         raise MaterialError(
-            f"the material library cannot be read ({error.strerror}).", where=str(path), remedy=_REBUILD
+            f"the material library cannot be read ({error.strerror}).", where=str(path), remedy=_REBUILD_REMEDY
         ) from error
     except (ValueError, KeyError, TypeError) as error:
-        raise MaterialError(f"the material library is damaged ({error}).", where=str(path), remedy=_REBUILD) from error
+        raise MaterialError(
+            f"the material library is damaged ({error}).", where=str(path), remedy=_REBUILD_REMEDY
+        ) from error
 
 
-def find(name: str) -> LibraryMaterial:
+def get_material(name: str) -> LibraryMaterial:
     """The material of that name; case and separators do not count ("Oak wood" is oak-wood).
 
     Raises MaterialError that names close matches.
     """
-    wanted = _normalised(name)
+    wanted = _normalise_name(name)
     library = load_library()
     for material in library:
         if material.name == wanted:
             return material
     by_word = [material.name for material in library if wanted in material.words]
-    close = list(dict.fromkeys(closest(wanted, [m.name for m in library]) + by_word))[:5]
+    close = list(dict.fromkeys(close_matches(wanted, [m.name for m in library]) + by_word))[:5]
     remedy = f"Did you mean {', '.join(close)}?" if close else "List them all with: hnf materials"
     raise MaterialError(f"no library material is called {name!r}.", remedy=remedy)
 
 
-def _normalised(name: str) -> str:
+def _normalise_name(name: str) -> str:
     return "-".join(name.lower().replace("_", " ").replace("-", " ").split())
 
 
-def _material(entry: Mapping[str, Any]) -> LibraryMaterial:
+def _parse_material(entry: Mapping[str, Any]) -> LibraryMaterial:
     token = np.asarray(entry["token"], dtype=np.float32)
     if token.shape != (TOKEN_DIM,) or not np.isfinite(token).all():
         raise ValueError(f"{entry['name']}: a token must be {TOKEN_DIM} finite numbers")

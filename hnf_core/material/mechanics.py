@@ -18,13 +18,13 @@ class Mechanics:
     friction: float | None = None
 
 
-UNKNOWN = Mechanics()
+UNKNOWN_MECHANICS = Mechanics()
 MECHANICS_NAMES = tuple(each.name for each in fields(Mechanics))
 MECHANICS_LIMITS = {"stiffness [N/m]": (1e-6, 1e12), "damping ratio": (0.0, 1e3), "friction": (0.0, 1e3)}
 """Of Mechanics, in its order: far outside any material, and well inside what the contact model can compute."""
 
 
-def beyond_limits(mechanics: Mechanics) -> str:
+def describe_limit_violation(mechanics: Mechanics) -> str:
     """The property that is no number within MECHANICS_LIMITS, in words; "" where there is none."""
     for (name, (low, high)), value in zip(MECHANICS_LIMITS.items(), astuple(mechanics), strict=True):
         if value is not None and not low <= value <= high:

@@ -20,11 +20,11 @@ from .token import (
 
 Float = NDArray[np.float64]
 
-BANDS = len(BAND_WAVELENGTHS_M)
-SHAPE = slice(-len(SHAPE_FEATURES), None)
+BAND_COUNT = len(BAND_WAVELENGTHS_M)
+SHAPE_SLICE = slice(-len(SHAPE_FEATURES), None)
 
 
-def merge(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> Token:
+def merge_tokens(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> Token:
     """The token of the union of the views, band by band over the views that know the band.
 
     A band's level is the mean of its power (mean square height); every other feature of a band is a share of that
@@ -39,14 +39,14 @@ def merge(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> To
     areas = np.ones(len(tokens)) if weights is None else np.asarray(weights, dtype=np.float64)
     if areas.shape != (len(tokens),) or not (np.isfinite(areas) & (areas > 0.0)).all():
         raise MaterialError(f"{len(tokens)} tokens need as many positive weights, not {list(areas.ravel())}.")
-    values = np.stack([_checked(token.values) for token in tokens])
+    values = np.stack([_validate_values(token.values) for token in tokens])
     known = np.stack([np.asarray(token.known, dtype=bool) for token in tokens])
     if len(tokens) == 1:
         return Token(values[0].astype(np.float32), known[0])
     power = 10.0 ** (2.0 * values[:, LEVELS])
     level_known = known[:, LEVELS]
     all_power = (power * level_known).sum(axis=1)
-    if not (known[:, SHAPE] & (all_power > 0.0)[:, None]).any():
+    if not (known[:, SHAPE_SLICE] & (all_power > 0.0)[:, None]).any():
         all_power = np.ones(len(tokens))
     weight = np.concatenate(
         [
@@ -55,8 +55,8 @@ def merge(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> To
         ],
         axis=1,
     )
-    merged = _mean(values, weight, known)
-    merged[LEVELS] = _mean(power, np.broadcast_to(areas[:, None], power.shape), level_known)
+    merged = _weighted_mean(values, weight, known)
+    merged[LEVELS] = _weighted_mean(power, np.broadcast_to(areas[:, None], power.shape), level_known)
     told = known.any(axis=0)
     merged[LEVELS] = 0.5 * np.log10(np.where(told[LEVELS], merged[LEVELS], 1.0))
     unknown = np.zeros(TOKEN_DIM)
@@ -64,19 +64,19 @@ def merge(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> To
     return Token(np.where(told, merged, unknown).astype(np.float32), told)
 
 
-def _mean(values: Float, weight: Float, known: NDArray[np.bool_]) -> Float:
+def _weighted_mean(values: Float, weight: Float, known: NDArray[np.bool_]) -> Float:
     """Weighted mean over the first axis of what is known, 0 where nothing is."""
     share = np.where(known, weight, 0.0)
-    total = _sum(share)
-    return np.asarray(_sum(np.where(known, values, 0.0) * share) / np.where(total > 0.0, total, 1.0))
+    total = _sorted_sum(share)
+    return np.asarray(_sorted_sum(np.where(known, values, 0.0) * share) / np.where(total > 0.0, total, 1.0))
 
 
-def _sum(terms: Float) -> Float:
+def _sorted_sum(terms: Float) -> Float:
     # Sorted first: rounding then cannot tell in which order the views came.
     return np.asarray(np.sort(terms, axis=0).sum(axis=0))
 
 
-def _checked(values: NDArray[np.float32]) -> Float:
+def _validate_values(values: NDArray[np.float32]) -> Float:
     wide = np.asarray(values, dtype=np.float64)
     if wide.shape != (TOKEN_DIM,) or not np.isfinite(wide).all():
         raise MaterialError(f"a token must hold {TOKEN_DIM} finite values, not {wide.shape}.")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, MaterialError
 from ..files import content_hash
-from ..tensor_file import framed, unframed
+from ..tensor_file import pack_header, split_header
 from .mechanics import MECHANICS_NAMES, Mechanics
 from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, joined_encoders, split_encoders
 
@@ -57,12 +57,12 @@ class Palette:
     @property
     def content_hash(self) -> str:
         """Hex digest of everything the palette says."""
-        facts, tokens, mechanics = self._parts()
+        facts, tokens, mechanics = self._serialise_parts()
         return content_hash(json.dumps(facts, sort_keys=True), tokens, mechanics)
 
     def to_bytes(self) -> bytes:
         """The palette in the safetensors layout (no pickle), equal bytes for equal palettes, digest inside."""
-        facts, tokens, mechanics = self._parts()
+        facts, tokens, mechanics = self._serialise_parts()
         header = {
             "__metadata__": {**facts, "digest": self.content_hash},
             "mechanics": {
@@ -76,14 +76,14 @@ class Palette:
                 "data_offsets": [len(mechanics), len(mechanics) + len(tokens)],
             },
         }
-        return framed(header) + mechanics + tokens
+        return pack_header(header) + mechanics + tokens
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Palette:
         """The palette that to_bytes wrote. Raises FileError where the bytes are damaged, of another schema, or from
         another encoder."""
         try:
-            facts, tokens, table = _unpack(data)
+            facts, tokens, table = _unpack_palette(data)
             schema, encoder = int(facts["schema"]), facts["encoder"]
             names = tuple(str(name) for name in json.loads(facts["names"]))
             mechanics = tuple(Mechanics(*(None if np.isnan(v) else float(v) for v in row)) for row in table)
@@ -106,7 +106,7 @@ class Palette:
             )
         return palette
 
-    def _parts(self) -> tuple[dict[str, str], bytes, bytes]:
+    def _serialise_parts(self) -> tuple[dict[str, str], bytes, bytes]:
         facts = {
             "kind": _KIND,
             "schema": str(self.schema),
@@ -157,9 +157,9 @@ def _or_nan(value: float | None) -> float:
     return float("nan") if value is None else float(value)
 
 
-def _unpack(data: bytes) -> tuple[dict[str, str], NDArray[np.float32], NDArray[np.float64]]:
+def _unpack_palette(data: bytes) -> tuple[dict[str, str], NDArray[np.float32], NDArray[np.float64]]:
     """Metadata, tokens (P, TOKEN_DIM) and mechanics (P, 3). Raises ValueError, KeyError or TypeError on damage."""
-    header, body = unframed(data)
+    header, body = split_header(data)
     facts = dict(header["__metadata__"])
     if facts["kind"] != _KIND:
         raise ValueError("it is something else")

@@ -20,24 +20,24 @@ from numpy.typing import NDArray
 from ..errors import MaterialError
 from ..tactile.tactile_map import Route
 from .material import Appearance, LibraryMaterial
-from .naming import word_hits
+from .naming import match_names
 from .relief import relief_log_odds
 from .token import Token
 
 WORD_ODDS = 300.0
-COMMON = {"plastic": 1.6, "wood": 1.3, "metal": 1.3, "fabric": 1.3, "carpet": 0.7, "foam": 0.5}
+CATEGORY_FREQUENCY = {"plastic": 1.6, "wood": 1.3, "metal": 1.3, "fabric": 1.3, "carpet": 0.7, "foam": 0.5}
 """How often scenes hold a category, against the others' 1: all that is left where nothing else tells."""
 DEFAULT_GREY, DEFAULT_ROUGHNESS = 0.8, 0.5
 """Of a new Principled BSDF."""
-TEMPER = 0.6
+APPEARANCE_TEMPER = 0.6
 UNIFORM_FLOOR = 0.03
-ALIKE = 0.85
-NOTHING_TELLS = "no clue in the scene"
-REASON_WORDS = 3
-TELLING = 0.4
+SAME_CATEGORY_APTNESS = 0.85
+NO_EVIDENCE = "no clue in the scene"
+MAX_REASON_WORDS = 3
+MIN_RELIEF_LOG_ODDS = 0.4
 """Log odds of a relief from which it is a reason."""
-SPREAD = {"roughness": 0.18, "metallic": 0.12, "sheen": 0.25, "transmission": 0.2}
-DOUBT = {"roughness": 0.2, "metallic": 0.1, "sheen": 0.2, "transmission": 0.1}
+APPEARANCE_SPREAD = {"roughness": 0.18, "metallic": 0.12, "sheen": 0.25, "transmission": 0.2}
+APPEARANCE_DOUBT = {"roughness": 0.2, "metallic": 0.1, "sheen": 0.2, "transmission": 0.1}
 """Share of the uniform part: how often a value says nothing."""
 COLOR_SPREAD = {
     "wood": (0.2, 0.06),
@@ -50,9 +50,9 @@ COLOR_SPREAD = {
     "glass": (0.3, 0.1),
 }
 """Of lightness and of chroma, in cube roots of linear values."""
-DYED_SPREAD = (0.35, 0.2)
+DEFAULT_COLOR_SPREAD = (0.35, 0.2)
 """Of everything that is dyed or painted at will."""
-ANY_CHROMA = 0.25
+OVERALL_CHROMA_SPREAD = 0.25
 """Chroma spread of all materials together, which a material's own is held against."""
 COLOR_DOUBT = 0.3
 
@@ -73,7 +73,7 @@ def rank(
     appearance: Appearance,
     names: Sequence[str],
     *,
-    pictures: Sequence[str] = (),
+    image_names: Sequence[str] = (),
     token: Token | None = None,
     route: Route = Route.MEASURED,
 ) -> tuple[Suggestion, ...]:
@@ -86,23 +86,27 @@ def rank(
     """
     if not library:
         raise MaterialError("the material library is empty.", remedy="Install the package with its data files.")
-    hits = word_hits(library, names, pictures)
-    appearance = _chosen(appearance)
+    hits = match_names(library, names, image_names)
+    appearance = _drop_defaults(appearance)
     looks = [_appearance_log_odds(material, appearance) for material in library]
     relief = relief_log_odds(library, token, route)
     score = _log_prior(library) + relief
     for i, material in enumerate(library):
-        score[i] += TEMPER * sum(looks[i].values())
+        score[i] += APPEARANCE_TEMPER * sum(looks[i].values())
         score[i] += math.log(WORD_ODDS) * sum(weight for weight, _ in hits[material.name].values())
     probability = np.exp(score - score.max())
     probability = (1.0 - UNIFORM_FLOOR) * probability / probability.sum() + UNIFORM_FLOOR / len(library)
     same = np.array([[a.category == b.category for b in library] for a in library])
-    aptness = (1.0 - ALIKE) * probability + ALIKE * (same @ probability)
+    aptness = (1.0 - SAME_CATEGORY_APTNESS) * probability + SAME_CATEGORY_APTNESS * (same @ probability)
     judged = dict.fromkeys(field for look in looks for field in look)
     usual = {field: float(np.median([look.get(field, 0.0) for look in looks])) for field in judged}
     reasons = [
-        _reason(
-            hits[material.name], look, usual, appearance, relief_verdict(material, float(odds), float(relief.max()))
+        _format_reason(
+            hits[material.name],
+            look,
+            usual,
+            appearance,
+            describe_relief_fit(material, float(odds), float(relief.max())),
         )
         for material, look, odds in zip(library, looks, relief, strict=True)
     ]
@@ -111,12 +115,12 @@ def rank(
     return tuple(Suggestion(library[i].name, float(aptness[i]), reasons[i], float(probability[i])) for i in order)
 
 
-def relief_verdict(material: LibraryMaterial, log_odds: float, best: float) -> str:
+def describe_relief_fit(material: LibraryMaterial, log_odds: float, best: float) -> str:
     """What the relief says of a material, in words; "" where it says little. best: the highest log odds of the library:
     a relief that is like no material's speaks against none."""
-    if log_odds > TELLING:
+    if log_odds > MIN_RELIEF_LOG_ODDS:
         return f"its relief is like {material.name}'s"
-    return "its relief does not fit" if log_odds < min(0.0, best) - TELLING else ""
+    return "its relief does not fit" if log_odds < min(0.0, best) - MIN_RELIEF_LOG_ODDS else ""
 
 
 def _log_prior(library: Sequence[LibraryMaterial]) -> NDArray[np.float64]:
@@ -129,13 +133,13 @@ def _log_prior(library: Sequence[LibraryMaterial]) -> NDArray[np.float64]:
     totals = {c: sum(w for m, w in zip(library, weights, strict=True) if m.category == c) for c in places}
     return np.array(
         [
-            math.log(COMMON.get(material.category, 1.0) * weight / totals[material.category])
+            math.log(CATEGORY_FREQUENCY.get(material.category, 1.0) * weight / totals[material.category])
             for material, weight in zip(library, weights, strict=True)
         ]
     )
 
 
-def _chosen(appearance: Appearance) -> Appearance:
+def _drop_defaults(appearance: Appearance) -> Appearance:
     """Less the base colour and roughness that every new material is born with: nobody chose them."""
     color, roughness = appearance.base_color, appearance.roughness
     if color is not None and all(abs(channel - DEFAULT_GREY) < 1e-3 for channel in color):
@@ -148,43 +152,45 @@ def _chosen(appearance: Appearance) -> Appearance:
 def _appearance_log_odds(material: LibraryMaterial, appearance: Appearance) -> dict[str, float]:
     """shading value → log of its density under the material over that of no knowledge (uniform)."""
     odds: dict[str, float] = {}
-    for field, spread in SPREAD.items():
+    for field, spread in APPEARANCE_SPREAD.items():
         value, typical = getattr(appearance, field), getattr(material.appearance, field)
         if value is not None and typical is not None and math.isfinite(value):
-            density = _truncated_normal(min(max(value, 0.0), 1.0), typical, spread)
-            odds[field] = math.log((1.0 - DOUBT[field]) * density + DOUBT[field])
+            density = _truncated_normal_density(min(max(value, 0.0), 1.0), typical, spread)
+            odds[field] = math.log((1.0 - APPEARANCE_DOUBT[field]) * density + APPEARANCE_DOUBT[field])
     color, typical_color = appearance.base_color, material.appearance.base_color
     if color is not None and typical_color is not None and all(math.isfinite(c) for c in color):
-        spread_light, spread_chroma = COLOR_SPREAD.get(material.category, DYED_SPREAD)
-        (light, *chroma), (typical_light, *typical_chroma) = _light_chroma(color), _light_chroma(typical_color)
-        density = _truncated_normal(light, typical_light, spread_light)
+        spread_light, spread_chroma = COLOR_SPREAD.get(material.category, DEFAULT_COLOR_SPREAD)
+        (light, *chroma), (typical_light, *typical_chroma) = _to_light_chroma(color), _to_light_chroma(typical_color)
+        density = _truncated_normal_density(light, typical_light, spread_light)
         for value, typical in zip(chroma, typical_chroma, strict=True):
-            density *= _normal(value, typical, spread_chroma) / _normal(value, 0.0, ANY_CHROMA)
+            density *= _normal_density(value, typical, spread_chroma) / _normal_density(
+                value, 0.0, OVERALL_CHROMA_SPREAD
+            )
         odds["colour"] = math.log((1.0 - COLOR_DOUBT) * density + COLOR_DOUBT)
     return odds
 
 
-def _light_chroma(color: Sequence[float]) -> tuple[float, float, float]:
+def _to_light_chroma(color: Sequence[float]) -> tuple[float, float, float]:
     """Mean and two differences of the channels' cube roots: near to what is seen, where linear values would call
     every dark colour alike."""
     red, green, blue = (math.cbrt(min(max(channel, 0.0), 1.0)) for channel in color)
     return (red + green + blue) / 3.0, red - green, green - blue
 
 
-def _normal(value: float, mean: float, spread: float) -> float:
+def _normal_density(value: float, mean: float, spread: float) -> float:
     return math.exp(-0.5 * ((value - mean) / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
 
 
-def _truncated_normal(value: float, mean: float, spread: float) -> float:
+def _truncated_normal_density(value: float, mean: float, spread: float) -> float:
     """Density on [0, 1] of a normal cut to it."""
     root = spread * math.sqrt(2.0)
     inside = 0.5 * (math.erf((1.0 - mean) / root) + math.erf(mean / root))
-    return _normal(value, mean, spread) / inside
+    return _normal_density(value, mean, spread) / inside
 
 
-def _reason(
+def _format_reason(
     hits: Mapping[str, tuple[float, str]],
-    looks: Mapping[str, float],
+    appearance_odds: Mapping[str, float],
     usual: Mapping[str, float],
     appearance: Appearance,
     relief: str,
@@ -192,15 +198,15 @@ def _reason(
     """The words found, then the values that fit better than they fit half of the library, and those that clash; then
     the relief."""
     parts = [f"'{word}' in '{name}'" for word, (_, name) in sorted(hits.items(), key=lambda item: -item[1][0])]
-    del parts[REASON_WORDS:]
+    del parts[MAX_REASON_WORDS:]
     for verdict, chosen in (
-        ("fits", [field for field, odds in looks.items() if odds > max(usual[field] + 0.2, 0.0)]),
-        ("does not fit", [field for field, odds in looks.items() if odds < -0.7]),
+        ("fits", [field for field, odds in appearance_odds.items() if odds > max(usual[field] + 0.2, 0.0)]),
+        ("does not fit", [field for field, odds in appearance_odds.items() if odds < -0.7]),
     ):
-        parts += [f"{_value_text(field, appearance)} {verdict}" for field in chosen]
+        parts += [f"{_format_value(field, appearance)} {verdict}" for field in chosen]
     parts += [relief] if relief else []
-    return "; ".join(parts) or NOTHING_TELLS
+    return "; ".join(parts) or NO_EVIDENCE
 
 
-def _value_text(field: str, appearance: Appearance) -> str:
+def _format_value(field: str, appearance: Appearance) -> str:
     return "colour" if field == "colour" else f"{field} {getattr(appearance, field):.2f}"

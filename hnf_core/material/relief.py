@@ -15,30 +15,30 @@ from numpy.typing import NDArray
 
 from ..errors import MaterialError
 from ..tactile.tactile_map import Route
-from .fuse import BANDS, drawn_bands, known_bands_of
+from .fuse import BAND_COUNT, find_known_bands, find_significant_bands
 from .material import LibraryMaterial
 from .token import BAND_FEATURES, SHAPE_FEATURES, TOKEN_DIM, Token
 
 Float = NDArray[np.float64]
 
-KINDS = ("level", "two_fold", "four_fold", "peak", "offset")
-WITHIN = {
+INVARIANT_KINDS = ("level", "two_fold", "four_fold", "peak", "offset")
+WITHIN_CLASS_SPREAD = {
     "level": 0.105, "two_fold": 0.104, "four_fold": 0.096, "peak": 0.114, "offset": 0.189, "skewness": 0.205,
     "log_kurtosis": 0.072,
 }  # fmt: skip
 """Standard deviations between pieces of one class, in the units of a token."""
-SCALE = 0.3
+RELIEF_SCALE_DECADES = 0.3
 """Standard deviation of the decades by which an artist's relief is higher or lower than the real one (a factor 2)."""
-WIDER = {Route.MEASURED: 1.0, Route.PREDICTED: 2.0}
+ROUTE_SPREAD_FACTORS = {Route.MEASURED: 1.0, Route.PREDICTED: 2.0}
 """By what the scatter grows with how the map came to be known: a network's guess lies further off. A judgement."""
-DOUBT = 0.1
+RELIEF_DOUBT = 0.1
 """How often a relief is not the material's own: dents, letters, a bump made for looks. Generated pieces always wear
 their own and are fitted best by the least doubt tried (0.05); artists do as they like."""
-BORROWED = 0.05
+BORROWED_RELIEF_SHARE = 0.05
 """How often something else wears a material's relief: wood printed on foil, embossed leatherette. It bounds what a
 relief can say for a material to 14 : 1, so that a name, which the artist gave, goes before it. A judgement: generated
 pieces never borrow."""
-TEMPER = 0.15
+RELIEF_TEMPER = 0.15
 """Exponent of the likelihood: the features of a token hang together, and are not 37 independent witnesses. Of ten from
 0 to 1, the one under which the right class of generated pieces is likeliest."""
 
@@ -54,30 +54,33 @@ def relief_log_odds(library: Sequence[LibraryMaterial], token: Token | None, rou
         return none
     if token.values.shape != (TOKEN_DIM,):
         raise MaterialError(f"a token holds {TOKEN_DIM} values, not {token.values.shape}.")
-    bands = np.array(drawn_bands(token) if route is Route.MEASURED else known_bands_of(token))
+    bands = np.array(find_significant_bands(token) if route is Route.MEASURED else find_known_bands(token))
     if not bands.any():
         return none
     shape = bool(token.known[-len(SHAPE_FEATURES) :].all())
-    seen = invariants(token.values[None])[0]
-    typical = invariants(np.stack([material.token for material in library]))
-    chosen = np.concatenate([np.tile(bands, len(KINDS)), np.full(len(SHAPE_FEATURES), shape)])
-    within = _within() * WIDER[route]
+    seen = compute_invariants(token.values[None])[0]
+    typical = compute_invariants(np.stack([material.token for material in library]))
+    chosen = np.concatenate([np.tile(bands, len(INVARIANT_KINDS)), np.full(len(SHAPE_FEATURES), shape)])
+    within = _get_within_class_spread() * ROUTE_SPREAD_FACTORS[route]
     spread = np.sqrt(typical.var(axis=0) + within**2)
-    is_level = chosen & (np.arange(len(chosen)) < BANDS)
+    is_level = chosen & (np.arange(len(chosen)) < BAND_COUNT)
     others = chosen & ~is_level
-    log_material = _log_levels(seen[is_level] - typical[:, is_level], within[is_level])
-    log_any = _log_levels((seen - typical.mean(axis=0))[None, is_level], spread[is_level])
-    log_material = log_material + _log_normal(seen[others] - typical[:, others], within[others])
-    log_any = log_any + _log_normal((seen - typical.mean(axis=0))[None, others], spread[others])
-    ratio = np.exp(np.minimum(TEMPER * (log_material - log_any), 300.0))
-    return np.asarray(np.log((1.0 - DOUBT) * ratio + DOUBT) - np.log(1.0 - BORROWED + BORROWED * ratio))
+    log_material = _log_level_density(seen[is_level] - typical[:, is_level], within[is_level])
+    log_any = _log_level_density((seen - typical.mean(axis=0))[None, is_level], spread[is_level])
+    log_material = log_material + _log_normal_density(seen[others] - typical[:, others], within[others])
+    log_any = log_any + _log_normal_density((seen - typical.mean(axis=0))[None, others], spread[others])
+    ratio = np.exp(np.minimum(RELIEF_TEMPER * (log_material - log_any), 300.0))
+    return np.asarray(
+        np.log((1.0 - RELIEF_DOUBT) * ratio + RELIEF_DOUBT)
+        - np.log(1.0 - BORROWED_RELIEF_SHARE + BORROWED_RELIEF_SHARE * ratio)
+    )
 
 
-def invariants(tokens: NDArray[np.float32]) -> Float:
+def compute_invariants(tokens: NDArray[np.float32]) -> Float:
     """(n, TOKEN_DIM) → (n, BANDS · 5 + 2): all bands' levels, then two-fold strengths, and so on in the order of KINDS;
     then skewness and log kurtosis. Equal for a surface however it is turned."""
     values = np.asarray(tokens, dtype=np.float64)
-    bands = values[:, : BANDS * len(BAND_FEATURES)].reshape(-1, BANDS, len(BAND_FEATURES))
+    bands = values[:, : BAND_COUNT * len(BAND_FEATURES)].reshape(-1, BAND_COUNT, len(BAND_FEATURES))
     named = {name: bands[:, :, place] for place, name in enumerate(BAND_FEATURES)}
     return np.concatenate(
         [
@@ -92,21 +95,26 @@ def invariants(tokens: NDArray[np.float32]) -> Float:
     )
 
 
-def _within() -> Float:
+def _get_within_class_spread() -> Float:
     """(BANDS · 5 + 2,) WITHIN in the order of invariants."""
     return np.concatenate(
-        [np.repeat([WITHIN[kind] for kind in KINDS], BANDS), [WITHIN[name] for name in SHAPE_FEATURES]]
+        [
+            np.repeat([WITHIN_CLASS_SPREAD[kind] for kind in INVARIANT_KINDS], BAND_COUNT),
+            [WITHIN_CLASS_SPREAD[name] for name in SHAPE_FEATURES],
+        ]
     )
 
 
-def _log_normal(residual: Float, spread: Float) -> Float:
+def _log_normal_density(residual: Float, spread: Float) -> Float:
     return np.asarray(-0.5 * np.sum((residual / spread) ** 2, axis=1) - np.sum(np.log(spread)))
 
 
-def _log_levels(residual: Float, spread: Float) -> Float:
+def _log_level_density(residual: Float, spread: Float) -> Float:
     """Log density (up to a constant) of levels that scatter each by spread and all together by SCALE: a normal of
     covariance diag(spread²) + SCALE² 11ᵀ (Sherman & Morrison 1950)."""
     weight = 1.0 / spread**2
-    together = SCALE**2 / (1.0 + SCALE**2 * weight.sum())
+    together = RELIEF_SCALE_DECADES**2 / (1.0 + RELIEF_SCALE_DECADES**2 * weight.sum())
     square = np.sum(weight * residual**2, axis=1) - together * np.sum(weight * residual, axis=1) ** 2
-    return np.asarray(-0.5 * square - np.sum(np.log(spread)) - 0.5 * np.log(1.0 + SCALE**2 * weight.sum()))
+    return np.asarray(
+        -0.5 * square - np.sum(np.log(spread)) - 0.5 * np.log(1.0 + RELIEF_SCALE_DECADES**2 * weight.sum())
+    )

@@ -145,9 +145,9 @@ CHANNEL_WORDS = frozenset(
     }
 )
 """What a picture of a texture shows, said at the end of its name: no word of the material."""
-MASKED_METAL = frozenset({"rough", "roughness", "occlusion", "ao"})
+METAL_CHANNEL_PREFIXES = frozenset({"rough", "roughness", "occlusion", "ao"})
 """Before "metal" these say that it is a channel: OcclusionRoughMetal."""
-PICTURE_SUFFIX = re.compile(r"\.(jpe?g|png|tga|exr|tiff?|webp|bmp|dds|ktx2?|hdr|psd|basis)$", re.IGNORECASE)
+IMAGE_SUFFIX = re.compile(r"\.(jpe?g|png|tga|exr|tiff?|webp|bmp|dds|ktx2?|hdr|psd|basis)$", re.IGNORECASE)
 
 
 def split_words(name: str) -> list[str]:
@@ -155,28 +155,28 @@ def split_words(name: str) -> list[str]:
     split; accents go, so that "métal" is "metal"."""
     plain = unicodedata.normalize("NFC", name)
     parts = [word for run in _WORD.findall(plain) for word in _CAMEL.split(run)]
-    return [_plain(word) for word in parts if word]
+    return [_normalise_word(word) for word in parts if word]
 
 
-def is_picture_name(name: str) -> bool:
+def is_image_name(name: str) -> bool:
     """Does it end like the name of a picture's file?"""
-    return PICTURE_SUFFIX.search(name.strip()) is not None
+    return IMAGE_SUFFIX.search(name.strip()) is not None
 
 
-def picture_words(name: str) -> list[str]:
+def split_image_name(name: str) -> list[str]:
     """split_words of a texture's name without its file type and what channel it shows: "T_Oak_Planks_BaseColor.png" →
     t, oak, planks; "SavonaTile_Metalness" → savona, tile."""
-    words = split_words(PICTURE_SUFFIX.sub("", name.strip()))
+    words = split_words(IMAGE_SUFFIX.sub("", name.strip()))
     while words and (
         len(words[-1]) == 1
         or words[-1] in CHANNEL_WORDS
-        or (words[-1] == "metal" and len(words) > 1 and words[-2] in MASKED_METAL)
+        or (words[-1] == "metal" and len(words) > 1 and words[-2] in METAL_CHANNEL_PREFIXES)
     ):
         words.pop()
     return words
 
 
-def singulars(word: str) -> tuple[str, ...]:
+def list_singulars(word: str) -> tuple[str, ...]:
     """The word and what it may be the plural of, likeliest first."""
     forms = [word]
     if len(word) > 3 and word.endswith("s") and not word.endswith("ss"):
@@ -188,6 +188,6 @@ def singulars(word: str) -> tuple[str, ...]:
     return tuple(forms)
 
 
-def _plain(word: str) -> str:
+def _normalise_word(word: str) -> str:
     decomposed = unicodedata.normalize("NFD", word.lower())
     return "".join(letter for letter in decomposed if not unicodedata.combining(letter))

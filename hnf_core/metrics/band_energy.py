@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 
-CENTRES_HZ = tuple(1000.0 * 2.0**k for k in range(-8, 1))
-EDGES_HZ = (*(centre / 2.0**0.5 for centre in CENTRES_HZ), CENTRES_HZ[-1] * 2.0**0.5)
+OCTAVE_CENTRES_HZ = tuple(1000.0 * 2.0**k for k in range(-8, 1))
+OCTAVE_EDGES_HZ = (*(centre / 2.0**0.5 for centre in OCTAVE_CENTRES_HZ), OCTAVE_CENTRES_HZ[-1] * 2.0**0.5)
 """2.8, 5.5, 11, 22, 44, 88, 177, 354, 707 and 1414 Hz."""
 
 
-def band_power(samples: ArrayLike, rate: float, edges_hz: tuple[float, ...] = EDGES_HZ) -> Float:
+def band_power(samples: ArrayLike, rate: float, edges_hz: tuple[float, ...] = OCTAVE_EDGES_HZ) -> Float:
     """(B,) mean square [(m/s²)²] of samples (n,) in each band, edges_hz[b] to below edges_hz[b + 1], from one transform
     of them all: by Parseval, bands that leave no frequency out add up to the mean square, exactly. A signal that begins
     or ends with a jump has the jump's energy in every band."""
@@ -34,7 +34,7 @@ def band_power(samples: ArrayLike, rate: float, edges_hz: tuple[float, ...] = ED
 
 
 @dataclass(frozen=True)
-class Band:
+class BandChange:
     """low_hz, high_hz: its ends; before, after: mean squares in it."""
 
     low_hz: float
@@ -50,11 +50,11 @@ class Band:
         return float(10.0 * np.log10(self.after / self.before))
 
 
-def band_changes(before: ArrayLike, rate_before: float, after: ArrayLike, rate_after: float) -> tuple[Band, ...]:
+def compare_bands(before: ArrayLike, rate_before: float, after: ArrayLike, rate_after: float) -> tuple[BandChange, ...]:
     """The nine octave bands, and a tenth for all above them."""
-    edges = (*EDGES_HZ, float("inf"))
+    edges = (*OCTAVE_EDGES_HZ, float("inf"))
     powers = (band_power(before, rate_before, edges), band_power(after, rate_after, edges))
     return tuple(
-        Band(low, high, float(was), float(now))
+        BandChange(low, high, float(was), float(now))
         for low, high, was, now in zip(edges[:-1], edges[1:], *powers, strict=True)
     )

@@ -12,11 +12,11 @@ from .magnitudes import spectral_mse
 
 Float = NDArray[np.float64]
 
-REALISATIONS = 32
+REALISATION_COUNT = 32
 
 
 @dataclass(frozen=True)
-class Limits:
+class MetricBounds:
     """Of one stroke of one process.
 
     mean_magnitude: (C, K) mean |X_k| over the realisations. power: mean E|X_k|² over windows and bins. best: spectral
@@ -51,11 +51,11 @@ class Limits:
         return spectral_mse(magnitude, self.mean_magnitude) + self.best * (1.0 - 1.0 / self.realisations)
 
 
-def limits_of(magnitudes: Sequence[Float]) -> Limits:
+def compute_bounds(magnitudes: Sequence[Float]) -> MetricBounds:
     """Limits from the magnitudes (C, K) of signals of one stroke, equally long, each a new draw (seed, place on the
     surface) of the process. Raises ValueError for fewer than two, or silent ones."""
     magnitude, count = np.stack(magnitudes), len(magnitudes)
     power = float(np.mean(np.square(magnitude)))
     if count < 2 or not power > 0.0:
         raise ValueError("silent or single realisations have no limits.")
-    return Limits(magnitude.mean(axis=0), power, float(np.mean(magnitude.var(axis=0, ddof=1))), count)
+    return MetricBounds(magnitude.mean(axis=0), power, float(np.mean(magnitude.var(axis=0, ddof=1))), count)

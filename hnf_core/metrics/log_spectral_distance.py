@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 
-EPSILON = 1e-12
+LSD_EPSILON = 1e-12
 """Added to |X|², as a share of the reference's mean power: silence is finite, and sounding bins are left alone."""
 
 
-def lsd_power_db(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = EPSILON) -> float:
+def lsd_power_db(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LSD_EPSILON) -> float:
     """mean_t sqrt(mean_f (10 log10 (|X|² + e) / (|Y|² + e))²) in dB, e = epsilon · mean |Y|² (A. Gray & J. Markel
     1976, "Distance measures for speech processing", with power spectra).
 
@@ -26,7 +26,7 @@ def lsd_power_db(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = EP
     return float(np.mean(np.sqrt(np.mean(np.square(level), axis=1))))
 
 
-def lsd_log10_magnitude(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = EPSILON) -> float:
+def lsd_log10_magnitude(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LSD_EPSILON) -> float:
     """mean_t sqrt(mean_f (log10 |X| / |Y|)²), in decades of magnitude: what published values of 0.8–0.9 are. One
     twentieth of lsd_power_db."""
     return lsd_power_db(magnitude, reference, epsilon) / 20.0

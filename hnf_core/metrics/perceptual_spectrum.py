@@ -15,25 +15,25 @@ Float = NDArray[np.float64]
 
 TUM_RATE_HZ = 8000.0
 """The threshold's frequencies are laid out for this rate and no other."""
-BLOCK = 512
+BLOCK_SAMPLES = 512
 
 
-def at_tum_rate(samples: ArrayLike, rate: float) -> Float:
+def resample_to_tum_rate(samples: ArrayLike, rate: float) -> Float:
     """The signal at 8 kHz, by its Fourier series cut or padded; unchanged where it is. The last incomplete 8 kHz
     sample is dropped, and length · 8000 / rate must be at least one block, else ValueError."""
     x = np.asarray(samples, dtype=np.float64)
     count = math.floor(len(x) * TUM_RATE_HZ / rate + 1e-9)
-    if count < BLOCK:
-        raise ValueError(f"{len(x)} samples at {rate:g} Hz do not fill one block of {BLOCK} at 8 kHz.")
+    if count < BLOCK_SAMPLES:
+        raise ValueError(f"{len(x)} samples at {rate:g} Hz do not fill one block of {BLOCK_SAMPLES} at 8 kHz.")
     if count == len(x):
         return x
     return np.asarray(np.fft.irfft(np.fft.rfft(x), count) * (count / len(x)))
 
 
-def blocks(samples: ArrayLike) -> Float:
+def split_blocks(samples: ArrayLike) -> Float:
     """(blocks, 512), whole ones side by side."""
     x = np.asarray(samples, dtype=np.float64)
-    return x[: len(x) // BLOCK * BLOCK].reshape(-1, BLOCK)
+    return x[: len(x) // BLOCK_SAMPLES * BLOCK_SAMPLES].reshape(-1, BLOCK_SAMPLES)
 
 
 def dct(values: Float) -> Float:
@@ -46,10 +46,10 @@ def dct(values: Float) -> Float:
     return np.asarray(out)
 
 
-def touch_threshold_db() -> Float:
+def get_touch_threshold_db() -> Float:
     """(512,) T(f) = |62 / log10²(6/11) · log10²(f/550 + 6/11)| − 77 at f = 8000 i / 1023 Hz, held from where it first
     passes 0. (The grid is the authors': 2 · 512 points from 0 to 8000 inclusive, the first half kept.)"""
-    frequency = np.linspace(0.0, TUM_RATE_HZ, 2 * BLOCK)[:BLOCK]
+    frequency = np.linspace(0.0, TUM_RATE_HZ, 2 * BLOCK_SAMPLES)[:BLOCK_SAMPLES]
     scale = 62.0 / math.log10(6.0 / 11.0) ** 2
     threshold = np.abs(scale * np.square(np.log10(frequency / 550.0 + 6.0 / 11.0))) - 77.0
     first = int(np.argmax(threshold > 0.0))
@@ -57,6 +57,6 @@ def touch_threshold_db() -> Float:
     return np.asarray(threshold)
 
 
-def perceptual_levels_db(samples: ArrayLike) -> Float:
+def compute_perceptual_levels_db(samples: ArrayLike) -> Float:
     """(blocks, 512) 20 log10 |DCT-II| − T(f) of a signal at 8 kHz; an exact zero counts as 1e-15."""
-    return np.asarray(20.0 * np.log10(np.maximum(np.abs(dct(blocks(samples))), 1e-15)) - touch_threshold_db())
+    return np.asarray(20.0 * np.log10(np.maximum(np.abs(dct(split_blocks(samples))), 1e-15)) - get_touch_threshold_db())

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-SHORTEST_LAG_S = 0.1
+MIN_LAG_S = 0.1
 
 
-def repetition(samples: ArrayLike, rate: float, longest_lag_s: float | None = None) -> float:
+def measure_repetition(samples: ArrayLike, rate: float, max_lag_s: float | None = None) -> float:
     """Largest |ρ(τ)| for 0.1 s ≤ τ ≤ longest_lag_s (default: half the signal), ρ the autocorrelation coefficient of the
     two overlapping parts.
 
@@ -16,8 +16,8 @@ def repetition(samples: ArrayLike, rate: float, longest_lag_s: float | None = No
     with the oracle's. 0 for silence. Raises ValueError for a signal shorter than 0.2 s.
     """
     x = np.asarray(samples, dtype=np.float64)
-    first = round(SHORTEST_LAG_S * rate)
-    last = len(x) // 2 if longest_lag_s is None else min(round(longest_lag_s * rate), len(x) - 1)
+    first = round(MIN_LAG_S * rate)
+    last = len(x) // 2 if max_lag_s is None else min(round(max_lag_s * rate), len(x) - 1)
     if last < first:
         raise ValueError(f"{len(x)} samples at {rate:g} Hz are too short to show a repetition after 0.1 s.")
     x = x - x.mean()

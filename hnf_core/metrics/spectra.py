@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 
-WINDOW = 1000
+WINDOW_SAMPLES = 1000
 """Samples: at 10 kHz bins 1–100 are 10–1000 Hz, the paper's band."""
 
 
-def window_power(samples: ArrayLike, rate: float, window: int = WINDOW, hop: int | None = None) -> Float:
+def window_power(samples: ArrayLike, rate: float, window: int = WINDOW_SAMPLES, hop: int | None = None) -> Float:
     """One-sided power density (W, window // 2 + 1) of every Hann window of samples (n,); hop defaults to window // 2.
 
     Scaled so that white noise of variance V has V / (rate / 2) in every bin. W is 0 for a signal shorter than one
@@ -21,14 +21,14 @@ def window_power(samples: ArrayLike, rate: float, window: int = WINDOW, hop: int
     hop = hop or window // 2
     if len(samples) < window:
         return np.zeros((0, window // 2 + 1))
-    shape = hann(window)
+    shape = hann_window(window)
     cut = np.lib.stride_tricks.sliding_window_view(samples, window)[::hop]
     power = np.square(np.abs(np.fft.rfft(cut * shape, axis=1))) / (rate * np.sum(np.square(shape)))
     power[:, 1 : (window + 1) // 2] *= 2.0
     return np.asarray(power)
 
 
-def welch(samples: ArrayLike, rate: float, window: int = WINDOW) -> tuple[Float, Float]:
+def welch(samples: ArrayLike, rate: float, window: int = WINDOW_SAMPLES) -> tuple[Float, Float]:
     """Frequencies [Hz] and mean one-sided density of half-overlapping Hann windows (P. D. Welch 1967)."""
     power = window_power(samples, rate, window)
     if len(power) == 0:
@@ -46,6 +46,6 @@ def spectrum_distance_db(a: ArrayLike, b: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(10.0 * np.log10((first + floor) / (second + floor))))))
 
 
-def hann(size: int) -> Float:
+def hann_window(size: int) -> Float:
     """Periodic Hann window."""
     return np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .perceptual_spectrum import at_tum_rate, perceptual_levels_db
+from .perceptual_spectrum import compute_perceptual_levels_db, resample_to_tum_rate
 
-SLOPE, OFFSET = 0.3, 2.0
+SPQI_SLOPE, SPQI_OFFSET = 0.3, 2.0
 
 
 def spqi(samples: ArrayLike, reference: ArrayLike, rate: float) -> float:
@@ -20,8 +20,8 @@ def spqi(samples: ArrayLike, reference: ArrayLike, rate: float) -> float:
     x, y = np.asarray(reference, dtype=np.float64), np.asarray(samples, dtype=np.float64)
     if x.shape != y.shape:
         raise ValueError(f"signals {y.shape} and {x.shape} must be equally long.")
-    theirs, ours = (10.0 ** (perceptual_levels_db(at_tum_rate(each, rate)) / 10.0) for each in (x, y))
+    theirs, ours = (10.0 ** (compute_perceptual_levels_db(resample_to_tum_rate(each, rate)) / 10.0) for each in (x, y))
     share = np.abs(theirs - ours).sum(axis=1) / (theirs.sum(axis=1) + np.finfo(float).eps)
     # tanh(0.3 · 10 log10 0 + 2) is −1: a block without any difference scores 1
     difference = 10.0 * np.log10(np.maximum(share, 1e-300))
-    return float(np.mean((1.0 - np.tanh(SLOPE * difference + OFFSET)) / 2.0))
+    return float(np.mean((1.0 - np.tanh(SPQI_SLOPE * difference + SPQI_OFFSET)) / 2.0))

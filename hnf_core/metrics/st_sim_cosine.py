@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 
-ETA = 0.5
+COSINE_ETA = 0.5
 MSCN_TAPS = 7
 MSCN_SIGMA = 7.0 / 6.0
 """Gaussian of seven taps, as in A. Mittal, A. Moorthy & A. Bovik (2012), BRISQUE, along time."""
@@ -33,18 +33,18 @@ def st_sim_cosine(samples: ArrayLike, reference: ArrayLike) -> CosineSimilarity:
     x, y = np.asarray(samples, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if x.shape != y.shape or x.ndim != 1 or len(x) < MSCN_TAPS:
         raise ValueError(f"signals {x.shape} and {y.shape} must be equally long, at least {MSCN_TAPS} samples.")
-    spectral = _cosine(*(_z_scored(np.abs(np.fft.rfft(each))) for each in (x, y)))
-    temporal = _cosine(_mscn(x), _mscn(y))
-    size = abs(spectral) ** ETA * abs(temporal) ** (1.0 - ETA)
+    spectral = _cosine_similarity(*(_z_score(np.abs(np.fft.rfft(each))) for each in (x, y)))
+    temporal = _cosine_similarity(_contrast_normalise(x), _contrast_normalise(y))
+    size = abs(spectral) ** COSINE_ETA * abs(temporal) ** (1.0 - COSINE_ETA)
     return CosineSimilarity(spectral, temporal, math.copysign(size, spectral * temporal))
 
 
-def _z_scored(values: Float) -> Float:
+def _z_score(values: Float) -> Float:
     spread = float(values.std())
     return (values - values.mean()) / spread if spread > 0.0 else np.zeros_like(values)
 
 
-def _mscn(samples: Float) -> Float:
+def _contrast_normalise(samples: Float) -> Float:
     offset = np.arange(MSCN_TAPS) - MSCN_TAPS // 2
     taps = np.exp(-0.5 * np.square(offset / MSCN_SIGMA))
     taps /= taps.sum()
@@ -57,6 +57,6 @@ def _mscn(samples: Float) -> Float:
     return np.asarray((padded[MSCN_TAPS // 2 : -(MSCN_TAPS // 2)] - mean) / (spread + max(1e-3 * level, 1e-300)))
 
 
-def _cosine(a: Float, b: Float) -> float:
+def _cosine_similarity(a: Float, b: Float) -> float:
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(a @ b) / size if size > 0.0 else 0.0

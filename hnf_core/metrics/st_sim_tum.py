@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .perceptual_spectrum import at_tum_rate, blocks, perceptual_levels_db
+from .perceptual_spectrum import compute_perceptual_levels_db, resample_to_tum_rate, split_blocks
 
 Float = NDArray[np.float64]
 
-SPREAD_DB = 12.0
-ETA = 2.0 / 3.0
+TUM_SPREAD_DB = 12.0
+TUM_ETA = 2.0 / 3.0
 _erf = np.frompyfunc(math.erf, 1, 1)
 
 
@@ -26,30 +26,30 @@ def st_sim_tum(samples: ArrayLike, reference: ArrayLike, rate: float) -> float:
     has no real root. `vibromaf` then returns a complex number; here the score is −|T|^(2/3) S^(1/3), of that modulus.
     Raises ValueError where the lengths differ or no block is filled.
     """
-    x, y = _pair(samples, reference, rate)
+    x, y = _resample_pair(samples, reference, rate)
     if np.array_equal(x, y):
         return 1.0
-    spectral = _quotient(_support(y), _support(x))
-    temporal = _quotient(_z_scored(y), _z_scored(x))
-    return math.copysign(abs(temporal) ** ETA * spectral ** (1.0 - ETA), temporal)
+    spectral = _projection_ratio(_perceptual_support(y), _perceptual_support(x))
+    temporal = _projection_ratio(_z_score_blocks(y), _z_score_blocks(x))
+    return math.copysign(abs(temporal) ** TUM_ETA * spectral ** (1.0 - TUM_ETA), temporal)
 
 
-def _pair(samples: ArrayLike, reference: ArrayLike, rate: float) -> tuple[Float, Float]:
+def _resample_pair(samples: ArrayLike, reference: ArrayLike, rate: float) -> tuple[Float, Float]:
     x, y = np.asarray(samples, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if x.shape != y.shape:
         raise ValueError(f"signals {x.shape} and {y.shape} must be equally long.")
-    return at_tum_rate(x, rate), at_tum_rate(y, rate)
+    return resample_to_tum_rate(x, rate), resample_to_tum_rate(y, rate)
 
 
-def _support(samples: Float) -> Float:
-    level = perceptual_levels_db(samples) / SPREAD_DB
+def _perceptual_support(samples: Float) -> Float:
+    level = compute_perceptual_levels_db(samples) / TUM_SPREAD_DB
     return np.asarray(0.5 * (1.0 + _erf(level / math.sqrt(2.0)).astype(np.float64)))
 
 
-def _z_scored(samples: Float) -> Float:
-    cut = blocks(samples)
+def _z_score_blocks(samples: Float) -> Float:
+    cut = split_blocks(samples)
     return np.asarray((cut - cut.mean(axis=1, keepdims=True)) / (cut.std(axis=1, keepdims=True) + np.finfo(float).eps))
 
 
-def _quotient(reference: Float, other: Float) -> float:
-    return float(np.mean(np.sum(reference * other, axis=1) / (np.sum(reference**2, axis=1) + np.finfo(float).eps)))
+def _projection_ratio(reference: Float, signal: Float) -> float:
+    return float(np.mean(np.sum(reference * signal, axis=1) / (np.sum(reference**2, axis=1) + np.finfo(float).eps)))

@@ -38,15 +38,15 @@ def group_channels(channels: dict[str, NDArray[np.float32]]) -> dict[str, NDArra
     passes: dict[str, dict[str, NDArray[np.float32]]] = {}
     for name, pixels in channels.items():
         pass_name, _, component = name.rpartition(".")
-        passes.setdefault(_without_layer(pass_name), {})[component] = np.asarray(pixels, dtype=np.float32)
-    return {name: _stack(components) for name, components in passes.items()}
+        passes.setdefault(_strip_layer(pass_name), {})[component] = np.asarray(pixels, dtype=np.float32)
+    return {name: _stack_components(components) for name, components in passes.items()}
 
 
-def _without_layer(name: str) -> str:
+def _strip_layer(name: str) -> str:
     return name.partition(".")[2] if "." in name else name
 
 
-def _stack(components: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+def _stack_components(components: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
     if len(components) == 1:
         return next(iter(components.values()))
     order = sorted(components, key=lambda name: "rxgybzaw".find(name.lower()) if name else -1)

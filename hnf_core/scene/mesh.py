@@ -11,9 +11,9 @@ from ..errors import SceneError
 
 Float = NDArray[np.float64]
 
-SMALLEST_M, LARGEST_M = 1e-60, 1e60
+MIN_EXTENT_M, MAX_EXTENT_M = 1e-60, 1e60
 """Between them the fourth powers that barycentrics need are float64 numbers; far outside any scene."""
-THINNEST = 1e-9
+MIN_RELATIVE_WIDTH = 1e-9
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ def has_area(corners: Float) -> NDArray[np.bool_]:
     sides = corners - np.roll(corners, 1, axis=1)
     longest = np.einsum("tcx,tcx->tc", sides, sides).max(axis=1, initial=0.0)
     normal = np.cross(sides[:, 1], sides[:, 2])
-    return np.asarray(np.sqrt(np.einsum("tx,tx->t", normal, normal)) > THINNEST * longest)
+    return np.asarray(np.sqrt(np.einsum("tx,tx->t", normal, normal)) > MIN_RELATIVE_WIDTH * longest)
 
 
 @dataclass(frozen=True)
-class SingleFrame:
+class Float32Frame:
     """Where a tree of float32 numbers keeps a mesh: (x − centre) · scale.
 
     centre: (3,) m, the median of the triangles' middles, so that a piece that lies 10 km off costs the rest no digits.
@@ -59,12 +59,12 @@ class SingleFrame:
     scale: float
     radius: float
 
-    def inside(self, points: ArrayLike) -> Float:
+    def to_frame(self, points: ArrayLike) -> Float:
         """Points (..., 3) in m, in this frame; still float64."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.centre) * self.scale)
 
 
-def single_frame(corners: Float) -> SingleFrame:
+def compute_float32_frame(corners: Float) -> Float32Frame:
     """The frame of triangles (T, 3, 3) in m.
 
     Raises SceneError where there are none, where a corner is not a number, and where they are all in one point or
@@ -77,11 +77,11 @@ def single_frame(corners: Float) -> SingleFrame:
     centre = np.median(corners.mean(axis=1), axis=0)
     away = np.maximum(corners.max(axis=(0, 1)) - centre, centre - corners.min(axis=(0, 1)))
     farthest = float(away.max())
-    if not SMALLEST_M < farthest < LARGEST_M:
+    if not MIN_EXTENT_M < farthest < MAX_EXTENT_M:
         raise SceneError(
             f"all of the mesh lies within {farthest:.1g} m."
             if farthest < 1.0
             else f"the mesh reaches {farthest:.1g} m.",
             remedy="Check the object's scale and the scene's unit scale.",
         )
-    return SingleFrame(centre, float(np.ldexp(1.0, -int(np.frexp(farthest)[1]))), float(np.linalg.norm(away)))
+    return Float32Frame(centre, float(np.ldexp(1.0, -int(np.frexp(farthest)[1]))), float(np.linalg.norm(away)))

@@ -11,13 +11,13 @@ from ..errors import UsageError
 if TYPE_CHECKING:  # the add-on is switched on without it
     from numpy.typing import ArrayLike
 
-SHORTEST_M, LONGEST_M = 1e-4, 1e4
+MIN_LENGTH_M, MAX_LENGTH_M = 1e-4, 1e4
 """Of a length that can be told: 0.1 mm to 10 km."""
-SMALLEST, LARGEST = 1e-6, 1e6
+MIN_METRES_PER_UNIT, MAX_METRES_PER_UNIT = 1e-6, 1e6
 """Metres per unit that make sense."""
 
 
-def metric_scale(point_a: ArrayLike, point_b: ArrayLike, length_m: float) -> float:
+def compute_metric_scale(point_a: ArrayLike, point_b: ArrayLike, length_m: float) -> float:
     """Metres per unit, from two points in units and the metres that lie between them.
 
     Raises UsageError where a point has not three finite numbers, both points are the same, the length is not one from
@@ -26,7 +26,7 @@ def metric_scale(point_a: ArrayLike, point_b: ArrayLike, length_m: float) -> flo
     a, b = (np.asarray(point, dtype=np.float64) for point in (point_a, point_b))
     if a.shape != (3,) or b.shape != (3,) or not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise UsageError("a point is not three finite numbers.", remedy="Give x, y and z of both points.")
-    if not SHORTEST_M <= length_m <= LONGEST_M:
+    if not MIN_LENGTH_M <= length_m <= MAX_LENGTH_M:
         raise UsageError(
             f"{length_m} m is no length to measure with.",
             remedy="Give the metres between the two points, from 0.1 mm to 10 km.",
@@ -36,7 +36,7 @@ def metric_scale(point_a: ArrayLike, point_b: ArrayLike, length_m: float) -> flo
     if units <= 1e-6 * spread or units == 0.0:
         raise UsageError("both points are the same.", remedy="Choose two points that lie apart.")
     scale = length_m / units
-    if not SMALLEST <= scale <= LARGEST:
+    if not MIN_METRES_PER_UNIT <= scale <= MAX_METRES_PER_UNIT:
         raise UsageError(
             f"a unit would be {scale:.3g} m.",
             remedy="Check the length and both points: they should be on the object, and the length in metres.",

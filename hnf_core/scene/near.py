@@ -8,18 +8,20 @@ from numpy.typing import ArrayLike, NDArray
 from .mesh import TriangleMesh
 
 
-def mesh_near(mesh: TriangleMesh, places: ArrayLike, reach_m: float) -> TriangleMesh:
+def crop_mesh(mesh: TriangleMesh, points: ArrayLike, reach_m: float) -> TriangleMesh:
     """The triangles of mesh whose bounding box comes within reach_m, along each axis, of one of the places (n, 3), at
     least one; in their order, with the vertices that they use.
 
     No ray that stays within reach_m of a place can meet another one.
     """
-    middles = np.asarray(places, dtype=np.float64).reshape(-1, 3)
-    kept = _between(mesh, np.arange(len(mesh.triangles)), middles.min(axis=0) - reach_m, middles.max(axis=0) + reach_m)
+    middles = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    kept = _triangles_in_box(
+        mesh, np.arange(len(mesh.triangles)), middles.min(axis=0) - reach_m, middles.max(axis=0) + reach_m
+    )
     if len(middles) > 1:
         inside = np.zeros(len(mesh.triangles), dtype=np.bool_)
         for middle in middles:
-            inside[_between(mesh, kept, middle - reach_m, middle + reach_m)] = True
+            inside[_triangles_in_box(mesh, kept, middle - reach_m, middle + reach_m)] = True
         kept = np.flatnonzero(inside)
     used, triangles = np.unique(mesh.triangles[kept], return_inverse=True)
     return TriangleMesh(
@@ -32,7 +34,7 @@ def mesh_near(mesh: TriangleMesh, places: ArrayLike, reach_m: float) -> Triangle
     )
 
 
-def _between(
+def _triangles_in_box(
     mesh: TriangleMesh, triangles: NDArray[np.intp], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.intp]:
     """Those of the triangles whose box meets the box from low to high; axis by axis, the fewer the later."""

@@ -24,16 +24,16 @@ from .camera import Camera
 
 Float = NDArray[np.float64]
 
-FILE_NAME = "transforms.json"
-MODEL_FRAME = "dataparser_transforms.json"
-PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
-DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
-LENSES = ("fl_x", "fl_y", "cx", "cy", "w", "h")
-TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+TRANSFORMS_FILE = "transforms.json"
+MODEL_TRANSFORM_FILE = "dataparser_transforms.json"
+PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
+LENS_KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h")
+OPENGL_CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenGL's camera axes (+y up, −z forward) ↔ ours (+y down, +z forward)."""
-RIGID = 1e-3
+RIGID_TOLERANCE = 1e-3
 """How far R Rᵀ may be from 1: matrices are kept in float32, or typed."""
-LARGEST_PIXELS = 1 << 16
+MAX_PIXELS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -57,32 +57,34 @@ def read_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
     Raises FileError where the file is damaged, a key is missing or no number, a lens is not a plain pinhole, a matrix
     is not rigid, or a path leaves the file's folder.
     """
-    document = _document(path)
+    document = _read_document(path)
     entries = document.get("frames")
     if not isinstance(entries, list) or not entries:
-        raise _wrong(path, "it has no 'frames'", "Give the transforms.json of the pictures, not of the model.")
-    return tuple(_frame(path, document, entry, index) for index, entry in enumerate(entries))
+        raise _unusable_error(path, "it has no 'frames'", "Give the transforms.json of the pictures, not of the model.")
+    return tuple(_parse_frame(path, document, entry, index) for index, entry in enumerate(entries))
 
 
-def read_export(path: Path) -> tuple[NerfstudioFrame, ...]:
+def read_model_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
     """read_transforms, in the frame of what was exported from the model: moved where MODEL_FRAME stands beside it.
 
     Raises FileError likewise, and where either transform cannot be undone.
     """
     frames = read_transforms(path)
-    beside = path.with_name(MODEL_FRAME)
+    beside = path.with_name(MODEL_TRANSFORM_FILE)
     if not beside.is_file():
         return frames
-    document, model = _document(path), _document(beside)
+    document, model = _read_document(path), _read_document(beside)
     turn = np.eye(4)
     if "applied_transform" in document:
-        turn = _rigid(path, document["applied_transform"], "applied_transform")
-    applied = _number(path, document, "applied_scale", "") if "applied_scale" in document else 1.0
-    to_model = _rigid(beside, model.get("transform"), "transform")
-    scale = _number(beside, model, "scale", "")
+        turn = _read_rigid_matrix(path, document["applied_transform"], "applied_transform")
+    applied = _read_number(path, document, "applied_scale", "") if "applied_scale" in document else 1.0
+    to_model = _read_rigid_matrix(beside, model.get("transform"), "transform")
+    scale = _read_number(beside, model, "scale", "")
     if not applied > 0.0 or not scale > 0.0:
-        raise _wrong(path, "a scale is not positive", "Export it again.")
-    return tuple(replace(frame, camera=_moved(frame.camera, turn, applied, to_model, scale)) for frame in frames)
+        raise _unusable_error(path, "a scale is not positive", "Export it again.")
+    return tuple(
+        replace(frame, camera=_transform_camera(frame.camera, turn, applied, to_model, scale)) for frame in frames
+    )
 
 
 def write_transforms(path: Path, frames: Sequence[NerfstudioFrame], **more: Any) -> None:
@@ -90,65 +92,71 @@ def write_transforms(path: Path, frames: Sequence[NerfstudioFrame], **more: Any)
 
     Raises FileError where a camera is not perspective or a path leaves the folder.
     """
-    lenses = [_lens(path, frame.camera) for frame in frames]
+    lenses = [_encode_lens(path, frame.camera) for frame in frames]
     shared = all(lens == lenses[0] for lens in lenses)
     document: dict[str, Any] = {"camera_model": "OPENCV", **(lenses[0] if shared and lenses else {}), **more}
     document["frames"] = [
         {
-            "file_path": _inside(path, frame.file_path, "file_path"),
-            **({"depth_file_path": _inside(path, frame.depth_file_path, "depth")} if frame.depth_file_path else {}),
+            "file_path": _check_relative_path(path, frame.file_path, "file_path"),
+            **(
+                {"depth_file_path": _check_relative_path(path, frame.depth_file_path, "depth")}
+                if frame.depth_file_path
+                else {}
+            ),
             **({} if shared else lens),
-            "transform_matrix": (frame.camera.pose @ TURN).tolist(),
+            "transform_matrix": (frame.camera.pose @ OPENGL_CAMERA_AXES).tolist(),
         }
         for frame, lens in zip(frames, lenses, strict=True)
     ]
     write_text(path, json.dumps(document, indent=1) + "\n")
 
 
-def _frame(path: Path, document: Mapping[str, Any], entry: Any, index: int) -> NerfstudioFrame:
+def _parse_frame(path: Path, document: Mapping[str, Any], entry: Any, index: int) -> NerfstudioFrame:
     where = f"frame {index}"
     if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str) or not entry["file_path"]:
-        raise _wrong(path, f"{where} has no 'file_path'")
+        raise _unusable_error(path, f"{where} has no 'file_path'")
     where = f"frame '{entry['file_path']}'"
     settings = {**document, **entry}
     model = settings.get("camera_model", "OPENCV")
-    if model not in PINHOLES:
-        raise _wrong(path, f"{where} has the camera model {model!r}, and only pinholes are read", UNDISTORT)
-    for key in DISTORTION:
-        if key in settings and _number(path, settings, key, where) != 0.0:
-            raise _wrong(path, f"{where}: its lens distorts ({key} = {settings[key]:g}), and only pinholes are read",
-                         UNDISTORT)  # fmt: skip
-    fl_x, fl_y, cx, cy, width, height = (_number(path, settings, key, where) for key in LENSES)
+    if model not in PINHOLE_MODELS:
+        raise _unusable_error(
+            path, f"{where} has the camera model {model!r}, and only pinholes are read", UNDISTORT_REMEDY
+        )
+    for key in DISTORTION_KEYS:
+        if key in settings and _read_number(path, settings, key, where) != 0.0:
+            raise _unusable_error(path, f"{where}: its lens distorts ({key} = {settings[key]:g}), and only pinholes are read",
+                         UNDISTORT_REMEDY)  # fmt: skip
+    fl_x, fl_y, cx, cy, width, height = (_read_number(path, settings, key, where) for key in LENS_KEYS)
     if not (fl_x > 0.0 and fl_y > 0.0):
-        raise _wrong(path, f"{where}: its focal lengths must be positive")
-    if not (1 <= width <= LARGEST_PIXELS and 1 <= height <= LARGEST_PIXELS and width % 1 == 0 and height % 1 == 0):
-        raise _wrong(path, f"{where}: {width:g} × {height:g} is no size of a picture")
+        raise _unusable_error(path, f"{where}: its focal lengths must be positive")
+    if not (1 <= width <= MAX_PIXELS and 1 <= height <= MAX_PIXELS and width % 1 == 0 and height % 1 == 0):
+        raise _unusable_error(path, f"{where}: {width:g} × {height:g} is no size of a picture")
     if "transform_matrix" not in entry:
-        raise _wrong(path, f"{where} has no 'transform_matrix'")
-    pose = _rigid(path, entry["transform_matrix"], f"{where}: its transform_matrix") @ TURN
+        raise _unusable_error(path, f"{where} has no 'transform_matrix'")
+    pose = _read_rigid_matrix(path, entry["transform_matrix"], f"{where}: its transform_matrix") @ OPENGL_CAMERA_AXES
     intrinsics = np.array([[fl_x, 0.0, cx], [0.0, fl_y, cy], [0.0, 0.0, 1.0]])
     depth = entry.get("depth_file_path") or ""
     if not isinstance(depth, str):
-        raise _wrong(path, f"{where}: its depth_file_path is no text")
+        raise _unusable_error(path, f"{where}: its depth_file_path is no text")
     return NerfstudioFrame(
-        file_path=_inside(path, entry["file_path"], where),
+        file_path=_check_relative_path(path, entry["file_path"], where),
         camera=Camera("perspective", int(width), int(height), intrinsics, pose),
-        depth_file_path=_inside(path, depth, where) if depth else "",
+        depth_file_path=_check_relative_path(path, depth, where) if depth else "",
     )
 
 
-UNDISTORT = "Undistort the pictures first (colmap image_undistorter), and make transforms.json of those."
+UNDISTORT_REMEDY = "Undistort the pictures first (colmap image_undistorter), and make transforms.json of those."
 
 
-def _moved(camera: Camera, turn: Float, applied: float, to_model: Float, scale: float) -> Camera:
+def _transform_camera(camera: Camera, axes: Float, applied: float, to_model: Float, scale: float) -> Camera:
     pose = camera.pose.copy()
     pose[:3, 3] /= applied
-    pose = to_model @ np.linalg.inv(turn) @ pose
+    pose = to_model @ np.linalg.inv(axes) @ pose
     pose[:3, 3] *= scale
     return replace(camera, pose=pose)
 
 
-def _lens(path: Path, camera: Camera) -> dict[str, float]:
+def _encode_lens(path: Path, camera: Camera) -> dict[str, float]:
     if camera.kind != "perspective":
         raise FileError("nerfstudio knows no orthographic camera.", where=str(path), remedy="Choose Perspective.")
     matrix = camera.intrinsics
@@ -158,7 +166,7 @@ def _lens(path: Path, camera: Camera) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _document(path: Path) -> dict[str, Any]:
+def _read_document(path: Path) -> dict[str, Any]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -166,55 +174,61 @@ def _document(path: Path) -> dict[str, Any]:
             f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the path."
         ) from error
     except (ValueError, RecursionError) as error:
-        raise _wrong(path, "it is no JSON") from error
+        raise _unusable_error(path, "it is no JSON") from error
     if isinstance(document, list):
-        raise _wrong(path, "it lists poses without their lenses", "Give the transforms.json that was trained on.")
+        raise _unusable_error(
+            path, "it lists poses without their lenses", "Give the transforms.json that was trained on."
+        )
     if not isinstance(document, dict):
-        raise _wrong(path, "it is no JSON object")
+        raise _unusable_error(path, "it is no JSON object")
     return document
 
 
-def _number(path: Path, settings: Mapping[str, Any], key: str, where: str) -> float:
+def _read_number(path: Path, settings: Mapping[str, Any], key: str, where: str) -> float:
     if key not in settings:
-        raise _wrong(path, f"{where} has no '{key}'" if where else f"it has no '{key}'")
+        raise _unusable_error(path, f"{where} has no '{key}'" if where else f"it has no '{key}'")
     value = settings[key]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise _wrong(path, f"{where or 'it'}: '{key}' is no number")
+        raise _unusable_error(path, f"{where or 'it'}: '{key}' is no number")
     return float(value)
 
 
-def _rigid(path: Path, values: Any, name: str) -> Float:
+def _read_rigid_matrix(path: Path, values: Any, name: str) -> Float:
     """(4, 4) of three or four rows, its rotation exact. Raises FileError where it is more than a turn and a shift."""
     try:
         rows = np.array(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
         rows = np.zeros(0)
     if rows.shape not in {(3, 4), (4, 4)} or not np.isfinite(rows).all():
-        raise _wrong(path, f"{name} is no matrix of 3 × 4 or 4 × 4 numbers")
-    if len(rows) == 4 and not np.allclose(rows[3], [0.0, 0.0, 0.0, 1.0], atol=RIGID):
-        raise _wrong(path, f"{name} does not end with 0 0 0 1")
+        raise _unusable_error(path, f"{name} is no matrix of 3 × 4 or 4 × 4 numbers")
+    if len(rows) == 4 and not np.allclose(rows[3], [0.0, 0.0, 0.0, 1.0], atol=RIGID_TOLERANCE):
+        raise _unusable_error(path, f"{name} does not end with 0 0 0 1")
     turn = rows[:3, :3]
-    if float(np.abs(turn).max()) > 2.0 or float(np.abs(turn @ turn.T - np.eye(3)).max()) > RIGID:
-        raise _wrong(path, f"{name} does more than turn and move")
+    if float(np.abs(turn).max()) > 2.0 or float(np.abs(turn @ turn.T - np.eye(3)).max()) > RIGID_TOLERANCE:
+        raise _unusable_error(path, f"{name} does more than turn and move")
     if np.linalg.det(turn) < 0.0:
-        raise _wrong(path, f"{name} mirrors")
+        raise _unusable_error(path, f"{name} mirrors")
     matrix = np.eye(4)
     left, _, right = np.linalg.svd(turn)
     matrix[:3, :3], matrix[:3, 3] = left @ right, rows[:3, 3]
     return matrix
 
 
-def _inside(path: Path, name: str, where: str) -> str:
+def _check_relative_path(path: Path, name: str, where: str) -> str:
     """A path below the file's folder, with '/'. Raises FileError for any other."""
     text = name.replace("\\", "/")
     parts = PurePosixPath(text).parts
     if not parts or ".." in parts or PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive or "\0" in text:
-        raise _wrong(path, f"{where}: the path {name!r} leaves its folder", "Keep the pictures beside the file.")
+        raise _unusable_error(
+            path, f"{where}: the path {name!r} leaves its folder", "Keep the pictures beside the file."
+        )
     folder = path.parent.resolve()
     if not (folder / text).resolve().is_relative_to(folder):
-        raise _wrong(path, f"{where}: the path {name!r} leaves its folder", "Keep the pictures beside the file.")
+        raise _unusable_error(
+            path, f"{where}: the path {name!r} leaves its folder", "Keep the pictures beside the file."
+        )
     return str(PurePosixPath(text))
 
 
-def _wrong(path: Path, why: str, remedy: str = "Export it again.") -> FileError:
+def _unusable_error(path: Path, why: str, remedy: str = "Export it again.") -> FileError:
     return FileError(f"cannot be used: {why}.", where=str(path), remedy=remedy)

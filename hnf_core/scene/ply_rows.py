@@ -15,10 +15,10 @@ from .ply_header import PlyHeader
 
 Rows = NDArray[np.void]
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
-LONGEST_LINE = 1 << 16
+MAX_LINE_BYTES = 1 << 16
 
 
-def whole_rows(path: Path, header: PlyHeader, element: str) -> int:
+def count_complete_rows(path: Path, header: PlyHeader, element: str) -> int:
     """Rows of an element whose bytes are all in the file; its count for an ascii file, where only reading tells.
 
     Raises FileError where the element, or one before it, has rows of no fixed size.
@@ -26,11 +26,11 @@ def whole_rows(path: Path, header: PlyHeader, element: str) -> int:
     count = header.count(element)
     if header.format == "ascii":
         return count
-    size = _row_type(path, header, element).itemsize
+    size = _get_row_dtype(path, header, element).itemsize
     try:
-        there = path.stat().st_size - _start(path, header, element)
+        there = path.stat().st_size - _find_element_offset(path, header, element)
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise _unreadable_error(path, error) from error
     return min(count, max(there, 0) // size) if size else count
 
 
@@ -39,39 +39,39 @@ def iter_rows(path: Path, header: PlyHeader, element: str, block: int) -> Iterat
 
     Raises FileError where the file is cut short, holds no numbers, or has rows of no fixed size.
     """
-    kind = _row_type(path, header, element)
+    kind = _get_row_dtype(path, header, element)
     try:
         with path.open("rb") as stream:
             if header.format == "ascii":
-                yield from _lines(path, stream, header, element, kind, block)
+                yield from _iter_ascii_rows(path, stream, header, element, kind, block)
                 return
-            stream.seek(_start(path, header, element))
+            stream.seek(_find_element_offset(path, header, element))
             count = header.count(element)
             for first in range(0, count, block):
                 rows = min(block, count - first)
                 data = stream.read(rows * kind.itemsize)
                 if len(data) < rows * kind.itemsize:
-                    raise cut_short(path, element, first + len(data) // kind.itemsize, count)
+                    raise make_truncated_error(path, element, first + len(data) // kind.itemsize, count)
                 yield np.frombuffer(data, dtype=kind)
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise _unreadable_error(path, error) from error
 
 
-def cut_short(path: Path, element: str, there: int, count: int) -> FileError:
+def make_truncated_error(path: Path, element: str, present: int, count: int) -> FileError:
     """The error for a file that ends too early."""
     what = "splats" if element == "vertex" else f"rows of its element '{element}'"
     return FileError(
-        f"is cut short: {there} of its {count} {what} are there.",
+        f"is cut short: {present} of its {count} {what} are there.",
         where=str(path),
         remedy="Export or download it again.",
     )
 
 
-def _lines(
+def _iter_ascii_rows(
     path: Path, stream: BinaryIO, header: PlyHeader, element: str, kind: np.dtype[Any], block: int
 ) -> Iterator[Rows]:
-    stream.seek(header.data_at)
-    lines = iter(lambda: stream.readline(LONGEST_LINE).decode("latin-1"), "")
+    stream.seek(header.data_offset)
+    lines = iter(lambda: stream.readline(MAX_LINE_BYTES).decode("latin-1"), "")
     filled = (line for line in lines if line.strip())
     for name, (rows, _) in header.elements.items():
         if name == element:
@@ -86,8 +86,8 @@ def _lines(
         broken = bool(text) and not text[-1].endswith("\n") and (len(text) < rows or len(text[-1].split()) < columns)
         whole = len(text) - broken
         if whole < rows:
-            raise cut_short(path, element, first + whole, count)
-        table = _numbers(path, text, columns)
+            raise make_truncated_error(path, element, first + whole, count)
+        table = _parse_numbers(path, text, columns)
         structured = np.empty(rows, dtype=kind)
         with np.errstate(over="ignore", invalid="ignore"):
             for column, name in enumerate(kind.names or ()):
@@ -95,29 +95,31 @@ def _lines(
         yield structured
 
 
-def _numbers(path: Path, text: list[str], columns: int) -> NDArray[np.float64]:
+def _parse_numbers(path: Path, text: list[str], columns: int) -> NDArray[np.float64]:
     try:
         table = np.loadtxt(text, dtype=np.float64, comments=None, ndmin=2)
     except ValueError as error:
-        raise _damaged(path, "a line of its data holds something else than numbers") from error
+        raise _damaged_data_error(path, "a line of its data holds something else than numbers") from error
     if table.shape != (len(text), columns):
-        raise _damaged(path, f"a line of its data holds {table.shape[1]} numbers instead of {columns}")
+        raise _damaged_data_error(path, f"a line of its data holds {table.shape[1]} numbers instead of {columns}")
     return table
 
 
-def _start(path: Path, header: PlyHeader, element: str) -> int:
+def _find_element_offset(path: Path, header: PlyHeader, element: str) -> int:
     """Where a binary element begins."""
-    at = header.data_at
+    at = header.data_offset
     for name, (count, _) in header.elements.items():
         if name == element:
             break
-        at += count * _row_type(path, header, name).itemsize
+        at += count * _get_row_dtype(path, header, name).itemsize
     return at
 
 
-def _row_type(path: Path, header: PlyHeader, element: str) -> np.dtype[Any]:
+def _get_row_dtype(path: Path, header: PlyHeader, element: str) -> np.dtype[Any]:
     if header.format != "ascii" and header.format not in BYTE_ORDERS:
-        raise _damaged(path, f"its format {header.format[:40]!r} is not one of {', '.join(('ascii', *BYTE_ORDERS))}")
+        raise _damaged_data_error(
+            path, f"its format {header.format[:40]!r} is not one of {', '.join(('ascii', *BYTE_ORDERS))}"
+        )
     order = BYTE_ORDERS.get(header.format, "=")
     names, types = header.names(element), header.types.get(element, ())
     for name, code in zip(names, types, strict=True):
@@ -128,15 +130,15 @@ def _row_type(path: Path, header: PlyHeader, element: str) -> np.dtype[Any]:
                 remedy="Export it again, as Gaussian splats alone.",
             )
     if len(set(names)) < len(names):
-        raise _damaged(path, f"its element '{element}' names a property twice")
+        raise _damaged_data_error(path, f"its element '{element}' names a property twice")
     return np.dtype([(name, order + code) for name, code in zip(names, types, strict=True)])
 
 
-def _unreadable(path: Path, error: OSError) -> FileError:
+def _unreadable_error(path: Path, error: OSError) -> FileError:
     return FileError(
         f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the path and its rights."
     )
 
 
-def _damaged(path: Path, why: str) -> FileError:
+def _damaged_data_error(path: Path, why: str) -> FileError:
     return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")

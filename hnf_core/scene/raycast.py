@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .camera import Camera
-from .mesh import TriangleMesh, has_area, single_frame
+from .mesh import TriangleMesh, compute_float32_frame, has_area
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 
-AT_ONCE = 1 << 14
+RAYS_PER_BLOCK = 1 << 14
 """Rays of a view that are worked out together."""
 
 
@@ -29,7 +29,7 @@ class Hits:
 
 
 @dataclass(frozen=True)
-class Closest:
+class ClosestPoints:
     """triangle: (n,) int32. barycentric: (n, 3). position: (n, 3) on the surface. distance: (n,) metres."""
 
     triangle: Int
@@ -62,34 +62,34 @@ class EmbreeCaster:
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self._corners = mesh.corner_positions()
-        self._frame = single_frame(self._corners)
+        self._frame = compute_float32_frame(self._corners)
         from embreex.mesh_construction import TriangleMesh as EmbreeMesh
         from embreex.rtcore_scene import EmbreeScene
 
-        self._kept = np.flatnonzero(has_area(self._corners)).astype(np.int32)
-        vertices, triangles = _used(mesh.vertices, mesh.triangles[self._kept])
+        self._triangle_ids = np.flatnonzero(has_area(self._corners)).astype(np.int32)
+        vertices, triangles = _drop_unused_vertices(mesh.vertices, mesh.triangles[self._triangle_ids])
         self._scene: Any = EmbreeScene()
-        self._keep = EmbreeMesh(
-            self._scene, np.ascontiguousarray(self._frame.inside(vertices), dtype=np.float32), triangles
+        self._embree_mesh = EmbreeMesh(
+            self._scene, np.ascontiguousarray(self._frame.to_frame(vertices), dtype=np.float32), triangles
         )
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
-        origins, directions = _rays(origins, directions)
+        origins, directions = _as_ray_arrays(origins, directions)
         # A far camera's origin would be rounded to float32: start each ray where it enters the bounding sphere.
-        local = self._frame.inside(origins)
+        local = self._frame.to_frame(origins)
         length = np.sqrt(_dot(directions, directions))
         unit = directions / np.where(length > 0.0, length, 1.0)[:, None]
         skip = np.maximum(-_dot(local, unit) - 1.01 * self._frame.radius * self._frame.scale, 0.0)
         start = np.ascontiguousarray(local + skip[:, None] * unit, dtype=np.float32)
-        if len(start) == 0 or len(self._kept) == 0:
-            return _no_hits(len(start))
+        if len(start) == 0 or len(self._triangle_ids) == 0:
+            return _make_empty_hits(len(start))
         found = self._scene.run(start, np.ascontiguousarray(unit, dtype=np.float32), output=True)
         which = np.asarray(found["primID"], dtype=np.int32)
-        chosen = np.where(which >= 0, self._kept[which], -1).astype(np.int32)
+        chosen = np.where(which >= 0, self._triangle_ids[which], -1).astype(np.int32)
         return refine_hits(self._corners, chosen, origins, directions)
 
 
-def embree_caster(mesh: TriangleMesh) -> EmbreeCaster:
+def make_embree_caster(mesh: TriangleMesh) -> EmbreeCaster:
     """Raises SceneError for a mesh without triangles and ImportError where embreex is not installed."""
     return EmbreeCaster(mesh)
 
@@ -99,27 +99,27 @@ class ReferenceGeometry:
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self._corners = mesh.corner_positions()
-        single_frame(self._corners)  # refuses what has no place
+        compute_float32_frame(self._corners)  # refuses what has no place
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
-        origins, directions = _rays(origins, directions)
-        chosen, planes = np.full(len(origins), -1, dtype=np.int32), _planes(self._corners)
+        origins, directions = _as_ray_arrays(origins, directions)
+        chosen, planes = np.full(len(origins), -1, dtype=np.int32), _triangle_planes(self._corners)
         for index in range(len(origins)):
             origin, direction = (np.broadcast_to(each[index], planes[0].shape) for each in (origins, directions))
-            distance, weights = _plane_hits(*planes, origin, direction)
+            distance, weights = _intersect_planes(*planes, origin, direction)
             valid = (weights >= 0.0).all(axis=-1) & (distance >= 0.0)
             if valid.any():
                 chosen[index] = np.argmin(np.where(valid, distance, np.inf))
         return refine_hits(self._corners, chosen, origins, directions)
 
-    def closest_points(self, points: ArrayLike) -> Closest:
+    def closest_points(self, points: ArrayLike) -> ClosestPoints:
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         chosen = np.zeros(len(points), dtype=np.int32)
         for index, point in enumerate(points):
-            weights = closest_barycentric(self._corners, np.broadcast_to(point, (len(self._corners), 3)))
+            weights = find_closest_barycentric(self._corners, np.broadcast_to(point, (len(self._corners), 3)))
             position = np.einsum("tc,tcx->tx", weights, self._corners)
             chosen[index] = np.argmin(np.sum((position - point) ** 2, axis=-1))
-        return closest_on(self._corners, chosen, points)
+        return find_closest_points(self._corners, chosen, points)
 
 
 def cast_view(caster: RayCaster, mesh: TriangleMesh, camera: Camera) -> CastView:
@@ -128,7 +128,7 @@ def cast_view(caster: RayCaster, mesh: TriangleMesh, camera: Camera) -> CastView
     Rays start at clip_start, so that nothing nearer occludes. Casts camera.width × camera.height rays, AT_ONCE or so: a
     ray knows nothing of the others, and arrays of this size stay in a processor's cache.
     """
-    step = max(AT_ONCE // camera.width, 1)
+    step = max(RAYS_PER_BLOCK // camera.width, 1)
     bands = [_cast_rows(caster, mesh, camera, slice(top, top + step)) for top in range(0, camera.height, step)]
     return CastView(*(np.concatenate([getattr(band, each.name) for band in bands]) for each in fields(CastView)))
 
@@ -153,23 +153,23 @@ def _cast_rows(caster: RayCaster, mesh: TriangleMesh, camera: Camera, rows: slic
     )
 
 
-def closest_on(corners: Float, triangle: Int, points: Float) -> Closest:
+def find_closest_points(corners: Float, triangle: Int, points: Float) -> ClosestPoints:
     """The point of each given triangle that is nearest to each point. corners: (T, 3, 3); triangle: (n,)."""
     chosen = corners[triangle]
-    weights = closest_barycentric(chosen, points)
+    weights = find_closest_barycentric(chosen, points)
     position = np.einsum("nc,ncx->nx", weights, chosen)
-    return Closest(triangle, weights, position, np.linalg.norm(position - points, axis=-1))
+    return ClosestPoints(triangle, weights, position, np.linalg.norm(position - points, axis=-1))
 
 
-def closest_barycentric(corners: Float, points: Float) -> Float:
+def find_closest_barycentric(corners: Float, points: Float) -> Float:
     """Barycentric weights (n, 3) of the nearest point of triangle n (corners (n, 3, 3)) to point n (n, 3).
 
     The nearest point is the foot on the plane where that lies inside, else the nearest of the three edges' feet.
     """
     origin = corners[:, 0]
-    _, normal, *towards = _planes(corners)
-    inside = _weights((towards[0], towards[1]), points - origin)
-    candidates = [_edge_weights(corners, points, start) for start in range(3)]
+    _, normal, *towards = _triangle_planes(corners)
+    inside = _plane_barycentric((towards[0], towards[1]), points - origin)
+    candidates = [_closest_on_edge(corners, points, start) for start in range(3)]
     feet = np.stack([np.einsum("nc,ncx->nx", weights, corners) for weights in candidates], axis=1)
     nearest = np.argmin(np.sum((feet - points[:, None]) ** 2, axis=-1), axis=1)
     edge = np.stack(candidates, axis=1)[np.arange(len(points)), nearest]
@@ -177,7 +177,7 @@ def closest_barycentric(corners: Float, points: Float) -> Float:
     return np.where((inside >= 0.0).all(axis=-1)[:, None] & ~flat[:, None], inside, edge)
 
 
-def _edge_weights(corners: Float, points: Float, start: int) -> Float:
+def _closest_on_edge(corners: Float, points: Float, start: int) -> Float:
     end = (start + 1) % 3
     along = corners[:, end] - corners[:, start]
     square = np.sum(along * along, axis=-1)
@@ -188,12 +188,12 @@ def _edge_weights(corners: Float, points: Float, start: int) -> Float:
     return weights
 
 
-def _dot(one: Float, other: Float) -> Float:
+def _dot(first: Float, second: Float) -> Float:
     """(n,) products of rows (n, 3)."""
-    return np.asarray(np.einsum("nx,nx->n", one, other))
+    return np.asarray(np.einsum("nx,nx->n", first, second))
 
 
-def _planes(corners: Float) -> tuple[Float, Float, Float, Float]:
+def _triangle_planes(corners: Float) -> tuple[Float, Float, Float, Float]:
     """Of each triangle (T, 3, 3): corner 0, normal (as long as twice its area), and the two vectors whose products with
     an offset from corner 0 are its barycentric weights of corners 1 and 2; (T, 3) each."""
     origin = corners[:, 0]
@@ -204,13 +204,13 @@ def _planes(corners: Float) -> tuple[Float, Float, Float, Float]:
     return origin, normal, np.cross(second, normal) / square, np.cross(normal, first) / square
 
 
-def _weights(towards: tuple[Float, Float], offset: Float) -> Float:
+def _plane_barycentric(towards: tuple[Float, Float], offset: Float) -> Float:
     """Barycentric weights (n, 3) of offsets from corner 0, projected on the triangles' planes. towards: of _planes."""
     v, w = _dot(offset, towards[0]), _dot(offset, towards[1])
     return np.stack([1.0 - v - w, v, w], axis=-1)
 
 
-def _plane_hits(
+def _intersect_planes(
     origin: Float, normal: Float, second: Float, third: Float, origins: Float, directions: Float
 ) -> tuple[Float, Float]:
     """Ray parameter and barycentric weights on planes as of _planes, elementwise; inf where parallel."""
@@ -218,19 +218,19 @@ def _plane_hits(
     parallel = facing == 0.0
     distance = np.where(parallel, np.inf, _dot(origin - origins, normal) / np.where(parallel, 1.0, facing))
     reach = np.where(parallel, 0.0, distance)
-    weights = _weights((second, third), origins + reach[:, None] * directions - origin)
+    weights = _plane_barycentric((second, third), origins + reach[:, None] * directions - origin)
     return distance, np.where(parallel[:, None], -1.0, weights)
 
 
 def refine_hits(corners: Float, triangle: Int, origins: Float, directions: Float) -> Hits:
     """Distance and barycentrics in float64 for triangles already chosen."""
-    hits = _no_hits(len(triangle))
+    hits = _make_empty_hits(len(triangle))
     met_any = triangle >= 0
     hit = slice(None) if met_any.all() else np.flatnonzero(met_any)
     # What a triangle is counts once, however many rays meet it.
-    met, which = _distinct(triangle[hit], len(corners))
-    origin, normal, second, third = np.stack(_planes(corners[met]), axis=1)[which].swapaxes(0, 1)
-    distance, weights = _plane_hits(origin, normal, second, third, origins[hit], directions[hit])
+    met, which = _find_distinct_triangles(triangle[hit], len(corners))
+    origin, normal, second, third = np.stack(_triangle_planes(corners[met]), axis=1)[which].swapaxes(0, 1)
+    distance, weights = _intersect_planes(origin, normal, second, third, origins[hit], directions[hit])
     real = np.isfinite(distance)  # a ray in the plane of its triangle has no crossing
     np.maximum(weights, 0.0, out=weights)  # rounding may leave an edge by 1e-7
     total = weights[:, 0] + weights[:, 1] + weights[:, 2]
@@ -240,7 +240,7 @@ def refine_hits(corners: Float, triangle: Int, origins: Float, directions: Float
     return hits
 
 
-def _distinct(triangle: Int, count: int) -> tuple[Any, NDArray[np.integer[Any]]]:
+def _find_distinct_triangles(triangle: Int, count: int) -> tuple[Any, NDArray[np.integer[Any]]]:
     """Of count triangles those that occur, or all where they are few; and for each entry its place among them."""
     if count < len(triangle):
         return slice(None), triangle
@@ -248,18 +248,18 @@ def _distinct(triangle: Int, count: int) -> tuple[Any, NDArray[np.integer[Any]]]
     return met, which.reshape(-1)
 
 
-def _no_hits(count: int) -> Hits:
+def _make_empty_hits(count: int) -> Hits:
     return Hits(np.full(count, -1, dtype=np.int32), np.full(count, np.inf), np.zeros((count, 3)))
 
 
-def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Float, Float]:
+def _as_ray_arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[Float, Float]:
     return (
         np.asarray(origins, dtype=np.float64).reshape(-1, 3),
         np.asarray(directions, dtype=np.float64).reshape(-1, 3),
     )
 
 
-def _used(vertices: Float, triangles: Int) -> tuple[Float, Int]:
+def _drop_unused_vertices(vertices: Float, triangles: Int) -> tuple[Float, Int]:
     """Vertices that a triangle has, and the triangles among them: a stray one may lie beyond float32."""
     used = np.zeros(len(vertices), dtype=bool)
     used[triangles] = True

@@ -15,9 +15,9 @@ import numpy as np
 from ..errors import MaterialError
 from ..material.mechanics import Mechanics
 from .surface import Lattice, SurfaceRecipe
-from .table import TABLE, Entry, recipe_of
+from .table import MATERIAL_TABLE, MaterialEntry, build_recipe
 
-ROWS = {entry.name: entry for entry in TABLE}
+CLASS_ENTRIES = {entry.name: entry for entry in MATERIAL_TABLE}
 
 
 @dataclass(frozen=True)
@@ -42,31 +42,31 @@ class Scatter:
     friction: float = 0.1
 
 
-SCATTER = Scatter()
+DEFAULT_SCATTER = Scatter()
 
 
-def classes() -> tuple[str, ...]:
+def list_classes() -> tuple[str, ...]:
     """Names of all classes."""
-    return tuple(ROWS)
+    return tuple(CLASS_ENTRIES)
 
 
-def category_of(class_name: str) -> str:
+def get_category(class_name: str) -> str:
     """wood, metal, stone, fabric, paper, plastic, foam, carpet, tile, leather, rubber or glass."""
-    return _row(class_name).category
+    return _get_entry(class_name).category
 
 
-def recorded_category_of(class_name: str) -> str:
+def get_recorded_category(class_name: str) -> str:
     """The HaTT category that the class is held against, "" where it recorded none."""
-    return _row(class_name).hatt
+    return _get_entry(class_name).hatt
 
 
-def instance(class_name: str, seed: int, scatter: Scatter = SCATTER) -> tuple[SurfaceRecipe, Mechanics]:
+def sample_instance(class_name: str, seed: int, scatter: Scatter = DEFAULT_SCATTER) -> tuple[SurfaceRecipe, Mechanics]:
     """One piece of a class; the same name and seed give the same piece. Its heights: height_map(recipe, seed).
 
     Raises MaterialError for a class that does not exist.
     """
-    entry = _row(class_name)
-    rng = np.random.default_rng([seed_of(class_name), seed])
+    entry = _get_entry(class_name)
+    rng = np.random.default_rng([derive_seed(class_name), seed])
 
     def factor(deviation: float) -> float:
         return float(np.exp(entry.scatter * deviation * np.clip(rng.standard_normal(), -2.0, 2.0)))
@@ -85,7 +85,7 @@ def instance(class_name: str, seed: int, scatter: Scatter = SCATTER) -> tuple[Su
     )
     lattices = tuple(
         replace(
-            _repitched(part, factor(scatter.pitch), factor(scatter.pitch)),
+            _scale_pitch(part, factor(scatter.pitch), factor(scatter.pitch)),
             rms_m=part.rms_m * factor(scatter.balance),
             irregularity=part.irregularity * factor(scatter.length),
         )
@@ -111,27 +111,27 @@ def instance(class_name: str, seed: int, scatter: Scatter = SCATTER) -> tuple[Su
         mean.damping_ratio * factor(scatter.damping),
         mean.friction * factor(scatter.friction),
     )
-    return recipe_of(piece), mechanics
+    return build_recipe(piece), mechanics
 
 
-def seed_of(name: str) -> int:
+def derive_seed(name: str) -> int:
     """A seed that belongs to a name, the same on every machine."""
     return int.from_bytes(blake2b(name.encode(), digest_size=4).digest(), "little")
 
 
-def _row(class_name: str) -> Entry:
-    if class_name not in ROWS:
+def _get_entry(class_name: str) -> MaterialEntry:
+    if class_name not in CLASS_ENTRIES:
         raise MaterialError(
             f"no class of surfaces is called {class_name!r}.", remedy="simulation.classes.classes() lists them."
         )
-    return ROWS[class_name]
+    return CLASS_ENTRIES[class_name]
 
 
-def _repitched(part: Lattice, x: float, y: float) -> Lattice:
+def _scale_pitch(lattice: Lattice, x: float, y: float) -> Lattice:
     """The lattice with its pitch divided by x and y, to the nearest whole number of repeats on the tile."""
-    repeats = [gcd(*(wave[0] for wave in part.waves)), gcd(*(wave[1] for wave in part.waves))]
+    repeats = [gcd(*(wave[0] for wave in lattice.waves)), gcd(*(wave[1] for wave in lattice.waves))]
     if repeats[0] == repeats[1]:
         y = x  # a square lattice stays one
     finer = [max(1, round(n * by)) / n if n else 1.0 for n, by in zip(repeats, (x, y), strict=True)]
-    waves = tuple((round(px * finer[0]), round(py * finer[1]), a, phase) for px, py, a, phase in part.waves)
-    return replace(part, waves=waves)
+    waves = tuple((round(px * finer[0]), round(py * finer[1]), a, phase) for px, py, a, phase in lattice.waves)
+    return replace(lattice, waves=waves)

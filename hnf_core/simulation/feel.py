@@ -12,20 +12,20 @@ from ..material.mechanics import Mechanics
 from ..material.probe import PROBES, Probe
 from .dft321 import dft321
 from .sampling import SmoothedMaps
-from .simulate import COMPLETE, SAMPLE_RATE_HZ, Physics, simulate_batch, straight_stroke
+from .simulate import FULL_PHYSICS, SAMPLE_RATE_HZ, Physics, simulate_batch, straight_stroke
 
 Float = NDArray[np.float64]
 
-CONDITIONS = ((0.1, 1.0), (0.05, 1.0), (0.15, 1.0), (0.1, 0.5), (0.1, 2.0))
+STROKE_CONDITIONS = ((0.1, 1.0), (0.05, 1.0), (0.15, 1.0), (0.1, 0.5), (0.1, 2.0))
 """(m/s, N): the middle, then the ends of the speed and the force exponent."""
-ANGLES = (float(np.radians(8.0)), float(np.radians(98.0)))
+STROKE_ANGLES_RAD = (float(np.radians(8.0)), float(np.radians(98.0)))
 """Almost along x and y: exactly along them, a stroke would meet the same line of the tile again and again."""
 SETTLE_S = 0.1
 LOWEST_HZ = 10.0
 
 
 @dataclass(frozen=True)
-class Feel:
+class TextureStatistics:
     """Of one surface at 100 mm/s, 1 N, both directions in power; rms_along, rms_across of each alone [m/s²].
 
     v_exponent: slope of log RMS over log speed from 50 to 150 mm/s at 1 N; f_exponent: over log force from 0.5 to 2 N
@@ -41,32 +41,32 @@ class Feel:
     f_exponent: float
 
 
-def feel(
+def compute_texture_statistics(
     surfaces: Sequence[tuple[SmoothedMaps, Mechanics]],
     duration_s: float = 1.0,
     *,
     probe: Probe = PROBES["pen"],
-    physics: Physics = COMPLETE,
+    physics: Physics = FULL_PHYSICS,
     oversample: int = 2,
-) -> list[Feel]:
+) -> list[TextureStatistics]:
     """The five numbers of each surface; see stroked."""
-    power, frequency = stroked(surfaces, duration_s, probe=probe, physics=physics, oversample=oversample)
-    return [summed(each, frequency) for each in power]
+    power, frequency = simulate_strokes(surfaces, duration_s, probe=probe, physics=physics, oversample=oversample)
+    return [aggregate_strokes(each, frequency) for each in power]
 
 
-def stroked(
+def simulate_strokes(
     surfaces: Sequence[tuple[SmoothedMaps, Mechanics]],
     duration_s: float = 1.0,
     *,
     probe: Probe = PROBES["pen"],
-    physics: Physics = COMPLETE,
+    physics: Physics = FULL_PHYSICS,
     oversample: int = 2,
 ) -> tuple[Float, Float]:
     """Simulate ten strokes of each surface: CONDITIONS × ANGLES, `duration_s` each after SETTLE_S.
 
     Returns power per bin (surfaces, 10, bins) [(m/s²)²] and the bins' frequencies.
     """
-    rows = [(v, f, angle) for v, f in CONDITIONS for angle in ANGLES]
+    rows = [(v, f, angle) for v, f in STROKE_CONDITIONS for angle in STROKE_ANGLES_RAD]
     strokes = [straight_stroke(v, f, duration_s + SETTLE_S, angle_rad=angle) for v, f, angle in rows]
     acceleration = simulate_batch(
         [maps for maps, _ in surfaces for _ in rows],
@@ -76,11 +76,11 @@ def stroked(
         oversample=oversample,
         physics=physics,
     )
-    power, frequency = spectra(acceleration[:, round(SETTLE_S * SAMPLE_RATE_HZ) :])
+    power, frequency = compute_fused_spectra(acceleration[:, round(SETTLE_S * SAMPLE_RATE_HZ) :])
     return power.reshape(len(surfaces), len(rows), -1), frequency
 
 
-def spectra(acceleration: Float) -> tuple[Float, Float]:
+def compute_fused_spectra(acceleration: Float) -> tuple[Float, Float]:
     """Power per bin (rows, bins) of the fused signal from LOWEST_HZ on, and the bins' frequencies."""
     fused = dft321(acceleration - acceleration.mean(axis=1, keepdims=True))
     n = fused.shape[1]
@@ -89,17 +89,19 @@ def spectra(acceleration: Float) -> tuple[Float, Float]:
     return power[:, frequency >= LOWEST_HZ], frequency[frequency >= LOWEST_HZ]
 
 
-def summed(power: Float, frequency: Float, instrument: Callable[[Float], Float] | None = None) -> Feel:
+def aggregate_strokes(
+    power: Float, frequency: Float, instrument: Callable[[Float], Float] | None = None
+) -> TextureStatistics:
     """The five numbers of one surface's ten strokes (10, bins).
 
     instrument: frequency [Hz] → power density [(m/s²)²/Hz] of the noise that a recording instrument adds.
     """
     if instrument is not None:
         power = power + instrument(frequency) * (frequency[1] - frequency[0])
-    rms = np.sqrt(power.sum(axis=1).reshape(len(CONDITIONS), len(ANGLES)))
+    rms = np.sqrt(power.sum(axis=1).reshape(len(STROKE_CONDITIONS), len(STROKE_ANGLES_RAD)))
     both = np.sqrt(np.mean(np.square(rms), axis=1))
-    middle = power[: len(ANGLES)].sum(axis=0)
-    return Feel(
+    middle = power[: len(STROKE_ANGLES_RAD)].sum(axis=0)
+    return TextureStatistics(
         rms=float(both[0]),
         rms_along=float(rms[0, 0]),
         rms_across=float(rms[0, 1]),

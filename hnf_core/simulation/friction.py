@@ -47,7 +47,7 @@ class Bristles:
     damping: Float
 
 
-def bristles_of(mechanics: Sequence[Mechanics], probe: Probe) -> Bristles:
+def derive_bristles(mechanics: Sequence[Mechanics], probe: Probe) -> Bristles:
     """σ0 = Mindlin's share of the contact's normal stiffness at 1 N, σ1 its damping ratio ζ as along the normal."""
     normal = [
         float(contact_stiffness(each, probe, 1.0)) if probe.soft_tip else surface_stiffness_at_1n(each, probe)
@@ -59,16 +59,18 @@ def bristles_of(mechanics: Sequence[Mechanics], probe: Probe) -> Bristles:
     return Bristles(np.array([each.friction for each in known]), stiffness, damping)
 
 
-class Law(Protocol):
+class FrictionLaw(Protocol):
     """Friction of B contacts as the integrator asks for it; see LuGre for the arguments."""
 
     force: Float
 
     def __init__(self, bristles: Bristles, velocity: Float, dt: float) -> None: ...
 
-    def slope(self, sliding: Float, leaning: Float, surface_slope: Float, touching: Mask) -> tuple[Float, Float]: ...
+    def linearise(
+        self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
+    ) -> tuple[Float, Float]: ...
 
-    def settle(self, sliding: Float) -> None: ...
+    def update(self, sliding: Float) -> None: ...
 
 
 class LuGre:
@@ -84,7 +86,9 @@ class LuGre:
         self.force = level * velocity / np.maximum(pace, 1e-9)
         self._damped, self._share = np.zeros_like(pace), np.ones_like(pace)
 
-    def slope(self, sliding: Float, leaning: Float, surface_slope: Float, touching: Mask) -> tuple[Float, Float]:
+    def linearise(
+        self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
+    ) -> tuple[Float, Float]:
         """Friction of this step as a + b v_new per unit of load: a (2, B), b (B,) [s/m].
 
         sliding: (2, B) velocity over the surface before the step. leaning: (B,) rise of μ per unit of slope against
@@ -97,7 +101,7 @@ class LuGre:
         pace = np.sqrt(squared)
         flank = surface_slope[0] * sliding[0]
         flank += surface_slope[1] * sliding[1]
-        flank *= leaning
+        flank *= flank_friction
         flank /= pace
         squared *= -1.0 / STRIBECK_SPEED_M_S**2
         stribeck = np.exp(squared)
@@ -114,7 +118,7 @@ class LuGre:
         gain = 1.0 + self._damped
         return gain * self._held - self._damped * self.force, gain * self._share
 
-    def settle(self, sliding: Float) -> None:
+    def update(self, sliding: Float) -> None:
         """Bend the bristles by the velocity (2, B) that the step has led to."""
         self.force = self._held + self._share * sliding
 
@@ -127,15 +131,17 @@ class Coulomb:
         self._friction = bristles.friction
         self.force = bristles.friction * velocity / np.sqrt(np.square(velocity).sum(axis=0) + CREEP_SPEED_M_S**2)
 
-    def slope(self, sliding: Float, leaning: Float, surface_slope: Float, touching: Mask) -> tuple[Float, Float]:
+    def linearise(
+        self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
+    ) -> tuple[Float, Float]:
         """As LuGre.slope, with a = 0."""
         del touching
         pace = np.sqrt(np.square(sliding).sum(axis=0) + CREEP_SPEED_M_S**2)
-        flank = (surface_slope * sliding).sum(axis=0) * leaning / pace
+        flank = (surface_slope * sliding).sum(axis=0) * flank_friction / pace
         return np.zeros_like(sliding), np.maximum(self._friction + flank, 0.0) / pace
 
-    def settle(self, sliding: Float) -> None:
+    def update(self, sliding: Float) -> None:
         """Nothing is remembered."""
 
 
-LAWS: dict[str, type[Law]] = {"lugre": LuGre, "coulomb": Coulomb}
+FRICTION_LAWS: dict[str, type[FrictionLaw]] = {"lugre": LuGre, "coulomb": Coulomb}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..material.contact import surface_stiffness_at_1n, with_defaults
 from ..material.mechanics import Mechanics
 from ..material.probe import Probe
-from .friction import LAWS, Law, bristles_of
+from .friction import FRICTION_LAWS, FrictionLaw, derive_bristles
 
 Float = NDArray[np.float64]
 
@@ -34,12 +34,12 @@ class Physics:
     unilateral: bool = True
 
     def __post_init__(self) -> None:
-        if self.friction not in LAWS:
-            raise ValueError(f"friction {self.friction!r}: one of {', '.join(sorted(LAWS))}.")
+        if self.friction not in FRICTION_LAWS:
+            raise ValueError(f"friction {self.friction!r}: one of {', '.join(sorted(FRICTION_LAWS))}.")
 
 
 @dataclass(frozen=True)
-class Motion:
+class ContactMotion:
     """What happened at every integration step. acceleration: (steps, 3, B) m/s². normal_n: (steps, B) N, 0 = no
     contact. sliding_m_s: (steps, 2, B) velocity of the tip over the surface."""
 
@@ -48,13 +48,13 @@ class Motion:
     sliding_m_s: Float
 
 
-DRIVES = 7
+DRIVE_COUNT = 7
 """Height [m], slopes along x and y, the hand's velocity x and y [m/s], force [N], rise of friction with slope."""
 
 
-def integrate(
+def integrate_contact(
     blocks: Iterable[Float], mechanics: Sequence[Mechanics], probe: Probe, dt: float, physics: Physics
-) -> Iterator[Motion]:
+) -> Iterator[ContactMotion]:
     """Semi-implicit Euler from static equilibrium; one Motion per block of drives (DRIVES, steps + 2, B), the first and
     last step of each being its neighbours'.
 
@@ -67,7 +67,7 @@ def integrate(
     inverse_mass = 1.0 / probe.mass_kg
     hand_spring = HAND_STIFFNESS_N_M * inverse_mass
     hand_damper = 2.0 * HAND_DAMPING_RATIO * np.sqrt(hand_spring)
-    law: Law | None = None
+    law: FrictionLaw | None = None
     for drives in blocks:
         height, slope, velocity = drives[0, 1:-1], drives[1:3, 1:-1], drives[3:5, 1:-1]
         force, leaning = np.maximum(drives[5, 1:-1], 0.0), drives[6, 1:-1]  # the cubic undershoots at a sudden lift
@@ -75,7 +75,7 @@ def integrate(
         if law is None:
             load = np.cbrt(force[0])
             z, vz = height[0] - (b * load**2 + load**3 / probe.stiffness_n_m), climb[0].copy()
-            law = LAWS[physics.friction](bristles_of(mechanics, probe), velocity[:, 0], dt)
+            law = FRICTION_LAWS[physics.friction](derive_bristles(mechanics, probe), velocity[:, 0], dt)
             lateral = -force[0] * law.force / HAND_STIFFNESS_N_M
             v_lateral = np.zeros_like(lateral)
         steps, rows = height.shape
@@ -85,7 +85,7 @@ def integrate(
             depth = height[i] - z
             if physics.unilateral:
                 np.maximum(depth, 0.0, out=depth)
-            normal, stiffness = contact_force(np.abs(depth), b, probe.stiffness_n_m)
+            normal, stiffness = compute_contact_force(np.abs(depth), b, probe.stiffness_n_m)
             damper = np.sqrt(stiffness)
             damper *= damping
             damper *= climb[i] - vz
@@ -105,7 +105,7 @@ def integrate(
             touching = pushed > 0.0
             pushed *= dt * inverse_mass
             sliding = velocity[:, i] + v_lateral
-            constant, linear = law.slope(sliding, leaning[i], slope[:, i], touching)
+            constant, linear = law.linearise(sliding, leaning[i], slope[:, i], touching)
             constant += slope[:, i]
             constant *= pushed
             linear *= pushed
@@ -114,16 +114,16 @@ def integrate(
             moved -= (dt * hand_spring) * lateral
             moved -= (dt * hand_damper) * v_lateral
             moved /= linear
-            law.settle(moved)
+            law.update(moved)
             # seen from the hand, whose own velocity is not the probe's vibration
             change = moved - sliding
             v_lateral += change
             lateral += dt * v_lateral
             np.multiply(change, 1.0 / dt, out=acceleration[i, :2])
-        yield Motion(acceleration, normals, slidings)
+        yield ContactMotion(acceleration, normals, slidings)
 
 
-def contact_force(depth: Float, b: Float, probe_stiffness: float) -> tuple[Float, Float]:
+def compute_contact_force(depth: Float, b: Float, probe_stiffness: float) -> tuple[Float, Float]:
     """Elastic force [N] and tangent stiffness [N/m] at a penetration ≥ 0 [m]: root of δ = b s² + s³/k, F = s³.
 
     s = sqrt(δ/b) / y with y³ = y + β, β = sqrt(δ/b) / (b k): three fixed-point steps, then Newton. Leaves less than

@@ -24,7 +24,7 @@ class SmoothedMaps:
 
     height: NDArray[np.float32]
     size_m: float = TILE_SIZE_M
-    keep: int = 8
+    cache_size: int = 8
     _spectrum: NDArray[np.complex128] | None = None
     _cache: OrderedDict[int, NDArray[np.float32]] = field(default_factory=OrderedDict)
 
@@ -32,13 +32,13 @@ class SmoothedMaps:
         """(H, W) B-spline coefficients of the map averaged by a contact of this radius (see contact.tip_response)."""
         level = round(float(np.log(max(radius_m, 1e-7)) / np.log(RADIUS_STEP)))
         if level not in self._cache:
-            self._cache[level] = self._smoothed(RADIUS_STEP**level)
-            if len(self._cache) > self.keep:
+            self._cache[level] = self._compute_coefficients(RADIUS_STEP**level)
+            if len(self._cache) > self.cache_size:
                 self._cache.popitem(last=False)
         self._cache.move_to_end(level)
         return self._cache[level]
 
-    def _smoothed(self, radius_m: float) -> NDArray[np.float32]:
+    def _compute_coefficients(self, radius_m: float) -> NDArray[np.float32]:
         rows, columns = self.height.shape
         if self._spectrum is None:
             spectrum = np.fft.rfft2(self.height)

@@ -21,8 +21,16 @@ from numpy.typing import NDArray
 from ..material.contact import contact_radius
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES, Probe
-from .integrate import DRIVES, HAND_DAMPING_RATIO, HAND_DRAG_PER_S, HAND_STIFFNESS_N_M, Motion, Physics, integrate
-from .resample import blocks, decimate
+from .integrate import (
+    DRIVE_COUNT,
+    HAND_DAMPING_RATIO,
+    HAND_DRAG_PER_S,
+    HAND_STIFFNESS_N_M,
+    ContactMotion,
+    Physics,
+    integrate_contact,
+)
+from .resample import decimate, oversample_blocks
 from .sampling import SmoothedMaps
 
 __all__ = [
@@ -53,7 +61,7 @@ the form of that factor, ASPERITY_SHARE and the pen's tip radius: with them spee
 do in recorded textures (HaTT). They are one choice for all materials, and were not checked on held-out ones."""
 
 
-COMPLETE = Physics()
+FULL_PHYSICS = Physics()
 
 
 @dataclass(frozen=True)
@@ -86,7 +94,7 @@ def simulate_batch(
     probe: Probe = PROBES["pen"],
     *,
     oversample: int = 2,
-    physics: Physics = COMPLETE,
+    physics: Physics = FULL_PHYSICS,
 ) -> Float:
     """Acceleration (B, n, 3) [m/s²] of the probe at SAMPLE_RATE_HZ, axes x, y, normal of the maps' frame.
 
@@ -95,7 +103,7 @@ def simulate_batch(
     what makes it fast: a Python step costs the same for 1 row as for 50. Every row starts in static equilibrium.
     Raises ValueError where lengths do not match.
     """
-    parts = [each.acceleration for each in _motions(maps, strokes, mechanics, probe, oversample, physics)]
+    parts = [each.acceleration for each in _integrate_strokes(maps, strokes, mechanics, probe, oversample, physics)]
     return decimate(np.concatenate(parts), oversample)
 
 
@@ -106,31 +114,31 @@ def simulate_motion(
     probe: Probe = PROBES["pen"],
     *,
     oversample: int = 2,
-    physics: Physics = COMPLETE,
-) -> Motion:
+    physics: Physics = FULL_PHYSICS,
+) -> ContactMotion:
     """As simulate_batch, but everything at every integration step: acceleration, normal force, sliding velocity."""
-    parts = list(_motions(maps, strokes, mechanics, probe, oversample, physics))
-    return Motion(
+    parts = list(_integrate_strokes(maps, strokes, mechanics, probe, oversample, physics))
+    return ContactMotion(
         np.concatenate([each.acceleration for each in parts]),
         np.concatenate([each.normal_n for each in parts]),
         np.concatenate([each.sliding_m_s for each in parts]),
     )
 
 
-def _motions(
+def _integrate_strokes(
     maps: Sequence[SmoothedMaps],
     strokes: Sequence[Stroke],
     mechanics: Sequence[Mechanics],
     probe: Probe,
     oversample: int,
     physics: Physics,
-) -> Iterator[Motion]:
-    _check(maps, strokes, mechanics, oversample)
-    drives = np.empty((DRIVES, len(strokes[0].force), len(maps)))
+) -> Iterator[ContactMotion]:
+    _validate_batch(maps, strokes, mechanics, oversample)
+    drives = np.empty((DRIVE_COUNT, len(strokes[0].force), len(maps)))
     for index, row in enumerate(zip(maps, strokes, mechanics, strict=True)):
-        drives[:, :, index] = _under_path(*row, probe)
+        drives[:, :, index] = _compute_drives(*row, probe)
     dt = 1.0 / (SAMPLE_RATE_HZ * oversample)
-    return integrate(blocks(drives, oversample), mechanics, probe, dt, physics)
+    return integrate_contact(oversample_blocks(drives, oversample), mechanics, probe, dt, physics)
 
 
 def simulate(
@@ -140,7 +148,7 @@ def simulate(
     probe: Probe = PROBES["pen"],
     *,
     oversample: int = 2,
-    physics: Physics = COMPLETE,
+    physics: Physics = FULL_PHYSICS,
 ) -> Float:
     """One stroke: (n, 3); see simulate_batch."""
     return np.asarray(
@@ -148,7 +156,7 @@ def simulate(
     )
 
 
-def _check(
+def _validate_batch(
     maps: Sequence[SmoothedMaps], strokes: Sequence[Stroke], mechanics: Sequence[Mechanics], oversample: int
 ) -> None:
     if not len(maps) == len(strokes) == len(mechanics) > 0:
@@ -162,20 +170,20 @@ def _check(
         raise ValueError("a stroke's positions and forces must be finite.")
 
 
-def _under_path(surface: SmoothedMaps, stroke: Stroke, mechanics: Mechanics, probe: Probe) -> Float:
+def _compute_drives(surface: SmoothedMaps, stroke: Stroke, mechanics: Mechanics, probe: Probe) -> Float:
     """What the probe meets, (7, n): height [m], slopes along x and y, the hand's velocity x and y [m/s], force [N],
     and how much friction rises with slope."""
     position = np.asarray(stroke.position, dtype=np.float64)
     force = np.maximum(np.asarray(stroke.force, dtype=np.float64), 0.0)
     velocity = np.gradient(position, 1.0 / SAMPLE_RATE_HZ, axis=0)
     radius = contact_radius(mechanics, probe, force)
-    height = _at_radius(surface, position, radius)[0]
-    slopes = _at_radius(surface, position, ASPERITY_SHARE * radius)[1:]
+    height = _sample_at_radius(surface, position, radius)[0]
+    slopes = _sample_at_radius(surface, position, ASPERITY_SHARE * radius)[1:]
     leaning = FLANK_FRICTION * np.square(1.0 - radius / probe.tip_radius_m)
     return np.stack([height, *slopes, *velocity.T, force, leaning])
 
 
-def _at_radius(surface: SmoothedMaps, position: Float, radius: Float) -> Float:
+def _sample_at_radius(surface: SmoothedMaps, position: Float, radius: Float) -> Float:
     """(3, n) height and slopes under a contact of varying radius (n,): blended between smoothed maps."""
     largest = float(radius.max())
     # a ∝ F^(1/3): an eightfold range of force is a twofold range of radius; lighter than that hardly sounds

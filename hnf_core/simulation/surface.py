@@ -102,7 +102,7 @@ class SurfaceRecipe:
                 f"not a surface recipe ({error}).", remedy="Expected noise, lattices and grains as SurfaceRecipe."
             ) from error
 
-    def scaled(self, factor: float) -> SurfaceRecipe:
+    def scale_heights(self, factor: float) -> SurfaceRecipe:
         """The same surface with all heights times factor."""
         record = self.to_dict()
         for parts in record.values():
@@ -121,11 +121,11 @@ def height_map(
     rng = np.random.default_rng(seed)
     total = np.zeros((pixels, pixels))
     for noise in recipe.noise:
-        total += _to_rms(_noise(noise, rng, pixels, size_m), noise.rms_m)
+        total += _scale_to_rms(_render_noise(noise, rng, pixels, size_m), noise.rms_m)
     for lattice in recipe.lattices:
-        total += _to_rms(_lattice(lattice, rng, pixels, size_m), lattice.rms_m)
+        total += _scale_to_rms(_render_lattice(lattice, rng, pixels, size_m), lattice.rms_m)
     for grains in recipe.grains:
-        total += _to_rms(_grains(grains, rng, pixels, size_m), grains.rms_m)
+        total += _scale_to_rms(_render_grains(grains, rng, pixels, size_m), grains.rms_m)
     return total.astype(np.float32)
 
 
@@ -136,29 +136,29 @@ def wavenumbers(pixels: int, size_m: float) -> tuple[Float, Float]:
     return kx, ky
 
 
-def _to_rms(height: Float, rms_m: float) -> Float:
+def _scale_to_rms(height: Float, rms_m: float) -> Float:
     height = height - height.mean()
     spread = float(np.sqrt(np.mean(np.square(height))))
     return height * (rms_m / spread) if spread > 0.0 else height
 
 
-def _filtered(rng: np.random.Generator, gain: Float, pixels: int) -> Float:
+def _filtered_noise(rng: np.random.Generator, gain: Float, pixels: int) -> Float:
     return np.fft.irfft2(np.fft.rfft2(rng.standard_normal((pixels, pixels))) * gain, (pixels, pixels))
 
 
-def _noise(part: Noise, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
+def _render_noise(noise: Noise, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
     kx, ky = wavenumbers(pixels, size_m)
-    along = kx * np.cos(part.angle_rad) + ky * np.sin(part.angle_rad)
-    across = -kx * np.sin(part.angle_rad) + ky * np.cos(part.angle_rad)
-    kappa2 = np.square(along * part.stretch) + np.square(across)
+    along = kx * np.cos(noise.angle_rad) + ky * np.sin(noise.angle_rad)
+    across = -kx * np.sin(noise.angle_rad) + ky * np.cos(noise.angle_rad)
+    kappa2 = np.square(along * noise.stretch) + np.square(across)
     # a profile's κ^−β is a surface's κ^−(β+1) in power; amplitude is its root
-    power = (1.0 + kappa2 * part.rolloff_m**2) ** (-(part.slope + 1.0) / 2.0)
-    gain = np.sqrt(power) * np.exp(-0.5 * (np.square(kx) + np.square(ky)) * part.cutoff_m**2)
-    return _filtered(rng, gain, pixels)
+    power = (1.0 + kappa2 * noise.rolloff_m**2) ** (-(noise.slope + 1.0) / 2.0)
+    gain = np.sqrt(power) * np.exp(-0.5 * (np.square(kx) + np.square(ky)) * noise.cutoff_m**2)
+    return _filtered_noise(rng, gain, pixels)
 
 
-def _lattice(part: Lattice, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
-    finest = max((max(abs(x), abs(y)) for x, y, _, _ in part.waves), default=0)
+def _render_lattice(lattice: Lattice, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
+    finest = max((max(abs(x), abs(y)) for x, y, _, _ in lattice.waves), default=0)
     if 2 * finest >= pixels:
         raise MaterialError(
             f"a lattice with {finest} periods does not fit on {pixels} pixels.",
@@ -166,32 +166,32 @@ def _lattice(part: Lattice, rng: np.random.Generator, pixels: int, size_m: float
         )
     grid = np.arange(pixels) * (size_m / pixels)
     x, y = np.broadcast_to(grid[None, :], (pixels, pixels)), np.broadcast_to(-grid[:, None], (pixels, pixels))
-    if part.irregularity > 0.0:
-        pitch = size_m / max(float(np.hypot(wave[0], wave[1])) for wave in part.waves)
+    if lattice.irregularity > 0.0:
+        pitch = size_m / max(float(np.hypot(wave[0], wave[1])) for wave in lattice.waves)
         kx, ky = wavenumbers(pixels, size_m)
-        smooth = np.exp(-0.5 * (np.square(kx) + np.square(ky)) * part.irregularity_m**2)
-        shift = part.irregularity * pitch
-        x = x + _to_rms(_filtered(rng, smooth, pixels), shift)
-        y = y + _to_rms(_filtered(rng, smooth, pixels), shift)
+        smooth = np.exp(-0.5 * (np.square(kx) + np.square(ky)) * lattice.irregularity_m**2)
+        shift = lattice.irregularity * pitch
+        x = x + _scale_to_rms(_filtered_noise(rng, smooth, pixels), shift)
+        y = y + _scale_to_rms(_filtered_noise(rng, smooth, pixels), shift)
     height = np.zeros((pixels, pixels))
-    for periods_x, periods_y, amplitude, phase in part.waves:
+    for periods_x, periods_y, amplitude, phase in lattice.waves:
         height += amplitude * np.cos((2.0 * np.pi / size_m) * (periods_x * x + periods_y * y) + phase)
     return height
 
 
-def _grains(part: Grains, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
+def _render_grains(grains: Grains, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
     spectrum = np.zeros((pixels, pixels // 2 + 1), dtype=np.complex128)
     offset = (np.fft.fftfreq(pixels) * size_m)[None, :]
-    along = offset * np.cos(part.angle_rad) - offset.T * np.sin(part.angle_rad)
-    across = -offset * np.sin(part.angle_rad) - offset.T * np.cos(part.angle_rad)
+    along = offset * np.cos(grains.angle_rad) - offset.T * np.sin(grains.angle_rad)
+    across = -offset * np.sin(grains.angle_rad) - offset.T * np.cos(grains.angle_rad)
     # three sizes stand for the log-normal spread: nodes of its Gauss–Hermite quadrature, same area each
     for node in (-1.0, 0.0, 1.0):
-        diameter = part.diameter_m * float(np.exp(1.2247 * part.spread * node))
-        count = max(1, round(part.cover / 3.0 * size_m**2 / (np.pi / 4.0 * diameter**2 * part.stretch)))
+        diameter = grains.diameter_m * float(np.exp(1.2247 * grains.spread * node))
+        count = max(1, round(grains.cover / 3.0 * size_m**2 / (np.pi / 4.0 * diameter**2 * grains.stretch)))
         impulses = np.zeros(pixels * pixels)
         np.add.at(impulses, rng.integers(0, pixels * pixels, count), rng.uniform(0.5, 1.0, count))
         cap = np.maximum(
-            1.0 - np.square(2.0 * along / (diameter * part.stretch)) - np.square(2.0 * across / diameter), 0
+            1.0 - np.square(2.0 * along / (diameter * grains.stretch)) - np.square(2.0 * across / diameter), 0
         )
         spectrum += np.fft.rfft2(impulses.reshape(pixels, pixels)) * np.fft.rfft2(cap * diameter)
-    return np.asarray(np.sign(part.sign) * np.fft.irfft2(spectrum, (pixels, pixels)))
+    return np.asarray(np.sign(grains.sign) * np.fft.irfft2(spectrum, (pixels, pixels)))

@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 Float = NDArray[np.float64]
 
 
-def cubic_taps(place: Float, size: int, outside: str = "clamp") -> tuple[NDArray[np.intp], Float]:
+def cubic_taps(position: Float, size: int, outside: str = "clamp") -> tuple[NDArray[np.intp], Float]:
     """The four neighbours (n, 4) of fractional indices (n,) among `size` samples, and their weights.
 
     outside: "clamp" holds the value of the edge, "mirror" reflects the samples at it.
     """
     if outside == "clamp":
-        place = np.clip(place, 0.0, size - 1.0)
-    base = np.floor(place).astype(np.intp)
-    distance = np.abs((place - base)[:, None] - np.array([-1.0, 0.0, 1.0, 2.0]))
+        position = np.clip(position, 0.0, size - 1.0)
+    base = np.floor(position).astype(np.intp)
+    distance = np.abs((position - base)[:, None] - np.array([-1.0, 0.0, 1.0, 2.0]))
     near = (1.5 * distance - 2.5) * distance**2 + 1.0
     far = ((-0.5 * distance + 2.5) * distance - 4.0) * distance + 2.0
     index = base[:, None] + np.arange(-1, 3)

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MaterialError, SceneError, UsageError
 from .cubic import cubic_taps
-from .optics import render_sensor_image, sensor_by_name
-from .spectral import filtered, frequencies, plane_image, plane_of
+from .optics import get_sensor, render_sensor_image
+from .spectral import apply_filters, evaluate_plane, fit_plane, frequencies
 from .tactile_map import HeightMap, Route, TactileMap
 
 Float = NDArray[np.float64]
@@ -18,9 +18,9 @@ Float = NDArray[np.float64]
 ROLL_OFF = 0.75
 """The low-pass keeps every wavelength ≥ λ, drops everything below 0.75 λ, and falls as a raised cosine between:
 the texel rate λ/2 and its images are gone, and edges do not ring as with a sharp cut."""
-FINEST_PIXEL_M, COARSEST_PIXEL_M = 1e-9, 1e3
+MIN_PIXEL_M, MAX_PIXEL_M = 1e-9, 1e3
 """Atoms, and landscapes: a map of other pixels has another unit."""
-HIGHEST_M = 1e6
+MAX_HEIGHT_M = 1e6
 """As high as a stroke's profile may be; float64 still tells a tenth of a nanometre there."""
 
 
@@ -50,7 +50,7 @@ def tactile_map_from_height(
         if given.shape != values.shape:
             raise UsageError(f"the mask {given.shape} does not fit the height field {values.shape}.")
         seen = seen & given
-    _require_pixel(metres_per_pixel)
+    _check_pixel_size(metres_per_pixel)
     if not resolved_wavelength_m > 0:
         raise UsageError(f"a resolved wavelength of {resolved_wavelength_m:g} m: it must be positive.")
     if not seen.any():
@@ -59,7 +59,7 @@ def tactile_map_from_height(
             remedy="Check that the object is visible and that the stroke lies on it.",
         )
     highest = float(np.abs(values[seen]).max())
-    if highest > HIGHEST_M:
+    if highest > MAX_HEIGHT_M:
         raise SceneError(
             f"a height of this patch is {highest:.2g} m.",
             remedy="Check the scene's unit scale, and the Distance or Scale of the material's bump or displacement.",
@@ -67,7 +67,7 @@ def tactile_map_from_height(
     level = remove_plane(fill_masked(values, seen), seen)
     resolved = max(float(resolved_wavelength_m), 2.0 * metres_per_pixel)
     level = low_pass(level, metres_per_pixel, resolved)
-    image = render_sensor_image(level, metres_per_pixel, sensor_by_name(sensor))
+    image = render_sensor_image(level, metres_per_pixel, get_sensor(sensor))
     return TactileMap(
         image, level.astype(np.float32), seen, float(metres_per_pixel), sensor, resolved, route, height_source
     )
@@ -81,7 +81,7 @@ def low_pass(height: ArrayLike, metres_per_pixel: float, wavelength_m: float) ->
     values = np.asarray(height, dtype=np.float64)
     if wavelength_m <= 2.0 * metres_per_pixel:
         return values.copy()
-    plane = plane_image((values.shape[0], values.shape[1]), plane_of(values))
+    plane = evaluate_plane((values.shape[0], values.shape[1]), fit_plane(values))
     if not np.isfinite(wavelength_m):
         return plane
     cut = 1.0 / wavelength_m
@@ -91,7 +91,7 @@ def low_pass(height: ArrayLike, metres_per_pixel: float, wavelength_m: float) ->
         place = np.clip((np.hypot(fx, fy) / cut - 1.0) / (1.0 / ROLL_OFF - 1.0), 0.0, 1.0)
         return [np.asarray(0.5 + 0.5 * np.cos(np.pi * place))]
 
-    (kept,), _ = filtered(values, metres_per_pixel, response, "even", 2.0 * wavelength_m)
+    (kept,), _ = apply_filters(values, metres_per_pixel, response, "even", 2.0 * wavelength_m)
     return np.asarray(kept + plane)
 
 
@@ -99,7 +99,7 @@ def remove_plane(height: ArrayLike, mask: ArrayLike | None = None) -> Float:
     """(H, W) height minus the least-squares plane through the pixels in mask (None: all)."""
     values = np.asarray(height, dtype=np.float64)
     weight = None if mask is None or np.all(mask) else np.asarray(mask, dtype=np.float64)
-    return np.asarray(values - plane_image((values.shape[0], values.shape[1]), plane_of(values, weight)))
+    return np.asarray(values - evaluate_plane((values.shape[0], values.shape[1]), fit_plane(values, weight)))
 
 
 def fill_masked(values: ArrayLike, mask: ArrayLike) -> Float:
@@ -111,10 +111,10 @@ def fill_masked(values: ArrayLike, mask: ArrayLike) -> Float:
     kept = np.where(seen, np.asarray(values, dtype=np.float64), 0.0)
     if seen.all():
         return kept
-    return np.where(seen, kept, _pull(kept, seen.astype(np.float64)))
+    return np.where(seen, kept, _fill_pyramid(kept, seen.astype(np.float64)))
 
 
-def _pull(values: Float, weight: Float) -> Float:
+def _fill_pyramid(values: Float, weight: Float) -> Float:
     """Weighted values → a full map: average to half the size, fill that, enlarge it into the gaps."""
     if weight.min() > 0 or max(values.shape) == 1:
         return np.asarray(values / np.maximum(weight, 1e-300))
@@ -125,11 +125,11 @@ def _pull(values: Float, weight: Float) -> Float:
     )
     # Weights saturate: a full parent needs no more of its neighbours than a pixel that was seen.
     scale = 1.0 / np.maximum(small_weight, 1.0)
-    coarse = _enlarge(_pull(small_values * scale, small_weight * scale), (values.shape[0], values.shape[1]))
+    coarse = _upsample(_fill_pyramid(small_values * scale, small_weight * scale), (values.shape[0], values.shape[1]))
     return np.asarray(values + (1.0 - np.minimum(weight, 1.0)) * coarse)
 
 
-def _enlarge(small: Float, shape: tuple[int, int]) -> Float:
+def _upsample(small: Float, shape: tuple[int, int]) -> Float:
     """Linear enlargement by two, cell centres kept in place."""
     for axis, size in enumerate(shape):
         place = (np.arange(size) - 0.5) / 2.0
@@ -141,7 +141,7 @@ def _enlarge(small: Float, shape: tuple[int, int]) -> Float:
     return small
 
 
-def height_from_slopes(gx: ArrayLike, gy: ArrayLike, seen: ArrayLike, metres_per_pixel: float) -> Float:
+def height_from_slopes(gx: ArrayLike, gy: ArrayLike, mask: ArrayLike, metres_per_pixel: float) -> Float:
     """(H, W) height in metres whose slopes ∂h/∂x, ∂h/∂y (H, W), y up, are these where seen (H, W) bool.
 
     Integration after Frankot & Chellappa (1988) on the mirrored patch, so that opposite edges need not meet.
@@ -149,8 +149,8 @@ def height_from_slopes(gx: ArrayLike, gy: ArrayLike, seen: ArrayLike, metres_per
     tilt, not texture): nothing longer than the patch's side comes back. Raises SceneError where nothing is seen,
     UsageError on pixels that do not fit.
     """
-    _require_pixel(metres_per_pixel)
-    where = np.asarray(seen, dtype=bool)
+    _check_pixel_size(metres_per_pixel)
+    where = np.asarray(mask, dtype=bool)
     if not where.any():
         raise SceneError(
             "no pixel of this patch has a usable normal.", remedy="Check the normal map and the face orientation."
@@ -160,11 +160,10 @@ def height_from_slopes(gx: ArrayLike, gy: ArrayLike, seen: ArrayLike, metres_per
     return integrate_gradients(level_x, level_y, metres_per_pixel)
 
 
-def _require_pixel(metres_per_pixel: float) -> None:
-    if not FINEST_PIXEL_M <= metres_per_pixel <= COARSEST_PIXEL_M:
+def _check_pixel_size(metres_per_pixel: float) -> None:
+    if not MIN_PIXEL_M <= metres_per_pixel <= MAX_PIXEL_M:
         raise UsageError(
-            f"{metres_per_pixel:g} metres per pixel: a map's pixels measure {FINEST_PIXEL_M:g} to "
-            f"{COARSEST_PIXEL_M:g} m.",
+            f"{metres_per_pixel:g} metres per pixel: a map's pixels measure {MIN_PIXEL_M:g} to {MAX_PIXEL_M:g} m.",
             remedy="Give metres, not millimetres or pixels per metre.",
         )
 

@@ -8,30 +8,36 @@ import numpy as np
 
 from .optics import Sensor
 
-AZIMUTH_DEG = 8.0
-ELEVATION_DEG = (-3.0, 6.0)
-INTENSITY = 0.15
-CROSSTALK = 0.05
-AMBIENT = 0.03
+AZIMUTH_SCATTER_DEG = 8.0
+ELEVATION_SCATTER_DEG = (-3.0, 6.0)
+INTENSITY_SCATTER = 0.15
+CROSSTALK_SCATTER = 0.05
+AMBIENT_SCATTER = 0.03
 """Half-widths of uniform scatter. Elevation leans upwards: lower lamps would leave the steepest slopes dark."""
 
 
-def varied(sensor: Sensor, rng: np.random.Generator) -> Sensor:
+def perturb_sensor(sensor: Sensor, rng: np.random.Generator) -> Sensor:
     """Another piece of the same sensor: lamps turned and lifted, brighter or darker, more or less cross-talk and
     ambient light. Its gel (sigma, slope limit) and name stay, and every lamp reaches the slope limit still."""
     lowest = float(np.degrees(np.arctan(sensor.max_slope))) + 0.5
     off_diagonal = 1.0 - np.eye(3)
-    scatter = rng.uniform(-CROSSTALK, CROSSTALK, (3, 3)) * off_diagonal
+    scatter = rng.uniform(-CROSSTALK_SCATTER, CROSSTALK_SCATTER, (3, 3)) * off_diagonal
     crosstalk = np.clip(np.asarray(sensor.crosstalk) + scatter, 0.0, None)
     return replace(
         sensor,
-        azimuth_deg=_three(np.asarray(sensor.azimuth_deg) + rng.uniform(-AZIMUTH_DEG, AZIMUTH_DEG, 3)),
-        elevation_deg=max(lowest, sensor.elevation_deg + float(rng.uniform(*ELEVATION_DEG))),
-        intensity=_three(np.asarray(sensor.intensity) * (1.0 + rng.uniform(-INTENSITY, INTENSITY, 3))),
-        crosstalk=tuple(_three(row) for row in crosstalk),
-        ambient=_three(np.clip(np.asarray(sensor.ambient) + rng.uniform(-AMBIENT, AMBIENT, 3), 0.0, None)),
+        azimuth_deg=_to_triple(
+            np.asarray(sensor.azimuth_deg) + rng.uniform(-AZIMUTH_SCATTER_DEG, AZIMUTH_SCATTER_DEG, 3)
+        ),
+        elevation_deg=max(lowest, sensor.elevation_deg + float(rng.uniform(*ELEVATION_SCATTER_DEG))),
+        intensity=_to_triple(
+            np.asarray(sensor.intensity) * (1.0 + rng.uniform(-INTENSITY_SCATTER, INTENSITY_SCATTER, 3))
+        ),
+        crosstalk=tuple(_to_triple(row) for row in crosstalk),
+        ambient=_to_triple(
+            np.clip(np.asarray(sensor.ambient) + rng.uniform(-AMBIENT_SCATTER, AMBIENT_SCATTER, 3), 0.0, None)
+        ),
     )
 
 
-def _three(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, float, float]:
+def _to_triple(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import UsageError
-from .spectral import filtered, frequencies, gaussian_mtf
+from .spectral import apply_filters, frequencies, gaussian_mtf
 
 Float = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ SENSORS = MappingProxyType(
 )
 
 
-def sensor_by_name(name: str) -> Sensor:
+def get_sensor(name: str) -> Sensor:
     """The sensor of that name. Raises UsageError for an unknown one."""
     try:
         return SENSORS[name]
@@ -114,7 +114,7 @@ def gel_gradients(height_m: ArrayLike, metres_per_pixel: float, sensor: Sensor) 
         keep_y = np.abs(fy) * metres_per_pixel < 0.5 - 1e-9
         return [2j * np.pi * fx * keep_x * mtf, 2j * np.pi * fy * keep_y * mtf]
 
-    (gx, gy), (slope_x, slope_y) = filtered(height, metres_per_pixel, responses, "odd", 6.0 * sensor.gel_sigma_m)
+    (gx, gy), (slope_x, slope_y) = apply_filters(height, metres_per_pixel, responses, "odd", 6.0 * sensor.gel_sigma_m)
     return limit_slope(gx + slope_x, gy + slope_y, sensor.max_slope)
 
 

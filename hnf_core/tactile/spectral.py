@@ -16,7 +16,7 @@ Responses = Callable[[tuple[int, int]], Sequence[NDArray[np.float64] | Complex]]
 
 
 @lru_cache(maxsize=8)
-def _frequencies(shape: tuple[int, int], metres_per_pixel: float) -> tuple[Float, Float]:
+def _cached_frequencies(shape: tuple[int, int], metres_per_pixel: float) -> tuple[Float, Float]:
     fx = np.fft.rfftfreq(shape[1], metres_per_pixel)[None, :]
     fy = -np.fft.fftfreq(shape[0], metres_per_pixel)[:, None]
     fx.flags.writeable = fy.flags.writeable = False
@@ -25,7 +25,7 @@ def _frequencies(shape: tuple[int, int], metres_per_pixel: float) -> tuple[Float
 
 def frequencies(shape: tuple[int, int], metres_per_pixel: float) -> tuple[Float, Float]:
     """Cycles per metre of rfft2's bins: fx (1, W//2 + 1) along +x, fy (H, 1) along +y, which is up (−row)."""
-    return _frequencies((int(shape[0]), int(shape[1])), float(metres_per_pixel))
+    return _cached_frequencies((int(shape[0]), int(shape[1])), float(metres_per_pixel))
 
 
 def gaussian_mtf(frequency: Float, sigma_m: float) -> Float:
@@ -33,7 +33,7 @@ def gaussian_mtf(frequency: Float, sigma_m: float) -> Float:
     return np.asarray(np.exp(-2.0 * (np.pi * sigma_m * frequency) ** 2))
 
 
-def plane_of(height: Float, weight: Float | None = None) -> tuple[float, float, float]:
+def fit_plane(height: Float, weight: Float | None = None) -> tuple[float, float, float]:
     """Least-squares plane a + b·column + c·row, columns and rows counted from the middle, in pixels."""
     rows = np.arange(height.shape[0]) - (height.shape[0] - 1) / 2
     columns = np.arange(height.shape[1]) - (height.shape[1] - 1) / 2
@@ -56,15 +56,19 @@ def plane_of(height: Float, weight: Float | None = None) -> tuple[float, float, 
     return float(a), float(b), float(c)
 
 
-def plane_image(shape: tuple[int, int], plane: tuple[float, float, float]) -> Float:
+def evaluate_plane(shape: tuple[int, int], plane: tuple[float, float, float]) -> Float:
     """(H, W) values of a plane from plane_of."""
     rows = np.arange(shape[0]) - (shape[0] - 1) / 2
     columns = np.arange(shape[1]) - (shape[1] - 1) / 2
     return np.asarray(plane[0] + plane[1] * columns[None, :] + plane[2] * rows[:, None])
 
 
-def filtered(
-    height: Float, metres_per_pixel: float, responses: Responses, reflection: Literal["odd", "even"], reach_m: float
+def apply_filters(
+    height: Float,
+    metres_per_pixel: float,
+    responses: Responses,
+    reflection: Literal["odd", "even"],
+    kernel_length_m: float,
 ) -> tuple[list[Float], tuple[float, float]]:
     """Applies Fourier-domain responses to a map that does not repeat.
 
@@ -75,12 +79,12 @@ def filtered(
     and the plane's slopes (∂h/∂x, ∂h/∂y).
     """
     rows, columns = height.shape
-    plane = plane_of(height)
-    level = height - plane_image((rows, columns), plane)
-    pad_rows, pad_columns = (_padding(size, reach_m / metres_per_pixel) for size in (rows, columns))
+    plane = fit_plane(height)
+    level = height - evaluate_plane((rows, columns), plane)
+    pad_rows, pad_columns = (_choose_padding(size, kernel_length_m / metres_per_pixel) for size in (rows, columns))
     pads = (pad_rows, pad_rows), (pad_columns, pad_columns)
     padded = np.pad(level, pads, mode="reflect", reflect_type=reflection)
-    padded *= _fade(rows, pad_rows)[:, None] * _fade(columns, pad_columns)[None, :]
+    padded *= _fade_window(rows, pad_rows)[:, None] * _fade_window(columns, pad_columns)[None, :]
     spectrum = np.fft.rfft2(padded)
     shape = (padded.shape[0], padded.shape[1])
     inside = slice(pad_rows, pad_rows + rows), slice(pad_columns, pad_columns + columns)
@@ -88,12 +92,12 @@ def filtered(
     return maps, (plane[1] / metres_per_pixel, -plane[2] / metres_per_pixel)
 
 
-def _padding(size: int, reach: float) -> int:
+def _choose_padding(size: int, kernel_length: float) -> int:
     # Whole sixteens keep the padded size a product of small primes, which the FFT likes.
-    wanted = 32 if reach <= 16 else 16 * int(np.ceil(min(reach, float(size)) / 16)) + 16
+    wanted = 32 if kernel_length <= 16 else 16 * int(np.ceil(min(kernel_length, float(size)) / 16)) + 16
     return min(wanted, size - 1)
 
 
-def _fade(size: int, pad: int) -> Float:
+def _fade_window(size: int, pad: int) -> Float:
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(pad) + 0.5) / max(pad, 1))
     return np.concatenate([ramp, np.ones(size), ramp[::-1]])

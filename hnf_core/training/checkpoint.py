@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files import write_bytes
-from ..tensor_file import packed, unpacked
+from ..tensor_file import dump_tensors, load_tensors
 
 FORMAT = "hnf-checkpoint-1"
 
@@ -30,14 +30,14 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, fingerprint: str) -> Non
     tensors = {name: np.ascontiguousarray(value) for name, value in checkpoint.tensors.items()}
     tensors["history"] = checkpoint.history
     metadata = {"format": FORMAT, "fingerprint": fingerprint, "epoch": str(checkpoint.epoch)}
-    write_bytes(path, packed(tensors, metadata))
+    write_bytes(path, dump_tensors(tensors, metadata))
 
 
 def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
     """The checkpoint of this very run, or None: there is none, it is damaged, or it belongs to other data, another
     architecture or another seed (each is as good as starting anew)."""
     try:
-        tensors, metadata = unpacked(path.read_bytes())
+        tensors, metadata = load_tensors(path.read_bytes())
         if metadata["format"] != FORMAT or metadata["fingerprint"] != fingerprint:
             return None
         history = tensors.pop("history")

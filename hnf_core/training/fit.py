@@ -15,15 +15,15 @@ from torch import Tensor
 
 from ..field.carriers import Carriers
 from ..field.config import FieldConfig
-from ..field.features import DIRECTION_AT, build_inputs
+from ..field.features import DIRECTION_COLUMN, build_inputs
 from ..field.field import initial_parameters
 from ..field.linear_contact import Condition
 from ..material.mechanics import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
-from .conditions import Steady, speed_grid, withhold
-from .expectation import expectation_matrices
-from .likelihood import DENSITY_FLOOR, WindowLikelihood, arc_density
-from .model import FieldNetwork, steady
+from .conditions import SteadyStroke, make_speed_grid, withhold_mechanics
+from .expectation import compute_expectation_matrices
+from .likelihood import DENSITY_FLOOR, WindowLikelihood, compute_arc_density
+from .model import FieldNetwork, accumulate_steady
 
 Float = NDArray[np.float64]
 
@@ -57,7 +57,9 @@ class TrainingSet:
     power: Tensor
 
 
-def condition_of(strokes: Sequence[Steady], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]) -> Condition:
+def make_condition(
+    strokes: Sequence[SteadyStroke], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]
+) -> Condition:
     """tokens: (surfaces, TOKEN_DIM). All strokes must share one probe."""
     angle = np.array([stroke.angle for stroke in strokes])
     count = len(strokes)
@@ -66,22 +68,22 @@ def condition_of(strokes: Sequence[Steady], tokens: NDArray[np.float32], mechani
         mechanics=tuple(mechanics),
         material=np.arange(count, dtype=np.int32),
         direction=np.stack([np.cos(angle), np.sin(angle)], axis=1),
-        speed=speed_grid()[[stroke.speed for stroke in strokes]],
+        speed=make_speed_grid()[[stroke.speed for stroke in strokes]],
         force=np.array([stroke.force for stroke in strokes]),
         contact=np.ones(count, dtype=bool),
         probe=strokes[0].probe,
     )
 
 
-def network_inputs(
-    config: FieldConfig, strokes: Sequence[Steady], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]
+def build_network_inputs(
+    config: FieldConfig, strokes: Sequence[SteadyStroke], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """x (n, D), prior (n, K …) and gate (n, K) of strokes with any probes; tokens by their surface."""
     parts: list[NDArray[np.float32]] = []
     for probe in sorted({stroke.probe for stroke in strokes}):
         rows = np.array([row for row, stroke in enumerate(strokes) if stroke.probe == probe])
         inputs = build_inputs(
-            condition_of([strokes[row] for row in rows], tokens, [mechanics[row] for row in rows]),
+            make_condition([strokes[row] for row in rows], tokens, [mechanics[row] for row in rows]),
             config.carriers,
             config.physics,
             config.action_octaves,
@@ -96,14 +98,14 @@ def network_inputs(
     return parts[0], parts[1], parts[2]
 
 
-def training_set(
+def build_training_set(
     config: FieldConfig,
-    strokes: Sequence[Steady],
+    strokes: Sequence[SteadyStroke],
     tokens: NDArray[np.float32],
     power: Float,
     variants: int,
     seed: int,
-    elsewhere: Sequence[Sequence[int]] = (),
+    alternative_surfaces: Sequence[Sequence[int]] = (),
 ) -> TrainingSet:
     """Network inputs of every stroke: as they are, then variants − 1 draws of unknown mechanics.
 
@@ -115,12 +117,12 @@ def training_set(
     known = [stroke.mechanics for stroke in strokes]
     found = []
     for variant in range(variants):
-        mechanics = known if variant == 0 else [withhold(each, rng) for each in known]
-        found.append(network_inputs(config, strokes, tokens, mechanics))
-    for variant, surfaces in enumerate(elsewhere):
-        mechanics = known if variant % 2 == 0 else [withhold(each, rng) for each in known]
+        mechanics = known if variant == 0 else [withhold_mechanics(each, rng) for each in known]
+        found.append(build_network_inputs(config, strokes, tokens, mechanics))
+    for variant, surfaces in enumerate(alternative_surfaces):
+        mechanics = known if variant % 2 == 0 else [withhold_mechanics(each, rng) for each in known]
         there = [replace(stroke, surface=surface) for stroke, surface in zip(strokes, surfaces, strict=True)]
-        found.append(network_inputs(config, there, tokens, mechanics))
+        found.append(build_network_inputs(config, there, tokens, mechanics))
     return TrainingSet(
         torch.tensor(np.stack([each[0] for each in found])),
         torch.tensor(np.stack([each[1] for each in found])),
@@ -131,8 +133,8 @@ def training_set(
 
 
 @lru_cache(maxsize=2)
-def _matrices(carriers: Carriers) -> tuple[Tensor, Tensor]:
-    time, arc = expectation_matrices(carriers, speed_grid())
+def _load_expectation_matrices(carriers: Carriers) -> tuple[Tensor, Tensor]:
+    time, arc = compute_expectation_matrices(carriers, make_speed_grid())
     return torch.tensor(time, dtype=torch.float32), torch.tensor(arc, dtype=torch.float32)
 
 
@@ -141,20 +143,20 @@ class Likelihood:
 
     def __init__(self, config: FieldConfig) -> None:
         self.carriers = config.carriers
-        self.time, self.arc = _matrices(config.carriers)
+        self.time, self.arc = _load_expectation_matrices(config.carriers)
         self.likelihood = WindowLikelihood()
 
-    def expected(self, amplitude: Tensor, speed: Tensor) -> Tensor:
+    def compute_expected_power(self, amplitude: Tensor, speed: Tensor) -> Tensor:
         """(n, K) amplitudes, (n,) speed indices → (n, 107)."""
         power = amplitude.square()
         time = power[:, self.carriers.time_slice] @ self.time
-        return time + arc_density(power[:, self.carriers.arc_slice], speed, self.arc) + DENSITY_FLOOR
+        return time + compute_arc_density(power[:, self.carriers.arc_slice], speed, self.arc) + DENSITY_FLOOR
 
     def __call__(self, amplitude: Tensor, speed: Tensor, power: Tensor) -> Tensor:
-        return self.likelihood(self.expected(amplitude, speed), power + DENSITY_FLOOR)
+        return self.likelihood(self.compute_expected_power(amplitude, speed), power + DENSITY_FLOOR)
 
 
-def fit(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -> FieldNetwork:
+def fit_network(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -> FieldNetwork:
     """Train from initial_parameters(config, seed); deterministic for one number of threads.
 
     σ stays as it is: a steady stroke tells nothing of memory, and a free σ would only be a second gain.
@@ -176,10 +178,12 @@ def fit(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -
             variant = torch.randint(variants, (len(rows),), generator=generator)
             x = data.x[variant, rows]
             if not config.stroke_frame:
-                x = turned(x, torch.rand(len(rows), generator=generator) * (2.0 * math.pi))
+                x = rotate_inputs(x, torch.rand(len(rows), generator=generator) * (2.0 * math.pi))
             x[:, :TOKEN_DIM] += schedule.token_noise * torch.randn(len(rows), TOKEN_DIM, generator=generator)
-            head, sigma_dt = network.heads(x)
-            amplitude = steady(network.emission(head, data.prior[variant, rows], data.gate[rows]), sigma_dt)
+            head, sigma_dt = network.evaluate_heads(x)
+            amplitude = accumulate_steady(
+                network.compute_emission(head, data.prior[variant, rows], data.gate[rows]), sigma_dt
+            )
             loss = likelihood(amplitude, data.speed[rows], data.power[rows]) + schedule.ridge * head.square().mean()
             optimiser.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
@@ -192,12 +196,12 @@ def fit(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -
     return network
 
 
-def turned(x: Tensor, angle: Tensor) -> Tensor:
+def rotate_inputs(x: Tensor, angle: Tensor) -> Tensor:
     """The same strokes on the same surfaces, both turned: nothing may depend on where a tangent frame points."""
     width, bands = len(BAND_FEATURES), range(len(BAND_WAVELENGTHS_M))
     two = [band * width + BAND_FEATURES.index("cos2") for band in bands]
     four = [band * width + BAND_FEATURES.index("cos4") for band in bands]
-    columns = torch.tensor([*two, *four, DIRECTION_AT])
+    columns = torch.tensor([*two, *four, DIRECTION_COLUMN])
     folds = torch.tensor([2.0] * len(two) + [4.0] * len(four) + [1.0])
     cos, sin = torch.cos(angle[:, None] * folds), torch.sin(angle[:, None] * folds)
     first, second = x[:, columns], x[:, columns + 1]

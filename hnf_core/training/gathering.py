@@ -15,14 +15,14 @@ from ..errors import FileError
 from ..files import write_bytes
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES
-from ..tensor_file import packed, unpacked
-from .conditions import Steady, steady_strokes
-from .recordings import record
-from .surfaces import Specimen, class_specimens, library_specimens, patches, random_surfaces
+from ..tensor_file import dump_tensors, load_tensors
+from .conditions import SteadyStroke, draw_steady_strokes
+from .recordings import record_strokes
+from .surfaces import Specimen, load_library_specimens, make_class_specimens, make_patches, make_random_surfaces
 
 Float = NDArray[np.float64]
 
-MATERIALS_AT_ONCE = 8
+MATERIALS_PER_BATCH = 8
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class Gathered:
+class TrainingData:
     """names, classes: one per material, in words. material: (surfaces,) index, −1 for a surface of no material.
     tokens: (surfaces, TOKEN_DIM). power: (strokes, 107) observed."""
 
@@ -50,19 +50,19 @@ class Gathered:
     classes: tuple[str, ...]
     material: NDArray[np.int64]
     tokens: NDArray[np.float32]
-    strokes: tuple[Steady, ...]
+    strokes: tuple[SteadyStroke, ...]
     power: Float
 
-    def material_of_strokes(self) -> NDArray[np.int64]:
+    def get_stroke_materials(self) -> NDArray[np.int64]:
         """(strokes,) index, −1 for none."""
         return self.material[[stroke.surface for stroke in self.strokes]]
 
-    def only(self, rows: NDArray[np.bool_]) -> Gathered:
+    def select_strokes(self, rows: NDArray[np.bool_]) -> TrainingData:
         """The same surfaces, some of the strokes."""
         kept = tuple(stroke for stroke, row in zip(self.strokes, rows, strict=True) if row)
         return replace(self, strokes=kept, power=self.power[rows])
 
-    def other_patches(self, rng: np.random.Generator) -> list[int]:
+    def draw_alternative_patches(self, rng: np.random.Generator) -> list[int]:
         """For every stroke another surface of the same material at random; its own where there is no other."""
         same = {m: np.flatnonzero(self.material == m) for m in range(len(self.names))}
         found = []
@@ -73,37 +73,37 @@ class Gathered:
         return found
 
 
-def specimens_of(library: Path, sizes: Sizes) -> list[Specimen]:
+def load_specimens(library: Path, sizes: Sizes) -> list[Specimen]:
     """The library's materials, then the instances of every class."""
-    return library_specimens(library) + class_specimens(range(1, sizes.instances + 1))
+    return load_library_specimens(library) + make_class_specimens(range(1, sizes.instances + 1))
 
 
-def gather(specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int = 2) -> Gathered:
+def build_training_data(specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int = 2) -> TrainingData:
     """Simulate everything. The result depends on the seed, not on the number of workers."""
-    surfaces = patches(specimens, 0, sizes.patches, workers)
+    surfaces = make_patches(specimens, 0, sizes.patches, workers)
     own = len(surfaces)
-    surfaces += random_surfaces(sizes.random, seed, workers)
-    more = patches(specimens, sizes.patches, sizes.described, workers) if sizes.described else []
+    surfaces += make_random_surfaces(sizes.random, seed, workers)
+    more = make_patches(specimens, sizes.patches, sizes.described, workers) if sizes.described else []
     print(f"{len(surfaces) + len(more)} surfaces", file=sys.stderr)
-    strokes = steady_strokes(surfaces[:own], sizes.strokes, seed + 1, middle_share=sizes.middle_share)
+    strokes = draw_steady_strokes(surfaces[:own], sizes.strokes, seed + 1, middle_share=sizes.middle_share)
     strokes += [
         replace(stroke, surface=stroke.surface + own)
-        for stroke in steady_strokes(surfaces[own:], sizes.random_strokes, seed + 2)
+        for stroke in draw_steady_strokes(surfaces[own:], sizes.random_strokes, seed + 2)
     ]
     rows = np.arange(len(specimens))
     nothing = np.full(len(surfaces) - own, -1)
     material = np.concatenate([np.repeat(rows, sizes.patches), nothing, np.repeat(rows, sizes.described)])
-    return Gathered(
+    return TrainingData(
         names=tuple(each.name for each in specimens),
         classes=tuple(each.class_name for each in specimens),
         material=material,
         tokens=np.stack([surface.token for surface in surfaces + more]),
         strokes=tuple(strokes),
-        power=record(surfaces, strokes, sizes.seconds, workers),
+        power=record_strokes(surfaces, strokes, sizes.seconds, workers),
     )
 
 
-def tokens_by(
+def encode_surfaces(
     encoder: str, specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int = 2
 ) -> NDArray[np.float32]:
     """(surfaces, TOKEN_DIM): what another make of E (its name or file) says of the surfaces that gather describes."""
@@ -112,12 +112,12 @@ def tokens_by(
         # A few materials at a time: only their tokens are kept, not their heights.
         return [
             surface.token
-            for start in range(0, len(specimens), MATERIALS_AT_ONCE)
-            for surface in patches(specimens[start : start + MATERIALS_AT_ONCE], first, count, workers, encoder)
+            for start in range(0, len(specimens), MATERIALS_PER_BATCH)
+            for surface in make_patches(specimens[start : start + MATERIALS_PER_BATCH], first, count, workers, encoder)
         ]
 
     tokens = of_patches(0, sizes.patches)
-    tokens += [surface.token for surface in random_surfaces(sizes.random, seed, workers, encoder)]
+    tokens += [surface.token for surface in make_random_surfaces(sizes.random, seed, workers, encoder)]
     tokens += of_patches(sizes.patches, sizes.described) if sizes.described else []
     return np.stack(tokens)
 
@@ -125,30 +125,30 @@ def tokens_by(
 _COLUMNS = ("surface", "stiffness", "damping", "friction", "probe", "speed", "angle", "force", "start_x", "start_y")
 
 
-def save_gathered(path: Path, gathered: Gathered) -> None:
+def save_training_data(path: Path, data: TrainingData) -> None:
     """Write as safetensors. Every stroke's mechanics must be known. Raises FileError."""
     table = np.array(
         [
             (s.surface, s.mechanics.stiffness_n_m, s.mechanics.damping_ratio, s.mechanics.friction,
              list(PROBES).index(s.probe), s.speed, s.angle, s.force, *s.start)
-            for s in gathered.strokes
+            for s in data.strokes
         ],
         dtype=np.float64,
     )  # fmt: skip
     tensors: dict[str, NDArray[Any]] = {
-        "material": gathered.material,
-        "tokens": gathered.tokens,
+        "material": data.material,
+        "tokens": data.tokens,
         "strokes": table,
-        "power": gathered.power,
+        "power": data.power,
     }
-    metadata = {"names": "\n".join(gathered.names), "classes": "\n".join(gathered.classes)}
-    write_bytes(path, packed(tensors, metadata))
+    metadata = {"names": "\n".join(data.names), "classes": "\n".join(data.classes)}
+    write_bytes(path, dump_tensors(tensors, metadata))
 
 
-def load_gathered(path: Path) -> Gathered:
+def load_training_data(path: Path) -> TrainingData:
     """What save_gathered wrote. Raises FileError where it cannot be read."""
     try:
-        tensors, metadata = unpacked(path.read_bytes())
+        tensors, metadata = load_tensors(path.read_bytes())
         material, tokens, table, power = (tensors[name] for name in ("material", "tokens", "strokes", "power"))
         names, classes = (tuple(metadata[key].split("\n")) for key in ("names", "classes"))
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -159,7 +159,7 @@ def load_gathered(path: Path) -> Gathered:
     for row in table:
         each = dict(zip(_COLUMNS, row, strict=True))
         strokes.append(
-            Steady(
+            SteadyStroke(
                 surface=int(each["surface"]),
                 mechanics=Mechanics(each["stiffness"], each["damping"], each["friction"]),
                 probe=tuple(PROBES)[int(each["probe"])],
@@ -169,4 +169,4 @@ def load_gathered(path: Path) -> Gathered:
                 start=(float(each["start_x"]), float(each["start_y"])),
             )
         )
-    return Gathered(names, classes, material, tokens, tuple(strokes), power)
+    return TrainingData(names, classes, material, tokens, tuple(strokes), power)

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .recordings import FINE_BINS, bin_widths
+from .recordings import FINE_BINS, compute_bin_widths
 
 DENSITY_FLOOR = 1e-9
 """(m/s²)²/Hz: added to both sides, 1 mm/s² over the band; below it nothing is felt."""
@@ -24,9 +24,9 @@ class WindowLikelihood:
     heard: (107,) bool, observations that count; None = all.
     """
 
-    def __init__(self, heard: NDArray[np.bool_] | None = None) -> None:
-        width = bin_widths()
-        counted = np.ones(len(width), dtype=bool) if heard is None else heard
+    def __init__(self, counted_bins: NDArray[np.bool_] | None = None) -> None:
+        width = compute_bin_widths()
+        counted = np.ones(len(width), dtype=bool) if counted_bins is None else counted_bins
         self.width = torch.tensor(width * counted, dtype=torch.float32)
         self.weight = torch.ones(len(width) + 1)
         self.weight[FINE_BINS:-1] = COARSE_WEIGHT
@@ -36,10 +36,10 @@ class WindowLikelihood:
     def __call__(self, expected: Tensor, recorded: Tensor) -> Tensor:
         """Mean over rows; both (n, 107) densities above 0, with DENSITY_FLOOR in them."""
         first, second = (torch.cat([each, (each @ self.width)[:, None]], dim=1) for each in (expected, recorded))
-        return whittle(first, second, self.weight).mean() / self.weight.sum()
+        return compute_whittle_loss(first, second, self.weight).mean() / self.weight.sum()
 
 
-def arc_density(power: Tensor, speed: Tensor, table: Tensor) -> Tensor:
+def compute_arc_density(power: Tensor, speed: Tensor, table: Tensor) -> Tensor:
     """(n, Ka) powers of arc carriers and (n,) indices of speeds in table (S, Ka, 107) → (n, 107) expected densities.
 
     Rows of one speed share one product.
@@ -51,7 +51,7 @@ def arc_density(power: Tensor, speed: Tensor, table: Tensor) -> Tensor:
     return density[torch.argsort(order)]
 
 
-def whittle(expected: Tensor, recorded: Tensor, weight: Tensor) -> Tensor:
+def compute_whittle_loss(expected: Tensor, recorded: Tensor, weight: Tensor) -> Tensor:
     """Negative Whittle log-likelihood per row: Σ w (log S + P / S); minimal in expectation where S = E P.
 
     P. Whittle (1953), "Estimation and information in stationary time series". A loss on magnitudes of random draws

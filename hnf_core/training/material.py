@@ -19,22 +19,22 @@ from torch import Tensor
 from ..datasets.recording import Recording
 from ..field.config import FieldConfig
 from ..field.field import Field, initial_parameters
-from ..field.ranges import ranges_of
+from ..field.ranges import compute_training_ranges
 from ..files import content_hash
-from ..material.mechanics import UNKNOWN, Mechanics
+from ..material.mechanics import UNKNOWN_MECHANICS, Mechanics
 from ..material.token import TOKEN_DIM
 from .checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from .likelihood import DENSITY_FLOOR, WindowLikelihood
 from .model import FieldNetwork
-from .recordings import FINE_BINS, bin_widths
-from .rendered_power import RenderedInputs, RenderedPower, rendered_inputs, speed_table
-from .windows import TEST, TRAIN, VALIDATION, Windows, cut
+from .recordings import FINE_BINS, compute_bin_widths
+from .rendered_power import RenderedInputs, RenderedPower, build_rendered_inputs, make_speed_table
+from .windows import TEST, TRAIN, VALIDATION, Windows, cut_windows
 
 Float = NDArray[np.float64]
-Watcher = Callable[[int, int, float], None]
+ProgressCallback = Callable[[int, int, float], None]
 """Called after every epoch with (epoch, epochs, validation loss)."""
 
-UNHEARD = -12.0
+SILENT_LOG_AMPLITUDE = -12.0
 """Log amplitude of bands above the recordings' rate: nothing is known there, and nothing is played."""
 
 
@@ -55,7 +55,7 @@ class Schedule:
 
 
 @dataclass(frozen=True)
-class HeldOutFigures:
+class HeldOutMetrics:
     """Over n held-out windows. loss: negative log-likelihood per bin. distance_db: RMS difference between expected and
     recorded mean spectrum (bins heard in 20–1000 Hz within 30 dB of the peak). bias_db: of the whole power.
     l_mag_share: the paper's L_mag of the magnitudes expected, √(π S) / 2, over the recorded power; 0.215 is the best
@@ -71,13 +71,13 @@ class HeldOutFigures:
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainingResult:
     """field: the best epoch's. history: (epochs, 3) number, training and validation loss. test: of the tenth that
     training never saw, None where the recordings are too short to have one."""
 
     field: Field
     history: Float
-    test: HeldOutFigures | None
+    test: HeldOutMetrics | None
 
 
 def train_material(
@@ -87,10 +87,10 @@ def train_material(
     *,
     schedule: Schedule = Schedule(),
     token: NDArray[np.float32] | None = None,
-    mechanics: Mechanics = UNKNOWN,
+    mechanics: Mechanics = UNKNOWN_MECHANICS,
     checkpoint: Path | None = None,
-    watch: Watcher | None = None,
-) -> Trained:
+    watch: ProgressCallback | None = None,
+) -> TrainingResult:
     """Fit F_Θ to recordings of one material with one probe.
 
     token, mechanics: of the material, where known. checkpoint: file that a killed run is taken up from; it is removed
@@ -98,20 +98,22 @@ def train_material(
     Raises UsageError where the recordings are too short or of several probes.
     """
     torch.set_num_threads(1)
-    states, windows = cut(recordings)
+    states, windows = cut_windows(recordings)
     values = np.zeros(TOKEN_DIM, dtype=np.float32) if token is None else token
-    inputs = rendered_inputs(config, states, windows, values, mechanics)
-    task = _Task(config, schedule, inputs, windows, RenderedPower(config, speed_table(states)))
-    network, history = _run(task, _start(config, windows, seed), seed, checkpoint, _fingerprint(task, seed), watch)
-    ranges = ranges_of(
+    inputs = build_rendered_inputs(config, states, windows, values, mechanics)
+    task = _TrainingTask(config, schedule, inputs, windows, RenderedPower(config, make_speed_table(states)))
+    network, history = _train_epochs(
+        task, _make_initial_parameters(config, windows, seed), seed, checkpoint, _compute_fingerprint(task, seed), watch
+    )
+    ranges = compute_training_ranges(
         [recording.action for recording in recordings], values[None, :], [mechanics],
         directed=["direction" in recording.known for recording in recordings],
     )  # fmt: skip
-    field = Field(config, network.parameters_numpy(), ranges)
-    return Trained(field, history, _test(task, network, windows))
+    field = Field(config, network.to_numpy_parameters(), ranges)
+    return TrainingResult(field, history, _compute_test_metrics(task, network, windows))
 
 
-class _Task:
+class _TrainingTask:
     """What is to be learned: the loss over rows of windows."""
 
     def __init__(
@@ -120,89 +122,91 @@ class _Task:
         self.config, self.schedule, self.inputs, self.expected = config, schedule, inputs, expected
         self.power = torch.tensor(windows.power + DENSITY_FLOOR, dtype=torch.float32)
         self.role = windows.role
-        self.likelihood = WindowLikelihood(windows.heard)
+        self.likelihood = WindowLikelihood(windows.counted_bins)
 
-    def rows(self, role: int) -> Tensor:
+    def select_rows(self, role: int) -> Tensor:
         return torch.tensor(np.flatnonzero(self.role == role))
 
-    def loss(self, network: FieldNetwork, rows: Tensor) -> tuple[Tensor, Tensor]:
+    def compute_loss(self, network: FieldNetwork, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean negative log-likelihood of rows, and the α head's outputs."""
         density, head = self.expected(network, self.inputs, rows)
         return self.likelihood(density + DENSITY_FLOOR, self.power[rows]), head
 
-    def loss_of(self, network: FieldNetwork, rows: Tensor) -> float:
+    def evaluate_loss(self, network: FieldNetwork, rows: Tensor) -> float:
         with torch.no_grad():
-            return float(np.mean([float(self.loss(network, part)[0]) for part in rows.split(1024)]))  # type: ignore[no-untyped-call]
+            return float(np.mean([float(self.compute_loss(network, part)[0]) for part in rows.split(1024)]))  # type: ignore[no-untyped-call]
 
-    def roughness(self, head: Tensor) -> Tensor:
+    def compute_roughness(self, head: Tensor) -> Tensor:
         """Mean squared second difference of log amplitude over the fine time bands."""
         fine = self.config.carriers.time_slice.start + 1
         bands = head[..., fine : fine + FINE_BINS - 1]
         return (bands[..., 2:] - 2.0 * bands[..., 1:-1] + bands[..., :-2]).square().mean()
 
 
-def _test(task: _Task, network: FieldNetwork, windows: Windows) -> HeldOutFigures | None:
-    rows = task.rows(TEST)
+def _compute_test_metrics(task: _TrainingTask, network: FieldNetwork, windows: Windows) -> HeldOutMetrics | None:
+    rows = task.select_rows(TEST)
     if len(rows) == 0:
         return None
     with torch.no_grad():
         density = np.concatenate([task.expected(network, task.inputs, part)[0].numpy() for part in rows.split(1024)])  # type: ignore[no-untyped-call]
     power = windows.power[rows]
     expected, recorded = (each.mean(axis=0, dtype=np.float64) + DENSITY_FLOOR for each in (density, power))
-    heard = np.flatnonzero(windows.heard[:FINE_BINS])
+    heard = np.flatnonzero(windows.counted_bins[:FINE_BINS])
     missed = np.sqrt(0.25 * np.pi * density[:, heard]) - np.sqrt(power[:, heard])
     fine = heard[1:]
     loud = fine[recorded[fine] > 1e-3 * recorded[fine].max()]
     error = 10.0 * np.log10(expected[loud] / recorded[loud])
-    width = bin_widths() * windows.heard
-    return HeldOutFigures(
-        len(rows), task.loss_of(network, rows), float(np.sqrt(np.mean(np.square(error)))),
+    width = compute_bin_widths() * windows.counted_bins
+    return HeldOutMetrics(
+        len(rows), task.evaluate_loss(network, rows), float(np.sqrt(np.mean(np.square(error)))),
         float(10.0 * np.log10((expected @ width) / (recorded @ width))),
         float(np.sum(np.square(missed)) / np.sum(power[:, heard])), 4.34 / math.sqrt(len(rows)),
     )  # fmt: skip
 
 
-def _start(config: FieldConfig, windows: Windows, seed: int) -> dict[str, NDArray[np.float32]]:
+def _make_initial_parameters(config: FieldConfig, windows: Windows, seed: int) -> dict[str, NDArray[np.float32]]:
     """Initial parameters; without physics every band starts at its mean over the training windows."""
     parameters = initial_parameters(config, seed)
     if config.physics or config.emission != "log":
         return parameters
     mean = windows.power[windows.role == TRAIN].mean(axis=0)
-    centre = np.concatenate([[0.0], np.cumsum(bin_widths())])
+    centre = np.concatenate([[0.0], np.cumsum(compute_bin_widths())])
     carriers, bias = config.carriers, parameters["alpha.bias"].copy()
     edges = carriers.time_edges()
     density = np.interp(np.sqrt(edges[1:] * edges[:-1]), 0.5 * (centre[1:] + centre[:-1]), mean)
     heads = config.alpha_heads
     share = 0.5 if carriers.arc_count else 1.0
     level = 0.5 * np.log(share * np.maximum(density, DENSITY_FLOOR) * np.diff(edges)) - np.log(heads)
-    heard = windows.heard[np.clip(np.searchsorted(centre, edges[:-1], side="right") - 1, 0, len(windows.heard) - 1)]
+    heard = windows.counted_bins[
+        np.clip(np.searchsorted(centre, edges[:-1], side="right") - 1, 0, len(windows.counted_bins) - 1)
+    ]
     arc = np.full(config.alpha_outputs - carriers.time_count, 0.0)
     if carriers.arc_count:
-        arc += 0.5 * np.log(share * np.maximum(np.sum(mean * bin_widths()), DENSITY_FLOOR) / carriers.arc_count)
-    bias[:] = np.tile(np.concatenate([np.where(heard, level, UNHEARD), arc]), heads)
+        arc += 0.5 * np.log(share * np.maximum(np.sum(mean * compute_bin_widths()), DENSITY_FLOOR) / carriers.arc_count)
+    bias[:] = np.tile(np.concatenate([np.where(heard, level, SILENT_LOG_AMPLITUDE), arc]), heads)
     parameters["alpha.weight"] = 0.1 * parameters["alpha.weight"]
     parameters["alpha.bias"] = bias.astype(np.float32)
     return parameters
 
 
-def _run(
-    task: _Task,
+def _train_epochs(
+    task: _TrainingTask,
     start: dict[str, NDArray[np.float32]],
     seed: int,
     checkpoint: Path | None,
     fingerprint: str,
-    watch: Watcher | None,
+    watch: ProgressCallback | None,
 ) -> tuple[FieldNetwork, Float]:
-    schedule, train, validation = task.schedule, task.rows(TRAIN), task.rows(VALIDATION)
+    schedule, train, validation = task.schedule, task.select_rows(TRAIN), task.select_rows(VALIDATION)
     network = FieldNetwork(task.config, start)
     optimiser = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=schedule.decay)
     generator = torch.Generator().manual_seed(seed)
     passes = max(1, math.ceil(schedule.batches * schedule.batch / len(train)))
     done = load_checkpoint(checkpoint, fingerprint) if checkpoint else None
     history = np.zeros((0, 3)) if done is None else done.history
-    best = network.parameters_numpy() if done is None else _restore(done, network, optimiser, generator)
+    best = network.to_numpy_parameters() if done is None else _restore_checkpoint(done, network, optimiser, generator)
     for epoch in range(len(history), schedule.epochs):
-        if len(history) - _best_epoch(history) > schedule.patience:
+        if len(history) - _find_best_epoch(history) > schedule.patience:
             break
         order = torch.cat([train[torch.randperm(len(train), generator=generator)] for _ in range(passes)])
         parts = order.split(schedule.batch)  # type: ignore[no-untyped-call]
@@ -210,17 +214,17 @@ def _run(
         for step, rows in enumerate(parts):
             place = (epoch + step / len(parts)) / schedule.epochs
             optimiser.param_groups[0]["lr"] = schedule.learning_rate * (0.505 + 0.495 * math.cos(math.pi * place))
-            loss, head = task.loss(network, rows)
+            loss, head = task.compute_loss(network, rows)
             optimiser.zero_grad()
-            (loss + schedule.smoothness * task.roughness(head)).backward()  # type: ignore[no-untyped-call]
+            (loss + schedule.smoothness * task.compute_roughness(head)).backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             total += float(loss.detach()) * len(rows)
-        row = [epoch + 1.0, total / len(order), task.loss_of(network, validation)]
+        row = [epoch + 1.0, total / len(order), task.evaluate_loss(network, validation)]
         history = np.vstack([history, row])
-        if _best_epoch(history) == len(history):
-            best = network.parameters_numpy()
+        if _find_best_epoch(history) == len(history):
+            best = network.to_numpy_parameters()
         if checkpoint:
-            save_checkpoint(checkpoint, _snapshot(network, optimiser, generator, best, history), fingerprint)
+            save_checkpoint(checkpoint, _make_checkpoint(network, optimiser, generator, best, history), fingerprint)
         if watch:
             watch(epoch + 1, schedule.epochs, row[2])
     if checkpoint:
@@ -228,11 +232,11 @@ def _run(
     return FieldNetwork(task.config, best), history
 
 
-def _best_epoch(history: Float) -> int:
+def _find_best_epoch(history: Float) -> int:
     return int(np.argmin(history[:, 2])) + 1 if len(history) else 0
 
 
-def _snapshot(
+def _make_checkpoint(
     network: FieldNetwork,
     optimiser: torch.optim.Optimizer,
     generator: torch.Generator,
@@ -248,7 +252,7 @@ def _snapshot(
     return Checkpoint(len(history), tensors, history)
 
 
-def _restore(
+def _restore_checkpoint(
     checkpoint: Checkpoint, network: FieldNetwork, optimiser: torch.optim.Optimizer, generator: torch.Generator
 ) -> dict[str, NDArray[np.float32]]:
     """Put everything back; returns the best weights so far."""
@@ -268,8 +272,8 @@ def _restore(
     }
 
 
-def _fingerprint(task: _Task, seed: int) -> str:
+def _compute_fingerprint(task: _TrainingTask, seed: int) -> str:
     """What a checkpoint must agree in: data, architecture, schedule, seed, versions."""
     words = repr((task.config, task.schedule, seed, torch.__version__, np.__version__))
-    arrays = (task.power, task.inputs.x, task.inputs.at, task.likelihood.weight)
+    arrays = (task.power, task.inputs.x, task.inputs.state_rows, task.likelihood.weight)
     return content_hash(words, *(array.numpy().tobytes() for array in arrays))

@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from ..field.config import FieldConfig
 from ..field.field import LOG_AMPLITUDE_CEILING
-from ..field.lines import GAINS, LINES, SHIFTS, START_LOG
+from ..field.lines import HARMONIC_SHIFTS, HARMONIC_START_LOG, LINE_COUNT, LINE_GAIN_COUNT
 
 
 def render_weights(sigma_dt: Tensor) -> Tensor:
@@ -44,7 +44,7 @@ class FieldNetwork(nn.Module):
             {name.replace(".", "_"): nn.Parameter(torch.tensor(value)) for name, value in parameters.items()}
         )
 
-    def heads(self, x: Tensor) -> tuple[Tensor, Tensor]:
+    def evaluate_heads(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """What the layers make of x (n, D): the α head (n, heads, outputs), before prior and gate, and σΔt (n, N)."""
         config, weights = self.config, self.weights
         hidden = x
@@ -56,12 +56,12 @@ class FieldNetwork(nn.Module):
         sigma_dt = functional.softplus(functional.linear(hidden, weights["sigma_weight"], weights["sigma_bias"]))
         return head.reshape(len(head), config.alpha_heads, config.alpha_outputs), sigma_dt
 
-    def emission(self, head: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
+    def compute_emission(self, head: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
         """α (n, heads, K) from the α head, prior (n, K; more with line gains, see Inputs) and gate (n, K)."""
         config, weights, alpha = self.config, self.weights, head
         count = config.carriers.count
         if config.line_gains:
-            alpha, gains = head[..., :-GAINS], head[:, 0, -GAINS:]
+            alpha, gains = head[..., :-LINE_GAIN_COUNT], head[:, 0, -LINE_GAIN_COUNT:]
         if self.expansion is not None:
             first = config.carriers.arc_slice.start
             alpha = torch.cat([alpha[..., :first], alpha[..., first:] @ self.expansion.T], dim=-1)
@@ -71,36 +71,39 @@ class FieldNetwork(nn.Module):
             alpha = torch.exp(torch.clamp(alpha, max=LOG_AMPLITUDE_CEILING))
         if config.line_gains:
             first, arcs = config.carriers.arc_slice.start, config.carriers.arc_count
-            power = alpha[:, 0, first:].square() + line_power(gains, prior[:, count:], arcs)
+            power = alpha[:, 0, first:].square() + compute_line_power(gains, prior[:, count:], arcs)
             alpha = torch.cat([alpha[:, 0, :first], power.sqrt()], dim=-1)[:, None, :]
         return alpha * gate[:, None, :]
 
     def forward(self, x: Tensor, prior: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
-        head, sigma_dt = self.heads(x)
-        return self.emission(head, prior, gate), sigma_dt
+        head, sigma_dt = self.evaluate_heads(x)
+        return self.compute_emission(head, prior, gate), sigma_dt
 
-    def steady_amplitude(self, x: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
+    def compute_steady_amplitude(self, x: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
         """(n, K) amplitudes of a long steady stroke ("past" accumulation)."""
         alpha, sigma_dt = self(x, prior, gate)
-        return steady(alpha, sigma_dt)
+        return accumulate_steady(alpha, sigma_dt)
 
-    def parameters_numpy(self) -> dict[str, NDArray[np.float32]]:
+    def to_numpy_parameters(self) -> dict[str, NDArray[np.float32]]:
         """Parameters under their names in FieldConfig.shapes."""
         return {name: self.weights[name.replace(".", "_")].detach().numpy().copy() for name in self.config.shapes()}
 
 
-def line_power(gains: Tensor, columns: Tensor, count: int) -> Tensor:
+def compute_line_power(gains: Tensor, columns: Tensor, count: int) -> Tensor:
     """Twin of field.lines.line_power: log gains (n, GAINS), prior columns (n, 3 LINES) → (n, count)."""
-    shift, start = torch.tensor(SHIFTS)[:, None], torch.tensor(START_LOG, dtype=torch.float32)[:, None]
-    gain = gains.reshape(len(gains), 1, len(SHIFTS), LINES) + start
-    level = columns[:, : 2 * LINES].reshape(-1, 2, 1, LINES)
+    shift, start = (
+        torch.tensor(HARMONIC_SHIFTS)[:, None],
+        torch.tensor(HARMONIC_START_LOG, dtype=torch.float32)[:, None],
+    )
+    gain = gains.reshape(len(gains), 1, len(HARMONIC_SHIFTS), LINE_COUNT) + start
+    level = columns[:, : 2 * LINE_COUNT].reshape(-1, 2, 1, LINE_COUNT)
     power = torch.exp(2.0 * torch.clamp(gain + level, max=LOG_AMPLITUDE_CEILING))
-    index = columns[:, 2 * LINES :].long()[:, None, None, :] + shift + torch.arange(2)[:, None, None]
+    index = columns[:, 2 * LINE_COUNT :].long()[:, None, None, :] + shift + torch.arange(2)[:, None, None]
     inside = (index >= 0) & (index < count)
     power = torch.where(inside, power, 0.0).flatten(1)
     return torch.zeros(len(gains), count).scatter_add(1, index.clamp(0, count - 1).flatten(1), power)
 
 
-def steady(alpha: Tensor, sigma_dt: Tensor) -> Tensor:
+def accumulate_steady(alpha: Tensor, sigma_dt: Tensor) -> Tensor:
     """(n, 1, K), (n, N) → (n, K): a state that has lasted longer than the memory."""
     return render_weights(sigma_dt).sum(dim=-1)[:, None] * alpha[:, 0]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 
 
-def heads(parameters: Mapping[str, Float32], layers: int, x: Float32) -> tuple[Float32, Float32]:
+def evaluate_heads_bfloat16(parameters: Mapping[str, Float32], layers: int, x: Float32) -> tuple[Float32, Float32]:
     """As hnf_core.field.network.heads, every number kept in bfloat16."""
     narrow = {name: torch.from_numpy(value).to(torch.bfloat16) for name, value in parameters.items()}
     with torch.inference_mode():

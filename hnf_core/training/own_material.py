@@ -17,23 +17,23 @@ from ..datasets.recording import Recording
 from ..field.carriers import Carriers
 from ..field.config import FieldConfig
 from ..field.field import Field
-from ..material.library import find
-from ..material.mechanics import UNKNOWN, Mechanics
+from ..material.library import get_material
+from ..material.mechanics import UNKNOWN_MECHANICS, Mechanics
 from ..material.token import TOKEN_DIM
-from .material import Schedule, Trained, Watcher, train_material
+from .material import ProgressCallback, Schedule, TrainingResult, train_material
 from .recordings import FINE_BINS
 
 Float = NDArray[np.float64]
 
-FINE_HZ = 10.0
-PAST_STATES = 5
+FINE_BIN_HZ = 10.0
+PAST_STATE_COUNT = 5
 ARC_KINDS = ("own", "cluster", "simulated")
 """Data in which tones glide with the speed, where that was recorded. HaTT's models hold none: each is a filter that
 changes with speed, and arc carriers would only be a second way to say the same."""
 
 
 @dataclass(frozen=True)
-class Choices:
+class TrainingOverrides:
     """What a user may set; None = as the data suggest."""
 
     hidden: int | None = None
@@ -43,29 +43,29 @@ class Choices:
     epochs: int | None = None
 
 
-def fine_carriers(arc_octaves: int = 0) -> Carriers:
+def make_fine_carriers(arc_octaves: int = 0) -> Carriers:
     """Time carriers centred on the bins 10, 20 … 1000 Hz, one bin wide, then seven widening bands to 5 kHz."""
-    fine = (np.arange(1, FINE_BINS + 1) + 0.5) * FINE_HZ
+    fine = (np.arange(1, FINE_BINS + 1) + 0.5) * FINE_BIN_HZ
     edges = np.concatenate([[2.0], fine, fine[-1] * (5000.0 / fine[-1]) ** (np.arange(1, 8) / 7)])
     return Carriers(time_edges_hz=tuple(float(edge) for edge in edges), arc_octaves=arc_octaves)
 
 
-def config_for(recordings: Sequence[Recording], *, arc: bool, token_known: bool) -> FieldConfig:
+def choose_config(recordings: Sequence[Recording], *, arc: bool, token_known: bool) -> FieldConfig:
     """The architecture that suits what is known: the linear contact where there is a token, arc carriers where asked
     for, direction only where it was recorded, and N = 5 past states where hands stop or turn back. There accumulation
     wins (docs/training.md); elsewhere strokes tell nothing of memory, and N = 1 is the same field for less work.
     """
     directed = any("direction" in recording.known for recording in recordings)
-    states = PAST_STATES if any(_turns_back(recording.action) for recording in recordings) else 1
+    states = PAST_STATE_COUNT if any(_has_reversals(recording.action) for recording in recordings) else 1
     if token_known:
         return FieldConfig(states=states, action_octaves=2, directed=directed)
     return FieldConfig(
-        hidden=128, states=states, carriers=fine_carriers(Carriers().arc_octaves if arc else 0), physics=False,
+        hidden=128, states=states, carriers=make_fine_carriers(Carriers().arc_octaves if arc else 0), physics=False,
         action_octaves=3, directed=directed,
     )  # fmt: skip
 
 
-def _turns_back(action: Action) -> bool:
+def _has_reversals(action: Action) -> bool:
     """Whether the hand nearly stops (a tenth of its usual speed), lifts, or reverses within 50 ms."""
     moving = action.speed[action.contact & (action.speed > 0.0)]
     if len(moving) == 0:
@@ -76,24 +76,24 @@ def _turns_back(action: Action) -> bool:
     return stops or reverses or not bool(action.contact.all())
 
 
-def train_own(
+def train_from_recordings(
     recordings: Sequence[Recording],
     kind: str,
     licence: str,
     seed: int,
-    choices: Choices,
+    overrides: TrainingOverrides,
     checkpoint: Path | None = None,
-    watch: Watcher | None = None,
-) -> tuple[Trained, dict[str, Any]]:
+    watch: ProgressCallback | None = None,
+) -> tuple[TrainingResult, dict[str, Any]]:
     """Train on recordings of one material of a data set of that kind; also a record of it for people and programs.
 
     The field carries in its metadata what `hnf synth --weights` needs. Raises UsageError, see train_material.
     """
     name = recordings[0].material
-    token, mechanics = _described(kind, name)
+    token, mechanics = _find_token_and_mechanics(kind, name)
     paced = any("speed" in recording.known for recording in recordings)
-    config = config_for(recordings, arc=paced and kind in ARC_KINDS, token_known=token is not None)
-    chosen = {key: value for key, value in dataclasses.asdict(choices).items() if value is not None}
+    config = choose_config(recordings, arc=paced and kind in ARC_KINDS, token_known=token is not None)
+    chosen = {key: value for key, value in dataclasses.asdict(overrides).items() if value is not None}
     epochs = chosen.pop("epochs", Schedule().epochs)
     trained = train_material(
         recordings, dataclasses.replace(config, **chosen), seed, schedule=Schedule(epochs=epochs), token=token,
@@ -110,27 +110,27 @@ def train_own(
         "notes": notes,
     }
     metadata = {
-        "material": _material_record(name, token, mechanics),
+        "material": _format_material(name, token, mechanics),
         "training_data": "; ".join([str(record["training_data"]), *notes]),
         "seed": str(seed),
         "metrics": json.dumps(record["test"]),
         "licence": licence,
     }
-    return dataclasses.replace(trained, field=_named(trained.field, metadata)), record
+    return dataclasses.replace(trained, field=_with_metadata(trained.field, metadata)), record
 
 
-def _named(field: Field, metadata: Mapping[str, str]) -> Field:
+def _with_metadata(field: Field, metadata: Mapping[str, str]) -> Field:
     return dataclasses.replace(field, metadata=metadata)
 
 
-def _described(kind: str, name: str) -> tuple[NDArray[np.float32] | None, Mechanics]:
+def _find_token_and_mechanics(kind: str, name: str) -> tuple[NDArray[np.float32] | None, Mechanics]:
     """Token and mechanics where they are known: of library materials."""
     if kind != "simulated":
-        return None, UNKNOWN
-    material = find(name)
+        return None, UNKNOWN_MECHANICS
+    material = get_material(name)
     return material.token, material.mechanics
 
 
-def _material_record(name: str, token: NDArray[np.float32] | None, mechanics: Mechanics) -> str:
+def _format_material(name: str, token: NDArray[np.float32] | None, mechanics: Mechanics) -> str:
     values = [0.0] * TOKEN_DIM if token is None else [float(value) for value in token]
     return json.dumps({"name": name, "token": values, "mechanics": dataclasses.asdict(mechanics)})

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..material.probe import PROBES
-from ..metrics.spectra import WINDOW, window_power
+from ..metrics.spectra import WINDOW_SAMPLES, window_power
 from ..simulation.dft321 import dft321
 from ..simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate_batch, straight_stroke
-from .conditions import Steady, speed_grid
+from .conditions import SteadyStroke, make_speed_grid
 from .surfaces import Surface
 
 Float = NDArray[np.float64]
@@ -25,12 +25,12 @@ FINE_BINS = 100
 COARSE_EDGES_HZ = 1000.0 * 5.0 ** (np.arange(8) / 7.0)
 """Above, seven bands to 5 kHz, so that the total power is right too."""
 SETTLE_S = 0.06
-BATCH = 512
+STROKES_PER_BATCH = 512
 
 
-def observed(power: Float) -> Float:
+def pool_bins(power: Float) -> Float:
     """Window powers (…, 501) → (…, 107): fine bins, then the mean density of each coarse band."""
-    frequency = np.fft.rfftfreq(WINDOW, 1.0 / SAMPLE_RATE_HZ)
+    frequency = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / SAMPLE_RATE_HZ)
     fine = power[..., 1 : FINE_BINS + 1]
     coarse = [
         power[..., (frequency > low) & (frequency <= high)].mean(axis=-1) for low, high in pairwise(COARSE_EDGES_HZ)
@@ -38,12 +38,14 @@ def observed(power: Float) -> Float:
     return np.concatenate([fine, np.stack(coarse, axis=-1)], axis=-1)
 
 
-def bin_widths() -> Float:
+def compute_bin_widths() -> Float:
     """(107,) Hz that each observation stands for: density times width sums to power."""
-    return np.concatenate([np.full(FINE_BINS, SAMPLE_RATE_HZ / WINDOW), np.diff(COARSE_EDGES_HZ)])
+    return np.concatenate([np.full(FINE_BINS, SAMPLE_RATE_HZ / WINDOW_SAMPLES), np.diff(COARSE_EDGES_HZ)])
 
 
-def record(surfaces: Sequence[Surface], strokes: Sequence[Steady], seconds: float, workers: int = 2) -> Float:
+def record_strokes(
+    surfaces: Sequence[Surface], strokes: Sequence[SteadyStroke], seconds: float, workers: int = 2
+) -> Float:
     """Mean observed power (n, 107) of `seconds` of each steady stroke, DFT321 over the whole of it.
 
     The result does not depend on the number of workers.
@@ -52,9 +54,9 @@ def record(surfaces: Sequence[Surface], strokes: Sequence[Steady], seconds: floa
     for probe in PROBES:
         rows = sorted((row for row, stroke in enumerate(strokes) if stroke.probe == probe),
                       key=lambda row: (strokes[row].surface, strokes[row].force))  # fmt: skip
-        jobs += [rows[low : low + BATCH] for low in range(0, len(rows), BATCH)]
+        jobs += [rows[low : low + STROKES_PER_BATCH] for low in range(0, len(rows), STROKES_PER_BATCH)]
     out = np.zeros((len(strokes), FINE_BINS + len(COARSE_EDGES_HZ) - 1))
-    calls = [_job(surfaces, [strokes[row] for row in rows], seconds) for rows in jobs]
+    calls = [_make_job(surfaces, [strokes[row] for row in rows], seconds) for rows in jobs]
     with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
         for done, (rows, power) in enumerate(zip(jobs, pool.map(_record_batch, calls), strict=True)):
             out[rows] = power
@@ -63,30 +65,30 @@ def record(surfaces: Sequence[Surface], strokes: Sequence[Steady], seconds: floa
     return out
 
 
-Job = tuple[list[Surface], list[Steady], float]
+RecordingJob = tuple[list[Surface], list[SteadyStroke], float]
 
 
-def _job(surfaces: Sequence[Surface], strokes: list[Steady], seconds: float) -> Job:
+def _make_job(surfaces: Sequence[Surface], strokes: list[SteadyStroke], seconds: float) -> RecordingJob:
     """Only the surfaces that a batch needs travel to its process."""
     used = sorted({stroke.surface for stroke in strokes})
     place = {surface: index for index, surface in enumerate(used)}
-    local = [Steady(place[s.surface], s.mechanics, s.probe, s.speed, s.angle, s.force, s.start) for s in strokes]
+    local = [SteadyStroke(place[s.surface], s.mechanics, s.probe, s.speed, s.angle, s.force, s.start) for s in strokes]
     return [surfaces[index] for index in used], local, seconds
 
 
-def _record_batch(job: Job) -> Float:
+def _record_batch(job: RecordingJob) -> Float:
     surfaces, strokes, seconds = job
-    speeds = speed_grid()
+    speeds = make_speed_grid()
     acceleration = simulate_batch(
         [surfaces[stroke.surface].maps for stroke in strokes],
-        [_path(stroke, float(speeds[stroke.speed]), seconds + SETTLE_S) for stroke in strokes],
+        [_make_path(stroke, float(speeds[stroke.speed]), seconds + SETTLE_S) for stroke in strokes],
         [stroke.mechanics for stroke in strokes],
         PROBES[strokes[0].probe],
     )
     kept = acceleration[:, round(SETTLE_S * SAMPLE_RATE_HZ) :]
     fused = dft321(kept - kept.mean(axis=1, keepdims=True))
-    return np.stack([observed(window_power(signal, SAMPLE_RATE_HZ)).mean(axis=0) for signal in fused])
+    return np.stack([pool_bins(window_power(signal, SAMPLE_RATE_HZ)).mean(axis=0) for signal in fused])
 
 
-def _path(stroke: Steady, speed: float, seconds: float) -> Stroke:
+def _make_path(stroke: SteadyStroke, speed: float, seconds: float) -> Stroke:
     return straight_stroke(speed, stroke.force, seconds, angle_rad=stroke.angle, start_m=stroke.start)

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from ..field.config import FieldConfig
 from ..files import write_bytes
-from ..tensor_file import packed, unpacked
-from .conditions import Condition, Steady
-from .fit import Likelihood, network_inputs
+from ..tensor_file import dump_tensors, load_tensors
+from .conditions import SteadyStroke, StrokeCondition
+from .fit import Likelihood, build_network_inputs
 from .model import FieldNetwork
-from .recordings import FINE_BINS, record
-from .surfaces import Specimen, Surface, patches
+from .recordings import FINE_BINS, record_strokes
+from .surfaces import Specimen, Surface, make_patches
 
 Float = NDArray[np.float64]
 
-FIRST_PATCH = 100
+FIRST_REFERENCE_PATCH = 100
 """Patches of references are never trained on."""
 PATCHES, STARTS, SECONDS = 3, 3, 1.0
 """9 s per condition: their mean scatters by some 0.35 dB per bin."""
@@ -39,74 +39,76 @@ class References:
     scatter_db: (M, C) standard error of a bin, RMS over the bins that count."""
 
     specimens: tuple[Specimen, ...]
-    conditions: tuple[Condition, ...]
+    conditions: tuple[StrokeCondition, ...]
     tokens: NDArray[np.float32]
     spectra: Float
     scatter_db: Float
 
-    def inside(self) -> NDArray[np.bool_]:
+    def mask_counted_bins(self) -> NDArray[np.bool_]:
         """(M, C, FINE_BINS) bins within WITHIN_DB of the peak."""
         return np.asarray(self.spectra >= self.spectra.max(axis=-1, keepdims=True) * 10.0 ** (-WITHIN_DB / 10.0))
 
 
-def refer(
+def simulate_references(
     specimens: Sequence[Specimen],
-    conditions: Sequence[Condition],
+    conditions: Sequence[StrokeCondition],
     seed: int,
     workers: int = 2,
     seconds: float = SECONDS,
 ) -> References:
     """Simulate every material under every condition, with its own mechanics. seconds: of each of its strokes."""
-    surfaces: list[Surface] = patches(specimens, FIRST_PATCH, PATCHES, workers)
+    surfaces: list[Surface] = make_patches(specimens, FIRST_REFERENCE_PATCH, PATCHES, workers)
     rng = np.random.default_rng(seed)
     strokes = [
-        Steady(m * PATCHES + patch, each.mechanics, "pen", c.speed, c.angle, c.force,
+        SteadyStroke(m * PATCHES + patch, each.mechanics, "pen", c.speed, c.angle, c.force,
                (float(rng.uniform(0.0, 0.02)), float(rng.uniform(0.0, 0.02))))
         for m, each in enumerate(specimens) for c in conditions for _ in range(STARTS) for patch in range(PATCHES)
     ]  # fmt: skip
     shape = (len(specimens), len(conditions), STARTS, PATCHES, -1)
-    power = record(surfaces, strokes, seconds, workers).reshape(shape)[..., :FINE_BINS]
+    power = record_strokes(surfaces, strokes, seconds, workers).reshape(shape)[..., :FINE_BINS]
     thirds = power.mean(axis=3)
     tokens = np.stack([surface.token for surface in surfaces]).reshape(len(specimens), PATCHES, -1)
     whole = References(tuple(specimens), tuple(conditions), tokens, thirds.mean(axis=2), np.zeros(0))
     error = (10.0 * np.log10(thirds)).std(axis=2, ddof=1) / np.sqrt(STARTS)
-    return replace(whole, scatter_db=_rms(error, whole.inside()))
+    return replace(whole, scatter_db=_compute_rms(error, whole.mask_counted_bins()))
 
 
-def expected_at(
+def predict_spectra(
     network: FieldNetwork, references: References, tokens: NDArray[np.float32], mechanics_known: bool = True
 ) -> Float:
     """(M, C, FINE_BINS) that a field expects under the references' conditions. tokens: (M, TOKEN_DIM)."""
     strokes = [
-        Steady(m, each.mechanics, "pen", c.speed, c.angle, c.force, (0.0, 0.0))
+        SteadyStroke(m, each.mechanics, "pen", c.speed, c.angle, c.force, (0.0, 0.0))
         for m, each in enumerate(references.specimens)
         for c in references.conditions
     ]
     mechanics = [stroke.mechanics if mechanics_known else replace(stroke.mechanics, stiffness_n_m=None,
                  damping_ratio=None, friction=None) for stroke in strokes]  # fmt: skip
     config: FieldConfig = network.config
-    x, prior, gate = (torch.tensor(part) for part in network_inputs(config, strokes, tokens, mechanics))
+    x, prior, gate = (torch.tensor(part) for part in build_network_inputs(config, strokes, tokens, mechanics))
     with torch.no_grad():
-        amplitude = network.steady_amplitude(x, prior, gate)
-        expected = Likelihood(config).expected(amplitude, torch.tensor([stroke.speed for stroke in strokes]))
+        amplitude = network.compute_steady_amplitude(x, prior, gate)
+        expected = Likelihood(config).compute_expected_power(
+            amplitude, torch.tensor([stroke.speed for stroke in strokes])
+        )
     return expected.numpy().astype(np.float64)[:, :FINE_BINS].reshape(references.spectra.shape)
 
 
-def distances_db(references: References, expected: Float) -> Float:
+def compute_distances_db(references: References, expected: Float) -> Float:
     """(M, C) average-spectrum distance. expected: (M, C, FINE_BINS)."""
-    return _rms(10.0 * np.log10(expected / references.spectra), references.inside())
+    return _compute_rms(10.0 * np.log10(expected / references.spectra), references.mask_counted_bins())
 
 
-def on_new_patches_db(network: FieldNetwork, references: References) -> Float:
+def compute_new_patch_distances_db(network: FieldNetwork, references: References) -> Float:
     """(M,) distance averaged over conditions and over the references' patches, each with its own token."""
     patches_db = [
-        distances_db(references, expected_at(network, references, references.tokens[:, patch]))
+        compute_distances_db(references, predict_spectra(network, references, references.tokens[:, patch]))
         for patch in range(references.tokens.shape[1])
     ]
     return np.asarray(np.mean(patches_db, axis=(0, 2)))
 
 
-def _rms(level: Float, inside: NDArray[np.bool_]) -> Float:
+def _compute_rms(level: Float, inside: NDArray[np.bool_]) -> Float:
     return np.asarray(np.sqrt(np.where(inside, np.square(level), 0.0).sum(axis=-1) / inside.sum(axis=-1)))
 
 
@@ -117,13 +119,13 @@ def save_references(path: Path, references: References) -> None:
         "spectra": references.spectra,
         "scatter_db": references.scatter_db,
     }
-    write_bytes(path, packed(tensors))
+    write_bytes(path, dump_tensors(tensors))
 
 
-def load_references(path: Path, specimens: Sequence[Specimen], conditions: Sequence[Condition]) -> References:
+def load_references(path: Path, specimens: Sequence[Specimen], conditions: Sequence[StrokeCondition]) -> References:
     """What save_references wrote for these specimens and conditions. Raises FileError where it does not fit."""
     try:
-        tensors, _ = unpacked(path.read_bytes())
+        tensors, _ = load_tensors(path.read_bytes())
         found = References(tuple(specimens), tuple(conditions), **tensors)
     except (OSError, ValueError, TypeError) as error:
         raise FileError(f"no references ({error}).", where=str(path), remedy="Delete it to simulate again.") from error

@@ -14,8 +14,8 @@ from ..field.features import build_inputs
 from ..field.linear_contact import Condition
 from ..field.rendering import STEP_S
 from ..material.mechanics import Mechanics
-from .expectation import expectation_matrices
-from .likelihood import arc_density
+from .expectation import compute_expectation_matrices
+from .likelihood import compute_arc_density
 from .model import FieldNetwork, render_weights
 from .windows import States, Windows
 
@@ -24,7 +24,7 @@ Float = NDArray[np.float64]
 SPEED_NODES = 96
 """Speeds at which the arc carriers' expectation is tabulated, evenly in log: within a tenfold range their step is
 smaller than a carrier is wide."""
-CHUNK = 4096
+STATES_PER_CHUNK = 4096
 
 
 @dataclass(frozen=True)
@@ -41,19 +41,19 @@ class RenderedInputs:
     gate: Tensor
     phase: Tensor
     speed: Tensor
-    at: Tensor
+    state_rows: Tensor
     alive: Tensor
     share: Tensor
 
 
-def speed_table(states: States) -> Float:
+def make_speed_table(states: States) -> Float:
     """(SPEED_NODES,) m/s over the speeds that occur."""
     moving = states.speed[states.speed > 1e-3]
     low, high = (float(moving.min()), float(moving.max())) if len(moving) else (0.01, 0.1)
     return np.geomspace(low, max(high, 1.01 * low), SPEED_NODES)
 
 
-def rendered_inputs(
+def build_rendered_inputs(
     config: FieldConfig, states: States, windows: Windows, token: NDArray[np.float32], mechanics: Mechanics
 ) -> RenderedInputs:
     """Everything that stays the same while the network learns."""
@@ -61,7 +61,10 @@ def rendered_inputs(
     wanted = windows.node[:, :, None] - config.stride * np.arange(past)
     alive = wanted >= windows.first[windows.node][:, :, None]
     used, at = np.unique(np.where(alive, wanted, windows.node[:, :, None]), return_inverse=True)
-    parts = [_inputs(config, states, used[low : low + CHUNK], token, mechanics) for low in range(0, len(used), CHUNK)]
+    parts = [
+        _build_state_inputs(config, states, used[low : low + STATES_PER_CHUNK], token, mechanics)
+        for low in range(0, len(used), STATES_PER_CHUNK)
+    ]
     x, prior, gate = (torch.tensor(np.concatenate(column)) for column in zip(*parts, strict=True))
     speed = states.speed[used]
     carriers, phase = config.carriers, np.zeros((len(used), config.carriers.count), dtype=np.float32)
@@ -69,12 +72,12 @@ def rendered_inputs(
         edges = carriers.time_edges()
         phase[:, carriers.time_slice] = np.pi * (edges[1:] + edges[:-1]) * STEP_S
         phase[:, carriers.arc_slice] = 2.0 * np.pi * speed[:, None] * carriers.arc_centres() * STEP_S
-    table = np.log(speed_table(states))
+    table = np.log(make_speed_table(states))
     nearest = np.rint((np.log(np.maximum(speed, 1e-6)) - table[0]) / (table[1] - table[0]))
     return RenderedInputs(
         x, prior, gate, torch.tensor(phase), torch.tensor(np.clip(nearest, 0, SPEED_NODES - 1).astype(np.int64)),
         torch.tensor(at.reshape(wanted.shape)), torch.tensor(alive.astype(np.float32)),
-        torch.tensor(windows.share, dtype=torch.float32),
+        torch.tensor(windows.node_weight, dtype=torch.float32),
     )  # fmt: skip
 
 
@@ -83,17 +86,17 @@ class RenderedPower:
 
     def __init__(self, config: FieldConfig, speeds: Float) -> None:
         used = speeds if config.carriers.arc_count else speeds[:1]
-        time, arc = expectation_matrices(config.carriers, used)
+        time, arc = compute_expectation_matrices(config.carriers, used)
         self.config = config
         self.time = torch.tensor(time, dtype=torch.float32)
         self.arc = torch.tensor(arc, dtype=torch.float32)
 
     def __call__(self, network: FieldNetwork, inputs: RenderedInputs, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Also the α head's raw outputs of those rows, for regularisation."""
-        carriers, at = self.config.carriers, inputs.at[rows]
+        carriers, at = self.config.carriers, inputs.state_rows[rows]
         flat = at.reshape(-1)
-        head, sigma_dt = network.heads(inputs.x[flat])
-        alpha = network.emission(head, inputs.prior[flat], inputs.gate[flat])
+        head, sigma_dt = network.evaluate_heads(inputs.x[flat])
+        alpha = network.compute_emission(head, inputs.prior[flat], inputs.gate[flat])
         if self.config.accumulation == "past":
             memory = sigma_dt.reshape(*at.shape, -1).diagonal(dim1=-2, dim2=-1)
             weight = render_weights(memory) * inputs.alive[rows]
@@ -107,12 +110,12 @@ class RenderedPower:
         out = torch.einsum("q,rqk,kb->rb", inputs.share, power[..., carriers.time_slice], self.time)
         if carriers.arc_count:
             speed = inputs.speed[at[..., 0]]
-            dense = arc_density(power[..., carriers.arc_slice].flatten(0, 1), speed.flatten(), self.arc)
+            dense = compute_arc_density(power[..., carriers.arc_slice].flatten(0, 1), speed.flatten(), self.arc)
             out = out + torch.einsum("q,rqb->rb", inputs.share, dense.reshape(*speed.shape, -1))
         return out, head
 
 
-def _inputs(
+def _build_state_inputs(
     config: FieldConfig, states: States, rows: NDArray[np.int64], token: NDArray[np.float32], mechanics: Mechanics
 ) -> tuple[NDArray[np.float32], ...]:
     condition = Condition(

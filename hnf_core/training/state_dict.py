@@ -8,7 +8,7 @@ from pathlib import Path
 from torch import Tensor
 
 from ..errors import WeightsError
-from ..weights_file import read_limited
+from ..weights_file import read_weights_bytes
 
 SUFFIX = ".safetensors"
 
@@ -23,7 +23,7 @@ def read_state_dict(path: Path, network: str) -> tuple[dict[str, Tensor], str]:
     from safetensors import SafetensorError
     from safetensors.torch import load
 
-    remedy = how_to_save(network)
+    remedy = format_save_command(network)
     if path.is_file() and path.suffix != SUFFIX:
         found = path.suffix or "no suffix"
         raise WeightsError(
@@ -31,14 +31,14 @@ def read_state_dict(path: Path, network: str) -> tuple[dict[str, Tensor], str]:
             where=str(path),
             remedy=remedy,
         )
-    data = read_limited(path, "the trunk", remedy)
+    data = read_weights_bytes(path, "the trunk", remedy)
     try:
         return load(data), hashlib.sha256(data).hexdigest()
     except (SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise WeightsError(f"damaged or not a file of weights ({error}).", where=str(path), remedy=remedy) from error
 
 
-def how_to_save(network: str) -> str:
+def format_save_command(network: str) -> str:
     """What to run for a file that read_state_dict reads, in words and as one line for a shell."""
     return (
         f"Save the state dict of torchvision's {network} with your own Python: "

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.pair_tiles import FUSION_BORDER_M, LEVEL_DECADES, fuse
-from ..material.encoders import encoder_by_name
+from ..datasets.pair_tiles import CROSSOVER_WAVELENGTH_M, RANDOM_SCALE_DECADES, splice_spectra
+from ..material.encoders import get_encoder
 from ..material.mechanics import Mechanics
 from ..material.token import ENCODER_ID
-from ..simulation.classes import classes, instance, seed_of
+from ..simulation.classes import derive_seed, list_classes, sample_instance
 from ..simulation.recipes import random_recipe
 from ..simulation.sampling import SmoothedMaps
 from ..simulation.surface import TILE_SIZE_M, SurfaceRecipe, height_map
@@ -40,25 +40,25 @@ def make_surface(
 ) -> Surface:
     """Describe a height map (one 20 mm tile) by the product's own path: sensor image, then E (a make, or its file)."""
     pitch = TILE_SIZE_M / height.shape[0]
-    token = encoder_by_name(encoder).describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch)).values
-    return Surface(name, SmoothedMaps(height, keep=4), token, mechanics)
+    token = get_encoder(encoder).describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch)).values
+    return Surface(name, SmoothedMaps(height, cache_size=4), token, mechanics)
 
 
-def random_surfaces(count: int, seed: int, workers: int = 1, encoder: str = ENCODER_ID) -> list[Surface]:
+def make_random_surfaces(count: int, seed: int, workers: int = 1, encoder: str = ENCODER_ID) -> list[Surface]:
     """Random recipes; every second one fused from two, because tokens in use are: measured long waves of a bake with a
     library material's short waves."""
     rng = np.random.default_rng(seed)
     heights = []
     for _ in range(count):
-        scale = 10.0 ** rng.uniform(*LEVEL_DECADES)
+        scale = 10.0 ** rng.uniform(*RANDOM_SCALE_DECADES)
         heights.append(height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(scale))
-    jobs: list[Job] = []
+    jobs: list[SurfaceJob] = []
     for index, height in enumerate(heights):
         if index % 2:
-            border_m = np.exp(rng.uniform(*np.log(FUSION_BORDER_M)))
-            height = fuse(height, heights[int(rng.integers(count))], 1.0 / border_m)
+            border_m = np.exp(rng.uniform(*np.log(CROSSOVER_WAVELENGTH_M)))
+            height = splice_spectra(height, heights[int(rng.integers(count))], 1.0 / border_m)
         jobs.append((f"random-{index}", height, None, encoder))
-    return _made(jobs, workers)
+    return _make_surfaces(jobs, workers)
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Specimen:
     seed: int
 
 
-def library_specimens(path: Path) -> list[Specimen]:
+def load_library_specimens(path: Path) -> list[Specimen]:
     """The materials of a library file; each is named after its class."""
     return [
         Specimen(entry["name"], entry["name"], SurfaceRecipe.from_dict(entry["recipe"]),
@@ -82,36 +82,36 @@ def library_specimens(path: Path) -> list[Specimen]:
     ]  # fmt: skip
 
 
-def class_specimens(seeds: Sequence[int]) -> list[Specimen]:
+def make_class_specimens(seeds: Sequence[int]) -> list[Specimen]:
     """One instance of every class for each seed."""
     return [
-        Specimen(f"{name}/{seed}", name, *instance(name, seed), seed_of(f"{name}/{seed}"))
+        Specimen(f"{name}/{seed}", name, *sample_instance(name, seed), derive_seed(f"{name}/{seed}"))
         for seed in seeds
-        for name in classes()
+        for name in list_classes()
     ]
 
 
-def patches(
+def make_patches(
     specimens: Sequence[Specimen], first: int, count: int, workers: int = 1, encoder: str = ENCODER_ID
 ) -> list[Surface]:
     """Patches first … first + count − 1 of every specimen, described; those of one specimen stand together."""
-    jobs: list[Job] = [
+    jobs: list[SurfaceJob] = [
         (each.name, height_map(each.recipe, each.seed + first + index), each.mechanics, encoder)
         for each in specimens
         for index in range(count)
     ]
-    return _made(jobs, workers)
+    return _make_surfaces(jobs, workers)
 
 
-Job = tuple[str, NDArray[np.float32], Mechanics | None, str]
+SurfaceJob = tuple[str, NDArray[np.float32], Mechanics | None, str]
 
 
-def _made(jobs: list[Job], workers: int) -> list[Surface]:
+def _make_surfaces(jobs: list[SurfaceJob], workers: int) -> list[Surface]:
     if workers <= 1:
         return [make_surface(*job) for job in jobs]
     with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
-        return list(pool.map(_make, jobs, chunksize=8))
+        return list(pool.map(_make_from_job, jobs, chunksize=8))
 
 
-def _make(job: Job) -> Surface:
+def _make_from_job(job: SurfaceJob) -> Surface:
     return make_surface(*job)

@@ -42,7 +42,7 @@ def lone_bake(operators, tmp_path, monkeypatch):
     from hnf_blender.jobs import current, running
     from hnf_blender.state.session import STATE
 
-    monkeypatch.setattr(running, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(running, "get_cache_folder", lambda: tmp_path / "cache")
     STATE.clear()
     yield tmp_path / "cache"
     current.cancel()
@@ -60,9 +60,9 @@ def rendered_plate(stroke_properties, tmp_path_factory):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     folder = tmp_path_factory.mktemp("rendered")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "cache_folder", lambda: folder)
+        patch.setattr(running, "get_cache_folder", lambda: folder)
         small_scene()
-        running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+        running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return folder
 

@@ -21,7 +21,7 @@ from job_scene import small_scene, start  # noqa: E402
 from hnf_blender.jobs import current, running  # noqa: E402
 from hnf_blender.state.session import STATE  # noqa: E402
 
-running.cache_folder = lambda: Path(sys.argv[-1])
+running.get_cache_folder = lambda: Path(sys.argv[-1])
 small_scene()
 pid = start().pid
 while STATE.job is None or STATE.job.stage == "starting":

@@ -12,7 +12,7 @@ from touch_scene import PLATE, line_stroke, ridge_plate
 
 from hnf_blender.bridge.storage import read_tokens
 from hnf_blender.jobs import current
-from hnf_blender.jobs.folder import PREFIX, is_alive, job_root
+from hnf_blender.jobs.folder import JOB_FOLDER_PREFIX, get_job_root, is_process_alive
 from hnf_blender.jobs.order import pack_tokens
 from hnf_blender.state.session import STATE, LastJob
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
@@ -31,7 +31,7 @@ def small_scene(**settings):
 
 
 def start(only=()):
-    return current.start(bpy.context.scene, bpy.context.view_layer, only)
+    return current.start_bake(bpy.context.scene, bpy.context.view_layer, only)
 
 
 def finish(bake) -> LastJob:
@@ -68,13 +68,13 @@ def kill(pid: int) -> None:
 
 
 def my_folders() -> list:
-    return list(job_root().glob(f"{PREFIX}{os.getpid()}-*"))
+    return list(get_job_root().glob(f"{JOB_FOLDER_PREFIX}{os.getpid()}-*"))
 
 
 def is_gone(pid: int) -> bool:
     """Within a moment: the system takes one to clear a killed process away."""
     for _ in range(100):
-        if not is_alive(pid):
+        if not is_process_alive(pid):
             return True
         time.sleep(0.05)
     return False

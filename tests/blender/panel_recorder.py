@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from hnf_blender.bench.hollow import tab_context
+from hnf_blender.bench.hollow import make_tab_context
 
 FUNCTIONS = {function.identifier: function for function in bpy.types.UILayout.bl_rna.functions}
 ICONS = {item.identifier for item in FUNCTIONS["label"].parameters["icon"].enum_items}
@@ -87,7 +87,7 @@ class Recorder:
 
 def context_of(width: int = 300) -> Any:
     """What a panel's draw() is given in a region of this width [px]."""
-    return tab_context(bpy.context.scene, bpy.context.view_layer, width)
+    return make_tab_context(bpy.context.scene, bpy.context.view_layer, width)
 
 
 def drawn(panel: Any, width: int = 300) -> Recorder | None:

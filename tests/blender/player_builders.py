@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from hnf_blender.actuator.link import Link
+from hnf_blender.actuator.link import PlayerClient
 from hnf_blender.actuator.sound import Sound
 from hnf_blender.actuator.state import ACTUATOR, SPEAKERS, ActuatorFacts
 from hnf_core.actuators.profile import GENERIC
@@ -24,15 +24,15 @@ def tone(seconds: float = 0.5, level: float = 2.0, **settings) -> Sound:
     return Sound(samples, RATE_HZ, GENERIC, **settings)
 
 
-def until(link: Link, so: Callable[[], object]) -> bool:
+def until(link: PlayerClient, so: Callable[[], object]) -> bool:
     """Tick as the timer does until it is so."""
     found = until_for(link, LIMIT_S, so)
     if not found:
-        print(f"{link.problem=}, {link.is_playing=}, {link.began=}, {link.heard=}")
+        print(f"{link.problem=}, {link.is_playing=}, {link.began=}, {link.last_status=}")
     return found
 
 
-def until_for(link: Link, seconds: float, so: Callable[[], object]) -> bool:
+def until_for(link: PlayerClient, seconds: float, so: Callable[[], object]) -> bool:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         link.tick()
@@ -45,9 +45,9 @@ def until_for(link: Link, seconds: float, so: Callable[[], object]) -> bool:
 @contextmanager
 def chosen(target: str) -> Iterator[None]:
     """With this output, as an artist without preferences would have it."""
-    ACTUATOR.chosen = target
+    ACTUATOR.selected = target
     try:
         yield
     finally:
-        ACTUATOR.chosen, ACTUATOR.facts = SPEAKERS, ActuatorFacts()
-        ACTUATOR.outputs, ACTUATOR.without, ACTUATOR.missing, ACTUATOR.skin = (), frozenset(), (), ()
+        ACTUATOR.selected, ACTUATOR.facts = SPEAKERS, ActuatorFacts()
+        ACTUATOR.outputs, ACTUATOR.missing_packages, ACTUATOR.scan_notes, ACTUATOR.skin_lines = (), frozenset(), (), ()

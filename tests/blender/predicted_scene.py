@@ -12,7 +12,7 @@ from closeup_builders import principled
 
 from hnf_blender.touch import seeing
 from hnf_blender.touch.feel import BakedStroke
-from hnf_blender.touch.jobs import Job, gather, scene_session
+from hnf_blender.touch.jobs import StrokeJob, gather_jobs, make_scene_session
 from hnf_blender.touch.report import Report
 from hnf_blender.touch.steps import bake_steps
 from hnf_core.tactile.diffusion.config import MapConfig
@@ -75,7 +75,7 @@ class Baked:
     """What bakes of the open scene's strokes gave, with none of a run's files."""
 
     strokes: tuple[BakedStroke, ...]
-    jobs: tuple[Job, ...]
+    jobs: tuple[StrokeJob, ...]
     report: Report
 
     @property
@@ -86,12 +86,12 @@ class Baked:
 
 
 def bake_open_scene(cache: Path) -> Baked:
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, cache)
-    found = gather(session)
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, cache)
+    found = gather_jobs(session)
     report = Report("", 1.0, "", failed=list(found.failed))
     strokes: list[BakedStroke] = []
 
-    def each(job: Job, described: BakedStroke) -> tuple[str, ...]:
+    def each(job: StrokeJob, described: BakedStroke) -> tuple[str, ...]:
         strokes.append(described)
         return ()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from hnf_blender.bridge.meshes import surface_mesh
+from hnf_blender.bridge.meshes import read_surface
 from hnf_blender.bridge.strokes import read_stroke
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import action_from_contacts, plan_patches
@@ -42,8 +42,8 @@ def read(obj, metres_per_unit=1.0):
 def act(obj, metres_per_unit=1.0):
     stroke = read(obj, metres_per_unit)
     touched = bpy.data.objects[stroke.object_name]
-    mesh = surface_mesh(touched, bpy.context.evaluated_depsgraph_get(), metres_per_unit).mesh
-    contacts = find_contacts(stroke.samples, stroke.surface(mesh))
+    mesh = read_surface(touched, bpy.context.evaluated_depsgraph_get(), metres_per_unit).mesh
+    contacts = find_contacts(stroke.samples, stroke.get_surface(mesh))
     patches, index = plan_patches(contacts)
     return stroke, contacts, patches, action_from_contacts(contacts, patches, index, stroke.probe)
 

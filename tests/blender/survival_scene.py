@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from job_scene import kept
 
-from hnf_blender.bridge.own_material import carried
+from hnf_blender.bridge.own_material import get_definition
 from hnf_blender.compat import fcurves_of
 from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import refresh_status
@@ -31,7 +31,7 @@ def everything() -> dict:
                              for curve in fcurves_of(obj))
             for obj in bpy.data.objects
         },
-        "choices": {each.name: (each.hnf_touch.library, carried(each)) for each in bpy.data.materials},
+        "choices": {each.name: (each.hnf_touch.library, get_definition(each)) for each in bpy.data.materials},
         "scenes": {scene.name: settings(scene.hnf) for scene in bpy.data.scenes},
     }  # fmt: skip
 
@@ -45,7 +45,7 @@ def statuses(**where) -> dict:
     scene = where.pop("scene", bpy.context.scene)
     bpy.context.view_layer.update()
     refresh_status(scene, **where)
-    return {name: status.freshness for name, status in STATE.strokes_in(scene).items()}
+    return {name: status.freshness for name, status in STATE.get_statuses(scene).items()}
 
 
 def heard(name: str) -> bytes:

@@ -17,14 +17,14 @@ from job_scene import is_gone
 from player_builders import RATE_HZ, chosen, tone, until, until_for
 
 from hnf_blender.actuator import channel
-from hnf_blender.actuator.facts import facts_of, phase_of
-from hnf_blender.actuator.link import AGAIN, Link, where_of
-from hnf_blender.actuator.process import commands
+from hnf_blender.actuator.facts import get_phase, make_facts
+from hnf_blender.actuator.link import RESTART_HINT, PlayerClient, make_output_spec
+from hnf_blender.actuator.process import list_worker_commands
 from hnf_blender.actuator.state import VIRTUAL, Phase
-from hnf_blender.actuator.sweep import SHARE, sweep
+from hnf_blender.actuator.sweep import SWEEP_LEVEL_SHARE, make_test_sweep
 from hnf_blender.props import profile_file
-from hnf_blender.props.scene import actuator_of
-from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, own_profile
+from hnf_blender.props.scene import get_actuator_profile
+from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, make_user_profile
 from hnf_core.actuators.profile_file import write_profile
 from hnf_core.errors import DeviceError
 
@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture
 def link():
     """A link to the virtual actuator; nothing of it is left."""
-    made = Link()
+    made = PlayerClient()
     with chosen(VIRTUAL):
         yield made
     pid, folder = made.pid, made.folder
@@ -44,12 +44,12 @@ def link():
 
 
 def test_a_stroke_is_played_to_its_end_and_the_level_is_told(link) -> None:
-    assert phase_of(link) is Phase.OFF
+    assert get_phase(link) is Phase.OFF
     link.play(tone(0.8))
     assert link.is_playing
-    assert phase_of(link) is Phase.OPENING
+    assert get_phase(link) is Phase.OPENING
     assert until(link, lambda: link.is_sounding and link.newest.status.level_m_s2 > 1.0)
-    facts = facts_of(link, GENERIC)
+    facts = make_facts(link, GENERIC)
     assert facts.phase is Phase.PLAYING
     assert facts.level_m_s2 == pytest.approx(2.0 / np.sqrt(2.0), rel=0.3)
     assert facts.share == pytest.approx(facts.level_m_s2 / 30.0)
@@ -57,7 +57,7 @@ def test_a_stroke_is_played_to_its_end_and_the_level_is_told(link) -> None:
     assert until(link, lambda: not link.is_playing)
     assert link.problem == ""
     assert link.newest.status.underruns == 0 or link.newest.status.played_s > 0.7
-    assert phase_of(link) is Phase.READY
+    assert get_phase(link) is Phase.READY
 
 
 def test_the_place_goes_on_between_two_reports(link) -> None:
@@ -166,8 +166,8 @@ def test_a_killed_process_is_told_in_one_sentence_and_begun_anew(link) -> None:
     assert until(link, lambda: not link.is_running)
     assert not link.is_playing
     assert "was killed (signal 9)" in link.problem
-    assert AGAIN in link.problem
-    assert facts_of(link, GENERIC).problem == link.problem
+    assert RESTART_HINT in link.problem
+    assert make_facts(link, GENERIC).problem == link.problem
     assert until(link, lambda: not folder.exists())
     link.play(tone(5.0))
     assert link.problem == ""
@@ -195,14 +195,16 @@ def test_a_sound_that_cannot_be_written_is_told(link) -> None:
 
 
 def test_a_python_that_cannot_is_followed_by_one_that_can(link, monkeypatch) -> None:
-    monkeypatch.setattr(channel, "commands", lambda *_: ([sys.executable, "-c", "exit(4)"], *commands(*_)))
+    monkeypatch.setattr(
+        channel, "list_worker_commands", lambda *_: ([sys.executable, "-c", "exit(4)"], *list_worker_commands(*_))
+    )
     link.play(tone(5.0))
     assert until(link, lambda: link.is_sounding)
     assert link.problem == ""
 
 
 def test_what_cannot_be_started_is_said_and_leaves_nothing(link, monkeypatch) -> None:
-    monkeypatch.setattr(channel, "commands", lambda *_: (["/no/such/python"],))
+    monkeypatch.setattr(channel, "list_worker_commands", lambda *_: (["/no/such/python"],))
     with pytest.raises(DeviceError, match=r"/no/such/python.*could not be started"):
         link.play(tone(0.3))
     assert not link.is_playing
@@ -225,10 +227,10 @@ import os, sys, time
 sys.path[:0] = [{root!r}, {tests!r}]
 import bpy
 from player_builders import tone, until
-from hnf_blender.actuator.link import Link
+from hnf_blender.actuator.link import PlayerClient
 from hnf_blender.actuator.state import ACTUATOR, VIRTUAL
 ACTUATOR.chosen = VIRTUAL
-link = Link()
+link = PlayerClient()
 link.play(tone(60.0))
 assert until(link, lambda: link.is_sounding)
 print("PID", link.pid, flush=True)
@@ -251,40 +253,42 @@ def test_a_blender_that_crashes_leaves_no_player_behind() -> None:
 
 def test_the_limits_are_those_of_the_scenes_actuator() -> None:
     for name, profile in PROFILES.items():
-        assert where_of(VIRTUAL, profile).profile == name
-    own = where_of(VIRTUAL, own_profile(12.0, 40.0, 400.0))
+        assert make_output_spec(VIRTUAL, profile).profile == name
+    own = make_output_spec(VIRTUAL, make_user_profile(12.0, 40.0, 400.0))
     assert (own.profile, own.own) == ("own", (12.0, 40.0, 400.0))
-    assert where_of(VIRTUAL, own_profile(0.0, 40.0, 400.0)).own[0] == 0.0
+    assert make_output_spec(VIRTUAL, make_user_profile(0.0, 40.0, 400.0)).own[0] == 0.0
 
 
 def test_a_measured_profile_is_the_files_and_is_read_again_where_it_is_played(link, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(profile_file, "LOOK_S", 1e-6)
+    monkeypatch.setattr(profile_file, "CHECK_INTERVAL_S", 1e-6)
     scene, path = bpy.context.scene, tmp_path / "mine.json"
     scene.hnf.actuator = "file"
-    assert "no profile is chosen" in actuator_of(scene).source
+    assert "no profile is chosen" in get_actuator_profile(scene).source
     scene.hnf.actuator_file = str(path)
-    unread = actuator_of(scene)
+    unread = get_actuator_profile(scene)
     assert "cannot be read" in unread.source
     assert unread.peak_m_s2 is None
     link.play(dataclasses.replace(tone(0.3), profile=unread))
     assert until(link, lambda: link.problem)
     assert "mine.json" in link.problem
     write_profile(path, ActuatorProfile("mine", "Mine", "measured here", (30.0, 500.0), peak_m_s2=4.0))
-    found = actuator_of(scene)
+    found = get_actuator_profile(scene)
     assert (found.title, found.peak_m_s2) == ("Mine", 4.0)
-    assert where_of(VIRTUAL, found).profile == str(path)
+    assert make_output_spec(VIRTUAL, found).profile == str(path)
     link.play(dataclasses.replace(tone(0.3, level=2.0), profile=found))
     assert until(link, lambda: link.newest is not None and not link.is_playing)
     assert link.problem == ""
     assert link.newest.status.peak == pytest.approx(0.5, abs=0.05)
 
 
-@pytest.mark.parametrize("profile", [*PROFILES.values(), own_profile(0.0, 50.0, 50.0)], ids=lambda each: each.name)
+@pytest.mark.parametrize(
+    "profile", [*PROFILES.values(), make_user_profile(0.0, 50.0, 50.0)], ids=lambda each: each.name
+)
 def test_the_test_is_soft_from_end_to_end(profile) -> None:
-    sound = sweep(profile)
+    sound = make_test_sweep(profile)
     assert sound.duration_s == 1.0
-    assert np.abs(sound.samples).max() <= SHARE * profile.limits.full_scale_m_s2 + 1e-6
-    assert np.abs(sound.samples).max() > 0.9 * SHARE * profile.limits.full_scale_m_s2
+    assert np.abs(sound.samples).max() <= SWEEP_LEVEL_SHARE * profile.limits.full_scale_m_s2 + 1e-6
+    assert np.abs(sound.samples).max() > 0.9 * SWEEP_LEVEL_SHARE * profile.limits.full_scale_m_s2
     assert abs(sound.samples[0]) < 1e-6
     assert abs(sound.samples[-1]) < 1e-3
     low, high = profile.range_hz
@@ -295,6 +299,6 @@ def test_the_test_is_soft_from_end_to_end(profile) -> None:
 
 
 def test_blenders_own_python_is_the_lightest_way() -> None:
-    ways = commands("actuators.player", ())
+    ways = list_worker_commands("actuators.player", ())
     assert ways[0][0] == sys.executable
     assert bool(bpy.app.binary_path) == (len(ways) == 2)

@@ -15,22 +15,22 @@ from mathutils import Euler
 from player_builders import chosen, until
 from touch_scene import PLATE, ridge_plate
 
-from hnf_blender.actuator.facts import phase_of
-from hnf_blender.actuator.hand import Hand, force_at
-from hnf_blender.actuator.link import Link
+from hnf_blender.actuator.facts import get_phase
+from hnf_blender.actuator.hand import SurfaceUnroll, force_from_pressure
+from hnf_blender.actuator.link import PlayerClient
 from hnf_blender.actuator.live import LiveTouch
 from hnf_blender.actuator.state import VIRTUAL, Phase
 from hnf_blender.bridge.drawn_stroke import cast_on_surface
-from hnf_blender.bridge.own_material import carry
-from hnf_blender.bridge.under_pen import felt_there, meeting
-from hnf_blender.ops.live import likely_material, touch_at
+from hnf_blender.bridge.own_material import set_definition
+from hnf_blender.bridge.under_pen import find_contact_point, find_touched_material
+from hnf_blender.ops.live import guess_first_material, update_live_touch
 from hnf_blender.state.session import STATE
-from hnf_blender.state.still_true import StillTrue
+from hnf_blender.state.still_true import TokenValidity
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.errors import MaterialError, SceneError
 from hnf_core.material.hnf_file import from_library
-from hnf_core.material.library import find, load_library
+from hnf_core.material.library import get_material, load_library
 
 ABOVE = (0.0, 0.0, -1.0)
 
@@ -59,7 +59,7 @@ def depsgraph():
 
 def hand(material: str = "denim") -> tuple[LiveTouch, Told]:
     told = Told()
-    return LiveTouch(told, from_library(find(material))), told
+    return LiveTouch(told, from_library(get_material(material))), told
 
 
 def choose(obj, library: str) -> None:
@@ -72,8 +72,8 @@ def test_a_hand_goes_its_way_in_metres_along_the_surfaces_own_axes() -> None:
     choose(add_plane(), "denim")
     touch, told = hand()
     for k, x in enumerate((0.0, 0.01, 0.03)):
-        touch_at(touch, bpy.context, cast(x, 0.005), 1.5, 0.01 * k, StillTrue())
-    touch_at(touch, bpy.context, None, 1.5, 0.03, StillTrue())
+        update_live_touch(touch, bpy.context, cast(x, 0.005), 1.5, 0.01 * k, TokenValidity())
+    update_live_touch(touch, bpy.context, None, 1.5, 0.03, TokenValidity())
     assert [time for time, _, _ in told.moves] == pytest.approx([0.0, 0.01, 0.02, 0.03])
     assert [place for _, place, _ in told.moves] == [pytest.approx((x, 0.0), abs=1e-7) for x in (0, 0.01, 0.03, 0.03)]
     assert [force for _, _, force in told.moves] == [1.5, 1.5, 1.5, 0.0]
@@ -101,7 +101,7 @@ def test_axes_are_those_of_the_uvs_however_the_object_stands(angles, scale, mirr
         start = matrix[:3, :3] @ (x, 0.1, 0.0) + normal
         hit = cast(*start, direction=tuple(-normal))
         assert hit is not None
-        met = meeting(hit, depsgraph(), metres)
+        met = find_contact_point(hit, depsgraph(), metres)
         assert met.axes @ met.axes.T == pytest.approx(np.eye(2), abs=1e-6)
         places.append(met)
     way = places[0].axes @ (places[1].point - places[0].point)
@@ -112,7 +112,7 @@ def test_a_face_that_python_does_not_see_is_touched_along_the_objects_axes() -> 
     """As where a graphics card subdivides: rays meet faces that the mesh does not list."""
     add_plane()
     hit = cast(0.01, 0.0)
-    met = meeting(dataclasses.replace(hit, face=10**6), depsgraph(), 1.0)
+    met = find_contact_point(dataclasses.replace(hit, face=10**6), depsgraph(), 1.0)
     assert met.axes == pytest.approx(np.eye(3)[:2], abs=1e-6)
     assert (met.slot, met.token) == (0, -1)
     assert met.point == pytest.approx((0.01, 0.0, 0.0), abs=1e-6)
@@ -120,31 +120,31 @@ def test_a_face_that_python_does_not_see_is_touched_along_the_objects_axes() -> 
 
 def test_the_way_over_a_ball_is_as_long_as_its_arc() -> None:
     choose(add_sphere(radius=0.05, segments=96, rings=48), "denim")
-    walker, length, angles = Hand(), 0.0, np.linspace(0.2, 1.2, 200)
+    walker, length, angles = SurfaceUnroll(), 0.0, np.linspace(0.2, 1.2, 200)
     last = (0.0, 0.0)
     for angle in angles:
         out = np.array([np.sin(angle), 0.0, np.cos(angle)])
-        met = meeting(cast(*(0.2 * out), direction=tuple(-out)), depsgraph(), 1.0)
-        place = walker.meet("Ball", met.point, met.axes)
+        met = find_contact_point(cast(*(0.2 * out), direction=tuple(-out)), depsgraph(), 1.0)
+        place = walker.touch("Ball", met.point, met.axes)
         length += float(np.hypot(place[0] - last[0], place[1] - last[1])) if angle > angles[0] else 0.0
         last = place
     assert length == pytest.approx(0.05 * 1.0, rel=0.01)
 
 
 def test_set_down_elsewhere_it_has_travelled_nothing() -> None:
-    walker, axes = Hand(), np.eye(3)[:2]
-    assert walker.meet("A", np.array([0.0, 0.0, 0.0]), axes) == (0.0, 0.0)
-    assert walker.meet("A", np.array([0.01, 0.0, 0.0]), axes) == (0.01, 0.0)
-    assert walker.meet("B", np.array([5.0, 0.0, 0.0]), axes) == (0.01, 0.0)
+    walker, axes = SurfaceUnroll(), np.eye(3)[:2]
+    assert walker.touch("A", np.array([0.0, 0.0, 0.0]), axes) == (0.0, 0.0)
+    assert walker.touch("A", np.array([0.01, 0.0, 0.0]), axes) == (0.01, 0.0)
+    assert walker.touch("B", np.array([5.0, 0.0, 0.0]), axes) == (0.01, 0.0)
     assert walker.lift() == (0.01, 0.0)
-    assert walker.meet("B", np.array([9.0, 3.0, 0.0]), axes) == (0.01, 0.0)
-    assert walker.meet("B", np.array([9.0, 3.5, 0.0]), axes) == (0.01, 0.5)
+    assert walker.touch("B", np.array([9.0, 3.0, 0.0]), axes) == (0.01, 0.0)
+    assert walker.touch("B", np.array([9.0, 3.5, 0.0]), axes) == (0.01, 0.5)
 
 
 def test_a_pens_pressure_is_a_share_of_the_force_a_mouse_has_its_own() -> None:
-    assert force_at(0.5, True, 3.0, 1.0) == 1.5
-    assert force_at(0.0, True, 3.0, 1.0) == 0.0
-    assert force_at(0.3, False, 3.0, 1.0) == 1.0
+    assert force_from_pressure(0.5, True, 3.0, 1.0) == 1.5
+    assert force_from_pressure(0.0, True, 3.0, 1.0) == 0.0
+    assert force_from_pressure(0.3, False, 3.0, 1.0) == 1.0
 
 
 def test_lifted_again_and_again_is_told_once_and_a_pen_without_pressure_is_lifted() -> None:
@@ -152,9 +152,9 @@ def test_lifted_again_and_again_is_told_once_and_a_pen_without_pressure_is_lifte
     touch, told = hand()
     touch.lift(0.0)
     assert told.moves == []
-    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1, StillTrue())
-    touch_at(touch, bpy.context, cast(0.01, 0.0), 0.0, 0.2, StillTrue())
-    touch_at(touch, bpy.context, None, 1.0, 0.3, StillTrue())
+    update_live_touch(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1, TokenValidity())
+    update_live_touch(touch, bpy.context, cast(0.01, 0.0), 0.0, 0.2, TokenValidity())
+    update_live_touch(touch, bpy.context, None, 1.0, 0.3, TokenValidity())
     assert [force for _, _, force in told.moves] == [1.0, 0.0]
 
 
@@ -166,7 +166,7 @@ def test_another_surface_feels_otherwise_and_is_told_before_it_is_touched() -> N
     bpy.context.view_layer.update()
     touch, told = hand("oak-wood")
     for k, x in enumerate((-0.03, -0.02, 0.02, 0.03, -0.02)):
-        touch_at(touch, bpy.context, cast(x, 0.0), 1.0, 0.1 * k, StillTrue())
+        update_live_touch(touch, bpy.context, cast(x, 0.0), 1.0, 0.1 * k, TokenValidity())
     assert told.materials == ["denim", "oak-wood"]
     assert touch.material == "oak-wood"
     assert len(told.moves) == 5
@@ -174,32 +174,32 @@ def test_another_surface_feels_otherwise_and_is_told_before_it_is_touched() -> N
 
 def test_the_artists_choice_then_a_definition_then_the_looks_decide() -> None:
     plane = add_plane()
-    felt = felt_there(plane, depsgraph(), 0, -1)
+    felt = find_touched_material(plane, depsgraph(), 0, -1)
     assert felt.name in {material.name for material in load_library()}
     plane.data.materials.append(bpy.data.materials.new("Rusty steel sheet"))
-    carry(plane.data.materials[0], from_library(find("cork") if any(m.name == "cork" for m in load_library()) else find(
+    set_definition(plane.data.materials[0], from_library(get_material("cork") if any(m.name == "cork" for m in load_library()) else get_material(
         "denim")))  # fmt: skip
     bpy.context.view_layer.update()
-    carried = felt_there(plane, depsgraph(), 0, -1)
+    carried = find_touched_material(plane, depsgraph(), 0, -1)
     assert carried.name in {"cork", "denim"}
     choose(plane, "oak-wood")
     bpy.context.view_layer.update()
-    assert felt_there(plane, depsgraph(), 0, -1).name == "oak-wood"
+    assert find_touched_material(plane, depsgraph(), 0, -1).name == "oak-wood"
     plane.data.materials[0].hnf_touch.library = "no such thing"
     bpy.context.view_layer.update()
     with pytest.raises(MaterialError):
-        felt_there(plane, depsgraph(), 0, -1)
+        find_touched_material(plane, depsgraph(), 0, -1)
 
 
 def test_what_cannot_be_felt_lifts_the_hand() -> None:
     plane = add_plane()
     choose(plane, "denim")
     touch, told = hand()
-    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1, StillTrue())
+    update_live_touch(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1, TokenValidity())
     other = add_plane("Other", 0.02, z=0.01)
     choose(other, "no such thing")
     with pytest.raises(MaterialError):
-        touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.2, StillTrue())
+        update_live_touch(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.2, TokenValidity())
     assert told.moves[-1][2] == 0.0
 
 
@@ -211,18 +211,18 @@ def test_what_was_baked_there_is_felt_until_another_material_is_chosen(warm_bake
     plate = bpy.data.objects[PLATE]
     assert BAKE_PROPERTY in bpy.data.objects["Along"]
     bpy.context.view_layer.update()
-    met = meeting(cast(0.0, 0.0), depsgraph(), 1.0)
+    met = find_contact_point(cast(0.0, 0.0), depsgraph(), 1.0)
     assert met.token == 0
-    baked = felt_there(plate, depsgraph(), met.slot, met.token)
-    guessed = felt_there(plate, depsgraph(), met.slot, -1)
+    baked = find_touched_material(plate, depsgraph(), met.slot, met.token)
+    guessed = find_touched_material(plate, depsgraph(), met.slot, -1)
     assert baked.token.known.all()
     assert not np.array_equal(baked.token.values, guessed.token.values)  # the ridges were seen
     choose(plate, "denim" if baked.name != "denim" else "oak-wood")
     bpy.context.view_layer.update()
-    assert felt_there(plate, depsgraph(), met.slot, met.token).name != baked.name
+    assert find_touched_material(plate, depsgraph(), met.slot, met.token).name != baked.name
     choose(plate, baked.name)
     bpy.context.view_layer.update()
-    assert felt_there(plate, depsgraph(), met.slot, met.token) == baked
+    assert find_touched_material(plate, depsgraph(), met.slot, met.token) == baked
 
 
 def test_what_was_baked_of_another_state_of_the_surface_is_not_felt(warm_bake) -> None:
@@ -232,75 +232,75 @@ def test_what_was_baked_of_another_state_of_the_surface_is_not_felt(warm_bake) -
     assert bpy.ops.hnf.bake() == {"FINISHED"}
     plate = bpy.data.objects[PLATE]
     bpy.context.view_layer.update()
-    guessed = felt_there(plate, depsgraph(), 0, -1)
+    guessed = find_touched_material(plate, depsgraph(), 0, -1)
     told = Told()
-    touch, truth = LiveTouch(told, guessed), StillTrue()
-    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1, truth)
+    touch, truth = LiveTouch(told, guessed), TokenValidity()
+    update_live_touch(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1, truth)
     baked = touch._material
     assert (baked != guessed, truth.outdated) == (True, {})
     plate.data.vertices[0].co.x += 0.001
     plate.data.update()
-    touch_at(touch, bpy.context, cast(0.001, 0.0), 1.0, 0.2, truth)
+    update_live_touch(touch, bpy.context, cast(0.001, 0.0), 1.0, 0.2, truth)
     assert touch._material == baked  # nobody said that anything changed: nothing is hashed anew
     STATE.changes += 1
-    touch_at(touch, bpy.context, cast(0.002, 0.0), 1.0, 0.3, truth)
+    update_live_touch(touch, bpy.context, cast(0.002, 0.0), 1.0, 0.3, truth)
     assert (touch._material, truth.outdated.keys()) == (guessed, {PLATE})
     plate.data.vertices[0].co.x -= 0.001
     plate.data.update()
     STATE.changes += 1
-    touch_at(touch, bpy.context, cast(0.003, 0.0), 1.0, 0.4, truth)
+    update_live_touch(touch, bpy.context, cast(0.003, 0.0), 1.0, 0.4, truth)
     assert (touch._material, truth.outdated) == (baked, {})
 
 
 def test_before_the_pen_comes_down_the_active_mesh_is_meant() -> None:
     with pytest.raises(SceneError, match="no mesh"):
-        likely_material(bpy.context)
+        guess_first_material(bpy.context)
     plane, plate = add_plane(), ridge_plate()
     choose(plane, "denim")
     choose(plate, "oak-wood")
     bpy.context.view_layer.objects.active = plate
     bpy.context.view_layer.update()
-    assert likely_material(bpy.context).name == "oak-wood"
+    assert guess_first_material(bpy.context).name == "oak-wood"
     bpy.context.view_layer.objects.active = plane
-    assert likely_material(bpy.context).name == "denim"
+    assert guess_first_material(bpy.context).name == "denim"
 
 
 @pytest.fixture
 def link():
-    made = Link()
+    made = PlayerClient()
     with chosen(VIRTUAL):
         yield made
     made.release()
 
 
-def stroke_by_hand(link: Link, touch: LiveTouch, seconds: float, at_m_s: float = 0.1, force_n: float = 1.5):
+def stroke_by_hand(link: PlayerClient, touch: LiveTouch, seconds: float, at_m_s: float = 0.1, force_n: float = 1.5):
     """Back and forth over the plane as a hand would, 125 events a second; what was told meanwhile."""
     began, told = time.monotonic(), []
     while (now := time.monotonic() - began) < seconds:
         x = 0.03 * (2.0 * abs((now * at_m_s / 0.06) % 2.0 - 1.0) - 1.0)
-        touch_at(touch, bpy.context, cast(x, 0.0), force_n, time.perf_counter(), StillTrue())
+        update_live_touch(touch, bpy.context, cast(x, 0.0), force_n, time.perf_counter(), TokenValidity())
         link.tick()
-        if link.newest is not None:
-            told.append(link.newest.status)
+        if link.current_status is not None:
+            told.append(link.current_status.status)
         time.sleep(0.008)
     return told
 
 
 def test_a_hand_is_felt_while_it_moves_and_not_when_it_is_lifted(link) -> None:
     choose(add_plane(), "denim")
-    denim = from_library(find("denim"))
+    denim = from_library(get_material("denim"))
     link.live_begin(VIRTUAL, GENERIC, "pen", denim)
     touch = LiveTouch(link, denim)
-    assert phase_of(link) is Phase.OPENING
+    assert get_phase(link) is Phase.OPENING
     assert until(link, lambda: link.newest is not None)
-    assert phase_of(link) is Phase.LIVE
+    assert get_phase(link) is Phase.LIVE
     assert link.newest.status.peak == 0.0  # nothing before the first touch
     assert max(status.level_m_s2 for status in stroke_by_hand(link, touch, 1.0)) > 0.01
     touch.lift(time.perf_counter())
     assert until(link, lambda: link.newest.status.level_m_s2 < 1e-4)
     assert link.is_live
     link.live_end()
-    assert until(link, lambda: phase_of(link) is Phase.READY)
+    assert until(link, lambda: get_phase(link) is Phase.READY)
     assert link.problem == ""
 
 
@@ -310,7 +310,7 @@ def test_over_another_material_the_hand_goes_on(link) -> None:
     choose(left, "oak-wood")
     choose(right, "denim")
     bpy.context.view_layer.update()
-    oak = from_library(find("oak-wood"))
+    oak = from_library(get_material("oak-wood"))
     link.live_begin(VIRTUAL, GENERIC, "finger", oak)
     touch = LiveTouch(link, oak)
     assert until(link, lambda: link.newest is not None)
@@ -322,26 +322,26 @@ def test_over_another_material_the_hand_goes_on(link) -> None:
     played = [status.played_s for status in told]
     assert played == sorted(played)  # one stream throughout
     assert (link.pid, link.problem, link.is_live) == (pid, "", True)
-    assert phase_of(link) is Phase.LIVE
+    assert get_phase(link) is Phase.LIVE
 
 
 def test_a_sound_takes_the_place_of_a_hand_and_ends_it(link) -> None:
     from player_builders import tone
 
     choose(add_plane(), "denim")
-    denim = from_library(find("denim"))
+    denim = from_library(get_material("denim"))
     link.live_begin(VIRTUAL, GENERIC, "pen", denim)
     assert until(link, lambda: link.newest is not None)
     link.play(tone(0.5))
     assert not link.is_live
-    assert until(link, lambda: phase_of(link) is Phase.PLAYING)
+    assert until(link, lambda: get_phase(link) is Phase.PLAYING)
     link.live_move(time.perf_counter(), (0.0, 0.0), 1.0)  # an event that came late
     assert until(link, lambda: not link.is_playing)
     assert link.problem == ""
 
 
 def test_a_probe_that_is_none_ends_the_hand_with_one_sentence(link) -> None:
-    link.live_begin(VIRTUAL, GENERIC, "elbow", from_library(find("denim")))
+    link.live_begin(VIRTUAL, GENERIC, "elbow", from_library(get_material("denim")))
     assert until(link, lambda: link.problem)
     assert "elbow" in link.problem
     assert not link.is_live

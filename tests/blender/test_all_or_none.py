@@ -76,10 +76,10 @@ def test_a_part_of_the_tool_that_fails_takes_the_others_back(monkeypatch) -> Non
         def unregister(self):
             self.on = False
 
-    from hnf_blender.rooms import rooms_on
+    from hnf_blender.rooms import register_modules
 
     parts, done = [Part(True), Part(True), Part(False), Part(True)], []
     with pytest.raises(RuntimeError):
-        rooms_on(parts, done)
+        register_modules(parts, done)
     assert [part.on for part in parts] == [False] * 4
     assert done == []

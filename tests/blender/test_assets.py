@@ -12,10 +12,10 @@ import pytest
 from builders import add_plane
 from stroke_builders import act
 
-from hnf_blender.ops.assets import FOLDER, NAME, asset_library
-from hnf_core.action.primitive_path import primitive_path
+from hnf_blender.ops.assets import ASSET_FOLDER, ASSET_LIBRARY_NAME, find_asset_library
+from hnf_core.action.primitive_path import make_primitive_path
 from hnf_core.action.primitives import PRIMITIVES
-from hnf_core.material.library import find, load_library
+from hnf_core.material.library import get_material, load_library
 
 pytestmark = pytest.mark.usefixtures("operators")
 
@@ -24,25 +24,25 @@ MEGABYTE = 1_000_000
 
 @pytest.fixture(scope="module")
 def committed() -> dict:
-    return build_assets.contents(FOLDER)
+    return build_assets.read_contents(ASSET_FOLDER)
 
 
 def append(name: str, kind: str, file: str, *, link: bool = False):
-    with bpy.data.libraries.load(str(FOLDER / file), link=link, assets_only=True) as (_, wanted):
+    with bpy.data.libraries.load(str(ASSET_FOLDER / file), link=link, assets_only=True) as (_, wanted):
         setattr(wanted, kind, [name])
     return getattr(wanted, kind)[0]
 
 
 def test_they_are_small() -> None:
-    assert sum(path.stat().st_size for path in FOLDER.iterdir()) < MEGABYTE
-    assert {path.name for path in FOLDER.iterdir()} == {
+    assert sum(path.stat().st_size for path in ASSET_FOLDER.iterdir()) < MEGABYTE
+    assert {path.name for path in ASSET_FOLDER.iterdir()} == {
         build_assets.MATERIALS, build_assets.STROKES, build_assets.CATALOGS
     }  # fmt: skip
 
 
 def test_the_files_are_what_the_tool_builds(committed: dict, tmp_path: Path) -> None:
-    build_assets.build(tmp_path)
-    built = build_assets.contents(tmp_path)
+    build_assets.write_assets(tmp_path)
+    built = build_assets.read_contents(tmp_path)
     assert built.keys() == committed.keys()
     for name, facts in built.items():
         if name == "catalogs":
@@ -60,13 +60,13 @@ def test_every_library_material_is_there_once(committed: dict) -> None:
     assert sorted(feels) == sorted(material.name for material in load_library())
     for facts in committed.values():
         if "feels" in facts:
-            material = find(facts["feels"])
+            material = get_material(facts["feels"])
             assert facts["looks"][:3] == pytest.approx(material.appearance.base_color, abs=1e-4)
             assert set(material.words) <= set(facts["tags"])
 
 
 def test_all_eight_strokes_are_there(committed: dict) -> None:
-    names = {build_assets.spoken(name) for name in PRIMITIVES}
+    names = {build_assets.format_name(name) for name in PRIMITIVES}
     assert {name for name, facts in committed.items() if "stroke" in facts} == names
 
 
@@ -96,11 +96,11 @@ def test_an_appended_material_brings_its_choice() -> None:
 @pytest.mark.parametrize("name", list(PRIMITIVES))
 def test_an_appended_stroke_touches_what_it_lies_on(name: str) -> None:
     plane = add_plane()
-    stroke = append(build_assets.spoken(name), "objects", build_assets.STROKES)
+    stroke = append(build_assets.format_name(name), "objects", build_assets.STROKES)
     bpy.context.scene.collection.objects.link(stroke)
     bpy.context.view_layer.update()
     _, contacts, _, action = act(stroke)
-    primitive, path = PRIMITIVES[name], primitive_path(name)
+    primitive, path = PRIMITIVES[name], make_primitive_path(name)
     assert contacts.on_surface.all()
     assert len(action.time) / action.rate == pytest.approx(path.duration_s, abs=0.02)
     assert action.force.max() == pytest.approx(primitive.force, rel=1e-3)
@@ -118,15 +118,15 @@ def test_two_of_the_same_stroke_are_edited_apart() -> None:
 
 
 def test_the_library_is_added_and_taken_away_by_hand_only() -> None:
-    assert asset_library(bpy.context) is None
+    assert find_asset_library(bpy.context) is None
     with pytest.raises(RuntimeError, match="not in the preferences"):
         bpy.ops.hnf.assets_remove()
     assert bpy.ops.hnf.assets_add() == {"FINISHED"}
-    library = asset_library(bpy.context)
-    assert (library.name, Path(library.path)) == (NAME, FOLDER)
+    library = find_asset_library(bpy.context)
+    assert (library.name, Path(library.path)) == (ASSET_LIBRARY_NAME, ASSET_FOLDER)
     with pytest.raises(RuntimeError, match="already"):
         bpy.ops.hnf.assets_add()
     before = len(bpy.context.preferences.filepaths.asset_libraries)
     assert bpy.ops.hnf.assets_remove() == {"FINISHED"}
-    assert asset_library(bpy.context) is None
+    assert find_asset_library(bpy.context) is None
     assert len(bpy.context.preferences.filepaths.asset_libraries) == before - 1

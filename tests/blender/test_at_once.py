@@ -11,9 +11,9 @@ from stroke_builders import LINE, add_stroke, key
 from hnf_blender import handlers, preview
 from hnf_blender.jobs import running
 from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.preview.hearing import Listener
-from hnf_blender.props.listed import NEWS
-from hnf_blender.state.guard import own_changes
+from hnf_blender.preview.hearing import SynthesisThread
+from hnf_blender.props.listed import CHANGES
+from hnf_blender.state.guard import suppress_change_tracking
 from hnf_blender.tool import overlay
 
 
@@ -21,16 +21,16 @@ from hnf_blender.tool import overlay
 def told():
     """Blender tells the overlay of changes, as in a window, after it told those who note them."""
     listed = bpy.app.handlers.depsgraph_update_post
-    listed += [handlers.note_changes, overlay._changed]
-    NEWS.is_told = True
+    listed += [handlers.on_depsgraph_update, overlay._on_depsgraph_update]
+    CHANGES.is_notified = True
     yield
-    NEWS.is_told = False
-    NEWS.forget()
-    for each in (handlers.note_changes, overlay._changed):
+    CHANGES.is_notified = False
+    CHANGES.mark_changed()
+    for each in (handlers.on_depsgraph_update, overlay._on_depsgraph_update):
         listed.remove(each)
     if bpy.app.timers.is_registered(overlay._refresh):
         bpy.app.timers.unregister(overlay._refresh)
-    overlay._forget_all()
+    overlay._remove_all_paths()
     overlay.OVERLAY.all_dirty = True
 
 
@@ -88,7 +88,7 @@ def test_what_is_no_part_of_a_stroke_computes_nothing(told) -> None:
 
 
 def test_many_changed_strokes_wait_for_the_timer(told) -> None:
-    strokes = some_strokes(overlay.FEW + 1)
+    strokes = some_strokes(overlay.FEW_STROKES + 1)
     for stroke in strokes:
         stroke.location.z += 0.01
     bpy.context.view_layer.update()
@@ -102,14 +102,14 @@ def test_many_changed_strokes_wait_for_the_timer(told) -> None:
 def test_after_an_undo_all_are_computed_a_part_at_a_time_and_drawn_meanwhile(told, monkeypatch) -> None:
     strokes = some_strokes(3)
     kept = dict(overlay.OVERLAY.paths)
-    monkeypatch.setattr(overlay, "BUDGET_S", 0.0)
-    overlay._undone()
+    monkeypatch.setattr(overlay, "REFRESH_BUDGET_S", 0.0)
+    overlay._on_undo()
     assert overlay.OVERLAY.paths == kept
     assert overlay._refresh() == 0.0
     assert [name for name, path in overlay.OVERLAY.paths.items() if path is not kept[name]] == [strokes[0].name]
     assert refreshed() == 2
     assert not any(path is kept[name] for name, path in overlay.OVERLAY.paths.items())
-    overlay._reloaded()
+    overlay._on_load_post()
     assert overlay.OVERLAY.paths == {}
 
 
@@ -117,7 +117,7 @@ def test_a_deleted_stroke_is_forgotten_with_the_next_look_at_all(told) -> None:
     first, second = some_strokes(2)
     name = second.name
     bpy.data.objects.remove(first)
-    overlay._everything()
+    overlay._mark_all_dirty()
     refreshed()
     assert list(overlay.OVERLAY.paths) == [name]
 
@@ -125,45 +125,45 @@ def test_a_deleted_stroke_is_forgotten_with_the_next_look_at_all(told) -> None:
 @pytest.fixture
 def listening(warm_bake):
     """A baked stroke that has been heard once, and its handler as in a window."""
-    preview.enter_file()
+    preview.on_load_post()
     plate, stroke = small_scene()
-    running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     bpy.context.view_layer.update()
-    PREVIEW.listener = Listener()
-    handler = lambda _scene, depsgraph: preview._ask(bpy.context, depsgraph)  # noqa: E731
+    PREVIEW.synthesis_thread = SynthesisThread()
+    handler = lambda _scene, depsgraph: preview._request_preview(bpy.context, depsgraph)  # noqa: E731
     bpy.app.handlers.depsgraph_update_post.append(handler)
     yield plate, stroke
     bpy.app.handlers.depsgraph_update_post.remove(handler)
-    preview.enter_file()
+    preview.on_load_post()
 
 
 def test_the_active_strokes_force_is_asked_for_without_a_timer(listening) -> None:
     _, stroke = listening
     press(stroke, 1.5)
-    first = PREVIEW.asked[stroke.name]
+    first = PREVIEW.requested[stroke.name]
     press(stroke, 2.5)
-    assert PREVIEW.asked[stroke.name] != first
-    stamp = PREVIEW.asked[stroke.name]
+    assert PREVIEW.requested[stroke.name] != first
+    stamp = PREVIEW.requested[stroke.name]
     stroke.update_tag()
     bpy.context.view_layer.update()
-    assert PREVIEW.asked[stroke.name] == stamp
+    assert PREVIEW.requested[stroke.name] == stamp
 
 
 def test_nothing_is_asked_for_what_is_no_part_of_it_or_takes_an_evaluation(listening) -> None:
     plate, stroke = listening
     plate.location.x += 0.1
     bpy.context.view_layer.update()
-    assert stroke.name not in PREVIEW.asked
+    assert stroke.name not in PREVIEW.requested
     driver = stroke.driver_add("hnf_stroke.force").driver
     driver.expression = "1 + frame / 10"
     bpy.context.view_layer.update()
-    assert stroke.name not in PREVIEW.asked
+    assert stroke.name not in PREVIEW.requested
 
 
 def test_our_own_changes_are_no_news(listening) -> None:
     _, stroke = listening
-    with own_changes(bpy.context.view_layer):
+    with suppress_change_tracking(bpy.context.view_layer):
         press(stroke, 2.5)
-        assert stroke.name not in PREVIEW.asked
+        assert stroke.name not in PREVIEW.requested
     press(stroke, 2.0)
-    assert stroke.name in PREVIEW.asked
+    assert stroke.name in PREVIEW.requested

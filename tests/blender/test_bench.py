@@ -14,8 +14,8 @@ from hnf_blender.bench.catalogue import BENCHES
 from hnf_blender.cli import main
 from hnf_blender.jobs import current
 from hnf_blender.state.session import STATE
-from hnf_blender.touch.bake import FIRST_PIXELS, PATCH_PIXELS
-from hnf_core.bench.frame import Options
+from hnf_blender.touch.bake import FIRST_PASS_PIXELS, PATCH_PIXELS
+from hnf_core.bench.frame import BenchOptions
 
 
 def test_every_bench_has_a_name_of_its_own():
@@ -25,7 +25,7 @@ def test_every_bench_has_a_name_of_its_own():
 
 
 def test_switching_the_add_on_on_loads_nothing_heavy():
-    numpy, addon = enable.rows(Options(repeats=1))
+    numpy, addon = enable.measure_enable(BenchOptions(repeats=1))
     assert (numpy.method, addon.ratio_to) == ("import numpy", "import numpy")
     assert addon.ratio.median == pytest.approx(addon.cpu.median / numpy.cpu.median)
     assert addon.note.endswith("heavy ones: none")
@@ -33,12 +33,12 @@ def test_switching_the_add_on_on_loads_nothing_heavy():
 
 
 def test_a_heavy_package_is_named():
-    assert enable.Run(0.1, 0.1, 1.0, ("hnf_blender", "torch.nn", "scipy")).heavy == ("scipy", "torch")
+    assert enable.EnableRun(0.1, 0.1, 1.0, ("hnf_blender", "torch.nn", "scipy")).heavy_packages == ("scipy", "torch")
 
 
 def test_every_kind_of_call_is_seen_and_nothing_is_left():
     handlers = list(bpy.app.handlers.depsgraph_update_post)
-    rows = {row.method: row for row in responsiveness.rows(Options(repeats=1, quick=True))}
+    rows = {row.method: row for row in responsiveness.measure_responsiveness(BenchOptions(repeats=1, quick=True))}
     assert {
         "save a copy", "start", "cancel", "handler", "look at what changed", "tick, child at work", "tick, commit",
         "draw the tab",
@@ -49,11 +49,11 @@ def test_every_kind_of_call_is_seen_and_nothing_is_left():
     assert list(bpy.app.handlers.depsgraph_update_post) == handlers
     assert not current.is_running()
     assert my_folders() == []
-    assert (STATE.job, STATE.strokes_in(bpy.context.scene), STATE.dirty) == (None, {}, set())
+    assert (STATE.job, STATE.get_statuses(bpy.context.scene), STATE.dirty_names) == (None, {}, set())
 
 
 def test_a_bake_is_told_with_its_error_in_every_way():
-    fine, *ways = bake.rows(Options(repeats=1, quick=True))
+    fine, *ways = bake.measure_bake(BenchOptions(repeats=1, quick=True))
     assert fine.error is None
     rows = {row.method: row for row in ways}
     image = "an image of 0.5 mm texels, "
@@ -70,8 +70,8 @@ def test_a_bake_is_told_with_its_error_in_every_way():
 
 
 def test_what_is_shipped_is_among_the_sizes():
-    assert (bake.FIRST, bake.USUAL) == (FIRST_PIXELS, PATCH_PIXELS)
-    assert bake.USUAL in bake.PIXELS
+    assert (bake.FIRST_PASS_PIXELS, bake.DEFAULT_PIXELS) == (FIRST_PASS_PIXELS, PATCH_PIXELS)
+    assert bake.DEFAULT_PIXELS in bake.COMPARED_PIXELS
 
 
 def test_the_command_line_knows_them(capsys):
@@ -80,11 +80,11 @@ def test_the_command_line_knows_them(capsys):
 
 
 def test_the_extension_holds_no_bench():
-    assert build_extension.SKIPPED("hnf_core", ["bench", "bench.py", "cli"]) == {"bench"}
+    assert build_extension.IGNORED("hnf_core", ["bench", "bench.py", "cli"]) == {"bench"}
 
 
 def test_a_stroke_is_drawn_and_placed():
-    drawn, placed = authoring.rows(Options(repeats=2, quick=True))
+    drawn, placed = authoring.measure_authoring(BenchOptions(repeats=2, quick=True))
     assert drawn.seconds.count == placed.seconds.count == 2
     samples, knots = (int(word) for word in drawn.note.replace(" samples →", "").replace(" knots", "").split())
     assert 2 <= knots < samples == 100

@@ -5,25 +5,28 @@ from __future__ import annotations
 import bpy
 
 from hnf_blender.bench import scale
-from hnf_blender.bench.hollow import draw_tab, tab_on
-from hnf_blender.bench.scale_scenes import crowd, empty_file, plate, strokes
-from hnf_blender.bridge.splat_cloud import TOUCHABLE
+from hnf_blender.bench.hollow import draw_tab, register_tab
+from hnf_blender.bench.scale_scenes import add_crowd, add_relief_plate, add_strokes, open_empty_file
+from hnf_blender.bridge.splat_cloud import TOUCHABLE_SURFACES
 from hnf_blender.props.listed import STROKES
-from hnf_core.bench.frame import Options
-from hnf_core.bench.growth import grown
+from hnf_core.bench.frame import BenchOptions
+from hnf_core.bench.growth import run_sizes
 
 
 def test_others_beside_a_touched_object_cost_no_work(tmp_path):
-    alone, own = scale.among_others(Options(repeats=1, quick=True), tmp_path)
+    alone, own = scale.measure_among_others(BenchOptions(repeats=1, quick=True), tmp_path)
     assert own.work == alone.work == {"renders": 2, "rays": alone.work["rays"], "F_Θ calls": 1}
     assert (own.ratio_to, own.ratio.count) == (alone.method, 1)
 
 
 def test_work_follows_what_is_touched(tmp_path):
     """Not the faces or the other materials of an object; strokes over one place share its close-up."""
-    options = Options(repeats=1, quick=True)
-    lines = {line.name: line for line in (*scale.faces(options, tmp_path), *scale.touched(options, tmp_path))}
-    work = {name: grown("scale", line, options)[-1].work for name, line in lines.items()}
+    options = BenchOptions(repeats=1, quick=True)
+    lines = {
+        line.name: line
+        for line in (*scale.make_face_sweeps(options, tmp_path), *scale.make_touch_sweeps(options, tmp_path))
+    }
+    work = {name: run_sizes("scale", line, options)[-1].work for name, line in lines.items()}
     close_up = work["of the touched object"]
     assert close_up["renders"] == close_up["F_Θ calls"] == 1
     assert work["on the touched object"] == close_up
@@ -35,15 +38,15 @@ def test_work_follows_what_is_touched(tmp_path):
 
 def looks_of_a_redraw(monkeypatch, others: int) -> int:
     """Objects that are looked at while the tab is drawn a second time."""
-    empty_file()
-    strokes(2, plate(8), apart=False, length_m=0.01)
-    crowd(others, own_meshes=False)
+    open_empty_file()
+    add_strokes(2, add_relief_plate(8), apart=False, length_m=0.01)
+    add_crowd(others, own_meshes=False)
     scene, layer, seen = bpy.context.scene, bpy.context.view_layer, []
     layer.update()
-    for listed in (STROKES, TOUCHABLE):
-        is_one = listed._is_one
-        monkeypatch.setattr(listed, "_is_one", lambda obj, is_one=is_one: seen.append(obj.name) or is_one(obj))
-    with tab_on():
+    for listed in (STROKES, TOUCHABLE_SURFACES):
+        is_one = listed._predicate
+        monkeypatch.setattr(listed, "_predicate", lambda obj, is_one=is_one: seen.append(obj.name) or is_one(obj))
+    with register_tab():
         assert draw_tab(scene, layer) > 10
         assert len(seen) >= 2 * len(scene.objects)
         seen.clear()
@@ -57,7 +60,7 @@ def test_a_redraw_looks_at_strokes_alone(monkeypatch):
 
 
 def test_the_cost_of_a_redraw_is_a_line_of_its_own():
-    options = Options(repeats=1, quick=True)
-    for line in scale.panels(options):
-        (row,) = grown("scale", line, options)
+    options = BenchOptions(repeats=1, quick=True)
+    for line in scale.make_panel_sweeps(options):
+        (row,) = run_sizes("scale", line, options)
         assert row.seconds.median > 0.0, row

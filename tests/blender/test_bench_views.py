@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from hnf_blender.bench import views, views_scene
-from hnf_blender.bench.views import AT_EQUAL_ERROR, Timed, at_equal_error
-from hnf_blender.bench.views_scene import Rectangle, patch_in, widened
-from hnf_blender.bridge.scene_camera import overview_camera
-from hnf_core.bench.frame import Options
-from hnf_core.bench.memory import with_peak
-from hnf_core.scene.raycast import cast_view, embree_caster
+from hnf_blender.bench.views import AT_EQUAL_ERROR, TimedRenders, compute_ratio_at_equal_error
+from hnf_blender.bench.views_scene import Rectangle, expand_rectangle, find_patch
+from hnf_blender.bridge.scene_camera import make_overview_camera
+from hnf_core.bench.frame import BenchOptions
+from hnf_core.bench.memory import run_with_peak
+from hnf_core.scene.raycast import cast_view, make_embree_caster
 
 
 def timed(error, *cpus):
-    return Timed(walls=list(cpus), cpus=list(cpus), error=error, on_patches=error)
+    return TimedRenders(walls=list(cpus), cpus=list(cpus), error=error, patch_error=error)
 
 
 def compared(mine, theirs):
-    return at_equal_error(mine, dict(enumerate(theirs)), lambda one: one.error)
+    return compute_ratio_at_equal_error(mine, dict(enumerate(theirs)), lambda one: one.error)
 
 
 def test_time_is_compared_where_the_errors_are_equal():
@@ -37,33 +37,33 @@ def test_an_error_that_the_other_never_reaches_is_compared_with_its_slowest_and_
 
 
 def test_a_patch_lies_on_the_surface_and_keeps_a_margin_inside_the_picture():
-    camera = overview_camera([[0, 0, 0]], [0, -1, 0], 0.1, 64, 48)
+    camera = make_overview_camera([[0, 0, 0]], [0, -1, 0], 0.1, 64, 48)
     depth = np.full((48, 64), np.inf, dtype=np.float32)
     depth[2, 50] = 0.1
-    patch = patch_in(camera, depth)
+    patch = find_patch(camera, depth)
     side = round(0.02 * camera.intrinsics[0, 0] / 0.1)
     left, top = 50 - side // 2, max(0, 2 - side // 2)
     assert 4 < side < 48
     assert patch == Rectangle(left, top, min(side, 64 - left), min(side, 48 - top))
-    assert np.isfinite(patch.of(depth)).any()
-    around = widened(patch, camera)
+    assert np.isfinite(patch.crop(depth)).any()
+    around = expand_rectangle(patch, camera)
     assert (around.top, around.left) == (0, max(0, patch.left - 8))
     assert around.left + around.width == min(64, patch.left + patch.width + 8)
 
 
 def test_the_world_mesh_is_every_solid_where_it_stands():
-    scene = views_scene.three_balls()
-    mesh = views_scene.world_mesh(scene)
+    scene = views_scene.make_three_balls()
+    mesh = views_scene.make_world_mesh(scene)
     assert len(mesh.triangles) == 2 + 3 * (2 * 24 + 10 * 24 * 2)
-    camera = views_scene.around(scene, 1, 64, 48)[0]
-    depth = cast_view(embree_caster(mesh), mesh, camera).depth
+    camera = views_scene.place_cameras(scene, 1, 64, 48)[0]
+    depth = cast_view(make_embree_caster(mesh), mesh, camera).depth
     middle, _ = camera.project([[0.0, 0.0, 0.06]])
     top = depth[int(middle[0, 1]), int(middle[0, 0])]
     assert top == pytest.approx(float(camera.project([[0.0, 0.0, 0.06]])[1][0]), rel=0.05)
 
 
 def test_both_ways_show_the_same_picture_and_every_row_comes():
-    rows = {row.method: row for row in views.rows(Options(repeats=1, quick=True))}
+    rows = {row.method: row for row in views.measure_views(BenchOptions(repeats=1, quick=True))}
     assert set(rows) == {
         "BlenderProc's way, 1", "BlenderProc's way, 4", "the same without its denoiser, 4", "ours, 1", "ours, 4",
         "touched patches only, 4", "depth: BlenderProc's way, 1", "depth: Cycles without light", "depth: rays",
@@ -72,7 +72,7 @@ def test_both_ways_show_the_same_picture_and_every_row_comes():
     colour = [row for method, row in rows.items() if row.error_unit.startswith("of sRGB")]
     assert len(colour) == 6
     assert all(0.0 < row.error < 0.08 for row in colour)  # another camera or light is off by 0.2 and more
-    if with_peak(list)[1] is not None:  # the system tells
+    if run_with_peak(list)[1] is not None:  # the system tells
         assert all(row.peak_mb is not None for row in colour)
     assert rows["ours, 4"].error < rows["ours, 1"].error
     assert rows["BlenderProc's way, 4"].error < rows["BlenderProc's way, 1"].error

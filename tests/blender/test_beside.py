@@ -12,7 +12,7 @@ from touch_scene import PLATE, line_stroke, ridge_plate
 from hnf_blender.bridge import closeup
 from hnf_blender.touch import bake
 from hnf_blender.touch.feel import bake_stroke_steps
-from hnf_blender.touch.jobs import gather, scene_session
+from hnf_blender.touch.jobs import gather_jobs, make_scene_session
 from hnf_blender.touch.report import Counts
 from hnf_core.errors import MaterialError
 
@@ -20,10 +20,10 @@ LONG_S = 30.0
 
 
 def baked(folder, counts):
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, folder)
-    (job,) = gather(session).jobs
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, folder)
+    (job,) = gather_jobs(session).jobs
     steps = bake_stroke_steps(
-        job.stroke, session.touched(bpy.data.objects[PLATE]), {}, folder / "cache", counts, session.seeing
+        job.stroke, session.get_touched_object(bpy.data.objects[PLATE]), {}, folder / "cache", counts, session.predictor
     )
     shares = []
     while True:
@@ -40,7 +40,7 @@ def test_patches_are_described_beside_rays_and_never_beside_a_render(tmp_path, m
     patches = len(plain.patches)
     assert patches > 1
     busy, cast_began, described, beside, renders = threading.Event(), threading.Semaphore(0), [], [], []
-    record, cast, render = bake._record, closeup.cast_view, closeup.render_passes
+    record, cast, render = bake._make_record, closeup.cast_view, closeup.render_passes
 
     def slow_record(*args):
         busy.set()
@@ -61,7 +61,7 @@ def test_patches_are_described_beside_rays_and_never_beside_a_render(tmp_path, m
         renders.append(busy.is_set())
         return render(*args)
 
-    monkeypatch.setattr(bake, "_record", slow_record)
+    monkeypatch.setattr(bake, "_make_record", slow_record)
     monkeypatch.setattr(closeup, "cast_view", watched_cast)
     monkeypatch.setattr(closeup, "render_passes", watched_render)
     counts = Counts()
@@ -79,18 +79,18 @@ def test_patches_are_described_beside_rays_and_never_beside_a_render(tmp_path, m
 def test_what_goes_wrong_in_a_description_is_told_and_nothing_is_left_running(tmp_path, monkeypatch) -> None:
     ridge_plate()
     line_stroke("Along")
-    before, record, count = set(threading.enumerate()), bake._record, iter(range(100))
+    before, record, count = set(threading.enumerate()), bake._make_record, iter(range(100))
 
     def failing(*args):
         if next(count) == 1:
             raise MaterialError("no such relief.")
         return record(*args)
 
-    monkeypatch.setattr(bake, "_record", failing)
+    monkeypatch.setattr(bake, "_make_record", failing)
     with pytest.raises(MaterialError, match="no such relief"):
         baked(tmp_path, Counts())
     assert set(threading.enumerate()) <= before
-    monkeypatch.setattr(bake, "_record", record)
+    monkeypatch.setattr(bake, "_make_record", record)
     again = Counts()
     stroke, _ = baked(tmp_path, again)
     assert again.close_ups == len(stroke.patches) - 1  # the first one was stored

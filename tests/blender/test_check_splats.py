@@ -12,11 +12,18 @@ from builders import add_plane, bump_material
 from closeup_builders import principled
 from predicted_scene import photo_plate, small_weights, use_weights
 from scene_splats import compare
-from scene_splats.compare import Pair, Told, compared, nearest_entry, palette_of, without_relief
-from scene_splats.convert import object_splats
+from scene_splats.compare import (
+    PatchPair,
+    PatchReading,
+    compare_patches,
+    find_nearest_entry,
+    make_palette,
+    remove_relief,
+)
+from scene_splats.convert import make_object_splats
 
-from hnf_blender.bridge.meshes import surface_mesh
-from hnf_blender.touch.seeing import Seeing
+from hnf_blender.bridge.meshes import read_surface
+from hnf_blender.touch.seeing import ReliefPredictor
 from hnf_core.material.token import LEVELS, TOKEN_DIM, Token
 from hnf_core.scene.patch import Patch
 
@@ -28,17 +35,17 @@ KNOWN = np.ones(TOKEN_DIM, dtype=bool)
 @pytest.fixture(autouse=True)
 def quick(tmp_path, monkeypatch):
     use_weights(monkeypatch, small_weights(tmp_path / "small.safetensors"))
-    monkeypatch.setattr(compare, "PATCH_PIXELS", PIXELS)
+    monkeypatch.setattr(compare, "CLOSEUP_PIXELS", PIXELS)
 
 
-def pair_of(obj, lift_m: float = 0.0, fine_m: float = 0.25e-3) -> Pair:
+def pair_of(obj, lift_m: float = 0.0, fine_m: float = 0.25e-3) -> PatchPair:
     """One patch in the middle of obj, whose splats are moved up."""
     bpy.context.view_layer.update()
-    surface = surface_mesh(obj, bpy.context.view_layer.depsgraph, 1.0)
+    surface = read_surface(obj, bpy.context.view_layer.depsgraph, 1.0)
     patch = Patch(np.zeros(3), ALONG, UP, 0)
-    splats = object_splats(obj, surface, 4e-3, 0, 1.0, [patch], fine_m, in_world=False)
+    splats = make_object_splats(obj, surface, 4e-3, 0, 1.0, [patch], fine_m, in_world=False)
     lifted = replace(splats, means=splats.means + np.float32([0.0, 0.0, lift_m]))
-    (found,) = compared(obj, surface, [patch], lifted, 1.0, Seeing())
+    (found,) = compare_patches(obj, surface, [patch], lifted, 1.0, ReliefPredictor())
     return found
 
 
@@ -62,43 +69,43 @@ def test_splats_that_lie_too_high_are_found_out() -> None:
     found = pair_of(photo_plate(size=0.04), lift_m=0.7e-3)
     assert found.expected_m == pytest.approx(0.7e-3, rel=0.02)
     assert found.median_m == pytest.approx(0.7e-3, rel=0.02)
-    (row,) = check_splats.rows("scene", [found])
-    figures = check_splats.summary([row])
+    (row,) = check_splats.make_rows("scene", [found])
+    figures = check_splats.summarise([row])
     assert row.expected == pytest.approx(0.035, rel=0.02)
-    assert not check_splats.meets(figures)
+    assert not check_splats.meets_targets(figures)
 
 
-def told(level: float) -> Told:
+def told(level: float) -> PatchReading:
     values = np.zeros(TOKEN_DIM, dtype=np.float32)
     values[LEVELS] = level
-    return Told(Token(values, KNOWN), (0.5, 0.4, 0.3), 1e-3)
+    return PatchReading(Token(values, KNOWN), (0.5, 0.4, 0.3), 1e-3)
 
 
-def pair(material: str, mesh: Told, splats: Told) -> Pair:
-    return Pair("Thing", material, 1e-5, 1e-5, 1.0, mesh, splats, mesh)
+def pair(material: str, mesh: PatchReading, splats: PatchReading) -> PatchPair:
+    return PatchPair("Thing", material, 1e-5, 1e-5, 1.0, mesh, splats, mesh)
 
 
 def test_the_palette_entry_is_the_nearest_of_what_both_know() -> None:
     pairs = [pair("Rough", told(-4.0), told(-4.1)), pair("Smooth", told(-6.0), told(-5.8)),
              pair("Smooth", told(-6.0), told(-4.2))]  # fmt: skip
-    assert [row.palette for row in check_splats.rows("scene", pairs)] == [True, True, False]
-    palette = palette_of(pairs)
+    assert [row.palette for row in check_splats.make_rows("scene", pairs)] == [True, True, False]
+    palette = make_palette(pairs)
     assert [entry.name for entry in palette] == ["Thing: Rough", "Thing: Smooth"]
-    assert nearest_entry(told(-4.9).token, palette, KNOWN) == "Thing: Rough"
+    assert find_nearest_entry(told(-4.9).token, palette, KNOWN) == "Thing: Rough"
 
 
 def test_a_picture_read_on_one_side_alone_is_a_difference() -> None:
-    unread = Told(None, (0.5, 0.4, 0.3), float("inf"))
-    first, second = check_splats.rows("scene", [pair("A", told(-5.0), unread), pair("A", unread, unread)])
+    unread = PatchReading(None, (0.5, 0.4, 0.3), float("inf"))
+    first, second = check_splats.make_rows("scene", [pair("A", told(-5.0), unread), pair("A", unread, unread)])
     assert (first.palette, second.palette) == (False, None)
     assert (first.token, second.token) == (False, True)
-    figures = check_splats.summary([first, second])
+    figures = check_splats.summarise([first, second])
     assert (figures["patches_read"], figures["same_token"]) == (1, 0.5)
-    assert not check_splats.meets(figures)
+    assert not check_splats.meets_targets(figures)
     black, red = (replace(unread, colour=colour) for colour in ((0.01, 0.01, 0.01), (0.5, 0.1, 0.05)))
-    (other,) = check_splats.rows("scene", [pair("A", black, red)])
+    (other,) = check_splats.make_rows("scene", [pair("A", black, red)])
     assert (other.palette, other.token) == (None, False)  # the prior takes them for different materials
-    assert "0 of 1" in check_splats.markdown([first, second])
+    assert "0 of 1" in check_splats.format_rows([first, second])
 
 
 def test_materials_lose_their_relief_and_keep_their_colour() -> None:
@@ -107,6 +114,6 @@ def test_materials_lose_their_relief_and_keep_their_colour() -> None:
     shader = principled(plate.data.materials[0])
     assert shader.inputs["Normal"].is_linked
     colour = tuple(shader.inputs["Base Color"].default_value)
-    without_relief(bpy.context.scene)
+    remove_relief(bpy.context.scene)
     assert not shader.inputs["Normal"].is_linked
     assert tuple(shader.inputs["Base Color"].default_value) == colour

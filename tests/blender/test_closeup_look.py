@@ -9,7 +9,7 @@ from builders import add_mesh, add_plane, bump_material, float_image
 from closeup_builders import bumpy_plane, look, plane_coordinates, principled
 
 from hnf_blender.bridge.closeup import APPEARANCE_PIXELS
-from hnf_blender.bridge.shader_colour import Shows, shows
+from hnf_blender.bridge.shader_colour import ReliefSource, find_relief_source
 
 TEXEL = 0.1e-3
 
@@ -53,11 +53,11 @@ def test_a_photo_without_relief_is_kept_as_it_is_seen():
     column = np.floor(x / TEXEL + len(pixels) / 2).astype(int)
     row = np.floor(y / TEXEL + len(pixels) / 2).astype(int)
     inside = np.minimum((column % 16) % 15, (row % 16) % 15) > 2  # away from the edges of squares
-    np.testing.assert_allclose(close.look.linear[inside], pixels[row, column][inside], atol=0.02)
-    np.testing.assert_allclose(close.look.depth_m, close.view.depth)
-    assert close.look.resolved_wavelength_m == pytest.approx(2 * TEXEL, rel=1e-3)
-    assert close.look.source == "image 'Photo.png'"
-    assert shows(plane.data.materials[0]) is Shows.PICTURE
+    np.testing.assert_allclose(close.unlit.linear[inside], pixels[row, column][inside], atol=0.02)
+    np.testing.assert_allclose(close.unlit.depth_m, close.view.depth)
+    assert close.unlit.resolved_wavelength_m == pytest.approx(2 * TEXEL, rel=1e-3)
+    assert close.unlit.source == "image 'Photo.png'"
+    assert find_relief_source(plane.data.materials[0]) is ReliefSource.VARYING_COLOUR
 
 
 def test_where_there_is_relief_no_look_is_kept():
@@ -68,8 +68,8 @@ def test_where_there_is_relief_no_look_is_kept():
     material.node_tree.links.new(texture.outputs["Color"], principled(material).inputs["Base Color"])
     close = look(plane)
     assert close.height is not None
-    assert close.look is None
-    assert shows(material) is Shows.RELIEF
+    assert close.unlit is None
+    assert find_relief_source(material) is ReliefSource.RELIEF
 
 
 def test_one_colour_is_nothing_to_see_and_costs_little():
@@ -78,14 +78,14 @@ def test_one_colour_is_nothing_to_see_and_costs_little():
     material = plane.data.materials[0]
     material.node_tree.nodes.remove(next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBump"))
     close = look(plane, pixels=512)
-    assert close.look is None
+    assert close.unlit is None
     assert close.mask.shape == (APPEARANCE_PIXELS, APPEARANCE_PIXELS)
-    assert shows(material) is Shows.NOTHING
-    assert shows(None) is Shows.NOTHING
+    assert find_relief_source(material) is ReliefSource.NONE
+    assert find_relief_source(None) is ReliefSource.NONE
 
 
 def test_a_photo_of_one_colour_is_nothing_to_see():
-    assert look(photo_plane(np.full((64, 64, 3), 0.3))).look is None
+    assert look(photo_plane(np.full((64, 64, 3), 0.3))).unlit is None
 
 
 def test_a_relief_that_is_turned_off_leaves_the_picture():
@@ -95,13 +95,13 @@ def test_a_relief_that_is_turned_off_leaves_the_picture():
     checker = tree.nodes.new("ShaderNodeTexChecker")
     checker.inputs["Scale"].default_value = 500.0
     tree.links.new(checker.outputs["Color"], principled(material).inputs["Base Color"])
-    assert shows(material) is Shows.RELIEF
+    assert find_relief_source(material) is ReliefSource.RELIEF
     next(n for n in tree.nodes if n.bl_idname == "ShaderNodeBump").inputs["Strength"].default_value = 0.0
-    assert shows(material) is Shows.PICTURE
+    assert find_relief_source(material) is ReliefSource.VARYING_COLOUR
     close = look(plane)
     assert close.height is None
-    assert close.look.resolved_wavelength_m == pytest.approx(2 * close.metres_per_pixel)
-    assert close.look.source == "a pattern"
+    assert close.unlit.resolved_wavelength_m == pytest.approx(2 * close.metres_per_pixel)
+    assert close.unlit.source == "a pattern"
 
 
 @pytest.mark.parametrize("mixed_by", ["colours", "shaders"])
@@ -123,16 +123,16 @@ def test_a_mask_between_two_colours_is_a_picture(mixed_by):
         tree.links.new(other.outputs[0], mix.inputs[2])
         shader.inputs["Base Color"].default_value = (0, 0, 0, 1)
         tree.links.new(mix.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
-    assert shows(material) is Shows.PICTURE
-    assert look(plane).look.resolved_wavelength_m > 0.0
+    assert find_relief_source(material) is ReliefSource.VARYING_COLOUR
+    assert look(plane).unlit.resolved_wavelength_m > 0.0
 
 
 def test_a_scan_saved_as_its_own_light_is_a_picture():
     """As glTF's unlit materials come in: emission where the camera looks, transparent elsewhere."""
     plane = photo_plate_of_light()
     close = look(plane)
-    assert shows(plane.data.materials[0]) is Shows.PICTURE
-    assert close.look.source == "image 'Photo.png'"
+    assert find_relief_source(plane.data.materials[0]) is ReliefSource.VARYING_COLOUR
+    assert close.unlit.source == "image 'Photo.png'"
     assert close.appearance.base_color == pytest.approx(checks().mean(axis=(0, 1)), abs=0.03)
     assert close.appearance.roughness is None
 
@@ -165,7 +165,7 @@ def test_an_image_in_a_group_is_found_without_a_copy():
     node.node_tree = group
     tree.links.new(node.outputs[0], principled(material).inputs["Base Color"])
     before = len(bpy.data.node_groups), len(bpy.data.materials)
-    assert shows(material) is Shows.PICTURE
+    assert find_relief_source(material) is ReliefSource.VARYING_COLOUR
     assert (len(bpy.data.node_groups), len(bpy.data.materials)) == before
     assert node.node_tree == group
 
@@ -190,5 +190,5 @@ def test_painted_points_are_as_fine_as_the_mesh():
     material.node_tree.links.new(painted.outputs["Color"], principled(material).inputs["Base Color"])
     obj.data.materials.append(material)
     close = look(obj)
-    assert close.look.resolved_wavelength_m == pytest.approx(2 * spacing, rel=1e-3)
-    assert close.look.source == "painted vertices"
+    assert close.unlit.resolved_wavelength_m == pytest.approx(2 * spacing, rel=1e-3)
+    assert close.unlit.source == "painted vertices"

@@ -9,8 +9,8 @@ from builders import add_mesh, add_plane, bump_material, datablock_names, math_n
 from closeup_builders import assert_sine, bump_of, bumpy_plane, look, patch, plane_coordinates, principled
 
 from hnf_blender.bridge import closeup as closeup_module
-from hnf_blender.bridge.closeup import looks_flipped, render_closeup, render_closeups
-from hnf_blender.bridge.own_surface import flood
+from hnf_blender.bridge.closeup import has_flipped_green, render_closeup, render_closeups
+from hnf_blender.bridge.own_surface import flood_fill
 from hnf_core.errors import SceneError
 
 
@@ -201,7 +201,7 @@ def test_flood_goes_round_corners_and_not_through_walls():
     open_cells = np.array([[1, 1, 1, 0], [0, 0, 1, 0], [1, 0, 1, 1], [1, 0, 0, 1]], dtype=bool)
     seed = np.zeros_like(open_cells)
     seed[0, 0] = True
-    reached = flood(seed, open_cells[:, 1:] & open_cells[:, :-1], open_cells[1:] & open_cells[:-1])
+    reached = flood_fill(seed, open_cells[:, 1:] & open_cells[:, :-1], open_cells[1:] & open_cells[:-1])
     expected = open_cells.copy()
     expected[2:, 0] = False
     np.testing.assert_array_equal(reached, expected)
@@ -213,5 +213,5 @@ def test_curl_tells_which_way_green_points():
         height = (height + np.roll(height, 1, 0) + np.roll(height, 1, 1) + np.roll(height, -1, 0)) / 4
     gx, gy = np.gradient(height, axis=1), -np.gradient(height, axis=0)
     everywhere = np.ones((64, 64), dtype=bool)
-    assert not looks_flipped(gx, gy, everywhere)
-    assert looks_flipped(gx, -gy, everywhere)
+    assert not has_flipped_green(gx, gy, everywhere)
+    assert has_flipped_green(gx, -gy, everywhere)

@@ -15,7 +15,7 @@ from touch_scene import signals, touch
 
 from hnf_blender import compat
 from hnf_blender.bridge.importers import open_scene
-from hnf_blender.bridge.metres import size_warning
+from hnf_blender.bridge.metres import get_size_warning
 from hnf_core.actuators.profile import PROFILES
 
 REPOSITORY = Path(__file__).parents[2]
@@ -55,7 +55,7 @@ def test_things_have_their_real_sizes(scene) -> None:
     assert scene.unit_settings.scale_length == 1.0
     for obj in scene.objects:
         if obj.type == "MESH":
-            assert size_warning(obj, 1.0) is None
+            assert get_size_warning(obj, 1.0) is None
             assert tuple(obj.scale) == (1.0, 1.0, 1.0)
             if obj.name != "Table":
                 assert 0.05 <= max(obj.dimensions) <= 0.26

@@ -10,21 +10,21 @@ import pytest
 
 import hnf_core
 from hnf_blender.ops import diagnose
-from hnf_blender.rooms import switch_off, switch_on
+from hnf_blender.rooms import register_classes, unregister_classes
 from hnf_blender.state.session import STATE, JobStatus, LastJob
 from hnf_core.cli import health
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import kernel, plainly
+from hnf_core.kernel.library import load_kernel, without_kernel
 
 
 @pytest.fixture(autouse=True)
 def operators(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(diagnose, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(diagnose, "get_cache_folder", lambda: tmp_path)
     STATE.clear()
     STATE.diagnosis = ()
-    switch_on(diagnose.CLASSES)
+    register_classes(diagnose.DIAGNOSE_CLASSES)
     yield
-    switch_off(diagnose.CLASSES)
+    unregister_classes(diagnose.DIAGNOSE_CLASSES)
     STATE.clear()
     STATE.diagnosis = ()
 
@@ -46,34 +46,34 @@ def test_the_report_names_every_part_and_where_it_lies(tmp_path: Path) -> None:
 def test_the_last_error_is_in_it() -> None:
     STATE.last_job = LastJob(False, "The bake stopped.", ("Killed",))
     bpy.ops.hnf.diagnose()
-    text = diagnose.as_text(STATE.diagnosis)
+    text = diagnose.format_rows(STATE.diagnosis)
     assert "failed: The bake stopped." in text
     assert "Killed" in text
 
 
 def test_copied_is_what_is_shown() -> None:
     assert bpy.ops.hnf.diagnose_copy() == {"FINISHED"}
-    assert STATE.diagnosis == diagnose.collect()
+    assert STATE.diagnosis == diagnose.collect_diagnosis()
     if not bpy.app.background:  # without a window there is no clipboard
-        assert bpy.context.window_manager.clipboard == diagnose.as_text(STATE.diagnosis)
+        assert bpy.context.window_manager.clipboard == diagnose.format_rows(STATE.diagnosis)
 
 
 def test_lines_up() -> None:
-    assert diagnose.as_text((("A", "1"), ("Long", "2"))) == "A     1\nLong  2\n"
+    assert diagnose.format_rows((("A", "1"), ("Long", "2"))) == "A     1\nLong  2\n"
 
 
 def test_a_part_that_is_missing_is_said_not_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert health.version_of("no-such-package") == ""
-    monkeypatch.setattr(diagnose, "PACKAGES", ("no-such-package",))
-    assert ("no-such-package", "not installed") in diagnose.collect()
+    assert health.get_version("no-such-package") == ""
+    monkeypatch.setattr(diagnose, "REPORTED_PACKAGES", ("no-such-package",))
+    assert ("no-such-package", "not installed") in diagnose.collect_diagnosis()
 
 
 def test_whoever_does_the_kernels_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = health.kernel_state()
-    assert (told == "at work") == (kernel() is not None)
-    with plainly():
-        assert health.kernel_state().startswith("using slower numpy version")
-    assert ("Compiled kernel", told) in diagnose.collect()
+    told = health.describe_kernel()
+    assert (told == "at work") == (load_kernel() is not None)
+    with without_kernel():
+        assert health.describe_kernel().startswith("using slower numpy version")
+    assert ("Compiled kernel", told) in diagnose.collect_diagnosis()
 
 
 def test_clearing_the_cache_deletes_its_files_and_nothing_else(tmp_path: Path) -> None:
@@ -102,11 +102,11 @@ def test_another_file_is_not_described_by_the_last_ones_figures() -> None:
 
 
 def test_figures_are_collected_again_only_where_they_are_shown(tmp_path: Path) -> None:
-    diagnose.collect_again()
+    diagnose.refresh_diagnosis()
     assert STATE.diagnosis == ()
     bpy.ops.hnf.diagnose()
     (tmp_path / "patch.npz").write_bytes(bytes(2500))
-    diagnose.collect_again()
+    diagnose.refresh_diagnosis()
     assert dict(STATE.diagnosis)["Cache size"] == "2.5 kB"
 
 

@@ -16,10 +16,10 @@ from hnf_blender.prefs import HnfPreferences
 from hnf_blender.props.material import HnfMaterial
 from hnf_blender.props.scene import HnfScene
 from hnf_blender.props.stroke import HnfStroke
-from hnf_blender.rooms import classes_of
-from hnf_blender.state.texts import KINDS, LOOKS, ROUTE_WORDS
-from hnf_blender.touch.inputs import SAME_SURFACE, TOUCH
-from hnf_blender.touch.inputs import WORDS as CHANGES
+from hnf_blender.rooms import collect_classes
+from hnf_blender.state.texts import PLAN_LABELS, ROUTE_LABELS, STATUS_LABELS
+from hnf_blender.touch.inputs import CHANGE_DESCRIPTIONS as CHANGES
+from hnf_blender.touch.inputs import PATH_ON_SAME_SURFACE, TOUCH_FIELD
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = (ROOT / "docs" / "blender.md").read_text(encoding="utf-8")
@@ -40,7 +40,9 @@ def shown_properties(owner: Any) -> list[str]:
 
 
 def test_every_operator_and_its_properties() -> None:
-    operators = [each for each in classes_of("hnf_blender.ops", ops.MODULES) if issubclass(each, bpy.types.Operator)]
+    operators = [
+        each for each in collect_classes("hnf_blender.ops", ops.MODULES) if issubclass(each, bpy.types.Operator)
+    ]
     assert len(operators) > 25
     assert [each.bl_idname for each in operators if each.bl_idname not in CODE] == []
     told = [(each.bl_idname, name) for each in operators for name in shown_properties(each)]
@@ -54,7 +56,7 @@ def test_every_property(group: Any) -> None:
 
 
 def test_every_panel_has_its_heading_or_its_name_in_bold() -> None:
-    panels = [each for each in classes_of("hnf_blender.ui", ui.MODULES) if issubclass(each, bpy.types.Panel)]
+    panels = [each for each in collect_classes("hnf_blender.ui", ui.MODULES) if issubclass(each, bpy.types.Panel)]
     assert len(panels) > 10
     titles = set(re.findall(r"^#+ (.+)$", REFERENCE, re.MULTILINE)) | set(re.findall(r"\*\*([^*\n]+)\*\*", REFERENCE))
     assert [each.bl_label for each in panels if each.bl_label not in titles] == []
@@ -62,10 +64,14 @@ def test_every_panel_has_its_heading_or_its_name_in_bold() -> None:
 
 def test_every_word_for_a_state() -> None:
     both = REFERENCE + HELP
-    said = [text for _, text in LOOKS.values()] + [text for _, text in KINDS.values()] + list(ROUTE_WORDS.values())
+    said = (
+        [text for _, text in STATUS_LABELS.values()]
+        + [text for _, text in PLAN_LABELS.values()]
+        + list(ROUTE_LABELS.values())
+    )
     assert [text for text in said if text not in both] == []
-    assert [text for part, text in CHANGES.items() if part != TOUCH and text not in HELP] == []
-    assert SAME_SURFACE in HELP
+    assert [text for part, text in CHANGES.items() if part != TOUCH_FIELD and text not in HELP] == []
+    assert PATH_ON_SAME_SURFACE in HELP
 
 
 def reasons() -> Iterator[str]:
@@ -80,7 +86,7 @@ def reasons() -> Iterator[str]:
             if isinstance(target, ast.Name)
         }
         for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "greyed":
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "fail_poll":
                 given = named.get(getattr(node.args[1], "id", ""), node.args[1])
                 yield from (
                     part.value

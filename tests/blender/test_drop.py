@@ -11,19 +11,19 @@ from builders import add_plane
 from touch_scene import line_stroke, ridge_plate
 
 from hnf_blender.bridge.drawn_stroke import cast_on_surface
-from hnf_blender.bridge.own_material import INPUTS, carried, forget, give
-from hnf_blender.bridge.under_cursor import first_hit
-from hnf_blender.props.material import OWN_DEFINITION
-from hnf_blender.ui.materials_panel import felt_text
+from hnf_blender.bridge.own_material import PRINCIPLED_INPUTS, assign_definition, clear_definition, get_definition
+from hnf_blender.bridge.under_cursor import pick_object_along_ray
+from hnf_blender.props.material import DEFINITION_PROPERTY
+from hnf_blender.ui.materials_panel import describe_material
 from hnf_core.errors import FileError, SceneError
 from hnf_core.export.wav import write_wav
 from hnf_core.material.hnf_file import from_library, write_hnf
-from hnf_core.material.library import find
+from hnf_core.material.library import get_material
 from hnf_core.signal import Signal
 
 pytestmark = pytest.mark.usefixtures("operators")
 
-KNIT = from_library(find("wool-knit"))
+KNIT = from_library(get_material("wool-knit"))
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_a_dropped_material_is_carried_by_the_slots_own(knit: str) -> None:
     looks.hnf_touch.library = "silk"
     assert drop(knit, target=plate.name, slot=0) == {"FINISHED"}
     assert plate.material_slots[0].material == looks
-    assert carried(looks) == KNIT
+    assert get_definition(looks) == KNIT
     assert looks.hnf_touch.library == ""  # the last word is the file's
     assert [material.name for material in bpy.data.materials] == [looks.name]
 
@@ -55,9 +55,9 @@ def test_an_object_without_material_gets_one_that_looks_like_it(knit: str) -> No
     plane = add_plane()
     drop(knit, target=plane.name)
     (slot,) = plane.material_slots
-    assert carried(slot.material) == KNIT
+    assert get_definition(slot.material) == KNIT
     shader = principled(slot.material)
-    for name, socket in INPUTS.items():
+    for name, socket in PRINCIPLED_INPUTS.items():
         expected = getattr(KNIT.appearance, name)
         got = shader.inputs[socket].default_value
         assert np.allclose(got[:3] if name == "base_color" else got, expected)
@@ -69,56 +69,56 @@ def test_an_empty_slot_is_filled_and_the_others_are_left(knit: str) -> None:
     first = plate.material_slots[0].material
     drop(knit, target=plate.name, slot=1)
     assert plate.material_slots[0].material == first
-    assert carried(first) is None
-    assert carried(plate.material_slots[1].material) == KNIT
+    assert get_definition(first) is None
+    assert get_definition(plate.material_slots[1].material) == KNIT
 
 
 def test_without_a_target_the_active_object_gets_it(knit: str) -> None:
     plate, other = ridge_plate(), add_plane("Other")
     bpy.context.view_layer.objects.active = other
     drop(knit)
-    assert carried(other.material_slots[0].material) == KNIT
-    assert carried(plate.material_slots[0].material) is None
+    assert get_definition(other.material_slots[0].material) == KNIT
+    assert get_definition(plate.material_slots[0].material) is None
 
 
 def test_on_a_stroke_it_means_the_strokes_surface(knit: str) -> None:
     plate = ridge_plate()
     stroke = line_stroke(surface=plate)
     drop(knit, target=stroke.name)
-    assert carried(plate.material_slots[0].material) == KNIT
+    assert get_definition(plate.material_slots[0].material) == KNIT
     assert len(stroke.material_slots) == 0
 
 
 def test_with_nothing_there_it_becomes_a_material(knit: str) -> None:
     drop(knit)
     (material,) = bpy.data.materials
-    assert (material.name, carried(material)) == ("wool-knit", KNIT)
+    assert (material.name, get_definition(material)) == ("wool-knit", KNIT)
 
 
 def test_it_survives_the_blend_file(knit: str, tmp_path: Path) -> None:
     drop(knit, target=ridge_plate().name)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
-    assert carried(bpy.data.objects["Plate"].material_slots[0].material) == KNIT
+    assert get_definition(bpy.data.objects["Plate"].material_slots[0].material) == KNIT
 
 
 def test_it_can_be_forgotten(knit: str) -> None:
     plate = ridge_plate()
     drop(knit, target=plate.name)
     material = plate.material_slots[0].material
-    assert felt_text(material) == ("LOCKED", KNIT.name)
-    forget(material)
-    forget(material)
-    assert carried(material) is None
-    assert felt_text(material)[0] == "UNLOCKED"
+    assert describe_material(material) == ("LOCKED", KNIT.name)
+    clear_definition(material)
+    clear_definition(material)
+    assert get_definition(material) is None
+    assert describe_material(material)[0] == "UNLOCKED"
 
 
 @pytest.mark.parametrize("data", [b"", b"not a material", 7, "text"])
 def test_a_damaged_definition_is_named(data: object) -> None:
     material = bpy.data.materials.new("Worn")
-    material[OWN_DEFINITION] = data
+    material[DEFINITION_PROPERTY] = data
     with pytest.raises(FileError, match="material 'Worn'"):
-        carried(material)
+        get_definition(material)
 
 
 def test_a_bad_file_changes_nothing(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_a_bad_file_changes_nothing(tmp_path: Path) -> None:
     plate = ridge_plate()
     with pytest.raises(RuntimeError, match=r"bad\.hnf.*ends early"):
         drop(str(path), target=plate.name)
-    assert OWN_DEFINITION not in plate.material_slots[0].material
+    assert DEFINITION_PROPERTY not in plate.material_slots[0].material
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_a_linked_material_is_left_alone(tmp_path: Path) -> None:
     with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
         wanted.objects = ["Plate"]
     with pytest.raises(SceneError, match="linked from another file"):
-        give(bpy.data.objects["Plate"], 0, KNIT)
+        assign_definition(bpy.data.objects["Plate"], 0, KNIT)
 
 
 def test_the_ray_under_the_mouse_finds_the_first_face_and_its_slot() -> None:
@@ -156,9 +156,9 @@ def test_the_ray_under_the_mouse_finds_the_first_face_and_its_slot() -> None:
     high.data.polygons[0].material_index = 1
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    assert first_hit(bpy.context.scene, depsgraph, None, (0, 0, 1), (0, 0, -1)) == (high, 1)
-    assert first_hit(bpy.context.scene, depsgraph, None, (0, 0, -1), (0, 0, 1)) == (low, 0)
-    assert first_hit(bpy.context.scene, depsgraph, None, (9, 0, 1), (0, 0, -1)) is None
+    assert pick_object_along_ray(bpy.context.scene, depsgraph, None, (0, 0, 1), (0, 0, -1)) == (high, 1)
+    assert pick_object_along_ray(bpy.context.scene, depsgraph, None, (0, 0, -1), (0, 0, 1)) == (low, 0)
+    assert pick_object_along_ray(bpy.context.scene, depsgraph, None, (9, 0, 1), (0, 0, -1)) is None
 
 
 @pytest.mark.parametrize("seen_through", ["wires", "instances", "hidden"])
@@ -179,7 +179,7 @@ def test_a_drop_meets_what_the_pen_would_meet(seen_through: str) -> None:
     depsgraph = bpy.context.evaluated_depsgraph_get()
     ray = ((0.1, 0.1, 1.0), (0.0, 0.0, -1.0))
     met = cast_on_surface(bpy.context.scene, depsgraph, None, *ray)
-    assert first_hit(bpy.context.scene, depsgraph, None, *ray) == (met.obj, 0) == (low, 0)
+    assert pick_object_along_ray(bpy.context.scene, depsgraph, None, *ray) == (met.obj, 0) == (low, 0)
 
 
 def vibration(path: Path, peak: float, stroke: str = "") -> str:

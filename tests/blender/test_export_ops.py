@@ -11,15 +11,15 @@ from job_scene import small_scene
 from panel_recorder import drawn
 
 from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.preview.losses import loss_sentence
-from hnf_blender.preview.outlet import export_of, true_signal
+from hnf_blender.preview.losses import describe_loss
+from hnf_blender.preview.outlet import export_stroke, get_current_signal
 from hnf_blender.props.export_formats import FORMAT_CHOICES
 from hnf_core.export.convert import import_signal
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.hjif_read import read_hjif
 from hnf_core.export.options import ImportOptions
 
-WORDS = [choice.word for choice in FORMAT_CHOICES]
+WORDS = [choice.format_name for choice in FORMAT_CHOICES]
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def baked_file(operators, rendered_plate, tmp_path_factory):
     plate, _ = small_scene()
     plate.data.materials[0].hnf_touch.library = "smooth-plastic"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "cache_folder", lambda: folder / "cache")
+        patch.setattr(running, "get_cache_folder", lambda: folder / "cache")
         assert bpy.ops.hnf.bake() == {"FINISHED"}
     path = folder / "scene.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
@@ -59,8 +59,10 @@ def stroke():
 
 def test_the_choices_are_those_of_the_table() -> None:
     assert set(WORDS) == set(FORMATS)
-    assert [FORMATS[choice.word].scaled for choice in FORMAT_CHOICES] == [choice.scaled for choice in FORMAT_CHOICES]
-    files = [choice.stem + FORMATS[choice.word].suffix for choice in FORMAT_CHOICES]
+    assert [FORMATS[choice.format_name].scaled for choice in FORMAT_CHOICES] == [
+        choice.scaled for choice in FORMAT_CHOICES
+    ]
+    files = [choice.stem + FORMATS[choice.format_name].suffix for choice in FORMAT_CHOICES]
     assert len(set(files)) == len(files)  # no format overwrites another's file
 
 
@@ -68,7 +70,7 @@ def test_the_choices_are_those_of_the_table() -> None:
 def test_each_format_leaves_and_says_what_it_cost(word: str, folder) -> None:
     bpy.context.scene.hnf.export_format = word
     assert bpy.ops.hnf.export() == {"FINISHED"}
-    choice = next(each for each in FORMAT_CHOICES if each.word == word)
+    choice = next(each for each in FORMAT_CHOICES if each.format_name == word)
     name = f"along{choice.stem}{FORMATS[word].suffix}"
     beside = {"along.hjif.glb"} if word == "hjif" else set()
     assert {path.name for path in folder.iterdir()} == {name, f"{name}.json"} | beside
@@ -82,7 +84,7 @@ def test_each_format_leaves_and_says_what_it_cost(word: str, folder) -> None:
         assert "1 = 30 m/s²" in PREVIEW.losses
     back = import_signal(folder / name, ImportOptions(), FORMATS[word])
     if lossless:
-        assert back.samples.tobytes() == true_signal(stroke(), bpy.context).samples.tobytes()
+        assert back.samples.tobytes() == get_current_signal(stroke(), bpy.context).samples.tobytes()
 
 
 def test_the_format_given_counts_more_than_the_panel_s(folder) -> None:
@@ -94,7 +96,7 @@ def test_the_format_given_counts_more_than_the_panel_s(folder) -> None:
 def test_full_scale_is_the_largest_acceleration_of_the_actuator(folder) -> None:
     settings = bpy.context.scene.hnf
     settings.actuator, settings.own_peak_m_s2, settings.own_highest_hz = "own", 12.5, 400.0
-    exported = export_of(stroke(), bpy.context, "haptic")
+    exported = export_stroke(stroke(), bpy.context, "haptic")
     assert exported.options.full_scale_m_s2 == 12.5
     assert exported.options.range_hz == (20.0, 400.0)
     record = json.loads((folder / "along.haptic.json").read_text(encoding="utf-8"))
@@ -112,13 +114,13 @@ def test_what_is_clipped_is_warned_of(folder, capfd) -> None:
 
 def test_formats_on_surfaces_lie_on_the_plate(folder) -> None:
     assert [word for word, form in FORMATS.items() if form.surface] == ["hjif", "glb"]
-    surface = export_of(stroke(), bpy.context, "glb").options.surface
+    surface = export_stroke(stroke(), bpy.context, "glb").options.surface
     assert surface is not None
     assert surface.name == "Plate"
     assert surface.palette is not None
     assert surface.path is not None
     assert surface.path.length_m == pytest.approx(0.026, abs=1e-3)
-    export_of(stroke(), bpy.context, "hjif")
+    export_stroke(stroke(), bpy.context, "hjif")
     tree = json.loads((folder / "along.hjif").read_text(encoding="utf-8"))
     assert tree["perceptions"][0]["channels"][0]["vertices"]
     assert read_hjif(folder / "along.hjif", ImportOptions()).provenance["stroke"] == "Along"
@@ -166,7 +168,7 @@ def test_nothing_is_told_of_another_file(folder) -> None:
 
 
 def test_the_sentence_names_what_changed_most(folder) -> None:
-    sentence = loss_sentence(export_of(stroke(), bpy.context, "haptic"))
+    sentence = describe_loss(export_stroke(stroke(), bpy.context, "haptic"))
     assert "level" in sentence
     assert " Hz " in sentence
     assert "dB" in sentence

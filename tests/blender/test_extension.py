@@ -21,9 +21,9 @@ from typing import Any
 import build_extension
 import pytest
 
-from hnf_core.field.weights import DEFAULT_WEIGHTS, EVERY_ENCODER_WEIGHTS, HELD_OUT_WEIGHTS, encoders_of, load_field
+from hnf_core.field.weights import DEFAULT_WEIGHTS, EVERY_ENCODER_WEIGHTS, HELD_OUT_WEIGHTS, load_field, read_encoders
 from hnf_core.material.alexnet.weights import DEFAULT_ENCODER
-from hnf_core.material.encoders import PREFERRED, default_encoder
+from hnf_core.material.encoders import PREFERRED_ENCODERS, get_default_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID
 from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS as DEFAULT_MAP_WEIGHTS
 
@@ -126,18 +126,18 @@ def test_the_zip_holds_code_data_licence_and_wheels_and_nothing_else(archive: Pa
     assert {Path(name).suffix for name in names if name.startswith("wheels/")} == {".whl"}
     assert not [name for name in names if "__pycache__" in name or name.startswith(("hnf_blender/", "tests/"))]
     data = {str(p.relative_to(build_extension.ROOT)) for p in (build_extension.ROOT / "hnf_core").rglob("data/*")}
-    assert data >= build_extension.LEFT_OUT
-    assert data & names == data - build_extension.LEFT_OUT
+    assert data >= build_extension.OMITTED_FILES
+    assert data & names == data - build_extension.OMITTED_FILES
     assert archive.stat().st_size < 46 * MEGABYTE
 
 
 def test_no_route_needs_what_the_zip_leaves_out() -> None:
     """E's network has to go into the zip together with the first field that knows its tokens."""
-    left_out = {build_extension.ROOT / name for name in build_extension.LEFT_OUT}
+    left_out = {build_extension.ROOT / name for name in build_extension.OMITTED_FILES}
     assert {DEFAULT_ENCODER, EVERY_ENCODER_WEIGHTS, HELD_OUT_WEIGHTS} == left_out
     assert left_out.isdisjoint({DEFAULT_WEIGHTS, DEFAULT_MAP_WEIGHTS})
-    known = encoders_of(load_field().metadata)
-    assert {default_encoder(route, known).name for route in PREFERRED} == {ENCODER_ID}
+    known = read_encoders(load_field().metadata)
+    assert {get_default_encoder(route, known).name for route in PREFERRED_ENCODERS} == {ENCODER_ID}
 
 
 def test_asked_for_what_the_zip_leaves_out_it_says_what_to_do(profile: Profile) -> None:
@@ -260,7 +260,7 @@ def test_a_python_without_blender_learns_with_the_code_inside_the_zip(profile: P
         assert child.stdout is not None
         said = child.stdout.read().decode()
     assert child.returncode == 1, said
-    assert "@hnf Broken" in said
+    assert "@hnf Failed" in said
     assert "unobtainium" in said
 
 

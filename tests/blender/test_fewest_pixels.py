@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hnf_blender.bridge.closeup import iter_closeups
-from hnf_blender.bridge.fewest_pixels import PIXELS_A_TEXEL, PIXELS_A_TRIANGLE, fewest_pixels
-from hnf_blender.bridge.look import COARSEST_WAVE_M
-from hnf_blender.bridge.shader_colour import ColourSources, reads_plainly
+from hnf_blender.bridge.fewest_pixels import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, choose_resolution
+from hnf_blender.bridge.look import MAX_READABLE_WAVELENGTH_M
+from hnf_blender.bridge.shader_colour import ColourSources, is_direct_image
 from hnf_blender.bridge.stage import SlotReading
 from hnf_blender.bridge.taps import Tap
 from hnf_blender.bridge.texels import ImageTap
@@ -61,7 +61,7 @@ def plate(texel_m: float, *, cuts: int = 0, procedural: bool = False, as_colour:
 
 
 def looked(obj, first: int | None = FIRST):
-    (found,) = iter_closeups(obj, [patch()], pixels=MOST, first=first)
+    (found,) = iter_closeups(obj, [patch()], pixels=MOST, first_pass_pixels=first)
     return found
 
 
@@ -94,7 +94,7 @@ def test_fewer_pixels_than_it_takes_would_be_told_apart(first: int, monkeypatch:
     """The bound is no luxury: what it keeps from happening is seen by the same measure."""
     obj = plate(0.5e-3)
     right = token_of(looked(obj))
-    monkeypatch.setattr("hnf_blender.bridge.fewest_pixels.PIXELS_A_TEXEL", 1e-9)
+    monkeypatch.setattr("hnf_blender.bridge.fewest_pixels.PIXELS_PER_TEXEL", 1e-9)
     few = looked(obj, first)
     assert few.mask.shape == (first, first)
     wrong = token_of(few)
@@ -118,7 +118,7 @@ def test_between_them_it_takes_what_is_between() -> None:
 
 def test_a_pattern_without_texels_is_looked_at_once() -> None:
     obj = plate(1e-3, procedural=True)
-    assert not reads_plainly(obj.data.materials[0])
+    assert not is_direct_image(obj.data.materials[0])
     close = looked(obj)
     assert (close.mask.shape, close.renders) == ((MOST, MOST), 1)
 
@@ -162,9 +162,9 @@ def cut(tree) -> None:
 @pytest.mark.parametrize("changed", [weighed, mixed, stepped, cut])
 def test_what_else_has_detail_gets_all_pixels(changed) -> None:
     obj = plate(1e-3)
-    assert reads_plainly(obj.data.materials[0])
+    assert is_direct_image(obj.data.materials[0])
     changed(obj.data.materials[0].node_tree)
-    assert not reads_plainly(obj.data.materials[0])
+    assert not is_direct_image(obj.data.materials[0])
     close = looked(obj)
     assert (close.mask.shape, close.renders) == ((MOST, MOST), 1)
 
@@ -180,8 +180,8 @@ def test_small_faces_are_all_found() -> None:
 @pytest.mark.parametrize(("texel_m", "side"), [(1e-3, FIRST), (0.25e-3, MOST)])
 def test_a_colour_that_may_tell_of_relief_gets_all_pixels(texel_m: float, side: int) -> None:
     close = looked(plate(texel_m, as_colour=True))
-    assert close.look is not None
-    assert (close.look.resolved_wavelength_m <= COARSEST_WAVE_M) == (side == MOST)
+    assert close.unlit is not None
+    assert (close.unlit.resolved_wavelength_m <= MAX_READABLE_WAVELENGTH_M) == (side == MOST)
     assert close.mask.shape == (side, side)
 
 
@@ -198,7 +198,7 @@ COLOUR = ColourSources((ImageTap("image", Tap("place", "COLOR"), (1.0, 1.0)),), 
 def test_where_nothing_is_seen_all_pixels_look_again() -> None:
     slot = SlotReading("Any", None, (), COLOUR)  # type: ignore[arg-type]
     nothing, triangle = np.zeros((FIRST, FIRST), dtype=bool), np.full((FIRST, FIRST), -1, dtype=np.int32)
-    assert fewest_pixels(slot, {}, nothing, triangle, 0.02, MOST) == MOST
+    assert choose_resolution(slot, {}, nothing, triangle, 0.02, MOST) == MOST
 
 
 @given(texel_m=st.floats(1.1e-3, 0.1), size_m=st.floats(1e-3, 0.2), faces=st.integers(1, 4000))
@@ -208,13 +208,13 @@ def test_as_many_as_texels_and_triangles_ask_for_and_no_more(texel_m: float, siz
     place = np.stack([*np.meshgrid(column, column), np.zeros((FIRST, FIRST))], axis=-1).astype(np.float32)
     triangle = (np.arange(FIRST**2) % faces).astype(np.int32).reshape(FIRST, FIRST)
     mask = np.ones((FIRST, FIRST), dtype=bool)
-    side = fewest_pixels(slot, {"place": place}, mask, triangle, size_m, 4096)
+    side = choose_resolution(slot, {"place": place}, mask, triangle, size_m, 4096)
     seen = min(faces, FIRST**2)
 
     def enough(pixels: int) -> bool:
-        fine = size_m / pixels <= texel_m / PIXELS_A_TEXEL * (1.0 + 1e-3)
-        return fine and pixels**2 >= PIXELS_A_TRIANGLE * seen
+        fine = size_m / pixels <= texel_m / PIXELS_PER_TEXEL * (1.0 + 1e-3)
+        return fine and pixels**2 >= PIXELS_PER_TRIANGLE * seen
 
     assert side == 4096 or enough(side)
-    assert side == FIRST or not enough(side // 2) or size_m / (side // 2) > texel_m / PIXELS_A_TEXEL * (1.0 - 1e-3)
-    assert fewest_pixels(slot, {"place": place}, mask, triangle, size_m, 128) <= 128
+    assert side == FIRST or not enough(side // 2) or size_m / (side // 2) > texel_m / PIXELS_PER_TEXEL * (1.0 - 1e-3)
+    assert choose_resolution(slot, {"place": place}, mask, triangle, size_m, 128) <= 128

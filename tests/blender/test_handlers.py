@@ -10,11 +10,11 @@ from job_scene import PLATE, line_stroke, small_scene
 from hnf_blender import handlers, preview
 from hnf_blender.jobs import running
 from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.props.listed import NEWS, STROKES
-from hnf_blender.props.scene import has_strokes, listed_strokes, strokes_of
+from hnf_blender.props.listed import CHANGES, STROKES
+from hnf_blender.props.scene import has_strokes, list_cached_strokes, list_strokes
 from hnf_blender.state import picked, watch
-from hnf_blender.state.guard import own_changes
-from hnf_blender.state.names import FEW
+from hnf_blender.state.guard import suppress_change_tracking
+from hnf_blender.state.names import FEW_NAMES
 from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import EVERYTHING, refresh_status
 from hnf_blender.touch.status import Freshness, StrokeStatus
@@ -29,14 +29,14 @@ def lone(warm_bake):
 def noting():
     """Blender tells of changes, as in a window."""
     listed = bpy.app.handlers.depsgraph_update_post
-    listed.append(handlers.note_changes)
-    watch.forget()
-    NEWS.is_told = True
+    listed.append(handlers.on_depsgraph_update)
+    watch.clear_trackers()
+    CHANGES.is_notified = True
     yield
-    NEWS.is_told = False
-    NEWS.forget()
-    listed.remove(handlers.note_changes)
-    watch.forget()
+    CHANGES.is_notified = False
+    CHANGES.mark_changed()
+    listed.remove(handlers.on_depsgraph_update)
+    watch.clear_trackers()
 
 
 def update() -> None:
@@ -45,21 +45,21 @@ def update() -> None:
 
 def baked_scene():
     plate, stroke = small_scene()
-    running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     update()
-    STATE.dirty.clear()
+    STATE.dirty_names.clear()
     return plate, stroke
 
 
 def drain() -> list[str]:
     """Look until all is known; names of the strokes that were looked at."""
-    before = {name: StrokeStatus(Freshness.UNKNOWN, "old") for name in STATE.strokes_in(bpy.context.scene)}
-    STATE.strokes_in(bpy.context.scene).update(before)
+    before = {name: StrokeStatus(Freshness.UNKNOWN, "old") for name in STATE.get_statuses(bpy.context.scene)}
+    STATE.get_statuses(bpy.context.scene).update(before)
     for _ in range(100):
-        watch.drain([(bpy.context.scene, bpy.context.view_layer)])
-        if not STATE.dirty and all(each.is_idle for each in watch._watches.values()):
+        watch.process_changes([(bpy.context.scene, bpy.context.view_layer)])
+        if not STATE.dirty_names and all(each.is_idle for each in watch._trackers.values()):
             return sorted(
-                name for name, status in STATE.strokes_in(bpy.context.scene).items() if status != before.get(name)
+                name for name, status in STATE.get_statuses(bpy.context.scene).items() if status != before.get(name)
             )
     raise AssertionError("it goes on for ever")
 
@@ -75,36 +75,36 @@ def test_nothing_is_registered_without_a_window() -> None:
 def test_handlers_only_note_names(noting) -> None:
     plate, _ = small_scene()
     update()
-    STATE.dirty.clear()
+    STATE.dirty_names.clear()
     plate.location.x += 0.1
     update()
-    assert PLATE in STATE.dirty
-    STATE.dirty.clear()
+    assert PLATE in STATE.dirty_names
+    STATE.dirty_names.clear()
     plate.active_material.node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 0.9
     update()
-    assert plate.active_material.name in STATE.dirty
-    assert STATE.strokes_in(bpy.context.scene) == {}
+    assert plate.active_material.name in STATE.dirty_names
+    assert STATE.get_statuses(bpy.context.scene) == {}
 
 
 def test_own_changes_are_no_news_and_a_persons_pending_ones_are(noting) -> None:
     plate, stroke = small_scene()
     update()
-    STATE.dirty.clear()
+    STATE.dirty_names.clear()
     stroke.location.x += 0.1  # not told yet
-    with own_changes(bpy.context.view_layer):
+    with suppress_change_tracking(bpy.context.view_layer):
         plate.location.x += 0.1
-    assert "Along" in STATE.dirty
-    assert PLATE not in STATE.dirty
+    assert "Along" in STATE.dirty_names
+    assert PLATE not in STATE.dirty_names
 
 
 def test_a_bake_does_not_make_its_own_mesh_dirty(noting) -> None:
     small_scene()
     update()
-    STATE.dirty.clear()
-    assert running.bake_in_line(bpy.context.scene, bpy.context.view_layer).ok
+    STATE.dirty_names.clear()
+    assert running.bake_blocking(bpy.context.scene, bpy.context.view_layer).ok
     update()
-    assert STATE.dirty == set()
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
+    assert STATE.dirty_names == set()
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def edit_mesh(plate, _):
@@ -132,12 +132,12 @@ def scale_scene(*_):
 def test_what_a_signal_follows_from_makes_it_stale(noting, change) -> None:
     plate, stroke = baked_scene()
     assert drain() == ["Along"]
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
     change(plate, stroke)
     update()
     assert drain() == ["Along"]
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.STALE
-    assert STATE.strokes_in(bpy.context.scene)["Along"].library_material
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.STALE
+    assert STATE.get_statuses(bpy.context.scene)["Along"].library_material
 
 
 def test_another_frame_rate_is_noticed(noting) -> None:
@@ -146,7 +146,7 @@ def test_another_frame_rate_is_noticed(noting) -> None:
     drain()
     bpy.context.scene.render.fps = 30
     assert drain() == ["Along"]
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FORCE
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FORCE
 
 
 def test_a_changed_seed_is_noticed_though_blender_tells_nothing(noting) -> None:
@@ -154,10 +154,10 @@ def test_a_changed_seed_is_noticed_though_blender_tells_nothing(noting) -> None:
     drain()
     stroke.hnf_stroke.seed += 1
     assert drain() == ["Along"]
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FORCE
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FORCE
     stroke.hnf_stroke.seed -= 1
     assert drain() == ["Along"]
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def test_only_concerned_strokes_are_looked_at(noting) -> None:
@@ -181,7 +181,7 @@ def test_a_surface_that_moves_is_looked_at_once(noting) -> None:
     update()
     assert drain() == ["Along"]
     update()
-    assert STATE.dirty == set()
+    assert STATE.dirty_names == set()
     assert drain() == []
 
 
@@ -191,11 +191,11 @@ def test_deleted_and_renamed_strokes_leave_no_status(noting) -> None:
     stroke.name = "New name"
     update()
     drain()
-    assert list(STATE.strokes_in(bpy.context.scene)) == ["New name"]
+    assert list(STATE.get_statuses(bpy.context.scene)) == ["New name"]
     bpy.data.objects.remove(stroke)
-    STATE.dirty.add(EVERYTHING)
+    STATE.dirty_names.add(EVERYTHING)
     drain()
-    assert STATE.strokes_in(bpy.context.scene) == {}
+    assert STATE.get_statuses(bpy.context.scene) == {}
 
 
 def test_two_scenes_in_two_windows_keep_their_statuses(noting) -> None:
@@ -209,16 +209,16 @@ def test_two_scenes_in_two_windows_keep_their_statuses(noting) -> None:
     shown = [(scene, scene.view_layers[0]) for scene in (first, second)]
     for dirty in ((), (EVERYTHING,), ("Along", "There")):
         for order in (shown, shown[::-1]):
-            STATE.dirty.update(dirty)
+            STATE.dirty_names.update(dirty)
             for _ in range(20):
-                watch.drain(order)
-            assert [set(STATE.strokes_in(scene)) for scene in (first, second)] == [{"Along"}, {"There"}]
+                watch.process_changes(order)
+            assert [set(STATE.get_statuses(scene)) for scene in (first, second)] == [{"Along"}, {"There"}]
     refresh_status(second)
-    assert STATE.strokes_in(first)["Along"].freshness is Freshness.FRESH
+    assert STATE.get_statuses(first)["Along"].freshness is Freshness.FRESH
     bpy.data.objects.remove(there)
-    STATE.dirty.add("There")
-    watch.drain(shown)
-    assert [set(STATE.strokes_in(scene)) for scene in (first, second)] == [{"Along"}, set()]
+    STATE.dirty_names.add("There")
+    watch.process_changes(shown)
+    assert [set(STATE.get_statuses(scene)) for scene in (first, second)] == [{"Along"}, set()]
 
 
 def test_the_active_stroke_of_a_second_windows_scene_is_heard_too() -> None:
@@ -226,31 +226,31 @@ def test_the_active_stroke_of_a_second_windows_scene_is_heard_too() -> None:
     second = bpy.data.scenes.new("Second")
     second.collection.objects.link(plate)
     second.collection.objects.link(stroke)
-    preview.enter_file()
+    preview.on_load_post()
     try:
         with bpy.context.temp_override(scene=second, view_layer=second.view_layers[0]):
-            preview._look(bpy.context, set(), ended=False, is_first=False)
-        assert "Along" in PREVIEW.asked
+            preview._update_scene(bpy.context, set(), ended=False, is_first=False)
+        assert "Along" in PREVIEW.requested
         assert "Along" in PREVIEW.facts
-        assert set(preview._looked) == {"Second"}
+        assert set(preview._snapshots) == {"Second"}
     finally:
-        preview.enter_file()  # what is still being heard ends with it
+        preview.on_load_post()  # what is still being heard ends with it
         bpy.data.scenes.remove(second)
 
 
 def test_history_makes_everything_unknown(noting) -> None:
     baked_scene()
     drain()
-    handlers.note_history(bpy.context.scene)
+    handlers.on_undo_redo(bpy.context.scene)
     assert drain() == ["Along"]
 
 
 def test_another_file_forgets_all(noting, tmp_path) -> None:
     baked_scene()
     drain()
-    handlers.enter_file("")
-    assert STATE.strokes_in(bpy.context.scene) == {}
-    assert STATE.dirty == {EVERYTHING}
+    handlers.on_load_post("")
+    assert STATE.get_statuses(bpy.context.scene) == {}
+    assert STATE.dirty_names == {EVERYTHING}
     assert drain() == ["Along"]
 
 
@@ -258,8 +258,8 @@ def test_leaving_the_file_stops_its_bake() -> None:
     from hnf_blender.jobs import current
 
     small_scene()
-    current.start(bpy.context.scene, bpy.context.view_layer)
-    handlers.leave_file("")
+    current.start_bake(bpy.context.scene, bpy.context.view_layer)
+    handlers.on_load_pre("")
     assert not current.is_running()
     assert STATE.job is None
 
@@ -269,18 +269,18 @@ def test_a_fault_of_ours_is_shown_and_the_other_strokes_are_looked_at(noting, mo
 
     plate, _ = baked_scene()
     line_stroke("Beside", surface=plate)
-    read = Session.read
+    read = Session.read_stroke
 
     def faulty(self, curve):
         if curve.name == "Along":
             raise ZeroDivisionError("a fault")
         return read(self, curve)
 
-    monkeypatch.setattr(Session, "read", faulty)
+    monkeypatch.setattr(Session, "read_stroke", faulty)
     assert drain() == ["Along", "Beside"]
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.BROKEN
-    assert "a fault" in STATE.strokes_in(bpy.context.scene)["Along"].why
-    assert STATE.strokes_in(bpy.context.scene)["Beside"].freshness is Freshness.UNBAKED
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.BROKEN
+    assert "a fault" in STATE.get_statuses(bpy.context.scene)["Along"].why
+    assert STATE.get_statuses(bpy.context.scene)["Beside"].freshness is Freshness.UNBAKED
 
 
 def test_the_picked_stroke_stays_picked_when_objects_come_and_go() -> None:
@@ -293,23 +293,23 @@ def test_the_picked_stroke_stays_picked_when_objects_come_and_go() -> None:
     for name in ("Along", "Beside"):
         strokes.objects.link(objects[name])
         scene.collection.objects.unlink(objects[name])
-    picked.forget()
+    picked.clear_active_strokes()
     settings.stroke_index = objects.find("Beside")
-    assert not picked.hold(scene)
+    assert not picked.restore_active_stroke(scene)
     before = settings.stroke_index
     other = add_plane("Other")
     assert objects[before].name == "Along"  # what Blender's list would show now
-    assert picked.hold(scene)
+    assert picked.restore_active_stroke(scene)
     assert objects[settings.stroke_index].name == "Beside"
     bpy.data.objects.remove(other)
-    assert picked.hold(scene)
+    assert picked.restore_active_stroke(scene)
     assert settings.stroke_index == before
     objects["Beside"].name = "Renamed"
-    assert not picked.hold(scene)
+    assert not picked.restore_active_stroke(scene)
     settings.stroke_index = objects.find("Along")  # another one is picked
-    assert not picked.hold(scene)
+    assert not picked.restore_active_stroke(scene)
     assert objects[settings.stroke_index].name == "Along"
-    picked.forget()
+    picked.clear_active_strokes()
 
 
 def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch) -> None:
@@ -318,12 +318,12 @@ def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch
     update()
 
     def listed() -> list[str]:
-        return [obj.name for obj in listed_strokes(scene)]
+        return [obj.name for obj in list_cached_strokes(scene)]
 
     assert listed() == ["Along"]
-    held = dict(STROKES._places)
+    held = dict(STROKES._indices)
     assert listed() == ["Along"]
-    assert STROKES._places == held
+    assert STROKES._indices == held
     beside = line_stroke("Beside", surface=plate)
     assert set(listed()) == {"Along", "Beside"}
     beside.hnf_stroke.is_stroke = False  # of which Blender tells nothing
@@ -332,24 +332,24 @@ def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch
     assert listed() == []
     assert not has_strokes(scene)
     beside.hnf_stroke.is_stroke = True  # nor of this; it is seen as soon as the list is old, and at once by operators
-    assert strokes_of(scene) == [beside]
-    monkeypatch.setattr("hnf_blender.props.scene.A_REDRAW_S", 0.0)
+    assert list_strokes(scene) == [beside]
+    monkeypatch.setattr("hnf_blender.props.scene.REDRAW_LIFETIME_S", 0.0)
     assert has_strokes(scene)
     assert listed() == ["Beside"]
     beside.hnf_stroke.is_stroke = False
     assert listed() == []
     beside.hnf_stroke.is_stroke = True
-    monkeypatch.setattr("hnf_blender.props.listed.HOLDS_S", 0.0)
+    monkeypatch.setattr("hnf_blender.props.listed.CACHE_LIFETIME_S", 0.0)
     assert listed() == ["Beside"]
 
 
-@pytest.mark.parametrize("count", [1, FEW, 5 * FEW])
+@pytest.mark.parametrize("count", [1, FEW_NAMES, 5 * FEW_NAMES])
 def test_one_name_that_is_nobodys_is_found_among_few_and_many(count) -> None:
     small_scene()
     names = {bpy.data.objects.new(f"Other {k}", None).name for k in range(count)}
-    assert not watch._has_unknown(names)
-    assert not watch._has_unknown(names | {bpy.data.meshes[0].name, bpy.data.curves[0].name})
-    assert watch._has_unknown(names | {bpy.data.images.new("Picture", 1, 1).name})
+    assert not watch._has_unknown_names(names)
+    assert not watch._has_unknown_names(names | {bpy.data.meshes[0].name, bpy.data.curves[0].name})
+    assert watch._has_unknown_names(names | {bpy.data.images.new("Picture", 1, 1).name})
 
 
 def test_edit_mode_is_waited_for(noting) -> None:
@@ -357,27 +357,27 @@ def test_edit_mode_is_waited_for(noting) -> None:
     bpy.context.view_layer.objects.active = plate
     bpy.ops.object.mode_set(mode="EDIT")
     update()
-    STATE.dirty.add(PLATE)
+    STATE.dirty_names.add(PLATE)
     drain()
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.UNKNOWN
-    assert "Edit Mode" in STATE.strokes_in(bpy.context.scene)["Along"].why
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.UNKNOWN
+    assert "Edit Mode" in STATE.get_statuses(bpy.context.scene)["Along"].why
     bpy.ops.object.mode_set(mode="OBJECT")
     update()
     drain()
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def test_refresh_fills_what_is_asked_for() -> None:
     plate, _ = baked_scene()
     line_stroke("Beside", surface=plate, force=2.0)
-    STATE.strokes_in(bpy.context.scene).clear()
+    STATE.get_statuses(bpy.context.scene).clear()
     refresh_status(bpy.context.scene, ["Beside"])
-    assert {name: status.freshness for name, status in STATE.strokes_in(bpy.context.scene).items()} == {
+    assert {name: status.freshness for name, status in STATE.get_statuses(bpy.context.scene).items()} == {
         "Beside": Freshness.UNBAKED
     }
     refresh_status(bpy.context.scene)
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
     bpy.data.objects[PLATE].hide_render = True
     refresh_status(bpy.context.scene)
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.BROKEN
-    assert "hidden" in STATE.strokes_in(bpy.context.scene)["Along"].why
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.BROKEN
+    assert "hidden" in STATE.get_statuses(bpy.context.scene)["Along"].why

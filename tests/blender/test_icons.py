@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hnf_blender.jobs.probe import PICTURE, rgba
+from hnf_blender.jobs.probe import QUERY_ICON, to_icon_pixels
 from hnf_blender.preview import current
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.state import icons
@@ -18,26 +18,26 @@ def nothing_shown():
     PREVIEW.clear()
     yield
     PREVIEW.clear()
-    icons.release()
+    icons.release_icons()
 
 
 def heard(shade: float) -> SimpleNamespace:
-    return SimpleNamespace(stamp="", look=None, picture=np.full((4, 4, 4), shade, np.float32))
+    return SimpleNamespace(stamp="", style=None, image=np.full((4, 4, 4), shade, np.float32))
 
 
 def test_a_stroke_called_as_the_probes_picture_has_one_of_its_own() -> None:
-    icons.show(PICTURE, rgba(np.full((4, 4, 3), 51, np.uint8)))
-    probe = icons._images[PICTURE]
-    current.take(PICTURE, heard(1.0))
-    assert icons._images[PICTURE] is probe
+    icons.set_icon(QUERY_ICON, to_icon_pixels(np.full((4, 4, 3), 51, np.uint8)))
+    probe = icons._previews[QUERY_ICON]
+    current.store_result(QUERY_ICON, heard(1.0))
+    assert icons._previews[QUERY_ICON] is probe
     assert probe.image_pixels_float[0] == pytest.approx(0.2)
-    assert len(icons._images) == 2
+    assert len(icons._previews) == 2
 
 
 def test_a_and_b_of_a_stroke_change_one_picture() -> None:
-    current.take("Scrape", heard(0.25))
-    PREVIEW.kept["Scrape"] = heard(0.75)
-    (picture,) = icons._images.values()
+    current.store_result("Scrape", heard(0.25))
+    PREVIEW.references["Scrape"] = heard(0.75)
+    (picture,) = icons._previews.values()
     for shade in (0.75, 0.25):  # kept as bytes
-        assert current.switch_kept("Scrape")
+        assert current.toggle_ab("Scrape")
         assert picture.image_pixels_float[0] == pytest.approx(shade, abs=0.01)

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from builders import add_plane, add_sphere, float_image
 
-from hnf_blender.bridge.images import missing_image
+from hnf_blender.bridge.images import explain_missing_image
 from hnf_blender.bridge.importers import open_scene
-from hnf_blender.bridge.metres import metres_per_unit, size_warning
-from hnf_blender.bridge.quiet import quiet
-from hnf_blender.bridge.shader_colour import Shows, shows
+from hnf_blender.bridge.metres import get_metres_per_unit, get_size_warning
+from hnf_blender.bridge.quiet import suppress_output
+from hnf_blender.bridge.shader_colour import ReliefSource, find_relief_source
 from hnf_core.errors import FileError, HnfError, SceneError
 from hnf_core.scene.ply_header import read_ply_header
 
@@ -31,7 +31,7 @@ RADIUS = 0.05
 def export(path: Path) -> None:
     """Write the open scene with Blender's own exporter for the suffix of path."""
     kind = path.suffix[1:]
-    with quiet():
+    with suppress_output():
         if kind == "blend":
             bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=False)
         elif kind in ("gltf", "glb"):
@@ -78,7 +78,7 @@ def test_every_format_gives_the_mesh_in_metres_and_nothing_of_the_start_up_scene
     (ball,) = meshes(scene)
     assert not {"Cube", "Light", "Camera"} & {obj.name for obj in scene.objects}
     corners = np.array([ball.matrix_world @ vertex.co for vertex in ball.data.vertices])
-    assert np.linalg.norm(corners, axis=1) * metres_per_unit(scene) == pytest.approx(RADIUS, rel=1e-4)
+    assert np.linalg.norm(corners, axis=1) * get_metres_per_unit(scene) == pytest.approx(RADIUS, rel=1e-4)
     if kind not in ("ply",):
         assert [slot.name for slot in ball.material_slots] == ["Leather"]
 
@@ -123,7 +123,7 @@ def test_the_colours_of_a_scanned_ply_are_seen(tmp_path: Path) -> None:
     (scan,) = meshes(open_scene(path))
     (material,) = scan.data.materials
     assert material.name == scan.name
-    assert shows(material) is Shows.PICTURE
+    assert find_relief_source(material) is ReliefSource.VARYING_COLOUR
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -274,11 +274,11 @@ def test_nothing_is_printed(ball_files: Path, tmp_path: Path, capfd: pytest.Capt
 def test_quiet_holds_back_c_output_and_puts_the_streams_back() -> None:
     code = (
         "import ctypes, os, sys\n"
-        "from hnf_blender.bridge.quiet import quiet\n"
+        "from hnf_blender.bridge.quiet import suppress_output\n"
         "libc = ctypes.CDLL(None)\n"
         "print('before')\n"
         "try:\n"
-        "    with quiet():\n"
+        "    with suppress_output():\n"
         "        libc.printf(b'noise\\n'); print('noise'); os.system('echo noise; echo noise >&2'); raise KeyError\n"
         "except KeyError:\n"
         "    print('after')\n"
@@ -293,48 +293,48 @@ def test_units() -> None:
     scene = bpy.context.scene
     scene.unit_settings.system = "METRIC"
     scene.unit_settings.scale_length = 0.01
-    assert metres_per_unit(scene) == pytest.approx(0.01)
-    assert metres_per_unit(scene, 0.5) == 0.5
-    told = metres_per_unit(scene, 0.0254)
+    assert get_metres_per_unit(scene) == pytest.approx(0.01)
+    assert get_metres_per_unit(scene, 0.5) == 0.5
+    told = get_metres_per_unit(scene, 0.0254)
     scene.hnf.metres_per_unit = told
-    assert metres_per_unit(scene) == told
+    assert get_metres_per_unit(scene) == told
     scene.hnf.metres_per_unit = 0.0
     scene.unit_settings.system = "NONE"
-    assert metres_per_unit(scene) == 1.0
+    assert get_metres_per_unit(scene) == 1.0
     for bad in (0.0, -1.0, 1e-60, 1e60, float("nan"), float("inf")):
         with pytest.raises(SceneError):
-            metres_per_unit(scene, bad)
+            get_metres_per_unit(scene, bad)
 
 
 def test_implausible_sizes_are_said() -> None:
     cup = add_plane("Cup", 9.0)
-    assert "object 'Cup' is 12.7 m across" in str(size_warning(cup, 1.0))
-    assert "centimetres, one unit is 0.01 m" in str(size_warning(cup, 1.0))
-    assert size_warning(cup, 0.01) is None
-    assert "1.27 mm across" in str(size_warning(cup, 1e-4))
+    assert "object 'Cup' is 12.7 m across" in str(get_size_warning(cup, 1.0))
+    assert "centimetres, one unit is 0.01 m" in str(get_size_warning(cup, 1.0))
+    assert get_size_warning(cup, 0.01) is None
+    assert "1.27 mm across" in str(get_size_warning(cup, 1e-4))
     cup.scale = (0.01, 0.01, 0.01)
     bpy.context.view_layer.update()
-    assert size_warning(cup, 1.0) is None
+    assert get_size_warning(cup, 1.0) is None
 
 
 def test_missing_and_damaged_images_are_named(tmp_path: Path) -> None:
     path = tmp_path / "cloth.png"
     made = bpy.data.images.new("made", 4, 4)
     made.filepath_raw, made.file_format = str(path), "PNG"
-    assert missing_image(bpy.data.images.new("generated", 4, 4)) is None
-    assert missing_image(float_image("packed", np.zeros((4, 4, 3)))) is None
+    assert explain_missing_image(bpy.data.images.new("generated", 4, 4)) is None
+    assert explain_missing_image(float_image("packed", np.zeros((4, 4, 3)))) is None
     made.save()
     there = bpy.data.images.load(str(path))
-    assert missing_image(there) is None
+    assert explain_missing_image(there) is None
     path.write_bytes(b"no picture")
     there.reload()
-    assert missing_image(there) == f"{path} cannot be read as a picture"
+    assert explain_missing_image(there) == f"{path} cannot be read as a picture"
     path.unlink()
-    assert missing_image(there) == f"{path} is missing"
+    assert explain_missing_image(there) == f"{path} is missing"
     there.source, there.filepath = "TILED", str(tmp_path / "tile.<UDIM>.png")
-    assert missing_image(there) == f"{tmp_path / 'tile.1001.png'} is missing"
+    assert explain_missing_image(there) == f"{tmp_path / 'tile.1001.png'} is missing"
     (tmp_path / "tile.1001.png").write_bytes(b"x")
-    assert missing_image(there) is None
+    assert explain_missing_image(there) is None
 
 
 @pytest.mark.skipif(not SCENES.is_dir(), reason="the real scenes are not beside the repository")
@@ -349,7 +349,7 @@ def test_real_scenes(file: str, materials: set[str]) -> None:
     scene = open_scene(SCENES / file)
     names = {slot.material.name for obj in meshes(scene) for slot in obj.material_slots}
     assert materials <= names
-    assert [missing_image(image) for image in bpy.data.images if image.source == "FILE"].count(None) > 0
+    assert [explain_missing_image(image) for image in bpy.data.images if image.source == "FILE"].count(None) > 0
 
 
 @pytest.mark.skipif(not SCENES.is_dir(), reason="the real scenes are not beside the repository")
@@ -358,5 +358,5 @@ def test_a_real_scene_with_a_missing_texture_still_opens_and_names_it(tmp_path: 
         if "LeatherPartsMat_Normal" not in part.name:
             (tmp_path / part.name).symlink_to(part)
     open_scene(tmp_path / "FlightHelmet.gltf")
-    missing = [line for image in bpy.data.images if (line := missing_image(image))]
+    missing = [line for image in bpy.data.images if (line := explain_missing_image(image))]
     assert missing == [f"{tmp_path / 'FlightHelmet_Materials_LeatherPartsMat_Normal.png'} is missing"]

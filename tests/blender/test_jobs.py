@@ -63,7 +63,7 @@ def test_unsaved_changes_are_baked_and_the_open_file_stays_what_it_is(tmp_path, 
     assert ended.ok
     assert bpy.data.filepath == str(scene)
     assert bpy.data.objects["Along"].hnf_stroke.seed == 7
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness.name == "FRESH"
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness.name == "FRESH"
 
 
 def test_one_bake_at_a_time() -> None:

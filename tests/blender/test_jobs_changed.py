@@ -10,8 +10,8 @@ from touch_scene import save_scene
 
 from hnf_blender.jobs import running
 from hnf_blender.jobs.commit import commit_steps
-from hnf_blender.jobs.folder import remove_folder
-from hnf_blender.jobs.work import work_steps
+from hnf_blender.jobs.folder import remove_job_folder
+from hnf_blender.jobs.work import job_steps
 from hnf_blender.state.session import STATE
 from hnf_blender.touch.status import Freshness
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
@@ -27,9 +27,9 @@ def baked(warm_bake):
 
 
 def worked_on():
-    prepared = running.prepare(bpy.context.scene, bpy.context.view_layer)
-    yield end(work_steps(prepared.order, prepared.folder)), prepared.folder, prepared.place
-    remove_folder(prepared.folder)
+    prepared = running.prepare_job(bpy.context.scene, bpy.context.view_layer)
+    yield end(job_steps(prepared.request, prepared.folder)), prepared.folder, prepared.target
+    remove_job_folder(prepared.folder)
 
 
 def end(steps):
@@ -49,7 +49,7 @@ def test_nothing_changed_and_all_is_committed(baked) -> None:
     assert committed.refused == []
     assert sorted(committed.strokes) == strokes_kept() == ["Along", "Beside"]
     assert list(kept()["tokens"]) == committed.meshes == [PLATE]
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def move(stroke) -> None:
@@ -124,7 +124,7 @@ def test_edit_mode_keeps_bakes_and_asks_for_tokens_later(baked) -> None:
     assert strokes_kept() == ["Along", "Beside"]
     assert kept()["tokens"] == {}
     bpy.context.view_layer.update()
-    ended = running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    ended = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     assert ended.ok
     assert list(kept()["tokens"]) == [PLATE]
 
@@ -150,9 +150,9 @@ def test_damaged_results_change_nothing_at_all(baked, kind) -> None:
 
 def test_what_changes_while_it_is_compared_is_compared_again(baked) -> None:
     """The handlers tell of the change; here it happens after its stroke was found unchanged."""
-    from hnf_blender.handlers import note_changes
+    from hnf_blender.handlers import on_depsgraph_update
 
-    bpy.app.handlers.depsgraph_update_post.append(note_changes)
+    bpy.app.handlers.depsgraph_update_post.append(on_depsgraph_update)
     try:
         steps = commit_steps(*baked)
         next(steps)
@@ -160,16 +160,16 @@ def test_what_changes_while_it_is_compared_is_compared_again(baked) -> None:
         bpy.data.objects["Along"].location.x += 1e-3
         committed = end(steps)
     finally:
-        bpy.app.handlers.depsgraph_update_post.remove(note_changes)
+        bpy.app.handlers.depsgraph_update_post.remove(on_depsgraph_update)
     assert [refusal.what for refusal in committed.refused] == ["Along"]
     assert strokes_kept() == ["Beside"]
 
 
 def test_restless_scenes_are_committed_in_one_go(baked) -> None:
     """Something changes between any two looks: in the end all looks are taken at once."""
-    from hnf_blender.handlers import note_changes
+    from hnf_blender.handlers import on_depsgraph_update
 
-    bpy.app.handlers.depsgraph_update_post.append(note_changes)
+    bpy.app.handlers.depsgraph_update_post.append(on_depsgraph_update)
     bystander = add_plane("Bystander", 0.1, z=1.0)
     try:
         steps = commit_steps(*baked)
@@ -181,7 +181,7 @@ def test_restless_scenes_are_committed_in_one_go(baked) -> None:
                 break
             bystander.location.z += 0.1
     finally:
-        bpy.app.handlers.depsgraph_update_post.remove(note_changes)
+        bpy.app.handlers.depsgraph_update_post.remove(on_depsgraph_update)
     assert committed.refused == []
     assert strokes_kept() == ["Along", "Beside"]
 
@@ -195,10 +195,10 @@ def test_a_linked_mesh_is_heard_and_its_missing_tokens_are_said(tmp_path, warm_b
         wanted.objects = [PLATE]
     bpy.context.scene.collection.objects.link(wanted.objects[0])
     line_stroke("Along", surface=wanted.objects[0])
-    ended = running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    ended = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     assert not ended.ok
     assert "linked from" in ended.message
     assert "local" in ended.message
     assert [obj.name for obj in bpy.data.objects if BAKE_PROPERTY in obj] == ["Along"]
-    again = running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    again = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     assert (again.ok, again.written) == (True, 0)

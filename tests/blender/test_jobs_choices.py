@@ -9,13 +9,13 @@ from job_scene import PLATE, kept, small_scene
 from touch_scene import save_scene, touch
 
 from hnf_blender.state.session import STATE
-from hnf_blender.touch.choose import relief_of
+from hnf_blender.touch.choose import merge_relief
 from hnf_blender.touch.status import Freshness
 from hnf_blender.touch.store import PatchRecord
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_core.material.library import load_library
 from hnf_core.material.material import Appearance
-from hnf_core.material.merge import merge
+from hnf_core.material.merge import merge_tokens
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route
 
@@ -36,8 +36,8 @@ def test_the_stroke_goes_before_the_material_and_both_before_the_ranking() -> No
     assert ranked not in {"oak-wood", "cork"}
     plate.active_material.hnf_touch.library = "oak-wood"
     bpy.ops.hnf.plan()
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.STALE
-    assert "material choice" in STATE.strokes_in(bpy.context.scene)["Along"].why
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.STALE
+    assert "material choice" in STATE.get_statuses(bpy.context.scene)["Along"].why
     assert felt_as() == "oak-wood"
     stroke.hnf_stroke.material = "cork"
     assert felt_as() == "cork"
@@ -88,8 +88,8 @@ def test_a_patch_speaks_for_its_slot_by_what_of_it_is_seen() -> None:
         known = np.ones(len(token), dtype=bool)
         return PatchRecord(flat, mask, 1e-4, 2e-4, "", 0.0, token, known, Appearance(), faces, ())
 
-    token, route = relief_of([record(first, 8), record(second, 2)])
+    token, route = merge_relief([record(first, 8), record(second, 2)])
     tokens = [Token(each, np.ones(len(each), dtype=bool)) for each in (first, second)]
     assert route is Route.MEASURED
-    assert np.array_equal(token.values, merge(tokens, [4.0, 1.0]).values)
-    assert not np.array_equal(token.values, merge(tokens).values)
+    assert np.array_equal(token.values, merge_tokens(tokens, [4.0, 1.0]).values)
+    assert not np.array_equal(token.values, merge_tokens(tokens).values)

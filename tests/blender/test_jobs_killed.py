@@ -11,7 +11,7 @@ import pytest
 from job_scene import NOTHING, STAGES, finish, is_gone, kept, kill, my_folders, reach, small_scene, start
 
 from hnf_blender.jobs import current
-from hnf_blender.jobs.folder import PREFIX, is_alive, job_root, remove_abandoned
+from hnf_blender.jobs.folder import JOB_FOLDER_PREFIX, get_job_root, is_process_alive, remove_abandoned_folders
 from hnf_blender.state.session import STATE
 
 
@@ -50,11 +50,11 @@ def test_the_child_of_a_dead_parent_ends_and_its_folder_is_found(tmp_path, monke
     pid = int(words[words.index("CHILD") + 1])
     parent = int(words[words.index("PARENT") + 1])
     assert is_gone(pid)
-    assert not is_alive(parent)
-    left = list(job_root().glob(f"{PREFIX}*"))
+    assert not is_process_alive(parent)
+    left = list(get_job_root().glob(f"{JOB_FOLDER_PREFIX}*"))
     assert [each.name.split("-")[2] for each in left] == [str(parent)]
-    assert remove_abandoned() == left
-    assert not list(job_root().glob(f"{PREFIX}*"))
+    assert remove_abandoned_folders() == left
+    assert not list(get_job_root().glob(f"{JOB_FOLDER_PREFIX}*"))
 
 
 def test_it_is_cleared_away_where_no_thread_can_be_begun_any_more(warm_bake, monkeypatch) -> None:

@@ -8,10 +8,10 @@ from builders import add_plane
 from job_scene import NOTHING, PLATE, kept, line_stroke, small_scene
 from touch_scene import save_scene
 
-from hnf_blender.bridge.storage import token_bytes
+from hnf_blender.bridge.storage import count_token_bytes
 from hnf_blender.state.session import STATE
 from hnf_blender.touch.status import Freshness
-from hnf_blender.touch.stored import stored_bytes
+from hnf_blender.touch.stored import count_stored_bytes
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +29,9 @@ def plan():
 
 
 def size_kept() -> int:
-    return sum(stored_bytes(obj) for obj in bpy.data.objects) + sum(token_bytes(mesh) for mesh in bpy.data.meshes)
+    return sum(count_stored_bytes(obj) for obj in bpy.data.objects) + sum(
+        count_token_bytes(mesh) for mesh in bpy.data.meshes
+    )
 
 
 def test_the_plan_says_what_is_needed_fresh_and_left_out() -> None:
@@ -65,11 +67,11 @@ def test_a_plan_says_why_something_is_stale_and_that_force_needs_nothing() -> No
     bpy.ops.hnf.bake()
     stroke.hnf_stroke.probe = "finger"
     plan()
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FORCE
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FORCE
     assert lines("needed") == []
     stroke.location.x += 1e-3
     plan()
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.STALE
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.STALE
     (needed,) = lines("needed")
     assert "path" in needed
 
@@ -82,14 +84,14 @@ def test_force_where_nothing_was_touched_is_stale() -> None:
             key.co.y = 1.0 if key.co.x < 4.0 else 0.0
         fcurve.update()
     bpy.ops.hnf.bake()
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
     for fcurve in list(_fcurves(stroke)):
         for key in fcurve.keyframe_points:
             key.co.y = 1.0
         fcurve.update()
     plan()
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.STALE
-    assert "no contact" in STATE.strokes_in(bpy.context.scene)["Along"].why
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.STALE
+    assert "no contact" in STATE.get_statuses(bpy.context.scene)["Along"].why
 
 
 def test_only_the_active_stroke() -> None:
@@ -126,7 +128,7 @@ def test_purging_everything_leaves_strokes_and_choices(tmp_path) -> None:
     ]
     assert plate.active_material.hnf_touch.library == "oak-wood"
     assert [tuple(key.co) for fcurve in _fcurves(stroke) for key in fcurve.keyframe_points] == keys
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.UNBAKED
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.UNBAKED
     assert bpy.ops.hnf.purge(what="ALL") == {"CANCELLED"}
     save_scene(tmp_path / "purged.blend")
 

@@ -36,7 +36,7 @@ def test_a_renamed_view_layer_is_the_one_that_shows_the_surface():
     shown.objects.link(plate)
     scene.view_layers[0].layer_collection.children[shown.name].exclude = True
     working.update()
-    bake = current.start(scene, working)
+    bake = current.start_bake(scene, working)
     working.name = "Renamed meanwhile"
     ended = finish(bake)
     assert ended.ok, ended

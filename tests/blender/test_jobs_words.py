@@ -14,21 +14,21 @@ from hypothesis import strategies as st
 
 from hnf_blender.bridge.storage import FaceTokens
 from hnf_blender.jobs import folder
-from hnf_blender.jobs.messages import MARK, Began, Broken, Finished, Step, decode, encode
+from hnf_blender.jobs.messages import MESSAGE_PREFIX, Failed, Finished, Started, Step, decode_message, encode_message
 from hnf_blender.jobs.order import (
     BakedFile,
-    Order,
-    Refusal,
-    Result,
+    JobRequest,
+    JobResult,
+    Rejection,
     TokenFile,
     pack_tokens,
-    read_order,
+    read_request,
     read_result,
     unpack_tokens,
-    write_order,
+    write_request,
     write_result,
 )
-from hnf_blender.touch.inputs import Inputs
+from hnf_blender.touch.inputs import InputHashes
 from hnf_core.errors import FileError
 from hnf_core.material.library import load_library
 from hnf_core.material.palette import build_palette
@@ -36,26 +36,26 @@ from hnf_core.material.palette import build_palette
 COUNTS = st.integers(0, 10**9)
 SHARES = st.floats(0.0, 1.0)
 MESSAGES = st.one_of(
-    st.builds(Began, COUNTS, COUNTS),
+    st.builds(Started, COUNTS, COUNTS),
     st.builds(Step, st.text(), COUNTS, COUNTS, SHARES),
     st.builds(Finished),
-    st.builds(Broken, st.text()),
+    st.builds(Failed, st.text()),
 )
-INPUTS = Inputs("made", "scale", "shape", "shading", "sight", "choices", "path", "touch")
+INPUTS = InputHashes("made", "scale", "shape", "shading", "sight", "choices", "path", "touch")
 
 
 @given(MESSAGES)
 def test_every_message_is_one_line_and_comes_back(message) -> None:
-    line = encode(message)
+    line = encode_message(message)
     assert len(line.splitlines()) == 1
     assert line.isascii()
-    assert decode(line) == message
+    assert decode_message(line) == message
 
 
 @given(st.text())
 def test_what_blender_prints_is_no_message(text) -> None:
-    if not text.startswith(MARK):
-        assert decode(text) is None
+    if not text.startswith(MESSAGE_PREFIX):
+        assert decode_message(text) is None
 
 
 DAMAGED = (
@@ -63,8 +63,8 @@ DAMAGED = (
     "Step {",
     'Step {"stage":"x"}',
     "Jump {}",
-    'Began {"strokes":"two","fresh":0}',
-    'Began {"strokes":true,"fresh":0}',
+    'Started {"strokes":"two","fresh":0}',
+    'Started {"strokes":true,"fresh":0}',
     'Finished {"more":1}',
     "Finished []",
 )
@@ -73,17 +73,17 @@ DAMAGED = (
 @pytest.mark.parametrize("text", DAMAGED)
 def test_a_damaged_message_is_refused(text) -> None:
     with pytest.raises(FileError):
-        decode(MARK + text)
+        decode_message(MESSAGE_PREFIX + text)
 
 
 def test_orders_and_results_come_back(tmp_path) -> None:
-    order = Order("Szene ✓", "View Layer", ("a", "b\n"), "/c", "bl_ext.user_default.hnf", "/p", ("/x", "/y"), True)
-    write_order(tmp_path, order)
-    assert read_order(tmp_path) == order
-    result = Result(
+    order = JobRequest("Szene ✓", "View Layer", ("a", "b\n"), "/c", "bl_ext.user_default.hnf", "/p", ("/x", "/y"), True)
+    write_request(tmp_path, order)
+    assert read_request(tmp_path) == order
+    result = JobResult(
         strokes=(BakedFile("a", "0000.bake", INPUTS),),
         meshes=(TokenFile("Plate", "key", ("a",), "0000.tokens"),),
-        failed=(Refusal("b", "why"),),
+        failed=(Rejection("b", "why"),),
         warnings=("note",),
         fresh=3,
         close_ups=12,
@@ -112,18 +112,18 @@ def test_tokens_come_back_and_damage_is_refused() -> None:
 
 def test_what_changed_has_a_name_and_keys_follow_it() -> None:
     """Force, seed and probe change the key alone; the path changes path_key too; nothing of a stroke the surface's."""
-    assert INPUTS.changes(INPUTS) == ()
+    assert INPUTS.describe_changes(INPUTS) == ()
     keys = {INPUTS.key}
     for name in ("made_by", "scale", "shape", "shading", "sight", "choices", "path", "touch"):
         other = replace(INPUTS, **{name: "other"})
-        assert len(other.changes(INPUTS)) == 1
+        assert len(other.describe_changes(INPUTS)) == 1
         keys.add(other.key)
         assert (other.path_key == INPUTS.path_key) == (name == "touch")
         assert (other.surface_key == INPUTS.surface_key) == (name in ("touch", "path"))
     assert len(keys) == 9
-    assert Inputs.from_text(INPUTS.to_text()) == INPUTS
-    assert Inputs.from_text("[]") is None
-    assert Inputs.from_text(None) is None
+    assert InputHashes.from_text(INPUTS.to_text()) == INPUTS
+    assert InputHashes.from_text("[]") is None
+    assert InputHashes.from_text(None) is None
 
 
 def test_without_a_temporary_folder_it_is_said_in_words(monkeypatch) -> None:
@@ -132,24 +132,24 @@ def test_without_a_temporary_folder_it_is_said_in_words(monkeypatch) -> None:
     def none() -> None:
         raise FileNotFoundError(2, "No usable temporary directory found")
 
-    monkeypatch.setattr(folder, "job_root", none)
+    monkeypatch.setattr(folder, "get_job_root", none)
     with pytest.raises(FileError, match="no temporary folder can be made"):
-        folder.new_folder()
+        folder.make_job_folder()
 
 
 def test_only_folders_of_the_dead_are_abandoned(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(folder, "job_root", lambda: tmp_path)
-    mine = folder.new_folder()
+    monkeypatch.setattr(folder, "get_job_root", lambda: tmp_path)
+    mine = folder.make_job_folder()
     (mine / "scene.blend").write_bytes(b"x")
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
-    left = tmp_path / f"{folder.PREFIX}{ended.pid}-left"
+    left = tmp_path / f"{folder.JOB_FOLDER_PREFIX}{ended.pid}-left"
     left.mkdir()
     (left / "scene.blend").write_bytes(b"x")
-    foreign = tmp_path / f"{folder.PREFIX}notes"
+    foreign = tmp_path / f"{folder.JOB_FOLDER_PREFIX}notes"
     foreign.mkdir()
-    assert folder.is_alive(os.getpid())
-    assert folder.remove_abandoned() == [left]
+    assert folder.is_process_alive(os.getpid())
+    assert folder.remove_abandoned_folders() == [left]
     assert mine.is_dir()
     assert foreign.is_dir()
     assert not left.exists()

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from touch_scene import line_stroke, ridge_plate
 
-from hnf_blender.bridge.hashes import NEUTRAL, SAME, material_hash
-from hnf_blender.bridge.strokes import HASH_STEP, path_hash, steady_bytes, touch_hash
+from hnf_blender.bridge.hashes import FLOAT32_TOLERANCE, NEUTRAL_VALUES, hash_material
+from hnf_blender.bridge.strokes import HASH_STEP, hash_path, hash_touch, to_quantised_bytes
 from hnf_blender.compat import version
-from hnf_blender.touch.inputs import Inputs
-from hnf_blender.touch.jobs import scene_session
+from hnf_blender.touch.inputs import InputHashes
+from hnf_blender.touch.jobs import make_scene_session
 
 FINGER_MOVES_M = 1e-5
 
@@ -29,10 +29,10 @@ def stroke():
     return line_stroke("Along", surface=plate)
 
 
-def inputs() -> Inputs:
+def inputs() -> InputHashes:
     bpy.context.view_layer.update()
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, Path())
-    return session.job_of_curve(bpy.data.objects["Along"]).inputs
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, Path())
+    return session.make_curve_job(bpy.data.objects["Along"]).inputs
 
 
 def move_vertex() -> None:
@@ -84,26 +84,26 @@ def test_the_least_change_of_a_hand_is_seen(stroke, change: Any, part: str) -> N
 
 def test_the_last_bits_of_a_computation_are_not(stroke) -> None:
     """numpy's versions differ in them."""
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, Path())
-    read = session.read(stroke)
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, Path())
+    read = session.read_stroke(stroke)
     samples = read.samples
     names = ("time", "point", "tangent", "position", "velocity", "force")
     for way in (-np.inf, np.inf):
         near = {name: np.nextafter(np.nextafter(getattr(samples, name), way), way) for name in names}
         other = replace(read, samples=replace(samples, **near))
-        assert path_hash(other) == path_hash(read)
-        assert touch_hash(other, 3) == touch_hash(read, 3)
+        assert hash_path(other) == hash_path(read)
+        assert hash_touch(other, 3) == hash_touch(read, 3)
     for name in names:
         moved = np.array(getattr(samples, name))
         moved.flat[moved.size // 2] += 1.01 * HASH_STEP
         other = replace(read, samples=replace(samples, **{name: moved}))
-        assert (path_hash(other), touch_hash(other, 3)) != (path_hash(read), touch_hash(read, 3))
+        assert (hash_path(other), hash_touch(other, 3)) != (hash_path(read), hash_touch(read, 3))
 
 
 def test_round_figures_do_not_lie_where_rounding_turns() -> None:
     figures = np.array([k * 10.0**-d for d in range(9) for k in range(-20, 21)])
     for way in (-np.inf, np.inf):
-        assert steady_bytes(np.nextafter(figures, way)) == steady_bytes(figures)
+        assert to_quantised_bytes(np.nextafter(figures, way)) == to_quantised_bytes(figures)
 
 
 def every_node() -> bpy.types.Material:
@@ -113,13 +113,13 @@ def every_node() -> bpy.types.Material:
         material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
-    for kind in NEUTRAL:
+    for kind in NEUTRAL_VALUES:
         if not hasattr(bpy.types, kind):  # Metallic came with 4.3
             continue
         node = tree.nodes.new(kind)
         node.name = kind
         for socket in node.inputs:
-            usual = NEUTRAL[kind].get(socket.identifier)
+            usual = NEUTRAL_VALUES[kind].get(socket.identifier)
             if usual is not None:
                 socket.default_value = usual
             elif socket.type == "VALUE":
@@ -135,20 +135,22 @@ def test_a_shader_has_the_same_hash_in_every_blender() -> None:
     metallic = material.node_tree.nodes.get("ShaderNodeBsdfMetallic")
     if metallic is not None:
         material.node_tree.nodes.remove(metallic)
-    assert material_hash(material) == "7529b285e3e49fc82f650d492be8a96e"
+    assert hash_material(material) == "7529b285e3e49fc82f650d492be8a96e"
 
 
 def test_what_later_versions_know_counts_where_it_is_used() -> None:
     material = every_node()
-    usual, seen = material_hash(material), 0
+    usual, seen = hash_material(material), 0
     for node in material.node_tree.nodes:
-        for name, neutral in NEUTRAL[node.bl_idname].items():
+        for name, neutral in NEUTRAL_VALUES[node.bl_idname].items():
             socket = next((each for each in node.inputs if each.identifier == name), None)
             if socket is None:
                 continue
             seen += 1
-            socket.default_value = (not neutral) if isinstance(neutral, bool) else float(neutral) + 20.0 * SAME
-            assert material_hash(material) != usual, (node.bl_idname, name)
+            socket.default_value = (
+                (not neutral) if isinstance(neutral, bool) else float(neutral) + 20.0 * FLOAT32_TOLERANCE
+            )
+            assert hash_material(material) != usual, (node.bl_idname, name)
             socket.default_value = neutral
-            assert material_hash(material) == usual
+            assert hash_material(material) == usual
     assert seen >= (6 if version() >= (4, 5, 0) else 0)

@@ -14,10 +14,10 @@ import pytest
 from builders import add_plane, bump_material
 from touch_scene import PLATE, line_stroke, ridge_plate
 
-from hnf_blender.bench.scale import bake_open_file
+from hnf_blender.bench.scale import measure_open_file_bake
 from hnf_blender.bridge import boxes, closeup
 from hnf_blender.bridge.meshes import evaluated_mesh
-from hnf_blender.bridge.nearest_surface import nearest_surface
+from hnf_blender.bridge.nearest_surface import find_nearest_surface
 from hnf_blender.bridge.storage import read_tokens
 from hnf_blender.touch import bake, jobs, store, tokens
 
@@ -67,7 +67,7 @@ def test_no_mesh_is_read_but_that_under_the_stroke(tmp_path, read, named, way) -
     in_hidden_collection(add_plane("Under it", 0.1), way)
     line_stroke("Along", length=SHORT_M, **({"surface": plate} if named else {}))
     line_stroke("Quiet", centre=(0.0, 0.0, 0.3), surface=other, mute=True)
-    cost = bake_open_file(tmp_path)
+    cost = measure_open_file_bake(tmp_path)
     assert set(read) == {PLATE}
     assert (cost.work["renders"], cost.work["F_Θ calls"]) == (1, 1)
 
@@ -75,14 +75,14 @@ def test_no_mesh_is_read_but_that_under_the_stroke(tmp_path, read, named, way) -
 def test_collections_are_looked_through_once_however_many_objects_there_are(monkeypatch) -> None:
     planes = [add_plane(f"Plate {number}", 0.1) for number in range(6)]
     in_hidden_collection(planes[0], "disabled in renders")
-    asked, rendered = [], boxes._rendered
+    asked, rendered = [], boxes._iter_rendered_collections
 
     def counted(layer):
         asked.append(layer.name)
         return rendered(layer)
 
-    monkeypatch.setattr(boxes, "_rendered", counted)
-    shown = boxes.visible(bpy.context.scene.objects, bpy.context.view_layer)
+    monkeypatch.setattr(boxes, "_iter_rendered_collections", counted)
+    shown = boxes.filter_visible(bpy.context.scene.objects, bpy.context.view_layer)
     assert {obj.name for obj in shown} == {obj.name for obj in planes[1:]}
     assert len(asked) == len(set(asked)) == 2
     planes[1].hide_render = True
@@ -98,10 +98,10 @@ def test_the_next_surface_is_found_among_the_near_boxes(read) -> None:
 
     def surfaces(obj):
         asked.append(obj.name)
-        return jobs.surface_mesh(obj, depsgraph, 1.0)
+        return jobs.read_surface(obj, depsgraph, 1.0)
 
     points = np.array([[-0.01, 0.0, -0.0301], [0.01, 0.0, -0.0301]])
-    found = nearest_surface(points, bpy.context.scene, depsgraph, surfaces, 1.0, where="stroke")
+    found = find_nearest_surface(points, bpy.context.scene, depsgraph, surfaces, 1.0, where="stroke")
     assert (found.name, asked) == ("Plate 3", ["Plate 3"])
 
 
@@ -111,12 +111,12 @@ def test_boxes_of_many_are_those_of_each() -> None:
         obj.location, obj.rotation_euler, obj.scale = (number, -2.0, 0.5), (0.3 * number, 0.2, 1.0), (1.0, 2.0, number)
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    low, high = boxes.world_boxes(list(bpy.context.scene.objects), depsgraph, 0.01)
+    low, high = boxes.get_world_boxes(list(bpy.context.scene.objects), depsgraph, 0.01)
     assert low.shape == high.shape == (4, 3)
     for index, obj in enumerate(bpy.context.scene.objects):
         corners = np.array([obj.matrix_world @ vertex.co for vertex in obj.data.vertices]) * 0.01
         np.testing.assert_allclose([low[index], high[index]], [corners.min(axis=0), corners.max(axis=0)], atol=1e-7)
-    assert [each.shape for each in boxes.world_boxes([], depsgraph)] == [(0, 3), (0, 3)]
+    assert [each.shape for each in boxes.get_world_boxes([], depsgraph)] == [(0, 3), (0, 3)]
 
 
 def grid(cuts: int, size: float):
@@ -134,18 +134,18 @@ def grid(cuts: int, size: float):
 
 def test_rays_meet_a_tree_of_the_faces_within_reach_alone(tmp_path, monkeypatch) -> None:
     """A plate four times as large, as finely cut, gives the same tree, rays and renders."""
-    trees, caster = [], closeup.ray_caster
+    trees, caster = [], closeup.make_ray_caster
 
     def counted(mesh):
         trees.append(len(mesh.triangles))
         return caster(mesh)
 
-    monkeypatch.setattr(closeup, "ray_caster", counted)
+    monkeypatch.setattr(closeup, "make_ray_caster", counted)
     work = []
     for cuts, size in ((40, 0.1), (80, 0.2)):
         bpy.ops.wm.read_factory_settings(use_empty=True)
         line_stroke("Along", length=SHORT_M, surface=grid(cuts, size))
-        work.append(bake_open_file(tmp_path).work)
+        work.append(measure_open_file_bake(tmp_path).work)
     small, large = trees
     assert small == large
     assert 0 < small < 40 * 40
@@ -162,7 +162,7 @@ def test_passes_are_rendered_of_the_touched_slot_alone(tmp_path, monkeypatch) ->
     for face in plate.data.polygons:
         face.material_index = 0 if face.center.y < 0.0 else 1 + face.index % 3
     line_stroke("Along", length=SHORT_M, centre=(0.0, -0.03, 0.0), surface=plate)
-    bake_open_file(tmp_path)
+    measure_open_file_bake(tmp_path)
     assert taps
     assert {tap.name.partition("_")[0] for tap in taps} == {"hnf0"}
 
@@ -174,7 +174,7 @@ def test_a_map_is_pictured_for_its_token_and_not_again_for_the_path(tmp_path, mo
     plate = ridge_plate()
     for seed in (1, 2):
         line_stroke(f"Seed {seed}", length=SHORT_M, surface=plate, seed=seed)
-    cost = bake_open_file(tmp_path)
+    cost = measure_open_file_bake(tmp_path)
     assert pictured == []
     assert (cost.work["renders"], cost.work["F_Θ calls"]) == (1, 2)
 
@@ -185,7 +185,7 @@ def test_no_map_is_held_once_its_stroke_is_felt(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(tokens, "store_tokens", lambda strokes: (held.extend(strokes), tokens_of(strokes))[1])
     plate = ridge_plate()
     line_stroke("Along", length=SHORT_M, surface=plate)
-    bake_open_file(tmp_path)
+    measure_open_file_bake(tmp_path)
     (record,) = held[0].records
     assert (record.height, record.look, record.predicted, record.mask.size) == (None, None, None, 0)
     assert record.encoder
@@ -199,7 +199,7 @@ def test_a_place_that_many_strokes_cross_is_unpacked_once(tmp_path, monkeypatch)
         line_stroke(f"Stroke {number}", length=SHORT_M, surface=plate)
     np_load = store.np.load
     monkeypatch.setattr(store.np, "load", lambda path, **words: (unpacked.append(path), np_load(path, **words))[1])
-    bake_open_file(tmp_path)
+    measure_open_file_bake(tmp_path)
     assert len(unpacked) == 1
 
 
@@ -207,7 +207,7 @@ def test_a_patch_in_memory_is_left_once_its_file_changes(tmp_path, monkeypatch) 
     saved = []
     monkeypatch.setattr(bake, "save_patch", lambda folder, key, record: saved.append(record))
     line_stroke("Along", length=SHORT_M, surface=ridge_plate())
-    bake_open_file(tmp_path)
+    measure_open_file_bake(tmp_path)
     store.save_patch(tmp_path, "place", saved[0])
     kept = store.load_patch(tmp_path, "place")
     assert kept is store.load_patch(tmp_path, "place")

@@ -15,29 +15,29 @@ import pytest
 from job_scene import LIMIT_S, PLATE, finish, is_gone, kill, my_folders, small_scene
 from panel_recorder import Recorder, context_of, rna_of
 
-from hnf_blender.bridge.own_material import carry, own_word
+from hnf_blender.bridge.own_material import get_artist_choice, set_definition
 from hnf_blender.jobs import current, learning, running
-from hnf_blender.jobs.folder import is_alive
-from hnf_blender.jobs.learning import Learning, Slot, give_to, weights_path
-from hnf_blender.jobs.outside_python import look
+from hnf_blender.jobs.folder import is_process_alive
+from hnf_blender.jobs.learning import LearnJob, MaterialSlot, assign_to_slot, make_weights_path
+from hnf_blender.jobs.outside_python import check_python
 from hnf_blender.ops import outside_python as python_ops
-from hnf_blender.ops.diagnose import collect
-from hnf_blender.ops.learn import LAST, HNF_OT_learn, HNF_OT_learn_run
+from hnf_blender.ops.diagnose import collect_diagnosis
+from hnf_blender.ops.learn import LAST_CHOICES, HNF_OT_learn, HNF_OT_learn_run
 from hnf_blender.prefs import HnfPreferences
-from hnf_blender.preview.hearing import Kept, hear
-from hnf_blender.preview.pictures import Look
-from hnf_blender.preview.present import present
+from hnf_blender.preview.hearing import RenderCache, synthesise_preview
+from hnf_blender.preview.pictures import ImageStyle
+from hnf_blender.preview.present import read_current_bake
 from hnf_blender.state.session import STATE
 from hnf_blender.state.settings import Settings
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_blender.ui.materials_panel import draw_learn
-from hnf_blender.ui.outside_python import draw_outside_python
-from hnf_core.cli.learn import GATHERING, Lesson
+from hnf_blender.ui.outside_python import draw_external_python
+from hnf_core.cli.learn import STAGE_GATHERING, LearnRequest
 from hnf_core.datasets.catalogue import LICENCES
-from hnf_core.field.parts import synthesise_parts
-from hnf_core.field.weights import load_field, own_material
+from hnf_core.field.parts import synthesise_by_field
+from hnf_core.field.weights import load_field, read_trained_material
 from hnf_core.material.hnf_file import from_library, read_hnf
-from hnf_core.material.library import find
+from hnf_core.material.library import get_material
 
 pytestmark = pytest.mark.usefixtures("operators")
 NO_TORCH = importlib.util.find_spec("torch") is None
@@ -51,10 +51,10 @@ def learned(tmp_path, monkeypatch) -> Path:
     """Where learned materials go."""
     folder = tmp_path / "learned"
     folder.mkdir()
-    monkeypatch.setattr(learning, "learned_folder", lambda: folder)
+    monkeypatch.setattr(learning, "get_learned_folder", lambda: folder)
     yield folder
-    STATE.outside = None
-    LAST.clear()
+    STATE.external_python = None
+    LAST_CHOICES.clear()
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def name_python(monkeypatch):
     """What an artist types into the preferences."""
 
     def named(path: object) -> None:
-        monkeypatch.setattr(python_ops, "settings", lambda: Settings(external_python=str(path)))
+        monkeypatch.setattr(python_ops, "get_settings", lambda: Settings(external_python=str(path)))
 
     return named
 
@@ -73,18 +73,18 @@ def program(path: Path, script: str) -> str:
     return str(path)
 
 
-def lesson_of(folder: Path, epochs: int = 3) -> Lesson:
+def lesson_of(folder: Path, epochs: int = 3) -> LearnRequest:
     """Three seconds of noise, as somebody wrote them down."""
     path = folder / "mine" / NAME / "one.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
     time, noise = np.arange(30_000) / 1e4, np.random.default_rng(3).standard_normal(30_000)
     rows = np.stack([time, noise, 1.0 + 0.5 * np.sin(3.0 * time)], axis=1)
     np.savetxt(path, rows, "%.5g", ",", header="time [s],acceleration [m/s^2],force [N]", comments="")
-    return Lesson("own", str(folder / "mine"), NAME, 5.0, epochs)
+    return LearnRequest("own", str(folder / "mine"), NAME, 5.0, epochs)
 
 
-def begin(lesson: Lesson, python: str = sys.executable) -> Learning:
-    return current.begin(lambda: Learning(python, lesson, Slot(PLATE, 0)))
+def begin(lesson: LearnRequest, python: str = sys.executable) -> LearnJob:
+    return current.start_job(lambda: LearnJob(python, lesson, MaterialSlot(PLATE, 0)))
 
 
 def reach(stage: str, done: int) -> int:
@@ -100,7 +100,7 @@ def reach(stage: str, done: int) -> int:
 
 def test_a_python_that_lacks_something_is_told_what_to_type(tmp_path) -> None:
     bare = program(tmp_path / "bare", f'exec "{sys.executable}" -S -I "$@"')
-    found = look(bare)
+    found = check_python(bare)
     assert found.version == ".".join(map(str, sys.version_info[:3]))
     assert found.missing == ("numpy", "safetensors", "torch")
     assert found.problem == "It lacks numpy, safetensors, torch"
@@ -118,19 +118,19 @@ def test_a_python_that_lacks_something_is_told_what_to_type(tmp_path) -> None:
     ],
 )  # fmt: skip
 def test_what_cannot_learn_is_said(tmp_path, script, problem) -> None:
-    found = look(program(tmp_path / "other", script))
+    found = check_python(program(tmp_path / "other", script))
     assert (found.problem, found.command) == (problem, "")
 
 
 def test_what_cannot_be_run_is_said(tmp_path) -> None:
     (tmp_path / "text").write_text("no program")
-    assert look(str(tmp_path / "none")).problem == "There is no such file"
-    assert look(str(tmp_path / "text")).problem.startswith("It cannot be started")
+    assert check_python(str(tmp_path / "none")).problem == "There is no such file"
+    assert check_python(str(tmp_path / "text")).problem.startswith("It cannot be started")
 
 
 def test_a_program_that_never_answers_is_ended_with_all_it_started(tmp_path) -> None:
     noted = tmp_path / "pid"
-    found = look(program(tmp_path / "slow", f"sleep 60 & echo $! > {noted}; wait"), timeout_s=0.5)
+    found = check_python(program(tmp_path / "slow", f"sleep 60 & echo $! > {noted}; wait"), timeout_s=0.5)
     assert found.problem == "It gave no answer within 0.5 s"
     assert is_gone(int(noted.read_text()))
 
@@ -141,19 +141,19 @@ def test_the_preferences_say_what_was_found_and_diagnose_too(tmp_path, name_pyth
         bpy.ops.hnf.python_check()
     bare = program(tmp_path / "bare", f'exec "{sys.executable}" -S -I "$@"')
     name_python(bare)
-    assert "not checked" in dict(collect())["External Python"]
+    assert "not checked" in dict(collect_diagnosis())["External Python"]
     assert bpy.ops.hnf.python_check() == {"FINISHED"}
     said = Recorder()
     preferences = SimpleNamespace(
         bl_rna=SimpleNamespace(properties=HnfPreferences.__annotations__), external_python=bare
     )  # fmt: skip
-    draw_outside_python(said, preferences)
+    draw_external_python(said, preferences)
     assert "It lacks numpy" in said.words
     assert "-m pip install" in said.words
     assert said.operators == ["hnf.python_check", "hnf.python_copy"]
-    assert "It lacks numpy" in dict(collect())["External Python"]
+    assert "It lacks numpy" in dict(collect_diagnosis())["External Python"]
     preferences.external_python = "/another"
-    draw_outside_python(again := Recorder(), preferences)
+    draw_external_python(again := Recorder(), preferences)
     assert "It lacks" not in again.words
     with pytest.raises(RuntimeError, match="lacks a package"):
         bpy.ops.hnf.learn_run(kind="simulated", library="oak-wood")
@@ -197,7 +197,7 @@ def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, le
     assert STATE.job is None
     assert "with the same choices to resume" in STATE.last_job.message
     assert [path.suffix for path in learned.iterdir()] == [".checkpoint"]
-    assert own_word(plate.active_material) == ""
+    assert get_artist_choice(plate.active_material) == ""
 
     again = begin(lesson)
     reach("epoch", done + 1)
@@ -206,17 +206,17 @@ def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, le
     assert (ended.written, ended.details[0]) == (1, LICENCES["own"])
     assert "no speed was recorded: 0.1 m/s assumed" in ended.details[1]
     assert [path.name for path in learned.iterdir()] == [f"{NAME} (own).hnf"]
-    material = own_word(plate.active_material)
+    material = get_artist_choice(plate.active_material)
     assert material == read_hnf(learned / f"{NAME} (own).hnf")
     assert (material.name, material.licence) == (NAME, LICENCES["own"])
 
-    assert running.bake_in_line(bpy.context.scene, bpy.context.view_layer).ok
+    assert running.bake_blocking(bpy.context.scene, bpy.context.view_layer).ok
     bake = load_bake(stroke)
-    assert {own_material(field, "").name for field in bake.stroke.fields} == {NAME}
+    assert {read_trained_material(field, "").name for field in bake.stroke.fields} == {NAME}
     assert any("its shader's relief is not felt" in note for note in bake.notes)
-    wanted = synthesise_parts(load_field(), bake.stroke, seed=bake.seed).signal.samples
-    shared = synthesise_parts(load_field(), replace(bake.stroke, fields=()), seed=bake.seed).signal.samples
-    heard = hear(present(stroke, bpy.context.scene), Look(), Kept()).signal
+    wanted = synthesise_by_field(load_field(), bake.stroke, seed=bake.seed).signal.samples
+    shared = synthesise_by_field(load_field(), replace(bake.stroke, fields=()), seed=bake.seed).signal.samples
+    heard = synthesise_preview(read_current_bake(stroke, bpy.context.scene), ImageStyle(), RenderCache()).signal
     assert heard.samples.tobytes() == wanted.tobytes()
     assert not np.array_equal(wanted, shared)
     assert float(np.abs(wanted).max()) > 0.0
@@ -225,8 +225,8 @@ def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, le
 def test_a_killed_lesson_is_told(lone_bake, learned, tmp_path) -> None:
     """While recordings are gathered: of the simulator, which takes its time."""
     small_scene()
-    job = begin(Lesson("simulated", "", "oak-wood", 60.0, 1))
-    reach(GATHERING, 0)
+    job = begin(LearnRequest("simulated", "", "oak-wood", 60.0, 1))
+    reach(STAGE_GATHERING, 0)
     kill(job.pid)
     ended = finish(job)
     assert not ended.ok
@@ -238,9 +238,9 @@ def test_a_killed_lesson_is_told(lone_bake, learned, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("lesson", "said"),
     [
-        (Lesson("simulated", "", "unobtainium", 5.0, 1), "unobtainium"),
-        (Lesson("hatt", "/nowhere", "ABS Plastic", 5.0, 1), "/nowhere"),
-        (Lesson("own", str(Path(__file__).parent), "felt", 5.0, 1), "no CSV table"),
+        (LearnRequest("simulated", "", "unobtainium", 5.0, 1), "unobtainium"),
+        (LearnRequest("hatt", "/nowhere", "ABS Plastic", 5.0, 1), "/nowhere"),
+        (LearnRequest("own", str(Path(__file__).parent), "felt", 5.0, 1), "no CSV table"),
     ],
 )
 def test_a_lesson_that_cannot_be_is_told_in_its_own_words(lone_bake, learned, name_python, lesson, said) -> None:
@@ -286,10 +286,10 @@ def test_a_lessons_parent_that_dies_takes_it_along(tmp_path) -> None:
     """Its standard input ends."""
     import subprocess
 
-    from hnf_blender.jobs.records import to_text
+    from hnf_blender.jobs.records import to_json
     from hnf_core import errors
 
-    lesson = to_text(Lesson("simulated", "", "oak-wood", 60.0, 1))
+    lesson = to_json(LearnRequest("simulated", "", "oak-wood", 60.0, 1))
     words = [sys.executable, str(learning.WORKER), str(Path(errors.__file__).parent), lesson, str(tmp_path / "out")]
     process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout is not None
@@ -299,36 +299,39 @@ def test_a_lessons_parent_that_dies_takes_it_along(tmp_path) -> None:
     process.stdin.close()
     assert process.wait(timeout=20.0) == 3
     process.stdout.close()
-    assert not is_alive(process.pid)
+    assert not is_process_alive(process.pid)
 
 
 def test_a_slot_that_has_its_word_keeps_it_and_the_material_is_offered(tmp_path) -> None:
     plate, _ = small_scene()
-    made, kept = from_library(find("slate")), tmp_path / "kept.hnf"
+    made, kept = from_library(get_material("slate")), tmp_path / "kept.hnf"
     for said in ("library", "definition"):
         material = plate.active_material
         if said == "library":
             material.hnf_touch.library = "oak-wood"
         else:
-            carry(material, from_library(find("oak-wood")))
-        text = give_to(made, Slot(PLATE, 0), kept)
+            set_definition(material, from_library(get_material("oak-wood")))
+        text = assign_to_slot(made, MaterialSlot(PLATE, 0), kept)
         assert str(kept) in text
         offered = next(each for each in bpy.data.materials if each.use_fake_user)
-        assert own_word(offered) == made
+        assert get_artist_choice(offered) == made
         assert plate.active_material == material
         bpy.data.materials.remove(offered)
-    for nowhere in (Slot(), Slot("Gone"), Slot(PLATE, 7)):
-        give_to(made, nowhere, kept)
-        assert own_word(plate.active_material) != made
+    for nowhere in (MaterialSlot(), MaterialSlot("Gone"), MaterialSlot(PLATE, 7)):
+        assign_to_slot(made, nowhere, kept)
+        assert get_artist_choice(plate.active_material) != made
     plate.active_material = None
-    assert PLATE in give_to(made, Slot(PLATE, 0), kept)
-    assert own_word(plate.active_material) == made
+    assert PLATE in assign_to_slot(made, MaterialSlot(PLATE, 0), kept)
+    assert get_artist_choice(plate.active_material) == made
 
 
 def test_equal_choices_meet_at_one_place_and_others_elsewhere(learned) -> None:
-    lesson = Lesson("hatt", "/data", "ABS Plastic", 480.0, 40)
-    assert weights_path(lesson) == weights_path(replace(lesson))
-    assert len({weights_path(each) for each in (lesson, replace(lesson, epochs=41), replace(lesson, kind="lmt"))}) == 3
+    lesson = LearnRequest("hatt", "/data", "ABS Plastic", 480.0, 40)
+    assert make_weights_path(lesson) == make_weights_path(replace(lesson))
+    assert (
+        len({make_weights_path(each) for each in (lesson, replace(lesson, epochs=41), replace(lesson, kind="lmt"))})
+        == 3
+    )
 
 
 def test_nothing_is_half_undone() -> None:

@@ -8,7 +8,7 @@ import pytest
 from builders import add_plane
 from stroke_builders import LINE, add_stroke, key, keyed_fcurves
 
-from hnf_blender.ops.strokes import curves_to_convert
+from hnf_blender.ops.strokes import list_convertible_curves
 
 pytestmark = pytest.mark.usefixtures("operators")
 
@@ -44,7 +44,7 @@ def select(*objects):
 def test_a_linked_curve_becomes_no_stroke(linked):
     curve, _ = linked
     select(curve)
-    assert curves_to_convert(bpy.context) == []
+    assert list_convertible_curves(bpy.context) == []
     with pytest.raises(RuntimeError, match="linked from another file"):
         bpy.ops.hnf.stroke_from_curve()
     assert not curve.hnf_stroke.is_stroke

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from hnf_blender.rooms import ignore, listen
+from hnf_blender.rooms import add_handlers, remove_handlers
 
 
 def test_what_is_listened_to_outlives_a_file_and_ends_when_asked() -> None:
@@ -17,7 +17,7 @@ def test_what_is_listened_to_outlives_a_file_and_ends_when_asked() -> None:
         return 1.0
 
     handlers = (("load_post", told), ("undo_post", told))
-    listen(handlers, tick, 1000.0)
+    add_handlers(handlers, tick, 1000.0)
     try:
         assert bpy.app.timers.is_registered(tick)
         for count in (1, 2):
@@ -25,18 +25,18 @@ def test_what_is_listened_to_outlives_a_file_and_ends_when_asked() -> None:
             assert heard == ["file"] * count
         assert bpy.app.timers.is_registered(tick)
     finally:
-        ignore(handlers, tick)
+        remove_handlers(handlers, tick)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert heard == ["file"] * 2
     assert not bpy.app.timers.is_registered(tick)
-    ignore(handlers, tick)  # twice does no harm
+    remove_handlers(handlers, tick)  # twice does no harm
 
 
 def test_without_a_timer_only_events_count() -> None:
     heard = []
     handlers = (("load_pre", lambda *_: heard.append("pre")),)
-    listen(handlers)
+    add_handlers(handlers)
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    ignore(handlers)
+    remove_handlers(handlers)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert heard == ["pre"]

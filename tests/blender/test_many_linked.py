@@ -11,11 +11,11 @@ import pytest
 from builders import add_plane
 from stroke_builders import LINE, add_stroke
 
-from hnf_blender.bridge.scene_names import name_in, named_objects, object_in
-from hnf_blender.ops.active import surface_here
-from hnf_blender.props.listed import NEWS
+from hnf_blender.bridge.scene_names import find_object, get_named_objects, get_scene_name
+from hnf_blender.ops.active import get_surface_in_layer
+from hnf_blender.props.listed import CHANGES
 from hnf_blender.state import watch
-from hnf_blender.state.session import STATE, shown_name
+from hnf_blender.state.session import STATE, get_shown_name
 from hnf_blender.touch.status import Freshness, StrokeStatus
 
 FEW, MANY = 2, 12
@@ -54,10 +54,10 @@ class CountedScene:
 
 @pytest.fixture
 def told():
-    NEWS.is_told = True
+    CHANGES.is_notified = True
     yield
-    NEWS.is_told = False
-    NEWS.forget()
+    CHANGES.is_notified = False
+    CHANGES.mark_changed()
 
 
 def linked_strokes(tmp_path, count: int):
@@ -85,30 +85,30 @@ def known(scene, strokes) -> None:
 
 def test_a_name_that_only_one_has_is_known_without_looking_through_the_scene(tmp_path) -> None:
     scene, strokes = linked_strokes(tmp_path, FEW)
-    assert [name_in(scene, obj) for obj in strokes] == ["Line 0", "Line 1"]
-    assert object_in(scene, "") is object_in(scene, "Nobody") is object_in(scene, "Plate [set.blend]") is None
+    assert [get_scene_name(scene, obj) for obj in strokes] == ["Line 0", "Line 1"]
+    assert find_object(scene, "") is find_object(scene, "Nobody") is find_object(scene, "Plate [set.blend]") is None
     assert scene.objects.passes <= 1  # the plate's full name may be another object's own
-    assert [object_in(scene, obj.name) for obj in strokes] == list(strokes)
+    assert [find_object(scene, obj.name) for obj in strokes] == list(strokes)
     assert scene.objects.passes <= 1 + FEW
 
 
 def test_a_redraw_asks_each_namesake_once(tmp_path, told) -> None:
     scene, strokes = linked_strokes(tmp_path, FEW)
     add_stroke(LINE, name="Line 0")
-    assert [shown_name(scene, obj) for obj in strokes] == ["Line 0 [set.blend]", "Line 1"]
+    assert [get_shown_name(scene, obj) for obj in strokes] == ["Line 0 [set.blend]", "Line 1"]
     before = scene.objects.passes
     for _ in range(5):
-        assert STATE.status_of(scene, strokes[0]) is None
+        assert STATE.get_status(scene, strokes[0]) is None
     assert scene.objects.passes == before
     bpy.data.objects.remove(bpy.data.objects["Line 0", None])
-    NEWS.forget()  # as the handler does
-    assert shown_name(scene, strokes[0]) == "Line 0"
+    CHANGES.mark_changed()  # as the handler does
+    assert get_shown_name(scene, strokes[0]) == "Line 0"
 
 
 def test_panels_look_through_no_scene_for_what_is_linked(tmp_path) -> None:
     scene, strokes = linked_strokes(tmp_path, MANY)
     known(scene, strokes)
-    assert all(STATE.status_of(scene, obj).freshness is Freshness.FRESH for obj in strokes)
+    assert all(STATE.get_status(scene, obj).freshness is Freshness.FRESH for obj in strokes)
     assert scene.objects.passes == 0
 
 
@@ -118,12 +118,12 @@ def test_buttons_ask_once_whether_a_surface_is_here(told) -> None:
     stroke = add_stroke(LINE, surface=plate)
     layer = CountedScene(bpy.context.view_layer)
     context = SimpleNamespace(scene=bpy.context.scene, view_layer=layer)
-    assert [surface_here(context, stroke) for _ in range(5)] == [plate] * 5
+    assert [get_surface_in_layer(context, stroke) for _ in range(5)] == [plate] * 5
     assert 0 < layer.objects.passes <= 2  # found by name, and looked at
     bpy.context.scene.collection.objects.unlink(plate)
     bpy.context.view_layer.update()
-    NEWS.forget()  # as the handler does
-    assert surface_here(context, stroke) is None
+    CHANGES.mark_changed()  # as the handler does
+    assert get_surface_in_layer(context, stroke) is None
 
 
 @pytest.mark.parametrize("changed", [(), ("Plate",)], ids=["nothing new", "a surface changed"])
@@ -134,11 +134,11 @@ def test_the_timer_looks_through_a_scene_as_often_for_many_as_for_few(tmp_path, 
         folder = tmp_path / str(count)
         folder.mkdir()
         scene, _ = linked_strokes(folder, count)
-        seen = watch.Watch(bpy.context.scene, bpy.context.view_layer)
+        seen = watch.StatusTracker(bpy.context.scene, bpy.context.view_layer)
         while not seen.is_idle:
-            seen.look()
-        monkeypatch.setattr(watch, "_scene", lambda _, scene=scene: scene)
-        seen.expect(*changed)
+            seen.check_next()
+        monkeypatch.setattr(watch, "_find_scene", lambda _, scene=scene: scene)
+        seen.mark_changed(*changed)
         assert seen.is_idle == (not changed)
         monkeypatch.undo()
         passes.append(scene.objects.passes)
@@ -154,11 +154,11 @@ def test_names_are_those_of_a_look_through_all(tmp_path) -> None:
         wanted.objects = ["Line 0", "Line 1"]
     bpy.context.scene.collection.objects.link(wanted.objects[0])
     add_stroke(LINE, name="Line 0")
-    names = named_objects(scene)
+    names = get_named_objects(scene)
     assert sorted(names) == ["Line 0", "Line 0 [other.blend]", "Line 0 [set.blend]", "Line 1", "Plate"]
     for name, obj in names.items():
-        assert (name_in(scene, obj), object_in(scene, name)) == (name, obj)
-    assert object_in(scene, "Line 1 [set.blend]") is None
+        assert (get_scene_name(scene, obj), find_object(scene, name)) == (name, obj)
+    assert find_object(scene, "Line 1 [set.blend]") is None
     bpy.data.objects.remove(bpy.data.objects["Line 0", None])
-    assert object_in(scene, "Line 0") is None
-    assert object_in(scene, "Line 0 [other.blend]") == wanted.objects[0]
+    assert find_object(scene, "Line 0") is None
+    assert find_object(scene, "Line 0 [other.blend]") == wanted.objects[0]

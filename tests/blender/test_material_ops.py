@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from builders import add_plane, datablock_names
 
-from hnf_blender.bridge.picture_names import picture_names
-from hnf_blender.bridge.shader_values import stated_appearance
+from hnf_blender.bridge.picture_names import list_texture_names
+from hnf_blender.bridge.shader_values import read_stated_appearance
 from hnf_blender.compat import switch_nodes_on
-from hnf_blender.ops.materials import CLASSES, HNF_OT_material_choose, felt_object, library_items
-from hnf_blender.rooms import switch_off, switch_on
+from hnf_blender.ops.materials import MATERIAL_CLASSES, HNF_OT_material_choose, find_material_object, list_library_items
+from hnf_blender.rooms import register_classes, unregister_classes
 from hnf_blender.state.probe import Relief
 from hnf_blender.state.session import STATE
-from hnf_blender.state.watch import Watch
-from hnf_blender.touch.jobs import scene_session
-from hnf_core.material.library import find, load_library
+from hnf_blender.state.watch import StatusTracker
+from hnf_blender.touch.jobs import make_scene_session
+from hnf_core.material.library import get_material, load_library
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route
 
@@ -24,9 +24,9 @@ from hnf_core.tactile.tactile_map import Route
 @pytest.fixture(autouse=True)
 def operators():
     STATE.clear()
-    switch_on(CLASSES)
+    register_classes(MATERIAL_CLASSES)
     yield
-    switch_off(CLASSES)
+    unregister_classes(MATERIAL_CLASSES)
     STATE.clear()
 
 
@@ -49,7 +49,7 @@ def touched(made: bpy.types.Material) -> bpy.types.Object:
 def test_stated_values_are_read_without_a_trace() -> None:
     made = material("Brass", Metallic=1.0, Roughness=0.25, Base_Color=(0.8, 0.6, 0.2, 1.0))
     before = datablock_names()
-    appearance = stated_appearance(made)
+    appearance = read_stated_appearance(made)
     assert datablock_names() == before
     assert appearance.metallic == pytest.approx(1.0)
     assert appearance.roughness == pytest.approx(0.25)
@@ -61,7 +61,7 @@ def test_what_a_texture_says_stays_unknown() -> None:
     nodes, links = made.node_tree.nodes, made.node_tree.links
     shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
     links.new(nodes.new("ShaderNodeTexChecker").outputs["Color"], shader.inputs["Base Color"])
-    appearance = stated_appearance(made)
+    appearance = read_stated_appearance(made)
     assert appearance.base_color is None
     assert appearance.roughness == pytest.approx(0.3)
 
@@ -73,7 +73,7 @@ def test_a_value_node_is_a_stated_value() -> None:
     value.outputs[0].default_value = 0.125
     shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
     links.new(value.outputs[0], shader.inputs["Roughness"])
-    assert stated_appearance(made).roughness == pytest.approx(0.125)
+    assert read_stated_appearance(made).roughness == pytest.approx(0.125)
 
 
 def test_two_mixed_shaders_count_by_their_factor() -> None:
@@ -86,7 +86,7 @@ def test_two_mixed_shaders_count_by_their_factor() -> None:
     links.new(shader.outputs[0], mix.inputs[1])
     links.new(other.outputs[0], mix.inputs[2])
     links.new(mix.outputs[0], made.node_tree.nodes["Material Output"].inputs["Surface"])
-    assert stated_appearance(made).metallic == pytest.approx(0.25)
+    assert read_stated_appearance(made).metallic == pytest.approx(0.25)
 
 
 def test_suggestions_rank_the_whole_library_and_leave_no_trace() -> None:
@@ -141,7 +141,7 @@ def test_a_linked_material_is_not_taken_for_its_namesake_here(tmp_path) -> None:
 def test_a_choice_makes_its_strokes_worth_a_look() -> None:
     touched(material("Seat"))
     bpy.ops.hnf.material_choose(material="Seat", name="leather")
-    assert "Seat" in STATE.dirty
+    assert "Seat" in STATE.dirty_names
 
 
 def test_unknown_names_are_refused() -> None:
@@ -182,33 +182,33 @@ def test_a_suggestion_says_why_in_its_tooltip() -> None:
 
 
 def test_the_searchable_list_is_the_library_grouped_by_category() -> None:
-    assert sorted(name for name, _, _ in library_items()) == sorted(material.name for material in load_library())
-    categories = [label.split(" ▸ ")[0] for _, label, _ in library_items()]
+    assert sorted(name for name, _, _ in list_library_items()) == sorted(material.name for material in load_library())
+    categories = [label.split(" ▸ ")[0] for _, label, _ in list_library_items()]
     assert categories == sorted(categories)
 
 
 def test_a_stroke_may_have_a_material_of_its_own() -> None:
     stroke = bpy.data.objects.new("Rub", bpy.data.curves.new("Rub", "CURVE"))
     with pytest.raises(RuntimeError, match="No stroke is selected"):
-        bpy.ops.hnf.stroke_material(name=library_items()[0][0])
+        bpy.ops.hnf.stroke_material(name=list_library_items()[0][0])
     bpy.context.scene.collection.objects.link(stroke)
     stroke.hnf_stroke.is_stroke = True
-    assert bpy.ops.hnf.stroke_material(name=library_items()[0][0]) == {"FINISHED"}
-    assert stroke.hnf_stroke.material == library_items()[0][0]
+    assert bpy.ops.hnf.stroke_material(name=list_library_items()[0][0]) == {"FINISHED"}
+    assert stroke.hnf_stroke.material == list_library_items()[0][0]
     assert bpy.ops.hnf.stroke_material_auto() == {"FINISHED"}
     assert stroke.hnf_stroke.material == ""
 
 
 def test_the_object_that_is_felt() -> None:
     plane = touched(material("Seat"))
-    assert felt_object(bpy.context) == plane
+    assert find_material_object(bpy.context) == plane
     stroke = bpy.data.objects.new("Rub", bpy.data.curves.new("Rub", "CURVE"))
     bpy.context.scene.collection.objects.link(stroke)
     stroke.hnf_stroke.is_stroke = True
     bpy.context.view_layer.objects.active = stroke
-    assert felt_object(bpy.context) is None
+    assert find_material_object(bpy.context) is None
     stroke.hnf_stroke.surface = plane
-    assert felt_object(bpy.context) == plane
+    assert find_material_object(bpy.context) == plane
 
 
 def textured(name: str, picture: str) -> bpy.types.Material:
@@ -233,8 +233,8 @@ def test_names_of_pictures_that_feed_the_shader_are_read_and_no_others() -> None
     loose = made.node_tree.nodes.new("ShaderNodeTexImage")
     loose.image = bpy.data.images.new("steel.png", 4, 4)
     before = datablock_names()
-    assert picture_names(made) == ("T_Oak_Planks_BaseColor.png",)
-    assert picture_names(None) == ()
+    assert list_texture_names(made) == ("T_Oak_Planks_BaseColor.png",)
+    assert list_texture_names(None) == ()
     assert datablock_names() == before
 
 
@@ -251,11 +251,11 @@ def test_a_picture_s_name_suggests_what_it_shows() -> None:
 def test_a_relief_that_was_seen_is_evidence_until_the_material_changes() -> None:
     made = material("Material")
     touched(made)
-    token = find("corduroy").token
+    token = get_material("corduroy").token
     STATE.reliefs["Material"] = Relief(Token(token, np.ones(len(token), dtype=bool)), Route.MEASURED)
     assert bpy.ops.hnf.suggest() == {"FINISHED"}
     assert STATE.suggestions["Material"][0].name == "corduroy"
-    Watch(bpy.context.scene, bpy.context.view_layer).expect("Material")
+    StatusTracker(bpy.context.scene, bpy.context.view_layer).mark_changed("Material")
     assert STATE.reliefs == {}
 
 
@@ -265,7 +265,7 @@ def test_what_a_picture_is_called_counts_as_what_a_stroke_follows_from(tmp_path)
 
     def key() -> str:
         bpy.context.view_layer.update()
-        return scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path).surface_key(plane)
+        return make_scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path).compute_surface_key(plane)
 
     before = key()
     assert key() == before

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Euler, Matrix
 
-from hnf_blender.bridge.meshes import BlenderGeometry, mesh_hash, ray_caster, surface_frame, surface_mesh
+from hnf_blender.bridge.meshes import BlenderGeometry, compute_surface_frame, hash_mesh, make_ray_caster, read_surface
 from hnf_core.errors import SceneError
 from hnf_core.scene.raycast import ReferenceGeometry
 
@@ -20,7 +20,7 @@ def depsgraph():
 
 
 def surface(obj, metres_per_unit=1.0):
-    return surface_mesh(obj, depsgraph(), metres_per_unit)
+    return read_surface(obj, depsgraph(), metres_per_unit)
 
 
 def turn(x, y, z):
@@ -38,20 +38,20 @@ def test_the_frame_is_rigid_and_turning_the_object_changes_nothing_else(linear, 
         return
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = linear, move
-    rigid, stretch = surface_frame(matrix, metres_per_unit)
+    rigid, stretch = compute_surface_frame(matrix, metres_per_unit)
     np.testing.assert_allclose(rigid[:3, :3].T @ rigid[:3, :3], np.eye(3), atol=1e-10)
     assert np.linalg.det(rigid[:3, :3]) == pytest.approx(1.0)
     np.testing.assert_allclose(rigid[:3, :3] @ stretch, metres_per_unit * linear, atol=1e-9 * metres_per_unit)
     np.testing.assert_allclose(rigid[:3, 3], metres_per_unit * np.array(move))
     turned = np.eye(4)
     turned[:3, :3] = turn(*rotation) @ linear
-    again = surface_frame(turned, metres_per_unit)[1]
+    again = compute_surface_frame(turned, metres_per_unit)[1]
     np.testing.assert_allclose(again, stretch, atol=2e-5 * metres_per_unit)  # the rotation is float32
 
 
 def test_an_object_scaled_to_a_line_is_refused_by_name():
     with pytest.raises(SceneError, match="'Flat'"):
-        surface_frame(np.diag([1.0, 0.0, 0.0, 1.0]), 1.0, "object 'Flat'")
+        compute_surface_frame(np.diag([1.0, 0.0, 0.0, 1.0]), 1.0, "object 'Flat'")
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (2, 0.5, 3), (-1, 2, 1), (-1, -1, -1)])
@@ -161,7 +161,7 @@ def test_a_shared_mesh_is_noted():
 
 def hash_of(obj, metres_per_unit=1.0):
     bpy.context.view_layer.update()
-    return mesh_hash(obj, depsgraph(), metres_per_unit)
+    return hash_mesh(obj, depsgraph(), metres_per_unit)
 
 
 def test_the_hash_follows_shape_not_place():
@@ -193,8 +193,8 @@ def test_blenders_tree_and_embree_hit_the_same():
     random = np.random.default_rng(0)
     origins = np.array([0, 0, 0.2]) + random.uniform(-0.04, 0.04, (2000, 3))
     directions = np.array([0, 0, -1.0]) + random.uniform(-0.2, 0.2, (2000, 3))
-    ours, embree = BlenderGeometry(mesh).cast(origins, directions), ray_caster(mesh).cast(origins, directions)
-    assert type(ray_caster(mesh)).__name__ == "EmbreeCaster"
+    ours, embree = BlenderGeometry(mesh).cast(origins, directions), make_ray_caster(mesh).cast(origins, directions)
+    assert type(make_ray_caster(mesh)).__name__ == "EmbreeCaster"
     assert (embree.triangle >= 0).sum() > 1000
     inner = embree.barycentric.min(axis=1) > 1e-4
     assert (ours.triangle == embree.triangle)[inner].all()

@@ -10,7 +10,7 @@ import pytest
 from job_scene import LIMIT_S, NOTHING, is_gone, kept, kill, my_folders, reach, small_scene
 
 from hnf_blender.jobs import current
-from hnf_blender.ops.modal_job import ModalJob, no_job_runs
+from hnf_blender.ops.modal_job import ModalJob, poll_no_job
 from hnf_blender.state.session import STATE, LastJob
 from hnf_core.errors import HnfError
 
@@ -61,10 +61,10 @@ class Operator(ModalJob):
     def report(self, _kind: set[str], message: str) -> None:
         self.reported.append(message)
 
-    def job_line(self, job) -> str:
+    def format_status(self, job) -> str:
         return f"Busy: {job.stage}"
 
-    def tell_end(self, ended: LastJob) -> set[str]:
+    def report_end(self, ended: LastJob) -> set[str]:
         self.ended.append(ended)
         return {"FINISHED"} if ended.written else {"CANCELLED"}
 
@@ -76,9 +76,9 @@ def begun(warm_bake):
     operator, screen, made = Operator(), Screen(), []
 
     def start() -> None:
-        made.append(current.start(screen.context.scene, screen.context.view_layer))
+        made.append(current.start_bake(screen.context.scene, screen.context.view_layer))
 
-    assert operator.begin_job(screen.context, start)
+    assert operator.start_job(screen.context, start)
     assert len(screen.timers) == 1
     assert screen.status.startswith("Busy: ")
     assert reach("opening")
@@ -103,14 +103,14 @@ def is_over(screen: Screen, pid: int) -> bool:
 
 def test_a_job_that_runs_lets_events_pass_and_ends_by_itself(begun) -> None:
     operator, screen, pid = begun
-    assert not no_job_runs(SimpleNamespace(poll_message_set=operator.reported.append))
+    assert not poll_no_job(SimpleNamespace(poll_message_set=operator.reported.append))
     assert "press Esc" in operator.reported.pop()
     assert operator.modal(screen.context, MOVE) == {"PASS_THROUGH"}
     assert ticked(operator, screen) == {"FINISHED"}
     assert [ended.ok for ended in operator.ended] == [True]
     assert list(kept()["bakes"]) == ["Along"]
     assert is_over(screen, pid)
-    assert no_job_runs(operator)
+    assert poll_no_job(operator)
 
 
 def test_esc_over_the_view_ends_it_at_once_elsewhere_it_is_another_editors(begun) -> None:
@@ -165,8 +165,8 @@ def test_what_cannot_be_begun_is_reported_and_puts_nothing_up(lone_bake) -> None
         raise HnfError("there is nothing to do.", remedy="Draw a stroke.")
 
     operator, screen = Operator(), Screen()
-    assert not operator.begin_job(screen.context, refuse)
-    assert operator.in_line(refuse) == {"CANCELLED"}
+    assert not operator.start_job(screen.context, refuse)
+    assert operator.run_blocking(refuse) == {"CANCELLED"}
     assert operator.reported == ["There is nothing to do. Draw a stroke."] * 2
     assert operator.ended == []
     assert screen.is_bare
@@ -174,7 +174,7 @@ def test_what_cannot_be_begun_is_reported_and_puts_nothing_up(lone_bake) -> None
 
 def test_in_line_the_end_is_told_as_in_a_window(lone_bake) -> None:
     operator, ended = Operator(), LastJob(True, "Done.", written=1)
-    assert operator.in_line(lambda: ended) == {"FINISHED"}
+    assert operator.run_blocking(lambda: ended) == {"FINISHED"}
     assert operator.ended == [ended]
 
 
@@ -183,11 +183,11 @@ def test_a_place_is_waited_for_in_the_view_and_other_editors_keep_their_clicks()
 
     view = SimpleNamespace(**vars(VIEW) | {"regions": [SimpleNamespace(type="WINDOW", x=0, y=0, width=80, height=100)]})
     context, ended = SimpleNamespace(window=SimpleNamespace(screen=SimpleNamespace(areas=[view, TEXT]))), []
-    operator = SimpleNamespace(end=lambda context, why: ended.append(why) or {"CANCELLED"})
+    operator = SimpleNamespace(finish=lambda context, why: ended.append(why) or {"CANCELLED"})
 
     def answer(kind: str, x: int) -> set[str]:
         event = SimpleNamespace(type=kind, value="PRESS", mouse_x=x, mouse_y=50)
-        return HNF_OT_probe._aim(operator, context, event)
+        return HNF_OT_probe._wait_for_click(operator, context, event)
 
     assert [answer(kind, 120) for kind in ("LEFTMOUSE", "RIGHTMOUSE", "ESC")] == [{"PASS_THROUGH"}] * 3
     assert ended == []

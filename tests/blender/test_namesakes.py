@@ -8,11 +8,11 @@ import bpy
 from job_scene import PLATE, kept, line_stroke, small_scene
 from touch_scene import save_scene, touch
 
-from hnf_blender.bridge.scene_names import name_in, named_objects, object_in
+from hnf_blender.bridge.scene_names import find_object, get_named_objects, get_scene_name
 from hnf_blender.jobs import plan_view, running
 from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import refresh_status
-from hnf_blender.touch.jobs import gather, scene_session
+from hnf_blender.touch.jobs import gather_jobs, make_scene_session
 from hnf_blender.touch.status import Freshness
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_blender.touch.targets import resolve_target
@@ -46,22 +46,22 @@ def two_plates(tmp_path):
 
 
 def bake_all():
-    return running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    return running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
 
 
 def test_every_object_of_a_scene_has_one_name(tmp_path) -> None:
     plate, linked, stroke = two_plates(tmp_path)
     scene = bpy.context.scene
-    names = named_objects(scene)
+    names = get_named_objects(scene)
     assert len(names) == len(scene.objects)
     for obj in (plate, linked, stroke):
-        assert object_in(scene, name_in(scene, obj)) == obj == names[name_in(scene, obj)]
-    assert name_in(scene, plate) == PLATE
-    assert name_in(scene, linked) == "Plate [set.blend]"
+        assert find_object(scene, get_scene_name(scene, obj)) == obj == names[get_scene_name(scene, obj)]
+    assert get_scene_name(scene, plate) == PLATE
+    assert get_scene_name(scene, linked) == "Plate [set.blend]"
     scene.collection.objects.unlink(plate)
-    assert name_in(scene, linked) == PLATE  # nobody else is called so now
-    assert object_in(scene, PLATE) == linked
-    assert object_in(scene, "Plaet") is None
+    assert get_scene_name(scene, linked) == PLATE  # nobody else is called so now
+    assert find_object(scene, PLATE) == linked
+    assert find_object(scene, "Plaet") is None
 
 
 def test_the_surface_that_was_chosen_is_baked(tmp_path, lone_bake) -> None:
@@ -78,8 +78,8 @@ def test_the_surface_that_was_chosen_is_baked(tmp_path, lone_bake) -> None:
 
 
 def surfaces():
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, Path())
-    return [job.object_name for job in gather(session).jobs]
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, Path())
+    return [job.object_name for job in gather_jobs(session).jobs]
 
 
 def test_one_on_each_is_told_apart(tmp_path, lone_bake) -> None:
@@ -98,7 +98,7 @@ def test_a_stroke_gets_its_bake_beside_a_linked_one_of_its_name(tmp_path, lone_b
     assert load_bake(stroke) is not None
     assert "Along [set.blend]" in ended.message + " ".join(ended.details)
     refresh_status(bpy.context.scene)
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def test_the_list_picks_the_one_that_is_active(tmp_path) -> None:
@@ -107,15 +107,15 @@ def test_the_list_picks_the_one_that_is_active(tmp_path) -> None:
     scene, layer = bpy.context.scene, bpy.context.view_layer
     for each in (linked, stroke, linked):
         layer.objects.active = each
-        follow_selection.follow()
+        follow_selection.sync_list_with_selection()
         assert scene.objects[scene.hnf.stroke_index] == each
 
 
 def test_the_command_line_takes_either(tmp_path) -> None:
     two_plates(tmp_path)
     scene = bpy.context.scene
-    assert object_in(scene, resolve_target(scene, PLATE).object_name).library is None
-    assert object_in(scene, resolve_target(scene, "Plate [set.blend]:0").object_name).library is not None
+    assert find_object(scene, resolve_target(scene, PLATE).object_name).library is None
+    assert find_object(scene, resolve_target(scene, "Plate [set.blend]:0").object_name).library is not None
     code, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
     assert code == 0
     assert [(each["name"], each["object"], each["material"]) for each in report["strokes"]] == [

@@ -16,9 +16,9 @@ from mathutils import Vector
 
 from hnf_blender.bridge import splat_reconstruction
 from hnf_blender.bridge.importers import open_scene
-from hnf_blender.bridge.nerfstudio import CAMERAS, add_cameras, geometry_of
-from hnf_blender.bridge.scene_camera import camera_record
-from hnf_blender.bridge.splat_cloud import cloud_of
+from hnf_blender.bridge.nerfstudio import CAMERA_COLLECTION, add_cameras, find_geometry
+from hnf_blender.bridge.scene_camera import read_camera
+from hnf_blender.bridge.splat_cloud import get_cloud
 from hnf_core.errors import FileError, SceneError
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.nerfstudio import NerfstudioFrame, read_transforms
@@ -102,13 +102,13 @@ def test_the_export_opens_with_its_mesh_and_cameras(export) -> None:
     np.testing.assert_allclose(corners.min(axis=0), [-0.05, -0.05, 0.0], atol=1e-5)
     np.testing.assert_allclose(corners.max(axis=0), [0.05, 0.05, SPOT[2] + 0.006], atol=1e-4)
     assert meshes[0].data.materials[0] is not None  # that shows the points' colours
-    cameras = [obj.name for obj in bpy.data.collections[CAMERAS].objects]
+    cameras = [obj.name for obj in bpy.data.collections[CAMERA_COLLECTION].objects]
     assert cameras == ["frame_00001", "frame_00002", "frame_00003"]
     assert scene.camera.name == "frame_00001"
     frames = read_transforms(export / "transforms.json")
     assert (scene.render.resolution_x, scene.render.resolution_y) == (WIDTH, HEIGHT)
     for name, frame in zip(cameras, frames, strict=True):
-        same_camera(camera_record(scene, scene.objects[name], 1.0), frame.camera)
+        same_camera(read_camera(scene, scene.objects[name], 1.0), frame.camera)
 
 
 def same_camera(found: Camera, expected: Camera) -> None:
@@ -125,31 +125,31 @@ def test_a_lens_off_its_middle_comes_through_blender(fl_x, fl_y, width, height) 
     camera = Camera("perspective", width, height, lens, np.eye(4))
     add_cameras(bpy.context.scene, [NerfstudioFrame("images/a.png", camera)])
     bpy.context.view_layer.update()
-    same_camera(camera_record(bpy.context.scene, bpy.context.scene.camera, 1.0), camera)
+    same_camera(read_camera(bpy.context.scene, bpy.context.scene.camera, 1.0), camera)
 
 
 def test_splats_are_taken_where_no_mesh_has_colours(copied) -> None:
     transforms = copied / "transforms.json"
-    assert geometry_of(transforms).name == "mesh.obj"
+    assert find_geometry(transforms).name == "mesh.obj"
     (copied / "mesh.obj").unlink()
-    assert geometry_of(transforms).name == "poisson_mesh.ply"
+    assert find_geometry(transforms).name == "poisson_mesh.ply"
     (copied / "poisson_mesh.ply").unlink()
-    assert geometry_of(transforms).name == "splat.ply"
+    assert find_geometry(transforms).name == "splat.ply"
     (copied / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    assert geometry_of(transforms).name == "splat.ply"
+    assert find_geometry(transforms).name == "splat.ply"
     (copied / "splat.ply").unlink()
-    assert geometry_of(transforms).name == "mesh.obj"
+    assert find_geometry(transforms).name == "mesh.obj"
 
 
 def test_an_obj_with_a_picture_has_colours(copied) -> None:
     (copied / "poisson_mesh.ply").unlink()
     (copied / "mesh.obj").write_text("mtllib material_0.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    assert geometry_of(copied / "transforms.json").name == "splat.ply"
+    assert find_geometry(copied / "transforms.json").name == "splat.ply"
     (copied / "material_0.mtl").write_text("newmtl a\nmap_Kd material_0.png\n")
-    assert geometry_of(copied / "transforms.json").name == "mesh.obj"
+    assert find_geometry(copied / "transforms.json").name == "mesh.obj"
     (copied / "mesh.obj").write_text("mtllib ../material_0.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (copied.parent / "material_0.mtl").write_text("newmtl a\nmap_Kd material_0.png\n")
-    assert geometry_of(copied / "transforms.json").name == "splat.ply"
+    assert find_geometry(copied / "transforms.json").name == "splat.ply"
 
 
 def test_points_alone_are_refused_and_nothing_is_given_up(copied) -> None:
@@ -178,10 +178,10 @@ def test_splats_of_an_export_stand_upright_among_its_cameras(copied, monkeypatch
     (copied / "poisson_mesh.ply").unlink()
     splats = read_splats(copied / "splat.ply")
     write_inria(copied / "splat.ply", splats)
-    monkeypatch.setattr(splat_reconstruction, "CELLS", 40)
+    monkeypatch.setattr(splat_reconstruction, "DEFAULT_CELLS", 40)
     scene = open_scene(copied / "transforms.json")
-    surface = next(obj for obj in scene.objects if cloud_of(obj) is not None)
-    np.testing.assert_allclose(np.array(cloud_of(surface).matrix_world), np.eye(4), atol=1e-6)
+    surface = next(obj for obj in scene.objects if get_cloud(obj) is not None)
+    np.testing.assert_allclose(np.array(get_cloud(surface).matrix_world), np.eye(4), atol=1e-6)
     np.testing.assert_allclose(np.array(surface.matrix_world), np.eye(4), atol=1e-6)
     frames = read_transforms(copied / "transforms.json")
-    same_camera(camera_record(scene, scene.camera, 1.0), frames[0].camera)
+    same_camera(read_camera(scene, scene.camera, 1.0), frames[0].camera)

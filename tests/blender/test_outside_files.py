@@ -9,10 +9,10 @@ import numpy as np
 from builders import add_plane
 from outside_pictures import picture
 
-from hnf_blender.bridge.hashes import material_hash
-from hnf_blender.bridge.picture_hash import PictureHashes
-from hnf_blender.bridge.scene_camera import overview_camera
-from hnf_blender.touch.outside import outside_files
+from hnf_blender.bridge.hashes import hash_material
+from hnf_blender.bridge.picture_hash import RenderHashes
+from hnf_blender.bridge.scene_camera import make_overview_camera
+from hnf_blender.touch.outside import list_external_files
 
 
 def test_files_beside_a_scene(tmp_path: Path) -> None:
@@ -26,11 +26,11 @@ def test_files_beside_a_scene(tmp_path: Path) -> None:
     for name in ("cup.obj", "cup.mtl", "cup.bin"):
         (tmp_path / name).touch()
     pictures = {str(tmp_path / f"{name}.png") for name in ("lone", "tile.1001", "tile.1002")}
-    assert set(outside_files(tmp_path / "cup.blend")) == pictures
-    assert set(outside_files(tmp_path / "cup.obj")) == pictures | {str(tmp_path / "cup.mtl")}
-    assert set(outside_files(tmp_path / "cup.gltf")) == pictures | {str(tmp_path / "cup.bin")}
+    assert set(list_external_files(tmp_path / "cup.blend")) == pictures
+    assert set(list_external_files(tmp_path / "cup.obj")) == pictures | {str(tmp_path / "cup.mtl")}
+    assert set(list_external_files(tmp_path / "cup.gltf")) == pictures | {str(tmp_path / "cup.bin")}
     (tmp_path / "lone.png").unlink()
-    assert str(tmp_path / "lone.png") not in outside_files(tmp_path / "cup.blend")
+    assert str(tmp_path / "lone.png") not in list_external_files(tmp_path / "cup.blend")
 
 
 def shaded(name: str, image):
@@ -47,9 +47,9 @@ def shaded(name: str, image):
 
 def key_of(plate) -> str:
     path = np.array([[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]])
-    camera = overview_camera(path, np.array([0.0, 0.0, 1.0]), 0.02, 64, 36)
-    hashes = PictureHashes(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0)
-    return hashes.of(camera, [plate])
+    camera = make_overview_camera(path, np.array([0.0, 0.0, 1.0]), 0.02, 64, 36)
+    hashes = RenderHashes(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0)
+    return hashes.hash_view(camera, [plate])
 
 
 def world_of(image) -> None:
@@ -75,7 +75,7 @@ def test_a_pictures_key_reads_no_file_and_follows_each(tmp_path: Path, monkeypat
         (tmp_path / name).write_bytes(whole(tmp_path / name) + b" ")
         keys.add(key_of(plate))
     assert read == []
-    material_hash(plate.data.materials[0])  # what is felt follows from the pixels
+    hash_material(plate.data.materials[0])  # what is felt follows from the pixels
     assert read == [tmp_path / "leather.png"]
     leather.pack()
     keys.add(key_of(plate))

@@ -10,20 +10,20 @@ import pytest
 from builders import add_plane, add_sphere, datablock_names
 
 from hnf_blender.bridge import picture
-from hnf_blender.bridge.meshes import surface_mesh
-from hnf_blender.bridge.picture import Overviews, render_overview
-from hnf_blender.bridge.render import prepare_cycles
-from hnf_blender.bridge.scene_camera import overview_camera
-from hnf_blender.bridge.temporary import SCENE_NAME, Temporary
+from hnf_blender.bridge.meshes import read_surface
+from hnf_blender.bridge.picture import OverviewRenderer, render_overview
+from hnf_blender.bridge.render import configure_cycles
+from hnf_blender.bridge.scene_camera import make_overview_camera
+from hnf_blender.bridge.temporary import TEMP_SCENE_NAME, TemporaryScene
 from hnf_blender.touch import view as touch_view
 from hnf_blender.touch.report import Counts
-from hnf_blender.touch.view import Views
+from hnf_blender.touch.view import StrokeViews
 from hnf_core.errors import SceneError
 from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.scene.camera import Camera
 
-LEFT = overview_camera([[0, 0, 0]], [-1, -1, 0.2], 0.7, 96, 54)
-RIGHT = overview_camera([[0, 0, 0]], [1, -1, 0.2], 0.7, 80, 60)
+LEFT = make_overview_camera([[0, 0, 0]], [-1, -1, 0.2], 0.7, 96, 54)
+RIGHT = make_overview_camera([[0, 0, 0]], [1, -1, 0.2], 0.7, 80, 60)
 
 
 def coloured(obj, colour):
@@ -53,8 +53,8 @@ def assert_equal(view, other):
 def test_each_view_is_what_it_would_be_alone_whatever_was_rendered_before_it(things):
     ball, floor = things
     wanted = [(LEFT, [ball, floor]), (RIGHT, [ball]), (LEFT, [floor]), (LEFT, [ball, floor])]
-    with Overviews(bpy.context.scene, samples=2) as overviews:
-        found = [overviews.view(camera, objects)[0] for camera, objects in wanted]
+    with OverviewRenderer(bpy.context.scene, samples=2) as overviews:
+        found = [overviews.render_view(camera, objects)[0] for camera, objects in wanted]
     for view, (camera, objects) in zip(found, wanted, strict=True):
         assert_equal(view, alone(camera, objects))
     assert not np.array_equal(found[0].depth, found[2].depth)
@@ -63,8 +63,8 @@ def test_each_view_is_what_it_would_be_alone_whatever_was_rendered_before_it(thi
 @pytest.mark.parametrize("change", ["place", "shader", "shape", "light"])
 def test_what_changed_between_two_views_is_seen(things, change):
     ball, floor = things
-    with Overviews(bpy.context.scene, samples=2) as overviews:
-        before, told = overviews.view(LEFT, [ball, floor])
+    with OverviewRenderer(bpy.context.scene, samples=2) as overviews:
+        before, told = overviews.render_view(LEFT, [ball, floor])
         assert len(told) == 1
         if change == "place":
             ball.location.z = 0.2
@@ -77,7 +77,7 @@ def test_what_changed_between_two_views_is_seen(things, change):
             lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "SUN"))
             bpy.context.scene.collection.objects.link(lamp)
         bpy.context.view_layer.update()
-        after, told = overviews.view(LEFT, [ball, floor])
+        after, told = overviews.render_view(LEFT, [ball, floor])
     assert not np.array_equal(before.rgb, after.rgb)
     assert (told == ()) == (change == "light")
     assert_equal(after, alone(LEFT, [ball, floor]))
@@ -86,14 +86,14 @@ def test_what_changed_between_two_views_is_seen(things, change):
 def test_other_work_goes_on_meanwhile_and_nothing_of_the_views_is_left(things):
     ball, floor = things
     before = datablock_names()
-    with Overviews(bpy.context.scene, samples=1) as overviews:
-        first, _ = overviews.view(LEFT, [ball, floor])
+    with OverviewRenderer(bpy.context.scene, samples=1) as overviews:
+        first, _ = overviews.render_view(LEFT, [ball, floor])
         assert ball.users_scene == floor.users_scene == (bpy.context.scene,)
-        with Temporary() as temporary:
-            prepare_cycles(temporary.scene, 1)
+        with TemporaryScene() as temporary:
+            configure_cycles(temporary.scene, 1)
             temporary.copy_object(ball, with_data=True)
         kept = bpy.data.objects.new("made meanwhile", None)
-        again, _ = overviews.view(LEFT, [ball, floor])
+        again, _ = overviews.render_view(LEFT, [ball, floor])
     assert_equal(first, again)
     assert kept.name == "made meanwhile"
     bpy.data.objects.remove(kept)
@@ -105,21 +105,21 @@ def test_a_view_that_fails_leaves_no_object_behind(things):
     before = datablock_names()
     intrinsics = np.array([[50.0, 0.0, 20.0], [0.0, 60.0, 20.0], [0.0, 0.0, 1.0]])
     oblong = Camera("perspective", 40, 40, intrinsics, LEFT.pose, 0.1, 10.0)
-    with Overviews(bpy.context.scene, samples=1) as overviews:
+    with OverviewRenderer(bpy.context.scene, samples=1) as overviews:
         with pytest.raises(SceneError, match="not square"):
-            overviews.view(oblong, [ball])
+            overviews.render_view(oblong, [ball])
         assert ball.users_scene == (bpy.context.scene,)
-        view, _ = overviews.view(LEFT, [ball, floor])
+        view, _ = overviews.render_view(LEFT, [ball, floor])
     assert np.isfinite(view.depth).any()
     assert datablock_names() == before
-    assert SCENE_NAME not in bpy.data.scenes
+    assert TEMP_SCENE_NAME not in bpy.data.scenes
 
 
 def test_a_rectangle_of_a_view_shows_what_the_whole_shows_there(things):
-    with Overviews(bpy.context.scene, samples=1, whole=True) as overviews:
+    with OverviewRenderer(bpy.context.scene, samples=1, entire_scene=True) as overviews:
         overviews.temporary.scene.cycles.use_denoising = False
-        whole, _ = overviews.view(LEFT)
-        part, _ = overviews.view(LEFT.crop(30, 20, 24, 16))
+        whole, _ = overviews.render_view(LEFT)
+        part, _ = overviews.render_view(LEFT.crop(30, 20, 24, 16))
     there = whole.depth[20:36, 30:54]
     both = np.isfinite(there) & np.isfinite(part.depth)
     assert (np.isfinite(there) == np.isfinite(part.depth)).mean() > 0.99
@@ -129,9 +129,9 @@ def test_a_rectangle_of_a_view_shows_what_the_whole_shows_there(things):
 
 def test_a_denoised_view_of_few_samples_is_nearer_to_many_samples_than_a_raw_one(things):
     def srgb(samples, denoised):
-        with Overviews(bpy.context.scene, samples=samples, whole=True) as overviews:
+        with OverviewRenderer(bpy.context.scene, samples=samples, entire_scene=True) as overviews:
             overviews.temporary.scene.cycles.use_denoising = denoised
-            return linear_to_srgb(overviews.view(RIGHT)[0].rgb)
+            return linear_to_srgb(overviews.render_view(RIGHT)[0].rgb)
 
     true = srgb(256, False)
     raw, denoised = (np.sqrt(np.mean((srgb(4, each) - true) ** 2)) for each in (False, True))
@@ -153,13 +153,13 @@ def test_with_relief_the_denoiser_leaves_the_ridges_that_are_touched():
         links.new(output, nodes["Principled BSDF"].inputs[name])
     wide = lamp((0, 0, 2))
     wide.rotation_euler, wide.data.angle = (0.0, 1.0, 0.0), 3.0
-    camera = overview_camera([[0, 0, 0]], [0, 0, 1], 0.3, 192, 108)
+    camera = make_overview_camera([[0, 0, 0]], [0, 0, 1], 0.3, 192, 108)
 
     def ridges(samples, denoised, relief=False):
         """What changes within seven pixels."""
-        with Overviews(bpy.context.scene, samples=samples, whole=True, relief=relief) as overviews:
+        with OverviewRenderer(bpy.context.scene, samples=samples, entire_scene=True, relief=relief) as overviews:
             overviews.temporary.scene.cycles.use_denoising = denoised
-            seen = linear_to_srgb(overviews.view(camera)[0].rgb)[..., 1]
+            seen = linear_to_srgb(overviews.render_view(camera)[0].rgb)[..., 1]
         return seen - np.stack([np.roll(seen, shift, axis=1) for shift in range(-3, 4)]).mean(axis=0)
 
     true = ridges(128, False)
@@ -174,26 +174,28 @@ def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a
     scenes = []
     monkeypatch.setattr(touch_view, "WIDTH", 96)
     monkeypatch.setattr(touch_view, "HEIGHT", 54)
-    monkeypatch.setattr(picture, "prepare_cycles", lambda scene, samples: scenes.append(prepare_cycles(scene, 1)))
+    monkeypatch.setattr(picture, "configure_cycles", lambda scene, samples: scenes.append(configure_cycles(scene, 1)))
     depsgraph, counts = bpy.context.evaluated_depsgraph_get(), Counts()
-    surface = surface_mesh(floor, depsgraph, 1.0)
-    with Views(bpy.context.scene, depsgraph, 1.0, counts) as views:
+    surface = read_surface(floor, depsgraph, 1.0)
+    with StrokeViews(bpy.context.scene, depsgraph, 1.0, counts) as views:
         assert (scenes, counts.renders) == ([], 0)
         for x in (0.8, 1.2):
             point = np.stack([np.linspace(x, x + 0.1, 5), np.zeros(5), np.zeros(5)], axis=1)
             contacts = SimpleNamespace(point=point, normal=np.tile([0.0, 0.0, 1.0], (5, 1)), force=np.ones(5))
-            shown, _ = views.of_stroke(contacts, surface, floor, "Across")
+            shown, _ = views.render_stroke(contacts, surface, floor, "Across")
             assert np.ptp(shown.path[:, 0]) > 15
-            assert bpy.data.scenes[SCENE_NAME].cycles.denoising_input_passes == "RGB_ALBEDO_NORMAL"  # the relief stays
+            assert (
+                bpy.data.scenes[TEMP_SCENE_NAME].cycles.denoising_input_passes == "RGB_ALBEDO_NORMAL"
+            )  # the relief stays
     assert (len(scenes), counts.renders) == (1, 2)
-    assert SCENE_NAME not in bpy.data.scenes
+    assert TEMP_SCENE_NAME not in bpy.data.scenes
 
 
 @pytest.fixture
 def small(monkeypatch):
     monkeypatch.setattr(touch_view, "WIDTH", 96)
     monkeypatch.setattr(touch_view, "HEIGHT", 54)
-    monkeypatch.setattr(picture, "prepare_cycles", lambda scene, samples: prepare_cycles(scene, 1))
+    monkeypatch.setattr(picture, "configure_cycles", lambda scene, samples: configure_cycles(scene, 1))
 
 
 def seen_from_below(gap):
@@ -204,13 +206,13 @@ def seen_from_below(gap):
         coloured(add_plane("Ground", size=4.0, z=-gap), (0.5, 0.5, 0.5))
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    surface = surface_mesh(board, depsgraph, 1.0)
+    surface = read_surface(board, depsgraph, 1.0)
     way = np.linspace(-0.03, 0.03, 9)
     point = np.stack([way, way, np.zeros(9)], axis=1) @ surface.rigid[:3, :3]
     down = np.array([0.0, 0.0, -1.0]) @ surface.rigid[:3, :3]
     contacts = SimpleNamespace(point=point, normal=np.tile(down, (9, 1)), force=np.ones(9))
-    with Views(bpy.context.scene, depsgraph, 1.0, Counts()) as views:
-        return views.of_stroke(contacts, surface, board, "Under the board")
+    with StrokeViews(bpy.context.scene, depsgraph, 1.0, Counts()) as views:
+        return views.render_stroke(contacts, surface, board, "Under the board")
 
 
 @pytest.mark.parametrize("gap", [None, 0.25, 0.05])
@@ -227,7 +229,7 @@ def test_what_stands_before_a_stroke_is_cut_away_and_said(small, gap):
 
 
 def test_a_stroke_that_no_view_shows_is_told(small, monkeypatch):
-    monkeypatch.setattr(touch_view, "cut_open", lambda *_: None)
+    monkeypatch.setattr(touch_view, "clip_obstacles", lambda *_: None)
     shown, notes = seen_from_below(0.05)
     assert not shown.visible.any()
     assert "stroke 'Under the board': all of it is hidden in its picture." in notes
@@ -244,12 +246,12 @@ def test_a_scene_camera_with_something_before_the_stroke_is_not_taken(small):
     bpy.context.scene.camera = camera
     bpy.context.view_layer.update()
     depsgraph, counts = bpy.context.evaluated_depsgraph_get(), Counts()
-    surface = surface_mesh(board, depsgraph, 1.0)
+    surface = read_surface(board, depsgraph, 1.0)
     point = np.stack([np.linspace(-0.03, 0.03, 9), np.zeros(9), np.zeros(9)], axis=1)
     contacts = SimpleNamespace(point=point, normal=np.tile([0.0, 0.0, 1.0], (9, 1)), force=np.ones(9))
-    with Views(bpy.context.scene, depsgraph, 1.0, counts) as views:
+    with StrokeViews(bpy.context.scene, depsgraph, 1.0, counts) as views:
         for name in ("One", "Two"):
-            shown, _ = views.of_stroke(contacts, surface, board, name)
+            shown, _ = views.render_stroke(contacts, surface, board, name)
             assert shown.visible.all()
     assert counts.renders == 3  # the scene's own view once
 
@@ -266,12 +268,12 @@ def test_a_tree_of_lights_is_grown_where_there_are_several_and_beside_one_lamp_i
 
     def seen(tree=None, seed=0):
         """Whether a tree was chosen, and the picture with `tree`, or with what was chosen."""
-        with Overviews(bpy.context.scene, samples=4, whole=True) as overviews:
+        with OverviewRenderer(bpy.context.scene, samples=4, entire_scene=True) as overviews:
             own = overviews.temporary.scene.cycles
             own.use_denoising, own.seed = False, seed
             if tree is not None:
-                monkeypatch.setattr(picture, "_lamps", lambda scene: 2 * tree)
-            rgb = linear_to_srgb(overviews.view(LEFT)[0].rgb)
+                monkeypatch.setattr(picture, "_count_lamps", lambda scene: 2 * tree)
+            rgb = linear_to_srgb(overviews.render_view(LEFT)[0].rgb)
             monkeypatch.undo()
             return own.use_light_tree, rgb
 

@@ -17,17 +17,17 @@ import hnf_blender.ops
 import hnf_blender.ui
 from hnf_blender.prefs import HnfPreferences
 from hnf_blender.preview.facts import PREVIEW, PreviewFacts
-from hnf_blender.props.scene import active_stroke
-from hnf_blender.rooms import classes_of
+from hnf_blender.props.scene import get_active_stroke
+from hnf_blender.rooms import collect_classes
 from hnf_blender.state import texts
 from hnf_blender.state.session import STATE, JobStatus, LastJob, PlanLine, PlanView
-from hnf_blender.state.settings import Settings, settings
+from hnf_blender.state.settings import Settings, get_settings
 from hnf_blender.touch.status import Freshness, StrokeStatus
 from hnf_blender.ui import stroke_list
 from hnf_core.action.primitives import PRIMITIVES
 
 ROOT = Path(__file__).resolve().parents[2]
-UI = classes_of("hnf_blender.ui", hnf_blender.ui.MODULES)
+UI = collect_classes("hnf_blender.ui", hnf_blender.ui.MODULES)
 PANELS = [each for each in UI if issubclass(each, bpy.types.Panel)]
 LONG = "A stroke along the very long seam of the left armrest"
 
@@ -37,11 +37,11 @@ def switched_on():
     hnf_blender.ops.register()
     hnf_blender.ui.register()
     STATE.clear()
-    STATE.heard = False
+    STATE.has_played = False
     yield
     PREVIEW.clear()
     STATE.clear()
-    STATE.heard = False
+    STATE.has_played = False
     hnf_blender.ui.unregister()
     hnf_blender.ops.unregister()
 
@@ -68,14 +68,14 @@ def fill() -> None:
     for freshness in Freshness:
         name = f"{LONG} {freshness.value}"
         add_stroke(name, plane)
-        STATE.strokes_in(bpy.context.scene)[name] = StrokeStatus(
+        STATE.get_statuses(bpy.context.scene)[name] = StrokeStatus(
             freshness, "", 1.2, "Plane", "oak-wood", "8–2 mm measured, 1–0.125 mm prior", 0.64, ("fast",)
         )
         PREVIEW.facts[name] = PreviewFacts(
             name, 1.2, 3.0, 1.0, 20.0, 0.64, has_kept=freshness is Freshness.FRESH, busy=freshness is Freshness.FORCE,
             problem="stale" if freshness is Freshness.STALE else "", lines=("1.20 s; peak 3 m/s², RMS 1 m/s²",),
         )  # fmt: skip
-    kinds = tuple(PlanLine(kind, f"stroke '{LONG}'", "because") for kind in texts.KINDS for _ in range(8))
+    kinds = tuple(PlanLine(kind, f"stroke '{LONG}'", "because") for kind in texts.PLAN_LABELS for _ in range(8))
     STATE.plan = PlanView(kinds, 75.0, 48_321)
     STATE.last_job = LastJob(False, "The bake stopped. Bake again.", ("Killed",))
     plane.data.materials[0].hnf_touch.library = "oak-wood"
@@ -115,19 +115,19 @@ def test_every_panel_draws_with_what_this_blender_has(each: type) -> None:
 def test_drawing_changes_nothing(each: type) -> None:
     fill()
     before = (
-        dict(STATE.strokes_in(bpy.context.scene)),
+        dict(STATE.get_statuses(bpy.context.scene)),
         STATE.plan,
         STATE.last_job,
         dict(STATE.suggestions),
-        set(STATE.dirty),
+        set(STATE.dirty_names),
     )
     drawn(each)
     assert before == (
-        dict(STATE.strokes_in(bpy.context.scene)),
+        dict(STATE.get_statuses(bpy.context.scene)),
         STATE.plan,
         STATE.last_job,
         dict(STATE.suggestions),
-        set(STATE.dirty),
+        set(STATE.dirty_names),
     )
 
 
@@ -158,12 +158,12 @@ def test_an_empty_scene_says_what_to_do_first_and_the_hint_goes_away() -> None:
     assert strokes is not None
     assert ("hnf.stroke_tool" in scene.operators, "hnf.stroke_tool" in strokes.operators) == (False, True)
     assert "2  Bake" in scene.words
-    STATE.strokes_in(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.FRESH)
+    STATE.get_statuses(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.FRESH)
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None
     assert "3  Play" in scene.words
     assert "hnf.preview_play" in scene.operators
-    STATE.heard = True
+    STATE.has_played = True
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None
     assert "1  Draw" not in scene.words
@@ -175,12 +175,12 @@ def test_the_preview_says_what_is_missing_then_shows_figures() -> None:
     assert "draw a stroke" in nothing.words.replace("\n", " ")
     stroke = add_stroke("Rub", add_plane())
     PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, problem="Not baked yet.")
-    STATE.strokes_in(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.UNBAKED)
+    STATE.get_statuses(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.UNBAKED)
     unbaked = drawn(panel("HNF_PT_preview"))
     assert unbaked is not None
     assert "Bake this stroke" in unbaked.words
     assert "Not baked yet." not in unbaked.words
-    STATE.strokes_in(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.FRESH)
+    STATE.get_statuses(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.FRESH)
     PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, 1.2, playing=True, has_kept=True, lines=("peak 3 m/s²",))
     playing = drawn(panel("HNF_PT_preview"))
     assert playing is not None
@@ -207,9 +207,9 @@ def test_figures_of_her_own_are_asked_for_where_her_own_actuator_is_chosen() -> 
 
 @pytest.mark.parametrize("row_px", [70.0, 105.0, 180.0, 250.0, 800.0])
 def test_solo_and_mute_have_their_room_in_a_narrow_list(row_px: float) -> None:
-    share = stroke_list.name_share(row_px)
+    share = stroke_list.compute_name_share(row_px)
     assert (1.0 - share) * row_px >= stroke_list.SWITCHES_PX - 1e-9
-    assert stroke_list.LEAST_SHARE <= share <= stroke_list.NAME_SHARE
+    assert stroke_list.MIN_SHARE <= share <= stroke_list.NAME_SHARE
 
 
 def test_what_was_told_of_another_scene_is_not_shown_here() -> None:
@@ -243,7 +243,7 @@ def test_the_preferences_draw_and_are_read() -> None:
     assert "hnf.cache_clear" in recorder.operators
     assert "PyTorch" in recorder.words
     properties = {name: getattr(Settings(), name) for name in HnfPreferences.__annotations__}
-    assert settings(bpy.context) == Settings(**properties)  # where Blender keeps none
+    assert get_settings(bpy.context) == Settings(**properties)  # where Blender keeps none
 
 
 def test_the_ready_strokes_are_the_primitives() -> None:
@@ -258,20 +258,20 @@ def test_the_ready_strokes_are_the_primitives() -> None:
 def test_the_active_stroke_is_the_selected_one_then_the_listed_then_the_only_one() -> None:
     first, second = add_stroke("A"), add_stroke("B")
     scene = bpy.context.scene
-    assert active_stroke(bpy.context) == second
+    assert get_active_stroke(bpy.context) == second
     bpy.context.view_layer.objects.active = add_plane()
     scene.hnf.stroke_index = scene.objects.find("A")
-    assert active_stroke(bpy.context) == first
+    assert get_active_stroke(bpy.context) == first
     scene.hnf.stroke_index = scene.objects.find("Plane")
-    assert active_stroke(bpy.context) is None
+    assert get_active_stroke(bpy.context) is None
     bpy.data.objects.remove(second)
     scene.hnf.stroke_index = 99
-    assert active_stroke(bpy.context) == first
+    assert get_active_stroke(bpy.context) == first
 
 
 def test_every_operator_and_its_properties_have_tooltips() -> None:
     bare = []
-    for each in classes_of("hnf_blender.ops", hnf_blender.ops.MODULES):
+    for each in collect_classes("hnf_blender.ops", hnf_blender.ops.MODULES):
         if issubclass(each, bpy.types.Operator):
             rna = rna_of(each.bl_idname)
             bare += [each.bl_idname] if not rna.description.strip() else []

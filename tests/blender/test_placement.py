@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from builders import add_mesh, add_plane, add_sphere
 
-from hnf_blender.bridge.meshes import ray_caster, surface_mesh
-from hnf_blender.bridge.placement import default_slots, place_primitive, touchable_slots
-from hnf_blender.bridge.strokes import read_stroke, stroke_objects
+from hnf_blender.bridge.meshes import make_ray_caster, read_surface
+from hnf_blender.bridge.placement import choose_default_slots, list_touchable_slots, place_primitive
+from hnf_blender.bridge.strokes import list_strokes, read_stroke
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import action_from_contacts, plan_patches
-from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 from hnf_core.errors import SceneError
 
@@ -33,8 +33,8 @@ def place(obj, primitive, slot=None, metres_per_unit=1.0, **keywords):
 
 def act(obj, metres_per_unit=1.0):
     stroke = read_stroke(obj, bpy.context.scene, graph(), metres_per_unit)
-    mesh = surface_mesh(bpy.data.objects[stroke.object_name], graph(), metres_per_unit).mesh
-    contacts = find_contacts(stroke.samples, stroke.surface(mesh))
+    mesh = read_surface(bpy.data.objects[stroke.object_name], graph(), metres_per_unit).mesh
+    contacts = find_contacts(stroke.samples, stroke.get_surface(mesh))
     patches, index = plan_patches(contacts)
     return stroke, contacts, mesh, action_from_contacts(contacts, patches, index, stroke.probe)
 
@@ -44,7 +44,7 @@ def assert_well_placed(obj, slot, *, within=5e-4, outward=0.99):
     stroke, contacts, mesh, action = act(obj)
     assert np.mean(contacts.slot == slot) >= 0.99
     assert contacts.distance.max() < within
-    up = ray_caster(mesh).cast(contacts.point + 1e-3 * contacts.normal, contacts.normal)
+    up = make_ray_caster(mesh).cast(contacts.point + 1e-3 * contacts.normal, contacts.normal)
     assert np.mean(up.triangle < 0) >= outward
     assert np.array_equal(action.contact, contacts.force > 0)
     return stroke, contacts, action
@@ -54,7 +54,7 @@ def assert_well_placed(obj, slot, *, within=5e-4, outward=0.99):
 def test_a_plane_gives_the_primitive_itself(name):
     obj = place(add_plane(size=0.1), name, seed=3)
     stroke, contacts, action = assert_well_placed(obj, 0, within=1e-6)
-    expected = primitive_action(name, seed=3)
+    expected = make_primitive_action(name, seed=3)
     n = min(len(action.speed), len(expected.speed))
     # A rub is redrawn with closer knots, a scrape is straight either way.
     near = 5e-2 if name.startswith("rub") else 1e-2
@@ -63,7 +63,7 @@ def test_a_plane_gives_the_primitive_itself(name):
     assert np.allclose(action.force[:n], expected.force[:n], atol=near * PRIMITIVES[name].force)
     moving = expected.speed[:n] > 0.01
     assert np.allclose(action.direction[:n][moving], expected.direction[:n][moving], atol=5 * near)
-    assert stroke.law == "PROGRESS"
+    assert stroke.motion_profile == "PROGRESS"
     assert stroke.seed == 3
     # In the middle: no closer to the border than need be.
     assert np.abs(contacts.point[:, :2]).max() < 0.035
@@ -74,7 +74,7 @@ def test_stroke_is_an_editable_child():
     obj = place(plane, "left-right-soft", start_frame=12)
     assert obj.parent == plane
     assert obj.hnf_stroke.surface == plane
-    assert stroke_objects(bpy.context.scene) == [obj]
+    assert list_strokes(bpy.context.scene) == [obj]
     before = act(obj)[3]
     plane.location, plane.rotation_euler = (1, 2, 3), (0.3, 0.2, 2.0)
     bpy.context.view_layer.update()
@@ -181,7 +181,7 @@ def test_slots_are_found_and_kept():
     obj = striped()
     add_plane("Hidden").hide_render = True
     add_plane("Bare", size=0.05)
-    slots = touchable_slots(bpy.context.scene)
+    slots = list_touchable_slots(bpy.context.scene)
     assert [(each.name, slot, material) for each, slot, material in slots] == [
         ("Bare", 0, ""),
         ("Striped", 0, "Oak"),
@@ -199,7 +199,7 @@ def test_one_default_target_per_material():
     small.data.materials.append(bpy.data.materials["Oak"])
     add_plane("Bare A", size=0.05)
     add_plane("Bare B", size=0.05)
-    assert default_slots(bpy.context.scene) == [
+    assert choose_default_slots(bpy.context.scene) == [
         (bpy.data.objects["Bare A"], 0, ""),
         (bpy.data.objects["Bare B"], 0, ""),
         (obj, 0, "Oak"),
@@ -207,7 +207,7 @@ def test_one_default_target_per_material():
     ]
     small.scale = (20, 20, 20)
     bpy.context.view_layer.update()
-    assert (small, 0, "Oak") in default_slots(bpy.context.scene)
+    assert (small, 0, "Oak") in choose_default_slots(bpy.context.scene)
 
 
 def test_without_uvs_left_to_right_is_the_objects_x():
@@ -262,7 +262,7 @@ def test_what_cannot_be_touched_is_named():
 def test_flight_helmet():
     bpy.ops.import_scene.gltf(filepath=str(HELMET))
     bpy.context.view_layer.update()
-    targets = default_slots(bpy.context.scene)
+    targets = choose_default_slots(bpy.context.scene)
     assert len(targets) == 6
     for target in targets:
         obj = place(target[0], "default", slot=target[1])
@@ -271,6 +271,6 @@ def test_flight_helmet():
         assert contacts.on_surface.mean() >= 0.99, target
         assert contacts.distance.max() < 1e-3, target
         assert action.speed.max() == pytest.approx(0.1, rel=0.02), target
-        up = ray_caster(mesh).cast(contacts.point + 1e-3 * contacts.normal, contacts.normal)
+        up = make_ray_caster(mesh).cast(contacts.point + 1e-3 * contacts.normal, contacts.normal)
         assert np.mean(up.distance > 0.02) >= 0.95, target
         assert stroke.length_m >= 0.024, target

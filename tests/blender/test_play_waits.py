@@ -18,14 +18,14 @@ def begun(monkeypatch):
     done = []
     for name in ("play", "go_on"):
         monkeypatch.setattr(current, name, lambda stroke, _scene, name=name: done.append((name, stroke)))
-    monkeypatch.setattr(current, "tell", lambda *_: None)
+    monkeypatch.setattr(current, "update_facts", lambda *_: None)
     PREVIEW.clear()
     yield done
     PREVIEW.clear()
 
 
 def hear(*names):
-    preview._sound(SimpleNamespace(scene=bpy.context.scene), set(names), timeline_plays=False)
+    preview._update_playback(SimpleNamespace(scene=bpy.context.scene), set(names), timeline_plays=False)
 
 
 def test_what_sounds_goes_on_and_what_waits_is_played_in_its_turn(begun):

@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from player_builders import RATE_HZ, tone
 
-from hnf_blender.preview.whole import given_to, limited
-from hnf_core.actuators.chain import counts_of
-from hnf_core.actuators.compensation import stages_of
-from hnf_core.actuators.limits import COUNTS, Limits
+from hnf_blender.preview.whole import limit_offline, process_for_output
+from hnf_core.actuators.chain import render_counts
+from hnf_core.actuators.compensation import make_compensation
+from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits
 from hnf_core.actuators.measure.resonator import Resonator
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.response import Response
+from hnf_core.actuators.response import FrequencyResponse
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 
 bounds = st.builds(
     Limits,
@@ -41,7 +41,7 @@ bounds = st.builds(
 def test_played_whole_it_keeps_the_limits(limits, level, to_hz, loop, seed) -> None:
     samples = (level * np.random.default_rng(seed).standard_normal(4000)).astype(np.float32)
     samples[7] = np.nan
-    out = limited(samples, RATE_HZ, to_hz, limits, loop=loop).astype(np.float64)
+    out = limit_offline(samples, RATE_HZ, to_hz, limits, loop=loop).astype(np.float64)
     assert len(out) >= int(0.4 * to_hz)
     assert out.shape[1] == 1
     assert np.abs(out).max(initial=0.0) <= limits.peak + 1e-7
@@ -54,16 +54,16 @@ def test_played_whole_it_keeps_the_limits(limits, level, to_hz, loop, seed) -> N
 @pytest.mark.parametrize("to_hz", [RATE_HZ, 44_100.0])
 def test_played_whole_it_is_what_a_stream_sends(to_hz) -> None:
     profile, frequency = replace(GENERIC, range_hz=(40.0, 400.0)), np.geomspace(20.0, 1000.0, 60)
-    gain = Resonator(150.0, 0.1, 1.0).at(frequency)
-    measured = Response(frequency, 20.0 * np.log10(np.abs(gain)), np.unwrap(np.angle(gain)), np.ones(60))
+    gain = Resonator(150.0, 0.1, 1.0).evaluate(frequency)
+    measured = FrequencyResponse(frequency, 20.0 * np.log10(np.abs(gain)), np.unwrap(np.angle(gain)), np.ones(60))
     profile = replace(profile, response=measured)
     sound = tone(0.4, level=6.0)
-    sent = counts_of(
-        Recorded(sound.samples[:, None], RATE_HZ), SinkFormat(to_hz, 1, 441, "a sound card"), profile.limits,
-        stages_of(profile, RATE_HZ, 1), prompt=False,
+    sent = render_counts(
+        BufferSource(sound.samples[:, None], RATE_HZ), SinkFormat(to_hz, 1, 441, "a sound card"), profile.limits,
+        make_compensation(profile, RATE_HZ, 1), low_latency=False,
     )  # fmt: skip
-    played = given_to(sound.samples, RATE_HZ, to_hz, profile)
+    played = process_for_output(sound.samples, RATE_HZ, to_hz, profile)
     assert np.abs(played).max() > 0.05
-    assert np.abs(np.rint(played * COUNTS) - sent).max() <= 1.0
-    plain = limited(sound.samples, RATE_HZ, to_hz, profile.limits)
+    assert np.abs(np.rint(played * FULL_SCALE_COUNTS) - sent).max() <= 1.0
+    plain = limit_offline(sound.samples, RATE_HZ, to_hz, profile.limits)
     assert abs(np.std(played) / np.std(plain) - 1.0) > 0.05

@@ -12,9 +12,9 @@ from closeup_builders import principled
 from predicted_scene import PHOTO_PLATE, bake_open_scene, photo, photo_material, photo_plate, small_weights, use_weights
 from touch_scene import line_stroke
 
-from hnf_blender.bridge.look import Look
+from hnf_blender.bridge.look import UnlitImage
 from hnf_blender.touch import bake, seeing
-from hnf_blender.touch.feel import feel
+from hnf_blender.touch.feel import synthesise_stroke
 from hnf_core.field.weights import load_field
 from hnf_core.tactile.tactile_map import Route
 from hnf_core.tactile.views import cut_views
@@ -64,7 +64,7 @@ def test_a_photo_without_relief_is_predicted_once_a_patch(tmp_path) -> None:
 
 
 def test_no_network_looks_where_the_relief_is_known(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(seeing, "_read", None)  # to read the weights would fail
+    monkeypatch.setattr(seeing, "_load_weights", None)  # to read the weights would fail
     ridges_under_a_photo()
     line_stroke("Along")
     baked = bake_open_scene(tmp_path)
@@ -98,15 +98,15 @@ def test_where_a_picture_is_of_one_colour_it_is_not_read() -> None:
     rgb = np.full((512, 512, 3), 140, dtype=np.uint8)
     rgb[:, :256] = np.rint(255.0 * np.sqrt(photo(512)[:, :256]))
     pixel_m = 20e-3 / 512
-    look = Look(rgb, np.zeros((512, 512), dtype=np.float32), 2.0 * pixel_m, "a print")
+    look = UnlitImage(rgb, np.zeros((512, 512), dtype=np.float32), 2.0 * pixel_m, "a print")
     mask = np.ones((512, 512), dtype=bool)
     every = cut_views(look.linear, look.depth_m, mask, pixel_m, look.resolved_wavelength_m)
-    read = seeing.Seeing().views_of(look, mask, pixel_m)
+    read = seeing.ReliefPredictor().make_views(look, mask, pixel_m)
     assert 1 < len(read) < len(every)
     assert read[0].pitch_m == every[0].pitch_m
     assert all(view.rgb.std(axis=(0, 1)).max() > 0.01 for view in read)
     plain = replace(look, rgb=np.full_like(rgb, 140))
-    assert seeing.Seeing().views_of(plain, mask, pixel_m) == ()
+    assert seeing.ReliefPredictor().make_views(plain, mask, pixel_m) == ()
 
 
 def test_a_soft_photo_tells_no_more_than_it_shows(tmp_path) -> None:
@@ -206,7 +206,7 @@ def test_a_flat_map_gives_the_level_of_a_smooth_surface(tmp_path, monkeypatch) -
     baked = bake_open_scene(tmp_path)
     assert baked.routes == ["predicted"] * 7
     assert baked.strokes[0].main_material.library.name == "sandstone"
-    felt = feel(baked.strokes[0], load_field(), 0, baked.report.counts)
+    felt = synthesise_stroke(baked.strokes[0], load_field(), 0, baked.report.counts)
     assert felt.signal.rms < 0.1
 
 

@@ -17,13 +17,13 @@ from job_scene import small_scene
 from touch_scene import save_scene, set_keys
 
 from hnf_blender import preview
-from hnf_blender.preview import current, preview_facts, preview_icon
-from hnf_blender.preview.device import audio
+from hnf_blender.preview import current, get_preview_facts, get_preview_icon
+from hnf_blender.preview.device import import_aud
 from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.preview.hearing import Kept, Listener, hear
-from hnf_blender.preview.pictures import Look
-from hnf_blender.preview.present import present
-from hnf_blender.preview.timeline import Follower, placed_strokes
+from hnf_blender.preview.hearing import RenderCache, SynthesisThread, synthesise_preview
+from hnf_blender.preview.pictures import ImageStyle
+from hnf_blender.preview.present import read_current_bake
+from hnf_blender.preview.timeline import PlayheadFollower, list_placed_signals
 from hnf_blender.state.watch import refresh_status
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY, SCHEMA, StrokeBake, load_bake, remove_bake, store_bake
 from hnf_core.errors import FileError, SceneError, StrokeError
@@ -43,18 +43,18 @@ def stroke(warm_bake):
 
 def has_sound() -> bool:
     try:
-        audio()
+        import_aud()
     except SceneError:
         return False
     return True
 
 
 def now(obj):
-    return present(obj, bpy.context.scene)
+    return read_current_bake(obj, bpy.context.scene)
 
 
 def samples_of(obj) -> bytes:
-    return hear(now(obj), Look(), Kept()).signal.samples.tobytes()
+    return synthesise_preview(now(obj), ImageStyle(), RenderCache()).signal.samples.tobytes()
 
 
 def export(tmp_path, **words) -> dict[str, bytes]:
@@ -67,14 +67,14 @@ def export(tmp_path, **words) -> dict[str, bytes]:
 
 def test_another_file_takes_nothing_that_was_still_being_heard(stroke) -> None:
     current.refresh(stroke, bpy.context, wait=False)
-    listener = PREVIEW.listener
+    listener = PREVIEW.synthesis_thread
     assert listener is not None
-    preview.enter_file()
-    assert PREVIEW.listener is None
+    preview.on_load_post()
+    assert PREVIEW.synthesis_thread is None
     listener._thread.join(timeout=30.0)
     assert not listener._thread.is_alive()
-    assert current.collect() == set()
-    assert PREVIEW.heard == {}
+    assert current.collect_results() == set()
+    assert PREVIEW.results == {}
 
 
 def test_saved_and_loaded_it_sounds_the_same(stroke, tmp_path) -> None:
@@ -164,9 +164,9 @@ def whole(rendered_plate) -> bytes:
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "cache_folder", lambda: rendered_plate)
+        patch.setattr(running, "get_cache_folder", lambda: rendered_plate)
         small_scene()
-        running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+        running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     return bytes(bpy.data.objects["Along"][BAKE_PROPERTY])
 
 
@@ -197,34 +197,34 @@ def test_storing_and_removing() -> None:
 
 
 def test_a_changed_key_is_heard_in_part_and_equals_the_whole(stroke) -> None:
-    kept = Kept()
-    first = hear(now(stroke), Look(), kept)
+    kept = RenderCache()
+    first = synthesise_preview(now(stroke), ImageStyle(), kept)
     set_keys(stroke, "force", (6.0, 0.3))
-    second = hear(now(stroke), Look(), kept)
+    second = synthesise_preview(now(stroke), ImageStyle(), kept)
     assert second.signal.samples.tobytes() == samples_of(stroke)
     assert second.signal.samples.tobytes() != first.signal.samples.tobytes()
     assert second.stamp != first.stamp
 
 
 def test_beside_the_window_it_is_heard_the_same_and_the_newest_wins(stroke) -> None:
-    listener = Listener()
+    listener = SynthesisThread()
     try:
         for force in (0.4, 0.6, 0.8):
             set_keys(stroke, "force", (3.0, force))
-            listener.ask(now(stroke), Look())
+            listener.request(now(stroke), ImageStyle())
         found, until = {}, time.monotonic() + 60.0
         while (listener.is_busy or not found) and time.monotonic() < until:
             time.sleep(0.01)
-            found |= listener.take()
-        found |= listener.take()
+            found |= listener.pop_results()
+        found |= listener.pop_results()
     finally:
-        listener.end()
+        listener.stop()
     assert found["Along"].stamp == now(stroke).stamp
     assert found["Along"].signal.samples.tobytes() == samples_of(stroke)
 
 
 def test_the_stroke_at_hand_does_not_wait_for_the_others(stroke) -> None:
-    listener, wanted = Listener(), now(stroke)
+    listener, wanted = SynthesisThread(), now(stroke)
     others = [
         dataclasses.replace(wanted, name=name, bake=dataclasses.replace(wanted.bake, path_key=name)) for name in "ABC"
     ]
@@ -232,15 +232,15 @@ def test_the_stroke_at_hand_does_not_wait_for_the_others(stroke) -> None:
     found = {}
     try:
         for other in others:
-            listener.ask(other, Look(), first=False)
-        listener.ask(wanted, Look())
+            listener.request(other, ImageStyle(), first=False)
+        listener.request(wanted, ImageStyle())
         while len(found) < 4 and time.monotonic() < until:
-            done = listener.take()
+            done = listener.pop_results()
             order += list(done)
             found |= done
             time.sleep(0.01)
     finally:
-        listener.end()
+        listener.stop()
     assert order[0] == "Along"
     assert sorted(order) == ["A", "Along", "B", "C"]
     assert {heard.signal.samples.tobytes() for heard in found.values()} == {samples_of(stroke)}
@@ -249,59 +249,59 @@ def test_the_stroke_at_hand_does_not_wait_for_the_others(stroke) -> None:
 def test_playing_without_a_device_says_so(stroke) -> None:
     """Here there is none (or no `aud` at all): a message, no error; the signal was made all the same."""
     assert bpy.ops.hnf.preview_play() in ({"CANCELLED"}, {"FINISHED"})
-    assert PREVIEW.heard["Along"].signal.rms > 0.0
+    assert PREVIEW.results["Along"].signal.rms > 0.0
     assert bpy.ops.hnf.preview_stop() == {"FINISHED"}
 
 
 def test_facts_are_there_to_be_shown(stroke) -> None:
-    assert preview_facts(stroke) is None
-    assert preview_icon(stroke) == 0
+    assert get_preview_facts(stroke) is None
+    assert get_preview_icon(stroke) == 0
     heard = current.refresh(stroke, bpy.context, wait=True)
-    facts = current.tell("Along", bpy.context.scene)
-    assert preview_facts(stroke) is facts
+    facts = current.update_facts("Along", bpy.context.scene)
+    assert get_preview_facts(stroke) is facts
     assert facts.duration_s == pytest.approx(heard.signal.duration_s)
     assert facts.peak_m_s2 == pytest.approx(float(np.abs(heard.signal.samples).max()))
     assert facts.problem == ""
     assert not facts.busy
     assert "m/s²" in facts.lines[0]
     bpy.context.scene.hnf.monitor_gain_db = 60.0
-    assert any("clips by" in line for line in current.tell("Along", bpy.context.scene).lines)
+    assert any("clips by" in line for line in current.update_facts("Along", bpy.context.scene).lines)
     bpy.context.scene.hnf.actuator = "eai-c-mf"  # nothing is known of its largest
-    assert current.tell("Along", bpy.context.scene).headroom_db is None
+    assert current.update_facts("Along", bpy.context.scene).headroom_db is None
 
 
 def test_an_actuator_of_her_own_counts_at_once_in_levels_and_picture(stroke) -> None:
     settings = bpy.context.scene.hnf
     settings.actuator = "own"
     plain = current.refresh(stroke, bpy.context, wait=True)
-    told = current.tell("Along", bpy.context.scene)
+    told = current.update_facts("Along", bpy.context.scene)
     assert told.headroom_db is None
     for peak in (told.peak_m_s2 / 2.0, told.peak_m_s2 * 2.0):
         settings.own_peak_m_s2 = peak
         drawn = current.refresh(stroke, bpy.context, wait=True)
-        told = current.tell("Along", bpy.context.scene)
+        told = current.update_facts("Along", bpy.context.scene)
         assert told.headroom_db == pytest.approx(20.0 * np.log10(peak / told.peak_m_s2), abs=1e-4)
         assert any("My actuator" in line for line in told.lines)
-        assert drawn.look.limit_m_s2 == pytest.approx(peak)
-        assert not np.array_equal(drawn.picture, plain.picture)
+        assert drawn.style.limit_m_s2 == pytest.approx(peak)
+        assert not np.array_equal(drawn.image, plain.image)
     settings.own_lowest_hz, settings.own_highest_hz = 2000.0, 1000.0  # the wrong way round
-    assert any("below 1000 Hz" in line for line in current.tell("Along", bpy.context.scene).lines)
+    assert any("below 1000 Hz" in line for line in current.update_facts("Along", bpy.context.scene).lines)
 
 
 def test_a_and_now_are_compared_at_their_own_level(stroke) -> None:
     assert bpy.ops.hnf.preview_ab(action="SWITCH") == {"CANCELLED"}
     assert bpy.ops.hnf.preview_ab(action="KEEP") == {"FINISHED"}
-    kept = PREVIEW.heard["Along"]
+    kept = PREVIEW.results["Along"]
     set_keys(stroke, "force", (3.0, 3.0))
     new = current.refresh(stroke, bpy.context, wait=True)
-    assert PREVIEW.shown("Along") is new
+    assert PREVIEW.get_shown("Along") is new
     assert new.signal.rms > kept.signal.rms
     bpy.ops.hnf.preview_ab(action="SWITCH")
-    assert PREVIEW.shown("Along") is kept
-    assert preview_facts(stroke).shows == "A"
-    assert preview_facts(stroke).rms_m_s2 == pytest.approx(kept.signal.rms)
+    assert PREVIEW.get_shown("Along") is kept
+    assert get_preview_facts(stroke).shows == "A"
+    assert get_preview_facts(stroke).rms_m_s2 == pytest.approx(kept.signal.rms)
     bpy.ops.hnf.preview_ab(action="FORGET")
-    assert PREVIEW.shown("Along") is new
+    assert PREVIEW.get_shown("Along") is new
 
 
 @pytest.mark.skipif(not has_sound(), reason="this Blender is built without sound")
@@ -361,32 +361,32 @@ def test_store_bake_is_what_load_bake_reads(whole) -> None:
 
 def test_on_the_timeline_sounds_what_is_true_and_not_muted(stroke) -> None:
     scene = bpy.context.scene
-    assert placed_strokes(scene) == []
+    assert list_placed_signals(scene) == []
     heard = current.refresh(stroke, bpy.context, wait=True)
-    (placed,) = placed_strokes(scene)
+    (placed,) = list_placed_signals(scene)
     assert (placed.start, placed.rate) == (1.0, 10_000.0)
     assert placed.samples is heard.signal.samples
     stroke.hnf_stroke.mute = True
-    assert placed_strokes(scene) == []
+    assert list_placed_signals(scene) == []
     stroke.hnf_stroke.mute = False
     stroke.location.x += 0.004
     bpy.context.view_layer.update()
     refresh_status(scene)
-    assert placed_strokes(scene) == []
-    assert "ake" in current.tell("Along", scene).problem
+    assert list_placed_signals(scene) == []
+    assert "ake" in current.update_facts("Along", scene).problem
 
 
 def test_the_timeline_plays_on_without_a_sound_device(stroke) -> None:
     current.refresh(stroke, bpy.context, wait=True)
-    follower = Follower()
+    follower = PlayheadFollower()
     follower.start(bpy.context.scene)
-    assert follower.begun_at == float(bpy.context.scene.frame_current)
+    assert follower.start_frame == float(bpy.context.scene.frame_current)
     follower.follow(bpy.context.scene)
     follower.stop()
-    assert follower.begun_at is None
+    assert follower.start_frame is None
     bpy.context.scene.hnf.follow_timeline = False
     follower.start(bpy.context.scene)
-    assert follower.begun_at is None
+    assert follower.start_frame is None
 
 
 def test_the_room_is_left_as_it_was_found() -> None:

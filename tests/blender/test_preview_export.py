@@ -9,7 +9,7 @@ from job_scene import small_scene
 from touch_scene import save_scene, set_keys, touch
 
 from hnf_blender.preview import current
-from hnf_blender.preview.companions import ID_PROPERTY, companions, mark
+from hnf_blender.preview.companions import ID_PROPERTY, find_linked_strips, mark_linked
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import refresh_status
@@ -43,7 +43,7 @@ def test_the_exported_wav_is_that_of_the_command_line(warm_bake, tmp_path) -> No
     set_keys(stroke, "force", (3.0, 2.7))
     stroke.hnf_stroke.seed, stroke.hnf_stroke.probe = 11, "finger"
     refresh_status(bpy.context.scene)
-    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FORCE
+    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FORCE
     second = exported(tmp_path)
     assert second.keys() == first.keys()
     assert second != first
@@ -56,15 +56,15 @@ def test_a_strip_is_found_again_by_its_stroke_whatever_both_are_called() -> None
     scene, own = bpy.context.scene, bpy.data.objects["Along"]
     strips = [bpy.data.objects.new(f"strip {k}", None) for k in range(2)]  # what has properties can be marked
     strips[1]["hnf_stroke_name"] = "Along"
-    assert companions(own, scene, strips) == [strips[1]]
-    mark(strips[0], own, scene, "one")
+    assert find_linked_strips(own, scene, strips) == [strips[1]]
+    mark_linked(strips[0], own, scene, "one")
     twin = own.copy()
     scene.collection.objects.link(twin)
-    assert (companions(own, scene, strips[:1]), companions(twin, scene, strips[:1])) == (strips[:1], [])
-    mark(strips[1], twin, scene, "other")
+    assert (find_linked_strips(own, scene, strips[:1]), find_linked_strips(twin, scene, strips[:1])) == (strips[:1], [])
+    mark_linked(strips[1], twin, scene, "other")
     own.name, twin.name = "Renamed", "Along"
     assert twin[ID_PROPERTY] != own[ID_PROPERTY]
-    assert (companions(own, scene, strips), companions(twin, scene, strips)) == (strips[:1], strips[1:])
+    assert (find_linked_strips(own, scene, strips), find_linked_strips(twin, scene, strips)) == (strips[:1], strips[1:])
 
 
 def test_a_speaker_that_sounds_as_the_stroke_did_before_is_told(warm_bake) -> None:
@@ -77,12 +77,12 @@ def test_a_speaker_that_sounds_as_the_stroke_did_before_is_told(warm_bake) -> No
 
     def told() -> list[str]:
         current.refresh(stroke, bpy.context, wait=True)
-        current.look_behind(stroke, scene)
-        return [line for line in current.tell("Along", scene).lines if "before the last change" in line]
+        current.update_outdated_strips(stroke, scene)
+        return [line for line in current.update_facts("Along", scene).lines if "before the last change" in line]
 
     assert told() == []
     set_keys(stroke, "force", (3.0, 2.7))
     assert [line.partition(" still plays")[0] for line in told()] == ["'Along speaker'"]
     bpy.context.view_layer.objects.active = stroke
     assert bpy.ops.hnf.add_speaker() == {"FINISHED"}
-    assert PREVIEW.behind["Along"] == told() == []
+    assert PREVIEW.outdated["Along"] == told() == []

@@ -9,26 +9,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_blender.preview.letters import dots
-from hnf_blender.preview.monitor import FULL_SCALE_M_S2, clips_by_db, monitor_factor, to_monitor
+from hnf_blender.preview.letters import rasterise_text
+from hnf_blender.preview.monitor import FULL_SCALE_M_S2, apply_monitor_gain, compute_clipping_db, compute_monitor_gain
 from hnf_blender.preview.pictures import (
     DARK,
     LIGHT,
     SIZE_PX,
-    SPECTRUM,
-    WAVE,
-    Look,
-    columns_of,
-    nice_above,
-    stroke_picture,
+    SPECTROGRAM_ROWS,
+    WAVE_ROWS,
+    ImageStyle,
+    compute_column_extrema,
+    draw_stroke_image,
+    round_up_nicely,
 )
-from hnf_blender.preview.placement import Clock, Placed, has_jumped, mix
+from hnf_blender.preview.placement import FrameClock, PlacedSignal, has_jumped, mix_strokes
 from hnf_core.action.action import Action
-from hnf_core.export.tracks import FORCE, SPEED
+from hnf_core.export.tracks import FORCE_COLOUR, SPEED_COLOUR
 from hnf_core.signal import Signal
 
 RATE = 10_000.0
-CLOCKS = st.builds(Clock, st.sampled_from([24.0, 25.0, 30.0, 60.0]), st.sampled_from([1.0, 1.001]))
+CLOCKS = st.builds(FrameClock, st.sampled_from([24.0, 25.0, 30.0, 60.0]), st.sampled_from([1.0, 1.001]))
 
 
 def ramp(count: int) -> np.ndarray:
@@ -46,7 +46,7 @@ def test_a_frame_and_its_offset_are_the_same_place(clock, start, frame) -> None:
 def test_a_stroke_is_joined_where_the_timeline_stands(clock, start, frame) -> None:
     """Sample k of the mix is what the stroke holds at that moment, sub-frame starts included."""
     samples = ramp(8000)
-    mixed = mix([Placed(start, samples, RATE)], frame, 1000.0, clock)
+    mixed = mix_strokes([PlacedSignal(start, samples, RATE)], frame, 1000.0, clock)
     first = round(clock.seconds(start, frame) * RATE)
     assert len(mixed) == max(first + len(samples), 0)
     expected = np.zeros(max(first, 0), dtype=np.float32)
@@ -55,22 +55,22 @@ def test_a_stroke_is_joined_where_the_timeline_stands(clock, start, frame) -> No
 
 
 def test_strokes_add_and_the_last_frame_ends_all() -> None:
-    clock = Clock(10.0)
-    two = [Placed(1.0, ramp(5000), RATE), Placed(2.0, ramp(5000), RATE)]
-    mixed = mix(two, 1.0, 1000.0, clock)
+    clock = FrameClock(10.0)
+    two = [PlacedSignal(1.0, ramp(5000), RATE), PlacedSignal(2.0, ramp(5000), RATE)]
+    mixed = mix_strokes(two, 1.0, 1000.0, clock)
     assert mixed[1500] == 1501 + 501
-    assert np.array_equal(mix(two, 1.0, 3.0, clock), mixed[:3000])
-    assert len(mix(two, 50.0, 1000.0, clock)) == 0
-    assert len(mix([], 1.0, 10.0, clock)) == 0
+    assert np.array_equal(mix_strokes(two, 1.0, 3.0, clock), mixed[:3000])
+    assert len(mix_strokes(two, 50.0, 1000.0, clock)) == 0
+    assert len(mix_strokes([], 1.0, 10.0, clock)) == 0
 
 
 def test_strokes_of_several_rates_are_refused() -> None:
     with pytest.raises(ValueError, match="several sample rates"):
-        mix([Placed(1.0, ramp(5), RATE), Placed(1.0, ramp(5), 8000.0)], 1.0, 2.0, Clock(24.0))
+        mix_strokes([PlacedSignal(1.0, ramp(5), RATE), PlacedSignal(1.0, ramp(5), 8000.0)], 1.0, 2.0, FrameClock(24.0))
 
 
 def test_a_jump_is_told_from_a_late_frame() -> None:
-    clock = Clock(24.0)
+    clock = FrameClock(24.0)
     assert not has_jumped(25.0, 1.0, 1.0, clock)
     assert not has_jumped(25.0, 1.0 + 1.0 / 24.0, 1.0, clock)
     assert has_jumped(60.0, 1.0, 1.0, clock)
@@ -80,26 +80,26 @@ def test_a_jump_is_told_from_a_late_frame() -> None:
 @given(st.floats(-60.0, 60.0), st.floats(0.0, 500.0))
 def test_the_monitor_is_a_gain_and_nothing_else(gain, level) -> None:
     samples = np.array([level, -level, 0.0], dtype=np.float32)
-    heard = to_monitor(samples, gain)
+    heard = apply_monitor_gain(samples, gain)
     assert heard.shape == (3, 1)
-    over = clips_by_db(level, gain)
+    over = compute_clipping_db(level, gain)
     if over == 0.0:
-        assert heard[:, 0] == pytest.approx(samples * monitor_factor(gain), rel=1e-5, abs=1e-9)
+        assert heard[:, 0] == pytest.approx(samples * compute_monitor_gain(gain), rel=1e-5, abs=1e-9)
     else:
         assert np.abs(heard).max() == 1.0
-        assert level * monitor_factor(gain - over) == pytest.approx(1.0)
+        assert level * compute_monitor_gain(gain - over) == pytest.approx(1.0)
 
 
 def test_a_fingertips_metre_per_second_squared_is_20_db_below_full_scale() -> None:
-    assert 20.0 * np.log10(monitor_factor(0.0)) == pytest.approx(-20.0)
-    assert monitor_factor(0.0) * FULL_SCALE_M_S2 == 1.0
+    assert 20.0 * np.log10(compute_monitor_gain(0.0)) == pytest.approx(-20.0)
+    assert compute_monitor_gain(0.0) * FULL_SCALE_M_S2 == 1.0
 
 
 @given(st.integers(0, 5000), st.integers(1, 600), st.integers(0, 2**31))
 @settings(max_examples=40)
 def test_no_peak_is_lost_at_any_width(count, columns, seed) -> None:
     samples = np.random.default_rng(seed).standard_normal(count).astype(np.float32)
-    low, high = columns_of(samples, columns)
+    low, high = compute_column_extrema(samples, columns)
     assert low.shape == high.shape == (columns,)
     if count:
         assert (low.min(), high.max()) == (samples.min(), samples.max())
@@ -108,7 +108,7 @@ def test_no_peak_is_lost_at_any_width(count, columns, seed) -> None:
 
 @given(st.floats(1e-9, 1e9))
 def test_scales_are_round_and_just_above(value) -> None:
-    nice = nice_above(value)
+    nice = round_up_nicely(value)
     assert value <= nice * (1.0 + 1e-9)
     assert nice <= 2.5 * value * (1.0 + 1e-9)
     assert float(f"{nice:.3e}"[0]) in (1, 2, 5)
@@ -127,7 +127,7 @@ def hand(count: int = 201) -> Action:
 
 @pytest.mark.parametrize("theme", [DARK, LIGHT])
 def test_force_and_speed_have_the_hues_of_a_strokes_picture(theme) -> None:
-    for own, other in ((theme.force, FORCE), (theme.speed, SPEED)):
+    for own, other in ((theme.force, FORCE_COLOUR), (theme.speed, SPEED_COLOUR)):
         printed = tuple(int(other[at : at + 2], 16) / 255.0 for at in (1, 3, 5))
         assert abs(rgb_to_hsv(*own)[0] - rgb_to_hsv(*printed)[0]) < 8.0 / 360.0
 
@@ -136,7 +136,7 @@ def test_force_and_speed_have_the_hues_of_a_strokes_picture(theme) -> None:
 @pytest.mark.parametrize("logarithmic", [False, True])
 @pytest.mark.parametrize("seconds", [0.0, 0.005, 1.0, 60.0])
 def test_any_stroke_has_a_picture(theme, logarithmic, seconds) -> None:
-    picture = stroke_picture(tone(200.0, seconds=seconds), hand(), Look(theme, 3.0, logarithmic))
+    picture = draw_stroke_image(tone(200.0, seconds=seconds), hand(), ImageStyle(theme, 3.0, logarithmic))
     assert picture.shape == (SIZE_PX, SIZE_PX, 4)
     assert picture.dtype == np.float32
     assert picture.min() >= 0.0
@@ -146,8 +146,8 @@ def test_any_stroke_has_a_picture(theme, logarithmic, seconds) -> None:
 
 def test_a_tone_is_bright_at_its_frequency() -> None:
     for frequency, logarithmic in ((150.0, False), (700.0, False), (150.0, True)):
-        picture = stroke_picture(tone(frequency), hand(), Look(DARK, None, logarithmic))[::-1]
-        track = picture[slice(*SPECTRUM), 200:300, :3].mean(axis=(1, 2))
+        picture = draw_stroke_image(tone(frequency), hand(), ImageStyle(DARK, None, logarithmic))[::-1]
+        track = picture[slice(*SPECTROGRAM_ROWS), 200:300, :3].mean(axis=(1, 2))
         up = 1.0 - track[20:].argmax() / (len(track) - 1) - 20 / (len(track) - 1)
         found = 20.0 * 50.0**up if logarithmic else 1000.0 * up
         assert found == pytest.approx(frequency, rel=0.15)
@@ -158,10 +158,10 @@ def test_the_limit_is_drawn_where_it_lies() -> None:
     look = np.array(DARK.limit, dtype=np.float32)
 
     def rows(limit):
-        track = stroke_picture(tone(200.0, peak=1.9), hand(), Look(DARK, limit))[::-1][slice(*WAVE)]
+        track = draw_stroke_image(tone(200.0, peak=1.9), hand(), ImageStyle(DARK, limit))[::-1][slice(*WAVE_ROWS)]
         return np.flatnonzero((np.abs(track[:, :8, :3] - look).max(axis=2) < 1e-6).sum(axis=1) >= 4)
 
-    height = WAVE[1] - WAVE[0]
+    height = WAVE_ROWS[1] - WAVE_ROWS[0]
     assert rows(1.0)[[0, -1]] == pytest.approx([0.25 * height, 0.75 * height], abs=2)
     assert len(rows(50.0)) == 0
     assert len(rows(None)) == 0
@@ -183,9 +183,9 @@ def test_both_themes_can_be_read() -> None:
 
 
 def test_letters_have_their_shape() -> None:
-    assert dots("1").shape == (7, 6)
-    assert "".join("#" if ink else "." for ink in dots("l")[0]) == ".##..."
-    assert len({dots(each).tobytes() for each in "0123456789"}) == 10
+    assert rasterise_text("1").shape == (7, 6)
+    assert "".join("#" if ink else "." for ink in rasterise_text("l")[0]) == ".##..."
+    assert len({rasterise_text(each).tobytes() for each in "0123456789"}) == 10
 
 
 def test_a_signal_on_its_way_is_drawn_only_where_it_takes_long(monkeypatch) -> None:
@@ -197,10 +197,10 @@ def test_a_signal_on_its_way_is_drawn_only_where_it_takes_long(monkeypatch) -> N
     now = [10.0]
     monkeypatch.setattr(preview, "time", SimpleNamespace(monotonic=lambda: now[0]))
     ready, busy = preview.PreviewFacts("Along"), preview.PreviewFacts("Along", busy=True)
-    looked = preview.Looked()
-    assert preview._worth_drawing(None, looked) is None
+    looked = preview.SceneSnapshot()
+    assert preview._delay_busy(None, looked) is None
     for _ in range(2):  # the second announcement waits as long as the first
-        assert preview._worth_drawing(busy, looked) == ready
-        now[0] += preview.BUSY_S
-        assert preview._worth_drawing(busy, looked) == busy
-        assert preview._worth_drawing(ready, looked) == ready
+        assert preview._delay_busy(busy, looked) == ready
+        now[0] += preview.BUSY_DELAY_S
+        assert preview._delay_busy(busy, looked) == busy
+        assert preview._delay_busy(ready, looked) == ready

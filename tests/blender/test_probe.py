@@ -15,12 +15,12 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.jobs import current
 from hnf_blender.state.session import STATE
-from hnf_blender.touch.bake import token_of
+from hnf_blender.touch.bake import get_token
 from hnf_blender.touch.feel import bake_stroke_steps
-from hnf_blender.touch.jobs import gather, scene_session
-from hnf_blender.touch.probe import Probed, probe_steps
+from hnf_blender.touch.jobs import gather_jobs, make_scene_session
+from hnf_blender.touch.probe import QueryResult, query_steps
 from hnf_blender.touch.report import Counts
-from hnf_core.cli.probe import ProbePlace
+from hnf_core.cli.probe import TouchQuery
 from hnf_core.errors import SceneError
 from hnf_core.material.library import load_library
 from hnf_core.material.token import BAND_FEATURES, band_slice
@@ -37,13 +37,13 @@ def exhausted(steps):
             return done.value
 
 
-def probed(place: ProbePlace, folder, counts: Counts | None = None) -> Probed:
+def probed(place: TouchQuery, folder, counts: Counts | None = None) -> QueryResult:
     bpy.context.view_layer.update()
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, folder)
-    return exhausted(probe_steps(session, place, folder / "cache", counts or Counts()))
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, folder)
+    return exhausted(query_steps(session, place, folder / "cache", counts or Counts()))
 
 
-def feature(found: Probed, name: str, band: int = RIDGES) -> float:
+def feature(found: QueryResult, name: str, band: int = RIDGES) -> float:
     return float(found.fused.values[band_slice(band)][BAND_FEATURES.index(name)])
 
 
@@ -89,29 +89,29 @@ def test_a_place_is_told_in_files_and_report(tmp_path) -> None:
 def test_a_probe_finds_the_token_that_a_stroke_has_there(tmp_path) -> None:
     ridge_plate()
     line_stroke("Along")
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
-    (job,) = gather(session).jobs
-    touched = session.touched(bpy.data.objects[PLATE])
-    baked = exhausted(bake_stroke_steps(job.stroke, touched, {}, tmp_path / "cache", Counts(), session.seeing))
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+    (job,) = gather_jobs(session).jobs
+    touched = session.get_touched_object(bpy.data.objects[PLATE])
+    baked = exhausted(bake_stroke_steps(job.stroke, touched, {}, tmp_path / "cache", Counts(), session.predictor))
     counts = Counts()
     for patch, record, fused in zip(baked.patches, baked.records, baked.fused, strict=True):
         local = np.linalg.inv(touched.surface.stretch) @ patch.centre
-        found = probed(ProbePlace(PLATE, tuple(local)), tmp_path, counts)
+        found = probed(TouchQuery(PLATE, tuple(local)), tmp_path, counts)
         assert (found.fused.values == fused.values).all()
         assert found.fused.routes == fused.routes
-        assert (token_of(found.record).values == token_of(record).values).all()
+        assert (get_token(found.record).values == get_token(record).values).all()
         assert found.material.library.name == baked.materials[patch.slot].library.name
     assert counts.renders == 0  # the very patches that the stroke left in the store
 
 
 def test_moving_and_turning_the_object_changes_nothing_but_where_it_is(tmp_path) -> None:
     plate = ridge_plate()
-    first = probed(ProbePlace(PLATE, (0.01, 0.02)), tmp_path)
+    first = probed(TouchQuery(PLATE, (0.01, 0.02)), tmp_path)
     plate.location, plate.rotation_euler = (1.0, -2.0, 0.5), (0.4, -0.3, 1.1)
     counts = Counts()
-    moved = probed(ProbePlace(PLATE, (0.01, 0.02)), tmp_path, counts)
+    moved = probed(TouchQuery(PLATE, (0.01, 0.02)), tmp_path, counts)
     assert (moved.fused.values == first.fused.values).all()
-    assert moved.place.point == pytest.approx(first.place.point, abs=1e-7)
+    assert moved.point.point == pytest.approx(first.point.point, abs=1e-7)
     assert (moved.friction, moved.stiffness, moved.nearest) == (first.friction, first.stiffness, first.nearest)
     assert counts.renders == 0
 
@@ -127,10 +127,10 @@ def test_uvs_turned_by_a_quarter_swap_what_has_a_direction(tmp_path) -> None:
     place = tree.nodes.new("ShaderNodeTexCoord")  # object coordinates: the relief no longer follows the UVs
     for link in list(coordinates.outputs[0].links):
         tree.links.new(place.outputs["Object"], link.to_socket)
-    straight = probed(ProbePlace(PLATE, (0.01, 0.02, 0.0)), tmp_path)
+    straight = probed(TouchQuery(PLATE, (0.01, 0.02, 0.0)), tmp_path)
     turn_uv(plate)
-    turned = probed(ProbePlace(PLATE, (0.01, 0.02, 0.0)), tmp_path)
-    assert turned.place.patch.x_axis == pytest.approx([0.0, 1.0, 0.0], abs=1e-6) or turned.place.patch.x_axis == (
+    turned = probed(TouchQuery(PLATE, (0.01, 0.02, 0.0)), tmp_path)
+    assert turned.point.patch.x_axis == pytest.approx([0.0, 1.0, 0.0], abs=1e-6) or turned.point.patch.x_axis == (
         pytest.approx([0.0, -1.0, 0.0], abs=1e-6)
     )
     assert feature(straight, "cos2") > 0.9
@@ -160,20 +160,20 @@ def test_places_that_are_not_there_are_named_and_cost_the_others_nothing(tmp_pat
 
 def test_without_uvs_a_place_in_space_will_do_and_directions_are_the_objects_own(tmp_path) -> None:
     add_mesh("Bare", [(0, 0, 0.2), (0.1, 0, 0.2), (0, 0.1, 0.2)], [(0, 1, 2)])
-    found = probed(ProbePlace("Bare", (0.02, 0.02, 0.2)), tmp_path)
+    found = probed(TouchQuery("Bare", (0.02, 0.02, 0.2)), tmp_path)
     assert found.tactile is None
-    assert found.told_rms_m is None
+    assert found.observed_rms_m is None
     assert all(near.distance is None for near in found.nearest)
     assert any("no usable UVs" in note for note in found.notes)
     with pytest.raises(SceneError, match="Unwrap it"):
-        probed(ProbePlace("Bare", (0.1, 0.1)), tmp_path)
+        probed(TouchQuery("Bare", (0.1, 0.1)), tmp_path)
 
 
 def test_of_overlapping_islands_the_first_is_taken_and_said(tmp_path) -> None:
     low, high = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)], [(0, 0, 0.3), (0.1, 0, 0.3), (0, 0.1, 0.3)]
     add_mesh("Twice", low + high, [(0, 1, 2), (3, 4, 5)], uv=lambda co: (co.x, co.y))
-    found = probed(ProbePlace("Twice", (0.02, 0.02)), tmp_path)
-    assert found.place.point[2] == pytest.approx(0.0, abs=1e-6)
+    found = probed(TouchQuery("Twice", (0.02, 0.02)), tmp_path)
+    assert found.point.point[2] == pytest.approx(0.0, abs=1e-6)
     assert any("1 more face has the same UV" in note for note in found.notes)
 
 
@@ -245,16 +245,16 @@ def test_the_window_s_job_finds_what_is_found_in_line(lone_bake, panel) -> None:
     bpy.context.view_layer.update()
     before = datablock_names()
     assert bpy.ops.hnf.probe(surface=PLATE, at=(0.01, 0.02, 0.0)) == {"FINISHED"}
-    in_line, suggestions = STATE.probe, dict(STATE.suggestions)
+    in_line, suggestions = STATE.query_view, dict(STATE.suggestions)
     assert in_line.object_name == PLATE
     shutil.rmtree(lone_bake)
     STATE.clear()
-    bake = current.start(bpy.context.scene, bpy.context.view_layer, place=ProbePlace(PLATE, (0.01, 0.02, 0.0)))
+    bake = current.start_bake(bpy.context.scene, bpy.context.view_layer, point=TouchQuery(PLATE, (0.01, 0.02, 0.0)))
     assert bake.pid is not None
     ended = finish(bake)
     assert ended.ok, ended
     assert ended.written == 0
-    assert (STATE.probe.roughness_m, STATE.probe.nearest) == (in_line.roughness_m, in_line.nearest)
+    assert (STATE.query_view.roughness_m, STATE.query_view.nearest) == (in_line.roughness_m, in_line.nearest)
     assert STATE.suggestions == suggestions
     assert datablock_names() == before
     assert kept() == {"bakes": {}, "tokens": {}}
@@ -268,19 +268,21 @@ def test_the_window_s_job_finds_what_is_found_in_line(lone_bake, panel) -> None:
 def test_a_place_that_is_gone_is_told_by_the_job(lone_bake) -> None:
     ridge_plate()
     bpy.context.view_layer.update()
-    ended = finish(current.start(bpy.context.scene, bpy.context.view_layer, place=ProbePlace("Gone", (0.0, 0.0, 0.0))))
+    ended = finish(
+        current.start_bake(bpy.context.scene, bpy.context.view_layer, point=TouchQuery("Gone", (0.0, 0.0, 0.0)))
+    )
     assert not ended.ok
     assert "no such object" in ended.message
-    assert STATE.probe is None
+    assert STATE.query_view is None
 
 
 def test_a_look_that_is_given_up_leaves_nothing(lone_bake) -> None:
     ridge_plate()
     bpy.context.view_layer.update()
-    current.start(bpy.context.scene, bpy.context.view_layer, place=ProbePlace(PLATE, (0.01, 0.02, 0.0)))
+    current.start_bake(bpy.context.scene, bpy.context.view_layer, point=TouchQuery(PLATE, (0.01, 0.02, 0.0)))
     assert current.cancel()
     assert STATE.last_job.message == "Nothing was examined."
-    assert STATE.probe is None
+    assert STATE.query_view is None
     assert STATE.job is None
 
 

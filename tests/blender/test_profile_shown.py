@@ -10,7 +10,7 @@ from panel_recorder import drawn
 
 import hnf_blender.ui
 from hnf_blender.props import profile_file
-from hnf_blender.props.scene import actuator_of, actuator_shown
+from hnf_blender.props.scene import get_actuator_profile, get_shown_profile
 from hnf_blender.ui.actuator_panel import HNF_PT_actuator
 from hnf_blender.ui.export_panel import HNF_PT_export
 from hnf_core.actuators.profile import GENERIC, ActuatorProfile
@@ -26,7 +26,7 @@ def switched_on(operators):
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    monkeypatch.setattr(profile_file, "LOOK_S", 1e-6)
+    monkeypatch.setattr(profile_file, "CHECK_INTERVAL_S", 1e-6)
     path = tmp_path / "mine.json"
     write_profile(path, ActuatorProfile("mine", "Mine", "measured here", (30.0, 500.0), peak_m_s2=4.0))
     settings = bpy.context.scene.hnf
@@ -45,7 +45,7 @@ def words(monkeypatch) -> str:
 
 def test_a_panel_shows_what_a_timer_read(scene, monkeypatch) -> None:
     assert "Not read yet" in words(monkeypatch)
-    actuator_of(scene)
+    get_actuator_profile(scene)
     said = words(monkeypatch)
     assert "4" in said
     assert "Mine" in said
@@ -53,13 +53,13 @@ def test_a_panel_shows_what_a_timer_read(scene, monkeypatch) -> None:
 
 
 def test_a_profile_that_is_gone_is_said_once_a_timer_saw_it(scene, monkeypatch) -> None:
-    actuator_of(scene)
+    get_actuator_profile(scene)
     os.remove(scene.hnf.actuator_file)
     assert "Mine" in words(monkeypatch)
-    actuator_of(scene)
+    get_actuator_profile(scene)
     assert "cannot be read" in words(monkeypatch)
 
 
 def test_any_other_actuator_is_shown_as_it_is(scene) -> None:
     scene.hnf.actuator = GENERIC.name
-    assert actuator_shown(scene) == actuator_of(scene) == GENERIC
+    assert get_shown_profile(scene) == get_actuator_profile(scene) == GENERIC

@@ -48,8 +48,8 @@ def served(tmp_path: Path) -> Iterator[tuple[Path, str]]:
 def test_an_update_arrives(zips: tuple[Path, Path], served: tuple[Path, str], tmp_path: Path) -> None:
     folder, address = served
     later = tmp_path / "later"
-    build_repository.publish([zips[0]], folder)
-    build_repository.publish([zips[1]], later)
+    build_repository.publish_zips([zips[0]], folder)
+    build_repository.publish_zips([zips[1]], later)
     code = """
         import importlib, json, shutil, sys, tomllib, pathlib
         import bpy
@@ -78,13 +78,13 @@ def test_an_update_arrives(zips: tuple[Path, Path], served: tuple[Path, str], tm
     """
     run = run_python(tmp_path, textwrap.dedent(code), address, str(folder), str(later), timeout=120)
     assert run.returncode == 0, run.stdout + run.stderr
-    now = [build_extension.project_version(), True]
+    now = [build_extension.read_project_version(), True]
     assert result_of(run) == [now, now, [NEXT, True]], run.stdout + run.stderr
     assert "Traceback" not in run.stdout + run.stderr
 
 
 def test_the_page_offers_each_zip_to_drag(zips: tuple[Path, Path], tmp_path: Path) -> None:
-    index = build_repository.publish([zips[0]], tmp_path)
+    index = build_repository.publish_zips([zips[0]], tmp_path)
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     (entry,) = index["data"]
     (link,) = re.findall(r'href="([^"]*\.zip[^"]*)"', page)
@@ -97,8 +97,8 @@ def test_the_page_offers_each_zip_to_drag(zips: tuple[Path, Path], tmp_path: Pat
 
 
 def test_publishing_leaves_no_older_zip(zips: tuple[Path, Path], tmp_path: Path) -> None:
-    build_repository.publish([zips[0]], tmp_path)
-    index = build_repository.publish([zips[1]], tmp_path)
+    build_repository.publish_zips([zips[0]], tmp_path)
+    index = build_repository.publish_zips([zips[1]], tmp_path)
     assert [path.name for path in tmp_path.glob("*.zip")] == [zips[1].name]
     assert [entry["version"] for entry in index["data"]] == [NEXT]
     assert json.loads((tmp_path / "index.json").read_text()) == index
@@ -106,4 +106,4 @@ def test_publishing_leaves_no_older_zip(zips: tuple[Path, Path], tmp_path: Path)
 
 def test_two_zips_for_the_same_blender_are_refused(zips: tuple[Path, Path], tmp_path: Path) -> None:
     with pytest.raises(build_extension.BuildError, match="duplicate"):
-        build_repository.publish(list(zips), tmp_path)
+        build_repository.publish_zips(list(zips), tmp_path)

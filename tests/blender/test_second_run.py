@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from hnf_blender.bench.second_run import AGAIN, OPEN, rows
+from hnf_blender.bench.second_run import OPEN_NAME, SECOND_RUN_NAME, measure_second_run
 from hnf_blender.compat import version
-from hnf_core.bench.frame import Options
+from hnf_core.bench.frame import BenchOptions
 
 
 @pytest.mark.skipif(version() < (5, 0, 0), reason="one Blender is enough for a bench's rows")
 def test_a_second_run_is_measured_after_opening_and_loads_nothing_heavy():
-    opened, again = rows(Options(repeats=1, quick=True))
-    assert (opened.method, again.method, again.ratio_to) == (OPEN, AGAIN, OPEN)
+    opened, again = measure_second_run(BenchOptions(repeats=1, quick=True))
+    assert (opened.method, again.method, again.ratio_to) == (OPEN_NAME, SECOND_RUN_NAME, OPEN_NAME)
     assert again.ratio.median == pytest.approx(again.cpu.median / opened.cpu.median)
     assert again.note.rpartition("; ")[2] == "numpy, bpy"

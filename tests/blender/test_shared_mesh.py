@@ -29,7 +29,7 @@ def twins(lone_bake):
 
 
 def bake(*only):
-    return running.bake_in_line(bpy.context.scene, bpy.context.view_layer, only)
+    return running.bake_blocking(bpy.context.scene, bpy.context.view_layer, only)
 
 
 def kinds():

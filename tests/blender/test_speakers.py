@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hnf_blender.preview import device
-from hnf_blender.preview.timeline import LINGER_S, Follower, lingering
+from hnf_blender.preview.timeline import TAIL_S, PlayheadFollower, pad_with_silence
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.errors import SceneError
 
@@ -45,91 +45,91 @@ class Driver:
 @pytest.fixture
 def driver(monkeypatch) -> Driver:
     made = Driver()
-    monkeypatch.setattr(device, "audio", lambda: made)
-    monkeypatch.setattr(device, "chosen_device", lambda: OWN)
+    monkeypatch.setattr(device, "import_aud", lambda: made)
+    monkeypatch.setattr(device, "get_device_name", lambda: OWN)
     return made
 
 
 def test_one_device_is_opened_and_kept(driver) -> None:
     speakers = device.Speakers()
-    speakers.sound(TONE, 1000.0)
-    speakers.sound(TONE, 1000.0)
+    speakers.start(TONE, 1000.0)
+    speakers.start(TONE, 1000.0)
     assert driver.opened == [OWN]
     assert speakers.is_playing
 
 
 def test_a_device_that_is_gone_is_opened_anew_and_one_that_never_played_is_told(driver) -> None:
     speakers = device.Speakers()
-    speakers.sound(TONE, 1000.0)
+    speakers.start(TONE, 1000.0)
     driver.broken = {1}
-    speakers.sound(TONE, 1000.0)
+    speakers.start(TONE, 1000.0)
     assert speakers.is_playing
     driver.broken = {1, 2, 3}
     with pytest.raises(SceneError, match="Buffer generation failed"):
-        speakers.sound(TONE, 1000.0)
+        speakers.start(TONE, 1000.0)
     assert not speakers.is_playing
     driver.broken = set()
-    speakers.sound(TONE, 1000.0)
+    speakers.start(TONE, 1000.0)
     assert driver.opened == [OWN] * 4
 
 
 def test_another_choice_in_the_preferences_is_followed(driver, monkeypatch) -> None:
     speakers = device.Speakers()
-    speakers.sound(TONE, 1000.0)
-    monkeypatch.setattr(device, "chosen_device", lambda: "Another")
-    speakers.sound(TONE, 1000.0)
+    speakers.start(TONE, 1000.0)
+    monkeypatch.setattr(device, "get_device_name", lambda: "Another")
+    speakers.start(TONE, 1000.0)
     assert driver.opened == [OWN, "Another"]
 
 
 def test_while_the_timeline_plays_it_is_blenders_own_device(driver) -> None:
     speakers = device.Speakers()
-    speakers.sound(TONE, 1000.0)
-    speakers.share(True)
+    speakers.start(TONE, 1000.0)
+    speakers.use_shared_device(True)
     assert not speakers.is_playing
-    speakers.sound(TONE, 1000.0)
-    speakers.share(False)
-    speakers.sound(TONE, 1000.0)
+    speakers.start(TONE, 1000.0)
+    speakers.use_shared_device(False)
+    speakers.start(TONE, 1000.0)
     assert driver.opened == [OWN, None, OWN]
 
 
 def test_without_one_of_blenders_it_is_the_chosen_one(driver) -> None:
     driver.blender_has_one = False
     speakers = device.Speakers()
-    speakers.share(True)
-    speakers.sound(TONE, 1000.0)
+    speakers.use_shared_device(True)
+    speakers.start(TONE, 1000.0)
     assert driver.opened == [OWN]
 
 
 def test_who_chose_silence_hears_no_other_device_with_the_timeline(driver, monkeypatch) -> None:
-    monkeypatch.setattr(device, "chosen_device", lambda: device.SILENT)
+    monkeypatch.setattr(device, "get_device_name", lambda: device.NO_DEVICE)
     speakers = device.Speakers()
-    speakers.share(True)
-    speakers.sound(TONE, 1000.0)
-    assert driver.opened == [device.SILENT]
+    speakers.use_shared_device(True)
+    speakers.start(TONE, 1000.0)
+    assert driver.opened == [device.NO_DEVICE]
 
 
 def test_the_sound_waits_for_the_next_frame_and_begins_there() -> None:
     """Blender opens its device after it has told that the timeline plays."""
-    scene, follower = bpy.context.scene, Follower()
+    scene, follower = bpy.context.scene, PlayheadFollower()
     scene.frame_set(3)
     follower.wait(scene)
-    assert follower.plays(scene)
+    assert follower.is_playing(scene)
     scene.frame_set(5)
     follower.follow(scene)
-    assert (follower.begun_at, follower.waits) == (5.0, False)
+    assert (follower.start_frame, follower.is_waiting) == (5.0, False)
     scene.frame_set(7)
     follower.follow(scene)
-    assert follower.begun_at == 5.0
+    assert follower.start_frame == 5.0
     scene.frame_set(2)
     follower.follow(scene)
-    assert follower.begun_at == 2.0
+    assert follower.start_frame == 2.0
     follower.stop()
-    assert not follower.plays(scene)
+    assert not follower.is_playing(scene)
 
 
 def test_silence_lingers_after_a_sound() -> None:
     moment = device.Sound(np.ones(100, dtype=np.float32), 1000.0, GENERIC)
-    longer = lingering(moment)
-    assert longer.duration_s == pytest.approx(moment.duration_s + LINGER_S)
+    longer = pad_with_silence(moment)
+    assert longer.duration_s == pytest.approx(moment.duration_s + TAIL_S)
     assert np.array_equal(longer.samples[:100], moment.samples)
     assert not longer.samples[100:].any()

@@ -11,21 +11,21 @@ from hypothesis import strategies as st
 from mathutils import Euler
 from splat_builders import FINE_M, HALF_M, METRES, Y_00, slab
 
-from hnf_blender.bridge.look import Look
-from hnf_blender.bridge.meshes import surface_mesh
+from hnf_blender.bridge.look import UnlitImage
+from hnf_blender.bridge.meshes import read_surface
 from hnf_blender.bridge.splat_closeup import (
-    HALF_PASS,
-    PIXELS_A_WAVE,
-    away_from,
+    HALF_PASS_SIGMAS,
+    PIXELS_PER_WAVELENGTH,
+    choose_splat_resolution,
+    compute_surface_distance,
+    fill_pinholes,
     iter_splat_closeups,
-    pixels_for,
-    without_pinholes,
 )
-from hnf_blender.bridge.splat_cloud import link_cloud, new_cloud
+from hnf_blender.bridge.splat_cloud import create_cloud, link_cloud
 from hnf_core.errors import SceneError
 from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
 from hnf_core.scene.splats.cloud import Splats
-from hnf_core.scene.splats.sights import linear_colour
+from hnf_core.scene.splats.sights import compute_linear_colour
 from hnf_core.scene.splats.view import SplatView
 
 PIXELS = 128
@@ -38,7 +38,7 @@ def slab_object(splats: Splats, unit: float = METRES):
     half = np.array(HALF_M) / METRES
     for vertex in plane.data.vertices:
         vertex.co = (np.sign(vertex.co.x) * half[0], np.sign(vertex.co.y) * half[1], half[2])
-    cloud = new_cloud("Slab splats", splats, "slab.ply")
+    cloud = create_cloud("Slab splats", splats, "slab.ply")
     bpy.context.scene.collection.objects.link(cloud)
     link_cloud(plane, cloud)
     bpy.context.view_layer.update()
@@ -47,7 +47,7 @@ def slab_object(splats: Splats, unit: float = METRES):
 
 def look(plane, cloud, unit: float = METRES, patch: Patch = TOP, pixels: int = PIXELS):
     bpy.context.view_layer.update()
-    surface = surface_mesh(plane, bpy.context.view_layer.depsgraph, unit)
+    surface = read_surface(plane, bpy.context.view_layer.depsgraph, unit)
     (closeup,) = iter_splat_closeups(plane, cloud, [patch], surface=surface, pixels=pixels)
     return closeup
 
@@ -72,10 +72,10 @@ def test_colour_depth_faces_and_detail_are_the_slabs(splats: Splats) -> None:
         2,
     )  # with 128 pixels first, then with as many as the detail takes
     assert closeup.faces.tolist() == [0]
-    assert closeup.look is not None
-    assert closeup.look.source == "splats of slab.ply"
-    assert closeup.look.resolved_wavelength_m == pytest.approx(HALF_PASS * FINE_M, rel=1e-3)
-    assert closeup.look.linear == pytest.approx(closeup.view.rgb, abs=0.01)
+    assert closeup.unlit is not None
+    assert closeup.unlit.source == "splats of slab.ply"
+    assert closeup.unlit.resolved_wavelength_m == pytest.approx(HALF_PASS_SIGMAS * FINE_M, rel=1e-3)
+    assert closeup.unlit.linear == pytest.approx(closeup.view.rgb, abs=0.01)
 
 
 @pytest.mark.parametrize("unit", [METRES, 1.0])
@@ -85,12 +85,12 @@ def test_moving_turning_and_scaling_the_whole_change_nothing(splats: Splats, uni
     plane.location, plane.rotation_euler = (5.0, -3.0, 2.0), Euler((0.3, -1.1, 2.0))
     plane.scale = (METRES / unit,) * 3
     moved = look(plane, cloud, unit)
-    assert moved.look is not None
-    assert plain.look is not None
+    assert moved.unlit is not None
+    assert plain.unlit is not None
     assert (moved.mask == plain.mask).mean() > 0.999
     assert np.abs(moved.view.rgb - plain.view.rgb).mean() < 1e-3
     assert np.abs(moved.view.depth - plain.view.depth)[plain.mask].max() < 2e-6
-    assert moved.look.resolved_wavelength_m == pytest.approx(plain.look.resolved_wavelength_m, rel=1e-5)
+    assert moved.unlit.resolved_wavelength_m == pytest.approx(plain.unlit.resolved_wavelength_m, rel=1e-5)
 
 
 def test_a_patch_turned_by_a_quarter_sees_the_picture_turned(splats: Splats) -> None:
@@ -104,8 +104,8 @@ def test_the_unit_decides_what_is_resolved(splats: Splats) -> None:
     plane, cloud = slab_object(splats)
     twice = Patch(2.0 * TOP.centre, TOP.x_axis, TOP.normal, 0)
     closeup = look(plane, cloud, 2.0 * METRES, twice)
-    assert closeup.look is not None
-    assert closeup.look.resolved_wavelength_m == pytest.approx(2.0 * HALF_PASS * FINE_M, rel=1e-3)
+    assert closeup.unlit is not None
+    assert closeup.unlit.resolved_wavelength_m == pytest.approx(2.0 * HALF_PASS_SIGMAS * FINE_M, rel=1e-3)
 
 
 def test_fine_splats_of_a_coarse_picture_resolve_what_the_picture_holds(splats: Splats) -> None:
@@ -116,23 +116,23 @@ def test_fine_splats_of_a_coarse_picture_resolve_what_the_picture_holds(splats: 
     soft[:, 0] = light[:, None] / Y_00
     plane, cloud = slab_object(Splats(splats.means, splats.scales, splats.rotations, splats.opacities, soft))
     closeup = look(plane, cloud, pixels=256)
-    assert closeup.look is not None
-    assert 1.5e-3 < closeup.look.resolved_wavelength_m < 5e-3
+    assert closeup.unlit is not None
+    assert 1.5e-3 < closeup.unlit.resolved_wavelength_m < 5e-3
     assert closeup.renders == 2  # the splats are as fine as ever
 
 
 def test_no_detail_finer_than_two_pixels_is_claimed(splats: Splats) -> None:
     plane, cloud = slab_object(splats)
     closeup = look(plane, cloud, pixels=20)
-    assert closeup.look is not None
-    assert closeup.look.resolved_wavelength_m == pytest.approx(2.0 * TOP.size_m / 20)
+    assert closeup.unlit is not None
+    assert closeup.unlit.resolved_wavelength_m == pytest.approx(2.0 * TOP.size_m / 20)
 
 
 def test_one_colour_is_no_picture(splats: Splats) -> None:
     grey = np.full_like(splats.harmonics, -0.1 / Y_00)
     closeup = look(*slab_object(Splats(splats.means, splats.scales, splats.rotations, splats.opacities, grey)))
     assert closeup.mask.mean() > 0.98
-    assert closeup.look is None
+    assert closeup.unlit is None
     assert closeup.appearance.base_color == pytest.approx((0.133,) * 3, abs=0.002)
 
 
@@ -141,7 +141,7 @@ def test_splats_away_from_the_surface_are_said_to_show_none(splats: Splats) -> N
     cloud.location.z = -3.0
     closeup = look(plane, cloud)
     assert not closeup.mask.any()
-    assert closeup.look is None
+    assert closeup.unlit is None
     assert "object 'Slab': its splats show no surface" in closeup.notes[0]
     assert closeup.faces.size == 0
 
@@ -165,7 +165,7 @@ def test_a_surface_that_stands_off_its_splats_is_laid_on_them_first(off: float, 
     depth = true + off
     depth[0, 0] += 3e-3
     shown[0, 0], shown[8, 8] = True, True
-    away = away_from(depth, true, shown)
+    away = compute_surface_distance(depth, true, shown)
     assert np.isinf(away[~shown]).all()
     assert away[0, 0] == pytest.approx(3e-3)
     rest = shown.copy()
@@ -182,23 +182,23 @@ def test_what_lies_between_splats_is_filled_and_what_lies_beside_them_is_not() -
     shown = own & (opacity >= 0.5)
     linear, depth = np.full((40, 40, 3), 0.3, np.float32), np.full((40, 40), 0.01, np.float32)
     linear[10:12, 10:12] = depth[10:12, 10:12] = 0.0
-    mask, colour, filled = without_pinholes(shown, own, linear, depth, opacity, 12 * 0.1e-3, 0.1e-3)
+    mask, colour, filled = fill_pinholes(shown, own, linear, depth, opacity, 12 * 0.1e-3, 0.1e-3)
     assert mask[:, :22].all()
     assert not mask[:, 29:].any()
     assert colour[10:12, 10:12] == pytest.approx(0.3, rel=1e-5)
     assert filled[10:12, 10:12] == pytest.approx(0.01, rel=1e-5)
     assert (linear[10:12, 10:12] == 0.0).all()  # the input is left alone
-    assert without_pinholes(shown, own, linear, depth, opacity, 0.1e-3, 0.1e-3)[0][10, 10] == shown[10, 10]
+    assert fill_pinholes(shown, own, linear, depth, opacity, 0.1e-3, 0.1e-3)[0][10, 10] == shown[10, 10]
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(1e-5, 0.1))
 def test_a_picture_has_as_many_pixels_as_its_detail_takes(wave: float) -> None:
-    picture = Look(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.float32), wave, "splats")
-    side = pixels_for(picture, TOP, 128, 512)
+    picture = UnlitImage(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.float32), wave, "splats")
+    side = choose_splat_resolution(picture, TOP, 128, 512)
     assert 128 <= side <= 512
-    assert side == 512 or side * wave >= PIXELS_A_WAVE * TOP.size_m * (1.0 - 1e-9)
-    assert pixels_for(None, TOP, 128, 512) == 128
+    assert side == 512 or side * wave >= PIXELS_PER_WAVELENGTH * TOP.size_m * (1.0 - 1e-9)
+    assert choose_splat_resolution(None, TOP, 128, 512) == 128
 
 
 def test_a_faint_surface_shows_its_colour_and_not_the_black_behind() -> None:
@@ -206,4 +206,4 @@ def test_a_faint_surface_shows_its_colour_and_not_the_black_behind() -> None:
     opacity = np.full(shape, 0.25, dtype=np.float32)
     rgb = np.full((*shape, 3), 0.5 * 0.25, dtype=np.float32)
     seen = SplatView(TOP.camera(4), rgb, np.ones(shape), np.ones(shape), opacity, 1, 1)
-    assert linear_colour(seen) == pytest.approx(0.21404, abs=1e-4)  # sRGB 0.5
+    assert compute_linear_colour(seen) == pytest.approx(0.21404, abs=1e-4)  # sRGB 0.5

@@ -16,20 +16,20 @@ from splat_builders import read_point_tokens
 
 from hnf_blender.bridge import splat_shown
 from hnf_blender.bridge.splat_cloud import (
-    HARMONIC,
-    cloud_hash,
-    cloud_of,
+    HARMONIC_ATTRIBUTE,
+    create_cloud,
+    get_cloud,
+    get_cloud_placement,
+    get_reconstruction_notes,
+    hash_cloud,
     is_cloud,
     link_cloud,
-    new_cloud,
-    notes_of,
-    place_on,
     read_cloud,
     remove_point_tokens,
     write_point_tokens,
 )
-from hnf_blender.bridge.splat_frame import CloudFrame, cloud_frame, even_scale
-from hnf_blender.bridge.splat_shown import GROUP_NAME, MOST_SHOWN, show_ellipsoids, shown_every
+from hnf_blender.bridge.splat_frame import CloudFrame, compute_cloud_frame, get_uniform_scale
+from hnf_blender.bridge.splat_shown import GROUP_NAME, MAX_SHOWN_SPLATS, get_display_stride, show_ellipsoids
 from hnf_blender.bridge.storage import PointTokens
 from hnf_core.errors import SceneError
 from hnf_core.scene.patch import Patch
@@ -57,7 +57,7 @@ def same(first: Splats, second: Splats) -> bool:
 def reconstructed(splats: Splats | None = None):
     """A plane whose splats are the ones given."""
     surface = add_plane("Pot", 1.0)
-    cloud = new_cloud("Pot splats", splats or some_splats(), "pot.ply")
+    cloud = create_cloud("Pot splats", splats or some_splats(), "pot.ply")
     bpy.context.scene.collection.objects.link(cloud)
     link_cloud(surface, cloud, ("one", "two"))
     bpy.context.view_layer.update()
@@ -68,7 +68,7 @@ def reconstructed(splats: Splats | None = None):
 @given(st.integers(1, 40), st.integers(0, 3), st.integers(0, 1000))
 def test_what_goes_in_comes_out_bit_for_bit(count: int, degree: int, seed: int) -> None:
     splats = some_splats(count, degree, seed)
-    cloud = new_cloud("Cloud", splats, "a.ply")
+    cloud = create_cloud("Cloud", splats, "a.ply")
     assert is_cloud(cloud)
     assert same(read_cloud(cloud), splats)
     assert (cloud.hide_render, cloud.hide_select) == (True, True)
@@ -77,52 +77,52 @@ def test_what_goes_in_comes_out_bit_for_bit(count: int, degree: int, seed: int) 
 def test_a_saved_file_an_appended_surface_and_other_names_keep_the_splats(tmp_path: Path) -> None:
     splats = some_splats(degree=2)
     surface, cloud = reconstructed(splats)
-    key = cloud_hash(surface, cloud)
+    key = hash_cloud(surface, cloud)
     surface.name, cloud.name, cloud.data.name = "Jug", "its points", "data"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
     jug = bpy.data.objects["Jug"]
-    assert same(read_cloud(cloud_of(jug)), splats)
+    assert same(read_cloud(get_cloud(jug)), splats)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     with bpy.data.libraries.load(str(tmp_path / "a.blend")) as (_, wanted):
         wanted.objects = ["Jug"]
     (jug,) = wanted.objects
-    assert same(read_cloud(cloud_of(jug)), splats)
-    assert cloud_hash(jug, cloud_of(jug)) == key
-    assert notes_of(jug) == ("one", "two")
-    bpy.data.objects.remove(cloud_of(jug))
-    assert cloud_of(jug) is None
-    assert notes_of(jug) == ()
+    assert same(read_cloud(get_cloud(jug)), splats)
+    assert hash_cloud(jug, get_cloud(jug)) == key
+    assert get_reconstruction_notes(jug) == ("one", "two")
+    bpy.data.objects.remove(get_cloud(jug))
+    assert get_cloud(jug) is None
+    assert get_reconstruction_notes(jug) == ()
 
 
 def test_the_hash_follows_the_values_and_the_place_on_the_surface_alone() -> None:
     surface, cloud = reconstructed(some_splats(degree=1))
-    key = cloud_hash(surface, cloud)
+    key = hash_cloud(surface, cloud)
     surface.location, surface.rotation_euler = (3.0, -2.0, 1.0), (0.3, 1.0, -2.0)
     cloud.name, surface.name = "other", "names"
     cloud.hide_viewport = True
     tokens = PointTokens(np.zeros(7, dtype=np.int32), np.ones(7, dtype=np.float32))
     write_point_tokens(cloud, tokens)
     bpy.context.view_layer.update()
-    assert cloud_hash(surface, cloud) == key
+    assert hash_cloud(surface, cloud) == key
     for name, values in (
         ("scale", "vector"),
         ("rotation", "value"),
         ("opacity", "value"),
-        (HARMONIC.format(3), "vector"),
+        (HARMONIC_ATTRIBUTE.format(3), "vector"),
     ):
         entry = cloud.data.attributes[name].data[4]
         before = getattr(entry, values)
         before = before if name == "opacity" else tuple(before)
         setattr(entry, values, 0.75 if name == "opacity" else (*before[1:], before[0]))
-        assert cloud_hash(surface, cloud) != key, name
+        assert hash_cloud(surface, cloud) != key, name
         setattr(entry, values, before)
-        assert cloud_hash(surface, cloud) == key
+        assert hash_cloud(surface, cloud) == key
     cloud.data.vertices[2].co.x += 1e-3
-    assert cloud_hash(surface, cloud) != key
+    assert hash_cloud(surface, cloud) != key
     cloud.data.vertices[2].co.x -= 1e-3
     cloud.location.z = 0.01
-    assert cloud_hash(surface, cloud) != key
+    assert hash_cloud(surface, cloud) != key
 
 
 def test_tokens_of_splats_are_written_read_and_removed() -> None:
@@ -154,7 +154,7 @@ def test_broken_attributes_are_named_and_not_guessed(damage: str) -> None:
     elif damage == "flat":
         attributes["scale"].data[1].vector = (0.0, 1.0, 1.0)
     else:
-        attributes.remove(attributes[HARMONIC.format(2)])
+        attributes.remove(attributes[HARMONIC_ATTRIBUTE.format(2)])
     with pytest.raises(SceneError, match=r"object 'Pot splats'.*cannot be read.*import the file again"):
         read_cloud(cloud)
 
@@ -168,11 +168,11 @@ def rotation(seed: int) -> np.ndarray:
 @given(st.integers(0, 1000), st.floats(1e-3, 1e3))
 def test_one_scale_along_all_axes_is_seen_through_and_any_other_refused(seed: int, k: float) -> None:
     turn = rotation(seed)
-    assert even_scale(k * turn, "here") == pytest.approx(k, rel=1e-9)
+    assert get_uniform_scale(k * turn, "here") == pytest.approx(k, rel=1e-9)
     with pytest.raises(SceneError, match="three axes"):
-        even_scale(k * turn @ np.diag([1.0, 1.0, 1.01]), "here")
+        get_uniform_scale(k * turn @ np.diag([1.0, 1.0, 1.01]), "here")
     with pytest.raises(SceneError, match="mirrored"):
-        even_scale(-k * turn, "here")
+        get_uniform_scale(-k * turn, "here")
 
 
 @settings(max_examples=20, deadline=None)
@@ -184,7 +184,7 @@ def test_a_camera_sees_the_same_in_the_clouds_frame(seed: int, metres: float) ->
     camera = Patch(rng.normal(size=3), turn[:, 0], turn[:, 2], 0).camera(64)
     points = rng.normal(size=(20, 3))
     uv, depth = camera.project(frame.to_surface(points))
-    inside, deep = frame.camera(camera).project(points)
+    inside, deep = frame.to_cloud_camera(camera).project(points)
     assert inside == pytest.approx(uv, abs=1e-6 * max(1.0, np.abs(uv).max()))
     assert deep * metres == pytest.approx(depth, abs=1e-9 * max(1.0, np.abs(depth).max()))
 
@@ -194,24 +194,24 @@ def test_the_splats_stay_where_they_are_when_the_surfaces_transform_is_applied()
     surface.location, surface.scale = (1.0, 2.0, 3.0), (2.0, 2.0, 2.0)
     surface.rotation_euler = (0.4, 0.0, 0.0)
     bpy.context.view_layer.update()
-    before = np.array(surface.matrix_world) @ place_on(surface, cloud)
+    before = np.array(surface.matrix_world) @ get_cloud_placement(surface, cloud)
     surface.select_set(True)
     bpy.context.view_layer.objects.active = surface
     bpy.ops.object.transform_apply()
     bpy.context.view_layer.update()
     assert np.allclose(surface.matrix_world, np.eye(4))
-    assert place_on(surface, cloud) == pytest.approx(before, abs=1e-5)
-    frame = cloud_frame(surface, cloud, 0.5 * np.eye(3))
-    assert frame.metres == pytest.approx(1.0, rel=1e-5)
+    assert get_cloud_placement(surface, cloud) == pytest.approx(before, abs=1e-5)
+    frame = compute_cloud_frame(surface, cloud, 0.5 * np.eye(3))
+    assert frame.metres_per_unit == pytest.approx(1.0, rel=1e-5)
     cloud.parent = None
     cloud.matrix_world = Matrix(before.tolist())
     bpy.context.view_layer.update()
-    assert place_on(surface, cloud) == pytest.approx(before, abs=1e-5)
+    assert get_cloud_placement(surface, cloud) == pytest.approx(before, abs=1e-5)
 
 
 def test_ellipsoids_show_every_splat_with_one_set_of_nodes() -> None:
     surface, cloud = reconstructed(some_splats(50))
-    other = new_cloud("Other", some_splats(20), "b.ply")
+    other = create_cloud("Other", some_splats(20), "b.ply")
     bpy.context.scene.collection.objects.link(other)
     for each in (cloud, other):
         show_ellipsoids(each)
@@ -234,11 +234,11 @@ def test_ellipsoids_show_every_splat_with_one_set_of_nodes() -> None:
 
 
 def test_a_large_cloud_is_thinned_for_the_viewport(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert shown_every(MOST_SHOWN) == 1
-    assert shown_every(MOST_SHOWN + 1) == 2
-    assert shown_every(10 * MOST_SHOWN) == 10
+    assert get_display_stride(MAX_SHOWN_SPLATS) == 1
+    assert get_display_stride(MAX_SHOWN_SPLATS + 1) == 2
+    assert get_display_stride(10 * MAX_SHOWN_SPLATS) == 10
     _, cloud = reconstructed(some_splats(30))
-    monkeypatch.setattr(splat_shown, "MOST_SHOWN", 8)
+    monkeypatch.setattr(splat_shown, "MAX_SHOWN_SPLATS", 8)
     show_ellipsoids(cloud)
     bpy.context.view_layer.update()
     assert sum(each.is_instance for each in bpy.context.view_layer.depsgraph.object_instances) == 8

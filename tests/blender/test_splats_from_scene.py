@@ -11,10 +11,10 @@ import splats_from_scene
 from builders import add_plane, add_sphere
 from closeup_builders import principled
 from predicted_scene import photo, photo_material
-from scene_splats.convert import object_splats, turned_from_z
+from scene_splats.convert import compute_rotations_from_z, make_object_splats
 from touch_scene import line_stroke
 
-from hnf_blender.bridge.meshes import surface_mesh
+from hnf_blender.bridge.meshes import read_surface
 from hnf_core.scene.patch import Patch
 from hnf_core.scene.splats.inria import Y_00
 from hnf_core.scene.splats.read import read_splats
@@ -24,8 +24,8 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def splats_of(obj, spacing=2e-3, patches=(), fine=None, seed=0):
     bpy.context.view_layer.update()
-    surface = surface_mesh(obj, bpy.context.view_layer.depsgraph, 1.0)
-    return object_splats(obj, surface, spacing, seed, 1.0, patches, fine)
+    surface = read_surface(obj, bpy.context.view_layer.depsgraph, 1.0)
+    return make_object_splats(obj, surface, spacing, seed, 1.0, patches, fine)
 
 
 def shown(splats) -> np.ndarray:
@@ -137,7 +137,7 @@ def test_an_unknown_object_is_named_and_nothing_is_written(tmp_path, monkeypatch
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.6, 0.0, 0.8), (1e-9, 0.0, -1.0)])
 def test_a_turn_brings_z_to_the_normal(normal) -> None:
-    (w, x, y, z), n = turned_from_z(np.array([normal], dtype=float))[0], np.asarray(normal, dtype=float)
+    (w, x, y, z), n = compute_rotations_from_z(np.array([normal], dtype=float))[0], np.asarray(normal, dtype=float)
     turned = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
     np.testing.assert_allclose(turned, n, atol=1e-8)
 

@@ -16,11 +16,11 @@ from splat_builders import slab, slab_file
 
 from hnf_blender.bridge import splat_reconstruction
 from hnf_blender.bridge.drawn_stroke import cast_on_surface
-from hnf_blender.bridge.splat_cloud import cloud_of, is_cloud, read_cloud
+from hnf_blender.bridge.splat_cloud import get_cloud, is_cloud, read_cloud
 from hnf_blender.bridge.splat_reconstruction import TouchSurface
-from hnf_blender.bridge.under_cursor import first_hit
+from hnf_blender.bridge.under_cursor import pick_object_along_ray
 from hnf_blender.ops import splats
-from hnf_blender.ops.splats import Reading
+from hnf_blender.ops.splats import SplatReader
 from hnf_blender.ui.scene_panel import HNF_PT_scale
 
 pytestmark = pytest.mark.usefixtures("operators")
@@ -46,8 +46,8 @@ def quick(monkeypatch, tmp_path):
                 time.sleep(0.01)
         return made
 
-    monkeypatch.setattr(splat_reconstruction, "reconstruct", reconstruct)
-    monkeypatch.setattr(splats, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(splat_reconstruction, "reconstruct_surface", reconstruct)
+    monkeypatch.setattr(splats, "get_cache_folder", lambda: tmp_path / "cache")
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_a_dropped_file_is_added_to_what_is_open(quick, tmp_path: Path) -> None:
     surface = bpy.context.view_layer.objects.active
     assert (surface.name, len(surface.data.polygons)) == ("slab", 2)
     assert "Table" in bpy.context.scene.objects
-    assert read_cloud(cloud_of(surface)).means.tobytes() == slab().means.tobytes()
+    assert read_cloud(get_cloud(surface)).means.tobytes() == slab().means.tobytes()
     (material,) = surface.data.materials
     assert material.name == "slab"
     colours = surface.data.color_attributes[0]
@@ -112,7 +112,7 @@ def test_no_import_in_edit_mode() -> None:
     assert bpy.ops.hnf.import_splats.poll()
 
 
-def wait(reading: Reading) -> None:
+def wait(reading: SplatReader) -> None:
     for _ in range(500):
         if reading.is_done:
             return
@@ -122,17 +122,17 @@ def wait(reading: Reading) -> None:
 
 def test_a_window_reads_in_a_thread_that_tells_how_far_it_is_and_can_be_stopped(quick, tmp_path: Path) -> None:
     path = slab_file(tmp_path)
-    reading = Reading(path, tmp_path / "cache")
+    reading = SplatReader(path, tmp_path / "cache")
     wait(reading)
     assert reading.error is None
-    assert reading.made is not None
-    assert (reading.made.name, reading.share) == ("slab", 1.0)
-    stopped = Reading(slab_file(tmp_path, "other.ply", degree=1), tmp_path / "cache")
+    assert reading.result is not None
+    assert (reading.result.name, reading.share) == ("slab", 1.0)
+    stopped = SplatReader(slab_file(tmp_path, "other.ply", degree=1), tmp_path / "cache")
     stopped.stop()
     wait(stopped)
-    assert (stopped.made, stopped.error) == (None, None)
+    assert (stopped.result, stopped.error) == (None, None)
     path.write_bytes(b"ply\n")
-    broken = Reading(path, tmp_path / "cache")
+    broken = SplatReader(path, tmp_path / "cache")
     wait(broken)
     assert str(path) in str(broken.error)
 
@@ -206,7 +206,7 @@ def test_a_pen_draws_on_the_surface_through_its_ellipsoids(imported) -> None:
     assert hit.obj == imported
     assert hit.world == pytest.approx((0.3, 0.2, 0.0), abs=1e-6)
     assert hit.normal == pytest.approx((0.0, 0.0, 1.0), abs=1e-6)
-    assert first_hit(scene, depsgraph, None, start, down) == (imported, 0)
+    assert pick_object_along_ray(scene, depsgraph, None, start, down) == (imported, 0)
     assert cast_on_surface(scene, depsgraph, None, Vector((9.0, 0.0, 5.0)), down) is None
     shelf = add_plane("Shelf", 1.0)
     shelf.location = (0.3, 0.2, 1.0)

@@ -15,19 +15,19 @@ from splat_builders import FINE_M, HALF_M, METRES, read_point_tokens, slab, slab
 from touch_scene import signals, touch
 
 from hnf_blender.bridge import splat_closeup, splat_reconstruction
-from hnf_blender.bridge.meshes import surface_mesh
-from hnf_blender.bridge.splat_closeup import HALF_PASS
-from hnf_blender.bridge.splat_cloud import cloud_of, read_cloud
-from hnf_blender.bridge.splat_frame import cloud_frame
+from hnf_blender.bridge.meshes import read_surface
+from hnf_blender.bridge.splat_closeup import HALF_PASS_SIGMAS
+from hnf_blender.bridge.splat_cloud import get_cloud, read_cloud
+from hnf_blender.bridge.splat_frame import compute_cloud_frame
 from hnf_blender.bridge.splat_reconstruction import TouchSurface, read_reconstruction
 from hnf_blender.bridge.storage import UNBAKED, read_tokens
 from hnf_blender.jobs import running
 from hnf_blender.state.session import STATE
-from hnf_blender.state.watch import Watch
+from hnf_blender.state.watch import StatusTracker
 from hnf_blender.touch import bake
-from hnf_blender.touch.jobs import scene_session
+from hnf_blender.touch.jobs import make_scene_session
 from hnf_core.errors import SceneError
-from hnf_core.scene.splats.surface import reconstruct
+from hnf_core.scene.splats.surface import reconstruct_surface
 
 STROKE = ("--stroke", "left-right-soft", "--on", "slab", "--scale", str(METRES))
 CELLS = 24
@@ -48,7 +48,7 @@ def quick(tmp_path_factory):
     """A coarse surface, small pictures, a small D_φ."""
     weights = small_weights(tmp_path_factory.mktemp("weights") / "small.safetensors")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(splat_reconstruction, "CELLS", CELLS)
+        patch.setattr(splat_reconstruction, "DEFAULT_CELLS", CELLS)
         patch.setattr(bake, "PATCH_PIXELS", 256)
         use_weights(patch, weights)
         yield
@@ -68,7 +68,7 @@ def no_work(monkeypatch):
     def fail(*_args, **_named):
         raise AssertionError("this was done before")
 
-    monkeypatch.setattr(splat_reconstruction, "reconstruct", fail)
+    monkeypatch.setattr(splat_reconstruction, "reconstruct_surface", fail)
     monkeypatch.setattr(splat_closeup, "render_splats", fail)
 
 
@@ -77,7 +77,7 @@ def baked(ran: Ran):
     """The .blend that the run left, open: surface and cloud."""
     bpy.ops.wm.open_mainfile(filepath=str(ran.out / ran.report["baked_blend"]))
     surface = bpy.data.objects["slab"]
-    return surface, cloud_of(surface)
+    return surface, get_cloud(surface)
 
 
 def test_a_reconstruction_is_felt_by_the_predicted_route(ran: Ran) -> None:
@@ -85,7 +85,7 @@ def test_a_reconstruction_is_felt_by_the_predicted_route(ran: Ran) -> None:
     (entry,) = ran.report["strokes"]
     # 0.85 mm is resolved, so that bands down to 2 mm are seen whole.
     assert [entry["routes"][band] for band in ("8 mm", "2 mm", "0.25 mm")] == ["predicted", "predicted", "prior"]
-    assert entry["resolved_wavelength_m"] == pytest.approx(HALF_PASS * FINE_M, rel=0.02)
+    assert entry["resolved_wavelength_m"] == pytest.approx(HALF_PASS_SIGMAS * FINE_M, rel=0.02)
     assert entry["height_source"] == "estimated from splats of slab.ply"
     counts = ran.report["counts"]
     assert 0 < counts["diffusion_calls"] == counts["tokens"] <= counts["renders"] - 1
@@ -140,8 +140,8 @@ def test_faces_and_splats_carry_the_tokens_of_what_was_touched(baked) -> None:
     told = points.index != UNBAKED
     assert set(points.index[told].tolist()) == set(tokens.index[tokens.index != UNBAKED].tolist())
     assert ((points.confidence > 0.0) == told).all()
-    made = surface_mesh(surface, bpy.context.view_layer.depsgraph, METRES)
-    place = cloud_frame(surface, cloud, made.stretch).to_surface(read_cloud(cloud).means)
+    made = read_surface(surface, bpy.context.view_layer.depsgraph, METRES)
+    place = compute_cloud_frame(surface, cloud, made.stretch).to_surface(read_cloud(cloud).means)
     assert 0.05 < told.mean() < 0.95
     # The stroke runs over the top, 10 mm above the bottom.
     assert told[place[:, 2] < -0.9 * HALF_M[2]].mean() < 0.5 < told[place[:, 2] > 0.9 * HALF_M[2]].mean()
@@ -159,31 +159,31 @@ def test_a_changed_splat_is_noticed_and_a_changed_name_or_place_is_not(baked, tm
     surface, cloud = baked
 
     def key() -> str:
-        session = scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
-        return session.surface_key(surface)
+        session = make_scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+        return session.compute_surface_key(surface)
 
     first = key()
     cloud.name = "something else"
     surface.location.x += 1.0
     bpy.ops.object.camera_add(location=(1.0, 2.0, 3.0))
     assert key() == first
-    watch = Watch(bpy.context.scene, bpy.context.view_layer)
+    watch = StatusTracker(bpy.context.scene, bpy.context.view_layer)
     while not watch.is_idle:
-        watch.look()
+        watch.check_next()
     cloud.data.attributes["sh_0"].data[100].vector.x += 0.01
     assert key() != first
-    watch.expect(cloud.data.name)
+    watch.mark_changed(cloud.data.name)
     assert not watch.is_idle
 
 
 def test_a_bake_in_the_window_gives_the_same_tokens(baked, ran: Ran, no_work, operators, tmp_path, monkeypatch) -> None:
     cloud = baked[1]
     shutil.copytree(ran.out / "cache", tmp_path / "cache")
-    monkeypatch.setattr(running, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(running, "get_cache_folder", lambda: tmp_path / "cache")
     meant = read_point_tokens(cloud)
     assert bpy.ops.hnf.purge(what="ALL") == {"FINISHED"}
     assert read_point_tokens(cloud) is None
-    ended = running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    ended = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     STATE.clear()
     assert ended.ok, ended.message
     found = read_point_tokens(cloud)
@@ -198,18 +198,18 @@ def test_a_surface_with_a_relief_of_its_own_is_seen_by_its_shader(baked, tmp_pat
 
     surface, _ = baked
     surface.data.materials[0] = bump_material("Ridges", wavelength=2e-3, height=5e-5)
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
-    assert not session.touched(surface).is_seen_in_splats(0)
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+    assert not session.get_touched_object(surface).uses_splats(0)
     surface.data.materials.clear()
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
-    assert session.touched(surface).is_seen_in_splats(0)
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+    assert session.get_touched_object(surface).uses_splats(0)
 
 
 def test_poor_reconstructions_are_said_to_be_poor(baked, tmp_path) -> None:
     surface, _ = baked
     surface["hnf_splats_notes"] = "object 'slab': full of holes."
-    session = scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
-    assert session.surface(surface).notes[-1] == "object 'slab': full of holes."
+    session = make_scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+    assert session.get_surface(surface).notes[-1] == "object 'slab': full of holes."
 
 
 @pytest.mark.parametrize("damage", ["none", "cut", "noise", "indices"])
@@ -229,20 +229,20 @@ def test_a_kept_surface_is_used_where_it_is_whole_and_made_anew_where_not(damage
         calls.append(len(splats))
         return Made
 
-    monkeypatch.setattr(splat_reconstruction, "reconstruct", counted)
+    monkeypatch.setattr(splat_reconstruction, "reconstruct_surface", counted)
     path = slab_file(tmp_path)
     first = read_reconstruction(path, tmp_path / "cache")
     (kept,) = (tmp_path / "cache").iterdir()
     whole = kept.read_bytes()
     if damage == "indices":
-        splat_reconstruction._keep(
+        splat_reconstruction._save_cached(
             tmp_path / "cache", path, CELLS, TouchSurface(plain.vertices, plain.triangles + 1, plain.colour, ())
         )
     else:
         kept.write_bytes({"none": whole, "cut": whole[:200], "noise": bytes(range(256))}[damage])
     second = read_reconstruction(path, tmp_path / "cache")
     assert len(calls) == (1 if damage == "none" else 2)
-    assert (first.was_kept, second.was_kept) == (False, damage == "none")
+    assert (first.was_cached, second.was_cached) == (False, damage == "none")
     assert second.surface.warnings == ("poor",)
     assert second.surface.vertices.tobytes() == plain.vertices.tobytes()
     assert kept.read_bytes() == whole
@@ -250,9 +250,9 @@ def test_a_kept_surface_is_used_where_it_is_whole_and_made_anew_where_not(damage
 
 def test_a_file_that_makes_no_surface_leaves_nothing_behind(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
-        splat_reconstruction, "reconstruct", lambda *_a, **_n: (_ for _ in ()).throw(SceneError("fog."))
+        splat_reconstruction, "reconstruct_surface", lambda *_a, **_n: (_ for _ in ()).throw(SceneError("fog."))
     )
     with pytest.raises(SceneError, match=r"fog"):
         read_reconstruction(slab_file(tmp_path), tmp_path / "cache")
     assert not (tmp_path / "cache").exists()
-    assert reconstruct is not splat_reconstruction.reconstruct
+    assert reconstruct_surface is not splat_reconstruction.reconstruct_surface

@@ -9,7 +9,7 @@ from builders import add_mesh, add_plane, add_sphere
 from mathutils import Matrix
 from stroke_builders import act, add_stroke, key, read
 
-from hnf_blender.bridge.meshes import BlenderGeometry, mesh_hash, surface_mesh
+from hnf_blender.bridge.meshes import BlenderGeometry, hash_mesh, read_surface
 from hnf_core.errors import HnfError, SceneError, StrokeError
 from hnf_core.scene.raycast import ReferenceGeometry
 
@@ -63,7 +63,7 @@ def test_a_wrong_unit(unit):
     """An object 0.1 µm or 1000 km across, since its unit is off by 10⁶ → SceneError that names it and Units"""
     add_sphere("Mug", radius=0.05)
     with pytest.raises(SceneError, match=r"'Mug': it is .* m across") as caught:
-        surface_mesh(bpy.data.objects["Mug"], bpy.context.evaluated_depsgraph_get(), unit * (1.0 if unit > 1 else 0.1))
+        read_surface(bpy.data.objects["Mug"], bpy.context.evaluated_depsgraph_get(), unit * (1.0 if unit > 1 else 0.1))
     assert "Units" in caught.value.remedy
 
 
@@ -74,7 +74,7 @@ def test_hashes_of_every_scale(scale):
     def hashed(factor, angle):
         ball.matrix_world = Matrix.Rotation(angle, 4, "X") @ Matrix.Scale(factor, 4)
         bpy.context.view_layer.update()
-        return mesh_hash(ball, bpy.context.evaluated_depsgraph_get(), 1.0 / scale)
+        return hash_mesh(ball, bpy.context.evaluated_depsgraph_get(), 1.0 / scale)
 
     ball = add_sphere(segments=8, rings=4)
     plain = hashed(scale, 0.0)

@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from job_scene import line_stroke, small_scene
 
-from hnf_blender.ui.stroke_list import HNF_UL_strokes, new_order
+from hnf_blender.ui.stroke_list import HNF_UL_strokes, compute_order
 
 
 @given(st.lists(st.text("abC", max_size=3), max_size=12), st.data())
 def test_the_named_stand_in_front_sorted_and_the_others_stay(names, data) -> None:
     count = len(names) + data.draw(st.integers(0, 12))
     places = sorted(data.draw(st.permutations(range(count)))[: len(names)])
-    order = new_order(names, places, count)
+    order = compute_order(names, places, count)
     assert sorted(order) == list(range(count))
     at = {new: old for old, new in enumerate(order)}
     plain = sorted(zip(names, places, strict=True))

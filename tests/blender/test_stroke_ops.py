@@ -8,8 +8,8 @@ import pytest
 from builders import add_plane, datablock_names
 from stroke_builders import LINE, act, add_stroke, key, keyed_fcurves, read
 
-from hnf_blender.bridge.strokes import stroke_objects
-from hnf_blender.props.scene import active_stroke, namesake
+from hnf_blender.bridge.strokes import list_strokes
+from hnf_blender.props.scene import find_namesake, get_active_stroke
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 
 
@@ -52,8 +52,8 @@ def test_add_each_ready_stroke(name):
     select(add_plane())
     bpy.context.scene.frame_set(7)
     assert bpy.ops.hnf.stroke_add(primitive=name, probe="finger") == {"FINISHED"}
-    obj = active_stroke(bpy.context)
-    assert stroke_objects(bpy.context.scene) == [obj]
+    obj = get_active_stroke(bpy.context)
+    assert list_strokes(bpy.context.scene) == [obj]
     assert bpy.context.scene.objects[bpy.context.scene.hnf.stroke_index] == obj
     assert [collection.name for collection in obj.users_collection] == ["Touch strokes"]
     assert (obj.hnf_stroke.start, obj.hnf_stroke.probe) == (7.0, "finger")
@@ -65,7 +65,7 @@ def test_add_each_ready_stroke(name):
 def test_add_in_words():
     select(add_plane())
     assert bpy.ops.hnf.stroke_add(words="scrape right to left, 1.5 N, 80 mm/s") == {"FINISHED"}
-    action = act(active_stroke(bpy.context))[3]
+    action = act(get_active_stroke(bpy.context))[3]
     assert action.force.max() == pytest.approx(1.5, rel=1e-3)
     assert action.speed.max() == pytest.approx(0.08, rel=1e-2)
     assert np.allclose(action.direction[action.speed > 0.01], [-1.0, 0.0], atol=1e-3)
@@ -80,7 +80,7 @@ def test_a_second_stroke_goes_on_the_surface_of_the_first_and_one_material_can_b
     bpy.ops.hnf.stroke_add()
     assert bpy.context.view_layer.objects.active != plane
     bpy.ops.hnf.stroke_add(slot=0)
-    assert [obj.parent for obj in stroke_objects(bpy.context.scene)] == [plane, plane]
+    assert [obj.parent for obj in list_strokes(bpy.context.scene)] == [plane, plane]
     with pytest.raises(RuntimeError, match="has no material slot 3"):
         bpy.ops.hnf.stroke_add(slot=3)
 
@@ -115,14 +115,14 @@ def test_a_curve_becomes_a_stroke():
     bpy.context.scene.frame_set(5)
     select(two, line, other)
     assert bpy.ops.hnf.stroke_from_curve(speed_mm_s=40.0) == {"FINISHED"}
-    assert [obj.name for obj in stroke_objects(bpy.context.scene)] == ["Line", "Other"]
+    assert [obj.name for obj in list_strokes(bpy.context.scene)] == ["Line", "Other"]
     assert act(line)[3].speed.max() == pytest.approx(0.04, rel=1e-3)
-    assert active_stroke(bpy.context) == other
+    assert get_active_stroke(bpy.context) == other
     assert line.hnf_stroke.start == 5.0
     line["hnf_bake"] = b"a bake"
     assert bpy.ops.hnf.stroke_to_curve(name="Line") == {"FINISHED"}
     assert bpy.ops.hnf.stroke_delete(name="Other") == {"FINISHED"}  # the artist's own curve
-    assert stroke_objects(bpy.context.scene) == []
+    assert list_strokes(bpy.context.scene) == []
     assert other.name == "Other"
     assert "hnf_bake" not in line
     select(line, other)
@@ -139,12 +139,12 @@ def test_delete_takes_curve_and_keys_along():
     select(add_plane())
     before = datablock_names()
     bpy.ops.hnf.stroke_add()
-    first = active_stroke(bpy.context).name
+    first = get_active_stroke(bpy.context).name
     bpy.ops.hnf.stroke_add(primitive="rub-slow")
-    second = active_stroke(bpy.context)
+    second = get_active_stroke(bpy.context)
     assert bpy.ops.hnf.stroke_delete(name=first) == {"FINISHED"}
-    assert stroke_objects(bpy.context.scene) == [second]
-    assert active_stroke(bpy.context) == second
+    assert list_strokes(bpy.context.scene) == [second]
+    assert get_active_stroke(bpy.context) == second
     assert bpy.ops.hnf.stroke_delete() == {"FINISHED"}
     after = datablock_names()
     after["collections"].remove("Touch strokes")
@@ -156,13 +156,13 @@ def test_delete_takes_curve_and_keys_along():
 def test_a_stroke_is_not_pulled_from_under_its_edit():
     select(add_plane())
     bpy.ops.hnf.stroke_add()
-    stroke = active_stroke(bpy.context)
+    stroke = get_active_stroke(bpy.context)
     select(stroke)
     bpy.ops.object.mode_set(mode="EDIT")
     for work in (bpy.ops.hnf.stroke_delete, bpy.ops.hnf.stroke_duplicate):
         with pytest.raises(RuntimeError, match="Object Mode"):
             work()
-    assert stroke_objects(bpy.context.scene) == [stroke]
+    assert list_strokes(bpy.context.scene) == [stroke]
     assert stroke.mode == "EDIT"
     bpy.ops.object.mode_set(mode="OBJECT")
     assert bpy.ops.hnf.stroke_delete() == {"FINISHED"}
@@ -171,10 +171,10 @@ def test_a_stroke_is_not_pulled_from_under_its_edit():
 def test_duplicate_has_keys_of_its_own():
     select(add_plane())
     bpy.ops.hnf.stroke_add()
-    stroke = active_stroke(bpy.context)
+    stroke = get_active_stroke(bpy.context)
     before = read(stroke).samples
     assert bpy.ops.hnf.stroke_duplicate() == {"FINISHED"}
-    copy = active_stroke(bpy.context)
+    copy = get_active_stroke(bpy.context)
     assert copy != stroke
     assert copy.data != stroke.data
     assert copy.animation_data.action != stroke.animation_data.action
@@ -193,9 +193,9 @@ def test_select_and_add_to_the_selection():
     add_plane()
     one, two = add_stroke(LINE, name="One"), add_stroke(LINE, name="Two")
     bpy.ops.hnf.stroke_select(name="One")
-    assert (active_stroke(bpy.context), bpy.context.selected_objects) == (one, [one])
+    assert (get_active_stroke(bpy.context), bpy.context.selected_objects) == (one, [one])
     bpy.ops.hnf.stroke_select(name="Two", extend=True)
-    assert active_stroke(bpy.context) == two
+    assert get_active_stroke(bpy.context) == two
     assert set(bpy.context.selected_objects) == {one, two}
     with pytest.raises(RuntimeError, match="no stroke 'Plane'"):
         bpy.ops.hnf.stroke_select(name="Plane")
@@ -209,16 +209,16 @@ def test_a_linked_stroke_is_not_mistaken_for_the_one_of_its_name(tmp_path):
         wanted.objects = ["One"]
     own, linked = linked, wanted.objects[0]
     bpy.context.scene.collection.objects.link(linked)
-    assert (namesake(bpy.context.scene, own), namesake(bpy.context.scene, linked)) == (linked, own)
+    assert (find_namesake(bpy.context.scene, own), find_namesake(bpy.context.scene, linked)) == (linked, own)
     for stroke in (linked, own):
         assert bpy.ops.hnf.stroke_select(name=stroke.name_full) == {"FINISHED"}
-        assert active_stroke(bpy.context) == stroke == bpy.context.scene.objects[bpy.context.scene.hnf.stroke_index]
+        assert get_active_stroke(bpy.context) == stroke == bpy.context.scene.objects[bpy.context.scene.hnf.stroke_index]
     select(linked)
     with pytest.raises(RuntimeError, match=r"'One': it is linked from library\.blend"):
         bpy.ops.hnf.stroke_delete()
-    assert {obj.name_full for obj in stroke_objects(bpy.context.scene)} == {"One", "One [library.blend]"}
+    assert {obj.name_full for obj in list_strokes(bpy.context.scene)} == {"One", "One [library.blend]"}
     assert bpy.ops.hnf.stroke_delete(name="One") == {"FINISHED"}
-    assert stroke_objects(bpy.context.scene) == [linked]
+    assert list_strokes(bpy.context.scene) == [linked]
 
 
 def test_solo_and_back():
@@ -226,11 +226,11 @@ def test_solo_and_back():
     strokes = [add_stroke(LINE, name=name) for name in ("A", "B", "C")]
     strokes[2].hnf_stroke.mute = True
     bpy.ops.hnf.stroke_solo(name="C")
-    assert [obj.name for obj in stroke_objects(bpy.context.scene)] == ["C"]
+    assert [obj.name for obj in list_strokes(bpy.context.scene)] == ["C"]
     bpy.ops.hnf.stroke_solo(name="A")
-    assert [obj.name for obj in stroke_objects(bpy.context.scene)] == ["A"]
+    assert [obj.name for obj in list_strokes(bpy.context.scene)] == ["A"]
     bpy.ops.hnf.stroke_solo(name="A")
-    assert [obj.name for obj in stroke_objects(bpy.context.scene)] == ["A", "B", "C"]
+    assert [obj.name for obj in list_strokes(bpy.context.scene)] == ["A", "B", "C"]
 
 
 def test_key_force_at_the_playhead():
@@ -351,21 +351,21 @@ def test_a_force_that_is_not_keyed_gets_two_keys_for_the_graph():
 
 
 def test_the_overlay_follows_the_force_and_the_playhead():
-    from hnf_blender.tool.overlay_paths import overlay_path
-    from hnf_core.export.force_colour import force_colour
+    from hnf_blender.tool.overlay_paths import compute_overlay_path
+    from hnf_core.export.force_colour import force_to_colour
 
     plane = add_plane()
     stroke = add_stroke(LINE, speed_mm_s=60.0, surface=plane)
     key(stroke, "force", (1, 0.5), (25, 2.0))
     stroke.location.y = 0.02
     bpy.context.view_layer.update()
-    path = overlay_path(stroke, bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0)
+    path = compute_overlay_path(stroke, bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0)
     assert np.allclose(path.points[[0, -1]], LINE, atol=1e-5)
-    assert np.allclose(path.colours[0], force_colour(0.5))
-    assert np.allclose(path.colours[-1], force_colour(2.0), atol=0.02)
+    assert np.allclose(path.colours[0], force_to_colour(0.5))
+    assert np.allclose(path.colours[-1], force_to_colour(2.0), atol=0.02)
     assert (path.frames[0], path.forces[0]) == (1.0, pytest.approx(0.5))
     arms = path.ticks.reshape(-1, 2, 2, 3)
     assert np.allclose(arms[..., 2], 0.0, atol=1e-6)  # they lie on the plane
     assert (arms[:, 0, 1, 0] > arms[:, 0, 0, 0]).all()  # and point where the hand goes
     stroke.data.splines.new("POLY").points.add(1)
-    assert overlay_path(stroke, bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0) is None
+    assert compute_overlay_path(stroke, bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0) is None

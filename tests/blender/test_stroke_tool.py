@@ -9,7 +9,7 @@ from builders import add_plane, add_sphere, datablock_names
 from stroke_builders import act, keyed_fcurves, read
 
 from hnf_blender.bridge.drawn_stroke import cast_on_surface
-from hnf_blender.props.scene import active_stroke
+from hnf_blender.props.scene import get_active_stroke
 from hnf_core.action.pen_stroke import FORCE_TOLERANCE_N, PATH_TOLERANCE_M, PROGRESS_TOLERANCE_M
 
 
@@ -19,11 +19,11 @@ def operators():
 
     already = hasattr(bpy.types, "HNF_OT_stroke_draw")
     if not already:
-        for each in draw.CLASSES:
+        for each in draw.DRAW_CLASSES:
             bpy.utils.register_class(each)
     yield
     if not already:
-        for each in reversed(draw.CLASSES):
+        for each in reversed(draw.DRAW_CLASSES):
             bpy.utils.unregister_class(each)
 
 
@@ -42,7 +42,7 @@ def line(n=61, start=(-0.03, 0.0, 0.0), end=(0.03, 0.01, 0.0)):
 
 def draw(stroke, **settings):
     assert bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=stroke, **settings) == {"FINISHED"}
-    return active_stroke(bpy.context)
+    return get_active_stroke(bpy.context)
 
 
 def fcurves(obj):
@@ -77,7 +77,7 @@ def test_the_hand_is_where_it_was_when_it_was(fps, base):
     pressure = 0.5 + 0.3 * np.sin(4.0 * t)
     obj = draw(samples(points, 2.0, pressure), force_min_n=0.0, force_max_n=2.0, smoothing_ms=0.0)
     stroke = read(obj)
-    assert stroke.law == "PROGRESS"
+    assert stroke.motion_profile == "PROGRESS"
     at = [np.interp(stroke.samples.time, t, points[:, axis]) for axis in range(3)]
     off = np.linalg.norm(stroke.samples.point - np.stack(at, axis=1), axis=1)
     assert off.max() <= 2.0 * PATH_TOLERANCE_M + PROGRESS_TOLERANCE_M + 3e-4
@@ -102,7 +102,7 @@ def test_constant_speed_is_a_setting_to_change_later():
     add_plane()
     obj = draw(samples(line()), timing="SPEED", speed_mm_s=50.0)
     stroke = read(obj)
-    assert stroke.law == "SPEED"
+    assert stroke.motion_profile == "SPEED"
     assert "progress" not in fcurves(obj)
     assert stroke.samples.velocity.max() == pytest.approx(0.05, rel=1e-3)
     assert fcurves(obj)["force"].range()[1] == pytest.approx(1.0 + 24.0 * stroke.samples.time[-1], abs=0.2)

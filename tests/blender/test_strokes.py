@@ -12,8 +12,8 @@ from stroke_builders import LINE, SPLINES, act, add_stroke, key, keyed_fcurves, 
 
 from hnf_blender.bridge.channels import read_channel, sample_channels
 from hnf_blender.bridge.splines import read_curve
-from hnf_blender.bridge.strokes import stroke_objects
-from hnf_core.action.curves import by_arc_length
+from hnf_blender.bridge.strokes import list_strokes
+from hnf_core.action.curves import build_arc_curve
 from hnf_core.errors import StrokeError
 
 # Curves
@@ -34,7 +34,7 @@ def assert_same_curve(obj, resolution, cut=2e-5):
     obj.data.splines[0].resolution_u = resolution
     bpy.context.view_layer.update()
     points = tessellated(obj)
-    arc = by_arc_length(read_curve(obj))
+    arc = build_arc_curve(read_curve(obj))
     if obj.data.splines[0].use_cyclic_u:
         points = np.concatenate([points, points[:1]])
     ours = arc.point_at(np.linspace(0, arc.length, 5001))
@@ -105,7 +105,7 @@ def test_only_unmuted_strokes_of_the_scene():
     add_stroke(LINE, name="A")
     add_stroke(LINE, name="C", mute=True)
     add_stroke(LINE, name="D", is_stroke=False)
-    assert [obj.name for obj in stroke_objects(bpy.context.scene)] == ["A", "B"]
+    assert [obj.name for obj in list_strokes(bpy.context.scene)] == ["A", "B"]
 
 
 @pytest.mark.parametrize("interpolation", ["BEZIER", "LINEAR", "CONSTANT", "BOUNCE"])
@@ -172,7 +172,7 @@ def test_progress_keys_between_frames_drive_the_hand():
             point.interpolation = "LINEAR"
     stroke, _, _, action = act(obj)
     seconds = 1.001 / 30
-    assert stroke.law == "PROGRESS"
+    assert stroke.motion_profile == "PROGRESS"
     assert stroke.samples.time[-1] == pytest.approx(29.5 * seconds, abs=0.005)
     turn = 14.75 * seconds
     expected = np.interp(stroke.samples.time, [0, turn, 2 * turn], [0, 0.06, 0.012])
@@ -202,7 +202,7 @@ def test_speed_and_duration_laws():
     key(obj, "progress", (1, 0.0), (25, 1.0))
     obj.hnf_stroke.law = "SPEED"
     stroke = read(obj)
-    assert stroke.law == "PROGRESS"
+    assert stroke.motion_profile == "PROGRESS"
     assert "speed timing is not used" in stroke.notes[0]
 
 

@@ -8,7 +8,7 @@ import pytest
 from builders import add_mesh, add_plane, add_sphere, datablock_names
 from stroke_builders import LINE, act, add_stroke, key, keyed_fcurves, read
 
-from hnf_blender.bridge.strokes import path_hash, touch_hash
+from hnf_blender.bridge.strokes import hash_path, hash_touch
 from hnf_core.errors import SceneError, StrokeError
 
 # Places and motion
@@ -262,7 +262,7 @@ def test_sphere_keeps_the_speed_of_the_curve():
 
 
 def hashes(stroke):
-    return path_hash(stroke), touch_hash(stroke, stroke.seed)
+    return hash_path(stroke), hash_touch(stroke, stroke.seed)
 
 
 def test_hash_follows_everything_that_is_felt():

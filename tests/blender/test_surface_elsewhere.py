@@ -7,8 +7,8 @@ import pytest
 from builders import add_plane
 from stroke_builders import LINE, add_stroke
 
-from hnf_blender.ops.materials import felt_object
-from hnf_blender.ops.strokes import touched_object
+from hnf_blender.ops.materials import find_material_object
+from hnf_blender.ops.strokes import find_surface_for_new_stroke
 
 pytestmark = pytest.mark.usefixtures("operators")
 
@@ -19,7 +19,7 @@ def stroke():
     plane = add_plane()
     stroke = add_stroke(LINE, surface=plane)
     bpy.context.view_layer.objects.active = stroke
-    assert touched_object(bpy.context) == felt_object(bpy.context) == plane
+    assert find_surface_for_new_stroke(bpy.context) == find_material_object(bpy.context) == plane
     for each in list(plane.users_collection):
         each.objects.unlink(plane)
     bpy.data.scenes.new("Other").collection.objects.link(plane)
@@ -28,7 +28,7 @@ def stroke():
 
 
 def test_no_stroke_is_laid_on_it(stroke):
-    assert touched_object(bpy.context) is None
+    assert find_surface_for_new_stroke(bpy.context) is None
     before = set(bpy.data.objects)
     with pytest.raises(RuntimeError, match="Select the mesh object"):
         bpy.ops.hnf.stroke_add(primitive="left-right-soft")
@@ -38,15 +38,15 @@ def test_no_stroke_is_laid_on_it(stroke):
 def test_the_only_mesh_of_the_scene_is_meant_instead(stroke):
     other = add_plane("Here")
     bpy.context.view_layer.objects.active = stroke
-    assert touched_object(bpy.context) == other
+    assert find_surface_for_new_stroke(bpy.context) == other
 
 
 def test_its_materials_are_not_shown(stroke):
-    assert felt_object(bpy.context) is None
+    assert find_material_object(bpy.context) is None
 
 
 def test_one_that_was_deleted_and_lives_on_in_the_stroke_alone(stroke):
     plane = stroke.hnf_stroke.surface
     bpy.data.scenes.remove(bpy.data.scenes["Other"])
     assert plane.users == 1
-    assert touched_object(bpy.context) is felt_object(bpy.context) is None
+    assert find_surface_for_new_stroke(bpy.context) is find_material_object(bpy.context) is None

@@ -14,10 +14,10 @@ from job_scene import small_scene
 from touch_scene import PLATE, save_scene, touch
 
 from hnf_blender.bridge.storage import FaceTokens, read_tokens, write_tokens
-from hnf_blender.bridge.touched_surface import touched_surface
+from hnf_blender.bridge.touched_surface import read_touched_surface
 from hnf_blender.cli import main
 from hnf_core.export.glb import read_glb
-from hnf_core.export.gltf_file import glb_parts
+from hnf_core.export.gltf_file import decode_glb
 from hnf_core.export.hjif_read import read_hjif
 from hnf_core.export.options import ImportOptions
 from hnf_core.export.wav import read_wav
@@ -43,7 +43,7 @@ def export(wav: Path, word: str, out: Path, *words: str) -> tuple[dict, bytes]:
     """JSON and bytes of the GLB that lies at out, or beside it."""
     assert main(["export", str(wav), "--format", word, "--out", str(out), *words]) == 0
     lies = out if out.suffix == ".glb" else out.with_name(f"{out.name}.glb")
-    return glb_parts(lies.read_bytes(), out)
+    return decode_glb(lies.read_bytes(), out)
 
 
 def imported(path: Path):
@@ -153,7 +153,7 @@ def test_another_object_has_no_way_and_says_so(baked, tmp_path, capsys) -> None:
     assert main(["export", str(wav), "--format", "glb", "--out", str(tmp_path / "x.glb"), "--scene", str(blend),
                  "--object", "Cube"]) == 0  # fmt: skip
     assert "nothing is baked on object 'Cube'" in capsys.readouterr().out
-    tree, _ = glb_parts((tmp_path / "x.glb").read_bytes(), tmp_path / "x.glb")
+    tree, _ = decode_glb((tmp_path / "x.glb").read_bytes(), tmp_path / "x.glb")
     assert "extensionsUsed" not in tree
 
 
@@ -186,7 +186,7 @@ def test_faces_that_modifiers_make_keep_the_material_of_their_own() -> None:
     finer.subdivision_type, finer.levels = "SIMPLE", 2
     obj.scale.x = -1.0
     bpy.context.view_layer.update()
-    surface = touched_surface(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0, obj=obj)
+    surface = read_touched_surface(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0, obj=obj)
     assert len(surface.mesh.triangles) == 2 * 2 * 16
     assert surface.path is None
     left_in_blender = surface.mesh.corner_positions().mean(axis=1)[:, 0] > 0.0  # it is mirrored

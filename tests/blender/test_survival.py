@@ -12,20 +12,20 @@ from builders import add_plane, bump_material
 from survival_scene import append, bake, duplicate, everything, heard, opened, statuses
 from touch_scene import line_stroke, ridge_plate
 
-from hnf_blender.bridge.keeping import drop, keep, kept
-from hnf_blender.bridge.own_material import give
+from hnf_blender.bridge.keeping import delete_property, get_property, set_property
+from hnf_blender.bridge.own_material import assign_definition
 from hnf_blender.bridge.storage import read_tokens
 from hnf_blender.jobs import running
-from hnf_blender.preview.present import present
-from hnf_blender.props.material import OWN_DEFINITION
+from hnf_blender.preview.present import read_current_bake
+from hnf_blender.props.material import DEFINITION_PROPERTY
 from hnf_blender.state.session import STATE
 from hnf_blender.touch.status import Freshness
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY, load_bake
 from hnf_core.material.hnf_file import from_library
-from hnf_core.material.library import find
+from hnf_core.material.library import get_material
 
 FRESH, FORCE, STALE, BROKEN = Freshness.FRESH, Freshness.FORCE, Freshness.STALE, Freshness.BROKEN
-KNIT = from_library(find("wool-knit"))
+KNIT = from_library(get_material("wool-knit"))
 SHORT = {"length": 0.012}
 SAVE_WITHOUT = """
 import os, sys, bpy
@@ -45,7 +45,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def apart(operators: None, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Close-ups in a folder of these tests' own; nothing remembered of the file before."""
-    monkeypatch.setattr(running, "cache_folder", lambda: cache)
+    monkeypatch.setattr(running, "get_cache_folder", lambda: cache)
     STATE.clear()
 
 
@@ -56,12 +56,12 @@ def saved(cache: Path, operators: None, tmp_path_factory: pytest.TempPathFactory
     plate, block = ridge_plate(), ridge_plate(name="Block")
     block.location.z = -0.2
     plate.material_slots[0].material.hnf_touch.library = "oak-wood"
-    give(block, 0, KNIT)
+    assign_definition(block, 0, KNIT)
     line_stroke("Along", surface=plate, seed=3, **SHORT)
     line_stroke("Below", surface=block, centre=(0.0, 0.0, -0.2), material="", speed_mm_s=80.0, **SHORT)
     bpy.context.scene.hnf.monitor_gain_db = -6.0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "cache_folder", lambda: cache)
+        patch.setattr(running, "get_cache_folder", lambda: cache)
         assert bpy.ops.hnf.bake() == {"FINISHED"}
     path = tmp_path_factory.mktemp("saved") / "scene.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
@@ -109,7 +109,7 @@ def test_work_goes_on_after_a_reload(saved: Path) -> None:
 def test_a_property_is_kept_whole_when_it_is_written_again() -> None:
     block = bpy.data.meshes.new("Any")
     for data in (b"PK\x01\x00\x02" * 10, b"PK\x01\x00\x02\x03" * 30, b"", b"\x00\x01"):
-        keep(block, "data", data)
+        set_property(block, "data", data)
         assert block["data"] == data
 
 
@@ -148,17 +148,17 @@ def test_an_overridden_stroke_is_felt_otherwise_and_keeps_its_own_bake(saved: Pa
     stroke.hnf_stroke.speed_mm_s, stroke.hnf_stroke.material = 60.0, "cork"
     assert statuses() == {"Along": STALE}
     bake()
-    made = kept(stroke, BAKE_PROPERTY)
+    made = get_property(stroke, BAKE_PROPERTY)
     assert made != original
     assert statuses() == {"Along": FRESH}
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "user.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "user.blend"))
     (again,) = [obj for obj in bpy.context.scene.objects if obj.type == "CURVE"]
     assert (again.hnf_stroke.speed_mm_s, again.hnf_stroke.material) == (60.0, "cork")
-    assert kept(again, BAKE_PROPERTY) == made
+    assert get_property(again, BAKE_PROPERTY) == made
     assert statuses() == {"Along": FRESH}
-    drop(again, BAKE_PROPERTY)
-    assert kept(again, BAKE_PROPERTY) is None
+    delete_property(again, BAKE_PROPERTY)
+    assert get_property(again, BAKE_PROPERTY) is None
     assert statuses() == {"Along": Freshness.UNBAKED}
 
 
@@ -168,14 +168,14 @@ def test_an_overridden_stroke_is_heard_as_it_was_baked_here(saved: Path) -> None
     stroke, scene = linked.override_create(remap_local_usages=True), bpy.context.scene
     bpy.context.view_layer.update()
     bpy.context.view_layer.objects.active = stroke
-    assert present(stroke, scene).bake.key == load_bake(linked).key
+    assert read_current_bake(stroke, scene).bake.key == load_bake(linked).key
     stroke.hnf_stroke.speed_mm_s = 60.0
     bake()
     assert load_bake(stroke).key != load_bake(linked).key
-    assert present(stroke, scene).bake.key == load_bake(stroke).key
+    assert read_current_bake(stroke, scene).bake.key == load_bake(stroke).key
     assert bpy.ops.hnf.preview_play.poll()
-    drop(stroke, BAKE_PROPERTY)
-    assert present(stroke, scene) is None
+    delete_property(stroke, BAKE_PROPERTY)
+    assert read_current_bake(stroke, scene) is None
     assert not bpy.ops.hnf.preview_play.poll()
 
 
@@ -223,7 +223,7 @@ def test_a_renamed_surface_or_material_is_shown_as_stale_and_bakes_to_the_same(s
     (plate if what == "surface" else plate.material_slots[0].material).name = "Other"
     assert statuses() == {"Along": STALE, "Below": FRESH}
     named = {"surface": "surface name", "material": "the materials of the surface"}[what]
-    assert named in STATE.strokes_in(bpy.context.scene)["Along"].why
+    assert named in STATE.get_statuses(bpy.context.scene)["Along"].why
     bake()
     assert statuses() == {"Along": FRESH, "Below": FRESH}
     assert heard("Along") == before
@@ -233,7 +233,7 @@ def test_a_moved_stroke_is_not_said_to_have_a_renamed_surface(saved: Path) -> No
     opened(saved)
     bpy.data.objects["Along"].location.y += 0.001
     assert statuses() == {"Along": STALE, "Below": FRESH}
-    assert STATE.strokes_in(bpy.context.scene)["Along"].why == "Changed since the bake: path or timing. Bake again."
+    assert STATE.get_statuses(bpy.context.scene)["Along"].why == "Changed since the bake: path or timing. Bake again."
 
 
 def test_slots_in_another_order_are_noticed_and_feel_the_same(saved: Path) -> None:
@@ -258,7 +258,7 @@ def test_an_edited_mesh_makes_its_strokes_stale_and_no_other(saved: Path) -> Non
     corner.co.z += 0.01
     bpy.data.objects["Plate"].data.update()
     assert statuses() == {"Along": STALE, "Below": FRESH}
-    assert "shape of the surface" in STATE.strokes_in(bpy.context.scene)["Along"].why
+    assert "shape of the surface" in STATE.get_statuses(bpy.context.scene)["Along"].why
     corner.co = before
     bpy.data.objects["Plate"].data.update()
     assert statuses() == {"Along": FRESH, "Below": FRESH}
@@ -269,7 +269,7 @@ def test_a_changed_choice_is_stale_and_taken_back_is_fresh(saved: Path) -> None:
     material = bpy.data.objects["Plate"].material_slots[0].material
     material.hnf_touch.library = "silk"
     assert statuses() == {"Along": STALE, "Below": FRESH}
-    assert "material choice" in STATE.strokes_in(bpy.context.scene)["Along"].why
+    assert "material choice" in STATE.get_statuses(bpy.context.scene)["Along"].why
     material.hnf_touch.library = "oak-wood"
     assert statuses() == {"Along": FRESH, "Below": FRESH}
 
@@ -280,13 +280,13 @@ def test_a_definition_is_felt_and_its_loss_is_noticed(saved: Path) -> None:
     assert found.facts["library_material"] == "wool-knit"
     assert set(found.stroke.mechanics) == {KNIT.mechanics}
     material = bpy.data.objects["Block"].material_slots[0].material
-    data = material[OWN_DEFINITION]
-    del material[OWN_DEFINITION]
+    data = material[DEFINITION_PROPERTY]
+    del material[DEFINITION_PROPERTY]
     assert statuses() == {"Along": FRESH, "Below": STALE}
-    keep(material, OWN_DEFINITION, data[:-1])
+    set_property(material, DEFINITION_PROPERTY, data[:-1])
     assert statuses() == {"Along": FRESH, "Below": BROKEN}
-    assert "material 'Block plastic'" in STATE.strokes_in(bpy.context.scene)["Below"].why
-    keep(material, OWN_DEFINITION, data)
+    assert "material 'Block plastic'" in STATE.get_statuses(bpy.context.scene)["Below"].why
+    set_property(material, DEFINITION_PROPERTY, data)
     assert statuses() == {"Along": FRESH, "Below": FRESH}
 
 
@@ -321,7 +321,7 @@ def test_a_surface_hidden_in_one_view_layer_is_there_in_the_other(saved: Path) -
     other.layer_collection.children["Aside"].exclude = True
     found = statuses(view_layer=other)
     assert found == {"Along": BROKEN, "Below": FRESH}
-    assert "'Plate'" in STATE.strokes_in(bpy.context.scene)["Along"].why
+    assert "'Plate'" in STATE.get_statuses(bpy.context.scene)["Along"].why
     assert statuses(view_layer=scene.view_layers[0]) == {"Along": FRESH, "Below": FRESH}
 
 
@@ -380,10 +380,10 @@ def test_a_commit_is_one_step_to_undo_and_redo(saved: Path) -> None:
 def test_an_asset_is_felt_as_chosen() -> None:
     from build_assets import MATERIALS
 
-    from hnf_blender.ops.assets import FOLDER
+    from hnf_blender.ops.assets import ASSET_FOLDER
 
     plane = add_plane()
-    with bpy.data.libraries.load(str(FOLDER / MATERIALS), assets_only=True) as (_, wanted):
+    with bpy.data.libraries.load(str(ASSET_FOLDER / MATERIALS), assets_only=True) as (_, wanted):
         wanted.materials = ["Cork"]
     plane.data.materials.append(wanted.materials[0])
     line_stroke("Along", surface=plane, **SHORT)

@@ -12,7 +12,7 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, s
 
 from hnf_blender.bridge.storage import TOKEN_ATTRIBUTE, read_tokens
 from hnf_blender.touch import deliver
-from hnf_core.export.picture import stroke_picture
+from hnf_core.export.picture import write_stroke_figure
 
 
 def rms_of_one(scene, out, *words) -> float:
@@ -217,7 +217,9 @@ def test_pressing_and_lifting_without_moving_gives_two_transients(tmp_path) -> N
 def test_one_stroke_over_two_materials_meets_both(tmp_path, monkeypatch) -> None:
     drawn = []
     monkeypatch.setattr(
-        deliver, "stroke_picture", lambda *paths, **shown: drawn.append(shown) or stroke_picture(*paths, **shown)
+        deliver,
+        "write_stroke_figure",
+        lambda *paths, **shown: drawn.append(shown) or write_stroke_figure(*paths, **shown),
     )
     corners = [(-0.05, -0.03, 0), (0, -0.03, 0), (0.05, -0.03, 0), (-0.05, 0.03, 0), (0, 0.03, 0), (0.05, 0.03, 0)]
     duo = add_mesh("Duo", corners, [(0, 1, 4, 3), (1, 2, 5, 4)], uv=lambda co: (co.x, co.y))

@@ -13,7 +13,7 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 from hnf_blender.bridge.storage import read_tokens
 from hnf_blender.cli import main
 from hnf_blender.touch import view
-from hnf_blender.touch.view import LEAST_SHARE, OWN_VIEWS
+from hnf_blender.touch.view import MAX_STROKE_VIEWS, MIN_STROKE_FRACTION
 
 NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
 PLACE = (0.04, 0.03, 0.02)
@@ -285,7 +285,7 @@ def test_the_plan_counts_the_pictures_that_may_be_made_anew(scene, tmp_path, cap
 
     assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (0, 0)
     changed(scene, move("Camera"))
-    assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (1 + 2 * OWN_VIEWS, 2)
+    assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (1 + 2 * MAX_STROKE_VIEWS, 2)
     assert main(["touch", str(scene), "--out", str(out), "--plan"]) == 0
     assert "at most 2 pictures" in capsys.readouterr().out
 
@@ -344,9 +344,9 @@ def test_no_run_renders_more_than_its_plan_says(scene, tmp_path, capsys) -> None
     assert touch(scene, out)[1]["counts"]["renders"] <= limit
     changed(scene, move("Lid", (0.0, 0.0, 0.031)))
     limit = plan_of(scene, out, capsys)[0]["estimate"]["renders_at_most"]
-    assert 1 < touch(scene, out)[1]["counts"]["renders"] <= limit == 1 + OWN_VIEWS
+    assert 1 < touch(scene, out)[1]["counts"]["renders"] <= limit == 1 + MAX_STROKE_VIEWS
 
 
 def test_the_scenes_own_camera_shows_the_longer_stroke() -> None:
     """What the others stand on: at the size that touch() renders."""
-    assert 0.008 / 0.108 < LEAST_SHARE < 0.02 / 0.108  # a 36 mm sensor and a 50 mm lens, 0.15 m away
+    assert 0.008 / 0.108 < MIN_STROKE_FRACTION < 0.02 / 0.108  # a 36 mm sensor and a 50 mm lens, 0.15 m away

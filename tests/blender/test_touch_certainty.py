@@ -7,8 +7,14 @@ import pytest
 from builders import add_plane
 from touch_scene import line_stroke, save_scene, touch
 
-from hnf_blender.touch.choose import CHOSEN, GUESS, SlotMaterial, certainty_in_words, guess_note
-from hnf_core.material.library import find
+from hnf_blender.touch.choose import (
+    CHOSEN_BY_ARTIST,
+    GUESS_CONFIDENCE,
+    SlotMaterial,
+    format_certainty,
+    format_guess_note,
+)
+from hnf_core.material.library import get_material
 
 
 @pytest.mark.parametrize(("name", "guessed"), [("Thing 7", True), ("Oak wood", False)])
@@ -28,9 +34,9 @@ def test_a_guess_is_called_one_with_what_to_do(tmp_path, capsys, name, guessed) 
 
 
 def test_the_words_name_what_they_are_sure_of() -> None:
-    oak = SlotMaterial("Wood", find("oak-wood"), 0.87, "named by 'wood'")
-    assert certainty_in_words(oak) == "87% sure of it (named by 'wood')"
-    assert certainty_in_words(SlotMaterial("Wood", find("oak-wood"), 1.0, CHOSEN)) == CHOSEN
-    assert guess_note(oak, "Cup") == ""
-    bare = SlotMaterial("", find("oak-wood"), 0.5 * GUESS, "nothing in the scene tells")
-    assert guess_note(bare, "Cup").startswith("object 'Cup': oak-wood is a guess (15% sure).")
+    oak = SlotMaterial("Wood", get_material("oak-wood"), 0.87, "named by 'wood'")
+    assert format_certainty(oak) == "87% sure of it (named by 'wood')"
+    assert format_certainty(SlotMaterial("Wood", get_material("oak-wood"), 1.0, CHOSEN_BY_ARTIST)) == CHOSEN_BY_ARTIST
+    assert format_guess_note(oak, "Cup") == ""
+    bare = SlotMaterial("", get_material("oak-wood"), 0.5 * GUESS_CONFIDENCE, "nothing in the scene tells")
+    assert format_guess_note(bare, "Cup").startswith("object 'Cup': oak-wood is a guess (15% sure).")

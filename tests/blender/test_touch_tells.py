@@ -12,8 +12,8 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.cli import main
 from hnf_blender.touch.report import Report
-from hnf_blender.touch.tell import closing
-from hnf_core.cli.program import program
+from hnf_blender.touch.tell import format_closing
+from hnf_core.cli.program import get_command_prefix
 from hnf_core.export.wav import read_wav
 
 
@@ -68,7 +68,7 @@ def test_a_probe_is_one_place(tmp_path, capsys) -> None:
 
 
 def test_nothing_touched_needs_no_closing_words() -> None:
-    assert closing(Report("x.blend", 1.0, "--scale"), Path("out")) == []
+    assert format_closing(Report("x.blend", 1.0, "--scale"), Path("out")) == []
 
 
 @pytest.mark.parametrize(
@@ -80,4 +80,4 @@ def test_nothing_touched_needs_no_closing_words() -> None:
     ],
 )
 def test_lines_to_paste_begin_as_the_person_began(first, words) -> None:
-    assert program([first, "touch"]) == words
+    assert get_command_prefix([first, "touch"]) == words

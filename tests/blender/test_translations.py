@@ -10,12 +10,12 @@ from ui_strings import strings_of_classes, strings_of_sources, untranslated_repo
 
 import hnf_blender
 from hnf_blender import translations
-from hnf_blender.ops.materials import library_items
+from hnf_blender.ops.materials import list_library_items
 from hnf_blender.state import texts
-from hnf_blender.touch.inputs import SAME_SURFACE, WORDS
+from hnf_blender.touch.inputs import CHANGE_DESCRIPTIONS, PATH_ON_SAME_SURFACE
 from hnf_core.actuators.profile import PROFILES
 
-GERMAN = translations.words("de_DE")
+GERMAN = translations.read_translations("de_DE")
 
 
 def our_classes() -> list[type]:
@@ -27,12 +27,12 @@ def our_classes() -> list[type]:
 
 
 def test_every_text_has_a_german_one(switched_on: None) -> None:
-    tables = (texts.LOOKS.values(), texts.KINDS.values())
-    wanted = strings_of_classes(our_classes()) | strings_of_sources() | set(texts.ROUTE_WORDS.values())
+    tables = (texts.STATUS_LABELS.values(), texts.PLAN_LABELS.values())
+    wanted = strings_of_classes(our_classes()) | strings_of_sources() | set(texts.ROUTE_LABELS.values())
     wanted |= {text for table in tables for _, text in table}
-    wanted |= set(WORDS.values()) | {SAME_SURFACE, "no stroke touches it", "hidden", "muted"}
+    wanted |= set(CHANGE_DESCRIPTIONS.values()) | {PATH_ON_SAME_SURFACE, "no stroke touches it", "hidden", "muted"}
     # Names and citations stay as they are.
-    wanted -= {text for _, label, words in library_items() for text in (label, words)}
+    wanted -= {text for _, label, words in list_library_items() for text in (label, words)}
     wanted -= {text for profile in PROFILES.values() for text in (profile.title, profile.source)}
     assert len(wanted) > 200
     assert [text for text in wanted if "--" in text or "hnf stream" in text] == []  # said at a command line alone
@@ -51,12 +51,12 @@ def test_placeholders_stay() -> None:
 
 def test_blender_is_given_every_text_in_both_contexts(switched_on: None) -> None:
     """The wheels come without languages, so English is what they answer here."""
-    given = translations.dictionary()
+    given = translations.build_dictionary()
     assert set(given) == {"de_DE"}
     assert {text for context, text in given["de_DE"] if context == "Operator"} == set(GERMAN)
     assert {text for context, text in given["de_DE"] if context == "*"} == set(GERMAN)
     assert translations.tr("no such text") == "no such text"
-    assert texts.time_text(0.1) in ("under 1 s", "unter 1 s")
+    assert texts.format_duration(0.1) in ("under 1 s", "unter 1 s")
 
 
 @pytest.fixture
@@ -83,17 +83,17 @@ def test_sentences_with_figures_are_german_throughout(monkeypatch) -> None:
     from dataclasses import replace
 
     from hnf_blender.jobs import running
-    from hnf_blender.jobs.commit import Committed
-    from hnf_blender.jobs.order import Refusal, Result
+    from hnf_blender.jobs.commit import CommitResult
+    from hnf_blender.jobs.order import JobResult, Rejection
 
     monkeypatch.setattr(running, "tr", lambda text: GERMAN[text])
-    result = Result((), (), (), (), fresh=1, close_ups=3)
-    said = running.told(result, Committed(["A", "B"]), 4.2).message
+    result = JobResult((), (), (), (), fresh=1, close_ups=3)
+    said = running.describe_result(result, CommitResult(["A", "B"]), 4.2).message
     assert said == "2 Striche in 4 s gebacken, 3 Nahaufnahmen, 1 schon aktuell."
-    nothing = running.told(replace(result, close_ups=0), Committed(), 1.0).message
+    nothing = running.describe_result(replace(result, close_ups=0), CommitResult(), 1.0).message
     assert nothing == "Nichts zu backen: 1 Strich schon aktuell."
-    problems = tuple(Refusal("C", "warum") for _ in range(3))
-    failed = running.told(replace(result, failed=problems), Committed(["A"]), 4.0)
+    problems = tuple(Rejection("C", "warum") for _ in range(3))
+    failed = running.describe_result(replace(result, failed=problems), CommitResult(["A"]), 4.0)
     assert failed.message.endswith("Warum (und 2 weitere Probleme)")
     assert not failed.ok
 
@@ -103,10 +103,10 @@ def test_why_a_button_is_grey_is_said_in_german(monkeypatch) -> None:
     from types import SimpleNamespace
 
     from hnf_blender.ops import greyed
-    from hnf_blender.ops.strokes import needs_object_mode
+    from hnf_blender.ops.strokes import poll_object_mode
 
     monkeypatch.setattr(greyed, "tr", lambda text: GERMAN[text])
     told: list[str] = []
     operator, context = SimpleNamespace(poll_message_set=told.append), SimpleNamespace(mode="SCULPT")
-    assert not needs_object_mode(operator, context)
+    assert not poll_object_mode(operator, context)
     assert told == [GERMAN["Strokes are made in Object Mode: press Tab"]]

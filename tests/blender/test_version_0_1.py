@@ -46,7 +46,7 @@ def test_a_scene_that_it_baked_is_up_to_date():
     bpy.ops.wm.open_mainfile(filepath=str(FILES / "baked.blend"))
     scene = bpy.context.scene
     refresh_status(scene)
-    assert [status.freshness for status in STATE.strokes_in(scene).values()] == [Freshness.FRESH]
+    assert [status.freshness for status in STATE.get_statuses(scene).values()] == [Freshness.FRESH]
     assert read_tokens(bpy.data.objects["Plate"].data) is not None
 
 

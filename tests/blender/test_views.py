@@ -11,20 +11,20 @@ from bpy_extras.object_utils import world_to_camera_view
 from builders import add_plane, add_sphere, datablock_names
 from mathutils import Vector
 
-from hnf_blender.bridge.meshes import ray_caster, surface_mesh
-from hnf_blender.bridge.picture import in_surface_frame, render_overview
+from hnf_blender.bridge.meshes import make_ray_caster, read_surface
+from hnf_blender.bridge.picture import render_overview, to_surface_frame
 from hnf_blender.bridge.render import (
     add_aovs,
     add_camera,
-    aim,
-    geometry_only,
-    planar_depth,
-    prepare_cycles,
+    configure_cycles,
+    disable_lighting,
+    get_planar_depth,
     render_passes,
+    set_camera,
 )
-from hnf_blender.bridge.scene_camera import camera_record, overview_camera
+from hnf_blender.bridge.scene_camera import make_overview_camera, read_camera
 from hnf_blender.bridge.taps import Tap
-from hnf_blender.bridge.temporary import Temporary
+from hnf_blender.bridge.temporary import TemporaryScene
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.raycast import cast_view
@@ -34,15 +34,15 @@ HELMET = Path(__file__).parents[3] / "shared" / "data" / "scenes" / "FlightHelme
 
 def surface(obj, metres_per_unit=1.0):
     bpy.context.view_layer.update()
-    return surface_mesh(obj, bpy.context.evaluated_depsgraph_get(), metres_per_unit)
+    return read_surface(obj, bpy.context.evaluated_depsgraph_get(), metres_per_unit)
 
 
 def cycles_depth_and_faces(obj, camera, metres_per_unit):
     """Planar depth (metres) and evaluated polygon ids by Cycles, with a FACE attribute sent to an AOV."""
     tap = Tap("face", "VALUE")
-    with Temporary() as temporary:
-        prepare_cycles(temporary.scene, 1)
-        geometry_only(temporary.scene)
+    with TemporaryScene() as temporary:
+        configure_cycles(temporary.scene, 1)
+        disable_lighting(temporary.scene)
         baked = bpy.data.meshes.new_from_object(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
         index = baked.attributes.new("polygon", "FLOAT", "FACE")
         index.data.foreach_set("value", np.arange(1, len(baked.polygons) + 1, dtype=np.float32))
@@ -53,13 +53,13 @@ def cycles_depth_and_faces(obj, camera, metres_per_unit):
         attribute.attribute_name, aov.aov_name = "polygon", tap.name
         tree.links.new(attribute.outputs["Fac"], aov.inputs["Value"])
         actor = temporary.new_object("actor", baked)
-        temporary.place(actor, obj.matrix_world)
+        temporary.set_world_matrix(actor, obj.matrix_world)
         temporary.view_layer.material_override = material
         temporary.view_layer.use_pass_z = True
         add_aovs(temporary.view_layer, [tap])
-        aim(temporary.scene, add_camera(temporary), camera, np.eye(4), metres_per_unit)
+        set_camera(temporary.scene, add_camera(temporary), camera, np.eye(4), metres_per_unit)
         passes = render_passes(temporary)
-    return planar_depth(passes, metres_per_unit), np.round(passes["face"]).astype(int) - 1
+    return get_planar_depth(passes, metres_per_unit), np.round(passes["face"]).astype(int) - 1
 
 
 def near_an_edge(cast):
@@ -76,7 +76,7 @@ def near_an_edge(cast):
 
 def assert_rays_agree_with_cycles(obj, camera, metres_per_unit=1.0):
     found = surface(obj, metres_per_unit)
-    cast = cast_view(ray_caster(found.mesh), found.mesh, in_surface_frame(camera, found))
+    cast = cast_view(make_ray_caster(found.mesh), found.mesh, to_surface_frame(camera, found))
     depth, faces = cycles_depth_and_faces(obj, camera, metres_per_unit)
     both = np.isfinite(depth) & np.isfinite(cast.depth)
     assert both.sum() > 3000
@@ -96,7 +96,7 @@ def test_cast_depth_and_ids_are_those_of_cycles_on_a_transformed_ball():
     ball = add_sphere(radius=0.5)
     ball.scale, ball.rotation_euler, ball.location = (1.0, -0.6, 1.4), (0.3, 0.5, 0.7), (2.0, 3.0, -1.0)
     bpy.context.view_layer.update()
-    camera = overview_camera([[2.0, 3.0, -1.0]], [1.0, -1.0, 0.3], 0.9, 240, 180)
+    camera = make_overview_camera([[2.0, 3.0, -1.0]], [1.0, -1.0, 0.3], 0.9, 240, 180)
     assert_rays_agree_with_cycles(ball, camera)
 
 
@@ -118,7 +118,7 @@ def test_cast_depth_and_ids_are_those_of_cycles_on_a_real_helmet():
     bpy.ops.import_scene.gltf(filepath=str(HELMET))
     leather = next(obj for obj in bpy.context.scene.objects if "Leather" in obj.name)
     corners = np.array([list(leather.matrix_world @ Vector(corner)) for corner in leather.bound_box])
-    camera = overview_camera(corners, [0.2, -1.0, 0.1], 0.1, 480, 360)
+    camera = make_overview_camera(corners, [0.2, -1.0, 0.1], 0.1, 480, 360)
     assert_rays_agree_with_cycles(leather, camera)
 
 
@@ -145,7 +145,7 @@ def test_a_camera_record_projects_as_blender_does(settings, size, percentage, as
     scene.render.resolution_percentage = percentage
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
     scene.render.use_border, scene.render.border_max_x = True, 0.5  # not the whole picture: not counted
-    record = camera_record(scene, camera, 0.01)
+    record = read_camera(scene, camera, 0.01)
     assert (record.width, record.height) == tuple(side * percentage // 100 for side in size)
     for point in np.random.default_rng(0).uniform(-1, 1, (20, 3)):
         u, v, depth = world_to_camera_view(scene, camera, Vector(point))
@@ -157,24 +157,24 @@ def test_a_camera_record_projects_as_blender_does(settings, size, percentage, as
 def test_aiming_a_record_back_gives_the_same_camera():
     camera, scene = new_camera(lens=35.0, shift_x=0.1, shift_y=0.05), bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = 320, 200
-    record = camera_record(scene, camera, 0.1)
+    record = read_camera(scene, camera, 0.1)
     other = new_camera()
-    aim(scene, other, record, np.eye(4), 0.1)
+    set_camera(scene, other, record, np.eye(4), 0.1)
     bpy.context.view_layer.update()
-    again = camera_record(scene, other, 0.1)
+    again = read_camera(scene, other, 0.1)
     np.testing.assert_allclose(again.intrinsics, record.intrinsics, rtol=1e-5)
     np.testing.assert_allclose(again.pose, record.pose, atol=1e-6)
 
 
 def test_a_panoramic_camera_is_refused_by_name():
     with pytest.raises(SceneError, match="'Camera'"):
-        camera_record(bpy.context.scene, new_camera(type="PANO"), 1.0)
+        read_camera(bpy.context.scene, new_camera(type="PANO"), 1.0)
 
 
 @pytest.mark.parametrize("outward", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.3, -1, 0.2), (0, 0, 0)])
 def test_a_supplied_camera_sees_everything_from_outside(outward):
     points = np.random.default_rng(1).uniform(-0.05, 0.05, (50, 3)) + np.array([1.0, 2.0, 3.0])
-    camera = overview_camera(points, outward, 0.2)
+    camera = make_overview_camera(points, outward, 0.2)
     uv, z = camera.project(points)
     assert (z > 0).all()
     assert ((uv >= 0) & (uv <= [camera.width, camera.height])).all()
@@ -196,14 +196,14 @@ def test_an_overview_supplies_light_and_leaves_the_file_as_it_was():
     scene = bpy.context.scene
     before = datablock_names()
     settings = {name: getattr(scene.render, name) for name in ("engine", "resolution_x", "filepath", "use_compositing")}
-    camera = overview_camera([[0, 0, 0]], [0, -1, 0], 0.7, 96, 54)
+    camera = make_overview_camera([[0, 0, 0]], [0, -1, 0], 0.7, 96, 54)
     found = surface(ball)
     view, notes = render_overview(scene, camera, samples=4, surface=found)
     assert any("no light" in note for note in notes)
     assert view.rgb.shape == (54, 96, 3)
     assert view.rgb.mean() > 0.2
     assert np.isinf(view.depth).any()
-    cast = cast_view(ray_caster(found.mesh), found.mesh, in_surface_frame(camera, found))
+    cast = cast_view(make_ray_caster(found.mesh), found.mesh, to_surface_frame(camera, found))
     np.testing.assert_array_equal(view.face_id[~near_an_edge(cast)], cast.face_id[~near_an_edge(cast)])
     assert datablock_names() == before
     assert {name: getattr(scene.render, name) for name in settings} == settings
@@ -212,7 +212,7 @@ def test_an_overview_supplies_light_and_leaves_the_file_as_it_was():
 
 def test_a_hidden_part_of_the_surface_has_no_face_ids():
     ball, floor = scene_with_ball()
-    camera = overview_camera([[0, 0, 0]], [0, -1, 0], 0.7, 96, 54)
+    camera = make_overview_camera([[0, 0, 0]], [0, -1, 0], 0.7, 96, 54)
     wall = add_plane("Wall", size=0.5)
     wall.rotation_euler, wall.location = (np.pi / 2, 0, 0), (0.0, -1.0, 0.3)
     found = surface(ball)
@@ -233,7 +233,7 @@ def test_an_overview_uses_the_scenes_own_lights_and_camera():
     view, notes = render_overview(scene, None, samples=1)
     assert notes == ()
     assert view.rgb.shape == (45, 80, 3)
-    np.testing.assert_allclose(view.camera.pose, camera_record(scene, scene.camera, 1.0).pose, atol=1e-6)
+    np.testing.assert_allclose(view.camera.pose, read_camera(scene, scene.camera, 1.0).pose, atol=1e-6)
     for light in (0.0, 5.0):
         lamp.data.energy = light
         dark = render_overview(scene, None, samples=1, objects=list(scene.objects))[1]
@@ -246,9 +246,9 @@ def test_a_temporary_scene_leaves_nothing_even_after_an_error():
     folders = []
 
     def interrupted():
-        with Temporary() as temporary:
+        with TemporaryScene() as temporary:
             copy = temporary.copy_object(ball, with_data=True)
-            temporary.place(temporary.new_object("x", None), np.eye(4))
+            temporary.set_world_matrix(temporary.new_object("x", None), np.eye(4))
             folders.append(temporary.folder)
             copy.data.materials[0].copy()
             raise KeyboardInterrupt
@@ -261,8 +261,8 @@ def test_a_temporary_scene_leaves_nothing_even_after_an_error():
 
 def test_a_placed_object_has_its_exact_matrix_shear_included():
     matrix = np.array([[1.0, 0.5, 0.0, 1.0], [0.2, 2.0, 0.0, 2.0], [0.0, 0.3, -1.0, 3.0], [0.0, 0.0, 0.0, 1.0]])
-    with Temporary() as temporary:
+    with TemporaryScene() as temporary:
         obj = temporary.new_object("sheared", None)
-        temporary.place(obj, matrix)
+        temporary.set_world_matrix(obj, matrix)
         temporary.evaluate()
         np.testing.assert_allclose(np.array(obj.evaluated_get(temporary.view_layer.depsgraph).matrix_world), matrix)

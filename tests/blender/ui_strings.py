@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 
 ADDON = Path(__file__).resolve().parents[2] / "hnf_blender"
-LOOKED_UP = {"tr": 0, "greyed": 1}
+LOOKED_UP = {"tr": 0, "fail_poll": 1}
 """Functions whose text is translated, and which argument it is."""
 TEXT_ARGUMENTS = {"text", "message"}
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from hnf_core.material.alexnet.network import AlexNet, Design
-from hnf_core.material.alexnet.trunk import TRUNK
+from hnf_core.material.alexnet.network import AlexNet, AlexNetConfig
+from hnf_core.material.alexnet.trunk import BACKBONE_LAYERS
 
 HIDDEN = 16
 
 
-def random_tensors(design: Design, seed: int = 0) -> dict[str, np.ndarray]:
+def random_tensors(design: AlexNetConfig, seed: int = 0) -> dict[str, np.ndarray]:
     """Every layer keeps its input's variance, so that nothing dies or grows on the way (He et al. 2015)."""
     rng = np.random.default_rng(seed)
     out = {}
@@ -25,9 +25,9 @@ def random_tensors(design: Design, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def random_encoder(seed: int = 0, pixels: int = 64) -> AlexNet:
-    design = Design(pixels=pixels, hidden=HIDDEN)
+    design = AlexNetConfig(pixels=pixels, hidden=HIDDEN)
     return AlexNet(design, random_tensors(design, seed), {"licence": "none"})
 
 
 def trunk_names() -> list[str]:
-    return [f"{layer.name}.{part}" for layer in TRUNK for part in ("weight", "bias")]
+    return [f"{layer.name}.{part}" for layer in BACKBONE_LAYERS for part in ("weight", "bias")]

@@ -14,13 +14,13 @@ from hnf_core.datasets.tactile_pairs import (
     TRAIN,
     UNSEEN_CLASSES,
     Pairs,
-    encoded_rgb,
+    encode_rgb,
+    get_shard_path,
     save_shard,
-    shard_path,
 )
-from hnf_core.simulation.classes import classes
+from hnf_core.simulation.classes import list_classes
 
-MET = tuple(name for name in classes() if name not in UNSEEN_CLASSES)
+MET = tuple(name for name in list_classes() if name not in UNSEEN_CLASSES)
 
 
 def grooved_pairs(tiles: int, names: tuple[str, ...], seed: int) -> Pairs:
@@ -38,7 +38,7 @@ def grooved_pairs(tiles: int, names: tuple[str, ...], seed: int) -> Pairs:
     pairs = synthetic_pairs(4 * tiles, seed)
     return replace(
         pairs,
-        rgb=encoded_rgb(np.array(looks)),
+        rgb=encode_rgb(np.array(looks)),
         slopes=np.array(slopes, dtype=np.float16),
         class_name=(*(names[each] for each in number[:-1]), ""),
         instance_seed=np.append(np.arange(tiles - 1) // 2, -1),
@@ -50,4 +50,4 @@ def write_pairs(folder: Path, tiles: int = 24) -> None:
     for split, names, seed in (
         (TRAIN, MET[:3], 0), (HELD_OUT_INSTANCES, MET[:3], 1), (HELD_OUT_CLASSES, UNSEEN_CLASSES[:2], 2)
     ):  # fmt: skip
-        save_shard(shard_path(folder, split, 0), grooved_pairs(tiles, names, seed), shards=1, key="test")
+        save_shard(get_shard_path(folder, split, 0), grooved_pairs(tiles, names, seed), shard_count=1, key="test")

@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from hnf_core.batch.attempt import RUN_NAME
-from hnf_core.batch.inputs import digest, version
-from hnf_core.batch.order import Order
-from hnf_core.batch.workplace import Marker, marker_of, parts_of
+from hnf_core.batch.attempt import RUN_FILE_NAME
+from hnf_core.batch.inputs import compute_digest, compute_version
+from hnf_core.batch.order import Request
+from hnf_core.batch.workplace import StagingMarker, find_staging_folders, read_marker
 from hnf_core.cli.main import main
 
 T = TypeVar("T")
@@ -55,12 +55,16 @@ def jobs_file(path: Path, **commands: Sequence[str]) -> Path:
     return path
 
 
-def order_for(folder: Path, name: str, words: Sequence[str], *inputs: Path, run: str = "r", retries: int = 2) -> Order:
+def order_for(
+    folder: Path, name: str, words: Sequence[str], *inputs: Path, run: str = "r", retries: int = 2
+) -> Request:
     """An order as a batch in folder gives it, and the folder says that run."""
     folder.mkdir(exist_ok=True)
-    (folder / RUN_NAME).write_text(run)
-    digests = {str(path): digest(path) for path in inputs}
-    return Order(name, tuple(words), "x.wav", digests, str(folder.parent), str(folder), version(), run, retries)
+    (folder / RUN_FILE_NAME).write_text(run)
+    digests = {str(path): compute_digest(path) for path in inputs}
+    return Request(
+        name, tuple(words), "x.wav", digests, str(folder.parent), str(folder), compute_version(), run, retries
+    )
 
 
 def until(look: Callable[[], T], what: str) -> T:
@@ -74,11 +78,11 @@ def until(look: Callable[[], T], what: str) -> T:
     raise AssertionError(f"it never came: {what}")
 
 
-def at_work(folder: Path, name: str, attempt: int = 1) -> Callable[[], Marker | None]:
+def at_work(folder: Path, name: str, attempt: int = 1) -> Callable[[], StagingMarker | None]:
     """Looks for that attempt at a job, which lives from the writing of its marker on."""
 
-    def look() -> Marker | None:
-        markers = (marker_of(part) for part in parts_of(folder, name))
+    def look() -> StagingMarker | None:
+        markers = (read_marker(part) for part in find_staging_folders(folder, name))
         return next((each for each in markers if each is not None and len(each.earlier) == attempt - 1), None)
 
     return look

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
-from hnf_core.baselines.method import Fitted, Form, Specimen
+from hnf_core.baselines.method import FittedMaterial, Form, MaterialRecordings
 from hnf_core.datasets.dataset import ActionRange
 from hnf_core.datasets.recording import Recording
 from hnf_core.errors import FileError
@@ -53,7 +53,7 @@ class Perfect:
     form: Form = "natural"
     broken: bool = False
 
-    def fit(self, specimen: Specimen, seed: int) -> Fitted:
+    def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
         if self.broken:
             raise FileError("cannot learn this.", where=specimen.name, remedy="Give it up.")
         return self

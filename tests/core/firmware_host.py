@@ -128,7 +128,7 @@ class Device:
 
     def samples(self, counts: NDArray[np.int16]) -> Samples:
         """The next of the stream."""
-        message = Samples.of(self.session, self.sent & 0xFFFFFFFF, counts)
+        message = Samples.from_counts(self.session, self.sent & 0xFFFFFFFF, counts)
         self.sent += len(counts)
         return message
 
@@ -160,7 +160,7 @@ class Device:
         played, end = [], self.sent + len(counts)
         credit = credits_of(self.poll() + self.ask())[-1]
         while self.sent < end or credit.played != self.sent & 0xFFFFFFFF:
-            while (room := min(credit.room(self.sent), end - self.sent, piece)) > 0:
+            while (room := min(credit.compute_sendable_frames(self.sent), end - self.sent, piece)) > 0:
                 at = len(counts) - (end - self.sent)
                 self.send(self.samples(counts[at : at + room]))
             played.append(self.tick(step))

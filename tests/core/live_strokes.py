@@ -8,17 +8,17 @@ import numpy as np
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.field import texture
-from hnf_core.field.blocks import contact_term
+from hnf_core.field.blocks import render_contact
 from hnf_core.field.knots import Knots
 from hnf_core.field.live.state import LiveState
 from hnf_core.field.live.synthesis import LiveSynthesis
-from hnf_core.field.path import position
-from hnf_core.field.plain import plain_texture, time_term
-from hnf_core.field.prepared import prepare
+from hnf_core.field.path import interpolate_position
+from hnf_core.field.plain import render_carriers_full_rate, sum_time_carriers
+from hnf_core.field.prepared import prepare_stroke
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import plainly
-from hnf_core.material.library import find
+from hnf_core.kernel.library import without_kernel
+from hnf_core.material.library import get_material
 
 BLOCK = 50
 SEED = 3
@@ -39,29 +39,29 @@ def hand(speed, force, *, angle=0.3, contact=None, seconds: float = 3.0) -> Acti
 
 
 def on(action: Action, material: str) -> StrokeInput:
-    known = find(material)
+    known = get_material(material)
     return uniform_stroke(action, known.token, known.mechanics)
 
 
 def offline(stroke: StrokeInput) -> np.ndarray:
     """The whole stroke at the model's rate: carriers in time in float64, those in arc length as they are kept for any
     render (field/hops.py), read by numpy."""
-    prepared = prepare(load_field(), stroke, seed=SEED)
+    prepared = prepare_stroke(load_field(), stroke, seed=SEED)
     carriers, count, amplitude = prepared.carriers, prepared.count, prepared.amplitude[:, 0]
-    out = time_term(amplitude[:, carriers.time_slice], carriers, SEED, 0, count)
-    near = Knots(BLOCK * np.arange(len(amplitude)), amplitude).around(0, count)
-    when = texture._Interpolation(0, *near.between(np.arange(count)))
-    with plainly():
-        place, octaves = position(prepared.action, 0, count), list(range(carriers.arc_octaves))
-        out += texture._in_arc(near, carriers, SEED, octaves, place, when)
-    return prepared.audible * (out + contact_term(prepared, 0, count))
+    out = sum_time_carriers(amplitude[:, carriers.time_slice], carriers, SEED, 0, count)
+    near = Knots(BLOCK * np.arange(len(amplitude)), amplitude).select_range(0, count)
+    when = texture._Interpolation(0, *near.locate(np.arange(count)))
+    with without_kernel():
+        place, octaves = interpolate_position(prepared.action, 0, count), list(range(carriers.arc_octaves))
+        out += texture._sum_arc_bands(near, carriers, SEED, octaves, place, when)
+    return prepared.audible * (out + render_contact(prepared, 0, count))
 
 
 def as_the_model_says(stroke: StrokeInput) -> np.ndarray:
     """The same, every carrier plainly in float64."""
-    prepared = prepare(load_field(), stroke, seed=SEED)
-    out = plain_texture(prepared.amplitude, prepared.carriers, SEED, prepared.action, 0, prepared.count)
-    return prepared.audible * (out + contact_term(prepared, 0, prepared.count))
+    prepared = prepare_stroke(load_field(), stroke, seed=SEED)
+    out = render_carriers_full_rate(prepared.amplitude, prepared.carriers, SEED, prepared.action, 0, prepared.count)
+    return prepared.audible * (out + render_contact(prepared, 0, prepared.count))
 
 
 def states(stroke: StrokeInput) -> list[LiveState]:

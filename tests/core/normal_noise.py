@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.field.noise import _polar
+from hnf_core.field.noise import _draw_polar
 
 
 def normal_block(seed: int, stream: int, block: int, count: int) -> NDArray[np.float64]:
     """The first count numbers of a block of a stream."""
     pairs = (count + 1) // 2
-    radius, angle = _polar(seed, stream, block, pairs, slice(0, pairs))
+    radius, angle = _draw_polar(seed, stream, block, pairs, slice(0, pairs))
     return np.asarray(np.concatenate([radius * np.cos(angle), radius * np.sin(angle)])[:count])

@@ -87,7 +87,7 @@ def assert_as_defined(one: Splats, camera: Camera, **settings):
     with pytest.MonkeyPatch.context() as patch:
         medians = [exact.median]
         for share in (0.5 - TIE, 0.5 + TIE):
-            patch.setattr(reference, "HALF_LIGHT", share)
+            patch.setattr(reference, "MEDIAN_TRANSMITTANCE", share)
             medians.append(render_reference(one, camera, **settings).median)
     with np.errstate(invalid="ignore"):
         apart = [np.where(fast.median == median, 0.0, np.abs(fast.median - median)) for median in medians]

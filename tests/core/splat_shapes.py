@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.scene.splats.cloud import Splats
-from hnf_core.scene.splats.viewpoints import sphere_directions
+from hnf_core.scene.splats.viewpoints import make_sphere_directions
 
 Float = NDArray[np.float64]
 Y00 = 0.28209479177387814
@@ -37,7 +37,7 @@ def discs(points: Float, normals: Float, sigma: float, colour: Float | None = No
 
 def sphere(count: int = 1500, radius: float = 1.0, **more: Float) -> Splats:
     """About the origin."""
-    directions = sphere_directions(count)
+    directions = make_sphere_directions(count)
     return discs(radius * directions, directions, 0.8 * radius * (4.0 * np.pi / count) ** 0.5, **more)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hnf_core.datasets.tactile_pairs import Pairs, encoded_rgb
+from hnf_core.datasets.tactile_pairs import Pairs, encode_rgb
 from hnf_core.material.token import TOKEN_DIM
 
 
@@ -26,7 +26,7 @@ def synthetic_pairs(views: int, seed: int = 0) -> Pairs:
         slopes[view, 0] = scale * gx, scale * gy
         slopes[view, 1] = 0.8 * slopes[view, 0]
     lit = 0.4 + 0.05 * heights
-    rgb = encoded_rgb(lit[..., None] * np.array([1.0, 0.9, 0.8]))
+    rgb = encode_rgb(lit[..., None] * np.array([1.0, 0.9, 0.8]))
     tiles = -(-views // 4)
     zeros = np.zeros(tiles, dtype=np.int64)
     return Pairs(

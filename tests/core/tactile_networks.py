@@ -7,16 +7,16 @@ import json
 import numpy as np
 
 from hnf_core.tactile.diffusion.config import DIFFUSION, MapConfig
-from hnf_core.tactile.diffusion.network import network_of
+from hnf_core.tactile.diffusion.network import build_unet
 from hnf_core.tactile.diffusion.weights import MapWeights
-from hnf_core.tactile.views import PITCHES_M, LookView
+from hnf_core.tactile.views import PITCHES_M, AppearanceView
 
 SMALL = {"channels": (16, 24, 32), "embedding": 24, "groups": 4}
 
 
 def random_weights(seed: int = 0, objective: str = DIFFUSION, **shape) -> MapWeights:
     config = MapConfig(**{**SMALL, **shape}, objective=objective)
-    return MapWeights(network_of(config, random_parameters(config, seed)), {}, "random")
+    return MapWeights(build_unet(config, random_parameters(config, seed)), {}, "random")
 
 
 def random_parameters(config: MapConfig, seed: int = 0) -> dict[str, np.ndarray]:
@@ -27,11 +27,11 @@ def random_parameters(config: MapConfig, seed: int = 0) -> dict[str, np.ndarray]
     }
 
 
-def look(seed: int, pitch: int = 0, depth_known: bool = True) -> LookView:
+def look(seed: int, pitch: int = 0, depth_known: bool = True) -> AppearanceView:
     rng = np.random.default_rng(seed)
     depth = PITCHES_M[pitch] * rng.normal(size=(64, 64)) if depth_known else np.zeros((64, 64))
     rgb = rng.uniform(size=(64, 64, 3))
-    return LookView(rgb.astype(np.float32), depth.astype(np.float32), depth_known, PITCHES_M[pitch])
+    return AppearanceView(rgb.astype(np.float32), depth.astype(np.float32), depth_known, PITCHES_M[pitch])
 
 
 def architecture(**changes) -> str:

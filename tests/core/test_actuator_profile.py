@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.actuators.levels import levels_of
-from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, own_profile, profile_of
+from hnf_core.actuators.levels import compute_levels
+from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, get_profile, make_user_profile
 from hnf_core.errors import UsageError
 from hnf_core.signal import Signal
 
@@ -22,7 +22,7 @@ def tone(frequency: float, peak: float, seconds: float = 1.0) -> Signal:
 
 @given(st.floats(0.01, 300.0))
 def test_headroom_is_the_ratio_of_peaks_in_decibels(peak: float) -> None:
-    levels = levels_of(tone(250.0, peak), GENERIC)
+    levels = compute_levels(tone(250.0, peak), GENERIC)
     assert levels.peak == pytest.approx(peak, rel=1e-6)
     assert levels.rms == pytest.approx(peak / math.sqrt(2.0), rel=1e-4)
     assert levels.headroom_db is not None
@@ -32,19 +32,19 @@ def test_headroom_is_the_ratio_of_peaks_in_decibels(peak: float) -> None:
 
 @pytest.mark.parametrize(("frequency", "below", "above"), [(10.0, 1.0, 0.0), (200.0, 0.0, 0.0), (2000.0, 0.0, 1.0)])
 def test_energy_is_told_apart_by_the_range(frequency: float, below: float, above: float) -> None:
-    levels = levels_of(tone(frequency, 1.0), GENERIC)
+    levels = compute_levels(tone(frequency, 1.0), GENERIC)
     assert levels.below_share == pytest.approx(below, abs=1e-6)
     assert levels.above_share == pytest.approx(above, abs=1e-6)
 
 
 def test_what_is_not_known_is_not_made_up() -> None:
-    levels = levels_of(tone(200.0, 1.0), ActuatorProfile("x", "X", "nowhere"))
+    levels = compute_levels(tone(200.0, 1.0), ActuatorProfile("x", "X", "nowhere"))
     assert (levels.headroom_db, levels.below_share, levels.above_share) == (None, None, None)
 
 
 def test_silence_has_all_the_room() -> None:
     for count in (0, 100):
-        levels = levels_of(Signal(np.zeros(count, dtype=np.float32), 10_000.0, 0), GENERIC)
+        levels = compute_levels(Signal(np.zeros(count, dtype=np.float32), 10_000.0, 0), GENERIC)
         assert (levels.peak, levels.rms, levels.headroom_db) == (0.0, 0.0, math.inf)
         assert (levels.below_share, levels.above_share) == (0.0, 0.0)
 
@@ -58,7 +58,7 @@ def test_profiles_name_their_source_and_make_sense() -> None:
         assert profile.peak_m_s2 is None or profile.peak_m_s2 > 0.0
         # A largest acceleration means nothing without the range it holds in.
         assert profile.peak_m_s2 is None or profile.range_hz is not None
-        assert profile_of(name) is profile
+        assert get_profile(name) is profile
 
 
 def test_a_duty_cycle_bounds_what_is_carried_for_ever() -> None:
@@ -68,8 +68,8 @@ def test_a_duty_cycle_bounds_what_is_carried_for_ever() -> None:
 
 @given(st.floats(0.0, 1e3), st.floats(0.1, 5e3), st.floats(0.1, 5e3))
 def test_an_own_actuator_is_what_its_owner_says(peak: float, one_end: float, other_end: float) -> None:
-    profile = own_profile(peak, one_end, other_end)
-    assert profile == own_profile(peak, other_end, one_end)
+    profile = make_user_profile(peak, one_end, other_end)
+    assert profile == make_user_profile(peak, other_end, one_end)
     assert profile.range_hz == (min(one_end, other_end), max(one_end, other_end))
     assert profile.peak_m_s2 == (peak if peak > 0.0 else None)
     assert profile.name not in PROFILES
@@ -80,9 +80,9 @@ def test_an_own_actuator_is_what_its_owner_says(peak: float, one_end: float, oth
 )
 def test_an_impossible_actuator_is_refused(figures: tuple[float, float, float]) -> None:
     with pytest.raises(UsageError, match="does not exist"):
-        own_profile(*figures)
+        make_user_profile(*figures)
 
 
 def test_an_unknown_actuator_is_refused_with_those_there_are() -> None:
     with pytest.raises(UsageError, match="generic-voice-coil"):
-        profile_of("earthquake")
+        get_profile("earthquake")

@@ -13,7 +13,7 @@ from responses import of_gains
 
 from hnf_core.actuators.measure.resonator import Resonator
 from hnf_core.actuators.profile import GENERIC, ActuatorProfile
-from hnf_core.actuators.profile_file import profile_at, read_profile, write_profile
+from hnf_core.actuators.profile_file import load_profile, read_profile, write_profile
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, UsageError
 from hnf_core.export.wav import read_wav, write_wav
@@ -30,7 +30,7 @@ def hnf(*words: object) -> int:
 
 def measured_profile() -> ActuatorProfile:
     frequency = np.geomspace(20.0, 900.0, 50)
-    response = of_gains(frequency, Resonator(80.0, 0.3, 1.0).at(frequency))
+    response = of_gains(frequency, Resonator(80.0, 0.3, 1.0).evaluate(frequency))
     return ActuatorProfile("mine", "Mine – é", "a test", (25.0, 800.0), 12.5, 0.3, 7.0, response)
 
 
@@ -60,7 +60,7 @@ def test_two_files_do_instead_of_a_device(tmp_path: Path, capsys: pytest.Capture
     assert hnf("actuators", "sweep", "--out", played, "--seconds", 3) == 0
     signal = read_wav(played)
     size = 2 * len(signal.samples)
-    gain = Resonator(120.0, 0.2, 0.5).at(np.fft.rfftfreq(size, 1.0 / signal.sample_rate))
+    gain = Resonator(120.0, 0.2, 0.5).evaluate(np.fft.rfftfreq(size, 1.0 / signal.sample_rate))
     got = np.fft.irfft(np.fft.rfft(signal.samples, size) * gain, size)[: len(signal.samples)]
     write_wav(recorded, Signal(got.astype(np.float32), signal.sample_rate, 0))
     capsys.readouterr()
@@ -99,7 +99,7 @@ def test_words_that_do_not_fit_together_are_refused(words: tuple[str, ...], tmp_
 def test_a_profile_comes_back_as_it_was(tmp_path: Path) -> None:
     path, profile = tmp_path / "p.json", measured_profile()
     write_profile(path, profile)
-    found = profile_at(str(path))
+    found = load_profile(str(path))
     assert (found.name, found.title, found.source, found.range_hz) == ("mine", "Mine – é", "a test", (25.0, 800.0))
     assert (found.peak_m_s2, found.sustained, found.thermal_s) == (12.5, 0.3, 7.0)
     assert found.response is not None
@@ -136,7 +136,7 @@ def test_what_is_no_profile_is_refused_by_name(text: str, tmp_path: Path) -> Non
 def test_a_missing_or_binary_or_huge_profile_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "p.json"
     with pytest.raises(FileError):
-        profile_at(str(path))
+        load_profile(str(path))
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileError):
         read_profile(path)
@@ -144,7 +144,7 @@ def test_a_missing_or_binary_or_huge_profile_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="MB"):
         read_profile(path)
     with pytest.raises(UsageError, match=GENERIC.name):
-        profile_at("nobody")
+        load_profile("nobody")
 
 
 def test_a_measured_profile_is_made_up_for_on_the_way_unless_raw(tmp_path: Path) -> None:

@@ -8,21 +8,21 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_synthesis import FOAM, WOOD, linear_field, make_action, rough_token, steady
 
-from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVES
-from hnf_core.bench.synth_sampled import at_every_sample
+from hnf_core.bench.synth_sampled import synthesise_every_sample
 from hnf_core.field import adaptive
-from hnf_core.field.adaptive import COARSEST, FINEST, MOST, between, sampling
-from hnf_core.field.blocks import render_block, rendered, texture_term
-from hnf_core.field.emissions import answered, answered_by
+from hnf_core.field.adaptive import MAX_EVALUATIONS, MAX_INTERVAL, MIN_INTERVAL, interpolate_rows, sample_adaptively
+from hnf_core.field.blocks import render_block, render_carriers, render_samples
+from hnf_core.field.emissions import drive_requests, evaluate_requests
 from hnf_core.field.field import Emission, evaluate
-from hnf_core.field.prepared import prepare, preparing_within
+from hnf_core.field.prepared import prepare_adaptive, prepare_stroke
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.timeline import condition_at, sample_count, states_of
+from hnf_core.field.timeline import interpolate_condition, resample_action, sample_count
 from hnf_core.field.weights import load_field
-from hnf_core.material.library import find
+from hnf_core.material.library import get_material
 
 
 def counted(evaluation):
@@ -48,12 +48,12 @@ def of_time(function):
 
 def alpha_at(sampled, at):
     """(n, K) at any samples (n,)."""
-    row, share = sampled.place(at[:, None])
-    return between(sampled.alpha, row, share, np.ones(row.shape))
+    row, share = sampled.locate(at[:, None])
+    return interpolate_rows(sampled.alpha, row, share, np.ones(row.shape))
 
 
 def sample_emission(evaluate, count, tolerance):
-    return answered_by(evaluate, sampling(count, tolerance))
+    return drive_requests(evaluate, sample_adaptively(count, tolerance))
 
 
 def missed(sampled, function, count) -> float:
@@ -71,7 +71,7 @@ def test_the_tolerance_is_kept_where_a_hand_lands_speeds_up_and_stops(tolerance)
     emit, asked = counted(of_time(swell))
     sampled = sample_emission(emit, 20_000, tolerance)
     assert missed(sampled, swell, 20_000) < tolerance
-    assert sampled.missed <= tolerance**2
+    assert sampled.residual_power <= tolerance**2
     assert len(asked) == len(set(asked))  # nothing twice
     assert len(asked) < 20_000 / 20
 
@@ -92,22 +92,22 @@ def test_the_tolerance_is_kept_on_any_straight_lines(heights, tolerance):
 def test_what_stays_the_same_costs_the_coarse_grid_and_its_middles():
     emit, asked = counted(of_time(lambda at: np.ones(len(at))))
     sample_emission(emit, 40_000, 1e-3)
-    assert len(asked) == 40_000 // COARSEST + 1 + 40_000 // COARSEST
+    assert len(asked) == 40_000 // MAX_INTERVAL + 1 + 40_000 // MAX_INTERVAL
 
 
 def test_silence_ends_at_once():
     emit, asked = counted(of_time(lambda at: np.zeros(len(at))))
-    assert sample_emission(emit, 4000, 0.0).missed == 0.0
-    assert len(asked) <= 2 * 4000 // COARSEST + 1
+    assert sample_emission(emit, 4000, 0.0).residual_power == 0.0
+    assert len(asked) <= 2 * 4000 // MAX_INTERVAL + 1
 
 
 def test_a_jump_is_closed_in_on_and_no_further():
     emit, asked = counted(of_time(lambda at: (at > 3333).astype(float)))
     sampled = sample_emission(emit, 8000, 0.0)
     gaps = np.diff(sampled.at)
-    assert gaps.min() <= FINEST
+    assert gaps.min() <= MIN_INTERVAL
     jump = int(np.searchsorted(sampled.at, 3333, side="right"))
-    assert sampled.at[jump] - sampled.at[jump - 1] <= FINEST
+    assert sampled.at[jump] - sampled.at[jump - 1] <= MIN_INTERVAL
     assert len(asked) < 80
 
 
@@ -141,28 +141,28 @@ def test_what_cannot_be_followed_is_told():
     """A field that is another at every sample."""
     rng = np.random.default_rng(0).random(8001)
     sampled = sample_emission(of_time(lambda at: rng[at]), 8000, 0.01)
-    assert sampled.missed > 0.01**2
+    assert sampled.residual_power > 0.01**2
     assert missed(sampled, lambda at: rng[at], 8000) > 0.01
 
 
 def test_what_asks_for_ever_more_is_followed_within_bounds():
     rng = np.random.default_rng(0).random(400_001)
     sampled = sample_emission(of_time(lambda at: rng[at]), 400_000, 0.01)
-    assert MOST - 2 <= len(sampled.at) <= MOST
-    assert sampled.missed > 0.01**2
+    assert MAX_EVALUATIONS - 2 <= len(sampled.at) <= MAX_EVALUATIONS
+    assert sampled.residual_power > 0.01**2
 
 
 @pytest.mark.parametrize("material", ["leather", "cotton-canvas"])
 @pytest.mark.parametrize("name", ["left-right-soft", "rub-fast"])
 def test_the_shipped_field_is_within_the_tolerance(material, name):
     """Against F_Θ at every tenth sample: amplitudes, as root of their power."""
-    field, of = load_field(), find(material)
-    stroke = uniform_stroke(primitive_action(PRIMITIVES[name], seed=0), of.token, of.mechanics)
-    action, index = states_of(stroke)
+    field, of = load_field(), get_material(material)
+    stroke = uniform_stroke(make_primitive_action(PRIMITIVES[name], seed=0), of.token, of.mechanics)
+    action, index = resample_action(stroke)
     count = min(sample_count(action), 10_000)
 
     def emit(at):
-        return evaluate(field, condition_at(stroke, action, index, at))
+        return evaluate(field, interpolate_condition(stroke, action, index, at))
 
     every = np.arange(0, count + 1, 10)
     exact = emit(every).alpha[:, 0]
@@ -178,7 +178,7 @@ def test_a_signal_within_the_tolerance_of_the_reference():
     stroke = uniform_stroke(make_action(speed, 0.5 + time), rough_token(), WOOD)
     exact = synthesise_reference(linear_field(), stroke, seed=3, start=0, count=2500)
     for tolerance_db in (-30.0, -40.0):
-        prepared = prepare(linear_field(), stroke, seed=3, tolerance=10 ** (tolerance_db / 20))
+        prepared = prepare_stroke(linear_field(), stroke, seed=3, tolerance=10 ** (tolerance_db / 20))
         error = render_block(prepared, 0, prepared.count) - exact
         assert 10 * np.log10(np.mean(np.square(error)) / np.mean(np.square(exact))) < tolerance_db
 
@@ -188,7 +188,7 @@ def test_a_signal_within_the_tolerance_of_the_reference():
 )
 def test_a_tolerance_is_kept_or_what_is_told_is_no_better_than_the_truth(material, followed):
     """Where it is hardest: tones that pass from band to band as the hand turns, bands that a slow hand leaves."""
-    of, time = find(material), np.arange(51) / 200.0
+    of, time = get_material(material), np.arange(51) / 200.0
     speed = 0.15 * np.clip(time / 0.05, 0.05, 1.0) * np.clip((0.25 - time) / 0.05, 0.05, 1.0)
     direction = np.stack([np.cos(6.0 * time), np.sin(6.0 * time)], axis=1)
     action = dataclasses.replace(make_action(speed, 0.5 + time), direction=direction)
@@ -217,8 +217,8 @@ def test_nothing_short_hides_between_two_evaluations(kind, starts, length):
     speed = np.where(within & (kind == "stops"), 0.0, 0.1)
     force = {"taps": np.where(within, 1.0, 0.0), "stops": np.ones(201), "pushes": np.where(within, 3.0, 0.3)}[kind]
     stroke = uniform_stroke(make_action(speed, force), rough_token(), WOOD)
-    few, all_ = (prepare(linear_field(), stroke, seed=1, tolerance=each) for each in (0.03, 0.0))
-    one, two = (texture_term(each, 0, each.count) for each in (few, all_))
+    few, all_ = (prepare_stroke(linear_field(), stroke, seed=1, tolerance=each) for each in (0.03, 0.0))
+    one, two = (render_carriers(each, 0, each.count) for each in (few, all_))
     assert np.sqrt(np.mean(np.square(one - two))) < 0.03 * np.sqrt(np.mean(np.square(two)))
 
 
@@ -228,20 +228,23 @@ def test_where_the_field_is_evaluated_can_be_told():
 
     def finest(count, tolerance, breakpoints):
         asked.append((count, tolerance))
-        return sampling(count, 0.0, breakpoints)
+        return sample_adaptively(count, 0.0, breakpoints)
 
-    action, token_index = states_of(stroke)
-    asking = preparing_within(linear_field(), stroke, 1, action, token_index, 0.03, sampler=finest)
-    told = answered(linear_field(), asking)
+    action, token_index = resample_action(stroke)
+    asking = prepare_adaptive(linear_field(), stroke, 1, action, token_index, 0.03, sampler=finest)
+    told = evaluate_requests(linear_field(), asking)
     assert asked == [(sample_count(action), 0.03)]
-    assert np.array_equal(told.knots, prepare(linear_field(), stroke, seed=1, tolerance=0.0).knots)
-    every, fine = at_every_sample(linear_field(), stroke, 1), rendered(told)
+    assert np.array_equal(told.knots, prepare_stroke(linear_field(), stroke, seed=1, tolerance=0.0).knots)
+    every, fine = synthesise_every_sample(linear_field(), stroke, 1), render_samples(told)
     assert np.sqrt(np.mean(np.square(every - fine))) < 0.02 * np.sqrt(np.mean(np.square(fine)))
 
 
 def test_a_steady_stroke_needs_few_states_and_sounds_the_same():
     stroke = uniform_stroke(steady(2.0), rough_token(), FOAM)
-    few, all_ = prepare(linear_field(), stroke, seed=1, tolerance=0.01), prepare(linear_field(), stroke, seed=1)
+    few, all_ = (
+        prepare_stroke(linear_field(), stroke, seed=1, tolerance=0.01),
+        prepare_stroke(linear_field(), stroke, seed=1),
+    )
     assert len(few.knots) < len(all_.amplitude) / 1.5
     one, two = render_block(few, 4096, 8192), render_block(all_, 4096, 8192)
     assert np.sqrt(np.mean(np.square(one - two))) < 1e-3 * np.sqrt(np.mean(np.square(two)))

@@ -7,17 +7,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.material.alexnet.network import (
-    CONDITIONS,
+    CONDITION_COUNT,
     IMAGENET_DEVIATION,
     IMAGENET_MEAN,
     AlexNet,
-    Design,
-    conditions,
-    enlarging,
+    AlexNetConfig,
+    build_view_conditions,
+    cubic_resize_matrix,
     forward,
-    view_input,
+    normalise_view,
 )
-from hnf_core.material.alexnet.trunk import convolve, max_pool, trunk_features, trunk_shapes
+from hnf_core.material.alexnet.trunk import compute_backbone_features, convolve, get_backbone_shapes, max_pool
 from hnf_core.tactile.optics import SENSORS, shade
 from hnf_core.tactile.views import PITCHES_M
 
@@ -61,7 +61,7 @@ def test_pooling_takes_the_largest_of_nine(seed, rows, columns):
 
 def test_the_trunk_is_alexnets():
     """2.47 million parameters under torchvision's names."""
-    shapes = trunk_shapes()
+    shapes = get_backbone_shapes()
     assert list(shapes) == trunk_names()
     assert shapes["features.0.weight"] == (64, 3, 11, 11)
     assert shapes["features.10.weight"] == (256, 256, 3, 3)
@@ -69,17 +69,17 @@ def test_the_trunk_is_alexnets():
 
 
 def test_the_smallest_picture_is_the_smallest():
-    tensors = random_tensors(Design(hidden=HIDDEN))
+    tensors = random_tensors(AlexNetConfig(hidden=HIDDEN))
     side = 31
     picture = np.zeros((1, side, side, 3), dtype=np.float32)
-    assert np.isfinite(trunk_features(picture, tensors)).all()
+    assert np.isfinite(compute_backbone_features(picture, tensors)).all()
     with pytest.raises(ValueError, match="window"):
-        trunk_features(picture[:, 1:, 1:], tensors)
+        compute_backbone_features(picture[:, 1:, 1:], tensors)
 
 
 @pytest.mark.parametrize("pixels", [96, 128])
 def test_enlarging_keeps_planes_and_means_by_cubic_convolution(pixels):
-    matrix = enlarging(64, pixels)
+    matrix = cubic_resize_matrix(64, pixels)
     np.testing.assert_allclose(matrix.sum(axis=1), 1.0, atol=1e-6)
     ramp = np.arange(64) + 0.5
     inner = slice(4, -4)
@@ -90,14 +90,16 @@ def test_enlarging_keeps_planes_and_means_by_cubic_convolution(pixels):
 @pytest.mark.parametrize("imagenet", [False, True])
 def test_numpy_and_torch_agree(pixels, imagenet):
     torch = pytest.importorskip("torch", reason="the twin is for training")
-    from hnf_core.training.encoder.network import twin_of
+    from hnf_core.training.encoder.network import to_torch
 
-    design = Design(pixels, HIDDEN, IMAGENET_MEAN, IMAGENET_DEVIATION) if imagenet else Design(pixels, HIDDEN)
+    design = (
+        AlexNetConfig(pixels, HIDDEN, IMAGENET_MEAN, IMAGENET_DEVIATION) if imagenet else AlexNetConfig(pixels, HIDDEN)
+    )
     network = AlexNet(design, random_tensors(design, 3), {})
     rng = np.random.default_rng(0)
     views = rng.standard_normal((3, 64, 64, 3)).astype(np.float32)
-    told = rng.standard_normal((3, CONDITIONS)).astype(np.float32)
-    twin = twin_of(network)
+    told = rng.standard_normal((3, CONDITION_COUNT)).astype(np.float32)
+    twin = to_torch(network)
     with torch.no_grad():
         expected = twin(torch.tensor(views).permute(0, 3, 1, 2), torch.tensor(told))
         expected = expected * twin.output_spread + twin.output_mean
@@ -109,18 +111,18 @@ def test_numpy_and_torch_agree(pixels, imagenet):
 
 def test_training_and_run_time_prepare_a_view_alike():
     torch = pytest.importorskip("torch", reason="the twin is for training")
-    from hnf_core.training.encoder.batches import normalised, shaded
+    from hnf_core.training.encoder.batches import normalise_views, shade_views
 
     rng = np.random.default_rng(1)
     slopes = 0.3 * rng.standard_normal((2, 2, 64, 64)).astype(np.float32)
     for sensor in SENSORS.values():
         shading, ambient = torch.tensor(sensor.shading).float(), torch.tensor(sensor.ambient).float()
-        images = shaded(
+        images = shade_views(
             torch.tensor(slopes), torch.full((2,), sensor.max_slope), shading.expand(2, 3, 3), ambient.expand(2, 3)
         )
         np.testing.assert_allclose(images[0].permute(1, 2, 0), shade(slopes[0, 0], slopes[0, 1], sensor), atol=1e-5)
-        views, contrast = normalised(images, torch.tensor(sensor.background).float().expand(2, 3))
-        view, own = view_input(shade(slopes[0, 0], slopes[0, 1], sensor), sensor)
+        views, contrast = normalise_views(images, torch.tensor(sensor.background).float().expand(2, 3))
+        view, own = normalise_view(shade(slopes[0, 0], slopes[0, 1], sensor), sensor)
         assert float(contrast[0]) == pytest.approx(own, rel=1e-5)
         np.testing.assert_allclose(views[0].permute(1, 2, 0), view, atol=1e-4)
 
@@ -130,7 +132,7 @@ def test_training_and_run_time_prepare_a_view_alike():
 def test_a_view_has_contrast_one_and_neither_mean_nor_tilt(seed, tilt_x, tilt_y):
     gx, gy = 0.05 * np.random.default_rng(seed).standard_normal((2, 64, 64))
     ramp = np.linspace(-1, 1, 64)
-    view, contrast = view_input(
+    view, contrast = normalise_view(
         shade(gx + tilt_x * ramp, gy + tilt_y * ramp[:, None], SENSORS["digit"]), SENSORS["digit"]
     )
     assert float(np.sqrt(np.mean(np.square(view)))) == pytest.approx(1.0, abs=1e-4)
@@ -140,5 +142,5 @@ def test_a_view_has_contrast_one_and_neither_mean_nor_tilt(seed, tilt_x, tilt_y)
 
 
 def test_sensors_and_pitches_tell_the_head_apart():
-    told = {conditions(0.1, sensor, pitch).tobytes() for sensor in SENSORS.values() for pitch in PITCHES_M}
+    told = {build_view_conditions(0.1, sensor, pitch).tobytes() for sensor in SENSORS.values() for pitch in PITCHES_M}
     assert len(told) == 8

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 torch = pytest.importorskip("torch", reason="alignment trains with torch")
 
 from hnf_core.errors import WeightsError  # noqa: E402
-from hnf_core.training.alignment.encoders import RESNET50, Architecture, Encoder, load_trunk  # noqa: E402
+from hnf_core.training.alignment.encoders import RESNET50, Architecture, ResNetEncoder, load_backbone  # noqa: E402
 from hnf_core.training.alignment.gradient_cache import (  # noqa: E402
-    cached_backward,
-    plain_backward,
-    still_statistics,
+    backward_reference,
+    backward_with_gradient_cache,
+    freeze_running_statistics,
 )
-from hnf_core.training.alignment.info_nce import TEMPERATURE, info_nce  # noqa: E402
+from hnf_core.training.alignment.info_nce import TEMPERATURE, compute_info_nce  # noqa: E402
 
 PUBLISHED = Path(__file__).with_name("resnet50_names.txt")
 """Names and shapes of torchvision's resnet50 (0.28.0), in its order, as its own code lists them."""
@@ -39,7 +39,7 @@ def plain_info_nce(vision: np.ndarray, touch: np.ndarray, temperature: float) ->
 
 def test_names_and_shapes_are_the_published_ones() -> None:
     with torch.device("meta"):
-        ours = Encoder(Architecture(outputs=1000)).state_dict()
+        ours = ResNetEncoder(Architecture(outputs=1000)).state_dict()
     listed = [line.split() for line in PUBLISHED.read_text(encoding="utf-8").splitlines()]
     assert [[name, "x".join(map(str, value.shape)) or "scalar"] for name, value in ours.items()] == listed
     parameters = {name: value for name, value in ours.items() if "running" not in name and "batches" not in name}
@@ -49,17 +49,17 @@ def test_names_and_shapes_are_the_published_ones() -> None:
 
 def test_embeddings_have_length_one() -> None:
     torch.manual_seed(0)
-    out = Encoder(TINY)(torch.randn(5, 3, 32, 32))
+    out = ResNetEncoder(TINY)(torch.randn(5, 3, 32, 32))
     assert out.shape == (5, 8)
     assert torch.allclose(out.norm(dim=1), torch.ones(5), atol=1e-6)
 
 
 def test_a_trunk_is_taken_whole_or_not_at_all() -> None:
     torch.manual_seed(1)
-    given_weights = Encoder(Architecture((1, 1, 1, 1), 4, 1000)).state_dict()
-    encoder = Encoder(TINY)
+    given_weights = ResNetEncoder(Architecture((1, 1, 1, 1), 4, 1000)).state_dict()
+    encoder = ResNetEncoder(TINY)
     before = encoder.fc.weight.clone()
-    load_trunk(encoder, given_weights, "file")
+    load_backbone(encoder, given_weights, "file")
     assert torch.equal(encoder.layer3[0].conv2.weight, given_weights["layer3.0.conv2.weight"])
     assert torch.equal(encoder.fc.weight, before)
     name = "layer1.0.bn2.running_var"
@@ -71,7 +71,7 @@ def test_a_trunk_is_taken_whole_or_not_at_all() -> None:
         {**given_weights, name: given_weights[name] * torch.nan},
     ):
         with pytest.raises(WeightsError, match="file: these are no weights of a ResNet-50"):
-            load_trunk(encoder, bad, "file")
+            load_backbone(encoder, bad, "file")
 
 
 @settings(max_examples=40, deadline=None)
@@ -80,7 +80,7 @@ def test_it_is_the_softmax_formula(n: int, temperature: float, seed: int) -> Non
     rng = np.random.default_rng(seed)
     vision, touch = unit(rng, n), unit(rng, n)
     plain = plain_info_nce(vision.numpy(), touch.numpy(), temperature)
-    assert float(info_nce(vision, touch, temperature)) == pytest.approx(plain, rel=1e-10, abs=1e-12)
+    assert float(compute_info_nce(vision, touch, temperature)) == pytest.approx(plain, rel=1e-10, abs=1e-12)
 
 
 @settings(max_examples=20, deadline=None)
@@ -89,9 +89,9 @@ def test_order_and_sides_do_not_matter(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     vision, touch = unit(rng, n), unit(rng, n)
     order = torch.tensor(rng.permutation(n))
-    loss = float(info_nce(vision, touch))
-    assert float(info_nce(vision[order], touch[order])) == pytest.approx(loss, rel=1e-12)
-    assert float(info_nce(touch, vision)) == pytest.approx(loss, rel=1e-12)
+    loss = float(compute_info_nce(vision, touch))
+    assert float(compute_info_nce(vision[order], touch[order])) == pytest.approx(loss, rel=1e-12)
+    assert float(compute_info_nce(touch, vision)) == pytest.approx(loss, rel=1e-12)
 
 
 def test_it_is_least_where_the_right_ones_meet_and_the_others_part() -> None:
@@ -100,7 +100,7 @@ def test_it_is_least_where_the_right_ones_meet_and_the_others_part() -> None:
     corners = np.eye(n) - 1.0 / n
     corners /= np.linalg.norm(corners, axis=1, keepdims=True)
     best = torch.tensor(corners, requires_grad=True)
-    least = info_nce(best, best)
+    least = compute_info_nce(best, best)
     assert least.item() == pytest.approx(np.log1p((n - 1) * np.exp(-(1.0 + 1.0 / (n - 1)) / TEMPERATURE)), rel=1e-9)
     (slope,) = torch.autograd.grad(least, best)
     along_sphere = slope - (slope * best.detach()).sum(dim=1, keepdim=True) * best.detach()
@@ -109,7 +109,7 @@ def test_it_is_least_where_the_right_ones_meet_and_the_others_part() -> None:
         rng = np.random.default_rng(seed)
         moved = best.detach() + 0.1 * torch.tensor(rng.standard_normal(best.shape))
         moved = torch.nn.functional.normalize(moved, dim=1)
-        assert float(info_nce(best.detach(), moved)) > least.item()
+        assert float(compute_info_nce(best.detach(), moved)) > least.item()
 
 
 def test_float32_holds_for_thousands_of_rows() -> None:
@@ -118,21 +118,21 @@ def test_float32_holds_for_thousands_of_rows() -> None:
     vision = unit(rng, 3000, 128)
     for touch in (vision, -vision, torch.nn.functional.normalize(vision + 0.05 * unit(rng, 3000, 128), dim=1)):
         exact = plain_info_nce(vision.numpy(), touch.numpy(), TEMPERATURE)
-        wide = info_nce(vision, touch)
-        narrow = info_nce(vision.float().requires_grad_(), touch.float())
+        wide = compute_info_nce(vision, touch)
+        narrow = compute_info_nce(vision.float().requires_grad_(), touch.float())
         assert float(wide) == pytest.approx(exact, rel=1e-9)
         assert narrow.item() == pytest.approx(exact, rel=1e-4, abs=2e-6)
     constant = torch.ones(2000, 4) / 2.0
-    assert float(info_nce(constant, constant)) == pytest.approx(np.log(2000), rel=1e-6)
+    assert float(compute_info_nce(constant, constant)) == pytest.approx(np.log(2000), rel=1e-6)
 
 
 def test_autocast_does_not_narrow_it() -> None:
     rng = np.random.default_rng(2)
     vision, touch = unit(rng, 64).float(), unit(rng, 64).float()
     with torch.autocast("cpu", torch.bfloat16):
-        inside = info_nce(vision, touch)
+        inside = compute_info_nce(vision, touch)
     assert inside.dtype == torch.float32
-    assert float(inside) == float(info_nce(vision, touch))
+    assert float(inside) == float(compute_info_nce(vision, touch))
 
 
 class Grouped(torch.nn.Module):
@@ -177,27 +177,27 @@ def test_cached_gradients_are_those_of_the_plain_batch(chunk: int) -> None:
     torch.manual_seed(3)
     encoders: list[torch.nn.Module] = [Grouped().double(), Grouped().double()]
     inputs = inputs_of(11, 8, torch.float64)
-    plain = plain_backward(encoders, inputs, info_nce, 11)
+    plain = backward_reference(encoders, inputs, compute_info_nce, 11)
     expected = gradients(encoders)
-    cached = cached_backward(encoders, inputs, info_nce, chunk)
+    cached = backward_with_gradient_cache(encoders, inputs, compute_info_nce, chunk)
     assert float(cached) == pytest.approx(float(plain), rel=1e-12)
     assert_equal_gradients(expected, gradients(encoders), 1e-6)
 
 
 def test_a_resnet_with_frozen_statistics_likewise() -> None:
     torch.manual_seed(4)
-    encoders: list[torch.nn.Module] = [Encoder(TINY).double().eval(), Encoder(TINY).double().eval()]
+    encoders: list[torch.nn.Module] = [ResNetEncoder(TINY).double().eval(), ResNetEncoder(TINY).double().eval()]
     inputs = inputs_of(12, 32, torch.float64)
-    plain_backward(encoders, inputs, info_nce, 12)
+    backward_reference(encoders, inputs, compute_info_nce, 12)
     expected = gradients(encoders)
-    cached_backward(encoders, inputs, info_nce, 5)
+    backward_with_gradient_cache(encoders, inputs, compute_info_nce, 5)
     assert_equal_gradients(expected, gradients(encoders), 1e-6)
 
 
 def test_batch_normalisation_knows_its_chunk_in_both_passes() -> None:
     """Chunks of four: as a plain batch embedded four by four; another thing than a batch embedded at once."""
     torch.manual_seed(5)
-    encoders = [Encoder(TINY).double(), Encoder(TINY).double()]
+    encoders = [ResNetEncoder(TINY).double(), ResNetEncoder(TINY).double()]
     for encoder in encoders:
         for module in encoder.modules():  # blocks must not be their identity, or little would be tested
             if isinstance(module, torch.nn.BatchNorm2d):
@@ -205,10 +205,10 @@ def test_batch_normalisation_knows_its_chunk_in_both_passes() -> None:
     start = [{name: value.clone() for name, value in each.state_dict().items()} for each in encoders]
     inputs = inputs_of(12, 48, torch.float64)
     results = {}
-    for way, chunk in ((plain_backward, 4), (cached_backward, 4), (plain_backward, 12)):
+    for way, chunk in ((backward_reference, 4), (backward_with_gradient_cache, 4), (backward_reference, 12)):
         for encoder, state in zip(encoders, start, strict=True):
             encoder.load_state_dict(state)
-        way(encoders, inputs, info_nce, chunk)
+        way(encoders, inputs, compute_info_nce, chunk)
         statistics = [each.clone() for encoder in encoders for each in encoder.buffers()]
         results[way, chunk] = gradients(list(encoders)), statistics
     ghost, cached, whole = results.values()
@@ -220,9 +220,9 @@ def test_batch_normalisation_knows_its_chunk_in_both_passes() -> None:
 
 
 def test_still_statistics_end_even_after_an_error() -> None:
-    encoder = Encoder(TINY)
+    encoder = ResNetEncoder(TINY)
     frozen = encoder.layer1[0].bn1.eval()
-    with pytest.raises(RuntimeError, match="channels"), still_statistics(encoder):
+    with pytest.raises(RuntimeError, match="channels"), freeze_running_statistics(encoder):
         encoder(torch.randn(3, 3, 32, 32)) + encoder(torch.randn(3, 4, 32, 32))
     assert int(encoder.bn1.num_batches_tracked) == 0
     assert encoder.bn1.track_running_stats

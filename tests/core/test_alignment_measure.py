@@ -10,14 +10,22 @@ from hypothesis import strategies as st
 pytest.importorskip("torch", reason="alignment trains with torch")
 
 from hnf_core.errors import FileError
-from hnf_core.training.alignment.bridge import agreement, nearest, triplets
-from hnf_core.training.alignment.heads import LOOKS, REFITTED, TOUCH, VISION, Seen, folded, probed
-from hnf_core.training.alignment.kept import load_measured, save_measured
-from hnf_core.training.alignment.measure import Bridged, Measured
-from hnf_core.training.alignment.probe import chosen_probe, fit_probe
-from hnf_core.training.alignment.retrieval import ranks, recall
-from hnf_core.training.alignment.statistics import Hits, ratio, share
-from hnf_core.training.alignment.table import markdown, report
+from hnf_core.training.alignment.bridge import compute_label_agreement, find_nearest, make_pseudo_triplets
+from hnf_core.training.alignment.heads import (
+    IMAGES,
+    REFITTED,
+    TOUCH,
+    VISION,
+    ProbeInput,
+    cross_validate_probes,
+    evaluate_probes,
+)
+from hnf_core.training.alignment.kept import load_measurement, save_measurement
+from hnf_core.training.alignment.measure import CrossSensorRetrieval, Measurement
+from hnf_core.training.alignment.probe import choose_linear_probe, fit_linear_probe
+from hnf_core.training.alignment.retrieval import compute_ranks, compute_recall
+from hnf_core.training.alignment.statistics import Hits, estimate_accuracy, estimate_ratio
+from hnf_core.training.alignment.table import format_report, make_report
 
 
 def unit(rng: np.random.Generator, n: int, d: int = 8) -> np.ndarray:
@@ -36,7 +44,7 @@ def test_no_step_away_from_the_probe_costs_less(seed: int, ridge: float) -> None
     """The problem is convex, so a point that no small step betters is the solution."""
     rng = np.random.default_rng(seed)
     x, label = clouds(rng, 3, 30, 2.0)
-    probe = fit_probe(x, label, 3, ridge)
+    probe = fit_linear_probe(x, label, 3, ridge)
 
     def cost(weight: np.ndarray, bias: np.ndarray) -> float:
         logits = (x - probe.mean) / probe.scale @ weight + bias
@@ -53,11 +61,11 @@ def test_a_probe_learns_what_is_linear_and_nothing_else() -> None:
     rng = np.random.default_rng(0)
     x, label = clouds(rng, 4, 60, 0.4)
     fresh, truth = clouds(rng, 4, 60, 0.4)
-    probe, ridge = chosen_probe(x, label, np.arange(len(x)), 4)
+    probe, ridge = choose_linear_probe(x, label, np.arange(len(x)), 4)
     assert np.mean(probe.predict(fresh) == truth) > 0.98
     assert ridge > 0
     noise = rng.standard_normal((400, 6))
-    mixed, _ = chosen_probe(noise, rng.integers(0, 4, 400), np.arange(400), 4)
+    mixed, _ = choose_linear_probe(noise, rng.integers(0, 4, 400), np.arange(400), 4)
     assert np.mean(mixed.predict(rng.standard_normal((2000, 6))) == rng.integers(0, 4, 2000)) == pytest.approx(
         0.25, abs=0.05
     )
@@ -69,16 +77,16 @@ def test_ranks_are_those_of_a_full_sort(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     queries, gallery = unit(rng, n), unit(rng, n + 3)
     order = np.argsort(-(queries @ gallery.T), axis=1, kind="stable")
-    assert np.array_equal(ranks(queries, gallery), (order == np.arange(n)[:, None]).argmax(axis=1))
+    assert np.array_equal(compute_ranks(queries, gallery), (order == np.arange(n)[:, None]).argmax(axis=1))
 
 
 def test_recall_of_the_same_the_blind_and_chance() -> None:
     rng = np.random.default_rng(0)
     rows = unit(rng, 1000)
-    assert recall(rows, rows, (1, 5)) == {1: 1.0, 5: 1.0}
+    assert compute_recall(rows, rows, (1, 5)) == {1: 1.0, 5: 1.0}
     blind = np.tile(rows[:1], (1000, 1))
-    assert recall(blind, blind, (1, 10)) == {1: 0.0, 10: 0.0}
-    by_chance = recall(unit(rng, 1000), rows, (10, 1000))
+    assert compute_recall(blind, blind, (1, 10)) == {1: 0.0, 10: 0.0}
+    by_chance = compute_recall(unit(rng, 1000), rows, (10, 1000))
     assert by_chance[10] == pytest.approx(0.01, abs=0.012)
     assert by_chance[1000] == 1.0
 
@@ -86,19 +94,19 @@ def test_recall_of_the_same_the_blind_and_chance() -> None:
 def test_triplets_take_the_nearest_and_mutual_ones_are_among_them() -> None:
     rng = np.random.default_rng(1)
     gelsight, digit = unit(rng, 700), unit(rng, 300)
-    rows, cosine = nearest(gelsight, digit)
+    rows, cosine = find_nearest(gelsight, digit)
     assert np.array_equal(rows, (gelsight @ digit.T).argmax(axis=1))
-    every, sure = triplets(gelsight, digit), triplets(gelsight, digit, mutual=True)
+    every, sure = make_pseudo_triplets(gelsight, digit), make_pseudo_triplets(gelsight, digit, mutual=True)
     assert np.array_equal(every.digit, rows)
     assert np.array_equal(every.cosine, cosine)
     assert 0 < len(sure.gelsight) < 301
     assert len(set(sure.digit)) == len(sure.digit)
-    back, _ = nearest(digit, gelsight)
+    back, _ = find_nearest(digit, gelsight)
     assert np.array_equal(back[sure.digit], sure.gelsight)
     shuffled = rng.permutation(700)
-    found = triplets(gelsight[shuffled], gelsight)
+    found = make_pseudo_triplets(gelsight[shuffled], gelsight)
     assert np.array_equal(found.digit, shuffled)
-    assert agreement(found, shuffled, np.arange(700)) == 1.0
+    assert compute_label_agreement(found, shuffled, np.arange(700)) == 1.0
 
 
 def test_intervals_hold_their_share_and_widen_for_views_of_one_piece() -> None:
@@ -106,11 +114,14 @@ def test_intervals_hold_their_share_and_widen_for_views_of_one_piece() -> None:
     inside = 0
     for trial in range(100):
         hits = Hits(rng.uniform(size=120) < 0.7, np.arange(120))
-        one = share(hits, trial)
+        one = estimate_accuracy(hits, trial)
         inside += one.low <= 0.7 <= one.high
     assert 0.88 <= inside / 100 <= 0.99
     correct = np.repeat(rng.uniform(size=50) < 0.5, 6)
-    apart, together = share(Hits(correct, np.arange(300))), share(Hits(correct, np.repeat(np.arange(50), 6)))
+    apart, together = (
+        estimate_accuracy(Hits(correct, np.arange(300))),
+        estimate_accuracy(Hits(correct, np.repeat(np.arange(50), 6))),
+    )
     assert together.value == apart.value
     assert together.high - together.low > 1.8 * (apart.high - apart.low)
     assert (together.items, together.groups) == (300, 50)
@@ -120,21 +131,21 @@ def test_a_ratio_is_paired() -> None:
     rng = np.random.default_rng(3)
     group = np.repeat(np.arange(80), 4)
     base = rng.uniform(size=320) < np.repeat(rng.uniform(size=80), 4)
-    same = ratio(Hits(base, group), Hits(base, group))
+    same = estimate_ratio(Hits(base, group), Hits(base, group))
     assert (same.value, same.low, same.high) == (1.0, 1.0, 1.0)
     fewer = base & (rng.uniform(size=320) < 0.9)
-    less = ratio(Hits(fewer, group), Hits(base, group))
+    less = estimate_ratio(Hits(fewer, group), Hits(base, group))
     assert less.value == fewer.sum() / base.sum()
     assert less.low < less.value < less.high < 1.0
     with pytest.raises(ValueError, match="same items"):
-        ratio(Hits(base, group), Hits(base, group[::-1]))
+        estimate_ratio(Hits(base, group), Hits(base, group[::-1]))
 
 
-def seen(rng: np.random.Generator, label: np.ndarray, turn: np.ndarray, noise: float = 0.1) -> Seen:
+def seen(rng: np.random.Generator, label: np.ndarray, turn: np.ndarray, noise: float = 0.1) -> ProbeInput:
     """Looks that show the class, touches that show it through a turn of the space."""
     looks = np.eye(8)[label] + noise * rng.standard_normal((len(label), 8))
     touches = (np.eye(8)[label] + noise * rng.standard_normal((len(label), 8))) @ turn
-    return Seen(looks, touches, label, np.arange(len(label)) // 2, 4)
+    return ProbeInput(looks, touches, label, np.arange(len(label)) // 2, 4)
 
 
 def test_a_probe_of_one_sensor_fails_where_the_other_is_turned_and_a_refitted_one_does_not() -> None:
@@ -143,13 +154,13 @@ def test_a_probe_of_one_sensor_fails_where_the_other_is_turned_and_a_refitted_on
     label = np.tile(np.repeat(np.arange(4), 2), 20)
     fitted = {name: seen(rng, label, turn) for name, turn in turns.items()}
     tested = {name: seen(rng, label, turn) for name, turn in turns.items()}
-    found = {cell: float(hits.correct.mean()) for cell, hits in probed(fitted, tested, ("gelsight",)).items()}
-    assert found[VISION, LOOKS] > 0.99
+    found = {cell: float(hits.correct.mean()) for cell, hits in evaluate_probes(fitted, tested, ("gelsight",)).items()}
+    assert found[VISION, IMAGES] > 0.99
     assert found[TOUCH, "gelsight"] > 0.99
     assert found[TOUCH, "digit"] < 0.3
     assert found[REFITTED, "digit"] > 0.99
-    assert set(found) == {(VISION, LOOKS), *((head, name) for head in (TOUCH, REFITTED) for name in turns)}
-    across = folded(tested, ("digit",))
+    assert set(found) == {(VISION, IMAGES), *((head, name) for head in (TOUCH, REFITTED) for name in turns)}
+    across = cross_validate_probes(tested, ("digit",))
     assert across[TOUCH, "digit"].correct.mean() > 0.9
     assert len(across[TOUCH, "digit"].correct) == len(label)
 
@@ -160,21 +171,21 @@ def test_folds_never_see_the_pieces_they_judge() -> None:
     piece = np.repeat(np.arange(160), 4)
     label = rng.integers(0, 4, 160)[piece]
     looks = rng.standard_normal((160, 8))[piece]
-    found = folded({"gelsight": Seen(looks, looks, label, piece, 4)}, ("gelsight",))
+    found = cross_validate_probes({"gelsight": ProbeInput(looks, looks, label, piece, 4)}, ("gelsight",))
     assert found[TOUCH, "gelsight"].correct.mean() == pytest.approx(0.25, abs=0.1)
 
 
-def measured(trained_on: str, shares: dict[str, float]) -> Measured:
+def measured(trained_on: str, shares: dict[str, float]) -> Measurement:
     rng = np.random.default_rng(6)
     group = np.repeat(np.arange(100), 4)
-    cells = {(VISION, LOOKS): 0.8, **{(TOUCH, name): value for name, value in shares.items()}}
+    cells = {(VISION, IMAGES): 0.8, **{(TOUCH, name): value for name, value in shares.items()}}
     hits = {cell: Hits(np.sort(rng.permutation(400) < 400 * value)[::-1], group) for cell, value in cells.items()}
     found = {name: {"look to touch": {1: 0.1, 5: 0.3}, "touch to look": {1: 0.2, 5: 0.4}} for name in shares}
-    return Measured(trained_on, hits, {}, found, 400, Bridged(50, 0.6, 0.1, 0.03, 20, 0.8))
+    return Measurement(trained_on, hits, {}, found, 400, CrossSensorRetrieval(50, 0.6, 0.1, 0.03, 20, 0.8))
 
 
 def test_the_table_compares_with_the_same_sensors_own_training() -> None:
-    told = report(
+    told = make_report(
         [measured("gelsight", {"gelsight": 0.8, "digit": 0.2}), measured("digit", {"gelsight": 0.3, "digit": 0.5}),
          measured("both", {"gelsight": 0.8, "digit": 0.45})],
         {"known": 0.04},
@@ -183,7 +194,7 @@ def test_the_table_compares_with_the_same_sensors_own_training() -> None:
     assert kept == pytest.approx(
         {("gelsight", "digit"): 0.4, ("digit", "gelsight"): 0.375, ("both", "gelsight"): 1.0, ("both", "digit"): 0.9}
     )
-    words = markdown(told)
+    words = format_report(told)
     assert "chance 4.0 %" in words
     assert "| touch | both | DIGIT | 45.0 (" in words
     assert "| both | DIGIT | 90.0 (" in words
@@ -196,13 +207,13 @@ def test_the_table_compares_with_the_same_sensors_own_training() -> None:
 
 def test_what_was_measured_is_kept_for_these_weights_only(tmp_path) -> None:
     path, sums = tmp_path / "measured.json", {"touch": "a", "vision": "b"}
-    assert load_measured(path, sums) is None
+    assert load_measurement(path, sums) is None
     before = measured("both", {"gelsight": 0.8, "digit": 0.45})
-    save_measured(path, before, sums)
-    after = load_measured(path, sums)
+    save_measurement(path, before, sums)
+    after = load_measurement(path, sums)
     assert after is not None
-    assert report([after], {"known": 0.1}).to_json() == report([before], {"known": 0.1}).to_json()
-    assert load_measured(path, {**sums, "touch": "c"}) is None
+    assert make_report([after], {"known": 0.1}).to_json() == make_report([before], {"known": 0.1}).to_json()
+    assert load_measurement(path, {**sums, "touch": "c"}) is None
     path.write_text(path.read_text()[:-50])
     with pytest.raises(FileError, match="Delete it"):
-        load_measured(path, sums)
+        load_measurement(path, sums)

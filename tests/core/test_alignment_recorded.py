@@ -55,8 +55,8 @@ def tarf(folder: Path) -> Path:
 def test_two_sets_give_two_sensors(tmp_path: Path) -> None:
     walks, scenes = touch_and_go(tmp_path / "walks"), tarf(tmp_path / "scenes")
     source = open_source([["touch-and-go", str(walks)], ["tarf", str(scenes)]])
-    learn, judged = source.learn(), source.judge()
-    gelsight, digit = (learn.of_sensor(name) for name in PAIR_SENSORS)
+    learn, judged = source.load_training(), source.load_held_out()
+    gelsight, digit = (learn.select_sensor(name) for name in PAIR_SENSORS)
     assert len(digit) == 9
     assert set(digit.label) == {NO_LABEL}
     tested = judged.known["gelsight"]
@@ -67,8 +67,8 @@ def test_two_sets_give_two_sensors(tmp_path: Path) -> None:
     assert learn.classes == tested.classes
     assert len(judged.known["digit"]) == 3
     assert judged.unseen == {}
-    assert judged.apart is None
-    assert any("no background" in note for note in source.told)
+    assert judged.disjoint is None
+    assert any("no background" in note for note in source.messages)
 
 
 def test_of_hatt_every_fifth_touch_is_for_the_test(tmp_path: Path) -> None:
@@ -77,16 +77,16 @@ def test_of_hatt_every_fifth_touch_is_for_the_test(tmp_path: Path) -> None:
         for take in range(10):
             write_pixels(tmp_path / "gel" / name / f"{take:02d}.png", noise(take))
     source = open_source([["hatt", str(tmp_path / "photos"), str(tmp_path / "gel")]])
-    learn, tested = source.learn(), source.judge().known["gelsight"]
+    learn, tested = source.load_training(), source.load_held_out().known["gelsight"]
     assert (len(learn), len(tested)) == (16, 4)
     assert sorted(tested.label) == [0, 0, 1, 1]
     shown = {
-        learn.pictures.touch(np.array([row]), *[np.zeros(1, int)] * 2, np.random.default_rng()).tobytes()
+        learn.images.touch(np.array([row]), *[np.zeros(1, int)] * 2, np.random.default_rng()).tobytes()
         for row in learn.row
     }
     assert len(shown) == 8
     for row in tested.row:
-        picture = tested.pictures.touch(np.array([row]), *[np.zeros(1, int)] * 2, np.random.default_rng())
+        picture = tested.images.touch(np.array([row]), *[np.zeros(1, int)] * 2, np.random.default_rng())
         assert picture.tobytes() not in shown
 
 
@@ -94,11 +94,11 @@ def test_a_damaged_picture_is_left_out_and_told(tmp_path: Path) -> None:
     folder = touch_and_go(tmp_path)
     (folder / "dataset" / "20220604_120000" / "video_frame" / f"{2:010d}.png").write_bytes(b"no picture")
     source = open_source([["touch-and-go", str(folder)]])
-    learn, judged = source.learn(), source.judge()
+    learn, judged = source.load_training(), source.load_held_out()
     assert len(learn) + len(judged.known["gelsight"]) == RECORDINGS * MOMENTS - 1
-    assert any("1 pairs could not be read" in note for note in source.told)
+    assert any("1 pairs could not be read" in note for note in source.messages)
     with pytest.raises(UsageError, match="no digit picture"):
-        learn.of_sensor("digit")
+        learn.select_sensor("digit")
 
 
 def test_the_words_take_copies(tmp_path: Path, monkeypatch, capsys) -> None:

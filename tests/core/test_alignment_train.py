@@ -18,11 +18,11 @@ from hnf_core.cli.main import main  # noqa: E402
 from hnf_core.errors import FileError, UsageError, WeightsError  # noqa: E402
 from hnf_core.training.alignment import train  # noqa: E402
 from hnf_core.training.alignment.data import open_source  # noqa: E402
-from hnf_core.training.alignment.embedding import embed_looks, embed_touches  # noqa: E402
-from hnf_core.training.alignment.encoders import Architecture, Encoder  # noqa: E402
-from hnf_core.training.alignment.models import load_models, save_models  # noqa: E402
-from hnf_core.training.alignment.retrieval import recall  # noqa: E402
-from hnf_core.training.alignment.train import Recipe, fit  # noqa: E402
+from hnf_core.training.alignment.embedding import embed_images, embed_touches  # noqa: E402
+from hnf_core.training.alignment.encoders import Architecture, ResNetEncoder  # noqa: E402
+from hnf_core.training.alignment.models import load_encoders, save_encoders  # noqa: E402
+from hnf_core.training.alignment.retrieval import compute_recall  # noqa: E402
+from hnf_core.training.alignment.train import Recipe, fit_encoders  # noqa: E402
 
 TINY = Architecture((1, 1, 1, 1), 4, 8)
 RECIPE = Recipe(pixels=32, batch=16, chunk=16, steps=6, rate=3e-3, architecture=TINY)
@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def tuples(folder: Path):
-    return open_source([[str(folder)]]).learn()
+    return open_source([[str(folder)]]).load_training()
 
 
 def weights(fitted) -> dict:
@@ -54,24 +54,24 @@ def assert_same(one: dict, other: dict) -> None:
 def test_the_right_touch_is_found_after_training(tuples, chunk: int) -> None:
     """Among 96 patches; with gradients cached as well."""
     wide = Architecture((1, 1, 1, 1), 8, 8)
-    fitted = fit(tuples, replace(RECIPE, steps=60, rate=1e-2, chunk=chunk, architecture=wide))
+    fitted = fit_encoders(tuples, replace(RECIPE, steps=60, rate=1e-2, chunk=chunk, architecture=wide))
     losses = fitted.history[:, 2]
     assert losses[-10:].mean() < np.log(16) - 0.1  # what knowing nothing costs
     assert fitted.history[:, 0].tolist() == list(range(1, 61))
     assert not fitted.vision.training
-    looks, touches = embed_looks(fitted.vision, tuples, 32), embed_touches(fitted.touch, tuples, 32, 0)
-    assert recall(looks, touches, (10,))[10] > 0.19  # chance 0.10, three deviations 0.09
+    looks, touches = embed_images(fitted.vision, tuples, 32), embed_touches(fitted.touch, tuples, 32, 0)
+    assert compute_recall(looks, touches, (10,))[10] > 0.19  # chance 0.10, three deviations 0.09
 
 
 def test_equal_seeds_give_equal_weights_and_others_do_not(tuples) -> None:
-    one, same, other = (weights(fit(tuples, replace(RECIPE, seed=seed))) for seed in (0, 0, 1))
+    one, same, other = (weights(fit_encoders(tuples, replace(RECIPE, seed=seed))) for seed in (0, 0, 1))
     assert_same(one, same)
     assert not torch.equal(one["touch.fc.weight"], other["touch.fc.weight"])
 
 
 def test_a_killed_run_goes_on_to_the_same_weights(tuples, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(train, "CHECKPOINT_S", 0.0)
-    whole = weights(fit(tuples, RECIPE))
+    monkeypatch.setattr(train, "CHECKPOINT_INTERVAL_S", 0.0)
+    whole = weights(fit_encoders(tuples, RECIPE))
     path = tmp_path / "checkpoint"
     done = []
 
@@ -81,28 +81,28 @@ def test_a_killed_run_goes_on_to_the_same_weights(tuples, tmp_path: Path, monkey
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fit(tuples, RECIPE, path, killed)
-    resumed = fit(tuples, RECIPE, path, lambda progress, loss: done.append(loss))
+        fit_encoders(tuples, RECIPE, path, killed)
+    resumed = fit_encoders(tuples, RECIPE, path, lambda progress, loss: done.append(loss))
     assert len(done) == 7  # the step during which it was killed is done again
     assert_same(whole, weights(resumed))
-    other = fit(tuples, replace(RECIPE, seed=3), path)
+    other = fit_encoders(tuples, replace(RECIPE, seed=3), path)
     assert len(other.history) == 6
-    assert_same(weights(other), weights(fit(tuples, replace(RECIPE, seed=3))))
+    assert_same(weights(other), weights(fit_encoders(tuples, replace(RECIPE, seed=3))))
 
 
 def test_minutes_end_it_and_steps_do_if_they_come_first(tuples) -> None:
-    short = fit(tuples, replace(RECIPE, steps=None, minutes=0.01))
+    short = fit_encoders(tuples, replace(RECIPE, steps=None, minutes=0.01))
     assert 1 <= len(short.history) < 200
     assert short.history[-1, 1] >= 0.6
-    assert len(fit(tuples, replace(RECIPE, steps=2, minutes=10.0)).history) == 2
+    assert len(fit_encoders(tuples, replace(RECIPE, steps=2, minutes=10.0)).history) == 2
     with pytest.raises(UsageError, match="needs an end"):
         Recipe()
     with pytest.raises(UsageError, match="fewer than a batch"):
-        fit(tuples, replace(RECIPE, batch=1000))
+        fit_encoders(tuples, replace(RECIPE, batch=1000))
 
 
 def test_the_rate_rises_and_falls() -> None:
-    rates = [RECIPE.rate_at(progress) for progress in np.linspace(0.0, 1.0, 101)]
+    rates = [RECIPE.compute_learning_rate(progress) for progress in np.linspace(0.0, 1.0, 101)]
     top = int(np.argmax(rates))
     assert np.all(np.diff(rates[: top + 1]) > 0)
     assert np.all(np.diff(rates[top:]) < 0)
@@ -111,23 +111,23 @@ def test_the_rate_rises_and_falls() -> None:
 
 
 def test_weights_come_back_and_damaged_ones_do_not(tuples, tmp_path: Path) -> None:
-    fitted = fit(tuples, replace(RECIPE, steps=1))
-    record = save_models(tmp_path, fitted, RECIPE, {"sensor": "both"})
-    back = load_models(tmp_path)
+    fitted = fit_encoders(tuples, replace(RECIPE, steps=1))
+    record = save_encoders(tmp_path, fitted, RECIPE, {"sensor": "both"})
+    back = load_encoders(tmp_path)
     assert (back.sensor, back.pixels) == ("both", 32)
     assert_same(weights(fitted), weights(back))
     assert json.loads((tmp_path / "alignment.json").read_text())["sha256"] == record["sha256"]
-    assert save_models(tmp_path / "again", fitted, RECIPE, {"sensor": "both"}) == record
+    assert save_encoders(tmp_path / "again", fitted, RECIPE, {"sensor": "both"}) == record
     data = bytearray((tmp_path / "touch.safetensors").read_bytes())
     data[-1] ^= 1
     (tmp_path / "touch.safetensors").write_bytes(data)
     with pytest.raises(WeightsError, match="not the file"):
-        load_models(tmp_path)
+        load_encoders(tmp_path)
     (tmp_path / "touch.safetensors").write_bytes(b"no weights")
     with pytest.raises(FileError, match="no aligned encoders"):
-        load_models(tmp_path)
+        load_encoders(tmp_path)
     with pytest.raises(FileError, match="no aligned encoders"):
-        load_models(tmp_path / "none")
+        load_encoders(tmp_path / "none")
 
 
 def hnf(*words: object) -> int:
@@ -138,7 +138,7 @@ def test_the_words_train_and_judge(folder: Path, tmp_path: Path, monkeypatch, ca
     monkeypatch.setattr(train, "RESNET50", TINY)
     quick = ("--data", folder, "--steps", "2", "--batch", "16", "--pixels", "32", "--json")
     trunk = tmp_path / "trunk.safetensors"
-    save_file(Encoder(TINY).state_dict(), trunk)
+    save_file(ResNetEncoder(TINY).state_dict(), trunk)
     for sensor, more in (("gelsight", ()), ("both", ("--trunk", trunk))):
         assert hnf("train", "alignment", *quick, "--sensor", sensor, "--out", tmp_path / sensor, *more) == 0
         record = json.loads(capsys.readouterr().out)
@@ -169,7 +169,7 @@ def test_wrong_words_are_told(folder: Path, tmp_path: Path, capsys) -> None:
     assert hnf("train", "alignment", "--data", tmp_path / "none", "--steps", "1", *out) == 1
     assert "no tactile pairs here" in capsys.readouterr().err
     assert hnf("train", "alignment", "--data", folder, "--steps", "1", "--trunk", folder / "no.pth", *out) == 1
-    torch.save(Encoder(TINY).state_dict(), tmp_path / "trunk.pth")
+    torch.save(ResNetEncoder(TINY).state_dict(), tmp_path / "trunk.pth")
     assert hnf("train", "alignment", "--data", folder, "--steps", "1", "--trunk", tmp_path / "trunk.pth", *out) == 1
     assert "torchvision.models.resnet50(" in capsys.readouterr().err
     assert hnf("train", "alignment", "--data", folder, "--minutes", "0", *out) == 2

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.archive import DAMAGED, read_arrays
+from hnf_core.archive import NPZ_ERRORS, read_npz
 
 
 def packed() -> bytes:
@@ -24,8 +24,8 @@ WHOLE = packed()
 def test_a_changed_byte_is_damage_or_nothing(at, byte):
     broken = WHOLE[:at] + bytes([byte]) + WHOLE[at + 1 :]
     try:
-        found = read_arrays(broken)
-    except DAMAGED:
+        found = read_npz(broken)
+    except NPZ_ERRORS:
         return
     assert list(found) == ["one", "words"]
     np.testing.assert_array_equal(found["one"], np.arange(7.0))
@@ -37,8 +37,8 @@ def test_no_array_is_swallowed():
     entry = WHOLE.index(b"PK\x01\x02")
     for at in (entry + 32, entry + 33):
         broken = WHOLE[:at] + bytes([WHOLE[at] ^ 128]) + WHOLE[at + 1 :]
-        with pytest.raises(DAMAGED, match="lists 1 arrays of 2"):
-            read_arrays(broken)
+        with pytest.raises(NPZ_ERRORS, match="lists 1 arrays of 2"):
+            read_npz(broken)
 
 
 @pytest.mark.parametrize(
@@ -47,5 +47,5 @@ def test_no_array_is_swallowed():
 def test_a_header_that_is_no_literal_is_damage(header):
     encoded = header.encode("latin-1").ljust(54) + b"\n"
     array = b"\x93NUMPY\x01\x00" + len(encoded).to_bytes(2, "little") + encoded + bytes(16)
-    with pytest.raises(DAMAGED):
+    with pytest.raises(NPZ_ERRORS):
         np.load(io.BytesIO(array), allow_pickle=False)

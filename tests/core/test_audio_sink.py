@@ -14,13 +14,13 @@ import pytest
 from numpy.typing import NDArray
 from sound_server import RATE_HZ, SoundServer, sound_server, why_not
 
-from hnf_core.actuators.chain import counts_of
+from hnf_core.actuators.chain import render_counts
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.sinks.audio import QUEUE_S, SILENT_CALLBACK_S, AudioSink
+from hnf_core.actuators.sinks.audio import CALLBACK_TIMEOUT_S, QUEUE_S, AudioSink
 from hnf_core.actuators.sinks.fading_queue import RAMP_S
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 from hnf_core.actuators.stream import Stream
-from hnf_core.actuators.targets import devices
+from hnf_core.actuators.targets import list_devices
 from hnf_core.errors import DeviceError
 
 needs_server = pytest.mark.skipif(why_not() != "", reason=why_not())
@@ -100,12 +100,12 @@ def test_a_stream_reaches_the_output_as_its_chain_made_it(server: SoundServer) -
     limits = Limits(30.0, peak=0.7)
     for _ in range(4):
         with server.recording() as found:
-            stream = Stream(Recorded(samples, 10_000.0), AudioSink(queue_s=CALM_S), limits, block_s=0.02)
+            stream = Stream(BufferSource(samples, 10_000.0), AudioSink(queue_s=CALM_S), limits, block_s=0.02)
             with stream:
                 device = stream.start()
                 assert stream.wait(20.0)
         assert stream.report.problem == ""
-        expected = np.repeat(counts_of(Recorded(samples, 10_000.0), device, limits), 2, axis=1)
+        expected = np.repeat(render_counts(BufferSource(samples, 10_000.0), device, limits), 2, axis=1)
         heard = heard_of(expected, found[0])
         if np.array_equal(heard, expected):
             break
@@ -188,9 +188,9 @@ import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
 import numpy as np
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.sinks.audio import AudioSink
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 from hnf_core.actuators.stream import Stream
-stream = Stream(Recorded(np.ones((500, 1)), 10000.0, loop=True), AudioSink(queue_s={CALM_S}), Limits(10.0))
+stream = Stream(BufferSource(np.ones((500, 1)), 10000.0, loop=True), AudioSink(queue_s={CALM_S}), Limits(10.0))
 stream.start()
 while stream.report.played_s < 0.5 and not stream.wait(0.01):
     pass
@@ -211,9 +211,9 @@ import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
 import numpy as np
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.sinks.audio import AudioSink
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 from hnf_core.actuators.stream import Stream
-stream = Stream(Recorded(np.ones((20000, 1)), 10000.0), AudioSink(queue_s={CALM_S}), Limits(10.0))
+stream = Stream(BufferSource(np.ones((20000, 1)), 10000.0), AudioSink(queue_s={CALM_S}), Limits(10.0))
 stream.start()
 while stream.report.played_s < 0.3 and not stream.wait(0.01):
     pass
@@ -224,14 +224,14 @@ print(stream.wait(60.0), stream.report.played_s >= 2.0, stream.report.problem, f
         assert process.stdout is not None
         assert process.stdout.readline() == "plays\n"
         process.send_signal(signal.SIGSTOP)
-        time.sleep(3.0 * SILENT_CALLBACK_S)
+        time.sleep(3.0 * CALLBACK_TIMEOUT_S)
         process.send_signal(signal.SIGCONT)
         assert process.communicate(timeout=90)[0] == "True True \n"
 
 
 @needs_server
 def test_a_device_is_found_by_name_and_by_the_words_of_its_listing(server: SoundServer) -> None:
-    listed = devices()
+    listed = list_devices()
     assert listed.missing == ()
     assert {each.title for each in listed.audio} >= {"pulse", "default"}
     assert [each.facts.endswith("the default") for each in listed.audio].count(True) == 1

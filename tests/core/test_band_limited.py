@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.band_limited import band_limited
+from hnf_core.action.band_limited import resample_band_limited
 
 RATE = 200.0
 SIGMA_S = np.sqrt(np.log(2.0)) / (2.0 * np.pi * 0.25 * RATE)
@@ -28,7 +28,7 @@ def test_a_fine_table_is_read_under_the_gaussian(seed, step, start):
     time = start + np.cumsum(step * rng.uniform(0.7, 1.3, 700))
     values = np.cumsum(rng.standard_normal((700, 2)), axis=0)
     count = int((time[-1] - time[0]) * RATE)
-    found = band_limited(values, time, count, RATE)
+    found = resample_band_limited(values, time, count, RATE)
     np.testing.assert_allclose(found, summed_finely(values, time, count), atol=2e-3 * np.ptp(values))
 
 
@@ -39,7 +39,7 @@ def test_a_coarse_table_is_read_straight_between_its_rows(seed, step):
     time, values = np.arange(60) * step, rng.standard_normal((60, 2))
     count = int(time[-1] * RATE)
     wanted = np.stack([np.interp(np.arange(count) / RATE, time, column) for column in values.T], axis=1)
-    np.testing.assert_array_equal(band_limited(values, time, count, RATE), wanted)
+    np.testing.assert_array_equal(resample_band_limited(values, time, count, RATE), wanted)
 
 
 @settings(max_examples=30, deadline=None)
@@ -48,7 +48,7 @@ def test_what_stands_still_stands_still(seed, level):
     time = np.cumsum(np.exp(np.random.default_rng(seed).uniform(-12.0, -3.0, 300)))
     count = int((time[-1] - time[0]) * RATE) + 1
     np.testing.assert_allclose(
-        band_limited(np.full((300, 1), level), time, count, RATE), level, rtol=1e-12, atol=1e-300
+        resample_band_limited(np.full((300, 1), level), time, count, RATE), level, rtol=1e-12, atol=1e-300
     )
 
 
@@ -56,7 +56,7 @@ def test_a_vibration_does_not_fold_though_most_of_the_table_is_coarse():
     """Half a second at 10 kHz with a ripple of 180 Hz, then minutes at 50 Hz: the ripple folded to 20 Hz."""
     time = np.concatenate([np.arange(0.0, 0.5, 1e-4), np.arange(0.5, 200.0, 0.02)])
     force = np.where(time < 0.5, 1.0 + 0.3 * np.sin(2.0 * np.pi * 180.0 * time), 1.0)
-    found = band_limited(force[:, None], time, 1000, RATE)[:, 0]
+    found = resample_band_limited(force[:, None], time, 1000, RATE)[:, 0]
     cut_off = np.abs(np.arange(1000) / RATE - 0.5) < 0.02  # there the ripple's own end is felt, as it is
     assert np.abs(found[4:][~cut_off[4:]] - 1.0).max() < 0.01
     assert np.abs(found - 1.0).max() < 0.06
@@ -67,7 +67,7 @@ def test_a_few_rows_close_together_cost_nothing(steps):
     time = np.cumsum([0.0, *steps, 1.0])
     tracemalloc.start()
     try:
-        found = band_limited(np.linspace(0.0, 1.0, len(time))[:, None], time, 201, RATE)[:, 0]
+        found = resample_band_limited(np.linspace(0.0, 1.0, len(time))[:, None], time, 201, RATE)[:, 0]
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

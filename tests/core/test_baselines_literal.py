@@ -7,16 +7,16 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch")
 
-from hnf_core.action.smooth import wandering_action  # noqa: E402
-from hnf_core.baselines.literal import LiteralHnf, cut_windows, predicted, segments  # noqa: E402
-from hnf_core.baselines.method import Specimen  # noqa: E402
+from hnf_core.action.smooth import make_random_smooth_action  # noqa: E402
+from hnf_core.baselines.literal import PublishedHnf, build_window_batch, cut_windows, predict_windows  # noqa: E402
+from hnf_core.baselines.method import MaterialRecordings  # noqa: E402
 from hnf_core.datasets.recording import Recording  # noqa: E402
 from hnf_core.errors import UsageError  # noqa: E402
 from hnf_core.field.config import FieldConfig  # noqa: E402
 from hnf_core.field.field import initial_parameters  # noqa: E402
-from hnf_core.material.mechanics import UNKNOWN  # noqa: E402
+from hnf_core.material.mechanics import UNKNOWN_MECHANICS  # noqa: E402
 from hnf_core.material.token import TOKEN_DIM  # noqa: E402
-from hnf_core.training.losses import l_mag  # noqa: E402
+from hnf_core.training.losses import compute_l_mag  # noqa: E402
 from hnf_core.training.model import FieldNetwork  # noqa: E402
 
 RATE = 10_000
@@ -25,7 +25,7 @@ SMALL = FieldConfig.published(hidden=32)
 
 
 def texture(seconds=5.0, seed=1):
-    action = wandering_action(seconds, seed, speed_m_s=(0.03, 0.3), force_n=(0.2, 3.0))
+    action = make_random_smooth_action(seconds, seed, speed_m_s=(0.03, 0.3), force_n=(0.2, 3.0))
     speed = np.interp(np.arange(round(seconds * RATE)) / RATE, action.time, action.speed)
     noise = np.random.default_rng(seed).standard_normal(len(speed))
     return Recording(action, 10.0 * speed * np.convolve(noise, np.ones(8) / 8.0, "same"), RATE, "noise", "made up")
@@ -47,7 +47,7 @@ def plain_l_mag(predicted, recorded, bins):
 @given(st.integers(0, 10_000), st.integers(1, 4), st.sampled_from((1, 7, 100)))
 def test_l_mag_is_the_formula(seed, count, bins):
     a, b = np.random.default_rng(seed).standard_normal((2, count, 1000))
-    value = l_mag(torch.from_numpy(a), torch.from_numpy(b), bins)
+    value = compute_l_mag(torch.from_numpy(a), torch.from_numpy(b), bins)
     assert float(value) == pytest.approx(plain_l_mag(a, b, bins), rel=1e-9)
 
 
@@ -58,19 +58,19 @@ def test_l_mag_hears_10_to_1000_hz_and_no_phase():
     def tone(hz, phase=0.0):
         return torch.from_numpy(np.sin(2.0 * np.pi * hz * n + phase))[None]
 
-    assert float(l_mag(tone(1100.0), silence)) < 1e-20
-    assert float(l_mag(torch.ones(1, 1000, dtype=torch.float64) * 5.0, silence, 100)) == pytest.approx(
+    assert float(compute_l_mag(tone(1100.0), silence)) < 1e-20
+    assert float(compute_l_mag(torch.ones(1, 1000, dtype=torch.float64) * 5.0, silence, 100)) == pytest.approx(
         plain_l_mag(np.full((1, 1000), 5.0), np.zeros((1, 1000)), 100)
     )
-    assert float(l_mag(tone(200.0), silence)) > 100.0
-    assert float(l_mag(tone(200.0), tone(200.0, 1.0))) < 1e-9
+    assert float(compute_l_mag(tone(200.0), silence)) > 100.0
+    assert float(compute_l_mag(tone(200.0), tone(200.0, 1.0))) < 1e-9
 
 
 def test_l_mag_refuses_other_windows_and_has_a_finite_gradient_at_silence():
     with pytest.raises(ValueError, match="1000"):
-        l_mag(torch.zeros(1, 500), torch.zeros(1, 500))
+        compute_l_mag(torch.zeros(1, 500), torch.zeros(1, 500))
     silent = torch.zeros(2, 1000, requires_grad=True)
-    l_mag(silent, torch.ones(2, 1000)).backward()
+    compute_l_mag(silent, torch.ones(2, 1000)).backward()
     assert torch.isfinite(silent.grad).all()
 
 
@@ -80,7 +80,10 @@ def test_evaluating_at_the_action_rate_is_evaluating_at_every_sample():
     network = FieldNetwork(SMALL, initial_parameters(SMALL, 3))
     rows = torch.arange(4)
     with torch.no_grad():
-        every, states = (predicted(network, segments(windows, TOKEN, UNKNOWN, SMALL, step), rows) for step in (1, 50))
+        every, states = (
+            predict_windows(network, build_window_batch(windows, TOKEN, UNKNOWN_MECHANICS, SMALL, step), rows)
+            for step in (1, 50)
+        )
     assert every.shape == (4, 1000)
     assert float((every - states).abs().max()) < 1e-2 * float(every.abs().max())
 
@@ -98,7 +101,7 @@ def test_windows_are_ten_in_a_row_and_spread_over_all_recordings():
 def test_literal_hnf_is_silent_under_a_smooth_stroke():
     """Trained on 4 s, judged on the same stroke: 30 dB below the texture between 20 and 1000 Hz."""
     recorded = texture(4.0)
-    fitted = LiteralHnf(SMALL, epochs=15).fit(Specimen("noise", (recorded,)), 0)
+    fitted = PublishedHnf(SMALL, epochs=15).fit(MaterialRecordings("noise", (recorded,)), 0)
     samples = fitted.render([recorded.action], 0)[0]
     assert len(samples) == len(recorded.samples)
     window = np.hanning(len(samples))

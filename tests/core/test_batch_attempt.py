@@ -16,14 +16,22 @@ from batch_builders import at_work, direct, half_written, order_for, pipe, proce
 
 from hnf_core.batch import attempt as attempt_module
 from hnf_core.batch import child, in_child
-from hnf_core.batch.attempt import RUN_NAME, UNREADABLE_S, attempt, attempt_order, complaint, judged, may_go_on
-from hnf_core.batch.child import Ended
-from hnf_core.batch.inputs import version
+from hnf_core.batch.attempt import (
+    MAX_UNREADABLE_S,
+    RUN_FILE_NAME,
+    explain_unsuitable_worker,
+    make_continue_check,
+    run_attempt,
+    run_request,
+    summarise_outcome,
+)
+from hnf_core.batch.child import CommandResult
+from hnf_core.batch.inputs import compute_version
 from hnf_core.batch.job import Job
-from hnf_core.batch.order import Order, Outcome, State, encode, outcome_from
+from hnf_core.batch.order import Outcome, Request, State, encode_message, parse_outcome
 from hnf_core.batch.plan import make_plan
-from hnf_core.batch.record import Record, found_by, holds, outputs_in, read_record, write_record
-from hnf_core.batch.workplace import Marker, begin_with, is_dead, part_folder, publish, sweep
+from hnf_core.batch.record import JobRecord, hash_outputs, hash_referenced_files, is_fresh, read_record, write_record
+from hnf_core.batch.workplace import StagingMarker, clean_up, is_abandoned, make_staging_folder, publish, reuse_files
 from hnf_core.errors import FileError
 
 if sys.platform == "win32":
@@ -35,18 +43,18 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "out"
 
 
-def run(order: Order) -> Outcome:
-    return outcome_from(attempt(encode(order)))
+def run(order: Request) -> Outcome:
+    return parse_outcome(run_attempt(encode_message(order)))
 
 
 def fake(monkeypatch: pytest.MonkeyPatch, code: int | None, writes: str = "x") -> list[tuple[str, ...]]:
     """Commands end with that code and write a file of that text; those that ran are listed."""
     ran: list[tuple[str, ...]] = []
 
-    def run_child(words: tuple[str, ...], *_others: object) -> Ended:
+    def run_child(words: tuple[str, ...], *_others: object) -> CommandResult:
         ran.append(tuple(words))
         Path(words[-1]).write_text(writes)
-        return Ended(code, 0.1, (), ("hnf: no.",))
+        return CommandResult(code, 0.1, (), ("hnf: no.",))
 
     monkeypatch.setattr(attempt_module, "run_child", run_child)
     return ran
@@ -115,7 +123,7 @@ def test_a_failure_costs_no_result_and_a_success_clears_it(folder: Path, monkeyp
     ],
 )
 def test_an_end_is_judged_by_its_code(code: int | None, state: State, words: str) -> None:
-    found, why = judged(Ended(code, 0.1, (), ("first", "hnf: no such scene", "")))
+    found, why = summarise_outcome(CommandResult(code, 0.1, (), ("first", "hnf: no such scene", "")))
     assert found is state
     assert words in why
 
@@ -128,7 +136,7 @@ def test_accidents_are_counted_and_only_the_last_one_leaves_a_folder(
     while True:
         outcome = run(order)
         states.append(((folder / "a.failed").exists(), len(outcome.earlier)))
-        if not order.is_tried_again(outcome):
+        if not order.should_retry(outcome):
             break
         order = replace(order, earlier=(*outcome.earlier, outcome.why))
     assert states == [(False, 0), (False, 1), (True, 2)]
@@ -142,16 +150,16 @@ def test_an_exception_in_the_command_is_an_accident_and_a_refusal_is_not(
     refused = run(order_for(folder, "a", synth(tmp_path / "absent.csv")))
     assert refused.state is State.FAILED
     assert "absent.csv" in refused.why
-    monkeypatch.setattr(in_child, "leave_with_parent", lambda: None)
+    monkeypatch.setattr(in_child, "exit_with_parent", lambda: None)
     monkeypatch.setattr(in_child, "PROGRAM", "no_such_program")
     code = in_child.main([])
     assert "ModuleNotFoundError" in capsys.readouterr().err
-    assert judged(Ended(code, 0.1, (), ()))[0] is State.ACCIDENT
+    assert summarise_outcome(CommandResult(code, 0.1, (), ()))[0] is State.ACCIDENT
 
 
-def left_by(folder: Path, order: Order, finished: bool = False) -> Path:
+def left_by(folder: Path, order: Request, finished: bool = False) -> Path:
     """A part folder as a killed worker leaves it: no clean-up has run."""
-    with part_folder(folder, order.name, Marker(order.run, "other:1", ())) as (part, _):
+    with make_staging_folder(folder, order.name, StagingMarker(order.run, "other:1", ())) as (part, _):
         (part / "cache").mkdir()
         (part / "cache" / "closeup.npz").write_bytes(b"seen")
         (part / "w.checkpoint").write_bytes(b"trained")
@@ -164,9 +172,9 @@ def left_by(folder: Path, order: Order, finished: bool = False) -> Path:
     return part
 
 
-def record_of(order: Order, part: Path) -> Record:
-    return Record(
-        order.name, order.words, order.key, order.version, order.inputs, {}, outputs_in(part), 0, 1.0, 1, "w", (), ()
+def record_of(order: Request, part: Path) -> JobRecord:
+    return JobRecord(
+        order.name, order.words, order.key, order.version, order.inputs, {}, hash_outputs(part), 0, 1.0, 1, "w", (), ()
     )
 
 
@@ -190,7 +198,7 @@ def test_lost_workers_are_not_asked_for_ever(folder: Path, monkeypatch: pytest.M
     ran = fake(monkeypatch, 0)
     outcome = run(order)
     assert (outcome.state, outcome.why) == (State.ACCIDENT, "its worker other:1 was lost")
-    assert not order.is_tried_again(outcome)
+    assert not order.should_retry(outcome)
     assert ran == []
     again = order_for(folder, "a", ["synth"], run="the next batch", retries=0)
     assert run(again).state is State.DONE  # another batch's losses are not counted
@@ -233,18 +241,18 @@ def test_a_renaming_that_fails_costs_neither_the_earlier_result_nor_the_new_one(
         assert (outcome.state, "Input/output error" in outcome.why) == (State.ACCIDENT, True)
         assert (folder / "a").exists() is (refused == "once")
     commands = len(ran)
-    sweep(folder)
-    assert holds(read_record(folder / "a"), old.key, folder / "a")
+    clean_up(folder)
+    assert is_fresh(read_record(folder / "a"), old.key, folder / "a")
     assert [path.suffix for path in half_written(folder)] == [".part"]
     outcome = run(new)
     assert (outcome.state, outcome.was_fresh, len(ran)) == (State.DONE, True, commands)
-    assert holds(read_record(folder / "a"), new.key, folder / "a")
+    assert is_fresh(read_record(folder / "a"), new.key, folder / "a")
     assert half_written(folder) == []
 
 
 def test_a_folder_that_cannot_be_read_for_a_while_stops_nothing(folder: Path) -> None:
-    now, said = 0.0, folder / RUN_NAME
-    look = may_go_on(order_for(folder, "a", ["synth"]), lambda: now)
+    now, said = 0.0, folder / RUN_FILE_NAME
+    look = make_continue_check(order_for(folder, "a", ["synth"]), lambda: now)
 
     def goes_on(at_s: float, text: str | None) -> bool:
         nonlocal now
@@ -252,10 +260,10 @@ def test_a_folder_that_cannot_be_read_for_a_while_stops_nothing(folder: Path) ->
         said.unlink(missing_ok=True) if text is None else said.write_text(text)
         return look()
 
-    last = 40.0 + UNREADABLE_S - 1.0
+    last = 40.0 + MAX_UNREADABLE_S - 1.0
     assert all([goes_on(40.0, "r"), goes_on(40.2, None), goes_on(last, None), goes_on(last + 0.2, "r")])
-    assert goes_on(last + UNREADABLE_S, None)
-    assert not goes_on(last + 0.2 + UNREADABLE_S, None)
+    assert goes_on(last + MAX_UNREADABLE_S, None)
+    assert not goes_on(last + 0.2 + MAX_UNREADABLE_S, None)
     assert goes_on(200.0, "r")
     assert not goes_on(200.2, "")
     assert not goes_on(200.4, "another")
@@ -265,15 +273,15 @@ def test_a_stopped_attempt_leaves_nothing_half_written(tmp_path: Path, folder: P
     action = pipe(tmp_path / "a.pipe")
     order = order_for(folder, "a", synth(action))
     outcomes: list[Outcome] = []
-    thread = threading.Thread(target=lambda: outcomes.append(attempt_order(order)))
+    thread = threading.Thread(target=lambda: outcomes.append(run_request(order)))
     thread.start()
     until(at_work(folder, "a"), "the attempt")
     until(lambda: processes_with(str(action)), "its command")
-    (folder / RUN_NAME).write_text("")
+    (folder / RUN_FILE_NAME).write_text("")
     thread.join(20)
     assert [outcome.state for outcome in outcomes] == [State.STOPPED]
     assert processes_with(str(action)) == []
-    assert sorted(path.name for path in folder.iterdir()) == [RUN_NAME]
+    assert sorted(path.name for path in folder.iterdir()) == [RUN_FILE_NAME]
 
 
 def test_a_command_ends_with_its_worker(tmp_path: Path, folder: Path) -> None:
@@ -283,47 +291,53 @@ def test_a_command_ends_with_its_worker(tmp_path: Path, folder: Path) -> None:
     worker = os.fork()
     if worker == 0:
         try:
-            attempt(encode(order))
+            run_attempt(encode_message(order))
         finally:
             os._exit(0)
     marker = until(at_work(folder, "a"), "the attempt")
     assert marker.worker.endswith(f":{worker}")
     until(lambda: processes_with(str(action)), "its command")
     (part,) = half_written(folder)
-    assert not is_dead(part, 0.0)
+    assert not is_abandoned(part, 0.0)
     os.kill(worker, signal.SIGKILL)
     os.waitpid(worker, 0)
     until(lambda: not processes_with(str(action)), "the end of the command")
-    until(lambda: is_dead(part, 0.0), "the end of its lock: a dying process has no command line before its files close")
-    assert sweep(folder) == []
+    until(
+        lambda: is_abandoned(part, 0.0),
+        "the end of its lock: a dying process has no command line before its files close",
+    )
+    assert clean_up(folder) == []
     assert half_written(folder) == []
 
 
 def test_a_worker_says_what_it_cannot_see(folder: Path, tmp_path: Path) -> None:
     action = table(tmp_path / "a.csv")
     order = order_for(folder, "a", synth(action), action)
-    assert complaint(str(folder), "r", version(), [str(action)]) == ""
-    assert "absent" in complaint(str(folder), "r", version(), [str(tmp_path / "absent")])
-    assert "shared file system" in complaint(str(tmp_path / "elsewhere"), "r", version(), [])
-    assert "same version" in complaint(str(folder), "r", "0.0", [])
+    assert explain_unsuitable_worker(str(folder), "r", compute_version(), [str(action)]) == ""
+    assert "absent" in explain_unsuitable_worker(str(folder), "r", compute_version(), [str(tmp_path / "absent")])
+    assert "shared file system" in explain_unsuitable_worker(str(tmp_path / "elsewhere"), "r", compute_version(), [])
+    assert "same version" in explain_unsuitable_worker(str(folder), "r", "0.0", [])
     action.unlink()
     outcome = run(order)
     assert outcome.state is State.UNSEEN
     assert str(action) in outcome.why
     assert run(replace(order, run="an older batch")).state is State.STOPPED
-    assert not order.is_tried_again(outcome)
+    assert not order.should_retry(outcome)
 
 
 def test_only_what_a_batch_made_is_replaced(folder: Path) -> None:
     order = order_for(folder, "a", ["synth"])
-    order.place.mkdir()
-    (order.place / "mine").touch()
-    with part_folder(folder, "a", Marker("r", "w", ())) as (part, _), pytest.raises(FileError, match="not made by"):
-        publish(part, order.place)
+    order.result_folder.mkdir()
+    (order.result_folder / "mine").touch()
+    with (
+        make_staging_folder(folder, "a", StagingMarker("r", "w", ())) as (part, _),
+        pytest.raises(FileError, match="not made by"),
+    ):
+        publish(part, order.result_folder)
     with pytest.raises(FileError, match="not made by"):
         make_plan([Job("a", ("synth",), "x.wav")], {"a": ()}, folder, folder, "r", 2)
-    assert (order.place / "mine").exists()
-    with part_folder(folder, "b", Marker("r", "w", ())) as (part, _):
+    assert (order.result_folder / "mine").exists()
+    with make_staging_folder(folder, "b", StagingMarker("r", "w", ())) as (part, _):
         (part / ".attempt").unlink()  # another attempt has taken over
         with pytest.raises(FileError):
             publish(part, folder / "b")
@@ -332,9 +346,9 @@ def test_only_what_a_batch_made_is_replaced(folder: Path) -> None:
 
 MODES = """import sys
 from pathlib import Path
-from hnf_core.batch.workplace import Marker, part_folder
+from hnf_core.batch.workplace import StagingMarker, make_staging_folder
 from hnf_core.files import write_text
-with part_folder(Path(sys.argv[1]), "a", Marker("r", "w", ())) as (part, _):
+with make_staging_folder(Path(sys.argv[1]), "a", StagingMarker("r", "w", ())) as (part, _):
     write_text(part / "new", "")
     write_text(Path(sys.argv[1], "old"), "")
     print(*(oct(path.stat().st_mode & 0o777) for path in (part, part / "new", Path(sys.argv[1], "old"))))
@@ -354,17 +368,19 @@ def test_files_that_a_scene_refers_to_are_inputs_too(folder: Path, tmp_path: Pat
     picture.write_bytes(b"1")
     os.utime(picture, (1e9, 1e9))
     order = order_for(folder, "a", ["touch", "cup.blend"])
-    order.place.mkdir()
-    (order.place / "report.json").write_text(json.dumps({"files": [str(picture), str(tmp_path / "absent"), 3]}))
-    found = found_by(order.place, since=2e9)
+    order.result_folder.mkdir()
+    (order.result_folder / "report.json").write_text(json.dumps({"files": [str(picture), str(tmp_path / "absent"), 3]}))
+    found = hash_referenced_files(order.result_folder, since=2e9)
     assert list(found) == [str(picture)]
-    record = replace(record_of(order, order.place), found=found)
-    write_record(order.place, record)
-    assert read_record(order.place) == record
-    assert holds(record, order.key, order.place)
+    record = replace(record_of(order, order.result_folder), found=found)
+    write_record(order.result_folder, record)
+    assert read_record(order.result_folder) == record
+    assert is_fresh(record, order.key, order.result_folder)
     picture.write_bytes(b"2")
-    assert not holds(record, order.key, order.place)
-    assert found_by(order.place, since=1e9) == {str(picture): ""}  # it changed while it was read: never fresh
+    assert not is_fresh(record, order.key, order.result_folder)
+    assert hash_referenced_files(order.result_folder, since=1e9) == {
+        str(picture): ""
+    }  # it changed while it was read: never fresh
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": "hnf-batch-1"}', '{"schema": 2}', "\0", "[" * 10_000])
@@ -379,8 +395,8 @@ def test_what_is_begun_with_is_not_written_into(tmp_path: Path) -> None:
         each.mkdir(parents=True)
     (source / "cache" / "c.npz").write_bytes(b"1")
     (source / "x.wav").write_bytes(b"2")
-    begin_with(source, part)
-    begin_with(source, part)
+    reuse_files(source, part)
+    reuse_files(source, part)
     assert [path.relative_to(part).as_posix() for path in part.rglob("*") if path.is_file()] == ["cache/c.npz"]
 
 

@@ -208,7 +208,7 @@ def test_a_scheduler_that_is_not_there_and_workers_that_see_nothing_are_told(
     monkeypatch.setattr("hnf_core.batch.cluster.CONNECT_S", 0.5)
     assert batch(*words, "--scheduler", "tcp://127.0.0.1:9") == 1
     assert "no scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
-    monkeypatch.setattr("hnf_core.batch.run.version", lambda: "0.0")
+    monkeypatch.setattr("hnf_core.batch.run.compute_version", lambda: "0.0")
     assert batch(*words, "--scheduler", scheduler) == 1
     assert "Install the same version there" in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "out").iterdir()] == [".hnf-batch"]

@@ -16,11 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hnf_core.batch import inputs
-from hnf_core.batch.expand import combined_jobs, scene_jobs
-from hnf_core.batch.inputs import digest, named_files
-from hnf_core.batch.job import FAILED_SUFFIX, folder_name, job_from, refuse_twins
-from hnf_core.batch.jobs_file import jobs_of, read_jobs
-from hnf_core.batch.order import Order, Outcome, State, encode, order_from, outcome_from
+from hnf_core.batch.expand import make_combined_jobs, make_scene_jobs
+from hnf_core.batch.inputs import compute_digest, find_named_files
+from hnf_core.batch.job import FAILED_SUFFIX, make_folder_name, make_job, reject_duplicates
+from hnf_core.batch.jobs_file import parse_jobs, read_jobs
+from hnf_core.batch.order import Outcome, Request, State, encode_message, parse_outcome, parse_request
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, UsageError
 from hnf_core.kernel import library
@@ -54,14 +54,14 @@ def test_both_forms_of_a_file_say_the_same(tmp_path: Path) -> None:
 @given(ANYTHING)
 def test_whatever_a_file_holds_it_is_refused_in_words_or_taken(record: object) -> None:
     with pytest.raises((ValueError, UsageError)) as refused:
-        jobs_of(record)
+        parse_jobs(record)
     assert str(refused.value)
 
 
 @given(st.sampled_from(["name", "command", "inputs", "retries"]), ANYTHING)
 def test_a_bad_field_is_refused_with_the_place_of_its_job(field: str, value: object) -> None:
     try:
-        said = f"{len(jobs_of(one(**{field: value})))} taken"
+        said = f"{len(parse_jobs(one(**{field: value})))} taken"
     except ValueError as refused:
         said = str(refused)
     assert said.startswith("job 1") or (said == "1 taken" and field != "retries")
@@ -99,7 +99,7 @@ def test_the_error_says_what_is_wrong(record: object, words: str, tmp_path: Path
 @given(st.text(alphabet="ab./\\~:-\0 ", max_size=10))
 def test_no_out_leaves_the_folder_of_its_job(out: str) -> None:
     try:
-        job = job_from("a", ["synth", "--out", out])
+        job = make_job("a", ["synth", "--out", out])
     except UsageError:
         return
     parts = PurePosixPath(job.out).parts
@@ -110,11 +110,11 @@ def test_no_out_leaves_the_folder_of_its_job(out: str) -> None:
 
 @given(st.text(max_size=30))
 def test_a_name_is_one_folder(text: str) -> None:
-    for name in (text, folder_name(text)):
+    for name in (text, make_folder_name(text)):
         try:
-            job = job_from(name, SYNTH.split())
+            job = make_job(name, SYNTH.split())
         except UsageError:
-            assert name != folder_name(text) or not name
+            assert name != make_folder_name(text) or not name
         else:
             assert (Path("/x") / job.name).parent == Path("/x")
             assert not job.name.startswith(".")
@@ -124,7 +124,7 @@ def test_a_name_is_one_folder(text: str) -> None:
 @given(st.dictionaries(st.sampled_from(["--material", "--stroke", "--seed"]), st.sets(st.integers(0, 9), max_size=3)))
 def test_a_job_for_each_combination_and_a_folder_for_each_job(values: dict[str, set[int]]) -> None:
     varied = {option: [str(value) for value in sorted(chosen)] for option, chosen in values.items()}
-    jobs = combined_jobs(["synth"], varied, ["--rate", "8000"], ".wav")
+    jobs = make_combined_jobs(["synth"], varied, ["--rate", "8000"], ".wav")
     assert len(jobs) == math.prod(len(each) for each in varied.values() if each)
     assert len({job.name for job in jobs}) == len(jobs)
     told = {tuple(word for word in job.words[1:-2] if not word.startswith("-")) for job in jobs}
@@ -133,30 +133,30 @@ def test_a_job_for_each_combination_and_a_folder_for_each_job(values: dict[str, 
 
 
 def test_scenes_of_one_name_are_refused_not_mixed() -> None:
-    jobs = scene_jobs(["a/cup.blend", "b/bowl.gltf"], ["--scale", "0.01"])
+    jobs = make_scene_jobs(["a/cup.blend", "b/bowl.gltf"], ["--scale", "0.01"])
     assert [(job.name, job.out) for job in jobs] == [("cup", "."), ("bowl", ".")]
     assert jobs[0].words == ("touch", "a/cup.blend", "--scale", "0.01")
     with pytest.raises(UsageError, match="one folder"):
-        scene_jobs(["a/cup.blend", "b/Cup.gltf"], [])
+        make_scene_jobs(["a/cup.blend", "b/Cup.gltf"], [])
     with pytest.raises(UsageError, match="no scene"):
-        scene_jobs([], ["--scale", "0.01"])
+        make_scene_jobs([], ["--scale", "0.01"])
     with pytest.raises(UsageError, match="one folder"):
-        refuse_twins([job_from("\u212b", SYNTH.split()), job_from("\u00e5", SYNTH.split())])
+        reject_duplicates([make_job("\u212b", SYNTH.split()), make_job("\u00e5", SYNTH.split())])
 
 
 @given(st.builds(Outcome, st.text(), st.sampled_from(State), st.text(), st.floats(0, 1e9), TEXTS))
 def test_an_outcome_crosses_the_wire(outcome: Outcome) -> None:
-    assert outcome_from(encode(outcome)) == outcome
+    assert parse_outcome(encode_message(outcome)) == outcome
 
 
 @given(
     st.builds(
-        Order, st.text(), TEXTS, st.text(), st.dictionaries(st.text(), st.text(), max_size=3), st.text(), st.text(),
+        Request, st.text(), TEXTS, st.text(), st.dictionaries(st.text(), st.text(), max_size=3), st.text(), st.text(),
         st.text(), st.text(), st.integers(0, 9), TEXTS,
     )
 )  # fmt: skip
-def test_an_order_crosses_the_wire_and_keeps_its_key(order: Order) -> None:
-    again = order_from(encode(order))
+def test_an_order_crosses_the_wire_and_keeps_its_key(order: Request) -> None:
+    again = parse_request(encode_message(order))
     assert again == order
     assert again.key == order.key == replace(order, run="another", earlier=("lost",)).key
     changed = [replace(order, version=order.version + "1"), replace(order, words=(*order.words, "x"))]
@@ -166,7 +166,7 @@ def test_an_order_crosses_the_wire_and_keeps_its_key(order: Order) -> None:
 
 @given(ANYTHING | ANYTHING.map(lambda value: json.dumps(value)))
 def test_what_is_no_message_is_refused(sent: object) -> None:
-    for read in (order_from, outcome_from):
+    for read in (parse_request, parse_outcome):
         with pytest.raises(FileError, match="same version"):
             read(sent)  # type: ignore[operator]
 
@@ -176,16 +176,16 @@ def test_a_digest_follows_content_and_a_folders_listing(tmp_path: Path) -> None:
     folder.mkdir()
     file.write_bytes(b"1")
     shutil.copy(file, folder / "c")
-    seen = [digest(file), digest(folder), digest(tmp_path / "none")]
+    seen = [compute_digest(file), compute_digest(folder), compute_digest(tmp_path / "none")]
     assert seen[2] == ""
-    assert digest(shutil.copy(file, tmp_path / "d")) == seen[0]
+    assert compute_digest(shutil.copy(file, tmp_path / "d")) == seen[0]
     file.write_bytes(b"2")
     (folder / "e").touch()
-    assert digest(file) != seen[0]
-    assert digest(folder) != seen[1]
-    found = named_files(["a", ["b", ("none", None, 3)], tmp_path / "a", "x\0", "y" * 5000], tmp_path)
+    assert compute_digest(file) != seen[0]
+    assert compute_digest(folder) != seen[1]
+    found = find_named_files(["a", ["b", ("none", None, 3)], tmp_path / "a", "x\0", "y" * 5000], tmp_path)
     assert found == (str(file), str(folder))
-    assert named_files(["a", "b"], tmp_path, own=folder) == (str(file),)
+    assert find_named_files(["a", "b"], tmp_path, results_folder=folder) == (str(file),)
 
 
 def test_the_version_follows_the_code_the_data_and_the_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -195,11 +195,11 @@ def test_the_version_follows_the_code_the_data_and_the_kernel(tmp_path: Path, mo
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("1")
     monkeypatch.setattr(inputs, "PACKAGES", (core, guest, tmp_path / "absent"))
-    monkeypatch.setattr(inputs, "DATA", core / "data")
+    monkeypatch.setattr(inputs, "DATA_FOLDER", core / "data")
 
     def version() -> str:
-        inputs.version.cache_clear()
-        return inputs.version()
+        inputs.compute_version.cache_clear()
+        return inputs.compute_version()
 
     try:
         first = version()
@@ -214,21 +214,21 @@ def test_the_version_follows_the_code_the_data_and_the_kernel(tmp_path: Path, mo
             seen.append(version())
         (core / "field" / "a.py").rename(core / "field" / "c.py")
         seen.append(version())
-        monkeypatch.setattr(library, "build_id", lambda: "another")
+        monkeypatch.setattr(library, "get_build_id", lambda: "another")
         seen.append(version())
         assert len(set(seen)) == len(seen)
     finally:
-        inputs.version.cache_clear()
+        inputs.compute_version.cache_clear()
 
 
 def test_the_version_of_the_program_itself_counts_its_own_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    read, content = [], inputs._content
-    monkeypatch.setattr(inputs, "_content", lambda path: (read.append(path), content(path))[1])
-    inputs.version.cache_clear()
-    first = inputs.version()
-    assert {Path(inputs.__file__), inputs.DATA / "library.json"} <= set(read)
+    read, content = [], inputs._hash_content
+    monkeypatch.setattr(inputs, "_hash_content", lambda path: (read.append(path), content(path))[1])
+    inputs.compute_version.cache_clear()
+    first = inputs.compute_version()
+    assert {Path(inputs.__file__), inputs.DATA_FOLDER / "library.json"} <= set(read)
     count = len(read)
-    assert inputs.version() == first
+    assert inputs.compute_version() == first
     assert len(read) == count  # once a process
 
 

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from hnf_core.bench import synth
-from hnf_core.bench.catalogue import BENCHES
-from hnf_core.bench.frame import Bench, Options, Row, Spread, Times, peak_mb
-from hnf_core.bench.machine import machine
-from hnf_core.bench.scale import scrape
-from hnf_core.bench.synth import ten_seconds
-from hnf_core.bench.synth_ar import autoregressive, made_up_texture
-from hnf_core.bench.table import duration, markdown
+from hnf_core.bench.catalogue import CORE_BENCHES
+from hnf_core.bench.frame import Bench, BenchOptions, Row, Spread, Times, measure_peak_mb
+from hnf_core.bench.machine import describe_machine
+from hnf_core.bench.scale import make_scrape
+from hnf_core.bench.synth import make_keyed_stroke
+from hnf_core.bench.synth_ar import make_texture_model, synthesise_autoregressive
+from hnf_core.bench.table import format_duration, format_rows
 from hnf_core.cli.main import build_parser, main
 from hnf_core.field import network
 from hnf_core.field.field import evaluate
-from hnf_core.field.prepared import prepare
+from hnf_core.field.prepared import prepare_stroke
 from hnf_core.field.weights import load_field
 
-SPREAD = Spread.of([0.3, 0.1, 0.2])
+SPREAD = Spread.from_values([0.3, 0.1, 0.2])
 
 
 def hnf(*words: str) -> int:
@@ -33,7 +33,7 @@ def hnf(*words: str) -> int:
 def test_a_spread_is_of_what_was_measured():
     assert (SPREAD.median, SPREAD.lowest, SPREAD.highest, SPREAD.count) == (0.2, 0.1, 0.3, 3)
     assert SPREAD.median <= SPREAD.p99 <= SPREAD.highest
-    assert Spread.of([7.0]) == Spread(7.0, 7.0, 7.0, 7.0, 1)
+    assert Spread.from_values([7.0]) == Spread(7.0, 7.0, 7.0, 7.0, 1)
 
 
 def test_a_row_as_json_has_medians_and_the_spread_beside():
@@ -52,7 +52,7 @@ def test_the_table_has_a_cell_for_every_column_and_names_the_machine():
         Row("b", "slow", cpu=SPREAD, peak_mb=1.0),
         Row("b", "fast", SPREAD, ratio=SPREAD, ratio_to="slow", error=0.0, error_unit="m/s²"),
     ]
-    text = markdown(rows, {"processor": "P", "cores": "2"})
+    text = format_rows(rows, {"processor": "P", "cores": "2"})
     lines = text.splitlines()
     assert {line.count("|") for line in lines[:4]} == {13}
     assert lines[2] == "| b | slow |  |  |  | 200 ms | 300 ms | 3 |  |  | 1.0 |  |"
@@ -64,8 +64,8 @@ def test_the_table_has_a_cell_for_every_column_and_names_the_machine():
 def test_a_real_time_factor_has_a_column_only_where_a_row_has_one_and_errors_in_db_a_name():
     plain = Row("b", "slow", SPREAD, error=1e-3, error_unit="m/s²")
     paced = Row("b", "fast", SPREAD, error=-47.5, error_unit="dB", realtime_factor=123.4)
-    assert "× real time" not in markdown([plain], {})
-    lines = markdown([plain, paced], {}).splitlines()
+    assert "× real time" not in format_rows([plain], {})
+    lines = format_rows([plain, paced], {}).splitlines()
     assert {line.count("|") for line in lines[:4]} == {14}
     at = lines[0].split("|").index(" × real time ")
     assert [line.split("|")[at].strip() for line in lines[2:4]] == ["", "123"]
@@ -77,28 +77,28 @@ def test_a_real_time_factor_has_a_column_only_where_a_row_has_one_and_errors_in_
     ("seconds", "words"), [(12.34, "12.3 s"), (1.0, "1 s"), (0.0123, "12.3 ms"), (4.5e-6, "4.5 µs"), (0.0, "0 µs")]
 )
 def test_durations_have_three_digits(seconds, words):
-    assert duration(seconds) == words
+    assert format_duration(seconds) == words
 
 
 def test_what_is_timed_gives_its_result_and_what_is_held_is_counted():
     times, others = Times(), Times()
-    assert [times.take(lambda: sum(range(10_000))) for _ in range(2)] == [49_995_000] * 2
+    assert [times.measure(lambda: sum(range(10_000))) for _ in range(2)] == [49_995_000] * 2
     with pytest.raises(ZeroDivisionError):
-        others.take(lambda: 1 / 0)
-    others.take(lambda: sum(range(10_000)))
-    assert (times.seconds.count, times.cpu.count, times.ratio(others).count) == (2, 2, 2)
+        others.measure(lambda: 1 / 0)
+    others.measure(lambda: sum(range(10_000)))
+    assert (times.seconds.count, times.cpu.count, times.compute_ratio(others).count) == (2, 2, 2)
     assert 0.0 < times.cpu.lowest <= times.seconds.highest
     told = Times(iter([1.0, 4.0]).__next__)
-    told.take(lambda: None)
+    told.measure(lambda: None)
     assert told.cpu.median == 3.0
     noted = Times()
-    noted.note(2.0)
+    noted.add_wall_time(2.0)
     assert (noted.seconds.median, noted.cpu) == (2.0, None)
-    assert 8.0 < peak_mb(lambda: bytearray(10_000_000)) < 12.0
+    assert 8.0 < measure_peak_mb(lambda: bytearray(10_000_000)) < 12.0
 
 
 def test_the_machine_is_described():
-    facts = machine()
+    facts = describe_machine()
     assert {"processor", "cores", "system", "python", "hnf", "numpy"} <= facts.keys()
     assert all(facts.values())
 
@@ -106,8 +106,8 @@ def test_the_machine_is_described():
 def test_what_computed_is_named_with_its_version_and_what_did_not_is_not():
     """bfloat16 is torch's work; pictures and rays have packages of their own. In a process that has loaded none yet."""
     code = (
-        "import json; from hnf_core.bench.machine import machine; before = machine();"
-        "import torch, scipy, OpenEXR, embreex; print(json.dumps([before, machine()]))"
+        "import json; from hnf_core.bench.machine import describe_machine; before = describe_machine();"
+        "import torch, scipy, OpenEXR, embreex; print(json.dumps([before, describe_machine()]))"
     )
     for name in ("torch", "scipy", "OpenEXR", "embreex"):
         pytest.importorskip(name)
@@ -119,8 +119,8 @@ def test_what_computed_is_named_with_its_version_and_what_did_not_is_not():
 
 
 def test_a_changed_key_gives_the_very_samples_of_all_anew():
-    (bench,) = (bench for bench in BENCHES if bench.name == "preview")
-    whole, part = bench.rows(Options(repeats=2, quick=True))
+    (bench,) = (bench for bench in CORE_BENCHES if bench.name == "preview")
+    whole, part = bench.measure(BenchOptions(repeats=2, quick=True))
     assert part.ratio_to == whole.method
     assert (part.error, part.error_unit) == (0.0, "m/s²")
     assert part.seconds.count == whole.seconds.count == part.ratio.count == 2
@@ -139,7 +139,7 @@ def test_one_bench_as_a_list_of_objects(capsys):
 def test_an_unknown_bench_lists_those_there_are(capsys):
     assert hnf("speed") == 2
     said = capsys.readouterr().err
-    assert all(bench.name in said and bench.what in said for bench in BENCHES)
+    assert all(bench.name in said and bench.description in said for bench in CORE_BENCHES)
 
 
 def test_no_repeats_is_no_measurement(capsys):
@@ -158,7 +158,7 @@ def test_all_that_are_asked_for_run_in_order(capsys):
     seen = []
 
     def rows_of(name: str):
-        def rows(options: Options) -> list[Row]:
+        def rows(options: BenchOptions) -> list[Row]:
             seen.append((name, options.repeats, options.quick))
             return [Row(name, "it", SPREAD)]
 
@@ -212,13 +212,16 @@ def test_layers_in_bfloat16_are_nearly_those_in_float32():
 
     field = load_field()
     x = np.random.default_rng(0).standard_normal((5, field.parameters["layer0.weight"].shape[1])).astype(np.float32)
-    plain = network.heads(field.parameters, field.config.layers, x)
-    for exact, found in zip(plain, narrow.heads(field.parameters, field.config.layers, x), strict=True):
+    plain = network.run_network(field.parameters, field.config.layers, x)
+    for exact, found in zip(
+        plain, narrow.evaluate_heads_bfloat16(field.parameters, field.config.layers, x), strict=True
+    ):
         assert found.dtype == np.float32
         off = np.sqrt(np.mean(np.square(found - exact)) / np.mean(np.square(exact)))
         assert 1e-5 < off < 2e-2
     exact, found = (
-        prepare(field, scrape(1.0), seed=0, emission=each).amplitude for each in (evaluate, evaluate_in_bfloat16)
+        prepare_stroke(field, make_scrape(1.0), seed=0, evaluator=each).amplitude
+        for each in (evaluate, evaluate_in_bfloat16)
     )
     off = np.sqrt(np.mean(np.square(found - exact)) / np.mean(np.square(exact)))
     assert 1e-5 < off < 5e-2
@@ -228,40 +231,40 @@ def test_ways_of_synthesis_take_turns_and_those_that_keep_carriers_find_their_ow
     """Three rounds of a cold and a warm one; forgetting is in no one's time, nor is what fills what is kept."""
     said, clock = [], iter(range(1000))
 
-    def method(name: str, cold: bool) -> synth.Method:
-        return synth.Method(name, lambda field, stroke, seed: said.append((name, seed)), cold)
+    def method(name: str, cold: bool) -> synth.SynthMethod:
+        return synth.SynthMethod(name, lambda field, stroke, seed: said.append((name, seed)), cold)
 
     class Noted(Times):
-        def take(self, function):
+        def measure(self, function):
             said.append("timed")
-            return super().take(function)
+            return super().measure(function)
 
-    monkeypatch.setattr(synth, "forget_carriers", lambda: said.append("forgotten"))
+    monkeypatch.setattr(synth, "clear_carrier_caches", lambda: said.append("forgotten"))
     monkeypatch.setattr(synth, "Times", lambda _: Noted(lambda: float(next(clock))))
-    times = synth._in_turn([method("cold", True), method("kept", False)], None, None, Options(repeats=3))
+    times = synth._time_in_turn([method("cold", True), method("kept", False)], None, None, BenchOptions(repeats=3))
     kept = ("kept", synth.SEED)
     assert said == [
         each
         for number in (1, 2, 3)
         for each in ("forgotten", "timed", ("cold", synth.SEED + number), "forgotten", kept, "timed", kept)
     ]
-    once, longer = times["kept"], times["kept"].times(20.0)
+    once, longer = times["kept"], times["kept"].scale(20.0)
     assert (longer.seconds.median, longer.cpu.median) == (20.0 * once.seconds.median, 20.0 * once.cpu.median)
-    assert times["kept"].ratio(times["cold"]) == Spread(1.0, 1.0, 1.0, 1.0, 3)
+    assert times["kept"].compute_ratio(times["cold"]) == Spread(1.0, 1.0, 1.0, 1.0, 3)
 
 
 def test_the_texture_of_the_rivals_loop_is_one_of_its_own_kind():
     """Stable filters, triangles that fill the plane, silence on the axes, and the same draw for the same seed."""
-    model, action = made_up_texture(), ten_seconds(1.0).action
+    model, action = make_texture_model(), make_keyed_stroke(1.0).action
     corner = np.stack([model.speeds / model.max_speed, model.forces / model.max_force], axis=1)[model.triangles]
     sides = corner[:, 1:] - corner[:, :1]
     assert 0.5 * np.abs(np.linalg.det(sides)).sum() == pytest.approx(1.0)
     assert np.all(np.diff(model.ar_lsf, axis=1, prepend=0.0, append=np.pi) > 0.0)
     assert not model.variances[model.speeds * model.forces == 0.0].any()
-    samples = autoregressive(action, 1)
+    samples = synthesise_autoregressive(action, 1)
     assert samples.shape == (10_000,)
     assert np.std(samples) > 1e-3
-    np.testing.assert_array_equal(samples, autoregressive(action, 1))
+    np.testing.assert_array_equal(samples, synthesise_autoregressive(action, 1))
 
 
 def test_maps_have_an_error_beside_narrower_numbers(capsys):
@@ -290,11 +293,11 @@ def test_splats_have_a_picture_beside_the_reference_and_crops_cost_less_work(cap
 
 
 def test_splats_are_measured_on_a_file_too_and_a_broken_one_is_refused(tmp_path, capsys):
-    from hnf_core.bench.splats import ball
+    from hnf_core.bench.splats import make_ball
     from hnf_core.scene.splats.inria import write_inria
 
     path = tmp_path / "ball.ply"
-    write_inria(path, ball(50))
+    write_inria(path, make_ball(50))
     assert hnf("splats", "--quick", "--repeats", "1", "--json", "--scene", str(path)) == 0
     assert sum("ball, 50 at" in row["method"] for row in json.loads(capsys.readouterr().out)) == 7
     path.write_bytes(path.read_bytes()[:-5])

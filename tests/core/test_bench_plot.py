@@ -10,14 +10,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hnf_core.bench.axes import decibel_axis, log_axis
-from hnf_core.bench.curves import curves, with_exponents
-from hnf_core.bench.exponent import exponent
-from hnf_core.bench.frame import Bench, Row, Size, Spread
-from hnf_core.bench.labels import MARK_PX, crosses, line_to, overlaps, place_labels
-from hnf_core.bench.pareto import Point, dominates, pareto, trades
-from hnf_core.bench.plot import drawn, write_plot
-from hnf_core.bench.table import duration, markdown
+from hnf_core.bench.axes import make_decibel_axis, make_log_axis
+from hnf_core.bench.curves import add_exponents, group_curves
+from hnf_core.bench.exponent import fit_exponent
+from hnf_core.bench.frame import Bench, CurvePosition, Row, Spread
+from hnf_core.bench.labels import MARK_PX, crosses_box, lay_out_labels, make_leader, overlaps_any
+from hnf_core.bench.pareto import Point, dominates, find_pareto_front, group_trade_offs
+from hnf_core.bench.plot import lay_out, write_plot
+from hnf_core.bench.table import format_duration, format_rows
 from hnf_core.cli.bench import run_benches
 from hnf_core.cli.main import build_parser, main
 from hnf_core.errors import UsageError
@@ -28,13 +28,13 @@ POINTS = st.lists(st.builds(Point, st.text("abc ", min_size=1, max_size=20), ERR
 
 
 def second(value: float) -> Spread:
-    return Spread.of([value])
+    return Spread.from_values([value])
 
 
 @given(POINTS)
 @example([Point("a", -40.0, 1.0), Point("b", -40.0, 1.0), Point("c", -40.0, 2.0)])
 def test_no_point_of_the_front_is_dominated_and_every_other_one_is(points):
-    front = pareto(points)
+    front = find_pareto_front(points)
     assert front
     assert not [point for point in front if any(dominates(other, point) for other in points)]
     left = [point for point in points if point not in front]
@@ -45,8 +45,8 @@ def test_no_point_of_the_front_is_dominated_and_every_other_one_is(points):
 @given(POINTS, st.randoms(use_true_random=False))
 def test_the_front_does_not_follow_the_order(points, random):
     shuffled = random.sample(points, len(points))
-    assert {(point.error, point.time) for point in pareto(shuffled)} == {
-        (point.error, point.time) for point in pareto(points)
+    assert {(point.error, point.time) for point in find_pareto_front(shuffled)} == {
+        (point.error, point.time) for point in find_pareto_front(points)
     }
 
 
@@ -57,13 +57,13 @@ def test_the_front_does_not_follow_the_order(points, random):
 def test_labels_lie_over_no_mark_and_no_other_label(anchors, letters):
     sizes = np.array([(7.0 * letters[k], 16.0) for k in range(len(anchors))])
     frame, line = (0.0, 0.0, 784.0, 1000.0), (0.0, 480.0, 784.0, 484.0)
-    placed = place_labels(np.array(anchors), sizes, frame, [line])
+    placed = lay_out_labels(np.array(anchors), sizes, frame, [line])
     if placed is None:
         return  # the panel grows then: see below
     boxes = placed.boxes
     marks = [(x - MARK_PX, y - MARK_PX, x + MARK_PX, y + MARK_PX) for x, y in anchors]
     for k, box in enumerate(boxes):
-        assert not overlaps(box, [*boxes[:k], *boxes[k + 1 :], *marks, line])
+        assert not overlaps_any(box, [*boxes[:k], *boxes[k + 1 :], *marks, line])
         assert (box[2] - box[0], box[3] - box[1]) == pytest.approx(tuple(sizes[k]))
         assert frame[0] <= box[0]
         assert box[2] <= frame[2]
@@ -75,12 +75,12 @@ def test_a_name_goes_where_its_line_runs_over_no_other_name():
     """Points close together, as the methods of synthesis are."""
     anchors = [(560, 60), (560, 175), (560, 284), (624, 145), (624, 277), (624, 280), (656, 308), (742, 368)]
     sizes = np.array([(150.0, 16.0)] * len(anchors))
-    placed = place_labels(np.array(anchors, dtype=float), sizes, (0.0, 0.0, 784.0, 500.0))
+    placed = lay_out_labels(np.array(anchors, dtype=float), sizes, (0.0, 0.0, 784.0, 500.0))
     assert placed is not None
     assert placed.crossed == 0
     for k, (anchor, box) in enumerate(zip(anchors, placed.boxes, strict=True)):
         for other in (*placed.boxes[:k], *placed.boxes[k + 1 :]):
-            assert not crosses(line_to(anchor, box), other)
+            assert not crosses_box(make_leader(anchor, box), other)
 
 
 @given(st.tuples(*[st.floats(-9.0, 9.0)] * 4))
@@ -90,23 +90,23 @@ def test_a_line_enters_a_box_where_one_of_its_points_does(ends):
     x, y = (line[0][axis] + share * (line[1][axis] - line[0][axis]) for axis in range(2))
     wide = ((x > box[0] - 0.01) & (x < box[2] + 0.01) & (y > box[1] - 0.01) & (y < box[3] + 0.01)).any()
     narrow = ((x > box[0] + 0.01) & (x < box[2] - 0.01) & (y > box[1] + 0.01) & (y < box[3] - 0.01)).any()
-    assert narrow <= crosses(line, box) <= wide
+    assert narrow <= crosses_box(line, box) <= wide
 
 
 @given(POINTS)
 def test_a_panel_grows_until_every_label_has_room(points):
     rows = [Row("b", each.method, second(each.time), error=each.error, error_unit="dB") for each in points]
-    (trade,) = trades(rows)
-    drawing = drawn(trade)
+    (trade,) = group_trade_offs(rows)
+    drawing = lay_out(trade)
     assert len(drawing.labels) == len(points) == len(trade.points)
-    assert all(not overlaps(box, drawing.labels[:k]) for k, box in enumerate(drawing.labels))
-    assert all(drawing.error.low < drawing.error.place(each.error) < drawing.error.high for each in points)
-    assert all(drawing.time.low < drawing.time.place(each.time) < drawing.time.high for each in points)
+    assert all(not overlaps_any(box, drawing.labels[:k]) for k, box in enumerate(drawing.labels))
+    assert all(drawing.error.low < drawing.error.to_position(each.error) < drawing.error.high for each in points)
+    assert all(drawing.time.low < drawing.time.to_position(each.time) < drawing.time.high for each in points)
 
 
 def test_too_many_names_for_one_panel_are_refused():
     with pytest.raises(UsageError, match="do not fit"):
-        drawn(trades([Row("b", "n" * 200, second(1.0), error=1.0)])[0])
+        lay_out(group_trade_offs([Row("b", "n" * 200, second(1.0), error=1.0)])[0])
 
 
 def test_each_panel_measures_time_as_most_of_its_rows_do():
@@ -121,16 +121,16 @@ def test_each_panel_measures_time_as_most_of_its_rows_do():
         Row("timeless", "x", error=1.0),
         Row("faultless", "x", second(1.0)),
     ]
-    synth, preview, pairs = trades(rows)
+    synth, preview, pairs = group_trade_offs(rows)
     assert [(point.method, point.time) for point in synth.points] == [("reference", 2.0), ("fast", 0.01)]
-    assert synth.left_out == 1
+    assert synth.omitted == 1
     assert [point.time for point in preview.points] == [1.0, 0.5]
     assert [(point.time, point.error) for point in pairs.points] == [(1.0, 0.0), (0.25, 0.1)]
 
 
 @given(st.floats(-2.0, 3.0), st.floats(1e-3, 1e3), st.lists(st.integers(1, 10**6), min_size=2, max_size=8, unique=True))
 def test_the_exponent_of_a_power_is_its_own(power, factor, sizes):
-    found = exponent(sizes, [factor * size**power for size in sizes])
+    found = fit_exponent(sizes, [factor * size**power for size in sizes])
     if sum(size >= max(sizes) / 100.0 for size in sizes) < 2:
         assert found is None
     else:
@@ -139,26 +139,26 @@ def test_the_exponent_of_a_power_is_its_own(power, factor, sizes):
 
 def test_the_exponent_is_of_the_upper_decades():
     sizes = (1, 10, 100, 1000, 10_000)
-    found = exponent(sizes, [5.0, 5.0, 5.0, 50.0, 500.0])
+    found = fit_exponent(sizes, [5.0, 5.0, 5.0, 50.0, 500.0])
     assert (found.median, found.count) == (pytest.approx(1.0), 3)
-    assert exponent([], []) is None
-    assert exponent([10.0, 10.0], [1.0, 2.0]) is None
+    assert fit_exponent([], []) is None
+    assert fit_exponent([10.0, 10.0], [1.0, 2.0]) is None
 
 
 def sized(count: float, time: float, line: str = "own meshes") -> Row:
-    size = Size("objects", line, count)
+    size = CurvePosition("objects", line, count)
     return Row("scale", f"{count}", cpu=second(time), size=size, work={"renders": 3, "rays": 4000})
 
 
 def test_the_largest_of_a_line_tells_its_exponent():
-    rows = with_exponents([
+    rows = add_exponents([
         sized(1, 1.0), sized(10, 10.0), sized(1, 2.0, "one mesh"), sized(10, 2.0, "one mesh"),
-        Row("scale", "not run", size=Size("objects", "own meshes", 100.0)),
+        Row("scale", "not run", size=CurvePosition("objects", "own meshes", 100.0)),
     ])  # fmt: skip
     assert [row.exponent and round(row.exponent.median, 9) for row in rows] == [None, 1.0, None, 0.0, None]
-    ((own, shared),) = (curve.lines for curve in curves(rows))
+    ((own, shared),) = (curve.lines for curve in group_curves(rows))
     assert ([point.count for point in own.points], own.exponent, shared.exponent) == ([1, 10], pytest.approx(1.0), 0.0)
-    text = markdown(rows, {})
+    text = format_rows(rows, {})
     assert "3 renders, 4,000 rays" in text
     assert "1.00 (1–1)" in text
     record = json.loads(json.dumps(rows[1].to_json()))
@@ -168,18 +168,18 @@ def test_the_largest_of_a_line_tells_its_exponent():
 
 @given(st.lists(st.floats(1e-9, 1e9) | st.just(0.0), min_size=1, max_size=9))
 def test_marks_of_an_axis_rise_and_lie_on_it(values):
-    axis = log_axis(values, duration)
-    places = [place for place, _ in axis.marks]
+    axis = make_log_axis(values, format_duration)
+    places = [place for place, _ in axis.ticks]
     assert places == sorted(set(places))
     assert all(axis.low <= place <= axis.high for place in places)
-    assert all(axis.low < axis.place(value) < axis.high for value in values)
-    assert (0.0 in values) == ("0" in [text for _, text in axis.marks])
+    assert all(axis.low < axis.to_position(value) < axis.high for value in values)
+    assert (0.0 in values) == ("0" in [text for _, text in axis.ticks])
 
 
 def test_an_exact_method_is_marked_in_decibels_too():
-    axis = decibel_axis([-math.inf, -60.0, -40.0])
-    assert axis.marks[0] == (axis.place(-math.inf), "−∞")
-    assert axis.place(-math.inf) < axis.place(-60.0) < axis.place(-40.0)
+    axis = make_decibel_axis([-math.inf, -60.0, -40.0])
+    assert axis.ticks[0] == (axis.to_position(-math.inf), "−∞")
+    assert axis.to_position(-math.inf) < axis.to_position(-60.0) < axis.to_position(-40.0)
 
 
 ROWS = [
@@ -217,13 +217,13 @@ def test_names_as_they_are_drawn_lie_over_each_other_nowhere(monkeypatch, tmp_pa
         boxes.extend(tuple(text.get_tightbbox(renderer).extents) for text in figure.axes[0].texts)
 
     # Without leaders: they end at the points, which is meant.
-    monkeypatch.setattr(plot, "LEADER", None)
+    monkeypatch.setattr(plot, "LEADER_STYLE", None)
     monkeypatch.setattr(plot, "write_figure", measure)
     names = ("float64 per sample", "float32, blocks of 4096", "table", "WWWWWWWWWWWW", "adaptive, 1e-3", "hops")
     rows = [Row("b", name, second(1.0 + 1e-3 * k), error=1e-3, error_unit="m") for k, name in enumerate(names)]
     write_plot(tmp_path / "x.png", rows)
     assert len(boxes) == len(names)
-    assert not [k for k, box in enumerate(boxes) if overlaps(box, boxes[:k])]
+    assert not [k for k, box in enumerate(boxes) if overlaps_any(box, boxes[:k])]
 
 
 def bench(tmp_path, *words: str) -> int:

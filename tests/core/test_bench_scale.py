@@ -5,16 +5,16 @@ from __future__ import annotations
 import pytest
 
 from hnf_core.bench import growth, scale
-from hnf_core.bench.catalogue import BENCHES
-from hnf_core.bench.frame import Options
-from hnf_core.bench.growth import Cost, Line, grown
-from hnf_core.bench.memory import available_mb, with_peak
+from hnf_core.bench.catalogue import CORE_BENCHES
+from hnf_core.bench.frame import BenchOptions
+from hnf_core.bench.growth import Cost, Sweep, run_sizes
+from hnf_core.bench.memory import read_available_mb, run_with_peak
 
-QUICK = Options(repeats=1, quick=True)
+QUICK = BenchOptions(repeats=1, quick=True)
 
 
-def line(measure, sizes=(1, 10, 100, 1000), most_s=5.0, prepare=lambda count: None) -> Line:
-    return Line("things", "one kind", sizes, measure, most_s, prepare)
+def line(measure, sizes=(1, 10, 100, 1000), most_s=5.0, prepare=lambda count: None) -> Sweep:
+    return Sweep("things", "one kind", sizes, measure, most_s, prepare)
 
 
 def test_a_size_that_would_take_too_long_is_not_begun_and_says_so():
@@ -24,7 +24,7 @@ def test_a_size_that_would_take_too_long_is_not_begun_and_says_so():
         begun.append(count)
         return Cost(0.01 * count, 0.01 * count, {"renders": count})
 
-    rows = grown("scale", line(measure), QUICK)
+    rows = run_sizes("scale", line(measure), QUICK)
     assert begun == [1, 10, 100]
     assert [row.size.count for row in rows] == [1, 10, 100, 1000]
     assert [row.seconds is None for row in rows] == [False, False, False, True]
@@ -34,9 +34,9 @@ def test_a_size_that_would_take_too_long_is_not_begun_and_says_so():
 
 def test_a_size_that_would_not_fit_into_memory_says_so(monkeypatch):
     peaks = iter([100.0, 1000.0])
-    monkeypatch.setattr(growth, "with_peak", lambda function: (function(), next(peaks)))
-    monkeypatch.setattr(growth, "available_mb", lambda: 8000.0)
-    rows = grown("scale", line(lambda count: Cost(1e-3, 1e-3, {}), sizes=(1, 10, 100)), QUICK)
+    monkeypatch.setattr(growth, "run_with_peak", lambda function: (function(), next(peaks)))
+    monkeypatch.setattr(growth, "read_available_mb", lambda: 8000.0)
+    rows = run_sizes("scale", line(lambda count: Cost(1e-3, 1e-3, {}), sizes=(1, 10, 100)), QUICK)
     assert [row.peak_mb for row in rows] == [100.0, 1000.0, None]
     assert "about 10.0 GB, and 8.0 GB are free" in rows[-1].note
 
@@ -48,14 +48,14 @@ def test_every_measurement_is_prepared_and_repeated():
         measured.append(count)
         return Cost(1e-3, 1e-3, {})
 
-    (row,) = grown("scale", line(measure, (5,), prepare=prepared.append), Options(repeats=3))
+    (row,) = run_sizes("scale", line(measure, (5,), prepare=prepared.append), BenchOptions(repeats=3))
     assert prepared == measured == [5, 5, 5]
     assert row.seconds.count == row.cpu.count == 3
 
 
 def test_the_peak_is_what_was_held_at_once():
-    free = available_mb()
-    held, peak = with_peak(lambda: len(bytearray(b"x") * 50_000_000))
+    free = read_available_mb()
+    held, peak = run_with_peak(lambda: len(bytearray(b"x") * 50_000_000))
     assert held == 50_000_000
     if free is None or peak is None:
         pytest.skip("this system does not tell what a process holds")
@@ -64,8 +64,8 @@ def test_the_peak_is_what_was_held_at_once():
 
 
 def test_signals_of_any_length_count_their_samples_and_states():
-    (bench,) = (bench for bench in BENCHES if bench.name == "scale")
-    rows = bench.rows(QUICK)
+    (bench,) = (bench for bench in CORE_BENCHES if bench.name == "scale")
+    rows = bench.measure(QUICK)
     assert {row.size.line for row in rows} == {"in one piece", "in portions", "in portions, 10 s in contact"}
     for row in rows:
         assert row.work["samples"] == 10_000 * row.size.count
@@ -74,6 +74,6 @@ def test_signals_of_any_length_count_their_samples_and_states():
 
 
 def test_contact_that_ends_makes_a_stroke_silent_after_it():
-    stroke = scale.scrape(3.0, touching_s=1.0)
+    stroke = scale.make_scrape(3.0, contact_s=1.0)
     assert stroke.action.contact.sum() == 201
     assert (stroke.action.force[~stroke.action.contact] == 0.0).all()

@@ -7,8 +7,8 @@ import threading
 import numpy as np
 import pytest
 
-from hnf_core.bench.synth import forget_carriers, ten_seconds
-from hnf_core.blas import one_blas_thread, openblas_threads
+from hnf_core.bench.synth import clear_carrier_caches, make_keyed_stroke
+from hnf_core.blas import find_openblas_threads, single_blas_thread
 from hnf_core.field import network
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import initial_parameters
@@ -18,7 +18,7 @@ from hnf_core.field.weights import load_field
 
 @pytest.fixture
 def threads():
-    found = openblas_threads()
+    found = find_openblas_threads()
     if found is None:
         pytest.skip("this numpy did not come with OpenBLAS")
     count, choose = found
@@ -29,13 +29,13 @@ def threads():
 
 
 def test_one_thread_inside_and_all_of_them_after(threads):
-    with one_blas_thread():
+    with single_blas_thread():
         assert threads() == 1
-        with one_blas_thread():
+        with single_blas_thread():
             assert threads() == 1
         assert threads() == 1
     assert threads() == 2
-    with pytest.raises(ValueError, match="stop"), one_blas_thread():
+    with pytest.raises(ValueError, match="stop"), single_blas_thread():
         raise ValueError("stop")
     assert threads() == 2
 
@@ -44,12 +44,12 @@ def test_whoever_leaves_last_gives_them_back(threads):
     inside, leave = threading.Event(), threading.Event()
 
     def other():
-        with one_blas_thread():
+        with single_blas_thread():
             inside.set()
             leave.wait(10.0)
 
     thread = threading.Thread(target=other)
-    with one_blas_thread():
+    with single_blas_thread():
         thread.start()
         assert inside.wait(10.0)
     assert threads() == 1
@@ -62,17 +62,17 @@ def test_products_are_the_same(threads):
     random = np.random.default_rng(0)
     one, other = random.standard_normal((96, 300)), random.standard_normal((300, 500))
     many = one @ other
-    with one_blas_thread():
+    with single_blas_thread():
         np.testing.assert_allclose(one @ other, many, rtol=1e-12, atol=1e-12)
 
 
 def test_a_stroke_has_the_same_bytes_on_any_number_of_threads(threads):
-    count, choose = openblas_threads()
-    stroke, found = ten_seconds(1.5), []
+    count, choose = find_openblas_threads()
+    stroke, found = make_keyed_stroke(1.5), []
     for number in (1, 2):
         choose(number)
         assert count() == number
-        forget_carriers()
+        clear_carrier_caches()
         found.append(synthesise(load_field(), stroke, seed=4).signal.samples)
     assert np.ptp(found[0]) > 0.1
     np.testing.assert_array_equal(*found)
@@ -87,7 +87,7 @@ def test_states_through_a_pool_have_the_bytes_of_portions_one_after_the_other(mo
         for name, value in initial_parameters(config, 0).items()
     }
     width = parameters["layer0.weight"].shape[1]
-    size, through = network.PORTION, network._through
+    size, through = network.BATCH_ROWS, network._forward
     x = random.standard_normal((round(portions * size), width)).astype(np.float32)
     worked, meeting = [], threading.Barrier(2)
 
@@ -97,21 +97,21 @@ def test_states_through_a_pool_have_the_bytes_of_portions_one_after_the_other(mo
             meeting.wait(10.0)
         return through(*given)
 
-    monkeypatch.setattr(network, "WORTH_THREADS", 0)
-    monkeypatch.setattr(network, "cores", lambda: 2)
+    monkeypatch.setattr(network, "MIN_THREADED_MULTIPLICATIONS", 0)
+    monkeypatch.setattr(network, "available_cpus", lambda: 2)
     with monkeypatch.context() as patch:
-        patch.setattr(network, "_through", noted)
-        pooled = network.heads(parameters, config.layers, x)
+        patch.setattr(network, "_forward", noted)
+        pooled = network.run_network(parameters, config.layers, x)
     assert len({thread for thread, _ in worked} - {threading.get_ident()}) == 2
     counts = [count for _, count in worked]
     assert sum(counts) == len(x)
     assert len(counts) % 2 == 0
     assert max(counts) <= min(size, min(counts) + 1)
 
-    with one_blas_thread():
+    with single_blas_thread():
         rows = [through(parameters, config.layers, part) for part in np.array_split(x, len(counts))]
-    monkeypatch.setattr(network, "WORTH_THREADS", 1 << 60)
-    plainly = network.heads(parameters, config.layers, x)
+    monkeypatch.setattr(network, "MIN_THREADED_MULTIPLICATIONS", 1 << 60)
+    plainly = network.run_network(parameters, config.layers, x)
     for head, (found, alone) in enumerate(zip(pooled, plainly, strict=True)):
         assert np.ptp(found) > 0.1
         assert found.tobytes() == alone.tobytes() == np.concatenate([row[head] for row in rows]).tobytes()

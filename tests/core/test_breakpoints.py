@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.field.breakpoints import BENT, breakpoints_of
+from hnf_core.field.breakpoints import MAX_DEVIATION, find_breakpoints
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
 from hnf_core.field.timeline import SAMPLES_PER_STATE
-from hnf_core.kernel.library import kernel, plainly, why_not
-from hnf_core.kernel.turns import bends
+from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
+from hnf_core.kernel.turns import find_bends
 
 
 def wandering(seed: int, count: int, restless: float) -> tuple[Action, np.ndarray]:
@@ -31,21 +31,21 @@ def wandering(seed: int, count: int, restless: float) -> tuple[Action, np.ndarra
 strokes = given(st.integers(0, 10**6), st.integers(2, 300), st.sampled_from([0.0, 0.02, 0.3]))
 
 
-@pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+@pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 @settings(max_examples=80, deadline=None)
 @strokes
 def test_the_kernel_turns_where_numpy_does(seed, count, restless):
     stroke = wandering(seed, count, restless)
-    found = breakpoints_of(*stroke)
-    with plainly():
-        np.testing.assert_array_equal(found, breakpoints_of(*stroke))
+    found = find_breakpoints(*stroke)
+    with without_kernel():
+        np.testing.assert_array_equal(found, find_breakpoints(*stroke))
 
 
 @settings(max_examples=80, deadline=None)
 @strokes
 def test_between_two_turns_it_is_straight_on_one_material_and_either_touches_or_not(seed, count, restless):
     action, material = wandering(seed, count, restless)
-    found = breakpoints_of(action, material)
+    found = find_breakpoints(action, material)
     kept = found[found % SAMPLES_PER_STATE == 0] // SAMPLES_PER_STATE
     assert (np.diff(found) > 0).all()
     assert kept[0] == 0
@@ -54,7 +54,7 @@ def test_between_two_turns_it_is_straight_on_one_material_and_either_touches_or_
     course = [np.log(np.maximum(action.speed, SPEED_FLOOR_M_S)), np.log(force), *action.direction.T]
     for values in course:
         straight = np.interp(np.arange(count), kept, values[kept])
-        assert np.abs(values - straight).max() <= BENT + 1e-9
+        assert np.abs(values - straight).max() <= MAX_DEVIATION + 1e-9
     for low, high in pairwise(kept.tolist()):
         if high > low + 1:
             assert len(set(material[low : high + 1].tolist())) == 1
@@ -66,7 +66,7 @@ def test_an_even_stroke_turns_nowhere():
         ACTION_RATE_HZ, np.tile([1.0, 0.0], (200, 1)), np.full(200, 0.1), np.ones(200), np.arange(200) * 5e-4,
         np.ones(200, bool),
     )  # fmt: skip
-    assert breakpoints_of(action, np.zeros(200, np.int32)).tolist() == [0, 199 * SAMPLES_PER_STATE]
+    assert find_breakpoints(action, np.zeros(200, np.int32)).tolist() == [0, 199 * SAMPLES_PER_STATE]
 
 
 def test_a_course_without_its_ends_never_reaches_the_kernel():
@@ -76,6 +76,6 @@ def test_a_course_without_its_ends_never_reaches_the_kernel():
 
     for kept in ([], [1, 4], [0, 3]):
         with pytest.raises(ValueError, match="a course of 5"):
-            bends(Refuses(), np.ones((5, 4)), np.array(kept, dtype=np.int64), 0.25)
+            find_bends(Refuses(), np.ones((5, 4)), np.array(kept, dtype=np.int64), 0.25)
     with pytest.raises(TypeError):
-        bends(Refuses(), np.ones((5, 4), np.float32), np.array([0, 4]), 0.25)
+        find_bends(Refuses(), np.ones((5, 4), np.float32), np.array([0, 4]), 0.25)

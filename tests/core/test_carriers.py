@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from normal_noise import normal_block
 
 from hnf_core.field.carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, TIME_BLOCK, Carriers
-from hnf_core.field.modulation import arc_term, interpolate
+from hnf_core.field.modulation import interpolate_amplitudes, sum_arc_carriers
 from hnf_core.field.noise import crossfade_window
-from hnf_core.field.plain import time_term
+from hnf_core.field.plain import sum_time_carriers
 from hnf_core.metrics.spectra import welch
 
 CARRIERS = Carriers()
@@ -98,7 +98,7 @@ def test_bands_are_independent():
 
 def test_amplitudes_are_read_linearly_between_states():
     amplitude = np.array([[0.0], [2.0], [1.0]])
-    read = interpolate(amplitude, 25, 75)[:, 0]
+    read = interpolate_amplitudes(amplitude, 25, 75)[:, 0]
     assert read[0] == pytest.approx(1.0)
     assert read[25] == pytest.approx(2.0)
     assert read[50] == pytest.approx(1.5)
@@ -107,8 +107,8 @@ def test_amplitudes_are_read_linearly_between_states():
 def test_modulation_is_amplitude_times_carrier():
     few = Carriers(time_edges_hz=(40.0, 80.0, 160.0), arc_octaves=0)
     amplitude = np.random.default_rng(0).random((21, 2))
-    direct = np.einsum("ik,ki->i", interpolate(amplitude, 130, 700), few.time_samples(2, 130, 700))
-    np.testing.assert_allclose(time_term(amplitude, few, 2, 130, 700), direct, atol=1e-12)
+    direct = np.einsum("ik,ki->i", interpolate_amplitudes(amplitude, 130, 700), few.time_samples(2, 130, 700))
+    np.testing.assert_allclose(sum_time_carriers(amplitude, few, 2, 130, 700), direct, atol=1e-12)
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.05, 0.1, 0.2, 0.4])
@@ -120,7 +120,7 @@ def test_the_tone_of_a_grating_follows_speed_over_pitch(speed):
     amplitude = np.zeros((count // 50 + 1, CARRIERS.arc_count))
     amplitude[:, band] = 1.0
     place = np.arange(count) * speed / MODEL_RATE_HZ
-    wave = arc_term(amplitude, CARRIERS, lambda o, a, n: CARRIERS.arc_samples(9, o, a, n), place, 0)
+    wave = sum_arc_carriers(amplitude, CARRIERS, lambda o, a, n: CARRIERS.arc_samples(9, o, a, n), place, 0)
     spectrum = np.square(np.abs(np.fft.rfft(wave * np.hanning(count))))
     frequency = np.fft.rfftfreq(count, 1.0 / MODEL_RATE_HZ)
     centroid = float((spectrum * frequency).sum() / spectrum.sum())
@@ -131,6 +131,6 @@ def test_stroking_back_meets_the_same_texture():
     amplitude = np.ones((41, CARRIERS.arc_count))
     there = np.arange(2000) * 1e-5
     source = lambda o, a, n: CARRIERS.arc_samples(1, o, a, n)  # noqa: E731
-    forward = arc_term(amplitude, CARRIERS, source, there, 0)
-    back = arc_term(amplitude, CARRIERS, source, there[::-1], 0)
+    forward = sum_arc_carriers(amplitude, CARRIERS, source, there, 0)
+    back = sum_arc_carriers(amplitude, CARRIERS, source, there[::-1], 0)
     np.testing.assert_allclose(forward, back[::-1], atol=1e-9)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hnf_core.material import contact
-from hnf_core.material.mechanics import UNKNOWN, Mechanics
+from hnf_core.material.mechanics import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.probe import PROBES
 
 mechanics_strategy = st.builds(
@@ -96,9 +96,9 @@ def test_resonance_stands_where_it_should_and_as_high(stiffness, zeta, force):
 
 def test_no_contact_passes_no_profile_and_stays_finite():
     f = np.array([0.0, 10.0, 1000.0])
-    assert np.all(contact.height_response(f, UNKNOWN, PROBES["pen"], 0.0) == 0.0)
-    assert np.all(np.isfinite(contact.force_response(f, UNKNOWN, PROBES["pen"], 0.0)))
-    assert contact.contact_radius(UNKNOWN, PROBES["pen"], 0.0) == 0.0
+    assert np.all(contact.height_response(f, UNKNOWN_MECHANICS, PROBES["pen"], 0.0) == 0.0)
+    assert np.all(np.isfinite(contact.force_response(f, UNKNOWN_MECHANICS, PROBES["pen"], 0.0)))
+    assert contact.contact_radius(UNKNOWN_MECHANICS, PROBES["pen"], 0.0) == 0.0
 
 
 def test_power_is_the_square_of_the_response():
@@ -112,14 +112,15 @@ def test_power_is_the_square_of_the_response():
 def test_force_and_frequency_broadcast():
     f, force = np.linspace(1, 1000, 7), np.array([[0.5], [1.0], [2.0]])
     for response in (contact.height_response, contact.force_response, contact.tip_response):
-        full = response(f, UNKNOWN, PROBES["finger"], force)
+        full = response(f, UNKNOWN_MECHANICS, PROBES["finger"], force)
         assert full.shape == (3, 7)
-        assert full[1, 4] == pytest.approx(complex(response(f[4], UNKNOWN, PROBES["finger"], 1.0)))
+        assert full[1, 4] == pytest.approx(complex(response(f[4], UNKNOWN_MECHANICS, PROBES["finger"], 1.0)))
 
 
 def test_unknown_means_the_documented_medium():
     known = Mechanics(contact.DEFAULT_STIFFNESS_N_M, contact.DEFAULT_DAMPING_RATIO, contact.DEFAULT_FRICTION)
     f = np.linspace(1, 1000, 20)
     assert np.array_equal(
-        contact.height_response(f, UNKNOWN, PROBES["pen"], 1.0), contact.height_response(f, known, PROBES["pen"], 1.0)
+        contact.height_response(f, UNKNOWN_MECHANICS, PROBES["pen"], 1.0),
+        contact.height_response(f, known, PROBES["pen"], 1.0),
     )

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.datasets.pair_tiles import PairSizes, make_tile, orders
+from hnf_core.datasets.pair_tiles import PairSizes, list_tile_requests, make_tile
 from hnf_core.datasets.tactile_pairs import TRAIN
-from hnf_core.export.contact_sheet import GAP, pictures_of, row_of
-from hnf_core.export.png import colour_png
+from hnf_core.export.contact_sheet import GAP, make_tile_row, make_view_images
+from hnf_core.export.png import encode_colour_png
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,14 +32,14 @@ def pixels_of(data: bytes) -> np.ndarray:
 
 def test_a_colour_png_holds_its_pixels() -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
-    assert np.array_equal(pixels_of(colour_png(pixels)), pixels)
+    assert np.array_equal(pixels_of(encode_colour_png(pixels)), pixels)
 
 
 def test_a_row_shows_look_depth_height_and_two_sensors() -> None:
-    pairs = make_tile(orders(TRAIN, PairSizes(train=1), 0)[0])
-    look, depth, height, gelsight, digit = pictures_of(pairs, 2)
+    pairs = make_tile(list_tile_requests(TRAIN, PairSizes(train=1), 0)[0])
+    look, depth, height, gelsight, digit = make_view_images(pairs, 2)
     assert np.array_equal(look, pairs.rgb[2])
-    assert row_of(pairs).shape == (64, 10 * 64 + 9 * GAP, 3)
+    assert make_tile_row(pairs).shape == (64, 10 * 64 + 9 * GAP, 3)
     for picture in (depth, height):
         assert np.array_equal(picture[..., 0], picture[..., 2])
     # What stands nearer is lighter, in depth as in height.

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.bezier import poly_curve, smooth_curve
+from hnf_core.action.bezier import make_poly_curve, make_smooth_curve
 from hnf_core.action.contacts import StrokeSamples, find_contacts, require_contact
-from hnf_core.action.curves import by_arc_length
+from hnf_core.action.curves import build_arc_curve
 from hnf_core.action.deforming import DeformingMesh
-from hnf_core.action.nearest import nearest_on_triangles
+from hnf_core.action.nearest import find_nearest_on_triangles
 from hnf_core.action.patches import action_from_contacts, covers, plan_patches
-from hnf_core.action.time_law import motion_at_speed, motion_from_progress
+from hnf_core.action.time_law import make_motion_at_speed, make_motion_from_progress
 from hnf_core.errors import SceneError, StrokeError
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.raycast import ReferenceGeometry
@@ -55,13 +55,13 @@ def mesh_from(vertices, triangles, *, uv=True, turn=0.0, slots=lambda x, y: 0 * 
 
 
 def stroke(points, *, speed=0.1, force=1.0, progress=None, smooth=False):
-    curve = by_arc_length(smooth_curve(points) if smooth else poly_curve(points))
+    curve = build_arc_curve(make_smooth_curve(points) if smooth else make_poly_curve(points))
     if progress is None:
         time = np.arange(int(np.ceil((curve.length / speed + 0.1) * RATE)) + 1) / RATE
-        motion = motion_at_speed(time, curve.length, speed)
+        motion = make_motion_at_speed(time, curve.length, speed)
     else:
         time = np.arange(len(progress)) / RATE
-        motion = motion_from_progress(np.asarray(progress, float), curve.length, RATE)
+        motion = make_motion_from_progress(np.asarray(progress, float), curve.length, RATE)
     return StrokeSamples(
         time,
         curve.point_at(motion.position),
@@ -237,7 +237,7 @@ def test_nearest_agrees_with_trying_every_triangle(seed, n):
     rng = np.random.default_rng(seed)
     mesh = grid_mesh(lambda x, y: 0.02 * np.sin(60 * x) * np.cos(50 * y), n=n)
     points = rng.normal(scale=0.04, size=(20, 3))
-    fast = nearest_on_triangles(points, mesh.corner_positions())
+    fast = find_nearest_on_triangles(points, mesh.corner_positions())
     slow = ReferenceGeometry(mesh).closest_points(points)
     assert np.allclose(fast.distance, slow.distance, atol=2e-9)
     found = np.einsum("nc,ncx->nx", fast.barycentric, mesh.corner_positions()[fast.triangle])

@@ -15,7 +15,7 @@ from hnf_core import cores as both_cores
     ("cores", "count", "threads"), [(1, 9, 1), (2, 9, 2), (2, 5, 1), (2, 0, 1), (3, 9, 3), (4, 9, 3), (3, 6, 2)]
 )
 def test_parts_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count, threads):
-    monkeypatch.setattr(both_cores, "cores", lambda: cores)
+    monkeypatch.setattr(both_cores, "available_cpus", lambda: cores)
     done, at_once = np.zeros(count), []
     meeting = threading.Barrier(threads)
 
@@ -27,19 +27,19 @@ def test_parts_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count,
             raise ValueError("the last part")
 
     failing = False
-    both_cores.in_parts(work, count, 3)
+    both_cores.parallel_for(work, count, 3)
     assert (done == 1.0).all()
     assert len(at_once) == threads
     assert threads == 1 or min(at_once) >= 3
     failing = True
     if count == 9:
         with pytest.raises(ValueError, match="last part"):
-            both_cores.in_parts(work, count, 3)
+            both_cores.parallel_for(work, count, 3)
 
 
 def test_parts_that_were_begun_have_ended_where_another_cannot_be(monkeypatch):
     """They write into memory that is given back then."""
-    begin, begun, ended = both_cores.beside, [], []
+    begin, begun, ended = both_cores.run_in_thread, [], []
 
     def only_once(work):
         if begun:
@@ -51,8 +51,8 @@ def test_parts_that_were_begun_have_ended_where_another_cannot_be(monkeypatch):
         time.sleep(0.1)
         ended.append((low, high))
 
-    monkeypatch.setattr(both_cores, "cores", lambda: 3)
-    monkeypatch.setattr(both_cores, "beside", only_once)
+    monkeypatch.setattr(both_cores, "available_cpus", lambda: 3)
+    monkeypatch.setattr(both_cores, "run_in_thread", only_once)
     with pytest.raises(RuntimeError, match="can't start"):
-        both_cores.in_parts(slowly, 9, 3)
+        both_cores.parallel_for(slowly, 9, 3)
     assert ended == [(3, 6)]

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from hnf_core.counted import counted
+from hnf_core.counted import pluralize
 
 
 def test_one_is_singular() -> None:
-    assert (counted(1, "stroke"), counted(2, "stroke"), counted(0, "stroke")) == ("1 stroke", "2 strokes", "0 strokes")
+    assert (pluralize(1, "stroke"), pluralize(2, "stroke"), pluralize(0, "stroke")) == (
+        "1 stroke",
+        "2 strokes",
+        "0 strokes",
+    )

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.datasets.catalogue import open_dataset
-from hnf_core.datasets.cluster import family
+from hnf_core.datasets.cluster import get_family
 from hnf_core.datasets.recording import Recording
 from hnf_core.errors import FileError, MaterialError
 from hnf_core.metrics.spectra import welch
@@ -135,10 +135,10 @@ def test_the_folder_is_understood_wherever_it_starts(tmp_path, root):
 
 
 def test_families_are_those_of_the_publication():
-    assert [family(each) for each in (0, 37, 38, 49, 65, 74, 79, 82, 87, 102, 117)] == [
+    assert [get_family(each) for each in (0, 37, 38, 49, 65, 74, 79, 82, 87, 102, 117)] == [
         "wood", "wood", "stone", "polymer", "metal", "glass", "composite", "ceramic", "biodegradable", "cloth", "cloth",
     ]  # fmt: skip
-    assert family(118) == "material"
+    assert get_family(118) == "material"
 
 
 @pytest.mark.parametrize(

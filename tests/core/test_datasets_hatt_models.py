@@ -8,7 +8,7 @@ from hatt_files import FORCES, SPEEDS, TRIANGLES, lsf_at, model_xml, read, value
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.datasets.autoregressive import power_spectrum
+from hnf_core.datasets.autoregressive import compute_power_spectrum
 from hnf_core.datasets.hatt_models import read_texture_model
 from hnf_core.datasets.line_spectra import lsf_from_polynomial, polynomial_from_lsf
 from hnf_core.errors import FileError
@@ -159,4 +159,4 @@ def test_damage_anywhere_is_a_usable_model_or_a_file_error(tmp_path_factory, pla
         model = read_texture_model(path)
     except FileError:
         return
-    assert np.isfinite(power_spectrum(model, 0.05, 1.0, [10.0, 100.0, 1000.0])).all()
+    assert np.isfinite(compute_power_spectrum(model, 0.05, 1.0, [10.0, 100.0, 1000.0])).all()

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
-from hnf_core.action.smooth import wandering_action
+from hnf_core.action.smooth import make_random_smooth_action
 from hnf_core.datasets.catalogue import open_dataset
 from hnf_core.datasets.hatt_models import TextureModel
 from hnf_core.datasets.recording import Recording
@@ -171,7 +171,7 @@ def test_damage_anywhere_is_a_recording_or_a_file_error(tmp_path_factory, place,
 def test_only_plain_arrays_leave_the_room(tmp_path):
     """A recording from a model is what one built from arrays is: same fields and bytes, nothing of the model."""
     (tmp_path / "Models_Test Cloth.xml").write_text(model_xml(), encoding="utf-8")
-    action = wandering_action(0.3, 1, speed_m_s=(0.1, 0.2), force_n=(2.0, 4.0))
+    action = make_random_smooth_action(0.3, 1, speed_m_s=(0.1, 0.2), force_n=(2.0, 4.0))
     recording = open_dataset("hatt", tmp_path).process("test cloth").record([action], 5)[0]
     plain = Recording(
         action=Action(

@@ -43,7 +43,7 @@ def pairs_of(tmp_path: Path, *touches: str):
 )
 def test_a_touch_image_is_known_by_its_folder_or_its_name(tmp_path, touch, material):
     pairs = pairs_of(tmp_path, touch)
-    assert pairs.labels == pairs.places == (material,)
+    assert pairs.labels == pairs.locations == (material,)
     assert pairs.entries[0].rgb.name == f"{material}_square.bmp"
 
 
@@ -93,7 +93,7 @@ def test_takes_of_one_texture_stay_together(tmp_path):
         for take in (1, 2):
             write_picture(tmp_path / "gel" / f"{name}_{take}.png")
     data = HattTouchFolder(tmp_path / "photos", tmp_path / "gel")
-    homes = [set(data.split(name).places) for name in ("train", "val", "test")]
+    homes = [set(data.split(name).locations) for name in ("train", "val", "test")]
     assert [len(home) for home in homes] == [16, 2, 2]
     assert len(set.union(*homes)) == 20
     with pytest.raises(UsageError, match="train, val, test"):

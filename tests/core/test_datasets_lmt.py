@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hnf_core.datasets.catalogue import open_dataset
-from hnf_core.datasets.lmt import ASSUMPTION
+from hnf_core.datasets.lmt import ASSUMPTIONS
 from hnf_core.errors import FileError, MaterialError
 
 SIGNAL = np.random.default_rng(3).standard_normal((5000, 3))
@@ -33,7 +33,7 @@ def test_the_69_set(tmp_path):
     np.testing.assert_allclose(first.samples, (SIGNAL[:, 0] - SIGNAL[:, 0].mean())[: len(first.samples)], atol=1e-6)
     assert len(first.samples) >= 4950
     assert first.known == frozenset()
-    assert first.notes == ASSUMPTION
+    assert first.notes == ASSUMPTIONS
     assert (first.action.speed[0], first.action.force[0]) == (0.1, 1.0)
     assert data.process("SquaredAluminumMesh") is None
     assert data.action_range("SquaredAluminumMesh").speed_m_s == (0.1, 0.1)

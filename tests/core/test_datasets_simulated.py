@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.action.smooth import circular_action, steady_action, wandering_action
+from hnf_core.action.smooth import make_circular_action, make_random_smooth_action, make_steady_action
 from hnf_core.datasets.catalogue import open_dataset
-from hnf_core.datasets.simulated import SETTLE_S, SimulatedProcess, stroke_of
+from hnf_core.datasets.simulated import SETTLE_S, SimulatedProcess, build_stroke
 from hnf_core.errors import MaterialError, UsageError
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.simulation.recipes import grating
@@ -25,8 +25,8 @@ def rms(samples) -> float:
 
 
 def test_the_path_is_the_integral_of_the_action():
-    action = circular_action(1.0, 0.1, 1.0, radius_m=0.02)
-    stroke = stroke_of(action, np.array([0.01, 0.03]))
+    action = make_circular_action(1.0, 0.1, 1.0, radius_m=0.02)
+    stroke = build_stroke(action, np.array([0.01, 0.03]))
     assert stroke.position.shape == (10_000 + AHEAD, 2)
     np.testing.assert_allclose(stroke.position[AHEAD], [0.01, 0.03])
     # round a circle: every point keeps its distance from the centre, and the length is speed times time
@@ -37,15 +37,15 @@ def test_the_path_is_the_integral_of_the_action():
 
 
 def test_no_corner_at_the_action_rate():
-    action = wandering_action(1.0, 3, speed_m_s=(0.03, 0.2), force_n=(0.3, 3.0), bandwidth_hz=15.0)
-    force = stroke_of(action, np.zeros(2)).force[AHEAD:-100]
+    action = make_random_smooth_action(1.0, 3, speed_m_s=(0.03, 0.2), force_n=(0.3, 3.0), bandwidth_hz=15.0)
+    force = build_stroke(action, np.zeros(2)).force[AHEAD:-100]
     linear = np.interp(np.arange(len(force)) / 10_000, action.time, action.force)
     assert np.abs(np.diff(force, 2)).max() < 0.2 * np.abs(np.diff(linear, 2)).max()
     np.testing.assert_allclose(force[::50], action.force[: len(force[::50])], atol=1e-12)
 
 
 def test_a_call_gives_what_each_action_gives_alone_and_a_seed_is_a_new_draw():
-    actions = [wandering_action(0.15, seed, speed_m_s=(0.05, 0.2), force_n=(0.5, 2.0)) for seed in range(3)]
+    actions = [make_random_smooth_action(0.15, seed, speed_m_s=(0.05, 0.2), force_n=(0.5, 2.0)) for seed in range(3)]
     actions[2] = replace(actions[2], probe="finger")
     together = ROUGH.record(actions, 7)
     alone = ROUGH.record(actions[:1], 7)[0]
@@ -60,14 +60,14 @@ def test_a_call_gives_what_each_action_gives_alone_and_a_seed_is_a_new_draw():
 @pytest.mark.parametrize("angle", [0.0, np.pi / 4])
 def test_a_straight_stroke_does_not_meet_the_same_surface_twice(angle):
     period = 0.04 * (np.sqrt(2.0) if angle else 1.0)
-    samples = ROUGH.record([steady_action(0.9, 0.1, 1.0, angle_rad=angle)], 4)[0].samples
+    samples = ROUGH.record([make_steady_action(0.9, 0.1, 1.0, angle_rad=angle)], 4)[0].samples
     lag = round(period / 0.1 * 10_000)
     assert abs(np.corrcoef(samples[:-lag], samples[lag:])[0, 1]) < 0.2
 
 
 def test_the_path_can_be_turned():
-    action = steady_action(1.0, 0.1, 1.0)
-    end = stroke_of(action, np.zeros(2), 0.3).position[-1]
+    action = make_steady_action(1.0, 0.1, 1.0)
+    end = build_stroke(action, np.zeros(2), 0.3).position[-1]
     np.testing.assert_allclose(end, 0.1 * np.array([np.cos(0.3), np.sin(0.3)]), rtol=1e-3)
 
 
@@ -76,13 +76,17 @@ def test_the_gratings_tone_follows_speed():
         "grating", SurfaceRecipe(lattices=(grating(5e-6, 1e-3, harmonic=0.0),)), Mechanics(1e5, 0.2, 0.3)
     )
     speeds = (0.05, 0.08, 0.12)
-    for speed, recording in zip(speeds, process.record([steady_action(1.0, v, 1.0) for v in speeds], 1), strict=True):
+    for speed, recording in zip(
+        speeds, process.record([make_steady_action(1.0, v, 1.0) for v in speeds], 1), strict=True
+    ):
         power = np.square(np.abs(np.fft.rfft(recording.samples * np.hanning(10_000))))
         assert np.argmax(power) == pytest.approx(speed / 1e-3, rel=0.02)  # 1 s: a bin is 1 Hz
 
 
 def test_out_of_contact_is_silent_and_faster_is_stronger():
-    still, slow, fast = ROUGH.record([steady_action(0.5, v, f) for v, f in ((0.1, 0.0), (0.03, 1.0), (0.2, 1.0))], 2)
+    still, slow, fast = ROUGH.record(
+        [make_steady_action(0.5, v, f) for v, f in ((0.1, 0.0), (0.03, 1.0), (0.2, 1.0))], 2
+    )
     assert np.all(still.samples == 0.0)
     assert rms(fast.samples) > 2.0 * rms(slow.samples) > 0.0
 
@@ -93,7 +97,7 @@ def test_the_library_is_listed_and_looked_up():
     process = data.process("Oak Wood")
     assert process.name == "oak-wood"
     where = data.action_range("oak wood")
-    action = wandering_action(0.15, 1, speed_m_s=where.speed_m_s, force_n=where.force_n)
+    action = make_random_smooth_action(0.15, 1, speed_m_s=where.speed_m_s, force_n=where.force_n)
     assert rms(process.record([action], 1)[0].samples) > 0.05
     assert data.recordings("oak wood") == []
     assert data.image("oak wood") is None

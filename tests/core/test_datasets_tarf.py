@@ -45,7 +45,7 @@ def test_the_split_file_decides(tmp_path):
     data = write(tmp_path)
     assert data.splits == ("train", "val", "test")
     train = data.split("train")
-    assert train.places == ("hall", "hall", "desk")
+    assert train.locations == ("hall", "hall", "desk")
     assert train.labels == (None, None, None)
     assert [entry.rgb.name for entry in train.entries] == ["0001.jpg", "0002.jpg", "0001.jpg"]
     assert not any("left out" in note for note in train.notes)

@@ -32,7 +32,7 @@ def write(folder: Path, labels: str | None = LABELS, recordings=RECORDINGS, root
 def test_one_number_is_one_moment(tmp_path):
     pairs = write(tmp_path).pairs
     assert len(pairs) == 6
-    assert pairs.places == (RECORDINGS[0],) * 3 + (RECORDINGS[1],) * 3
+    assert pairs.locations == (RECORDINGS[0],) * 3 + (RECORDINGS[1],) * 3
     assert pairs.labels == ("class 3",) * 3 + ("class 4",) * 3
     assert not any("left out" in note for note in pairs.notes)
     pair = pairs[0]
@@ -103,11 +103,11 @@ def test_a_recording_is_in_one_split_only(tmp_path):
     recordings = [f"20220601_1820{index:02d}" for index in range(20)]
     data = write(tmp_path, labels=None, recordings=recordings)
     parts = {name: data.split(name, seed=1) for name in ("train", "val", "test")}
-    homes = [set(part.places) for part in parts.values()]
+    homes = [set(part.locations) for part in parts.values()]
     assert sum(map(len, homes)) == 20
     assert set.union(*homes) == set(recordings)
     assert [len(part) for part in parts.values()] == [48, 6, 6]
-    assert data.split("test", seed=1).places == parts["test"].places
+    assert data.split("test", seed=1).locations == parts["test"].locations
     with pytest.raises(UsageError, match="train, val, test"):
         data.split("all")
     with pytest.raises(FileError, match="1 places are too few"):

@@ -11,9 +11,16 @@ from hypothesis import strategies as st
 from picture_files import MID_GREY, image, linear, write_picture, write_pixels
 
 from hnf_core.datasets import photographs
-from hnf_core.datasets.folders import is_plain
-from hnf_core.datasets.photographs import middle_square, read_array, read_depth, read_picture, read_touch, resized
-from hnf_core.datasets.vision_touch import FilePairs, PairFiles, VisionTouchPair, readable, split_by_place
+from hnf_core.datasets.folders import is_safe_name
+from hnf_core.datasets.photographs import (
+    crop_centre_square,
+    read_array,
+    read_depth,
+    read_photograph,
+    read_touch_image,
+    resize_by_area,
+)
+from hnf_core.datasets.vision_touch import FilePairs, PairFiles, VisionTouchPair, iterate_readable, split_by_location
 from hnf_core.errors import FileError, UsageError
 
 
@@ -39,7 +46,7 @@ def of_places(places, tmp_path) -> FilePairs:
 def test_a_sequence_opens_nothing_until_it_is_asked(tmp_path):
     pairs = of_places(["bad 1", "b", "c"], tmp_path)
     assert len(pairs) == 3
-    assert pairs.labels == pairs.places == ("bad 1", "b", "c")
+    assert pairs.labels == pairs.locations == ("bad 1", "b", "c")
     assert [pair.where for pair in pairs[1:]] == ["b", "c"]
     assert pairs[1:].notes == ("a note",)
     with pytest.raises(FileError, match="bad 1: is damaged"):
@@ -51,7 +58,7 @@ def test_a_sequence_opens_nothing_until_it_is_asked(tmp_path):
 def test_damaged_pairs_are_left_out_and_told(tmp_path):
     skipped: list[FileError] = []
     pairs = of_places(["a", "bad 1", "b", "bad 2"], tmp_path)
-    assert [pair.where for pair in readable(pairs, skipped)] == ["a", "b"]
+    assert [pair.where for pair in iterate_readable(pairs, skipped)] == ["a", "b"]
     assert [error.where for error in skipped] == ["bad 1", "bad 2"]
 
 
@@ -62,41 +69,41 @@ places = st.lists(st.integers(0, 30).map(str), max_size=200)
 @given(places, st.integers(0, 5), st.randoms())
 def test_a_split_keeps_places_whole_loses_nothing_and_knows_no_order(tmp_path_factory, names, seed, random):
     folder = tmp_path_factory.getbasetemp()
-    split = split_by_place(of_places(names, folder), seed)
+    split = split_by_location(of_places(names, folder), seed)
     assert list(split) == ["train", "val", "test"]
-    homes = [set(part.places) for part in split.values()]
+    homes = [set(part.locations) for part in split.values()]
     assert sum(map(len, homes)) == len(set.union(*homes))
-    assert sorted(place for part in split.values() for place in part.places) == sorted(names)
+    assert sorted(place for part in split.values() for place in part.locations) == sorted(names)
     shuffled = list(names)
     random.shuffle(shuffled)
-    again = split_by_place(of_places(shuffled, folder), seed)
-    assert [set(part.places) for part in again.values()] == homes
+    again = split_by_location(of_places(shuffled, folder), seed)
+    assert [set(part.locations) for part in again.values()] == homes
 
 
 def test_shares_are_met_to_one_place_and_seeds_differ(tmp_path):
     pairs = of_places([f"{place}" for place in range(100) for _ in range(7)], tmp_path)
-    split = split_by_place(pairs, 3)
+    split = split_by_location(pairs, 3)
     for name, share in (("train", 560), ("val", 70), ("test", 70)):
         assert abs(len(split[name]) - share) <= 7, name
-    assert set(split["test"].places) != set(split_by_place(pairs, 4)["test"].places)
+    assert set(split["test"].locations) != set(split_by_location(pairs, 4)["test"].locations)
     with pytest.raises(UsageError, match="above 0"):
-        split_by_place(pairs, 0, {"train": 1.0, "test": 0.0})
+        split_by_location(pairs, 0, {"train": 1.0, "test": 0.0})
 
 
 @pytest.mark.parametrize("mode", ["RGB", "L", "RGBA"])
 def test_pictures_become_linear_light(tmp_path, mode):
-    values = read_picture(write_picture(tmp_path / "a.png", mode=mode))
+    values = read_photograph(write_picture(tmp_path / "a.png", mode=mode))
     assert values.shape == (48, 64, 3)
     assert values.dtype == np.float32
     codes = (MID_GREY,) * 3 if mode == "L" else (MID_GREY, 128, 0)
     np.testing.assert_allclose(values, np.broadcast_to([linear(code) for code in codes], values.shape), rtol=1e-6)
     every = write_pixels(tmp_path / "b.png", np.arange(256 * 3).reshape(16, 16, 3) % 256)
-    assert read_picture(every).min() == 0.0
-    assert read_picture(every).max() == 1.0
+    assert read_photograph(every).min() == 0.0
+    assert read_photograph(every).max() == 1.0
 
 
 def test_touch_images_stay_as_they_are(tmp_path):
-    values = read_touch(write_picture(tmp_path / "a.png"))
+    values = read_touch_image(write_picture(tmp_path / "a.png"))
     assert values.dtype == np.float32
     np.testing.assert_allclose(values[0, 0], np.array([MID_GREY, 128, 0]) / 255.0, rtol=1e-6)
 
@@ -104,11 +111,11 @@ def test_touch_images_stay_as_they_are(tmp_path):
 def test_means_are_of_light_and_a_square_is_in_the_middle(tmp_path):
     columns = np.zeros((16, 32, 3), dtype=np.uint8)
     columns[:, ::2] = 255
-    values = resized(read_picture(write_pixels(tmp_path / "a.png", columns)), 16)
+    values = resize_by_area(read_photograph(write_pixels(tmp_path / "a.png", columns)), 16)
     np.testing.assert_allclose(values, 0.5, atol=1e-6)
     ramp = np.broadcast_to(np.arange(10, dtype=np.float32), (4, 10)).copy()
-    np.testing.assert_array_equal(middle_square(ramp), ramp[:, 3:7])
-    assert resized(ramp, 3).shape == (3, 3)
+    np.testing.assert_array_equal(crop_centre_square(ramp), ramp[:, 3:7])
+    assert resize_by_area(ramp, 3).shape == (3, 3)
 
 
 def test_depth_is_clipped_metres(tmp_path):
@@ -156,20 +163,20 @@ def test_what_is_no_picture_is_refused(tmp_path, monkeypatch):
     for name, data in (("empty", b""), ("text", b"hello"), ("cut", whole[: len(whole) // 2])):
         (tmp_path / f"{name}.jpg").write_bytes(data)
         with pytest.raises(FileError, match=rf"{name}\.jpg: cannot be read as a picture"):
-            read_picture(tmp_path / f"{name}.jpg")
+            read_photograph(tmp_path / f"{name}.jpg")
     with pytest.raises(FileError, match="cannot be read"):
-        read_picture(tmp_path / "none.jpg")
+        read_photograph(tmp_path / "none.jpg")
     image.new("RGB", (40, 40)).save(tmp_path / "c.tiff")
     with pytest.raises(FileError, match="cannot be read"):
-        read_picture(tmp_path / "c.tiff")
+        read_photograph(tmp_path / "c.tiff")
     image.fromarray(np.full((20, 20), 40_000, dtype=np.uint16)).save(tmp_path / "deep.png")
     with pytest.raises(FileError, match=r"deep\.png: is of the kind I;16, not of 8 bits"):
-        read_picture(tmp_path / "deep.png")
+        read_photograph(tmp_path / "deep.png")
     with pytest.raises(FileError, match="has 64 × 8 pixels"):
-        read_picture(write_picture(tmp_path / "d.png", height=8))
-    monkeypatch.setattr(photographs, "MOST_PIXELS", 1000)
+        read_photograph(write_picture(tmp_path / "d.png", height=8))
+    monkeypatch.setattr(photographs, "MAX_PIXELS", 1000)
     with pytest.raises(FileError, match="has 64 × 48 pixels"):
-        read_picture(tmp_path / "a.jpg")
+        read_photograph(tmp_path / "a.jpg")
 
 
 @settings(max_examples=150, deadline=None)
@@ -187,7 +194,7 @@ def test_damage_anywhere_is_a_picture_or_a_file_error(tmp_path_factory, suffix, 
     place %= len(data)
     path.write_bytes(data[:place] + junk + data[place + len(junk) :])
     try:
-        values = read_depth(path, 5.0) if suffix == ".npy" else read_picture(path)
+        values = read_depth(path, 5.0) if suffix == ".npy" else read_photograph(path)
     except FileError:
         return
     assert values.dtype == np.float32
@@ -211,10 +218,10 @@ def test_a_pair_that_does_not_go_together_is_refused():
     "name", ["", ".", "..", "a/b", "a\\b", "C:", "a\0", "a\n", ".hidden", "dots.", "é" * 201, "~a", "-a"]
 )
 def test_names_that_lead_elsewhere(name):
-    assert not is_plain(name)
+    assert not is_safe_name(name)
 
 
 @given(st.from_regex(r"\A[A-Za-z0-9_]{1,20}\Z"))
 def test_plain_names(name):
-    assert is_plain(name)
-    assert is_plain(f"{name} 1.2 (b)")
+    assert is_safe_name(name)
+    assert is_safe_name(f"{name} 1.2 (b)")

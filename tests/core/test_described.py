@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.measure.described import USABLE_DB, described
-from hnf_core.actuators.measure.felt import felt
-from hnf_core.actuators.measure.resonator import fit
+from hnf_core.actuators.measure.described import DATASHEET_USABLE_DB, make_datasheet_profile
+from hnf_core.actuators.measure.felt import simulate_output
+from hnf_core.actuators.measure.resonator import fit_resonance
 from hnf_core.actuators.profile_file import read_profile
 from hnf_core.cli.main import main
 from hnf_core.errors import UsageError
@@ -24,9 +24,9 @@ RATE = 10_000
 @settings(max_examples=40, deadline=None)
 @given(st.floats(40.0, 400.0), st.floats(0.7, 60.0), st.floats(0.5, 60.0))
 def test_resonance_sharpness_and_strength_come_back(resonance_hz: float, quality: float, peak: float) -> None:
-    profile = described("LRA", "sheet", resonance_hz=resonance_hz, quality=quality, peak_m_s2=peak)
+    profile = make_datasheet_profile("LRA", "sheet", resonance_hz=resonance_hz, quality=quality, peak_m_s2=peak)
     assert profile.response is not None
-    model = fit(profile.response)
+    model = fit_resonance(profile.response)
     assert model.resonance_hz == pytest.approx(resonance_hz, rel=1e-3)
     assert 0.5 / model.damping == pytest.approx(quality, rel=5e-3)
     # Full scale on the wire gives the sheet's figure at the resonance, whatever full scale itself is called.
@@ -36,21 +36,23 @@ def test_resonance_sharpness_and_strength_come_back(resonance_hz: float, quality
     assert low <= resonance_hz <= high
     level = profile.response.gain_db
     inside = (profile.response.frequency_hz >= low) & (profile.response.frequency_hz <= high)
-    assert level[inside].min() >= level.max() - USABLE_DB
+    assert level[inside].min() >= level.max() - DATASHEET_USABLE_DB
 
 
 def test_a_sine_that_is_asked_for_is_what_is_felt_once_the_response_is_corrected() -> None:
-    profile = described("LRA", "sheet", resonance_hz=175.0, quality=8.0, peak_m_s2=14.0)
+    profile = make_datasheet_profile("LRA", "sheet", resonance_hz=175.0, quality=8.0, peak_m_s2=14.0)
     time = np.arange(2 * RATE) / RATE
     for hz in (150.0, 175.0, 220.0):
         signal = Signal((0.3 * np.sin(2.0 * np.pi * hz * time)).astype(np.float32), float(RATE), 0)
-        corrected, plain = (felt(signal, profile, compensate=each).signal for each in (True, False))
+        corrected, plain = (simulate_output(signal, profile, compensate=each).signal for each in (True, False))
         assert corrected.rms == pytest.approx(signal.rms, rel=0.05)
         assert abs(20.0 * np.log10(plain.rms / signal.rms)) > 1.0
 
 
 def test_a_range_that_is_stated_is_kept_and_what_is_not_stated_is_not_made_up() -> None:
-    profile = described("LRA", "sheet", resonance_hz=175.0, quality=12.0, peak_m_s2=None, range_hz=(150.0, 200.0))
+    profile = make_datasheet_profile(
+        "LRA", "sheet", resonance_hz=175.0, quality=12.0, peak_m_s2=None, range_hz=(150.0, 200.0)
+    )
     assert profile.range_hz == (150.0, 200.0)
     assert (profile.peak_m_s2, profile.sustained, profile.thermal_s) == (None, None, None)
     assert profile.assumes_full_scale
@@ -63,7 +65,7 @@ def test_a_range_that_is_stated_is_kept_and_what_is_not_stated_is_not_made_up() 
 def test_what_is_no_such_actuator_is_refused(figures: tuple[float, float, tuple[float, float] | None]) -> None:
     resonance, quality, within = figures
     with pytest.raises(UsageError):
-        described("x", "y", resonance_hz=resonance, quality=quality, peak_m_s2=1.0, range_hz=within)
+        make_datasheet_profile("x", "y", resonance_hz=resonance, quality=quality, peak_m_s2=1.0, range_hz=within)
 
 
 def test_from_the_command_line_to_a_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -74,7 +76,7 @@ def test_from_the_command_line_to_a_stream(tmp_path: Path, capsys: pytest.Captur
     profile = read_profile(out)
     assert (profile.title, profile.source) == ("Coin", "Maker, sheet 1")
     assert profile.response is not None
-    assert 0.5 / fit(profile.response).damping == pytest.approx(10.0, rel=0.01)
+    assert 0.5 / fit_resonance(profile.response).damping == pytest.approx(10.0, rel=0.01)
     assert main([*words, "--q", "1000", "--out", str(out), "--json"], lambda _: 0) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["full_scale_assumed"] is True

@@ -15,10 +15,10 @@ from tactile_networks import SMALL, architecture, look, random_parameters, rando
 
 from hnf_core.errors import FileError, UsageError, WeightsError
 from hnf_core.tactile.diffusion import predict as module
-from hnf_core.tactile.diffusion.conditions import look_of_view
+from hnf_core.tactile.diffusion.conditions import normalise_view
 from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
-from hnf_core.tactile.diffusion.network import network_of
-from hnf_core.tactile.diffusion.predict import predict, predict_slopes
+from hnf_core.tactile.diffusion.network import build_unet
+from hnf_core.tactile.diffusion.predict import predict_slopes, predict_tactile_maps
 from hnf_core.tactile.diffusion.sampling import denoise
 from hnf_core.tactile.diffusion.schedule import alpha_bars, ddim_step, noised, sampling_steps, velocity
 from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
@@ -93,7 +93,7 @@ def test_maps_have_the_views_shape_and_the_sensors_optics(objective):
     for sensor in SENSORS:
         if sensor not in MapConfig().sensors:
             continue
-        for view, found in zip(views, predict(weights, views, sensor, seed=3, steps=2), strict=True):
+        for view, found in zip(views, predict_tactile_maps(weights, views, sensor, seed=3, steps=2), strict=True):
             assert found.image.shape == (64, 64, 3)
             assert found.image.dtype == found.height.dtype == np.float32
             assert np.isfinite(found.image).all()
@@ -107,7 +107,7 @@ def test_maps_have_the_views_shape_and_the_sensors_optics(objective):
 
 def test_the_seed_fixes_every_byte_and_another_gives_another_map():
     weights, views = random_weights(), [look(0), look(1, 2)]
-    once, again, other = (predict(weights, views, "digit", seed=seed, steps=3) for seed in (5, 5, 6))
+    once, again, other = (predict_tactile_maps(weights, views, "digit", seed=seed, steps=3) for seed in (5, 5, 6))
     assert all(same(a, b) for a, b in zip(once, again, strict=True))
     assert not any(same(a, b) for a, b in zip(once, other, strict=True))
 
@@ -116,9 +116,9 @@ def test_the_seed_fixes_every_byte_and_another_gives_another_map():
 @settings(max_examples=12, deadline=None)
 def test_neighbours_and_order_do_not_matter(order, chosen, objective):
     weights, views = random_weights(objective=objective), [look(index, index) for index in range(4)]
-    alone = [predict(weights, [view], "gelsight", seed=1, steps=2)[0] for view in views]
+    alone = [predict_tactile_maps(weights, [view], "gelsight", seed=1, steps=2)[0] for view in views]
     picked = list(order)[:chosen]
-    together = predict(weights, [views[index] for index in picked], "gelsight", seed=1, steps=2)
+    together = predict_tactile_maps(weights, [views[index] for index in picked], "gelsight", seed=1, steps=2)
     assert all(same(alone[index], found) for index, found in zip(picked, together, strict=True))
 
 
@@ -134,7 +134,7 @@ def test_no_more_threads_than_this_process_may_use(monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5}, raising=False)
     monkeypatch.setattr(module, "ThreadPoolExecutor", Pool)
-    predict(random_weights(objective=REGRESSION), [look(index) for index in range(3)], "digit", seed=0)
+    predict_tactile_maps(random_weights(objective=REGRESSION), [look(index) for index in range(3)], "digit", seed=0)
     assert sizes == [2]
 
 
@@ -145,7 +145,7 @@ def silent(*layers: str):
     for layer in layers:
         for part in ("weight", "bias"):
             parameters[f"{layer}.{part}"] = np.zeros_like(parameters[f"{layer}.{part}"])
-    return dataclasses.replace(weights, network=network_of(weights.config, parameters))
+    return dataclasses.replace(weights, network=build_unet(weights.config, parameters))
 
 
 @pytest.mark.parametrize("objective", [DIFFUSION, REGRESSION])
@@ -159,12 +159,12 @@ def test_what_differs_by_rounding_gives_nearly_the_same_map(objective):
 
 def test_each_view_can_have_a_seed_of_its_own():
     weights, views = random_weights(), [look(0), look(1, 2)]
-    (first, _), (_, second) = (predict(weights, views, "digit", seed=seed, steps=2) for seed in (5, 6))
-    one, other = predict(weights, views, "digit", seed=(5, 6), steps=2)
+    (first, _), (_, second) = (predict_tactile_maps(weights, views, "digit", seed=seed, steps=2) for seed in (5, 6))
+    one, other = predict_tactile_maps(weights, views, "digit", seed=(5, 6), steps=2)
     assert same(one, first)
     assert same(other, second)
     with pytest.raises(UsageError, match="3 seeds"):
-        predict(weights, views, "digit", seed=(1, 2, 3))
+        predict_tactile_maps(weights, views, "digit", seed=(1, 2, 3))
 
 
 def test_slopes_have_the_level_that_was_sampled_whatever_the_pattern_lost():
@@ -187,17 +187,17 @@ def test_guidance_of_one_is_the_conditional_model_and_more_is_not():
 def test_unit_contrast_hides_no_scale():
     view = look(0)
     brighter = dataclasses.replace(view, rgb=np.float32(0.25) * view.rgb, depth_m=np.float32(3.0) * view.depth_m)
-    one, other = look_of_view(view), look_of_view(brighter)
-    np.testing.assert_allclose(one.pictures, other.pictures, atol=1e-3)
+    one, other = normalise_view(view), normalise_view(brighter)
+    np.testing.assert_allclose(one.images, other.images, atol=1e-3)
     np.testing.assert_allclose(one.scalars[0, 3] - other.scalars[0, 3], np.log10(2.0), atol=1e-4)
     np.testing.assert_allclose(other.scalars[0, 4] - one.scalars[0, 4], np.log10(3.0), atol=1e-4)
-    assert not look_of_view(view, rgb_known=False).pictures[:, :3].any()
+    assert not normalise_view(view, rgb_known=False).images[:, :3].any()
 
 
 def test_a_flat_look_is_no_division_by_zero():
     flat = dataclasses.replace(look(0), rgb=np.full((64, 64, 3), 0.2, np.float32), depth_m=np.zeros((64, 64), "f4"))
-    assert np.abs(look_of_view(flat).pictures).max() < 1e-3
-    (found,) = predict(random_weights(), [flat], "gelsight", seed=0, steps=2)
+    assert np.abs(normalise_view(flat).images).max() < 1e-3
+    (found,) = predict_tactile_maps(random_weights(), [flat], "gelsight", seed=0, steps=2)
     assert np.isfinite(found.image).all()
 
 
@@ -211,16 +211,16 @@ def test_a_regression_needs_neither_noise_nor_steps():
 def test_what_cannot_be_predicted_is_refused():
     weights, view = random_weights(), look(0)
     for bad in (
-        lambda: predict(weights, [view], "tongue", seed=0),
-        lambda: predict(random_weights(sensors=("digit",)), [view], "gelsight", seed=0),
-        lambda: predict(weights, [view], "digit", seed=0, steps=0),
-        lambda: predict(weights, [dataclasses.replace(view, pitch_m=1e-4)], "digit", seed=0),
-        lambda: predict(weights, [dataclasses.replace(view, rgb=view.rgb[:32])], "digit", seed=0),
-        lambda: predict(weights, [dataclasses.replace(view, rgb=view.rgb * np.nan)], "digit", seed=0),
+        lambda: predict_tactile_maps(weights, [view], "tongue", seed=0),
+        lambda: predict_tactile_maps(random_weights(sensors=("digit",)), [view], "gelsight", seed=0),
+        lambda: predict_tactile_maps(weights, [view], "digit", seed=0, steps=0),
+        lambda: predict_tactile_maps(weights, [dataclasses.replace(view, pitch_m=1e-4)], "digit", seed=0),
+        lambda: predict_tactile_maps(weights, [dataclasses.replace(view, rgb=view.rgb[:32])], "digit", seed=0),
+        lambda: predict_tactile_maps(weights, [dataclasses.replace(view, rgb=view.rgb * np.nan)], "digit", seed=0),
     ):
         with pytest.raises(UsageError):
             bad()
-    assert predict(weights, [], "digit", seed=0) == ()
+    assert predict_tactile_maps(weights, [], "digit", seed=0) == ()
 
 
 def test_weights_come_back_in_half_precision_and_equal_ones_give_equal_bytes(tmp_path):

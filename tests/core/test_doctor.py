@@ -11,10 +11,10 @@ import pytest
 
 import hnf_core
 from hnf_core.cli import doctor
-from hnf_core.cli.health import PACKAGES, Package
+from hnf_core.cli.health import OPTIONAL_PACKAGES, Package
 from hnf_core.cli.main import main
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import plainly
+from hnf_core.kernel.library import without_kernel
 
 
 def hnf(*words: str) -> int:
@@ -30,10 +30,10 @@ def test_it_tells_versions_hashes_and_who_does_the_kernels_work(capsys: pytest.C
     assert (told["hnf"], told["numpy"]) == (hnf_core.__version__, np.__version__)
     assert told["field"] == load_field().identity
     assert len(told["material_library"]) == len(told["weights_for_pictures"]) == 32
-    assert set(told["packages"]) == {each.name for each in PACKAGES}
+    assert set(told["packages"]) == {each.name for each in OPTIONAL_PACKAGES}
     assert all(bool(each["version"]) != bool(each["without"]) for each in told["packages"].values())
     assert [key for key in told if not re.fullmatch("[a-z]+(_[a-z]+)*", key)] == []
-    with plainly():
+    with without_kernel():
         assert hnf("doctor") == 0
     rows = capsys.readouterr().out
     assert "Compiled kernel" in rows
@@ -43,7 +43,7 @@ def test_it_tells_versions_hashes_and_who_does_the_kernels_work(capsys: pytest.C
 def test_a_missing_part_is_named_with_what_it_costs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(doctor, "PACKAGES", (Package("no-such-package", "nothing is felt"),))
+    monkeypatch.setattr(doctor, "OPTIONAL_PACKAGES", (Package("no-such-package", "nothing is felt"),))
     assert hnf("doctor") == 0
     assert "no-such-package" in (said := capsys.readouterr().out)
     assert "not installed: nothing is felt" in said

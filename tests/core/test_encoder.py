@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from unresolved_maps import unresolved_tactile_map
 
 from hnf_core.errors import UsageError
-from hnf_core.material.encoder import band_edges_per_metre, describe, known_bands, smooth_token_values
+from hnf_core.material.encoder import band_edges_per_metre, describe, find_resolved_bands, get_smooth_token_values
 from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, SMOOTH_LEVEL, band_slice
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import TactileMap
@@ -17,7 +17,7 @@ SIDE = 10e-3
 PITCH = SIDE / SIZE
 AXIS = (np.arange(SIZE) + 0.5 - SIZE / 2) * PITCH
 X, Y = np.meshgrid(AXIS, -AXIS)
-FIRST = int(np.flatnonzero(known_bands(SIDE, PITCH, 2 * PITCH))[0])
+FIRST = int(np.flatnonzero(find_resolved_bands(SIDE, PITCH, 2 * PITCH))[0])
 BANDS = range(FIRST, len(BAND_WAVELENGTHS_M))
 """A 10 mm patch holds two periods of 4 mm and less."""
 
@@ -213,7 +213,7 @@ def test_pits_and_grains_have_opposite_skewness_and_sparse_ones_high_kurtosis():
 
 def test_a_flat_surface_is_the_smooth_token_and_a_nanometre_is_nothing():
     flat = describe(tactile(np.zeros((SIZE, SIZE))))
-    np.testing.assert_allclose(flat.values, smooth_token_values(), atol=0.02)
+    np.testing.assert_allclose(flat.values, get_smooth_token_values(), atol=0.02)
     assert bands_of(flat.known).all()
     whisper = describe(tactile(random_height(0, 3.0, rms=1e-11)))
     np.testing.assert_allclose(bands_of(whisper.values)[:, 0], SMOOTH_LEVEL, atol=0.05)
@@ -223,12 +223,12 @@ def test_a_flat_surface_is_the_smooth_token_and_a_nanometre_is_nothing():
 @pytest.mark.parametrize("resolved", [1e-9, 0.3e-3, 1.2e-3, 3.1e-3, np.inf])
 def test_only_resolved_bands_are_known_and_the_rest_is_at_the_floor(resolved):
     token = describe(tactile_map_from_height(random_height(1, 3.0), None, PITCH, resolved))
-    expected = known_bands(SIDE, PITCH, resolved)
+    expected = find_resolved_bands(SIDE, PITCH, resolved)
     for band, known in enumerate(expected):
         part = band_slice(band)
         assert (token.known[part] == known).all()
         if not known:
-            assert np.array_equal(token.values[part], smooth_token_values()[part])
+            assert np.array_equal(token.values[part], get_smooth_token_values()[part])
     assert expected.any() == (resolved < 2e-3)
     for band in np.flatnonzero(expected):
         assert resolved <= BAND_WAVELENGTHS_M[band] / np.sqrt(2)
@@ -259,7 +259,7 @@ def test_a_partly_covered_patch_is_described_by_what_is_seen():
 def test_an_unresolved_map_knows_nothing_and_a_misfit_is_refused():
     nothing = describe(unresolved_tactile_map((SIZE, SIZE), PITCH))
     assert not nothing.known.any()
-    assert np.array_equal(nothing.values, smooth_token_values())
+    assert np.array_equal(nothing.values, get_smooth_token_values())
     good = tactile(random_height(0, 3.0))
     with pytest.raises(UsageError):
         describe(TactileMap(good.image[:-1], None, good.mask, PITCH, "gelsight", 2 * PITCH, good.route))

@@ -11,17 +11,23 @@ from unresolved_maps import unresolved_tactile_map
 
 from hnf_core.errors import FileError, MaterialError, UsageError, WeightsError
 from hnf_core.material.alexnet import weights
-from hnf_core.material.alexnet.network import CONTRAST_FLOOR, LEVEL_AT, OUTPUTS, target_outputs, token_values
-from hnf_core.material.alexnet.reading import describe_by_alexnet
-from hnf_core.material.alexnet.weights import load_encoder, save_encoder
-from hnf_core.material.encoder import describe, smooth_token_values
-from hnf_core.material.encoders import (
-    PREFERRED,
-    default_encoder,
-    describe_with,
-    encoder_by_name,
+from hnf_core.material.alexnet.network import (
+    CONTRAST_FLOOR,
+    LEVEL_INDICES,
+    OUTPUT_COUNT,
+    decode_outputs,
+    encode_targets,
 )
-from hnf_core.material.merge import merge
+from hnf_core.material.alexnet.reading import describe_with_alexnet
+from hnf_core.material.alexnet.weights import load_encoder, save_encoder
+from hnf_core.material.encoder import describe, get_smooth_token_values
+from hnf_core.material.encoders import (
+    PREFERRED_ENCODERS,
+    describe_views,
+    get_default_encoder,
+    get_encoder,
+)
+from hnf_core.material.merge import merge_tokens
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, LEVELS, TOKEN_DIM, band_slice
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import Route, TactileMap
@@ -54,9 +60,9 @@ def test_a_view_is_taught_what_it_is_read_as(seed, index, contrast):
     rng = np.random.default_rng(seed)
     token = rng.uniform(0.0, 0.5, TOKEN_DIM).astype(np.float32)
     token[LEVELS] = rng.uniform(-7.0, -4.0, 7)
-    target = target_outputs(token[None], np.array([contrast]), np.array([index]))[0]
-    assert target.shape == (OUTPUTS,)
-    values, known = token_values(target.astype(np.float32), contrast, PITCHES_M[index])
+    target = encode_targets(token[None], np.array([contrast]), np.array([index]))[0]
+    assert target.shape == (OUTPUT_COUNT,)
+    values, known = decode_outputs(target.astype(np.float32), contrast, PITCHES_M[index])
     assert [bool(known[band_slice(band)].all()) for band in range(7)] == [
         index <= band < index + 4 for band in range(7)
     ]
@@ -66,26 +72,26 @@ def test_a_view_is_taught_what_it_is_read_as(seed, index, contrast):
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**16), st.floats(1e-3, 0.2), st.floats(0.1, 4.0))
 def test_twice_the_contrast_is_twice_the_height(seed, contrast, factor):
-    outputs = np.random.default_rng(seed).uniform(0.0, 0.5, OUTPUTS).astype(np.float32)
-    outputs[list(LEVEL_AT)] = 0.0
-    once, twice = (token_values(outputs, c, PITCHES_M[1])[0] for c in (contrast, factor * contrast))
+    outputs = np.random.default_rng(seed).uniform(0.0, 0.5, OUTPUT_COUNT).astype(np.float32)
+    outputs[list(LEVEL_INDICES)] = 0.0
+    once, twice = (decode_outputs(outputs, c, PITCHES_M[1])[0] for c in (contrast, factor * contrast))
     np.testing.assert_allclose((twice - once)[LEVELS][1:5], np.log10(factor), atol=1e-5)
 
 
 @pytest.mark.parametrize("pitch", PITCHES_M)
 def test_a_view_of_sixty_four_pixels_tells_its_four_bands(pitch):
-    token = describe_by_alexnet(NETWORK, tactile(rough(size=64), pitch))
+    token = describe_with_alexnet(NETWORK, tactile(rough(size=64), pitch))
     first = PITCHES_M.index(pitch)
     told = [bool(token.known[band_slice(band)].all()) for band in range(7)]
     assert told == [first <= band < first + 4 for band in range(7)]
     assert told == [bool(describe(tactile(rough(size=64), pitch)).known[band_slice(band)].all()) for band in range(7)]
-    assert np.array_equal(token.values[:-2][~token.known[:-2]], smooth_token_values()[:-2][~token.known[:-2]])
+    assert np.array_equal(token.values[:-2][~token.known[:-2]], get_smooth_token_values()[:-2][~token.known[:-2]])
 
 
 @pytest.mark.parametrize("resolved", [2 * PITCH, 0.3e-3, 0.7e-3, 3e-3])
 def test_both_makes_know_the_same_bands_of_a_whole_map(resolved):
     whole = tactile(rough(), resolved=resolved)
-    assert np.array_equal(describe_by_alexnet(NETWORK, whole).known, describe(whole).known)
+    assert np.array_equal(describe_with_alexnet(NETWORK, whole).known, describe(whole).known)
 
 
 def test_nothing_is_said_of_what_was_not_seen():
@@ -93,26 +99,26 @@ def test_nothing_is_said_of_what_was_not_seen():
     mask[:, SIZE // 2 :] = False
     hidden, shown = rough(1), rough(1)
     hidden[~mask] += rough(2)[~mask]
-    tokens = [describe_by_alexnet(NETWORK, tactile(height, mask=mask)) for height in (hidden, shown)]
+    tokens = [describe_with_alexnet(NETWORK, tactile(height, mask=mask)) for height in (hidden, shown)]
     assert np.array_equal(tokens[0].values, tokens[1].values)
     assert not tokens[0].known[band_slice(0)].any(), "no view of 20 mm lies inside half of the tile"
     assert tokens[0].known[band_slice(6)].all()
     nowhere = TactileMap(
         tactile(rough(1)).image, None, np.zeros_like(mask), PITCH, "gelsight", 2 * PITCH, Route.MEASURED
     )
-    assert not describe_by_alexnet(NETWORK, nowhere).known.any()
-    assert not describe_by_alexnet(NETWORK, unresolved_tactile_map((SIZE, SIZE), PITCH)).known.any()
+    assert not describe_with_alexnet(NETWORK, nowhere).known.any()
+    assert not describe_with_alexnet(NETWORK, unresolved_tactile_map((SIZE, SIZE), PITCH)).known.any()
 
 
 def test_a_flat_surface_is_smooth():
-    token = describe_by_alexnet(NETWORK, tactile(np.zeros((SIZE, SIZE))))
-    assert np.array_equal(token.values, smooth_token_values())
+    token = describe_with_alexnet(NETWORK, tactile(np.zeros((SIZE, SIZE))))
+    assert np.array_equal(token.values, get_smooth_token_values())
     assert token.known.all()
     assert CONTRAST_FLOOR < 1e-4
 
 
 def test_the_same_map_gives_the_same_token():
-    tokens = [describe_by_alexnet(NETWORK, tactile(rough(3))) for _ in range(2)]
+    tokens = [describe_with_alexnet(NETWORK, tactile(rough(3))) for _ in range(2)]
     assert tokens[0].values.tobytes() == tokens[1].values.tobytes()
 
 
@@ -121,14 +127,14 @@ def test_an_encoder_file_gives_back_what_was_written(tmp_path):
     save_encoder(tmp_path / "b.safetensors", NETWORK)
     back = load_encoder(tmp_path / "a.safetensors")
     assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
-    assert back.design == NETWORK.design
+    assert back.config == NETWORK.config
     assert all(np.array_equal(back.tensors[name], value) for name, value in NETWORK.tensors.items())
     assert back.metadata["encoder"] == ALEXNET_ID
     assert back.metadata["licence"] == NETWORK.metadata["licence"]
-    encoder = encoder_by_name(str(tmp_path / "a.safetensors"))
+    encoder = get_encoder(str(tmp_path / "a.safetensors"))
     whole = tactile(rough(4))
     assert encoder.name == ALEXNET_ID
-    assert np.array_equal(encoder.describe(whole).values, describe_by_alexnet(NETWORK, whole).values)
+    assert np.array_equal(encoder.describe(whole).values, describe_with_alexnet(NETWORK, whole).values)
 
 
 def changed(path, metadata=None, tensors=None):
@@ -161,50 +167,50 @@ def test_a_wrong_file_is_refused_in_words(tmp_path, metadata, tensors, message):
 def test_what_is_no_encoder_is_named(tmp_path):
     (tmp_path / "e.safetensors").write_bytes(b"nothing")
     with pytest.raises(WeightsError, match="damaged"):
-        encoder_by_name(str(tmp_path / "e.safetensors"))
+        get_encoder(str(tmp_path / "e.safetensors"))
     with pytest.raises(FileError, match="cannot read"):
-        encoder_by_name(str(tmp_path / "absent.safetensors"))
+        get_encoder(str(tmp_path / "absent.safetensors"))
     with pytest.raises(UsageError, match="no encoder is called 'alex'"):
-        encoder_by_name("alex")
+        get_encoder("alex")
     with pytest.raises(UsageError, match="prior maps"):
-        default_encoder(Route.PRIOR)
+        get_default_encoder(Route.PRIOR)
 
 
 def test_where_the_network_was_left_out_nothing_else_takes_its_place(tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "DEFAULT_ENCODER", tmp_path / "encoder.safetensors")
     for asked in (
         load_encoder,
-        lambda: encoder_by_name(ALEXNET_ID),
-        lambda: default_encoder(Route.PREDICTED, ENCODER_NAMES),
+        lambda: get_encoder(ALEXNET_ID),
+        lambda: get_default_encoder(Route.PREDICTED, ENCODER_NAMES),
     ):
         with pytest.raises(MaterialError, match=rf"{ALEXNET_ID} is not part of the Blender extension") as caught:
             asked()
         assert ENCODER_ID in caught.value.remedy
         assert "data/encoder.safetensors" in caught.value.remedy
     save_encoder(tmp_path / "copy.safetensors", NETWORK)
-    assert encoder_by_name(str(tmp_path / "copy.safetensors")).name == ALEXNET_ID
-    assert default_encoder(Route.PREDICTED).name == ENCODER_ID
+    assert get_encoder(str(tmp_path / "copy.safetensors")).name == ALEXNET_ID
+    assert get_default_encoder(Route.PREDICTED).name == ENCODER_ID
 
 
 def test_views_of_one_patch_make_one_token():
     views = [tactile(rough(5, 64), PITCHES_M[0]), tactile(rough(6, 64), PITCHES_M[3])]
-    encoder = encoder_by_name(ENCODER_ID)
-    token = describe_with(encoder, views)
+    encoder = get_encoder(ENCODER_ID)
+    token = describe_views(encoder, views)
     assert token.known.all()
     for band, view in ((0, views[0]), (6, views[1])):
         np.testing.assert_allclose(token.values[band_slice(band)], describe(view).values[band_slice(band)], atol=1e-5)
-    assert np.array_equal(describe_with(encoder, views[:1]).values, describe(views[0]).values)
+    assert np.array_equal(describe_views(encoder, views[:1]).values, describe(views[0]).values)
 
 
 def test_every_route_with_a_map_has_a_make_that_the_field_knows():
-    assert set(PREFERRED) == {Route.MEASURED, Route.PREDICTED}
-    for route, names in PREFERRED.items():
+    assert set(PREFERRED_ENCODERS) == {Route.MEASURED, Route.PREDICTED}
+    for route, names in PREFERRED_ENCODERS.items():
         assert set(names) <= set(ENCODER_NAMES)
-        assert default_encoder(route).name == ENCODER_ID
-        assert default_encoder(route, ENCODER_NAMES).name == names[0]
+        assert get_default_encoder(route).name == ENCODER_ID
+        assert get_default_encoder(route, ENCODER_NAMES).name == names[0]
     with pytest.raises(UsageError, match="among other-9"):
-        default_encoder(Route.MEASURED, ("other-9",))
-    assert encoder_by_name(ENCODER_ID).describe is describe
+        get_default_encoder(Route.MEASURED, ("other-9",))
+    assert get_encoder(ENCODER_ID).describe is describe
 
 
 def test_a_view_counts_as_much_as_it_shows():
@@ -212,7 +218,7 @@ def test_a_view_counts_as_much_as_it_shows():
     half = np.ones((64, 64), dtype=bool)
     half[:, 32:] = False
     whole, part = tactile(rough(5, 64), PITCH), tactile(0.1 * rough(5, 64), PITCH, half)
-    encoder = encoder_by_name(ENCODER_ID)
+    encoder = get_encoder(ENCODER_ID)
     tokens = [describe(whole), describe(part)]
-    assert np.array_equal(describe_with(encoder, [whole, part]).values, merge(tokens, [2.0, 1.0]).values)
-    assert not np.array_equal(merge(tokens, [2.0, 1.0]).values, merge(tokens).values)
+    assert np.array_equal(describe_views(encoder, [whole, part]).values, merge_tokens(tokens, [2.0, 1.0]).values)
+    assert not np.array_equal(merge_tokens(tokens, [2.0, 1.0]).values, merge_tokens(tokens).values)

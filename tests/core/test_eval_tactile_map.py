@@ -14,37 +14,43 @@ from hypothesis import strategies as st
 from synthetic_pairs import synthetic_pairs
 from tactile_networks import SMALL, random_parameters
 
-from hnf_core.action.smooth import steady_action
+from hnf_core.action.smooth import make_steady_action
 from hnf_core.cli.main import main
 from hnf_core.datasets import pair_tiles
-from hnf_core.datasets.pair_tiles import PairSizes, laid_tile, orders
-from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, linear_rgb
+from hnf_core.datasets.pair_tiles import PairSizes, list_tile_requests, render_tile
+from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, decode_rgb
 from hnf_core.errors import FileError, UsageError
-from hnf_core.evaluation.held_out import Known, expected
+from hnf_core.evaluation.held_out import KnownMaterial, predict_spectrum
 from hnf_core.evaluation.tactile_map import judge, predictions, run, tiles
-from hnf_core.evaluation.tactile_map.figures import draw_pictures
-from hnf_core.evaluation.tactile_map.image_quality import SIDE, SIGMA, normal_angle_deg, psnr_db, ssim
-from hnf_core.evaluation.tactile_map.judge import judge_pictures, judge_spectra
-from hnf_core.evaluation.tactile_map.kept import Kept
-from hnf_core.evaluation.tactile_map.learned import GREY_M, fitted_grey_m, grey_slopes, learn
-from hnf_core.evaluation.tactile_map.networks import networks_of
-from hnf_core.evaluation.tactile_map.run import Setup, Sizes, measure
-from hnf_core.evaluation.tactile_map.spectra import long_run_spectra, spectrum_error
-from hnf_core.evaluation.tactile_map.statistics import mean_interval, ratio_interval
-from hnf_core.evaluation.tactile_map.tables import excess, extras, to_json
+from hnf_core.evaluation.tactile_map.figures import write_plots
+from hnf_core.evaluation.tactile_map.image_quality import (
+    SSIM_SIDE,
+    SSIM_SIGMA,
+    compute_normal_angle_deg,
+    compute_psnr_db,
+    compute_ssim,
+)
+from hnf_core.evaluation.tactile_map.judge import score_images, score_spectra
+from hnf_core.evaluation.tactile_map.kept import ArrayCache
+from hnf_core.evaluation.tactile_map.learned import GREY_HEIGHT_M, compute_grey_slopes, fit_grey_m, fit_naive_baselines
+from hnf_core.evaluation.tactile_map.networks import make_network_entries
+from hnf_core.evaluation.tactile_map.run import MapSetup, MapSizes, measure_maps
+from hnf_core.evaluation.tactile_map.spectra import compute_spectrum_error, predict_long_run_spectra
+from hnf_core.evaluation.tactile_map.statistics import bootstrap_mean, bootstrap_ratio
+from hnf_core.evaluation.tactile_map.tables import compute_excess, make_tables, report_to_json
 from hnf_core.field.weights import load_field
-from hnf_core.material.encoders import encoder_by_name
-from hnf_core.material.library import find
+from hnf_core.material.encoders import get_encoder
+from hnf_core.material.library import get_material
 from hnf_core.material.token import ENCODER_ID
 from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
 from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
-from hnf_core.tactile.views import LookView
-from hnf_core.training.conditions import middle_conditions, speed_grid
+from hnf_core.tactile.views import AppearanceView
+from hnf_core.training.conditions import make_middle_conditions, make_speed_grid
 
 pytestmark = pytest.mark.filterwarnings("error")
 SEED = st.integers(0, 2**31)
-ENCODER = encoder_by_name(ENCODER_ID)
-SIZES = Sizes(
+ENCODER = get_encoder(ENCODER_ID)
+SIZES = MapSizes(
     instances=1, classes=1, varied=1, all_pitches=1, curve=1, steps=2, curve_steps=(1, 2), guidance=(1.0, 2.0), made=2
 )  # fmt: skip
 NAMES = {DIFFUSION: "predicted (diffusion, 2 steps)", REGRESSION: "predicted (regression)"}
@@ -57,47 +63,51 @@ def picture(seed: int, *shape: int) -> np.ndarray:
 @given(SEED, st.floats(1e-3, 0.5), st.floats(0.5, 300.0))
 def test_psnr_of_a_constant_difference(seed: int, difference: float, data_range: float) -> None:
     image = picture(seed, 8, 9, 3)
-    assert psnr_db(image, image, data_range) == np.inf
-    assert psnr_db(image + difference, image, data_range) == pytest.approx(20.0 * np.log10(data_range / difference))
+    assert compute_psnr_db(image, image, data_range) == np.inf
+    assert compute_psnr_db(image + difference, image, data_range) == pytest.approx(
+        20.0 * np.log10(data_range / difference)
+    )
 
 
 @given(SEED)
 @settings(max_examples=20)
 def test_similarity_is_one_of_equals_less_of_others_and_symmetric(seed: int) -> None:
     one, other = picture(seed, 16, 14), picture(seed + 1, 16, 14)
-    assert ssim(one, one, 1.0) == pytest.approx(1.0)
-    assert ssim(one, other, 1.0) == pytest.approx(ssim(other, one, 1.0))
-    assert ssim(one, other, 1.0) < 0.9
+    assert compute_ssim(one, one, 1.0) == pytest.approx(1.0)
+    assert compute_ssim(one, other, 1.0) == pytest.approx(compute_ssim(other, one, 1.0))
+    assert compute_ssim(one, other, 1.0) < 0.9
 
 
 def test_similarity_of_constants_by_hand() -> None:
     """No variance: only the luminance term is left, with C1 = (0.01 · 255)² = 6.5025."""
     one, other = np.full((12, 12), 100.0), np.full((12, 12), 120.0)
-    assert ssim(one, other, 255.0) == pytest.approx((2 * 100 * 120 + 6.5025) / (100**2 + 120**2 + 6.5025), abs=1e-9)
+    assert compute_ssim(one, other, 255.0) == pytest.approx(
+        (2 * 100 * 120 + 6.5025) / (100**2 + 120**2 + 6.5025), abs=1e-9
+    )
 
 
 def test_similarity_is_what_the_published_formula_says() -> None:
     """Equation 13 written out, window by window, in loops."""
     one, other = 255.0 * picture(1, 13, 12), 255.0 * picture(2, 13, 12)
-    place = np.arange(SIDE) - 5
-    weight = np.exp(-(place[:, None] ** 2 + place[None, :] ** 2) / (2 * SIGMA**2))
+    place = np.arange(SSIM_SIDE) - 5
+    weight = np.exp(-(place[:, None] ** 2 + place[None, :] ** 2) / (2 * SSIM_SIGMA**2))
     weight /= weight.sum()
     values = []
     for row in range(3):
         for column in range(2):
-            x, y = (each[row : row + SIDE, column : column + SIDE] for each in (one, other))
+            x, y = (each[row : row + SSIM_SIDE, column : column + SSIM_SIDE] for each in (one, other))
             mx, my = (weight * x).sum(), (weight * y).sum()
             vx, vy, cov = ((weight * a * b).sum() for a, b in ((x - mx, x - mx), (y - my, y - my), (x - mx, y - my)))
             values.append((2 * mx * my + 6.5025) * (2 * cov + 58.5225)
                           / ((mx**2 + my**2 + 6.5025) * (vx + vy + 58.5225)))  # fmt: skip
-    assert ssim(one, other, 255.0) == pytest.approx(np.mean(values), rel=1e-9)
+    assert compute_ssim(one, other, 255.0) == pytest.approx(np.mean(values), rel=1e-9)
     coloured = [np.stack([each, each], axis=-1) for each in (one, other)]
-    assert ssim(*coloured, 255.0) == pytest.approx(np.mean(values), rel=1e-9)
+    assert compute_ssim(*coloured, 255.0) == pytest.approx(np.mean(values), rel=1e-9)
 
 
 def test_pictures_that_cannot_be_compared_are_refused() -> None:
-    for call in (lambda: psnr_db(np.zeros((3, 3)), np.zeros((3, 4)), 1.0), lambda: ssim(np.zeros((5, 5)),
-                 np.zeros((5, 5)), 1.0), lambda: psnr_db(np.zeros((3, 3)), np.zeros((3, 3)), 0.0)):  # fmt: skip
+    for call in (lambda: compute_psnr_db(np.zeros((3, 3)), np.zeros((3, 4)), 1.0), lambda: compute_ssim(np.zeros((5, 5)),
+                 np.zeros((5, 5)), 1.0), lambda: compute_psnr_db(np.zeros((3, 3)), np.zeros((3, 3)), 0.0)):  # fmt: skip
         with pytest.raises(UsageError):
             call()
 
@@ -105,21 +115,21 @@ def test_pictures_that_cannot_be_compared_are_refused() -> None:
 @given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
 def test_angles_between_normals(gx: float, gy: float) -> None:
     slopes = np.broadcast_to(np.array([gx, gy])[:, None, None], (2, 4, 4))
-    assert normal_angle_deg(slopes, slopes) == 0.0
+    assert compute_normal_angle_deg(slopes, slopes) == 0.0
     tilt = np.degrees(np.arctan(np.hypot(gx, gy)))
-    assert normal_angle_deg(slopes, np.zeros((2, 4, 4))) == pytest.approx(tilt, abs=1e-9)
-    assert normal_angle_deg(slopes, -slopes) == pytest.approx(2.0 * tilt, abs=1e-9)
+    assert compute_normal_angle_deg(slopes, np.zeros((2, 4, 4))) == pytest.approx(tilt, abs=1e-9)
+    assert compute_normal_angle_deg(slopes, -slopes) == pytest.approx(2.0 * tilt, abs=1e-9)
 
 
 @given(SEED, st.floats(-20.0, 20.0))
 @settings(max_examples=20)
 def test_a_gain_is_all_level_and_nothing_shape(seed: int, gain_db: float) -> None:
     spectra = np.exp(np.random.default_rng(seed).normal(0.0, 1.0, (6, 100)))
-    error = spectrum_error(spectra * 10.0 ** (gain_db / 10.0), spectra)
+    error = compute_spectrum_error(spectra * 10.0 ** (gain_db / 10.0), spectra)
     assert error.bias == pytest.approx(gain_db, abs=1e-9)
     assert (error.total, error.level) == (pytest.approx(abs(gain_db)), pytest.approx(abs(gain_db)))
     assert error.shape == pytest.approx(0.0, abs=1e-6)
-    other = spectrum_error(
+    other = compute_spectrum_error(
         spectra[:1] * np.exp(np.random.default_rng(seed + 1).normal(0.2, 1.0, (1, 100))), spectra[:1]
     )
     assert other.total**2 == pytest.approx(other.level**2 + other.shape**2)
@@ -127,37 +137,39 @@ def test_a_gain_is_all_level_and_nothing_shape(seed: int, gain_db: float) -> Non
 
 def test_spectra_are_those_of_whole_steady_strokes() -> None:
     """The batch by states beside evaluation.held_out.expected, which walks through an action and its start."""
-    field, one = load_field(), find("denim")
-    batch = long_run_spectra(field, np.stack([one.token, find("cork").token]), [one.mechanics, find("cork").mechanics])
-    for number, each in enumerate(middle_conditions()):
-        action = steady_action(2.0, float(speed_grid()[each.speed]), each.force, each.angle)
-        known = Known("denim", "fabric", one.token, one.mechanics, np.ones(501))
-        np.testing.assert_allclose(batch[0, number], expected(field, known, action), rtol=2e-3)
+    field, one = load_field(), get_material("denim")
+    batch = predict_long_run_spectra(
+        field, np.stack([one.token, get_material("cork").token]), [one.mechanics, get_material("cork").mechanics]
+    )
+    for number, each in enumerate(make_middle_conditions()):
+        action = make_steady_action(2.0, float(make_speed_grid()[each.speed]), each.force, each.angle)
+        known = KnownMaterial("denim", "fabric", one.token, one.mechanics, np.ones(501))
+        np.testing.assert_allclose(batch[0, number], predict_spectrum(field, known, action), rtol=2e-3)
 
 
 @pytest.fixture(scope="module")
-def tile() -> tiles.JudgedTile:
-    first, second = orders(HELD_OUT_CLASSES, PairSizes(), 0)[:2]
-    return tiles.judged_tile(first, second, Kept(None))
+def tile() -> tiles.HeldOutTile:
+    first, second = list_tile_requests(HELD_OUT_CLASSES, PairSizes(), 0)[:2]
+    return tiles.load_tile(first, second, ArrayCache(None))
 
 
 def test_perfect_is_zero_and_the_second_tile_is_the_floor(tile) -> None:
     maps = {"perfect": ("gelsight", tile.slopes[:, 0]), "perfect DIGIT": ("digit", tile.slopes[:, 1])}
-    result = judge_spectra(load_field(), ENCODER, tile, maps, None)
+    result = score_spectra(load_field(), ENCODER, tile, maps, None)
     for name in maps:
         assert result.errors[name].total == pytest.approx(0.0, abs=1e-6)
         np.testing.assert_allclose(result.bands_db[name], 0.0, atol=1e-5)
-    assert excess([result], judge.FLOOR) == [0.0]
+    assert compute_excess([result], judge.FLOOR) == [0.0]
     assert result.errors[judge.FLOOR].total > 0.1
-    assert all(each.angle_deg == 0.0 and each.ssim == pytest.approx(1.0) for each in judge_pictures(tile, maps))
+    assert all(each.angle_deg == 0.0 and each.ssim == pytest.approx(1.0) for each in score_images(tile, maps))
 
 
 def test_twice_as_high_is_six_decibels_in_every_band(tile) -> None:
     maps = {"doubled": ("gelsight", 2.0 * tile.slopes[:, 0])}
-    result = judge_spectra(load_field(), ENCODER, tile, maps, None)
+    result = score_spectra(load_field(), ENCODER, tile, maps, None)
     np.testing.assert_allclose(result.bands_db["doubled"], 20.0 * np.log10(2.0), atol=0.1)
     assert 3.0 < result.errors["doubled"].bias < 8.0
-    assert all(each.level_db == pytest.approx(20.0 * np.log10(2.0), abs=1e-3) for each in judge_pictures(tile, maps))
+    assert all(each.level_db == pytest.approx(20.0 * np.log10(2.0), abs=1e-3) for each in score_images(tile, maps))
 
 
 def test_blurred_loses_short_waves_and_keeps_long_ones(tile) -> None:
@@ -166,14 +178,14 @@ def test_blurred_loses_short_waves_and_keeps_long_ones(tile) -> None:
     near = blurred[1 : tiles.TOKEN_VIEWS]
     keep = np.exp(-0.5 * (frequency / 0.1) ** 2)
     blurred[1 : tiles.TOKEN_VIEWS] = np.fft.irfft2(np.fft.rfft2(near) * keep, s=(64, 64))
-    bands = judge_spectra(load_field(), ENCODER, tile, {"blurred": ("gelsight", blurred)}, None).bands_db["blurred"]
+    bands = score_spectra(load_field(), ENCODER, tile, {"blurred": ("gelsight", blurred)}, None).bands_db["blurred"]
     assert (np.diff(bands[3:]) < 0.0).all()
     assert bands[-1] < -12.0
     np.testing.assert_allclose(bands[:3], 0.0, atol=1e-6)
 
 
 def test_a_flat_map_is_far_too_quiet(tile) -> None:
-    result = judge_spectra(load_field(), ENCODER, tile, {"flat": ("gelsight", 0.0 * tile.slopes[:, 0])}, None)
+    result = score_spectra(load_field(), ENCODER, tile, {"flat": ("gelsight", 0.0 * tile.slopes[:, 0])}, None)
     assert result.errors["flat"].bias < -20.0
 
 
@@ -181,14 +193,14 @@ def test_looks_and_slopes_of_a_tile_show_the_same_place(monkeypatch) -> None:
     """Where the photograph is the height itself, its gradient in every view is the true slope of that view."""
     monkeypatch.setattr(pair_tiles, "NOISE", (0.0, 0.0))
     monkeypatch.setattr(pair_tiles, "BLUR_PIXELS", (0.0, 0.0))
-    order = orders(HELD_OUT_CLASSES, PairSizes(), 0)[0]
-    laid = laid_tile(order)
+    order = list_tile_requests(HELD_OUT_CLASSES, PairSizes(), 0)[0]
+    laid = render_tile(order)
     grey = (laid.height - laid.height.min()) / np.ptp(laid.height)
-    views = tiles._looked_at(replace(laid, photograph=np.stack([grey] * 3)), order)
+    views = tiles._cut_views(replace(laid, photograph=np.stack([grey] * 3)), order)
     pitches = [view.pitch_m for view in views]
     assert pitches[0] == max(pitches)
     assert (len(set(pitches)), len(pitches)) == (4, 7)
-    for view, slopes in zip(views, tiles._true(laid, 0), strict=True):
+    for view, slopes in zip(views, tiles._cut_true_slopes(laid, 0), strict=True):
         down, across = np.gradient(view.rgb[..., 0].astype(float))
         for seen, true in ((across, slopes[0]), (-down, slopes[1])):
             assert np.corrcoef(seen[2:-2, 2:-2].ravel(), true[2:-2, 2:-2].ravel())[0, 1] > 0.8
@@ -198,16 +210,16 @@ def test_the_nearest_neighbour_of_a_training_view_is_itself() -> None:
     pairs = synthetic_pairs(16, 3)
     rows = (5, 10)
     queries = [
-        LookView(linear_rgb(pairs.rgb[row]), pairs.depth[row].astype(np.float32) * np.float32(pairs.pitch_m[row]), True,
+        AppearanceView(decode_rgb(pairs.rgb[row]), pairs.depth[row].astype(np.float32) * np.float32(pairs.pitch_m[row]), True,
                  float(pairs.pitch_m[row]))
         for row in rows
     ]  # fmt: skip
-    found = learn([synthetic_pairs(16, 4), pairs], queries)
+    found = fit_naive_baselines([synthetic_pairs(16, 4), pairs], queries)
     np.testing.assert_array_equal(found.neighbours, pairs.slopes[list(rows), 0].astype(np.float32))
     assert found.views == 32
     assert set(found.class_name) == {"wood"}
     with pytest.raises(FileError):
-        learn([], queries)
+        fit_naive_baselines([], queries)
 
 
 def test_grey_as_height_finds_its_scale() -> None:
@@ -215,19 +227,21 @@ def test_grey_as_height_finds_its_scale() -> None:
     pairs = synthetic_pairs(4, 5)
     slopes = np.array(pairs.slopes)
     for row in range(4):
-        view = LookView(linear_rgb(pairs.rgb[row]), np.zeros((64, 64), np.float32), False, float(pairs.pitch_m[row]))
-        slopes[row, 0] = grey_slopes(view, 3.0 * GREY_M)
-    assert fitted_grey_m(replace(pairs, slopes=slopes)) == pytest.approx(3.0 * GREY_M, rel=0.02)
+        view = AppearanceView(
+            decode_rgb(pairs.rgb[row]), np.zeros((64, 64), np.float32), False, float(pairs.pitch_m[row])
+        )
+        slopes[row, 0] = compute_grey_slopes(view, 3.0 * GREY_HEIGHT_M)
+    assert fit_grey_m(replace(pairs, slopes=slopes)) == pytest.approx(3.0 * GREY_HEIGHT_M, rel=0.02)
 
 
 @given(SEED)
 @settings(max_examples=20)
 def test_intervals_hold_their_mean_and_equal_methods_are_level(seed: int) -> None:
     values = np.random.default_rng(seed).uniform(1.0, 3.0, 30)
-    found = mean_interval(values, 1)
+    found = bootstrap_mean(values, 1)
     assert found.low < found.mean < found.high
-    assert ratio_interval(values, values, 1).words() == "1.00 (1.00 … 1.00)"
-    half = ratio_interval(0.5 * values, values, 1)
+    assert bootstrap_ratio(values, values, 1).format() == "1.00 (1.00 … 1.00)"
+    half = bootstrap_ratio(0.5 * values, values, 1)
     assert (half.low, half.mean, half.high) == pytest.approx((0.5, 0.5, 0.5))
 
 
@@ -239,11 +253,11 @@ def test_what_is_kept_is_made_once_and_damage_is_told(tmp_path) -> None:
         return {"values": np.arange(3.0)}
 
     for _ in range(2):
-        np.testing.assert_array_equal(Kept(tmp_path).get("name", make)["values"], [0.0, 1.0, 2.0])
+        np.testing.assert_array_equal(ArrayCache(tmp_path).get_or_make("name", make)["values"], [0.0, 1.0, 2.0])
     assert made == [1]
     next(tmp_path.iterdir()).write_bytes(b"not a file of arrays")
     with pytest.raises(FileError, match="cannot be read"):
-        Kept(tmp_path).get("name", make)
+        ArrayCache(tmp_path).get_or_make("name", make)
 
 
 @pytest.fixture(scope="module")
@@ -263,7 +277,7 @@ def hnf(*words: object) -> int:
 def test_the_whole_report(weights, main, other, tmp_path, monkeypatch, capsys) -> None:
     """Through the command line, in small: every table, JSON, pictures; and again from what was kept, to the byte."""
     pytest.importorskip("matplotlib", reason="draws pictures")
-    monkeypatch.setattr(run, "QUICK", SIZES)
+    monkeypatch.setattr(run, "QUICK_SIZES", SIZES)
     command = ("eval", "tactile-map", "--quick", "--weights", weights / f"{main}.safetensors", "--beside",
                weights / f"{other}.safetensors", "--cache", weights / "kept", "--json")  # fmt: skip
     assert hnf(*command, "--pictures", tmp_path) == 0
@@ -295,9 +309,9 @@ def test_the_whole_report(weights, main, other, tmp_path, monkeypatch, capsys) -
 
 def test_two_of_a_kind_are_told_apart(weights) -> None:
     one, other = (load_map_weights(weights / f"{name}.safetensors") for name in (REGRESSION, "other"))
-    first, second = networks_of(one, other, 20)
+    first, second = make_network_entries(one, other, 20)
     assert (first.name, second.name) == (NAMES[REGRESSION], f"{NAMES[REGRESSION]}, other weights")
-    assert first.short != second.short
+    assert first.short_name != second.short_name
     assert (first.weights, second.weights) == (one, other)
 
 
@@ -319,7 +333,7 @@ def test_the_curve_is_that_of_the_diffusion_wherever_it_stands(weights) -> None:
     diffusion, regression = (load_map_weights(weights / f"{name}.safetensors") for name in (DIFFUSION, REGRESSION))
     sizes = replace(SIZES, varied=0, all_pitches=0, guidance=(1.0,))
     curves = [
-        measure(Setup(main, beside, sizes=sizes, cache=weights / "kept")).curve
+        measure_maps(MapSetup(main, beside, sizes=sizes, cache=weights / "kept")).curve
         for main, beside in ((diffusion, regression), (regression, diffusion))
     ]
     assert len(curves[0]) == 2
@@ -339,25 +353,25 @@ def test_no_more_threads_are_asked_than_this_process_may_use(weights, tile, tmp_
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5}, raising=False)
     monkeypatch.setattr(predictions, "ThreadPoolExecutor", Pool)
     network = load_map_weights(weights / f"{REGRESSION}.safetensors")
-    predictions.predicted(network, tile, predictions.Asked(views=(0, 1)), 0, Kept(tmp_path))
+    predictions.predict_tile(network, tile, predictions.Query(views=(0, 1)), 0, ArrayCache(tmp_path))
     assert sizes == [2]
 
 
 def test_without_another_network_there_is_no_row_of_it(weights) -> None:
     sizes = replace(SIZES, varied=0, all_pitches=0, steps=1, curve_steps=(1,), guidance=(1.0,))
-    setup = Setup(load_map_weights(weights / "diffusion.safetensors"), sizes=sizes, cache=weights / "kept")
-    measured = measure(setup)
-    assert all(REGRESSION not in json.dumps(extra.rows) for extra in extras(setup, measured))
-    assert to_json(setup, measured)["beside"] is None
+    setup = MapSetup(load_map_weights(weights / "diffusion.safetensors"), sizes=sizes, cache=weights / "kept")
+    measured = measure_maps(setup)
+    assert all(REGRESSION not in json.dumps(extra.rows) for extra in make_tables(setup, measured))
+    assert report_to_json(setup, measured)["beside"] is None
 
 
 def test_without_a_diffusion_there_are_no_steps_to_show(weights, tmp_path) -> None:
     pytest.importorskip("matplotlib", reason="draws pictures")
     sizes = replace(SIZES, varied=0, all_pitches=0)
-    setup = Setup(load_map_weights(weights / "regression.safetensors"), sizes=sizes, cache=weights / "kept")
-    measured = measure(setup)
+    setup = MapSetup(load_map_weights(weights / "regression.safetensors"), sizes=sizes, cache=weights / "kept")
+    measured = measure_maps(setup)
     assert measured.curve == ()
-    assert "steps" not in to_json(setup, measured)["tables"]
-    assert DIFFUSION not in json.dumps(to_json(setup, measured))
-    draw_pictures(tmp_path, setup, measured)
+    assert "steps" not in report_to_json(setup, measured)["tables"]
+    assert DIFFUSION not in json.dumps(report_to_json(setup, measured))
+    write_plots(tmp_path, setup, measured)
     assert {path.name for path in tmp_path.glob("*.png")} == {"tactile-map-examples.png", "tactile-map-excess.png"}

@@ -8,37 +8,48 @@ import numpy as np
 import pytest
 from evaluation_stubs import LIMITS, GaussianTexture, Perfect, gaussian
 
-from hnf_core.action.smooth import steady_action
+from hnf_core.action.smooth import make_steady_action
 from hnf_core.errors import UsageError
-from hnf_core.evaluation.direction import by_direction
-from hnf_core.evaluation.expected_magnitude import expected_magnitude_signal
-from hnf_core.evaluation.materials import Judged, Sizes, Subject, cells_of, column, judge
-from hnf_core.evaluation.methods import Budget, Entry, chosen, entries
-from hnf_core.evaluation.reference import Reference, references
-from hnf_core.evaluation.report import Report, summary
-from hnf_core.evaluation.score import METRICS, score_best, score_expected_magnitude, score_natural
-from hnf_core.evaluation.strokes import diet_actions, trials
-from hnf_core.evaluation.tables import markdown
+from hnf_core.evaluation.direction import measure_directions
+from hnf_core.evaluation.expected_magnitude import make_expected_magnitude_signal
+from hnf_core.evaluation.materials import (
+    EvaluatedMaterial,
+    EvaluationSizes,
+    MaterialResult,
+    evaluate_material,
+    make_column,
+    score_method,
+)
+from hnf_core.evaluation.methods import Budget, MethodEntry, list_entries, select_entries
+from hnf_core.evaluation.reference import Reference, make_references
+from hnf_core.evaluation.report import Report, summarise
+from hnf_core.evaluation.score import METRIC_NAMES, score_best, score_expected_magnitude, score_natural
+from hnf_core.evaluation.strokes import make_training_actions, make_trials
+from hnf_core.evaluation.tables import format_report
 from hnf_core.metrics.spectra import welch
 
-SIZES = Sizes(2.0, 32, 4, 4.0, 1, 1, 2)
+SIZES = EvaluationSizes(2.0, 32, 4, 4.0, 1, 1, 2)
 
 
 @pytest.fixture(scope="module")
 def reference() -> Reference:
-    return references(GaussianTexture(), [("steady", steady_action(2.0, 0.1, 1.0))], 1, 32, 4)[0]
+    return make_references(GaussianTexture(), [("steady", make_steady_action(2.0, 0.1, 1.0))], 1, 32, 4)[0]
 
 
 @pytest.fixture(scope="module")
-def judged() -> Judged:
+def judged() -> MaterialResult:
     stubs = (
-        Entry("perfect", "wandering", lambda budget: Perfect()),
-        Entry("broken", "circular", lambda budget: Perfect(broken=True)),
-        Entry("half", "circular and primitives", lambda budget: Perfect(0.5, "half as loud")),
-        Entry("lines", "wandering", lambda budget: Perfect(form="expected magnitude", name="noise as benchmark form")),
-        Entry("blind", "wandering", lambda budget: Perfect(), needs_token=True),
+        MethodEntry("perfect", "wandering", lambda budget: Perfect()),
+        MethodEntry("broken", "circular", lambda budget: Perfect(broken=True)),
+        MethodEntry("half", "circular and primitives", lambda budget: Perfect(0.5, "half as loud")),
+        MethodEntry(
+            "lines", "wandering", lambda budget: Perfect(form="expected magnitude", name="noise as benchmark form")
+        ),
+        MethodEntry("blind", "wandering", lambda budget: Perfect(), needs_token=True),
     )
-    return judge(Subject(GaussianTexture(), LIMITS), stubs, SIZES, Budget(), 3, lambda stage: None)
+    return evaluate_material(
+        EvaluatedMaterial(GaussianTexture(), LIMITS), stubs, SIZES, Budget(), 3, lambda stage: None
+    )
 
 
 def test_a_perfect_method_scores_as_the_oracle(reference: Reference) -> None:
@@ -78,7 +89,7 @@ def test_the_expected_magnitude_form_comes_close_to_the_best_and_is_not_asked_fo
     reference: Reference,
 ) -> None:
     density = np.mean([welch(each, 10_000.0)[1] for each in reference.draws], axis=0)[1:101]
-    shown = score_expected_magnitude([expected_magnitude_signal(density[None, :], 20_000)], reference)
+    shown = score_expected_magnitude([make_expected_magnitude_signal(density[None, :], 20_000)], reference)
     assert 1.0 < (shown.mse_best or 0.0) <= 1.10
     assert (shown.distance_db, shown.power_bias_db, shown.nine_band_db, shown.repetition) == (None,) * 4
     best = score_best(reference)
@@ -86,22 +97,24 @@ def test_the_expected_magnitude_form_comes_close_to_the_best_and_is_not_asked_fo
     assert best.st_sim_tum is None
 
 
-def test_one_that_fails_is_named_and_costs_nobody_else(judged: Judged) -> None:
+def test_one_that_fails_is_named_and_costs_nobody_else(judged: MaterialResult) -> None:
     assert [note.split(":")[0] for note in judged.notes] == ["broken on gaussian"]
     assert set(judged.cells) == {"oracle", "best", "perfect", "half", "lines"}
     for cells in judged.cells.values():
         assert {kind: len(found) for kind, found in cells.items()} == {"window": 2, "unseen": 2}
 
 
-def test_tables_keep_the_forms_apart_and_always_show_the_limits(judged: Judged) -> None:
+def test_tables_keep_the_forms_apart_and_always_show_the_limits(judged: MaterialResult) -> None:
     stubs = (
-        Entry("perfect", "wandering", lambda budget: Perfect()),
-        Entry("lines", "wandering", lambda budget: Perfect(form="expected magnitude", name="noise as benchmark form")),
+        MethodEntry("perfect", "wandering", lambda budget: Perfect()),
+        MethodEntry(
+            "lines", "wandering", lambda budget: Perfect(form="expected magnitude", name="noise as benchmark form")
+        ),
     )
-    found = column("a", "(a) Test", "A note.", ["window"], [judged], stubs, Budget())
+    found = make_column("a", "(a) Test", "A note.", ["window"], [judged], stubs, Budget())
     assert [row.key for row in found.rows] == ["oracle", "best", "perfect", "lines"]
     report = Report({"seed": 3}, (found,), notes=judged.notes, timings={"all": 1.0})
-    text = markdown(report)
+    text = format_report(report)
     natural, benchmark = text.index("Natural forms: signals"), text.index("Expected-magnitude forms: for")
     assert natural < text.index("oracle: the true process", natural) < text.index("| perfect", natural) < benchmark
     assert benchmark < text.index("| best: the true process's mean") < text.index("| noise as benchmark form")
@@ -110,21 +123,21 @@ def test_tables_keep_the_forms_apart_and_always_show_the_limits(judged: Judged) 
     assert record["schema"] == 1
     rows = {row["key"]: row for row in record["columns"][0]["rows"]}
     assert rows["perfect"]["summary"]["mse_oracle"]["median"] == pytest.approx(1.0, abs=0.1)
-    assert set(rows["perfect"]["cells"][0]) == {"material", "stroke", *METRICS}
+    assert set(rows["perfect"]["cells"][0]) == {"material", "stroke", *METRIC_NAMES}
     assert "distance_db" not in rows["lines"]["summary"]
 
 
 def test_a_summary_leaves_out_what_a_method_does_not_have(reference: Reference) -> None:
-    cells = cells_of(Perfect(), Perfect(), [reference, reference], 1, 0)
-    found = summary(cells)
+    cells = score_method(Perfect(), Perfect(), [reference, reference], 1, 0)
+    found = summarise(cells)
     assert found["distance_db"]["count"] == 2
     assert found["distance_db"]["min"] <= found["distance_db"]["median"] <= found["distance_db"]["max"]
-    assert summary([]) == {}
+    assert summarise([]) == {}
 
 
 def test_diets_stay_within_their_limits_and_hold_no_trial() -> None:
     for diet in ("wandering", "circular", "circular and primitives"):
-        actions = diet_actions(diet, LIMITS, 60.0, 0)
+        actions = make_training_actions(diet, LIMITS, 60.0, 0)
         assert sum(action.duration_s for action in actions) == pytest.approx(60.0, rel=0.25)
         if diet != "circular and primitives":
             for action in actions:
@@ -132,12 +145,12 @@ def test_diets_stay_within_their_limits_and_hold_no_trial() -> None:
                     LIMITS.speed_m_s[0] - 1e-9 <= action.speed.min() <= action.speed.max() <= LIMITS.speed_m_s[1] + 1e-9
                 )
                 assert LIMITS.force_n[0] - 1e-9 <= action.force.min() <= action.force.max() <= LIMITS.force_n[1] + 1e-9
-    wandering = diet_actions("wandering", LIMITS, 60.0, 0)
-    for trial in trials(LIMITS, 2.0, 0):
+    wandering = make_training_actions("wandering", LIMITS, 60.0, 0)
+    for trial in make_trials(LIMITS, 2.0, 0):
         assert trial.action.duration_s == 2.0
         speeds = trial.action.speed
         assert not any(np.array_equal(speeds, action.speed[: len(speeds)]) for action in wandering)
-    kinds = [trial.kind for trial in trials(LIMITS, 2.0, 0)]
+    kinds = [trial.kind for trial in make_trials(LIMITS, 2.0, 0)]
     assert kinds == ["window", "window", "unseen", "unseen"]
 
 
@@ -147,14 +160,16 @@ def test_directions_are_told_by_the_one_who_knows_and_not_by_the_other() -> None
             texture = GaussianTexture(directed=True)
             return [gaussian(a, 5000 + seed, index, texture.gain(a)) for index, a in enumerate(actions)]
 
-    measured = by_direction(GaussianTexture(directed=True), LIMITS, {"knows": Knowing(), "blind": Perfect()}, 2.0, 8, 0)
-    assert measured.anisotropy_db() == pytest.approx(20.0 * np.log10(4.0), abs=0.5)
-    assert measured.ratio_error_db("knows") < 1.0
-    assert measured.ratio_error_db("blind") > 5.0
+    measured = measure_directions(
+        GaussianTexture(directed=True), LIMITS, {"knows": Knowing(), "blind": Perfect()}, 2.0, 8, 0
+    )
+    assert measured.compute_anisotropy_db() == pytest.approx(20.0 * np.log10(4.0), abs=0.5)
+    assert measured.compute_ratio_error_db("knows") < 1.0
+    assert measured.compute_ratio_error_db("blind") > 5.0
 
 
 def test_methods_are_chosen_by_key() -> None:
-    assert [entry.key for entry in chosen(["ar", "field", "ar"])] == ["ar", "field"]
-    assert [entry.key for entry in chosen(None)] == [entry.key for entry in entries()]
+    assert [entry.key for entry in select_entries(["ar", "field", "ar"])] == ["ar", "field"]
+    assert [entry.key for entry in select_entries(None)] == [entry.key for entry in list_entries()]
     with pytest.raises(UsageError, match="field"):
-        chosen(["nonsense"])
+        select_entries(["nonsense"])

@@ -11,17 +11,17 @@ pytest.importorskip("torch")
 
 from hnf_core.cli.main import main
 from hnf_core.errors import UsageError
-from hnf_core.evaluation.materials import Sizes
-from hnf_core.evaluation.run import Options, run_evaluation
+from hnf_core.evaluation.materials import EvaluationSizes
+from hnf_core.evaluation.run import EvaluationOptions, run_evaluation
 
-TINY = Sizes(1.0, 4, 1, 2.0, 1, 1, 1, 2)
+TINY = EvaluationSizes(1.0, 4, 1, 2.0, 1, 1, 1, 2)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("eval")
     keys = ("shared", "playback", "shared-expected")
-    run_evaluation(Options(out, TINY, keys=keys, workers=1, simulated=("brushed-metal",)))
+    run_evaluation(EvaluationOptions(out, TINY, keys=keys, workers=1, simulated=("brushed-metal",)))
     return out
 
 
@@ -53,7 +53,7 @@ def test_the_page_prints_no_number_for_what_does_not_exist(folder: Path) -> None
 
 def test_wrong_words_are_refused_before_anything_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(UsageError, match="playback"):
-        run_evaluation(Options(tmp_path, TINY, keys=("nonsense",)))
+        run_evaluation(EvaluationOptions(tmp_path, TINY, keys=("nonsense",)))
     nothing = ["eval", "--out", str(tmp_path), "--methods", "nonsense"]
     assert main(nothing, lambda arguments: 0) == 2
     assert "Choose among" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from export_signals import FACTS, WORDS, texture, tone
 from hnf_core.cli.main import main
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.wav import read_wav, write_wav
-from hnf_core.metrics.band_energy import EDGES_HZ
+from hnf_core.metrics.band_energy import OCTAVE_EDGES_HZ
 
 
 def hnf(*words: Any) -> int:
@@ -39,7 +39,7 @@ def test_out_and_in_again(tmp_path: Path, wav: Path, word: str, capsys: pytest.C
     assert (record["format"], record["file"]) == (word, str(out))
     assert record["full_scale_m_s2"] == (20.0 if FORMATS[word].scaled else None)
     assert record["loss"]["before"]["duration_s"] == pytest.approx(0.4)
-    assert [band["low_hz"] for band in record["loss"]["bands"]] == pytest.approx(list(EDGES_HZ))
+    assert [band["low_hz"] for band in record["loss"]["bands"]] == pytest.approx(list(OCTAVE_EDGES_HZ))
     assert record["loss"]["dropped"] == record["dropped"]
     assert hnf("import", out, "--out", again, "--json") == 0
     told = json.loads(capsys.readouterr().out)

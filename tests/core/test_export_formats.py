@@ -21,10 +21,10 @@ from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import FileError
 from hnf_core.export.convert import export_signal, import_signal
-from hnf_core.export.envelope import envelope_of
+from hnf_core.export.envelope import compute_envelope
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.options import ExportOptions, ImportOptions
-from hnf_core.export.sidecar import sidecar_of
+from hnf_core.export.sidecar import get_sidecar_path
 from hnf_core.export.wav import read_wav
 from hnf_core.metrics.band_energy import band_power
 from hnf_core.signal import Signal
@@ -217,7 +217,7 @@ def test_envelopes_come_back_within_two_errors(tmp_path: Path, word: str) -> Non
     once = back(path, word, signal)
     FORMATS[word].write(path, once, options)
     twice = back(path, word, signal)
-    first, second = envelope_of(once, (60.0, 500.0)), envelope_of(twice, (60.0, 500.0))
+    first, second = compute_envelope(once, (60.0, 500.0)), compute_envelope(twice, (60.0, 500.0))
     inside = slice(8, -8)
     peak = first.amplitude.max()
     away = np.abs(first.amplitude - second.amplitude)[inside] / peak
@@ -236,7 +236,7 @@ def test_a_tone_comes_back_as_that_tone(tmp_path: Path, word: str, hertz: float)
     FORMATS[word].write(path, signal, OPTIONS)
     again = back(path, word, signal)
     assert again.rms == pytest.approx(signal.rms, rel=0.03)
-    envelope = envelope_of(again, OPTIONS.range_hz)
+    envelope = compute_envelope(again, OPTIONS.range_hz)
     inside = (envelope.time > 0.1) & (envelope.time < 0.9)
     np.testing.assert_allclose(envelope.amplitude[inside], 6.0, rtol=0.03)
     np.testing.assert_allclose(envelope.frequency[inside], hertz, rtol=0.02)
@@ -250,7 +250,7 @@ def test_clicks_come_back_as_clicks(tmp_path: Path, word: str) -> None:
     signal, path = signal_of(samples), out(tmp_path, word)
     FORMATS[word].write(path, signal, OPTIONS)
     again = back(path, word, signal)
-    first, second = (envelope_of(each, OPTIONS.range_hz).emphases for each in (signal, again))
+    first, second = (compute_envelope(each, OPTIONS.range_hz).emphases for each in (signal, again))
     assert [mark.time_s for mark in first] == pytest.approx([0.4, 0.9], abs=0.006)
     assert np.abs(again.samples).max() == pytest.approx(max(mark.amplitude for mark in first), rel=0.02)
     loud = np.flatnonzero(np.abs(again.samples) > 6.0) / again.sample_rate
@@ -326,7 +326,7 @@ def test_equal_signals_give_equal_bytes(tmp_path: Path, word: str) -> None:
 def test_the_sidecar_says_what_numbers_stand_for(tmp_path: Path, word: str) -> None:
     path = out(tmp_path, word)
     export_signal(texture(0.3), FORMATS[word], path, ExportOptions(12.5))
-    record = json.loads(sidecar_of(path).read_text("utf-8"))
+    record = json.loads(get_sidecar_path(path).read_text("utf-8"))
     assert (record["file"], record["format"], record["units"], record["seed"]) == (path.name, word, "m/s^2", 7)
     assert record["provenance"] == FACTS
     assert record.get("full_scale") == (12.5 if FORMATS[word].scaled else None)

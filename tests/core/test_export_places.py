@@ -15,7 +15,7 @@ from hnf_core.errors import FileError
 from hnf_core.export.convert import export_signal
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.options import ExportOptions
-from hnf_core.export.sidecar import sidecar_of
+from hnf_core.export.sidecar import get_sidecar_path
 from hnf_core.export.wav import write_wav
 
 
@@ -46,16 +46,16 @@ def test_an_export_does_not_replace_a_note(tmp_path: Path) -> None:
 @pytest.mark.parametrize("there", ["{}", "no JSON", '{"schema": 1, "file": "x", "hash": 3}', "[1]"])
 def test_a_stranger_in_the_place_of_the_note_stays(tmp_path: Path, word: str, there: str) -> None:
     path = tmp_path / f"x{FORMATS[word].suffix}"
-    sidecar_of(path).write_text(there, "utf-8")
+    get_sidecar_path(path).write_text(there, "utf-8")
     refused("here goes the note", path, word)
 
 
 @pytest.mark.parametrize("word", WORDS)
 def test_a_folder_in_the_place_of_the_note_or_the_file_is_named(tmp_path: Path, word: str) -> None:
     path = tmp_path / f"x{FORMATS[word].suffix}"
-    sidecar_of(path).mkdir()
-    refused(f"{sidecar_of(path).name}: is a folder", path, word)
-    sidecar_of(path).rmdir()
+    get_sidecar_path(path).mkdir()
+    refused(f"{get_sidecar_path(path).name}: is a folder", path, word)
+    get_sidecar_path(path).rmdir()
     path.mkdir()
     refused(f"{path.name}: is a folder", path, word)
 

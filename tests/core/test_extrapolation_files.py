@@ -6,19 +6,19 @@ import json
 import numpy as np
 import pytest
 
-from hnf_core.action.smooth import steady_action
+from hnf_core.action.smooth import make_steady_action
 from hnf_core.errors import WeightsError
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.ranges import ranges_of
+from hnf_core.field.ranges import compute_training_ranges
 from hnf_core.field.weights import load_field, save_field
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 
 CONFIG = FieldConfig(hidden=4, layers=1)
 TOKENS = np.linspace(-7.0, -5.0, 2 * TOKEN_DIM, dtype=np.float32).reshape(2, TOKEN_DIM)
-RANGES = ranges_of(
-    [steady_action(0.1, v, f, v) for v, f in ((0.03, 0.3), (0.3, 0.3), (0.1, 3.0))],
+RANGES = compute_training_ranges(
+    [make_steady_action(0.1, v, f, v) for v, f in ((0.03, 0.3), (0.3, 0.3), (0.1, 3.0))],
     TOKENS,
     [Mechanics(1e4, 0.0, None), Mechanics(2e4, 0.3, None)],
     ["finger", "pen"],

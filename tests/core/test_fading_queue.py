@@ -55,7 +55,7 @@ def test_silence_comes_by_itself_and_nothing_exceeds_what_came(schedule: list[ob
     owed = queue.queued
     rest = queue.advance(owed + 2 * RAMP + 40)
     assert not rest[owed + 2 * RAMP :].any()
-    assert queue.silent
+    assert queue.is_silent
     largest = max((int(np.abs(step.astype(int)).max()) for step in schedule if isinstance(step, np.ndarray)), default=0)
     assert np.abs(np.concatenate([heard, rest]).astype(int)).max(initial=0) <= largest
 
@@ -65,7 +65,7 @@ def test_any_cut_into_blocks_gives_the_same(schedule: list[object]) -> None:
     one, other = FadingQueue(300, 1, RAMP), FadingQueue(300, 1, RAMP)
     single = [each for step in schedule for each in ([1] * step if isinstance(step, int) else [step])]
     assert (run(one, schedule) == run(other, single)).all()
-    assert (one.underruns, one.played, one.silent) == (other.underruns, other.played, other.silent)
+    assert (one.underruns, one.played, one.is_silent) == (other.underruns, other.played, other.is_silent)
 
 
 @given(st.integers(1, 32767), st.lists(st.one_of(st.integers(1, 40), st.integers(1, 40).map(str)), max_size=20))
@@ -88,22 +88,22 @@ def test_underruns_are_counted_and_an_end_is_none() -> None:
     queue = FadingQueue(30, 1, RAMP)
     piece = np.full((10, 1), 800, np.int16)
     queue.push(piece)
-    assert not queue.lacks(10)
+    assert not queue.would_underrun(10)
     assert queue.advance(15)[10:, 0].tolist() == [700, 600, 500, 400, 300]
-    assert queue.lacks(1) is False
+    assert queue.would_underrun(1) is False
     assert queue.underruns == 1
     queue.push(piece)
-    assert queue.lacks(1) is False
+    assert queue.would_underrun(1) is False
     assert queue.advance(15)[:, 0].tolist() == [200, 100, 0, 100, 200, 300, 400, 500, 600, 700, 800, 800, 700, 600, 500]
     assert queue.underruns == 2
     queue.stop()
     queue.advance(RAMP)
-    assert queue.silent
+    assert queue.is_silent
     queue.push(piece)
     queue.finish()
     queue.advance(40)
     assert queue.underruns == 2
-    assert queue.silent
+    assert queue.is_silent
 
 
 def test_stop_drops_what_is_owed() -> None:

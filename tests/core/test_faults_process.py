@@ -8,16 +8,16 @@ import pytest
 from ptys import needs_pty
 
 from hnf_core.bench import faults_process
-from hnf_core.bench.faults import faults_of, outcomes
-from hnf_core.bench.faults_kinds import KINDS, Kind
+from hnf_core.bench.faults import find_violations, run_trials
+from hnf_core.bench.faults_kinds import FAULTS, Fault
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 pytestmark = needs_pty
 if os.name != "posix":
     pytest.skip("this system has no signals that stop a process", allow_module_level=True)
 
-OF_A_PROCESS = (faults_process.killed, faults_process.slept_briefly, faults_process.slept_long)
-HERE = [kind for kind in KINDS if kind.trial in OF_A_PROCESS]
+OF_A_PROCESS = (faults_process.kill_player, faults_process.suspend_briefly, faults_process.suspend_for_long)
+HERE = [kind for kind in FAULTS if kind.trial in OF_A_PROCESS]
 
 
 def test_there_are_three() -> None:
@@ -25,6 +25,6 @@ def test_there_are_three() -> None:
 
 
 @pytest.mark.parametrize("kind", HERE, ids=lambda kind: kind.name)
-def test_it_ends_as_promised(kind: Kind) -> None:
-    found = outcomes(kind, 2, seed=4)
-    assert [faults_of(kind, outcome) for outcome in found] == [[], []], found
+def test_it_ends_as_promised(kind: Fault) -> None:
+    found = run_trials(kind, 2, seed=4)
+    assert [find_violations(kind, outcome) for outcome in found] == [[], []], found

@@ -22,7 +22,7 @@ from hnf_core.material.library import load_library
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import BAND_FEATURES, ENCODER_ID, TOKEN_DIM
 from hnf_core.metrics.spectra import spectrum_distance_db, welch
-from hnf_core.simulation.feel import ANGLES
+from hnf_core.simulation.feel import STROKE_ANGLES_RAD
 
 FREQUENCY = np.arange(2.0, 5000.0, 2.0)
 ALONG, ACROSS = (1.0, 0.0), (0.0, 1.0)
@@ -82,7 +82,7 @@ BEYOND = ("carbon-fibre", AXES)
 WAYS = [
     pytest.param(e, angles, id=f"{e.name}-{name}", marks=BEYOND_ON_AXES if (e.name, angles) == BEYOND else ())
     for e in LIBRARY
-    for name, angles in (("axes", AXES), ("library", ANGLES))
+    for name, angles in (("axes", AXES), ("library", STROKE_ANGLES_RAD))
 ]
 
 

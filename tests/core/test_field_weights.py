@@ -9,7 +9,7 @@ import json
 import numpy as np
 import pytest
 
-from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE
 from hnf_core.errors import WeightsError
 from hnf_core.field.carriers import Carriers
@@ -17,20 +17,20 @@ from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.weights import field_bytes, own_material, parse_field
-from hnf_core.material.library import find
-from hnf_core.tensor_file import packed, unpacked
+from hnf_core.field.weights import parse_field, read_trained_material, serialise_field
+from hnf_core.material.library import get_material
+from hnf_core.tensor_file import dump_tensors, load_tensors
 
 CONFIG = FieldConfig(hidden=8, layers=1, states=2, carriers=Carriers((50.0, 100.0, 200.0), arc_octaves=2), arc_knots=5)
-TENSORS, METADATA = unpacked(field_bytes(Field(CONFIG, initial_parameters(CONFIG, 0))))
+TENSORS, METADATA = load_tensors(serialise_field(Field(CONFIG, initial_parameters(CONFIG, 0))))
 ARCHITECTURE = json.loads(METADATA["architecture"])
-OAK = find("oak-wood")
-STROKE = uniform_stroke(primitive_action(DEFAULT_PRIMITIVE, seed=0), OAK.token, OAK.mechanics)
+OAK = get_material("oak-wood")
+STROKE = uniform_stroke(make_primitive_action(DEFAULT_PRIMITIVE, seed=0), OAK.token, OAK.mechanics)
 STRANGE = (-1, 0, 0.5, 17, 1e300, 10**400, float("nan"), float("inf"), True, None, "x", [], {}, [[1.0]], [2.0, 1.0])
 
 
 def read(architecture: object) -> Field:
-    return parse_field(packed(TENSORS, {**METADATA, "architecture": json.dumps(architecture)}), "w.safetensors")
+    return parse_field(dump_tensors(TENSORS, {**METADATA, "architecture": json.dumps(architecture)}), "w.safetensors")
 
 
 def changed(name: str, value: object) -> object:
@@ -94,6 +94,6 @@ def test_heads_of_one_state_are_a_second_apart_at_most(spacing_s: float) -> None
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"token": [1' + "0" * 400 + "]}", "[]", '{"token": "x"}'])
 def test_a_material_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(WeightsError, match="one material"):
-        own_material(Field(CONFIG, {}, metadata={"material": text}), "w.safetensors")
+        read_trained_material(Field(CONFIG, {}, metadata={"material": text}), "w.safetensors")
     with pytest.raises(WeightsError, match="description"):
-        parse_field(packed(TENSORS, {**METADATA, "architecture": text}), "w.safetensors")
+        parse_field(dump_tensors(TENSORS, {**METADATA, "architecture": text}), "w.safetensors")

@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from stream_builders import comes
 
-from hnf_core.actuators.chain import Chain, counts_of
+from hnf_core.actuators.chain import SignalChain, render_counts
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.sinks.file import FileSink
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 from hnf_core.actuators.stream import Stream
 from hnf_core.errors import DeviceError, UsageError
 from hnf_core.export.wav import read_wav
@@ -53,12 +53,12 @@ def test_a_stream_into_a_file_is_what_any_device_would_get(tmp_path: Path) -> No
     samples = np.random.default_rng(3).normal(0.0, 40.0, (30_000, 1)).astype(np.float32)
     samples[777] = np.nan
     sink = FileSink(tmp_path / "x.wav", 10_000.0)
-    with Stream(Recorded(samples, 10_000.0), sink, LIMITS) as stream:
+    with Stream(BufferSource(samples, 10_000.0), sink, LIMITS) as stream:
         device = stream.start()
         assert stream.wait(30.0)
         report = stream.report
     assert report.problem == ""
-    expected = counts_of(Recorded(samples, 10_000.0), device, LIMITS)
+    expected = render_counts(BufferSource(samples, 10_000.0), device, LIMITS)
     assert (stored(tmp_path / "x.wav") == expected).all()
     assert np.abs(stored(tmp_path / "x.wav").astype(int)).max() <= LIMITS.peak_counts
     assert report.limited_samples > 1000
@@ -128,14 +128,14 @@ def _taken_away(folder: Path) -> None:
 def test_a_stream_into_a_file_that_is_stopped_ends_softly(tmp_path: Path) -> None:
     """As a device would have played it: all that was made, and the limiter's own way down."""
     samples = np.random.default_rng(3).normal(0.0, 6.0, (30_000, 1)).astype(np.float32)
-    stream = Stream(Recorded(samples, 10_000.0, loop=True), FileSink(tmp_path / "x.wav", 10_000.0), LIMITS)
+    stream = Stream(BufferSource(samples, 10_000.0, loop=True), FileSink(tmp_path / "x.wav", 10_000.0), LIMITS)
     device = stream.start()
     assert comes(lambda: stream.report.frames >= 1000)
     stream.stop()
     assert stream.report.problem == ""
-    chain = Chain(Recorded(samples, 10_000.0, loop=True), device, LIMITS)
-    blocks = [chain.block(50) for _ in range(stream.report.blocks)]
-    release = chain.limiter.release()
+    chain = SignalChain(BufferSource(samples, 10_000.0, loop=True), device, LIMITS)
+    blocks = [chain.render_block(50) for _ in range(stream.report.blocks)]
+    release = chain.limiter.flush()
     assert len(release) > 30
     assert release[-1] == 0
     assert (stored(tmp_path / "x.wav") == np.concatenate([*blocks, release])).all()

@@ -11,8 +11,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.actuators.protocol.frames import encode
-from hnf_core.actuators.protocol.messages import Bye, Code, Hello, Samples, Start, State, Stop
+from hnf_core.actuators.protocol.frames import encode_frame
+from hnf_core.actuators.protocol.messages import Bye, ErrorCode, Hello, Samples, Start, State, Stop
 from hnf_core.actuators.protocol.messages import Credit as Credits
 
 Counts = NDArray[np.int16]
@@ -130,7 +130,7 @@ def test_silence_within_20_ms_of_the_last_byte(
     fill(device, first)
     device.tick(played)
     credit = credits_of(device.ask())[-1]
-    fill(device, min(again, credit.room(device.sent)))
+    fill(device, min(again, credit.compute_sendable_frames(device.sent)))
     device.tick(more)
     ENDS[end](device)
     after = device.tick(RATE * 60 // 1000)
@@ -206,10 +206,10 @@ def test_when_all_that_was_under_way_is_lost_an_empty_message_goes_on(check: Che
     device = started(check)
     device.samples(noise(1, QUEUE, 2))
     credit = credits_of(device.ask())[-1]
-    assert (credit.room(device.sent), credit.free) == (0, QUEUE)
+    assert (credit.compute_sendable_frames(device.sent), credit.free) == (0, QUEUE)
     device.send(Samples(device.session, device.sent, b""))
     device.tick(QUEUE + RAMP)
-    assert credits_of(device.ask())[-1].room(device.sent) == QUEUE
+    assert credits_of(device.ask())[-1].compute_sendable_frames(device.sent) == QUEUE
     assert device.status().lost == QUEUE
 
 
@@ -267,12 +267,12 @@ def test_after_an_underrun_it_rises_from_what_still_fades(check: Check) -> None:
             st.binary(max_size=80),
             st.sampled_from(
                 [
-                    encode(Hello(), 1),
-                    encode(Start(RATE, 2, 900, 7), 2),
-                    encode(Start(1000, 1, 900, 7, 900, 3), 2),
-                    encode(Samples(7, 0, bytes(range(200))), 3),
-                    encode(Stop(), 4),
-                    encode(Bye(), 4),
+                    encode_frame(Hello(), 1),
+                    encode_frame(Start(RATE, 2, 900, 7), 2),
+                    encode_frame(Start(1000, 1, 900, 7, 900, 3), 2),
+                    encode_frame(Samples(7, 0, bytes(range(200))), 3),
+                    encode_frame(Stop(), 4),
+                    encode_frame(Bye(), 4),
                 ]
             ),
         ),
@@ -309,4 +309,4 @@ def test_a_credit_is_never_lacking(check: Check) -> None:
         assert credit.played == min(100, device._ticks)
         assert (credit.session, credit.queue) == (7, QUEUE)
     assert credit == Credits(7, 100, QUEUE, QUEUE, State.WAITING)
-    assert Code.OVERRUN in errors_of(device.send(Samples(7, 100, bytes(4 * QUEUE + 4))))
+    assert ErrorCode.OVERRUN in errors_of(device.send(Samples(7, 100, bytes(4 * QUEUE + 4))))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from test_protocol import DEVICE_MESSAGES, GARBAGE, HOST_MESSAGES, U8
 
 from hnf_core.actuators.protocol.crc import crc16_reference
-from hnf_core.actuators.protocol.frames import Decoder, encode
+from hnf_core.actuators.protocol.frames import Decoder, encode_frame
 from hnf_core.actuators.protocol.messages import FROM_DEVICE, FROM_HOST, Bye, Message, Ping, Samples, Start, Stop
 
 
@@ -56,7 +56,7 @@ def test_checksums_agree(check: Check, data: bytes) -> None:
 @example(messages=[Samples(1, 2**32 - 1, bytes(2042)), Ping(1)], piece=1, first=0)
 def test_what_python_sends_c_understands(check: Check, messages: list[Message], piece: int, first: int) -> None:
     check("z")
-    wire = b"".join(encode(message, first + i) for i, message in enumerate(messages))
+    wire = b"".join(encode_frame(message, first + i) for i, message in enumerate(messages))
     assert check("d", piece, wire).decode().splitlines() == [told(message) for message in messages]
     assert counters(check) == [0, 0, 0]
 
@@ -67,7 +67,7 @@ def test_what_c_sends_python_understands(check: Check, message: Message, sequenc
     if "\0" in str(astuple(message)[-1]):  # the end of a text in C
         return
     frame = check("e", sequence, told(message).encode())
-    assert frame == encode(message, sequence)
+    assert frame == encode_frame(message, sequence)
     assert Decoder(FROM_DEVICE).feed(frame) == [message]
 
 
@@ -82,7 +82,7 @@ def test_texts_that_are_too_long_are_cut_between_characters(check: Check, text: 
 
 @settings(max_examples=200, deadline=None)
 @given(
-    chunks=st.lists(st.one_of(GARBAGE, HOST_MESSAGES.map(lambda each: encode(each, 3))), max_size=12),
+    chunks=st.lists(st.one_of(GARBAGE, HOST_MESSAGES.map(lambda each: encode_frame(each, 3))), max_size=12),
     flips=st.lists(st.integers(0, 10**6), max_size=6),
     piece=st.integers(1, 100),
 )
@@ -95,9 +95,9 @@ def test_both_make_the_same_of_a_damaged_line(check: Check, chunks: list[bytes],
     check("z")
     decoder = Decoder(FROM_HOST)
     heard = check("d", piece, bytes(wire)) + check("i")
-    found = decoder.feed(bytes(wire)) + decoder.idle()
+    found = decoder.feed(bytes(wire)) + decoder.flush()
     lines = [line for line in heard.decode().splitlines() if line != "malformed"]
     assert lines == [told(message) for message in found]
     assert heard.count(b"malformed") == decoder.malformed
     assert counters(check) == [decoder.crc_errors, decoder.gaps, decoder.skipped]
-    assert check("d", piece, encode(Ping(9), 0)) == b"ping 9\n"
+    assert check("d", piece, encode_frame(Ping(9), 0)) == b"ping 9\n"

@@ -50,7 +50,7 @@ class Running:
 @pytest.fixture
 def keeps_no_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     """A patient device waits for a slow machine; that shall not look like a lie."""
-    monkeypatch.setattr(rate_watch, "TOLERANCE", 100.0)
+    monkeypatch.setattr(rate_watch, "RATE_TOLERANCE", 100.0)
 
 
 def send(sink: SerialSink, counts: NDArray[np.int16]) -> None:

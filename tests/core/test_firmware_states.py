@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hnf_core.actuators.protocol.messages import (
     Bye,
     Caps,
-    Code,
     Error,
+    ErrorCode,
     Hello,
     Message,
     Ping,
@@ -59,10 +59,10 @@ def test_a_version_in_common_is_needed(check: Check, lowest: int, highest: int) 
         assert answer.version == 1
         return
     assert isinstance(answer, Error)
-    assert answer.code == Code.VERSION
+    assert answer.code == ErrorCode.VERSION
     assert "version 1" in answer.text
     assert device.status().state == State.IDLE
-    assert errors_of(device.send(Start(RATE, 1, 1000, 7))) == [Code.STATE]
+    assert errors_of(device.send(Start(RATE, 1, 1000, 7))) == [ErrorCode.STATE]
 
 
 def test_start_gives_the_first_credit(check: Check) -> None:
@@ -82,23 +82,23 @@ def test_the_queue_is_15_ms_at_most(check: Check, rate: int, asked: int, channel
     assert credit.queue == min(rate * 15 // 1000, asked or 65535)
 
 
-REFUSALS: list[tuple[Start, Code]] = [
-    (Start(999, 2, 1000, 7), Code.RATE),
-    (Start(48001, 2, 1000, 7), Code.RATE),
-    (Start(0, 2, 1000, 7), Code.RATE),
-    (Start(2**32 - 1, 2, 1000, 7), Code.RATE),
-    (Start(11025, 2, 1000, 7), Code.RATE),  # that its clock turns out not to do
-    (Start(RATE, 0, 1000, 7), Code.CHANNELS),
-    (Start(RATE, 3, 1000, 7), Code.CHANNELS),
-    (Start(RATE, 2, 0, 7), Code.LIMITS),
-    (Start(RATE, 2, 30001, 7), Code.LIMITS),
-    (Start(RATE, 2, 4001, 7, slew=100), Code.LIMITS),
-    (Start(RATE, 2, 1000, 7, flags=1), Code.MALFORMED),
+REFUSALS: list[tuple[Start, ErrorCode]] = [
+    (Start(999, 2, 1000, 7), ErrorCode.RATE),
+    (Start(48001, 2, 1000, 7), ErrorCode.RATE),
+    (Start(0, 2, 1000, 7), ErrorCode.RATE),
+    (Start(2**32 - 1, 2, 1000, 7), ErrorCode.RATE),
+    (Start(11025, 2, 1000, 7), ErrorCode.RATE),  # that its clock turns out not to do
+    (Start(RATE, 0, 1000, 7), ErrorCode.CHANNELS),
+    (Start(RATE, 3, 1000, 7), ErrorCode.CHANNELS),
+    (Start(RATE, 2, 0, 7), ErrorCode.LIMITS),
+    (Start(RATE, 2, 30001, 7), ErrorCode.LIMITS),
+    (Start(RATE, 2, 4001, 7, slew=100), ErrorCode.LIMITS),
+    (Start(RATE, 2, 1000, 7, flags=1), ErrorCode.MALFORMED),
 ]
 
 
 @pytest.mark.parametrize(("start", "code"), REFUSALS)
-def test_what_cannot_be_started_is_refused(check: Check, start: Start, code: Code) -> None:
+def test_what_cannot_be_started_is_refused(check: Check, start: Start, code: ErrorCode) -> None:
     device = Device(check, peak=30000)
     assert errors_of(device.send(Hello(), start)) == [code]
     assert device.status().state == State.READY
@@ -110,7 +110,7 @@ def test_what_cannot_be_started_is_refused(check: Check, start: Start, code: Cod
 @pytest.mark.parametrize("message", [Hello(), Start(RATE, 1, 1000, 8)])
 def test_who_plays_is_not_disturbed(check: Check, message: Message) -> None:
     device = playing(check)
-    assert errors_of(device.send(message)) == [Code.BUSY]
+    assert errors_of(device.send(message)) == [ErrorCode.BUSY]
     assert (device.tick(50) == 9000).all()
     assert credits_of(device.poll())[-1].session == device.session
 
@@ -119,10 +119,10 @@ def test_a_second_host_takes_over_once_it_is_silent_and_the_first_is_told(check:
     device = playing(check)
     device.tick(50 + RAMP)
     assert isinstance(device.send(Hello())[0], Caps)
-    assert errors_of(device.send(device.samples(np.ones((10, 2), np.int16)))) == [Code.SESSION]
+    assert errors_of(device.send(device.samples(np.ones((10, 2), np.int16)))) == [ErrorCode.SESSION]
     device.send(Start(RATE, 1, 32767, 8))
     device.pause(0.2)
-    assert errors_of(device.send(device.samples(np.ones((10, 2), np.int16)))) == [Code.SESSION]
+    assert errors_of(device.send(device.samples(np.ones((10, 2), np.int16)))) == [ErrorCode.SESSION]
     device.send(Samples(8, 0, np.full(100, 5, np.int16).tobytes()))
     assert (device.tick(100) == 5).all()
 
@@ -230,12 +230,12 @@ def test_too_hot_is_silence_until_it_is_cool(check: Check) -> None:
     assert (device.tick(20) == 9000).all()
     assert device.status().temperature == 699
     said = device.do("H", 700)
-    assert errors_of(said) == [Code.HOT]
+    assert errors_of(said) == [ErrorCode.HOT]
     assert not device.tick(RAMP)[-1].any()
     device.poll()
     assert device.status().state == State.FAULT
-    assert errors_of(device.send(Start(RATE, 2, 1000, 7))) == [Code.STATE]
-    assert errors_of(device.send(Hello(), Start(RATE, 2, 1000, 7))) == [Code.HOT]
+    assert errors_of(device.send(Start(RATE, 2, 1000, 7))) == [ErrorCode.STATE]
+    assert errors_of(device.send(Hello(), Start(RATE, 2, 1000, 7))) == [ErrorCode.HOT]
     device.do("H", 600)
     assert credits_of(device.send(Start(RATE, 2, 1000, 7)))
 

@@ -10,7 +10,7 @@ from firmware_host import Check, Device, build, errors_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.protocol.frames import Decoder, encode
+from hnf_core.actuators.protocol.frames import Decoder, encode_frame
 from hnf_core.actuators.protocol.messages import (
     FROM_DEVICE,
     Bye,
@@ -87,7 +87,7 @@ def test_both_play_the_same_and_answer_the_same(check: Check, steps: list[Messag
             other = theirs.advance(step)
             np.testing.assert_array_equal(played[:, : other.shape[1]], other)
             ours.poll()
-            decoder.feed(theirs.take())
+            decoder.feed(theirs.poll_output())
             continue
         if isinstance(step, Start):
             position = 0
@@ -95,17 +95,17 @@ def test_both_play_the_same_and_answer_the_same(check: Check, steps: list[Messag
             session, ahead, count, value = step
             channels = theirs._playout.form.channels
             counts = np.resize(np.array([value, -value // 2, value // 3], np.int16), (count, channels))
-            step = Samples.of(session, (position + ahead) & 0xFFFFFFFF, counts)
+            step = Samples.from_counts(session, (position + ahead) & 0xFFFFFFFF, counts)
             position += ahead + count
-        data = encode(step, sent)
+        data = encode_frame(step, sent)
         sent += 1
         theirs.receive(data)
-        answers, others = ours.feed(data), decoder.feed(theirs.take())
+        answers, others = ours.feed(data), decoder.feed(theirs.poll_output())
         assert said(answers, (Caps, Credit, Pong)) == said(others, (Caps, Credit, Pong))
         # How soon an ERROR is said again is a matter of clocks, and the firmware's knows no change of rate.
         assert set(errors_of(answers)) - told == set(errors_of(others)) - told
         told = set() if said(answers, (Caps,)) else told | set(errors_of(answers))
-    theirs.receive(encode(Ping(9), sent))
+    theirs.receive(encode_frame(Ping(9), sent))
     theirs.advance(1)
     ours.tick(1)
-    assert essence(ours.status()) == said(decoder.feed(theirs.take()), (Status,))[-1]
+    assert essence(ours.status()) == said(decoder.feed(theirs.poll_output()), (Status,))[-1]

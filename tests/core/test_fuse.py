@@ -7,13 +7,21 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import MaterialError
-from hnf_core.material.encoder import smooth_token_values
-from hnf_core.material.fuse import BANDS, CERTAINTY, NOTHING_LEVEL, drawn_bands, fuse, routes_by_band, routes_in_words
+from hnf_core.material.encoder import get_smooth_token_values
+from hnf_core.material.fuse import (
+    BAND_COUNT,
+    EMPTY_LEVEL,
+    ROUTE_CONFIDENCE,
+    find_significant_bands,
+    format_routes,
+    fuse,
+    routes_by_band,
+)
 from hnf_core.material.token import TOKEN_DIM, Token, band_slice
 from hnf_core.tactile.tactile_map import Route
 
 tokens = hnp.arrays(np.float32, TOKEN_DIM, elements=st.floats(-9, 2, width=32))
-band_sets = st.lists(st.booleans(), min_size=BANDS, max_size=BANDS)
+band_sets = st.lists(st.booleans(), min_size=BAND_COUNT, max_size=BAND_COUNT)
 confidences = st.floats(0, 1)
 
 
@@ -22,7 +30,7 @@ def measured_token(values: np.ndarray, bands: list[bool], shape: bool) -> Token:
     for band, told in enumerate(bands):
         known[band_slice(band)] = told
     known[-2:] = shape
-    return Token(np.where(known, values, smooth_token_values()).astype(np.float32), known)
+    return Token(np.where(known, values, get_smooth_token_values()).astype(np.float32), known)
 
 
 @settings(max_examples=50, deadline=None)
@@ -30,8 +38,8 @@ def measured_token(values: np.ndarray, bands: list[bool], shape: bool) -> Token:
 def test_every_value_comes_from_the_source_that_its_route_names(values, prior, bands, shape, confidence):
     measured = measured_token(values, bands, shape)
     fused = fuse(measured, prior, confidence)
-    shape = shape and any(drawn_bands(measured))
-    for band, told in enumerate(drawn_bands(measured)):
+    shape = shape and any(find_significant_bands(measured))
+    for band, told in enumerate(find_significant_bands(measured)):
         assert bands[band] or not told
         assert fused.routes[band] is (Route.MEASURED if told else Route.PRIOR)
         source = values if told else prior
@@ -54,13 +62,13 @@ def test_without_micro_geometry_the_prior_is_all_there_is(prior, confidence):
 @settings(max_examples=20, deadline=None)
 @given(tokens)
 def test_a_band_without_relief_leaves_the_materials_own_roughness(prior):
-    sine = smooth_token_values()
+    sine = get_smooth_token_values()
     sine[band_slice(2).start] = -4.5
-    fused = fuse(measured_token(sine, [True] * BANDS, True), prior, 0.1)
-    assert [route is Route.MEASURED for route in fused.routes] == [band == 2 for band in range(BANDS)]
+    fused = fuse(measured_token(sine, [True] * BAND_COUNT, True), prior, 0.1)
+    assert [route is Route.MEASURED for route in fused.routes] == [band == 2 for band in range(BAND_COUNT)]
     assert np.array_equal(fused.values[band_slice(2)], sine[band_slice(2)])
     assert np.array_equal(fused.values[band_slice(4)], prior[band_slice(4)])
-    flat = fuse(measured_token(smooth_token_values(), [True] * BANDS, True), prior, 0.1)
+    flat = fuse(measured_token(get_smooth_token_values(), [True] * BAND_COUNT, True), prior, 0.1)
     assert set(flat.routes) == {Route.PRIOR}
     assert flat.shape_route is Route.PRIOR
 
@@ -68,11 +76,11 @@ def test_a_band_without_relief_leaves_the_materials_own_roughness(prior):
 def test_what_a_picture_shows_to_be_smooth_stays_smooth():
     """A predicted map stands for the whole surface: nothing in it is not nothing known."""
     prior = np.full(TOKEN_DIM, -5.0, dtype=np.float32)
-    flat = measured_token(smooth_token_values(), [True] * 4 + [False] * 3, True)
+    flat = measured_token(get_smooth_token_values(), [True] * 4 + [False] * 3, True)
     fused = fuse(flat, prior, 0.1, route=Route.PREDICTED)
     assert fused.routes == (Route.PREDICTED,) * 4 + (Route.PRIOR,) * 3
     assert fused.shape_route is Route.PREDICTED
-    assert np.array_equal(fused.values[band_slice(3)], smooth_token_values()[band_slice(3)])
+    assert np.array_equal(fused.values[band_slice(3)], get_smooth_token_values()[band_slice(3)])
     assert np.array_equal(fused.values[band_slice(4)], prior[band_slice(4)])
 
 
@@ -81,10 +89,10 @@ def test_what_a_picture_shows_to_be_smooth_stays_smooth():
 def test_picture_and_prior_meet_where_each_is_as_loud_as_it_is_sure(values, prior, bands, confidence):
     token = measured_token(values, bands, False)
     fused = fuse(token, prior, confidence, route=Route.PREDICTED)
-    share = CERTAINTY[Route.PREDICTED] / (CERTAINTY[Route.PREDICTED] + confidence)
+    share = ROUTE_CONFIDENCE[Route.PREDICTED] / (ROUTE_CONFIDENCE[Route.PREDICTED] + confidence)
     for band, told in enumerate(bands):
         at = band_slice(band)
-        own = 1.0 if values[at.start] <= NOTHING_LEVEL else share
+        own = 1.0 if values[at.start] <= EMPTY_LEVEL else share
         met = own * values[at] + (1.0 - own) * prior[at] if told else prior[at]
         assert fused.routes[band] is (Route.PREDICTED if told else Route.PRIOR)
         np.testing.assert_allclose(fused.values[at], met, rtol=1e-5, atol=1e-5)
@@ -93,24 +101,24 @@ def test_picture_and_prior_meet_where_each_is_as_loud_as_it_is_sure(values, prio
 
 def test_a_predicted_band_is_worth_less_than_a_measured_one():
     rough = np.full(TOKEN_DIM, -5.0, dtype=np.float32)
-    token = measured_token(rough, [True] * BANDS, True)
+    token = measured_token(rough, [True] * BAND_COUNT, True)
     by_route = {route: fuse(token, rough, 0.9, route=route).confidence for route in (Route.MEASURED, Route.PREDICTED)}
     assert by_route[Route.MEASURED] == 1.0
-    assert by_route[Route.PREDICTED] == pytest.approx(CERTAINTY[Route.PREDICTED])
+    assert by_route[Route.PREDICTED] == pytest.approx(ROUTE_CONFIDENCE[Route.PREDICTED])
 
 
 def test_natural_roughness_is_kept_whole():
-    rough = smooth_token_values()
-    for band in range(BANDS):
+    rough = get_smooth_token_values()
+    for band in range(BAND_COUNT):
         rough[band_slice(band).start] = -4.5 - 0.3 * band
-    fused = fuse(measured_token(rough, [True] * BANDS, True), smooth_token_values(), 0.1)
+    fused = fuse(measured_token(rough, [True] * BAND_COUNT, True), get_smooth_token_values(), 0.1)
     assert set(fused.routes) == {Route.MEASURED}
 
 
 def test_the_report_names_wavelengths_and_routes():
     rough = np.full(TOKEN_DIM, -5.0, dtype=np.float32)
     token = measured_token(rough, [True, True, False, False, False, False, False], False)
-    fused = fuse(token, smooth_token_values(), 0.5, route=Route.PREDICTED)
+    fused = fuse(token, get_smooth_token_values(), 0.5, route=Route.PREDICTED)
     assert routes_by_band(fused.routes) == {
         "8 mm": "predicted",
         "4 mm": "predicted",
@@ -131,6 +139,6 @@ def test_a_library_token_that_cannot_be_one_is_refused():
 
 def test_routes_in_words_group_neighbouring_bands() -> None:
     routes = (Route.MEASURED,) * 3 + (Route.PRIOR,) * 4
-    assert routes_in_words(routes) == "8–2 mm measured, 1–0.125 mm prior"
-    assert routes_in_words((Route.PRIOR,) * 7) == "8–0.125 mm prior"
-    assert routes_in_words((Route.MEASURED,) + (Route.PRIOR,) * 6) == "8 mm measured, 4–0.125 mm prior"
+    assert format_routes(routes) == "8–2 mm measured, 1–0.125 mm prior"
+    assert format_routes((Route.PRIOR,) * 7) == "8–0.125 mm prior"
+    assert format_routes((Route.MEASURED,) + (Route.PRIOR,) * 6) == "8 mm measured, 4–0.125 mm prior"

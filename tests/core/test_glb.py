@@ -17,17 +17,17 @@ from touched_surfaces import palette, rough_tone, touched_sheet
 
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, SceneError, UsageError
-from hnf_core.export.glb import read_glb, surface_bytes, write_glb
-from hnf_core.export.gltf_file import glb_parts, view_bytes
+from hnf_core.export.glb import encode_surface, read_glb, write_glb
+from hnf_core.export.gltf_file import decode_glb, get_view_bytes
 from hnf_core.export.gltf_mesh import (
-    distinct_rows,
-    row_width,
-    taxel_uv,
-    vertex_table,
-    vertices_under,
+    build_vertex_table,
+    compute_taxel_row_width,
+    compute_taxel_uv,
+    find_distinct_rows,
+    find_vertices_on_path,
 )
 from hnf_core.export.options import ExportOptions, ImportOptions
-from hnf_core.export.png import grey_png
+from hnf_core.export.png import encode_grey_png
 from hnf_core.export.surface import UNTOUCHED, TouchedSurface
 from hnf_core.export.wav import write_wav
 from hnf_core.material.token import LEVELS
@@ -66,7 +66,7 @@ def surfaces(draw) -> TouchedSurface:
 
 
 def parts(surface: TouchedSurface) -> tuple[dict, bytes]:
-    (kind, text), (other, block) = chunks(surface_bytes(surface, vertex_table(surface)))
+    (kind, text), (other, block) = chunks(encode_surface(surface, build_vertex_table(surface)))
     assert (kind, other) == (0x4E4F534A, 0x004E4942)
     return json.loads(text), block
 
@@ -98,9 +98,9 @@ def test_any_surface_keeps_the_rules_and_comes_back(surface: TouchedSurface) -> 
 def test_corners_that_agree_are_one_vertex() -> None:
     """A sheet of one material has its 20 points and no more; a border of two materials doubles them."""
     plain = touched_sheet(baked=False)
-    assert len(vertex_table(plain).position) == 20
+    assert len(build_vertex_table(plain).position) == 20
     token = np.where(plain.mesh.face % 4 < 2, 0, UNTOUCHED).astype(np.int32)
-    assert len(vertex_table(replace(plain, token=token, palette=palette())).position) == 20 + 4
+    assert len(build_vertex_table(replace(plain, token=token, palette=palette())).position) == 20 + 4
 
 
 @given(data=st.data())
@@ -110,7 +110,7 @@ def test_rows_are_distinct_by_their_bits(data) -> None:
     patterns = st.sampled_from([0, 1, 2, 0x7FC00001, 0x80000000, 0x3F800000]) | st.integers(0, 2**32 - 1)
     shape = (data.draw(st.integers(1, 30)), data.draw(st.integers(1, 9)))
     rows = data.draw(hnp.arrays(np.uint32, shape, elements=patterns)).view(np.float32)
-    first, kind = distinct_rows(rows)
+    first, kind = find_distinct_rows(rows)
     assert rows[first][kind].tobytes() == rows.tobytes()
     assert len({row.tobytes() for row in rows}) == len(first)
     assert np.all(np.diff(first) > 0)
@@ -118,18 +118,18 @@ def test_rows_are_distinct_by_their_bits(data) -> None:
 
 def test_equal_surfaces_give_equal_bytes() -> None:
     first, second = touched_sheet(), touched_sheet()
-    assert surface_bytes(first, vertex_table(first)) == surface_bytes(second, vertex_table(second))
+    assert encode_surface(first, build_vertex_table(first)) == encode_surface(second, build_vertex_table(second))
 
 
 def test_vertices_under_the_stroke_are_those_of_its_triangles() -> None:
     surface = touched_sheet()
-    table = vertex_table(surface)
-    under = vertices_under(surface, table)
+    table = build_vertex_table(surface)
+    under = find_vertices_on_path(surface, table)
     assert np.all(np.diff(under) > 0)
     assert surface.path is not None
     expected = set(surface.mesh.triangles[np.unique(surface.path.triangle)].ravel().tolist())
     assert set(table.vertex[under].astype(int).tolist()) == expected
-    assert len(vertices_under(touched_sheet(path=False), table)) == 0
+    assert len(find_vertices_on_path(touched_sheet(path=False), table)) == 0
 
 
 @pytest.mark.parametrize("uv", [True, False])
@@ -151,7 +151,7 @@ def test_each_face_points_at_the_taxel_of_its_material(uv: bool) -> None:
         number = entry["texture"]["texCoord"]
         assert number == int(uv)
         picture = tree["images"][tree["textures"][entry["texture"]["index"]]["source"]]["bufferView"]
-        pixels = np.asarray(image.open(io.BytesIO(view_bytes(tree, block, picture, Path("x")))))
+        pixels = np.asarray(image.open(io.BytesIO(get_view_bytes(tree, block, picture, Path("x")))))
         at = read_accessor(tree, block, attributes[f"TEXCOORD_{number}"])
         column = np.floor(at[:, 0] * pixels.shape[1]).astype(int)
         assert np.all((at[:, 1] > 0.0) & (at[:, 1] < 1.0))
@@ -163,16 +163,16 @@ def test_each_face_points_at_the_taxel_of_its_material(uv: bool) -> None:
 @settings(deadline=None)
 @given(entries=st.integers(1, 300))
 def test_taxels_do_not_meet(entries: int) -> None:
-    pixel = taxel_uv(np.arange(-1, entries), entries)[:, 0] * row_width(entries)
+    pixel = compute_taxel_uv(np.arange(-1, entries), entries)[:, 0] * compute_taxel_row_width(entries)
     np.testing.assert_allclose(pixel, np.arange(entries + 1) + 0.5, atol=1e-3)
-    assert pixel[-1] < row_width(entries) < 2 * (entries + 1)
+    assert pixel[-1] < compute_taxel_row_width(entries) < 2 * (entries + 1)
 
 
 @given(pixels=hnp.arrays(np.uint8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9)))
 @settings(deadline=None)
 def test_grey_pictures_are_read_by_others(pixels: np.ndarray) -> None:
     image = pytest.importorskip("PIL.Image", reason="needs Pillow, an independent reader of PNG")
-    found = image.open(io.BytesIO(grey_png(pixels)))
+    found = image.open(io.BytesIO(encode_grey_png(pixels)))
     assert found.mode == "L"
     np.testing.assert_array_equal(np.asarray(found), pixels)
 
@@ -202,7 +202,7 @@ def test_an_unbaked_surface_is_a_plain_mesh_and_says_so(tmp_path: Path) -> None:
     path = tmp_path / "x.glb"
     said = write_glb(path, rough_tone(), ExportOptions(surface=touched_sheet(baked=False)))
     assert "nothing is baked on object 'Sheet'" in said[0]
-    tree, block = glb_parts(path.read_bytes(), path)
+    tree, block = decode_glb(path.read_bytes(), path)
     check_gltf(tree, block)
     assert "extensions" not in tree
 
@@ -238,7 +238,7 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
 def test_damage_is_named(data, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Cut anywhere, or with any byte changed: the signal, another signal, or one FileError."""
     surface = touched_sheet()
-    good = surface_bytes(surface, vertex_table(surface), rough_tone(0.01))
+    good = encode_surface(surface, build_vertex_table(surface), rough_tone(0.01))
     at = data.draw(st.integers(0, len(good) - 1))
     cut = data.draw(st.booleans())
     broken = good[:at] if cut else good[:at] + bytes([good[at] ^ data.draw(st.integers(1, 255))]) + good[at + 1 :]

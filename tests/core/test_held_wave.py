@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import UsageError
-from hnf_core.tactile.held_wave import CUTOFF_MTF, held_wave, soft_window
+from hnf_core.tactile.held_wave import CUTOFF_MTF, compute_soft_window, estimate_resolved_wavelength
 
 SIDE = 160
 ALL = np.ones((SIDE, SIDE), dtype=bool)
@@ -83,21 +83,21 @@ def grey(values: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("make", [*NATURAL.values(), stripes], ids=[*NATURAL, "stripes"])
 def test_a_sharp_picture_is_not_called_coarse(make) -> None:
-    assert max(held_wave(grey(make(seed)), ALL, 1.0) for seed in range(2)) <= 2.6
+    assert max(estimate_resolved_wavelength(grey(make(seed)), ALL, 1.0) for seed in range(2)) <= 2.6
 
 
 @pytest.mark.parametrize("make", NATURAL.values(), ids=NATURAL)
 @pytest.mark.parametrize("wave", [4.0, 8.0, 16.0])
 def test_what_was_blurred_away_is_not_held(make, wave) -> None:
     values = make(3)
-    assert held_wave(grey(blurred(values, wave)), ALL, 1.0) == pytest.approx(wave, rel=0.3)
-    assert held_wave(grey(cut_off(values, wave)), ALL, 1.0) == pytest.approx(wave, rel=0.3)
+    assert estimate_resolved_wavelength(grey(blurred(values, wave)), ALL, 1.0) == pytest.approx(wave, rel=0.3)
+    assert estimate_resolved_wavelength(grey(cut_off(values, wave)), ALL, 1.0) == pytest.approx(wave, rel=0.3)
 
 
 @pytest.mark.parametrize("make", [NATURAL["white"], NATURAL["Field"], grains, wood])
 def test_an_enlarged_picture_holds_little_beyond_its_samples(make) -> None:
     # At two of them linear interpolation leaves 0.41, at 1.4 a tenth.
-    found = held_wave(grey(enlarged(make(4), 5)), ALL, 1.0)
+    found = estimate_resolved_wavelength(grey(enlarged(make(4), 5)), ALL, 1.0)
     assert 0.7 * 5 < found < 2.2 * 5
 
 
@@ -105,8 +105,8 @@ def test_stripes_count_by_the_finer_of_their_directions() -> None:
     along = np.fft.ifft2(
         np.fft.fft2(law(2.0, 0)) * CUTOFF_MTF ** ((20.0 * np.fft.fftfreq(len(ROW))[:, None]) ** 2)
     ).real
-    assert held_wave(grey(along), ALL, 1.0) <= 2.6
-    assert held_wave(grey(blurred(stripes(0), 12.0)), ALL, 1.0) == pytest.approx(12.0, rel=0.5)
+    assert estimate_resolved_wavelength(grey(along), ALL, 1.0) <= 2.6
+    assert estimate_resolved_wavelength(grey(blurred(stripes(0), 12.0)), ALL, 1.0) == pytest.approx(12.0, rel=0.5)
 
 
 @settings(max_examples=8, deadline=None)
@@ -114,18 +114,20 @@ def test_stripes_count_by_the_finer_of_their_directions() -> None:
 def test_only_the_size_of_a_pixel_counts(wave, metres, contrast, brightness) -> None:
     values = law(2.0, 7) if wave is None else blurred(law(2.0, 7), wave)
     picture = grey(values)
-    plain = held_wave(picture, ALL, 1.0)
-    assert held_wave(contrast * (picture + brightness), ALL, metres) == pytest.approx(plain * metres, rel=0.1)
-    assert held_wave(np.rot90(picture), ALL, 1.0) == pytest.approx(plain, rel=0.1)
-    assert held_wave(picture[:, ::-1], ALL, 1.0) == pytest.approx(plain, rel=0.1)
+    plain = estimate_resolved_wavelength(picture, ALL, 1.0)
+    assert estimate_resolved_wavelength(contrast * (picture + brightness), ALL, metres) == pytest.approx(
+        plain * metres, rel=0.1
+    )
+    assert estimate_resolved_wavelength(np.rot90(picture), ALL, 1.0) == pytest.approx(plain, rel=0.1)
+    assert estimate_resolved_wavelength(picture[:, ::-1], ALL, 1.0) == pytest.approx(plain, rel=0.1)
 
 
 @settings(max_examples=8, deadline=None)
 @given(st.floats(0.0, 50.0))
 def test_nothing_finer_is_said_than_what_could_be_held_at_best(finest) -> None:
     best = max(finest, 2.0)
-    assert best <= held_wave(grey(law(2.0, 8)), ALL, 1.0, finest) <= 1.35 * best
-    assert held_wave(grey(blurred(grains(8), 9.0)), ALL, 1.0, finest) >= best
+    assert best <= estimate_resolved_wavelength(grey(law(2.0, 8)), ALL, 1.0, finest) <= 1.35 * best
+    assert estimate_resolved_wavelength(grey(blurred(grains(8), 9.0)), ALL, 1.0, finest) >= best
 
 
 def test_what_lies_outside_the_mask_does_not_count() -> None:
@@ -135,10 +137,10 @@ def test_what_lies_outside_the_mask_does_not_count() -> None:
     for row, column in rng.integers(10, SIDE - 20, (5, 2)):
         masks[-1][row : row + 9, column : column + 7] = False
     for mask in masks:
-        assert (soft_window(mask)[~mask] == 0.0).all()
+        assert (compute_soft_window(mask)[~mask] == 0.0).all()
         for values, wave in ((law(2.0, 2), 2.0), (blurred(law(2.0, 2), 9.0), 9.0)):
             picture = np.where(mask[..., None], grey(values), rng.choice([np.nan, 50.0], (SIDE, SIDE, 1)))
-            assert held_wave(picture, mask, 1.0) == pytest.approx(wave, rel=0.3)
+            assert estimate_resolved_wavelength(picture, mask, 1.0) == pytest.approx(wave, rel=0.3)
 
 
 def test_a_little_noise_is_no_detail_and_a_grain_is() -> None:
@@ -146,20 +148,20 @@ def test_a_little_noise_is_no_detail_and_a_grain_is() -> None:
     soft = blurred(law(2.0, 1), 10.0)
     soft /= soft.std()
     noise = rng.normal(size=soft.shape)
-    assert held_wave(grey(soft + 0.03 * noise), ALL, 1.0) == pytest.approx(10.0, rel=0.3)
-    assert held_wave(grey(soft + 0.5 * noise), ALL, 1.0) == 2.0
+    assert estimate_resolved_wavelength(grey(soft + 0.03 * noise), ALL, 1.0) == pytest.approx(10.0, rel=0.3)
+    assert estimate_resolved_wavelength(grey(soft + 0.5 * noise), ALL, 1.0) == 2.0
 
 
 def test_where_there_is_nothing_to_tell_the_splats_have_the_word() -> None:
     flat = np.full((SIDE, SIDE, 3), 0.3, dtype=np.float32)
-    assert held_wave(flat, ALL, 1e-4, 5e-4) == 5e-4
-    assert held_wave(flat * (1.0 + 1e-7 * law(0.0, 0)[:SIDE, :SIDE, None]), ALL, 1e-4) == 2e-4
+    assert estimate_resolved_wavelength(flat, ALL, 1e-4, 5e-4) == 5e-4
+    assert estimate_resolved_wavelength(flat * (1.0 + 1e-7 * law(0.0, 0)[:SIDE, :SIDE, None]), ALL, 1e-4) == 2e-4
     soft = grey(blurred(law(2.0, 1), 10.0))
-    assert held_wave(soft, np.zeros_like(ALL), 1.0) == 2.0
+    assert estimate_resolved_wavelength(soft, np.zeros_like(ALL), 1.0) == 2.0
     thin = np.abs(np.indices(ALL.shape)[0] - 60) < 2
-    assert held_wave(soft, thin, 1.0) == 2.0
-    assert held_wave(soft[:12, :12], ALL[:12, :12], 1.0) == 2.0
+    assert estimate_resolved_wavelength(soft, thin, 1.0) == 2.0
+    assert estimate_resolved_wavelength(soft[:12, :12], ALL[:12, :12], 1.0) == 2.0
     with pytest.raises(UsageError, match="fit together"):
-        held_wave(soft, ALL[1:], 1.0)
+        estimate_resolved_wavelength(soft, ALL[1:], 1.0)
     with pytest.raises(UsageError, match="positive"):
-        held_wave(soft, ALL, 0.0)
+        estimate_resolved_wavelength(soft, ALL, 0.0)

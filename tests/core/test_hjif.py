@@ -14,10 +14,10 @@ from hypothesis.extra import numpy as hnp
 from touched_surfaces import RATE, rough_tone, touched_sheet
 
 from hnf_core.errors import FileError
-from hnf_core.export.glb import surface_bytes
-from hnf_core.export.gltf_file import glb_parts
-from hnf_core.export.gltf_mesh import vertex_table
-from hnf_core.export.hjif import MOST_SAMPLES, hjif_tree, texture_of, write_hjif
+from hnf_core.export.glb import encode_surface
+from hnf_core.export.gltf_file import decode_glb
+from hnf_core.export.gltf_mesh import build_vertex_table
+from hnf_core.export.hjif import MAX_WRITTEN_SAMPLES, encode_hjif, make_texture, write_hjif
 from hnf_core.export.hjif_read import read_hjif
 from hnf_core.export.options import ExportOptions, ImportOptions
 from hnf_core.export.surface import StrokePath
@@ -68,7 +68,7 @@ def effect(*keys: tuple[int, float | None, float | None], position: int = 0, pha
 @given(signal=SIGNALS)
 def test_a_stroke_comes_back_bit_for_bit(signal: Signal, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Loud ones too: nothing is clipped."""
-    tree = json.loads(json.dumps(hjif_tree(signal, PLAIN, date=DATE)))
+    tree = json.loads(json.dumps(encode_hjif(signal, PLAIN, date=DATE)))
     check_hjif(tree)
     found = back(tmp_path_factory.getbasetemp(), tree)
     assert np.array_equal(found.samples, signal.samples)
@@ -99,7 +99,7 @@ def test_the_reference_synthesiser_hears_each_sample_once(tmp_path: Path) -> Non
 
 
 def test_what_is_too_loud_for_the_device_is_not_clipped() -> None:
-    tree = hjif_tree(rough_tone(peak=45.0), PLAIN, date=DATE)
+    tree = encode_hjif(rough_tone(peak=45.0), PLAIN, date=DATE)
     channel = tree["perceptions"][0]["channels"][0]
     assert channel["gain"] == pytest.approx(1.5)
     assert max(key["amplitude_modulation"] for key in channel["bands"][0]["effects"][0]["keyframes"]) <= 1.0
@@ -119,9 +119,9 @@ def test_with_its_surface_a_texture_names_the_vertices_under_the_stroke(tmp_path
     assert perception["unit_exponent"] == -5
     assert tree["avatars"] == [{"id": 1, "lod": 0, "type": "Custom", "mesh": "x.hjif.glb"}]
     assert perception["avatar_id"] == 1
-    table = vertex_table(surface)
-    assert (tmp_path / "x.hjif.glb").read_bytes() == surface_bytes(surface, table, signal)
-    parts, block = glb_parts((tmp_path / "x.hjif.glb").read_bytes(), path)
+    table = build_vertex_table(surface)
+    assert (tmp_path / "x.hjif.glb").read_bytes() == encode_surface(surface, table, signal)
+    parts, block = decode_glb((tmp_path / "x.hjif.glb").read_bytes(), path)
     accessor = parts["accessors"][parts["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
     view = parts["bufferViews"][accessor["bufferView"]]
     positions = np.frombuffer(block, "<f4", 3 * accessor["count"], view["byteOffset"]).reshape(-1, 3)
@@ -143,7 +143,7 @@ def test_a_texture_is_the_signal_over_the_way(speed: float) -> None:
     seconds, hertz = 0.3, 40.0
     time = np.linspace(0.0, seconds, 61)
     path = StrokePath(time, speed * time, np.zeros(61, np.int32))
-    texture = texture_of(rough_tone(seconds, hertz), path, np.zeros(0, np.int32), "x.hjif.glb")
+    texture = make_texture(rough_tone(seconds, hertz), path, np.zeros(0, np.int32), "x.hjif.glb")
     tick = 10.0**texture.exponent
     assert texture.rate <= 48_000
     assert texture.rate == pytest.approx(speed / tick, abs=0.5)
@@ -159,7 +159,7 @@ def test_where_the_hand_rests_a_texture_has_nothing() -> None:
     distance = 0.1 * np.minimum(time, 0.1) + 0.1 * np.maximum(time - 0.2, 0.0)
     rest = (np.arange(3000) > 1010) & (np.arange(3000) < 1990)
     signal = Signal(np.where(rest, 9.0, 1.0).astype(np.float32), RATE, 0)
-    texture = texture_of(
+    texture = make_texture(
         signal, StrokePath(time, distance, np.zeros(61, np.int32)), np.zeros(0, np.int32), "x.hjif.glb"
     )
     assert len(texture.samples) == 2001
@@ -179,7 +179,7 @@ def test_a_surface_without_a_way_is_said(tmp_path: Path) -> None:
         (Signal(np.array([np.nan], np.float32), RATE, 0), "finite"),
         (Signal(np.zeros(4, np.float32), 44_100.5, 0), "44100.5 Hz"),
         (Signal(np.zeros(4, np.float32), 96_000.0, 0), "96000 Hz"),
-        (Signal(np.zeros(MOST_SAMPLES + 1, np.float32), RATE, 0), "480000"),
+        (Signal(np.zeros(MAX_WRITTEN_SAMPLES + 1, np.float32), RATE, 0), "480000"),
     ],
 )
 def test_what_the_format_cannot_hold_is_refused(signal: Signal, why: str, tmp_path: Path) -> None:

@@ -15,21 +15,21 @@ from hypothesis import strategies as st
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, MaterialError
 from hnf_core.material.hnf_file import (
-    FORMAT,
-    LARGEST,
+    HNF_FORMAT,
+    MAX_FILE_BYTES,
     MaterialFile,
-    completed,
     from_library,
     parse_hnf,
     read_hnf,
+    with_library_defaults,
     write_hnf,
 )
-from hnf_core.material.library import find, load_library
+from hnf_core.material.library import get_material, load_library
 from hnf_core.material.material import Appearance
 from hnf_core.material.mechanics import MECHANICS_LIMITS, Mechanics
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM, Token, band_slice
 
-OAK = from_library(find("oak-wood"), "CC0-1.0")
+OAK = from_library(get_material("oak-wood"), "CC0-1.0")
 
 
 def repacked(data: bytes, change) -> bytes:
@@ -75,7 +75,7 @@ def test_it_is_a_safetensors_file(tmp_path: Path) -> None:
     with safetensors.safe_open(tmp_path / "oak.hnf", "np") as opened:
         assert set(opened.keys()) == {"token", "known"}
         assert np.array_equal(opened.get_tensor("token"), OAK.token.values)
-        assert opened.metadata()["format"] == FORMAT
+        assert opened.metadata()["format"] == HNF_FORMAT
         metadata = opened.metadata()
     from safetensors.numpy import save
 
@@ -85,11 +85,11 @@ def test_it_is_a_safetensors_file(tmp_path: Path) -> None:
 
 def test_what_can_be_written_can_be_read_to_the_last_byte() -> None:
     """A field of too many units is refused where the material is made, not when its file is opened again."""
-    room = LARGEST - len(replace(OAK, field=bytes(LARGEST - 4096)).to_bytes()) + LARGEST - 4096
+    room = MAX_FILE_BYTES - len(replace(OAK, field=bytes(MAX_FILE_BYTES - 4096)).to_bytes()) + MAX_FILE_BYTES - 4096
     largest = replace(OAK, field=bytes(room))
-    assert len(largest.to_bytes()) == LARGEST
+    assert len(largest.to_bytes()) == MAX_FILE_BYTES
     assert parse_hnf(largest.to_bytes(), "memory").field == largest.field
-    for wrong in ({"field": bytes(room + 1)}, {"words": ("x" * LARGEST,)}):
+    for wrong in ({"field": bytes(room + 1)}, {"words": ("x" * MAX_FILE_BYTES,)}):
         with pytest.raises(MaterialError, match="16 MiB") as caught:
             replace(OAK, **wrong)
         assert "fewer units" in caught.value.remedy
@@ -99,7 +99,7 @@ def test_every_library_material_survives_the_file(tmp_path: Path) -> None:
     for material in load_library():
         path = tmp_path / f"{material.name}.hnf"
         write_hnf(path, from_library(material))
-        back = read_hnf(path).complete(find("silk"))  # nothing of silk: all is known
+        back = read_hnf(path).complete(get_material("silk"))  # nothing of silk: all is known
         assert np.array_equal(back.token, material.token)
         assert (back.mechanics, back.name, back.words) == (material.mechanics, material.name, material.words)
         assert path.stat().st_size < 2000
@@ -109,7 +109,7 @@ def test_what_is_not_known_comes_from_the_library() -> None:
     known = np.zeros(TOKEN_DIM, dtype=bool)
     known[band_slice(2)] = True
     own = replace(OAK, token=Token(OAK.token.values, known), mechanics=Mechanics(friction=0.9))
-    prior = find("silk")
+    prior = get_material("silk")
     whole = own.complete(prior)
     assert np.array_equal(whole.token[band_slice(2)], OAK.token.values[band_slice(2)])
     assert np.array_equal(whole.token[~known], prior.token[~known])
@@ -118,8 +118,10 @@ def test_what_is_not_known_comes_from_the_library() -> None:
 
 def test_left_alone_it_is_completed_from_what_its_words_mean() -> None:
     nothing = Token(np.zeros(TOKEN_DIM, np.float32), np.zeros(TOKEN_DIM, bool))
-    whole = completed(MaterialFile("Grandmother's table", nothing, Mechanics(friction=0.5), "wood", ("oak",)))
-    oak = find("oak-wood")
+    whole = with_library_defaults(
+        MaterialFile("Grandmother's table", nothing, Mechanics(friction=0.5), "wood", ("oak",))
+    )
+    oak = get_material("oak-wood")
     assert np.array_equal(whole.token, oak.token)
     assert whole.mechanics == replace(oak.mechanics, friction=0.5)
     assert whole.name == "Grandmother's table"
@@ -133,7 +135,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path, cut: int) -> None:
         read_hnf(path)
 
 
-@pytest.mark.parametrize("size", [LARGEST + 1, 2**63, 2**64 - 1])
+@pytest.mark.parametrize("size", [MAX_FILE_BYTES + 1, 2**63, 2**64 - 1])
 def test_a_huge_header_is_refused_unread(size: int) -> None:
     with pytest.raises(FileError, match="larger than any material, or something else"):
         parse_hnf(size.to_bytes(8, "little") + OAK.to_bytes()[8:], "huge.hnf")

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import FileError, UsageError
 from hnf_core.export.convert import import_signal
-from hnf_core.export.envelope import envelope_of
+from hnf_core.export.envelope import compute_envelope
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.options import ImportOptions
 from hnf_core.export.wav import write_wav
@@ -63,7 +63,7 @@ def read(folder: Path, name: str, record: Any, options: ImportOptions = PLAIN) -
 
 
 def level_at(signal: Any, time: float, range_hz: tuple[float, float] = (50.0, 250.0)) -> tuple[float, float]:
-    envelope = envelope_of(signal, range_hz)
+    envelope = compute_envelope(signal, range_hz)
     index = int(np.argmin(np.abs(envelope.time - time)))
     return float(envelope.amplitude[index]), float(envelope.frequency[index])
 

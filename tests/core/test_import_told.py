@@ -13,7 +13,7 @@ from test_export_cli import hnf
 
 from hnf_core.export.convert import import_signal
 from hnf_core.export.formats import FORMATS
-from hnf_core.export.loss import earlier_loss
+from hnf_core.export.loss import describe_sidecar_loss
 from hnf_core.export.options import ImportOptions
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
@@ -131,7 +131,7 @@ def test_a_gain_is_no_loss_and_what_stayed_is_no_change(
 )
 def test_only_what_changed_is_told_as_changed(rms: float, peak: float, words: str) -> None:
     levels = {"before": {"rms": 1.0, "peak": 1.0}, "after": {"rms": rms, "peak": peak}}
-    head, *rest = earlier_loss({"exact": False, **levels, "dropped": ["Its seed."]}, "x.json")
+    head, *rest = describe_sidecar_loss({"exact": False, **levels, "dropped": ["Its seed."]}, "x.json")
     assert head.endswith(words)
     assert rest == ["Its seed."]
 

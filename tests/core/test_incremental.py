@@ -10,16 +10,22 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
-from hnf_core.field.audible import BLOCK
-from hnf_core.field.contact_filter import LEAD, LOADS_PER_OCTAVE, TAIL, filter_bank, impulse_response
+from hnf_core.field.audible import BLOCK_SAMPLES
+from hnf_core.field.contact_filter import (
+    LEAD_SAMPLES,
+    LOADS_PER_OCTAVE,
+    TAIL_SAMPLES,
+    build_filter_bank,
+    compute_impulse_response,
+)
 from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.incremental import Rendered, Superseded, render
+from hnf_core.field.incremental import RenderedStroke, Superseded, render_incremental
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.timeline import SAMPLES_PER_STATE, smooth
+from hnf_core.field.timeline import SAMPLES_PER_STATE, evaluate_bspline
 from hnf_core.field.weights import load_field
 from hnf_core.material.contact import force_response, height_response
-from hnf_core.material.library import find, load_library
+from hnf_core.material.library import get_material, load_library
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.probe import PROBES
 
@@ -33,7 +39,7 @@ def two_seconds(profile: bool = True) -> StrokeInput:
     time = np.arange(STATES) / 200.0
     force = np.where((time > 0.9) & (time < 1.1), 0.0, 1.0 + 0.5 * np.sin(9.0 * time))
     action = Action(200.0, np.tile([1.0, 0.0], (STATES, 1)), np.full(STATES, 0.1), force, 0.1 * time, force > 0.0)
-    found = [find(name) for name in MATERIALS]
+    found = [get_material(name) for name in MATERIALS]
     ripple = 2e-6 * np.cos(2.0 * np.pi * 700.0 * np.arange(0.0, 0.2, 5e-5)) if profile else None
     return StrokeInput(
         action,
@@ -52,11 +58,11 @@ STROKE = two_seconds()
 
 
 @pytest.fixture(scope="module")
-def earlier() -> Rendered:
-    return render(FIELD, STROKE, seed=5)
+def earlier() -> RenderedStroke:
+    return render_incremental(FIELD, STROKE, seed=5)
 
 
-def assert_equal_to_whole(found: Rendered, stroke: StrokeInput, seed: int = 5) -> None:
+def assert_equal_to_whole(found: RenderedStroke, stroke: StrokeInput, seed: int = 5) -> None:
     whole = synthesise(FIELD, stroke, seed=seed)
     assert found.synthesis.signal.samples.tobytes() == whole.signal.samples.tobytes()
     assert (found.synthesis.confidence, found.synthesis.warnings) == (whole.confidence, whole.warnings)
@@ -68,10 +74,10 @@ def test_two_fields_that_were_never_saved_are_two() -> None:
     config = replace(FIELD.config, hidden=8, layers=1)
     one, other = (Field(config, initial_parameters(config, seed)) for seed in (1, 2))
     loud = replace(other, parameters={**other.parameters, "alpha.bias": other.parameters["alpha.bias"] + 0.5})
-    earlier, whole = render(one, STROKE, seed=5), render(loud, STROKE, seed=5)
-    again = render(loud, STROKE, seed=5, earlier=earlier)
+    earlier, whole = render_incremental(one, STROKE, seed=5), render_incremental(loud, STROKE, seed=5)
+    again = render_incremental(loud, STROKE, seed=5, earlier=earlier)
     assert again.samples.tobytes() == whole.samples.tobytes() != earlier.samples.tobytes()
-    assert render(one, STROKE, seed=5, earlier=earlier).rendered == 0
+    assert render_incremental(one, STROKE, seed=5, earlier=earlier).rendered_count == 0
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -88,7 +94,7 @@ def test_any_changed_span_gives_the_bytes_of_a_whole_synthesis(earlier, start, l
     rows = slice(start, start + length)
     force[rows] = value if how == "set" else value * force[rows]
     stroke = pressed(STROKE, force)
-    assert_equal_to_whole(render(FIELD, stroke, seed=5, earlier=earlier), stroke)
+    assert_equal_to_whole(render_incremental(FIELD, stroke, seed=5, earlier=earlier), stroke)
 
 
 def test_changes_after_changes_add_no_error(earlier) -> None:
@@ -98,7 +104,7 @@ def test_changes_after_changes_add_no_error(earlier) -> None:
         at = int(generator.integers(0, STATES - 20))
         force = force.copy()
         force[at : at + 20] *= generator.uniform(0.2, 3.0)
-        now = render(FIELD, pressed(STROKE, force), seed=5, earlier=now)
+        now = render_incremental(FIELD, pressed(STROKE, force), seed=5, earlier=now)
     assert_equal_to_whole(now, pressed(STROKE, force))
 
 
@@ -106,14 +112,14 @@ def test_a_change_at_the_end_leaves_the_start_alone(earlier) -> None:
     """Also where it is the hardest press of all: the loads of the contact's filters are the same for every stroke."""
     force = STROKE.action.force.copy()
     force[-60:-40] = 7.0
-    again = render(FIELD, pressed(STROKE, force), seed=5, earlier=earlier)
-    assert again.rendered <= 2 * BLOCK
+    again = render_incremental(FIELD, pressed(STROKE, force), seed=5, earlier=earlier)
+    assert again.rendered_count <= 2 * BLOCK_SAMPLES
     assert np.array_equal(again.samples[:8192], earlier.samples[:8192])
     assert not np.array_equal(again.samples, earlier.samples)
 
 
 def test_nothing_is_rendered_where_nothing_changed(earlier) -> None:
-    assert render(FIELD, STROKE, seed=5, earlier=earlier).rendered == 0
+    assert render_incremental(FIELD, STROKE, seed=5, earlier=earlier).rendered_count == 0
 
 
 @pytest.mark.parametrize(
@@ -130,14 +136,16 @@ def test_nothing_is_rendered_where_nothing_changed(earlier) -> None:
 )
 def test_what_else_changes_renders_everything(earlier, change) -> None:
     stroke, seed = change(STROKE)
-    found = render(FIELD, stroke, seed=seed, earlier=earlier)
-    assert found.rendered == len(found.samples)
+    found = render_incremental(FIELD, stroke, seed=seed, earlier=earlier)
+    assert found.rendered_count == len(found.samples)
     assert_equal_to_whole(found, stroke, seed)
 
 
 def test_a_newer_request_stops_it(earlier) -> None:
     with pytest.raises(Superseded):
-        render(FIELD, pressed(STROKE, 2.0 * STROKE.action.force), seed=5, earlier=earlier, superseded=lambda: True)
+        render_incremental(
+            FIELD, pressed(STROKE, 2.0 * STROKE.action.force), seed=5, earlier=earlier, superseded=lambda: True
+        )
 
 
 def test_the_contact_between_two_loads_is_that_of_the_load() -> None:
@@ -148,7 +156,9 @@ def test_the_contact_between_two_loads_is_that_of_the_load() -> None:
             for response in (height_response, force_response):
                 for load in (0.125, 1.0, 4.0):
                     low, high, exact = (
-                        impulse_response(response, material.mechanics, probe, load * 2.0 ** (place / LOADS_PER_OCTAVE))
+                        compute_impulse_response(
+                            response, material.mechanics, probe, load * 2.0 ** (place / LOADS_PER_OCTAVE)
+                        )
                         for place in (0.0, 1.0, 0.5)
                     )
                     error = np.linalg.norm((low + high) / 2.0 - exact) / np.linalg.norm(exact)
@@ -161,24 +171,24 @@ def test_pressing_is_the_spline_of_the_force_through_the_responses(start, count)
     """Against both written out: the spline at every sample, each response run over it, blended at each sample."""
     time = np.arange(201) / 200.0
     force = np.abs(1.5 * np.sin(7.0 * time)) + 3.0 * (time > 0.6)
-    mechanics = tuple(find(name).mechanics for name in MATERIALS[:2])
+    mechanics = tuple(get_material(name).mechanics for name in MATERIALS[:2])
     material = (time > 0.5).astype(np.int32)
-    bank = filter_bank(mechanics, material, force, "pen")
-    place = (np.arange(start - TAIL, start + count + LEAD)) / SAMPLES_PER_STATE
-    pressed = smooth(force, place)
+    bank = build_filter_bank(mechanics, material, force, "pen")
+    place = (np.arange(start - TAIL_SAMPLES, start + count + LEAD_SAMPLES)) / SAMPLES_PER_STATE
+    pressed = evaluate_bspline(force, place)
     wanted = np.zeros(count)
     for contact, weight in zip(bank.contacts, bank.weights.T, strict=True):
-        response = impulse_response(force_response, *contact)
-        fade = np.interp(place[TAIL : TAIL + count], np.arange(201), weight)
-        wanted += fade * np.convolve(pressed, response)[TAIL + LEAD :][:count]
+        response = compute_impulse_response(force_response, *contact)
+        fade = np.interp(place[TAIL_SAMPLES : TAIL_SAMPLES + count], np.arange(201), weight)
+        wanted += fade * np.convolve(pressed, response)[TAIL_SAMPLES + LEAD_SAMPLES :][:count]
     assert np.abs(wanted).max() > 1e-3
-    np.testing.assert_allclose(bank.force_term(force, start, count), wanted, atol=1e-10)
+    np.testing.assert_allclose(bank.render_force(force, start, count), wanted, atol=1e-10)
 
 
 def test_equal_mechanics_share_their_filters() -> None:
     """A long stroke over forty patches of one material has the filters of one."""
-    mechanics = (find(MATERIALS[0]).mechanics,) * 40
-    bank = filter_bank(mechanics, np.arange(40, dtype=np.int32), np.linspace(0.0, 2.0, 40), "pen")
+    mechanics = (get_material(MATERIALS[0]).mechanics,) * 40
+    bank = build_filter_bank(mechanics, np.arange(40, dtype=np.int32), np.linspace(0.0, 2.0, 40), "pen")
     assert bank.weights.shape == (40, len(bank.contacts))
     assert len(bank.contacts) <= 15
     assert bank.weights.sum(axis=1) == pytest.approx(np.ones(40))

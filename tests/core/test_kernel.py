@@ -14,35 +14,35 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core import cores as both_cores
-from hnf_core.bench.synth import forget_carriers, ten_seconds
+from hnf_core.bench.synth import clear_carrier_caches, make_keyed_stroke
 from hnf_core.field import texture
-from hnf_core.field.adaptive import Sampled, accumulated
-from hnf_core.field.band_waves import complex_waves, real_waves, wave_plan
-from hnf_core.field.blocks import rendered
+from hnf_core.field.adaptive import SampledEmission, accumulate_samples
+from hnf_core.field.band_waves import make_wave_plan, render_complex_waves, render_real_waves
+from hnf_core.field.blocks import render_samples
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
-from hnf_core.field.hops import arc_hop, time_hop
+from hnf_core.field.hops import get_arc_hop, get_time_hop
 from hnf_core.field.knots import Knots
-from hnf_core.field.linear_contact import linear_contact
-from hnf_core.field.noise import band_bins, bins_of, crossfade_window
-from hnf_core.field.path import position_beyond
-from hnf_core.field.prepared import prepare
-from hnf_core.field.texture import REACH, texture_hops
-from hnf_core.field.timeline import condition_at, states_of
+from hnf_core.field.linear_contact import compute_linear_contact
+from hnf_core.field.noise import crossfade_window, draw_band_bins, make_bins
+from hnf_core.field.path import extrapolate_position
+from hnf_core.field.prepared import prepare_stroke
+from hnf_core.field.texture import REACH_SAMPLES, render_carrier_hops
+from hnf_core.field.timeline import interpolate_condition, resample_action
 from hnf_core.field.weights import load_field
 from hnf_core.kernel import hop as kernel_hop
 from hnf_core.kernel import library
-from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, between_rows
-from hnf_core.kernel.contact import linear_contact as compiled_contact
-from hnf_core.kernel.hop import ArcReader, HopTables, Piece, TimeHop
-from hnf_core.kernel.library import kernel, plainly, why_not
-from hnf_core.kernel.noise import bins as compiled_bins
-from hnf_core.kernel.noise import real_waves as compiled_waves
-from hnf_core.material.library import find
+from hnf_core.kernel.contact import CONTACT_COLUMNS, TOKEN_FEATURES, ContactTables, blend_rows
+from hnf_core.kernel.contact import compute_linear_contact as compiled_contact
+from hnf_core.kernel.hop import ArcHop, ArcReader, CarrierTables, TimeHop
+from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
+from hnf_core.kernel.noise import draw_bins as compiled_bins
+from hnf_core.kernel.noise import render_real_waves as compiled_waves
+from hnf_core.material.library import get_material
 
 CARRIERS = Carriers()
-HOP = texture.HOP
-needs_kernel = pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+HOP = texture.HOP_SIZE
+needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 
 
 def level_db(found: np.ndarray, wanted: np.ndarray) -> float:
@@ -52,12 +52,12 @@ def level_db(found: np.ndarray, wanted: np.ndarray) -> float:
 def libraries() -> list[Path]:
     import hnf_kernel
 
-    return sorted(Path(hnf_kernel.__file__).parent.glob(f"hnf_kernel*{library.SUFFIX}"))
+    return sorted(Path(hnf_kernel.__file__).parent.glob(f"hnf_kernel*{library.LIBRARY_SUFFIX}"))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="an environment that is left without")
 def test_an_environment_with_its_compiler_has_it():
-    assert why_not() == ""
+    assert why_unavailable() == ""
     assert len(libraries()) == 2
 
 
@@ -67,17 +67,19 @@ def test_an_environment_with_its_compiler_has_it():
 def test_a_hop_is_the_one_that_numpy_reads(seed, speed, spacing):
     """Knots anywhere, some of them silent, a hand that turns back; waves drawn by either."""
     rng = np.random.default_rng(seed)
-    at = np.cumsum(rng.integers(1, spacing, 2 + (HOP + 2 * REACH) // (spacing // 2)))
+    at = np.cumsum(rng.integers(1, spacing, 2 + (HOP + 2 * REACH_SAMPLES) // (spacing // 2)))
     amplitude = rng.uniform(0.0, 1.0, (len(at), CARRIERS.count)) * rng.integers(0, 4, (len(at), 1)).clip(0, 1)
-    place = speed * np.sin(np.arange(HOP + 2 * REACH) / 1e4 * rng.uniform(0.5, 9.0)) / 3.0 + rng.uniform(-3.0, 3.0)
+    place = speed * np.sin(np.arange(HOP + 2 * REACH_SAMPLES) / 1e4 * rng.uniform(0.5, 9.0)) / 3.0 + rng.uniform(
+        -3.0, 3.0
+    )
     hop = int(rng.integers(-50, 50))
-    knots = Knots(at + hop * HOP - REACH, amplitude)
-    forget_carriers()
-    found = texture_hops(knots, CARRIERS, seed, place, range(hop, hop + 1))
-    with plainly():
-        read_plainly = texture_hops(knots, CARRIERS, seed, place, range(hop, hop + 1))
-        forget_carriers()
-        wanted = texture_hops(knots, CARRIERS, seed, place, range(hop, hop + 1))
+    knots = Knots(at + hop * HOP - REACH_SAMPLES, amplitude)
+    clear_carrier_caches()
+    found = render_carrier_hops(knots, CARRIERS, seed, place, range(hop, hop + 1))
+    with without_kernel():
+        read_plainly = render_carrier_hops(knots, CARRIERS, seed, place, range(hop, hop + 1))
+        clear_carrier_caches()
+        wanted = render_carrier_hops(knots, CARRIERS, seed, place, range(hop, hop + 1))
     assert np.std(wanted) > 0.01
     assert level_db(found, read_plainly) < -120.0
     assert level_db(found, wanted) < -115.0
@@ -91,25 +93,25 @@ def test_hops_in_a_row_are_what_each_is_alone():
     amplitude = rng.uniform(0.0, 1.0, (len(at), CARRIERS.count))
     amplitude[200:330] = 0.0
     knots = Knots(at - 3 * HOP, amplitude)
-    place = 0.2 * np.sin(np.arange(len(hops) * HOP + 2 * REACH) / 4e3)
+    place = 0.2 * np.sin(np.arange(len(hops) * HOP + 2 * REACH_SAMPLES) / 4e3)
     place[3 * HOP :] += 5.0
-    found = texture_hops(knots, CARRIERS, 5, place, hops).reshape(len(hops), HOP)
+    found = render_carrier_hops(knots, CARRIERS, 5, place, hops).reshape(len(hops), HOP)
     for row, hop in zip(found, hops, strict=True):
-        about = place[(hop - hops.start) * HOP :][: HOP + 2 * REACH]
-        np.testing.assert_array_equal(row, texture_hops(knots, CARRIERS, 5, about, range(hop, hop + 1)))
+        about = place[(hop - hops.start) * HOP :][: HOP + 2 * REACH_SAMPLES]
+        np.testing.assert_array_equal(row, render_carrier_hops(knots, CARRIERS, 5, about, range(hop, hop + 1)))
     assert np.std(found[0]) > 0.01
     assert not found[2].any()
 
 
 @needs_kernel
 def test_a_stroke_rendered_on_two_cores_is_that_of_one(monkeypatch):
-    stroke = ten_seconds(4.0)
-    prepared = prepare(load_field(), stroke, seed=2)
-    monkeypatch.setattr(both_cores, "cores", lambda: 1)
-    wanted = rendered(prepared)
-    monkeypatch.setattr(both_cores, "cores", lambda: 2)
-    assert rendered(prepared).tobytes() == wanted.tobytes()
-    assert rendered(prepared, 5000, 31_000).tobytes() == wanted[5000:31_000].tobytes()
+    stroke = make_keyed_stroke(4.0)
+    prepared = prepare_stroke(load_field(), stroke, seed=2)
+    monkeypatch.setattr(both_cores, "available_cpus", lambda: 1)
+    wanted = render_samples(prepared)
+    monkeypatch.setattr(both_cores, "available_cpus", lambda: 2)
+    assert render_samples(prepared).tobytes() == wanted.tobytes()
+    assert render_samples(prepared, 5000, 31_000).tobytes() == wanted[5000:31_000].tobytes()
 
 
 @needs_kernel
@@ -117,13 +119,15 @@ def test_a_stroke_rendered_on_two_cores_is_that_of_one(monkeypatch):
 @given(st.integers(0, 10**6), st.integers(-5, 5), st.integers(0, 7))
 def test_noise_and_its_waves_are_numpys(seed, block, octave):
     edges = CARRIERS.arc_edges()[24 * octave :][:25] * CARRIERS.arc_step_m(octave) * 8192
-    bins = bins_of(edges, 8192)
-    arcs, times = (wave_plan(bins.starts, crossfade_window(size), middle) for size, middle in ((1024, 384), (2048, 0)))
-    drawn = band_bins(seed, octave, block, bins)
-    found = complex_waves(drawn, arcs), real_waves(drawn, times)
-    with plainly():
-        np.testing.assert_allclose(drawn, band_bins(seed, octave, block, bins), rtol=1e-13, atol=1e-9)
-        wanted = complex_waves(drawn, arcs), real_waves(drawn, times)
+    bins = make_bins(edges, 8192)
+    arcs, times = (
+        make_wave_plan(bins.starts, crossfade_window(size), middle) for size, middle in ((1024, 384), (2048, 0))
+    )
+    drawn = draw_band_bins(seed, octave, block, bins)
+    found = render_complex_waves(drawn, arcs), render_real_waves(drawn, times)
+    with without_kernel():
+        np.testing.assert_allclose(drawn, draw_band_bins(seed, octave, block, bins), rtol=1e-13, atol=1e-9)
+        wanted = render_complex_waves(drawn, arcs), render_real_waves(drawn, times)
     for one, other in zip(found, wanted, strict=True):
         assert one.dtype == other.dtype
         assert np.abs(one - other).max() < 2e-6 * np.abs(other).max()
@@ -132,13 +136,15 @@ def test_noise_and_its_waves_are_numpys(seed, block, octave):
 @needs_kernel
 @pytest.mark.parametrize("material", ["leather", "cotton-canvas", "brass"])
 def test_contact_is_numpys_to_the_last_digits(material):
-    stroke = ten_seconds(3.0)
-    stroke = type(stroke)(stroke.action, find(material).token[None], (find(material).mechanics,), stroke.token_index)
-    action, index = states_of(stroke)
-    condition = condition_at(stroke, action, index, np.arange(-60, 30_000, 37))
-    found = linear_contact(condition, CARRIERS)
-    with plainly():
-        wanted = linear_contact(condition, CARRIERS)
+    stroke = make_keyed_stroke(3.0)
+    stroke = type(stroke)(
+        stroke.action, get_material(material).token[None], (get_material(material).mechanics,), stroke.token_index
+    )
+    action, index = resample_action(stroke)
+    condition = interpolate_condition(stroke, action, index, np.arange(-60, 30_000, 37))
+    found = compute_linear_contact(condition, CARRIERS)
+    with without_kernel():
+        wanted = compute_linear_contact(condition, CARRIERS)
     for name in ("power", "normal", "noise", "resonance"):
         one, other = getattr(found, name), getattr(wanted, name)
         assert other.max() > 0.0
@@ -154,10 +160,10 @@ def test_accumulated_states_are_numpys(seed, count):
     rng, config = np.random.default_rng(seed), FieldConfig()
     at = np.unique(np.concatenate([[0, 3000], rng.integers(0, 3000, count)]))
     alpha = rng.uniform(0.0, 2.0, (len(at), config.carriers.count)).astype(np.float32)
-    sampled = Sampled(at, alpha, rng.uniform(0, 4, (len(at), config.states)), 0.0)
-    found_at, found = accumulated(config, sampled, 3000)
-    with plainly():
-        wanted_at, wanted = accumulated(config, sampled, 3000)
+    sampled = SampledEmission(at, alpha, rng.uniform(0, 4, (len(at), config.states)), 0.0)
+    found_at, found = accumulate_samples(config, sampled, 3000)
+    with without_kernel():
+        wanted_at, wanted = accumulate_samples(config, sampled, 3000)
     np.testing.assert_array_equal(found_at, wanted_at)
     # Both are summed in double and rounded once.
     np.testing.assert_array_max_ulp(found, wanted, maxulp=1)
@@ -166,32 +172,32 @@ def test_accumulated_states_are_numpys(seed, count):
 @needs_kernel
 @pytest.mark.parametrize("tolerance", [None, 0.01])
 def test_a_stroke_is_numpys_and_the_same_each_time(tolerance):
-    field, stroke = load_field(), ten_seconds(2.0)
+    field, stroke = load_field(), make_keyed_stroke(2.0)
 
     def signal() -> np.ndarray:
-        forget_carriers()
-        return rendered(prepare(field, stroke, seed=8, tolerance=tolerance))
+        clear_carrier_caches()
+        return render_samples(prepare_stroke(field, stroke, seed=8, tolerance=tolerance))
 
-    with plainly():
+    with without_kernel():
         wanted = signal()
     found = signal()
     assert found.tobytes() == signal().tobytes()
     assert found.tobytes() != wanted.tobytes()
     assert level_db(found, wanted) < -115.0
-    forget_carriers()
+    clear_carrier_caches()
 
 
 @needs_kernel
 def test_every_build_says_the_same(monkeypatch):
-    field, stroke, found = load_field(), ten_seconds(1.0), []
+    field, stroke, found = load_field(), make_keyed_stroke(1.0), []
     for path in libraries():
-        one = library._load(path)
-        monkeypatch.setattr(library, "_found", lambda one=one: (one, ""))
-        forget_carriers()
-        found.append(rendered(prepare(field, stroke, seed=8)))
+        one = library._load_library(path)
+        monkeypatch.setattr(library, "_find_library", lambda one=one: (one, ""))
+        clear_carrier_caches()
+        found.append(render_samples(prepare_stroke(field, stroke, seed=8)))
     assert len(found) == 2
     assert level_db(*found) < -115.0
-    forget_carriers()
+    clear_carrier_caches()
 
 
 class Refuses:
@@ -202,9 +208,9 @@ class Refuses:
 
 
 def test_what_it_would_misread_never_reaches_it():
-    none, tables, share = Refuses(), texture.hop_tables(CARRIERS), np.zeros(8, np.float32)
+    none, tables, share = Refuses(), texture.build_hop_tables(CARRIERS), np.zeros(8, np.float32)
     place = np.full(8, 0.03)
-    kept = arc_hop(CARRIERS, 1, 0, 0)
+    kept = get_arc_hop(CARRIERS, 1, 0, 0)
 
     def read(octaves=(0, 3), place=place, share=share, piece=lambda *_: kept):
         return ArcReader(tables, share).read(none, octaves, place, piece)
@@ -214,14 +220,14 @@ def test_what_it_would_misread_never_reaches_it():
         ({"place": np.where(np.arange(8) == 3, np.inf, place)}, ValueError), ({"place": place * np.nan}, ValueError),
         ({"place": place - 1e14}, ValueError),
         ({"place": place.astype(np.float32)}, TypeError), ({"share": share.astype(float)}, TypeError),
-        ({"piece": lambda *_: Piece.of(np.ones((24, 9), np.complex64))}, ValueError),
+        ({"piece": lambda *_: ArcHop.from_waves(np.ones((24, 9), np.complex64))}, ValueError),
     ):  # fmt: skip
         with pytest.raises(error):
             read(**wrong)
     for first, level in ((-1, np.ones(4)), (2, np.ones(4)), (6, np.ones(0))):
         with pytest.raises(ValueError, match="words"):
             compiled_bins(none, (1, 2, 3), 5, first, level)
-    plan = wave_plan(np.array([3, 5, 9]), np.ones(64))
+    plan = make_wave_plan(np.array([3, 5, 9]), np.ones(64))
     given = plan.starts, plan.narrow, plan.slow, plan.turns, plan.window
     for count, size in ((5, 64), (6, 96), (6, 48)):
         with pytest.raises(ValueError, match="waves"):
@@ -240,13 +246,13 @@ def test_what_it_would_misread_never_reaches_it():
     values, one = np.ones((5, 3), np.float32), np.ones((2, 1))
     for row in ([[0], [4]], [[-1], [0]], [[0, 1], [0, 1]], [0, 1]):
         with pytest.raises(ValueError, match="rows"):
-            between_rows(none, values, np.array(row), one, one)
+            blend_rows(none, values, np.array(row), one, one)
     given = {
-        "features": FEATURES, "kappa": np.ones(9), "share": np.ones(9), "wavelength": np.ones(3),
+        "features": TOKEN_FEATURES, "kappa": np.ones(9), "share": np.ones(9), "wavelength": np.ones(3),
         "turn": np.ones((4, 4)), "below": np.ones(9, int), "nearest_end": np.full(3, 9), "shift": np.ones(4, int),
         **dict.fromkeys(("per_octave", "concentration", "bump_mean", "least_left", "hand", "hand_damping"), 1.0),
     }  # fmt: skip
-    tables, touch = Tables(**given), np.ones((2, len(TOUCH)))
+    tables, touch = ContactTables(**given), np.ones((2, len(CONTACT_COLUMNS)))
     for wrong in (
         {"below": np.full(9, 2)},
         {"nearest_end": np.full(3, 10)},
@@ -254,19 +260,21 @@ def test_what_it_would_misread_never_reaches_it():
         {"share": one},
     ):
         with pytest.raises(ValueError, match="tables"):
-            Tables(**given | wrong)
+            ContactTables(**given | wrong)
     for tokens, states in ((np.ones((2, 20)), touch), (np.ones((3, 21)), touch), (np.ones((2, 21)), touch[:, :8])):
         with pytest.raises(ValueError, match="contact"):
             compiled_contact(none, tables, tokens, states)
 
 
 def test_a_hop_that_it_would_misread_never_reaches_it():
-    tables, none = texture.hop_tables(CARRIERS), Refuses()
+    tables, none = texture.build_hop_tables(CARRIERS), Refuses()
     at, amplitude = np.array([0, 9000]), np.ones((2, CARRIERS.count), np.float32)
-    place, waves = np.linspace(0.0, 0.05, HOP + 2 * REACH), time_hop(CARRIERS, 1, 0)
+    place, waves = np.linspace(0.0, 0.05, HOP + 2 * REACH_SAMPLES), get_time_hop(CARRIERS, 1, 0)
 
     def asked(at=at, amplitude=amplitude, place=place, waves=waves, kernel=none, piece=None):
-        return kernel_hop.hops(kernel, tables, at, amplitude, 0, place, [waves], piece or (lambda octave, number: None))
+        return kernel_hop.render_hops(
+            kernel, tables, at, amplitude, 0, place, [waves], piece or (lambda octave, number: None)
+        )
 
     for wrong, error in (
         ({"at": at.astype(np.int32)}, TypeError), ({"at": at[:1], "amplitude": amplitude[:1]}, ValueError),
@@ -277,39 +285,43 @@ def test_a_hop_that_it_would_misread_never_reaches_it():
     ):  # fmt: skip
         with pytest.raises(error):
             asked(**wrong)
-    compiled = kernel()
+    compiled = load_kernel()
     if compiled is not None:
         with pytest.raises(ValueError, match="carriers in time"):
-            asked(kernel=compiled, waves=TimeHop.of(waves.waves[:2]), piece=lambda *_: arc_hop(CARRIERS, 1, 0, 0))
+            asked(
+                kernel=compiled,
+                waves=TimeHop.from_waves(waves.waves[:2]),
+                piece=lambda *_: get_arc_hop(CARRIERS, 1, 0, 0),
+            )
         with pytest.raises(ValueError, match="piece"):
-            asked(kernel=compiled, piece=lambda *_: Piece.of(np.ones((24, 9), np.complex64)))
+            asked(kernel=compiled, piece=lambda *_: ArcHop.from_waves(np.ones((24, 9), np.complex64)))
     with pytest.raises(ValueError, match="states"):
-        kernel_hop.place(none, np.zeros(1), 50, 0, 10)
+        kernel_hop.interpolate_position(none, np.zeros(1), 50, 0, 10)
     given = {
         "margin": np.array([0, 6, 10]), "time_band": np.zeros(3, int), "time_bands": np.zeros(3, int),
         "cells_per_m": np.ones(8), "half_band": np.ones(12, np.float32), "cubic": np.ones((4, 4), np.float32),
         "hop": 64, "reach": 40, "time_first": 0, "arc_first": 0, "bands": 24, "piece_cells": 64, "rate": 1e4,
         "highest": 0.25, "band_end": 4800.0, "lowest": 50.0, "turns": 0.1,
     }  # fmt: skip
-    HopTables(**given)
+    CarrierTables(**given)
     for wrong in ({"margin": np.array([0, 6, 8])}, {"margin": np.array([0, 4, 10])}, {"reach": 39}, {"hop": 100},
                   {"time_bands": np.zeros(2, int)}, {"cubic": np.ones((4, 3), np.float32)}):  # fmt: skip
         with pytest.raises(ValueError, match="hop"):
-            HopTables(**given | wrong)
+            CarrierTables(**given | wrong)
 
 
 @needs_kernel
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=30), st.integers(-4000, 4000), st.integers(1, 700))
 def test_where_the_hand_is_is_what_numpy_says(states, start, count):
-    action = ten_seconds(0.1).action
+    action = make_keyed_stroke(0.1).action
     action = type(action)(
         action.rate, np.tile([1.0, 0.0], (len(states), 1)), np.ones(len(states)), np.ones(len(states)),
         np.array(states), np.ones(len(states), bool),
     )  # fmt: skip
-    found = position_beyond(action, start, count)
-    with plainly():
-        wanted = position_beyond(action, start, count)
+    found = extrapolate_position(action, start, count)
+    with without_kernel():
+        wanted = extrapolate_position(action, start, count)
     np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
@@ -319,21 +331,21 @@ def test_a_hand_that_jumps_asks_for_no_more_cells_than_it_can_sound():
     rng, at = np.random.default_rng(3), np.arange(0, HOP + 200, 50)
     amplitude = rng.uniform(0.0, 1.0, (len(at), CARRIERS.count))
     for where in ([2000], [1, 2, 3, 2500], [*range(0, HOP, 7)], [*range(HOP)]):
-        place = 0.1 * np.arange(HOP + 2 * REACH) / 1e4
+        place = 0.1 * np.arange(HOP + 2 * REACH_SAMPLES) / 1e4
         for each in where:
             place[each + 1 :] += 1e3
         knots = Knots(at - 60, amplitude)
-        found = texture_hops(knots, CARRIERS, 5, place, range(1))
-        with plainly():
-            wanted = texture_hops(knots, CARRIERS, 5, place, range(1))
+        found = render_carrier_hops(knots, CARRIERS, 5, place, range(1))
+        with without_kernel():
+            wanted = render_carrier_hops(knots, CARRIERS, 5, place, range(1))
         assert np.std(found - wanted) < 1e-6 * np.std(wanted)
 
 
 def test_switched_off_numpy_does_the_work():
     code = (
-        "from hnf_core.kernel.library import kernel, why_not; from hnf_core.bench.synth import ten_seconds;"
+        "from hnf_core.kernel.library import load_kernel, why_unavailable; from hnf_core.bench.synth import make_keyed_stroke;"
         "from hnf_core.field.synthesis import synthesise; from hnf_core.field.weights import load_field;"
-        "s = synthesise(load_field(), ten_seconds(0.3), seed=1).signal.samples; print(kernel(), why_not(), s.std() > 0)"
+        "s = synthesise(load_field(), make_keyed_stroke(0.3), seed=1).signal.samples; print(load_kernel(), why_unavailable(), s.std() > 0)"
     )
     run = subprocess.run(
         [sys.executable, "-c", code], env=os.environ | {"HNF_KERNEL": "off"}, capture_output=True, text=True, timeout=60
@@ -345,16 +357,16 @@ def test_another_version_or_a_damaged_file_is_left_alone(monkeypatch, tmp_path):
     package = tmp_path / "hnf_kernel"
     package.mkdir()
     (package / "__init__.py").touch()
-    (package / f"hnf_kernel{library.SUFFIX}").write_text("not a library")
+    (package / f"hnf_kernel{library.LIBRARY_SUFFIX}").write_text("not a library")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "hnf_kernel", raising=False)
-    found, why = library._found.__wrapped__()
+    found, why = library._find_library.__wrapped__()
     assert found is None
     assert "hnf_kernel" in why
     monkeypatch.undo()
     sys.modules.pop("hnf_kernel", None)
-    if kernel() is not None:
+    if load_kernel() is not None:
         monkeypatch.setattr(library, "ABI", 10**6)
-        found, why = library._found.__wrapped__()
+        found, why = library._find_library.__wrapped__()
         assert found is None
         assert "build and install it anew" in why

@@ -11,25 +11,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core import cores as both_cores
-from hnf_core.bench.synth_table import Grid, from_table, read_table, tabulate
+from hnf_core.bench.synth_table import TableGrid, evaluate_table, interpolate_table, tabulate_field
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
-from hnf_core.field.emitter import emitter_of, fits
+from hnf_core.field.emitter import get_emitter, kernel_supports
 from hnf_core.field.field import Field, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.live.emission import LiveEmission
-from hnf_core.field.network import heads
+from hnf_core.field.network import run_network
 from hnf_core.field.weights import load_field
 from hnf_core.kernel import emission
-from hnf_core.kernel.contact import TOUCH
-from hnf_core.kernel.emission import MOTION, Emitter, Expected, OneState
+from hnf_core.kernel.contact import CONTACT_COLUMNS
+from hnf_core.kernel.emission import MOTION_COLUMNS, ContactPrior, EmissionTables, StateEvaluator
 from hnf_core.kernel.layers import Layers
-from hnf_core.kernel.library import kernel, plainly, why_not
-from hnf_core.material.library import find, load_library
+from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
+from hnf_core.material.library import get_material, load_library
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.probe import PROBES
 
-needs_kernel = pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 SHARED, LIBRARY = load_field(), load_library()
 FORMS = {
     "shipped": SHARED.config,
@@ -72,9 +72,9 @@ def states(seed: int, count: int = 40, probe: str = "pen") -> Condition:
 @given(st.integers(0, 10**6), st.sampled_from(sorted(PROBES)))
 def test_what_is_emitted_is_what_numpy_says(name, seed, probe):
     field, condition = field_of(name), states(seed, probe=probe)
-    assert fits(field.config)
+    assert kernel_supports(field.config)
     found = evaluate(field, condition)
-    with plainly():
+    with without_kernel():
         wanted = evaluate(field, condition)
     assert found.alpha.shape == wanted.alpha.shape
     assert wanted.alpha.max() > 0.0
@@ -89,7 +89,7 @@ def test_a_form_that_the_kernel_does_not_know_is_evaluated_by_numpy():
     bare = FieldConfig(16, 1, physics=False)
     encoded = FieldConfig(16, 1, action_octaves=2)
     for config in (published, bare, encoded, replace(bare, carriers=Carriers(arc_octaves=0))):
-        assert not fits(config)
+        assert not kernel_supports(config)
         found = evaluate(Field(config, initial_parameters(config, 1)), states(4))
         assert found.alpha.shape == (40, config.alpha_heads, config.carriers.count)
 
@@ -109,7 +109,7 @@ def test_one_state_after_another_is_all_of_them_at_once(seed, hidden, layers, pr
     wanted = evaluate(field, told)
     for row in range(6):
         asked = told.direction[row], float(told.speed[row]), float(told.force[row]), bool(told.contact[row])
-        alpha, sigma = one.at(*asked)
+        alpha, sigma = one.evaluate(*asked)
         np.testing.assert_allclose(alpha, wanted.alpha[row, 0], rtol=2e-4, atol=1e-6 * wanted.alpha.max())
         np.testing.assert_allclose(sigma, wanted.sigma_dt[row], rtol=2e-4, atol=1e-6)
 
@@ -124,43 +124,43 @@ class Refuses:
 def test_what_the_kernel_would_misread_never_reaches_it():
     none, config = Refuses(), SHARED.config
     skip = SHARED.parameters["skip"].tobytes()
-    emitter = emitter_of(config, skip, "pen", 6.0)
+    emitter = get_emitter(config, skip, "pen", 6.0)
     tokens, fixed = np.ones((2, emitter.token_size)), np.ones((2, emitter.fixed))
-    motion, touch = np.ones((2, len(MOTION))), np.ones((2, len(TOUCH)))
+    motion, touch = np.ones((2, len(MOTION_COLUMNS))), np.ones((2, len(CONTACT_COLUMNS)))
     for wrong in (
         (tokens[:1], fixed, motion, touch), (tokens[:, 1:], fixed, motion, touch), (tokens, fixed[1:], motion, touch),
         (tokens, fixed, motion[:, 1:], touch), (tokens, fixed, motion, touch[1:]),
     ):  # fmt: skip
         with pytest.raises(ValueError, match="tokens"):
-            emission.inputs(none, emitter, *wrong)
+            emission.compute_inputs(none, emitter, *wrong)
     with pytest.raises(TypeError, match="float64"):
-        emission.inputs(none, emitter, tokens.astype(np.float32), fixed, motion, touch)
-    expected, head = Expected.empty(2, emitter), np.ones((2, emitter.outputs), np.float32)
+        emission.compute_inputs(none, emitter, tokens.astype(np.float32), fixed, motion, touch)
+    expected, head = ContactPrior.empty(2, emitter), np.ones((2, emitter.outputs), np.float32)
     for wrong in ((head[:, 1:], motion, expected), (head, motion[:1], expected)):
         with pytest.raises(ValueError, match="answers"):
-            emission.emitted(none, emitter, *wrong)
+            emission.decode_head(none, emitter, *wrong)
     for wrong in (
         (tokens, motion, touch[:1], head),
         (tokens, motion, touch, head[:, 1:]),
         (tokens[:1], motion, touch, head),
     ):
         with pytest.raises(ValueError, match=r"tokens|answers"):
-            emission.answered(none, emitter, *wrong)
+            emission.decode_known_head(none, emitter, *wrong)
     with pytest.raises(ValueError, match="expected"):
-        emission.emitted(none, emitter, head, motion, Expected.empty(3, emitter))
-    counts = {name: getattr(emitter.struct, name) for name in emission._COUNTS + emission._NUMBERS}
-    arrays = dict(zip(emission._ARRAYS, emitter._kept, strict=True))
+        emission.decode_head(none, emitter, head, motion, ContactPrior.empty(3, emitter))
+    counts = {name: getattr(emitter.struct, name) for name in emission._EMISSION_COUNTS + emission._EMISSION_NUMBERS}
+    arrays = dict(zip(emission._EMISSION_ARRAYS, emitter._arrays, strict=True))
     derived = {"token_size", "time_bands", "carriers", "harmonics"}
     told = {**arrays, **{name: value for name, value in counts.items() if name not in derived}}
-    Emitter(emitter.tables, **told)
+    EmissionTables(emitter.tables, **told)
     for gap in ({"fixed_at": told["fixed_at"] + 1}, {"fixed": told["fixed"] - 1}, {"fixed": told["fixed"] + 1}):
         with pytest.raises(ValueError, match="inputs"):
-            Emitter(emitter.tables, **told | gap)
+            EmissionTables(emitter.tables, **told | gap)
     for change in ({"arc_knots": 99}, {"line_gains": False, "hidden": 8}):
         fewer = replace(config, **change)
-        assert emitter_of(fewer, skip, "pen", 6.0).outputs == fewer.alpha_outputs
+        assert get_emitter(fewer, skip, "pen", 6.0).outputs == fewer.alpha_outputs
     with pytest.raises(ValueError, match="carriers"):
-        emitter_of(config, skip[4:], "pen", 6.0)
+        get_emitter(config, skip[4:], "pen", 6.0)
     shapes = (3, emitter.inputs), (emitter.outputs, 3), (5, 3)
     weights, biases = ([np.ones(each, np.float32) for each in some] for some in (shapes, [s[0] for s in shapes]))
     layers = Layers(weights, biases)
@@ -180,18 +180,18 @@ def test_what_the_kernel_would_misread_never_reaches_it():
     x = np.ones((4, emitter.inputs), np.float32)
     for wrong in (x[:, 1:], x[0]):
         with pytest.raises(ValueError, match="inputs"):
-            layers.answers(none, wrong)
+            layers.evaluate(none, wrong)
     for wrong in (x.astype(float), np.asfortranarray(x)):
         with pytest.raises(TypeError, match="float32"):
-            layers.answers(none, wrong)
+            layers.evaluate(none, wrong)
     state = emitter, layers, tokens[:1], fixed[:1]
-    OneState(*state)
+    StateEvaluator(*state)
     narrower = Layers([weights[0][:, 1:], *weights[1:]], biases)
     for at, wrong in ((1, narrower), (2, tokens[:1, 1:]), (3, fixed)):
         with pytest.raises(ValueError, match=r"layers|tokens"):
-            OneState(*state[:at], wrong, *state[at + 1 :])
+            StateEvaluator(*state[:at], wrong, *state[at + 1 :])
     with pytest.raises(struct.error):
-        OneState(*state).at(none, np.ones(len(MOTION) - 1), np.ones(len(TOUCH)))
+        StateEvaluator(*state).evaluate(none, np.ones(len(MOTION_COLUMNS) - 1), np.ones(len(CONTACT_COLUMNS)))
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -200,12 +200,12 @@ def test_answers_that_are_there_emit_what_answers_that_are_asked_for_do(monkeypa
     field, condition, said = field_of(name), states(6, 300), []
 
     def noted(x):
-        said.append(heads(field.parameters, field.config.layers, x))
+        said.append(run_network(field.parameters, field.config.layers, x))
         return said[-1]
 
     wanted = evaluate(field, condition, noted)
     for cores in (1, 2):
-        monkeypatch.setattr(both_cores, "cores", lambda cores=cores: cores)
+        monkeypatch.setattr(both_cores, "available_cpus", lambda cores=cores: cores)
         for found in (evaluate(field, condition, said[0]), evaluate(field, condition, lambda _: said[0])):
             np.testing.assert_array_equal(found.alpha, wanted.alpha)
             np.testing.assert_array_equal(found.sigma_dt, wanted.sigma_dt)
@@ -216,7 +216,7 @@ def test_answers_that_are_there_emit_what_answers_that_are_asked_for_do(monkeypa
 def test_a_network_that_is_broken_is_never_a_number(name):
     """NaN in what the head answers is NaN in what is emitted, by either way: a limit does not make it the loudest."""
     field, condition = field_of(name), states(6, 30)
-    said = heads(
+    said = run_network(
         field.parameters, field.config.layers, np.ones((30, field.parameters["layer0.weight"].shape[1]), np.float32)
     )
     unbroken = evaluate(field, condition, said).alpha
@@ -224,7 +224,7 @@ def test_a_network_that_is_broken_is_never_a_number(name):
         head = said[0].copy()
         head[:, output] = np.nan
         found = evaluate(field, condition, (head, said[1])).alpha
-        with plainly():
+        with without_kernel():
             wanted = evaluate(field, condition, (head, said[1])).alpha
         # Numpy's product of matrices carries NaN to every band of arc length; the kernel to those that hear the output.
         assert np.isnan(wanted[np.isnan(found)]).all()
@@ -234,9 +234,9 @@ def test_a_network_that_is_broken_is_never_a_number(name):
 
 def test_a_table_answers_what_the_network_does():
     """At its own points exactly, between them nearer where it is finer, and once for a material that has no grain."""
-    leather = find("leather")
+    leather = get_material("leather")
     token = leather.token.astype(np.float32)
-    table = tabulate(SHARED, token, leather.mechanics, "pen", Grid(4, 2, 1))
+    table = tabulate_field(SHARED, token, leather.mechanics, "pen", TableGrid(4, 2, 1))
     directions, speeds, forces, _ = table.values.shape
     rng = np.random.default_rng(2)
     d, v, f = (rng.integers(0, count - 1, 30) for count in (directions, speeds, forces))
@@ -246,11 +246,11 @@ def test_a_table_answers_what_the_network_does():
         np.stack([np.cos(angle), np.sin(angle)], axis=1), np.exp(table.speed[0] + v * table.speed[1]),
         np.exp(table.force[0] + f * table.force[1]), np.ones(30, bool), "pen",
     )  # fmt: skip
-    np.testing.assert_allclose(read_table(table, at), table.values[d, v, f], atol=1e-5)
+    np.testing.assert_allclose(interpolate_table(table, at), table.values[d, v, f], atol=1e-5)
     between = replace(at, speed=at.speed * 1.1, force=at.force * 1.2)
     wanted, missed = evaluate(SHARED, between).alpha, []
-    for grid in (Grid(4, 2, 1), Grid(4, 16, 4)):
-        finer = tabulate(SHARED, token, leather.mechanics, "pen", grid)
-        missed.append(np.square(from_table(finer, SHARED, between).alpha - wanted).sum() / np.square(wanted).sum())
+    for grid in (TableGrid(4, 2, 1), TableGrid(4, 16, 4)):
+        finer = tabulate_field(SHARED, token, leather.mechanics, "pen", grid)
+        missed.append(np.square(evaluate_table(finer, SHARED, between).alpha - wanted).sum() / np.square(wanted).sum())
     assert missed[1] < 0.25 * missed[0]
     assert missed[1] < 1e-3

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core import cores as both_cores
-from hnf_core.field.network import heads
+from hnf_core.field.network import run_network
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.layers import AT_ONCE, Layers
-from hnf_core.kernel.library import SUFFIX, _load, kernel, why_not
+from hnf_core.kernel.layers import STATES_PER_CALL, Layers
+from hnf_core.kernel.library import LIBRARY_SUFFIX, _load_library, load_kernel, why_unavailable
 
-pytestmark = pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+pytestmark = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 
 
 def builds():
@@ -24,9 +24,9 @@ def builds():
     import hnf_kernel
 
     folder = Path(hnf_kernel.__file__).parent
-    plain = _load(folder / f"hnf_kernel{SUFFIX}")
-    wide = folder / f"hnf_kernel_wide{SUFFIX}"
-    return [plain, _load(wide)] if plain.hnf_has_wide_vectors() and wide.is_file() else [plain]
+    plain = _load_library(folder / f"hnf_kernel{LIBRARY_SUFFIX}")
+    wide = folder / f"hnf_kernel_wide{LIBRARY_SUFFIX}"
+    return [plain, _load_library(wide)] if plain.hnf_has_wide_vectors() and wide.is_file() else [plain]
 
 
 def network(rng, inputs, hidden, layers, outputs, densities):
@@ -51,16 +51,16 @@ def test_they_answer_what_numpy_does(seed, inputs, hidden, layers, outputs, dens
     rng = np.random.default_rng(seed)
     compiled, parameters = network(rng, inputs, hidden, layers, outputs, densities)
     x = rng.standard_normal((states, inputs)).astype(np.float32)
-    wanted = heads(parameters, layers, x)
+    wanted = run_network(parameters, layers, x)
     for library in builds():
-        for found, exact in zip(compiled.answers(library, x), wanted, strict=True):
+        for found, exact in zip(compiled.evaluate(library, x), wanted, strict=True):
             assert found.dtype == np.float32
             assert found.shape == exact.shape
             np.testing.assert_allclose(found, exact, rtol=1e-4, atol=2e-5 * np.abs(exact).max(initial=1.0))
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 10**6), st.integers(1, 90), st.integers(1, 2 * AT_ONCE + 30), st.data())
+@given(st.integers(0, 10**6), st.integers(1, 90), st.integers(1, 2 * STATES_PER_CALL + 30), st.data())
 def test_a_state_gives_the_same_bytes_alone_and_anywhere_among_others(seed, hidden, states, data):
     rng = np.random.default_rng(seed)
     compiled, _ = network(rng, 37, hidden, 3, 41, 5)
@@ -68,7 +68,7 @@ def test_a_state_gives_the_same_bytes_alone_and_anywhere_among_others(seed, hidd
     few = data.draw(st.integers(1, states))
     chosen = rng.permutation(states)[:few]
     for library in builds():
-        whole, part = compiled.answers(library, x), compiled.answers(library, np.ascontiguousarray(x[chosen]))
+        whole, part = compiled.evaluate(library, x), compiled.evaluate(library, np.ascontiguousarray(x[chosen]))
         for all_of_them, some in zip(whole, part, strict=True):
             assert some.tobytes() == all_of_them[chosen].tobytes()
 
@@ -78,8 +78,8 @@ def test_the_shipped_field_gives_the_same_bytes_on_any_number_of_cores(monkeypat
     x = np.random.default_rng(1).standard_normal((500, layers.inputs)).astype(np.float32)
     said = []
     for cores in (1, 2, 3, 7):
-        monkeypatch.setattr(both_cores, "cores", lambda cores=cores: cores)
-        said.append(b"".join(each.tobytes() for each in layers.answers(kernel(), x)))
+        monkeypatch.setattr(both_cores, "available_cpus", lambda cores=cores: cores)
+        said.append(b"".join(each.tobytes() for each in layers.evaluate(load_kernel(), x)))
     assert len(set(said)) == 1
 
 
@@ -89,7 +89,7 @@ def test_what_is_no_number_is_answered_with_none():
     x = np.ones((8, 9), np.float32)
     x[3, 4] = np.nan
     for library in builds():
-        for each in compiled.answers(library, x):
+        for each in compiled.evaluate(library, x):
             assert np.isnan(each[3]).all()
             assert np.isfinite(np.delete(each, 3, axis=0)).all()
 
@@ -97,8 +97,8 @@ def test_what_is_no_number_is_answered_with_none():
 def test_a_copy_of_a_field_has_layers_of_its_own():
     field = load_field()
     x = np.ones((3, field.layers.inputs), np.float32)
-    wanted = field.layers.answers(kernel(), x)[0].tobytes()
+    wanted = field.layers.evaluate(load_kernel(), x)[0].tobytes()
     other = copy.deepcopy(field)
     assert other.layers.panels[0] is not field.layers.panels[0]
     del field
-    assert other.layers.answers(kernel(), x)[0].tobytes() == wanted
+    assert other.layers.evaluate(load_kernel(), x)[0].tobytes() == wanted

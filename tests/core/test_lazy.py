@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from hnf_core.action.action import ACTION_RATE_HZ
-from hnf_core.bench.scale import counted_states, scrape
+from hnf_core.bench.scale import count_states, make_scrape
 from hnf_core.field import blocks, prepared, synthesis
-from hnf_core.field.adaptive import FINEST
-from hnf_core.field.audible import AFTER_CONTACT_S, BLOCK
+from hnf_core.field.adaptive import MIN_INTERVAL
+from hnf_core.field.audible import AFTER_CONTACT_S, BLOCK_SAMPLES
 from hnf_core.field.carriers import MODEL_RATE_HZ
-from hnf_core.field.long_stroke import portions
+from hnf_core.field.long_stroke import render_chunks
 from hnf_core.field.stroke import HeightProfile
 from hnf_core.field.timeline import SAMPLES_PER_STATE
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import kernel, plainly, why_not
+from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
 
 SEED = 3
 SECONDS = 8
@@ -30,21 +30,21 @@ SECONDS = 8
 def rendered(monkeypatch):
     """First samples and lengths of what the carriers were summed for."""
     spans = []
-    texture = blocks.texture_term
+    texture = blocks.render_carriers
 
     def counted(prepared, start, count):
         spans.append((start, count))
         return texture(prepared, start, count)
 
-    monkeypatch.setattr(blocks, "texture_term", counted)
+    monkeypatch.setattr(blocks, "render_carriers", counted)
     return spans
 
 
 @pytest.mark.parametrize("touching_s", [0.5, 2.0, 5.0])
 def test_no_carrier_is_summed_far_from_contact(rendered, touching_s):
-    made = synthesis.synthesise(load_field(), scrape(SECONDS, touching_s), seed=SEED)
+    made = synthesis.synthesise(load_field(), make_scrape(SECONDS, touching_s), seed=SEED)
     heard_until = (touching_s + AFTER_CONTACT_S) * MODEL_RATE_HZ + SAMPLES_PER_STATE
-    assert sum(count for _, count in rendered) <= heard_until + BLOCK
+    assert sum(count for _, count in rendered) <= heard_until + BLOCK_SAMPLES
     assert all(start < heard_until for start, _ in rendered)
     assert len(made.signal.samples) == SECONDS * MODEL_RATE_HZ
     assert (made.signal.samples[int(heard_until) + 1 :] == 0.0).all()
@@ -52,53 +52,53 @@ def test_no_carrier_is_summed_far_from_contact(rendered, touching_s):
 
 
 def test_a_hand_that_never_touches_costs_no_sample(rendered):
-    (made,) = (portion.samples for portion in portions(load_field(), scrape(SECONDS, -1.0), seed=SEED))
+    (made,) = (portion.samples for portion in render_chunks(load_field(), make_scrape(SECONDS, -1.0), seed=SEED))
     assert rendered == []
     assert (made == 0.0).all()
 
 
-@pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+@pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 def test_a_state_is_evaluated_once():
-    field, stroke = load_field(), scrape(SECONDS)
-    with counted_states() as states:
-        prepared.prepare(field, stroke, seed=SEED)
+    field, stroke = load_field(), make_scrape(SECONDS)
+    with count_states() as states:
+        prepared.prepare_stroke(field, stroke, seed=SEED)
     assert sum(states) == len(stroke.action.speed)
 
 
 def test_in_numpy_a_state_is_evaluated_once_and_those_before_a_portion_again():
-    field, stroke = load_field(), scrape(SECONDS)
-    with counted_states() as states, plainly():
-        prepared.prepare(field, stroke, seed=SEED)
+    field, stroke = load_field(), make_scrape(SECONDS)
+    with count_states() as states, without_kernel():
+        prepared.prepare_stroke(field, stroke, seed=SEED)
     count = len(stroke.action.speed)
-    groups = -(-count // prepared.STATES_AT_ONCE)
+    groups = -(-count // prepared.CHUNK_STATES)
     assert len(states) == groups
-    assert sum(states) == count + (groups - 1) * prepared.memory(field)
+    assert sum(states) == count + (groups - 1) * prepared.count_memory_states(field)
 
 
 @pytest.mark.parametrize("tolerance", [None, 0.01])
 @pytest.mark.parametrize("touching_s", [-1.0, 0.5, 2.0])
 def test_no_state_is_evaluated_far_from_contact(tolerance, touching_s):
     """But for the portion in which the hand lifts, and nothing changes for what is felt."""
-    field, stroke = load_field(), scrape(SECONDS, touching_s)
-    with counted_states() as states:
-        made = prepared.prepare(field, stroke, seed=SEED, tolerance=tolerance)
+    field, stroke = load_field(), make_scrape(SECONDS, touching_s)
+    with count_states() as states:
+        made = prepared.prepare_stroke(field, stroke, seed=SEED, tolerance=tolerance)
     heard = max(touching_s, 0.0) * ACTION_RATE_HZ
     if tolerance is None:
-        assert sum(states) <= heard + 2 * prepared.STATES_AT_ONCE + len(states) * prepared.memory(field)
+        assert sum(states) <= heard + 2 * prepared.CHUNK_STATES + len(states) * prepared.count_memory_states(field)
     else:
-        assert sum(states) <= (heard + 2 * prepared.memory(field)) * SAMPLES_PER_STATE / FINEST / 4
+        assert sum(states) <= (heard + 2 * prepared.count_memory_states(field)) * SAMPLES_PER_STATE / MIN_INTERVAL / 4
     assert (sum(states) > 0) == (touching_s > 0.0)
     assert made.amplitude.any() == (touching_s > 0.0)
 
 
 @pytest.mark.parametrize("profile", [False, True])
 def test_what_is_left_out_in_the_air_would_have_been_nothing(monkeypatch, profile):
-    field, stroke = load_field(), scrape(SECONDS, 1.0)
+    field, stroke = load_field(), make_scrape(SECONDS, 1.0)
     if profile:
         stroke = replace(stroke, profile=HeightProfile(1e-4, -1e-3, 1e-6 * np.sin(np.arange(9000) / 3.0), 4e-4))
     short = synthesis.synthesise(field, stroke, seed=SEED).signal.samples
-    monkeypatch.setattr(prepared, "in_the_air", lambda condition, states: False)
-    with counted_states() as evaluated:
+    monkeypatch.setattr(prepared, "has_no_contact", lambda condition, states: False)
+    with count_states() as evaluated:
         whole = synthesis.synthesise(field, stroke, seed=SEED).signal.samples
     assert sum(evaluated) >= len(stroke.action.speed)
     assert short.tobytes() == whole.tobytes()

@@ -12,7 +12,7 @@ import pytest
 
 from hnf_core.errors import MaterialError
 from hnf_core.material.encoder import describe
-from hnf_core.material.library import LIBRARY_PATH, find, load_library, read_library
+from hnf_core.material.library import LIBRARY_PATH, get_material, load_library, read_library
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import BAND_FEATURES, band_slice
 from hnf_core.simulation.dft321 import dft321
@@ -29,7 +29,7 @@ SAMPLE = ("oak-wood", "smooth-metal", "granite", "denim", "copy-paper", "ribbed-
 
 
 def surface_of(name: str) -> SmoothedMaps:
-    material = find(name)
+    material = get_material(name)
     return SmoothedMaps(height_map(SurfaceRecipe.from_dict(material.recipe), material.seed))
 
 
@@ -64,7 +64,7 @@ def test_words_that_artists_use_are_there(word):
 
 @pytest.mark.parametrize("name", ["oak-wood", "denim", "knurled-metal"])
 def test_tokens_are_those_of_the_present_encoder(name):
-    material, pitch = find(name), TILE_SIZE_M / TILE_PIXELS
+    material, pitch = get_material(name), TILE_SIZE_M / TILE_PIXELS
     height = height_map(SurfaceRecipe.from_dict(material.recipe), material.seed)
     token = describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch))
     assert token.known.all()
@@ -78,9 +78,9 @@ def test_at_least_six_materials_feel_their_direction():
         return max(float(np.hypot(*band[names[k : k + 2]])) for band in bands[2:6] for k in (0, 2))
 
     assert sum(anisotropy(material.token) > 0.4 for material in load_library()) >= 6
-    grain = find("brushed-metal").token[band_slice(3)]
+    grain = get_material("brushed-metal").token[band_slice(3)]
     assert grain[BAND_FEATURES.index("cos2")] < -0.4  # x along the grain: the waves stand along y
-    ribs = find("corduroy").token[band_slice(3)]
+    ribs = get_material("corduroy").token[band_slice(3)]
     assert ribs[BAND_FEATURES.index("cos2")] > 0.3  # ribs along y: the waves stand along x
 
 
@@ -94,7 +94,7 @@ def test_a_sample_feels_as_real_materials_do():
             for angle in angles:
                 maps.append(surface)
                 strokes.append(straight_stroke(speed, force, 1.0, angle_rad=angle))
-                mechanics.append(find(name).mechanics)
+                mechanics.append(get_material(name).mechanics)
     acceleration = simulate_batch(maps, strokes, mechanics, oversample=1)[:, 1000:]
     fused = dft321(acceleration - acceleration.mean(axis=1, keepdims=True))
     power = np.abs(np.fft.rfft(fused, axis=1)) ** 2 * 2 / fused.shape[1] ** 2
@@ -112,13 +112,13 @@ def test_a_sample_feels_as_real_materials_do():
 
 
 def test_names_are_found_however_they_are_written_and_close_ones_are_offered():
-    assert find("Oak Wood").name == find("oak_wood").name == "oak-wood"
+    assert get_material("Oak Wood").name == get_material("oak_wood").name == "oak-wood"
     with pytest.raises(MaterialError, match="oak-wood"):
-        find("oak-wod")
+        get_material("oak-wod")
     with pytest.raises(MaterialError, match="denim"):
-        find("jeans")
+        get_material("jeans")
     with pytest.raises(MaterialError, match="hnf materials"):
-        find("xyzzyplugh")
+        get_material("xyzzyplugh")
 
 
 def test_a_library_that_cannot_be_used_says_why(tmp_path: Path):
@@ -156,5 +156,5 @@ def test_reading_the_library_needs_neither_simulator_nor_torch():
 
 
 def test_mechanics_differ_where_pictures_do_not():
-    assert find("soft-foam").mechanics.stiffness_n_m < 0.1 * find("granite").mechanics.stiffness_n_m
-    assert find("rubber").mechanics != Mechanics()
+    assert get_material("soft-foam").mechanics.stiffness_n_m < 0.1 * get_material("granite").mechanics.stiffness_n_m
+    assert get_material("rubber").mechanics != Mechanics()

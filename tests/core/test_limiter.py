@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.actuators.law import law_of
+from hnf_core.actuators.law import compute_limiter_params
 from hnf_core.actuators.limiter import Limiter
-from hnf_core.actuators.limiter_reference import ChannelReference, limited
-from hnf_core.actuators.limits import COUNTS, Limits
+from hnf_core.actuators.limiter_reference import ChannelReference, limit
+from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits
 from hnf_core.errors import UsageError
 
 SPECIALS = np.array([np.nan, np.inf, -np.inf, 1e-45, -1e-45, 3.4e38, -3.4e38, 0.0, -0.0, 1.0], dtype=np.float32)
@@ -74,9 +74,12 @@ def cases(draw: st.DrawFn) -> Case:
 def made(case: Case) -> Limiter | None:
     """None: these limits leave nothing at this rate."""
     try:
-        return Limiter(case.limits, case.rate_hz, case.channels, heat=case.heat)
+        return Limiter(case.limits, case.rate_hz, case.channels, initial_heat=case.heat)
     except UsageError:
-        assert min(case.limits.peak, case.limits.sustained, case.limits.slew_per_s / case.rate_hz) * COUNTS < 1.0
+        assert (
+            min(case.limits.peak, case.limits.sustained, case.limits.slew_per_s / case.rate_hz) * FULL_SCALE_COUNTS
+            < 1.0
+        )
         return None
 
 
@@ -105,8 +108,8 @@ def test_no_count_passes_the_peak_the_slew_or_the_warmth(case: Case) -> None:
     counts = played(limiter, case.pieces)
     assert np.abs(counts).max(initial=0) <= case.limits.peak_counts
     change = np.abs(np.diff(counts, axis=0, prepend=0)).max(initial=0)
-    assert change <= max(case.limits.slew_per_s / case.rate_hz * COUNTS, 1.0)
-    bound = (case.limits.sustained * COUNTS) ** 2
+    assert change <= max(case.limits.slew_per_s / case.rate_hz * FULL_SCALE_COUNTS, 1.0)
+    bound = (case.limits.sustained * FULL_SCALE_COUNTS) ** 2
     squares = mean_squares(counts, case.limits, case.rate_hz, case.heat * bound)
     assert squares.max(initial=0.0) <= bound * (1.0 + 1e-9)
 
@@ -118,9 +121,9 @@ def test_the_fast_path_gives_the_bytes_of_the_plain_reference(case: Case) -> Non
     if limiter is None:
         return
     counts = played(limiter, case.pieces)
-    law = law_of(case.limits, case.rate_hz)
-    warm = case.heat * law.bound if np.isfinite(law.bound) else 0.0
-    lanes = [ChannelReference(law, square=warm) for _ in range(case.channels)]
+    law = compute_limiter_params(case.limits, case.rate_hz)
+    warm = case.heat * law.max_mean_square if np.isfinite(law.max_mean_square) else 0.0
+    lanes = [ChannelReference(law, mean_square=warm) for _ in range(case.channels)]
     expected = []
     for piece in case.pieces:
         if isinstance(piece, int):
@@ -156,18 +159,18 @@ def test_a_release_ends_with_zero_and_nothing_swells(case: Case) -> None:
     if limiter is None:
         return
     before = played(limiter, case.pieces)
-    counts = limiter.release().astype(np.int64)
+    counts = limiter.flush().astype(np.int64)
     ramp = np.ceil(case.limits.ramp_s * case.rate_hz)
-    law = law_of(case.limits, case.rate_hz)
-    assert len(counts) <= ramp + law.peak / law.step + 3
+    law = compute_limiter_params(case.limits, case.rate_hz)
+    assert len(counts) <= ramp + law.peak / law.max_step + 3
     if len(counts):
         assert not counts[-1].any()
-        assert limiter.resting
+        assert limiter.is_resting
     else:
         assert not before[-1:].any()
     if len(counts) and not isinstance(case.pieces[-1], int) and len(case.pieces[-1]):
         assert (np.abs(counts) <= np.abs(before[-1])).all()
-        if not np.isfinite(law.bound):  # no cap that may rise again as the coil cools
+        if not np.isfinite(law.max_mean_square):  # no cap that may rise again as the coil cools
             assert (np.diff(np.abs(np.concatenate([before[-1:], counts])), axis=0) <= 0).all()
     assert not limiter.soft_stop(50).any()
 
@@ -180,9 +183,9 @@ def test_a_slow_slew_is_paid_for_before_the_coil_is_warm(slew_per_s: float, ther
     for hertz in (0.0, 20.0):
         loud = 300.0 * np.cos(2.0 * np.pi * hertz * np.arange(2500) / rate)[:, None]
         counts = Limiter(limits, rate, 1).process(loud)[:, 0].astype(np.int64)
-        assert np.abs(np.diff(counts)).max() <= slew_per_s / rate * COUNTS
-        assert mean_squares(counts[:, None], limits, rate).max() <= (0.05 * COUNTS) ** 2
-        lane = ChannelReference(law_of(limits, rate))
+        assert np.abs(np.diff(counts)).max() <= slew_per_s / rate * FULL_SCALE_COUNTS
+        assert mean_squares(counts[:, None], limits, rate).max() <= (0.05 * FULL_SCALE_COUNTS) ** 2
+        lane = ChannelReference(compute_limiter_params(limits, rate))
         assert counts.tolist() == [lane.process(float(value)) for value in loud[:, 0]]
 
 
@@ -193,7 +196,7 @@ def test_what_is_within_the_limits_passes_untouched() -> None:
     samples = (6.0 * np.sin(2.0 * np.pi * 200.0 * np.arange(4000) / 10000.0)).astype(np.float32)[:, None]
     limiter = Limiter(LIMITS, 10000.0, 1)
     counts = limiter.process(samples)
-    expected = np.rint(samples.astype(np.float64) / 30.0 * COUNTS)
+    expected = np.rint(samples.astype(np.float64) / 30.0 * FULL_SCALE_COUNTS)
     assert np.array_equal(counts[40:], expected[40:])
     assert limiter.limited == 0
     assert (np.abs(counts[:40]) <= np.abs(expected[:40])).all()
@@ -209,7 +212,7 @@ def test_full_scale_is_the_largest_count_and_needs_no_limiting() -> None:
 def test_the_loud_settles_just_below_what_the_coil_carries_and_nothing_zips() -> None:
     rate = 10000.0
     share = 0.8 * np.sin(2.0 * np.pi * 200.0 * np.arange(60000) / rate)
-    counts = Limiter(LIMITS, rate, 1).process(30.0 * share[:, None])[:, 0].astype(np.float64) / COUNTS
+    counts = Limiter(LIMITS, rate, 1).process(30.0 * share[:, None])[:, 0].astype(np.float64) / FULL_SCALE_COUNTS
     settled = float(np.sqrt(np.mean(np.square(counts[-20000:]))))
     assert 0.85 * LIMITS.sustained < settled <= LIMITS.sustained
     loud = np.flatnonzero(np.abs(share) > 0.4)
@@ -233,14 +236,14 @@ def test_the_first_block_and_the_one_after_a_stop_start_softly() -> None:
     first = limiter.process(loud)[:, 0].astype(np.int64)
     limiter.soft_stop(300)
     again = limiter.process(loud)[:, 0].astype(np.int64)
-    assert first[0] < 0.01 * COUNTS
-    assert first[99] == COUNTS
+    assert first[0] < 0.01 * FULL_SCALE_COUNTS
+    assert first[99] == FULL_SCALE_COUNTS
     assert np.array_equal(first, again)
 
 
 def test_a_list_of_frames_is_limited_as_a_block_of_them() -> None:
     frames = np.random.default_rng(3).normal(0.0, 40.0, (300, 2))
-    assert limited(LIMITS, 8000.0, frames.tolist(), 2) == Limiter(LIMITS, 8000.0, 2).process(frames).tolist()
+    assert limit(LIMITS, 8000.0, frames.tolist(), 2) == Limiter(LIMITS, 8000.0, 2).process(frames).tolist()
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,10 @@ from hnf_core.field.carriers import ARC_PER_OCTAVE, Carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.features import build_inputs
 from hnf_core.field.field import Field, evaluate, initial_parameters, steady_amplitude
-from hnf_core.field.linear_contact import Condition, linear_contact
-from hnf_core.field.lines import GAINS, LINES, Lines, line_power, prior_columns
+from hnf_core.field.linear_contact import Condition, compute_linear_contact
+from hnf_core.field.lines import LINE_COUNT, LINE_GAIN_COUNT, SpectralLines, compute_line_power, encode_line_prior
 from hnf_core.field.weights import load_field, save_field
-from hnf_core.material.library import find
+from hnf_core.material.library import get_material
 from hnf_core.material.mechanics import Mechanics
 
 CONFIG = FieldConfig(hidden=8, layers=1, line_gains=True)
@@ -27,7 +27,7 @@ def condition() -> Condition:
     rng = np.random.default_rng(3)
     angle, count = rng.uniform(0.0, 2.0 * np.pi, 40), 40
     material = np.arange(count, dtype=np.int32) % len(WOVEN)
-    entries = [find(name) for name in WOVEN]
+    entries = [get_material(name) for name in WOVEN]
     return Condition(
         tokens=np.stack([entries[m].token for m in material]).astype(np.float64),
         mechanics=tuple(entry.mechanics for entry in entries),
@@ -41,8 +41,10 @@ def condition() -> Condition:
 
 
 def test_noise_and_tones_together_are_the_whole_contact():
-    linear, carriers = linear_contact(condition(), Carriers()), Carriers()
-    tones = line_power(np.zeros((40, GAINS)), prior_columns(linear.lines), carriers.arc_count, 6.0)
+    linear, carriers = compute_linear_contact(condition(), Carriers()), Carriers()
+    tones = compute_line_power(
+        np.zeros((40, LINE_GAIN_COUNT)), encode_line_prior(linear.lines), carriers.arc_count, 6.0
+    )
     # Harmonics start at −25 and −30 dB of a tone.
     assert np.all(linear.noise + tones >= 0.999 * linear.power)
     assert tones.sum(axis=1) == pytest.approx((linear.power - linear.noise).sum(axis=1), rel=0.006, abs=1e-7)
@@ -58,14 +60,14 @@ def test_an_untrained_field_with_line_gains_is_nearly_one_without():
 
 
 def test_a_gain_moves_its_own_tone_and_nothing_else():
-    power = np.zeros((2, 1, LINES))
+    power = np.zeros((2, 1, LINE_COUNT))
     power[0, 0, 3], power[0, 0, 5] = 1.0, 4.0
-    low = np.full((1, LINES), -100)
+    low = np.full((1, LINE_COUNT), -100)
     low[0, 3], low[0, 5] = 40, 90
-    gains = np.zeros((1, GAINS))
-    before = line_power(gains, prior_columns(Lines(power, low)), 192, 6.0)[0]
+    gains = np.zeros((1, LINE_GAIN_COUNT))
+    before = compute_line_power(gains, encode_line_prior(SpectralLines(power, low)), 192, 6.0)[0]
     gains[0, 3] = np.log(10.0)
-    after = line_power(gains, prior_columns(Lines(power, low)), 192, 6.0)[0]
+    after = compute_line_power(gains, encode_line_prior(SpectralLines(power, low)), 192, 6.0)[0]
     changed = np.flatnonzero(np.abs(after - before) > 1e-9)
     np.testing.assert_array_equal(changed, [40, 41])
     assert (before[40], after[40], after[90]) == pytest.approx((1.0, 100.0, 4.0), rel=1e-6)
@@ -74,8 +76,10 @@ def test_a_gain_moves_its_own_tone_and_nothing_else():
 
 
 def test_tones_out_of_reach_are_dropped():
-    low = np.array([[-1, 191, 192, 500, -30] + [0] * (LINES - 5)])
-    out = line_power(np.zeros((1, GAINS)), prior_columns(Lines(np.ones((2, 1, LINES)), low)), 192, 6.0)
+    low = np.array([[-1, 191, 192, 500, -30] + [0] * (LINE_COUNT - 5)])
+    out = compute_line_power(
+        np.zeros((1, LINE_GAIN_COUNT)), encode_line_prior(SpectralLines(np.ones((2, 1, LINE_COUNT)), low)), 192, 6.0
+    )
     assert np.isfinite(out).all()
     assert out[0, 191] == pytest.approx(1.0, rel=0.02)
 
@@ -90,7 +94,7 @@ def test_the_torch_twin_equals_numpy():
     }
     inputs = build_inputs(condition(), CONFIG.carriers, True, line_gains=True)
     with torch.no_grad():
-        twin = FieldNetwork(CONFIG, parameters).steady_amplitude(
+        twin = FieldNetwork(CONFIG, parameters).compute_steady_amplitude(
             *(torch.tensor(a, dtype=torch.float32) for a in (inputs.x, inputs.prior, inputs.gate))
         )
     numpy = steady_amplitude(CONFIG, evaluate(Field(CONFIG, parameters), condition()))[:, 0]
@@ -121,7 +125,7 @@ def test_in_the_stroke_s_frame_only_the_angle_between_surface_and_stroke_counts(
 def test_weights_with_line_gains_round_trip_and_nonsense_is_refused(tmp_path):
     path = tmp_path / "w.safetensors"
     save_field(path, Field(CONFIG, initial_parameters(CONFIG, 0)))
-    entry = find("denim")
+    entry = get_material("denim")
     assert load_field(path).config == CONFIG
     assert np.isfinite(
         steady_amplitudes(load_field(path), entry.token, Mechanics(), "finger", (1.0, 0.0), 0.1, 1.0)

@@ -23,14 +23,14 @@ from live_strokes import (
 from hnf_core.errors import StrokeError, UsageError
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.live.arc_noise import KEPT_HOPS
+from hnf_core.field.live.arc_noise import CACHED_HOPS
 from hnf_core.field.live.state import LiveState
 from hnf_core.field.live.synthesis import LiveSynthesis
-from hnf_core.field.live.time_noise import KEPT_BLOCKS
+from hnf_core.field.live.time_noise import CACHED_BLOCKS
 from hnf_core.field.stroke import LIMITS, StrokeInput
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
-from hnf_core.material.library import find
+from hnf_core.material.library import get_material
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 
@@ -77,7 +77,7 @@ def test_a_varying_hand_has_the_spectrum_of_offline(speed, force, angle):
 
 def test_two_materials_as_offline():
     action = hand(0.15, 1.0, seconds=2.0)
-    known = [find("slate"), find("denim")]
+    known = [get_material("slate"), get_material("denim")]
     index = (np.arange(len(action.speed)) // 40 % 2).astype(np.int32)
     stroke = StrokeInput(action, np.stack([m.token for m in known]), tuple(m.mechanics for m in known), index)
     assert error(live(stroke)[TOUCHED:], offline(stroke)[TOUCHED:]) < 0.01
@@ -149,9 +149,9 @@ def test_memory_does_not_grow_and_noise_is_there_in_time():
     for step in range(1500):
         place += 0.003 + 0.002 * np.sin(step / 40.0)
         synthesis.step(LiveState((1.0, 0.0), 0.6, place, 1.0, True))
-        kept.append(synthesis.kept_blocks)
-    assert max(kept) <= KEPT_BLOCKS + 1 + load_field().config.carriers.arc_octaves * KEPT_HOPS
-    assert synthesis.made_at_once == 0  # and no step had to wait for a block
+        kept.append(synthesis.cached_blocks)
+    assert max(kept) <= CACHED_BLOCKS + 1 + load_field().config.carriers.arc_octaves * CACHED_HOPS
+    assert synthesis.late_blocks == 0  # and no step had to wait for a block
 
 
 def test_who_has_time_between_states_gets_the_same_bytes():
@@ -193,7 +193,7 @@ ANY_STATE = st.builds(
 @given(st.lists(ANY_STATE, min_size=1, max_size=8), st.floats(-100.0, 100.0))
 def test_finite_within_all_limits(told, level):
     tokens = np.full((2, TOKEN_DIM), level, dtype=np.float32)
-    tokens[1] = find("denim").token
+    tokens[1] = get_material("denim").token
     synthesis = LiveSynthesis(SMALL, tokens, (Mechanics(1e-6, 1e3, 1e3), Mechanics(1e12, 0.0, 0.0)), seed=1)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore", under="ignore"):
         for state in told:
@@ -211,7 +211,7 @@ def test_no_number_is_refused_by_name(name, value):
 
 
 def test_what_does_not_fit_is_refused():
-    field, wood = load_field(), find("oak-wood")
+    field, wood = load_field(), get_material("oak-wood")
     with pytest.raises(UsageError, match="no materials"):
         LiveSynthesis(field, wood.token[None], (), seed=0)
     for wrong in (Mechanics(0.0), Mechanics(damping_ratio=1e200), Mechanics(friction=float("nan"))):

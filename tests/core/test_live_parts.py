@@ -8,23 +8,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_strokes import BLOCK, SEED, error, hand, on
 
-from hnf_core.field.blocks import contact_term
+from hnf_core.field.blocks import render_contact
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
-from hnf_core.field.contact_filter import TAIL
+from hnf_core.field.contact_filter import TAIL_SAMPLES
 from hnf_core.field.field import Field, evaluate, initial_parameters
-from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, linear_contact, time_band_power
-from hnf_core.field.live.arc_noise import KEPT_HOPS, LiveArc
+from hnf_core.field.linear_contact import (
+    FORCE_FLOOR_N,
+    SPEED_FLOOR_M_S,
+    Condition,
+    compute_linear_contact,
+    time_band_power,
+)
+from hnf_core.field.live.arc_noise import CACHED_HOPS, LiveArcCarriers
 from hnf_core.field.live.emission import LiveEmission
-from hnf_core.field.live.linear_contact import LiveLinear, TimeShare
-from hnf_core.field.live.pressing import LivePressing, causal_response
-from hnf_core.field.live.time_noise import KEPT_BLOCKS, LiveNoise
-from hnf_core.field.prepared import prepare
+from hnf_core.field.live.linear_contact import LiveLinearContact, TimeBandPower
+from hnf_core.field.live.pressing import LiveContactFilter, compute_causal_response
+from hnf_core.field.live.time_noise import CACHED_BLOCKS, LiveTimeCarriers
+from hnf_core.field.prepared import prepare_stroke
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import plainly
+from hnf_core.kernel.library import without_kernel
 from hnf_core.material.contact import force_response
 from hnf_core.material.library import load_library
-from hnf_core.material.mechanics import UNKNOWN
+from hnf_core.material.mechanics import UNKNOWN_MECHANICS
 from hnf_core.material.probe import PROBES
 
 LIBRARY = load_library()
@@ -69,12 +75,12 @@ def close(found, wanted, tolerance: float = ROUNDING) -> bool:
 @settings(max_examples=60, deadline=None)
 @given(MATERIAL, ANGLE, SPEED, FORCE, PROBE, st.booleans())
 def test_the_linear_contact_of_one_state(material, angle, speed, force, probe, known):
-    carriers, mechanics = Carriers(), material.mechanics if known else UNKNOWN
+    carriers, mechanics = Carriers(), material.mechanics if known else UNKNOWN_MECHANICS
     speed, force = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
     told = condition(material, mechanics, angle, speed, force, probe)
-    wanted = linear_contact(told, carriers)
+    wanted = compute_linear_contact(told, carriers)
     turned = float(np.arctan2(told.direction[0, 1], told.direction[0, 0]))
-    found = LiveLinear(material.token, mechanics, PROBES[probe], carriers).at(turned, speed, force)
+    found = LiveLinearContact(material.token, mechanics, PROBES[probe], carriers).evaluate(turned, speed, force)
     assert close(found.power, wanted.power[0])
     assert close(found.noise, wanted.noise[0])
     assert close(found.lines, wanted.lines.power[:, 0])
@@ -84,7 +90,8 @@ def test_the_linear_contact_of_one_state(material, angle, speed, force, probe, k
     inside = sounding & (found.low > -2)
     assert np.array_equal(found.low[inside], wanted.lines.low[0][inside])
     assert close(
-        TimeShare(carriers).of(found.power, speed), time_band_power(wanted.power, np.array([speed]), carriers)[0]
+        TimeBandPower(carriers).to_time_bands(found.power, speed),
+        time_band_power(wanted.power, np.array([speed]), carriers)[0],
     )
 
 
@@ -95,11 +102,11 @@ def test_the_field_of_one_state(name, material, angle, speed, force, probe):
     told = condition(material, material.mechanics, angle, speed, force, probe)
     wanted = evaluate(FIELDS[name], told)
     emission = LiveEmission(FIELDS[name], material.token, material.mechanics, probe)
-    alpha, sigma = emission.at(told.direction[0], speed, force, True)
+    alpha, sigma = emission.evaluate(told.direction[0], speed, force, True)
     assert close(alpha, wanted.alpha[0, 0], 1e-5)
     assert close(sigma, wanted.sigma_dt[0], 1e-5)
-    assert not emission.at(told.direction[0], speed, force, False)[0].any()
-    assert not emission.at(told.direction[0], 0.0, force, True)[0].any()
+    assert not emission.evaluate(told.direction[0], speed, force, False)[0].any()
+    assert not emission.evaluate(told.direction[0], 0.0, force, True)[0].any()
 
 
 @settings(max_examples=30, deadline=None)
@@ -108,12 +115,12 @@ def test_noise_is_that_of_the_carriers(first, count):
     wanted = CARRIERS.time_samples(SEED, first, count)
     weights = np.linspace(-1.0, 1.0, 2 * NOISE.bands, dtype=np.float32).reshape(2, -1)
     scale = float(np.sqrt(np.square(weights).sum(axis=1).max()))
-    assert np.abs(NOISE.mixed(weights, first, count) - weights @ wanted).max() < 2e-6 * scale
-    assert NOISE.kept <= KEPT_BLOCKS + 1
+    assert np.abs(NOISE.mix(weights, first, count) - weights @ wanted).max() < 2e-6 * scale
+    assert NOISE.cached_blocks <= CACHED_BLOCKS + 1
 
 
 CARRIERS = Carriers()
-NOISE = LiveNoise(CARRIERS, SEED)
+NOISE = LiveTimeCarriers(CARRIERS, SEED)
 
 
 @pytest.mark.parametrize("alone", [False, True])
@@ -130,34 +137,34 @@ def test_octaves_are_read_as_the_carriers_are(alone, octave, first, stride):
     for begin in first + 977 * np.arange(40 if abs(stride) < 4 else 1):
         at = int(begin) + stride * np.arange(BLOCK)
         waves = CARRIERS.arc_samples(SEED, octave, int(at.min()), int(np.ptp(at)) + 1)[:, at - at.min()]
-        with plainly() if alone else nullcontext():
+        with without_kernel() if alone else nullcontext():
             found = ARC.read(pair, np.array([octave]), at * CARRIERS.arc_step_m(octave))
         missed.append(found - (amplitude * waves).sum(axis=0))
     level = np.sqrt(np.square(pair[:, octave]).sum() / 2)
     assert np.sqrt(np.mean(np.square(missed))) < 10 ** (-57 / 20) * level
 
 
-ARC = LiveArc(CARRIERS, SEED)
+ARC = LiveArcCarriers(CARRIERS, SEED)
 
 
 @pytest.mark.parametrize("speed", [0.02, -0.2, 0.7, 4.0])
 def test_noise_lies_ready_where_the_hand_goes(speed):
-    noise, arc, place = LiveNoise(CARRIERS, 1), LiveArc(CARRIERS, 1), 0.0
+    noise, arc, place = LiveTimeCarriers(CARRIERS, 1), LiveArcCarriers(CARRIERS, 1), 0.0
     pair, share = np.ones((2, 8, 24), np.float32), np.arange(BLOCK) / BLOCK
     heard = np.flatnonzero(CARRIERS.arc_start_per_m * 2.0 ** np.arange(8) * abs(speed) < 4800.0)
     for sample in range(0, 400 * BLOCK, BLOCK):
-        noise.mixed(np.zeros((1, noise.bands), np.float32), sample, BLOCK)
+        noise.mix(np.zeros((1, noise.bands), np.float32), sample, BLOCK)
         arc.read(pair, heard, place + speed * 0.005 * share)
         place += speed * 0.005
         noise.prepare(sample + BLOCK)
         arc.prepare(place, speed)
     assert (noise.at_once, arc.at_once) == (0, 0)
-    assert arc.kept <= 8 * KEPT_HOPS
-    assert noise.kept <= KEPT_BLOCKS + 1
+    assert arc.cached_hops <= 8 * CACHED_HOPS
+    assert noise.cached_blocks <= CACHED_BLOCKS + 1
 
 
 def test_noise_is_made_soon_where_a_hand_jumped():
-    arc = LiveArc(CARRIERS, 1)
+    arc = LiveArcCarriers(CARRIERS, 1)
     for _ in range(2 * CARRIERS.arc_octaves):  # 5 m lies between two hops of some octaves
         arc.prepare(5.0, 0.1)
     arc.read(np.ones((2, 8, 24), np.float32), np.arange(8), np.full(BLOCK, 5.0))
@@ -170,9 +177,9 @@ def test_noise_is_made_soon_where_a_hand_jumped():
 @pytest.mark.parametrize("probe", sorted(PROBES))
 def test_a_causal_response_answers_as_the_contact_does(material, probe):
     mechanics = next(each.mechanics for each in LIBRARY if each.name == material)
-    kernel = causal_response(mechanics, PROBES[probe], 1.0)
+    kernel = compute_causal_response(mechanics, PROBES[probe], 1.0)
     frequency = np.array([5.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0])
-    found = np.exp(-2j * np.pi * frequency[:, None] * np.arange(TAIL) * 1e-4) @ kernel
+    found = np.exp(-2j * np.pi * frequency[:, None] * np.arange(TAIL_SAMPLES) * 1e-4) @ kernel
     wanted = force_response(frequency, mechanics, PROBES[probe], 1.0)
     assert np.abs(20.0 * np.log10(np.abs(found / wanted))).max() < 0.1
     # What is late is a quarter of a sample.
@@ -185,15 +192,15 @@ def test_pressing_is_that_of_offline_two_states_later(material):
     rng = np.random.default_rng(2)
     swing = np.cumsum(rng.standard_normal(700)) * 0.02
     stroke = on(hand(0.0, lambda t: 1.5 + np.tanh(swing[: len(t)]), seconds=3.0), material)
-    pressing = LivePressing(stroke.mechanics, "pen")
+    pressing = LiveContactFilter(stroke.mechanics, "pen")
     found = np.concatenate([pressing.step(force, 0) for force in stroke.action.force])[2 * BLOCK :]
-    wanted = contact_term(prepare(load_field(), stroke, seed=0), 0, 3 * 10_000)
-    assert error(found[TAIL + 200 :], wanted[TAIL + 200 : len(found)]) < 0.03
+    wanted = render_contact(prepare_stroke(load_field(), stroke, seed=0), 0, 3 * 10_000)
+    assert error(found[TAIL_SAMPLES + 200 :], wanted[TAIL_SAMPLES + 200 : len(found)]) < 0.03
 
 
 def test_a_touch_forgets_what_rang_before():
-    pressing, other = (LivePressing((LIBRARY[0].mechanics,), "pen") for _ in range(2))
+    pressing, other = (LiveContactFilter((LIBRARY[0].mechanics,), "pen") for _ in range(2))
     for force in (0.0, 3.0, 1.0, 2.0, 0.0):
         pressing.step(force, 0)
-    pressing.forget()
+    pressing.reset()
     assert all(np.array_equal(pressing.step(force, 0), other.step(force, 0)) for force in (1.0, 1.5, 1.2))

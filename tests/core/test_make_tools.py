@@ -30,7 +30,7 @@ CASES = st.lists(
 
 @given(CASES.filter(len))
 def test_the_last_line_counts_every_outcome_in_pytests_words(cases: list[Case]) -> None:
-    last = merge_summary.summary(cases, 1.5).splitlines()[-1]
+    last = merge_summary.format_summary(cases, 1.5).splitlines()[-1]
     match = TOTALS.match(last)
     assert match is not None, last
     counted = dict(zip(merge_summary.OUTCOMES, (int(group or 0) for group in match.groups()), strict=True))
@@ -98,12 +98,12 @@ def test_a_check_that_crashes_hangs_or_finds_nothing_is_an_error(
     ])  # fmt: skip
     (tmp_path / "test_it.py").write_text(body)
     cases, _ = run_tests.run(run_tests.Check("it", ".venv", (), timeout_s))
-    assert word in merge_summary.summary(cases, 0.0)
+    assert word in merge_summary.format_summary(cases, 0.0)
     assert merge_summary.has_failed(cases) == (word != "1 passed")
 
 
 def test_every_system_library_of_the_list_can_be_looked_for() -> None:
-    assert set(system_libraries.packages()) == set(system_libraries.SONAMES) | set(system_libraries.PYTHON_MODULES)
+    assert set(system_libraries.read_packages()) == set(system_libraries.SONAMES) | set(system_libraries.PYTHON_MODULES)
 
 
 def test_a_missing_library_gives_one_command(
@@ -127,7 +127,7 @@ def test_the_stamp_follows_what_decides_the_environment(
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "python").touch()
     assert not setup_env.is_fresh(tmp_path, name)
-    setup_env.stamp_path(tmp_path, name).write_text(setup_env.fingerprint(name))
+    setup_env.get_stamp_path(tmp_path, name).write_text(setup_env.compute_fingerprint(name))
     assert setup_env.is_fresh(tmp_path, name)
     changed = tmp_path / "requirements"
     changed.mkdir()
@@ -151,5 +151,5 @@ def test_what_a_file_says_of_itself_comes_before_the_totals(tmp_path: Path) -> N
         '<testcase classname="a" name="b"/></testsuite></testsuites>',
         encoding="utf-8",
     )
-    lines = merge_summary.summary(merge_summary.read_cases(path), 1.5, merge_summary.read_properties(path)).splitlines()
+    lines = merge_summary.format_summary(merge_summary.read_cases(path), 1.5, merge_summary.read_properties(path)).splitlines()
     assert lines[1:] == ["app: blender 5.2.2 LTS", "==== 1 passed in 1.50s ===="]

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
-from hnf_core.bench.scale import counted_states
+from hnf_core.bench.scale import count_states
 from hnf_core.errors import UsageError
 from hnf_core.field import emissions as module
 from hnf_core.field import many_strokes
@@ -18,12 +18,12 @@ from hnf_core.field.many_strokes import synthesise_many
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import kernel, plainly, why_not
+from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.library import load_library
 from hnf_core.material.probe import PROBES
 
 FIELD, LIBRARY = load_field(), load_library()
-needs_kernel = pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 
 
 def drawn(seed: int, states: int | None = None) -> StrokeInput:
@@ -77,7 +77,7 @@ def test_each_is_what_it_is_alone(drawn_from, rate, tolerance):
 
 def test_each_is_what_it_is_alone_in_numpy_too():
     strokes = [drawn(seed) for seed in (3, 4, 5)]
-    with plainly():
+    with without_kernel():
         for stroke, one in zip(strokes, synthesise_many(FIELD, strokes, seeds=[1, 1, 2]), strict=True):
             assert alike(one, synthesise(FIELD, stroke, seed=one.signal.seed))
             assert one.signal.samples.any()
@@ -86,10 +86,10 @@ def test_each_is_what_it_is_alone_in_numpy_too():
 @needs_kernel
 @pytest.mark.parametrize("together", [300, 4096])
 def test_every_state_is_asked_about_once_and_many_at_a_time(monkeypatch, together):
-    monkeypatch.setattr(many_strokes, "STATES_TOGETHER", together)
-    monkeypatch.setattr(module, "AT_ONCE", 256)
+    monkeypatch.setattr(many_strokes, "GROUP_STATES", together)
+    monkeypatch.setattr(module, "BATCH_STATES", 256)
     strokes = [all_felt(drawn(seed, states=60), ("pen", "finger")[seed % 2]) for seed in range(40)]
-    with counted_states() as asked:
+    with count_states() as asked:
         made = synthesise_many(FIELD, strokes, seeds=[7] * 40)
         next(made)
         assert sum(asked) <= together, "no more than those that are worked on"
@@ -104,11 +104,11 @@ def test_strokes_that_choose_their_states_do_so_in_common_rounds():
     strokes = [all_felt(drawn(seed, states=60), "pen") for seed in range(40)]
     alone, rounds = [], []
     for stroke in strokes:
-        with counted_states() as asked:
+        with count_states() as asked:
             synthesise(FIELD, stroke, seed=1, tolerance=0.01)
         alone.append(sum(asked))
         rounds.append(len(asked))
-    with counted_states() as asked:
+    with count_states() as asked:
         assert len(list(synthesise_many(FIELD, strokes, seeds=[1] * 40, tolerance=0.01))) == 40
     assert sum(asked) == sum(alone)
     assert len(asked) <= max(rounds) + sum(alone) // 256
@@ -118,7 +118,7 @@ def test_strokes_that_choose_their_states_do_so_in_common_rounds():
 def test_what_is_never_touched_is_not_asked_about():
     still = replace(drawn(1, states=200), profile=None)
     still = replace(still, action=replace(still.action, contact=np.zeros(200, bool), force=np.zeros(200)))
-    with counted_states() as asked:
+    with count_states() as asked:
         (one,) = synthesise_many(FIELD, [still], seeds=[0])
     assert sum(asked) == 0
     assert not one.signal.samples.any()

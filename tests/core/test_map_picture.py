@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 from hnf_core.export import map_picture as module
-from hnf_core.export.map_picture import bar_mm, gain_of, map_picture, stretched
+from hnf_core.export.map_picture import (
+    choose_bar_length_mm,
+    compute_contrast_gain,
+    stretch_contrast,
+    write_tactile_map_figure,
+)
 from hnf_core.export.tracks import INK
 from hnf_core.tactile.tactile_map import Route, TactileMap
 
@@ -30,7 +35,7 @@ def grooves(contrast: float, mask: np.ndarray | None = None) -> TactileMap:
 
 
 def drawn(path: Path, tactile: TactileMap, title: str = "Probe A", facts: tuple[str, ...] = ()) -> np.ndarray:
-    map_picture(path, tactile, title, facts)
+    write_tactile_map_figure(path, tactile, title, facts)
     pixels = image.imread(io.BytesIO(path.read_bytes()), format="png")[..., :3]
     assert pixels.shape == (800, 640, 3)
     return pixels
@@ -40,7 +45,7 @@ def drawn(path: Path, tactile: TactileMap, title: str = "Probe A", facts: tuple[
 def test_a_faint_relief_is_seen_as_well_as_a_strong_one(tmp_path: Path, contrast: float) -> None:
     pixels = drawn(tmp_path / "a.png", grooves(contrast))[MAP]
     assert np.ptp(np.percentile(pixels[..., 0], [10, 90])) > 0.25
-    assert gain_of(grooves(contrast)) == pytest.approx(max(1.0, 0.2 / contrast), rel=1e-4)
+    assert compute_contrast_gain(grooves(contrast)) == pytest.approx(max(1.0, 0.2 / contrast), rel=1e-4)
 
 
 def test_the_bar_is_as_long_as_it_says(tmp_path: Path) -> None:
@@ -53,15 +58,15 @@ def test_the_bar_is_as_long_as_it_says(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("wide_mm", [0.3, 1.0, 4.9, 5.0, 20.0, 49.0, 700.0])
 def test_a_bar_is_a_round_number_that_fits(wide_mm: float) -> None:
-    assert 0.15 * wide_mm <= bar_mm(wide_mm) <= 0.4 * wide_mm
-    assert f"{bar_mm(wide_mm):.0e}"[0] in "125"
+    assert 0.15 * wide_mm <= choose_bar_length_mm(wide_mm) <= 0.4 * wide_mm
+    assert f"{choose_bar_length_mm(wide_mm):.0e}"[0] in "125"
 
 
 def test_what_is_not_seen_is_even() -> None:
     mask = np.zeros((128, 128), bool)
     mask[:, :64] = True
-    assert np.ptp(stretched(grooves(0.02, mask))[~mask], axis=0).max() == 0.0
-    assert np.ptp(stretched(grooves(0.02, mask))[mask], axis=0).max() > 0.3
+    assert np.ptp(stretch_contrast(grooves(0.02, mask))[~mask], axis=0).max() == 0.0
+    assert np.ptp(stretch_contrast(grooves(0.02, mask))[mask], axis=0).max() > 0.3
 
 
 def test_names_are_no_markup_and_any_mask_gives_a_picture(tmp_path: Path) -> None:
@@ -81,7 +86,7 @@ def words_of(monkeypatch: pytest.MonkeyPatch, *facts: str) -> list[str]:
         said.extend(text.get_text() for text in figure.texts[1:])
 
     monkeypatch.setattr(module, "write_figure", drawn)
-    map_picture(Path("a.png"), grooves(0.02), "Probe A", facts)
+    write_tactile_map_figure(Path("a.png"), grooves(0.02), "Probe A", facts)
     return said
 
 

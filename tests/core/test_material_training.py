@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch", reason="training needs the extra [train]")
 
 from steady_spectra import expected_spectrum  # noqa: E402
 
-from hnf_core.action.smooth import circular_action, steady_action, wandering_action  # noqa: E402
+from hnf_core.action.smooth import make_circular_action, make_random_smooth_action, make_steady_action  # noqa: E402
 from hnf_core.datasets.recording import Recording  # noqa: E402
 from hnf_core.errors import UsageError  # noqa: E402
 from hnf_core.field.carriers import Carriers  # noqa: E402
@@ -21,19 +21,19 @@ from hnf_core.field.config import FieldConfig  # noqa: E402
 from hnf_core.field.field import Field, initial_parameters  # noqa: E402
 from hnf_core.field.stroke import uniform_stroke  # noqa: E402
 from hnf_core.field.synthesis import synthesise  # noqa: E402
-from hnf_core.material.mechanics import UNKNOWN  # noqa: E402
+from hnf_core.material.mechanics import UNKNOWN_MECHANICS  # noqa: E402
 from hnf_core.material.token import TOKEN_DIM  # noqa: E402
-from hnf_core.metrics.spectra import WINDOW  # noqa: E402
+from hnf_core.metrics.spectra import WINDOW_SAMPLES  # noqa: E402
 from hnf_core.training.checkpoint import load_checkpoint  # noqa: E402
 from hnf_core.training.material import Schedule, train_material  # noqa: E402
 from hnf_core.training.model import FieldNetwork  # noqa: E402
-from hnf_core.training.own_material import Choices, config_for, fine_carriers, train_own  # noqa: E402
-from hnf_core.training.rendered_power import RenderedPower, rendered_inputs, speed_table  # noqa: E402
-from hnf_core.training.windows import HOP, ROLES, TRAIN, cut, runs  # noqa: E402
+from hnf_core.training.own_material import TrainingOverrides, choose_config, make_fine_carriers, train_from_recordings  # noqa: E402
+from hnf_core.training.rendered_power import RenderedPower, build_rendered_inputs, make_speed_table  # noqa: E402
+from hnf_core.training.windows import HOP, ROLES, TRAIN, cut_windows, find_role_runs  # noqa: E402
 
 RATE = 10_000.0
 NO_TOKEN = np.zeros(TOKEN_DIM, dtype=np.float32)
-SMALL = FieldConfig(hidden=32, layers=2, states=1, carriers=fine_carriers(), physics=False, action_octaves=1)
+SMALL = FieldConfig(hidden=32, layers=2, states=1, carriers=make_fine_carriers(), physics=False, action_octaves=1)
 SHORT = Schedule(epochs=4, batches=4, batch=64)
 
 
@@ -54,7 +54,7 @@ def noise_density(frequency, speed: float, slope: float = 1.0):
 
 
 def wander(seconds: float, seed: int):
-    return wandering_action(seconds, seed, speed_m_s=(0.03, 0.2), force_n=(0.3, 3.0))
+    return make_random_smooth_action(seconds, seed, speed_m_s=(0.03, 0.2), force_n=(0.3, 3.0))
 
 
 @pytest.fixture(scope="module")
@@ -64,15 +64,15 @@ def minute() -> list[Recording]:
 
 @given(st.integers(0, 1000), st.integers(0, 60))
 def test_split_is_8_1_1_of_every_ten_windows_and_covers_all(first: int, count: int) -> None:
-    stretches = runs(first, count)
+    stretches = find_role_runs(first, count)
     covered = [(slot, role) for role, low, high in stretches for slot in range(low, high)]
     assert [slot for slot, _ in covered] == list(range(count))
     assert all(role == ROLES[(first + slot) % 10] for slot, role in covered)
 
 
 def test_no_window_crosses_a_border(minute: list[Recording]) -> None:
-    _, windows = cut(minute[:2])
-    states_per_slot = WINDOW // 50
+    _, windows = cut_windows(minute[:2])
+    states_per_slot = WINDOW_SAMPLES // 50
     assert windows.node.shape[1] == 1
     for role, node in zip(windows.role, windows.node[:, 0], strict=True):
         start = node - states_per_slot // 2  # the middle state stands for the window
@@ -82,41 +82,45 @@ def test_no_window_crosses_a_border(minute: list[Recording]) -> None:
         assert {ROLES[(offset + slot) % 10] for slot in range(low, high)} == {role}
     # 8 slots hold 15 half-overlapping windows, the others one each
     assert np.bincount(windows.role).tolist() == [150, 10, 10]
-    assert HOP * 2 == WINDOW
+    assert HOP * 2 == WINDOW_SAMPLES
 
 
 def test_short_recordings_are_counted_on_and_too_short_ones_refused(minute: list[Recording]) -> None:
-    pieces = [noise_recording(steady_action(0.3, 0.1, 1.0), seed) for seed in range(10)]
-    assert set(cut(pieces)[1].role) == {0, 1, 2}
+    pieces = [noise_recording(make_steady_action(0.3, 0.1, 1.0), seed) for seed in range(10)]
+    assert set(cut_windows(pieces)[1].role) == {0, 1, 2}
     with pytest.raises(UsageError, match="leave nothing to validate on"):
-        cut(pieces[:1])
+        cut_windows(pieces[:1])
     finger = dataclasses.replace(minute[0], action=dataclasses.replace(minute[0].action, probe="finger"))
     with pytest.raises(UsageError, match="2 probes"):
-        cut([minute[0], finger])
+        cut_windows([minute[0], finger])
 
 
 def test_bands_above_a_low_rate_are_not_heard_and_not_played() -> None:
     action = wander(10.0, 0)
     samples = np.random.default_rng(0).standard_normal(round(action.duration_s * 1000))
     slow = Recording(action, samples, 1000.0, "slow", "slow")
-    _, windows = cut([slow])
-    assert windows.heard[:44].all()
-    assert not windows.heard[46:].any()
+    _, windows = cut_windows([slow])
+    assert windows.counted_bins[:44].all()
+    assert not windows.counted_bins[46:].any()
     field = train_material([slow], SMALL, 0, schedule=SHORT).field
-    high = expected_spectrum(field, NO_TOKEN, UNKNOWN, "pen", (1.0, 0.0), 0.1, 1.0, np.linspace(600.0, 4900.0, 200))
-    low = expected_spectrum(field, NO_TOKEN, UNKNOWN, "pen", (1.0, 0.0), 0.1, 1.0, np.linspace(50.0, 400.0, 200))
+    high = expected_spectrum(
+        field, NO_TOKEN, UNKNOWN_MECHANICS, "pen", (1.0, 0.0), 0.1, 1.0, np.linspace(600.0, 4900.0, 200)
+    )
+    low = expected_spectrum(
+        field, NO_TOKEN, UNKNOWN_MECHANICS, "pen", (1.0, 0.0), 0.1, 1.0, np.linspace(50.0, 400.0, 200)
+    )
     assert high.max() < 1e-4 * low.mean()
 
 
 def circle(seed: int) -> Recording:
-    recording = noise_recording(circular_action(5.0, 0.1, 1.0, 0.02), seed)
+    recording = noise_recording(make_circular_action(5.0, 0.1, 1.0, 0.02), seed)
     return dataclasses.replace(recording, known=frozenset({"speed", "direction"}))
 
 
 def test_a_turning_hand_is_looked_at_more_than_once_in_a_window() -> None:
-    windows = cut([circle(0), circle(1)])[1]
+    windows = cut_windows([circle(0), circle(1)])[1]
     assert windows.node.shape[1] == 5
-    assert windows.share.sum() == pytest.approx(1.0)
+    assert windows.node_weight.sum() == pytest.approx(1.0)
     assert np.all(np.abs(windows.node - windows.node[:, 2:3]) <= 8)
 
 
@@ -132,11 +136,11 @@ def test_a_turning_hand_is_looked_at_more_than_once_in_a_window() -> None:
 def test_expected_power_is_what_synthesis_gives(config: FieldConfig) -> None:
     parameters = initial_parameters(config, 3)
     field = Field(config, parameters)
-    action = wandering_action(30.0, 1, speed_m_s=(0.05, 0.15), force_n=(0.5, 2.0), bandwidth_hz=0.3)
-    signal = synthesise(field, uniform_stroke(action, NO_TOKEN, UNKNOWN), seed=1).signal
-    states, windows = cut([Recording(action, signal.samples.astype(np.float64), RATE, "own", "own")])
-    inputs = rendered_inputs(config, states, windows, NO_TOKEN, UNKNOWN)
-    expected, _ = RenderedPower(config, speed_table(states))(
+    action = make_random_smooth_action(30.0, 1, speed_m_s=(0.05, 0.15), force_n=(0.5, 2.0), bandwidth_hz=0.3)
+    signal = synthesise(field, uniform_stroke(action, NO_TOKEN, UNKNOWN_MECHANICS), seed=1).signal
+    states, windows = cut_windows([Recording(action, signal.samples.astype(np.float64), RATE, "own", "own")])
+    inputs = build_rendered_inputs(config, states, windows, NO_TOKEN, UNKNOWN_MECHANICS)
+    expected, _ = RenderedPower(config, make_speed_table(states))(
         FieldNetwork(config, parameters), inputs, torch.arange(len(windows.role))
     )
     level = 10.0 * np.log10(expected.detach().numpy().mean(axis=0) / windows.power.mean(axis=0))
@@ -151,18 +155,20 @@ def test_learns_a_known_process(minute: list[Recording]) -> None:
     field = trained.field
     frequency = np.arange(20.0, 1000.0, 10.0)
     for speed in (0.05, 0.1, 0.15):
-        found = expected_spectrum(field, NO_TOKEN, UNKNOWN, "pen", (0.0, 1.0), speed, 1.0, frequency)
+        found = expected_spectrum(field, NO_TOKEN, UNKNOWN_MECHANICS, "pen", (0.0, 1.0), speed, 1.0, frequency)
         error = 10.0 * np.log10(found / noise_density(frequency, speed))
         assert np.sqrt(np.mean(error**2)) < 0.8
         assert abs(error.mean()) < 0.5
 
 
 def test_a_field_that_never_heard_of_direction_ignores_it(minute: list[Recording]) -> None:
-    trained, record = train_own(minute[:2], "hatt", "none", 0, Choices(hidden=16, layers=1, epochs=1))
+    trained, record = train_from_recordings(
+        minute[:2], "hatt", "none", 0, TrainingOverrides(hidden=16, layers=1, epochs=1)
+    )
     assert not trained.field.config.directed
     frequency = np.arange(20.0, 1000.0, 10.0)
     across, along = (
-        expected_spectrum(trained.field, NO_TOKEN, UNKNOWN, "pen", d, 0.1, 1.0, frequency)
+        expected_spectrum(trained.field, NO_TOKEN, UNKNOWN_MECHANICS, "pen", d, 0.1, 1.0, frequency)
         for d in ((1.0, 0.0), (0.0, -1.0))
     )
     np.testing.assert_array_equal(across, along)
@@ -177,10 +183,10 @@ def test_memory_is_learned_only_where_strokes_can_tell_of_it(minute: list[Record
         * np.array([1.0, 0.0]),
     )  # fmt: skip
     turning = dataclasses.replace(minute[0], action=rubbing)
-    assert config_for(minute, arc=False, token_known=False).states == 1
-    assert config_for([circle(0)], arc=False, token_known=False).states == 1
-    assert config_for([*minute, turning], arc=False, token_known=False).states == 5
-    assert config_for([turning], arc=True, token_known=True).accumulation == "past"
+    assert choose_config(minute, arc=False, token_known=False).states == 1
+    assert choose_config([circle(0)], arc=False, token_known=False).states == 1
+    assert choose_config([*minute, turning], arc=False, token_known=False).states == 5
+    assert choose_config([turning], arc=True, token_known=True).accumulation == "past"
 
 
 def test_same_seed_same_weights_other_seed_others(minute: list[Recording]) -> None:
@@ -240,7 +246,7 @@ def test_early_stopping_keeps_the_best_epoch(minute: list[Recording]) -> None:
     trained = train_material(minute[:1], SMALL, 0, schedule=schedule)
     best = int(np.argmin(trained.history[:, 2]))
     assert len(trained.history) == best + 1 + 4 < 60
-    states, windows = cut(minute[:1])
+    states, windows = cut_windows(minute[:1])
     assert np.isfinite(trained.test.loss)
     assert np.sum(windows.role == TRAIN) == 75
     assert len(states.speed) == len(minute[0].action.speed)

@@ -11,22 +11,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from responses import of_gains
 
-from hnf_core.actuators.chain import Chain
-from hnf_core.actuators.compensation import Compensation, stages_of
+from hnf_core.actuators.chain import SignalChain
+from hnf_core.actuators.compensation import CompensationFilter, make_compensation
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.measure.bands import band_errors, largest_db, third_octaves
-from hnf_core.actuators.measure.estimate import estimate
-from hnf_core.actuators.measure.excitation import noise, sweep
-from hnf_core.actuators.measure.inverse import LARGEST_DB, gain_of, inverse_gain, inverse_taps
-from hnf_core.actuators.measure.profiled import profiled
-from hnf_core.actuators.measure.resonator import Resonator, fit
-from hnf_core.actuators.measure.run import Accelerometer, measure
+from hnf_core.actuators.measure.bands import compute_band_errors, compute_third_octave_centres, find_largest_errors_db
+from hnf_core.actuators.measure.estimate import estimate_response
+from hnf_core.actuators.measure.excitation import make_noise, make_sweep
+from hnf_core.actuators.measure.inverse import (
+    MAX_BOOST_DB,
+    compute_filter_gain,
+    compute_inverse_gain,
+    design_inverse_filter,
+)
+from hnf_core.actuators.measure.profiled import make_measured_profile
+from hnf_core.actuators.measure.resonator import Resonator, fit_resonance
+from hnf_core.actuators.measure.run import Accelerometer, measure_actuator
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.response import Response
+from hnf_core.actuators.response import FrequencyResponse
 from hnf_core.actuators.sink import SinkFormat, SinkStatus
 from hnf_core.actuators.sinks.file import FileSink
-from hnf_core.actuators.sources.recorded import Recorded
-from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, drive_of, move
+from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
 from hnf_core.errors import DeviceError, UsageError
 from hnf_core.metrics.band_energy import band_power
 from hnf_core.signal import Signal
@@ -45,7 +50,9 @@ def through(resonator: Resonator, samples: np.ndarray) -> np.ndarray:
     """What the resonator makes of samples, with its ringing after them."""
     size = 2 * len(samples)
     frequency = np.fft.rfftfreq(size, 1.0 / RATE)
-    return np.asarray(np.fft.irfft(np.fft.rfft(samples, size) * resonator.at(frequency), size)[: len(samples) + 2000])
+    return np.asarray(
+        np.fft.irfft(np.fft.rfft(samples, size) * resonator.evaluate(frequency), size)[: len(samples) + 2000]
+    )
 
 
 def level_db(gain: np.ndarray) -> np.ndarray:
@@ -55,33 +62,35 @@ def level_db(gain: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("kind", ["sweep", "noise"])
 @pytest.mark.parametrize("delay", [0, 7, 480, -300])
 def test_a_known_response_is_found_whatever_the_delay(kind: str, delay: int) -> None:
-    signal = sweep(RATE, 6.0, 8.0, 1100.0, 5.0) if kind == "sweep" else noise(RATE, 6.0, 8.0, 1100.0, 5.0, seed=3)
+    signal = (
+        make_sweep(RATE, 6.0, 8.0, 1100.0, 5.0) if kind == "sweep" else make_noise(RATE, 6.0, 8.0, 1100.0, 5.0, seed=3)
+    )
     truth = Resonator(90.0, 0.15, 0.7)
     got = through(truth, signal.samples)
     got = np.concatenate([np.zeros(delay), got]) if delay >= 0 else got[-delay:]
     got += 1e-3 * np.random.default_rng(0).standard_normal(len(got))
-    found = estimate(signal.samples, got, RATE, 20.0, 900.0)
-    error = found.gain_db - level_db(truth.at(found.frequency_hz))
+    found = estimate_response(signal.samples, got, RATE, 20.0, 900.0)
+    error = found.gain_db - level_db(truth.evaluate(found.frequency_hz))
     assert np.abs(error).max() < 0.5  # next to the resonance, where 2.5 Hz and 0.4 s are coarse
     assert np.sqrt(np.mean(np.square(error))) < 0.1
     assert found.coherence.min() > 0.9
 
 
 def test_a_louder_sensor_shifts_the_level_and_nothing_else() -> None:
-    signal = sweep(RATE, 4.0, 8.0, 1100.0, 5.0)
+    signal = make_sweep(RATE, 4.0, 8.0, 1100.0, 5.0)
     got = through(Resonator(90.0, 0.3, 0.7), signal.samples)
-    one, other = (estimate(signal.samples, got * factor, RATE, 20.0, 900.0) for factor in (1.0, 10.0))
+    one, other = (estimate_response(signal.samples, got * factor, RATE, 20.0, 900.0) for factor in (1.0, 10.0))
     np.testing.assert_allclose(other.gain_db - one.gain_db, 20.0, atol=1e-9)
     np.testing.assert_allclose(other.coherence, one.coherence, atol=1e-12)
 
 
 def test_noise_of_the_sensor_does_not_raise_the_response() -> None:
-    signal = noise(RATE, 20.0, 8.0, 1100.0, 5.0, seed=1)
+    signal = make_noise(RATE, 20.0, 8.0, 1100.0, 5.0, seed=1)
     truth = Resonator(90.0, 0.3, 1.0)
     got = through(truth, signal.samples)
     got += 0.5 * np.sqrt(np.mean(got**2)) * np.random.default_rng(0).standard_normal(len(got))
-    found = estimate(signal.samples, got, RATE, 60.0, 600.0)
-    error = found.gain_db - level_db(truth.at(found.frequency_hz))
+    found = estimate_response(signal.samples, got, RATE, 60.0, 600.0)
+    error = found.gain_db - level_db(truth.evaluate(found.frequency_hz))
     assert abs(float(np.mean(error))) < 0.1
     assert found.coherence.max() < 0.9999
 
@@ -90,15 +99,15 @@ def test_noise_of_the_sensor_does_not_raise_the_response() -> None:
     "got", [np.zeros(60_000), np.full(60_000, np.nan), np.random.default_rng(0).standard_normal(60_000)]
 )
 def test_what_did_not_come_from_the_excitation_is_refused(got: np.ndarray) -> None:
-    signal = sweep(RATE, 6.0, 8.0, 1100.0, 5.0)
+    signal = make_sweep(RATE, 6.0, 8.0, 1100.0, 5.0)
     with pytest.raises(UsageError):
-        estimate(signal.samples, got, RATE, 20.0, 900.0)
+        estimate_response(signal.samples, got, RATE, 20.0, 900.0)
 
 
 @settings(max_examples=40, deadline=None)
 @given(RESONATORS)
 def test_a_resonator_is_found_again(truth: Resonator) -> None:
-    found = fit(of_gains(GRID_HZ, truth.at(GRID_HZ)))
+    found = fit_resonance(of_gains(GRID_HZ, truth.evaluate(GRID_HZ)))
     assert found.error_db < 1e-3
     assert found.resonance_hz == pytest.approx(truth.resonance_hz, rel=1e-3)
     assert found.damping == pytest.approx(truth.damping, rel=1e-3)
@@ -114,8 +123,8 @@ def test_the_inverse_never_asks_for_more_than_20_db(levels: list[float], low: fl
     frequency = np.geomspace(10.0, 4000.0, len(levels))
     response = of_gains(frequency, 10.0 ** (np.array(levels) / 20.0))
     asked = np.geomspace(1.0, 5000.0, 2000)
-    gain = inverse_gain(response, (low, min(low * ratio, 5000.0)), asked)
-    assert gain.max() <= 10.0 ** (LARGEST_DB / 20.0) * (1.0 + 1e-12)
+    gain = compute_inverse_gain(response, (low, min(low * ratio, 5000.0)), asked)
+    assert gain.max() <= 10.0 ** (MAX_BOOST_DB / 20.0) * (1.0 + 1e-12)
     assert (gain > 0.0).all()
     assert (gain[(asked < low / 2.0) | (asked > 2.0 * low * ratio)] == 1.0).all()
 
@@ -123,11 +132,11 @@ def test_the_inverse_never_asks_for_more_than_20_db(levels: list[float], low: fl
 @settings(max_examples=20, deadline=None)
 @given(RESONATORS)
 def test_taps_have_the_inverse_magnitude_and_no_delay(resonator: Resonator) -> None:
-    response = of_gains(GRID_HZ, resonator.at(GRID_HZ) / resonator.gain)
+    response = of_gains(GRID_HZ, resonator.evaluate(GRID_HZ) / resonator.gain)
     range_hz = (20.0, 900.0)
-    taps = inverse_taps(response, range_hz, RATE)
+    taps = design_inverse_filter(response, range_hz, RATE)
     inside = GRID_HZ[(GRID_HZ > 25.0) & (GRID_HZ < 800.0)]
-    off = level_db(gain_of(taps, inside, RATE)) - level_db(inverse_gain(response, range_hz, inside))
+    off = level_db(compute_filter_gain(taps, inside, RATE)) - level_db(compute_inverse_gain(response, range_hz, inside))
     assert np.abs(off).max() < 1.0
     assert np.sqrt(np.mean(np.square(off))) < 0.3
     # Minimum phase: no other causal filter of this magnitude gives more of its energy earlier; its first value is e^c0.
@@ -141,7 +150,7 @@ def test_taps_have_the_inverse_magnitude_and_no_delay(resonator: Resonator) -> N
 def test_compensation_of_blocks_is_that_of_the_whole(cuts: list[int], channels: int, count: int) -> None:
     random = np.random.default_rng(5)
     taps, samples = random.standard_normal(count), random.standard_normal((sum(cuts), channels)).astype(np.float32)
-    stage, at, blocks = Compensation(taps, channels), 0, []
+    stage, at, blocks = CompensationFilter(taps, channels), 0, []
     for cut in cuts:
         blocks.append(stage.process(samples[at : at + cut]))
         at += cut
@@ -155,14 +164,14 @@ def test_compensation_of_blocks_is_that_of_the_whole(cuts: list[int], channels: 
 def test_the_error_after_the_actuator_falls_on_the_transducer_itself() -> None:
     """Measured on one excitation, proved on another, through the simulated mass and spring and not its estimate."""
     limits = GENERIC.limits
-    asked = sweep(RATE, 8.0, 8.0, 1100.0, 5.0)
+    asked = make_sweep(RATE, 8.0, 8.0, 1100.0, 5.0)
     counts = counts_of(asked.samples, None)
-    response = estimate(counts[:, 0] * (limits.full_scale_m_s2 / 32767), moved(counts), RATE, 10.0, 1000.0)
-    profile = profiled(GENERIC, response, title="it", calibrated=True).profile
+    response = estimate_response(counts[:, 0] * (limits.full_scale_m_s2 / 32767), moved(counts), RATE, 10.0, 1000.0)
+    profile = make_measured_profile(GENERIC, response, title="it", calibrated=True).profile
     assert profile.range_hz is not None
-    test = noise(RATE, 8.0, 15.0, 1200.0, 1.5, seed=9)
-    (stage,) = stages_of(profile, RATE, 1)
-    edges = [float(centre * 2.0 ** (-1 / 6)) for centre in third_octaves(25.0, 850.0)]
+    test = make_noise(RATE, 8.0, 15.0, 1200.0, 1.5, seed=9)
+    (stage,) = make_compensation(profile, RATE, 1)
+    edges = [float(centre * 2.0 ** (-1 / 6)) for centre in compute_third_octave_centres(25.0, 850.0)]
     wanted = band_power(test.samples, RATE, tuple(edges))
     errors = []
     for got in (
@@ -173,25 +182,25 @@ def test_the_error_after_the_actuator_falls_on_the_transducer_itself() -> None:
     assert errors[0].max() > 9.0
     assert errors[1].max() < 0.7
     assert np.sqrt(np.mean(np.square(errors[1]))) < 0.3
-    before, after = largest_db(band_errors(response_in(profile), profile.range_hz, RATE))
+    before, after = find_largest_errors_db(compute_band_errors(response_in(profile), profile.range_hz, RATE))
     assert after < 1.0 < before
 
 
-def response_in(profile: object) -> Response:
+def response_in(profile: object) -> FrequencyResponse:
     response = getattr(profile, "response", None)
-    assert isinstance(response, Response)
+    assert isinstance(response, FrequencyResponse)
     return response
 
 
-def counts_of(samples: np.ndarray, stage: Compensation | None, full_scale: float | None = None) -> np.ndarray:
+def counts_of(samples: np.ndarray, stage: CompensationFilter | None, full_scale: float | None = None) -> np.ndarray:
     limits = GENERIC.limits if full_scale is None else replace(GENERIC.limits, full_scale_m_s2=full_scale)
-    source = Recorded(np.asarray(samples, dtype=np.float32)[:, None], RATE)
-    chain = Chain(source, SinkFormat(RATE, 1, 150, "it"), limits, () if stage is None else (stage,))
-    return chain.block(len(samples))
+    source = BufferSource(np.asarray(samples, dtype=np.float32)[:, None], RATE)
+    chain = SignalChain(source, SinkFormat(RATE, 1, 150, "it"), limits, () if stage is None else (stage,))
+    return chain.render_block(len(samples))
 
 
 def moved(counts: np.ndarray) -> np.ndarray:
-    return np.asarray(move(GENERIC_TRANSDUCER, drive_of(counts), RATE).acceleration[:, 0])
+    return np.asarray(simulate_motion(GENERIC_TRANSDUCER, counts_to_drive(counts), RATE).acceleration[:, 0])
 
 
 @pytest.mark.parametrize(
@@ -207,7 +216,7 @@ def moved(counts: np.ndarray) -> np.ndarray:
 def test_what_is_no_response_is_refused(frequency: list[float], gain: list[float], coherence: list[float]) -> None:
     columns = [np.array(values, dtype=np.float64) for values in (frequency, gain, coherence)]
     with pytest.raises(UsageError):
-        Response(columns[0], columns[1], np.zeros(len(columns[0])), columns[2])
+        FrequencyResponse(columns[0], columns[1], np.zeros(len(columns[0])), columns[2])
 
 
 @pytest.mark.parametrize(
@@ -215,18 +224,18 @@ def test_what_is_no_response_is_refused(frequency: list[float], gain: list[float
 )
 def test_what_is_no_excitation_is_refused(arguments: tuple[float, float, float, float, float]) -> None:
     with pytest.raises(UsageError):
-        sweep(*arguments)
+        make_sweep(*arguments)
     with pytest.raises(UsageError):
-        noise(*arguments, seed=0)
+        make_noise(*arguments, seed=0)
 
 
 def test_an_excitation_stays_within_its_level_and_band() -> None:
-    for signal in (sweep(RATE, 5.0, 20.0, 800.0, 3.0), noise(RATE, 5.0, 20.0, 800.0, 3.0, seed=1)):
+    for signal in (make_sweep(RATE, 5.0, 20.0, 800.0, 3.0), make_noise(RATE, 5.0, 20.0, 800.0, 3.0, seed=1)):
         assert np.abs(signal.samples).max() <= 3.0 + 1e-5
         inside, outside = band_power(signal.samples, RATE, (15.0, 1000.0, 5000.0))
         assert outside < 1e-3 * inside
     assert np.array_equal(
-        noise(RATE, 1.0, 20, 800, 3.0, seed=1).samples, noise(RATE, 1.0, 20, 800, 3.0, seed=1).samples
+        make_noise(RATE, 1.0, 20, 800, 3.0, seed=1).samples, make_noise(RATE, 1.0, 20, 800, 3.0, seed=1).samples
     )
 
 
@@ -242,15 +251,15 @@ class Deaf(Accelerometer):
     def __exit__(self, *_: object) -> None:
         pass
 
-    def heard(self) -> Signal:
+    def get_signal(self) -> Signal:
         return Signal(np.zeros(100, np.float32), RATE, 0)
 
 
 def test_a_measurement_that_meets_a_limit_or_misses_samples_is_refused(tmp_path: Path) -> None:
-    loud = sweep(RATE, 0.5, 20.0, 500.0, 20.0)
+    loud = make_sweep(RATE, 0.5, 20.0, 500.0, 20.0)
     with pytest.raises(UsageError, match=r"beyond the device's limits\. Measure with a lower --level"):
-        measure(FileSink(tmp_path / "x.wav", int(RATE)), Deaf(), loud, Limits(10.0))
+        measure_actuator(FileSink(tmp_path / "x.wav", int(RATE)), Deaf(), loud, Limits(10.0))
     poor = FileSink(tmp_path / "x.wav", int(RATE))
     poor.status = lambda: SinkStatus(played=5000, underruns=3)  # type: ignore[method-assign]
     with pytest.raises(DeviceError, match=r"ran out of samples 3 times\. Close"):
-        measure(poor, Deaf(), loud, Limits(30.0))
+        measure_actuator(poor, Deaf(), loud, Limits(30.0))

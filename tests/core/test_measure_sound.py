@@ -9,10 +9,10 @@ import pytest
 from sound_server import sound_server, why_not
 
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.measure.estimate import estimate
-from hnf_core.actuators.measure.excitation import sweep
-from hnf_core.actuators.measure.run import Accelerometer, measure
-from hnf_core.actuators.sinks.audio import OPEN, AudioSink
+from hnf_core.actuators.measure.estimate import estimate_response
+from hnf_core.actuators.measure.excitation import make_sweep
+from hnf_core.actuators.measure.run import Accelerometer, measure_actuator
+from hnf_core.actuators.sinks.audio import OPEN_STREAMS, AudioSink
 from hnf_core.errors import DeviceError, UsageError
 
 ATTEMPTS = 4
@@ -24,17 +24,17 @@ UNBROKEN = 0.9995
 
 @pytest.mark.skipif(why_not() != "", reason=why_not())
 def test_a_wire_has_a_flat_response_and_its_delay(tmp_path: Path) -> None:
-    limits, excitation = Limits(10.0), sweep(10_000.0, 3.0, 10.0, 1000.0, 4.0)
+    limits, excitation = Limits(10.0), make_sweep(10_000.0, 3.0, 10.0, 1000.0, 4.0)
     with sound_server(tmp_path):
         for attempt in range(ATTEMPTS):
             try:
                 # Full scale of the input is 20 m/s² where full scale of the output is 10: a gain of two.
-                asked, got = measure(AudioSink(queue_s=CALM_S), Accelerometer(None, 20.0), excitation, limits)
+                asked, got = measure_actuator(AudioSink(queue_s=CALM_S), Accelerometer(None, 20.0), excitation, limits)
             except (UsageError, DeviceError):  # the machine was late, and it said so
                 if attempt == ATTEMPTS - 1:
                     raise
                 continue
-            found = estimate(asked.samples, got.samples, asked.sample_rate, 20.0, 900.0)
+            found = estimate_response(asked.samples, got.samples, asked.sample_rate, 20.0, 900.0)
             if found.coherence.min() > UNBROKEN:
                 break
     assert found.coherence.min() > UNBROKEN
@@ -47,8 +47,8 @@ def test_an_output_that_is_not_there_leaves_the_input_closed(tmp_path: Path) -> 
     sensor = Accelerometer(None, 20.0)
     with sound_server(tmp_path):
         with pytest.raises(DeviceError, match="nosuch"):
-            measure(AudioSink("nosuch"), sensor, sweep(10_000.0, 1.0, 10.0, 1000.0, 4.0), Limits(10.0))
-        assert not OPEN
-        assert sensor.heard().sample_rate > 0.0, "PortAudio was not started anew below it"
+            measure_actuator(AudioSink("nosuch"), sensor, make_sweep(10_000.0, 1.0, 10.0, 1000.0, 4.0), Limits(10.0))
+        assert not OPEN_STREAMS
+        assert sensor.get_signal().sample_rate > 0.0, "PortAudio was not started anew below it"
         with pytest.raises(DeviceError, match=r"--input audio:DEVICE with one of these: .*pulse"):
             Accelerometer("nosuch", 20.0).__enter__()

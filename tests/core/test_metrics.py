@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from hnf_core.metrics.average_spectrum import (
     NINE_BANDS_HZ,
     average_spectrum_distance_db,
-    counted_bins,
     nine_band_error_db,
     power_bias_db,
+    select_compared_bins,
 )
-from hnf_core.metrics.limits import limits_of
+from hnf_core.metrics.limits import compute_bounds
 from hnf_core.metrics.log_spectral_distance import lsd_log10_magnitude, lsd_power_db
 from hnf_core.metrics.magnitudes import gfc, spectral_mse, window_magnitudes
-from hnf_core.metrics.repetition import repetition
+from hnf_core.metrics.repetition import measure_repetition
 from hnf_core.metrics.spectra import welch
 
 Float = NDArray[np.float64]
@@ -81,7 +81,7 @@ def test_bins_are_10_to_1000_hz_and_dc_is_left_out() -> None:
 
 def test_a_gaussian_texture_scores_its_known_limits() -> None:
     draws = [texture(seed) for seed in range(40)]
-    limits = limits_of([window_magnitudes(each) for each in draws])
+    limits = compute_bounds([window_magnitudes(each) for each in draws])
     assert limits.oracle_share == pytest.approx(2.0 - np.pi / 2.0, abs=0.01)
     assert limits.best_share == pytest.approx(1.0 - np.pi / 4.0, abs=0.005)
     measured = np.mean([spectral_mse(window_magnitudes(a), window_magnitudes(b)) for a, b in pairwise(draws)])
@@ -90,7 +90,7 @@ def test_a_gaussian_texture_scores_its_known_limits() -> None:
 
 def test_the_expected_error_is_the_mean_over_recordings() -> None:
     draws = [window_magnitudes(texture(seed, 2.0)) for seed in range(64)]
-    limits = limits_of(draws[:32])
+    limits = compute_bounds(draws[:32])
     for other in (np.zeros_like(draws[0]), 1.3 * draws[0][::-1], window_magnitudes(texture(500, 2.0))):
         fresh = np.mean([spectral_mse(other, each) for each in draws[32:]])
         assert limits.expected_mse(other) == pytest.approx(fresh, rel=0.03)
@@ -99,7 +99,7 @@ def test_the_expected_error_is_the_mean_over_recordings() -> None:
     assert limits.expected_mse(np.mean(draws[32:], axis=0)) == pytest.approx(limits.best * (1.0 + 1.0 / 32.0), rel=0.02)
     for none in (draws[:1], [np.zeros_like(draws[0])] * 32):
         with pytest.raises(ValueError, match="silent or single"):
-            limits_of(none)
+            compute_bounds(none)
 
 
 def test_the_true_process_scores_037_db_and_seven_and_a_half_in_single_windows() -> None:
@@ -126,9 +126,9 @@ def test_a_gain_is_its_own_decibels_in_every_average(gain: float) -> None:
 def test_what_lies_30_db_down_or_outside_20_to_1000_hz_does_not_count() -> None:
     density = np.full(501, 1e-4)
     density[20] = 1.0  # 200 Hz
-    assert np.flatnonzero(counted_bins(density, FREQUENCY)).tolist() == [20]
+    assert np.flatnonzero(select_compared_bins(density, FREQUENCY)).tolist() == [20]
     density[21], density[1], density[101], density[100], density[2] = 1.1e-3, 5.0, 5.0, 0.9, 0.9
-    assert np.flatnonzero(counted_bins(density, FREQUENCY)).tolist() == [2, 20, 21, 100]
+    assert np.flatnonzero(select_compared_bins(density, FREQUENCY)).tolist() == [2, 20, 21, 100]
     assert average_spectrum_distance_db(np.zeros(501), density, FREQUENCY) == pytest.approx(120.0, abs=10.0)
     for measure in (average_spectrum_distance_db, power_bias_db, nine_band_error_db):
         with pytest.raises(ValueError, match="silent"):
@@ -149,14 +149,14 @@ def test_nine_bands_hold_every_bin_once() -> None:
 
 def test_a_loop_repeats_and_noise_does_not() -> None:
     once = texture(1, 0.5)
-    assert repetition(np.tile(once, 8), RATE) == pytest.approx(1.0, abs=1e-6)
-    assert repetition(-np.tile(once, 8), RATE) == pytest.approx(1.0, abs=1e-6)
-    fresh = repetition(texture(2, 8.0), RATE)
+    assert measure_repetition(np.tile(once, 8), RATE) == pytest.approx(1.0, abs=1e-6)
+    assert measure_repetition(-np.tile(once, 8), RATE) == pytest.approx(1.0, abs=1e-6)
+    fresh = measure_repetition(texture(2, 8.0), RATE)
     assert fresh < 0.3
     echo = texture(2, 8.0) + 0.7 * np.roll(texture(2, 8.0), 15_000)
-    assert repetition(echo, RATE) > fresh + 0.2
-    assert repetition(echo, RATE, longest_lag_s=1.0) < 0.3
-    assert repetition(3.0 * echo + 5.0, RATE) == pytest.approx(repetition(echo, RATE))
-    assert repetition(np.zeros(4000), RATE) == 0.0
+    assert measure_repetition(echo, RATE) > fresh + 0.2
+    assert measure_repetition(echo, RATE, max_lag_s=1.0) < 0.3
+    assert measure_repetition(3.0 * echo + 5.0, RATE) == pytest.approx(measure_repetition(echo, RATE))
+    assert measure_repetition(np.zeros(4000), RATE) == 0.0
     with pytest.raises(ValueError, match="too short"):
-        repetition(np.zeros(1500), RATE)
+        measure_repetition(np.zeros(1500), RATE)

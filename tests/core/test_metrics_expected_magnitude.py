@@ -8,34 +8,34 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hnf_core.action.smooth import steady_action, wandering_action
+from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
 from hnf_core.evaluation.expected_magnitude import (
-    expected_densities,
-    expected_magnitude_signal,
+    compute_expected_densities,
+    make_expected_magnitude_signal,
     synthesise_expected_magnitude,
 )
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
-from hnf_core.material.library import find
-from hnf_core.metrics.limits import Limits, limits_of
+from hnf_core.material.library import get_material
+from hnf_core.metrics.limits import MetricBounds, compute_bounds
 from hnf_core.metrics.magnitudes import window_magnitudes
-from hnf_core.metrics.spectra import WINDOW, welch
+from hnf_core.metrics.spectra import WINDOW_SAMPLES, welch
 
 Float = NDArray[np.float64]
 SECONDS = 2.0
-OFFSETS = range(0, WINDOW, 125)
+OFFSETS = range(0, WINDOW_SAMPLES, 125)
 
 
 @pytest.fixture(scope="module")
 def stroke() -> StrokeInput:
-    material = find("pine-wood")
-    action = wandering_action(SECONDS, 5, speed_m_s=(0.06, 0.2), force_n=(0.5, 2.0))
+    material = get_material("pine-wood")
+    action = make_random_smooth_action(SECONDS, 5, speed_m_s=(0.06, 0.2), force_n=(0.5, 2.0))
     return uniform_stroke(action, material.token, material.mechanics)
 
 
-def limits_at(draws: list[Float], offset: int) -> Limits:
-    return limits_of([window_magnitudes(each[offset:]) for each in draws])
+def limits_at(draws: list[Float], offset: int) -> MetricBounds:
+    return compute_bounds([window_magnitudes(each[offset:]) for each in draws])
 
 
 def test_at_most_ten_per_cent_above_the_best_at_every_window_offset(stroke: StrokeInput) -> None:
@@ -53,9 +53,9 @@ def test_at_most_ten_per_cent_above_the_best_at_every_window_offset(stroke: Stro
 
 
 def test_densities_are_what_windows_of_the_natural_form_average_to() -> None:
-    field, material = load_field(), find("denim")
-    still = uniform_stroke(steady_action(8.0, 0.1, 1.0, 0.4), material.token, material.mechanics)
-    expected = expected_densities(field, still, 400)
+    field, material = load_field(), get_material("denim")
+    still = uniform_stroke(make_steady_action(8.0, 0.1, 1.0, 0.4), material.token, material.mechanics)
+    expected = compute_expected_densities(field, still, 400)
     assert expected.shape == (5, 100)
     # Equal states in other rows of a float32 product: some machines' kernels round the last rows otherwise.
     assert np.ptp(expected[1:], axis=0).max() < 1e-6 * expected.max()
@@ -69,18 +69,18 @@ def test_densities_are_what_windows_of_the_natural_form_average_to() -> None:
 
 
 def test_it_grows_with_the_root_of_the_density_and_does_not_need_a_seed(stroke: StrokeInput) -> None:
-    density = expected_densities(load_field(), stroke, 4)
-    once = expected_magnitude_signal(density, 20_000)
-    np.testing.assert_allclose(expected_magnitude_signal(4.0 * density, 20_000), 2.0 * once, rtol=1e-12)
+    density = compute_expected_densities(load_field(), stroke, 4)
+    once = make_expected_magnitude_signal(density, 20_000)
+    np.testing.assert_allclose(make_expected_magnitude_signal(4.0 * density, 20_000), 2.0 * once, rtol=1e-12)
     np.testing.assert_array_equal(once, synthesise_expected_magnitude(load_field(), stroke))
-    assert np.all(expected_magnitude_signal(np.zeros((3, 100)), 500) == 0.0)
+    assert np.all(make_expected_magnitude_signal(np.zeros((3, 100)), 500) == 0.0)
 
 
 @pytest.mark.parametrize("left", [0, 1, 2, 3])
 def test_a_density_is_heard_when_its_state_is(left: int) -> None:
     """However many states follow the last one that is asked: they do not stretch those before over the signal."""
-    material = find("pine-wood")
-    whole = wandering_action(SECONDS, 5, speed_m_s=(0.06, 0.2), force_n=(0.5, 2.0))
+    material = get_material("pine-wood")
+    whole = make_random_smooth_action(SECONDS, 5, speed_m_s=(0.06, 0.2), force_n=(0.5, 2.0))
     states = len(whole.speed) // 4 * 4 - 3 + left
     names = ("direction", "speed", "force", "position", "contact")
     action = replace(whole, **{name: getattr(whole, name)[:states] for name in names})
@@ -91,7 +91,7 @@ def test_a_density_is_heard_when_its_state_is(left: int) -> None:
 
 
 def test_a_flat_density_shows_its_expected_magnitude_in_every_bin() -> None:
-    flat = expected_magnitude_signal(np.full((2, 100), 1e-3), 5000)
+    flat = make_expected_magnitude_signal(np.full((2, 100), 1e-3), 5000)
     target = 0.5 * np.sqrt(np.pi * 1e-3 * 0.5 * 10_000.0 * 375.0)
     for offset in (0, 130, 500):
         shown = window_magnitudes(flat[offset : offset + 4000])

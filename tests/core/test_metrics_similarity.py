@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.metrics.perceptual_spectrum import at_tum_rate, blocks, dct, touch_threshold_db
+from hnf_core.metrics.perceptual_spectrum import dct, get_touch_threshold_db, resample_to_tum_rate, split_blocks
 from hnf_core.metrics.spqi import spqi
 from hnf_core.metrics.st_sim_cosine import st_sim_cosine
 from hnf_core.metrics.st_sim_tum import st_sim_tum
@@ -97,7 +97,7 @@ def test_dct_is_the_orthonormal_one() -> None:
 
 
 def test_the_threshold_is_lowest_where_skin_is_keenest() -> None:
-    threshold = touch_threshold_db()
+    threshold = get_touch_threshold_db()
     frequency = np.linspace(0.0, 8000.0, 1024)[:512]
     assert threshold[0] == pytest.approx(62.0 - 77.0)
     assert threshold.min() == pytest.approx(-77.0, abs=0.1)
@@ -110,9 +110,9 @@ def test_another_rate_is_resampled_and_lengths_must_fit() -> None:
     t = np.arange(10_240) / 10_000.0
     fast = np.sin(2 * np.pi * 125.0 * t)
     slow = np.sin(2 * np.pi * 125.0 * np.arange(8192) / 8000.0)
-    np.testing.assert_allclose(at_tum_rate(fast, 10_000.0), slow, atol=1e-9)
-    np.testing.assert_array_equal(at_tum_rate(slow, 8000.0), slow)
-    assert blocks(slow[:-1]).shape == (15, 512)
+    np.testing.assert_allclose(resample_to_tum_rate(fast, 10_000.0), slow, atol=1e-9)
+    np.testing.assert_array_equal(resample_to_tum_rate(slow, 8000.0), slow)
+    assert split_blocks(slow[:-1]).shape == (15, 512)
     for score in (st_sim_tum, spqi):
         assert score(0.5 * fast, fast, 10_000.0) == pytest.approx(score(0.5 * slow, slow, 8000.0), abs=1e-6)
         with pytest.raises(ValueError, match="equally long"):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.near import mesh_near
+from hnf_core.scene.near import crop_mesh
 from hnf_core.scene.patch import Patch
 from hnf_core.scene.raycast import ReferenceGeometry, cast_view
 
@@ -29,7 +29,7 @@ def random_mesh(seed: int, count: int = 60, size: float = 0.02) -> TriangleMesh:
 def test_a_triangle_is_left_out_only_where_its_box_is_out_of_reach_of_every_place(seed, count, reach):
     mesh = random_mesh(seed)
     places = np.random.default_rng(seed + 1).uniform(-0.1, 0.1, (count, 3))
-    near = mesh_near(mesh, places, reach)
+    near = crop_mesh(mesh, places, reach)
     corners = mesh.corner_positions()
     low, high = corners.min(axis=1), corners.max(axis=1)
     expected = [
@@ -50,7 +50,7 @@ def test_a_close_up_of_the_near_part_is_that_of_the_whole(seed):
     normal /= np.linalg.norm(normal)
     x_axis = np.cross(normal, [0.0, 0.0, 1.0])
     patch = Patch(mesh.corner_positions()[seed].mean(axis=0), x_axis / np.linalg.norm(x_axis), normal, 0)
-    near = mesh_near(mesh, [patch.centre], patch.reach_m)
+    near = crop_mesh(mesh, [patch.centre], patch.reach_m)
     assert 0 < len(near.triangles) < len(mesh.triangles)
     whole, part = (cast_view(ReferenceGeometry(each), each, patch.camera(24)) for each in (mesh, near))
     np.testing.assert_array_equal(part.depth, whole.depth)
@@ -60,5 +60,5 @@ def test_a_close_up_of_the_near_part_is_that_of_the_whole(seed):
 
 
 def test_a_place_without_anything_near_leaves_nothing():
-    near = mesh_near(random_mesh(0), [(9.0, 9.0, 9.0)], 0.01)
+    near = crop_mesh(random_mesh(0), [(9.0, 9.0, 9.0)], 0.01)
     assert (near.triangles.shape, near.vertices.shape) == ((0, 3), (0, 3))

@@ -12,7 +12,13 @@ from test_camera import rotation
 
 from hnf_core.errors import FileError
 from hnf_core.scene.camera import Camera, orthographic
-from hnf_core.scene.nerfstudio import MODEL_FRAME, NerfstudioFrame, read_export, read_transforms, write_transforms
+from hnf_core.scene.nerfstudio import (
+    MODEL_TRANSFORM_FILE,
+    NerfstudioFrame,
+    read_model_transforms,
+    read_transforms,
+    write_transforms,
+)
 
 finite = st.floats(-50.0, 50.0)
 LENS = {"fl_x": 800.0, "fl_y": 790.0, "cx": 321.5, "cy": 240.0, "w": 640, "h": 480}
@@ -91,8 +97,8 @@ def test_a_lens_of_its_own_counts_more_than_the_shared_one(tmp_path) -> None:
 def test_an_exported_point_is_seen_at_the_same_pixel(tmp_path, applied, model, scale, place) -> None:
     """x_model = scale · T x, x_poses = A x: the picture of a point does not know which frame it is told in."""
     path = written(tmp_path, document(applied_transform=applied[:3].tolist()))
-    (tmp_path / MODEL_FRAME).write_text(json.dumps({"transform": model[:3].tolist(), "scale": scale}))
-    (told,), (exported,) = read_transforms(path), read_export(path)
+    (tmp_path / MODEL_TRANSFORM_FILE).write_text(json.dumps({"transform": model[:3].tolist(), "scale": scale}))
+    (told,), (exported,) = read_transforms(path), read_model_transforms(path)
     original = np.array([*place, 1.0])
     in_poses, in_model = (applied @ original)[:3], scale * (model @ original)[:3]
     uv, z = told.camera.project(in_poses)
@@ -100,8 +106,8 @@ def test_an_exported_point_is_seen_at_the_same_pixel(tmp_path, applied, model, s
         uv_model, z_model = exported.camera.project(in_model)
         np.testing.assert_allclose(z_model, scale * z, rtol=1e-6, atol=1e-6 * scale)
         np.testing.assert_allclose(uv_model, uv, rtol=1e-6, atol=1e-5)
-    (tmp_path / MODEL_FRAME).unlink()
-    np.testing.assert_array_equal(read_export(path)[0].camera.pose, told.camera.pose)
+    (tmp_path / MODEL_TRANSFORM_FILE).unlink()
+    np.testing.assert_array_equal(read_model_transforms(path)[0].camera.pose, told.camera.pose)
 
 
 def without(key: str) -> dict:
@@ -193,6 +199,6 @@ def test_a_camera_that_cannot_be_told_is_not_written(tmp_path) -> None:
 def test_a_model_frame_that_cannot_be_undone_is_refused(tmp_path, changes) -> None:
     path = written(tmp_path, document())
     whole = {"transform": np.eye(4)[:3].tolist(), "scale": 1.0, **changes}
-    (tmp_path / MODEL_FRAME).write_text(json.dumps(whole))
+    (tmp_path / MODEL_TRANSFORM_FILE).write_text(json.dumps(whole))
     with pytest.raises(FileError):
-        read_export(path)
+        read_model_transforms(path)

@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError
-from hnf_core.field.blocks import contact_term
+from hnf_core.field.blocks import render_contact
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, accumulate, evaluate, initial_parameters
-from hnf_core.field.prepared import memory, prepare
+from hnf_core.field.prepared import count_memory_states, prepare_stroke
 from hnf_core.field.profile import split_profile
 from hnf_core.field.stroke import LIMITS, HeightProfile, StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.timeline import condition_of, states_in, states_of
+from hnf_core.field.timeline import build_condition, resample_action, select_states
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 
@@ -99,11 +99,11 @@ def strokes(draw):
 @given(strokes(), st.sampled_from(sorted(FIELDS)))
 def test_every_input_within_the_limits_gives_a_finite_signal(stroke, name):
     try:
-        action, token_index = states_of(stroke)
+        action, token_index = resample_action(stroke)
     except StrokeError:
         return  # shorter than 5 ms, said in words
     field = FIELDS[name]
-    emission = evaluate(field, condition_of(stroke, action, token_index))
+    emission = evaluate(field, build_condition(stroke, action, token_index))
     assert np.isfinite(emission.alpha).all()
     assert np.isfinite(emission.sigma_dt).all()
     assert (emission.sigma_dt >= 0.0).all()
@@ -181,15 +181,15 @@ def test_beyond_the_limits_is_refused_by_name(name, side):
 def test_states_in_portions_are_the_states_at_once():
     speed = 0.1 + 0.05 * np.sin(np.arange(61))
     stroke = uniform_stroke(make_action(speed, 1.0), rough_token(), WOOD)
-    action, token_index = states_of(stroke)
-    condition = condition_of(stroke, action, token_index)
+    action, token_index = resample_action(stroke)
+    condition = build_condition(stroke, action, token_index)
     field = FIELDS["random"]
     whole = accumulate(field.config, evaluate(field, condition))
     for portion in (7, 40):
         parts = []
         for start in range(0, 61, portion):
-            first, stop = max(start - memory(field), 0), min(start + portion, 61)
-            given = evaluate(field, states_in(condition, slice(first, stop)))
+            first, stop = max(start - count_memory_states(field), 0), min(start + portion, 61)
+            given = evaluate(field, select_states(condition, slice(first, stop)))
             parts.append(accumulate(field.config, given)[start - first :])
         # Without the kernel float32 products round differently with the number of rows.
         np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-4)
@@ -202,8 +202,8 @@ def test_a_ripple_too_fast_for_the_model_rate_is_not_heard_as_another_tone():
 
     def heard(speed):
         stroke = uniform_stroke(make_action(np.full(51, speed), 1.0), rough_token(), WOOD)
-        prepared = prepare(FIELDS["linear contact"], dataclasses.replace(stroke, profile=ripple), seed=0)
-        return float(np.std(contact_term(prepared, 1000, 1000)))
+        prepared = prepare_stroke(FIELDS["linear contact"], dataclasses.replace(stroke, profile=ripple), seed=0)
+        return float(np.std(render_contact(prepared, 1000, 1000)))
 
     # What is left of 1 is the end of the ripple, a step in other bands; unfaded it was 2.8.
     assert heard(1.0) < 0.05 * heard(0.2)
@@ -212,7 +212,7 @@ def test_a_ripple_too_fast_for_the_model_rate_is_not_heard_as_another_tone():
 def test_what_is_read_is_never_above_the_model_rates_band():
     """Not even what a slow state left in the memory of a fast one."""
     action = make_action(np.where(STATE > 20, 2.0, 0.2), 1.0)
-    prepared = prepare(FIELDS["random"], uniform_stroke(action, rough_token(), WOOD), seed=0)
+    prepared = prepare_stroke(FIELDS["random"], uniform_stroke(action, rough_token(), WOOD), seed=0)
     arcs = FIELDS["random"].config.carriers
     loud = prepared.amplitude[:, 0, arcs.arc_slice] != 0.0
     read = np.abs(np.diff(action.position))[:, None] * ACTION_RATE_HZ * arcs.arc_centres()

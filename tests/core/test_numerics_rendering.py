@@ -7,14 +7,14 @@ pytest.importorskip("mpmath", reason="the exact weights need mpmath (test extra)
 torch = pytest.importorskip("torch", reason="the twin needs torch (train extra)")
 
 from check_numerics import (  # noqa: E402
-    TENSORS,
-    density_cases,
-    emission_errors,
-    exact_gradient,
-    exact_weights,
-    gradient_errors,
-    weight_errors,
-    worst_of,
+    TORCH_TYPES,
+    compute_exact_gradient,
+    compute_exact_weights,
+    find_worst_error,
+    make_density_cases,
+    measure_emission_errors,
+    measure_gradient_errors,
+    measure_weight_errors,
 )
 
 from hnf_core.field.rendering import render_weights  # noqa: E402
@@ -25,48 +25,48 @@ HALF_AN_ULP = 0.51
 """In units of ε, the spacing at 1: what rounding the exact result costs, and a hundredth for the accumulation."""
 IN_FLOAT64 = 1e-12
 """float64 has nothing wider: the transmittance exp(−S) carries the rounding of S, up to 708, ⌈log2 N⌉ times."""
-NARROW = [dtype for dtype in TENSORS if dtype != torch.float64]
+NARROW = [dtype for dtype in TORCH_TYPES if dtype != torch.float64]
 
 
 @pytest.mark.parametrize("dtype", NARROW, ids=str)
 def test_weights_and_gradients_are_the_exact_ones_rounded_once(dtype):
     bound = HALF_AN_ULP * torch.finfo(dtype).eps
-    assert weight_errors(dtype, "torch", SHORT).relative <= bound
-    assert gradient_errors(dtype, SHORT).relative <= bound
+    assert measure_weight_errors(dtype, "torch", SHORT).relative <= bound
+    assert measure_gradient_errors(dtype, SHORT).relative <= bound
     if dtype != torch.bfloat16:  # numpy has none
-        assert weight_errors(dtype, "numpy", SHORT).relative <= bound
-        assert emission_errors(dtype, SHORT).relative <= bound
+        assert measure_weight_errors(dtype, "numpy", SHORT).relative <= bound
+        assert measure_emission_errors(dtype, SHORT).relative <= bound
 
 
 def test_weights_and_gradients_in_float64():
     for worst in (
-        weight_errors(torch.float64, "numpy", SHORT),
-        weight_errors(torch.float64, "torch", SHORT),
-        gradient_errors(torch.float64, SHORT),
-        emission_errors(torch.float64, SHORT),
+        measure_weight_errors(torch.float64, "numpy", SHORT),
+        measure_weight_errors(torch.float64, "torch", SHORT),
+        measure_gradient_errors(torch.float64, SHORT),
+        measure_emission_errors(torch.float64, SHORT),
     ):
         assert worst.relative <= IN_FLOAT64, worst
     # Absolutely, no weight is off by more than one last digit of 1.
-    assert weight_errors(torch.float64, "numpy", SHORT).absolute <= np.finfo(np.float64).eps
+    assert measure_weight_errors(torch.float64, "numpy", SHORT).absolute <= np.finfo(np.float64).eps
 
 
 def test_four_thousand_states_cost_no_digits():
     """Equal densities are the running sum's worst case: there it was off by 1.5e-12 in float64, 8e-4 in float32."""
-    sigma_dt = density_cases(4096, 1.0, 1e-30)["equal"]
-    exact = exact_weights(sigma_dt.tolist())
+    sigma_dt = make_density_cases(4096, 1.0, 1e-30)["equal"]
+    exact = compute_exact_weights(sigma_dt.tolist())
     for found in (render_weights(sigma_dt), twin(torch.tensor(sigma_dt)).numpy()):
-        assert worst_of(found, exact, 1e-300, "equal").relative < 1e-14
+        assert find_worst_error(found, exact, 1e-300, "equal").relative < 1e-14
     single = sigma_dt.astype(np.float32)
-    exact = exact_weights(single.tolist())
+    exact = compute_exact_weights(single.tolist())
     for found in (render_weights(single), twin(torch.tensor(single)).numpy()):
-        assert worst_of(found, exact, 1e-30, "equal").relative <= HALF_AN_ULP * np.finfo(np.float32).eps
+        assert find_worst_error(found, exact, 1e-30, "equal").relative <= HALF_AN_ULP * np.finfo(np.float32).eps
 
 
 def test_gradients_far_behind_a_dense_state_keep_their_digits():
     """expm1(−x) + 1, expm1's own gradient, has none of exp(−x) left at x = 30 in float32."""
     given = torch.tensor([0.0, 30.0, 2.0], dtype=torch.float32, requires_grad=True)
     twin(given)[1].backward()
-    exact, _ = exact_gradient([0.0, 30.0, 2.0], [0.0, 1.0, 0.0])
+    exact, _ = compute_exact_gradient([0.0, 30.0, 2.0], [0.0, 1.0, 0.0])
     assert given.grad[1] == pytest.approx(float(exact[1]), rel=1e-6)
     assert 0.0 < given.grad[1] < 1e-12
 
@@ -79,7 +79,7 @@ def test_gradients_are_the_derivatives_first_and_second():
         assert torch.autograd.gradgradcheck(twin, (given,))
 
 
-@pytest.mark.parametrize("dtype", TENSORS, ids=str)
+@pytest.mark.parametrize("dtype", TORCH_TYPES, ids=str)
 def test_no_density_gives_a_gradient_that_is_not_finite(dtype):
     limits = torch.finfo(dtype)
     least = limits.tiny * limits.eps

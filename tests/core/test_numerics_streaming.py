@@ -7,13 +7,13 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from hnf_core.action.smooth import steady_action, wandering_action
+from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
 from hnf_core.field import resampling
-from hnf_core.field.blocks import render_block, texture_term
+from hnf_core.field.blocks import render_block, render_carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.hops import KEPT_TIME_HOPS
-from hnf_core.field.prepared import Prepared, prepare
+from hnf_core.field.hops import CACHED_TIME_HOPS
+from hnf_core.field.prepared import PreparedStroke, prepare_stroke
 from hnf_core.field.reference import texture_reference
 from hnf_core.field.resampling import resample
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
@@ -36,10 +36,10 @@ def rough_token() -> np.ndarray:
     return token
 
 
-def ten_minutes() -> Prepared:
+def ten_minutes() -> PreparedStroke:
     """A steady stroke of ten minutes. F_Θ gives every state the same, so it is evaluated for one."""
-    short = prepare(FIELD, uniform_stroke(steady_action(1.0, 0.1, 1.0), rough_token(), WOOD), seed=7)
-    action = steady_action(TEN_MINUTES_S, 0.1, 1.0)
+    short = prepare_stroke(FIELD, uniform_stroke(make_steady_action(1.0, 0.1, 1.0), rough_token(), WOOD), seed=7)
+    action = make_steady_action(TEN_MINUTES_S, 0.1, 1.0)
     states = len(action.speed)
 
     def lasting(values):
@@ -66,11 +66,11 @@ def test_blocks_of_any_size_are_the_whole(size, kind):
     if kind == "the tenth minute":
         prepared, start = LONG, 9 * MINUTE + 12_345
     else:
-        action = wandering_action(1.0, 3, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
+        action = make_random_smooth_action(1.0, 3, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
         height = 2e-6 * np.random.default_rng(1).standard_normal(20_000)
         stroke = uniform_stroke(action, rough_token(), WOOD)
         profile = HeightProfile(25e-6, -2e-3, height, 120e-6)
-        prepared, start = prepare(FIELD, dataclasses.replace(stroke, profile=profile), seed=4), 4321
+        prepared, start = prepare_stroke(FIELD, dataclasses.replace(stroke, profile=profile), seed=4), 4321
     count = {1: 8, 7: 70, 64: 640, 1000: 3000}[size]
     whole = render_block(prepared, start, count)
     parts = [render_block(prepared, start + k, min(size, count - k)) for k in range(0, count, size)]
@@ -83,7 +83,7 @@ def test_the_tenth_minute_is_as_exact_as_the_first():
     index = np.zeros(len(LONG.action.speed), dtype=np.int32)
     for start in (5000, 10 * MINUTE - 5000):
         exact = texture_reference(FIELD, stroke, LONG.action, index, LONG.seed, start, 400)
-        assert rms(texture_term(LONG, start, 400) - exact) < 10 ** (-55 / 20) * rms(exact)
+        assert rms(render_carriers(LONG, start, 400) - exact) < 10 ** (-55 / 20) * rms(exact)
 
 
 def excerpts() -> np.ndarray:
@@ -113,7 +113,7 @@ def test_no_minute_is_louder_and_none_returns():
 def test_streaming_keeps_nothing():
     """Memory after a hundred blocks all over the ten minutes is that after fifty: no table grows with what was played,
     once the carriers are there that are kept for the next render."""
-    blocks = KEPT_TIME_HOPS + 2  # each of them brings eight hops of arc length and more
+    blocks = CACHED_TIME_HOPS + 2  # each of them brings eight hops of arc length and more
     shape = LONG.amplitude.tobytes()[:4096], LONG.bank.contacts
     tracemalloc.start()
     try:
@@ -144,7 +144,7 @@ RATES = (2000.0, 2205.0, 4000.0, 8000.0, 11_025.0, 16_000.0, 22_050.0, 44_100.0,
 
 def test_the_output_rate_changes_no_bin_below_1_khz():
     """Every 10 Hz bin, not their mean; at 2 kHz up to 0.45 of the rate. Measured: docs/numerics.md."""
-    action = wandering_action(3.0, 1, speed_m_s=(0.05, 0.2), force_n=(0.5, 1.5))
+    action = make_random_smooth_action(3.0, 1, speed_m_s=(0.05, 0.2), force_n=(0.5, 1.5))
     stroke = uniform_stroke(action, rough_token(), WOOD)
     model = synthesise(FIELD, stroke, seed=1).signal
     for rate in RATES:
@@ -170,6 +170,6 @@ def test_an_odd_rate_keeps_the_clock():
 def test_resampling_in_pieces_changes_nothing(monkeypatch):
     samples = np.random.default_rng(0).normal(size=3001)
     whole, _ = resampling.resample(samples, 10_000.0, 8000.0)
-    monkeypatch.setattr(resampling, "_ROWS", 7)
+    monkeypatch.setattr(resampling, "_MAX_ROWS", 7)
     pieces, _ = resampling.resample(samples, 10_000.0, 8000.0)
     np.testing.assert_allclose(pieces, whole, atol=1e-14)

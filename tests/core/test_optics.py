@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import UsageError
-from hnf_core.tactile.optics import SENSORS, decode_gradients, render_sensor_image, sensor_by_name, shade
+from hnf_core.tactile.optics import SENSORS, decode_gradients, get_sensor, render_sensor_image, shade
 
 SIZE, PITCH = 96, 50e-6
 AXIS = (np.arange(SIZE) + 0.5 - SIZE / 2) * PITCH
@@ -117,4 +117,4 @@ def test_a_hole_in_the_height_field_and_an_unknown_sensor_are_refused():
     with pytest.raises(UsageError, match="Fill or mask"):
         render_sensor_image(height, PITCH, SENSORS["digit"])
     with pytest.raises(UsageError, match="gelsight, digit"):
-        sensor_by_name("thumb")
+        get_sensor("thumb")

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hnf_core.datasets.ball_calibration import (
     BALL_RADIUS_M,
-    PITCH_M,
+    PIXEL_PITCH_M,
     BallPresses,
     PolynomialTable,
     read_ball_presses,
@@ -22,9 +22,21 @@ from hnf_core.datasets.ball_calibration import (
 )
 from hnf_core.errors import FileError, UsageError
 from hnf_core.evaluation import polynomial_optics
-from hnf_core.evaluation.ball_press import contact_radius_px, fit_linear, pixels_under, sensor_of, turned
-from hnf_core.evaluation.optics_check import check_presses, check_table, lamps_of, markdown, tables_markdown
-from hnf_core.evaluation.optics_picture import presses_picture, response_picture
+from hnf_core.evaluation.ball_press import (
+    find_contact_radius_px,
+    fit_linear_optics,
+    make_sensor,
+    mount_sensor,
+    select_pixels_under,
+)
+from hnf_core.evaluation.optics_check import (
+    check_presses,
+    check_table,
+    format_ball_check,
+    format_table_checks,
+    get_lamps,
+)
+from hnf_core.evaluation.optics_picture import plot_presses, plot_response
 from hnf_core.tactile.optics import SENSORS, Sensor, shade
 
 CALIBRATIONS = Path(__file__).resolve().parents[3] / "shared" / "data" / "tactile_calibration"
@@ -63,12 +75,12 @@ def flat_is(sensor: Sensor, light: float) -> Sensor:
 @pytest.mark.parametrize("name", sorted(SENSORS))
 def test_shading_and_ambient_are_recovered_exactly(name):
     sensor = SENSORS[name]
-    pixels = pixels_under(pressed(sensor), CONTACT)
-    fitted = fit_linear(pixels, "frame")
+    pixels = select_pixels_under(pressed(sensor), CONTACT)
+    fitted = fit_linear_optics(pixels, "frame")
     np.testing.assert_allclose(fitted.sensor.shading, sensor.shading, atol=2e-6)
     np.testing.assert_allclose(fitted.sensor.ambient, sensor.ambient, atol=2e-6)
-    np.testing.assert_allclose(fitted.predicted(pixels), pixels.colour, atol=2e-6)
-    np.testing.assert_allclose(fitted.decoded(pixels), pixels.normal, atol=2e-5)
+    np.testing.assert_allclose(fitted.predict(pixels), pixels.colour, atol=2e-6)
+    np.testing.assert_allclose(fitted.decode(pixels), pixels.normal, atol=2e-5)
 
 
 @settings(max_examples=25, deadline=None)
@@ -77,40 +89,42 @@ def test_any_three_lamps_are_recovered(seed):
     random = np.random.default_rng(seed)
     turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
     shading = 0.1 * turn @ np.diag(random.uniform(0.5, 1.5, 3))
-    fitted = fit_linear(pixels_under(pressed(sensor_of(shading, np.full(3, 0.4))), CONTACT), "frame").sensor
+    fitted = fit_linear_optics(
+        select_pixels_under(pressed(make_sensor(shading, np.full(3, 0.4))), CONTACT), "frame"
+    ).sensor
     np.testing.assert_allclose(fitted.shading, shading, atol=3e-6)
     np.testing.assert_allclose(fitted.ambient, 0.4, atol=3e-6)
 
 
 @pytest.mark.parametrize("form", ["difference", "ratio"])
 def test_a_background_that_varies_is_no_hindrance(form):
-    sensor = flat_is(sensor_of(0.3 * SENSORS["gelsight"].shading, np.zeros(3)), 1.0 if form == "ratio" else 0.0)
-    pixels = pixels_under(pressed(sensor, hilly(), form), CONTACT)
-    fitted = fit_linear(pixels, form)
+    sensor = flat_is(make_sensor(0.3 * SENSORS["gelsight"].shading, np.zeros(3)), 1.0 if form == "ratio" else 0.0)
+    pixels = select_pixels_under(pressed(sensor, hilly(), form), CONTACT)
+    fitted = fit_linear_optics(pixels, form)
     np.testing.assert_allclose(fitted.sensor.shading, sensor.shading, atol=1e-5)
-    np.testing.assert_allclose(fitted.decoded(pixels), pixels.normal, atol=2e-4)
+    np.testing.assert_allclose(fitted.decode(pixels), pixels.normal, atol=2e-4)
     # and an evenly lit window is what the plain form takes it for
-    error = np.abs(fit_linear(pixels, "frame").predicted(pixels) - pixels.colour)
+    error = np.abs(fit_linear_optics(pixels, "frame").predict(pixels) - pixels.colour)
     assert error.max() > 0.02
-    np.testing.assert_allclose(fitted.predicted(pixels), pixels.colour, atol=1e-5)
+    np.testing.assert_allclose(fitted.predict(pixels), pixels.colour, atol=1e-5)
 
 
 def test_clipped_pixels_say_nothing():
     presses = pressed(SENSORS["gelsight"])
     clipped = replace(presses, frames=np.minimum(1.7 * presses.frames, 1.0))
     assert (clipped.frames == 1.0).mean() > 0.001
-    fitted = fit_linear(pixels_under(clipped, CONTACT), "frame").sensor
+    fitted = fit_linear_optics(select_pixels_under(clipped, CONTACT), "frame").sensor
     np.testing.assert_allclose(fitted.shading, 1.7 * SENSORS["gelsight"].shading, atol=1e-5)
 
 
 def test_the_contact_ends_where_the_change_is_largest():
-    assert contact_radius_px(pressed(SENSORS["digit"])) == pytest.approx(CONTACT, abs=1.0)
+    assert find_contact_radius_px(pressed(SENSORS["digit"])) == pytest.approx(CONTACT, abs=1.0)
 
 
 def test_normals_are_those_of_the_ball():
-    pixels = pixels_under(pressed(SENSORS["gelsight"]), CONTACT)
+    pixels = select_pixels_under(pressed(SENSORS["gelsight"]), CONTACT)
     np.testing.assert_allclose(np.linalg.norm(pixels.normal, axis=1), 1.0)
-    first = pixels.of(pixels.press == 0)
+    first = pixels.select(pixels.press == 0)
     right = (first.column == 22) & (first.row == 15)
     np.testing.assert_allclose(first.normal[right], [[0.5, 0.0, np.sqrt(0.75)]])
     above = (first.column == 16) & (first.row == 9)
@@ -118,22 +132,22 @@ def test_normals_are_those_of_the_ball():
     assert np.degrees(pixels.tilt.max()) < np.degrees(np.arcsin(CONTACT / BALL))
     for radius in (0.0, BALL, np.nan):
         with pytest.raises(UsageError, match="no part of a ball"):
-            pixels_under(pressed(SENSORS["gelsight"]), radius)
+            select_pixels_under(pressed(SENSORS["gelsight"]), radius)
 
 
 def test_one_direction_of_light_is_refused():
-    pixels = pixels_under(pressed(SENSORS["gelsight"]), CONTACT)
+    pixels = select_pixels_under(pressed(SENSORS["gelsight"]), CONTACT)
     with pytest.raises(UsageError, match="do not tell the lamps apart"):
-        fit_linear(pixels.of(pixels.normal[:, 1] == 0.0), "frame")
+        fit_linear_optics(pixels.select(pixels.normal[:, 1] == 0.0), "frame")
 
 
 def test_a_sensor_mounted_otherwise_is_the_same_sensor():
     sensor = SENSORS["gelsight"]
-    np.testing.assert_allclose(turned(sensor, 2.0 * np.pi, False, (0, 1, 2)).shading, sensor.shading, atol=1e-12)
-    quarter = turned(sensor, np.pi / 2, False, (0, 1, 2))
-    azimuths = [lamp[0] for lamp in lamps_of(sensor)]
-    np.testing.assert_allclose([(lamp[0] + 90.0) % 360.0 for lamp in lamps_of(quarter)], azimuths, atol=1e-6)
-    mirrored = turned(sensor, 0.0, True, (0, 2, 1))
+    np.testing.assert_allclose(mount_sensor(sensor, 2.0 * np.pi, False, (0, 1, 2)).shading, sensor.shading, atol=1e-12)
+    quarter = mount_sensor(sensor, np.pi / 2, False, (0, 1, 2))
+    azimuths = [lamp[0] for lamp in get_lamps(sensor)]
+    np.testing.assert_allclose([(lamp[0] + 90.0) % 360.0 for lamp in get_lamps(quarter)], azimuths, atol=1e-6)
+    mirrored = mount_sensor(sensor, 0.0, True, (0, 2, 1))
     np.testing.assert_allclose(mirrored.shading, sensor.shading, atol=1e-12)
 
 
@@ -153,21 +167,21 @@ def taxim_table(sensor: Sensor, bins: int) -> PolynomialTable:
 
 def test_a_published_table_is_read_in_its_own_convention():
     sensor = SENSORS["digit"]
-    pixels = pixels_under(pressed(sensor), CONTACT)
+    pixels = select_pixels_under(pressed(sensor), CONTACT)
     table = taxim_table(sensor, 120)
-    error = polynomial_optics.predicted(table, pixels) - pixels.colour
+    error = polynomial_optics.predict_polynomial(table, pixels) - pixels.colour
     assert np.sqrt(np.mean(error**2)) < 0.01
-    few = pixels.of(np.arange(len(pixels.press)) % 9 == 0)
-    cosine = np.sum(polynomial_optics.decoded(table, few, np.radians(58.0)) * few.normal, axis=1)
+    few = pixels.select(np.arange(len(pixels.press)) % 9 == 0)
+    cosine = np.sum(polynomial_optics.decode_polynomial(table, few, np.radians(58.0)) * few.normal, axis=1)
     assert np.degrees(np.arccos(np.minimum(cosine, 1.0))).mean() < 2.0
 
 
 def test_a_table_fitted_anew_learns_a_background_that_the_place_changes():
-    sensor = flat_is(sensor_of(0.3 * SENSORS["gelsight"].shading, np.zeros(3)), 1.0)
-    pixels = pixels_under(pressed(sensor, hilly(), "ratio"), CONTACT)
-    table = polynomial_optics.fit_table(pixels, 40)
+    sensor = flat_is(make_sensor(0.3 * SENSORS["gelsight"].shading, np.zeros(3)), 1.0)
+    pixels = select_pixels_under(pressed(sensor, hilly(), "ratio"), CONTACT)
+    table = polynomial_optics.fit_polynomial_table(pixels, 40)
     assert table.coefficients.shape == (40, 40, 3, 6)
-    error = polynomial_optics.predicted(table, pixels) - pixels.colour
+    error = polynomial_optics.predict_polynomial(table, pixels) - pixels.colour
     assert np.sqrt(np.mean(error**2)) < 0.01
 
 
@@ -181,7 +195,7 @@ def test_a_check_of_ideal_presses_leaves_nothing():
         assert max(rows[name].angle_deg) < 0.05, name
     assert rows["untouched: the background"].rms_codes > 20.0
     assert rows["untouched: the background"].angle_deg is None
-    text = markdown(check)
+    text = format_ball_check(check)
     assert text.count("\n| ours, fitted to frames | ") == 2
     assert "| polynomials fitted anew (40 × 40 cells) | 28,800 |" in text
 
@@ -193,18 +207,18 @@ def test_one_press_is_not_judged_by_itself():
 
 
 def test_a_linear_table_is_linear_whatever_its_mount_and_exposure():
-    mounted = turned(SENSORS["gelsight"], np.radians(35.0), True, (1, 2, 0))
-    check = check_table("made", taxim_table(sensor_of(0.6 * mounted.shading, np.zeros(3)), 120), (64, 48))
+    mounted = mount_sensor(SENSORS["gelsight"], np.radians(35.0), True, (1, 2, 0))
+    check = check_table("made", taxim_table(make_sensor(0.6 * mounted.shading, np.zeros(3)), 120), (64, 48))
     assert check.linear_codes < 0.05 * check.change_codes
     assert check.varying_codes < 0.05 * check.change_codes
     assert check.nominal_codes < 0.05 * check.change_codes
-    assert "| made |" in tables_markdown([check])
+    assert "| made |" in format_table_checks([check])
 
 
 def test_pictures_are_drawn(tmp_path):
     presses, table = pressed(SENSORS["gelsight"]), taxim_table(SENSORS["gelsight"], 60)
-    presses_picture(tmp_path / "a.png", presses, table, (0, 3))
-    response_picture(tmp_path / "b.png", presses, table)
+    plot_presses(tmp_path / "a.png", presses, table, (0, 3))
+    plot_response(tmp_path / "b.png", presses, table)
     for name in ("a.png", "b.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
@@ -259,7 +273,7 @@ def test_damaged_archives_are_refused(tmp_path, monkeypatch):
         stream = io.BytesIO()
         np.save(stream, np.zeros(200_000))
         archive.writestr("f0.npy", stream.getvalue())
-    monkeypatch.setattr("hnf_core.datasets.ball_calibration.LARGEST_BYTES", 1_000_000)
+    monkeypatch.setattr("hnf_core.datasets.ball_calibration.MAX_UNPACKED_BYTES", 1_000_000)
     with pytest.raises(FileError, match="unpacked are too much"):
         read_ball_presses(path, 3.0)
 
@@ -284,7 +298,7 @@ def test_a_polynomial_table_is_checked(tmp_path):
 def test_real_presses_are_as_linear_as_the_page_says():
     """What docs/optics.md says: linear optics explain most of a real sensor, polynomials of the place more."""
     folder = CALIBRATIONS / "objectfolder_gelsight" / "calibs"
-    presses = read_ball_presses(folder / "dataPack.npz", BALL_RADIUS_M / PITCH_M["objectfolder"])
+    presses = read_ball_presses(folder / "dataPack.npz", BALL_RADIUS_M / PIXEL_PITCH_M["objectfolder"])
     check = check_presses(presses, read_polynomial_table(folder / "polycalib.npz"))
     untouched, as_it_is, mounted, grazing, frame, difference, ratio, decoded, varying, anew, published = check.rows
     assert check.presses == 49
@@ -298,7 +312,7 @@ def test_real_presses_are_as_linear_as_the_page_says():
     assert difference.rms_codes < 0.42 * untouched.rms_codes
     assert ratio.angle_deg[0] < 11.0
     assert 2.0 * published.rms_codes > 0.9 * difference.rms_codes  # the rival's own floor is half of it
-    lamps = lamps_of(fit_linear(pixels_under(presses, check.contact_px), "difference").sensor)
+    lamps = get_lamps(fit_linear_optics(select_pixels_under(presses, check.contact_px), "difference").sensor)
     apart = np.diff([lamp[0] for lamp in lamps])
     np.testing.assert_allclose(apart, 120.0, atol=5.0)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from osc_receiver import receiver
 
-from hnf_core.actuators.sinks.osc import RATE_HZ, SILENCE_SLOTS, SLOT_S, OscSink, amplitude, centroid_hz
+from hnf_core.actuators.sinks.osc import RATE_HZ, SILENCE_SLOTS, SLOT_S, OscSink, compute_amplitude, compute_centroid_hz
 from hnf_core.errors import DeviceError
 
 pytest.importorskip("pythonosc", reason="python-osc is not installed")
@@ -35,17 +35,17 @@ def play(sink: OscSink, counts: NDArray[np.int16]) -> None:
 @given(st.floats(0.01, 1.0), st.floats(100.0, 1000.0))
 def test_a_sine_has_its_own_amplitude_and_frequency(share: float, hz: float) -> None:
     counts = sine(share, hz, 0.02)
-    assert amplitude(counts)[0] == pytest.approx(share, rel=0.08)
-    assert centroid_hz(counts, RATE_HZ)[0] == pytest.approx(hz, abs=3.0)
+    assert compute_amplitude(counts)[0] == pytest.approx(share, rel=0.08)
+    assert compute_centroid_hz(counts, RATE_HZ)[0] == pytest.approx(hz, abs=3.0)
 
 
 @given(st.lists(st.integers(-32767, 32767), min_size=2, max_size=80), st.integers(-32767, 32767))
 def test_an_envelope_is_a_share_and_no_pitch_is_no_number(values: list[int], level: int) -> None:
     counts = np.array(values, dtype=np.int16)[:, None]
-    assert 0.0 <= amplitude(counts)[0] <= 1.0
-    found = centroid_hz(counts, RATE_HZ)[0]
+    assert 0.0 <= compute_amplitude(counts)[0] <= 1.0
+    found = compute_centroid_hz(counts, RATE_HZ)[0]
     assert np.isnan(found) or 0.0 <= found <= RATE_HZ / 2
-    assert np.isnan(centroid_hz(np.full((80, 1), level, np.int16), RATE_HZ)[0])
+    assert np.isnan(compute_centroid_hz(np.full((80, 1), level, np.int16), RATE_HZ)[0])
 
 
 def test_the_receiver_gets_a_message_a_slot_and_silence_at_the_end() -> None:
@@ -156,7 +156,7 @@ def test_any_fault_of_the_sender_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
     with receiver() as got:
         sink = OscSink("127.0.0.1", got.port)
         sink.open()
-        monkeypatch.setattr(sink, "_say", lambda level, pitch: [][0])
+        monkeypatch.setattr(sink, "_send_levels", lambda level, pitch: [][0])
         with pytest.raises(DeviceError, match="index out of range"):
             play(sink, sine(0.5, 100.0, 5.0))
         sink.close()

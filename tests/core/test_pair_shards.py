@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.datasets.pair_shards import Shard, is_made, make_pairs, make_shard, shards_of
-from hnf_core.datasets.pair_tiles import PairSizes, make_tile, orders
-from hnf_core.datasets.tactile_pairs import TRAIN, joined, load_pairs, load_shard, save_shard, shard_path
+from hnf_core.datasets.pair_shards import Shard, is_complete, list_shards, write_pairs, write_shard
+from hnf_core.datasets.pair_tiles import PairSizes, list_tile_requests, make_tile
+from hnf_core.datasets.tactile_pairs import TRAIN, concatenate_pairs, get_shard_path, load_pairs, load_shard, save_shard
 from hnf_core.errors import FileError, UsageError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,7 +23,7 @@ FEW = PairSizes(train=3, instances=0, unseen_instances=0)
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pairs")
-    assert make_pairs(folder, FEW, 3, tiles_per_shard=1) == 3
+    assert write_pairs(folder, FEW, 3, tiles_per_shard=1) == 3
     return folder
 
 
@@ -35,27 +35,27 @@ def test_shards_come_back_and_join(made: Path) -> None:
     pairs = load_pairs(made, TRAIN)
     assert len(pairs) == 12
     assert pairs.tile_index.tolist() == sorted(list(range(3)) * 4)
-    wanted = orders(TRAIN, FEW, 3)
+    wanted = list_tile_requests(TRAIN, FEW, 3)
     assert pairs.class_name == tuple(order.class_name for order in wanted)
-    again = joined([make_tile(order) for order in wanted[2:]])
+    again = concatenate_pairs([make_tile(order) for order in wanted[2:]])
     assert np.array_equal(pairs.slopes[8:], again.slopes)
     assert np.array_equal(pairs.rgb[8:], again.rgb)
 
 
 def test_a_second_run_writes_nothing_and_a_damaged_shard_is_made_again(made: Path) -> None:
     before = contents(made)
-    assert make_pairs(made, FEW, 3, tiles_per_shard=1) == 0
-    path = shard_path(made, TRAIN, 1)
+    assert write_pairs(made, FEW, 3, tiles_per_shard=1) == 0
+    path = get_shard_path(made, TRAIN, 1)
     path.write_bytes(path.read_bytes()[:-1000])
     with pytest.raises(FileError):
         load_pairs(made, TRAIN)
-    assert make_pairs(made, FEW, 3, tiles_per_shard=1) == 1
+    assert write_pairs(made, FEW, 3, tiles_per_shard=1) == 1
     assert contents(made) == before
 
 
 def test_bytes_do_not_depend_on_workers(made: Path, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
-    make_pairs(tmp_path, FEW, 3, 2, lambda done, total: told.append((done, total)), tiles_per_shard=1)
+    write_pairs(tmp_path, FEW, 3, 2, lambda done, total: told.append((done, total)), tiles_per_shard=1)
     assert contents(tmp_path) == contents(made)
     assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
@@ -63,48 +63,48 @@ def test_bytes_do_not_depend_on_workers(made: Path, tmp_path: Path) -> None:
 def test_a_killed_run_leaves_whole_shards_and_goes_on(made: Path, tmp_path: Path) -> None:
     code = (
         "from pathlib import Path; import sys\n"
-        "from hnf_core.datasets.pair_shards import make_pairs\n"
+        "from hnf_core.datasets.pair_shards import write_pairs\n"
         "from hnf_core.datasets.pair_tiles import PairSizes\n"
         "make_pairs(Path(sys.argv[1]), PairSizes(3, 0, 0), 3, tiles_per_shard=1)"
     )
     run = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT)
     deadline = time.monotonic() + 60.0
-    while not shard_path(tmp_path, TRAIN, 0).exists() and time.monotonic() < deadline:
+    while not get_shard_path(tmp_path, TRAIN, 0).exists() and time.monotonic() < deadline:
         time.sleep(0.01)
     run.send_signal(signal.SIGKILL)
     assert run.wait(10) != 0
     # What a kill in the middle of a write leaves behind.
     (tmp_path / TRAIN / ".0002-x.safetensors").write_bytes(b"half")
-    shards = shards_of(tmp_path, TRAIN, FEW, 3, 1)
+    shards = list_shards(tmp_path, TRAIN, FEW, 3, 1)
     there = [shard for shard in shards if shard.path.exists()]
     assert there
-    assert all(is_made(shard) for shard in there)
+    assert all(is_complete(shard) for shard in there)
     with pytest.raises(FileError, match="shards"):
         load_pairs(tmp_path, TRAIN)
     assert load_pairs(tmp_path, TRAIN, partial=True).tiles == len(there)
-    make_pairs(tmp_path, FEW, 3, tiles_per_shard=1)
+    write_pairs(tmp_path, FEW, 3, tiles_per_shard=1)
     assert contents(tmp_path) == contents(made)
 
 
 def test_shards_of_other_recipes_do_not_mix(made: Path, tmp_path: Path) -> None:
-    pairs, shards, key = load_shard(shard_path(made, TRAIN, 0))
+    pairs, shards, key = load_shard(get_shard_path(made, TRAIN, 0))
     assert shards == 3
-    save_shard(shard_path(tmp_path, TRAIN, 0), pairs, shards=2, key=key)
-    save_shard(shard_path(tmp_path, TRAIN, 1), pairs, shards=2, key="another")
+    save_shard(get_shard_path(tmp_path, TRAIN, 0), pairs, shard_count=2, key=key)
+    save_shard(get_shard_path(tmp_path, TRAIN, 1), pairs, shard_count=2, key="another")
     with pytest.raises(FileError, match="different recipes"):
         load_pairs(tmp_path, TRAIN)
     with pytest.raises(UsageError, match="another recipe"):
-        make_pairs(tmp_path, PairSizes(1, 0, 0), 3)
+        write_pairs(tmp_path, PairSizes(1, 0, 0), 3)
 
 
 @pytest.mark.parametrize("content", [b"", b"\x10\0\0\0\0\0\0\0{}", b"\xff" * 64])
 def test_what_is_no_shard_is_refused_in_words(tmp_path: Path, content: bytes) -> None:
-    path = shard_path(tmp_path, TRAIN, 0)
+    path = get_shard_path(tmp_path, TRAIN, 0)
     path.parent.mkdir()
     path.write_bytes(content)
     with pytest.raises(FileError, match="no readable shard"):
         load_shard(path)
-    assert not is_made(Shard(path, (), 1, ""))
+    assert not is_complete(Shard(path, (), 1, ""))
 
 
 def test_nothing_there_and_unknown_splits_are_said(tmp_path: Path) -> None:
@@ -113,12 +113,12 @@ def test_nothing_there_and_unknown_splits_are_said(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no split"):
         load_pairs(tmp_path, "test")
     with pytest.raises(UsageError):
-        joined([])
+        concatenate_pairs([])
 
 
 def test_a_shard_that_cannot_be_written_leaves_the_disk_as_it_was(made: Path, tmp_path: Path) -> None:
     blocked = tmp_path / TRAIN
     blocked.write_text("a file where a folder should be")
     with pytest.raises(FileError):
-        make_shard(shards_of(tmp_path, TRAIN, PairSizes(1, 0, 0), 3)[0])
+        write_shard(list_shards(tmp_path, TRAIN, PairSizes(1, 0, 0), 3)[0])
     assert blocked.read_text() == "a file where a folder should be"

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import FileError, MaterialError
-from hnf_core.material.mechanics import UNKNOWN, Mechanics
+from hnf_core.material.mechanics import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.palette import MERGE_TOLERANCE, Palette, build_palette
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM, split_encoders
 
@@ -47,7 +47,7 @@ def test_every_index_leads_to_its_own_material_within_the_tolerance(items):
 def pair() -> Palette:
     rng = np.random.default_rng(0)
     both = [rng.standard_normal(TOKEN_DIM).astype(np.float32) for _ in range(2)]
-    return build_palette(both, [Mechanics(1e4, 0.1), UNKNOWN], ["oak", "félt"])[0]
+    return build_palette(both, [Mechanics(1e4, 0.1), UNKNOWN_MECHANICS], ["oak", "félt"])[0]
 
 
 def test_near_equal_tokens_merge_only_under_one_name_and_one_contact():
@@ -55,7 +55,7 @@ def test_near_equal_tokens_merge_only_under_one_name_and_one_contact():
     near, far = token + np.float32(0.5 * MERGE_TOLERANCE), token + np.float32(2 * MERGE_TOLERANCE)
     stiff = Mechanics(1e5)
     palette, index = build_palette(
-        [token, near, far, token, token], [UNKNOWN] * 4 + [stiff], ["oak", "oak", "oak", "ash", "oak"]
+        [token, near, far, token, token], [UNKNOWN_MECHANICS] * 4 + [stiff], ["oak", "oak", "oak", "ash", "oak"]
     )
     assert index.tolist() == [0, 0, 1, 2, 3]
     assert palette.names == ("oak", "oak", "ash", "oak")

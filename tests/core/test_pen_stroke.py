@@ -7,20 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.bezier import bezier_curve
-from hnf_core.action.curves import by_arc_length
+from hnf_core.action.bezier import make_bezier_curve
+from hnf_core.action.curves import build_arc_curve
 from hnf_core.action.fit_bezier import fit_bezier
-from hnf_core.action.fit_keys import fit_keys
+from hnf_core.action.fit_keys import fit_keyframes
 from hnf_core.action.pen_stroke import (
     FORCE_TOLERANCE_N,
     PATH_TOLERANCE_M,
     PROGRESS_TOLERANCE_M,
     PenSamples,
     PenStyle,
-    evenly_in_time,
-    pen_stroke,
+    fit_pen_stroke,
+    spread_times_evenly,
 )
-from hnf_core.action.time_law import travel_time
+from hnf_core.action.time_law import compute_travel_time
 from hnf_core.errors import StrokeError
 
 RAW = PenStyle(smoothing_s=0.0)
@@ -47,7 +47,7 @@ def line(length: float = 0.05, seconds: float = 1.0, rate: float = 60.0, pressur
 
 
 def curve_of(path):
-    return by_arc_length(bezier_curve(path.knot, path.left, path.right))
+    return build_arc_curve(make_bezier_curve(path.knot, path.left, path.right))
 
 
 def to_polyline(points, corners):
@@ -94,18 +94,18 @@ def test_keys_are_within_the_tolerance_and_rising_ones_never_fall(seed):
     rng = np.random.default_rng(seed)
     time = np.arange(200) / 200.0
     rising = np.cumsum(np.maximum(0.0, rng.normal(0.2, 1.0, 200).cumsum() * 0.01 + 0.2))
-    keys = fit_keys(time, rising, 0.05, rising=True)
+    keys = fit_keyframes(time, rising, 0.05, rising=True)
     assert np.abs(keys.sample(time)[0] - rising).max() <= 0.05
     dense = keys.sample(np.linspace(0.0, time[-1], 5000))[0]
     assert np.diff(dense).min() >= -1e-9
     free = np.sin(9.0 * time + seed)
-    keys = fit_keys(time, free, 0.02)
+    keys = fit_keyframes(time, free, 0.02)
     assert np.abs(keys.sample(time)[0] - free).max() <= 0.02
     assert len(keys.time) < 20
 
 
 def test_what_stays_gets_two_keys():
-    keys = fit_keys(np.arange(50) / 50.0, np.full(50, 1.5), 0.01)
+    keys = fit_keyframes(np.arange(50) / 50.0, np.full(50, 1.5), 0.01)
     assert np.array_equal(keys.value, [1.5, 1.5])
     assert np.array_equal(keys.time, [0.0, 0.98])
 
@@ -114,7 +114,7 @@ def test_what_stays_gets_two_keys():
 @given(st.integers(0, 10_000))
 def test_the_hand_is_where_it_was_when_it_was(seed):
     samples = wandering(seed)
-    stroke = pen_stroke(samples, RAW)
+    stroke = fit_pen_stroke(samples, RAW)
     curve = curve_of(stroke.path)
     progress, _ = stroke.progress.sample(samples.time)
     there = curve.point_at(progress * curve.length)
@@ -130,7 +130,7 @@ def test_the_hand_is_where_it_was_when_it_was(seed):
 
 
 def test_a_steady_mouse_gives_a_line_with_two_keys_each():
-    stroke = pen_stroke(line(), PenStyle(mouse_n=1.5))
+    stroke = fit_pen_stroke(line(), PenStyle(mouse_n=1.5))
     assert len(stroke.path.knot) == 2
     assert np.array_equal(stroke.progress.time, [0.0, 1.0])
     assert np.allclose(stroke.force.value, [1.5, 1.5], rtol=1e-12)
@@ -139,7 +139,7 @@ def test_a_steady_mouse_gives_a_line_with_two_keys_each():
 
 
 def test_pressure_is_a_share_of_the_force_range():
-    stroke = pen_stroke(line(pressure=0.5), PenStyle(force_n=(0.2, 1.2)))
+    stroke = fit_pen_stroke(line(pressure=0.5), PenStyle(force_n=(0.2, 1.2)))
     assert np.allclose(stroke.force.value, 0.7)
 
 
@@ -148,7 +148,7 @@ def test_smoothing_takes_pixels_away_and_keeps_the_ends():
     stairs = samples.point.copy()
     stairs[:, 1] = 5e-4 * (np.arange(len(stairs)) // 2 % 2)
     jagged = PenSamples(samples.time, stairs, samples.pressure, samples.touching)
-    rough, smooth = pen_stroke(jagged, RAW), pen_stroke(jagged, PenStyle(smoothing_s=0.03))
+    rough, smooth = fit_pen_stroke(jagged, RAW), fit_pen_stroke(jagged, PenStyle(smoothing_s=0.03))
     assert len(smooth.path.knot) < len(rough.path.knot) / 4
     assert smooth.length_m < 1.02 * 0.05 < rough.length_m
     assert np.allclose(smooth.path.knot[[0, -1]], stairs[[0, -1]], atol=1e-12)
@@ -157,7 +157,7 @@ def test_smoothing_takes_pixels_away_and_keeps_the_ends():
 def test_a_resting_hand_rests():
     samples = line()
     late = samples.time + np.where(np.arange(len(samples.time)) > 30, 0.5, 0.0)
-    stroke = pen_stroke(PenSamples(late, samples.point, samples.pressure, samples.touching), RAW)
+    stroke = fit_pen_stroke(PenSamples(late, samples.point, samples.pressure, samples.touching), RAW)
     at_rest, _ = stroke.progress.sample(np.array([0.55, 0.75, 0.95]))
     assert np.allclose(at_rest * stroke.length_m, samples.point[30, 0], atol=PROGRESS_TOLERANCE_M)
     assert stroke.duration_s == pytest.approx(1.5)
@@ -169,7 +169,7 @@ def test_off_the_surface_there_is_no_force_and_the_path_runs_straight():
     touching[40:80] = False
     point = samples.point.copy()
     point[40:80] = 99.0
-    stroke = pen_stroke(PenSamples(samples.time, point, samples.pressure, touching), PenStyle())
+    stroke = fit_pen_stroke(PenSamples(samples.time, point, samples.pressure, touching), PenStyle())
     assert stroke.lifted
     force, _ = stroke.force.sample(samples.time)
     assert np.abs(force[41:79]).max() <= FORCE_TOLERANCE_N
@@ -181,7 +181,7 @@ def test_off_the_surface_there_is_no_force_and_the_path_runs_straight():
 def test_off_at_both_ends_is_cut():
     samples = line()
     touching = samples.point[:, 0] > 0.02
-    stroke = pen_stroke(PenSamples(samples.time, samples.point, samples.pressure, touching), RAW)
+    stroke = fit_pen_stroke(PenSamples(samples.time, samples.point, samples.pressure, touching), RAW)
     assert stroke.path.knot[0, 0] == pytest.approx(0.02, abs=1e-3)
     assert not stroke.lifted
 
@@ -190,9 +190,9 @@ def test_constant_speed_keeps_force_in_its_place():
     samples = line(seconds=1.0)
     pressure = (samples.point[:, 0] > 0.025).astype(float) * 0.5
     style = PenStyle(force_n=(0.0, 2.0), smoothing_s=0.0, speed_m_s=0.02)
-    stroke = pen_stroke(PenSamples(samples.time, samples.point, pressure, samples.touching), style)
+    stroke = fit_pen_stroke(PenSamples(samples.time, samples.point, pressure, samples.touching), style)
     assert stroke.progress is None
-    assert stroke.duration_s == pytest.approx(travel_time(0.05, 0.02), abs=0.006)
+    assert stroke.duration_s == pytest.approx(compute_travel_time(0.05, 0.02), abs=0.006)
     half = stroke.duration_s / 2.0
     force, _ = stroke.force.sample(np.array([half - 0.1, half + 0.1]))
     assert force == pytest.approx([0.0, 1.0], abs=FORCE_TOLERANCE_N)
@@ -202,10 +202,10 @@ def test_what_is_smoothed_goes_back_to_the_surface():
     angle = np.linspace(0.0, 1.0, 120)
     ball = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     samples = PenSamples(angle, ball, np.ones(120), np.ones(120, dtype=bool))
-    stroke = pen_stroke(
+    stroke = fit_pen_stroke(
         samples,
         PenStyle(smoothing_s=0.1),
-        to_surface=lambda points: 0.05 * points / np.linalg.norm(points, axis=1, keepdims=True),
+        project_to_surface=lambda points: 0.05 * points / np.linalg.norm(points, axis=1, keepdims=True),
     )
     curve = curve_of(stroke.path)
     radius = np.linalg.norm(curve.point_at(np.linspace(0.0, curve.length, 500)), axis=1)
@@ -225,8 +225,8 @@ def test_what_is_smoothed_goes_back_to_the_surface():
 )
 def test_bad_strokes_say_why(change, words):
     with pytest.raises(StrokeError, match=words):
-        pen_stroke(change(line()), PenStyle())
+        fit_pen_stroke(change(line()), PenStyle())
 
 
 def test_events_that_come_together_are_spread():
-    assert np.allclose(evenly_in_time(4, 1.0, 2.0), [1.25, 1.5, 1.75, 2.0])
+    assert np.allclose(spread_times_evenly(4, 1.0, 2.0), [1.25, 1.5, 1.75, 2.0])

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from hnf_core.action.action import Action
 from hnf_core.errors import FileError
 from hnf_core.export import picture
-from hnf_core.export.force_colour import force_colour
+from hnf_core.export.force_colour import force_to_colour
 from hnf_core.export.path_on_view import StrokeView
-from hnf_core.export.picture import stroke_picture
-from hnf_core.export.spectra import spectrogram
+from hnf_core.export.picture import write_stroke_figure
+from hnf_core.export.spectra import compute_spectrogram
 from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.signal import Signal
 from hnf_core.tactile.tactile_map import Route, TactileMap
@@ -53,7 +53,7 @@ def pixels(path: Path) -> np.ndarray:
 @given(rate=st.sampled_from([1000.0, 8000.0, 44100.0]), hertz=st.floats(100.0, 400.0), size=st.floats(0.01, 100.0))
 def test_a_tone_keeps_its_power_and_its_frequency(rate: float, hertz: float, size: float) -> None:
     t = np.arange(int(rate)) / rate
-    spectra = spectrogram(Signal((size * np.sin(2 * np.pi * hertz * t)).astype(np.float32), rate, 0))
+    spectra = compute_spectrogram(Signal((size * np.sin(2 * np.pi * hertz * t)).astype(np.float32), rate, 0))
     step = spectra.frequency[1]
     inner = spectra.power[:, 2:-3]
     assert np.allclose(inner.sum(axis=0) * step, size**2 / 2, rtol=0.02)
@@ -62,14 +62,14 @@ def test_a_tone_keeps_its_power_and_its_frequency(rate: float, hertz: float, siz
 
 def test_white_noise_is_flat_at_its_variance() -> None:
     noise = np.random.default_rng(0).normal(size=200_000).astype(np.float32)
-    spectra = spectrogram(Signal(noise, 2000.0, 0))
+    spectra = compute_spectrogram(Signal(noise, 2000.0, 0))
     assert np.median(spectra.mean()[2:-2]) == pytest.approx(1.0 / 1000.0, rel=0.03)
     assert spectra.mean().sum() * spectra.frequency[1] == pytest.approx(1.0, rel=0.03)
 
 
 def test_every_sample_falls_into_a_window() -> None:
     for n in (0, 1, 511, 512, 513, 1000, 4001):
-        spectra = spectrogram(Signal(np.ones(n, np.float32), 8000.0, 0))
+        spectra = compute_spectrogram(Signal(np.ones(n, np.float32), 8000.0, 0))
         assert spectra.power.shape == (len(spectra.frequency), len(spectra.time))
         assert (spectra.time[-1] + 0.032) * 8000.0 >= n
 
@@ -80,11 +80,11 @@ def test_srgb_transfer() -> None:
 
 
 def test_the_view_shows_the_path_in_the_colour_of_its_force(tmp_path: Path) -> None:
-    stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=view())
+    write_stroke_figure(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=view())
     drawn = pixels(tmp_path / "a.png")
     assert drawn.shape == (1000, 1600, 3)
     column = slice(40, 790)
-    full_force, grey = np.array(force_colour(1.0)[:3]), linear_to_srgb(np.float32([0.2, 0.2, 0.2]))
+    full_force, grey = np.array(force_to_colour(1.0)[:3]), linear_to_srgb(np.float32([0.2, 0.2, 0.2]))
     at = np.argwhere(np.abs(drawn[90:500, column] - full_force).max(axis=2) < 0.02)
     assert len(at) > 500
     # The path runs down the diagonal of the view, so rows and columns of its pixels go together.
@@ -99,10 +99,10 @@ def test_a_force_has_the_same_colour_whatever_the_strongest_is(tmp_path: Path, s
     force = np.where(np.arange(101) < 50, 1.0, strongest)
     seen = StrokeView(shown.rgb, shown.path, force)
     for name, each in (("a.png", seen), ("b.png", view())):
-        stroke_picture(tmp_path / name, title="A", action=action(), signal=signal(), view=each)
+        write_stroke_figure(tmp_path / name, title="A", action=action(), signal=signal(), view=each)
     drawn, other = pixels(tmp_path / "a.png"), pixels(tmp_path / "b.png")
     for newtons in (1.0, strongest):
-        at = np.abs(drawn[90:500, 40:790] - np.array(force_colour(newtons)[:3])).max(axis=2) < 0.02
+        at = np.abs(drawn[90:500, 40:790] - np.array(force_to_colour(newtons)[:3])).max(axis=2) < 0.02
         assert at.sum() > 250
     assert np.array_equal(drawn[530:590, 40:790], other[530:590, 40:790])
     assert len(np.unique(drawn[534, 45:790].round(2), axis=0)) > 100
@@ -123,22 +123,22 @@ def drawn_at(picture: np.ndarray, seen: StrokeView) -> np.ndarray:
 def test_marks_leave_a_stroke_to_be_seen_however_short_it_is(tmp_path: Path, way: np.ndarray, length_px: float) -> None:
     path = np.stack([380.0 + length_px * way, np.full(101, 220.0)], axis=1)
     seen = StrokeView(np.full((432, 768, 3), 0.2, np.float32), path, np.full(101, 2.0))
-    stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=seen)
-    shown = np.abs(drawn_at(pixels(tmp_path / "a.png"), seen) - force_colour(2.0)[:3]).max(axis=1) < 0.1
+    write_stroke_figure(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=seen)
+    shown = np.abs(drawn_at(pixels(tmp_path / "a.png"), seen) - force_to_colour(2.0)[:3]).max(axis=1) < 0.1
     assert shown.mean() > 0.4
 
 
 def test_a_press_has_the_colour_of_its_strongest_force(tmp_path: Path) -> None:
     seen = StrokeView(np.full((432, 768, 3), 0.2, np.float32), np.full((3, 2), 200.0), np.array([0.0, 4.0, 0.0]))
-    stroke_picture(tmp_path / "a.png", title="A", action=action(3), signal=signal(), view=seen)
-    assert np.abs(drawn_at(pixels(tmp_path / "a.png"), seen)[0] - force_colour(4.0)[:3]).max() < 0.02
+    write_stroke_figure(tmp_path / "a.png", title="A", action=action(3), signal=signal(), view=seen)
+    assert np.abs(drawn_at(pixels(tmp_path / "a.png"), seen)[0] - force_to_colour(4.0)[:3]).max() < 0.02
 
 
 def test_hidden_parts_are_not_drawn_as_visible(tmp_path: Path) -> None:
-    stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=view())
+    write_stroke_figure(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=view())
     hidden = StrokeView(view().rgb, view().path, view().force, np.zeros(101, bool))
-    stroke_picture(tmp_path / "b.png", title="A", action=action(), signal=signal(), view=hidden)
-    full_force = np.array(force_colour(1.0)[:3])
+    write_stroke_figure(tmp_path / "b.png", title="A", action=action(), signal=signal(), view=hidden)
+    full_force = np.array(force_to_colour(1.0)[:3])
     count = [
         np.sum(np.abs(pixels(tmp_path / n)[90:500, 40:790] - full_force).max(axis=2) < 0.02) for n in ("a.png", "b.png")
     ]
@@ -148,7 +148,7 @@ def test_hidden_parts_are_not_drawn_as_visible(tmp_path: Path) -> None:
 
 def test_equal_input_gives_equal_bytes(tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
-        stroke_picture(
+        write_stroke_figure(
             tmp_path / name, title="A", action=action(), signal=signal(), view=view(), facts={"Probe": "pen"}
         )
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
@@ -161,7 +161,7 @@ def test_a_tactile_map_is_shown_beside_the_facts(tmp_path: Path, route: Route) -
     lit = np.broadcast_to(0.5 + half[..., None] * np.array([1.0, -1.0, 0.0]), (64, 64, 3)).astype(np.float32)
     tactile = TactileMap(lit, None, np.ones((64, 64), bool), 312.5e-6, "gelsight", 625e-6, route)
     for name, shown in (("without.png", None), ("with.png", tactile)):
-        stroke_picture(
+        write_stroke_figure(
             tmp_path / name, title="A", action=action(), signal=signal(), view=view(), tactile=shown,
             facts={"Routes": "8–1 mm " + route.value},
         )  # fmt: skip
@@ -191,7 +191,7 @@ def words_of(monkeypatch: pytest.MonkeyPatch, facts: dict[str, str]) -> str:
         said.extend(text.get_text() for text in figure.texts)
 
     monkeypatch.setattr(picture, "write_figure", drawn)
-    stroke_picture(Path("a.png"), title="A", action=action(), signal=signal(), view=view(), facts=facts)
+    write_stroke_figure(Path("a.png"), title="A", action=action(), signal=signal(), view=view(), facts=facts)
     return " ".join(said)
 
 
@@ -213,7 +213,7 @@ def test_hatching_is_explained_where_there_is_some(tmp_path: Path) -> None:
         force = np.ones(101)
         force[:off] = force[-1] = 0.0
         moves = replace(action(), force=force, contact=force > 0)
-        stroke_picture(tmp_path / name, title="A", action=moves, signal=signal())
+        write_stroke_figure(tmp_path / name, title="A", action=moves, signal=signal())
     above = [pixels(tmp_path / name)[64:82, 1300:1475] for name in ("a.png", "b.png")]
     spread = [float(np.ptp(each, axis=(0, 1)).max()) for each in above]
     assert spread[0] == 0.0 < 0.3 < spread[1]
@@ -225,7 +225,9 @@ def test_names_are_never_read_as_markup(
     title: str, label: str, text: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "names.png"
-    stroke_picture(path, title=title + "$\\frac{", action=action(), signal=signal(400), facts={label: text + "$^$"})
+    write_stroke_figure(
+        path, title=title + "$\\frac{", action=action(), signal=signal(400), facts={label: text + "$^$"}
+    )
     assert pixels(path).shape == (1000, 1600, 3)
 
 
@@ -245,7 +247,7 @@ def test_names_are_never_read_as_markup(
 @pytest.mark.parametrize("scale", ["linear", "log"])
 def test_edges_of_input(tmp_path: Path, moves: Action, felt: Signal, seen: StrokeView | None, scale: str) -> None:
     path = tmp_path / "a.png"
-    stroke_picture(path, title="A", action=moves, signal=felt, view=seen, frequency_scale=scale)
+    write_stroke_figure(path, title="A", action=moves, signal=felt, view=seen, frequency_scale=scale)
     assert pixels(path).std() > 0.01
 
 
@@ -255,7 +257,7 @@ def test_no_display_no_pyplot_and_the_style_is_put_back(tmp_path: Path) -> None:
         "import matplotlib\n"
         "from pathlib import Path\n"
         "from test_picture import action, signal, view\n"
-        "from hnf_core.export.picture import stroke_picture\n"
+        "from hnf_core.export.picture import write_stroke_figure\n"
         "style = lambda: {k: matplotlib.rcParams[k] for k in matplotlib.rcParams if k != 'backend'}\n"
         "before = style()\n"
         "stroke_picture(Path(sys.argv[1]), title='A', action=action(), signal=signal(), view=view())\n"
@@ -270,10 +272,10 @@ def test_no_display_no_pyplot_and_the_style_is_put_back(tmp_path: Path) -> None:
 def test_without_matplotlib_the_error_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(FileError, match="pictures need matplotlib"):
-        stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal())
+        write_stroke_figure(tmp_path / "a.png", title="A", action=action(), signal=signal())
 
 
 def test_an_unwritable_target_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(FileError, match="cannot write here"):
-        stroke_picture(tmp_path / "file" / "a.png", title="A", action=action(), signal=signal(400))
+        write_stroke_figure(tmp_path / "file" / "a.png", title="A", action=action(), signal=signal(400))

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from hnf_core.action.contacts import StrokeSamples, find_contacts
 from hnf_core.action.patches import plan_patches
-from hnf_core.action.places import of_slot, place_at_uv, place_near, uv_barycentric
-from hnf_core.cli.probe import probe_place
+from hnf_core.action.places import compute_uv_barycentric, find_point_at_uv, find_point_near, select_slot
+from hnf_core.cli.probe import parse_touch_query
 from hnf_core.errors import SceneError
 from hnf_core.scene.mesh import TriangleMesh
 
@@ -55,7 +55,7 @@ def joined(*meshes: TriangleMesh) -> TriangleMesh:
 @settings(max_examples=60, deadline=None)
 @given(unit, unit)
 def test_every_uv_of_the_square_is_where_its_uv_says(u, v) -> None:
-    place = place_at_uv(square(), (u, v))
+    place = find_point_at_uv(square(), (u, v))
     assert place.point == pytest.approx([u * SIDE, v * SIDE, 0.0], abs=1e-9)
     assert place.uv == pytest.approx([u, v], abs=1e-9)
     assert place.patch.x_axis == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
@@ -65,8 +65,8 @@ def test_every_uv_of_the_square_is_where_its_uv_says(u, v) -> None:
 @settings(max_examples=60, deadline=None)
 @given(unit, unit)
 def test_a_place_by_uv_is_the_place_in_space(u, v) -> None:
-    by_uv = place_at_uv(square(), (u, v))
-    in_space = place_near(square(), by_uv.point)
+    by_uv = find_point_at_uv(square(), (u, v))
+    in_space = find_point_near(square(), by_uv.point)
     assert in_space.point == pytest.approx(by_uv.point, abs=1e-9)
     assert in_space.patch.normal == pytest.approx(by_uv.patch.normal)
     assert in_space.uv == pytest.approx(by_uv.uv, abs=1e-7)
@@ -80,7 +80,7 @@ def test_the_patch_of_a_place_is_the_patch_of_a_stroke_that_touches_there() -> N
         np.ones(count),
     )  # fmt: skip
     (patch,), _ = plan_patches(find_contacts(samples, mesh))
-    own = place_at_uv(mesh, (0.3, 0.4)).patch
+    own = find_point_at_uv(mesh, (0.3, 0.4)).patch
     assert own.slot == patch.slot
     assert own.size_m == patch.size_m
     for name in ("centre", "x_axis", "normal"):
@@ -89,70 +89,70 @@ def test_the_patch_of_a_place_is_the_patch_of_a_stroke_that_touches_there() -> N
 
 def test_a_uv_outside_every_face_is_told_with_what_there_is() -> None:
     with pytest.raises(SceneError, match=r"no face has the UV \(1.5, 0.5\)") as told:
-        place_at_uv(square(), (1.5, 0.5), where="object 'Plate'")
+        find_point_at_uv(square(), (1.5, 0.5), where="object 'Plate'")
     assert "(0, 0) and (1, 1)" in str(told.value)
 
 
 def test_a_mesh_without_uvs_says_what_to_do() -> None:
     with pytest.raises(SceneError, match="Unwrap it"):
-        place_at_uv(square(uv=False), (0.5, 0.5))
-    place = place_near(square(uv=False), np.array([0.05, 0.05, 0.0]))
+        find_point_at_uv(square(uv=False), (0.5, 0.5))
+    place = find_point_near(square(uv=False), np.array([0.05, 0.05, 0.0]))
     assert not place.tangent_known
     assert place.uv is None
 
 
 def test_of_overlapping_islands_the_first_face_is_taken_and_it_is_said() -> None:
     mesh = joined(square(height=0.2), square())
-    place = place_at_uv(mesh, (0.25, 0.5), where="object 'Plate'")
+    place = find_point_at_uv(mesh, (0.25, 0.5), where="object 'Plate'")
     assert place.face == 0
     assert place.point[2] == pytest.approx(0.2)
     assert "1 more face has the same UV" in place.notes[0]
-    three = place_at_uv(joined(square(), square(), square()), (0.25, 0.5))
+    three = find_point_at_uv(joined(square(), square(), square()), (0.25, 0.5))
     assert "2 more faces have" in three.notes[0]
 
 
 def test_a_slot_parts_islands_that_overlap() -> None:
     mesh = joined(square(height=0.2), square(slot=1))
-    place = place_at_uv(of_slot(mesh, 1), (0.25, 0.5))
+    place = find_point_at_uv(select_slot(mesh, 1), (0.25, 0.5))
     assert place.notes == ()
     assert (place.point[2], place.face, place.patch.slot) == (0.0, 1, 1)
-    assert place_near(of_slot(mesh, 1), np.array([0.05, 0.05, 0.001])).patch.slot == 1
+    assert find_point_near(select_slot(mesh, 1), np.array([0.05, 0.05, 0.001])).patch.slot == 1
     with pytest.raises(SceneError, match="no face of it"):
-        place_at_uv(of_slot(mesh, 7), (0.25, 0.5))
+        find_point_at_uv(select_slot(mesh, 7), (0.25, 0.5))
     with pytest.raises(SceneError, match="no face of it"):
-        place_near(of_slot(mesh, 7), np.zeros(3))
+        find_point_near(select_slot(mesh, 7), np.zeros(3))
 
 
 def test_neighbours_that_share_an_edge_do_not_overlap() -> None:
     """The square's own diagonal and corners lie on both of its triangles."""
     for uv in ((0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (0.0, 1.0)):
-        assert place_at_uv(square(), uv).notes == ()
+        assert find_point_at_uv(square(), uv).notes == ()
 
 
 def test_a_place_off_the_surface_is_refused_with_its_distance() -> None:
-    assert place_near(square(), np.array([0.05, 0.05, 0.004])).point[2] == pytest.approx(0.0)
+    assert find_point_near(square(), np.array([0.05, 0.05, 0.004])).point[2] == pytest.approx(0.0)
     with pytest.raises(SceneError, match="30 mm away"):
-        place_near(square(), np.array([0.05, 0.05, 0.03]))
+        find_point_near(square(), np.array([0.05, 0.05, 0.03]))
     with pytest.raises(SceneError):
-        place_near(square(), np.array([np.nan, 0.0, 0.0]))
+        find_point_near(square(), np.array([np.nan, 0.0, 0.0]))
 
 
 def test_triangles_without_uv_area_hold_nothing() -> None:
     flat = np.zeros((1, 3, 2))
-    assert (uv_barycentric(flat, np.zeros(2)) == -1.0).all()
+    assert (compute_uv_barycentric(flat, np.zeros(2)) == -1.0).all()
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(-10, 10), st.floats(-10, 10), st.text(min_size=1, max_size=12).filter(lambda name: name.strip()))
 def test_words_of_a_place_are_read_back(u, v, name) -> None:
-    place = probe_place(f"{name}:{u!r},{v!r}")
+    place = parse_touch_query(f"{name}:{u!r},{v!r}")
     assert (place.target, place.at) == (name, (u, v))
-    assert probe_place(place.name).at == pytest.approx(place.at, rel=1e-8)
+    assert parse_touch_query(place.name).at == pytest.approx(place.at, rel=1e-8)
 
 
 def test_object_names_may_hold_colons_and_three_numbers_are_a_point() -> None:
-    assert probe_place("Cup:left:0.1,0.2").target == "Cup:left"
-    assert probe_place("Cup:1,2,-3e-1").at == (1.0, 2.0, -0.3)
+    assert parse_touch_query("Cup:left:0.1,0.2").target == "Cup:left"
+    assert parse_touch_query("Cup:1,2,-3e-1").at == (1.0, 2.0, -0.3)
 
 
 @pytest.mark.parametrize(
@@ -160,4 +160,4 @@ def test_object_names_may_hold_colons_and_three_numbers_are_a_point() -> None:
 )
 def test_words_that_are_no_place_are_refused(text) -> None:
     with pytest.raises(argparse.ArgumentTypeError, match="OBJECT:u,v"):
-        probe_place(text)
+        parse_touch_query(text)

@@ -18,9 +18,9 @@ from ptys import needs_pty
 from responses import of_gains
 
 from hnf_core.actuators.acceleration import read_acceleration
-from hnf_core.actuators.chain import counts_of
-from hnf_core.actuators.compensation import stages_of
-from hnf_core.actuators.limits import COUNTS
+from hnf_core.actuators.chain import render_counts
+from hnf_core.actuators.compensation import make_compensation
+from hnf_core.actuators.limits import FULL_SCALE_COUNTS
 from hnf_core.actuators.player_messages import (
     VERSION,
     Began,
@@ -28,6 +28,7 @@ from hnf_core.actuators.player_messages import (
     LiveBegin,
     Loop,
     Move,
+    OutputSpec,
     Pause,
     Play,
     Quit,
@@ -38,13 +39,12 @@ from hnf_core.actuators.player_messages import (
     Status,
     Stop,
     Swap,
-    Where,
     encode,
 )
-from hnf_core.actuators.profile import GENERIC, own_profile
+from hnf_core.actuators.profile import GENERIC, make_user_profile
 from hnf_core.actuators.profile_file import read_profile, write_profile
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 from hnf_core.actuators.virtual.port import VirtualPort
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
@@ -62,8 +62,8 @@ def wav(path: Path, share: float, seconds: float = 30.0, hz: float = 200.0) -> s
     return str(path)
 
 
-def where(ear: Receiver) -> Where:
-    return Where(ear.target, GENERIC.name)
+def where(ear: Receiver) -> OutputSpec:
+    return OutputSpec(ear.target, GENERIC.name)
 
 
 def comes_to(ear: Receiver, share: float) -> bool:
@@ -77,11 +77,11 @@ def comes_to(ear: Receiver, share: float) -> bool:
 
 
 def test_a_file_is_played_as_its_chain_makes_it(tmp_path: Path) -> None:
-    out, profile = tmp_path / "out.wav", own_profile(12.0, 40.0, 800.0)
+    out, profile = tmp_path / "out.wav", make_user_profile(12.0, 40.0, 800.0)
     rng = np.random.default_rng(5)
     write_wav(tmp_path / "a.wav", Signal(rng.normal(0, 5, 9000).astype(np.float32), 10_000.0, 0))
     with player() as it:
-        it.say(Play(7, str(tmp_path / "a.wav"), Where(f"file:{out}", "own", (12.0, 40.0, 800.0)), gain_db=6.0))
+        it.say(Play(7, str(tmp_path / "a.wav"), OutputSpec(f"file:{out}", "own", (12.0, 40.0, 800.0)), gain_db=6.0))
         began = it.wait_for(lambda each: isinstance(each, Began))
         status = it.status(7, "ended")
         it.say(Quit())
@@ -92,11 +92,11 @@ def test_a_file_is_played_as_its_chain_makes_it(tmp_path: Path) -> None:
     assert "m/s²" in began.note
     assert status.problem == ""
     samples = rng_again() * np.float32(10.0 ** (6.0 / 20.0))
-    expected = counts_of(Recorded(samples, 10_000.0), SinkFormat(10_000.0, 1, 1000, ""), profile.limits)
+    expected = render_counts(BufferSource(samples, 10_000.0), SinkFormat(10_000.0, 1, 1000, ""), profile.limits)
     with wave.open(str(out)) as file:
         assert (np.frombuffer(file.readframes(file.getnframes()), "<i2") == expected[:, 0]).all()
     assert status.limited > 0
-    assert status.peak == pytest.approx(np.abs(expected).max() / COUNTS)
+    assert status.peak == pytest.approx(np.abs(expected).max() / FULL_SCALE_COUNTS)
 
 
 def rng_again() -> np.ndarray:
@@ -110,18 +110,18 @@ def test_a_measured_response_is_made_up_for(tmp_path: Path) -> None:
     write_profile(tmp_path / "mine.json", measured)
     one, out = wav(tmp_path / "one.wav", 0.1, seconds=0.5, hz=400.0), tmp_path / "out.wav"
     with player() as it:
-        it.say(Play(1, one, Where(f"file:{out}", str(tmp_path / "mine.json"))))
+        it.say(Play(1, one, OutputSpec(f"file:{out}", str(tmp_path / "mine.json"))))
         began = it.wait_for(lambda each: isinstance(each, Began))
         assert it.status(1, "ended").problem == ""
     assert isinstance(began, Began)
     assert "its response corrected" in began.note
     profile = read_profile(tmp_path / "mine.json")
-    source = Recorded(read_acceleration(Path(one), profile.limits).samples, 10_000.0)
-    stages = stages_of(profile, 10_000.0, 1)
-    expected = counts_of(source, SinkFormat(10_000.0, 1, 1000, ""), profile.limits, stages)
+    source = BufferSource(read_acceleration(Path(one), profile.limits).samples, 10_000.0)
+    stages = make_compensation(profile, 10_000.0, 1)
+    expected = render_counts(source, SinkFormat(10_000.0, 1, 1000, ""), profile.limits, stages)
     with wave.open(str(out)) as file:
         assert (np.frombuffer(file.readframes(file.getnframes()), "<i2") == expected[:, 0]).all()
-    assert np.abs(expected).max() > 2.0 * 0.1 * COUNTS
+    assert np.abs(expected).max() > 2.0 * 0.1 * FULL_SCALE_COUNTS
 
 
 def test_pause_seek_gain_swap_loop_and_stop_are_heard(tmp_path: Path) -> None:
@@ -160,9 +160,9 @@ def test_what_cannot_be_done_is_refused_and_all_else_goes_on(tmp_path: Path) -> 
     with receiver() as ear, player() as it:
         here = where(ear)
         it.say("hallo", Pause(), Play(1, one, here), '{"is":"Seek"}', Move(0.0, 0.0, 0.0, 1.0))
-        it.say(Play(2, str(tmp_path / "none.wav"), here), Play(3, one, Where("foo", GENERIC.name)))
-        it.say(Play(4, one, Where(ear.target, "none")), Play(5, one, Where(ear.target, "own", (1.0,))))
-        it.say(Play(6, one, Where("file:x.wav", GENERIC.name), loop=True), LiveBegin(7, "no such stuff", here))
+        it.say(Play(2, str(tmp_path / "none.wav"), here), Play(3, one, OutputSpec("foo", GENERIC.name)))
+        it.say(Play(4, one, OutputSpec(ear.target, "none")), Play(5, one, OutputSpec(ear.target, "own", (1.0,))))
+        it.say(Play(6, one, OutputSpec("file:x.wav", GENERIC.name), loop=True), LiveBegin(7, "no such stuff", here))
         it.say(Swap(str(tmp_path / "slow.wav")), Gain(1000.0))
         it.wait_for(lambda each: isinstance(each, Refused) and "gain of 1000" in each.why)
         assert comes_to(ear, 0.5)
@@ -239,15 +239,15 @@ def test_a_player_that_is_killed_is_silent_within_20_ms(tmp_path: Path) -> None:
     one = wav(tmp_path / "one.wav", 0.5)
     for _ in range(3):
         with VirtualPort() as port, player() as it:
-            it.say(Play(1, one, Where(f"serial:{port.path}", GENERIC.name), loop=True))
+            it.say(Play(1, one, OutputSpec(f"serial:{port.path}", GENERIC.name), loop=True))
             it.wait_for(lambda each: isinstance(each, Status) and each.played_s > 0.1)
-            with port.standing() as device:
+            with port.freeze_clock() as device:
                 struck = device.clock
                 it.process.kill()
                 it.process.wait(10)
             time.sleep(0.1)
             assert device.clock - struck > 0.02 * device.rate_hz
-            assert device.sounded - struck <= 0.02 * device.rate_hz
+            assert device.last_sound_clock - struck <= 0.02 * device.rate_hz
 
 
 def test_it_leaves_when_its_parent_is_killed(tmp_path: Path) -> None:
@@ -294,8 +294,8 @@ def test_numpy_alone_is_enough(tmp_path: Path) -> None:
     )
     one = wav(tmp_path / "one.wav", 0.5, seconds=0.1)
     with player([sys.executable, "-c", code]) as it:
-        it.say(Play(1, one, Where("osc:127.0.0.1:9", GENERIC.name)))
-        it.say(Play(2, one, Where(f"file:{tmp_path / 'out.wav'}", GENERIC.name)))
+        it.say(Play(1, one, OutputSpec("osc:127.0.0.1:9", GENERIC.name)))
+        it.say(Play(2, one, OutputSpec(f"file:{tmp_path / 'out.wav'}", GENERIC.name)))
         assert it.status(2, "ended").problem == ""
         assert it.end() == 0
     refused = next(each for each in it.reports if isinstance(each, Refused))

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from hnf_core.actuators.player_messages import (
     Command,
     Move,
+    OutputSpec,
     Play,
     Report,
     Status,
-    Where,
     decode_command,
     decode_report,
     encode,
@@ -49,7 +49,7 @@ def test_commands_are_no_reports(command: Command, report: Report) -> None:
         decode_command(encode(report))
 
 
-PLAY = json.loads(encode(Play(1, "x.wav", Where("virtual", "own", (0.0, 20.0, 500.0)))))
+PLAY = json.loads(encode(Play(1, "x.wav", OutputSpec("virtual", "own", (0.0, 20.0, 500.0)))))
 
 
 @pytest.mark.parametrize(

@@ -22,20 +22,20 @@ from hnf_core.actuators.player_messages import (
     Command,
     LiveBegin,
     Move,
+    OutputSpec,
     Play,
     Quit,
     Refused,
     Report,
     Status,
     Stop,
-    Where,
     decode_report,
     encode,
 )
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.sources.live import Live
+from hnf_core.actuators.sources.live import LiveSource
 
-WHERE = Where("virtual", "generic-voice-coil")
+WHERE = OutputSpec("virtual", "generic-voice-coil")
 
 
 def comes(condition: Callable[[], bool]) -> bool:
@@ -69,7 +69,7 @@ class Rig:
         self.sinks, left = sinks, list(sinks)
         self.loading, self.loaded = threading.Event(), threading.Event()
         self.loaded.set()
-        load = player_module.synthesis_for_material
+        load = player_module.create_live_synthesis
 
         def slowly(*words: Any, **more: Any) -> Any:
             self.loading.set()
@@ -77,9 +77,9 @@ class Rig:
             return load(*words, **more)
 
         tone = Acceleration(np.full((200_000, 1), 5.0, np.float32), 10_000.0, "in m/s²")
-        monkeypatch.setattr(player_module, "synthesis_for_material", slowly)
+        monkeypatch.setattr(player_module, "create_live_synthesis", slowly)
         monkeypatch.setattr(player_module, "read_acceleration", lambda *words: tone)
-        monkeypatch.setattr(player_module, "sink_of", lambda *words: left.pop(0))
+        monkeypatch.setattr(player_module, "make_sink", lambda *words: left.pop(0))
         reader, self._writer = os.pipe()
         self._out = io.BytesIO()
         self._stdin = os.fdopen(reader, "rb")
@@ -164,8 +164,8 @@ def test_a_stop_cancels_what_is_just_being_opened(monkeypatch: pytest.MonkeyPatc
 
 def test_a_hand_is_felt_while_another_material_loads(monkeypatch: pytest.MonkeyPatch) -> None:
     moved: list[tuple[float, float]] = []
-    move = Live.move
-    monkeypatch.setattr(Live, "move", lambda self, *words: moved.append(words[1]) or move(self, *words))
+    move = LiveSource.move
+    monkeypatch.setattr(LiveSource, "move", lambda self, *words: moved.append(words[1]) or move(self, *words))
     with rig(monkeypatch, ClockSink()) as it:
         it.say(LiveBegin(1, "oak-wood", WHERE))
         assert comes(lambda: it.began() == [1])
@@ -182,9 +182,9 @@ def test_a_hand_is_felt_while_another_material_loads(monkeypatch: pytest.MonkeyP
 def test_a_hand_that_pressed_before_the_device_was_there_is_felt_then(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may rest from then on, and send nothing more. But it does not haunt what begins after a stop, or after a
     recording, however late its last word comes."""
-    moved: list[tuple[Live, tuple[float, float]]] = []
-    move = Live.move
-    monkeypatch.setattr(Live, "move", lambda self, *words: moved.append((self, words[1])) or move(self, *words))
+    moved: list[tuple[LiveSource, tuple[float, float]]] = []
+    move = LiveSource.move
+    monkeypatch.setattr(LiveSource, "move", lambda self, *words: moved.append((self, words[1])) or move(self, *words))
     leave = threading.Event()
     sink = Slow(leave)
     with rig(monkeypatch, sink, ClockSink(), ClockSink(), ClockSink()) as it:
@@ -204,7 +204,7 @@ def test_a_hand_that_pressed_before_the_device_was_there_is_felt_then(monkeypatc
 @pytest.mark.parametrize("quits", [True, False])
 def test_it_leaves_while_something_loads(quits: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     sink = ClockSink()
-    monkeypatch.setattr(player_module, "LEAVE_S", 0.05)
+    monkeypatch.setattr(player_module, "CLOSE_TIMEOUT_S", 0.05)
     with rig(monkeypatch, sink) as it:
         it.say(Play(1, "x.wav", WHERE))
         assert comes(lambda: len(sink.counts) > 100)

@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 from hnf_core.errors import MaterialError
 from hnf_core.material.library import load_library
 from hnf_core.material.material import Appearance, LibraryMaterial
-from hnf_core.material.mechanics import UNKNOWN
-from hnf_core.material.naming import halves, vocabulary
-from hnf_core.material.prior import NOTHING_TELLS, rank
+from hnf_core.material.mechanics import UNKNOWN_MECHANICS
+from hnf_core.material.naming import build_vocabulary, split_compound
+from hnf_core.material.prior import NO_EVIDENCE, rank
 from hnf_core.material.token import TOKEN_DIM
-from hnf_core.material.words import CATEGORY_WORDS, is_picture_name, picture_words, singulars, split_words
+from hnf_core.material.words import CATEGORY_WORDS, is_image_name, list_singulars, split_image_name, split_words
 
 
 def entry(name, category, words, color, roughness, metallic=0.0, sheen=0.0, transmission=0.0):
     look = Appearance(color, roughness, metallic, sheen, transmission)
     token = np.zeros(TOKEN_DIM, dtype=np.float32)
-    return LibraryMaterial(name, category, tuple(words.split(", ")), look, UNKNOWN, token)
+    return LibraryMaterial(name, category, tuple(words.split(", ")), look, UNKNOWN_MECHANICS, token)
 
 
 LIBRARY = (
@@ -212,17 +212,17 @@ def test_names_split_into_words(name, words):
     ("plural", "one"), [("lenses", "lens"), ("metals", "metal"), ("glasses", "glass"), ("alloys", "alloy")]
 )
 def test_plurals_lead_to_their_singular(plural, one):
-    assert one in singulars(plural)
-    assert singulars("glass") == ("glass",)
+    assert one in list_singulars(plural)
+    assert list_singulars("glass") == ("glass",)
 
 
 def hit_rate(names: dict[str, str]) -> float:
     """Share of names whose best-ranked category, told by the name alone, is the right one."""
     hits = 0
     for name, expected in names.items():
-        as_picture = is_picture_name(name)
-        ranked = rank(REAL, BLANK, [""] if as_picture else [name], pictures=[name] * as_picture)
-        told = ranked[0].reason != NOTHING_TELLS
+        as_picture = is_image_name(name)
+        ranked = rank(REAL, BLANK, [""] if as_picture else [name], image_names=[name] * as_picture)
+        told = ranked[0].reason != NO_EVIDENCE
         hits += told and next(each.category for each in REAL if each.name == ranked[0].name) == expected
     return hits / len(names)
 
@@ -248,18 +248,18 @@ def test_names_as_they_are_met_name_their_category():
     ],
 )  # fmt: skip
 def test_a_picture_s_channel_is_no_word_of_its_name(name, words):
-    assert picture_words(name) == words
+    assert split_image_name(name) == words
 
 
 def test_a_channel_called_metalness_makes_nothing_of_metal():
-    ranked = rank(LIBRARY, BLANK, [""], pictures=["SavonaTile_Metalness.jpg"])
+    ranked = rank(LIBRARY, BLANK, [""], image_names=["SavonaTile_Metalness.jpg"])
     assert CATEGORY[ranked[0].name] == "tile"
-    assert rank(LIBRARY, BLANK, [""], pictures=["x_metallic.png"]) == rank(LIBRARY, BLANK, [""])
+    assert rank(LIBRARY, BLANK, [""], image_names=["x_metallic.png"]) == rank(LIBRARY, BLANK, [""])
 
 
 def test_a_picture_says_more_than_the_object_and_less_than_the_material():
     def first(names, picture):
-        return CATEGORY[rank(LIBRARY, BLANK, names, pictures=[picture])[0].name]
+        return CATEGORY[rank(LIBRARY, BLANK, names, image_names=[picture])[0].name]
 
     assert first(["leather", ""], "oak_diff.png") == "leather"
     assert first(["", "leather"], "oak_diff.png") == "wood"
@@ -275,17 +275,17 @@ def test_a_picture_says_more_than_the_object_and_less_than_the_material():
     ],
 )  # fmt: skip
 def test_compounds_are_taken_apart_only_where_both_halves_are_words(word, parts):
-    assert set(halves(word, vocabulary(REAL))) == set(parts)
+    assert set(split_compound(word, build_vocabulary(REAL))) == set(parts)
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.text(max_size=30))
 def test_no_name_breaks_the_words(name):
-    found = picture_words(name)
+    found = split_image_name(name)
     assert all(found)
-    assert is_picture_name(f"{name}.PNG")
+    assert is_image_name(f"{name}.PNG")
     for word in found:
-        assert isinstance(halves(word, vocabulary(LIBRARY)), list)
+        assert isinstance(split_compound(word, build_vocabulary(LIBRARY)), list)
 
 
 def test_no_language_names_two_categories_with_one_word():

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.actuators.protocol.crc import crc16, crc16_reference
-from hnf_core.actuators.protocol.frames import OVERHEAD, Decoder, Encoder, encode
+from hnf_core.actuators.protocol.frames import FRAME_OVERHEAD_BYTES, Decoder, Encoder, encode_frame
 from hnf_core.actuators.protocol.messages import (
     FROM_DEVICE,
     FROM_HOST,
@@ -90,7 +90,7 @@ def test_messages_arrive_whatever_the_pieces(side: Any, data: st.DataObject, cut
     kinds, strategy = side
     messages = data.draw(st.lists(strategy, max_size=8))
     decoder = Decoder(kinds)
-    wire = b"".join(encode(message, first + i) for i, message in enumerate(messages))
+    wire = b"".join(encode_frame(message, first + i) for i, message in enumerate(messages))
     assert [found for piece in pieces(wire, cuts) for found in decoder.feed(piece)] == messages
     assert (decoder.crc_errors, decoder.gaps, decoder.malformed, decoder.skipped) == (0, 0, 0, 0)
 
@@ -103,17 +103,17 @@ def test_what_follows_garbage_arrives(side: Any, data: st.DataObject, noise: byt
     kinds, strategy = side
     message = data.draw(strategy)
     decoder = Decoder(kinds)
-    found = decoder.feed(noise + encode(message, 5)) + decoder.idle()
+    found = decoder.feed(noise + encode_frame(message, 5)) + decoder.flush()
     assert message in found
     # (garbage is no message but with a CRC by chance, of 1 in 65536)
     assert decoder.skipped <= len(noise)
-    assert decoder.feed(encode(message, 6)) == [message]
+    assert decoder.feed(encode_frame(message, 6)) == [message]
 
 
 @settings(deadline=None)
 @given(messages=st.lists(HOST_MESSAGES, min_size=1, max_size=5), flips=st.lists(st.integers(0, 10**6), max_size=3))
 def test_flipped_bits_cost_what_they_hit(messages: list[Message], flips: list[int]) -> None:
-    frames = [bytearray(encode(message, i)) for i, message in enumerate(messages)]
+    frames = [bytearray(encode_frame(message, i)) for i, message in enumerate(messages)]
     hit = set()
     ends = np.cumsum([len(frame) for frame in frames])
     for flip in flips:
@@ -122,9 +122,9 @@ def test_flipped_bits_cost_what_they_hit(messages: list[Message], flips: list[in
         frames[which][bit // 8 - (int(ends[which]) - len(frames[which]))] ^= 1 << bit % 8
         hit.add(which)
     decoder = Decoder(FROM_HOST)
-    found = decoder.feed(b"".join(map(bytes, frames))) + decoder.idle()
+    found = decoder.feed(b"".join(map(bytes, frames))) + decoder.flush()
     # CRC-16 finds every error of up to three bits in frames as short as these.
-    remaining = [message for i, message in enumerate(messages) if bytes(frames[i]) == encode(message, i)]
+    remaining = [message for i, message in enumerate(messages) if bytes(frames[i]) == encode_frame(message, i)]
     assert found == remaining
 
 
@@ -135,38 +135,38 @@ def test_nothing_raises_and_little_is_held(kinds: Any, chunks: list[bytes]) -> N
     decoder = Decoder(kinds)
     for chunk in chunks:
         decoder.feed(chunk)
-        assert len(decoder._held) < LARGEST_PAYLOAD + OVERHEAD
-    decoder.idle()
-    assert decoder._held == b""
+        assert len(decoder._buffer) < LARGEST_PAYLOAD + FRAME_OVERHEAD_BYTES
+    decoder.flush()
+    assert decoder._buffer == b""
 
 
 def test_a_host_that_died_amid_a_message_does_not_hide_the_next() -> None:
     decoder = Decoder(FROM_HOST)
-    assert decoder.feed(encode(Samples(1, 0, bytes(2000)), 0)[:900] + encode(Hello(), 0)) == []
-    assert decoder.idle() == [Hello()]
+    assert decoder.feed(encode_frame(Samples(1, 0, bytes(2000)), 0)[:900] + encode_frame(Hello(), 0)) == []
+    assert decoder.flush() == [Hello()]
 
 
 def test_gaps_are_counted_but_not_before_a_hello() -> None:
     decoder = Decoder(FROM_HOST)
-    decoder.feed(encode(Ping(1), 250))
-    decoder.feed(encode(Ping(1), 2))
+    decoder.feed(encode_frame(Ping(1), 250))
+    decoder.feed(encode_frame(Ping(1), 2))
     assert decoder.gaps == 7
-    decoder.feed(encode(Hello(), 77))
-    decoder.feed(encode(Ping(1), 78))
+    decoder.feed(encode_frame(Hello(), 77))
+    decoder.feed(encode_frame(Ping(1), 78))
     assert decoder.gaps == 7
 
 
 def test_a_good_checksum_around_nonsense_is_malformed() -> None:
     decoder = Decoder(FROM_HOST)
-    half_a_sample = encode(Samples(1, 0, b"\0\0\0"), 0)
-    assert decoder.feed(half_a_sample + encode(Ping(2), 1)) == [Ping(2)]
+    half_a_sample = encode_frame(Samples(1, 0, b"\0\0\0"), 0)
+    assert decoder.feed(half_a_sample + encode_frame(Ping(2), 1)) == [Ping(2)]
     assert decoder.malformed == 1
 
 
 @settings(deadline=None)
 @given(st.integers(0, 255))
 def test_a_stop_is_never_misunderstood_as_going_on(how: int) -> None:
-    frame = bytearray(encode(Stop(), 0))
+    frame = bytearray(encode_frame(Stop(), 0))
     frame[6] = how
     frame[7:] = crc16(bytes(frame[2:7])).to_bytes(2, "little")
     assert Decoder(FROM_HOST).feed(bytes(frame)) == [Stop(how == 1)]
@@ -174,15 +174,15 @@ def test_a_stop_is_never_misunderstood_as_going_on(how: int) -> None:
 
 def test_the_other_side_alone_is_heard() -> None:
     decoder = Decoder(FROM_DEVICE)
-    assert decoder.feed(encode(Ping(1), 0)) == []
-    assert decoder.skipped == len(encode(Ping(1), 0))
+    assert decoder.feed(encode_frame(Ping(1), 0)) == []
+    assert decoder.skipped == len(encode_frame(Ping(1), 0))
 
 
 @settings(deadline=None)
 @given(st.lists(HOST_MESSAGES, max_size=300))
 def test_an_encoder_counts(messages: list[Message]) -> None:
     encoder = Encoder()
-    assert [encoder.encode(message) for message in messages] == [encode(m, i) for i, m in enumerate(messages)]
+    assert [encoder.encode(message) for message in messages] == [encode_frame(m, i) for i, m in enumerate(messages)]
 
 
 @settings(deadline=None)
@@ -191,17 +191,17 @@ def test_samples_carry_counts(channels: int, position: int, data: st.DataObject)
     count = data.draw(st.integers(0, 20))
     rng = np.random.default_rng(data.draw(U32))
     counts = rng.integers(-32768, 32768, (count, channels)).astype(np.int16)
-    message = Samples.of(1, position, counts)
+    message = Samples.from_counts(1, position, counts)
     np.testing.assert_array_equal(message.counts(channels), counts)
-    assert len(encode(message, 0)) == OVERHEAD + 6 + 2 * counts.size
+    assert len(encode_frame(message, 0)) == FRAME_OVERHEAD_BYTES + 6 + 2 * counts.size
 
 
 @pytest.mark.parametrize("channels", range(1, 17))
 def test_the_longest_samples_fit_a_message(channels: int) -> None:
     frames = frames_per_message(channels)
-    encode(Samples.of(1, 0, np.zeros((frames, channels), np.int16)), 0)
+    encode_frame(Samples.from_counts(1, 0, np.zeros((frames, channels), np.int16)), 0)
     with pytest.raises(UsageError, match="no frame"):
-        encode(Samples.of(1, 0, np.zeros((frames + 1, channels), np.int16)), 0)
+        encode_frame(Samples.from_counts(1, 0, np.zeros((frames + 1, channels), np.int16)), 0)
 
 
 @pytest.mark.parametrize(
@@ -209,12 +209,12 @@ def test_the_longest_samples_fit_a_message(channels: int) -> None:
 )
 def test_what_does_not_fit_is_refused(message: Message) -> None:
     with pytest.raises(UsageError):
-        encode(message, 0)
+        encode_frame(message, 0)
 
 
 @settings(deadline=None)
 @given(played=U32, queue=st.integers(1, 720), outstanding=st.integers(0, 720))
 def test_room_is_what_is_not_outstanding(played: int, queue: int, outstanding: int) -> None:
     credit = Credit(1, played, queue, 0, State.PLAYING)
-    assert credit.room(played + outstanding) == queue - outstanding
-    assert credit.room((played + outstanding) % 2**32) == queue - outstanding
+    assert credit.compute_sendable_frames(played + outstanding) == queue - outstanding
+    assert credit.compute_sendable_frames((played + outstanding) % 2**32) == queue - outstanding

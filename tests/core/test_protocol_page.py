@@ -14,8 +14,8 @@ from hnf_core.actuators.protocol.crc import crc16
 from hnf_core.actuators.protocol.messages import (
     FROM_DEVICE,
     FROM_HOST,
-    Code,
     Credit,
+    ErrorCode,
     Message,
     State,
     frames_per_message,
@@ -51,7 +51,7 @@ EXAMPLES = EXAMPLE.findall(PAGE)
 @pytest.mark.parametrize(("name", "arguments", "sequence", "listing"), EXAMPLES)
 def test_the_example_is_what_the_codec_says(name: str, arguments: str, sequence: str, listing: str) -> None:
     message, data = example_message(name, arguments), bytes.fromhex(listing)
-    assert frames.encode(message, int(sequence)) == data
+    assert frames.encode_frame(message, int(sequence)) == data
     kinds = FROM_HOST if message.TYPE < 0x80 else FROM_DEVICE
     assert frames.Decoder(kinds).feed(data) == [message]
 
@@ -79,7 +79,7 @@ def test_the_offsets_are_those_of_the_codec(kind: type[Message]) -> None:
 
 def test_the_codes_and_states_are_those_of_the_codec() -> None:
     codes = {int(row[0]): row[1] for row in rows("ERROR 0x85") if row[0].isdigit() and row[1].isupper()}
-    assert codes == {code.value: code.name for code in Code}
+    assert codes == {code.value: code.name for code in ErrorCode}
     states = {int(row[0]): row[1] for row in rows("The device") if row[0].isdigit()}
     assert states == {state.value: state.name for state in State}
 
@@ -88,7 +88,7 @@ def test_the_arithmetic_of_credit_is_that_of_the_codec() -> None:
     table = [[int(cell) for cell in row] for row in rows("Flow control") if row[0].isdigit()]
     assert len(table) >= 5
     for sent, played, queue, room in table:
-        assert Credit(1, played, queue, 0, State.PLAYING).room(sent) == room
+        assert Credit(1, played, queue, 0, State.PLAYING).compute_sendable_frames(sent) == room
 
 
 def test_the_bandwidths_are_right() -> None:
@@ -97,7 +97,7 @@ def test_the_bandwidths_are_right() -> None:
     for cells in table:
         channels, rate, count, per_second, baud, line = map(int, cells[:6])
         assert count <= frames_per_message(channels)
-        bytes_each = frames.OVERHEAD + 6 + 2 * channels * count
+        bytes_each = frames.FRAME_OVERHEAD_BYTES + 6 + 2 * channels * count
         assert per_second == round(rate / count * bytes_each)
         assert baud == pytest.approx(rate / count * bytes_each * 10, abs=1)
         assert baud < line

@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import Camera, orthographic
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.raycast import ReferenceGeometry, cast_view, closest_barycentric, embree_caster, refine_hits
+from hnf_core.scene.raycast import (
+    ReferenceGeometry,
+    cast_view,
+    find_closest_barycentric,
+    make_embree_caster,
+    refine_hits,
+)
 
 pytest.importorskip("embreex", reason="embreex is not installed here")
 
@@ -49,7 +55,7 @@ def test_embree_hits_what_trying_every_triangle_hits(seed, far):
     mesh = bumpy_ball(seed, centre=centre)
     origins = centre + far * (unit := random.standard_normal((60, 3))) / np.linalg.norm(unit, axis=1, keepdims=True)
     directions = (centre + random.uniform(-0.05, 0.05, (60, 3)) - origins) * random.uniform(0.1, 3.0, (60, 1))
-    fast, plain = embree_caster(mesh).cast(origins, directions), ReferenceGeometry(mesh).cast(origins, directions)
+    fast, plain = make_embree_caster(mesh).cast(origins, directions), ReferenceGeometry(mesh).cast(origins, directions)
     inner = edge_distance(plain.barycentric) > 1e-4  # on an edge either neighbour is right
     inner |= (plain.triangle < 0) & (fast.triangle < 0)
     same = fast.triangle == plain.triangle
@@ -96,7 +102,7 @@ def test_a_hit_lies_on_its_ray_and_in_its_triangle():
     random = np.random.default_rng(1)
     origins = np.array([100.0, -50.0, 9.0]) + random.uniform(0.004, 0.02, (500, 3))  # beside the open pole
     directions = np.tile([0.0, 0.0, -2.0], (500, 1))
-    hits = embree_caster(mesh).cast(origins, directions)
+    hits = make_embree_caster(mesh).cast(origins, directions)
     assert (hits.triangle >= 0).all()
     on_ray = origins + hits.distance[:, None] * directions
     on_surface = np.einsum("nc,ncx->nx", hits.barycentric, mesh.corner_positions()[hits.triangle])
@@ -106,14 +112,14 @@ def test_a_hit_lies_on_its_ray_and_in_its_triangle():
 
 
 def test_a_miss_says_so():
-    hits = embree_caster(bumpy_ball()).cast([[0, 0, 1.0], [0, 0, 1.0]], [[0, 0, 1.0], [1.0, 0, 0]])
+    hits = make_embree_caster(bumpy_ball()).cast([[0, 0, 1.0], [0, 0, 1.0]], [[0, 0, 1.0], [1.0, 0, 0]])
     assert hits.triangle.tolist() == [-1, -1]
     assert np.isinf(hits.distance).all()
     assert (hits.barycentric == 0.0).all()
-    assert embree_caster(bumpy_ball()).cast(np.zeros((0, 3)), np.zeros((0, 3))).triangle.shape == (0,)
+    assert make_embree_caster(bumpy_ball()).cast(np.zeros((0, 3)), np.zeros((0, 3))).triangle.shape == (0,)
 
 
-@pytest.mark.parametrize("make", [embree_caster, ReferenceGeometry])
+@pytest.mark.parametrize("make", [make_embree_caster, ReferenceGeometry])
 def test_a_mesh_without_triangles_is_refused(make):
     with pytest.raises(SceneError, match="no faces"):
         make(mesh_of(np.zeros((3, 3)), np.zeros((0, 3), np.int32)))
@@ -124,7 +130,7 @@ def test_a_mesh_without_triangles_is_refused(make):
 def test_no_sampled_point_of_a_triangle_is_nearer_than_the_nearest(seed):
     random = np.random.default_rng(seed)
     corners, point = random.standard_normal((1, 3, 3)), 2.0 * random.standard_normal((1, 3))
-    weights = closest_barycentric(corners, point)
+    weights = find_closest_barycentric(corners, point)
     assert (weights >= 0.0).all()
     assert weights.sum() == pytest.approx(1.0)
     best = np.linalg.norm(weights[0] @ corners[0] - point[0])
@@ -134,7 +140,7 @@ def test_no_sampled_point_of_a_triangle_is_nearer_than_the_nearest(seed):
 
 def test_the_nearest_point_of_a_needle_is_on_it():
     corners = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]]], float)  # no area
-    weights = closest_barycentric(corners, np.array([[1.5, 1.0, 0.0]]))
+    weights = find_closest_barycentric(corners, np.array([[1.5, 1.0, 0.0]]))
     np.testing.assert_allclose(weights[0] @ corners[0], [1.5, 0, 0], atol=1e-12)
 
 
@@ -154,18 +160,18 @@ def test_a_view_reports_depth_polygon_and_normal_and_respects_the_clip_range():
     mesh = mesh_of(np.array([*square, *roof]), [[0, 1, 2], [0, 2, 3], [4, 5, 6]])
     camera = orthographic([0.0, 0.0, 0.0], [1, 0, 0], [0, 0, 1], 0.02, 32, 0.01)
     below_roof = Camera(camera.kind, 32, 32, camera.intrinsics, camera.pose, clip_start=0.008, clip_end=camera.clip_end)
-    view = cast_view(embree_caster(mesh), mesh, below_roof)
+    view = cast_view(make_embree_caster(mesh), mesh, below_roof)
     np.testing.assert_allclose(view.depth, 0.01, rtol=1e-12)
     assert (view.face_id == 0).all()  # both halves of the square are polygon 0
     np.testing.assert_allclose(view.normal, np.broadcast_to([0, 0, 1.0], view.normal.shape))
-    roofed = cast_view(embree_caster(mesh), mesh, camera)
+    roofed = cast_view(make_embree_caster(mesh), mesh, camera)
     x, y, _ = np.moveaxis(camera.unproject(camera.pixel_centres(), np.zeros((32, 32))), -1, 0)
     under = x > y + 1e-9  # the roof's triangle
     np.testing.assert_allclose(roofed.depth[under], 0.006, rtol=1e-12)
     assert (roofed.face_id[under] == 1).all()
     assert (roofed.face_id[x < y - 1e-9] == 0).all()
     short = Camera(camera.kind, 32, 32, camera.intrinsics, camera.pose, clip_end=0.005)
-    nothing = cast_view(embree_caster(mesh), mesh, short)
+    nothing = cast_view(make_embree_caster(mesh), mesh, short)
     assert np.isinf(nothing.depth).all()
     assert (nothing.face_id == -1).all()
     assert (nothing.normal == 0.0).all()
@@ -176,9 +182,9 @@ def test_a_view_is_the_same_however_many_rays_are_worked_out_together(at_once, m
     rng = np.random.default_rng(4)
     mesh = mesh_of(rng.uniform(-1.0, 1.0, (60, 3)), np.arange(60).reshape(-1, 3).tolist())
     view = orthographic([0.0, 0.0, 0.0], [1, 0, 0], [0, 0, 1], 2.0, 33, 3.0)
-    whole = cast_view(embree_caster(mesh), mesh, view)
+    whole = cast_view(make_embree_caster(mesh), mesh, view)
     assert 0.1 < (whole.triangle >= 0).mean() < 1.0
-    monkeypatch.setattr("hnf_core.scene.raycast.AT_ONCE", at_once)
-    banded = cast_view(embree_caster(mesh), mesh, view)
+    monkeypatch.setattr("hnf_core.scene.raycast.RAYS_PER_BLOCK", at_once)
+    banded = cast_view(make_embree_caster(mesh), mesh, view)
     for name in ("depth", "triangle", "face_id", "barycentric", "normal"):
         assert getattr(banded, name).tobytes() == getattr(whole, name).tobytes()

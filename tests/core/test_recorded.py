@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.actuators.sources.recorded import FADE_S, Recorded
+from hnf_core.actuators.sources.recorded import CROSSFADE_S, BufferSource
 from hnf_core.errors import UsageError
 
 RATE = 8000.0
-FADE = round(FADE_S * RATE)
+FADE = round(CROSSFADE_S * RATE)
 
 
 def wave(frames: int, hz: float = 50.0, phase: float = 0.0, channels: int = 1) -> NDArray[np.float32]:
@@ -35,8 +35,8 @@ def steepest(samples: NDArray[np.float32]) -> float:
 def test_blocks_of_any_size_are_the_recording(frames: int, loop: bool, start_s: float, sizes: list[int]) -> None:
     samples = np.random.default_rng(frames).normal(size=(frames, 2)).astype(np.float32)
     blocks, once = (
-        Recorded(samples, RATE, loop=loop, start_s=start_s),
-        Recorded(samples, RATE, loop=loop, start_s=start_s),
+        BufferSource(samples, RATE, loop=loop, start_s=start_s),
+        BufferSource(samples, RATE, loop=loop, start_s=start_s),
     )
     read = np.concatenate([np.zeros((0, 2), np.float32), *(blocks.read(size) for size in sizes)])
     assert np.array_equal(read, once.read(sum(sizes)))
@@ -50,7 +50,7 @@ def test_blocks_of_any_size_are_the_recording(frames: int, loop: bool, start_s: 
 
 
 def test_it_ends_with_a_short_block_and_stays_ended() -> None:
-    source = Recorded(wave(100), RATE)
+    source = BufferSource(wave(100), RATE)
     assert [len(source.read(64)) for _ in range(4)] == [64, 36, 0, 0]
     source.seek(0.0)
     assert len(source.read(200)) == 100
@@ -58,7 +58,7 @@ def test_it_ends_with_a_short_block_and_stays_ended() -> None:
 
 def test_a_loop_keeps_its_period_and_its_seam_does_not_click() -> None:
     samples = wave(1000, phase=1.0) + np.float32(3.0)  # it ends elsewhere than it starts
-    out = Recorded(samples, RATE, loop=True).read(5000)
+    out = BufferSource(samples, RATE, loop=True).read(5000)
     for turn in range(1, 5):
         inside = slice(turn * 1000 + FADE, (turn + 1) * 1000)
         assert np.array_equal(out[inside], samples[FADE:])
@@ -70,7 +70,7 @@ def test_a_loop_keeps_its_period_and_its_seam_does_not_click() -> None:
 @pytest.mark.parametrize("frames", [1, 2, 7, FADE - 1, FADE])
 def test_a_loop_shorter_than_a_fade_still_loops(frames: int) -> None:
     samples = np.random.default_rng(0).normal(size=(frames, 1)).astype(np.float32)
-    out = Recorded(samples, RATE, loop=True).read(1000)
+    out = BufferSource(samples, RATE, loop=True).read(1000)
     assert len(out) == 1000
     assert np.abs(out).max() <= np.abs(samples).max() + 1e-6
 
@@ -79,7 +79,7 @@ def test_a_loop_shorter_than_a_fade_still_loops(frames: int) -> None:
 @settings(max_examples=40, deadline=None)
 def test_a_seek_does_not_click_and_lands_where_it_says(to_s: float, before: int, block: int) -> None:
     samples = wave(8000)
-    source = Recorded(samples, RATE)
+    source = BufferSource(samples, RATE)
     first = source.read(before)
     source.seek(to_s)
     assert source.position_s == pytest.approx(to_s, abs=1.0 / RATE)
@@ -93,7 +93,7 @@ def test_a_seek_does_not_click_and_lands_where_it_says(to_s: float, before: int,
 
 def test_a_swap_goes_on_at_its_place_without_a_click() -> None:
     quiet, loud = wave(8000), 3.0 * wave(8000, phase=0.3)
-    source = Recorded(quiet, RATE)
+    source = BufferSource(quiet, RATE)
     first = source.read(2000)
     source.swap(loud)
     rest = np.concatenate([source.read(37) for _ in range(50)])
@@ -103,7 +103,7 @@ def test_a_swap_goes_on_at_its_place_without_a_click() -> None:
 
 def test_a_swap_for_the_same_changes_nothing() -> None:
     samples = wave(4000)
-    source = Recorded(samples, RATE)
+    source = BufferSource(samples, RATE)
     first = source.read(1000)
     source.swap(samples.copy())
     assert np.allclose(np.concatenate([first, source.read(1000)]), samples[:2000], atol=1e-6)
@@ -111,7 +111,7 @@ def test_a_swap_for_the_same_changes_nothing() -> None:
 
 def test_a_swap_for_something_shorter_ends_softly_or_loops() -> None:
     for loop in (False, True):
-        source = Recorded(wave(4000), RATE, loop=loop)
+        source = BufferSource(wave(4000), RATE, loop=loop)
         source.read(2010)
         source.swap(0.5 * wave(1000))
         out = source.read(500)
@@ -120,7 +120,7 @@ def test_a_swap_for_something_shorter_ends_softly_or_loops() -> None:
 
 def test_of_many_changes_the_latest_counts() -> None:
     samples = np.arange(8000, dtype=np.float32)[:, None]
-    source = Recorded(samples, RATE)
+    source = BufferSource(samples, RATE)
     source.read(10)
     for place in (0.1, 0.5, 0.25):
         source.seek(place)
@@ -134,7 +134,7 @@ def test_of_many_changes_the_latest_counts() -> None:
 
 
 def test_a_gain_changes_along_a_straight_line() -> None:
-    source = Recorded(np.ones((4000, 1), np.float32), RATE)
+    source = BufferSource(np.ones((4000, 1), np.float32), RATE)
     assert np.array_equal(source.read(100), np.ones((100, 1)))
     source.set_gain(0.25)
     out = np.concatenate([source.read(7) for _ in range(40)])[:, 0]
@@ -148,7 +148,7 @@ def test_a_gain_changes_along_a_straight_line() -> None:
 
 
 def test_looping_may_be_switched_while_it_plays() -> None:
-    source = Recorded(wave(1000), RATE)
+    source = BufferSource(wave(1000), RATE)
     source.set_loop(True)
     assert len(source.read(2500)) == 2500
     source.set_loop(False)
@@ -156,7 +156,7 @@ def test_looping_may_be_switched_while_it_plays() -> None:
 
 
 def test_two_threads_may_use_it_at_once() -> None:
-    source, over = Recorded(wave(4000), RATE, loop=True), threading.Event()
+    source, over = BufferSource(wave(4000), RATE, loop=True), threading.Event()
 
     def meddle() -> None:
         rng = np.random.default_rng(1)
@@ -177,10 +177,10 @@ def test_two_threads_may_use_it_at_once() -> None:
 def test_what_is_no_recording_is_refused() -> None:
     for samples in (np.zeros(10), np.zeros((10, 0)), np.zeros((2, 2, 2))):
         with pytest.raises(UsageError, match="a recording is"):
-            Recorded(samples, RATE)
+            BufferSource(samples, RATE)
     with pytest.raises(UsageError):
-        Recorded(np.zeros((10, 1)), 0.0)
-    source = Recorded(np.zeros((10, 1)), RATE)
+        BufferSource(np.zeros((10, 1)), 0.0)
+    source = BufferSource(np.zeros((10, 1)), RATE)
     with pytest.raises(UsageError, match="channels"):
         source.swap(np.zeros((10, 2)))
     for gain in (-1.0, float("nan"), float("inf")):

@@ -7,7 +7,7 @@ import ast
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from relative_imports import ImportRewriteError, rewrite
+from relative_imports import ImportRewriteError, rewrite_imports
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True).filter(lambda name: not _is_keyword(name))
 
@@ -35,7 +35,7 @@ def _is_keyword(name: str) -> bool:
     ],
 )
 def test_known_forms(source: str, level: int, expected: str) -> None:
-    assert rewrite(source, level, "x.py") == expected
+    assert rewrite_imports(source, level, "x.py") == expected
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_known_forms(source: str, level: int, expected: str) -> None:
 )
 def test_what_could_not_be_found_at_run_time_is_refused_with_file_and_line(source: str) -> None:
     with pytest.raises(ImportRewriteError, match=r"^bridge/x\.py:2: "):
-        rewrite("\n" + source, 2, "bridge/x.py")
+        rewrite_imports("\n" + source, 2, "bridge/x.py")
 
 
 @given(st.lists(NAMES, min_size=0, max_size=4), NAMES, st.integers(1, 5))
@@ -59,7 +59,7 @@ def test_the_target_named_stays_the_same(path: list[str], name: str, level: int)
     """Law: seen from a file `level` deep, the rewritten import names the same module and the same name."""
     module = ".".join(["hnf_core", *path])
     (before,) = ast.parse(f"from {module} import {name}").body
-    (after,) = ast.parse(rewrite(f"from {module} import {name}", level, "x.py")).body
+    (after,) = ast.parse(rewrite_imports(f"from {module} import {name}", level, "x.py")).body
     assert isinstance(before, ast.ImportFrom)
     assert isinstance(after, ast.ImportFrom)
     assert (after.module, [alias.name for alias in after.names]) == (before.module, [name])
@@ -68,5 +68,5 @@ def test_the_target_named_stays_the_same(path: list[str], name: str, level: int)
 
 @given(st.lists(st.sampled_from(["from hnf_core.a import b", "x = 1", "# hnf_core", "from . import c"]), max_size=8))
 def test_a_second_rewrite_changes_nothing(lines: list[str]) -> None:
-    once = rewrite("\n".join(lines), 2, "x.py")
-    assert rewrite(once, 2, "x.py") == once
+    once = rewrite_imports("\n".join(lines), 2, "x.py")
+    assert rewrite_imports(once, 2, "x.py") == once

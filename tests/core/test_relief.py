@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import MaterialError
-from hnf_core.field.features import seen_from
+from hnf_core.field.features import rotate_to_stroke_frame
 from hnf_core.field.likeness import token_distances
-from hnf_core.material.estimate import estimate, weights_of
-from hnf_core.material.library import find, load_library
+from hnf_core.material.estimate import estimate_property, get_probabilities
+from hnf_core.material.library import get_material, load_library
 from hnf_core.material.material import Appearance
-from hnf_core.material.mechanics import UNKNOWN
-from hnf_core.material.prior import NOTHING_TELLS, rank
-from hnf_core.material.relief import DOUBT, invariants, relief_log_odds
+from hnf_core.material.mechanics import UNKNOWN_MECHANICS
+from hnf_core.material.prior import NO_EVIDENCE, rank
+from hnf_core.material.relief import RELIEF_DOUBT, compute_invariants, relief_log_odds
 from hnf_core.material.token import LEVELS, TOKEN_DIM, Token, band_slice
 from hnf_core.tactile.tactile_map import Route
 
@@ -30,7 +30,7 @@ materials = st.sampled_from(LIBRARY)
 
 def turned(values, angle: float):
     """The token of the same surface turned under the hand by angle."""
-    return seen_from(values[None], np.array([[np.cos(angle), np.sin(angle)]]))[0].astype(np.float32)
+    return rotate_to_stroke_frame(values[None], np.array([[np.cos(angle), np.sin(angle)]]))[0].astype(np.float32)
 
 
 def test_the_relief_of_every_material_speaks_for_itself() -> None:
@@ -46,7 +46,9 @@ def test_the_relief_of_every_material_speaks_for_itself() -> None:
 def test_however_a_surface_lies_its_relief_says_the_same(material, angle) -> None:
     straight = relief_log_odds(LIBRARY, Token(material.token, ALL))
     assert relief_log_odds(LIBRARY, Token(turned(material.token, angle), ALL)) == pytest.approx(straight, abs=1e-3)
-    assert invariants(turned(material.token, angle)[None]) == pytest.approx(invariants(material.token[None]), abs=1e-5)
+    assert compute_invariants(turned(material.token, angle)[None]) == pytest.approx(
+        compute_invariants(material.token[None]), abs=1e-5
+    )
 
 
 def test_what_is_not_known_says_nothing() -> None:
@@ -75,11 +77,11 @@ def test_no_relief_rules_a_material_out(levels, route) -> None:
     values[LEVELS] = levels
     odds = relief_log_odds(LIBRARY, Token(values, ALL), route)
     assert np.isfinite(odds).all()
-    assert (odds >= np.log(DOUBT) - 1e-9).all()
+    assert (odds >= np.log(RELIEF_DOUBT) - 1e-9).all()
 
 
 def test_a_predicted_relief_weighs_less_than_a_measured_one() -> None:
-    token = Token(find("denim").token, ALL)
+    token = Token(get_material("denim").token, ALL)
     measured, predicted = (
         np.ptp(relief_log_odds(LIBRARY, token, route)) for route in (Route.MEASURED, Route.PREDICTED)
     )
@@ -87,7 +89,7 @@ def test_a_predicted_relief_weighs_less_than_a_measured_one() -> None:
 
 
 def test_a_relief_that_somebody_made_higher_is_still_the_material_s() -> None:
-    higher = find("corduroy").token.copy()
+    higher = get_material("corduroy").token.copy()
     higher[LEVELS] += np.float32(np.log10(2.0))
     ranked = rank(LIBRARY, Appearance(), [], token=Token(higher, ALL))
     assert ranked[0].name == "corduroy"
@@ -96,14 +98,14 @@ def test_a_relief_that_somebody_made_higher_is_still_the_material_s() -> None:
 
 def test_words_and_looks_outweigh_a_relief() -> None:
     """A tyre's tread drawn on something that its name calls oak stays oak."""
-    token = Token(find("tyre-rubber").token, ALL)
+    token = Token(get_material("tyre-rubber").token, ALL)
     assert rank(LIBRARY, Appearance(), ["oak"], token=token)[0].name == "oak-wood"
     told = next(each for each in rank(LIBRARY, Appearance(), ["oak"], token=token) if each.name == "oak-wood")
     assert "its relief does not fit" in told.reason
 
 
 def test_a_relief_that_is_like_nothing_speaks_against_nothing() -> None:
-    odd = find("denim").token.copy()
+    odd = get_material("denim").token.copy()
     odd[LEVELS] = -1.0
     ranked = rank(LIBRARY, Appearance(), ["oak"], token=Token(odd, ALL))
     assert ranked[0].name == "oak-wood"
@@ -113,7 +115,7 @@ def test_a_relief_that_is_like_nothing_speaks_against_nothing() -> None:
 def test_without_a_relief_the_ranking_is_what_it_was() -> None:
     look = Appearance((0.3, 0.2, 0.1), 0.6, 0.0)
     assert rank(LIBRARY, look, ["chair"]) == rank(LIBRARY, look, ["chair"], token=None, route=Route.PREDICTED)
-    assert rank(LIBRARY, Appearance(), [])[0].reason == NOTHING_TELLS
+    assert rank(LIBRARY, Appearance(), [])[0].reason == NO_EVIDENCE
 
 
 @settings(max_examples=25, deadline=None)
@@ -134,7 +136,7 @@ def test_a_surface_is_at_no_distance_from_itself_however_it_lies(material, angle
 
 
 def test_distance_counts_known_features_only_and_needs_one() -> None:
-    token = find("denim").token
+    token = get_material("denim").token
     known = ~ALL
     known[band_slice(2)] = True
     other = token.copy()
@@ -148,8 +150,8 @@ def test_distance_counts_known_features_only_and_needs_one() -> None:
 
 
 def test_a_single_material_is_estimated_as_it_is() -> None:
-    oak = find("oak-wood")
-    told = estimate(LIBRARY, {"oak-wood": 1.0}, "friction", 0.1)
+    oak = get_material("oak-wood")
+    told = estimate_property(LIBRARY, {"oak-wood": 1.0}, "friction", 0.1)
     assert told.value == pytest.approx(oak.mechanics.friction)
     assert told.factor == pytest.approx(np.exp(0.1))
 
@@ -159,26 +161,28 @@ def test_a_single_material_is_estimated_as_it_is() -> None:
 def test_an_estimate_lies_among_the_materials_and_spreads_no_further(shares) -> None:
     weights = dict(zip(NAMES, shares, strict=True))
     values = [material.mechanics.stiffness_n_m for material in LIBRARY]
-    told = estimate(LIBRARY, weights, "stiffness_n_m", 0.0)
+    told = estimate_property(LIBRARY, weights, "stiffness_n_m", 0.0)
     assert min(values) <= told.value <= max(values)
     assert 1.0 <= told.factor <= max(values) / min(values)
-    thrice = estimate(LIBRARY, {name: 3.0 * share for name, share in weights.items()}, "stiffness_n_m", 0.0)
+    thrice = estimate_property(LIBRARY, {name: 3.0 * share for name, share in weights.items()}, "stiffness_n_m", 0.0)
     assert (thrice.value, thrice.factor) == pytest.approx((told.value, told.factor))
 
 
 def test_a_material_without_friction_does_not_make_the_others_infinitely_unlike() -> None:
     smooth = dataclasses.replace(LIBRARY[0], mechanics=dataclasses.replace(LIBRARY[0].mechanics, friction=0.0))
     weights = {smooth.name: 0.5, LIBRARY[1].name: 0.5}
-    assert estimate([smooth, LIBRARY[1]], weights, "friction", 0.1) == estimate([LIBRARY[1]], weights, "friction", 0.1)
+    assert estimate_property([smooth, LIBRARY[1]], weights, "friction", 0.1) == estimate_property(
+        [LIBRARY[1]], weights, "friction", 0.1
+    )
     with pytest.raises(MaterialError):
-        estimate([smooth], weights, "friction", 0.1)
+        estimate_property([smooth], weights, "friction", 0.1)
 
 
 def test_an_estimate_of_nothing_is_refused() -> None:
-    blank = dataclasses.replace(LIBRARY[0], mechanics=UNKNOWN)
+    blank = dataclasses.replace(LIBRARY[0], mechanics=UNKNOWN_MECHANICS)
     with pytest.raises(MaterialError):
-        estimate([blank], {blank.name: 1.0}, "friction", 0.1)
+        estimate_property([blank], {blank.name: 1.0}, "friction", 0.1)
     ranked = rank(LIBRARY, Appearance(), ["oak"])
-    assert weights_of(LIBRARY, ranked)["oak-wood"] == ranked[0].probability
+    assert get_probabilities(LIBRARY, ranked)["oak-wood"] == ranked[0].probability
     with pytest.raises(MaterialError):
-        weights_of(LIBRARY[1:], ranked)
+        get_probabilities(LIBRARY[1:], ranked)

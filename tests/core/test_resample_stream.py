@@ -10,7 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.actuators.resample import CROSSINGS, Polyphase, Resampler, Same, resampler
+from hnf_core.actuators.resample import (
+    ZERO_CROSSINGS,
+    PassThroughResampler,
+    PolyphaseResampler,
+    Resampler,
+    make_resampler,
+)
 from hnf_core.errors import UsageError
 
 RATES = (1000.0, 2800.0, 7999.0, 8000.0, 10000.0, 44100.0, 48000.0, 2800.5)
@@ -50,8 +56,8 @@ def test_no_cut_shows_and_the_length_is_exact(
 ) -> None:
     samples = np.random.default_rng(frames).normal(0.0, 10.0, (frames, channels)).astype(np.float32)
     cuts = sorted(data.draw(st.lists(st.integers(0, frames), max_size=8)))
-    whole = converted(resampler(from_hz, to_hz, channels, prompt=prompt), samples, [])
-    cut = converted(resampler(from_hz, to_hz, channels, prompt=prompt), samples, cuts)
+    whole = converted(make_resampler(from_hz, to_hz, channels, low_latency=prompt), samples, [])
+    cut = converted(make_resampler(from_hz, to_hz, channels, low_latency=prompt), samples, cuts)
     assert whole.dtype == np.float32
     assert whole.shape[1] == channels
     assert whole.tobytes() == cut.tobytes()
@@ -62,8 +68,8 @@ def test_no_cut_shows_and_the_length_is_exact(
 @pytest.mark.parametrize(("from_hz", "to_hz"), [(2800.0, 10000.0), (8000.0, 7999.0)])
 def test_frame_by_frame_gives_the_same_bytes(from_hz: float, to_hz: float) -> None:
     samples = np.random.default_rng(0).normal(0.0, 10.0, (300, 2)).astype(np.float32)
-    whole = converted(Polyphase(from_hz, to_hz, 2), samples, [])
-    assert whole.tobytes() == converted(Polyphase(from_hz, to_hz, 2), samples, list(range(300))).tobytes()
+    whole = converted(PolyphaseResampler(from_hz, to_hz, 2), samples, [])
+    assert whole.tobytes() == converted(PolyphaseResampler(from_hz, to_hz, 2), samples, list(range(300))).tobytes()
 
 
 @pytest.mark.parametrize(("from_hz", "to_hz"), PAIRS)
@@ -71,7 +77,7 @@ def test_frame_by_frame_gives_the_same_bytes(from_hz: float, to_hz: float) -> No
 def test_a_sine_comes_out_as_that_sine_at_its_time(from_hz: float, to_hz: float, share: float) -> None:
     hz = share * 0.5 * min(from_hz, to_hz)
     wave = np.sin(2.0 * np.pi * hz * np.arange(int(from_hz)) / from_hz).astype(np.float32)[:, None]
-    out = converted(resampler(from_hz, to_hz, 1), wave, list(range(0, int(from_hz), 37)))[:, 0]
+    out = converted(make_resampler(from_hz, to_hz, 1), wave, list(range(0, int(from_hz), 37)))[:, 0]
     start = int(0.2 * to_hz)
     amplitude, phase, rest = sine_fit(out[start:-start], hz, to_hz, start)
     assert amplitude == pytest.approx(1.0, abs=1e-3)
@@ -84,30 +90,30 @@ def test_a_sine_comes_out_as_that_sine_at_its_time(from_hz: float, to_hz: float,
 def test_what_the_lower_rate_cannot_hold_is_gone(from_hz: float, to_hz: float, share: float) -> None:
     hz = 0.5 * to_hz + share * 0.5 * (from_hz - to_hz)
     wave = np.sin(2.0 * np.pi * hz * np.arange(int(from_hz)) / from_hz).astype(np.float32)[:, None]
-    out = converted(resampler(from_hz, to_hz, 1), wave, [])[:, 0]
+    out = converted(make_resampler(from_hz, to_hz, 1), wave, [])[:, 0]
     start = int(0.2 * to_hz)
     assert level_db(out[start:-start].astype(np.float64)) < -80.0
 
 
 def test_a_constant_stays_one() -> None:
-    out = converted(resampler(2800.0, 48000.0, 1), np.full((1000, 1), 7.0, np.float32), [])
+    out = converted(make_resampler(2800.0, 48000.0, 1), np.full((1000, 1), 7.0, np.float32), [])
     assert np.allclose(out[2000:-2000], 7.0, atol=1e-5)
 
 
 def test_equal_rates_pass_untouched() -> None:
     samples = np.random.default_rng(0).integers(0, 2**32, (500, 2), dtype=np.uint32).view(np.float32)
-    same = resampler(8000.0, 8000.0, 2)
-    assert isinstance(same, Same)
+    same = make_resampler(8000.0, 8000.0, 2)
+    assert isinstance(same, PassThroughResampler)
     assert converted(same, samples, [3, 99]).tobytes() == samples.tobytes()
 
 
 def test_nothing_drifts_in_an_hour() -> None:
     """Placed an hour on, as a stream would be, the next frames are still those of that very time."""
     from_hz, to_hz, hz, hour = 2800.0, 44100.0, 50.0, 3600
-    by = Polyphase(from_hz, to_hz, 1)
-    by._given, by._made = hour * 2800, hour * 44100 - 441
-    by._held = np.zeros((1, 10 * CROSSINGS))
-    by._first = by._given - 10 * CROSSINGS
+    by = PolyphaseResampler(from_hz, to_hz, 1)
+    by._frames_in, by._frames_out = hour * 2800, hour * 44100 - 441
+    by._buffer = np.zeros((1, 10 * ZERO_CROSSINGS))
+    by._buffer_start = by._frames_in - 10 * ZERO_CROSSINGS
     t = hour + np.arange(2800) / from_hz
     out = by.process(np.sin(2.0 * np.pi * hz * t).astype(np.float32)[:, None])[:, 0]
     skip = 4410
@@ -119,8 +125,8 @@ def test_nothing_drifts_in_an_hour() -> None:
 @pytest.mark.parametrize(("from_hz", "to_hz"), PAIRS)
 def test_it_looks_ahead_no_further_than_it_says(from_hz: float, to_hz: float) -> None:
     given_frames = int(0.1 * from_hz)
-    out = Polyphase(from_hz, to_hz, 1).process(np.zeros((given_frames, 1), np.float32))
-    assert given_frames / from_hz - len(out) / to_hz <= (CROSSINGS + 2) / min(from_hz, to_hz)
+    out = PolyphaseResampler(from_hz, to_hz, 1).process(np.zeros((given_frames, 1), np.float32))
+    assert given_frames / from_hz - len(out) / to_hz <= (ZERO_CROSSINGS + 2) / min(from_hz, to_hz)
 
 
 def test_soxr_agrees_where_both_are_flat() -> None:
@@ -130,9 +136,9 @@ def test_soxr_agrees_where_both_are_flat() -> None:
     hertz, phases = rng.uniform(20.0, 2500.0, 40), rng.uniform(0.0, 6.0, 40)
     samples = sum(np.sin(2.0 * np.pi * hz * t + phase) for hz, phase in zip(hertz, phases, strict=True))
     block = np.asarray(samples, dtype=np.float32)[:, None]
-    theirs = resampler(8000.0, 10000.0, 1, prompt=False)
+    theirs = make_resampler(8000.0, 10000.0, 1, low_latency=False)
     assert theirs.name == "soxr"
-    ours, sharp = converted(resampler(8000.0, 10000.0, 1), block, []), converted(theirs, block, [])
+    ours, sharp = converted(make_resampler(8000.0, 10000.0, 1), block, []), converted(theirs, block, [])
     assert len(ours) == len(sharp)
     error = (ours - sharp)[1000:-1000]
     assert np.sqrt(np.mean(np.square(error))) < 1e-4 * np.sqrt(np.mean(np.square(sharp)))
@@ -141,4 +147,4 @@ def test_soxr_agrees_where_both_are_flat() -> None:
 def test_rates_that_are_none_are_refused() -> None:
     for from_hz, to_hz in ((0.0, 8000.0), (8000.0, float("nan")), (float("inf"), 8000.0), (1e-3, 9e8)):
         with pytest.raises(UsageError):
-            resampler(from_hz, to_hz, 1)
+            make_resampler(from_hz, to_hz, 1)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.field import resampling
-from hnf_core.field.resampling import HALF_WIDTH, KAISER_BETA, ROLL_OFF, conversion, resample_stream
+from hnf_core.field.resampling import HALF_WIDTH, KAISER_BETA, ROLL_OFF, plan_conversion, resample_stream
 
 RATES = (97.0, 1000.0, 2800.5, 7999.0, 10_001.0, 44_100.0, 47_999.0, 48_000.0, 1e6)
 
@@ -36,21 +36,21 @@ def one_by_one(samples, rate, outputs):
 @given(st.integers(0, 10**6), st.sampled_from(RATES), st.integers(1, 900))
 def test_every_output_is_its_own_windowed_sinc(seed, rate, count):
     samples = np.random.default_rng(seed).standard_normal(count)
-    convert = conversion(1e4, rate)
-    found = convert.outputs(samples, 0, 0, convert.count(count))
+    convert = plan_conversion(1e4, rate)
+    found = convert.convert(samples, 0, 0, convert.count_outputs(count))
     some = np.unique(np.linspace(0, max(len(found) - 1, 0), 40).astype(int)) if len(found) else []
     np.testing.assert_allclose(found[some], one_by_one(samples, rate, some), atol=1e-8)
 
 
 @pytest.mark.parametrize("rate", RATES)
 def test_few_of_a_phase_are_what_many_of_it_are(monkeypatch, rate):
-    samples, convert = np.random.default_rng(1).standard_normal(3000), conversion(1e4, rate)
-    count = convert.count(len(samples))
+    samples, convert = np.random.default_rng(1).standard_normal(3000), plan_conversion(1e4, rate)
+    count = convert.count_outputs(len(samples))
     found = []
     for few, together in ((0, 2**15), (10**9, 2**15), (10**9, 1)):
-        monkeypatch.setattr(resampling, "_FEW", few)
-        monkeypatch.setattr(resampling, "_KERNELS", together)
-        found.append(convert.outputs(samples, 0, 0, min(count, 20_000)))
+        monkeypatch.setattr(resampling, "_FEW_OUTPUTS", few)
+        monkeypatch.setattr(resampling, "_KERNEL_NUMBERS", together)
+        found.append(convert.convert(samples, 0, 0, min(count, 20_000)))
     np.testing.assert_allclose(found[1], found[0], atol=1e-13)
     np.testing.assert_allclose(found[2], found[0], atol=1e-13)
 
@@ -58,19 +58,19 @@ def test_few_of_a_phase_are_what_many_of_it_are(monkeypatch, rate):
 @pytest.mark.parametrize("rate", [8000.0, 44_100.0, 1e6])
 def test_a_stream_gives_no_more_at_once_than_it_says(monkeypatch, rate):
     """However many times the model's rate: a minute at 10 MHz would be five gigabytes."""
-    samples, convert = np.random.default_rng(2).standard_normal(12_000), conversion(1e4, rate)
-    whole = convert.outputs(samples, 0, 0, convert.count(len(samples)))
-    monkeypatch.setattr(resampling, "MOST_OUTPUTS", 5000)
+    samples, convert = np.random.default_rng(2).standard_normal(12_000), plan_conversion(1e4, rate)
+    whole = convert.convert(samples, 0, 0, convert.count_outputs(len(samples)))
+    monkeypatch.setattr(resampling, "MAX_BLOCK_OUTPUTS", 5000)
     pieces = list(resample_stream(iter(np.split(samples, [4000, 9000])), len(samples), 1e4, rate))
     assert max(len(piece) for piece in pieces) <= 5000
     np.testing.assert_allclose(np.concatenate(pieces), whole, atol=1e-12)
 
 
 def test_a_rate_of_many_phases_asks_for_few_kernels_at_once():
-    samples, convert = np.zeros(8000), conversion(1e4, 47_999.0)
+    samples, convert = np.zeros(8000), plan_conversion(1e4, 47_999.0)
     tracemalloc.start()
     try:
-        convert.outputs(samples, 0, 0, convert.count(len(samples)))
+        convert.convert(samples, 0, 0, convert.count_outputs(len(samples)))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

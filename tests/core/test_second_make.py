@@ -12,25 +12,25 @@ from alexnet_parts import random_encoder
 pytest.importorskip("torch", reason="training needs the extra [train]")
 
 from hnf_core.field.config import FieldConfig
-from hnf_core.field.weights import encoders_of, refuse_other_encoders, save_field
+from hnf_core.field.weights import check_encoders, read_encoders, save_field
 from hnf_core.material.alexnet.weights import save_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM
-from hnf_core.training.conditions import middle_conditions
+from hnf_core.training.conditions import make_middle_conditions
 from hnf_core.training.fit import Schedule, TrainingSet
-from hnf_core.training.gathering import Sizes, gather, tokens_by
+from hnf_core.training.gathering import Sizes, build_training_data, encode_surfaces
 from hnf_core.training.model import FieldNetwork
-from hnf_core.training.recipe import Plan, described, fit_gathered, tokens_for
-from hnf_core.training.references import refer
-from hnf_core.training.surfaces import class_specimens
+from hnf_core.training.recipe import TrainingPlan, describe_field, fit_shared_field, load_or_encode_tokens
+from hnf_core.training.references import simulate_references
+from hnf_core.training.surfaces import make_class_specimens
 
 SIZES = Sizes(instances=1, patches=1, described=1, strokes=2, random=2, random_strokes=1, seconds=0.3)
-SPECIMENS = class_specimens([1])[::20]
-PLAN = Plan(SIZES, Schedule(epochs=1, batch=4), variants=2, elsewhere=1)
+SPECIMENS = make_class_specimens([1])[::20]
+PLAN = TrainingPlan(SIZES, Schedule(epochs=1, batch=4), variants=2, alternative_patches=1)
 
 
 @pytest.fixture(scope="module")
 def gathered():
-    return gather(SPECIMENS, SIZES, 0, workers=1)
+    return build_training_data(SPECIMENS, SIZES, 0, workers=1)
 
 
 @pytest.fixture(scope="module")
@@ -41,17 +41,17 @@ def encoder(tmp_path_factory):
 
 
 def test_other_makes_describe_the_surfaces_that_were_stroked_in_their_order(gathered, encoder):
-    assert np.array_equal(tokens_by(ENCODER_ID, SPECIMENS, SIZES, 0, workers=1), gathered.tokens)
-    other = tokens_by(encoder, SPECIMENS, SIZES, 0, workers=1)
+    assert np.array_equal(encode_surfaces(ENCODER_ID, SPECIMENS, SIZES, 0, workers=1), gathered.tokens)
+    other = encode_surfaces(encoder, SPECIMENS, SIZES, 0, workers=1)
     assert other.shape == gathered.tokens.shape
     assert not np.array_equal(other, gathered.tokens)
 
 
 def test_their_tokens_are_kept_in_the_cache(tmp_path, encoder):
-    first = tokens_for(encoder, SPECIMENS, PLAN, 0, tmp_path, 1)
+    first = load_or_encode_tokens(encoder, SPECIMENS, PLAN, 0, tmp_path, 1)
     (kept,) = tmp_path.iterdir()
     written = kept.stat().st_mtime_ns
-    assert np.array_equal(tokens_for(encoder, SPECIMENS, PLAN, 0, tmp_path, 1), first)
+    assert np.array_equal(load_or_encode_tokens(encoder, SPECIMENS, PLAN, 0, tmp_path, 1), first)
     assert kept.stat().st_mtime_ns == written
 
 
@@ -64,23 +64,23 @@ def test_every_make_adds_variants_described_by_it(gathered, monkeypatch):
         seen.append(data)
         return FieldNetwork(config_, {name: np.zeros(shape, np.float32) for name, shape in config_.shapes().items()})
 
-    monkeypatch.setattr("hnf_core.training.recipe.fit", watch)
-    fit_gathered(gathered, PLAN, config, 0)
-    fit_gathered(gathered, PLAN, config, 0, [gathered.tokens + np.float32(0.25)])
+    monkeypatch.setattr("hnf_core.training.recipe.fit_network", watch)
+    fit_shared_field(gathered, PLAN, config, 0)
+    fit_shared_field(gathered, PLAN, config, 0, [gathered.tokens + np.float32(0.25)])
     alone, both = (data.x.numpy()[:, :, :TOKEN_DIM] for data in seen)
-    assert len(alone) == PLAN.variants + PLAN.elsewhere
-    assert len(both) == PLAN.variants + 2 * PLAN.elsewhere
+    assert len(alone) == PLAN.variants + PLAN.alternative_patches
+    assert len(both) == PLAN.variants + 2 * PLAN.alternative_patches
     np.testing.assert_array_equal(both[: len(alone)], alone)
-    assert np.abs(both[len(alone) :] - alone[-PLAN.elsewhere :]).max() > 0.05
+    assert np.abs(both[len(alone) :] - alone[-PLAN.alternative_patches :]).max() > 0.05
 
 
 def test_the_field_names_the_makes_that_it_learnt(gathered, encoder, tmp_path):
     config = FieldConfig(hidden=8, layers=1, line_gains=True, stroke_frame=True)
     plan = replace(PLAN, encoders=(encoder,))
-    network = fit_gathered(gathered, plan, config, 0, [gathered.tokens])
-    references = refer(SPECIMENS[:1], middle_conditions()[:1], 0, 1, seconds=0.3)
-    field = described(network, gathered, references, SPECIMENS[:1], plan, 0)
+    network = fit_shared_field(gathered, plan, config, 0, [gathered.tokens])
+    references = simulate_references(SPECIMENS[:1], make_middle_conditions()[:1], 0, 1, seconds=0.3)
+    field = describe_field(network, gathered, references, SPECIMENS[:1], plan, 0)
     assert json.loads(field.metadata["encoder"]) == [ENCODER_ID, ALEXNET_ID]
     save_field(tmp_path / "f.safetensors", field)
-    assert encoders_of(field.metadata) == (ENCODER_ID, ALEXNET_ID)
-    refuse_other_encoders(field, (ENCODER_ID, ALEXNET_ID))
+    assert read_encoders(field.metadata) == (ENCODER_ID, ALEXNET_ID)
+    check_encoders(field, (ENCODER_ID, ALEXNET_ID))

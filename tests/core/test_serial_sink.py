@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from ptys import needs_pty
 
-from hnf_core.actuators.protocol.frames import OVERHEAD, Decoder
+from hnf_core.actuators.protocol.frames import FRAME_OVERHEAD_BYTES, Decoder
 from hnf_core.actuators.protocol.messages import FROM_HOST, Bye, Message, Samples, Stop, frames_per_message
 from hnf_core.actuators.sinks import serial as serial_sink
 from hnf_core.actuators.sinks import serial_port
-from hnf_core.actuators.sinks.serial import FRAMES, SerialSink
-from hnf_core.actuators.virtual.device import Abilities
+from hnf_core.actuators.sinks.serial import FRAMES_PER_MESSAGE, SerialSink
+from hnf_core.actuators.virtual.device import Capabilities
 from hnf_core.actuators.virtual.port import VirtualPort
 from hnf_core.actuators.virtual.sink import VirtualSink
 from hnf_core.errors import DeviceError, UsageError
@@ -126,7 +126,7 @@ def test_a_port_that_is_closed_lets_its_stop_out_before_it_drops_what_waits(
         return data
 
     def pause(_seconds: float) -> None:
-        port.deaf = False
+        port.ignores_host = False
         bye.wait(30.0)
 
     def drop(opened: serial.Serial) -> None:
@@ -138,8 +138,8 @@ def test_a_port_that_is_closed_lets_its_stop_out_before_it_drops_what_waits(
     dropping = serial.Serial.reset_output_buffer
     monkeypatch.setattr(serial.Serial, "reset_output_buffer", drop)
     monkeypatch.setattr(serial_sink, "time", Pauses(pause))
-    with port.standing():
-        port.deaf, port.from_host = True, hear
+    with port.freeze_clock():
+        port.ignores_host, port.from_host = True, hear
     sink.close()
     assert [each[-2:] for each in heard_at_the_drop] == [[Stop, Bye]]
 
@@ -155,7 +155,7 @@ def test_a_port_that_is_closed_lets_its_stop_out_before_it_drops_what_waits(
     ],
 )
 def test_the_nearest_rate_that_the_device_has_is_taken(has: tuple[int, int], wished: int | None, taken: int) -> None:
-    with VirtualPort(Abilities(lowest_hz=has[0], highest_hz=has[1])) as port:
+    with VirtualPort(Capabilities(lowest_hz=has[0], highest_hz=has[1])) as port:
         sink = SerialSink(port.path, rate_hz=wished)
         assert sink.open().rate_hz == taken
         sink.close()
@@ -174,11 +174,11 @@ def test_the_temperature_and_the_level_reach_us() -> None:
 @pytest.mark.parametrize(
     ("abilities", "words", "wanted"),
     [
-        (Abilities(version=3), ["version 1", "version 3", "firmware"], {}),
-        (Abilities(channels=2), ["has 2 channels, not 4", "at most 2"], {"channels": 4}),
+        (Capabilities(version=3), ["version 1", "version 3", "firmware"], {}),
+        (Capabilities(channels=2), ["has 2 channels, not 4", "at most 2"], {"channels": 4}),
     ],
 )
-def test_a_device_that_cannot_is_named(abilities: Abilities, words: list[str], wanted: dict[str, int]) -> None:
+def test_a_device_that_cannot_is_named(abilities: Capabilities, words: list[str], wanted: dict[str, int]) -> None:
     with VirtualPort(abilities) as port:
         with pytest.raises(DeviceError) as told:
             SerialSink(port.path, **wanted).open()
@@ -209,7 +209,7 @@ def test_where_nobody_answers_it_says_what_to_check() -> None:
         tty.setraw(end)
     began = time.monotonic()
     with pytest.raises(DeviceError, match=r"nothing answers.*power.*firmware.*3000000 baud"):
-        SerialSink(os.ttyname(ends[1]), answer_s=0.3).open()
+        SerialSink(os.ttyname(ends[1]), reply_timeout_s=0.3).open()
     assert time.monotonic() - began >= 0.3
     for end in ends:
         os.close(end)
@@ -335,9 +335,9 @@ def test_sixteen_channels_at_8_khz_fit_three_megabaud(port: VirtualPort, baud: i
 
 def test_the_arithmetic_of_that_line() -> None:
     """With a start and a stop bit a byte, and a message every 32 frames."""
-    assert frames_per_message(16) >= FRAMES
-    a_message = OVERHEAD + Samples.HEAD.size + FRAMES * 16 * 2
-    assert 2_400_000 < 10 * a_message * 8000 / FRAMES < 0.9 * 3_000_000
+    assert frames_per_message(16) >= FRAMES_PER_MESSAGE
+    a_message = FRAME_OVERHEAD_BYTES + Samples.HEAD.size + FRAMES_PER_MESSAGE * 16 * 2
+    assert 2_400_000 < 10 * a_message * 8000 / FRAMES_PER_MESSAGE < 0.9 * 3_000_000
 
 
 def test_no_channels_are_refused() -> None:

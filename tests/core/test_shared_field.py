@@ -11,7 +11,7 @@ from steady_spectra import expected_spectrum, steady_amplitudes
 from hnf_core.field.field import Field
 from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field
 from hnf_core.material.encoder import describe
-from hnf_core.material.library import find, load_library
+from hnf_core.material.library import get_material, load_library
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.metrics.spectra import spectrum_distance_db
 from hnf_core.simulation.recipes import grating
@@ -25,15 +25,15 @@ PAIRS = [("oak-wood", "granite"), ("denim", "silk"), ("copy-paper", "sandpaper")
 
 
 def spectrum(name: str, *, token=None, direction=(0.8, 0.6), field: Field | None = None) -> np.ndarray:
-    material = find(name)
+    material = get_material(name)
     token = material.token if token is None else token
     return expected_spectrum(field or load_field(), token, material.mechanics, "pen", direction, 0.1, 1.0, FREQUENCY)
 
 
 @pytest.mark.parametrize(("name", "other"), PAIRS)
 def test_another_token_under_the_same_mechanics_is_another_spectrum(name, other):
-    assert spectrum_distance_db(spectrum(name), spectrum(name, token=find(other).token)) > 1.0
-    assert spectrum_distance_db(spectrum(other), spectrum(other, token=find(name).token)) > 1.0
+    assert spectrum_distance_db(spectrum(name), spectrum(name, token=get_material(other).token)) > 1.0
+    assert spectrum_distance_db(spectrum(other), spectrum(other, token=get_material(name).token)) > 1.0
 
 
 def test_swapping_tokens_among_all_materials_changes_nearly_all():
@@ -53,7 +53,7 @@ def test_without_density_nothing_is_rendered():
         "sigma.bias": np.full_like(field.parameters["sigma.bias"], -np.inf),
     }
     empty = dataclasses.replace(field, parameters=nothing)
-    material = find("oak-wood")
+    material = get_material("oak-wood")
     amplitude = steady_amplitudes(empty, material.token, material.mechanics, "pen", ALONG, 0.1, 1.0)
     np.testing.assert_array_equal(amplitude, 0.0)
     assert spectrum_distance_db(spectrum("oak-wood"), spectrum("oak-wood", field=empty)) > 1.0

@@ -13,56 +13,56 @@ from hnf_core.errors import FileError  # noqa: E402
 from hnf_core.field.config import FieldConfig  # noqa: E402
 from hnf_core.field.field import initial_parameters  # noqa: E402
 from hnf_core.material.library import LIBRARY_PATH  # noqa: E402
-from hnf_core.simulation.classes import classes  # noqa: E402
-from hnf_core.training.conditions import Condition, middle_conditions  # noqa: E402
-from hnf_core.training.fit import Schedule, training_set  # noqa: E402
+from hnf_core.simulation.classes import list_classes  # noqa: E402
+from hnf_core.training.conditions import StrokeCondition, make_middle_conditions  # noqa: E402
+from hnf_core.training.fit import Schedule, build_training_set  # noqa: E402
 from hnf_core.training.gathering import (  # noqa: E402
     Sizes,
-    gather,
-    load_gathered,
-    save_gathered,
-    specimens_of,
+    build_training_data,
+    load_specimens,
+    load_training_data,
+    save_training_data,
 )
 from hnf_core.training.model import FieldNetwork  # noqa: E402
-from hnf_core.training.recipe import Plan, fit_gathered, ranges_of_gathered  # noqa: E402
+from hnf_core.training.recipe import TrainingPlan, collect_training_ranges, fit_shared_field  # noqa: E402
 from hnf_core.training.references import (  # noqa: E402
-    distances_db,
-    expected_at,
+    compute_distances_db,
+    compute_new_patch_distances_db,
     load_references,
-    on_new_patches_db,
-    refer,
+    predict_spectra,
     save_references,
+    simulate_references,
 )
 from hnf_core.training.shared_bars import (  # noqa: E402
-    directions_of,
-    mean_with_interval,
-    only_classes,
-    only_materials,
-    own_field_db,
-    unseen_materials,
-    with_training_tokens_db,
+    bootstrap_mean,
+    measure_directions,
+    measure_single_material_field_db,
+    measure_training_token_db,
+    measure_unseen_materials,
+    select_classes,
+    select_materials,
 )
 
 SIZES = Sizes(patches=2, described=1, strokes=4, random=2, random_strokes=2, seconds=0.15)
 CONFIG = FieldConfig(hidden=8, layers=1, line_gains=True)
-PLAN = Plan(SIZES, Schedule(epochs=2, batch=16))
-CONDITIONS = [Condition(30, 1.0, 0.2), Condition(40, 0.7, 1.7)]
+PLAN = TrainingPlan(SIZES, Schedule(epochs=2, batch=16))
+CONDITIONS = [StrokeCondition(30, 1.0, 0.2), StrokeCondition(40, 0.7, 1.7)]
 
 
 @pytest.fixture(scope="module")
 def specimens():
-    every = specimens_of(LIBRARY_PATH, SIZES)
+    every = load_specimens(LIBRARY_PATH, SIZES)
     return [next(each for each in every if each.name == name) for name in ("oak-wood", "denim", "oak-wood/1", "silk/1")]
 
 
 @pytest.fixture(scope="module")
 def gathered(specimens):
-    return gather(specimens, SIZES, 3, workers=1)
+    return build_training_data(specimens, SIZES, 3, workers=1)
 
 
 @pytest.fixture(scope="module")
 def references(specimens):
-    return refer(specimens, CONDITIONS, 5, workers=1, seconds=0.3)
+    return simulate_references(specimens, CONDITIONS, 5, workers=1, seconds=0.3)
 
 
 def network(config=CONFIG):
@@ -70,28 +70,28 @@ def network(config=CONFIG):
 
 
 def test_materials_are_the_library_and_an_instance_of_every_class():
-    every = specimens_of(LIBRARY_PATH, Sizes())
+    every = load_specimens(LIBRARY_PATH, Sizes())
     assert len(every) >= 64
     assert len({each.name for each in every}) == len(every)
-    assert {each.class_name for each in every} == set(classes())
+    assert {each.class_name for each in every} == set(list_classes())
 
 
 def test_gathering_is_the_same_with_any_number_of_workers(specimens, gathered):
-    again = gather(specimens, SIZES, 3, workers=2)
+    again = build_training_data(specimens, SIZES, 3, workers=2)
     np.testing.assert_array_equal(again.power, gathered.power)
     np.testing.assert_array_equal(again.tokens, gathered.tokens)
 
 
 def test_gathered_strokes_come_back_from_disk(tmp_path, gathered):
-    save_gathered(tmp_path / "g.safetensors", gathered)
-    again = load_gathered(tmp_path / "g.safetensors")
+    save_training_data(tmp_path / "g.safetensors", gathered)
+    again = load_training_data(tmp_path / "g.safetensors")
     assert (again.names, again.classes, again.strokes) == (gathered.names, gathered.classes, gathered.strokes)
     np.testing.assert_array_equal(again.power, gathered.power)
     with pytest.raises(FileError):
-        load_gathered(tmp_path / "none.safetensors")
+        load_training_data(tmp_path / "none.safetensors")
     (tmp_path / "bad.safetensors").write_bytes(b"not tensors")
     with pytest.raises(FileError):
-        load_gathered(tmp_path / "bad.safetensors")
+        load_training_data(tmp_path / "bad.safetensors")
 
 
 def test_another_patch_is_of_the_same_material(gathered):
@@ -103,9 +103,9 @@ def test_another_patch_is_of_the_same_material(gathered):
 def test_later_variants_are_described_by_another_patch(gathered):
     strokes = gathered.strokes[:4]
     elsewhere = gathered.other_patches(np.random.default_rng(0))[:4]
-    data = training_set(CONFIG, strokes, gathered.tokens, gathered.power[:4], 2, 0, [elsewhere, elsewhere])
+    data = build_training_set(CONFIG, strokes, gathered.tokens, gathered.power[:4], 2, 0, [elsewhere, elsewhere])
     moved = [dataclasses.replace(s, surface=e) for s, e in zip(strokes, elsewhere, strict=True)]
-    there = training_set(CONFIG, moved, gathered.tokens, gathered.power[:4], 1, 0)
+    there = build_training_set(CONFIG, moved, gathered.tokens, gathered.power[:4], 1, 0)
     torch.testing.assert_close(data.x[2], there.x[0])
     torch.testing.assert_close(data.prior[2], there.prior[0])
     assert len(data.x) == 4
@@ -113,20 +113,20 @@ def test_later_variants_are_described_by_another_patch(gathered):
 
 
 def test_leaving_classes_out_leaves_none_of_their_strokes(gathered):
-    kept = only_classes(gathered, ["oak-wood"])
-    found = {gathered.classes[m] for m in kept.material_of_strokes() if m >= 0}
+    kept = select_classes(gathered, ["oak-wood"])
+    found = {gathered.classes[m] for m in kept.get_stroke_materials() if m >= 0}
     assert found == {"oak-wood"}
-    assert np.sum(kept.material_of_strokes() < 0) == SIZES.random * SIZES.random_strokes
+    assert np.sum(kept.get_stroke_materials() < 0) == SIZES.random * SIZES.random_strokes
 
 
 def test_the_same_seed_fits_the_same_field(gathered):
-    first, again = (fit_gathered(gathered, PLAN, CONFIG, 1).parameters_numpy() for _ in range(2))
+    first, again = (fit_shared_field(gathered, PLAN, CONFIG, 1).to_numpy_parameters() for _ in range(2))
     for name in first:
         np.testing.assert_array_equal(first[name], again[name])
 
 
 def test_ranges_are_where_the_strokes_lay(gathered):
-    ranges = ranges_of_gathered(gathered, SIZES.seconds)
+    ranges = collect_training_ranges(gathered, SIZES.seconds)
     forces = [stroke.force for stroke in gathered.strokes]
     assert ranges.force == pytest.approx((min(forces), max(forces)))
     assert ranges.probes == ("finger", "pen")
@@ -134,8 +134,8 @@ def test_ranges_are_where_the_strokes_lay(gathered):
 
 
 def test_a_reference_is_at_no_distance_from_itself_and_a_decibel_is_one(references):
-    assert distances_db(references, references.spectra) == pytest.approx(0.0, abs=1e-12)
-    assert distances_db(references, references.spectra * 10.0**0.1) == pytest.approx(1.0)
+    assert compute_distances_db(references, references.spectra) == pytest.approx(0.0, abs=1e-12)
+    assert compute_distances_db(references, references.spectra * 10.0**0.1) == pytest.approx(1.0)
     assert (references.scatter_db > 0.0).all()
     assert float(np.median(references.scatter_db)) < 2.0
 
@@ -147,50 +147,52 @@ def test_references_come_back_from_disk_and_are_not_taken_for_others(tmp_path, r
     with pytest.raises(FileError):
         load_references(tmp_path / "r.safetensors", specimens[:2], CONDITIONS)
     with pytest.raises(FileError):
-        load_references(tmp_path / "r.safetensors", specimens, middle_conditions())
+        load_references(tmp_path / "r.safetensors", specimens, make_middle_conditions())
 
 
 def test_distances_come_material_by_material(references, gathered):
-    whole = on_new_patches_db(network(), references)
+    whole = compute_new_patch_distances_db(network(), references)
     assert whole.shape == (4,)
-    assert on_new_patches_db(network(), only_materials(references, [2]))[0] == pytest.approx(whole[2], rel=1e-4)
-    assert np.isfinite(with_training_tokens_db(network(), references, gathered)).all()
+    assert compute_new_patch_distances_db(network(), select_materials(references, [2]))[0] == pytest.approx(
+        whole[2], rel=1e-4
+    )
+    assert np.isfinite(measure_training_token_db(network(), references, gathered)).all()
 
 
 def test_a_field_of_its_own_is_finite(references, gathered):
-    assert 0.0 < own_field_db(gathered, references, 1, 4, 0) < 40.0
+    assert 0.0 < measure_single_material_field_db(gathered, references, 1, 4, 0) < 40.0
 
 
 def test_rivals_on_unseen_classes_see_only_the_others(references):
     categories = {"oak-wood": "wood", "denim": "fabric", "silk": "fabric"}
-    (row,) = unseen_materials(network(), references, ["silk"], categories)
+    (row,) = measure_unseen_materials(network(), references, ["silk"], categories)
     assert row.name == "silk/1"
     assert row.nearest != "silk/1"
-    denim = distances_db(only_materials(references, [3]), references.spectra[[1]]).mean()
+    denim = compute_distances_db(select_materials(references, [3]), references.spectra[[1]]).mean()
     assert row.category_db == pytest.approx(float(denim))
 
 
 def test_exact_ratios_of_spectra_have_no_error_whatever_the_level(references):
     spectra = np.repeat(references.spectra[:1], 4, axis=1)
     eight = dataclasses.replace(references, spectra=spectra * np.arange(1.0, 9.0)[:, None])
-    (exact,) = directions_of(dataclasses.replace(eight, specimens=references.specimens[:1]), 7.0 * eight.spectra)
+    (exact,) = measure_directions(dataclasses.replace(eight, specimens=references.specimens[:1]), 7.0 * eight.spectra)
     assert (exact.ratio_db, exact.third_db, exact.power_db) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
     assert exact.anisotropy_db > 6.0
     flat = np.broadcast_to(eight.spectra[:, -1:], eight.spectra.shape)
-    (blind,) = directions_of(dataclasses.replace(eight, specimens=references.specimens[:1]), flat)
+    (blind,) = measure_directions(dataclasses.replace(eight, specimens=references.specimens[:1]), flat)
     assert blind.ratio_db > 1.0
     assert blind.field_anisotropy_db == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_interval_holds_the_mean():
     values = np.random.default_rng(0).normal(2.0, 1.0, 30)
-    mean, low, high = mean_with_interval(values, 0)
+    mean, low, high = bootstrap_mean(values, 0)
     assert low < mean < high
     assert high - low == pytest.approx(2.0 * 1.96 / np.sqrt(30.0), rel=0.3)
 
 
 def test_expectation_hears_the_condition(references):
     tokens = references.tokens[:, 0]
-    known = expected_at(network(), references, tokens)
+    known = predict_spectra(network(), references, tokens)
     assert known.shape == references.spectra.shape
-    assert not np.allclose(known, expected_at(network(), references, tokens, mechanics_known=False))
+    assert not np.allclose(known, predict_spectra(network(), references, tokens, mechanics_known=False))

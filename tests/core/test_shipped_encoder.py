@@ -4,23 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from hnf_core.evaluation.encoders import Shot, level_change_db, look, piece
-from hnf_core.material.alexnet.trunk import trunk_shapes
+from hnf_core.evaluation.encoders import SensorView, compute_level_change_db, make_sample, render_maps
+from hnf_core.material.alexnet.trunk import get_backbone_shapes
 from hnf_core.material.alexnet.weights import DEFAULT_ENCODER, load_encoder
-from hnf_core.material.encoders import describe_with, encoder_by_name
+from hnf_core.material.encoders import describe_views, get_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, LEVELS, Token
 
-PIECES = [piece(name, 900) for name in ("oak-wood", "denim", "sandpaper", "ribbed-plastic", "granite")]
+PIECES = [make_sample(name, 900) for name in ("oak-wood", "denim", "sandpaper", "ribbed-plastic", "granite")]
 
 
 def token(name: str, which: int, **how) -> Token:
-    return describe_with(encoder_by_name(name), look(PIECES[which], Shot(**how)))
+    return describe_views(get_encoder(name), render_maps(PIECES[which], SensorView(**how)))
 
 
 def test_the_weights_are_small_and_say_where_they_come_from():
     network = load_encoder()
     assert DEFAULT_ENCODER.stat().st_size <= 10e6
-    assert sum(network.tensors[name].size for name in trunk_shapes()) == 2_469_696
+    assert sum(network.tensors[name].size for name in get_backbone_shapes()) == 2_469_696
     for key in ("training_data", "metrics", "seed", "licence"):
         assert network.metadata[key]
     assert "no recorded data" in network.metadata["training_data"]
@@ -30,19 +30,24 @@ def test_levels_are_those_of_the_height():
     """Classes that it was trained on and ones that it was not; instances it never saw."""
     pairs = [[token(name, which) for name in (ALEXNET_ID, ENCODER_ID)] for which in range(len(PIECES))]
     assert all(np.array_equal(ours.known, theirs.known) for ours, theirs in pairs)
-    assert np.median([level_change_db(ours, theirs) for ours, theirs in pairs]) < 2.0
+    assert np.median([compute_level_change_db(ours, theirs) for ours, theirs in pairs]) < 2.0
 
 
 def test_a_token_hardly_moves_with_the_place_and_the_sensor():
     for how, most_db in (({"shift_px": 4}, 0.6), ({"sensor": "digit"}, 0.8)):
-        moved = [level_change_db(token(ALEXNET_ID, which), token(ALEXNET_ID, which, **how)) for which in range(3)]
+        moved = [
+            compute_level_change_db(token(ALEXNET_ID, which), token(ALEXNET_ID, which, **how)) for which in range(3)
+        ]
         assert np.median(moved) < most_db
 
 
 def test_noise_in_views_moves_it_less_than_the_descriptor():
     moved = {
         name: np.median(
-            [level_change_db(token(name, which, near=4), token(name, which, near=4, noise=0.02)) for which in range(3)]
+            [
+                compute_level_change_db(token(name, which, near=4), token(name, which, near=4, noise=0.02))
+                for which in range(3)
+            ]
         )
         for name in (ALEXNET_ID, ENCODER_ID)
     }
@@ -51,6 +56,6 @@ def test_noise_in_views_moves_it_less_than_the_descriptor():
 
 def test_twice_the_relief_is_twice_the_level():
     low, high = (replace(PIECES[0], height=PIECES[0].height * np.float32(gain)) for gain in (0.5, 1.0))
-    encoder = encoder_by_name(ALEXNET_ID)
-    tokens = [describe_with(encoder, look(each, Shot())) for each in (low, high)]
+    encoder = get_encoder(ALEXNET_ID)
+    tokens = [describe_views(encoder, render_maps(each, SensorView())) for each in (low, high)]
     np.testing.assert_allclose((tokens[1].values - tokens[0].values)[LEVELS], np.log10(2.0), atol=0.05)

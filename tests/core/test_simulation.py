@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import MaterialError
 from hnf_core.material import contact
-from hnf_core.material.mechanics import UNKNOWN, Mechanics
+from hnf_core.material.mechanics import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.probe import PROBES
 from hnf_core.simulation.dft321 import dft321
-from hnf_core.simulation.recipes import EXAMPLES, grating, random_recipe
+from hnf_core.simulation.recipes import EXAMPLE_RECIPES, grating, random_recipe
 from hnf_core.simulation.sampling import SmoothedMaps
 from hnf_core.simulation.simulate import (
     HAND_DRAG_PER_S,
@@ -39,11 +39,11 @@ def wave(periods: int, amplitude: float, pixels: int = 512) -> SmoothedMaps:
 # --- surfaces ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLE_RECIPES)
 def test_a_seed_fixes_the_bytes(name):
-    first, second = height_map(EXAMPLES[name], 7, pixels=256), height_map(EXAMPLES[name], 7, pixels=256)
+    first, second = height_map(EXAMPLE_RECIPES[name], 7, pixels=256), height_map(EXAMPLE_RECIPES[name], 7, pixels=256)
     assert first.tobytes() == second.tobytes()
-    assert first.tobytes() != height_map(EXAMPLES[name], 8, pixels=256).tobytes()
+    assert first.tobytes() != height_map(EXAMPLE_RECIPES[name], 8, pixels=256).tobytes()
 
 
 @settings(max_examples=15, deadline=None)
@@ -117,7 +117,7 @@ def test_a_damaged_recipe_is_refused():
 
 
 def test_sampling_meets_the_pixels_and_repeats_with_the_tile():
-    height = height_map(EXAMPLES["rough"], 1, pixels=128)
+    height = height_map(EXAMPLE_RECIPES["rough"], 1, pixels=128)
     surface = SmoothedMaps(height)
     pixel = TILE_SIZE_M / 128
     columns, rows = np.array([0, 5, 127, 64]), np.array([0, 9, 127, 3])
@@ -130,7 +130,7 @@ def test_sampling_meets_the_pixels_and_repeats_with_the_tile():
 
 
 def test_slopes_are_the_derivatives_of_heights():
-    surface = SmoothedMaps(height_map(EXAMPLES["rough"], 1))
+    surface = SmoothedMaps(height_map(EXAMPLE_RECIPES["rough"], 1))
     position = np.random.default_rng(0).uniform(-0.05, 0.05, (200, 2))
     step = 2e-6
     _, slope_x, slope_y = surface.sample(position, 50e-6)
@@ -177,7 +177,7 @@ def test_a_small_ripple_gives_the_linear_response_at_its_own_frequency(stiffness
 
 
 def test_the_surface_never_pulls_and_a_rough_one_lets_go():
-    surface, force = SmoothedMaps(height_map(EXAMPLES["rough"].scaled(4.0), 1)), 0.5
+    surface, force = SmoothedMaps(height_map(EXAMPLE_RECIPES["rough"].scale_heights(4.0), 1)), 0.5
     normal = simulate(surface, straight_stroke(0.2, force, 0.5, angle_rad=0.3), WOOD, oversample=1)[:, 2]
     free_fall = -force / PEN.mass_kg
     assert normal.min() >= free_fall * (1.0 + HAND_DRAG_PER_S * 0.05)
@@ -185,7 +185,7 @@ def test_the_surface_never_pulls_and_a_rough_one_lets_go():
 
 
 def test_more_integration_steps_change_little():
-    surface = SmoothedMaps(height_map(EXAMPLES["rough"], 1))
+    surface = SmoothedMaps(height_map(EXAMPLE_RECIPES["rough"], 1))
     stroke = straight_stroke(0.1, 1.0, 0.5, angle_rad=0.3)
     rms = [simulate(surface, stroke, WOOD, oversample=k).std(axis=0) for k in (1, 2, 8)]
     assert rms[1] == pytest.approx(rms[2], rel=0.02)
@@ -193,9 +193,11 @@ def test_more_integration_steps_change_little():
 
 
 def test_a_row_does_not_hear_its_neighbours():
-    surfaces = [SmoothedMaps(height_map(EXAMPLES[name], 1, pixels=256)) for name in ("rough", "grating", "pitted")]
+    surfaces = [
+        SmoothedMaps(height_map(EXAMPLE_RECIPES[name], 1, pixels=256)) for name in ("rough", "grating", "pitted")
+    ]
     strokes = [straight_stroke(v, f, 0.1, angle_rad=a) for v, f, a in ((0.05, 0.5, 0.0), (0.1, 1, 1.0), (0.2, 2, 2.0))]
-    materials = [WOOD, UNKNOWN, Mechanics(4e3, 0.4, 0.9)]
+    materials = [WOOD, UNKNOWN_MECHANICS, Mechanics(4e3, 0.4, 0.9)]
     together = simulate_batch(surfaces, strokes, materials)
     assert together.shape == (3, 1000, 3)
     for row, alone in zip(together, zip(surfaces, strokes, materials, strict=True), strict=True):
@@ -203,7 +205,7 @@ def test_a_row_does_not_hear_its_neighbours():
 
 
 def test_turning_surface_and_stroke_turns_the_acceleration():
-    height = height_map(EXAMPLES["grained"], 1, pixels=256)
+    height = height_map(EXAMPLE_RECIPES["grained"], 1, pixels=256)
     stroke = straight_stroke(0.1, 1.0, 0.2, angle_rad=0.5)
     turned_stroke = Stroke(stroke.position @ np.array([[0.0, 1.0], [-1.0, 0.0]]), stroke.force)
     # (x, y) → (−y, x): with rows running down, a map turned so is read from its last column; origin stays a pixel
@@ -217,7 +219,7 @@ def test_turning_surface_and_stroke_turns_the_acceleration():
 
 
 def test_grain_is_felt_across_more_than_along():
-    surface = SmoothedMaps(height_map(EXAMPLES["grained"], 1))
+    surface = SmoothedMaps(height_map(EXAMPLE_RECIPES["grained"], 1))
     along, across = (
         simulate(surface, straight_stroke(0.1, 1.0, 0.5, angle_rad=a), WOOD)[:, 2].std() for a in (0.03, 1.54)
     )
@@ -244,7 +246,7 @@ def test_pressing_and_lifting_give_transients_and_friction_only_along_the_motion
     st.sampled_from(sorted(PROBES)),
 )  # fmt: skip
 def test_any_everyday_contact_stays_finite(stiffness, damping, friction, speed, force, probe):
-    surface = SmoothedMaps(height_map(EXAMPLES["pitted"], 1, pixels=256))
+    surface = SmoothedMaps(height_map(EXAMPLE_RECIPES["pitted"], 1, pixels=256))
     n = 1000
     ramp = force * np.clip(np.minimum(np.arange(n), n - np.arange(n)) / 200.0, 0.0, 1.0)
     stroke = Stroke(straight_stroke(speed, 1.0, 0.1, angle_rad=0.3).position, ramp)

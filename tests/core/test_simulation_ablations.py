@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from simulator_ablations import (
     PEN,
-    WOOD,
-    centroid_with_tip,
-    flight_and_skewness,
-    level_db,
-    ring_hz,
-    slips_per_second,
-    slow_pull,
-    stuck_share,
+    WOOD_MECHANICS,
+    compute_stuck_share,
+    count_slips_per_second,
+    measure_centroid,
+    measure_flight_and_skewness,
+    measure_level_db,
+    measure_ring_hz,
+    simulate_slow_pull,
 )
 
 from hnf_core.material.contact import resonance_hz
@@ -25,37 +25,37 @@ SPEEDS = (1e-3, 2e-3, 0.05)
 
 @pytest.fixture(scope="module")
 def pulled() -> dict[float, np.ndarray]:
-    return dict(zip(SPEEDS, slow_pull(SPEEDS, "lugre", 2.0), strict=True))
+    return dict(zip(SPEEDS, simulate_slow_pull(SPEEDS, "lugre", 2.0), strict=True))
 
 
 def test_a_wider_tip_hears_fewer_short_waves():
-    centroids = [centroid_with_tip(radius) for radius in (0.25e-3, 0.5e-3, 2e-3)]
+    centroids = [measure_centroid(radius) for radius in (0.25e-3, 0.5e-3, 2e-3)]
     assert all(wider < 0.97 * sharper for sharper, wider in pairwise(centroids))
 
 
 def test_only_lugre_sticks_and_only_slowly(pulled):
-    assert stuck_share(pulled[2e-3], 2e-3) > 0.5
-    assert stuck_share(slow_pull([2e-3], "coulomb", 0.4)[0], 2e-3) == 0.0
-    assert stuck_share(pulled[0.05], 0.05) == 0.0
+    assert compute_stuck_share(pulled[2e-3], 2e-3) > 0.5
+    assert compute_stuck_share(simulate_slow_pull([2e-3], "coulomb", 0.4)[0], 2e-3) == 0.0
+    assert compute_stuck_share(pulled[0.05], 0.05) == 0.0
 
 
 def test_slips_come_as_often_as_the_spring_is_wound_up(pulled):
-    slow, fast = (slips_per_second(pulled[v], v) for v in (1e-3, 2e-3))
+    slow, fast = (count_slips_per_second(pulled[v], v) for v in (1e-3, 2e-3))
     assert slow > 0.0
     assert fast / slow == pytest.approx(2.0, rel=0.2)
 
 
 def test_far_above_the_stribeck_speed_bristles_leave_the_level_alone():
-    assert level_db("lugre") == pytest.approx(level_db("coulomb"), abs=0.2)
+    assert measure_level_db("lugre") == pytest.approx(measure_level_db("coulomb"), abs=0.2)
 
 
 def test_only_a_contact_that_cannot_pull_flies_and_strikes():
-    (flying, skewed), (held, even) = flight_and_skewness(True), flight_and_skewness(False)
+    (flying, skewed), (held, even) = measure_flight_and_skewness(True), measure_flight_and_skewness(False)
     assert flying > 0.1 > 4.0 * held
     assert skewed > even + 0.2
 
 
 @pytest.mark.parametrize("mass", [0.0175, 0.07])
 def test_a_heavier_probe_rings_lower_by_the_root_of_its_mass(mass):
-    assert ring_hz(mass) / ring_hz(PEN.mass_kg) == pytest.approx(np.sqrt(PEN.mass_kg / mass), rel=0.02)
-    assert ring_hz(PEN.mass_kg) == pytest.approx(float(resonance_hz(WOOD, PEN, 1.1)), rel=0.03)
+    assert measure_ring_hz(mass) / measure_ring_hz(PEN.mass_kg) == pytest.approx(np.sqrt(PEN.mass_kg / mass), rel=0.02)
+    assert measure_ring_hz(PEN.mass_kg) == pytest.approx(float(resonance_hz(WOOD_MECHANICS, PEN, 1.1)), rel=0.03)

@@ -6,55 +6,61 @@ import json
 
 import numpy as np
 import pytest
-from check_simulator import fill, row_of
+from check_simulator import fill_markers, make_row
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recorded_ranges import RECORDED, instrument, within
+from recorded_ranges import HATT_RANGES, check_ranges, compute_instrument_noise
 
 from hnf_core.errors import MaterialError
-from hnf_core.simulation.classes import SCATTER, category_of, classes, instance, recorded_category_of
-from hnf_core.simulation.feel import Feel, stroked, summed
+from hnf_core.simulation.classes import (
+    DEFAULT_SCATTER,
+    get_category,
+    get_recorded_category,
+    list_classes,
+    sample_instance,
+)
+from hnf_core.simulation.feel import TextureStatistics, aggregate_strokes, simulate_strokes
 from hnf_core.simulation.sampling import SmoothedMaps
 from hnf_core.simulation.surface import SurfaceRecipe, height_map
-from hnf_core.simulation.table import TABLE
+from hnf_core.simulation.table import MATERIAL_TABLE
 
 CATEGORIES = {
     "wood", "metal", "stone", "fabric", "paper", "plastic", "foam", "carpet", "tile", "leather", "rubber", "glass",
 }  # fmt: skip
-MIDDLE = Feel(1.0, 1.0, 1.0, 250.0, 0.97, 0.9, 0.2)
+MIDDLE = TextureStatistics(1.0, 1.0, 1.0, 250.0, 0.97, 0.9, 0.2)
 
 
 def test_there_are_enough_classes_over_every_category_with_and_without_a_grain():
-    assert len(classes()) == len(set(classes())) >= 24
-    assert {category_of(name) for name in classes()} == CATEGORIES
+    assert len(list_classes()) == len(set(list_classes())) >= 24
+    assert {get_category(name) for name in list_classes()} == CATEGORIES
     grained = {
         name
-        for name in classes()
-        for recipe in [instance(name, 0)[0]]
+        for name in list_classes()
+        for recipe in [sample_instance(name, 0)[0]]
         if recipe.lattices or any(part.stretch > 1.5 for part in (*recipe.noise, *recipe.grains))
     }
     assert len(grained) >= 8
-    assert len(set(classes()) - grained) >= 8
-    assert {recorded_category_of(name) for name in classes()} == {*RECORDED, ""}
+    assert len(set(list_classes()) - grained) >= 8
+    assert {get_recorded_category(name) for name in list_classes()} == {*HATT_RANGES, ""}
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.sampled_from(classes()), st.integers(0, 2**31))
+@given(st.sampled_from(list_classes()), st.integers(0, 2**31))
 def test_any_instance_is_its_own_stays_near_its_class_and_can_be_made(name, seed):
-    recipe, mechanics = instance(name, seed)
-    assert (recipe, mechanics) == instance(name, seed)
-    assert instance(name, seed + 1) != (recipe, mechanics)
+    recipe, mechanics = sample_instance(name, seed)
+    assert (recipe, mechanics) == sample_instance(name, seed)
+    assert sample_instance(name, seed + 1) != (recipe, mechanics)
     assert SurfaceRecipe.from_dict(json.loads(json.dumps(recipe.to_dict()))) == recipe
-    mean = next(entry for entry in TABLE if entry.name == name)
+    mean = next(entry for entry in MATERIAL_TABLE if entry.name == name)
     for value, usual, deviation in (
-        (mechanics.stiffness_n_m, mean.mechanics.stiffness_n_m, SCATTER.stiffness),
-        (mechanics.damping_ratio, mean.mechanics.damping_ratio, SCATTER.damping),
-        (mechanics.friction, mean.mechanics.friction, SCATTER.friction),
+        (mechanics.stiffness_n_m, mean.mechanics.stiffness_n_m, DEFAULT_SCATTER.stiffness),
+        (mechanics.damping_ratio, mean.mechanics.damping_ratio, DEFAULT_SCATTER.damping),
+        (mechanics.friction, mean.mechanics.friction, DEFAULT_SCATTER.friction),
     ):
         assert abs(np.log(value / usual)) <= 2.0 * deviation + 1e-9
     parts = (*recipe.noise, *recipe.lattices, *recipe.grains)
     level = float(np.sqrt(sum(part.rms_m**2 for part in parts)))
-    assert abs(np.log(level / (mean.roughness_um * 1e-6))) <= 2.0 * SCATTER.level + 1e-9
+    assert abs(np.log(level / (mean.roughness_um * 1e-6))) <= 2.0 * DEFAULT_SCATTER.level + 1e-9
     height = height_map(recipe, seed, pixels=256)
     assert np.isfinite(height).all()
     assert height.std() > 0.0
@@ -62,9 +68,9 @@ def test_any_instance_is_its_own_stays_near_its_class_and_can_be_made(name, seed
 
 @pytest.mark.parametrize("name", ["denim", "knurled-metal", "carbon-fibre"])
 def test_a_square_lattice_stays_square_and_keeps_its_waves(name):
-    usual = next(entry for entry in TABLE if entry.name == name).parts.lattices[0]
+    usual = next(entry for entry in MATERIAL_TABLE if entry.name == name).parts.lattices[0]
     for seed in range(20):
-        waves = instance(name, seed)[0].lattices[0].waves
+        waves = sample_instance(name, seed)[0].lattices[0].waves
         scale = waves[0][0] / usual.waves[0][0]
         for (x, y, a, phase), (ux, uy, ua, uphase) in zip(waves, usual.waves, strict=True):
             assert (x, y) == pytest.approx((ux * scale, uy * scale))
@@ -73,18 +79,20 @@ def test_a_square_lattice_stays_square_and_keeps_its_waves(name):
 
 def test_no_class_of_that_name():
     with pytest.raises(MaterialError, match="classes"):
-        instance("unobtainium", 0)
+        sample_instance("unobtainium", 0)
 
 
 def test_a_handful_of_instances_feels_like_recorded_textures():
     names = ("oak-wood", "brushed-metal", "granite", "denim", "soft-foam", "terracotta")
-    pieces = [(SmoothedMaps(height_map(recipe, 7)), own) for name in names for recipe, own in [instance(name, 7)]]
-    power, frequency = stroked(pieces, 0.5)
-    felt = [summed(each, frequency, instrument) for each in power]
+    pieces = [
+        (SmoothedMaps(height_map(recipe, 7)), own) for name in names for recipe, own in [sample_instance(name, 7)]
+    ]
+    power, frequency = simulate_strokes(pieces, 0.5)
+    felt = [aggregate_strokes(each, frequency, compute_instrument_noise) for each in power]
     inside = [
         value
         for name, each in zip(names, felt, strict=True)
-        for value in within(each, recorded_category_of(name)).values()
+        for value in check_ranges(each, get_recorded_category(name)).values()
     ]
     assert len(inside) == 30
     assert np.mean(inside) >= 0.85
@@ -98,28 +106,28 @@ def test_a_handful_of_instances_feels_like_recorded_textures():
 
 
 def test_a_number_counts_as_inside_after_rounding_to_published_decimals():
-    limits = RECORDED["Wood"].below_1k
+    limits = HATT_RANGES["Wood"].below_1k
     assert limits == (0.95, 0.99)
-    just, over = (Feel(0.8, 0.8, 0.8, 250.0, share, 0.9, 0.2) for share in (0.9949, 0.9951))
-    assert within(just, "Wood")["below_1k"]
-    assert not within(over, "Wood")["below_1k"]
-    assert set(within(MIDDLE, "Carbon fibre")) == {"rms", "centroid_hz", "below_1k", "v_exponent"}
-    assert within(MIDDLE, "") == {}
+    just, over = (TextureStatistics(0.8, 0.8, 0.8, 250.0, share, 0.9, 0.2) for share in (0.9949, 0.9951))
+    assert check_ranges(just, "Wood")["below_1k"]
+    assert not check_ranges(over, "Wood")["below_1k"]
+    assert set(check_ranges(MIDDLE, "Carbon fibre")) == {"rms", "centroid_hz", "below_1k", "v_exponent"}
+    assert check_ranges(MIDDLE, "") == {}
 
 
 def test_the_instrument_adds_what_soft_recordings_have_above_their_contact():
     frequency = np.arange(10.0, 5000.0)
-    density = instrument(frequency)
+    density = compute_instrument_noise(frequency)
     assert np.sqrt(density[frequency >= 1300.0].sum()) == pytest.approx(0.12, rel=0.03)
-    silence = summed(np.zeros((10, len(frequency))), frequency, instrument)
+    silence = aggregate_strokes(np.zeros((10, len(frequency))), frequency, compute_instrument_noise)
     assert 1500.0 < silence.centroid_hz < 3000.0
     assert silence.v_exponent == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_row_counts_shares_and_sets_medians_beside_recorded_ones():
-    outside = Feel(10.0, 10.0, 10.0, 250.0, 0.97, 0.9, 0.2)
+    outside = TextureStatistics(10.0, 10.0, 10.0, 250.0, 0.97, 0.9, 0.2)
     felt = [MIDDLE, MIDDLE, outside, MIDDLE]
-    row = row_of("Wood", 2, felt, [within(each, "Wood") for each in felt], True)
+    row = make_row("Wood", 2, felt, [check_ranges(each, "Wood") for each in felt], True)
     assert row[3] == "1.00 (0.79)"
     assert row[7:] == ["75 %", "100 %", "100 %", "100 %", "100 %", "95 %", "75 %"]
 
@@ -127,7 +135,7 @@ def test_a_row_counts_shares_and_sets_medians_beside_recorded_ones():
 def test_tables_go_between_their_markers_and_nowhere_else(tmp_path):
     document = tmp_path / "page.md"
     document.write_text("before\n<!-- a -->\nold\n<!-- /a -->\nafter\n")
-    fill(document, {"a": "| new \\1 |"})
+    fill_markers(document, {"a": "| new \\1 |"})
     assert document.read_text() == "before\n<!-- a -->\n| new \\1 |\n<!-- /a -->\nafter\n"
     with pytest.raises(SystemExit, match="markers"):
-        fill(document, {"b": "x"})
+        fill_markers(document, {"b": "x"})

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.probe import PROBES
-from hnf_core.simulation.friction import STATIC_OVER_KINETIC, STRIBECK_SPEED_M_S, Bristles, LuGre, bristles_of
-from hnf_core.simulation.integrate import contact_force
+from hnf_core.simulation.friction import STATIC_OVER_KINETIC, STRIBECK_SPEED_M_S, Bristles, LuGre, derive_bristles
+from hnf_core.simulation.integrate import compute_contact_force
 from hnf_core.simulation.sampling import SmoothedMaps
 from hnf_core.simulation.simulate import HAND_STIFFNESS_N_M, Physics, Stroke, simulate, simulate_motion, straight_stroke
 
@@ -29,8 +29,8 @@ def waves(periods: int, amplitude: float) -> SmoothedMaps:
 def driven(law: LuGre, velocity: np.ndarray, steps: int, touching: bool = True) -> np.ndarray:
     """The bristles' force after sliding at one velocity (2, B)."""
     for _ in range(steps):
-        law.slope(velocity, np.zeros(velocity.shape[1]), np.zeros_like(velocity), np.array([touching]))
-        law.settle(velocity)
+        law.linearise(velocity, np.zeros(velocity.shape[1]), np.zeros_like(velocity), np.array([touching]))
+        law.update(velocity)
     return law.force
 
 
@@ -58,7 +58,7 @@ def test_bristles_never_bend_beyond_static_friction(velocities, friction, stiffn
 
 
 def test_bristles_let_go_where_contact_is_lost():
-    law = LuGre(bristles_of([WOOD], PROBES["pen"]), np.array([[0.1], [0.0]]), DT)
+    law = LuGre(derive_bristles([WOOD], PROBES["pen"]), np.array([[0.1], [0.0]]), DT)
     assert abs(law.force[0, 0]) > 0.29
     assert abs(driven(law, np.array([[1e-9], [0.0]]), 1, touching=False)[0, 0]) < 1e-6
 
@@ -66,7 +66,7 @@ def test_bristles_let_go_where_contact_is_lost():
 @both_probes
 def test_below_static_friction_the_tip_stays_where_it_is_and_plain_coulomb_creeps(probe):
     load, n = 0.24, 7000  # N: four fifths of kinetic friction at 1 N
-    stiffness = float(bristles_of([WOOD], probe).stiffness[0])
+    stiffness = float(derive_bristles([WOOD], probe).stiffness[0])
     x = load * (1.0 / HAND_STIFFNESS_N_M + 1.0 / stiffness) * np.clip((np.arange(n) - 200) / 4000.0, 0.0, 1.0)
     stroke = Stroke(np.stack([x, np.zeros(n)], axis=1), np.ones(n))
     moved, last = {}, {}
@@ -101,7 +101,7 @@ def test_a_law_that_does_not_exist_is_refused():
 def test_the_contact_force_is_the_root_of_hertz_in_series_with_the_probe(probe_stiffness, largest, error, surface):
     force = np.geomspace(1e-6, largest, 200)
     b = np.full(200, 1.5 / surface)
-    found, stiffness = contact_force(b * np.cbrt(force) ** 2 + force / probe_stiffness, b, probe_stiffness)
+    found, stiffness = compute_contact_force(b * np.cbrt(force) ** 2 + force / probe_stiffness, b, probe_stiffness)
     assert found == pytest.approx(force, rel=error)
     hertz = surface * np.cbrt(force)
     assert stiffness == pytest.approx(hertz * probe_stiffness / (hertz + probe_stiffness), rel=error)

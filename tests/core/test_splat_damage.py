@@ -15,7 +15,7 @@ from hnf_core.errors import FileError
 from hnf_core.scene.ply_header import read_ply_header
 from hnf_core.scene.splats import read
 from hnf_core.scene.splats.inria import write_inria
-from hnf_core.scene.splats.read import iter_readings, read_splats, read_whole
+from hnf_core.scene.splats.read import iter_validated_splats, read_splats, read_validated_splats
 
 
 def in_a_folder(examples: int) -> settings:
@@ -64,7 +64,7 @@ def test_broken_splats_are_dropped_and_counted(tmp_path: Path) -> None:
     nan, inf = float("nan"), float("inf")
     values = {"x": nan, "f_rest_8": inf, "rot_2": -inf, "scale_1": inf, "opacity": nan, "y": 1e30, "scale_0": 21.0}
     path.write_bytes(broken(values))
-    found = read_whole(path)
+    found = read_validated_splats(path)
     assert (found.total, found.thickened) == (100, 0)
     assert found.dropped == {"not finite": 4, "too large": 3, "no rotation": 0}
     for name in FIELDS:
@@ -77,7 +77,7 @@ def test_a_splat_whose_rotation_has_no_direction_is_dropped(tmp_path: Path, leng
     for part in range(4):
         columns[f"rot_{part}"] = np.where(np.arange(100) == 40, length / 2.0, columns[f"rot_{part}"].astype(np.float64))
     (tmp_path / "a.ply").write_bytes(ply_bytes([("vertex", floats(columns, "double"))]))
-    found = read_whole(tmp_path / "a.ply")
+    found = read_validated_splats(tmp_path / "a.ply")
     assert found.dropped == {"not finite": 0, "too large": 0, "no rotation": 1}
     assert len(found.splats) == 99
 
@@ -89,7 +89,7 @@ def test_extremes_that_mean_something_are_kept(tmp_path: Path) -> None:
     columns["scale_2"][2:4] = [-np.inf, -1000.0]
     columns["scale_0"][4] = -20.5
     (tmp_path / "a.ply").write_bytes(ply_bytes([("vertex", floats(columns))]))
-    found = read_whole(tmp_path / "a.ply")
+    found = read_validated_splats(tmp_path / "a.ply")
     assert (len(found.splats), found.thickened) == (20, 3)
     np.testing.assert_array_equal(found.splats.opacities[:2], [1.0, 0.0])
     np.testing.assert_allclose(found.splats.scales[[2, 3, 4], [2, 2, 0]], np.exp(-20.0), rtol=1e-6)
@@ -105,7 +105,7 @@ def test_more_broken_splats_than_a_tenth_are_a_broken_file(tmp_path: Path) -> No
     columns["z"][60] = np.nan
     path.write_bytes(ply_bytes([("vertex", floats(columns))]))
     assert "11 of its 100 splats cannot be used" in str(refusal(path))
-    readings = iter_readings(path, 10)
+    readings = iter_validated_splats(path, 10)
     assert [sum(next(readings).dropped.values()) for _ in range(10)] == [0] * 5 + [10, 1, 0, 0, 0]
     with pytest.raises(FileError, match="11 of its 100"):
         next(readings)
@@ -116,7 +116,7 @@ def test_more_broken_splats_than_a_tenth_are_a_broken_file(tmp_path: Path) -> No
 @given(kept=st.floats(0.0, 0.999))
 def test_a_cut_file_says_how_much_is_there(whole: dict[str, Path], tmp_path: Path, layout: str, kept: float) -> None:
     path = tmp_path / "a.ply"
-    begin = read_ply_header(whole[layout]).data_at
+    begin = read_ply_header(whole[layout]).data_offset
     data = whole[layout].read_bytes()
     size = int(kept * (len(data) - begin))
     path.write_bytes(data[: begin + size])
@@ -129,7 +129,7 @@ def test_a_cut_file_says_how_much_is_there(whole: dict[str, Path], tmp_path: Pat
     assert f"is cut short: {there} of its 300 splats are there." in str(refusal(path))
     if layout != "ascii":  # whose end only reading finds
         with pytest.raises(FileError, match="cut short"):
-            iter_readings(path)
+            iter_validated_splats(path)
 
 
 def sound_or_refused(path: Path) -> None:
@@ -151,7 +151,7 @@ def test_a_signalling_nan_is_no_worse_than_another(
 ) -> None:
     """Bits that complain when float32 is widened; numpy warns of it."""
     data, path = whole[layout].read_bytes(), tmp_path / "a.ply"
-    begin = read_ply_header(whole[layout]).data_at
+    begin = read_ply_header(whole[layout]).data_offset
     for number in range(numbers):
         at = begin + 4 * number
         path.write_bytes(data[:at] + b"\x00\x00\xa0\x7f" + data[at + 4 :])
@@ -166,7 +166,7 @@ def test_flipped_bytes_give_an_error_or_sound_splats(
 ) -> None:
     """In the header as often as in the data."""
     path = tmp_path / "a.ply"
-    begin = read_ply_header(whole[layout]).data_at
+    begin = read_ply_header(whole[layout]).data_offset
     changed = bytearray(whole[layout].read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         ends = data.draw(st.sampled_from([(0, begin - 1), (begin, len(changed) - 1)]))
@@ -212,7 +212,7 @@ def test_an_absurd_count_of_an_ascii_file_takes_no_room(
     whole: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not even once some of it was found to be there."""
-    monkeypatch.setattr(read, "BLOCK", 100)
+    monkeypatch.setattr(read, "ROWS_PER_BLOCK", 100)
     path = tmp_path / "a.ply"
     path.write_bytes(whole["ascii"].read_bytes().replace(b"vertex 300", b"vertex 999999999999999999"))
     assert "cut short: 300 of its 999999999999999999" in str(refusal(path))
@@ -269,7 +269,7 @@ def test_memory_follows_the_block_and_not_the_file(tmp_path: Path) -> None:
     with path.open("wb") as stream:
         stream.write(head.replace(b"vertex 2000", b"vertex 1000000") + end + data)
         stream.truncate(stream.tell() + len(data) * 499)
-    blocks = iter_readings(path, 1000)
+    blocks = iter_validated_splats(path, 1000)
     tracemalloc.start()
     first = [next(blocks).splats for _ in range(2)]
     peak = tracemalloc.get_traced_memory()[1]
@@ -287,7 +287,7 @@ def test_a_stream_of_blocks_holds_one_at_a_time(tmp_path: Path, layout: str) -> 
 
     def peak(chunk: int) -> int:
         tracemalloc.start()
-        count = sum(len(reading.splats) for reading in iter_readings(path, chunk))
+        count = sum(len(reading.splats) for reading in iter_validated_splats(path, chunk))
         _, highest = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert count == 4000

@@ -22,9 +22,9 @@ from hnf_core.errors import UsageError
 from hnf_core.scene.ply_header import PlyHeader, read_ply_header
 from hnf_core.scene.splats.box import Box
 from hnf_core.scene.splats.cloud import Splats
-from hnf_core.scene.splats.frame import up_axis
+from hnf_core.scene.splats.frame import detect_up_axis
 from hnf_core.scene.splats.inria import write_inria
-from hnf_core.scene.splats.read import iter_readings, read_splats, read_whole
+from hnf_core.scene.splats.read import iter_validated_splats, read_splats, read_validated_splats
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "splats"
 FIELDS = ("means", "scales", "rotations", "opacities", "harmonics")
@@ -60,7 +60,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_what_is_written_is_read_back(tmp_path: Path, degree: int) -> None:
     splats = random_splats(300, degree, seed=degree)
     write_inria(tmp_path / "a.ply", splats)
-    found = read_whole(tmp_path / "a.ply")
+    found = read_validated_splats(tmp_path / "a.ply")
     assert (found.total, found.thickened, sum(found.dropped.values())) == (300, 0, 0)
     assert found.splats.degree == degree
     np.testing.assert_array_equal(found.splats.means, splats.means)
@@ -80,7 +80,7 @@ def test_opacities_of_0_and_1_are_kept_with_finite_logits(tmp_path: Path) -> Non
     np.testing.assert_array_equal(read_splats(tmp_path / "a.ply").opacities, splats.opacities)
     data = (tmp_path / "a.ply").read_bytes()
     header = read_ply_header(tmp_path / "a.ply")
-    assert np.isfinite(np.frombuffer(data[header.data_at :], "<f4")).all()
+    assert np.isfinite(np.frombuffer(data[header.data_offset :], "<f4")).all()
 
 
 @in_a_folder(15)
@@ -178,7 +178,7 @@ CLIPPED = (-0.5 / C0, 0.5 / C0)
 @given(chunk=st.integers(1, 700))
 def test_blocks_of_any_size_are_the_whole(files: dict[str, Path], layout: str, chunk: int) -> None:
     chunk = max(chunk, 10 if layout == "ascii" else 3)
-    pieces = [reading.splats for reading in iter_readings(files[layout], chunk)]
+    pieces = [reading.splats for reading in iter_validated_splats(files[layout], chunk)]
     assert [len(piece) for piece in pieces[:-1]] == [chunk] * (len(pieces) - 1)
     same(joined(pieces), read_splats(files[layout]))
 
@@ -191,7 +191,7 @@ def test_a_box_holds_the_splats_whose_centre_it_holds(files: dict[str, Path], la
     box = Box(tuple(ends.min(axis=0).tolist()), tuple(ends.max(axis=0).tolist()))
     whole = read_splats(files[layout])
     inside = [all(box.low[i] <= mean[i] <= box.high[i] for i in range(3)) for mean in whole.means.tolist()]
-    found = read_whole(files[layout], within=box)
+    found = read_validated_splats(files[layout], within=box)
     same(found.splats, whole.take(np.array(inside)))
     assert found.total == 600
     corner = tuple(whole.means[7].tolist())
@@ -227,14 +227,14 @@ def header(comments: list[str], packed: bool = False) -> PlyHeader:
 )
 def test_up_is_what_the_file_says_or_what_training_leaves(comments: list[str], axis: str, direction: tuple) -> None:
     for packed in (False, True):
-        up = up_axis(header(comments, packed))
+        up = detect_up_axis(header(comments, packed))
         assert (up.axis, up.direction) == (axis, direction)
     assert (comments[-1] in up.reason) if "Axis: z" in str(comments) else up.reason
 
 
 def test_comments_of_a_written_file_are_its_own(tmp_path: Path) -> None:
     write_inria(tmp_path / "a.ply", random_splats(2), comments=["Vertical Axis: z"])
-    assert up_axis(read_ply_header(tmp_path / "a.ply")).axis == "z"
+    assert detect_up_axis(read_ply_header(tmp_path / "a.ply")).axis == "z"
     before = (tmp_path / "a.ply").read_bytes()
     with pytest.raises(UsageError, match="one line"):
         write_inria(tmp_path / "a.ply", random_splats(2), comments=["two\nelement vertex 9"])
@@ -250,7 +250,10 @@ def real(name: str) -> Path:
 def test_the_guitar_is_the_same_in_both_layouts() -> None:
     """The one file is the other one unpacked, splat by splat, by an independent reader; it clips opacity at 1 − 1e-6
     and keeps logarithms in float32."""
-    packed, plain = read_whole(real("guitar.compressed.ply")), read_whole(real("guitar_decoded_inria.ply"))
+    packed, plain = (
+        read_validated_splats(real("guitar.compressed.ply")),
+        read_validated_splats(real("guitar_decoded_inria.ply")),
+    )
     assert packed.total == plain.total == 90_854
     assert sum(packed.dropped.values()) + sum(plain.dropped.values()) == 0
     one, other = packed.splats, plain.splats
@@ -262,7 +265,7 @@ def test_the_guitar_is_the_same_in_both_layouts() -> None:
 
 
 def test_the_biker_is_read() -> None:
-    found = read_whole(real("biker.compressed.ply"))
+    found = read_validated_splats(real("biker.compressed.ply"))
     assert (found.total, len(found.splats), found.splats.degree) == (152_746, 152_746, 0)
     assert np.isfinite(found.splats.means).all()
     np.testing.assert_allclose(np.linalg.norm(found.splats.rotations, axis=1), 1.0, atol=1e-6)

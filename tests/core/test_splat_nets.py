@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import SceneError, UsageError
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.metric import metric_scale
+from hnf_core.scene.metric import compute_metric_scale
 from hnf_core.scene.raycast import ReferenceGeometry
-from hnf_core.scene.splats.cells import LONGEST_SIDE, Grid, connected, find, grown
-from hnf_core.scene.splats.nearest import nearest_faces
-from hnf_core.scene.splats.surface_nets import Net, Samples, surface_net
+from hnf_core.scene.splats.cells import MAX_CELLS_PER_AXIS, VoxelGrid, dilate_keys, find_keys, label_components
+from hnf_core.scene.splats.nearest import find_nearest_triangles
+from hnf_core.scene.splats.surface_nets import GridSamples, SurfaceNet, extract_surface
 
 
 def ball(points, radius=0.7):
@@ -30,19 +30,19 @@ AREA = {ball: 4 * np.pi * 0.7**2, ring: 4 * np.pi**2 * 0.6 * 0.25}
 VOLUME = {ball: 4 / 3 * np.pi * 0.7**3, ring: 2 * np.pi**2 * 0.6 * 0.25**2}
 
 
-def sampled(field, count: int, shift=(0.0, 0.0, 0.0), band: float = 4.0) -> tuple[Samples, float]:
+def sampled(field, count: int, shift=(0.0, 0.0, 0.0), band: float = 4.0) -> tuple[GridSamples, float]:
     """A field on −1 … 1, known where it is within band spacings of zero; the spacing."""
-    grid, spacing = Grid((count, count, count)), 2.0 / (count - 7)
+    grid, spacing = VoxelGrid((count, count, count)), 2.0 / (count - 7)
     cells = np.stack(np.meshgrid(*[np.arange(2, count - 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     values = field((cells - (count - 1) / 2) * spacing - np.array(shift))
     near = np.abs(values) < band * spacing
-    return Samples(grid, grid.keys(cells[near]), values[near]), spacing
+    return GridSamples(grid, grid.keys(cells[near]), values[near]), spacing
 
 
 @cache
-def netted(field, count: int) -> tuple[Net, float]:
+def netted(field, count: int) -> tuple[SurfaceNet, float]:
     samples, spacing = sampled(field, count)
-    return surface_net(samples), spacing
+    return extract_surface(samples), spacing
 
 
 def edges(triangles):
@@ -50,7 +50,7 @@ def edges(triangles):
     return np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)
 
 
-def area_and_volume(net: Net, spacing: float) -> tuple[float, float]:
+def area_and_volume(net: SurfaceNet, spacing: float) -> tuple[float, float]:
     corner = net.vertices[net.triangles] * spacing
     corner = corner - corner.mean(axis=(0, 1))
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -91,7 +91,7 @@ def test_area_and_volume_are_right_to_the_square_of_the_spacing(field):
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3))
 def test_a_moved_field_gives_a_moved_surface(shift):
     samples, spacing = sampled(ball, 24, tuple(0.5 * 2.0 / 17 * each for each in shift))
-    moved = surface_net(samples)
+    moved = extract_surface(samples)
     assert (edges(moved.triangles)[1] == 2).all()
     distance = ball((moved.vertices - (24 - 1) / 2) * spacing - 0.5 * spacing * np.array(shift))
     assert np.abs(distance).max() < 0.15 * spacing
@@ -101,9 +101,9 @@ def test_a_moved_field_gives_a_moved_surface(shift):
 @given(st.tuples(*[st.integers(0, 5)] * 3))
 def test_whole_steps_change_nothing_but_the_place(step):
     samples, _ = sampled(ring, 16)
-    wide = Grid((22, 22, 22))
+    wide = VoxelGrid((22, 22, 22))
     keys = wide.keys(samples.grid.cells(samples.keys) + np.array(step))
-    net, other = surface_net(samples), surface_net(Samples(wide, keys, samples.values))
+    net, other = extract_surface(samples), extract_surface(GridSamples(wide, keys, samples.values))
     np.testing.assert_allclose(other.vertices, net.vertices + np.array(step), atol=1e-12)
     np.testing.assert_array_equal(other.triangles, net.triangles)
 
@@ -112,7 +112,7 @@ def test_a_hole_in_what_is_known_stays_a_hole():
     samples, _ = sampled(ball, 32)
     cells = samples.grid.cells(samples.keys) - 15.5
     known = ~((cells[:, 2] > 0.0) & (np.hypot(cells[:, 0], cells[:, 1]) < 4.0))
-    net = surface_net(Samples(samples.grid, samples.keys[known], samples.values[known]))
+    net = extract_surface(GridSamples(samples.grid, samples.keys[known], samples.values[known]))
     pairs, times = edges(net.triangles)
     assert set(times.tolist()) == {1, 2}
     rim = net.vertices[np.unique(pairs[times == 1])] - 15.5
@@ -122,37 +122,37 @@ def test_a_hole_in_what_is_known_stays_a_hole():
 
 
 def test_the_widest_grid_still_numbers_every_cell_and_a_wider_one_is_refused():
-    side = LONGEST_SIDE
-    widest, corners = Grid((side,) * 3), np.array([[0, 0, 0], [side - 1, 1, side - 2], [side - 1] * 3])
+    side = MAX_CELLS_PER_AXIS
+    widest, corners = VoxelGrid((side,) * 3), np.array([[0, 0, 0], [side - 1, 1, side - 2], [side - 1] * 3])
     np.testing.assert_array_equal(widest.cells(widest.keys(corners)), corners)
     with pytest.raises(SceneError, match="too far apart"):
-        Grid((8, side + 1, 8))
+        VoxelGrid((8, side + 1, 8))
 
 
 def test_nothing_known_or_no_sign_change_is_no_surface():
-    grid = Grid((9, 9, 9))
-    empty = surface_net(Samples(grid, np.zeros(0, dtype=np.int64), np.zeros(0)))
+    grid = VoxelGrid((9, 9, 9))
+    empty = extract_surface(GridSamples(grid, np.zeros(0, dtype=np.int64), np.zeros(0)))
     assert len(empty.vertices) == len(empty.triangles) == 0
     samples, _ = sampled(ball, 16)
-    assert len(surface_net(Samples(samples.grid, samples.keys, np.abs(samples.values))).triangles) == 0
+    assert len(extract_surface(GridSamples(samples.grid, samples.keys, np.abs(samples.values))).triangles) == 0
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 60), st.integers(0, 2))
 def test_cells_are_found_grown_and_numbered_as_sets_are(seed, count, reach):
     random = np.random.default_rng(seed)
-    grid = Grid((9, 12, 10))
+    grid = VoxelGrid((9, 12, 10))
     cells = random.integers(3, 7, (count, 3))
     keys = grid.keys(cells)
     np.testing.assert_array_equal(grid.cells(keys), cells)
     around = range(-reach, reach + 1)
     wanted = {(i + x, j + y, k + z) for i, j, k in cells.tolist() for x in around for y in around for z in around}
-    found = grown(grid, keys, reach)
+    found = dilate_keys(grid, keys, reach)
     assert {tuple(each) for each in grid.cells(found).tolist()} == wanted
     assert (np.diff(found) > 0).all()
-    at = find(found, keys)
+    at = find_keys(found, keys)
     np.testing.assert_array_equal(found[at], keys)
-    assert find(found, np.array([0])).tolist() == [-1]
+    assert find_keys(found, np.array([0])).tolist() == [-1]
 
 
 @settings(max_examples=20, deadline=None)
@@ -160,7 +160,7 @@ def test_cells_are_found_grown_and_numbered_as_sets_are(seed, count, reach):
 def test_connected_parts_are_those_of_a_walk(seed, count, links):
     random = np.random.default_rng(seed)
     first, second = random.integers(0, count, (2, links))
-    label = connected(count, first, second)
+    label = label_components(count, first, second)
     expected = np.arange(count)
     for _ in range(count):
         for a, b in zip(first, second, strict=True):
@@ -180,19 +180,19 @@ def test_the_nearest_face_is_the_references(seed, within):
     points = random.uniform(-2.0, 2.0, (40, 3))
     plain = ReferenceGeometry(mesh).closest_points(points)
     assume((np.abs(plain.distance - within) > 1e-9).all())
-    found = nearest_faces(vertices, triangles, points, within)
+    found = find_nearest_triangles(vertices, triangles, points, within)
     near = plain.distance <= within
     np.testing.assert_array_equal(found.triangle, np.where(near, plain.triangle, -1))
     np.testing.assert_allclose(found.distance, np.where(near, plain.distance, np.inf), rtol=1e-12)
 
 
 def test_no_faces_no_points_and_no_reach():
-    none = nearest_faces(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), np.zeros((2, 3)), 1.0)
+    none = find_nearest_triangles(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), np.zeros((2, 3)), 1.0)
     assert none.triangle.tolist() == [-1, -1]
-    assert len(nearest_faces(np.eye(3), [[0, 1, 2]], np.zeros((0, 3)), 1.0).triangle) == 0
+    assert len(find_nearest_triangles(np.eye(3), [[0, 1, 2]], np.zeros((0, 3)), 1.0).triangle) == 0
     for reach in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(UsageError):
-            nearest_faces(np.eye(3), [[0, 1, 2]], np.zeros((1, 3)), reach)
+            find_nearest_triangles(np.eye(3), [[0, 1, 2]], np.zeros((1, 3)), reach)
 
 
 @settings(max_examples=50, deadline=None)
@@ -200,10 +200,10 @@ def test_no_faces_no_points_and_no_reach():
 def test_a_length_in_metres_is_that_length_after_scaling(point, way, length):
     assume(np.linalg.norm(way) > 1e-2)
     a, b = np.array(point), np.array(point) + np.array(way)
-    scale = metric_scale(a, b, length)
+    scale = compute_metric_scale(a, b, length)
     assert np.linalg.norm(b * scale - a * scale) == pytest.approx(length, rel=1e-9)
-    assert metric_scale(b, a, length) == scale
-    assert metric_scale(2.0 * a, 2.0 * b, length) == pytest.approx(scale / 2.0, rel=1e-12)
+    assert compute_metric_scale(b, a, length) == scale
+    assert compute_metric_scale(2.0 * a, 2.0 * b, length) == pytest.approx(scale / 2.0, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -223,4 +223,4 @@ def test_a_length_in_metres_is_that_length_after_scaling(point, way, length):
 )
 def test_a_length_that_says_nothing_is_refused(a, b, length):
     with pytest.raises(UsageError):
-        metric_scale(a, b, length)
+        compute_metric_scale(a, b, length)

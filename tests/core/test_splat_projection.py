@@ -12,8 +12,8 @@ from splat_clouds import close_up, cloud, perspective, splats
 from test_splat_views import turned
 
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.splats.harmonics import basis, colours, directions
-from hnf_core.scene.splats.project import footprints, form
+from hnf_core.scene.splats.harmonics import compute_view_directions, evaluate_sh_basis, evaluate_sh_colours
+from hnf_core.scene.splats.project import evaluate_quadratic_form, project_splats
 
 
 def covariances(one):
@@ -34,7 +34,7 @@ def test_a_footprint_is_the_covariance_in_the_picture(seed, flat):
     one, (turn, _) = cloud(seed, 30, spread=0.3), turned(seed)
     one.opacities[:] = 0.9
     camera = close_up() if flat else perspective(turn=turn, distance=5.0)
-    prints = footprints(one, camera)
+    prints = project_splats(one, camera)
     assert len(prints) > 10
     centres, step = one.means[prints.index].astype(np.float64), 1e-5
     moves = []
@@ -45,15 +45,17 @@ def test_a_footprint_is_the_covariance_in_the_picture(seed, flat):
     seen = jacobian @ covariances(one)[prints.index] @ jacobian.transpose(0, 2, 1)
     planar = seen[:, :2, :2]
     rise = np.linalg.solve(planar, seen[:, :2, 2:])[..., 0]
-    np.testing.assert_allclose(np.stack([prints.rise_x, prints.rise_y], axis=-1), rise, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(
+        np.stack([prints.depth_slope_x, prints.depth_slope_y], axis=-1), rise, rtol=1e-4, atol=1e-5
+    )
     conic = np.linalg.inv(planar + 0.3 * np.eye(2))
     (u, v), z = camera.project(centres)[0].T, camera.project(centres)[1]
     np.testing.assert_allclose([prints.u, prints.v, prints.depth], [u, v, z], rtol=1e-9, atol=1e-9)
     y, x = np.full(len(prints), 7), 11
-    steep, across, along = form(prints, np.arange(len(prints)), y)
+    steep, across, along = evaluate_quadratic_form(prints, np.arange(len(prints)), y)
     offset = np.stack([x + 0.5 - u, y + 0.5 - v], axis=-1)
     q = np.einsum("ni,nij,nj->n", offset, conic, offset)
-    np.testing.assert_allclose(steep + prints.sharp * (x + 0.5 - across) ** 2, q, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(steep + prints.precision * (x + 0.5 - across) ** 2, q, rtol=1e-5, atol=1e-7)
     np.testing.assert_allclose(along, y + 0.5 - v, atol=1e-9)
 
 
@@ -61,26 +63,26 @@ def test_a_footprint_is_the_covariance_in_the_picture(seed, flat):
 @given(st.integers(0, 2**32 - 1))
 def test_a_box_holds_every_pixel_that_counts_and_touches_its_ellipse(seed):
     one, camera = cloud(seed, 20, size=0.2), perspective()
-    prints = footprints(one, camera)
+    prints = project_splats(one, camera)
     y, x = np.mgrid[: camera.height, : camera.width]
     for i in range(len(prints)):
-        steep, across, _ = form(prints, np.array(i), y)
-        counts = steep + prints.sharp[i] * (x + 0.5 - across) ** 2 <= prints.limit[i]
+        steep, across, _ = evaluate_quadratic_form(prints, np.array(i), y)
+        counts = steep + prints.precision[i] * (x + 0.5 - across) ** 2 <= prints.cutoff[i]
         box = (x >= prints.left[i]) & (x < prints.right[i]) & (y >= prints.top[i]) & (y < prints.bottom[i])
         assert not (counts & ~box).any()
-        extent = np.sqrt(prints.limit[i] * prints.var_y[i])
+        extent = np.sqrt(prints.cutoff[i] * prints.var_y[i])
         assert prints.bottom[i] - prints.top[i] <= 2.0 * extent + 1.0
 
 
 def test_a_jacobian_is_taken_no_farther_out_than_the_field_of_view_allows():
     """Beside the camera, close to its plane, a splat would be smeared over the whole picture."""
     beside = splats([(8.0, 0.0, -2.9)], 0.3, 0.9)
-    assert len(footprints(beside, perspective())) == 0
+    assert len(project_splats(beside, perspective())) == 0
     camera = Camera("perspective", 40, 40, np.array([[20.0, 0.0, 20.0], [0.0, 20.0, 20.0], [0.0, 0.0, 1.0]]), np.eye(4))
     above = splats([(0.0, -3.0, 1.0)], 1.0, 0.9)
     expected = 20.0**2 * (1.0 + 1.3**2) + 0.3  # of a ball, at 1.3 times the tangent of half the field of view
     for each in (camera, camera.crop(10, 0, 20, 8)):
-        np.testing.assert_allclose(footprints(above, each).var_y, [expected], rtol=1e-12)
+        np.testing.assert_allclose(project_splats(above, each).var_y, [expected], rtol=1e-12)
 
 
 def literal(towards, degree, m):
@@ -101,7 +103,7 @@ def test_harmonics_are_those_of_rodrigues():
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     expected = [literal(towards, n, m) for n in range(4) for m in range(-n, n + 1)]
     for degree in range(4):
-        np.testing.assert_allclose(basis(towards, degree), expected[: (degree + 1) ** 2], atol=1e-12)
+        np.testing.assert_allclose(evaluate_sh_basis(towards, degree), expected[: (degree + 1) ** 2], atol=1e-12)
 
 
 def test_colour_is_half_grey_plus_the_harmonics_and_never_below_black():
@@ -110,7 +112,7 @@ def test_colour_is_half_grey_plus_the_harmonics_and_never_below_black():
     harmonics[:, 0], harmonics[:, 2] = [1.0, 0.0, -9.0], [0.5, 0.5, 0.0]
     c0, c1 = 0.28209479177387814, 0.4886025119029199
     np.testing.assert_allclose(
-        colours(harmonics, towards),
+        evaluate_sh_colours(harmonics, towards),
         [[0.5 + c0 + 0.5 * c1, 0.5 + 0.5 * c1, 0.0], [0.5 + c0 - 0.5 * c1, 0.5 - 0.5 * c1, 0.0]],
     )
 
@@ -120,6 +122,6 @@ def test_directions_lead_from_the_camera_to_the_splat():
     camera = perspective(turn=turn)
     point = camera.pose[:3, 3] + 5.0 * turn[:, 0]
     np.testing.assert_allclose(
-        directions(np.array([point, camera.pose[:3, 3]]), camera), [turn[:, 0], np.zeros(3)], atol=1e-12
+        compute_view_directions(np.array([point, camera.pose[:3, 3]]), camera), [turn[:, 0], np.zeros(3)], atol=1e-12
     )
-    np.testing.assert_allclose(directions(np.array([point]), close_up()), [[0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(compute_view_directions(np.array([point]), close_up()), [[0.0, 0.0, 1.0]])

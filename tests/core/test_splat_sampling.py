@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_splats.sampling import along_a_curve, pieces_of, sample_mesh, spread, triangle_sequence
+from scene_splats.sampling import (
+    compute_triangle_sequence,
+    distribute_points,
+    order_along_curve,
+    sample_mesh,
+    subdivide_triangles,
+)
 
 from hnf_core.scene.mesh import TriangleMesh
 
@@ -37,7 +43,7 @@ def triangles(draw):
 def test_points_that_follow_each_other_lie_in_equal_parts(start, digits) -> None:
     """Basu and Owen's law: 4^k from a multiple of 4^k on, one in each of the 4^k parts."""
     count = 4**digits
-    points = triangle_sequence(np.arange(count) + (start // count) * count)
+    points = compute_triangle_sequence(np.arange(count) + (start // count) * count)
     np.testing.assert_allclose(points.sum(axis=1), 1.0, atol=1e-12)
     assert points.min() >= 0.0
     # A part is told by the cell of its barycentric coordinates on a grid of 2^k lines.
@@ -50,7 +56,7 @@ def test_points_that_follow_each_other_lie_in_equal_parts(start, digits) -> None
 def test_every_piece_gets_its_share_of_the_area(corners, seed) -> None:
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     spacing = np.sqrt(area.sum() / 500.0)
-    found = spread(np.arange(len(corners)), corners, spacing, np.random.default_rng(seed))
+    found = distribute_points(np.arange(len(corners)), corners, spacing, np.random.default_rng(seed))
     assert abs(len(found) - 500) <= 1
     counts = np.bincount(found.triangle, minlength=len(corners))
     assert np.abs(counts - len(found) * area / area.sum()).max() < 1.0 + 1e-9
@@ -97,7 +103,7 @@ def test_a_strip_has_no_holes_either() -> None:
 
 def test_it_is_finer_around_a_place_and_nowhere_else() -> None:
     place, reach = np.array([0.02, 0.01, 0.0]), 0.01
-    found = sample_mesh(square(), 4e-3, 0, places=[place], reach_m=reach, fine_m=0.5e-3)
+    found = sample_mesh(square(), 4e-3, 0, centres=[place], reach_m=reach, fine_m=0.5e-3)
     near = np.linalg.norm(found.position - place, axis=1) <= reach
     np.testing.assert_allclose(found.spacing[near], 0.5e-3, rtol=0.02)
     np.testing.assert_allclose(found.spacing[~near], 4e-3, rtol=0.02)
@@ -116,7 +122,7 @@ def test_equal_seeds_give_equal_points_and_others_do_not() -> None:
 @given(triangles(), st.floats(0.1, 0.5))
 def test_pieces_are_the_triangle_again(corners, share) -> None:
     longest = share * float(np.ptp(corners, axis=(0, 1)).max())
-    triangle, pieces = pieces_of(corners, longest)
+    triangle, pieces = subdivide_triangles(corners, longest)
     assert np.linalg.norm(pieces - np.roll(pieces, 1, axis=1), axis=2).max() <= longest
 
     def doubled_area(of):
@@ -132,7 +138,10 @@ def test_pieces_are_the_triangle_again(corners, share) -> None:
 def test_pieces_around_a_place_hold_all_that_is_near_it(corners, seed, share) -> None:
     reach = share * float(np.ptp(corners, axis=(0, 1)).max())
     middle = np.einsum("c,cx->x", np.random.default_rng(seed).dirichlet([1.0, 1.0, 1.0]), corners[0]) + 0.3 * reach
-    every, near = pieces_of(corners, 0.5 * reach), pieces_of(corners, 0.5 * reach, middle[None], reach)
+    every, near = (
+        subdivide_triangles(corners, 0.5 * reach),
+        subdivide_triangles(corners, 0.5 * reach, middle[None], reach),
+    )
     close = np.linalg.norm(every[1].mean(axis=1) - middle, axis=1) <= reach
     # Pieces come by the triangle and the cut, so that equal ones are equal to the last bit.
     kept = {piece.tobytes() for piece in near[1]}
@@ -142,7 +151,7 @@ def test_pieces_around_a_place_hold_all_that_is_near_it(corners, seed, share) ->
 
 def test_neighbours_along_the_curve_are_neighbours() -> None:
     points = np.random.default_rng(0).random((4000, 3))
-    order = along_a_curve(points)
+    order = order_along_curve(points)
     assert sorted(order) == list(range(4000))
     steps = np.linalg.norm(np.diff(points[order], axis=0), axis=1)
     assert np.median(steps) < 0.2 * np.median(np.linalg.norm(np.diff(points, axis=0), axis=1))

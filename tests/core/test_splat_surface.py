@@ -11,12 +11,18 @@ import pytest
 from splat_shapes import fog, joined, moved, sheet, sphere, torus
 
 from hnf_core.errors import SceneError, UsageError
-from hnf_core.scene.splats.quality import MOST_RAGGED, MOST_TRANSLUCENT, Clarity, open_share, quality
+from hnf_core.scene.splats.quality import (
+    MAX_RAGGED_SHARE,
+    MAX_TRANSLUCENT_SHARE,
+    Clarity,
+    assess_quality,
+    compute_open_edge_share,
+)
 from hnf_core.scene.splats.read import read_splats
-from hnf_core.scene.splats.sights import glance, sight
-from hnf_core.scene.splats.surface import SplatSurface, reconstruct
+from hnf_core.scene.splats.sights import make_depth_view, sample_points
+from hnf_core.scene.splats.surface import SplatSurface, reconstruct_surface
 from hnf_core.scene.splats.view import SplatView
-from hnf_core.scene.splats.viewpoints import cameras_around, looking, sphere_directions
+from hnf_core.scene.splats.viewpoints import fit_orthographic_camera, make_sphere_directions, make_surrounding_cameras
 from hnf_core.units import srgb_to_linear
 
 SPLATS = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "splats"
@@ -33,7 +39,7 @@ def ring_distance(points):
 
 @cache
 def made(name: str) -> SplatSurface:
-    red_side = np.where(sphere_directions(1500)[:, :1] > 0.0, [[0.9, 0.2, 0.2]], [[0.2, 0.2, 0.9]])
+    red_side = np.where(make_sphere_directions(1500)[:, :1] > 0.0, [[0.9, 0.2, 0.2]], [[0.2, 0.2, 0.9]])
     half = sphere(1500)
     clouds = {
         "ball": lambda: sphere(1500, colour=red_side),
@@ -43,7 +49,7 @@ def made(name: str) -> SplatSurface:
         "two": lambda: joined(sphere(800), moved(sphere(800), by=(3.2, 0.0, 0.0))),
         "fog": fog,
     }
-    return reconstruct(clouds[name](), cells=CELLS, views=VIEWS)
+    return reconstruct_surface(clouds[name](), cells=CELLS, views=VIEWS)
 
 
 def times_used(triangles):
@@ -63,7 +69,7 @@ def test_a_solid_becomes_its_closed_surface(name, distance, euler):
     assert np.abs(away).mean() < 0.2
     assert np.quantile(np.abs(away), 0.99) < 0.6
     assert found.quality.touchable, found.quality.warnings
-    assert found.quality.open == open_share(found.triangles) == 0.0
+    assert found.quality.open == compute_open_edge_share(found.triangles) == 0.0
 
 
 def test_normals_are_unit_and_look_out_and_colours_are_the_splats():
@@ -105,7 +111,7 @@ def test_a_half_shell_is_open_inside_and_right_on_both_sides():
 
 def test_two_solids_stay_two():
     found = made("two")
-    assert found.quality.pieces == 2
+    assert found.quality.components == 2
     assert found.quality.touchable, found.quality.warnings
 
 
@@ -113,16 +119,16 @@ def test_fog_is_too_poor_to_touch_and_says_why():
     found = made("fog").quality
     assert not found.touchable
     assert any("fog" in each for each in found.warnings), found
-    assert found.clarity.translucent > 1.2 * MOST_TRANSLUCENT
+    assert found.clarity.translucent > 1.2 * MAX_TRANSLUCENT_SHARE
 
 
 def test_loose_grains_are_no_surface():
     random = np.random.default_rng(3)
     ball = sphere(1500)
     shaken = (ball.means + 0.15 * random.standard_normal(ball.means.shape)).astype(np.float32)
-    found = reconstruct(replace(ball, means=shaken, scales=0.5 * ball.scales), cells=CELLS, views=VIEWS).quality
+    found = reconstruct_surface(replace(ball, means=shaken, scales=0.5 * ball.scales), cells=CELLS, views=VIEWS).quality
     assert not found.touchable
-    assert found.clarity.translucent > MOST_TRANSLUCENT or found.clarity.ragged > MOST_RAGGED
+    assert found.clarity.translucent > MAX_TRANSLUCENT_SHARE or found.clarity.ragged > MAX_RAGGED_SHARE
 
 
 def test_each_thing_that_makes_it_poor_is_said():
@@ -132,7 +138,7 @@ def test_each_thing_that_makes_it_poor_is_said():
     def said(count=1500, kept=1.0, triangles=ball.triangles, seen=clear, away=0.0) -> tuple[str, ...]:
         vertices = ball.vertices.astype(np.float64) + away
         spread, views = ball.spread, ball.support.astype(np.int32)
-        return quality(
+        return assess_quality(
             sphere(1500).take(np.arange(count)), kept, vertices, triangles, ball.spacing, spread, views, 1, seen
         ).warnings
 
@@ -152,18 +158,18 @@ def test_each_thing_that_makes_it_poor_is_said():
 def test_neither_scale_nor_dirt_changes_the_surface():
     ball = made("ball")
     specks = moved(sphere(6), 0.01, (2.0, 0.0, 0.0))
-    same = reconstruct(sphere(1500), cells=CELLS, views=VIEWS)
-    large = reconstruct(moved(joined(sphere(1500), specks), 1024.0), cells=CELLS, views=VIEWS)
+    same = reconstruct_surface(sphere(1500), cells=CELLS, views=VIEWS)
+    large = reconstruct_surface(moved(joined(sphere(1500), specks), 1024.0), cells=CELLS, views=VIEWS)
     np.testing.assert_array_equal(same.vertices, ball.vertices)
     np.testing.assert_array_equal(large.vertices, same.vertices * np.float32(1024.0))
     np.testing.assert_array_equal(large.triangles, same.triangles)
-    assert large.cleaned.dropped["floating"] == 6
+    assert large.pruned.dropped["floating"] == 6
     assert large.quality.median == pytest.approx(1024.0 * same.quality.median, rel=1e-6)
 
 
 def test_progress_is_told_in_order_and_can_stop_it():
     told = []
-    reconstruct(sphere(300), cells=12, views=6, progress=lambda stage, share: told.append((stage, share)))
+    reconstruct_surface(sphere(300), cells=12, views=6, progress=lambda stage, share: told.append((stage, share)))
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
@@ -175,27 +181,27 @@ def test_progress_is_told_in_order_and_can_stop_it():
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        reconstruct(sphere(300), cells=12, views=6, progress=stop)
+        reconstruct_surface(sphere(300), cells=12, views=6, progress=stop)
 
 
 def test_what_makes_no_surface_is_refused_in_words():
     ball = sphere(300)
     faint = replace(ball, opacities=np.full(300, 0.06, dtype=np.float32), scales=0.2 * ball.scales)
     with pytest.raises(SceneError, match=r"ball\.ply: no view shows anything solid"):
-        reconstruct(faint, cells=12, views=6, where="ball.ply")
+        reconstruct_surface(faint, cells=12, views=6, where="ball.ply")
     for cells, views in ((7, 6), (100_000, 6), (12, 5), (12, 10_000)):
         with pytest.raises(UsageError):
-            reconstruct(ball, cells=cells, views=views)
+            reconstruct_surface(ball, cells=cells, views=views)
 
 
 def test_cameras_see_everything_from_outside():
     cloud = joined(sphere(200), moved(torus(20, 10), 0.5, (3.0, 1.0, -2.0)))
     means, reach = cloud.means.astype(np.float64), np.full(len(cloud), 0.2)
-    directions = sphere_directions(26)
+    directions = make_sphere_directions(26)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
     gaps = np.sort(np.arccos(np.clip(directions @ directions.T, -1.0, 1.0)), axis=1)[:, 1]
     assert gaps.min() > 0.3
-    for camera, direction in zip(cameras_around(means, reach, 26, 0.1), directions, strict=True):
+    for camera, direction in zip(make_surrounding_cameras(means, reach, 26, 0.1), directions, strict=True):
         uv, z = camera.project(means)
         assert (z > 0.19).all()
         assert (z < camera.clip_end - 0.19).all()
@@ -207,35 +213,35 @@ def test_cameras_see_everything_from_outside():
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3, 0.9])
 def test_a_glance_at_a_plane_is_the_distance_to_it(tilt):
-    camera = looking([0.0, 0.0, 1.0], np.array([[-8.0, -8.0, 0.0], [8.0, 8.0, 8.0]]), np.zeros(2), 1.0)
+    camera = fit_orthographic_camera([0.0, 0.0, 1.0], np.array([[-8.0, -8.0, 0.0], [8.0, 8.0, 8.0]]), np.zeros(2), 1.0)
     normal = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
     centres = camera.unproject(camera.pixel_centres(), np.zeros((camera.height, camera.width)))
     depth = centres @ normal / np.cos(tilt)
     full = np.ones_like(depth)
     view = SplatView(camera, np.zeros((*depth.shape, 3)), depth, depth, full, 1, 1)
     points = np.random.default_rng(0).uniform(-6.0, 6.0, (50, 3))
-    seen = glance(sight(view), points)
-    cosine = sight(view).cosine.reshape(-1)[seen.pixel]
+    seen = sample_points(make_depth_view(view), points)
+    cosine = make_depth_view(view).cosine.reshape(-1)[seen.pixel]
     np.testing.assert_allclose(seen.ahead * cosine, points @ normal, atol=1e-4)
-    assert glance(sight(view), np.array([[100.0, 0.0, 0.0]])).pixel.tolist() == [-1]
+    assert sample_points(make_depth_view(view), np.array([[100.0, 0.0, 0.0]])).pixel.tolist() == [-1]
 
 
 def test_where_the_light_stops_at_two_surfaces_the_first_counts():
-    camera = looking([0.0, 0.0, 1.0], np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 9.0]]), np.zeros(2), 1.0)
+    camera = fit_orthographic_camera([0.0, 0.0, 1.0], np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 9.0]]), np.zeros(2), 1.0)
     near, shape = np.float32(2.0), (camera.height, camera.width)
     plain = {"rgb": np.zeros((*shape, 3)), "opacity": np.ones(shape), "drawn": 1, "pairs": 1, "camera": camera}
     two = SplatView(depth=np.full(shape, near + 4.0), median=np.full(shape, near), **plain)
     one = SplatView(depth=np.full(shape, near + 0.5), median=np.full(shape, near), **plain)
-    assert (sight(two).depth == near).all()
-    assert (sight(one).depth == near + 0.5).all()
+    assert (make_depth_view(two).depth == near).all()
+    assert (make_depth_view(one).depth == near + 0.5).all()
     none = replace(one, opacity=np.full(shape, 0.4))
-    assert np.isinf(sight(none).depth).all()
+    assert np.isinf(make_depth_view(none).depth).all()
 
 
 @pytest.mark.skipif(not SPLATS.is_dir(), reason="needs the published splat files in ../shared/data/splats")
 def test_a_real_guitar_is_touchable():
     guitar = read_splats(SPLATS / "guitar.compressed.ply")
-    found = reconstruct(guitar, cells=40, views=6)
+    found = reconstruct_surface(guitar, cells=40, views=6)
     assert found.quality.touchable, found.quality
     assert found.quality.near > 0.9
     assert found.quality.median < 0.8 * found.spacing

@@ -242,7 +242,7 @@ def test_one_thread_and_several_give_the_same_bytes():
 def test_the_size_of_tiles_changes_nothing(monkeypatch):
     one, camera, views = cloud(10, 200, degree=1), perspective(150, 131, focal=120.0), []
     for side in (2, 4, 8):
-        monkeypatch.setattr(splatter, "SIDES", ((np.inf, side),))
+        monkeypatch.setattr(splatter, "TILE_SIDES", ((np.inf, side),))
         views.append(render_splats(one, camera))
     for view in views[1:]:
         assert view.pairs == views[0].pairs
@@ -253,13 +253,13 @@ def test_the_size_of_tiles_changes_nothing(monkeypatch):
 def test_work_follows_the_crop(monkeypatch):
     """A sheet of splats: those met, their colours and the pairs all shrink with the area that is looked at."""
     coloured = []
-    original = splatter.colours
+    original = splatter.evaluate_sh_colours
 
     def counted(harmonics, towards):
         coloured.append(len(harmonics))
         return original(harmonics, towards)
 
-    monkeypatch.setattr(splatter, "colours", counted)
+    monkeypatch.setattr(splatter, "evaluate_sh_colours", counted)
     places = np.random.default_rng(8).uniform(-1.0, 1.0, (4000, 3)) * [1.0, 1.0, 0.01]
     sheet, camera = splats(places, 0.01, 0.3), close_up(128)
     whole = render_splats(sheet, camera)

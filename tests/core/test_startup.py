@@ -6,11 +6,11 @@ import shlex
 
 import pytest
 
-from hnf_core.bench.frame import Options
-from hnf_core.bench.process import HEAVY, run_alone
-from hnf_core.bench.startup import HNF, action_table, rows
+from hnf_core.bench.frame import BenchOptions
+from hnf_core.bench.process import HEAVY_PACKAGES, run_process
+from hnf_core.bench.startup import HNF_CODE, make_action_csv, measure_startup
 from hnf_core.cli.main import build_parser
-from hnf_core.cli.verbs import HELP, MODULES
+from hnf_core.cli.verbs import COMMAND_MODULES, HELP
 from hnf_core.errors import HnfError
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "wait4"), reason="no system call that tells what a process took")
@@ -18,10 +18,10 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "wait4"), reason="no system call
 
 @pytest.mark.parametrize("words", ["--help", "--version"])
 def test_telling_what_there_is_loads_no_numpy(words):
-    run = run_alone(HNF, words)
-    assert run.heavy == ()
+    run = run_process(HNF_CODE, words)
+    assert run.heavy_packages == ()
     assert [name for name in run.modules if name.startswith("hnf_core.") and not is_word(name)] == []
-    assert run.said.startswith(("usage: hnf", "hnf "))
+    assert run.output.startswith(("usage: hnf", "hnf "))
 
 
 def is_word(module: str) -> bool:
@@ -30,19 +30,19 @@ def is_word(module: str) -> bool:
 
 @pytest.mark.parametrize("words", ["materials --json", "synth --help", "train --help", "stream --help"])
 def test_a_verb_loads_nothing_heavy_but_numpy(words):
-    assert set(run_alone(HNF, *shlex.split(words)).heavy) <= {"numpy"}
+    assert set(run_process(HNF_CODE, *shlex.split(words)).heavy_packages) <= {"numpy"}
 
 
 def test_the_whole_command_line_is_what_its_verbs_say():
     """Asked for one verb, the parser knows the others by what they are for alone."""
     whole = build_parser(lambda _: 0).format_help()
-    for only in ("", *MODULES):
+    for only in ("", *COMMAND_MODULES):
         assert build_parser(lambda _: 0, only=only).format_help() == whole
-    assert MODULES.keys() == HELP.keys()
+    assert COMMAND_MODULES.keys() == HELP.keys()
 
 
 def test_a_command_is_measured_after_import_numpy():
-    base, *found = rows(Options(repeats=1, quick=True))
+    base, *found = measure_startup(BenchOptions(repeats=1, quick=True))
     assert (base.method, base.ratio) == ("import numpy", None)
     assert [row.method for row in found] == [
         "hnf --help",
@@ -56,26 +56,26 @@ def test_a_command_is_measured_after_import_numpy():
         assert row.seconds.count == row.cpu.count == 1
         assert row.peak_mb > 1.0
     assert "none of the heavy ones" in found[0].note
-    assert [name for name in HEAVY if name in found[-1].note.rpartition(";")[2]] == ["numpy"]
+    assert [name for name in HEAVY_PACKAGES if name in found[-1].note.rpartition(";")[2]] == ["numpy"]
 
 
 def test_a_process_that_fails_says_why():
     with pytest.raises(HnfError, match="code 3:\nbecause"):
-        run_alone("print('because'); sys.exit(3)")
+        run_process("print('because'); sys.exit(3)")
 
 
 def test_a_process_tells_its_own_memory_and_not_its_parents():
     held = bytearray(300_000_000)
-    run = run_alone("block = bytearray(60_000_000); print(json.dumps(sys.argv[1:]))", "a", "b c")
+    run = run_process("block = bytearray(60_000_000); print(json.dumps(sys.argv[1:]))", "a", "b c")
     assert 60.0 < run.peak_mb < 200.0 < len(held) / 1e6
-    assert json.loads(run.said) == ["a", "b c"]
+    assert json.loads(run.output) == ["a", "b c"]
 
 
 def test_a_hand_moves_all_the_time(tmp_path):
     from hnf_core.action.table import read_action_csv
 
     table = tmp_path / "action.csv"
-    table.write_text(action_table(10.0))
+    table.write_text(make_action_csv(10.0))
     action = read_action_csv(table, "pen")
     assert action.duration_s == pytest.approx(10.0, abs=0.01)
     assert action.speed.min() > 0.0

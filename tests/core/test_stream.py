@@ -16,11 +16,11 @@ import pytest
 from stream_builders import LIMITS, LONG_S, Failing, at_rest, comes, noise, slope
 from stream_sink import ClockSink, check_sink
 
-from hnf_core.actuators.chain import Chain, counts_of
-from hnf_core.actuators.limits import COUNTS
+from hnf_core.actuators.chain import SignalChain, render_counts
+from hnf_core.actuators.limits import FULL_SCALE_COUNTS
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.source import Samples
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 from hnf_core.actuators.stream import Stream
 from hnf_core.errors import UsageError
 
@@ -58,17 +58,17 @@ def test_what_the_sink_gets_is_what_the_chain_makes_at_once(
 ) -> None:
     samples = noise(0.4, source_hz, channels)
     sink = ClockSink(sink_hz, channels, round(0.015 * sink_hz))
-    source = Recorded(samples, source_hz)
-    with Stream(source, sink, LIMITS, block_s=block_s, ahead_blocks=ahead, prompt=prompt) as stream:
+    source = BufferSource(samples, source_hz)
+    with Stream(source, sink, LIMITS, block_s=block_s, ahead_blocks=ahead, low_latency=prompt) as stream:
         assert stream.start() == sink.format
         assert stream.wait(60.0)
     assert stream.report.problem == ""
-    expected = counts_of(Recorded(samples, source_hz), sink.format, LIMITS, prompt=prompt)
+    expected = render_counts(BufferSource(samples, source_hz), sink.format, LIMITS, low_latency=prompt)
     assert np.array_equal(sink.counts, expected)
     report = stream.report
     assert report.state == "ended"
     assert report.frames == len(expected)
-    assert report.peak == np.abs(expected.astype(np.int64)).max() / COUNTS
+    assert report.peak == np.abs(expected.astype(np.int64)).max() / FULL_SCALE_COUNTS
     assert report.played_s == pytest.approx(len(expected) / sink_hz)
     assert report.compute_p99_ms > 0.0
     assert report.to_json()["underruns"] == report.underruns
@@ -77,13 +77,13 @@ def test_what_the_sink_gets_is_what_the_chain_makes_at_once(
 
 
 def test_one_channel_goes_to_all_of_the_device_and_two_do_not_go_to_three() -> None:
-    one = counts_of(Recorded(noise(0.05), 8000.0), SinkFormat(8000.0, 3, 100, "three"), LIMITS)
+    one = render_counts(BufferSource(noise(0.05), 8000.0), SinkFormat(8000.0, 3, 100, "three"), LIMITS)
     assert np.array_equal(one[:, 0], one[:, 2])
     with pytest.raises(UsageError, match="2 channels"):
-        Chain(Recorded(noise(0.05, channels=2), 8000.0), SinkFormat(8000.0, 3, 100, "three"), LIMITS)
+        SignalChain(BufferSource(noise(0.05, channels=2), 8000.0), SinkFormat(8000.0, 3, 100, "three"), LIMITS)
     sink = ClockSink(channels=3)
     with pytest.raises(UsageError, match="2 channels"):
-        Stream(Recorded(noise(0.05, channels=2), 8000.0), sink, LIMITS).start()
+        Stream(BufferSource(noise(0.05, channels=2), 8000.0), sink, LIMITS).start()
     assert not sink.is_open
     assert at_rest()
 
@@ -93,15 +93,16 @@ def test_a_device_with_a_lower_peak_of_its_own_never_has_to_cut_anything_off() -
     samples = np.full((4000, 1), 25.0, np.float32) * np.sin(0.1 * np.arange(4000), dtype=np.float32)[:, None]
     sink = ClockSink()
     sink.format = replace(sink.format, peak=8000)
-    with Stream(Recorded(samples, 10000.0), sink, LIMITS) as stream:
+    with Stream(BufferSource(samples, 10000.0), sink, LIMITS) as stream:
         stream.start()
         assert stream.wait(60.0)
     assert np.abs(sink.counts.astype(np.int64)).max() == 8000
-    assert stream.report.peak == 8000 / COUNTS
+    assert stream.report.peak == 8000 / FULL_SCALE_COUNTS
     assert stream.report.limited_samples > 1000
-    strong = replace(sink.format, peak=COUNTS)
+    strong = replace(sink.format, peak=FULL_SCALE_COUNTS)
     assert np.array_equal(
-        counts_of(Recorded(samples, 10000.0), strong, replace(LIMITS, peak=8000 / COUNTS)), sink.counts
+        render_counts(BufferSource(samples, 10000.0), strong, replace(LIMITS, peak=8000 / FULL_SCALE_COUNTS)),
+        sink.counts,
     ), "as if the profile had said so"
 
 
@@ -113,8 +114,8 @@ def test_stages_stand_between_source_and_limiter_and_never_see_what_is_no_number
 
     samples = noise(0.1)
     samples[::7] = np.nan
-    chain = Chain(Recorded(samples, 2800.0), SinkFormat(10000.0, 1, 100, "x"), LIMITS, [Louder()])
-    counts = np.concatenate([chain.block(50) for _ in range(100)])
+    chain = SignalChain(BufferSource(samples, 2800.0), SinkFormat(10000.0, 1, 100, "x"), LIMITS, [Louder()])
+    counts = np.concatenate([chain.render_block(50) for _ in range(100)])
     assert chain.nonfinite == len(samples[::7])
     assert np.abs(counts.astype(np.int64)).max() <= LIMITS.peak_counts
     assert chain.limiter.limited > 0
@@ -122,7 +123,7 @@ def test_stages_stand_between_source_and_limiter_and_never_see_what_is_no_number
 
 def test_stopping_is_soft_at_once_and_from_any_thread() -> None:
     sink = ClockSink()
-    stream = Stream(Recorded(noise(LONG_S), 10000.0), sink, LIMITS)
+    stream = Stream(BufferSource(noise(LONG_S), 10000.0), sink, LIMITS)
     stream.start()
     assert comes(lambda: len(sink.counts) > 0)
     threads = [threading.Thread(target=stream.stop) for _ in range(4)]
@@ -139,7 +140,7 @@ def test_stopping_is_soft_at_once_and_from_any_thread() -> None:
 
 
 def test_stopping_before_the_start_is_harmless() -> None:
-    stream = Stream(Recorded(noise(0.1), 10000.0), ClockSink(), LIMITS)
+    stream = Stream(BufferSource(noise(0.1), 10000.0), ClockSink(), LIMITS)
     stream.stop()
     assert stream.wait(0.0)
     assert stream.report.state == "ended"
@@ -158,7 +159,7 @@ def test_a_source_may_stop_its_own_stream() -> None:
 
 def test_a_pause_fades_out_holds_and_fades_in_where_it_was() -> None:
     samples = np.full((3000, 1), 10.0, np.float32)
-    sink, source = ClockSink(), Recorded(samples, 10000.0)
+    sink, source = ClockSink(), BufferSource(samples, 10000.0)
     with Stream(source, sink, LIMITS) as stream:
         stream.start()
         assert comes(lambda: len(sink.counts) > 300)
@@ -178,7 +179,7 @@ def test_a_pause_fades_out_holds_and_fades_in_where_it_was() -> None:
 
 
 def test_what_changes_in_the_source_is_heard_without_a_stop() -> None:
-    source, sink = Recorded(np.full((100, 1), 10.0, np.float32), 10000.0, loop=True), ClockSink()
+    source, sink = BufferSource(np.full((100, 1), 10.0, np.float32), 10000.0, loop=True), ClockSink()
     with Stream(source, sink, LIMITS) as stream:
         stream.start()
         assert comes(lambda: stream.report.level_m_s2 == pytest.approx(10.0, rel=0.01))
@@ -187,7 +188,7 @@ def test_what_changes_in_the_source_is_heard_without_a_stop() -> None:
         source.swap(np.full((100, 1), 4.0, np.float32))
         assert comes(lambda: stream.report.level_m_s2 == pytest.approx(2.0, rel=0.01))
         position = len(sink.counts)
-    assert int(sink.counts[position - 1, 0]) == round(2.0 / 30.0 * COUNTS)
+    assert int(sink.counts[position - 1, 0]) == round(2.0 / 30.0 * FULL_SCALE_COUNTS)
     assert int(np.abs(np.diff(sink.counts[:position, 0].astype(np.int64))).max()) < 450
 
 
@@ -199,13 +200,13 @@ from pathlib import Path
 import numpy as np
 from stream_sink import ClockSink
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 from hnf_core.actuators.stream import Stream
 class Telling(ClockSink):
     def close(self):
         super().close()
         Path({str(told)!r}).write_text(" ".join(self.calls))
-Stream(Recorded(np.ones((500, 1)), 10000.0, loop=True), Telling(), Limits(30.0)).start()
+Stream(BufferSource(np.ones((500, 1)), 10000.0, loop=True), Telling(), Limits(30.0)).start()
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
     assert (run.returncode, run.stderr) == (0, "")
@@ -221,9 +222,9 @@ import numpy as np
 from stream_sink import ClockSink
 from hnf_core.actuators import stream
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 stream._JOIN_S = 30.0
-playing = stream.Stream(Recorded(np.ones((500, 1)), 10000.0, loop=True), ClockSink(), Limits(30.0))
+playing = stream.Stream(BufferSource(np.ones((500, 1)), 10000.0, loop=True), ClockSink(), Limits(30.0))
 playing.start()
 child = os.fork()
 if child:
@@ -236,7 +237,7 @@ if child:
 
 def test_while_it_plays_the_interpreter_is_calm_and_after_it_as_before() -> None:
     before = sys.getswitchinterval()
-    streams = [Stream(Recorded(noise(LONG_S), 10000.0), ClockSink(), LIMITS) for _ in range(2)]
+    streams = [Stream(BufferSource(noise(LONG_S), 10000.0), ClockSink(), LIMITS) for _ in range(2)]
     for stream in streams:
         stream.start()
         assert sys.getswitchinterval() < 0.001
@@ -251,7 +252,7 @@ def test_while_it_plays_the_interpreter_is_calm_and_after_it_as_before() -> None
 def test_a_stream_of_nothing_ahead_is_refused() -> None:
     for words in ({"block_s": 0.0}, {"block_s": 5.0}, {"ahead_blocks": 0}, {"block_s": float("nan")}):
         with pytest.raises(UsageError, match="cannot be made"):
-            Stream(Recorded(noise(0.1), 10000.0), ClockSink(), LIMITS, **words)  # type: ignore[arg-type]
+            Stream(BufferSource(noise(0.1), 10000.0), ClockSink(), LIMITS, **words)  # type: ignore[arg-type]
 
 
 def test_nothing_leaves_before_who_starts_it_has_had_a_look_at_the_device() -> None:
@@ -263,17 +264,17 @@ def test_nothing_leaves_before_who_starts_it_has_had_a_look_at_the_device() -> N
         time.sleep(0.05)
         seen.append((device, len(sink.counts), sink.status().underruns))
 
-    with Stream(Recorded(noise(0.1), 10000.0), sink, LIMITS) as stream:
+    with Stream(BufferSource(noise(0.1), 10000.0), sink, LIMITS) as stream:
         stream.start(look)
         assert stream.wait(60.0)
     assert seen == [(sink.format, 0, 0)]
-    assert np.array_equal(sink.counts, counts_of(Recorded(noise(0.1), 10000.0), sink.format, LIMITS))
+    assert np.array_equal(sink.counts, render_counts(BufferSource(noise(0.1), 10000.0), sink.format, LIMITS))
 
     def fail(device: SinkFormat) -> None:
         raise KeyboardInterrupt
 
     sink = ClockSink()
-    stream = Stream(Recorded(noise(0.1), 10000.0), sink, LIMITS)
+    stream = Stream(BufferSource(noise(0.1), 10000.0), sink, LIMITS)
     with pytest.raises(KeyboardInterrupt):
         stream.start(fail)
     assert stream.wait(60.0), "it is given back"

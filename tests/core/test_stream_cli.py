@@ -19,17 +19,17 @@ import pytest
 from osc_receiver import receiver
 from ptys import needs_pty
 
-from hnf_core.actuators.chain import counts_of
+from hnf_core.actuators.chain import render_counts
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.actuators.profile_file import write_profile
 from hnf_core.actuators.report import StreamReport
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.sources.recorded import Recorded
-from hnf_core.actuators.virtual.device import Abilities
+from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.virtual.device import Capabilities
 from hnf_core.actuators.virtual.port import VirtualPort
-from hnf_core.cli.level_meter import LevelMeter, meter_line
+from hnf_core.cli.level_meter import LevelMeter, format_meter
 from hnf_core.cli.main import main
-from hnf_core.counted import counted
+from hnf_core.counted import pluralize
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
 
@@ -64,8 +64,8 @@ def test_a_file_gets_what_the_chain_makes_and_the_report_is_json(
     assert {"blocks", "underruns", "compute_p99_ms", "peak", "limited_samples"} <= set(report)
     assert (report["target"], report["profile"], report["problem"]) == (f"file:{out}", GENERIC.name, "")
     samples = np.random.default_rng(4).normal(0.0, 6.0, 20_000).astype(np.float32)[:, None]
-    source = Recorded(samples * np.float32(10.0 ** (3 / 20)), 10_000.0)
-    expected = counts_of(source, SinkFormat(10_000.0, 1, 1000, ""), GENERIC.limits)
+    source = BufferSource(samples * np.float32(10.0 ** (3 / 20)), 10_000.0)
+    expected = render_counts(source, SinkFormat(10_000.0, 1, 1000, ""), GENERIC.limits)
     assert (stored(out) == expected[:, 0]).all()
     assert report["peak"] == pytest.approx(np.abs(expected).max() / 32767)
     assert report["limited_samples"] > 0
@@ -234,7 +234,7 @@ def test_the_virtual_actuator_plays(noise: Path, capsys: pytest.CaptureFixture[s
 @needs_pty
 def test_a_device_s_own_peak_is_kept_and_told(noise: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("serial", reason="pyserial is not installed")
-    with VirtualPort(Abilities(peak=8000)) as port:
+    with VirtualPort(Capabilities(peak=8000)) as port:
         target = f"serial:{port.path}"
         assert hnf(noise, "--to", target, "--seconds", 0.3, "--gain", 12) == 0
         told = capsys.readouterr()
@@ -297,7 +297,7 @@ def test_the_meter_redraws_one_line_on_a_terminal(noise: Path) -> None:
 
 
 def test_what_is_counted_is_counted_in_words() -> None:
-    assert [counted(number, "block") for number in (0, 1, 2)] == ["0 blocks", "1 block", "2 blocks"]
+    assert [pluralize(number, "block") for number in (0, 1, 2)] == ["0 blocks", "1 block", "2 blocks"]
 
 
 def test_one_block_is_no_blocks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -308,13 +308,13 @@ def test_one_block_is_no_blocks(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_a_meter_shows_the_level_against_the_limit() -> None:
     def bar(level: float) -> str:
-        return meter_line(StreamReport(level_m_s2=level, underruns=3, limited_samples=7), 30.0, None)
+        return format_meter(StreamReport(level_m_s2=level, underruns=3, limited_samples=7), 30.0, None)
 
     assert "█" * 12 + "    0 dB  30.00 m/s²  underruns 3  limited 7" in bar(30.0)
     assert "█" * 8 + "·" * 4 + "  -20 dB   3.00 m/s²" in bar(3.0)
     assert "·" * 12 + "  silent   0.00 m/s²" in bar(0.0)
     assert "·" * 12 + "  silent" in bar(1e-9)
-    assert len(meter_line(StreamReport(played_s=599.9, level_m_s2=30.0, limited_samples=12345), 30.0, 600.0)) < 80
+    assert len(format_meter(StreamReport(played_s=599.9, level_m_s2=30.0, limited_samples=12345), 30.0, 600.0)) < 80
 
 
 def test_elsewhere_the_meter_is_plain(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ import pytest
 from stream_builders import LIMITS, LONG_S, Failing, at_rest, comes, noise, slope
 from stream_sink import ClockSink
 
-from hnf_core.actuators.chain import counts_of
+from hnf_core.actuators.chain import render_counts
 from hnf_core.actuators.sinks.file import FileSink
-from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.sources.recorded import BufferSource
 from hnf_core.actuators.stream import Stream
 from hnf_core.errors import DeviceError
 
@@ -51,22 +51,22 @@ def test_a_source_that_hangs_holds_up_neither_the_device_nor_a_stop() -> None:
 def test_a_device_that_fails_ends_the_stream_and_another_plays_at_once() -> None:
     samples = noise(0.2)
     broken = ClockSink(fails_after=700)
-    first = Stream(Recorded(samples, 10000.0), broken, LIMITS)
+    first = Stream(BufferSource(samples, 10000.0), broken, LIMITS)
     first.start()
     assert first.wait(60.0)
     assert first.report.problem == "the clock has stopped. Wind it up."
     whole = ClockSink()
-    with Stream(Recorded(samples, 10000.0), whole, LIMITS) as second:
+    with Stream(BufferSource(samples, 10000.0), whole, LIMITS) as second:
         second.start()
         assert second.wait(60.0)
-    assert np.array_equal(whole.counts, counts_of(Recorded(samples, 10000.0), whole.format, LIMITS))
+    assert np.array_equal(whole.counts, render_counts(BufferSource(samples, 10000.0), whole.format, LIMITS))
     assert at_rest()
 
 
 def test_a_device_that_does_not_open_is_told_where_it_is_started() -> None:
     sink = ClockSink()
     sink.open()
-    with pytest.raises(DeviceError, match="taken"), Stream(Recorded(noise(0.1), 10000.0), sink, LIMITS) as stream:
+    with pytest.raises(DeviceError, match="taken"), Stream(BufferSource(noise(0.1), 10000.0), sink, LIMITS) as stream:
         stream.start()
     assert stream.wait(60.0)
     assert at_rest()
@@ -75,7 +75,7 @@ def test_a_device_that_does_not_open_is_told_where_it_is_started() -> None:
 def test_any_fault_of_a_sink_is_told_too() -> None:
     sink = ClockSink()
     sink.status = lambda: 1 / 0  # type: ignore[assignment,method-assign]
-    stream = Stream(Recorded(noise(0.2), 10000.0), sink, LIMITS)
+    stream = Stream(BufferSource(noise(0.2), 10000.0), sink, LIMITS)
     stream.start()
     assert stream.wait(60.0)
     assert "ZeroDivisionError" in stream.report.problem
@@ -83,10 +83,10 @@ def test_any_fault_of_a_sink_is_told_too() -> None:
 
 
 def test_a_device_that_blocks_holds_up_nobody_who_stops(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hnf_core.actuators.stream._JOIN_S", 0.05)
+    monkeypatch.setattr("hnf_core.actuators.stream._JOIN_TIMEOUT_S", 0.05)
     asked, block, sink = threading.Event(), threading.Event(), ClockSink()
     sink.write = lambda counts: asked.set() or block.wait(30.0)  # type: ignore[assignment,method-assign,func-returns-value]
-    stream = Stream(Recorded(noise(LONG_S), 10000.0), sink, LIMITS)
+    stream = Stream(BufferSource(noise(LONG_S), 10000.0), sink, LIMITS)
     stream.start()
     assert asked.wait(60.0)
     stream.stop()
@@ -99,7 +99,9 @@ def test_a_device_that_blocks_holds_up_nobody_who_stops(monkeypatch: pytest.Monk
 
 
 def test_a_file_that_cannot_be_written_is_told_after_a_stop_too(tmp_path: Path) -> None:
-    stream = Stream(Recorded(noise(LONG_S), 10000.0, loop=True), FileSink(tmp_path / "taken" / "x.wav", 10000), LIMITS)
+    stream = Stream(
+        BufferSource(noise(LONG_S), 10000.0, loop=True), FileSink(tmp_path / "taken" / "x.wav", 10000), LIMITS
+    )
     stream.start()
     (tmp_path / "taken").rmdir()
     (tmp_path / "taken").write_text("a file, no folder")

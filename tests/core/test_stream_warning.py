@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from responses import of_gains
 
-from hnf_core.actuators.profile import GENERIC, own_profile
+from hnf_core.actuators.profile import GENERIC, make_user_profile
 from hnf_core.actuators.profile_file import write_profile
 from hnf_core.cli.main import main
-from hnf_core.cli.stream_warning import CHECKED_S, checked_s
+from hnf_core.cli.stream_warning import MAX_CHECKED_S, compute_checked_duration
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
 
@@ -41,7 +41,7 @@ def case_of(name: str, tmp_path: Path) -> tuple[list[object], str]:
     if name == "peak":
         return [tone(tmp_path / "x.wav", 40.0, 250.0)], "40 m/s² is more than the 30 m/s² of 'Generic voice coil'"
     if name == "steep":
-        write_profile(profile, own_profile(30.0, 30.0, 100.0))
+        write_profile(profile, make_user_profile(30.0, 30.0, 100.0))
         return [tone(tmp_path / "x.wav", 29.0, 1000.0), "--profile", profile], "changes faster than 'My actuator'"
     if name == "hot":
         loop = ("--loop", "--seconds", 15)
@@ -78,17 +78,17 @@ def test_what_no_gain_makes_fit_is_told_so(tmp_path: Path, capsys: pytest.Captur
 
 def test_a_loop_without_an_end_is_looked_at_until_its_coil_is_warm() -> None:
     """Once through, it may be harmless."""
-    assert checked_s(1.0, None, loop=True, thermal_s=10.0) >= 50.0
-    assert checked_s(1.0, 3.0, loop=True, thermal_s=10.0) == 3.0
-    assert checked_s(1.0, 3.0, loop=False, thermal_s=10.0) == 1.0
-    assert {checked_s(1e6, None, loop=loop, thermal_s=10.0) for loop in (False, True)} == {CHECKED_S}
+    assert compute_checked_duration(1.0, None, loop=True, thermal_s=10.0) >= 50.0
+    assert compute_checked_duration(1.0, 3.0, loop=True, thermal_s=10.0) == 3.0
+    assert compute_checked_duration(1.0, 3.0, loop=False, thermal_s=10.0) == 1.0
+    assert {compute_checked_duration(1e6, None, loop=loop, thermal_s=10.0) for loop in (False, True)} == {MAX_CHECKED_S}
 
 
 def test_of_a_long_signal_the_strongest_place_is_looked_at(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Wherever it is, and the gain that fits there fits all of it."""
-    monkeypatch.setattr("hnf_core.cli.stream.CHECKED_S", 0.5)
+    monkeypatch.setattr("hnf_core.cli.stream.MAX_CHECKED_S", 0.5)
     time = np.arange(3 * RATE) / RATE
     envelope = np.where((time > 2.4) & (time < 2.5), 60.0, 5.0)
     write_wav(tmp_path / "x.wav", Signal((envelope * np.sin(2e3 * time)).astype(np.float32), float(RATE), 0))

@@ -9,9 +9,9 @@ import pytest
 from stress_meshes import PLACES, joined, mesh_of, plate, rays
 
 from hnf_core.action.contacts import StrokeSamples, find_contacts
-from hnf_core.action.nearest import nearest_on_triangles
+from hnf_core.action.nearest import find_nearest_on_triangles
 from hnf_core.action.patches import action_from_contacts, plan_patches
-from hnf_core.action.placing import spots
+from hnf_core.action.placing import find_placements
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import orthographic
 from hnf_core.scene.raycast import ReferenceGeometry, cast_view
@@ -23,9 +23,9 @@ def caster(kind, mesh):
     if kind == "reference":
         return ReferenceGeometry(mesh)
     pytest.importorskip("embreex", reason="the fast caster needs embreex")
-    from hnf_core.scene.raycast import embree_caster
+    from hnf_core.scene.raycast import make_embree_caster
 
-    return embree_caster(mesh)
+    return make_embree_caster(mesh)
 
 
 def hits(kind, mesh, size=1.0, shift=(0.0, 0.0, 0.0)):
@@ -85,7 +85,7 @@ def test_faces_without_area(kind, width):
     assert (found.triangle >= 0).all()
     assert np.isfinite(found.barycentric).all()
     np.testing.assert_allclose(found.distance, plain.distance, rtol=1e-12)
-    nearest = nearest_on_triangles(place + np.array([0.0, 0.0, 1e-3]), mesh.corner_positions())
+    nearest = find_nearest_on_triangles(place + np.array([0.0, 0.0, 1e-3]), mesh.corner_positions())
     assert nearest.distance.max() <= 1e-3 * (1.0 + 1e-9)
     assert np.isfinite(nearest.barycentric).all()
 
@@ -177,11 +177,11 @@ def test_a_dense_mesh_far_away_needs_no_more_pairs(monkeypatch):
     from hnf_core.action import nearest
 
     looked = []
-    whole = nearest.closest_barycentric
-    monkeypatch.setattr(nearest, "closest_barycentric", lambda c, p: looked.append(len(p)) or whole(c, p))
+    whole = nearest.find_closest_barycentric
+    monkeypatch.setattr(nearest, "find_closest_barycentric", lambda c, p: looked.append(len(p)) or whole(c, p))
     points = np.concatenate([0.1 * PLACES, np.full((len(PLACES), 1), 1e-3)], axis=1)
     for shift in (0.0, 1e4):
-        nearest_on_triangles(points + shift, plate(0.1, (shift,) * 3, cells=40).corner_positions())
+        find_nearest_on_triangles(points + shift, plate(0.1, (shift,) * 3, cells=40).corner_positions())
     assert looked[1] <= 1.1 * looked[0]
 
 
@@ -192,7 +192,7 @@ def test_places_on_what_is_too_small_or_large():
         return np.stack([np.linspace(-0.5, 0.5, 9) * size, np.zeros(9)], axis=1)
 
     tiny, huge = plate(1e-6, cells=4), plate(1e4, cells=4)
-    assert list(spots(tiny, caster("embree", tiny), 0, path_of)) == []
-    first = next(spots(huge, caster("embree", huge), 0, path_of))
+    assert list(find_placements(tiny, caster("embree", tiny), 0, path_of)) == []
+    first = next(find_placements(huge, caster("embree", huge), 0, path_of))
     assert first.size_m == 60e-3
     assert np.isfinite(first.centre).all()

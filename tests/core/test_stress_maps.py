@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hnf_core.action.contacts import tangents
+from hnf_core.action.contacts import compute_tangents
 from hnf_core.errors import SceneError, StrokeError, UsageError
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.stroke import LIMITS
-from hnf_core.field.stroke_profile import stroke_profile
+from hnf_core.field.stroke_profile import build_stroke_profile
 from hnf_core.material.contact import (
     contact_radius,
     contact_stiffness,
@@ -27,7 +27,7 @@ from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.probe import PROBES
 from hnf_core.material.token import LEVELS, SMOOTH_LEVEL, TOKEN_DIM
 from hnf_core.scene.patch import Patch
-from hnf_core.tactile.height import HIGHEST_M, height_from_slopes, tactile_map_from_height
+from hnf_core.tactile.height import MAX_HEIGHT_M, height_from_slopes, tactile_map_from_height
 from hnf_core.tactile.optics import SENSORS
 
 SIZE = 64
@@ -43,7 +43,7 @@ def is_smooth(token) -> bool:
     return bool((token.values[LEVELS] == SMOOTH_LEVEL).all()) and not np.delete(token.values, LEVELS).any()
 
 
-@pytest.mark.parametrize("height", [0.0, 1e-300, 5e-324, 1e-40, 3.0, -1e4, HIGHEST_M])
+@pytest.mark.parametrize("height", [0.0, 1e-300, 5e-324, 1e-40, 3.0, -1e4, MAX_HEIGHT_M])
 def test_constant_heights(height):
     """A constant height, 0 to 1000 km, denormal → background colour, height 0, the smooth token"""
     found = map_of(np.full((SIZE, SIZE), height))
@@ -60,7 +60,7 @@ def test_denormal_relief(size):
     np.testing.assert_allclose(describe(found).values[LEVELS], SMOOTH_LEVEL, atol=1e-6)
 
 
-@pytest.mark.parametrize("size", [1e-2, 1.0, 1e3, 0.9 * HIGHEST_M])
+@pytest.mark.parametrize("size", [1e-2, 1.0, 1e3, 0.9 * MAX_HEIGHT_M])
 def test_huge_relief(size):
     """A relief of 10 mm to 900 km in a patch → slopes at the gel's limit, a finite token, the same from 1 m on"""
     found = map_of(RELIEF / np.abs(RELIEF).max() * size)
@@ -69,11 +69,11 @@ def test_huge_relief(size):
     assert np.isfinite(found.height).all()
     assert np.isfinite(token.values).all()
     if size >= 1.0:
-        again = describe(map_of(RELIEF / np.abs(RELIEF).max() * 10.0 * HIGHEST_M / 16.0))
+        again = describe(map_of(RELIEF / np.abs(RELIEF).max() * 10.0 * MAX_HEIGHT_M / 16.0))
         np.testing.assert_allclose(token.values[LEVELS], again.values[LEVELS], atol=0.05)
 
 
-@pytest.mark.parametrize("size", [1.1 * HIGHEST_M, 1e39, 1e300])
+@pytest.mark.parametrize("size", [1.1 * MAX_HEIGHT_M, 1e39, 1e300])
 def test_heights_beyond_a_landscape(size):
     """A height over 1000 km → SceneError with it; beyond 3e38 m it became ∞ in silence"""
     with pytest.raises(SceneError, match="a height of this patch is"):
@@ -176,7 +176,7 @@ def test_long_paths_over_relief(start):
     def profile(length):
         way = np.linspace(0.0, length, 50)
         points = np.stack([way, 0.0 * way, 0.0 * way], axis=1)
-        return stroke_profile(start + way, points, np.zeros(50, dtype=np.int32), [patch], [map_of(RELIEF)])
+        return build_stroke_profile(start + way, points, np.zeros(50, dtype=np.int32), [patch], [map_of(RELIEF)])
 
     with pytest.raises(StrokeError, match=r"is 1e\+04 m long") as caught:
         profile(1e4)
@@ -193,11 +193,11 @@ def test_uv_of_any_scale(size):
     """UVs 1e-150 to 1e150 as large → the same tangent; of no area, NaN or ∞ an axis of the object"""
     corners, normal = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]), np.array([[0.0, 0.0, 1.0]])
     uv = np.array([[[0.0, 0.0], [0.6, 0.8], [-0.8, 0.6]]])
-    tangent, known = tangents(corners, uv * size, normal)
+    tangent, known = compute_tangents(corners, uv * size, normal)
     assert known.all()
     np.testing.assert_allclose(tangent, [[0.6, -0.8, 0.0]], atol=1e-12)
     for broken in (0.0 * uv, uv * np.nan, np.where(uv == 0.6, np.inf, uv)):
-        tangent, known = tangents(corners, broken, normal)
+        tangent, known = compute_tangents(corners, broken, normal)
         assert not known.any()
         np.testing.assert_array_equal(tangent, [[1.0, 0.0, 0.0]])
 

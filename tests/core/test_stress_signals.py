@@ -10,23 +10,23 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from hnf_core.action.smooth import steady_action, wandering_action
+from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
 from hnf_core.actuators.limiter import Limiter
 from hnf_core.actuators.limits import Limits
-from hnf_core.cli.synth_long import write_long
+from hnf_core.cli.synth_long import write_in_chunks
 from hnf_core.errors import FileError, StrokeError, UsageError
 from hnf_core.export.convert import export_signal
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.options import ExportOptions, ImportOptions
 from hnf_core.export.wav import read_wav, write_wav, write_wav_stream
-from hnf_core.field.audible import blocks_of
+from hnf_core.field.audible import split_blocks
 from hnf_core.field.blocks import render_block
 from hnf_core.field.carriers import MODEL_RATE_HZ, Carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.long_stroke import STEP, portions
-from hnf_core.field.prepared import prepare
-from hnf_core.field.resampling import conversion, resample, resample_stream
+from hnf_core.field.long_stroke import CHUNK_STEP, render_chunks
+from hnf_core.field.prepared import prepare_stroke
+from hnf_core.field.resampling import plan_conversion, resample, resample_stream
 from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import synthesise
 from hnf_core.material.mechanics import Mechanics
@@ -36,7 +36,7 @@ from hnf_core.signal import Signal
 CONFIG = FieldConfig(hidden=8, layers=2, carriers=Carriers(time_edges_hz=(50.0, 100.0, 200.0, 400.0), arc_octaves=2))
 FIELD = Field(CONFIG, initial_parameters(CONFIG, 0))
 WOOD, FELT = Mechanics(8e4, 0.15, 0.3), Mechanics(2e3, 0.4, 0.5)
-STEP_S = STEP / MODEL_RATE_HZ
+STEP_S = CHUNK_STEP / MODEL_RATE_HZ
 HOUR_S = 3600.0
 
 
@@ -48,7 +48,7 @@ def rough_token(level=-5.3):
 
 def wandering(seconds) -> StrokeInput:
     """Over two materials, with two lifts, one of them across the border between portions."""
-    action = wandering_action(seconds, 3, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
+    action = make_random_smooth_action(seconds, 3, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
     states = np.arange(len(action.speed))
     lifted = (np.abs(states / 200.0 - STEP_S) < 0.03) | (np.abs(states / 200.0 - 0.3 * STEP_S) < 0.2)
     action = dataclasses.replace(action, force=np.where(lifted, 0.0, action.force), contact=action.contact & ~lifted)
@@ -57,7 +57,7 @@ def wandering(seconds) -> StrokeInput:
 
 
 def steady(seconds, **changes) -> StrokeInput:
-    stroke = uniform_stroke(steady_action(seconds, 0.1, 1.0), rough_token(), WOOD)
+    stroke = uniform_stroke(make_steady_action(seconds, 0.1, 1.0), rough_token(), WOOD)
     return dataclasses.replace(stroke, action=dataclasses.replace(stroke.action, **changes))
 
 
@@ -66,8 +66,8 @@ def rms(samples) -> float:
 
 
 def whole_of(field, stroke, seed=5):
-    prepared = prepare(field, stroke, seed=seed)
-    return np.concatenate([render_block(prepared, *block) for block in blocks_of(prepared.count)])
+    prepared = prepare_stroke(field, stroke, seed=seed)
+    return np.concatenate([render_block(prepared, *block) for block in split_blocks(prepared.count)])
 
 
 @pytest.mark.parametrize("config", [CONFIG, FieldConfig(hidden=8, layers=2), FieldConfig.published(hidden=8, layers=2)])
@@ -75,28 +75,31 @@ def test_portions_are_the_whole(config):
     """A stroke cut into portions → the whole one within 1e-6 of its RMS, over lifts, materials and memory"""
     field = Field(config, initial_parameters(config, 0))
     stroke = wandering((2.2 if config is CONFIG else 1.1) * STEP_S)
-    pieces = list(portions(field, stroke, seed=5, length=STEP))
-    assert [len(piece.samples) for piece in pieces[:-1]] == [STEP] * (len(pieces) - 1)
+    pieces = list(render_chunks(field, stroke, seed=5, length=CHUNK_STEP))
+    assert [len(piece.samples) for piece in pieces[:-1]] == [CHUNK_STEP] * (len(pieces) - 1)
     found, whole = np.concatenate([piece.samples for piece in pieces]), whole_of(field, stroke)
     assert len(found) == len(whole)
     assert np.abs(found - whole).max() < 1e-6 * rms(whole)
-    assert max(piece.loudest for piece in pieces) == prepare(field, stroke, seed=5).loudest.max()
+    assert max(piece.loudest for piece in pieces) == prepare_stroke(field, stroke, seed=5).loudest.max()
 
 
 def test_what_cannot_be_cut():
     """A portion of another length, or a stroke with a height profile → UsageError; nothing is left out in silence"""
     with pytest.raises(UsageError, match="whole number"):
-        next(portions(FIELD, steady(1.0), seed=0, length=STEP + 1))
+        next(render_chunks(FIELD, steady(1.0), seed=0, length=CHUNK_STEP + 1))
     profile = HeightProfile(25e-6, 0.0, np.zeros(100), 1e-4)
     with pytest.raises(UsageError, match="height profile"):
-        next(portions(FIELD, dataclasses.replace(steady(1.0), profile=profile), seed=0))
+        next(render_chunks(FIELD, dataclasses.replace(steady(1.0), profile=profile), seed=0))
 
 
 def test_an_hour_in():
     """The last seconds of an hour, computed alone → as loud as the first to chance, and another draw"""
-    stroke, last = steady(HOUR_S), int(HOUR_S * MODEL_RATE_HZ) // STEP * STEP - STEP
-    heard = [next(portions(FIELD, stroke, seed=3, length=STEP, begin=begin)).samples for begin in (STEP, last)]
-    levels = [np.mean(np.square(samples[: STEP // 1000 * 1000].reshape(-1, 1000)), axis=1) for samples in heard]
+    stroke, last = steady(HOUR_S), int(HOUR_S * MODEL_RATE_HZ) // CHUNK_STEP * CHUNK_STEP - CHUNK_STEP
+    heard = [
+        next(render_chunks(FIELD, stroke, seed=3, length=CHUNK_STEP, begin=begin)).samples
+        for begin in (CHUNK_STEP, last)
+    ]
+    levels = [np.mean(np.square(samples[: CHUNK_STEP // 1000 * 1000].reshape(-1, 1000)), axis=1) for samples in heard]
     chance = np.sqrt(sum(level.var(ddof=1) / len(level) for level in levels))
     assert abs(levels[0].mean() - levels[1].mean()) < 4.0 * chance
     assert abs(np.corrcoef(*heard)[0, 1]) < 0.1
@@ -121,7 +124,7 @@ def peak_of(seconds, path, rate=MODEL_RATE_HZ) -> float:
     field = Field(config, initial_parameters(config, 0))
     tracemalloc.start()
     try:
-        write_long(path, field, stroke, seed=1, rate=rate, facts={}, portion=STEP)
+        write_in_chunks(path, field, stroke, seed=1, rate=rate, facts={}, chunk_samples=CHUNK_STEP)
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -138,7 +141,9 @@ def test_memory_of_a_long_stroke(tmp_path):
 def test_a_long_stroke_is_written_as_a_short_one(tmp_path, rate):
     """A stroke written in portions, at any rate → the samples of the whole within 1e-6 of its peak, equally told"""
     stroke = wandering(1.1 * STEP_S)
-    told = write_long(tmp_path / "x.wav", FIELD, stroke, seed=5, rate=rate, facts={"stroke": "s"}, portion=STEP)
+    told = write_in_chunks(
+        tmp_path / "x.wav", FIELD, stroke, seed=5, rate=rate, facts={"stroke": "s"}, chunk_samples=CHUNK_STEP
+    )
     result = synthesise(FIELD, stroke, seed=5, sample_rate=rate)
     found = read_wav(tmp_path / "x.wav")
     assert len(found.samples) == len(result.signal.samples)
@@ -179,7 +184,7 @@ def test_resampling_a_stream(rate):
     pieces = [samples[a:b] for a, b in itertools.pairwise(borders)]
     found = np.concatenate(list(resample_stream(pieces, len(samples), MODEL_RATE_HZ, rate)))
     whole, _ = resample(samples, MODEL_RATE_HZ, rate)
-    assert len(found) == len(whole) == conversion(MODEL_RATE_HZ, rate).count(len(samples))
+    assert len(found) == len(whole) == plan_conversion(MODEL_RATE_HZ, rate).count_outputs(len(samples))
     np.testing.assert_allclose(found, whole, atol=1e-12)
 
 
@@ -198,7 +203,7 @@ def test_memory_of_a_low_rate():
 @pytest.mark.parametrize(("seconds", "words"), [(0.0, "no duration"), (1e-9, "action rate")])
 def test_strokes_of_no_time(seconds, words):
     """A stroke of one sample, or of two 1e-9 s apart → StrokeError"""
-    action = steady_action(0.005, 0.1, 1.0)
+    action = make_steady_action(0.005, 0.1, 1.0)
     if seconds:
         action = dataclasses.replace(action, rate=1.0 / seconds)
     else:

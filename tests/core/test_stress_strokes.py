@@ -7,18 +7,24 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from hnf_core.action.bezier import PiecewiseBezier, bezier_curve, poly_curve, smooth_curve, smooth_handles
-from hnf_core.action.curves import by_arc_length
-from hnf_core.action.nurbs import nurbs_curve
-from hnf_core.action.table import LONGEST_S, action_from_table, read_action_csv
+from hnf_core.action.bezier import (
+    PiecewiseBezier,
+    compute_smooth_handles,
+    make_bezier_curve,
+    make_poly_curve,
+    make_smooth_curve,
+)
+from hnf_core.action.curves import build_arc_curve
+from hnf_core.action.nurbs import make_nurbs_curve
+from hnf_core.action.table import MAX_ACTION_S, action_from_table, read_action_csv
 from hnf_core.action.time_law import (
-    FASTEST_M_S,
-    Motion,
-    checked_motion,
-    motion_at_speed,
-    speed_for_duration,
-    time_grid,
-    travel_time,
+    MAX_SPEED_M_S,
+    MotionProfile,
+    check_motion,
+    compute_speed_for_duration,
+    compute_travel_time,
+    make_motion_at_speed,
+    make_time_grid,
 )
 from hnf_core.errors import FileError, StrokeError
 from hnf_core.field.stroke import LIMITS
@@ -26,9 +32,9 @@ from hnf_core.field.stroke import LIMITS
 KNOTS = np.array([(0.0, 0.0, 0.0), (0.1, 0.2, 0.0), (0.3, 0.1, 0.1), (0.4, 0.4, 0.2), (0.2, 0.5, 0.1)])
 MANY = 100_000
 KINDS = {
-    "poly": poly_curve,
-    "bezier": lambda points: bezier_curve(points, *smooth_handles(points)),
-    "nurbs": lambda points: nurbs_curve(points, np.linspace(0.5, 2.0, len(points)), 4, endpoint=True),
+    "poly": make_poly_curve,
+    "bezier": lambda points: make_bezier_curve(points, *compute_smooth_handles(points)),
+    "nurbs": lambda points: make_nurbs_curve(points, np.linspace(0.5, 2.0, len(points)), 4, endpoint=True),
 }
 
 
@@ -39,7 +45,7 @@ def helix(count):
 
 def test_curves_of_many_points():
     """A NURBS curve of 100 000 points → length to 1e-7 of the helix it follows, unit tangents"""
-    arc = by_arc_length(KINDS["nurbs"](helix(MANY)))
+    arc = build_arc_curve(KINDS["nurbs"](helix(MANY)))
     assert arc.length == pytest.approx(60.0 * np.hypot(1.0, 0.01), rel=1e-7)
     place = np.linspace(0.0, arc.length, 500)
     assert np.abs(np.linalg.norm(arc.tangent_at(place), axis=1) - 1.0).max() < 1e-12
@@ -52,7 +58,7 @@ def test_curves_of_many_points():
 @pytest.mark.parametrize("size", [1e-100, 1e-30, 1e-6, 1e6, 1e30, 1e100])
 def test_curves_of_any_size(kind, size):
     """A curve 1e-100 to 1e100 times as large → the same curve, to 1e-12 of itself"""
-    plain, found = by_arc_length(KINDS[kind](KNOTS)), by_arc_length(KINDS[kind](KNOTS * size))
+    plain, found = build_arc_curve(KINDS[kind](KNOTS)), build_arc_curve(KINDS[kind](KNOTS * size))
     assert found.length / size == pytest.approx(plain.length, rel=1e-12)
     place = np.linspace(0.0, 1.0, 50)
     np.testing.assert_allclose(
@@ -64,7 +70,7 @@ def test_curves_of_any_size(kind, size):
 @pytest.mark.parametrize("far", [1e4, 1e9])
 def test_curves_far_away(kind, far):
     """A curve 10 km, 10⁶ km from the origin → the same to 64 ε of the way, of no more panels"""
-    plain, found = by_arc_length(KINDS[kind](KNOTS)), by_arc_length(KINDS[kind](KNOTS + far))
+    plain, found = build_arc_curve(KINDS[kind](KNOTS)), build_arc_curve(KINDS[kind](KNOTS + far))
     bound = 64.0 * np.finfo(np.float64).eps * far
     assert abs(found.length - plain.length) < bound
     assert len(found.segment) <= len(plain.segment)
@@ -77,20 +83,20 @@ def test_curves_far_away(kind, far):
 def test_curves_without_a_finite_length(value):
     """A curve of 1e200 m → StrokeError; it was bisected until memory ran out"""
     with pytest.raises(StrokeError, match="no finite length"):
-        by_arc_length(poly_curve(np.array([[0.0, 0.0, 0.0], [value, value, 0.0], [0.0, 0.0, -value]])))
+        build_arc_curve(make_poly_curve(np.array([[0.0, 0.0, 0.0], [value, value, 0.0], [0.0, 0.0, -value]])))
 
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.inf, np.nan])
 def test_nurbs_weights(weight):
     """NURBS weights of 0, below, ∞ or NaN → StrokeError that names W"""
     with pytest.raises(StrokeError, match="W above 0"):
-        nurbs_curve(KNOTS, np.array([1.0, 1.0, weight, 1.0, 1.0]), 4)
+        make_nurbs_curve(KNOTS, np.array([1.0, 1.0, weight, 1.0, 1.0]), 4)
 
 
 def test_a_point_told_often():
     """A thousand points in one place, or within 1e-300 m → a curve of length 0 that stays there"""
     for points in (np.ones((1000, 3)), np.linspace(0.0, 1e-300, 1000)[:, None] * np.ones(3)):
-        arc = by_arc_length(smooth_curve(points))
+        arc = build_arc_curve(make_smooth_curve(points))
         assert arc.length == 0.0
         np.testing.assert_allclose(arc.point_at(np.zeros(3)), np.broadcast_to(points[0], (3, 3)), atol=1e-300)
         assert not arc.tangent_at(np.zeros(3)).any()
@@ -98,9 +104,9 @@ def test_a_point_told_often():
 
 def test_rational_curves_keep_their_shape_under_any_weight():
     """NURBS weights all times 1e-150 or 1e150 → the same curve"""
-    plain = by_arc_length(nurbs_curve(KNOTS, np.ones(5), 4))
+    plain = build_arc_curve(make_nurbs_curve(KNOTS, np.ones(5), 4))
     for factor in (1e-150, 1e150):
-        found = by_arc_length(nurbs_curve(KNOTS, np.full(5, factor), 4))
+        found = build_arc_curve(make_nurbs_curve(KNOTS, np.full(5, factor), 4))
         assert found.length == pytest.approx(plain.length, rel=1e-12)
     assert isinstance(plain.curve, PiecewiseBezier)
 
@@ -119,7 +125,7 @@ def test_rational_curves_keep_their_shape_under_any_weight():
 def test_clocks(seconds, words):
     """A stroke in a scene of 0, NaN, 1e-9 s, 1 h or ∞ → StrokeError with its length and the bound (5 ms, 10 min)"""
     with pytest.raises(StrokeError, match=words) as caught:
-        time_grid(seconds, 200.0, where="stroke 'Scrape'")
+        make_time_grid(seconds, 200.0, where="stroke 'Scrape'")
     assert caught.value.remedy
     assert caught.value.where == "stroke 'Scrape'"
 
@@ -128,21 +134,21 @@ def test_clocks(seconds, words):
 @pytest.mark.parametrize("seconds", [0.005, 1.0, 600.0])
 def test_laws(length, seconds):
     """1 nm to 10 km in 5 ms to 10 min → arrives, at the speed that takes so long"""
-    speed = speed_for_duration(length, seconds)
-    assert travel_time(length, speed) == pytest.approx(seconds, rel=1e-12)
-    time = time_grid(seconds, 200.0)
-    motion = motion_at_speed(time, length, speed)
+    speed = compute_speed_for_duration(length, seconds)
+    assert compute_travel_time(length, speed) == pytest.approx(seconds, rel=1e-12)
+    time = make_time_grid(seconds, 200.0)
+    motion = make_motion_at_speed(time, length, speed)
     assert motion.position[-1] == pytest.approx(length, rel=1e-9)
     assert motion.velocity.max() <= speed * (1.0 + 1e-12)
 
 
 def test_the_fastest_hand():
     """The fastest hand of a scene → the fastest that the field is asked for; NaN is none"""
-    assert LIMITS["speed [m/s]"][1] == FASTEST_M_S
-    assert checked_motion(Motion(np.zeros(2), np.array([-FASTEST_M_S, 0.0])), where="").velocity[1] == 0.0
-    for speed in (-1.01 * FASTEST_M_S, np.nan, np.inf):
+    assert LIMITS["speed [m/s]"][1] == MAX_SPEED_M_S
+    assert check_motion(MotionProfile(np.zeros(2), np.array([-MAX_SPEED_M_S, 0.0])), where="").velocity[1] == 0.0
+    for speed in (-1.01 * MAX_SPEED_M_S, np.nan, np.inf):
         with pytest.raises(StrokeError, match="m/s is the most"):
-            checked_motion(Motion(np.zeros(2), np.array([0.0, speed])), where="")
+            check_motion(MotionProfile(np.zeros(2), np.array([0.0, speed])), where="")
 
 
 def steady(time):
@@ -177,7 +183,7 @@ def test_tables_that_begin_late_or_step_by_nothing():
         assert len(action.speed) == 201
         assert np.isfinite(action.position).all()
         assert action.position[-1] == pytest.approx(0.1, rel=1e-6)
-    assert steady([0.0, LONGEST_S / 1000.0]).duration_s == pytest.approx(LONGEST_S / 1000.0)
+    assert steady([0.0, MAX_ACTION_S / 1000.0]).duration_s == pytest.approx(MAX_ACTION_S / 1000.0)
 
 
 def test_a_long_table_is_read_row_by_row(tmp_path):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hnf_core.field.stroke_profile import stroke_profile
+from hnf_core.field.stroke_profile import build_stroke_profile
 from hnf_core.scene.patch import PATCH_SIZE_M, Patch
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import TactileMap
@@ -45,7 +45,7 @@ def error_against_ridge(profile) -> float:
 def test_one_patch_gives_the_surface() -> None:
     patch, tactile = ridge_patch(6e-3)
     position, point = straight_path(12e-3)
-    profile = stroke_profile(position, point, np.zeros(len(position), np.int32), [patch], [tactile])
+    profile = build_stroke_profile(position, point, np.zeros(len(position), np.int32), [patch], [tactile])
     assert profile is not None
     assert error_against_ridge(profile) < 0.03
 
@@ -54,7 +54,7 @@ def test_stitched_patches_leave_no_seam() -> None:
     pairs = [ridge_patch(x) for x in (7e-3, 20e-3, 33e-3)]
     position, point = straight_path(40e-3)
     owner = np.digitize(position, [13.5e-3, 26.5e-3]).astype(np.int32)
-    profile = stroke_profile(position, point, owner, [p for p, _ in pairs], [m for _, m in pairs])
+    profile = build_stroke_profile(position, point, owner, [p for p, _ in pairs], [m for _, m in pairs])
     assert profile is not None
     assert error_against_ridge(profile) < 0.05
 
@@ -62,9 +62,9 @@ def test_stitched_patches_leave_no_seam() -> None:
 def test_going_back_meets_the_same_height() -> None:
     patch, tactile = ridge_patch(6e-3)
     position, point = straight_path(12e-3)
-    there = stroke_profile(position, point, np.zeros(len(position), np.int32), [patch], [tactile])
+    there = build_stroke_profile(position, point, np.zeros(len(position), np.int32), [patch], [tactile])
     back_position, back_point = np.concatenate([position, position[::-1]]), np.concatenate([point, point[::-1]])
-    back = stroke_profile(back_position, back_point, np.zeros(len(back_position), np.int32), [patch], [tactile])
+    back = build_stroke_profile(back_position, back_point, np.zeros(len(back_position), np.int32), [patch], [tactile])
     assert there is not None
     assert back is not None
     np.testing.assert_allclose(back.height, there.height, atol=1e-12)
@@ -75,7 +75,7 @@ def test_unmeasured_stretch_is_flat() -> None:
     far = Patch(np.array([19e-3, 0, 0]), patch.x_axis, patch.normal, slot=1)
     position, point = straight_path(25e-3)
     owner = (position > 12.5e-3).astype(np.int32)
-    profile = stroke_profile(position, point, owner, [patch, far], [tactile, None])
+    profile = build_stroke_profile(position, point, owner, [patch, far], [tactile, None])
     assert profile is not None
     places = profile.origin_m + profile.step_m * np.arange(len(profile.height))
     assert np.abs(profile.height[places > 15e-3]).max() == 0.0
@@ -88,10 +88,10 @@ def test_a_patch_that_resolves_nothing_is_an_unmeasured_one() -> None:
     far = Patch(np.array([19e-3, 0, 0]), patch.x_axis, patch.normal, slot=1)
     position, point = straight_path(25e-3)
     owner = (position > 12.5e-3).astype(np.int32)
-    told = stroke_profile(
+    told = build_stroke_profile(
         position, point, owner, [patch, far], [tactile, replace(tactile, resolved_wavelength_m=np.inf)]
     )
-    silent = stroke_profile(position, point, owner, [patch, far], [tactile, None])
+    silent = build_stroke_profile(position, point, owner, [patch, far], [tactile, None])
     assert told is not None
     assert silent is not None
     assert told.resolved_wavelength_m == silent.resolved_wavelength_m == 2 * MPP
@@ -110,4 +110,4 @@ def test_nothing_to_follow_gives_none(case: str) -> None:
     if case == "unresolved":
         tactile = replace(tactile, resolved_wavelength_m=np.inf)
     maps = [None if case == "unmeasured" else tactile]
-    assert stroke_profile(position, point, owner, [patch], maps) is None
+    assert build_stroke_profile(position, point, owner, [patch], maps) is None

@@ -110,7 +110,7 @@ def test_what_no_wav_can_hold_is_refused_before_anything_is_made(tmp_path, capsy
     """Two minutes at 10 MHz are 1.2e9 samples, though the stroke is not a long one: it took 6.5 GB."""
     table = tmp_path / "a.csv"
     table.write_text(HEADER + "0,0,0.1,1\n119,0,0.1,1\n")
-    monkeypatch.setattr("hnf_core.field.long_stroke.prepare", lambda *_, **__: pytest.fail("it is made"))
+    monkeypatch.setattr("hnf_core.field.long_stroke.prepare_stroke", lambda *_, **__: pytest.fail("it is made"))
     monkeypatch.setattr("hnf_core.cli.synth.synthesise", lambda *_, **__: pytest.fail("it is made"))
     words = ("--material", material, "--action", table, "--rate", "1e7", "--out", tmp_path / "x.wav")
     assert hnf("synth", *words) == 1
@@ -156,12 +156,12 @@ def test_a_material_kept_as_a_file_sounds_as_the_one_it_was_made_from(tmp_path, 
 def test_a_kept_material_of_another_encoder_brings_the_field_that_knows_it(tmp_path, material):
     from hnf_core.field.weights import EVERY_ENCODER_WEIGHTS
     from hnf_core.material.hnf_file import from_library, write_hnf
-    from hnf_core.material.library import find
+    from hnf_core.material.library import get_material
     from hnf_core.material.token import ENCODER_NAMES
 
     if not EVERY_ENCODER_WEIGHTS.is_file():
         pytest.skip("this package is without the field of every encoder")
-    ours = from_library(find(material))
+    ours = from_library(get_material(material))
     written = {}
     for name in ENCODER_NAMES:
         kept, written[name] = tmp_path / f"{name}.hnf", tmp_path / f"{name}.wav"

@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError, UsageError
-from hnf_core.field.blocks import render_block, texture_term
+from hnf_core.field.blocks import render_block, render_carriers
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.prepared import prepare
+from hnf_core.field.prepared import prepare_stroke
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.timeline import SAMPLES_PER_STATE, cubic, cubic_samples
+from hnf_core.field.timeline import SAMPLES_PER_STATE, interpolate_cubic, interpolate_cubic_samples
 from hnf_core.field.weights import load_field
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import BAND_FEATURES, TOKEN_DIM
@@ -73,7 +73,7 @@ def test_blocks_of_any_size_are_the_whole(size):
     stroke = StrokeInput(
         action, rough_token()[None], (WOOD,), np.zeros(len(action.speed), np.int32), random_profile(0.05, 1)
     )
-    prepared = prepare(linear_field(), stroke, seed=4)
+    prepared = prepare_stroke(linear_field(), stroke, seed=4)
     if size == 1:
         whole = render_block(prepared, 1000, 8)
         parts = np.concatenate([render_block(prepared, 1000 + k, 1) for k in range(8)])
@@ -98,8 +98,8 @@ def test_at_rest_the_texture_is_silent_but_pressing_is_not():
     t = np.arange(401) / ACTION_RATE_HZ
     force = 2.0 * np.clip((t - 0.5) / 0.03, 0.0, 1.0) * np.clip((1.5 - t) / 0.03, 0.0, 1.0)
     stroke = uniform_stroke(make_action(np.zeros(401), force), rough_token(), FOAM)
-    prepared = prepare(linear_field(), stroke, seed=0)
-    assert not texture_term(prepared, 0, prepared.count).any()
+    prepared = prepare_stroke(linear_field(), stroke, seed=0)
+    assert not render_carriers(prepared, 0, prepared.count).any()
     samples = synthesise(linear_field(), stroke, seed=0).signal.samples
     onset, hold, release = samples[4800:6000], samples[9000:11_000], samples[14_500:15_500]
     assert np.sqrt(np.mean(onset**2)) > 0.05
@@ -131,7 +131,7 @@ def test_fast_path_agrees_with_the_literal_reference():
     stroke = uniform_stroke(bump(0.4), rough_token(), WOOD)
     field = load_field()
     reference = synthesise_reference(field, stroke, seed=2, start=1000, count=1500)
-    prepared = prepare(field, stroke, seed=2)
+    prepared = prepare_stroke(field, stroke, seed=2)
     fast = render_block(prepared, 1000, 1500)
     error = np.sqrt(np.mean((fast - reference) ** 2) / np.mean(reference**2))
     assert error < 10 ** (-30 / 20)
@@ -141,7 +141,7 @@ def test_carriers_on_the_grid_agree_with_their_fourier_sums():
     """With a steady action only the cubic reading of arc carriers differs: −55 dB."""
     stroke = uniform_stroke(steady(0.3), rough_token(), WOOD)
     reference = synthesise_reference(linear_field(), stroke, seed=2, start=1500, count=1000)
-    fast = render_block(prepare(linear_field(), stroke, seed=2), 1500, 1000)
+    fast = render_block(prepare_stroke(linear_field(), stroke, seed=2), 1500, 1000)
     assert np.sqrt(np.mean((fast - reference) ** 2) / np.mean(reference**2)) < 10 ** (-55 / 20)
 
 
@@ -152,13 +152,13 @@ def test_the_published_form_is_silent_under_a_smooth_stroke():
     t = np.linspace(0.0, 1.0, 401)
     action = make_action(0.1 + 0.05 * np.sin(2 * np.pi * t), np.full(401, 1.0))
     stroke = uniform_stroke(action, rough_token(), WOOD)
-    prepared = prepare(literal, stroke, seed=0)
+    prepared = prepare_stroke(literal, stroke, seed=0)
     assert prepared.amplitude.shape[1:] == (5, 1)
-    samples = texture_term(prepared, 0, prepared.count)
+    samples = render_carriers(prepared, 0, prepared.count)
     assert np.std(samples) > 0.0
     frequency, density = welch(samples - samples.mean(), 10_000.0)
     assert density[frequency >= 30.0].sum() < 1e-4 * density.sum()
-    vibrating = texture_term(prepare(linear_field(), stroke, seed=0), 0, prepared.count)
+    vibrating = render_carriers(prepare_stroke(linear_field(), stroke, seed=0), 0, prepared.count)
     frequency, density = welch(vibrating, 10_000.0)
     assert density[frequency >= 30.0].sum() > 0.9 * density.sum()
 
@@ -168,7 +168,7 @@ def test_published_form_agrees_with_its_reference():
     literal = Field(config, initial_parameters(config, 3))
     stroke = uniform_stroke(bump(0.3), rough_token(), WOOD)
     reference = synthesise_reference(literal, stroke, seed=0, start=1000, count=500)
-    fast = render_block(prepare(literal, stroke, seed=0), 1000, 500)
+    fast = render_block(prepare_stroke(literal, stroke, seed=0), 1000, 500)
     assert np.max(np.abs(fast - reference)) < 0.02 * np.max(np.abs(reference))
 
 
@@ -205,7 +205,9 @@ def test_the_action_rate_does_not_change_the_touch():
 @given(st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=30), st.integers(-4000, 4000), st.integers(1, 700))
 def test_states_read_at_every_sample_are_read_anywhere(states, start, count):
     values, place = np.array(states), (start + np.arange(count)) / SAMPLES_PER_STATE
-    np.testing.assert_allclose(cubic_samples(values, start, count), cubic(values, place), atol=1e-12)
+    np.testing.assert_allclose(
+        interpolate_cubic_samples(values, start, count), interpolate_cubic(values, place), atol=1e-12
+    )
 
 
 def test_a_slow_force_ramp_does_not_hum():
@@ -236,7 +238,7 @@ def test_profile_on_or_off_leaves_the_average_spectrum():
     ]
     assert spectrum_distance_db(*level) < 0.5
     # And the profile does take part.
-    prepared = [prepare(linear_field(), stroke, seed=0) for stroke in (plain, with_profile)]
+    prepared = [prepare_stroke(linear_field(), stroke, seed=0) for stroke in (plain, with_profile)]
     assert np.sum(prepared[1].amplitude ** 2) < 0.7 * np.sum(prepared[0].amplitude ** 2)
 
 

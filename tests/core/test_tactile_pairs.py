@@ -14,12 +14,12 @@ from hnf_core.datasets.pair_tiles import (
     FACTORS,
     PITCH_M,
     PairSizes,
-    decimation,
+    compute_decimation_matrix,
+    compute_membrane_slopes,
+    describe_tile,
+    list_tile_requests,
     make_tile,
-    membrane,
-    orders,
-    token_of,
-    turned,
+    rotate_tile,
 )
 from hnf_core.datasets.tactile_pairs import (
     HELD_OUT_CLASSES,
@@ -29,18 +29,18 @@ from hnf_core.datasets.tactile_pairs import (
     TRAIN,
     UNSEEN_CLASSES,
     Pairs,
-    encoded_rgb,
-    joined,
-    linear_rgb,
+    concatenate_pairs,
+    decode_rgb,
+    encode_rgb,
 )
 from hnf_core.material.encoder import describe
-from hnf_core.simulation.classes import category_of, classes, instance
+from hnf_core.simulation.classes import get_category, list_classes, sample_instance
 from hnf_core.simulation.surface import TILE_PIXELS, TILE_SIZE_M, height_map, wavenumbers
 from hnf_core.tactile.height import tactile_map_from_height
-from hnf_core.tactile.lamps import varied
+from hnf_core.tactile.lamps import perturb_sensor
 from hnf_core.tactile.optics import SENSORS, decode_gradients, gel_gradients, shade
 from hnf_core.tactile.spectral import frequencies, gaussian_mtf
-from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, decimated_tile
+from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, decimate_tile
 
 SEED = st.integers(0, 2**31)
 
@@ -48,8 +48,8 @@ SEED = st.integers(0, 2**31)
 @pytest.fixture(scope="module")
 def some() -> Pairs:
     """Three tiles: two of known classes, one random."""
-    wanted = orders(TRAIN, PairSizes(train=50), 7)
-    return joined([make_tile(wanted[index]) for index in (0, 22, 4)])
+    wanted = list_tile_requests(TRAIN, PairSizes(train=50), 7)
+    return concatenate_pairs([make_tile(wanted[index]) for index in (0, 22, 4)])
 
 
 def equal(one: Pairs, other: Pairs) -> bool:
@@ -82,14 +82,14 @@ def test_a_tile_gives_one_view_at_each_pitch(some: Pairs) -> None:
 
 
 def test_a_tile_is_its_orders() -> None:
-    order = orders(TRAIN, PairSizes(train=5), 7)[0]
+    order = list_tile_requests(TRAIN, PairSizes(train=5), 7)[0]
     assert equal(make_tile(order), make_tile(order))
     other = make_tile(replace(order, tile_seed=order.tile_seed + 1))
     assert not np.array_equal(make_tile(order).height, other.height)
 
 
 def test_two_patches_of_one_thing_differ_as_photographs_do() -> None:
-    first, second = (order for order in orders(HELD_OUT_CLASSES, PairSizes(), 7)[:2])
+    first, second = (order for order in list_tile_requests(HELD_OUT_CLASSES, PairSizes(), 7)[:2])
     assert (first.class_name, first.instance_seed) == (second.class_name, second.instance_seed)
     one, other = make_tile(first), make_tile(second)
     assert one.turn == other.turn
@@ -136,7 +136,7 @@ def _simpson(slope: np.ndarray) -> np.ndarray:
 @given(SEED)
 def test_depth_does_not_tell_the_relief(seed: int) -> None:
     """Another micro-relief, 30 µm rough below 3 mm, on the same thing in the same photograph: the same depth."""
-    order = replace(orders(TRAIN, PairSizes(train=5), 0)[0], tile_seed=seed)
+    order = replace(list_tile_requests(TRAIN, PairSizes(train=5), 0)[0], tile_seed=seed)
     kx, ky = wavenumbers(TILE_PIXELS, TILE_SIZE_M)
     chance = np.fft.rfft2(np.random.default_rng(seed).standard_normal((TILE_PIXELS, TILE_PIXELS)))
     micro = np.fft.irfft2(chance * (np.hypot(kx, ky) > 1.0 / 3e-3), (TILE_PIXELS, TILE_PIXELS))
@@ -154,8 +154,8 @@ def test_depth_does_not_tell_the_relief(seed: int) -> None:
 @pytest.mark.parametrize("name", ["denim", "cut-pile-carpet"])
 @pytest.mark.parametrize("sensor", PAIR_SENSORS)
 def test_a_repeating_tiles_membrane_is_the_optics_own(name: str, sensor: str) -> None:
-    height = height_map(instance(name, 1)[0], 1).astype(np.float64)
-    found = membrane(np.fft.rfft2(height), TILE_PIXELS, PITCH_M, SENSORS[sensor])
+    height = height_map(sample_instance(name, 1)[0], 1).astype(np.float64)
+    found = compute_membrane_slopes(np.fft.rfft2(height), TILE_PIXELS, PITCH_M, SENSORS[sensor])
     expected = gel_gradients(height, PITCH_M, SENSORS[sensor])
     inside = slice(48, -48), slice(48, -48)
     for ours, theirs in zip(found, expected, strict=True):
@@ -165,20 +165,20 @@ def test_a_repeating_tiles_membrane_is_the_optics_own(name: str, sensor: str) ->
 
 def test_a_steep_membrane_tents() -> None:
     height = 300e-6 * np.random.default_rng(0).standard_normal((64, 64))
-    gx, gy = membrane(np.fft.rfft2(height), 64, PITCH_M, SENSORS["digit"])
+    gx, gy = compute_membrane_slopes(np.fft.rfft2(height), 64, PITCH_M, SENSORS["digit"])
     assert float(np.hypot(gx, gy).max()) == pytest.approx(SENSORS["digit"].max_slope)
 
 
 @pytest.mark.parametrize("factor", FACTORS)
 def test_the_matrix_decimates_as_views_do(factor: int) -> None:
     tile = np.random.default_rng(0).standard_normal((TILE_PIXELS, TILE_PIXELS))
-    matrix = decimation(factor, True)
-    np.testing.assert_allclose(matrix @ tile @ matrix.T, decimated_tile(tile, factor), atol=1e-4)
+    matrix = compute_decimation_matrix(factor, True)
+    np.testing.assert_allclose(matrix @ tile @ matrix.T, decimate_tile(tile, factor), atol=1e-4)
 
 
 @pytest.mark.parametrize("factor", FACTORS)
 def test_what_does_not_repeat_keeps_its_level_and_its_slope(factor: int) -> None:
-    matrix = decimation(factor, False)
+    matrix = compute_decimation_matrix(factor, False)
     np.testing.assert_allclose(matrix @ np.ones(TILE_PIXELS), 1.0, atol=1e-5)
     line = np.arange(TILE_PIXELS, dtype=np.float64)
     inside = slice(8, -8)
@@ -187,19 +187,19 @@ def test_what_does_not_repeat_keeps_its_level_and_its_slope(factor: int) -> None
 
 
 def test_the_token_is_that_of_the_product() -> None:
-    height = height_map(instance("nylon-webbing", 1)[0], 1)
-    slopes = membrane(np.fft.rfft2(height), TILE_PIXELS, PITCH_M, SENSORS["gelsight"])
+    height = height_map(sample_instance("nylon-webbing", 1)[0], 1)
+    slopes = compute_membrane_slopes(np.fft.rfft2(height), TILE_PIXELS, PITCH_M, SENSORS["gelsight"])
     expected = describe(tactile_map_from_height(height, None, PITCH_M, 2 * PITCH_M)).values
-    np.testing.assert_allclose(token_of(*slopes, SENSORS["gelsight"]), expected, atol=2e-3)
+    np.testing.assert_allclose(describe_tile(*slopes, SENSORS["gelsight"]), expected, atol=2e-3)
 
 
 @pytest.mark.parametrize("turn", range(8))
 def test_a_turned_tiles_slopes_turn_as_vectors(turn: int) -> None:
     """(x, y) mirrored, then turned: components change places and signs with the picture."""
-    height = height_map(instance("denim", 1)[0], 1)
-    gx, gy = membrane(np.fft.rfft2(height), TILE_PIXELS, PITCH_M, SENSORS["gelsight"])
-    found = membrane(np.fft.rfft2(turned(height, turn)), TILE_PIXELS, PITCH_M, SENSORS["gelsight"])
-    gx, gy = (turned(each, turn) for each in (-gx if turn >= 4 else gx, gy))
+    height = height_map(sample_instance("denim", 1)[0], 1)
+    gx, gy = compute_membrane_slopes(np.fft.rfft2(height), TILE_PIXELS, PITCH_M, SENSORS["gelsight"])
+    found = compute_membrane_slopes(np.fft.rfft2(rotate_tile(height, turn)), TILE_PIXELS, PITCH_M, SENSORS["gelsight"])
+    gx, gy = (rotate_tile(each, turn) for each in (-gx if turn >= 4 else gx, gy))
     for _ in range(turn % 4):
         gx, gy = -gy, gx
     np.testing.assert_allclose(found, (gx, gy), atol=1e-9)
@@ -208,18 +208,18 @@ def test_a_turned_tiles_slopes_turn_as_vectors(turn: int) -> None:
 @given(st.integers(0, 255))
 def test_colour_bytes_come_back(value: int) -> None:
     byte = np.array([value], dtype=np.uint8)
-    assert np.array_equal(encoded_rgb(linear_rgb(byte)), byte)
+    assert np.array_equal(encode_rgb(decode_rgb(byte)), byte)
 
 
 # --- splits
 
 
 def test_no_instance_is_in_two_splits_and_no_held_out_class_in_another() -> None:
-    wanted = {split: orders(split, PairSizes(), 0) for split in SPLITS}
+    wanted = {split: list_tile_requests(split, PairSizes(), 0) for split in SPLITS}
     things = {split: {(o.class_name, o.instance_seed) for o in wanted[split] if o.class_name} for split in SPLITS}
     assert not things[TRAIN] & things[HELD_OUT_INSTANCES]
     names = {split: {name for name, _ in things[split]} for split in SPLITS}
-    assert names[TRAIN] == names[HELD_OUT_INSTANCES] == set(classes()) - set(UNSEEN_CLASSES)
+    assert names[TRAIN] == names[HELD_OUT_INSTANCES] == set(list_classes()) - set(UNSEEN_CLASSES)
     assert names[HELD_OUT_CLASSES] == set(UNSEEN_CLASSES)
     seeds = [order.tile_seed for split in SPLITS for order in wanted[split]]
     assert len(seeds) == len(set(seeds))
@@ -231,7 +231,9 @@ def test_no_instance_is_in_two_splits_and_no_held_out_class_in_another() -> None
 
 
 def test_one_class_of_every_category_is_unseen() -> None:
-    assert sorted(category_of(name) for name in UNSEEN_CLASSES) == sorted({category_of(name) for name in classes()})
+    assert sorted(get_category(name) for name in UNSEEN_CLASSES) == sorted(
+        {get_category(name) for name in list_classes()}
+    )
 
 
 # --- lamps
@@ -240,9 +242,9 @@ def test_one_class_of_every_category_is_unseen() -> None:
 @given(st.sampled_from(PAIR_SENSORS), SEED, st.floats(0.0, 2.0 * np.pi))
 def test_another_sensor_of_the_make_sees_the_same_membrane(name: str, seed: int, way: float) -> None:
     sensor = SENSORS[name]
-    other = varied(sensor, np.random.default_rng(seed))
+    other = perturb_sensor(sensor, np.random.default_rng(seed))
     assert (other.name, other.gel_sigma_m, other.max_slope) == (sensor.name, sensor.gel_sigma_m, sensor.max_slope)
-    assert other == varied(sensor, np.random.default_rng(seed))
+    assert other == perturb_sensor(sensor, np.random.default_rng(seed))
     assert other != sensor
     assert min(other.ambient) >= 0.0
     assert np.min(other.crosstalk) >= 0.0

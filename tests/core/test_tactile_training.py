@@ -15,22 +15,27 @@ from synthetic_pairs import synthetic_pairs
 from tactile_networks import SMALL, look, random_weights
 
 from hnf_core.cli.main import main
-from hnf_core.datasets.tactile_pairs import SPLITS, save_shard, shard_path
+from hnf_core.datasets.tactile_pairs import SPLITS, get_shard_path, save_shard
 from hnf_core.errors import UsageError
-from hnf_core.tactile.diffusion.conditions import look_of_view
+from hnf_core.tactile.diffusion.conditions import normalise_view
 from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
-from hnf_core.tactile.diffusion.network import run
+from hnf_core.tactile.diffusion.network import forward
 from hnf_core.tactile.diffusion.predict import predict_slopes
 from hnf_core.tactile.diffusion.weights import load_map_weights
 from hnf_core.tactile.spectral import frequencies
-from hnf_core.training.tactile_map.batches import fixed_batch, level_statistics, training_batch, turned
-from hnf_core.training.tactile_map.fit import Plan, fit
+from hnf_core.training.tactile_map.batches import (
+    apply_symmetry,
+    compute_level_statistics,
+    make_fixed_batch,
+    make_training_batch,
+)
+from hnf_core.training.tactile_map.fit import MapTrainingPlan, fit_map
 from hnf_core.training.tactile_map.network import MapNetwork
-from hnf_core.training.tactile_map.objective import sampled
-from hnf_core.training.tactile_map.validate import band_powers
+from hnf_core.training.tactile_map.objective import sample_slopes
+from hnf_core.training.tactile_map.validate import compute_band_powers
 
 TINY = MapConfig(**SMALL)
-QUICK = Plan(steps=6, batch=4, warm_up=2, half=False, validate_views=4)
+QUICK = MapTrainingPlan(steps=6, batch=4, warm_up=2, half=False, validate_views=4)
 
 
 def twin(weights) -> MapNetwork:
@@ -50,7 +55,7 @@ def test_numpy_and_torch_compute_the_same(shape):
             each.numpy() for each in twin(weights)(torch.from_numpy(pictures), torch.from_numpy(conditions))
         )
     for index in range(3):
-        own, own_level = run(weights.network, pictures[index], conditions[index])
+        own, own_level = forward(weights.network, pictures[index], conditions[index])
         assert own.dtype == np.float32
         assert np.abs(own - slopes[index]).max() <= 1e-4 * slopes[index].std()
         assert own_level == pytest.approx(level[index], abs=1e-4)
@@ -64,16 +69,16 @@ def test_names_and_shapes_are_one_list():
 
 def test_a_look_at_run_time_is_what_training_saw():
     pairs = synthetic_pairs(4)
-    batch = fixed_batch(pairs, np.arange(4), 0)
+    batch = make_fixed_batch(pairs, np.arange(4), 0)
     for row in range(4):
         pitch = float(pairs.pitch_m[row])
         view = dataclasses.replace(
             look(0), pitch_m=pitch, rgb=(pairs.rgb[row] / np.float32(255.0)) ** 2,
             depth_m=pairs.depth[row].astype(np.float32) * np.float32(pitch),
         )  # fmt: skip
-        own = look_of_view(view)
-        np.testing.assert_allclose(own.pictures[0], batch.look.pictures[row], atol=2e-4)
-        np.testing.assert_allclose(own.scalars[0], batch.look.scalars[row], atol=2e-4)
+        own = normalise_view(view)
+        np.testing.assert_allclose(own.images[0], batch.appearance.images[row], atol=2e-4)
+        np.testing.assert_allclose(own.scalars[0], batch.appearance.scalars[row], atol=2e-4)
 
 
 @pytest.mark.parametrize("turn", range(8))
@@ -86,20 +91,20 @@ def test_a_turned_views_slopes_are_the_slopes_of_the_turned_height(turn):
         return np.stack([np.fft.irfft2(2j * np.pi * f * spectrum, s=(64, 64)) for f in (fx, fy)])
 
     height = pairs.height[0].astype(np.float32)
-    picture, slopes = turned(height, slopes_of(height), turn)
+    picture, slopes = apply_symmetry(height, slopes_of(height), turn)
     np.testing.assert_allclose(slopes, slopes_of(picture), atol=1e-4)
 
 
 def test_batches_have_unit_patterns_and_drop_what_they_should():
     pairs = synthetic_pairs(40)
-    batch = training_batch(pairs, np.arange(40), np.random.default_rng(0))
+    batch = make_training_batch(pairs, np.arange(40), np.random.default_rng(0))
     np.testing.assert_allclose((batch.slopes**2).mean(axis=(1, 2, 3)), 1.0, atol=1e-3)
-    mean, scale = level_statistics(pairs)
+    mean, scale = compute_level_statistics(pairs)
     assert -2.2 < mean < -0.3
     assert 0.1 < scale < 1.0
-    known = batch.look.scalars[:, 5] > 0
+    known = batch.appearance.scalars[:, 5] > 0
     assert 0 < known.sum() < 40
-    assert not batch.look.pictures[~known, 3].any()
+    assert not batch.appearance.images[~known, 3].any()
     assert set(batch.sensor_index) == {0, 1}
     raw = pairs.slopes[np.arange(40), batch.sensor_index].astype(np.float32)
     np.testing.assert_allclose(10.0**batch.log_rms, np.sqrt((raw**2).mean(axis=(1, 2, 3))), rtol=1e-3)
@@ -113,8 +118,8 @@ def test_batches_have_unit_patterns_and_drop_what_they_should():
 def test_eight_views_are_learned_by_heart(objective, steps, rate, pattern, level):
     """Untrained, both losses are 1 or next to it, and the sampled level 7.8 dB off."""
     pairs = synthetic_pairs(8)
-    plan = Plan(steps=steps, batch=8, rate=rate, warm_up=10, ema=0.9, half=False, validate_views=8)
-    seen = fit(pairs, {"seen": pairs}, plan, dataclasses.replace(TINY, objective=objective)).distances["seen"]
+    plan = MapTrainingPlan(steps=steps, batch=8, rate=rate, warm_up=10, ema=0.9, half=False, validate_views=8)
+    seen = fit_map(pairs, {"seen": pairs}, plan, dataclasses.replace(TINY, objective=objective)).distances["seen"]
     assert seen.pattern_loss < pattern
     assert seen.level_loss < level
     assert seen.level_db is not None
@@ -123,7 +128,7 @@ def test_eight_views_are_learned_by_heart(objective, steps, rate, pattern, level
 
 def test_killed_and_resumed_is_as_never_killed(tmp_path):
     pairs = synthetic_pairs(12)
-    whole = fit(pairs, {}, QUICK, TINY)
+    whole = fit_map(pairs, {}, QUICK, TINY)
     checkpoint = tmp_path / "run.checkpoint"
 
     class KilledError(Exception):
@@ -135,25 +140,25 @@ def test_killed_and_resumed_is_as_never_killed(tmp_path):
 
     often = dataclasses.replace(QUICK, checkpoint_minutes=0.0)
     with pytest.raises(KilledError):
-        fit(pairs, {}, often, TINY, checkpoint, kill)
+        fit_map(pairs, {}, often, TINY, checkpoint, kill)
     steps: list[int] = []
-    resumed = fit(pairs, {}, often, TINY, checkpoint, lambda step, *_: steps.append(step))
+    resumed = fit_map(pairs, {}, often, TINY, checkpoint, lambda step, *_: steps.append(step))
     assert steps[0] == 4
     for name, value in whole.parameters.items():
         np.testing.assert_array_equal(value, resumed.parameters[name])
-    other = fit(pairs, {}, dataclasses.replace(often, seed=1, steps=2), TINY, checkpoint)
+    other = fit_map(pairs, {}, dataclasses.replace(often, seed=1, steps=2), TINY, checkpoint)
     assert other.steps == 2
 
 
 def test_torch_and_numpy_sample_alike():
     weights = random_weights(seed=1)
     pairs = synthetic_pairs(2)
-    batch = fixed_batch(pairs, np.arange(2), 0)
-    slopes, log_rms = sampled(twin(weights), batch, 0, 3)
+    batch = make_fixed_batch(pairs, np.arange(2), 0)
+    slopes, log_rms = sample_slopes(twin(weights), batch, 0, 3)
     np.testing.assert_allclose((slopes**2).mean(axis=(1, 2, 3)), 1.0, atol=1e-3)
     assert np.isfinite(log_rms).all()
     baseline = random_weights(seed=1, objective=REGRESSION)
-    slopes, log_rms = sampled(twin(baseline), batch, 0, 3)
+    slopes, log_rms = sample_slopes(twin(baseline), batch, 0, 3)
     pitch = float(pairs.pitch_m[1])
     view = dataclasses.replace(
         look(0), pitch_m=pitch, rgb=(pairs.rgb[1] / np.float32(255.0)) ** 2,
@@ -168,16 +173,16 @@ def test_band_powers_find_a_wave_in_its_octave():
     column = np.arange(64)[None, :] + np.zeros((64, 1))
     for band, period in enumerate((25.6, 12.8, 6.4, 3.2)):
         wave = np.cos(2.0 * np.pi * column / period)
-        powers = band_powers(np.stack([wave, 0.0 * wave])[None])[0]
+        powers = compute_band_powers(np.stack([wave, 0.0 * wave])[None])[0]
         assert np.argmax(powers) == band
         assert powers[band] > 0.8 * powers.sum()
 
 
 def test_no_budget_and_too_few_pairs_are_refused():
     with pytest.raises(UsageError):
-        fit(synthetic_pairs(8), {}, dataclasses.replace(QUICK, steps=None), TINY)
+        fit_map(synthetic_pairs(8), {}, dataclasses.replace(QUICK, steps=None), TINY)
     with pytest.raises(UsageError):
-        fit(synthetic_pairs(2), {}, QUICK, TINY)
+        fit_map(synthetic_pairs(2), {}, QUICK, TINY)
 
 
 @pytest.mark.parametrize(
@@ -187,7 +192,10 @@ def test_no_budget_and_too_few_pairs_are_refused():
 def test_the_words_train_and_the_weights_say_how(words, objective, tmp_path, capsys):
     for index, split in enumerate(SPLITS):
         save_shard(
-            shard_path(tmp_path / "pairs", split, 0), synthetic_pairs(16 if index == 0 else 4, index), shards=1, key="a"
+            get_shard_path(tmp_path / "pairs", split, 0),
+            synthetic_pairs(16 if index == 0 else 4, index),
+            shard_count=1,
+            key="a",
         )
     out = tmp_path / "map.safetensors"
 

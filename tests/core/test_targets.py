@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.actuators.law import law_of, step_of
-from hnf_core.actuators.limits import COUNTS, Limits
+from hnf_core.actuators.law import compute_limiter_params, compute_max_step
+from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.actuators.protocol.messages import NO_SLEW_LIMIT, Start
 from hnf_core.actuators.sinks.audio import AudioSink
 from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.sinks.osc import OscSink
-from hnf_core.actuators.sinks.serial import SerialSink, slew_told
+from hnf_core.actuators.sinks.serial import SerialSink, compute_device_slew
 from hnf_core.actuators.targets import (
     AudioTarget,
     FileTarget,
@@ -25,11 +25,11 @@ from hnf_core.actuators.targets import (
     SerialTarget,
     Target,
     VirtualTarget,
-    devices,
+    list_devices,
+    make_sink,
     parse_target,
-    sink_of,
 )
-from hnf_core.actuators.virtual.playout import Format
+from hnf_core.actuators.virtual.playout import PlayoutFormat
 from hnf_core.actuators.virtual.sink import VirtualSink
 from hnf_core.errors import UsageError
 
@@ -75,7 +75,7 @@ targets = st.one_of(
 
 @given(targets)
 def test_a_target_is_found_again_by_its_words(target: Target) -> None:
-    assert parse_target(target.words) == target
+    assert parse_target(target.text) == target
 
 
 @pytest.mark.parametrize(
@@ -98,40 +98,40 @@ def test_every_target_has_its_sink(tmp_path: Path) -> None:
     limits = Limits(30.0)
     kinds = {"virtual": VirtualSink, "audio": AudioSink, "serial:COM9": SerialSink, "osc:h:1": OscSink}
     for words, kind in {**kinds, f"file:{tmp_path / 'x.wav'}": FileSink}.items():
-        assert isinstance(sink_of(parse_target(words), 10_000.0, limits), kind)
+        assert isinstance(make_sink(parse_target(words), 10_000.0, limits), kind)
 
 
 @pytest.mark.parametrize("limits", [GENERIC.limits, Limits(30.0, peak=0.5, slew_per_s=900.0), Limits(30.0)])
 def test_the_device_is_told_the_limits_that_hold_there(limits: Limits) -> None:
     """So that a frame that is lost on the way makes no step that the limiter would not have made."""
-    sink = sink_of(parse_target("virtual"), 10_000.0, limits)
+    sink = make_sink(parse_target("virtual"), 10_000.0, limits)
     assert isinstance(sink, VirtualSink)
     try:
         sink.open()
         assert sink._device is not None
-        form, law = sink._device.device._playout.form, law_of(limits, 10_000.0)
+        form, law = sink._device.device._playout.form, compute_limiter_params(limits, 10_000.0)
         assert form.peak == law.peak
-        assert form.slew == (law.step if limits.slew_per_s < math.inf else NO_SLEW_LIMIT)
+        assert form.slew == (law.max_step if limits.slew_per_s < math.inf else NO_SLEW_LIMIT)
     finally:
         sink.close()
 
 
-@given(st.floats(1e-3, 1e9), st.integers(1, COUNTS), st.integers(1000, 192_000))
+@given(st.floats(1e-3, 1e9), st.integers(1, FULL_SCALE_COUNTS), st.integers(1000, 192_000))
 def test_no_slew_keeps_a_device_from_starting_or_changes_what_the_limiter_lets_out(slew: float, peak: int, rate: int):
-    told, start = slew_told(slew, peak, rate), Start(rate, 1, peak, 1)
-    assert Format.of(start, 1).step <= told <= NO_SLEW_LIMIT
-    assert told >= step_of(slew, rate)
+    told, start = compute_device_slew(slew, peak, rate), Start(rate, 1, peak, 1)
+    assert PlayoutFormat.from_start(start, 1).step <= told <= NO_SLEW_LIMIT
+    assert told >= compute_max_step(slew, rate)
 
 
 def test_devices_are_listed_or_it_is_said_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = devices()
+    found = list_devices()
     assert found.all == found.serial + found.audio
     for each in found.all:
-        assert parse_target(each.target).words == each.target
+        assert parse_target(each.target).text == each.target
         assert each.title
     for module in ("serial", "sounddevice"):
         monkeypatch.setitem(sys.modules, module, None)
-    found = devices()
+    found = list_devices()
     assert found.all == ()
     assert [line.partition(":")[0] for line in found.missing] == ["serial ports", "sound outputs"]
     assert "pip install pyserial" in found.missing[0]
@@ -143,6 +143,6 @@ def test_without_portaudio_the_system_s_package_is_named(tmp_path: Path, monkeyp
     (tmp_path / "sounddevice.py").write_text("raise OSError('PortAudio library not found')\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "sounddevice", raising=False)
-    (line,) = (line for line in devices().missing if line.startswith("sound outputs"))
+    (line,) = (line for line in list_devices().missing if line.startswith("sound outputs"))
     assert "PortAudio library not found" in line
     assert "apt install libportaudio2" in line

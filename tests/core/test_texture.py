@@ -11,16 +11,25 @@ from hypothesis import strategies as st
 from normal_noise import normal_block
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.field.band_waves import complex_waves, real_waves, wave_plan
+from hnf_core.field.band_waves import make_wave_plan, render_complex_waves, render_real_waves
 from hnf_core.field.carriers import ARC_BLOCK, Carriers
-from hnf_core.field.hops import ARC_HOP, CELL, DEMODULATION_CYCLES, HOP, MARGINS, arc_hop, time_hop, time_levels
+from hnf_core.field.hops import (
+    ARC_HOP_CELLS,
+    CELL_SAMPLES,
+    DEMODULATION_CYCLES,
+    HOP_SIZE,
+    LEVEL_MARGINS,
+    get_arc_hop,
+    get_time_hop,
+    group_time_levels,
+)
 from hnf_core.field.knots import Knots
-from hnf_core.field.noise import band_bins, band_spectra, bins_of
-from hnf_core.field.path import position_beyond
-from hnf_core.field.plain import plain_texture
-from hnf_core.field.texture import REACH, texture_hops
+from hnf_core.field.noise import draw_band_bins, draw_band_spectra, make_bins
+from hnf_core.field.path import extrapolate_position
+from hnf_core.field.plain import render_carriers_full_rate
+from hnf_core.field.texture import REACH_SAMPLES, render_carrier_hops
 from hnf_core.field.timeline import SAMPLES_PER_STATE
-from hnf_core.kernel.library import plainly
+from hnf_core.kernel.library import without_kernel
 
 CARRIERS = Carriers()
 FAR = 10 ** (-57 / 20)
@@ -48,8 +57,10 @@ def wandering(seed: int, seconds: float, fastest: float, states: int = 4) -> tup
 
 
 def fast(knots: Knots, action: Action, seed: int, hops: range) -> np.ndarray:
-    place = position_beyond(action, hops.start * HOP - REACH, len(hops) * HOP + 2 * REACH)
-    return texture_hops(knots, CARRIERS, seed, place, hops)
+    place = extrapolate_position(
+        action, hops.start * HOP_SIZE - REACH_SAMPLES, len(hops) * HOP_SIZE + 2 * REACH_SAMPLES
+    )
+    return render_carrier_hops(knots, CARRIERS, seed, place, hops)
 
 
 def states(amplitude: np.ndarray) -> Knots:
@@ -64,14 +75,14 @@ def rms(values: np.ndarray) -> float:
 @given(st.integers(0, 1000), st.sampled_from([0.002, 0.05, 0.3, 2.0]))
 def test_as_the_plain_carriers(seed, fastest):
     action, amplitude = wandering(seed, 1.2, fastest)
-    plain = plain_texture(amplitude[:, None, :], CARRIERS, seed, action, 0, 2 * HOP)
+    plain = render_carriers_full_rate(amplitude[:, None, :], CARRIERS, seed, action, 0, 2 * HOP_SIZE)
     found = fast(states(amplitude), action, seed, range(2))
     assert rms(found - plain) < FAR * rms(plain)
 
 
 def test_as_the_plain_carriers_when_every_state_is_another():
     action, amplitude = wandering(3, 1.2, 0.1, states=1)
-    plain = plain_texture(amplitude[:, None, :], CARRIERS, 1, action, 0, 2 * HOP)
+    plain = render_carriers_full_rate(amplitude[:, None, :], CARRIERS, 1, action, 0, 2 * HOP_SIZE)
     assert rms(fast(states(amplitude), action, 1, range(2)) - plain) < 10 ** (-50 / 20) * rms(plain)
 
 
@@ -82,7 +93,7 @@ def test_as_the_plain_carriers_each_family_alone(family):
     first = CARRIERS.arc_slice.start + 24 * family if family != "time" else 0
     part = CARRIERS.time_slice if family == "time" else slice(first, first + 24)
     only[:, part] = amplitude[:, part]
-    plain = plain_texture(only[:, None, :], CARRIERS, 1, action, 0, 2 * HOP)
+    plain = render_carriers_full_rate(only[:, None, :], CARRIERS, 1, action, 0, 2 * HOP_SIZE)
     assert rms(fast(states(only), action, 1, range(2)) - plain) < FAR * rms(plain)
 
 
@@ -106,24 +117,26 @@ def test_a_jump_of_the_hand_asks_for_no_metres_of_cells():
     place = action.position + np.where(np.arange(201) > 100, 1e6, 0.0)
     amplitude[98:104, CARRIERS.arc_slice] = 0.0
     jumped = dataclasses.replace(action, position=place)
-    plain = plain_texture(amplitude[:, None, :], CARRIERS, 1, jumped, 0, 2 * HOP)
+    plain = render_carriers_full_rate(amplitude[:, None, :], CARRIERS, 1, jumped, 0, 2 * HOP_SIZE)
     assert rms(fast(states(amplitude), jumped, 1, range(2)) - plain) < FAR * rms(plain)
 
 
 @pytest.mark.parametrize("hop", [-3, 0, 12])
 def test_hops_of_time_are_the_carriers(hop):
-    assert [each.stop - each.start for each in time_levels(CARRIERS)] == [7, 19, 31]
-    for level, (bands, waves) in enumerate(zip(time_levels(CARRIERS), time_hop(CARRIERS, 3, hop).waves, strict=True)):
-        margin = MARGINS[level] << level
-        plain = CARRIERS.time_samples(3, hop * HOP - margin, HOP + 2 * margin)
+    assert [each.stop - each.start for each in group_time_levels(CARRIERS)] == [7, 19, 31]
+    for level, (bands, waves) in enumerate(
+        zip(group_time_levels(CARRIERS), get_time_hop(CARRIERS, 3, hop).waves, strict=True)
+    ):
+        margin = LEVEL_MARGINS[level] << level
+        plain = CARRIERS.time_samples(3, hop * HOP_SIZE - margin, HOP_SIZE + 2 * margin)
         np.testing.assert_allclose(waves, plain[bands, :: 1 << level], atol=1e-6)
 
 
 @pytest.mark.parametrize(("octave", "hop"), [(0, -2), (4, 0), (7, 1000)])
 def test_hops_of_arc_length_are_the_carriers(octave, hop):
-    at = (hop * ARC_HOP + np.arange(ARC_HOP)) * CELL
-    waves = CARRIERS.arc_samples(3, octave, int(at[0]), ARC_HOP * CELL)[:, ::CELL]
-    turned = arc_hop(CARRIERS, 3, octave, hop).waves * np.exp(2j * np.pi * at * DEMODULATION_CYCLES / ARC_BLOCK)
+    at = (hop * ARC_HOP_CELLS + np.arange(ARC_HOP_CELLS)) * CELL_SAMPLES
+    waves = CARRIERS.arc_samples(3, octave, int(at[0]), ARC_HOP_CELLS * CELL_SAMPLES)[:, ::CELL_SAMPLES]
+    turned = get_arc_hop(CARRIERS, 3, octave, hop).waves * np.exp(2j * np.pi * at * DEMODULATION_CYCLES / ARC_BLOCK)
     np.testing.assert_allclose(turned.real, waves, atol=1e-6)
 
 
@@ -133,12 +146,12 @@ def test_bins_are_those_of_the_white_spectrum(seed, block):
     edges, size = np.array([20.0, 31.5, 40.0, 77.0]), 256
     numbers = normal_block(seed, 5, block, 2 * (size // 2 + 1))
     white = numbers[: size // 2 + 1] + 1j * numbers[size // 2 + 1 :]
-    bins = bins_of(edges, size)
-    drawn = band_bins(seed, 5, block, bins)
+    bins = make_bins(edges, size)
+    drawn = draw_band_bins(seed, 5, block, bins)
     assert bins.starts.tolist() == [20, 32, 40, 77]
     level = np.repeat(size / np.sqrt(4.0 * np.diff(bins.starts)), np.diff(bins.starts))
     np.testing.assert_allclose(drawn, white[20:77] * level, rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(band_spectra(seed, 5, block, edges, size).sum(axis=0)[20:77], drawn)
+    np.testing.assert_array_equal(draw_band_spectra(seed, 5, block, edges, size).sum(axis=0)[20:77], drawn)
 
 
 @pytest.mark.parametrize("size", [256, 2048])
@@ -150,14 +163,14 @@ def test_waves_of_a_few_bins_are_the_inverse_transform(size):
         spectra[band, low:high] = bins[low - 3 : high - 3]
     window, waves = generator.random(size), size * np.fft.ifft(spectra)
     lower = size * np.fft.ifft(np.roll(spectra[:3], -10, axis=1)) * window
-    for context in (nullcontext(), plainly()):
+    for context in (nullcontext(), without_kernel()):
         with context:
-            found = real_waves(bins, wave_plan(starts, window))
-            turned_back = complex_waves(bins[:50], wave_plan(starts[:4], window, 10))
+            found = render_real_waves(bins, make_wave_plan(starts, window))
+            turned_back = render_complex_waves(bins[:50], make_wave_plan(starts[:4], window, 10))
         np.testing.assert_allclose(found, 2.0 * waves.real * window, atol=2e-5)
         np.testing.assert_allclose(turned_back, lower, atol=2e-5)
 
 
 def test_a_band_without_a_bin_is_refused():
     with pytest.raises(ValueError, match="band 1 holds no bin"):
-        bins_of(np.array([2.0, 4.2, 4.5, 9.0]), 64)
+        make_bins(np.array([2.0, 4.2, 4.5, 9.0]), 64)

@@ -7,36 +7,36 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.keys import Keys, eased_travel
+from hnf_core.action.keys import Keyframes, make_eased_travel
 from hnf_core.action.time_law import (
-    checked_force,
-    checked_progress,
-    motion_at_speed,
-    motion_from_progress,
-    speed_for_duration,
-    time_grid,
-    travel_time,
+    clamp_force,
+    clamp_progress,
+    compute_speed_for_duration,
+    compute_travel_time,
+    make_motion_at_speed,
+    make_motion_from_progress,
+    make_time_grid,
 )
 from hnf_core.errors import StrokeError
 
 
 def test_overshoot_is_clamped():
-    assert np.array_equal(checked_force([-11.9, 0.5, 3.0], [1, 2, 3], where="A"), [0.0, 0.5, 3.0])
-    assert np.array_equal(checked_progress([-0.1, 0.5, 1.2], [1, 2, 3], where="A"), [0.0, 0.5, 1.0])
+    assert np.array_equal(clamp_force([-11.9, 0.5, 3.0], [1, 2, 3], where="A"), [0.0, 0.5, 3.0])
+    assert np.array_equal(clamp_progress([-0.1, 0.5, 1.2], [1, 2, 3], where="A"), [0.0, 0.5, 1.0])
 
 
 def test_nan_names_stroke_and_frame():
     with pytest.raises(StrokeError, match=r"Scrape: force is not a number at frame 12\.5"):
-        checked_force([1.0, np.nan], [12.0, 12.5], where="Scrape")
+        clamp_force([1.0, np.nan], [12.0, 12.5], where="Scrape")
     with pytest.raises(StrokeError, match=r"Scrape: progress is not a number at frame 7"):
-        checked_progress([np.inf], [7], where="Scrape")
+        clamp_progress([np.inf], [7], where="Scrape")
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(1e-4, 2.0), st.floats(1e-3, 1.0), st.floats(0.0, 0.5))
 @example(0.03125, 1.0, 6e-8)
 def test_eased_travel_arrives_at_full_speed(distance, speed, ramp):
-    keys = eased_travel(distance, speed, ramp)
+    keys = make_eased_travel(distance, speed, ramp)
     time = np.linspace(-0.1, float(keys.time[-1]) + 0.1, 5001)
     position, rate = keys.sample(time)
     assert position[0] == 0.0
@@ -51,22 +51,22 @@ def test_eased_travel_arrives_at_full_speed(distance, speed, ramp):
 
 def test_speed_law_is_the_duration_law():
     for length, duration in ((0.06, 0.7), (0.3, 0.05), (1e-3, 5.0)):
-        assert travel_time(length, speed_for_duration(length, duration)) == pytest.approx(duration)
+        assert compute_travel_time(length, compute_speed_for_duration(length, duration)) == pytest.approx(duration)
 
 
 def test_speed_law_motion_is_consistent():
-    time = time_grid(travel_time(0.06, 0.1), 200.0)
-    motion = motion_at_speed(time, 0.06, 0.1)
+    time = make_time_grid(compute_travel_time(0.06, 0.1), 200.0)
+    motion = make_motion_at_speed(time, 0.06, 0.1)
     assert motion.position[-1] == pytest.approx(0.06)
     assert np.sum(motion.velocity) / 200.0 == pytest.approx(0.06, rel=1e-9)
-    still = motion_at_speed(time, 0.0, 0.1)
+    still = make_motion_at_speed(time, 0.0, 0.1)
     assert not still.position.any()
     assert not still.velocity.any()
 
 
 def test_progress_may_run_backward():
     progress = 0.5 - 0.5 * np.cos(np.linspace(0, 2 * np.pi, 401))
-    motion = motion_from_progress(progress, 0.1, 200.0)
+    motion = make_motion_from_progress(progress, 0.1, 200.0)
     assert motion.velocity[100] > 0
     assert motion.velocity[300] == pytest.approx(-motion.velocity[100])
     exact = 0.05 * np.pi * np.sin(np.linspace(0, 2 * np.pi, 401))
@@ -74,23 +74,23 @@ def test_progress_may_run_backward():
 
 
 def test_short_samples():
-    assert np.array_equal(motion_from_progress(np.array([0.5]), 1.0, 200.0).velocity, [0.0])
-    assert np.allclose(motion_from_progress(np.array([0.0, 0.1]), 1.0, 200.0).velocity, [20.0, 20.0])
+    assert np.array_equal(make_motion_from_progress(np.array([0.5]), 1.0, 200.0).velocity, [0.0])
+    assert np.allclose(make_motion_from_progress(np.array([0.0, 0.1]), 1.0, 200.0).velocity, [20.0, 20.0])
 
 
 def test_time_grid_reaches_the_end():
-    assert len(time_grid(1.0, 200.0)) == 201
-    assert time_grid(0.8012, 200.0)[-1] >= 0.8012
+    assert len(make_time_grid(1.0, 200.0)) == 201
+    assert make_time_grid(0.8012, 200.0)[-1] >= 0.8012
     with pytest.raises(StrokeError, match="Scrape: the stroke lasts no time"):
-        time_grid(0.0, 200.0, where="Scrape")
+        make_time_grid(0.0, 200.0, where="Scrape")
     with pytest.raises(StrokeError, match="no time"):
-        time_grid(float("nan"), 200.0)
+        make_time_grid(float("nan"), 200.0)
     with pytest.raises(StrokeError, match="600 s is the most"):
-        time_grid(1e9, 200.0)
+        make_time_grid(1e9, 200.0)
 
 
 def test_keys_hold_their_ends():
-    keys = Keys(np.array([1.0, 2.0]), np.array([3.0, 5.0]), np.array([0.0, 0.0]))
+    keys = Keyframes(np.array([1.0, 2.0]), np.array([3.0, 5.0]), np.array([0.0, 0.0]))
     value, rate = keys.sample([0.0, 1.5, 9.0])
     assert np.allclose(value, [3.0, 4.0, 5.0])
     assert np.allclose(rate, [0.0, 3.0, 0.0])

@@ -18,14 +18,14 @@ pytest.importorskip("torch", reason="training needs the extra [train]")
 from steady_spectra import expected_spectrum
 
 from hnf_core.cli.main import main
-from hnf_core.datasets.autoregressive import power_spectrum
+from hnf_core.datasets.autoregressive import compute_power_spectrum
 from hnf_core.datasets.catalogue import open_dataset
 from hnf_core.datasets.hatt_models import read_texture_model
 from hnf_core.datasets.recording import Recording
-from hnf_core.datasets.training_strokes import training_recordings
+from hnf_core.datasets.training_strokes import get_training_recordings
 from hnf_core.export.wav import read_wav
-from hnf_core.field.weights import load_field, own_material
-from hnf_core.training.own_material import Choices, train_own
+from hnf_core.field.weights import load_field, read_trained_material
+from hnf_core.training.own_material import TrainingOverrides, train_from_recordings
 
 QUICK = ("--seconds", "20", "--epochs", "2", "--hidden", "16", "--layers", "2")
 
@@ -56,7 +56,7 @@ def test_weights_that_synth_takes_with_a_curve_beside_them(folder: Path, tmp_pat
     assert Path(record["curve"]).read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in out.parent.iterdir()) == ["cloth.curve.png", "cloth.safetensors"]
     field = load_field(out)
-    assert own_material(field, "here").name == "Test Cloth"
+    assert read_trained_material(field, "here").name == "Test Cloth"
     assert field.ranges.sectors == ()
     assert field.ranges.force[1] <= 4.0
     assert "not to be redistributed" in field.metadata["licence"]
@@ -70,13 +70,13 @@ def test_weights_that_synth_takes_with_a_curve_beside_them(folder: Path, tmp_pat
 
 def test_plain_arrays_train_the_same_field(folder: Path) -> None:
     """Only actions and waveforms reach the trainer, never a model's coefficients."""
-    loaded = training_recordings(open_dataset("hatt", folder), "Test Cloth", 20.0, 0)
+    loaded = get_training_recordings(open_dataset("hatt", folder), "Test Cloth", 20.0, 0)
     plain = [
         Recording(each.action, np.array(each.samples.tolist()), 10_000.0, "Test Cloth", "arrays", each.known)
         for each in loaded
     ]
-    small = Choices(hidden=8, layers=1, epochs=1)
-    (first, _), (second, _) = (train_own(some, "hatt", "", 0, small) for some in (loaded, plain))
+    small = TrainingOverrides(hidden=8, layers=1, epochs=1)
+    (first, _), (second, _) = (train_from_recordings(some, "hatt", "", 0, small) for some in (loaded, plain))
     for name, value in first.field.parameters.items():
         np.testing.assert_array_equal(value, second.field.parameters[name])
 
@@ -90,7 +90,7 @@ def test_simulated_materials_train_with_their_token_and_direction(tmp_path: Path
     assert field.config.physics
     assert field.config.directed
     assert field.config.carriers.arc_count
-    assert own_material(field, "here").token.any()
+    assert read_trained_material(field, "here").token.any()
 
 
 @pytest.mark.parametrize(
@@ -160,13 +160,13 @@ def test_a_published_texture_is_learned_to_its_exact_spectrum(tmp_path: Path) ->
     words = ("--data", "hatt", HATT, "--material", "ABS Plastic", "--out", out, "--seconds", "120", "--epochs", "20")
     assert hnf("train", "field", *words) == 0
     field = load_field(out)
-    material = own_material(field, "here")
+    material = read_trained_material(field, "here")
     model = read_texture_model(HATT / "models_10khz" / "Models_ABS Plastic.xml")
     frequency = np.arange(20.0, 1001.0, 10.0)
     distances = []
     for speed in (0.05, 0.1, 0.15):
         for force in (0.5, 1.0, 2.0):
-            exact = power_spectrum(model, speed, force, frequency)
+            exact = compute_power_spectrum(model, speed, force, frequency)
             found = expected_spectrum(
                 field, material.token, material.mechanics, "pen", (1.0, 0.0), speed, force, frequency
             )

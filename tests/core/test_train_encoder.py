@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.cli.main import main
-from hnf_core.datasets.tactile_pairs import HELD_OUT_INSTANCES, TRAIN, Pairs, save_shard, shard_path
-from hnf_core.material.alexnet.network import LEVEL_AT, Design
+from hnf_core.datasets.tactile_pairs import HELD_OUT_INSTANCES, TRAIN, Pairs, get_shard_path, save_shard
+from hnf_core.material.alexnet.network import LEVEL_INDICES, AlexNetConfig
 from hnf_core.material.alexnet.weights import load_encoder
 from hnf_core.material.encoder import describe
-from hnf_core.material.encoders import encoder_by_name
+from hnf_core.material.encoders import get_encoder
 from hnf_core.material.token import ENCODER_ID, LEVELS, TOKEN_DIM
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import SENSORS, gel_gradients
@@ -25,9 +25,9 @@ from hnf_core.tactile.views import PITCHES_M
 torch = pytest.importorskip("torch", reason="training needs the extra [train]")
 from safetensors.torch import save_file  # noqa: E402
 
-from hnf_core.training.encoder.batches import faint_levels_raised, make_batch, rotated, scattered_lamps, turned  # noqa: E402
-from hnf_core.training.encoder.fit import Schedule, fit  # noqa: E402
-from hnf_core.training.encoder.judge import errors_of, judge  # noqa: E402
+from hnf_core.training.encoder.batches import apply_symmetry, clamp_faint_levels, draw_lamps, make_batch, rotate_views  # noqa: E402
+from hnf_core.training.encoder.fit import Schedule, fit_encoder  # noqa: E402
+from hnf_core.training.encoder.judge import compute_token_errors, evaluate_encoder  # noqa: E402
 
 PITCH = 20e-3 / 64
 
@@ -67,8 +67,8 @@ def some_pairs(count: int, seed: int = 0) -> Pairs:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("pairs")
-    save_shard(shard_path(root, TRAIN, 0), some_pairs(12), shards=1, key="test")
-    save_shard(shard_path(root, HELD_OUT_INSTANCES, 0), some_pairs(3, seed=50), shards=1, key="test")
+    save_shard(get_shard_path(root, TRAIN, 0), some_pairs(12), shard_count=1, key="test")
+    save_shard(get_shard_path(root, HELD_OUT_INSTANCES, 0), some_pairs(3, seed=50), shard_count=1, key="test")
     return root
 
 
@@ -86,13 +86,13 @@ def test_an_encoder_is_trained_judged_and_can_be_used(folder: Path, tmp_path: Pa
     assert record["training_data"].startswith("12 views of 12 tiles")
     assert "dB RMS" in record["metrics"]
     assert load_encoder(out).metadata["metrics"] == record["metrics"]
-    token = encoder_by_name(str(out)).describe(tactile_map_from_height(height(9), None, PITCH, 2 * PITCH))
+    token = get_encoder(str(out)).describe(tactile_map_from_height(height(9), None, PITCH, 2 * PITCH))
     assert token.known[LEVELS].sum() == 4
     assert np.isfinite(token.values).all()
 
 
 def test_with_a_trunk_only_the_head_is_trained(folder: Path, tmp_path: Path, capsys) -> None:
-    tensors = {name: torch.tensor(random_tensors(Design(), 4)[name]) for name in trunk_names()}
+    tensors = {name: torch.tensor(random_tensors(AlexNetConfig(), 4)[name]) for name in trunk_names()}
     save_file({**tensors, "classifier.6.bias": torch.zeros(1000)}, tmp_path / "alexnet.safetensors")
     out = tmp_path / "e.safetensors"
     words = ("--data", folder, "--trunk", tmp_path / "alexnet.safetensors", "--out", out, "--steps", 2)
@@ -100,11 +100,11 @@ def test_with_a_trunk_only_the_head_is_trained(folder: Path, tmp_path: Path, cap
     assert "SHA-256" in capsys.readouterr().out
     network = load_encoder(out)
     assert all(np.array_equal(network.tensors[name], tensors[name].numpy()) for name in tensors)
-    assert network.design.mean == (0.485, 0.456, 0.406)
+    assert network.config.mean == (0.485, 0.456, 0.406)
 
 
 def test_torchs_own_file_is_refused_with_the_way_round_it(folder: Path, tmp_path: Path, capsys) -> None:
-    tensors = {name: torch.tensor(random_tensors(Design(), 4)[name]) for name in trunk_names()}
+    tensors = {name: torch.tensor(random_tensors(AlexNetConfig(), 4)[name]) for name in trunk_names()}
     torch.save(tensors, tmp_path / "alexnet.pth")
     words = ("--trunk", tmp_path / "alexnet.pth", "--out", tmp_path / "e.safetensors", "--steps", 2)
     assert hnf("train", "encoder", "--data", folder, *words) == 1
@@ -142,7 +142,9 @@ def test_training_repeats_itself_and_lowers_the_loss() -> None:
     states = []
     for _ in range(2):
         losses: list[float] = []
-        twin = fit(Design(hidden=32), pairs, schedule, 1, watch=lambda *now, to=losses: to.append(now[2]))
+        twin = fit_encoder(
+            AlexNetConfig(hidden=32), pairs, schedule, 1, watch=lambda *now, to=losses: to.append(now[2])
+        )
         watched.append(losses)
         states.append(twin.state_dict())
     assert watched[0] == watched[1]
@@ -159,7 +161,7 @@ def test_a_turned_surface_has_the_turned_token(seed, way):
     moved = np.rot90(moved, way & 3)
     slopes = np.array(gel_gradients(surface, PITCH, SENSORS["gelsight"]), dtype=np.float32)
     token = describe(tactile_map_from_height(surface, None, PITCH, 2 * PITCH)).values.astype(np.float64)
-    got_slopes, got_token = turned(slopes[None], token[None], np.array([way]))
+    got_slopes, got_token = apply_symmetry(slopes[None], token[None], np.array([way]))
     expected = describe(tactile_map_from_height(moved, None, PITCH, 2 * PITCH)).values
     np.testing.assert_allclose(got_token[0], expected, atol=2e-3)
     # The gel's padding treats opposite edges alike only in the middle.
@@ -192,7 +194,7 @@ def test_a_rotated_tile_is_the_pattern_read_in_a_turned_frame(seed, angle):
     waves = [(*(int(k) for k in rng.integers(-14, 15, 2)), float(rng.uniform(0, 6))) for _ in range(3)]
     slopes, at = smooth_tile(waves)
     token = rng.uniform(-0.5, 0.5, (1, TOKEN_DIM))
-    got, turned_token = rotated(slopes[None].astype(np.float32), token, np.array([angle]))
+    got, turned_token = rotate_views(slopes[None].astype(np.float32), token, np.array([angle]))
     middle = (np.arange(64) - 31.5) * (2 * np.pi / 64)
     x, y = np.meshgrid(middle, -middle)
     c, s = np.cos(angle), np.sin(angle)
@@ -210,27 +212,27 @@ def test_a_rotated_tile_is_the_pattern_read_in_a_turned_frame(seed, angle):
 def test_a_quarter_turn_is_a_rotation_by_a_right_angle():
     slopes, _ = smooth_tile([(3, 5, 0.3), (-7, 2, 1.0)])
     token = np.random.default_rng(0).uniform(-0.5, 0.5, (1, TOKEN_DIM))
-    by_quarter = turned(slopes[None].astype(np.float32), token, np.array([1]))
-    by_angle = rotated(slopes[None].astype(np.float32), token, np.array([np.pi / 2]))
+    by_quarter = apply_symmetry(slopes[None].astype(np.float32), token, np.array([1]))
+    by_angle = rotate_views(slopes[None].astype(np.float32), token, np.array([np.pi / 2]))
     np.testing.assert_allclose(by_quarter[0], by_angle[0], atol=1e-3 * np.abs(slopes).max())
     np.testing.assert_allclose(by_quarter[1], by_angle[1], atol=1e-9)
 
 
 def test_a_batch_depends_on_its_seed_alone_and_is_of_order_one():
-    pairs, lamps = some_pairs(6), scattered_lamps(0, 4)
+    pairs, lamps = some_pairs(6), draw_lamps(0, 4)
     first, again = (make_batch(pairs, np.arange(6), lamps, np.random.default_rng(3)) for _ in range(2))
     assert torch.equal(first.views, again.views)
     assert torch.equal(first.target, again.target)
     np.testing.assert_allclose(first.views.square().mean(dim=(1, 2, 3)), 1.0, atol=1e-4)
     assert first.given.abs().max() < 5.0
-    assert len(LEVEL_AT) == 4
+    assert len(LEVEL_INDICES) == 4
 
 
 @given(st.lists(st.floats(-9, 0), min_size=4, max_size=4))
 def test_what_no_picture_shows_is_not_taught(levels):
     target = np.zeros((1, 30))
-    target[0, LEVEL_AT] = levels
-    raised = faint_levels_raised(target)[0, LEVEL_AT]
+    target[0, LEVEL_INDICES] = levels
+    raised = clamp_faint_levels(target)[0, LEVEL_INDICES]
     assert raised.max() == max(levels)
     assert raised.min() >= max(levels) - 3.0
     assert all(after == before for after, before in zip(raised, levels, strict=True) if before >= max(levels) - 3.0)
@@ -238,12 +240,12 @@ def test_what_no_picture_shows_is_not_taught(levels):
 
 def test_the_descriptor_is_faultless_on_tiles_that_it_described():
     pairs = some_pairs(4)
-    errors = judge(encoder_by_name(ENCODER_ID), pairs)
+    errors = evaluate_encoder(get_encoder(ENCODER_ID), pairs)
     assert np.nanmax(errors.level_db) < 0.1
     assert np.isnan(errors.level_db[4:]).all()
     shifted = pairs.token.astype(np.float64)
     shifted[:, LEVELS] += 0.05
-    found = errors_of(shifted, np.ones((4, TOKEN_DIM), dtype=bool), pairs.token.astype(np.float64))
+    found = compute_token_errors(shifted, np.ones((4, TOKEN_DIM), dtype=bool), pairs.token.astype(np.float64))
     np.testing.assert_allclose(found.level_db[:4], 1.0, atol=1e-4)
     assert found.median_level_db == pytest.approx(1.0, abs=1e-4)
     assert len(PITCHES_M) == 4

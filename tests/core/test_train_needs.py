@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hnf_core.cli.main import main
-from hnf_core.cli.train_needs import torch_for
+from hnf_core.cli.train_needs import require_torch
 from hnf_core.errors import HnfError
 
 SUBJECTS = {
@@ -47,11 +47,11 @@ def test_without_torch_it_is_said_where_to_get_it(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "torch", None)
     with (
         pytest.raises(HnfError, match=r"^training needs torch \(.*torch.*make env-test.*hnf\[train\]"),
-        torch_for("training"),
+        require_torch("training"),
     ):
         import torch  # noqa: F401
 
 
 def test_other_errors_pass(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ZeroDivisionError), torch_for("training"):
+    with pytest.raises(ZeroDivisionError), require_torch("training"):
         raise ZeroDivisionError

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from relative_imports import rewrite
+from relative_imports import rewrite_imports
 
 ROOT = Path(__file__).resolve().parents[2]
 CORE, BRIDGE = ROOT / "hnf_core", ROOT / "hnf_blender"
@@ -194,7 +194,7 @@ def test_bridge_imports_can_move_into_the_extension() -> None:
     assert files
     for path in files:
         level = len(path.relative_to(BRIDGE).parts)
-        rewrite(path.read_text(encoding="utf-8"), level, str(path.relative_to(ROOT)))
+        rewrite_imports(path.read_text(encoding="utf-8"), level, str(path.relative_to(ROOT)))
 
 
 def test_every_folder_with_code_is_a_package() -> None:

@@ -10,18 +10,18 @@ import pytest
 from alexnet_parts import HIDDEN, random_tensors, trunk_names
 
 from hnf_core.errors import FileError, WeightsError
-from hnf_core.material.alexnet.network import Design
+from hnf_core.material.alexnet.network import AlexNetConfig
 
 torch = pytest.importorskip("torch", reason="trunks are for training, which needs torch")
 from safetensors.torch import save_file  # noqa: E402
 
-from hnf_core.training.encoder.trunk_file import load_trunk  # noqa: E402
+from hnf_core.training.encoder.trunk_file import load_backbone  # noqa: E402
 from hnf_core.training.state_dict import read_state_dict  # noqa: E402
 
 
 def torchvision_state(seed: int = 5) -> dict:
     """What torchvision.models.alexnet().state_dict() holds, with a small classifier in place of the large one."""
-    tensors = random_tensors(Design(hidden=HIDDEN), seed)
+    tensors = random_tensors(AlexNetConfig(hidden=HIDDEN), seed)
     state = {name: torch.tensor(tensors[name]) for name in trunk_names()}
     return {**state, "classifier.1.weight": torch.zeros(4, 4), "classifier.1.bias": torch.zeros(4)}
 
@@ -46,7 +46,7 @@ def torch_that_reads_nothing(monkeypatch):
 def test_a_trunk_in_torchvisions_form_is_read(tmp_path, kind):
     state = {name: value.to(kind) for name, value in torchvision_state().items()}
     path = write(tmp_path / "alexnet.safetensors", state)
-    trunk, digest = load_trunk(path)
+    trunk, digest = load_backbone(path)
     assert digest == hashlib.sha256(path.read_bytes()).hexdigest()
     assert list(trunk) == trunk_names()
     assert all(torch.equal(trunk[each], state[each].float()) for each in trunk)
@@ -57,24 +57,26 @@ def test_what_is_no_trunk_is_refused_in_words(tmp_path):
     state = torchvision_state()
     without = {name: value for name, value in state.items() if name != "features.6.bias"}
     with pytest.raises(WeightsError, match=r"missing \['features.6.bias'\]"):
-        load_trunk(write(tmp_path / "a.safetensors", without))
+        load_backbone(write(tmp_path / "a.safetensors", without))
     with pytest.raises(WeightsError, match=r"unknown \['layer1"):
-        load_trunk(write(tmp_path / "b.safetensors", {**state, "layer1.0.conv1.weight": torch.zeros(2)}))
+        load_backbone(write(tmp_path / "b.safetensors", {**state, "layer1.0.conv1.weight": torch.zeros(2)}))
     with pytest.raises(WeightsError, match=r"features.0.weight is \(96, 3, 11, 11\)"):
-        load_trunk(write(tmp_path / "c.safetensors", {**state, "features.0.weight": torch.zeros(96, 3, 11, 11)}))
+        load_backbone(write(tmp_path / "c.safetensors", {**state, "features.0.weight": torch.zeros(96, 3, 11, 11)}))
     with pytest.raises(WeightsError, match="not finite"):
-        load_trunk(write(tmp_path / "d.safetensors", {**state, "features.0.bias": torch.full((64,), float("nan"))}))
+        load_backbone(write(tmp_path / "d.safetensors", {**state, "features.0.bias": torch.full((64,), float("nan"))}))
     with pytest.raises(WeightsError, match=r"features.0.bias is torch\.int64"):
-        load_trunk(write(tmp_path / "i.safetensors", {**state, "features.0.bias": torch.zeros(64, dtype=torch.int64)}))
+        load_backbone(
+            write(tmp_path / "i.safetensors", {**state, "features.0.bias": torch.zeros(64, dtype=torch.int64)})
+        )
     with pytest.raises(WeightsError, match="state dict"):
-        load_trunk(write(tmp_path / "e.pth", [torch.zeros(1)]))
+        load_backbone(write(tmp_path / "e.pth", [torch.zeros(1)]))
     (tmp_path / "f.pth").write_bytes(b"not weights at all")
     (tmp_path / "f.safetensors").write_bytes(b"not weights at all")
     for name in ("f.pth", "f.safetensors"):
         with pytest.raises(WeightsError, match="not a file of weights"):
-            load_trunk(tmp_path / name)
+            load_backbone(tmp_path / name)
     with pytest.raises(FileError, match="cannot read"):
-        load_trunk(tmp_path / "absent.pth")
+        load_backbone(tmp_path / "absent.pth")
 
 
 @pytest.mark.parametrize("name", ["alexnet.pth", "alexnet.pt", "alexnet", "renamed.safetensors"])
@@ -82,7 +84,7 @@ def test_what_is_no_trunk_is_refused_in_words(tmp_path):
 def test_torchs_own_files_are_refused_unread(tmp_path, name, zipped):
     torch.save(torchvision_state(), tmp_path / name, _use_new_zipfile_serialization=zipped)
     with pytest.raises(WeightsError, match="not a file of weights") as caught:
-        load_trunk(tmp_path / name)
+        load_backbone(tmp_path / name)
     assert "python -c" in caught.value.remedy
 
 
@@ -99,7 +101,7 @@ def test_a_file_that_would_run_a_program_is_refused(tmp_path, name):
     written = tmp_path / "written"
     torch.save({**torchvision_state(), "features.0.bias": WritesWhenRead(written)}, tmp_path / name)
     with pytest.raises(WeightsError, match="not a file of weights"):
-        load_trunk(tmp_path / name)
+        load_backbone(tmp_path / name)
     assert not written.exists()
 
 

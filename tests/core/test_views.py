@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import UsageError
 from hnf_core.material.token import BAND_WAVELENGTHS_M
-from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, band_limited, contrast, cut_views, decimated_tile
+from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, antialias, cut_views, decimate_tile, measure_contrast
 
 NATIVE = PITCHES_M[-1]
 SIDE = 512
@@ -39,28 +39,28 @@ def test_a_tiles_wave_is_kept_exactly_or_gone(factor, cycles, angle):
         return
     cycles = min(cycles, side // 2 - 1)
     tile = wave(side / cycles, side, angle)
-    small = decimated_tile(tile, factor)
+    small = decimate_tile(tile, factor)
     expected = wave(side / factor / cycles, side // factor, angle) if cycles < new_nyquist else np.zeros_like(small)
     np.testing.assert_allclose(small, expected, atol=1e-9)
 
 
 def test_a_tile_is_decimated_plane_by_plane_and_only_by_a_divisor():
     tile = np.random.default_rng(3).normal(size=(2, 64, 64))
-    np.testing.assert_array_equal(decimated_tile(tile, 4)[1], decimated_tile(tile[1], 4))
-    np.testing.assert_array_equal(decimated_tile(tile, 1), tile)
+    np.testing.assert_array_equal(decimate_tile(tile, 4)[1], decimate_tile(tile[1], 4))
+    np.testing.assert_array_equal(decimate_tile(tile, 1), tile)
     with pytest.raises(UsageError):
-        decimated_tile(tile, 3)
+        decimate_tile(tile, 3)
 
 
 @pytest.mark.parametrize("factor", [2.0, 3.3, 8.0])
 def test_a_patch_keeps_planes_and_long_waves_and_loses_short_ones(factor):
     row, column = np.mgrid[:SIDE, :SIDE]
     plane = 3.0 + 0.02 * column - 0.05 * row
-    np.testing.assert_allclose(band_limited(plane, factor), plane, atol=1e-9)
+    np.testing.assert_allclose(antialias(plane, factor), plane, atol=1e-9)
     inner = np.s_[96:-96, 96:-96]
     long, short = wave(2.3 * factor, angle=0.0), wave(1.9 * factor, angle=0.0)
-    np.testing.assert_allclose(band_limited(long, factor)[inner], long[inner], atol=0.06)
-    assert np.abs(band_limited(short, factor)[inner]).max() < 0.06
+    np.testing.assert_allclose(antialias(long, factor)[inner], long[inner], atol=0.06)
+    assert np.abs(antialias(short, factor)[inner]).max() < 0.06
 
 
 def test_a_whole_patch_gives_one_wide_view_and_four_near_ones():
@@ -71,7 +71,7 @@ def test_a_whole_patch_gives_one_wide_view_and_four_near_ones():
         assert view.rgb.dtype == view.depth_m.dtype == np.float32
         assert view.depth_known
         assert abs(float(view.depth_m.mean())) < 1e-8
-    np.testing.assert_allclose(views[0].rgb[..., 0], decimated_tile(0.5 + 0.4 * wave(100.0), 8), atol=0.03)
+    np.testing.assert_allclose(views[0].rgb[..., 0], decimate_tile(0.5 + 0.4 * wave(100.0), 8), atol=0.03)
 
 
 def test_near_views_show_what_lies_there_and_none_lies_twice():
@@ -103,7 +103,7 @@ def test_views_claim_no_more_than_the_picture_and_stay_inside_the_mask(resolved,
     mask[hole[0] : hole[0] + side // 8, hole[1] : hole[1] + side // 8] = False
     # Colour tells apart: outside the mask there is red, which must nowhere be seen.
     rgb = np.where(mask[..., None], (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
-    views = cut_views(rgb, None, mask, pitch, resolved, near=near)
+    views = cut_views(rgb, None, mask, pitch, resolved, fine_count=near)
     assert len(views) <= 1 + near
     for view in views:
         assert view.pitch_m >= resolved / 2.0 * (1 - 1e-5)
@@ -146,7 +146,7 @@ def test_contrast_is_the_spread_of_what_eight_bits_store(seed, spread, middle):
     """Half of the pixels above, half below, anywhere; what was not seen does not count."""
     way = np.random.default_rng(seed).permutation(np.repeat([-1.0, 1.0], 32)).reshape(8, 8, 1)
     rgb = np.square(middle + spread * way) * np.ones(3)
-    assert contrast(rgb) == pytest.approx(spread, abs=1e-9)
+    assert measure_contrast(rgb) == pytest.approx(spread, abs=1e-9)
     holed = np.concatenate([rgb, np.full((2, 8, 3), np.nan)])
-    assert contrast(holed) == pytest.approx(contrast(rgb), abs=1e-12)
-    assert contrast(np.full((4, 4, 3), np.nan)) == 0.0
+    assert measure_contrast(holed) == pytest.approx(measure_contrast(rgb), abs=1e-12)
+    assert measure_contrast(np.full((4, 4, 3), np.nan)) == 0.0

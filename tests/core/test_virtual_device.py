@@ -15,9 +15,9 @@ from hnf_core.actuators.protocol.messages import (
     FROM_DEVICE,
     Bye,
     Caps,
-    Code,
     Credit,
     Error,
+    ErrorCode,
     Hello,
     Message,
     Samples,
@@ -25,10 +25,10 @@ from hnf_core.actuators.protocol.messages import (
     State,
     Stop,
 )
-from hnf_core.actuators.virtual.device import Abilities, VirtualDevice, bridge, queue_of
-from hnf_core.actuators.virtual.playout import Command, Format, Playout
+from hnf_core.actuators.virtual.device import Capabilities, VirtualDevice, compute_queue_frames, interpolate_gap
+from hnf_core.actuators.virtual.playout import Playout, PlayoutCommand, PlayoutFormat
 from hnf_core.actuators.virtual.recording import Recording
-from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, Transducer, drive_of, move
+from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, Transducer, counts_to_drive, simulate_motion
 
 RATE = 8000
 QUEUE, RAMP = 120, 32
@@ -40,7 +40,7 @@ ACTIONS = st.one_of(
     st.tuples(st.just("command"), st.integers(1, 3), st.just(0)),
 )
 FORMATS = st.builds(
-    Format,
+    PlayoutFormat,
     st.integers(1, 3),
     st.integers(1, 150),
     st.integers(1, 32767),
@@ -55,7 +55,7 @@ def loud(count: int, seed: int = 0, channels: int = 1) -> np.ndarray:
 
 @given(FORMATS, st.lists(ACTIONS, max_size=25))
 @settings(max_examples=150, deadline=None)
-def test_whole_pieces_are_what_tick_by_tick_is(form: Format, actions: list[tuple[str, int, int]]) -> None:
+def test_whole_pieces_are_what_tick_by_tick_is(form: PlayoutFormat, actions: list[tuple[str, int, int]]) -> None:
     fast, plain = Playout(form), Playout(form)
     for action, argument, seed in actions:
         if action == "push":
@@ -63,9 +63,9 @@ def test_whole_pieces_are_what_tick_by_tick_is(form: Format, actions: list[tuple
             fast.push(counts)
             plain.push(counts)
         elif action == "command":
-            fast.command = plain.command = Command(argument)
+            fast.command = plain.command = PlayoutCommand(argument)
         else:
-            np.testing.assert_array_equal(fast.advance(argument), plain.advance_plain(argument))
+            np.testing.assert_array_equal(fast.advance(argument), plain.advance_reference(argument))
         assert (fast.phase, fast.fill, fast.played) == (plain.phase, plain.fill, plain.played)
         assert (fast.underruns, fast.limited) == (plain.underruns, plain.limited)
 
@@ -73,14 +73,14 @@ def test_whole_pieces_are_what_tick_by_tick_is(form: Format, actions: list[tuple
 @given(FORMATS, st.lists(ACTIONS, max_size=25))
 @settings(max_examples=100, deadline=None)
 def test_nothing_leaves_it_beyond_its_limits_and_silence_comes_in_time(
-    form: Format, actions: list[tuple[str, int, int]]
+    form: PlayoutFormat, actions: list[tuple[str, int, int]]
 ) -> None:
     playout, out = Playout(form), [np.zeros((1, form.channels), dtype=np.int16)]
     for action, argument, seed in actions:
         if action == "push":
             playout.push(loud(min(argument, playout.free), seed, form.channels))
         elif action == "command":
-            playout.command = Command(argument)
+            playout.command = PlayoutCommand(argument)
         else:
             out.append(playout.advance(argument))
     owed = playout.advance(form.queue + 2 * form.ramp + 1)
@@ -93,9 +93,9 @@ def test_nothing_leaves_it_beyond_its_limits_and_silence_comes_in_time(
 class Host:
     """The other end of a device's wire, without a wire."""
 
-    def __init__(self, abilities: Abilities | None = None, transducer: Transducer = GENERIC_TRANSDUCER) -> None:
+    def __init__(self, abilities: Capabilities | None = None, transducer: Transducer = GENERIC_TRANSDUCER) -> None:
         self.recording = Recording(transducer)
-        self.device = VirtualDevice(abilities, transducer, self.recording.hear)
+        self.device = VirtualDevice(abilities, transducer, self.recording.record)
         self._encoder, self._decoder = Encoder(), Decoder(FROM_DEVICE)
 
     def says(self, *messages: Message) -> list[Message]:
@@ -103,13 +103,13 @@ class Host:
         return self.hears()
 
     def hears(self) -> list[Message]:
-        return self._decoder.feed(self.device.take())
+        return self._decoder.feed(self.device.poll_output())
 
     def begins(self, channels: int = 1) -> None:
         self.says(Hello(), Start(RATE, channels, 32767, 1))
 
     def sends(self, position: int, counts: np.ndarray) -> list[Message]:
-        return self.says(Samples.of(1, position, counts))
+        return self.says(Samples.from_counts(1, position, counts))
 
 
 def errors(messages: list[Message]) -> list[int]:
@@ -129,7 +129,7 @@ def test_a_host_that_dies_leaves_silence_within_20_ms(frames: int, seed: int) ->
         host.device.advance(1)
     died = host.device.clock
     host.device.advance(RATE)
-    assert host.device.sounded - died <= 0.020 * RATE
+    assert host.device.last_sound_clock - died <= 0.020 * RATE
     assert host.device.state is State.WAITING
     assert host.device.status.underruns == 1
 
@@ -143,7 +143,7 @@ def test_stop_fades_at_once(end: Message) -> None:
     stopped = host.device.clock
     host.says(end)
     fading = host.device.advance(200)[:, 0]
-    assert host.device.sounded - stopped < RAMP
+    assert host.device.last_sound_clock - stopped < RAMP
     assert np.all(np.diff(fading) <= 0)
     assert host.device.state is (State.READY if isinstance(end, Stop) else State.IDLE)
     assert host.device.played == 20
@@ -171,7 +171,7 @@ def test_the_stream_keeps_its_time_over_lost_samples() -> None:
 
 @given(st.integers(-32767, 32767), st.integers(-32767, 32767), st.integers(0, 100))
 def test_a_bridge_is_straight_and_between_its_ends(one: int, other: int, gap: int) -> None:
-    line = bridge(np.array([one], dtype=np.int16), np.array([other], dtype=np.int16), gap)[:, 0]
+    line = interpolate_gap(np.array([one], dtype=np.int16), np.array([other], dtype=np.int16), gap)[:, 0]
     exact = one + (other - one) * np.arange(1, gap + 1) / (gap + 1)
     assert np.abs(line - exact).max(initial=0.0) < 1.0
     assert np.all((line >= min(one, other)) & (line <= max(one, other)))
@@ -179,16 +179,16 @@ def test_a_bridge_is_straight_and_between_its_ends(one: int, other: int, gap: in
 
 def test_samples_behind_a_damaged_length_come_too_late_and_a_stop_does_not() -> None:
     """The decoder waits for the rest of a message that never was so long; 20 ms later it looks at what it has."""
-    for late, state in ((Samples.of(1, 60, loud(60)), State.WAITING), (Stop(), State.READY)):
+    for late, state in ((Samples.from_counts(1, 60, loud(60)), State.WAITING), (Stop(), State.READY)):
         host = Host()
         host.begins()
         host.sends(0, loud(60))
         encoder = Encoder()
-        damaged = bytearray(encoder.encode(Samples.of(1, 60, loud(8))))
+        damaged = bytearray(encoder.encode(Samples.from_counts(1, 60, loud(8))))
         damaged[5] = 7
         host.device.receive(bytes(damaged) + encoder.encode(late))
         host.device.advance(RATE)
-        assert host.device.sounded <= 0.020 * RATE
+        assert host.device.last_sound_clock <= 0.020 * RATE
         assert host.device.state is state
 
 
@@ -201,38 +201,38 @@ def test_credit_comes_every_two_milliseconds_and_is_true() -> None:
     credits = [message for message in host.hears() if isinstance(message, Credit)]
     assert len(credits) >= 5
     assert credits[-1] == Credit(1, 80, QUEUE, 80, State.PLAYING)
-    assert credits[-1].room(QUEUE) == 80
+    assert credits[-1].compute_sendable_frames(QUEUE) == 80
 
 
 @pytest.mark.parametrize(
     ("start", "code"),
     [
-        (Start(999, 1, 32767, 1), Code.RATE),
-        (Start(48_001, 1, 32767, 1), Code.RATE),
-        (Start(RATE, 0, 32767, 1), Code.CHANNELS),
-        (Start(RATE, 17, 32767, 1), Code.CHANNELS),
-        (Start(RATE, 1, 0, 1), Code.LIMITS),
-        (Start(RATE, 1, 32767, 1, slew=1000), Code.LIMITS),
-        (Start(RATE, 1, 32767, 1, flags=1), Code.MALFORMED),
+        (Start(999, 1, 32767, 1), ErrorCode.RATE),
+        (Start(48_001, 1, 32767, 1), ErrorCode.RATE),
+        (Start(RATE, 0, 32767, 1), ErrorCode.CHANNELS),
+        (Start(RATE, 17, 32767, 1), ErrorCode.CHANNELS),
+        (Start(RATE, 1, 0, 1), ErrorCode.LIMITS),
+        (Start(RATE, 1, 32767, 1, slew=1000), ErrorCode.LIMITS),
+        (Start(RATE, 1, 32767, 1, flags=1), ErrorCode.MALFORMED),
     ],
 )
-def test_what_it_cannot_do_is_refused(start: Start, code: Code) -> None:
+def test_what_it_cannot_do_is_refused(start: Start, code: ErrorCode) -> None:
     host = Host()
-    assert errors(host.says(start)) == [Code.STATE]
+    assert errors(host.says(start)) == [ErrorCode.STATE]
     host.says(Hello())
     assert errors(host.says(start)) == [code]
     assert host.device.state is State.READY
 
 
 def test_versions_meet_or_do_not() -> None:
-    host = Host(Abilities(version=2, name="Zwei"))
+    host = Host(Capabilities(version=2, name="Zwei"))
     refused = host.says(Hello(1, 1))
-    assert errors(refused) == [Code.VERSION]
+    assert errors(refused) == [ErrorCode.VERSION]
     assert isinstance(refused[0], Error)
     assert "version 2" in refused[0].text
     (caps, *_) = host.says(Hello(1, 3))
     assert isinstance(caps, Caps)
-    assert (caps.version, caps.name, caps.queue) == (2, "Zwei", queue_of(48_000))
+    assert (caps.version, caps.name, caps.queue) == (2, "Zwei", compute_queue_frames(48_000))
 
 
 def _twice(host: Host) -> list[Message]:
@@ -240,7 +240,7 @@ def _twice(host: Host) -> list[Message]:
 
 
 def _foreign(host: Host) -> list[Message]:
-    return host.says(Samples.of(9, 0, loud(5)))
+    return host.says(Samples.from_counts(9, 0, loud(5)))
 
 
 def _too_much(host: Host) -> list[Message]:
@@ -248,10 +248,10 @@ def _too_much(host: Host) -> list[Message]:
 
 
 @pytest.mark.parametrize(
-    ("intrude", "code"), [(_twice, Code.BUSY), (_foreign, Code.SESSION), (_too_much, Code.OVERRUN)]
+    ("intrude", "code"), [(_twice, ErrorCode.BUSY), (_foreign, ErrorCode.SESSION), (_too_much, ErrorCode.OVERRUN)]
 )
 def test_another_host_or_too_much_does_not_change_what_plays(
-    intrude: Callable[[Host], list[Message]], code: Code
+    intrude: Callable[[Host], list[Message]], code: ErrorCode
 ) -> None:
     host, counts = Host(), loud(60, 5)
     host.begins()
@@ -262,7 +262,7 @@ def test_another_host_or_too_much_does_not_change_what_plays(
 
 
 def test_a_hot_coil_ends_the_stream() -> None:
-    host = Host(Abilities(hot_c=30.0), Transducer(thermal_s=0.5))
+    host = Host(Capabilities(shutdown_c=30.0), Transducer(thermal_s=0.5))
     host.begins()
     sent, said = 0, host.hears()
     for _ in range(400):
@@ -273,10 +273,10 @@ def test_a_hot_coil_ends_the_stream() -> None:
         if host.device.state is State.FAULT:
             break
     assert host.device.state is State.FAULT
-    assert errors(said + host.hears()) == [Code.HOT]
+    assert errors(said + host.hears()) == [ErrorCode.HOT]
     assert host.device.temperature_c == pytest.approx(30.0, abs=2.0)
     host.device.advance(RATE)
-    assert host.device.clock - host.device.sounded > RATE // 2
+    assert host.device.clock - host.device.last_sound_clock > RATE // 2
 
 
 def test_the_temperature_that_is_told_is_that_of_the_whole_model() -> None:
@@ -288,7 +288,7 @@ def test_the_temperature_that_is_told_is_that_of_the_whole_model() -> None:
         host.sends(sent, loud(room, sent))
         sent += room
         played.append(host.device.advance(80))
-    exact = move(GENERIC_TRANSDUCER, drive_of(np.concatenate(played)), RATE).end.temperature[0]
+    exact = simulate_motion(GENERIC_TRANSDUCER, counts_to_drive(np.concatenate(played)), RATE).end.temperature[0]
     assert host.device.temperature_c == pytest.approx(exact, abs=0.05)
     np.testing.assert_array_equal(host.recording.counts, np.concatenate(played)[np.concatenate(played).any(axis=1)])
 
@@ -296,10 +296,10 @@ def test_the_temperature_that_is_told_is_that_of_the_whole_model() -> None:
 def test_a_recording_holds_the_silence_between_sounds() -> None:
     recording = Recording()
     assert recording.counts.shape == (0, 1)
-    recording.hear(100, 8000, np.array([[0], [5]], dtype=np.int16))
-    recording.hear(105, 8000, np.array([[7], [0]], dtype=np.int16))
+    recording.record(100, 8000, np.array([[0], [5]], dtype=np.int16))
+    recording.record(105, 8000, np.array([[7], [0]], dtype=np.int16))
     assert recording.counts[:, 0].tolist() == [5, 0, 0, 0, 7]
-    recording.hear(200, 4000, np.array([[3, 4]], dtype=np.int16))
+    recording.record(200, 4000, np.array([[3, 4]], dtype=np.int16))
     assert recording.counts.tolist() == [[3, 4]]
     assert recording.motion.acceleration.shape == (1, 2)
 
@@ -311,6 +311,6 @@ def test_a_recording_is_all_that_was_heard_however_it_came(pieces: list[tuple[in
     for gap, count in pieces:
         whole.append(np.zeros((gap, 2), dtype=np.int16))
         sound = np.random.default_rng(seed).integers(1, 99, (count, 2)).astype(np.int16)
-        recording.hear(sum(map(len, whole)), 8000, sound)
+        recording.record(sum(map(len, whole)), 8000, sound)
         whole.append(sound)
     np.testing.assert_array_equal(recording.counts, np.concatenate(whole)[pieces[0][0] :])

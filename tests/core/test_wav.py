@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import FileError
-from hnf_core.export.wav import read_wav, wav_bytes, write_wav
+from hnf_core.export.wav import encode_wav, read_wav, write_wav
 from hnf_core.signal import Signal
 
 TEXT = st.text(max_size=40)
@@ -63,13 +63,13 @@ def test_round_trip(signal: Signal, tmp_path_factory: pytest.TempPathFactory) ->
         signal.seed,
         dict(signal.provenance),
     )
-    assert path.read_bytes() == wav_bytes(signal)
+    assert path.read_bytes() == encode_wav(signal)
 
 
 @settings(deadline=None)
 @given(signal=SIGNALS)
 def test_layout_is_ieee_float_with_fact_and_info(signal: Signal) -> None:
-    chunks = parse(wav_bytes(signal))
+    chunks = parse(encode_wav(signal))
     kind, channels, rate, byte_rate, block, bits, extra = struct.unpack("<HHIIHHH", chunks[b"fmt "])
     assert (kind, channels, block, bits, extra) == (3, 1, 4, 32, 0)
     assert (rate, byte_rate) == (int(signal.sample_rate), 4 * int(signal.sample_rate))
@@ -83,7 +83,7 @@ def test_layout_is_ieee_float_with_fact_and_info(signal: Signal) -> None:
 @pytest.mark.parametrize("name", ["a", "ab"])
 def test_odd_and_even_texts_keep_chunks_aligned(name: str) -> None:
     signal = Signal(tone().samples, 8000.0, 1, {"stroke": name})
-    info = parse(wav_bytes(signal))[b"LIST"]
+    info = parse(encode_wav(signal))[b"LIST"]
     at = info.index(b"INAM")
     assert at % 2 == 0
     assert struct.unpack("<I", info[at + 4 : at + 8])[0] == len(name) + 1
@@ -152,7 +152,7 @@ def test_non_finite_samples_are_refused_and_the_old_file_stays(tmp_path: Path, b
 @pytest.mark.parametrize("rate", [0.0, -1.0, 2333.5, np.inf, np.nan, 2.0**31])
 def test_rates_a_wav_cannot_hold_are_refused(rate: float) -> None:
     with pytest.raises(FileError, match="sample rate"):
-        wav_bytes(Signal(tone().samples, rate, 0))
+        encode_wav(Signal(tone().samples, rate, 0))
 
 
 @settings(max_examples=200, deadline=None)
@@ -160,7 +160,7 @@ def test_rates_a_wav_cannot_hold_are_refused(rate: float) -> None:
 def test_damage_gives_a_file_error_or_a_finite_signal(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    whole = bytearray(wav_bytes(tone(20)))
+    whole = bytearray(encode_wav(tone(20)))
     cut = data.draw(st.integers(0, len(whole)))
     for _ in range(data.draw(st.integers(0, 4))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
@@ -174,7 +174,7 @@ def test_damage_gives_a_file_error_or_a_finite_signal(
 
 
 def test_every_truncation_is_noticed(tmp_path: Path) -> None:
-    whole = wav_bytes(tone(20))
+    whole = encode_wav(tone(20))
     path = tmp_path / "cut.wav"
     for cut in range(0, len(whole)):
         path.write_bytes(whole[:cut])

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
-from hnf_core.action.words import FORCE_LIMITS_N, SPEED_LIMITS_M_S, primitive_of
+from hnf_core.action.words import FORCE_LIMITS_N, SPEED_LIMITS_M_S, parse_stroke
 from hnf_core.errors import UsageError
 
 DIAGONAL = 2**-0.5
@@ -30,8 +30,8 @@ SCRAPES = ("scrape", "stroke", "drag", "Sliding", "wipes", "dragging")
 
 @pytest.mark.parametrize("name", PRIMITIVE_NAMES)
 def test_the_eight_names_are_themselves(name):
-    assert primitive_of(name) is PRIMITIVES[name]
-    assert primitive_of(f" {name.upper().replace('-', ' ')},") is PRIMITIVES[name]
+    assert parse_stroke(name) is PRIMITIVES[name]
+    assert parse_stroke(f" {name.upper().replace('-', ' ')},") is PRIMITIVES[name]
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_the_eight_names_are_themselves(name):
     ],
 )
 def test_words_for_one_of_the_eight_are_that_one(words, name):
-    assert primitive_of(words) is PRIMITIVES[name]
+    assert parse_stroke(words) is PRIMITIVES[name]
 
 
 parts = st.tuples(st.sampled_from(SCRAPES), *(st.sampled_from(sorted(each)) for each in (DIRECTIONS, FORCES, SPEEDS)))
@@ -59,8 +59,8 @@ parts = st.tuples(st.sampled_from(SCRAPES), *(st.sampled_from(sorted(each)) for 
 def test_order_case_and_commas_do_not_matter(said, order, between, loud):
     _, direction, force, speed = said
     words = between.join(said[index] for index in order)
-    primitive = primitive_of(words.upper() if loud else words)
-    assert primitive == primitive_of(", ".join(said))
+    primitive = parse_stroke(words.upper() if loud else words)
+    assert primitive == parse_stroke(", ".join(said))
     assert (primitive.kind, primitive.direction) == ("scrape", DIRECTIONS[direction])
     assert (primitive.force, primitive.speed) == (FORCES[force], SPEEDS[speed])
 
@@ -76,7 +76,7 @@ def test_numbers_and_units_are_what_they_say(values, force_unit, speed_unit):
     per_n = 1e3 if "mN" in force_unit else 1.0
     per_m = {"m/s": 1.0, "cm/s": 1e2, " mm/s": 1e3, " metres per second": 1.0}[speed_unit]
     words = f"scrape {force * per_n:.12f}{force_unit}, {speed * per_m:.12f}{speed_unit}, {angle:.9f}°"
-    primitive = primitive_of(words)
+    primitive = parse_stroke(words)
     assert primitive.force == pytest.approx(force, rel=1e-8)
     assert primitive.speed == pytest.approx(speed, rel=1e-8)
     turned = np.radians(angle)
@@ -87,8 +87,8 @@ def test_numbers_and_units_are_what_they_say(values, force_unit, speed_unit):
 def test_a_name_is_plain_and_means_the_same_stroke(values, motion):
     force, speed, angle = values
     motion = f"{angle:.9f} degrees" if motion == "angle" else motion
-    primitive = primitive_of(f"{motion}, {force:.12f} N, {speed:.12f} m/s")
-    assert primitive_of(primitive.name) == primitive
+    primitive = parse_stroke(f"{motion}, {force:.12f} N, {speed:.12f} m/s")
+    assert parse_stroke(primitive.name) == primitive
     assert set(primitive.name) <= set("abcdefghijklmnopqrstuvwxyz0123456789.-")
 
 
@@ -111,9 +111,9 @@ def test_a_name_is_plain_and_means_the_same_stroke(values, motion):
     ],
 )
 def test_directions(words, direction):
-    primitive = primitive_of(words)
+    primitive = parse_stroke(words)
     assert primitive.direction == pytest.approx(direction)
-    np.testing.assert_allclose(primitive_action(primitive).direction, np.tile(direction, (161, 1)), atol=1e-12)
+    np.testing.assert_allclose(make_primitive_action(primitive).direction, np.tile(direction, (161, 1)), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_directions(words, direction):
 )
 def test_what_cannot_be_meant_is_refused(words, said, remedy):
     with pytest.raises(UsageError) as refused:
-        primitive_of(words)
+        parse_stroke(words)
     assert said in refused.value.what
     assert remedy in refused.value.remedy
 
@@ -163,15 +163,15 @@ HEAP = "scrape rub left right top bottom up down to from and diagonal hard soft 
 @given(st.text(max_size=40) | st.lists(st.sampled_from(HEAP.split(" ")), max_size=7).map(" ".join))
 def test_any_text_is_understood_or_refused(text):
     try:
-        primitive = primitive_of(text)
+        primitive = parse_stroke(text)
     except UsageError:
         return
     assert np.hypot(*primitive.direction) == pytest.approx(1.0)
-    assert primitive_of(primitive.name) == primitive
+    assert parse_stroke(primitive.name) == primitive
 
 
 def test_eight_directions_have_eight_names():
-    names = [primitive_of(words).name for words in DIRECTIONS]
+    names = [parse_stroke(words).name for words in DIRECTIONS]
     assert len(set(names)) == 8
     for first, second in itertools.combinations(DIRECTIONS, 2):
-        assert primitive_of(first).direction != primitive_of(second).direction
+        assert parse_stroke(first).direction != parse_stroke(second).direction

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
-from hnf_core.action.words import primitive_of
+from hnf_core.action.words import parse_stroke
 from hnf_core.cli.main import build_parser, main
-from hnf_core.cli.touch import request_from
+from hnf_core.cli.touch import make_touch_request
 from hnf_core.export.wav import read_wav
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import load_library
@@ -38,7 +38,7 @@ def test_force_and_speed_are_those_said(tmp_path, capsys):
     out, record = synth(tmp_path, capsys, "scrape right to left, 1.5 N, 80 mm/s")
     assert record["stroke"] == read_wav(out).provenance["stroke"] == "right-left-1.5n-80mm-s"
     assert (record["confidence"], record["warnings"]) == (1.0, [])
-    action = primitive_action(primitive_of("scrape right to left, 1.5 N, 80 mm/s"))
+    action = make_primitive_action(parse_stroke("scrape right to left, 1.5 N, 80 mm/s"))
     assert action.force.max() == pytest.approx(1.5)
     assert action.speed.max() == pytest.approx(0.08)
     np.testing.assert_array_equal(action.direction, np.tile([-1.0, 0.0], (len(action.force), 1)))
@@ -94,7 +94,7 @@ def test_touch_passes_words_on_as_a_primitive():
         "--on",
         "Cup",
     ]
-    request = request_from(build_parser(no_blender).parse_args(words))
-    first, second = (placement.primitive for placement in request.placements)
+    request = make_touch_request(build_parser(no_blender).parse_args(words))
+    first, second = (placement.primitive for placement in request.strokes)
     assert first is PRIMITIVES["rub-fast"]
     assert (second.name, second.force, second.direction) == ("bottom-top-3n-100mm-s", 3.0, (0.0, 1.0))

@@ -47,13 +47,13 @@ def add_box(
     for face in part.faces:
         copy = form.faces.new([index[vertex] for vertex in face.verts])
         copy.material_index = slot
-        project_box(form, copy)
+        set_box_uv(form, copy)
         faces.append(copy)
     part.free()
     return faces
 
 
-def project_box(form: Any, face: Any) -> None:
+def set_box_uv(form: Any, face: Any) -> None:
     """UV = the two coordinates across the face's main axis; +x stays +u on top and bottom."""
     layer = form.loops.layers.uv.active
     face.normal_update()
@@ -88,7 +88,7 @@ def add_lathe(form: Any, profile: Sequence[Point], *, segments: int = 128, slot:
                 loop[layer].uv = (step / segments * 2 * pi * widest, along[place])
 
 
-def rounded(points: Sequence[Point], radius: float, steps: int = 5) -> list[Point]:
+def round_corners(points: Sequence[Point], radius: float, steps: int = 5) -> list[Point]:
     """An open profile with its inner corners rounded."""
     path: list[Point] = [points[0]]
     for before, corner, after in zip(points, points[1:], points[2:], strict=False):
@@ -102,13 +102,13 @@ def rounded(points: Sequence[Point], radius: float, steps: int = 5) -> list[Poin
 
 
 def add_sheet(
-    form: Any, place: Callable[[float, float], Sequence[float]], half: float, cells: int, *, flip: bool
+    form: Any, point_at: Callable[[float, float], Sequence[float]], half: float, cells: int, *, flip: bool
 ) -> None:
     """A grid over s, t in −1 … 1; place(s, t) is its point. UV = (s, t) × half."""
     layer = form.loops.layers.uv.active
     # Cells shrink towards the rim, where a cushion curves most.
     steps = np.sin(np.linspace(-pi / 2, pi / 2, cells + 1))
-    grid = [[form.verts.new(place(float(s), float(t))) for s in steps] for t in steps]
+    grid = [[form.verts.new(point_at(float(s), float(t))) for s in steps] for t in steps]
     for j in range(cells):
         for i in range(cells):
             corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]

@@ -15,7 +15,7 @@ from hnf_blender import compat
 Key = tuple[float, float]
 
 
-def on_surface(obj: Any, origins: np.ndarray, directions: np.ndarray) -> list[Vector]:
+def project_onto_surface(obj: Any, origins: np.ndarray, directions: np.ndarray) -> list[Vector]:
     """World points where rays in the object's own space (k, 3) first meet it."""
     mesh = obj.data
     tree = BVHTree.FromPolygons([v.co for v in mesh.vertices], [p.vertices for p in mesh.polygons])
@@ -28,14 +28,16 @@ def on_surface(obj: Any, origins: np.ndarray, directions: np.ndarray) -> list[Ve
     return points
 
 
-def from_above(obj: Any, start: Sequence[float], end: Sequence[float], knots: int, bend: float = 0.0) -> list[Vector]:
+def project_from_above(
+    obj: Any, start: Sequence[float], end: Sequence[float], knots: int, bend: float = 0.0
+) -> list[Vector]:
     """Points straight below a line from start to end (x, y in the object's space), bent sideways by bend metres."""
     t = np.linspace(0.0, 1.0, knots)[:, None]
     a, b = np.asarray(start, float), np.asarray(end, float)
     side = np.array([-(b - a)[1], (b - a)[0]]) / np.linalg.norm(b - a)
     flat = a + t * (b - a) + bend * np.sin(np.pi * t) * side
     origins = np.column_stack([flat, np.full(knots, 1.0)])
-    return on_surface(obj, origins, np.tile([0.0, 0.0, -1.0], (knots, 1)))
+    return project_onto_surface(obj, origins, np.tile([0.0, 0.0, -1.0], (knots, 1)))
 
 
 def add_stroke(

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_blender.bridge.closeup import CloseUp, iter_closeups
-from hnf_blender.bridge.look import Look
+from hnf_blender.bridge.look import UnlitImage
 from hnf_blender.bridge.meshes import Surface
 from hnf_blender.bridge.splat_closeup import iter_splat_closeups
-from hnf_blender.bridge.splat_cloud import link_cloud, new_cloud
-from hnf_blender.touch.seeing import Seeing
+from hnf_blender.bridge.splat_cloud import create_cloud, link_cloud
+from hnf_blender.touch.seeing import ReliefPredictor
 from hnf_core.material.library import load_library
 from hnf_core.material.material import Appearance
-from hnf_core.material.merge import merge
+from hnf_core.material.merge import merge_tokens
 from hnf_core.material.prior import rank
-from hnf_core.material.relief import KINDS, WITHIN, invariants
+from hnf_core.material.relief import INVARIANT_KINDS, WITHIN_CLASS_SPREAD, compute_invariants
 from hnf_core.material.token import BAND_WAVELENGTHS_M, LEVELS, SHAPE_FEATURES, Token
 from hnf_core.scene.patch import Patch
 from hnf_core.scene.splats.cloud import Splats
@@ -28,13 +28,13 @@ from hnf_core.tactile.tactile_map import Route
 
 Float = NDArray[np.float64]
 
-PATCH_PIXELS = 512
-SEED = 0
-BANDS = len(BAND_WAVELENGTHS_M)
+CLOSEUP_PIXELS = 512
+PREDICTION_SEED = 0
+BAND_COUNT = len(BAND_WAVELENGTHS_M)
 
 
 @dataclass(frozen=True)
-class Told:
+class PatchReading:
     """What one close-up tells. token: by the predicted route, None where the picture cannot be read. colour: linear
     mean. resolved_m: shortest wave that the picture shows."""
 
@@ -44,7 +44,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Pair:
+class PatchPair:
     """One patch. expected_m, median_m: median absolute errors of the splats' two depths, metres; inf where
     they show none. covered: share of what the mesh shows at which the splats show a surface. mesh, splats: what each
     tells; alike: what the mesh tells of the waves alone that the splats show too."""
@@ -54,12 +54,12 @@ class Pair:
     expected_m: float
     median_m: float
     covered: float
-    mesh: Told
-    splats: Told
-    alike: Told
+    mesh: PatchReading
+    splats: PatchReading
+    alike: PatchReading
 
 
-def without_relief(scene: Any) -> None:
+def remove_relief(scene: Any) -> None:
     """Leave of every material its colour alone, as a reconstruction does, so that it is read from pictures."""
     for obj in scene.objects:
         for slot in getattr(obj, "material_slots", ()):
@@ -73,27 +73,32 @@ def without_relief(scene: Any) -> None:
 BSDF, OUTPUT = "ShaderNodeBsdf", "ShaderNodeOutputMaterial"
 
 
-def compared(
-    obj: Any, surface: Surface, patches: Sequence[Patch], splats: Splats, metres_per_unit: float, seeing: Seeing
-) -> Iterator[Pair]:
+def compare_patches(
+    obj: Any,
+    surface: Surface,
+    patches: Sequence[Patch],
+    splats: Splats,
+    metres_per_unit: float,
+    predictor: ReliefPredictor,
+) -> Iterator[PatchPair]:
     """A pair a patch. splats: of obj, in its surface frame."""
-    cloud = new_cloud("Splats", splats, "the comparison")
+    cloud = create_cloud("Splats", splats, "the comparison")
     link_cloud(obj, cloud)
     # The cloud counts in metres of the surface frame, whatever the object's own scale.
     place = np.eye(4)
     place[:3, :3] = np.linalg.inv(surface.stretch)
-    cloud.matrix_basis = _matrix(place)
-    true = iter_closeups(obj, patches, surface=surface, pixels=PATCH_PIXELS, metres_per_unit=metres_per_unit)
-    seen = iter_splat_closeups(obj, cloud, patches, surface=surface, pixels=PATCH_PIXELS)
+    cloud.matrix_basis = _to_matrix(place)
+    true = iter_closeups(obj, patches, surface=surface, pixels=CLOSEUP_PIXELS, metres_per_unit=metres_per_unit)
+    seen = iter_splat_closeups(obj, cloud, patches, surface=surface, pixels=CLOSEUP_PIXELS)
     for patch, mesh, splat in zip(patches, true, seen, strict=True):
-        expected, median, covered = depth_errors(mesh, splats)
+        expected, median, covered = compute_depth_errors(mesh, splats)
         name = surface.materials[patch.slot] if patch.slot < len(surface.materials) else ""
-        look = told(splat, seeing)
-        own, alike = told(mesh, seeing), told(mesh, seeing, look.resolved_m)
-        yield Pair(obj.name, name, expected, median, covered, own, look, alike)
+        look = read_patch(splat, predictor)
+        own, alike = read_patch(mesh, predictor), read_patch(mesh, predictor, look.resolved_m)
+        yield PatchPair(obj.name, name, expected, median, covered, own, look, alike)
 
 
-def depth_errors(mesh: CloseUp, splats: Splats) -> tuple[float, float, float]:
+def compute_depth_errors(mesh: CloseUp, splats: Splats) -> tuple[float, float, float]:
     """Median absolute errors of expected and of median depth (metres) where the patch's own surface is seen, and the
     share of that which splats cover. splats: in the patch's frame."""
     view = render_splats(splats, mesh.view.camera)
@@ -107,63 +112,64 @@ def depth_errors(mesh: CloseUp, splats: Splats) -> tuple[float, float, float]:
     return float(np.median(errors[0])), float(np.median(errors[1])), float(covered.sum() / own.sum())
 
 
-def told(closeup: CloseUp, seeing: Seeing, coarsest_m: float = 0.0) -> Told:
+def read_patch(closeup: CloseUp, predictor: ReliefPredictor, coarsest_m: float = 0.0) -> PatchReading:
     """coarsest_m: the picture is taken to show no shorter wave."""
-    look: Look | None = closeup.look
+    look: UnlitImage | None = closeup.unlit
     if look is not None and look.resolved_wavelength_m < coarsest_m:
         look = replace(look, resolved_wavelength_m=coarsest_m)
     token = None
     if look is not None:
-        views = seeing.views_of(look, closeup.mask, closeup.metres_per_pixel)
-        token = seeing.predict(look, views, SEED).token if views else None
+        views = predictor.make_views(look, closeup.mask, closeup.metres_per_pixel)
+        token = predictor.predict(look, views, PREDICTION_SEED).token if views else None
     resolved = float("inf") if look is None else look.resolved_wavelength_m
-    return Told(token, closeup.appearance.base_color, resolved)
+    return PatchReading(token, closeup.appearance.base_color, resolved)
 
 
-def library_material(told: Told, names: Sequence[str] = ()) -> str:
+def choose_library_material(reading: PatchReading, names: Sequence[str] = ()) -> str:
     """What the library takes a patch for, by its colour and its relief, and by names where they are given."""
-    route = Route.PRIOR if told.token is None else Route.PREDICTED
-    return rank(load_library(), Appearance(told.colour), names, token=told.token, route=route)[0].name
+    route = Route.PRIOR if reading.token is None else Route.PREDICTED
+    return rank(load_library(), Appearance(reading.colour), names, token=reading.token, route=route)[0].name
 
 
 @dataclass(frozen=True)
-class Entry:
+class PaletteEntry:
     """Of the palette that the true mesh gives: one a material."""
 
     name: str
     token: Token
 
 
-def palette_of(pairs: Sequence[Pair]) -> tuple[Entry, ...]:
+def make_palette(pairs: Sequence[PatchPair]) -> tuple[PaletteEntry, ...]:
     """What the true mesh's patches of each material say together; without those that no picture tells of."""
     tokens: dict[str, list[Token]] = {}
     for pair in pairs:
         if pair.mesh.token is not None:
-            tokens.setdefault(entry_name(pair), []).append(pair.mesh.token)
-    return tuple(Entry(name, merge(own)) for name, own in tokens.items())
+            tokens.setdefault(get_entry_name(pair), []).append(pair.mesh.token)
+    return tuple(PaletteEntry(name, merge_tokens(own)) for name, own in tokens.items())
 
 
-def entry_name(pair: Pair) -> str:
+def get_entry_name(pair: PatchPair) -> str:
     return f"{pair.object_name}: {pair.material}"
 
 
-def nearest_entry(token: Token, palette: Sequence[Entry], known: NDArray[np.bool_]) -> str:
+def find_nearest_entry(token: Token, palette: Sequence[PaletteEntry], known: NDArray[np.bool_]) -> str:
     """The entry whose token is nearest over the features known: in standard deviations between pieces of one class,
     over what no turn of the surface changes."""
-    own = invariants(token.values[None])[0]
+    own = compute_invariants(token.values[None])[0]
     within = np.array(
-        [WITHIN[kind] for kind in KINDS for _ in range(BANDS)] + [WITHIN[name] for name in SHAPE_FEATURES]
+        [WITHIN_CLASS_SPREAD[kind] for kind in INVARIANT_KINDS for _ in range(BAND_COUNT)]
+        + [WITHIN_CLASS_SPREAD[name] for name in SHAPE_FEATURES]
     )
-    counted = np.concatenate([np.tile(known[LEVELS], len(KINDS)), known[-len(SHAPE_FEATURES) :]])
+    counted = np.concatenate([np.tile(known[LEVELS], len(INVARIANT_KINDS)), known[-len(SHAPE_FEATURES) :]])
 
-    def distance(entry: Entry) -> float:
-        off = (own - invariants(entry.token.values[None])[0]) / within
+    def distance(entry: PaletteEntry) -> float:
+        off = (own - compute_invariants(entry.token.values[None])[0]) / within
         return float(np.sum(off[counted] ** 2))
 
     return min(palette, key=distance).name
 
 
-def level_difference_db(pair: Pair) -> float | None:
+def compute_level_difference_db(pair: PatchPair) -> float | None:
     """RMS over the bands that both know, of height in dB; None where they share none."""
     if pair.mesh.token is None or pair.splats.token is None:
         return None
@@ -174,7 +180,7 @@ def level_difference_db(pair: Pair) -> float | None:
     return float(20.0 * np.sqrt(np.mean(off.astype(np.float64) ** 2)))
 
 
-def _matrix(values: Float) -> Any:
+def _to_matrix(values: Float) -> Any:
     from mathutils import Matrix
 
     return Matrix(values.tolist())

@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from hnf_core.scene.mesh import TriangleMesh
 
-from .sampling import Samples, pieces_of
+from .sampling import Samples, subdivide_triangles
 
 Float = NDArray[np.float64]
 
 
-def dense_mesh(mesh: TriangleMesh, longest_m: float) -> tuple[NDArray[np.int32], Samples]:
+def subdivide_mesh(mesh: TriangleMesh, longest_m: float) -> tuple[NDArray[np.int32], Samples]:
     """Triangles (T, 3) whose sides are at most longest_m, and their points: those of one triangle that meet are one."""
-    triangle, corners = pieces_of(mesh.corner_positions(), longest_m)
+    triangle, corners = subdivide_triangles(mesh.corner_positions(), longest_m)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1)
     triangle, corners, normal = triangle[length > 0], corners[length > 0], normal[length > 0]

@@ -18,8 +18,8 @@ UP_AXIS = "Vertical Axis: z"
 def write_points(path: Path, points: Float, normals: Float, colours: Codes) -> None:
     """(n, 3) each: a .ply without faces."""
     names = [*((name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")), *_RGB]
-    table = _rows(names, points, normals, colours)
-    write_bytes(path, _header({"vertex": (len(table), names)}) + table.tobytes())
+    table = _make_rows(names, points, normals, colours)
+    write_bytes(path, _make_header({"vertex": (len(table), names)}) + table.tobytes())
 
 
 def write_mesh(path: Path, points: Float, triangles: NDArray[np.int32], colours: Codes) -> None:
@@ -27,8 +27,8 @@ def write_mesh(path: Path, points: Float, triangles: NDArray[np.int32], colours:
     names = [*((name, "<f4") for name in ("x", "y", "z")), *_RGB]
     faces = np.empty(len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     faces["count"], faces["corners"] = 3, triangles
-    head = _header({"vertex": (len(points), names), "face": (len(faces), [])})
-    write_bytes(path, head + _rows(names, points, colours).tobytes() + faces.tobytes())
+    head = _make_header({"vertex": (len(points), names), "face": (len(faces), [])})
+    write_bytes(path, head + _make_rows(names, points, colours).tobytes() + faces.tobytes())
 
 
 def write_obj(path: Path, points: Float, triangles: NDArray[np.int32], colours: Codes) -> None:
@@ -42,10 +42,10 @@ def write_obj(path: Path, points: Float, triangles: NDArray[np.int32], colours: 
 
 
 _RGB = [("red", "u1"), ("green", "u1"), ("blue", "u1")]
-_WORDS = {"<f4": "float", "u1": "uchar"}
+_PLY_TYPES = {"<f4": "float", "u1": "uchar"}
 
 
-def _rows(names: list[tuple[str, str]], *parts: NDArray[np.generic]) -> NDArray[np.void]:
+def _make_rows(names: list[tuple[str, str]], *parts: NDArray[np.generic]) -> NDArray[np.void]:
     table = np.empty(len(parts[0]), dtype=names)
     columns = [column for part in parts for column in part.T]
     for (name, _), column in zip(names, columns, strict=True):
@@ -53,10 +53,10 @@ def _rows(names: list[tuple[str, str]], *parts: NDArray[np.generic]) -> NDArray[
     return table
 
 
-def _header(elements: dict[str, tuple[int, list[tuple[str, str]]]]) -> bytes:
+def _make_header(elements: dict[str, tuple[int, list[tuple[str, str]]]]) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0", f"comment {UP_AXIS}"]
     for element, (count, names) in elements.items():
         lines.append(f"element {element} {count}")
-        lines += [f"property {_WORDS[kind]} {name}" for name, kind in names]
+        lines += [f"property {_PLY_TYPES[kind]} {name}" for name, kind in names]
         lines += ["property list uchar int vertex_indices"] if element == "face" else []
     return "\n".join([*lines, "end_header", ""]).encode()

@@ -14,9 +14,9 @@ Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 START_DIGITS = 8
-PIECE = 4.0
+MAX_SIDE_SPACINGS = 4.0
 """A piece's sides are at most so many spacings long: the sequence is even in a square, and stretched in a sliver."""
-CORNERS = np.array([[[1, 1, 0], [1, 0, 1], [0, 1, 1]], [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
+QUARTER_CORNERS = np.array([[[1, 1, 0], [1, 0, 1], [0, 1, 1]], [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
                     [[1, 1, 0], [0, 2, 0], [0, 1, 1]], [[1, 0, 1], [0, 1, 1], [0, 0, 2]]]) / 2.0  # fmt: skip
 """Corners of a triangle's four quarters in its own barycentric coordinates, the middle one first."""
 
@@ -40,25 +40,27 @@ def sample_mesh(
     spacing_m: float,
     seed: int,
     *,
-    places: Sequence[Float] = (),
+    centres: Sequence[Float] = (),
     reach_m: float = 0.0,
     fine_m: float | None = None,
 ) -> Samples:
     """Points spacing_m apart on all of mesh, and fine_m apart within reach_m of the places (n, 3)."""
     random = np.random.default_rng(seed)
     corners = mesh.corner_positions()
-    coarse = spread(*pieces_of(corners, PIECE * spacing_m), spacing_m, random)
-    if fine_m is None or not len(places):
+    coarse = distribute_points(*subdivide_triangles(corners, MAX_SIDE_SPACINGS * spacing_m), spacing_m, random)
+    if fine_m is None or not len(centres):
         return coarse
-    middles = np.asarray(places, dtype=np.float64).reshape(-1, 3)
-    fine = spread(*pieces_of(corners, PIECE * fine_m, middles, reach_m), fine_m, random)
-    near_coarse, near_fine = (_near(each.position, middles, reach_m) for each in (coarse, fine))
-    parts = [_taken(coarse, ~near_coarse), _taken(fine, near_fine)]
+    middles = np.asarray(centres, dtype=np.float64).reshape(-1, 3)
+    fine = distribute_points(
+        *subdivide_triangles(corners, MAX_SIDE_SPACINGS * fine_m, middles, reach_m), fine_m, random
+    )
+    near_coarse, near_fine = (_find_near(each.position, middles, reach_m) for each in (coarse, fine))
+    parts = [_select(coarse, ~near_coarse), _select(fine, near_fine)]
     return Samples(*(np.concatenate([getattr(part, name) for part in parts])
                      for name in ("triangle", "position", "normal", "spacing")))  # fmt: skip
 
 
-def pieces_of(
+def subdivide_triangles(
     corners: Float, longest_m: float, middles: Float | None = None, reach_m: float = 0.0
 ) -> tuple[Index, Float]:
     """Triangles (T, 3, 3) cut until no side is longer than longest_m: which one each piece is of (P,), and the pieces'
@@ -76,12 +78,12 @@ def pieces_of(
         small = sides.max(axis=1, initial=0.0) <= longest_m
         done.append((triangle[small], corners[small]))
         triangle = np.repeat(triangle[~small], 2)
-        corners = _halved(corners[~small], sides[~small].argmax(axis=1))
+        corners = _bisect(corners[~small], sides[~small].argmax(axis=1))
     triangles, pieces = zip(*done, strict=True)
     return np.concatenate(triangles), np.concatenate(pieces)
 
 
-def _halved(corners: Float, side: Index) -> Float:
+def _bisect(corners: Float, side: Index) -> Float:
     """(2n, 3, 3): triangles (n, 3, 3), each cut from the middle of the side that begins at corner side to the corner
     beyond. The longest side alone is cut, or slivers would become as many pieces as squares."""
     first, second, third = (corners[np.arange(len(corners)), (side + step) % 3] for step in range(3))
@@ -89,24 +91,24 @@ def _halved(corners: Float, side: Index) -> Float:
     return np.stack([first, middle, third, middle, second, third], axis=1).reshape(-1, 3, 3)
 
 
-def triangle_sequence(index: Index) -> Float:
+def compute_triangle_sequence(index: Index) -> Float:
     """(n, 3) barycentric coordinates of the points of these numbers ≥ 0 in the triangular van der Corput sequence
     (Basu and Owen 2015, Low discrepancy constructions in the triangle, section 3): any 4^k that follow each other,
     from a multiple of 4^k on, lie in as many equal parts."""
     left = np.asarray(index, dtype=np.int64).copy()
     place = np.broadcast_to(np.eye(3), (len(left), 3, 3))
     while left.any():
-        place = CORNERS[left % 4] @ place
+        place = QUARTER_CORNERS[left % 4] @ place
         left //= 4
     return np.asarray(place.mean(axis=1))
 
 
-def spread(triangle: Index, points: Float, spacing_m: float, random: np.random.Generator) -> Samples:
+def distribute_points(triangle: Index, points: Float, spacing_m: float, random: np.random.Generator) -> Samples:
     """Points spacing_m apart on pieces (P, 3, 3) of triangles (P,): each piece has its share of the area, give or take
     less than one."""
     cross = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
     area = 0.5 * np.linalg.norm(cross, axis=1)
-    order = along_a_curve(points.mean(axis=1))
+    order = order_along_curve(points.mean(axis=1))
     filled = np.cumsum(area[order])
     total = float(filled[-1]) if len(filled) else 0.0
     count = int(np.ceil(total / spacing_m**2))
@@ -117,12 +119,12 @@ def spread(triangle: Index, points: Float, spacing_m: float, random: np.random.G
     first = np.r_[True, chosen[1:] != chosen[:-1]]
     number = np.arange(count) - np.maximum.accumulate(np.where(first, np.arange(count), 0))
     start = random.integers(0, 4**START_DIGITS, len(points))
-    position = np.einsum("nc,ncx->nx", triangle_sequence(number + start[chosen]), points[chosen])
+    position = np.einsum("nc,ncx->nx", compute_triangle_sequence(number + start[chosen]), points[chosen])
     spacing = np.full(count, np.sqrt(total / count))
     return Samples(triangle[chosen], position, cross[chosen] / (2.0 * area[chosen])[:, None], spacing)
 
 
-def along_a_curve(points: Float) -> Index:
+def order_along_curve(points: Float) -> Index:
     """The order of points (n, 3) along a Z-order curve: neighbours in it are neighbours in space."""
     if not len(points):
         return np.zeros(0, np.intp)
@@ -135,12 +137,12 @@ def along_a_curve(points: Float) -> Index:
     return np.argsort(code, kind="stable")
 
 
-def _near(points: Float, middles: Float, reach_m: float) -> NDArray[np.bool_]:
+def _find_near(points: Float, middles: Float, reach_m: float) -> NDArray[np.bool_]:
     near = np.zeros(len(points), dtype=bool)
     for middle in middles:
         near |= np.einsum("nx,nx->n", points - middle, points - middle) <= reach_m**2
     return near
 
 
-def _taken(samples: Samples, which: NDArray[np.bool_]) -> Samples:
+def _select(samples: Samples, which: NDArray[np.bool_]) -> Samples:
     return Samples(samples.triangle[which], samples.position[which], samples.normal[which], samples.spacing[which])

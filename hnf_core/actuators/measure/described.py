@@ -8,17 +8,17 @@ import numpy as np
 
 from ...errors import UsageError
 from ..profile import ActuatorProfile
-from ..response import Float, Response
+from ..response import Float, FrequencyResponse
 from .resonator import Resonator
 
 LOWEST_HZ, HIGHEST_HZ = 10.0, 1000.0
-PER_OCTAVE = 24
-USABLE_DB = 20.0
+GRID_POINTS_PER_OCTAVE = 24
+DATASHEET_USABLE_DB = 20.0
 """What is fainter than at the resonance by more is outside the range: an inverse filter could not bring it back."""
-SMALLEST_Q, LARGEST_Q = 0.1, 1000.0
+MIN_Q, MAX_Q = 0.1, 1000.0
 
 
-def described(
+def make_datasheet_profile(
     title: str,
     source: str,
     *,
@@ -37,24 +37,24 @@ def described(
     sustained, thermal_s: see limits. As where it was measured, the response is told relative to its median in the
     range, and full scale is what that median gives. Raises UsageError for what is no such actuator.
     """
-    if not (LOWEST_HZ <= resonance_hz <= HIGHEST_HZ and SMALLEST_Q <= quality <= LARGEST_Q):
+    if not (LOWEST_HZ <= resonance_hz <= HIGHEST_HZ and MIN_Q <= quality <= MAX_Q):
         raise UsageError(
             f"a resonance of {resonance_hz:g} Hz with a Q of {quality:g} is no actuator for touch.",
-            remedy=f"Give {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz, and a Q of {SMALLEST_Q:g} to {LARGEST_Q:g}.",
+            remedy=f"Give {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz, and a Q of {MIN_Q:g} to {MAX_Q:g}.",
         )
     octaves = math.log2(HIGHEST_HZ / LOWEST_HZ)
-    grid = np.geomspace(LOWEST_HZ, HIGHEST_HZ, round(octaves * PER_OCTAVE) + 1)
+    grid = np.geomspace(LOWEST_HZ, HIGHEST_HZ, round(octaves * GRID_POINTS_PER_OCTAVE) + 1)
     near = resonance_hz * 2.0 ** np.linspace(-1.0, 1.0, 401) ** 3  # close together where it is sharp
     frequency = np.unique(np.concatenate([grid, near[(near > LOWEST_HZ) & (near < HIGHEST_HZ)]]))
     model = Resonator(resonance_hz, 0.5 / quality, 1.0)
-    moved = model.at(frequency)
-    level = 20.0 * np.log10(np.abs(moved) / abs(complex(model.at(resonance_hz))))
-    found = range_hz or _usable(frequency, level)
+    moved = model.evaluate(frequency)
+    level = 20.0 * np.log10(np.abs(moved) / abs(complex(model.evaluate(resonance_hz))))
+    found = range_hz or _find_range_around_peak(frequency, level)
     if not found[0] < HIGHEST_HZ or not found[1] > LOWEST_HZ:
         raise UsageError(f"no frequency of touch lies from {found[0]:g} to {found[1]:g} Hz.", remedy="Check the range.")
     within = np.geomspace(max(found[0], LOWEST_HZ), min(found[1], HIGHEST_HZ), 101)
     median = float(np.median(np.interp(np.log(within), np.log(frequency), level)))
-    response = Response(frequency, level - median, np.unwrap(np.angle(moved)), np.ones_like(frequency))
+    response = FrequencyResponse(frequency, level - median, np.unwrap(np.angle(moved)), np.ones_like(frequency))
     return ActuatorProfile(
         "described",
         title,
@@ -67,9 +67,9 @@ def described(
     )
 
 
-def _usable(frequency: Float, level: Float) -> tuple[float, float]:
+def _find_range_around_peak(frequency: Float, level: Float) -> tuple[float, float]:
     """Ends [Hz] of the stretch about the strongest place that is not too faint."""
-    good = level >= float(level.max()) - USABLE_DB
+    good = level >= float(level.max()) - DATASHEET_USABLE_DB
     first = last = int(level.argmax())
     while first > 0 and good[first - 1]:
         first -= 1

@@ -6,20 +6,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import UsageError
-from ...metrics.spectra import hann
-from ..response import QUIET_DB, Response
+from ...metrics.spectra import hann_window
+from ..response import MIN_GAIN_DB, FrequencyResponse
 
 Float = NDArray[np.float64]
 
-SHORTEST_S, LONGEST_S, WINDOWS = 0.4, 1.6, 8
+MIN_WINDOW_S, MAX_WINDOW_S, WINDOW_COUNT = 0.4, 1.6, 8
 """A window is a WINDOWS-th of what was played, within these: the longer, the narrower a resonance may be (2.5 Hz apart
 with 0.4 s), and enough of them for the coherence to mean something."""
-PER_OCTAVE = 24
-LEAST_COHERENCE = 0.5
+POINTS_PER_OCTAVE = 24
+MIN_COHERENCE = 0.5
 """Below it a frequency says more about the noise than about the actuator."""
 
 
-def estimate(asked: ArrayLike, got: ArrayLike, rate_hz: float, low_hz: float, high_hz: float) -> Response:
+def estimate_response(
+    requested: ArrayLike, measured: ArrayLike, rate_hz: float, low_hz: float, high_hz: float
+) -> FrequencyResponse:
     """The response between low_hz and high_hz of what turns asked (n,) into got (m,), both m/s² at rate_hz.
 
     H1 = Σ A* G / Σ |A|² over Hann windows three quarters of which overlap, which noise in what came back does not bias
@@ -31,53 +33,53 @@ def estimate(asked: ArrayLike, got: ArrayLike, rate_hz: float, low_hz: float, hi
         raise UsageError(
             f"there is no range from {low_hz:g} to {high_hz:g} Hz.", remedy="Give ascending frequencies above 0."
         )
-    first, second = (np.asarray(values, dtype=np.float64) for values in (asked, got))
+    first, second = (np.asarray(values, dtype=np.float64) for values in (requested, measured))
     if not (first.any() and second.any() and np.isfinite(first).all() and np.isfinite(second).all()):
         raise UsageError(
             "nothing came back, or nothing was asked for.",
             remedy="Check that the actuator moves and the accelerometer is recorded.",
         )
-    delay = delay_frames(first, second)
-    before, after = _overlap(first, second, delay)
-    window = round(min(max(len(before) / WINDOWS, SHORTEST_S * rate_hz), LONGEST_S * rate_hz))
+    delay = find_delay_frames(first, second)
+    before, after = _align(first, second, delay)
+    window = round(min(max(len(before) / WINDOW_COUNT, MIN_WINDOW_S * rate_hz), MAX_WINDOW_S * rate_hz))
     if len(before) < 2 * window:
         raise UsageError(
-            f"a response cannot be read from less than {2 * SHORTEST_S:g} s.",
+            f"a response cannot be read from less than {2 * MIN_WINDOW_S:g} s.",
             remedy="Play a longer sweep, and record all of it.",
         )
-    cross, power, came = _spectra(before, after, window)
-    frequency, gain, coherence = _gathered(cross, power, came, rate_hz, window, low_hz, high_hz)
-    if np.count_nonzero(coherence >= LEAST_COHERENCE) < 0.5 * len(coherence):
+    cross, power, came = _compute_spectra(before, after, window)
+    frequency, gain, coherence = _average_bins(cross, power, came, rate_hz, window, low_hz, high_hz)
+    if np.count_nonzero(coherence >= MIN_COHERENCE) < 0.5 * len(coherence):
         raise UsageError(
             f"what came back does not follow from what was asked for (coherence {np.median(coherence):.2f}).",
             remedy="Play louder, keep the sensor still on the actuator, and record the very same sweep.",
         )
-    level = np.maximum(20.0 * np.log10(np.maximum(np.abs(gain), 1e-12)), QUIET_DB)
-    return Response(frequency, level, np.unwrap(np.angle(gain)), coherence, delay / rate_hz)
+    level = np.maximum(20.0 * np.log10(np.maximum(np.abs(gain), 1e-12)), MIN_GAIN_DB)
+    return FrequencyResponse(frequency, level, np.unwrap(np.angle(gain)), coherence, delay / rate_hz)
 
 
-def delay_frames(asked: Float, got: Float) -> int:
+def find_delay_frames(requested: Float, measured: Float) -> int:
     """Frames by which got lags, from the highest value of their correlation's envelope (below 0: it leads).
 
     The envelope, as a resonance turns the phase and moves the correlation's peak by part of a period.
     """
-    size = 1 << (len(asked) + len(got)).bit_length()
-    product = np.conj(np.fft.fft(asked, size)) * np.fft.fft(got, size)
+    size = 1 << (len(requested) + len(measured)).bit_length()
+    product = np.conj(np.fft.fft(requested, size)) * np.fft.fft(measured, size)
     product[size // 2 + 1 :] = 0.0
     product[1 : size // 2] *= 2.0
     place = int(np.argmax(np.abs(np.fft.ifft(product))))
-    return place if place < size - len(asked) else place - size
+    return place if place < size - len(requested) else place - size
 
 
-def _overlap(asked: Float, got: Float, delay: int) -> tuple[Float, Float]:
-    before, after = (asked, got[delay:]) if delay >= 0 else (asked[-delay:], got)
+def _align(requested: Float, measured: Float, delay: int) -> tuple[Float, Float]:
+    before, after = (requested, measured[delay:]) if delay >= 0 else (requested[-delay:], measured)
     count = min(len(before), len(after))
     return before[:count], after[:count]
 
 
-def _spectra(before: Float, after: Float, window: int) -> tuple[NDArray[np.complex128], Float, Float]:
+def _compute_spectra(before: Float, after: Float, window: int) -> tuple[NDArray[np.complex128], Float, Float]:
     """Σ A* G, Σ |A|², Σ |G|², each (window // 2 + 1,)."""
-    shape, hop = hann(window), window // 4
+    shape, hop = hann_window(window), window // 4
     cuts = (np.lib.stride_tricks.sliding_window_view(values, window)[::hop] for values in (before, after))
     asked, got = (np.fft.rfft(cut * shape, axis=1) for cut in cuts)
     return (
@@ -87,12 +89,18 @@ def _spectra(before: Float, after: Float, window: int) -> tuple[NDArray[np.compl
     )
 
 
-def _gathered(
-    cross: NDArray[np.complex128], power: Float, came: Float, rate_hz: float, window: int, low_hz: float, high_hz: float
+def _average_bins(
+    cross: NDArray[np.complex128],
+    power: Float,
+    output_power: Float,
+    rate_hz: float,
+    window: int,
+    low_hz: float,
+    high_hz: float,
 ) -> tuple[Float, NDArray[np.complex128], Float]:
     """Frequency, complex gain and coherence of bins gathered in steps of 1/PER_OCTAVE octave."""
     frequency = np.arange(len(power)) * rate_hz / window
-    steps = np.round(PER_OCTAVE * np.log2(np.maximum(frequency, 1e-9) / low_hz))
+    steps = np.round(POINTS_PER_OCTAVE * np.log2(np.maximum(frequency, 1e-9) / low_hz))
     inside = (frequency >= low_hz) & (frequency <= high_hz) & (power > 1e-9 * power.max())
     found: list[tuple[float, complex, float]] = []
     for step in np.unique(steps[inside]):
@@ -101,7 +109,7 @@ def _gathered(
         # Bins of one step lie within 3 %: their gains are averaged, weighed by what was asked, as levels and phases
         # of neighbours are the same to within the step.
         gain = complex(cross[rows].sum() / weight)
-        share = float(np.sum(np.square(np.abs(cross[rows])) / np.maximum(came[rows], 1e-300)) / weight)
+        share = float(np.sum(np.square(np.abs(cross[rows])) / np.maximum(output_power[rows], 1e-300)) / weight)
         found.append((float(np.average(frequency[rows], weights=power[rows])), gain, min(share, 1.0)))
     columns = tuple(zip(*found, strict=True)) if found else ((), (), ())
     return np.array(columns[0]), np.array(columns[1], dtype=np.complex128), np.array(columns[2])

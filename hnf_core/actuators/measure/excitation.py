@@ -8,25 +8,25 @@ from numpy.typing import ArrayLike, NDArray
 from ...errors import UsageError
 from ...signal import Signal
 
-FADE_S = 0.05
+EXCITATION_FADE_S = 0.05
 
 
-def sweep(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float) -> Signal:
+def make_sweep(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float) -> Signal:
     """An exponential sine sweep: as long in every octave (A. Farina, AES 108, 2000, eq. for ESS), faded at its ends.
 
     Raises UsageError where low, high and half the rate are not in this order, or it lasts under 0.5 s.
     """
-    _check(rate_hz, seconds, low_hz, high_hz, peak_m_s2)
+    _check_excitation(rate_hz, seconds, low_hz, high_hz, peak_m_s2)
     time = np.arange(round(rate_hz * seconds)) / rate_hz
     octaves = np.log(high_hz / low_hz)
     phase = 2.0 * np.pi * low_hz * seconds / octaves * np.expm1(time / seconds * octaves)
     facts = {"excitation": "sweep", "low_hz": f"{low_hz:g}", "high_hz": f"{high_hz:g}"}
-    return Signal(_faded(peak_m_s2 * np.sin(phase), rate_hz), rate_hz, 0, facts)
+    return Signal(_fade_ends(peak_m_s2 * np.sin(phase), rate_hz), rate_hz, 0, facts)
 
 
-def noise(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float, seed: int) -> Signal:
+def make_noise(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float, seed: int) -> Signal:
     """Pink noise between low and high, no louder than peak_m_s2, faded at its ends. Raises as sweep()."""
-    _check(rate_hz, seconds, low_hz, high_hz, peak_m_s2)
+    _check_excitation(rate_hz, seconds, low_hz, high_hz, peak_m_s2)
     count = round(rate_hz * seconds)
     frequency = np.fft.rfftfreq(count, 1.0 / rate_hz)
     inside = (frequency >= low_hz) & (frequency <= high_hz)
@@ -35,10 +35,10 @@ def noise(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_
     samples = np.fft.irfft(level * np.exp(1j * phase), count)
     facts = {"excitation": "noise", "low_hz": f"{low_hz:g}", "high_hz": f"{high_hz:g}"}
     loud = samples / np.abs(samples).max() * peak_m_s2
-    return Signal(_faded(loud, rate_hz), rate_hz, seed, facts)
+    return Signal(_fade_ends(loud, rate_hz), rate_hz, seed, facts)
 
 
-def _check(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float) -> None:
+def _check_excitation(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float) -> None:
     if not (0.0 < low_hz < high_hz <= 0.5 * rate_hz and 0.5 <= seconds <= 600.0 and peak_m_s2 > 0.0):
         raise UsageError(
             f"there is no such excitation: {seconds:g} s from {low_hz:g} to {high_hz:g} Hz, {peak_m_s2:g} m/s², at "
@@ -47,9 +47,9 @@ def _check(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m
         )
 
 
-def _faded(excitation: ArrayLike, rate_hz: float) -> NDArray[np.float32]:
+def _fade_ends(excitation: ArrayLike, rate_hz: float) -> NDArray[np.float32]:
     samples = np.asarray(excitation, dtype=np.float64)
-    frames = min(round(FADE_S * rate_hz), len(samples) // 4)
+    frames = min(round(EXCITATION_FADE_S * rate_hz), len(samples) // 4)
     shape = np.ones(len(samples))
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(frames) + 0.5) / frames)
     shape[:frames], shape[len(samples) - frames :] = ramp, ramp[::-1]

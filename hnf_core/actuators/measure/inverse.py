@@ -6,19 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import UsageError
-from ..response import Response
+from ..response import FrequencyResponse
 
 Float = NDArray[np.float64]
 
-LARGEST_DB = 20.0
-REGULARISATION = 0.5 * 10.0 ** (-LARGEST_DB / 20.0)
+MAX_BOOST_DB = 20.0
+REGULARISATION = 0.5 * 10.0 ** (-MAX_BOOST_DB / 20.0)
 """β of h / (h² + β²), whose largest value is 1 / 2β: what an actuator hardly does is not asked of it a thousandfold."""
-LONGEST_S = 0.2
-GRID = 4
+MAX_FILTER_S = 0.2
+FFT_OVERSAMPLING = 4
 """The filter is designed on this many times more frequencies than it has taps, so that nothing wraps around."""
 
 
-def inverse_gain(response: Response, range_hz: tuple[float, float], frequency_hz: Float) -> Float:
+def compute_inverse_gain(response: FrequencyResponse, range_hz: tuple[float, float], frequency_hz: Float) -> Float:
     """(n,) factor at each frequency: h / (h² + β²) of the actuator's gain h within its range, at most LARGEST_DB.
 
     Beyond its range 1, reached within an octave (in level over log f): there it is left as it is.
@@ -32,7 +32,7 @@ def inverse_gain(response: Response, range_hz: tuple[float, float], frequency_hz
     return np.asarray(np.exp(share * level))
 
 
-def inverse_taps(response: Response, range_hz: tuple[float, float], rate_hz: float) -> Float:
+def design_inverse_filter(response: FrequencyResponse, range_hz: tuple[float, float], rate_hz: float) -> Float:
     """(taps,) a causal filter at rate_hz with the magnitude of inverse_gain() and the least delay it can have.
 
     Minimum phase by folding the cepstrum (A. V. Oppenheim and R. W. Schafer, Discrete-Time Signal Processing, ch. 13),
@@ -44,9 +44,9 @@ def inverse_taps(response: Response, range_hz: tuple[float, float], rate_hz: flo
             f"the range {range_hz[0]:g} to {range_hz[1]:g} Hz does not fit into {rate_hz:g} samples a second.",
             remedy="Give ascending frequencies above 0 and up to half the rate.",
         )
-    longest = max(round(LONGEST_S * rate_hz), 8)
-    size = 1 << (GRID * longest - 1).bit_length()
-    gain = inverse_gain(response, range_hz, np.fft.rfftfreq(size, 1.0 / rate_hz))
+    longest = max(round(MAX_FILTER_S * rate_hz), 8)
+    size = 1 << (FFT_OVERSAMPLING * longest - 1).bit_length()
+    gain = compute_inverse_gain(response, range_hz, np.fft.rfftfreq(size, 1.0 / rate_hz))
     cepstrum = np.fft.irfft(np.log(gain), size)
     cepstrum[1 : size // 2] *= 2.0
     cepstrum[size // 2 + 1 :] = 0.0
@@ -60,7 +60,7 @@ def inverse_taps(response: Response, range_hz: tuple[float, float], rate_hz: flo
     return np.asarray(taps[:count] * shape)
 
 
-def gain_of(taps: Float, frequency_hz: Float, rate_hz: float) -> Float:
+def compute_filter_gain(taps: Float, frequency_hz: Float, rate_hz: float) -> Float:
     """(n,) magnitude of a filter at each frequency."""
     turns = np.exp(-2j * np.pi * np.outer(frequency_hz / rate_hz, np.arange(len(taps))))
     return np.asarray(np.abs(turns @ taps))

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from ...errors import DeviceError, UsageError
 from ...field.resampling import resample
 from ...signal import Signal
-from ..chain import counts_of
-from ..libraries import library
-from ..limits import COUNTS, Limits
+from ..chain import render_counts
+from ..libraries import import_optional
+from ..limits import FULL_SCALE_COUNTS, Limits
 from ..sink import Sink, SinkFormat
-from ..sinks.audio import OPEN, reason
-from ..sources.recorded import Recorded
+from ..sinks.audio import OPEN_STREAMS, explain_error
+from ..sources.recorded import BufferSource
 from ..stream import Stream
-from ..virtual.transducer import GENERIC_TRANSDUCER, drive_of, move
+from ..virtual.transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
 
 TAIL_S = 0.3
 """Recorded on after the last sample has left, for the sound system's delay and the ringing."""
@@ -34,49 +34,49 @@ class Accelerometer:
     def __init__(self, device: str | int | None, sensitivity: float) -> None:
         self._device, self._sensitivity = device, sensitivity
         self._stream: Any = None
-        self._pieces: list[NDArray[np.float32]] = []
+        self._blocks: list[NDArray[np.float32]] = []
         self._lock = threading.Lock()
-        self._late = 0
+        self._overflows = 0
 
     def __enter__(self) -> Accelerometer:
         """Raises DeviceError where there is no such input."""
-        sounddevice = library("sounddevice")
+        sounddevice = import_optional("sounddevice")
         try:
-            self._stream = sounddevice.InputStream(device=self._device, channels=1, callback=self._hear)
+            self._stream = sounddevice.InputStream(device=self._device, channels=1, callback=self._on_block)
             self._stream.start()
         except (sounddevice.PortAudioError, ValueError) as error:
             raise DeviceError(
-                f"the accelerometer's sound input cannot be opened ({reason(error, 'input')}).",
-                remedy=_inputs(sounddevice),
+                f"the accelerometer's sound input cannot be opened ({explain_error(error, 'input')}).",
+                remedy=_describe_inputs(sounddevice),
             ) from error
-        OPEN.add(id(self))
+        OPEN_STREAMS.add(id(self))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stream.close()
-        OPEN.discard(id(self))
+        OPEN_STREAMS.discard(id(self))
 
-    def heard(self) -> Signal:
+    def get_signal(self) -> Signal:
         """m/s², once it listens no more. Raises DeviceError where samples were lost on the way."""
-        if self._late:
+        if self._overflows:
             raise DeviceError(
                 "the sound input lost samples while it recorded.", remedy="Close other programs and measure again."
             )
         with self._lock:
-            heard = np.concatenate(self._pieces) if self._pieces else np.zeros(0, dtype=np.float32)
+            heard = np.concatenate(self._blocks) if self._blocks else np.zeros(0, dtype=np.float32)
         rate = float(self._stream.samplerate)
         return Signal(np.asarray(heard * self._sensitivity, dtype=np.float32), rate, 0)
 
-    def _hear(self, block: Any, _frames: int, _time: Any, status: Any) -> None:
+    def _on_block(self, block: Any, _frames: int, _time: Any, status: Any) -> None:
         if status.input_overflow:
-            self._late += 1
+            self._overflows += 1
         with self._lock:
-            self._pieces.append(np.array(block[:, 0], dtype=np.float32))
+            self._blocks.append(np.array(block[:, 0], dtype=np.float32))
 
 
-def _inputs(sounddevice: Any) -> str:
+def _describe_inputs(sounddevice: Any) -> str:
     """What to do, in words."""
     names = [str(each["name"]) for each in sounddevice.query_devices() if each["max_input_channels"] > 0]
     if not names:
@@ -84,19 +84,19 @@ def _inputs(sounddevice: Any) -> str:
     return f"Say --input audio:DEVICE with one of these: {', '.join(dict.fromkeys(names))}."
 
 
-def measure(sink: Sink, sensor: Accelerometer, excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
+def measure_actuator(sink: Sink, sensor: Accelerometer, excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
     """What the device was asked for, and what sensor heard of it, both at the device's rate.
 
     Raises DeviceError where the device fails or misses frames, UsageError where its limits change the excitation.
     """
-    source = Recorded(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
+    source = BufferSource(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
     with sensor:
         with Stream(source, sink, limits) as stream:
             device = stream.start()
             ended = stream.wait(excitation.duration_s + 10.0)
             report = stream.report
         time.sleep(TAIL_S)
-    heard = sensor.heard()
+    heard = sensor.get_signal()
     if report.problem or not ended:
         raise DeviceError(report.problem or "the device did not play the excitation to its end.")
     if report.underruns:
@@ -106,27 +106,31 @@ def measure(sink: Sink, sensor: Accelerometer, excitation: Signal, limits: Limit
         )
     if limited := report.limited_samples + report.device_limited_samples:
         raise UsageError(f"{limited} samples were beyond the device's limits.", remedy="Measure with a lower --level.")
-    asked = asked_of(excitation, replace(device, channels=1), limits)
-    return asked, at_rate(heard, device.rate_hz)
+    asked = render_requested(excitation, replace(device, channels=1), limits)
+    return asked, resample_signal(heard, device.rate_hz)
 
 
-def simulate(excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
+def simulate_measurement(excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
     """What the virtual actuator's transducer is asked for and gives, computed at once."""
     device = SinkFormat(excitation.sample_rate, 1, 1, "virtual")
-    asked = asked_of(excitation, device, limits)
-    drive = drive_of(np.rint(asked.samples[:, None] * (COUNTS / limits.full_scale_m_s2)).astype(np.int16))
-    moved = move(GENERIC_TRANSDUCER, drive, device.rate_hz).acceleration[:, 0]
+    asked = render_requested(excitation, device, limits)
+    drive = counts_to_drive(
+        np.rint(asked.samples[:, None] * (FULL_SCALE_COUNTS / limits.full_scale_m_s2)).astype(np.int16)
+    )
+    moved = simulate_motion(GENERIC_TRANSDUCER, drive, device.rate_hz).acceleration[:, 0]
     return asked, replace(asked, samples=moved.astype(np.float32))
 
 
-def asked_of(excitation: Signal, device: SinkFormat, limits: Limits) -> Signal:
+def render_requested(excitation: Signal, device: SinkFormat, limits: Limits) -> Signal:
     """What leaves for the device, as acceleration at its rate."""
-    source = Recorded(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
-    counts = counts_of(source, device, limits)[:, 0]
-    return Signal((counts * (limits.full_scale_m_s2 / COUNTS)).astype(np.float32), device.rate_hz, excitation.seed)
+    source = BufferSource(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
+    counts = render_counts(source, device, limits)[:, 0]
+    return Signal(
+        (counts * (limits.full_scale_m_s2 / FULL_SCALE_COUNTS)).astype(np.float32), device.rate_hz, excitation.seed
+    )
 
 
-def at_rate(signal: Signal, rate_hz: float) -> Signal:
+def resample_signal(signal: Signal, rate_hz: float) -> Signal:
     """signal, resampled where it has another rate."""
     samples, _ = resample(np.asarray(signal.samples, dtype=np.float64), signal.sample_rate, rate_hz)
     return replace(signal, samples=samples.astype(np.float32), sample_rate=rate_hz)

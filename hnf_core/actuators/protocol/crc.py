@@ -5,21 +5,21 @@ from __future__ import annotations
 
 import binascii
 
-START = 0xFFFF
-POLYNOMIAL = 0x1021
+CRC_START = 0xFFFF
+CRC_POLYNOMIAL = 0x1021
 
 
 def crc16(data: bytes) -> int:
     """0 … 0xFFFF. Python's own crc_hqx is this polynomial with a start of one's choice."""
-    return binascii.crc_hqx(data, START)
+    return binascii.crc_hqx(data, CRC_START)
 
 
 def crc16_reference(data: bytes) -> int:
     """The same, bit by bit, as firmware without a table would do it."""
-    crc = START
+    crc = CRC_START
     for byte in data:
         crc ^= byte << 8
         for _ in range(8):
-            crc = (crc << 1) ^ POLYNOMIAL if crc & 0x8000 else crc << 1
+            crc = (crc << 1) ^ CRC_POLYNOMIAL if crc & 0x8000 else crc << 1
             crc &= 0xFFFF
     return crc

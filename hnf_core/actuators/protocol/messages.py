@@ -40,7 +40,7 @@ class State(IntEnum):
     FAULT = 5
 
 
-class Code(IntEnum):
+class ErrorCode(IntEnum):
     """Of an ERROR."""
 
     VERSION = 1
@@ -56,7 +56,7 @@ class Code(IntEnum):
     HARDWARE = 11
 
 
-class _Fixed:
+class _NumericMessage:
     """A message of numbers only."""
 
     LAYOUT: ClassVar[struct.Struct]
@@ -66,7 +66,7 @@ class _Fixed:
 
 
 @dataclass(frozen=True)
-class Hello(_Fixed):
+class Hello(_NumericMessage):
     """Host: I speak versions lowest … highest."""
 
     lowest: int = VERSION
@@ -82,7 +82,7 @@ class Hello(_Fixed):
 
 
 @dataclass(frozen=True)
-class Start(_Fixed):
+class Start(_NumericMessage):
     """Host: a stream begins, its first frame has position 0.
 
     rate_hz, channels. flags: 0. peak: largest magnitude of a count that may be played. slew: largest step in counts
@@ -125,7 +125,7 @@ class Samples:
     HEAD: ClassVar[struct.Struct] = struct.Struct("<HI")
 
     @classmethod
-    def of(cls, session: int, position: int, counts: NDArray[np.int16]) -> Samples:
+    def from_counts(cls, session: int, position: int, counts: NDArray[np.int16]) -> Samples:
         """counts: (n, channels), at most frames_per_message(channels) of them."""
         return cls(session, position, np.ascontiguousarray(counts, dtype="<i2").tobytes())
 
@@ -145,7 +145,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Stop(_Fixed):
+class Stop(_NumericMessage):
     """Host: silence. drain: after what is queued; otherwise now, and what is queued is dropped. What says neither is
     taken for now."""
 
@@ -161,7 +161,7 @@ class Stop(_Fixed):
 
 
 @dataclass(frozen=True)
-class Ping(_Fixed):
+class Ping(_NumericMessage):
     """Host: are you there? Answered by PONG and STATUS."""
 
     token: int
@@ -176,7 +176,7 @@ class Ping(_Fixed):
 
 
 @dataclass(frozen=True)
-class Bye(_Fixed):
+class Bye(_NumericMessage):
     """Host: I am gone. Silence as after STOP, then IDLE."""
 
     TYPE: ClassVar[int] = 0x06
@@ -211,7 +211,7 @@ class Caps:
     HEAD: ClassVar[struct.Struct] = struct.Struct("<BBBIIHHH")
 
     def pack(self) -> bytes:
-        return self.HEAD.pack(*astuple(self)[:-1]) + _encoded(self.name, LARGEST_NAME)
+        return self.HEAD.pack(*astuple(self)[:-1]) + _encode_text(self.name, LARGEST_NAME)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Caps:
@@ -221,7 +221,7 @@ class Caps:
 
 
 @dataclass(frozen=True)
-class Credit(_Fixed):
+class Credit(_NumericMessage):
     """Device, at least every 2 ms while a stream lasts.
 
     session: whose. played: frames of the stream that have left the queue, modulo 2³². queue: most that it owes.
@@ -243,7 +243,7 @@ class Credit(_Fixed):
         session, played, queue, free, state = cls.LAYOUT.unpack(payload)
         return cls(session, played, queue, free, State(state))
 
-    def room(self, sent: int) -> int:
+    def compute_sendable_frames(self, sent: int) -> int:
         """Frames that may be sent now by a host that has sent `sent` frames (any integer; modulo 2³²); below 0 where it
         has sent more than it may."""
         outstanding = (sent - self.played) & 0xFFFFFFFF
@@ -251,7 +251,7 @@ class Credit(_Fixed):
 
 
 @dataclass(frozen=True)
-class Status(_Fixed):
+class Status(_NumericMessage):
     """Device, since HELLO. underruns: times that samples were missing while it played. crc_errors: damaged frames of
     the wire. lost: frames of the stream that never came. limited: samples that its own limits changed.
     temperature: 0.1 °C, signed, or NO_TEMPERATURE. state."""
@@ -274,7 +274,7 @@ class Status(_Fixed):
 
 
 @dataclass(frozen=True)
-class Pong(_Fixed):
+class Pong(_NumericMessage):
     """Device: yes. token: of the PING."""
 
     token: int
@@ -299,7 +299,7 @@ class Error:
     SIZES: ClassVar[tuple[int, int]] = (1, 1 + LARGEST_TEXT)
 
     def pack(self) -> bytes:
-        return struct.pack("<B", self.code) + _encoded(self.text, LARGEST_TEXT)
+        return struct.pack("<B", self.code) + _encode_text(self.text, LARGEST_TEXT)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Error:
@@ -319,8 +319,8 @@ def frames_per_message(channels: int, payload: int = LARGEST_PAYLOAD) -> int:
     return (payload - Samples.HEAD.size) // (2 * channels)
 
 
-def _encoded(text: str, largest: int) -> bytes:
+def _encode_text(text: str, max_bytes: int) -> bytes:
     data = text.encode("utf-8", "replace")
-    if len(data) > largest:
-        raise UsageError(f"'{text}' is {len(data)} bytes long.", remedy=f"Say it in {largest}.")
+    if len(data) > max_bytes:
+        raise UsageError(f"'{text}' is {len(data)} bytes long.", remedy=f"Say it in {max_bytes}.")
     return data

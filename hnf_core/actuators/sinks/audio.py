@@ -14,28 +14,28 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import DeviceError
-from ..libraries import library
+from ..libraries import import_optional
 from ..sink import Counts, SinkFormat, SinkStatus
 from .fading_queue import RAMP_S, FadingQueue
 
 QUEUE_S = 0.015
 """Owed at most by a live device."""
 
-SYSTEM_SHARE = 1.0 / 3.0
+SYSTEM_LATENCY_SHARE = 1.0 / 3.0
 """Of that, asked for the sound system's own buffers. The rest is ours: a late pump is what there is most of."""
 
-LEAST_QUEUE_S = 0.005
+MIN_QUEUE_S = 0.005
 """Our own part of what is owed, where the sound system itself owes much."""
 
-SILENT_CALLBACK_S = 0.5
+CALLBACK_TIMEOUT_S = 0.5
 """No request for so long, while we were awake: the device is gone."""
 
-AWAKE_S = 0.04
+MAX_POLL_GAP_S = 0.04
 """Longest that may lie between two looks where nothing holds us up: what is more, we slept ourselves."""
 
-LET_OUT_S = 0.05
+CLOSE_TIMEOUT_S = 0.05
 
-OPEN: set[int] = set()
+OPEN_STREAMS: set[int] = set()
 """id() of those with a stream: while there is one, PortAudio must not be started anew."""
 
 _POLL_S = 0.0005
@@ -50,49 +50,49 @@ class AudioSink:
         self._device, self._channels, self._queue_s = device, channels, queue_s
         self._stream: Any = None
         self._queue = FadingQueue(1, channels, 1)
-        self._incoming: deque[Counts | _Word] = deque()
+        self._incoming: deque[Counts | _Command] = deque()
         self._written = 0
-        self._told = _Told()
-        self._called_at = self._heard_at = self._looked_at = self._unheard_s = 0.0
+        self._callback_status = _CallbackStatus()
+        self._called_at = self._last_callback_at = self._last_poll_at = self._silence_s = 0.0
         self._problem = ""
 
     def open(self) -> SinkFormat:
-        sounddevice = library("sounddevice")
+        sounddevice = import_optional("sounddevice")
         self.close()
         try:
-            found = _found(sounddevice, self._device)
+            found = _query_output(sounddevice, self._device)
             rate, low_s = float(found["default_samplerate"]), float(found["default_low_output_latency"])
             stream = sounddevice.RawOutputStream(
                 samplerate=rate,
                 device=self._device,
                 channels=self._channels,
                 dtype="int16",
-                latency=SYSTEM_SHARE * self._queue_s if low_s <= self._queue_s else low_s,
-                callback=self._give,
+                latency=SYSTEM_LATENCY_SHARE * self._queue_s if low_s <= self._queue_s else low_s,
+                callback=self._fill_output,
             )
         except (sounddevice.PortAudioError, ValueError) as error:
-            raise self._refused(f"cannot be opened ({reason(error)})", _REMEDY) from error
+            raise self._make_device_error(f"cannot be opened ({explain_error(error)})", _REMEDY) from error
         held_s = float(stream.latency)
-        queue = int(rate * max(self._queue_s - held_s, LEAST_QUEUE_S))
+        queue = int(rate * max(self._queue_s - held_s, MIN_QUEUE_S))
         self._queue = FadingQueue(queue, self._channels, int(RAMP_S * rate))
         self._incoming.clear()
-        self._written, self._told, self._problem = 0, _Told(), ""
+        self._written, self._callback_status, self._problem = 0, _CallbackStatus(), ""
         self._called_at = time.monotonic()
         try:
             stream.start()
         except sounddevice.PortAudioError as error:
             stream.close(ignore_errors=True)
-            raise self._refused(f"cannot be started ({reason(error)})", _REMEDY) from error
+            raise self._make_device_error(f"cannot be started ({explain_error(error)})", _REMEDY) from error
         self._stream = stream
-        OPEN.add(id(self))
-        self._settle(2.0 * held_s)
+        OPEN_STREAMS.add(id(self))
+        self._wait_for_system_buffers(2.0 * held_s)
         return SinkFormat(rate, self._channels, queue + round(held_s * rate), f"sound output '{found['name']}'")
 
     def wait(self, timeout_s: float) -> int:
         until = time.monotonic() + timeout_s
         while True:
             self._check()
-            room = self._room()
+            room = self._count_free_frames()
             if room > 0 or time.monotonic() >= until:
                 return max(0, room)
             time.sleep(_POLL_S)
@@ -103,64 +103,64 @@ class AudioSink:
         self._written += len(counts)
 
     def status(self) -> SinkStatus:
-        told = self._told
+        told = self._callback_status
         return SinkStatus(played=told.played, underruns=told.underruns + told.missed, problem=self._problem)
 
     def finish(self, timeout_s: float) -> None:
         self._check()
-        self._incoming.append(_Word.DRAIN)
-        self._let_out(self._stream, timeout_s)
+        self._incoming.append(_Command.DRAIN)
+        self._wait_until_silent(self._stream, timeout_s)
         self._check()
 
     def stop(self) -> None:
-        self._incoming.append(_Word.DROP)
+        self._incoming.append(_Command.DROP)
 
     def close(self) -> None:
         stream, self._stream = self._stream, None
         if stream is None:
             return
         self.stop()
-        self._let_out(stream, LET_OUT_S + 3.0 * float(stream.latency))
+        self._wait_until_silent(stream, CLOSE_TIMEOUT_S + 3.0 * float(stream.latency))
         stream.abort(ignore_errors=True)
         stream.close(ignore_errors=True)
-        OPEN.discard(id(self))
+        OPEN_STREAMS.discard(id(self))
 
-    def _let_out(self, stream: Any, timeout_s: float) -> None:
+    def _wait_until_silent(self, stream: Any, timeout_s: float) -> None:
         """Wait until nothing sounds, and the sound system has then got more silence than it holds: ended sooner, it
         would cut off the end of a fade."""
         until, held = time.monotonic() + timeout_s, 2.0 * float(stream.latency) * float(stream.samplerate)
         quiet_at: int | None = None
-        while _active(stream) and time.monotonic() < until:
-            told = self._told
+        while _is_active(stream) and time.monotonic() < until:
+            told = self._callback_status
             if self._incoming or not told.silent:
                 quiet_at = None
             elif quiet_at is None:
-                quiet_at = told.asked
-            elif told.asked - quiet_at > held:
+                quiet_at = told.requested
+            elif told.requested - quiet_at > held:
                 return
             time.sleep(_POLL_S)
 
-    def _settle(self, seconds: float) -> None:
+    def _wait_for_system_buffers(self, seconds: float) -> None:
         """Wait while the sound system fills its own buffers, which it does at once and not as time goes by."""
         until = time.monotonic() + 1.0
-        while self._told.asked < seconds * self._stream.samplerate and time.monotonic() < until:
+        while self._callback_status.requested < seconds * self._stream.samplerate and time.monotonic() < until:
             self._check()
             time.sleep(_POLL_S)
 
-    def _room(self) -> int:
-        told = self._told
+    def _count_free_frames(self) -> int:
+        told = self._callback_status
         return self._queue.size - told.queued - (self._written - told.pushed)
 
-    def _give(self, data: Any, frames: int, _time: Any, flags: Any) -> None:
+    def _fill_output(self, data: Any, frames: int, _time: Any, flags: Any) -> None:
         """PortAudio's callback, in its thread; nobody else touches the queue while the stream runs."""
         self._called_at = time.monotonic()
-        queue, told = self._queue, self._told
+        queue, told = self._queue, self._callback_status
         pushed = told.pushed
         while self._incoming:
             item = self._incoming.popleft()
-            if item is _Word.DROP:
+            if item is _Command.DROP:
                 queue.stop()
-            elif item is _Word.DRAIN:
+            elif item is _Command.DRAIN:
                 queue.finish()
             else:
                 queue.push(item)
@@ -168,44 +168,44 @@ class AudioSink:
         out = np.frombuffer(data, dtype=np.int16).reshape(frames, self._channels)
         out[:] = queue.advance(frames)
         missed = told.missed + bool(flags.output_underflow)
-        self._told = _Told(
-            told.asked + frames, pushed, queue.queued, queue.played, queue.underruns, missed, queue.silent
+        self._callback_status = _CallbackStatus(
+            told.requested + frames, pushed, queue.queued, queue.played, queue.underruns, missed, queue.is_silent
         )
 
     def _check(self) -> None:
         if self._stream is None:
-            raise self._refused(self._problem or "is closed", "Start again.")
-        if _active(self._stream) and self._silent_s() < SILENT_CALLBACK_S:
+            raise self._make_device_error(self._problem or "is closed", "Start again.")
+        if _is_active(self._stream) and self._measure_callback_silence_s() < CALLBACK_TIMEOUT_S:
             return
         self._problem = "no longer takes sound: it was unplugged, or its sound server ended"
         self.close()
-        raise self._refused(self._problem, "Plug it in, or choose another output; then start again.")
+        raise self._make_device_error(self._problem, "Plug it in, or choose another output; then start again.")
 
-    def _silent_s(self) -> float:
+    def _measure_callback_silence_s(self) -> float:
         """Since PortAudio's last request, of the time in which we looked. A computer that was busy elsewhere holds up
         that thread as it does us: its own lateness is no silence of the device's."""
-        awake_s, self._looked_at = min(time.monotonic() - self._looked_at, AWAKE_S), time.monotonic()
-        self._unheard_s = self._unheard_s + awake_s if self._called_at == self._heard_at else 0.0
-        self._heard_at = self._called_at
-        return self._unheard_s
+        awake_s, self._last_poll_at = min(time.monotonic() - self._last_poll_at, MAX_POLL_GAP_S), time.monotonic()
+        self._silence_s = self._silence_s + awake_s if self._called_at == self._last_callback_at else 0.0
+        self._last_callback_at = self._called_at
+        return self._silence_s
 
-    def _refused(self, what: str, remedy: str) -> DeviceError:
+    def _make_device_error(self, what: str, remedy: str) -> DeviceError:
         where = "the default sound output" if self._device is None else f"sound output '{self._device}'"
         return DeviceError(f"{what}.", where=where, remedy=remedy)
 
 
-class _Word(Enum):
+class _Command(Enum):
     """Among the counts, in their order."""
 
     DRAIN = "play what is there, it is all"
     DROP = "silence now"
 
 
-class _Told(NamedTuple):
+class _CallbackStatus(NamedTuple):
     """What the callback tells: replaced as a whole, never changed. Frames, but for underruns (of our queue),
     missed (the sound system's own underruns) and silent."""
 
-    asked: int = 0
+    requested: int = 0
     pushed: int = 0
     queued: int = 0
     played: int = 0
@@ -214,34 +214,34 @@ class _Told(NamedTuple):
     silent: bool = True
 
 
-def _active(stream: Any) -> bool:
+def _is_active(stream: Any) -> bool:
     """A stream whose sound system is gone is none."""
     try:
         return bool(stream.active)
-    except library("sounddevice").PortAudioError:
+    except import_optional("sounddevice").PortAudioError:
         return False
 
 
-def _found(sounddevice: Any, device: str | int | None) -> Any:
+def _query_output(sounddevice: Any, device: str | int | None) -> Any:
     """What is known of the output. PortAudio looks for devices only when it starts: one that is not there may have been
     plugged in since."""
     try:
         return sounddevice.query_devices(device, "output")
     except (sounddevice.PortAudioError, ValueError):
-        look_again(sounddevice)
+        rescan_devices(sounddevice)
         return sounddevice.query_devices(device, "output")
 
 
-def look_again(sounddevice: Any) -> None:
+def rescan_devices(sounddevice: Any) -> None:
     """Start PortAudio anew, so that it sees what has been plugged in; not while a stream is open, which that would
     end."""
-    if not OPEN:
+    if not OPEN_STREAMS:
         sounddevice._terminate()
         sounddevice._initialize()
 
 
-def reason(error: Exception, what: str = "output") -> str:
+def explain_error(error: Exception, direction: str = "output") -> str:
     """A line of a library's, without its own numbers in brackets and without its full stop."""
     if str(error) == "Error querying device -1":
-        return f"this system has no sound {what}"
+        return f"this system has no sound {direction}"
     return str(error).split(" [PaErrorCode")[0].splitlines()[0].rstrip(".:")

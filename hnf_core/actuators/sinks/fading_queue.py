@@ -26,81 +26,85 @@ class FadingQueue:
         self._ramp, self._channels = max(1, ramp), channels
         self._queue: deque[Counts] = deque()
         self._last = np.zeros(channels, dtype=np.int16)
-        self._left = 0
-        self._risen = self._ramp
-        self._sounding = self._finishing = False
+        self._fade_out_frames_left = 0
+        self._fade_in_frames = self._ramp
+        self._is_sounding = self._is_finishing = False
 
     @property
-    def silent(self) -> bool:
+    def is_silent(self) -> bool:
         """Nothing sounds and nothing is owed."""
-        return not (self._sounding or self._left or self.queued)
+        return not (self._is_sounding or self._fade_out_frames_left or self.queued)
 
-    def lacks(self, frames: int) -> bool:
+    def would_underrun(self, frames: int) -> bool:
         """Would advance(frames) be an underrun?"""
-        return self._sounding and not self._finishing and self.queued < frames
+        return self._is_sounding and not self._is_finishing and self.queued < frames
 
     def push(self, counts: Counts) -> None:
         """(n, channels)."""
         if len(counts):
             self._queue.append(counts)
             self.queued += len(counts)
-            self._finishing = False
+            self._is_finishing = False
 
     def finish(self) -> None:
         """What is there is all: its end is no underrun."""
-        self._finishing = True
+        self._is_finishing = True
 
     def stop(self) -> None:
         """Drop what is owed and fade, now."""
         self._queue.clear()
         self.queued = 0
-        if self._sounding:
-            self._fall()
+        if self._is_sounding:
+            self._start_fade_out()
 
     def advance(self, frames: int) -> Counts:
         """(frames, channels): the next that sound."""
         out: Counts = np.zeros((frames, self._channels), dtype=np.int16)
         at = 0
         while at < frames:
-            if self._left:
+            if self._fade_out_frames_left:
                 at += self._fade(out[at:])
             elif self.queued:
                 at += self._play(out[at:])
-            elif self._sounding:
-                if not self._finishing:
+            elif self._is_sounding:
+                if not self._is_finishing:
                     self.underruns += 1
-                    self._risen = 0
-                self._fall()
+                    self._fade_in_frames = 0
+                self._start_fade_out()
             else:
                 break
         return out
 
-    def _fall(self) -> None:
-        self._sounding = False
-        self._left = self._ramp - 1 if self._last.any() else 0
+    def _start_fade_out(self) -> None:
+        self._is_sounding = False
+        self._fade_out_frames_left = self._ramp - 1 if self._last.any() else 0
 
-    def _fade(self, room: Counts) -> int:
-        count = min(len(room), self._left)
-        room[:count] = _scaled(self._last[None], np.arange(self._left, self._left - count, -1) / self._ramp)
-        self._left -= count
+    def _fade(self, out: Counts) -> int:
+        count = min(len(out), self._fade_out_frames_left)
+        out[:count] = _scale(
+            self._last[None], np.arange(self._fade_out_frames_left, self._fade_out_frames_left - count, -1) / self._ramp
+        )
+        self._fade_out_frames_left -= count
         return count
 
-    def _play(self, room: Counts) -> int:
+    def _play(self, out: Counts) -> int:
         head = self._queue.popleft()
-        rising = self._ramp - self._risen
-        count = min(len(room), len(head), rising or len(head))
-        room[:count] = head[:count]
+        rising = self._ramp - self._fade_in_frames
+        count = min(len(out), len(head), rising or len(head))
+        out[:count] = head[:count]
         if rising:
-            room[:count] = _scaled(head[:count], np.arange(self._risen, self._risen + count) / self._ramp)
-            self._risen += count
+            out[:count] = _scale(
+                head[:count], np.arange(self._fade_in_frames, self._fade_in_frames + count) / self._ramp
+            )
+            self._fade_in_frames += count
         if count < len(head):
             self._queue.appendleft(head[count:])
-        self._last, self._sounding = room[count - 1].copy(), True
+        self._last, self._is_sounding = out[count - 1].copy(), True
         self.queued -= count
         self.played += count
         return count
 
 
-def _scaled(counts: Counts, gains: NDArray[np.float64]) -> Counts:
+def _scale(counts: Counts, gains: NDArray[np.float64]) -> Counts:
     """Towards zero, so that a ramp never exceeds what it scales."""
     return np.trunc(counts * gains[:, None]).astype(np.int16)

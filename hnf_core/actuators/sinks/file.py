@@ -15,12 +15,12 @@ import numpy as np
 from ...errors import DeviceError, HnfError, UsageError
 from ...export.wav import SCHEMA, UNITS
 from ...files import check_writable, write_bytes
-from ..limits import COUNTS
+from ..limits import FULL_SCALE_COUNTS
 from ..sink import Counts, SinkFormat, SinkStatus
 
 QUEUE_S = 0.1
 """It takes whatever comes; so much at once."""
-_LARGEST = 2**32 - 1024
+_MAX_DATA_BYTES = 2**32 - 1024
 
 
 class FileSink:
@@ -40,7 +40,7 @@ class FileSink:
 
     def open(self) -> SinkFormat:
         if self._path.is_dir():
-            raise self._refused("it is a folder", "Name a .wav file.")
+            raise self._make_device_error("it is a folder", "Name a .wav file.")
         try:
             check_writable(self._path)
         except HnfError as error:
@@ -54,10 +54,10 @@ class FileSink:
 
     def write(self, counts: Counts) -> None:
         if not self._open:
-            raise self._refused("it is closed", "Start again.")
+            raise self._make_device_error("it is closed", "Start again.")
         data = np.ascontiguousarray(counts, dtype="<i2")
-        if (self._frames + len(data)) * 2 * self._channels > _LARGEST:
-            raise self._refused("a WAV holds 4 GB, and more has come", "Give --seconds.")
+        if (self._frames + len(data)) * 2 * self._channels > _MAX_DATA_BYTES:
+            raise self._make_device_error("a WAV holds 4 GB, and more has come", "Give --seconds.")
         self._begun = True
         self._written.append(data.tobytes())
         self._frames += len(data)
@@ -87,18 +87,20 @@ class FileSink:
         """Nothing where nothing began: what was given up before does not take the place of an earlier file."""
         begun, self._open = self._open and self._begun, False
         if begun:
-            write_bytes(self._path, pcm_wav(b"".join(self._written), self._rate, self._channels, self._full_scale))
+            write_bytes(
+                self._path, encode_pcm_wav(b"".join(self._written), self._rate, self._channels, self._full_scale)
+            )
 
-    def _refused(self, what: str, remedy: str) -> DeviceError:
+    def _make_device_error(self, what: str, remedy: str) -> DeviceError:
         return DeviceError(f"{what}.", where=str(self._path), remedy=remedy)
 
 
-def pcm_wav(data: bytes, rate_hz: int, channels: int, full_scale_m_s2: float | None) -> bytes:
+def encode_pcm_wav(data: bytes, rate_hz: int, channels: int, full_scale_m_s2: float | None) -> bytes:
     """A 16-bit PCM WAV around little-endian frames; layout as in export/wav.py."""
     form = struct.pack("<HHIIHH", 1, channels, rate_hz, rate_hz * 2 * channels, 2 * channels, 16)
     body = b"WAVEfmt " + struct.pack("<I", len(form)) + form
     if full_scale_m_s2 is not None:
-        scale = full_scale_m_s2 * (COUNTS + 1) / COUNTS
+        scale = full_scale_m_s2 * (FULL_SCALE_COUNTS + 1) / FULL_SCALE_COUNTS
         record = {"schema": SCHEMA, "units": UNITS, "scale": scale, "seed": 0, "provenance": {"made by": "hnf stream"}}
         text = json.dumps(record).encode() + b"\0"
         text += b"\0" * (len(text) % 2)

@@ -11,8 +11,8 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from ...errors import DeviceError, UsageError
-from ..law import step_of
-from ..limits import COUNTS
+from ..law import compute_max_step
+from ..limits import FULL_SCALE_COUNTS
 from ..protocol.frames import Decoder, Encoder
 from ..protocol.messages import (
     FROM_DEVICE,
@@ -21,7 +21,7 @@ from ..protocol.messages import (
     VERSION,
     Bye,
     Caps,
-    Code,
+    ErrorCode,
     FromHost,
     Hello,
     Samples,
@@ -30,21 +30,21 @@ from ..protocol.messages import (
     frames_per_message,
 )
 from ..sink import Counts, SinkFormat, SinkStatus
-from ..urgency import ask
-from .serial_port import gone, open_port
-from .serial_session import RESTART, Session
+from ..urgency import request_realtime_priority
+from .serial_port import make_disconnected_error, open_port
+from .serial_session import RESTART_REMEDY, SerialSession
 
 BAUDRATE = 3_000_000
 DEFAULT_RATE_HZ = 8000
-LONGEST_QUEUE_S = 0.015
-FRAMES = 32
+MAX_QUEUE_S = 0.015
+FRAMES_PER_MESSAGE = 32
 """Of one SAMPLES: small, so that a damaged one is a short gap."""
 
-STILL_S = 1.0
+MAX_STALL_S = 1.0
 """This program, or the whole computer, stood still: longer than any scheduling takes."""
 
-TICK_S = 0.02
-NUDGE_S = 0.03
+POLL_S = 0.02
+RESEND_S = 0.03
 HELLO_S, HELLO_BUSY_S, BUSY_S = 0.1, 0.05, 0.5
 START_S, START_BUSY_S = 0.2, 0.005
 STOP_S = 0.02
@@ -52,15 +52,15 @@ STOP_S = 0.02
 else plays."""
 
 
-def slew_told(slew_per_s: float, peak: int, rate_hz: int) -> int:
+def compute_device_slew(slew_per_s: float, peak: int, rate_hz: int) -> int:
     """Of START, in counts: what the limiter keeps to as well, but never less than the device's own fades take."""
     if math.isinf(slew_per_s):
         return NO_SLEW_LIMIT
     fade = -(-peak // max(rate_hz // 1000 * RAMP_MS, 1))
-    return max(step_of(slew_per_s, rate_hz), fade)
+    return max(compute_max_step(slew_per_s, rate_hz), fade)
 
 
-def _now() -> float:
+def _read_boot_clock_s() -> float:
     """Seconds that go on while the computer sleeps."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
@@ -76,10 +76,10 @@ class SerialSink:
         rate_hz: int | None = None,
         channels: int = 1,
         *,
-        peak: int = COUNTS,
+        peak: int = FULL_SCALE_COUNTS,
         slew_per_s: float = math.inf,
         versions: tuple[int, int] = (VERSION, VERSION),
-        answer_s: float = 2.0,
+        reply_timeout_s: float = 2.0,
         clock: Callable[[], float] | None = None,
     ) -> None:
         """rate_hz: what is asked for; of what the device has, the nearest is taken. None asks for 8 kHz. peak [counts],
@@ -89,15 +89,20 @@ class SerialSink:
         if not 1 <= channels <= 255:
             raise UsageError(f"a serial device has 1 to 255 channels, not {channels}.")
         self._port, self._baudrate, self._wanted_hz, self._channels = port, baudrate, rate_hz, channels
-        self._peak, self._slew_per_s, self._versions, self._answer_s = peak, slew_per_s, versions, answer_s
-        self._clock = clock or _now
-        self._changed = threading.Condition()
-        self._session = Session(port)
+        self._peak, self._slew_per_s, self._versions, self._reply_timeout_s = (
+            peak,
+            slew_per_s,
+            versions,
+            reply_timeout_s,
+        )
+        self._clock = clock or _read_boot_clock_s
+        self._condition = threading.Condition()
+        self._session = SerialSession(port)
         self._serial: Any = None
         self._reader: threading.Thread | None = None
         self._closing = threading.Event()
         self._encoder = Encoder()
-        self._rate_hz, self._last_tick_s, self._nudged_s, self._late = 0, 0.0, 0.0, 0
+        self._rate_hz, self._last_tick_s, self._last_sent_s, self._late_writes = 0, 0.0, 0.0, 0
 
     def open(self) -> SinkFormat:
         """See Sink. Raises DeviceError where the port cannot be had, nobody answers, or the device cannot do it."""
@@ -105,79 +110,82 @@ class SerialSink:
         return self._connect()
 
     def _connect(self) -> SinkFormat:
-        self._session, self._encoder, self._last_tick_s = Session(self._port), Encoder(), self._clock()
+        self._session, self._encoder, self._last_tick_s = SerialSession(self._port), Encoder(), self._clock()
         self._serial = open_port(self._port, self._baudrate)
         self._closing.clear()
-        self._reader = threading.Thread(target=self._read, name=f"hnf read {self._port}", daemon=True)
+        self._reader = threading.Thread(target=self._read_loop, name=f"hnf read {self._port}", daemon=True)
         self._reader.start()
-        with self._ending_at_a_problem():
-            caps = self._greet()
-            self._rate_hz = self._agreed_rate(caps)
-            queue = self._start(caps)
+        with self._closing_on_error():
+            caps = self._handshake()
+            self._rate_hz = self._negotiate_rate(caps)
+            queue = self._start_session(caps)
         return SinkFormat(float(self._rate_hz), self._channels, queue, caps.name, peak=caps.peak)
 
     def wait(self, timeout_s: float) -> int:
         """See Sink. After stop() or finish() it begins a new session."""
         deadline = self._clock() + timeout_s
-        with self._ending_at_a_problem():
-            self._check()
+        with self._closing_on_error():
+            self._check_problem()
             if self._session.number is None:
-                self._start(self._caps)
+                self._start_session(self._caps)
             while True:
-                room, now = self._session.room, self._clock()
+                room, now = self._session.sendable_frames, self._clock()
                 if room > 0 or now >= deadline:
                     return room
                 # What the device waits for may have been lost on the way: tell it where we are.
-                if self._session.owed > 0 and now - self._nudged_s > NUDGE_S:
-                    self._nudged_s = now
-                    self._send(Samples(self._number, self._session.sent & 0xFFFFFFFF, b""))
-                self._changed.wait(min(TICK_S, deadline - now))
-                self._check()
+                if self._session.pending_frames > 0 and now - self._last_sent_s > RESEND_S:
+                    self._last_sent_s = now
+                    self._send(Samples(self._session_number, self._session.sent & 0xFFFFFFFF, b""))
+                self._condition.wait(min(POLL_S, deadline - now))
+                self._check_problem()
 
     def write(self, counts: Counts) -> None:
         """See Sink."""
-        with self._ending_at_a_problem():
-            self._check()
-            session, most = self._session, min(FRAMES, frames_per_message(self._channels, self._caps.payload))
+        with self._closing_on_error():
+            self._check_problem()
+            session, most = (
+                self._session,
+                min(FRAMES_PER_MESSAGE, frames_per_message(self._channels, self._caps.payload)),
+            )
             messages = [
-                Samples.of(self._number, (session.sent + at) & 0xFFFFFFFF, counts[at : at + most])
+                Samples.from_counts(self._session_number, (session.sent + at) & 0xFFFFFFFF, counts[at : at + most])
                 for at in range(0, len(counts), most)
             ]
             session.sent += len(counts)
-            self._nudged_s = self._clock()
+            self._last_sent_s = self._clock()
             self._send(*messages)
 
     def status(self) -> SinkStatus:
         """See Sink."""
-        with self._changed:
-            return self._session.told()
+        with self._condition:
+            return self._session.to_sink_status()
 
     def finish(self, timeout_s: float) -> None:
         """See Sink."""
         deadline = self._clock() + timeout_s
-        with self._ending_at_a_problem():
-            self._check()
+        with self._closing_on_error():
+            self._check_problem()
             if self._session.number is None:
                 return
             said_s = -STOP_S
-            while not self._session.rests and (now := self._clock()) < deadline:
+            while not self._session.is_resting and (now := self._clock()) < deadline:
                 if now - said_s >= STOP_S:
                     said_s = now
                     self._send(Stop(drain=True))
-                self._changed.wait(TICK_S)
-                self._check()
+                self._condition.wait(POLL_S)
+                self._check_problem()
             self._session.end()
 
     def stop(self) -> None:
         """See Sink."""
-        with self._changed:
+        with self._condition:
             self._session.end()
             with suppress(DeviceError):
                 self._send(Stop())
 
     def close(self) -> None:
         """See Sink."""
-        with self._changed:
+        with self._condition:
             serial, self._serial = self._serial, None
             self._session.end()
         if serial is None:
@@ -198,45 +206,45 @@ class SerialSink:
             serial.close()
 
     @property
-    def _number(self) -> int:
+    def _session_number(self) -> int:
         number = self._session.number
         if number is None:
             raise UsageError("nothing can be written after stop(): call wait() first, which starts again.")
         return number
 
-    def _greet(self) -> Caps:
+    def _handshake(self) -> Caps:
         """HELLO until somebody answers: boards restart when their port is opened, and the last host may just have died,
         with a few milliseconds still to sound."""
         began, session = self._clock(), self._session
         while True:
             session.refusal = None
-            session.greetings += 1
+            session.unanswered_hellos += 1
             self._send(Hello(*self._versions))
-            self._changed.wait_for(self._answered, HELLO_S)
+            self._condition.wait_for(self._has_reply, HELLO_S)
             self._raise_problem()
             if session.caps is not None:
                 if self._versions[0] <= session.caps.version <= self._versions[1]:
                     return session.caps
-                raise self._no_common_version(f"version {session.caps.version}")
-            busy, waited = session.refused(Code.BUSY), self._clock() - began
-            if session.refused(Code.VERSION):
-                raise self._no_common_version(f"'{session.refusal_text}'")
+                raise self._make_version_error(f"version {session.caps.version}")
+            busy, waited = session.is_refused_with(ErrorCode.BUSY), self._clock() - began
+            if session.is_refused_with(ErrorCode.VERSION):
+                raise self._make_version_error(f"'{session.refusal_text}'")
             if busy and waited >= BUSY_S:
                 raise DeviceError(
                     "the device plays for another program.",
                     where=self._port,
                     remedy="Stop the other stream, then start again.",
                 )
-            if waited >= self._answer_s:
-                raise self._nobody()
+            if waited >= self._reply_timeout_s:
+                raise self._make_no_reply_error()
             if busy:
-                self._let_pass(HELLO_BUSY_S)
+                self._sleep(HELLO_BUSY_S)
 
-    def _answered(self) -> bool:
+    def _has_reply(self) -> bool:
         session = self._session
         return session.caps is not None or session.refusal is not None or session.problem is not None
 
-    def _nobody(self) -> DeviceError:
+    def _make_no_reply_error(self) -> DeviceError:
         return DeviceError(
             "nothing answers there.",
             where=self._port,
@@ -244,16 +252,16 @@ class SerialSink:
             f"and that it runs at {self._baudrate} baud.",
         )
 
-    def _no_common_version(self, theirs: str) -> DeviceError:
+    def _make_version_error(self, device_version: str) -> DeviceError:
         low, high = self._versions
         ours = f"version {low}" if low == high else f"versions {low} to {high}"
         return DeviceError(
-            f"no version of the protocol in common: this program speaks {ours}, the device says {theirs}.",
+            f"no version of the protocol in common: this program speaks {ours}, the device says {device_version}.",
             where=self._port,
             remedy="Update the device's firmware, or this program.",
         )
 
-    def _agreed_rate(self, caps: Caps) -> int:
+    def _negotiate_rate(self, caps: Caps) -> int:
         if self._channels > caps.channels:
             raise DeviceError(
                 f"the device has {caps.channels} channels, not {self._channels}.",
@@ -262,38 +270,38 @@ class SerialSink:
             )
         return min(max(self._wanted_hz or DEFAULT_RATE_HZ, caps.lowest_hz), caps.highest_hz)
 
-    def _start(self, caps: Caps) -> int:
+    def _start_session(self, caps: Caps) -> int:
         """START, until the first CREDIT of the session. Returns the frames that the device owes at most."""
-        number, longest = secrets.randbelow(0xFFFF) + 1, int(LONGEST_QUEUE_S * self._rate_hz)
+        number, longest = secrets.randbelow(0xFFFF) + 1, int(MAX_QUEUE_S * self._rate_hz)
         peak, queue = min(self._peak, caps.peak), min(caps.queue, longest)
-        slew = slew_told(self._slew_per_s, peak, self._rate_hz)
+        slew = compute_device_slew(self._slew_per_s, peak, self._rate_hz)
         session, began, patience_s = self._session, self._clock(), START_S
         while session.credit is None:
             session.begin(number, self._rate_hz, self._clock())
             self._send(Start(self._rate_hz, self._channels, peak, number, slew, queue))
-            self._changed.wait_for(self._started, patience_s)
+            self._condition.wait_for(self._has_started, patience_s)
             self._raise_problem()
-            busy = session.refused(Code.BUSY)
-            if session.credit is None and self._clock() - began >= (BUSY_S if busy else self._answer_s):
-                raise self._failed("the device does not start.", RESTART)
+            busy = session.is_refused_with(ErrorCode.BUSY)
+            if session.credit is None and self._clock() - began >= (BUSY_S if busy else self._reply_timeout_s):
+                raise self._fail("the device does not start.", RESTART_REMEDY)
             if busy:  # what was stopped still fades; it says so once only
                 patience_s = START_BUSY_S
-                self._let_pass(START_BUSY_S)
+                self._sleep(START_BUSY_S)
         credit = session.credit
         if credit.queue > longest:
-            raise self._failed(
+            raise self._fail(
                 f"the device would sound on for {1e3 * credit.queue / self._rate_hz:.0f} ms after a fault.",
                 f"Its queue may hold {longest} frames at most; update its firmware.",
             )
         return credit.queue
 
-    def _started(self) -> bool:
+    def _has_started(self) -> bool:
         session = self._session
         return session.credit is not None or session.refusal is not None or session.problem is not None
 
-    def _let_pass(self, seconds: float) -> None:
+    def _sleep(self, seconds: float) -> None:
         """Sleep, while the reader goes on."""
-        self._changed.wait_for(lambda: False, seconds)
+        self._condition.wait_for(lambda: False, seconds)
 
     @property
     def _caps(self) -> Caps:
@@ -303,16 +311,16 @@ class SerialSink:
         return caps
 
     @contextmanager
-    def _ending_at_a_problem(self) -> Iterator[None]:
+    def _closing_on_error(self) -> Iterator[None]:
         """What the reader learns is looked at under its lock; the port is closed without, or the reader would wait."""
         try:
-            with self._changed:
+            with self._condition:
                 yield
         except DeviceError:
             self.close()
             raise
 
-    def _failed(self, what: str, remedy: str) -> DeviceError:
+    def _fail(self, what: str, remedy: str) -> DeviceError:
         self._session.fail(what, remedy)
         problem = self._session.problem
         assert problem is not None
@@ -325,50 +333,50 @@ class SerialSink:
         data = b"".join(self._encoder.encode(message) for message in messages)
         try:
             self._serial.write(data)
-            self._late = 0
+            self._late_writes = 0
         except Exception as error:
             if type(error).__name__ != "SerialTimeoutException":
-                self._session.problem = self._session.problem or gone(self._port, error)
+                self._session.problem = self._session.problem or make_disconnected_error(self._port, error)
             else:
                 # pyserial says the same when we were asleep meanwhile. Once; what was lost then, the device bridges.
-                self._late += 1
-                if self._late > 1:
-                    self._session.fail("the device has stopped reading.", RESTART)
+                self._late_writes += 1
+                if self._late_writes > 1:
+                    self._session.fail("the device has stopped reading.", RESTART_REMEDY)
             self._raise_problem()
 
-    def _check(self) -> None:
+    def _check_problem(self) -> None:
         """Raise what has gone wrong meanwhile."""
-        self._stood_still(self._clock())
+        self._check_stall(self._clock())
         self._raise_problem()
 
     def _raise_problem(self) -> None:
         if self._session.problem is not None:
             raise self._session.problem
 
-    def _stood_still(self, now: float) -> None:
+    def _check_stall(self, now: float) -> None:
         still = now - self._last_tick_s
-        if still > STILL_S and self._session.number is not None:
+        if still > MAX_STALL_S and self._session.number is not None:
             self._session.fail(f"this program, or the computer, stood still for {still:.1f} s.", "Start again.")
 
-    def _read(self) -> None:
+    def _read_loop(self) -> None:
         """The reader's thread, until close() or the first problem."""
-        ask()
+        request_realtime_priority()
         serial, decoder = self._serial, Decoder(FROM_DEVICE)
         while not self._closing.is_set():
             try:
                 data = serial.read(max(1, serial.in_waiting))
             except Exception as error:
-                with self._changed:
+                with self._condition:
                     if not self._closing.is_set():
-                        self._session.problem = self._session.problem or gone(self._port, error)
-                    self._changed.notify_all()
+                        self._session.problem = self._session.problem or make_disconnected_error(self._port, error)
+                    self._condition.notify_all()
                 return
-            messages = decoder.feed(data) if data else decoder.idle()
-            with self._changed:
+            messages = decoder.feed(data) if data else decoder.flush()
+            with self._condition:
                 now = self._clock()
-                self._stood_still(now)
+                self._check_stall(now)
                 self._last_tick_s = now
                 self._session.damaged = decoder.crc_errors + decoder.malformed
-                self._session.hear(messages, now)
-                self._session.look(now)
-                self._changed.notify_all()
+                self._session.handle_messages(messages, now)
+                self._session.check_timeouts(now)
+                self._condition.notify_all()

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import DeviceError
-from ..libraries import library
+from ..libraries import import_optional
 
-READ_S = 0.02
+READ_TIMEOUT_S = 0.02
 """Longest that a read waits for the first byte."""
 
-WRITE_S = 0.1
+WRITE_TIMEOUT_S = 0.1
 """Longest that a write waits for a device that does not read."""
 
 
@@ -22,27 +22,27 @@ def open_port(port: str, baudrate: int) -> Any:
 
     Raises DeviceError where there is no such port, another program has it, or we may not.
     """
-    serial = library("serial")
+    serial = import_optional("serial")
     try:
-        opened = serial.Serial(port, baudrate, timeout=READ_S, write_timeout=WRITE_S, exclusive=True)
+        opened = serial.Serial(port, baudrate, timeout=READ_TIMEOUT_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError) as error:
-        raise _refused(port, baudrate, error) from error
+        raise _make_open_error(port, baudrate, error) from error
     except Exception as error:  # termios.error is no OSError, and Windows has no termios
         raise DeviceError(
-            f"is no serial port ({error}).", where=port, remedy=f"Choose one of these: {_known()}."
+            f"is no serial port ({error}).", where=port, remedy=f"Choose one of these: {_list_ports()}."
         ) from error
     try:
         opened.reset_input_buffer()
         opened.reset_output_buffer()
     except Exception as error:
         opened.close()
-        raise gone(port, error) from error
+        raise make_disconnected_error(port, error) from error
     return opened
 
 
-def gone(port: str, error: Exception) -> DeviceError:
+def make_disconnected_error(port: str, error: Exception) -> DeviceError:
     """What a port that was open says when its plug is pulled."""
-    words = _short(error)
+    words = _format_reason(error)
     return DeviceError(
         f"the device is gone{'' if 'returned no data' in words else f' ({words})'}.",
         where=port,
@@ -50,16 +50,16 @@ def gone(port: str, error: Exception) -> DeviceError:
     )
 
 
-def _refused(port: str, baudrate: int, error: Exception) -> DeviceError:
+def _make_open_error(port: str, baudrate: int, error: Exception) -> DeviceError:
     number = getattr(error, "errno", None)
     words = str(error)
     # pyserial hands on Windows' reason in the text only: no such file, access denied.
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in words:
         return DeviceError(
-            "there is no such port.", where=port, remedy=f"Plug the device in, or choose one of these: {_known()}."
+            "there is no such port.", where=port, remedy=f"Plug the device in, or choose one of these: {_list_ports()}."
         )
     if number in (errno.EAGAIN, errno.EBUSY) or "PermissionError" in words:
-        return DeviceError("another program uses this port.", where=port, remedy=f"Close {_holder(port)}.")
+        return DeviceError("another program uses this port.", where=port, remedy=f"Close {_find_port_user(port)}.")
     if number in (errno.EACCES, errno.EPERM):
         return DeviceError(
             "this user may not open the port.",
@@ -68,16 +68,18 @@ def _refused(port: str, baudrate: int, error: Exception) -> DeviceError:
         )
     if isinstance(error, ValueError):
         return DeviceError(f"cannot run at {baudrate} baud ({error}).", where=port, remedy="Choose another rate.")
-    return DeviceError(f"cannot be opened ({_short(error)}).", where=port, remedy=f"Known ports: {_known()}.")
+    return DeviceError(
+        f"cannot be opened ({_format_reason(error)}).", where=port, remedy=f"Known ports: {_list_ports()}."
+    )
 
 
-def _known() -> str:
+def _list_ports() -> str:
     from serial.tools import list_ports
 
     return ", ".join(sorted(found.device for found in list_ports.comports())) or "none is connected"
 
 
-def _holder(port: str) -> str:
+def _find_port_user(port: str) -> str:
     """Who has port open, as far as Linux lets us know."""
     found, device = [], os.path.realpath(port)
     for link in Path("/proc").glob("[0-9]*/fd/*"):
@@ -90,5 +92,5 @@ def _holder(port: str) -> str:
     return " and ".join(sorted(set(found))) or "it (another stream, a serial monitor, a modem manager)"
 
 
-def _short(error: Exception) -> str:
+def _format_reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from ..source import Samples, Source
 
 
-class Limited:
+class TruncatedSource:
     """The first frames of source. See Source."""
 
     def __init__(self, source: Source, frames: int) -> None:
-        self._source, self._left = source, frames
+        self._source, self._frames_left = source, frames
 
     @property
     def rate_hz(self) -> float:
@@ -21,6 +21,6 @@ class Limited:
 
     def read(self, frames: int) -> Samples:
         """See Source."""
-        found = self._source.read(min(frames, self._left))
-        self._left -= len(found)
+        found = self._source.read(min(frames, self._frames_left))
+        self._frames_left -= len(found)
         return found

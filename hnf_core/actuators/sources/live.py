@@ -12,31 +12,31 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from ...field.live.hand import STATE_S, HandEvent, LiveHand
+from ...field.live.hand import STATE_S, HandEvent, HandTracker
 from ...field.live.state import LiveState
 from ...field.live.synthesis import LiveSynthesis
 from ...field.stroke import LIMITS
-from ..report import Durations
+from ..report import DurationHistogram
 from ..source import Samples
 
 Float = NDArray[np.float64]
 
-LOST_S = 0.025
+MAX_CLOCK_ERROR_S = 0.025
 """Further off, the states' clock is set anew: the stream began, paused, or the machine stood still."""
-PULL = 0.05
+CLOCK_CORRECTION = 0.05
 """Share of what it is off that a state makes up for: device and computer never keep quite the same time."""
-CLOCK_LEAK = 1e-4
+CLOCK_DRIFT = 1e-4
 """How much slower the hand's clock may run than ours: seconds per second."""
-STALLED_S = 0.5
-WAITING_EVENTS = 4096
-SILENT_STATES = 12
+MAX_EVENT_DELAY_S = 0.5
+MAX_QUEUED_EVENTS = 4096
+RELEASE_STATES = 12
 """After which a synthesis that was lifted is silent."""
-LEAVING = 3
+MAX_RELEASING = 3
 """Materials that may still ring out at a time; of one more the oldest is cut short."""
 
 
 @dataclass(frozen=True)
-class Heard:
+class EventTiming:
     """From an event to its first sample. moved_s: when move() was called. frame: of this source, the first that the
     event changed."""
 
@@ -44,7 +44,7 @@ class Heard:
     frame: int
 
 
-class Live:
+class LiveSource:
     """See Source; never ends by itself. Events from one thread, read() from another.
 
     clock: seconds, any start. None: the hand was recorded; its own times count, 5 ms of them per state, and reading
@@ -55,22 +55,22 @@ class Live:
 
     def __init__(self, synthesis: LiveSynthesis, *, clock: Callable[[], float] | None = perf_counter) -> None:
         self.rate_hz = synthesis.rate_hz
-        self._synthesis, self._clock, self._hand = synthesis, clock, LiveHand()
+        self._synthesis, self._clock, self._hand = synthesis, clock, HandTracker()
         self._state: LiveState | None = None
-        self._from_m = 0.0
-        self._leaving: deque[Iterator[Float]] = deque(maxlen=LEAVING)
-        self._waiting: deque[tuple[float, HandEvent]] = deque(maxlen=WAITING_EVENTS if clock else None)
+        self._path_offset_m = 0.0
+        self._releasing: deque[Iterator[Float]] = deque(maxlen=MAX_RELEASING)
+        self._queued_events: deque[tuple[float, HandEvent]] = deque(maxlen=MAX_QUEUED_EVENTS if clock else None)
         self._lock = threading.Lock()
         self._offset: float | None = None
         self._time: float | None = None
         self._last: HandEvent | None = None
-        self._rest = np.zeros(0, dtype=np.float32)
-        self._made = self._given = 0
+        self._remaining_samples = np.zeros(0, dtype=np.float32)
+        self._frames_rendered = self._frames_read = 0
         self._ended = False
-        self._unheard: deque[Heard] = deque(maxlen=WAITING_EVENTS)
-        self._heard: deque[Heard] = deque(maxlen=WAITING_EVENTS)
-        self._wait = Durations()
-        self.refused = 0
+        self._pending_timings: deque[EventTiming] = deque(maxlen=MAX_QUEUED_EVENTS)
+        self._event_timings: deque[EventTiming] = deque(maxlen=MAX_QUEUED_EVENTS)
+        self._latencies = DurationHistogram()
+        self.rejected_events = 0
 
     def move(self, time_s: float, position_m: tuple[float, float], force_n: float, material: int = 0) -> None:
         """At time_s of its own clock the hand is there and presses so hard; 0 N = lifted.
@@ -84,23 +84,23 @@ class Live:
             and LIMITS["force [N]"][0] <= force_n <= LIMITS["force [N]"][1]
             and 0 <= material < self._synthesis.materials
         ):
-            self.refused += 1
+            self.rejected_events += 1
             return
-        self._tell(HandEvent(time_s, x, y, force_n, material))
+        self._queue_event(HandEvent(time_s, x, y, force_n, material))
 
     def lift(self, time_s: float | None = None) -> None:
         """The hand leaves. None: now, as far as its clock is known."""
         with self._lock:
             last = self._last
         if last is not None:
-            self._tell(replace(last, time_s=last.time_s if time_s is None else time_s, force_n=0.0))
+            self._queue_event(replace(last, time_s=last.time_s if time_s is None else time_s, force_n=0.0))
 
-    def touch(self, synthesis: LiveSynthesis) -> None:
+    def set_synthesis(self, synthesis: LiveSynthesis) -> None:
         """Other materials under the same hand: what was felt so far rings out as if lifted."""
         with self._lock:
             if self._state is not None:
-                self._leaving.append(_ringing_out(self._synthesis, self._state))
-                self._from_m += self._state.position
+                self._releasing.append(_render_release(self._synthesis, self._state))
+                self._path_offset_m += self._state.position
             self._synthesis, self._state = synthesis, None
 
     def end(self) -> None:
@@ -110,25 +110,25 @@ class Live:
     @property
     def latency_p99_ms(self) -> float:
         """From move() to the read() that gave away the first sample which it changed."""
-        return self._wait.percentile_ms(99.0)
+        return self._latencies.percentile_ms(99.0)
 
-    def heard(self) -> list[Heard]:
+    def pop_event_timings(self) -> list[EventTiming]:
         """Of the events since it was asked last, when their first sample was given away; the newest few thousand."""
         with self._lock:
-            found = list(self._heard)
-            self._heard.clear()
+            found = list(self._event_timings)
+            self._event_timings.clear()
         return found
 
     def read(self, frames: int) -> Samples:
         """See Source. The same events and seed give the same bytes, however it is cut."""
-        pieces, count = [self._rest], len(self._rest)
+        pieces, count = [self._remaining_samples], len(self._remaining_samples)
         while count < frames and not self._ended:
-            pieces.append(self._next())
+            pieces.append(self._render_state())
             count += len(pieces[-1])
         joined = np.concatenate(pieces)
-        self._rest = joined[frames:]
-        self._given += min(frames, len(joined))
-        self._note()
+        self._remaining_samples = joined[frames:]
+        self._frames_read += min(frames, len(joined))
+        self._record_latencies()
         return joined[:frames, None]
 
     def prepare(self) -> None:
@@ -137,62 +137,64 @@ class Live:
             synthesis = self._synthesis
         synthesis.prepare()
 
-    def _tell(self, event: HandEvent) -> None:
+    def _queue_event(self, event: HandEvent) -> None:
         now = event.time_s if self._clock is None else self._clock()
         with self._lock:
             self._last = event
-            self._waiting.append((now, replace(event, time_s=event.time_s + self._offset_of(event.time_s, now))))
+            self._queued_events.append(
+                (now, replace(event, time_s=event.time_s + self._update_clock_offset(event.time_s, now)))
+            )
 
-    def _offset_of(self, time_s: float, now: float) -> float:
+    def _update_clock_offset(self, time_s: float, now: float) -> float:
         """From the hand's clock to ours: as the promptest event said, since others were only kept waiting."""
         late = now - time_s
-        if self._offset is None or late > self._offset + STALLED_S:
+        if self._offset is None or late > self._offset + MAX_EVENT_DELAY_S:
             self._offset = late
         else:
-            self._offset = min(self._offset + CLOCK_LEAK * STATE_S, late)
+            self._offset = min(self._offset + CLOCK_DRIFT * STATE_S, late)
         return self._offset
 
-    def _next(self) -> Samples:
+    def _render_state(self) -> Samples:
         """The samples of one more state."""
         with self._lock:
-            time_s = self._tick()
-            while self._waiting and (self._clock is not None or self._waiting[0][1].time_s <= time_s):
-                moved_s, event = self._waiting.popleft()
-                self._hand.take(event)
-                self._unheard.append(Heard(moved_s, self._made))
-            synthesis, leaving = self._synthesis, tuple(self._leaving)
+            time_s = self._advance_clock()
+            while self._queued_events and (self._clock is not None or self._queued_events[0][1].time_s <= time_s):
+                moved_s, event = self._queued_events.popleft()
+                self._hand.push(event)
+                self._pending_timings.append(EventTiming(moved_s, self._frames_rendered))
+            synthesis, leaving = self._synthesis, tuple(self._releasing)
             # Each synthesis begins at s = 0, where its noise lies ready.
-            self._state = state = self._hand.state(time_s, self._from_m, synthesis.materials)
+            self._state = state = self._hand.state(time_s, self._path_offset_m, synthesis.materials)
         out = synthesis.step(state)
         for old in leaving:
             out = out + next(old, 0.0)
-        self._made += len(out)
+        self._frames_rendered += len(out)
         return out.astype(np.float32)
 
-    def _tick(self) -> float:
+    def _advance_clock(self) -> float:
         """Time of the next state, on our clock."""
         if self._clock is None:
-            first = self._waiting[0][1].time_s if self._waiting else 0.0
+            first = self._queued_events[0][1].time_s if self._queued_events else 0.0
             self._time = first if self._time is None else self._time + STATE_S
             return self._time
         now = self._clock()
         self._time = now if self._time is None else self._time + STATE_S
         off = now - self._time
-        self._time += off if abs(off) > LOST_S else PULL * off
+        self._time += off if abs(off) > MAX_CLOCK_ERROR_S else CLOCK_CORRECTION * off
         return self._time
 
-    def _note(self) -> None:
+    def _record_latencies(self) -> None:
         now = None if self._clock is None else self._clock()
-        while self._unheard and self._unheard[0].frame < self._given:
-            heard = self._unheard.popleft()
+        while self._pending_timings and self._pending_timings[0].frame < self._frames_read:
+            heard = self._pending_timings.popleft()
             if now is not None:
-                self._wait.note(now - heard.moved_s)
+                self._latencies.record(now - heard.moved_s)
             with self._lock:
-                self._heard.append(heard)
+                self._event_timings.append(heard)
 
 
-def _ringing_out(synthesis: LiveSynthesis, state: LiveState) -> Iterator[Float]:
+def _render_release(synthesis: LiveSynthesis, state: LiveState) -> Iterator[Float]:
     """State by state what is left to be heard after a lift."""
     lifted = replace(state, speed=0.0, force=0.0, contact=False)
-    for _ in range(SILENT_STATES):
+    for _ in range(RELEASE_STATES):
         yield synthesis.step(lifted)

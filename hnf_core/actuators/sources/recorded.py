@@ -10,23 +10,23 @@ from numpy.typing import ArrayLike, NDArray
 from ...errors import UsageError
 from ..source import Samples
 
-FADE_S = 0.01
+CROSSFADE_S = 0.01
 """Of a seek, a swap, a change of gain, and of the seam of a loop."""
 
 
-class Recorded:
+class BufferSource:
     """samples (n, channels) float32 m/s² at rate_hz. loop: from the end on to the start, for ever; start_s: where to
     begin. Every method may be called from any thread; of changes that come faster than they fade in, the latest
     counts. Raises UsageError where samples have another shape or rate_hz is no rate."""
 
     def __init__(self, samples: ArrayLike, rate_hz: float, *, loop: bool = False, start_s: float = 0.0) -> None:
-        given = _frames(samples)
+        given = _check_frames(samples)
         if not 0.0 < rate_hz < 1e9:
             raise UsageError(f"a recording does not have {rate_hz:g} frames a second.")
         self._rate = float(rate_hz)
-        self._fade = max(round(FADE_S * rate_hz), 1)
+        self._fade = max(round(CROSSFADE_S * rate_hz), 1)
         self._loop = loop
-        self._voice = _Voice(given, _place(start_s, self._rate, len(given)), self._fade)
+        self._voice = _Voice(given, _find_frame(start_s, self._rate, len(given)), self._fade)
         self._old: _Voice | None = None
         self._faded = 0
         self._equal_power = False
@@ -60,12 +60,12 @@ class Recorded:
         with each other."""
         with self._lock:
             samples = (self._pending[0] if self._pending else self._voice).samples
-            self._pending = (_Voice(samples, _place(position_s, self._rate, len(samples)), self._fade), True)
+            self._pending = (_Voice(samples, _find_frame(position_s, self._rate, len(samples)), self._fade), True)
 
     def swap(self, samples: ArrayLike) -> None:
         """Go on in samples, at the place where it is; cross-fades in a straight line, as they are mostly alike. Raises
         UsageError for another number of channels."""
-        given = _frames(samples)
+        given = _check_frames(samples)
         with self._lock:
             if given.shape[1] != self.channels:
                 raise UsageError(f"it has {given.shape[1]} channels and plays {self.channels}.")
@@ -90,30 +90,30 @@ class Recorded:
             left = frames
             while left > 0:
                 if self._old is None and self._pending is not None:
-                    self._change()
+                    self._start_crossfade()
                 count = left if self._old is None else min(left, self._fade - self._faded)
-                piece = self._mixed(count)
+                piece = self._render_crossfade(count)
                 pieces.append(piece)
                 left -= count
                 if len(piece) < count:
                     break
             if not pieces:
                 return np.zeros((0, self.channels), dtype=np.float32)
-            return self._with_gain(np.concatenate(pieces))
+            return self._apply_gain(np.concatenate(pieces))
 
-    def _change(self) -> None:
+    def _start_crossfade(self) -> None:
         assert self._pending is not None
         voice, self._equal_power = self._pending
         self._old, self._voice, self._pending, self._faded = self._voice, voice, None, 0
         if self._old.samples is not voice.samples and not self._equal_power:
             voice.at, voice.wrapped = self._old.at, self._old.wrapped  # it has gone on since the swap was asked for
 
-    def _mixed(self, frames: int) -> Samples:
+    def _render_crossfade(self, frames: int) -> Samples:
         new = self._voice.read(frames, self._loop)
         if self._old is None:
             return new
         # The new one may end within the fade: then the old one fades on over its last value.
-        old = self._old.read_held(frames, self._loop)
+        old = self._old.read_padded(frames, self._loop)
         self._faded += frames
         share = (np.arange(self._faded - frames + 1, self._faded + 1) / (self._fade + 1))[:, None]
         share = np.sin(0.5 * np.pi * share) if self._equal_power else share
@@ -123,7 +123,7 @@ class Recorded:
         mixed = new * share[: len(new)] + old[: len(new)] * back[: len(new)]
         return np.asarray(mixed, dtype=np.float32)
 
-    def _with_gain(self, samples: Samples) -> Samples:
+    def _apply_gain(self, samples: Samples) -> Samples:
         if self._gain_at >= self._fade and self._gain == 1.0:
             return samples
         steps = np.minimum(self._gain_at + np.arange(1, len(samples) + 1), self._fade) / self._fade
@@ -144,38 +144,38 @@ class _Voice:
     def read(self, frames: int, loop: bool) -> Samples:
         whole = len(self.samples)
         if not loop or whole == 0:
-            found = self._seamed(np.arange(self.at, min(self.at + frames, whole)), self.wrapped)
+            found = self._crossfade_seam(np.arange(self.at, min(self.at + frames, whole)), self.wrapped)
             self.at += len(found)
             return found
         places = self.at + np.arange(frames)
-        found = self._seamed(places % whole, (places >= whole) | self.wrapped)
+        found = self._crossfade_seam(places % whole, (places >= whole) | self.wrapped)
         self.wrapped |= bool(self.at + frames >= whole)
         self.at = (self.at + frames) % whole
         return found
 
-    def read_held(self, frames: int, loop: bool) -> Samples:
+    def read_padded(self, frames: int, loop: bool) -> Samples:
         """As read(), but its last value goes on where it has ended."""
         found = self.read(frames, loop)
         last = self.samples[-1:] if len(self.samples) else np.zeros((1, self.samples.shape[1]), np.float32)
         return np.concatenate([found, np.repeat(last, frames - len(found), axis=0)])
 
-    def _seamed(self, places: NDArray[np.intp], wrapped: bool | NDArray[np.bool_]) -> Samples:
+    def _crossfade_seam(self, frames: NDArray[np.intp], wrapped: bool | NDArray[np.bool_]) -> Samples:
         """After the seam the recording's last value fades out beneath its first ones: no jump, and the period stays."""
-        found = self.samples[places]
-        near = (places < self._fade) & wrapped
+        found = self.samples[frames]
+        near = (frames < self._fade) & wrapped
         if near.any():
-            share = ((places[near] + 1) / (self._fade + 1))[:, None]
+            share = ((frames[near] + 1) / (self._fade + 1))[:, None]
             found[near] = found[near] * share + self.samples[-1] * (1.0 - share)
         return found
 
 
-def _frames(samples: ArrayLike) -> Samples:
+def _check_frames(samples: ArrayLike) -> Samples:
     given = np.asarray(samples, dtype=np.float32)
     if given.ndim != 2 or given.shape[1] < 1:
         raise UsageError(f"a recording is (frames, channels), this one is {given.shape}.")
     return given
 
 
-def _place(position_s: float, rate_hz: float, frames: int) -> int:
+def _find_frame(position_s: float, rate_hz: float, frames: int) -> int:
     """The frame nearest to position_s; the start where it is no number."""
     return round(min(max(position_s * rate_hz, 0.0), frames)) if np.isfinite(position_s) else 0

@@ -11,7 +11,7 @@ from functools import singledispatchmethod
 
 import numpy as np
 
-from ..limits import COUNTS
+from ..limits import FULL_SCALE_COUNTS
 from ..protocol.frames import Decoder, Encoder
 from ..protocol.messages import (
     FROM_HOST,
@@ -19,9 +19,9 @@ from ..protocol.messages import (
     VERSION,
     Bye,
     Caps,
-    Code,
     Credit,
     Error,
+    ErrorCode,
     FromDevice,
     FromHost,
     Hello,
@@ -34,31 +34,31 @@ from ..protocol.messages import (
     Stop,
 )
 from ..sink import Counts
-from .playout import QUEUE_MS, Command, Format, Phase, Playout
-from .transducer import GENERIC_TRANSDUCER, Transducer, drive_of, warmed
+from .playout import QUEUE_MS, Playout, PlayoutCommand, PlayoutFormat, PlayoutPhase
+from .transducer import GENERIC_TRANSDUCER, Transducer, compute_temperature_after, counts_to_drive
 
 CREDIT_HZ = 1000
 STATUS_HZ = 10
 ERROR_HZ = 10
 """How often the same ERROR is told at most."""
 
-QUIET_S = 0.02
+FRAME_TIMEOUT_S = 0.02
 """Without a byte, and a frame that was begun is given up."""
 
-Heard = Callable[[int, float, Counts], None]
+OutputCallback = Callable[[int, float, Counts], None]
 
 
 @dataclass(frozen=True)
-class Abilities:
+class Capabilities:
     """What CAPS tells. version: that it speaks. hot_c: temperature at which it falls silent."""
 
     name: str = "virtual actuator"
     channels: int = 16
     lowest_hz: int = 1000
     highest_hz: int = 48_000
-    peak: int = COUNTS
+    peak: int = FULL_SCALE_COUNTS
     version: int = VERSION
-    hot_c: float = 120.0
+    shutdown_c: float = 120.0
 
 
 class VirtualDevice:
@@ -70,33 +70,33 @@ class VirtualDevice:
 
     def __init__(
         self,
-        abilities: Abilities | None = None,
+        capabilities: Capabilities | None = None,
         transducer: Transducer = GENERIC_TRANSDUCER,
-        heard: Heard = lambda clock, rate_hz, counts: None,
+        on_output: OutputCallback = lambda clock, rate_hz, counts: None,
     ) -> None:
         """heard: gets every piece that is no silence: the clock at its first frame, the rate, (n, channels) counts."""
-        self.abilities, self.transducer = abilities or Abilities(), transducer
-        self.clock, self.sounded, self.sampled, self.rate_hz = 0, 0, 0, 8000
-        self._heard = heard
-        self._decoder, self._encoder, self._answer = Decoder(FROM_HOST), Encoder(), bytearray()
-        self._mode, self._after = State.IDLE, State.IDLE
-        self._playout = Playout(Format(1, 1, COUNTS, COUNTS, 1))
-        self._playout.command = Command.OFF
-        self._warm, self._squares, self._since = np.full(1, transducer.ambient_c), np.zeros(1), 0
+        self.capabilities, self.transducer = capabilities or Capabilities(), transducer
+        self.clock, self.last_sound_clock, self.last_samples_clock, self.rate_hz = 0, 0, 0, 8000
+        self._on_output = on_output
+        self._decoder, self._encoder, self._outgoing = Decoder(FROM_HOST), Encoder(), bytearray()
+        self._mode, self._next_state = State.IDLE, State.IDLE
+        self._playout = Playout(PlayoutFormat(1, 1, FULL_SCALE_COUNTS, FULL_SCALE_COUNTS, 1))
+        self._playout.command = PlayoutCommand.OFF
+        self._temperature_c, self._squares, self._temperature_clock = np.full(1, transducer.ambient_c), np.zeros(1), 0
         self._session = self._position = self._lost = self._crc_before = 0
-        self._known = False  # whether the session is of a stream since the last HELLO
+        self._has_session = False  # whether the session is of a stream since the last HELLO
         self._last = np.zeros(1, dtype=np.int16)
-        self._credited = self._told = self._fed = 0
-        self._told_state, self._status_due = State.IDLE, False
-        self._errors: dict[Code, int] = {}
+        self._credit_clock = self._status_clock = self._receive_clock = 0
+        self._reported_state, self._status_due = State.IDLE, False
+        self._errors: dict[ErrorCode, int] = {}
 
     @property
     def state(self) -> State:
         if self._mode is not State.PLAYING:
             return self._mode
-        if self._playout.command is not Command.RUN:
+        if self._playout.command is not PlayoutCommand.RUN:
             return State.STOPPING
-        return State.PLAYING if self._playout.phase is Phase.SOUNDING else State.WAITING
+        return State.PLAYING if self._playout.phase is PlayoutPhase.SOUNDING else State.WAITING
 
     @property
     def played(self) -> int:
@@ -106,7 +106,7 @@ class VirtualDevice:
     @property
     def temperature_c(self) -> float:
         """Of the warmest coil."""
-        return float(self._warm.max())
+        return float(self._temperature_c.max())
 
     @property
     def status(self) -> Status:
@@ -118,19 +118,19 @@ class VirtualDevice:
     def receive(self, data: bytes) -> None:
         """Bytes of the host, as they come."""
         if data:
-            self._fed = self.clock
+            self._receive_clock = self.clock
         for message in self._decoder.feed(data):
-            self._obey(message)
+            self._handle(message)
 
-    def take(self) -> bytes:
+    def poll_output(self) -> bytes:
         """What it has said since the last time."""
-        said, self._answer = bytes(self._answer), bytearray()
+        said, self._outgoing = bytes(self._outgoing), bytearray()
         return said
 
-    def unplugged(self) -> None:
+    def disconnect(self) -> None:
         """The cable is out, or the port was closed, as far as a device can notice that."""
         if self._mode is not State.FAULT:
-            self._stop(Command.DROP, State.IDLE)
+            self._stop(PlayoutCommand.DROP, State.IDLE)
 
     def advance(self, frames: int) -> Counts:
         """(frames, channels): the next that sound; what is due is said meanwhile."""
@@ -139,188 +139,192 @@ class VirtualDevice:
         while frames > 0:
             count = min(frames, most)
             frames -= count
-            pieces.append(self._sound(count))
-            self._poll()
+            pieces.append(self._render(count))
+            self._update_state()
         return np.concatenate(pieces)
 
-    def _sound(self, frames: int) -> Counts:
+    def _render(self, frames: int) -> Counts:
         counts = self._playout.advance(frames)
         if counts.any():
-            self.sounded = self.clock + int(np.flatnonzero(counts.any(axis=1))[-1]) + 1
-            self._squares += np.square(drive_of(counts)).sum(axis=0)
-            self._heard(self.clock, self.rate_hz, counts)
+            self.last_sound_clock = self.clock + int(np.flatnonzero(counts.any(axis=1))[-1]) + 1
+            self._squares += np.square(counts_to_drive(counts)).sum(axis=0)
+            self._on_output(self.clock, self.rate_hz, counts)
         self.clock += frames
         return counts
 
-    def _warm_up(self) -> None:
+    def _update_temperature(self) -> None:
         """Coils are slow: the mean of what has sounded since the last time is enough."""
-        frames = self.clock - self._since
+        frames = self.clock - self._temperature_clock
         if frames:
             seconds, mean = frames / self.rate_hz, self._squares / frames
-            self._warm = warmed(self.transducer, np.sqrt(mean), seconds, self._warm)
-        self._since, self._squares = self.clock, np.zeros_like(self._warm)
+            self._temperature_c = compute_temperature_after(
+                self.transducer, np.sqrt(mean), seconds, self._temperature_c
+            )
+        self._temperature_clock, self._squares = self.clock, np.zeros_like(self._temperature_c)
 
-    def _poll(self) -> None:
+    def _update_state(self) -> None:
         out = self._playout
-        if self.clock - self._fed > QUIET_S * self.rate_hz:
-            for message in self._decoder.idle():
+        if self.clock - self._receive_clock > FRAME_TIMEOUT_S * self.rate_hz:
+            for message in self._decoder.flush():
                 # Held back behind a damaged length: too old to be played, and not too old to stop.
                 if not isinstance(message, Samples):
-                    self._obey(message)
-        if self.clock - self._since >= self.rate_hz // STATUS_HZ:
-            self._warm_up()
-        if self.temperature_c >= self.abilities.hot_c and self._mode is State.PLAYING:
-            self._complain(Code.HOT, "Too hot: let it cool.")
-            self._stop(Command.DROP, State.FAULT)
+                    self._handle(message)
+        if self.clock - self._temperature_clock >= self.rate_hz // STATUS_HZ:
+            self._update_temperature()
+        if self.temperature_c >= self.capabilities.shutdown_c and self._mode is State.PLAYING:
+            self._send_error(ErrorCode.HOT, "Too hot: let it cool.")
+            self._stop(PlayoutCommand.DROP, State.FAULT)
         if self._mode is State.PLAYING:
-            if out.command is not Command.RUN and out.phase is Phase.QUIET and not out.fill:
-                out.command, self._mode = Command.OFF, self._after
-                self._credit()
-            elif self.clock - self._credited >= self.rate_hz // CREDIT_HZ:
-                self._credit()
-            self._status_due |= self.clock - self._told >= self.rate_hz // STATUS_HZ
-        if self._status_due or self.state is not self._told_state:
-            self._told, self._told_state, self._status_due = self.clock, self.state, False
-            self._say(self.status)
+            if out.command is not PlayoutCommand.RUN and out.phase is PlayoutPhase.QUIET and not out.fill:
+                out.command, self._mode = PlayoutCommand.OFF, self._next_state
+                self._send_credit()
+            elif self.clock - self._credit_clock >= self.rate_hz // CREDIT_HZ:
+                self._send_credit()
+            self._status_due |= self.clock - self._status_clock >= self.rate_hz // STATUS_HZ
+        if self._status_due or self.state is not self._reported_state:
+            self._status_clock, self._reported_state, self._status_due = self.clock, self.state, False
+            self._send(self.status)
 
-    def _say(self, message: FromDevice) -> None:
-        self._answer += self._encoder.encode(message)
+    def _send(self, message: FromDevice) -> None:
+        self._outgoing += self._encoder.encode(message)
 
-    def _credit(self) -> None:
-        self._credited, out = self.clock, self._playout
-        self._say(Credit(self._session, out.played & 0xFFFFFFFF, out.form.queue, out.free, self.state))
+    def _send_credit(self) -> None:
+        self._credit_clock, out = self.clock, self._playout
+        self._send(Credit(self._session, out.played & 0xFFFFFFFF, out.form.queue, out.free, self.state))
 
-    def _complain(self, code: Code, text: str) -> None:
+    def _send_error(self, code: ErrorCode, text: str) -> None:
         told = self._errors.get(code)
         if told is None or self.clock - told >= self.rate_hz // ERROR_HZ:
             self._errors[code] = self.clock
-            self._say(Error(code, text))
+            self._send(Error(code, text))
 
-    def _stop(self, command: Command, after: State) -> None:
+    def _stop(self, command: PlayoutCommand, next_state: State) -> None:
         """Towards silence; mode `after` once it is reached."""
         if self._mode is not State.PLAYING:
-            self._mode = after
+            self._mode = next_state
             return
         # FAULT outranks IDLE, and that READY.
-        if self._playout.command is Command.RUN or after is State.FAULT or self._after is State.READY:
-            self._after = after
-        if self._playout.command is not Command.DROP:
+        if self._playout.command is PlayoutCommand.RUN or next_state is State.FAULT or self._next_state is State.READY:
+            self._next_state = next_state
+        if self._playout.command is not PlayoutCommand.DROP:
             self._playout.command = command
 
     @singledispatchmethod
-    def _obey(self, message: FromHost) -> None:
+    def _handle(self, message: FromHost) -> None:
         raise TypeError(f"a host does not send {message}")
 
-    @_obey.register
+    @_handle.register
     def _(self, hello: Hello) -> None:
-        version = self.abilities.version
-        if self._playout.phase is not Phase.QUIET:
-            self._complain(Code.BUSY, "Somebody is playing: stop that first.")
+        version = self.capabilities.version
+        if self._playout.phase is not PlayoutPhase.QUIET:
+            self._send_error(ErrorCode.BUSY, "Somebody is playing: stop that first.")
             return
         if not hello.lowest <= version <= hello.highest:
-            self._complain(Code.VERSION, f"I speak version {version} only: use a host program of that version.")
+            self._send_error(ErrorCode.VERSION, f"I speak version {version} only: use a host program of that version.")
             return
-        out, can = self._playout, self.abilities
-        out.command, self._mode, self._known = Command.OFF, State.READY, False
+        out, can = self._playout, self.capabilities
+        out.command, self._mode, self._has_session = PlayoutCommand.OFF, State.READY, False
         self._crc_before, self._lost = self._decoder.crc_errors, 0
         out.underruns = out.limited = 0
         self._errors.clear()
-        queue, bits = queue_of(can.highest_hz), 16
+        queue, bits = compute_queue_frames(can.highest_hz), 16
         caps = Caps(
             version, can.channels, bits, can.lowest_hz, can.highest_hz, queue, can.peak, LARGEST_PAYLOAD, can.name
         )
-        self._say(caps)
+        self._send(caps)
         self._status_due = True
 
-    @_obey.register
+    @_handle.register
     def _(self, start: Start) -> None:
-        refusal = self._refusal(start)
+        refusal = self._find_start_error(start)
         if refusal is not None:
-            self._complain(*refusal)
+            self._send_error(*refusal)
             return
-        queue = queue_of(start.rate_hz)
-        before, form = self._playout, Format.of(start, min(start.queue or queue, queue))
+        queue = compute_queue_frames(start.rate_hz)
+        before, form = self._playout, PlayoutFormat.from_start(start, min(start.queue or queue, queue))
         self._playout = Playout(form)
         self._playout.underruns, self._playout.limited = before.underruns, before.limited
-        self._warm_up()
-        if len(self._warm) != start.channels:
-            self._warm = np.full(start.channels, self.temperature_c)
+        self._update_temperature()
+        if len(self._temperature_c) != start.channels:
+            self._temperature_c = np.full(start.channels, self.temperature_c)
         self._squares = np.zeros(start.channels)
         self._last = np.zeros(start.channels, dtype=np.int16)
         self._session, self._position, self.rate_hz = start.session, 0, start.rate_hz
-        self._mode, self._known = State.PLAYING, True
-        self._credit()
+        self._mode, self._has_session = State.PLAYING, True
+        self._send_credit()
         self._status_due = True
 
-    def _refusal(self, start: Start) -> tuple[Code, str] | None:
+    def _find_start_error(self, start: Start) -> tuple[ErrorCode, str] | None:
         """Why START cannot be obeyed."""
-        can, form = self.abilities, Format.of(start, 1)
-        if self._playout.phase is not Phase.QUIET:
-            return Code.BUSY, "Stop first."
+        can, form = self.capabilities, PlayoutFormat.from_start(start, 1)
+        if self._playout.phase is not PlayoutPhase.QUIET:
+            return ErrorCode.BUSY, "Stop first."
         if self._mode in (State.IDLE, State.FAULT):
-            return Code.STATE, "Say HELLO first."
-        if self.temperature_c >= can.hot_c:
-            return Code.HOT, "Too hot: let it cool."
+            return ErrorCode.STATE, "Say HELLO first."
+        if self.temperature_c >= can.shutdown_c:
+            return ErrorCode.HOT, "Too hot: let it cool."
         if not can.lowest_hz <= start.rate_hz <= can.highest_hz:
-            return Code.RATE, "No such rate here: see CAPS."
+            return ErrorCode.RATE, "No such rate here: see CAPS."
         if not 1 <= start.channels <= can.channels:
-            return Code.CHANNELS, "Not so many channels here: see CAPS."
+            return ErrorCode.CHANNELS, "Not so many channels here: see CAPS."
         if not 1 <= start.peak <= can.peak:
-            return Code.LIMITS, "The peak is 0 or above that of CAPS."
+            return ErrorCode.LIMITS, "The peak is 0 or above that of CAPS."
         if form.step > start.slew:
-            return Code.LIMITS, "With so small a slew silence would take more than 4 ms."
-        return None if start.flags == 0 else (Code.MALFORMED, "Flags are 0 in version 1.")
+            return ErrorCode.LIMITS, "With so small a slew silence would take more than 4 ms."
+        return None if start.flags == 0 else (ErrorCode.MALFORMED, "Flags are 0 in version 1.")
 
-    @_obey.register
+    @_handle.register
     def _(self, samples: Samples) -> None:
         out = self._playout
-        if not self._known or samples.session != self._session:
-            self._complain(Code.SESSION, "These samples belong to no stream of mine: another program has the port.")
+        if not self._has_session or samples.session != self._session:
+            self._send_error(
+                ErrorCode.SESSION, "These samples belong to no stream of mine: another program has the port."
+            )
             return
-        if self._mode is not State.PLAYING or out.command is not Command.RUN:
+        if self._mode is not State.PLAYING or out.command is not PlayoutCommand.RUN:
             return
         if len(samples.data) % (2 * out.form.channels):
-            self._complain(Code.MALFORMED, "Half a frame.")
+            self._send_error(ErrorCode.MALFORMED, "Half a frame.")
             return
         counts = samples.counts(out.form.channels)
         gap = (samples.position - self._position) & 0xFFFFFFFF
         if gap >= 0x80000000:
             return
         if gap + len(counts) > out.free:
-            self._complain(Code.OVERRUN, "More than the credit allows: these samples are dropped.")
+            self._send_error(ErrorCode.OVERRUN, "More than the credit allows: these samples are dropped.")
             return
         ahead = counts[0] if len(counts) else np.zeros_like(self._last)
-        whole = np.concatenate([bridge(self._last, ahead, gap), counts])
+        whole = np.concatenate([interpolate_gap(self._last, ahead, gap), counts])
         if len(whole):
-            self.sampled = self.clock
+            self.last_samples_clock = self.clock
             out.push(whole)
             self._last = whole[-1]
         self._lost += gap
         self._position = (self._position + len(whole)) & 0xFFFFFFFF
 
-    @_obey.register
+    @_handle.register
     def _(self, stop: Stop) -> None:
         if self._mode is State.PLAYING:
-            self._stop(Command.DRAIN if stop.drain else Command.DROP, State.READY)
+            self._stop(PlayoutCommand.DRAIN if stop.drain else PlayoutCommand.DROP, State.READY)
         elif self._mode is State.READY:
-            self._credit()
+            self._send_credit()
 
-    @_obey.register
+    @_handle.register
     def _(self, ping: Ping) -> None:
-        self._say(Pong(ping.token))
+        self._send(Pong(ping.token))
         self._status_due = True
 
-    @_obey.register
+    @_handle.register
     def _(self, bye: Bye) -> None:
-        self.unplugged()
+        self.disconnect()
 
 
-def queue_of(rate_hz: int) -> int:
+def compute_queue_frames(rate_hz: int) -> int:
     """Frames that are owed at most."""
     return rate_hz * QUEUE_MS // 1000
 
 
-def bridge(before: Counts, after: Counts, gap: int) -> Counts:
+def interpolate_gap(before: Counts, after: Counts, gap: int) -> Counts:
     """before, after: (channels,). gap lost frames between them, as a straight line: (gap, channels)."""
     product = (after.astype(np.int64) - before) * np.arange(1, gap + 1)[:, None]
     found: Counts = (before + np.sign(product) * (np.abs(product) // (gap + 1))).astype(np.int16)

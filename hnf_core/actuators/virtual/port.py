@@ -12,30 +12,30 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ...errors import DeviceError
-from ..urgency import ask
-from .device import Abilities, VirtualDevice
+from ..urgency import request_realtime_priority
+from .device import Capabilities, VirtualDevice
 from .recording import Recording
 from .transducer import GENERIC_TRANSDUCER, Transducer
 
 TICK_S = 0.001
-LATE_S = 0.005
+MAX_CATCH_UP_S = 0.005
 """Most that is played at once. A thread that comes later has been kept waiting by the machine, which no device is: it
 catches up in steps between which the host can feed it."""
 
-LOST_S = 0.5
+MAX_LAG_S = 0.5
 """What it cannot catch up: its clock has stood still, and that is counted."""
 
 READ_BYTES = 65_536
-HELD_BYTES = 4096
+MAX_PENDING_BYTES = 4096
 """That wait for a host that does not read; more is lost, as on any wire."""
 
-_PREFIX = "hnf-virtual-"
+_FOLDER_PREFIX = "hnf-virtual-"
 """Of the folder that a port lies in; then follows whose it is."""
 
-Wire = Callable[[bytes], bytes]
+WireFilter = Callable[[bytes], bytes]
 
 
-def _as_it_is(data: bytes) -> bytes:
+def _pass_through(data: bytes) -> bytes:
     return data
 
 
@@ -49,7 +49,11 @@ class VirtualPort:
     """
 
     def __init__(
-        self, abilities: Abilities | None = None, transducer: Transducer = GENERIC_TRANSDUCER, *, speed: float = 1.0
+        self,
+        capabilities: Capabilities | None = None,
+        transducer: Transducer = GENERIC_TRANSDUCER,
+        *,
+        speed: float = 1.0,
     ) -> None:
         """Raises DeviceError where the system has no ptys (Windows), or none to give."""
         try:
@@ -62,17 +66,17 @@ class VirtualPort:
             ) from error
         self._open_pty, self._set_raw = pty.openpty, tty.setraw
         self.recording = Recording(transducer)
-        self.device = VirtualDevice(abilities, transducer, self.recording.hear)
-        self.speed, self.deaf, self.slipped = speed, False, 0
+        self.device = VirtualDevice(capabilities, transducer, self.recording.record)
+        self.speed, self.ignores_host, self.skipped_frames = speed, False, 0
         self.baud: int | None = None
-        self.from_host: Wire = _as_it_is
-        self.to_host: Wire = _as_it_is
+        self.from_host: WireFilter = _pass_through
+        self.to_host: WireFilter = _pass_through
         _remove_abandoned()
-        self._folder = tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-")
+        self._folder = tempfile.TemporaryDirectory(prefix=f"{_FOLDER_PREFIX}{os.getpid()}-")
         self.path = str(Path(self._folder.name) / "port")
         self._lock = threading.RLock()
-        self._ends: tuple[int, int] | None = None
-        self._held, self._budget = b"", 0.0
+        self._descriptors: tuple[int, int] | None = None
+        self._pending, self._budget = b"", 0.0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hnf virtual device", daemon=True)
         try:
@@ -91,7 +95,7 @@ class VirtualPort:
     def plug(self) -> None:
         """Put the plug in; harmless where it is. Raises DeviceError where there is no pty to be had."""
         with self._lock:
-            if self._ends is not None:
+            if self._descriptors is not None:
                 return
             try:
                 ours, theirs = self._open_pty()
@@ -104,7 +108,7 @@ class VirtualPort:
             self._set_raw(ours)
             self._set_raw(theirs)
             os.set_blocking(ours, False)
-            self._ends, self._held = (ours, theirs), b""
+            self._descriptors, self._pending = (ours, theirs), b""
             link = Path(self.path)
             link.unlink(missing_ok=True)
             link.symlink_to(os.ttyname(theirs))
@@ -122,46 +126,46 @@ class VirtualPort:
         self._folder.cleanup()
 
     @contextmanager
-    def standing(self) -> Iterator[VirtualDevice]:
+    def freeze_clock(self) -> Iterator[VirtualDevice]:
         """The device, its sample clock standing still: what is done meanwhile happens at one of its frames."""
         with self._lock:
             yield self.device
 
     def _unplug(self) -> None:
-        ends, self._ends = self._ends, None
+        ends, self._descriptors = self._descriptors, None
         Path(self.path).unlink(missing_ok=True)
         for end in ends or ():
             with suppress(OSError):
                 os.close(end)
 
     def _run(self) -> None:
-        ask()  # a device's clock waits for no other program
+        request_realtime_priority()  # a device's clock waits for no other program
         debt, last = 0.0, time.monotonic()
         while not self._closing.is_set():
             time.sleep(TICK_S)
             with self._lock:
                 now = time.monotonic()
                 debt += (now - last) * self.device.rate_hz * self.speed
-                last, lost = now, debt - LOST_S * self.device.rate_hz
+                last, lost = now, debt - MAX_LAG_S * self.device.rate_hz
                 if lost > 0.0:
-                    self.slipped += int(lost)
+                    self.skipped_frames += int(lost)
                     debt -= lost
-                due = min(int(debt), int(LATE_S * self.device.rate_hz))
+                due = min(int(debt), int(MAX_CATCH_UP_S * self.device.rate_hz))
                 debt -= due
-                self._listen(due / self.device.rate_hz)
+                self._receive(due / self.device.rate_hz)
                 self.device.advance(due)
-                self._speak()
+                self._transmit()
 
-    def _listen(self, seconds: float) -> None:
+    def _receive(self, seconds: float) -> None:
         """To what a line with its baud carries in seconds."""
-        if self._ends is None or self.deaf:
+        if self._descriptors is None or self.ignores_host:
             return
         most = READ_BYTES
         if self.baud is not None:
-            self._budget = min(self._budget + seconds * self.baud / 10.0, 2.0 * LATE_S * self.baud / 10.0)
+            self._budget = min(self._budget + seconds * self.baud / 10.0, 2.0 * MAX_CATCH_UP_S * self.baud / 10.0)
             most = int(self._budget)
         try:
-            data = os.read(self._ends[0], most) if most else b""
+            data = os.read(self._descriptors[0], most) if most else b""
         except BlockingIOError:
             data = b""
         except OSError:
@@ -169,24 +173,24 @@ class VirtualPort:
         self._budget -= len(data)
         self.device.receive(self.from_host(data))
 
-    def _speak(self) -> None:
-        said = self._held + self.to_host(self.device.take())
-        if self._ends is None or not said:
-            self._held = b""
+    def _transmit(self) -> None:
+        said = self._pending + self.to_host(self.device.poll_output())
+        if self._descriptors is None or not said:
+            self._pending = b""
             return
         try:
-            said = said[os.write(self._ends[0], said) :]
+            said = said[os.write(self._descriptors[0], said) :]
         except BlockingIOError:
             pass
         except OSError:
             said = b""
-        self._held = said if len(said) <= HELD_BYTES else b""
+        self._pending = said if len(said) <= MAX_PENDING_BYTES else b""
 
 
 def _remove_abandoned() -> None:
     """Folders of processes that were killed: they could not do it themselves."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
-        owner = folder.name.removeprefix(_PREFIX).partition("-")[0]
+    for folder in Path(tempfile.gettempdir()).glob(f"{_FOLDER_PREFIX}*-*"):
+        owner = folder.name.removeprefix(_FOLDER_PREFIX).partition("-")[0]
         if owner.isdecimal() and not _is_alive(int(owner)):
             shutil.rmtree(folder, ignore_errors=True)
 

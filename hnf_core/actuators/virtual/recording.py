@@ -8,23 +8,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..sink import Counts
-from .transducer import GENERIC_TRANSDUCER, Motion, Transducer, drive_of, move
+from .transducer import GENERIC_TRANSDUCER, Motion, Transducer, counts_to_drive, simulate_motion
 
-PIECE = 16_384
+CHUNK_FRAMES = 16_384
 """Frames of memory that are taken at once: few and large, for an hour of small pieces would wear out Python."""
 
 
 @dataclass
-class _Piece:
+class _Chunk:
     """What sounded without a gap from the clock at its first frame on; filled frames of room are used."""
 
     clock: int
-    room: Counts
+    buffer: Counts
     filled: int = 0
 
     @property
     def counts(self) -> Counts:
-        return self.room[: self.filled]
+        return self.buffer[: self.filled]
 
 
 @dataclass
@@ -33,31 +33,31 @@ class Recording:
 
     transducer: Transducer = GENERIC_TRANSDUCER
     rate_hz: float = 0.0
-    _pieces: list[_Piece] = field(default_factory=list)
+    _chunks: list[_Chunk] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def hear(self, clock: int, rate_hz: float, counts: Counts) -> None:
+    def record(self, clock: int, rate_hz: float, counts: Counts) -> None:
         """As VirtualDevice tells it. What was played at another rate or on other channels before is forgotten."""
         with self._lock:
-            if self._pieces and (rate_hz != self.rate_hz or counts.shape[1] != self._pieces[0].room.shape[1]):
-                self._pieces.clear()
+            if self._chunks and (rate_hz != self.rate_hz or counts.shape[1] != self._chunks[0].buffer.shape[1]):
+                self._chunks.clear()
             self.rate_hz = rate_hz
-            last = self._pieces[-1] if self._pieces else None
-            if last is None or clock != last.clock + last.filled or last.filled + len(counts) > len(last.room):
-                last = _Piece(clock, np.zeros((max(PIECE, len(counts)), counts.shape[1]), dtype=np.int16))
-                self._pieces.append(last)
-            last.room[last.filled : last.filled + len(counts)] = counts
+            last = self._chunks[-1] if self._chunks else None
+            if last is None or clock != last.clock + last.filled or last.filled + len(counts) > len(last.buffer):
+                last = _Chunk(clock, np.zeros((max(CHUNK_FRAMES, len(counts)), counts.shape[1]), dtype=np.int16))
+                self._chunks.append(last)
+            last.buffer[last.filled : last.filled + len(counts)] = counts
             last.filled += len(counts)
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         with self._lock:
-            self._pieces.clear()
+            self._chunks.clear()
 
     @property
     def counts(self) -> Counts:
         """(n, channels): from the first frame that was no silence to the last, with the silence between them."""
         with self._lock:
-            pieces = [(piece.clock, piece.counts.copy()) for piece in self._pieces]
+            pieces = [(piece.clock, piece.counts.copy()) for piece in self._chunks]
         if not pieces:
             return np.zeros((0, 1), dtype=np.int16)
         first = pieces[0][0]
@@ -71,4 +71,4 @@ class Recording:
     @property
     def motion(self) -> Motion:
         """Of the transducer that was at rest and cool: acceleration in m/s², temperature in °C."""
-        return move(self.transducer, drive_of(self.counts), self.rate_hz or 1.0)
+        return simulate_motion(self.transducer, counts_to_drive(self.counts), self.rate_hz or 1.0)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 import time
 
-from ..limits import COUNTS
+from ..limits import FULL_SCALE_COUNTS
 from ..protocol.messages import State
 from ..sink import SinkFormat
 from ..sinks.serial import SerialSink
-from .device import Abilities
+from .device import Capabilities
 from .port import VirtualPort
 from .recording import Recording
 from .transducer import GENERIC_TRANSDUCER, Transducer
 
-REST_S = 0.1
+REST_TIMEOUT_S = 0.1
 
 
 class VirtualSink(SerialSink):
@@ -26,21 +26,21 @@ class VirtualSink(SerialSink):
         rate_hz: int | None = None,
         channels: int = 1,
         *,
-        abilities: Abilities | None = None,
+        capabilities: Capabilities | None = None,
         transducer: Transducer = GENERIC_TRANSDUCER,
-        peak: int = COUNTS,
+        peak: int = FULL_SCALE_COUNTS,
         slew_per_s: float = math.inf,
     ) -> None:
         """As SerialSink; abilities and transducer: of the device."""
         super().__init__("virtual", rate_hz=rate_hz, channels=channels, peak=peak, slew_per_s=slew_per_s)
-        self._abilities, self._transducer = abilities, transducer
+        self._capabilities, self._transducer = capabilities, transducer
         self._device: VirtualPort | None = None
         self.recording = Recording(transducer)
 
     def open(self) -> SinkFormat:
         """See Sink. Raises DeviceError also where the system has no ptys."""
         self.close()
-        self._device = VirtualPort(self._abilities, self._transducer)
+        self._device = VirtualPort(self._capabilities, self._transducer)
         self._port, self.recording = self._device.path, self._device.recording
         return self._connect()
 
@@ -50,7 +50,7 @@ class VirtualSink(SerialSink):
         port, self._device = self._device, None
         if port is None:
             return
-        give_up = time.monotonic() + REST_S
+        give_up = time.monotonic() + REST_TIMEOUT_S
         while port.device.state is not State.IDLE and time.monotonic() < give_up:
             time.sleep(0.001)
         port.close()

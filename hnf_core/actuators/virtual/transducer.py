@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import UsageError
-from ..limits import COUNTS
-from .recursion import Floats, Recursion
+from ..limits import FULL_SCALE_COUNTS
+from .recursion import Floats, StateSpace
 
 
 @dataclass(frozen=True)
@@ -51,19 +51,19 @@ class Transducer:
     def resonance_hz(self) -> float:
         return math.sqrt(self.stiffness_n_m / self.mass_kg) / (2.0 * math.pi)
 
-    def force(self, drive: Floats) -> Floats:
+    def compute_force(self, drive: Floats) -> Floats:
         """drive: share of full scale. In newtons: proportional while small, never beyond saturation_n."""
         wanted = self.force_n_a * self.current_a * drive
         found: Floats = self.saturation_n * np.tanh(wanted / self.saturation_n)
         return found
 
-    def power(self, drive: Floats) -> Floats:
+    def compute_power(self, drive: Floats) -> Floats:
         """Watts that warm the coil."""
         found: Floats = self.resistance_ohm * np.square(self.current_a * drive)
         return found
 
 
-PIECE = 1024
+CHUNK_SAMPLES = 1024
 """Samples that are taken at once as long as no stop is met."""
 
 GENERIC_TRANSDUCER = Transducer()
@@ -71,7 +71,7 @@ GENERIC_TRANSDUCER = Transducer()
 
 
 @dataclass(frozen=True)
-class State:
+class TransducerState:
     """(C,) each. position: m. velocity: m/s. temperature: °C."""
 
     position: Floats
@@ -79,9 +79,9 @@ class State:
     temperature: Floats
 
 
-def at_rest(transducer: Transducer, channels: int) -> State:
+def make_rest_state(transducer: Transducer, channels: int) -> TransducerState:
     zero = np.zeros(channels)
-    return State(zero, zero, np.full(channels, transducer.ambient_c))
+    return TransducerState(zero, zero, np.full(channels, transducer.ambient_c))
 
 
 @dataclass(frozen=True)
@@ -92,71 +92,78 @@ class Motion:
     position: Floats
     acceleration: Floats
     temperature: Floats
-    end: State
+    end: TransducerState
 
 
-def drive_of(counts: NDArray[np.int16]) -> Floats:
+def counts_to_drive(counts: NDArray[np.int16]) -> Floats:
     """Counts of a wire → share of full scale."""
-    return np.asarray(counts, dtype=np.float64) / COUNTS
+    return np.asarray(counts, dtype=np.float64) / FULL_SCALE_COUNTS
 
 
-def move(transducer: Transducer, drive: Floats, rate_hz: float, start: State | None = None) -> Motion:
+def simulate_motion(
+    transducer: Transducer, drive: Floats, rate_hz: float, start: TransducerState | None = None
+) -> Motion:
     """drive: (n, C), shares of full scale, each held for one sample. start: at_rest() by default."""
-    start = at_rest(transducer, drive.shape[1]) if start is None else start
-    force = transducer.force(drive)
-    mechanics = mechanical(transducer, rate_hz)
+    start = make_rest_state(transducer, drive.shape[1]) if start is None else start
+    force = transducer.compute_force(drive)
+    mechanics = make_mechanical_system(transducer, rate_hz)
     states = np.empty((len(force) + 1, 2, force.shape[1]))
     states[0] = start.position, start.velocity
-    for at in range(0, len(force), PIECE):
-        piece = force[at : at + PIECE]
-        moved = mechanics.run(states[at], piece)
+    for at in range(0, len(force), CHUNK_SAMPLES):
+        piece = force[at : at + CHUNK_SAMPLES]
+        moved = mechanics.simulate(states[at], piece)
         if np.abs(moved[:, 0]).max() > transducer.stroke_m:
-            moved = _between_stops(mechanics, states[at], piece, transducer.stroke_m)
+            moved = _simulate_with_stops(mechanics, states[at], piece, transducer.stroke_m)
         states[at : at + len(moved)] = moved
-    return _motion(transducer, states, force, warm(transducer, drive, rate_hz, start.temperature))
+    return _make_motion(transducer, states, force, simulate_temperature(transducer, drive, rate_hz, start.temperature))
 
 
-def move_plain(transducer: Transducer, drive: Floats, rate_hz: float, start: State | None = None) -> Motion:
+def simulate_motion_reference(
+    transducer: Transducer, drive: Floats, rate_hz: float, start: TransducerState | None = None
+) -> Motion:
     """The reference of move(): one sample after the other, the stops always watched."""
-    start = at_rest(transducer, drive.shape[1]) if start is None else start
-    force = transducer.force(drive)
+    start = make_rest_state(transducer, drive.shape[1]) if start is None else start
+    force = transducer.compute_force(drive)
     first = np.stack([start.position, start.velocity])
-    states = _between_stops(mechanical(transducer, rate_hz), first, force, transducer.stroke_m)
+    states = _simulate_with_stops(make_mechanical_system(transducer, rate_hz), first, force, transducer.stroke_m)
     warmth = (start.temperature - transducer.ambient_c)[None]
-    warmths = thermal(transducer, rate_hz).run_plain(warmth, transducer.power(drive))[:, 0]
-    return _motion(transducer, states, force, warmths + transducer.ambient_c)
+    warmths = make_thermal_system(transducer, rate_hz).simulate_reference(warmth, transducer.compute_power(drive))[:, 0]
+    return _make_motion(transducer, states, force, warmths + transducer.ambient_c)
 
 
-def warm(transducer: Transducer, drive: Floats, rate_hz: float, start_c: Floats) -> Floats:
+def simulate_temperature(transducer: Transducer, drive: Floats, rate_hz: float, start_c: Floats) -> Floats:
     """drive: (n, C). start_c: (C,). The coil's temperature in °C from start_c on, (n + 1, C)."""
     warmth = (start_c - transducer.ambient_c)[None]
-    return thermal(transducer, rate_hz).run(warmth, transducer.power(drive))[:, 0] + transducer.ambient_c
+    return (
+        make_thermal_system(transducer, rate_hz).simulate(warmth, transducer.compute_power(drive))[:, 0]
+        + transducer.ambient_c
+    )
 
 
-def warmed(transducer: Transducer, drive: Floats, seconds: float, start_c: Floats) -> Floats:
+def compute_temperature_after(transducer: Transducer, drive: Floats, seconds: float, start_c: Floats) -> Floats:
     """(C,): the temperature after a drive whose root mean square, (C,), is held for seconds."""
-    final = transducer.ambient_c + transducer.thermal_k_w * transducer.power(drive)
+    final = transducer.ambient_c + transducer.thermal_k_w * transducer.compute_power(drive)
     return final + (start_c - final) * math.exp(-seconds / transducer.thermal_s)
 
 
 @lru_cache(maxsize=16)
-def mechanical(transducer: Transducer, rate_hz: float) -> Recursion:
+def make_mechanical_system(transducer: Transducer, rate_hz: float) -> StateSpace:
     """Position and velocity, by force in newtons."""
     spring, mass = transducer.stiffness_n_m, transducer.mass_kg
-    transition = _held(spring / mass, transducer.damping_n_s_m / mass, 1.0 / rate_hz)
+    transition = _compute_transition_matrix(spring / mass, transducer.damping_n_s_m / mass, 1.0 / rate_hz)
     # A held force only moves the place of rest, to F / k, around which the free motion goes on.
     rest = np.array([1.0 / spring, 0.0])
-    return Recursion(transition, rest - transition @ rest)
+    return StateSpace(transition, rest - transition @ rest)
 
 
 @lru_cache(maxsize=16)
-def thermal(transducer: Transducer, rate_hz: float) -> Recursion:
+def make_thermal_system(transducer: Transducer, rate_hz: float) -> StateSpace:
     """Kelvins above the ambience, by power in watts."""
     kept = math.exp(-1.0 / (rate_hz * transducer.thermal_s))
-    return Recursion(np.array([[kept]]), np.array([(1.0 - kept) * transducer.thermal_k_w]))
+    return StateSpace(np.array([[kept]]), np.array([(1.0 - kept) * transducer.thermal_k_w]))
 
 
-def _held(stiffness: float, damping: float, seconds: float) -> Floats:
+def _compute_transition_matrix(stiffness: float, damping: float, seconds: float) -> Floats:
     """exp(A t) of x″ + damping x′ + stiffness x = 0, by its two roots −decay ± root; also where they are one."""
     decay = damping / 2.0
     root = cmath.sqrt(decay * decay - stiffness)
@@ -167,22 +174,22 @@ def _held(stiffness: float, damping: float, seconds: float) -> Floats:
     return np.array([[even + decay * odd, odd], [-stiffness * odd, even - decay * odd]])
 
 
-def _between_stops(mechanics: Recursion, start: Floats, force: Floats, stroke_m: float) -> Floats:
+def _simulate_with_stops(mechanics: StateSpace, start: Floats, force: Floats, stroke_m: float) -> Floats:
     """Sample by sample; what would be past a stop rests at it."""
     states = [start]
     for value in force:
-        position, velocity = mechanics.transition @ states[-1] + np.outer(mechanics.entry, value)
+        position, velocity = mechanics.transition @ states[-1] + np.outer(mechanics.input_vector, value)
         stopped = np.abs(position) > stroke_m
         states.append(np.stack([np.clip(position, -stroke_m, stroke_m), np.where(stopped, 0.0, velocity)]))
     return np.asarray(states)
 
 
-def _motion(transducer: Transducer, states: Floats, force: Floats, temperature: Floats) -> Motion:
+def _make_motion(transducer: Transducer, states: Floats, force: Floats, temperature: Floats) -> Motion:
     position, velocity = states[:-1, 0], states[:-1, 1]
     pull = force - transducer.stiffness_n_m * position - transducer.damping_n_s_m * velocity
     return Motion(
         position,
         pull / transducer.mass_kg,
         temperature[:-1],
-        State(states[-1, 0], states[-1, 1], temperature[-1]),
+        TransducerState(states[-1, 0], states[-1, 1], temperature[-1]),
     )

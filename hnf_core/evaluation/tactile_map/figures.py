@@ -11,45 +11,45 @@ from numpy.typing import NDArray
 
 from ...datasets.tactile_pairs import HELD_OUT_CLASSES, PAIR_SENSORS
 from ...export.figure import write_figure
-from ..pictures import COLOURS, TRUTH
+from ..pictures import COLOURS, TRUTH_COLOUR
 from . import judge
-from .image_quality import rms_slope
-from .networks import Network
-from .run import Example, Measured, Setup
-from .statistics import mean_interval
-from .tables import excess, of
-from .tiles import TOKEN_VIEWS, sensor_image
+from .image_quality import compute_rms_slope
+from .networks import NetworkEntry
+from .run import Example, MapSetup, Measurement
+from .statistics import bootstrap_mean
+from .tables import compute_excess, get_errors
+from .tiles import TOKEN_VIEWS, render_sensor_image
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Picture = NDArray[np.float64]
+Image = NDArray[np.float64]
 
-COMPARED = (
+COMPARED_METHODS = (
     judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY,
     judge.FUSED, judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT,
 )  # fmt: skip
-SHORT = {judge.NEIGHBOUR: "neighbour", judge.GREY: "grey = height"}
-EXAMPLES = 5
-STEEP = 0.35
+SHORT_NAMES = {judge.NEIGHBOUR: "neighbour", judge.GREY: "grey = height"}
+EXAMPLE_COUNT = 5
+SHOWN_RMS_SLOPE = 0.35
 """True slopes are stretched to this RMS; guesses by the same factor, so that a level that is off shows."""
 CELL_PX, LEFT_PX, HEAD_PX = 82, 116, 84
 
 
-def draw_pictures(folder: Path, setup: Setup, measured: Measured) -> None:
+def write_plots(folder: Path, setup: MapSetup, measured: Measurement) -> None:
     """PNG files into the folder: two, and one of steps where one of the networks is a diffusion. Raises FileError where
     matplotlib is missing or nothing can be written."""
-    examples_picture(folder / "tactile-map-examples.png", measured.examples, setup.networks)
-    excess_picture(folder / "tactile-map-excess.png", measured, setup.networks, setup.seed)
+    plot_examples(folder / "tactile-map-examples.png", measured.examples, setup.networks)
+    plot_excess(folder / "tactile-map-excess.png", measured, setup.networks, setup.seed)
     if measured.curve:
-        steps_picture(folder / "tactile-map-steps.png", measured, setup.seed)
+        plot_steps(folder / "tactile-map-steps.png", measured, setup.seed)
 
 
-def examples_picture(path: Path, examples: Sequence[Example], networks: Sequence[Network]) -> None:
+def plot_examples(path: Path, examples: Sequence[Example], networks: Sequence[NetworkEntry]) -> None:
     """Some tiles of classes never trained on, widest view and one of the finest: look, true sensor image, guesses."""
-    chosen = _spread(examples)
-    titles = {judge.TRUTH: judge.TRUTH, **{each.name: each.short for each in networks}, **SHORT}
+    chosen = _choose_examples(examples)
+    titles = {judge.TRUTH: judge.TRUTH, **{each.name: each.short_name for each in networks}, **SHORT_NAMES}
     views = (0, TOKEN_VIEWS - 1)
     across = 1 + len(titles)
     size = (LEFT_PX + CELL_PX * across * len(views) + 24, HEAD_PX + CELL_PX * len(chosen) + 10)
@@ -60,7 +60,7 @@ def examples_picture(path: Path, examples: Sequence[Example], networks: Sequence
             top = HEAD_PX + CELL_PX * row
             figure.text(10 / size[0], 1.0 - (top + CELL_PX / 2) / size[1], example.tile.order.class_name, fontsize=10)
             for block, view in enumerate(views):
-                for column, (name, picture) in enumerate(_pictures(example, titles, view)):
+                for column, (name, picture) in enumerate(_render_examples(example, titles, view)):
                     left = LEFT_PX + CELL_PX * (block * across + column) + 14 * block
                     place = (left / size[0], 1.0 - (top + CELL_PX - 6) / size[1])
                     axes = figure.add_axes((*place, (CELL_PX - 6) / size[0], (CELL_PX - 6) / size[1]))
@@ -73,13 +73,13 @@ def examples_picture(path: Path, examples: Sequence[Example], networks: Sequence
     write_figure(path, size, draw)
 
 
-def excess_picture(path: Path, measured: Measured, networks: Sequence[Network], seed: int) -> None:
+def plot_excess(path: Path, measured: Measurement, networks: Sequence[NetworkEntry], seed: int) -> None:
     """Excess of every method over the floor, held-out classes, with intervals; the aim as a line."""
     results = measured.results[HELD_OUT_CLASSES]
-    rows = (*(each.name for each in networks), *COMPARED)
+    rows = (*(each.name for each in networks), *COMPARED_METHODS)
     names = [name for name in rows if any(name in each.errors for each in results)]
-    above = [mean_interval(excess(results, name), seed) for name in names]
-    floor = mean_interval(of(results, judge.FLOOR, "total"), seed)
+    above = [bootstrap_mean(compute_excess(results, name), seed) for name in names]
+    floor = bootstrap_mean(get_errors(results, judge.FLOOR, "total"), seed)
     size = (1020, 96 + 34 * len(names))
 
     def draw(figure: Figure) -> None:
@@ -87,15 +87,17 @@ def excess_picture(path: Path, measured: Measured, networks: Sequence[Network], 
                     fontweight="bold")  # fmt: skip
         axes = figure.add_axes((350 / size[0], 54 / size[1], (size[0] - 380) / size[0], (size[1] - 100) / size[1]))
         place = np.arange(len(names))[::-1]
-        axes.barh(place, [each.mean for each in above], color=[_colour(name, networks) for name in names], height=0.62)
+        axes.barh(
+            place, [each.mean for each in above], color=[_choose_colour(name, networks) for name in names], height=0.62
+        )
         spread = np.array([[each.mean - each.low, each.high - each.mean] for each in above]).T
-        axes.errorbar([each.mean for each in above], place, xerr=np.maximum(spread, 0.0), fmt="none", ecolor=TRUTH,
+        axes.errorbar([each.mean for each in above], place, xerr=np.maximum(spread, 0.0), fmt="none", ecolor=TRUTH_COLOUR,
                       lw=1.4, capsize=3)  # fmt: skip
         rivals = [
             each.mean for name, each in zip(names, above, strict=True) if name in (judge.NEIGHBOUR, judge.CLASS_MEAN)
         ]
         if rivals:
-            axes.axvline(0.5 * min(rivals), color=TRUTH, lw=1.0, ls="--")
+            axes.axvline(0.5 * min(rivals), color=TRUTH_COLOUR, lw=1.0, ls="--")
             axes.text(0.5 * min(rivals), len(names) - 0.45, " aim", fontsize=9)
         axes.set_yticks(place, labels=names)
         axes.set_xlabel(f"average spectrum: error above the floor of {floor.mean:.2f} dB [dB], 95 % intervals")
@@ -103,10 +105,10 @@ def excess_picture(path: Path, measured: Measured, networks: Sequence[Network], 
     write_figure(path, size, draw)
 
 
-def steps_picture(path: Path, measured: Measured, seed: int) -> None:
+def plot_steps(path: Path, measured: Measurement, seed: int) -> None:
     """Error and time over steps; guidance beside."""
     plain = sorted((each for each in measured.curve if each.guidance == 1.0), key=lambda each: each.steps)
-    guided = [each for each in measured.curve if each.steps == _common_steps(measured)]
+    guided = [each for each in measured.curve if each.steps == _find_common_steps(measured)]
     size = (1000, 380)
 
     def draw(figure: Figure) -> None:
@@ -116,9 +118,11 @@ def steps_picture(path: Path, measured: Measured, seed: int) -> None:
             for left, wide in ((70, 350), (500, 190), (780, 190))
         )
         for axes, points, horizontal in ((error, plain, "steps"), (guide, guided, "guidance")):
-            _with_intervals(axes, [getattr(each, horizontal) for each in points],
-                            [of(each.results, judge.PREDICTED, "total") for each in points], seed)  # fmt: skip
-            axes.axhline(float(of(plain[0].results, judge.FLOOR, "total").mean()), color=TRUTH, lw=1.0, ls="--")
+            _plot_with_intervals(axes, [getattr(each, horizontal) for each in points],
+                            [get_errors(each.results, judge.PREDICTED, "total") for each in points], seed)  # fmt: skip
+            axes.axhline(
+                float(get_errors(plain[0].results, judge.FLOOR, "total").mean()), color=TRUTH_COLOUR, lw=1.0, ls="--"
+            )
             axes.set_xlabel(horizontal)
             axes.set_ylim(bottom=0.0)
         error.set_ylabel("error [dB]; dashed: floor")
@@ -134,8 +138,8 @@ def steps_picture(path: Path, measured: Measured, seed: int) -> None:
     write_figure(path, size, draw)
 
 
-def _with_intervals(axes: Axes, across: Sequence[float], values: Sequence[Picture], seed: int) -> None:
-    found = [mean_interval(each, seed) for each in values]
+def _plot_with_intervals(axes: Axes, across: Sequence[float], values: Sequence[Image], seed: int) -> None:
+    found = [bootstrap_mean(each, seed) for each in values]
     order = np.argsort(across)
     at, means = np.array(across)[order], np.array([found[index].mean for index in order])
     low, high = (np.array([getattr(found[index], end) for index in order]) for end in ("low", "high"))
@@ -143,33 +147,33 @@ def _with_intervals(axes: Axes, across: Sequence[float], values: Sequence[Pictur
     axes.plot(at, means, "o-", color=COLOURS[0], lw=1.6)
 
 
-def _common_steps(measured: Measured) -> int:
+def _find_common_steps(measured: Measurement) -> int:
     """The steps at which guidance was varied."""
     return next((each.steps for each in measured.curve if each.guidance != 1.0), measured.curve[-1].steps)
 
 
-def _colour(name: str, networks: Sequence[Network]) -> str:
+def _choose_colour(name: str, networks: Sequence[NetworkEntry]) -> str:
     names = [each.name for each in networks]
     if name in names:
         return COLOURS[names.index(name)]
     return COLOURS[5] if name.startswith(judge.PREDICTED) else "#b9c0c8"
 
 
-def _spread(examples: Sequence[Example]) -> list[Example]:
+def _choose_examples(examples: Sequence[Example]) -> list[Example]:
     """One of each class, as many as fit, in the order given."""
     first: dict[str, Example] = {}
     for each in examples:
         first.setdefault(each.tile.order.class_name, each)
-    return list(first.values())[:EXAMPLES]
+    return list(first.values())[:EXAMPLE_COUNT]
 
 
-def _pictures(example: Example, titles: Mapping[str, str], view: int) -> list[tuple[str, Picture]]:
+def _render_examples(example: Example, titles: Mapping[str, str], view: int) -> list[tuple[str, Image]]:
     sensor = PAIR_SENSORS[0]
     true = example.tile.slopes[view, 0]
-    gain = STEEP / max(rms_slope(true), 1e-9)
+    gain = SHOWN_RMS_SLOPE / max(compute_rms_slope(true), 1e-9)
     out = [("look", np.sqrt(example.tile.views[view].rgb.astype(np.float64)))]
     for name, title in titles.items():
         slopes = true if name == judge.TRUTH else example.slopes[name][1][view]
-        image = sensor_image(np.asarray(gain * slopes, dtype=np.float32), sensor)
+        image = render_sensor_image(np.asarray(gain * slopes, dtype=np.float32), sensor)
         out.append((title, np.sqrt(np.clip(image.astype(np.float64), 0.0, 1.0))))
     return out

@@ -12,20 +12,20 @@ from ...datasets.tactile_pairs import PAIR_SENSORS
 from ...field.field import Field
 from ...material.encoders import Encoder
 from ...material.fuse import fuse
-from ...material.prior import ALIKE
+from ...material.prior import SAME_CATEGORY_APTNESS
 from ...material.token import LEVELS, Token
-from ...simulation.classes import category_of
-from ...tactile.optics import sensor_by_name
+from ...simulation.classes import get_category
+from ...tactile.optics import get_sensor
 from ...tactile.tactile_map import Route
-from .image_quality import normal_angle_deg, psnr_db, rms_slope, ssim
-from .learned import Learned
-from .spectra import SpectrumError, log_mean, long_run_spectra, spectrum_error
-from .tiles import TOKEN_VIEWS, JudgedTile, sensor_image, token_of_slopes
+from .image_quality import compute_normal_angle_deg, compute_psnr_db, compute_rms_slope, compute_ssim
+from .learned import NaiveBaselines
+from .spectra import SpectrumError, compute_log_mean, compute_spectrum_error, predict_long_run_spectra
+from .tiles import TOKEN_VIEWS, HeldOutTile, describe_slopes, render_sensor_image
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-TRUTH, WHOLE, FLOOR = "true map", "true map, whole tile", "true map, second tile (floor)"
+TRUTH, FULL_TILE, FLOOR = "true map", "true map, whole tile", "true map, second tile (floor)"
 PREDICTED = "predicted"
 """By a network; alone, of the main one (networks.networks_of names the rows of both)."""
 NO_DEPTH, NO_COLOUR = f"{PREDICTED}, depth unknown", f"{PREDICTED}, colour unknown"
@@ -34,12 +34,12 @@ NEIGHBOUR, GREY, FLAT = "nearest neighbour", "grey level is height", "flat (mean
 CLASS_MEAN, MEAN = "class mean", "mean of all"
 FUSED = f"{PREDICTED}, fused with the category's token"
 """As the product fuses a picture with a prior (material.fuse) that is of the right category and no more."""
-DARK = 1e-4
+MIN_RANGE = 1e-4
 """Least own range of a sensor image: below, it is flat to the eye, and to eight bits."""
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImageScore:
     """One method on one view, as an image. psnr_db, ssim: with data range 1, the scale of the linear image.
     own_psnr_db, own_ssim: with the range that the true image covers. angle_deg: mean angle between normals. level_db:
     of the RMS slope over the true one's."""
@@ -71,96 +71,101 @@ Maps = Mapping[str, tuple[str, Single]]
 """Method → (sensor, slopes (views, 2, 64, 64) of the tile's first views)."""
 
 
-def judge_spectra(
-    field: Field, encoder: Encoder, tile: JudgedTile, maps: Maps, learned: Learned | None, main: str = ""
+def score_spectra(
+    field: Field, encoder: Encoder, tile: HeldOutTile, maps: Maps, baselines: NaiveBaselines | None, main: str = ""
 ) -> TileResult:
     """maps: any number of views from TOKEN_VIEWS on. learned: None leaves class mean, mean of all and FUSED out. main:
     the method whose token is fused with the category's, "" = none."""
     pitches = [view.pitch_m for view in tile.views[:TOKEN_VIEWS]]
 
     def token(slopes: Single, sensor: str = PAIR_SENSORS[0]) -> Token:
-        return token_of_slopes(list(slopes[:TOKEN_VIEWS]), pitches, sensor, encoder)
+        return describe_slopes(list(slopes[:TOKEN_VIEWS]), pitches, sensor, encoder)
 
     truths = {sensor: token(tile.slopes[:, index], sensor).values for index, sensor in enumerate(PAIR_SENSORS)}
     first = PAIR_SENSORS[0]
-    tokens = {TRUTH: truths[first], WHOLE: tile.whole, FLOOR: token(tile.second).values}
+    tokens = {TRUTH: truths[first], FULL_TILE: tile.full_token, FLOOR: token(tile.second_slopes).values}
     against = dict.fromkeys(tokens, first)
     for name, (sensor, slopes) in maps.items():
         told = token(slopes, sensor)
         tokens[name], against[name] = told.values, sensor
-        if name == main and learned is not None:
-            tokens[FUSED] = fuse(told, _token_of_category(tile, learned), ALIKE, Route.PREDICTED).values
+        if name == main and baselines is not None:
+            tokens[FUSED] = fuse(
+                told, _compute_category_token(tile, baselines), SAME_CATEGORY_APTNESS, Route.PREDICTED
+            ).values
             against[FUSED] = sensor
     wanted = [*tokens.values(), *truths.values()]
-    spectra = long_run_spectra(field, np.stack(wanted), [tile.mechanics] * len(wanted))
+    spectra = predict_long_run_spectra(field, np.stack(wanted), [tile.mechanics] * len(wanted))
     truth = dict(zip(PAIR_SENSORS, spectra[len(tokens) :], strict=True))
-    errors = {name: spectrum_error(own, truth[against[name]]) for name, own in zip(tokens, spectra, strict=False)}
-    if learned is not None:
-        for name, mean in _means(field, tile, learned).items():
-            errors[name] = spectrum_error(mean, truth[first])
+    errors = {
+        name: compute_spectrum_error(own, truth[against[name]]) for name, own in zip(tokens, spectra, strict=False)
+    }
+    if baselines is not None:
+        for name, mean in _compute_mean_spectra(field, tile, baselines).items():
+            errors[name] = compute_spectrum_error(mean, truth[first])
     bands = {
         name: 20.0 * (each[LEVELS].astype(np.float64) - truths[against[name]][LEVELS]) for name, each in tokens.items()
     }
     return TileResult(tile.name, tile.order.class_name, errors, bands)
 
 
-def judge_pictures(tile: JudgedTile, maps: Maps) -> list[Picture]:
+def score_images(tile: HeldOutTile, maps: Maps) -> list[ImageScore]:
     """Each method on each view that it was asked about."""
     out = []
     for name, (sensor, slopes) in maps.items():
         true = tile.slopes[:, PAIR_SENSORS.index(sensor)]
         for view, own, right in zip(tile.views, slopes, true, strict=False):
-            image, reference = sensor_image(own, sensor), sensor_image(right, sensor)
-            contrast = reference - sensor_by_name(sensor).background
-            span = max(float(contrast.max() - contrast.min()), DARK)
+            image, reference = render_sensor_image(own, sensor), render_sensor_image(right, sensor)
+            contrast = reference - get_sensor(sensor).background
+            span = max(float(contrast.max() - contrast.min()), MIN_RANGE)
             out.append(
-                Picture(
+                ImageScore(
                     name, sensor, view.pitch_m, tile.name,
-                    psnr_db(image, reference, 1.0), ssim(image, reference, 1.0),
-                    psnr_db(image, reference, span), _own_ssim(image, reference, sensor, span),
-                    normal_angle_deg(own, right),
-                    20.0 * float(np.log10(max(rms_slope(own), 1e-9) / max(rms_slope(right), 1e-9))),
+                    compute_psnr_db(image, reference, 1.0), compute_ssim(image, reference, 1.0),
+                    compute_psnr_db(image, reference, span), _compute_contrast_ssim(image, reference, sensor, span),
+                    compute_normal_angle_deg(own, right),
+                    20.0 * float(np.log10(max(compute_rms_slope(own), 1e-9) / max(compute_rms_slope(right), 1e-9))),
                 )
             )  # fmt: skip
     return out
 
 
-def _own_ssim(image: Single, reference: Single, sensor: str, span: float) -> float:
+def _compute_contrast_ssim(image: Single, reference: Single, sensor: str, span: float) -> float:
     """Without the background, which is the same in both and would pass for likeness."""
-    background = sensor_by_name(sensor).background
-    return ssim(image - background, reference - background, span)
+    background = get_sensor(sensor).background
+    return compute_ssim(image - background, reference - background, span)
 
 
-def _means(field: Field, tile: JudgedTile, learned: Learned) -> dict[str, Float]:
+def _compute_mean_spectra(field: Field, tile: HeldOutTile, baselines: NaiveBaselines) -> dict[str, Float]:
     """Mean of log spectra over training tiles, with this tile's own mechanics: only the map is guessed. Classes count
     alike. Class mean: of the classes of the tile's category; of all where training knows none."""
-    names = sorted(set(learned.class_name))
-    spectra = long_run_spectra(field, learned.tokens, [tile.mechanics] * len(learned.tokens))
+    names = sorted(set(baselines.class_name))
+    spectra = predict_long_run_spectra(field, baselines.tokens, [tile.mechanics] * len(baselines.tokens))
     of_class = {
-        name: log_mean(spectra[[row for row, own in enumerate(learned.class_name) if own == name]]) for name in names
+        name: compute_log_mean(spectra[[row for row, own in enumerate(baselines.class_name) if own == name]])
+        for name in names
     }
     return {
-        CLASS_MEAN: log_mean(np.stack([of_class[name] for name in _classes_like(tile, learned)])),
-        MEAN: log_mean(np.stack(list(of_class.values()))),
+        CLASS_MEAN: compute_log_mean(np.stack([of_class[name] for name in _find_similar_classes(tile, baselines)])),
+        MEAN: compute_log_mean(np.stack(list(of_class.values()))),
     }
 
 
-def _token_of_category(tile: JudgedTile, learned: Learned) -> Single:
+def _compute_category_token(tile: HeldOutTile, baselines: NaiveBaselines) -> Single:
     """Mean token of the training classes of the tile's category, classes alike; of all where training knows none."""
-    names = _classes_like(tile, learned)
-    rows = [[row for row, own in enumerate(learned.class_name) if own == name] for name in names]
-    return np.asarray(np.mean([learned.tokens[own].mean(axis=0) for own in rows], axis=0), dtype=np.float32)
+    names = _find_similar_classes(tile, baselines)
+    rows = [[row for row, own in enumerate(baselines.class_name) if own == name] for name in names]
+    return np.asarray(np.mean([baselines.tokens[own].mean(axis=0) for own in rows], axis=0), dtype=np.float32)
 
 
-def _classes_like(tile: JudgedTile, learned: Learned) -> list[str]:
-    names = sorted(set(learned.class_name))
-    return [name for name in names if category_of(name) == tile.category] or names
+def _find_similar_classes(tile: HeldOutTile, baselines: NaiveBaselines) -> list[str]:
+    names = sorted(set(baselines.class_name))
+    return [name for name in names if get_category(name) == tile.category] or names
 
 
-def picture_means(pictures: Sequence[Picture], method: str, sensor: str, pitch_m: float) -> dict[str, float]:
+def average_image_scores(scores: Sequence[ImageScore], method: str, sensor: str, pitch_m: float) -> dict[str, float]:
     """Means over the views of one method, sensor and pitch; empty where there are none."""
     rows = [
-        each for each in pictures
+        each for each in scores
         if each.method == method and each.sensor == sensor and abs(each.pitch_m / pitch_m - 1.0) < 1e-6
     ]  # fmt: skip
     if not rows:

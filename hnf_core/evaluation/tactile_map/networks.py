@@ -14,11 +14,11 @@ from .judge import PREDICTED
 
 
 @dataclass(frozen=True)
-class Network:
+class NetworkEntry:
     """name: of its row. short: the same above a picture."""
 
     name: str
-    short: str
+    short_name: str
     weights: MapWeights
 
     @property
@@ -26,35 +26,35 @@ class Network:
         return self.weights.config.objective == DIFFUSION
 
 
-def networks_of(main: MapWeights, beside: MapWeights | None, steps: int) -> tuple[Network, ...]:
+def make_network_entries(main: MapWeights, comparison: MapWeights | None, steps: int) -> tuple[NetworkEntry, ...]:
     """Both under different names, the main one first. beside: None = none. steps: of those that are a diffusion.
 
     Raises UsageError where both are one network.
     """
-    first = Network(_name(main.config, steps), main.config.objective, main)
-    if beside is None:
+    first = NetworkEntry(_make_name(main.config, steps), main.config.objective, main)
+    if comparison is None:
         return (first,)
-    if _same(main, beside):
+    if _is_same(main, comparison):
         raise UsageError(
             "both files hold the same weights: there is nothing to compare.",
             remedy="Name another file with --beside, or leave it out.",
         )
-    second = Network(_name(beside.config, steps), beside.config.objective, beside)
+    second = NetworkEntry(_make_name(comparison.config, steps), comparison.config.objective, comparison)
     if second.name == first.name:
-        second = Network(f"{first.name}, other weights", "other weights", beside)
+        second = NetworkEntry(f"{first.name}, other weights", "other weights", comparison)
     return (first, second)
 
 
-def diffusion_of(networks: Sequence[Network]) -> Network | None:
+def find_diffusion(entries: Sequence[NetworkEntry]) -> NetworkEntry | None:
     """The first that has steps and guidance."""
-    return next((each for each in networks if each.is_diffusion), None)
+    return next((each for each in entries if each.is_diffusion), None)
 
 
-def _name(config: MapConfig, steps: int) -> str:
+def _make_name(config: MapConfig, steps: int) -> str:
     return f"{PREDICTED} ({config.objective}{f', {steps} steps' if config.objective == DIFFUSION else ''})"
 
 
-def _same(one: MapWeights, other: MapWeights) -> bool:
+def _is_same(first: MapWeights, second: MapWeights) -> bool:
     """By what they compute, whatever else is in the files."""
-    ours, theirs = one.network.parameters, other.network.parameters
-    return one.config == other.config and all(np.array_equal(ours[name], theirs[name]) for name in ours)
+    ours, theirs = first.network.parameters, second.network.parameters
+    return first.config == second.config and all(np.array_equal(ours[name], theirs[name]) for name in ours)

@@ -9,20 +9,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...blas import one_blas_thread
-from ...cores import cores
+from ...blas import single_blas_thread
+from ...cores import available_cpus
 from ...datasets.tactile_pairs import PAIR_SENSORS
 from ...tactile.diffusion.predict import DEFAULT_STEPS, predict_slopes
 from ...tactile.diffusion.weights import MapWeights
-from ...tactile.views import LookView
-from .kept import Arrays, Kept
-from .tiles import TOKEN_VIEWS, JudgedTile
+from ...tactile.views import AppearanceView
+from .kept import ArrayCache, Arrays
+from .tiles import TOKEN_VIEWS, HeldOutTile
 
 Single = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Asked:
+class Query:
     """How a network is asked. steps, guidance: of a diffusion. views: from which of the tile's views on, and up to
     which. depth, colour: whether it is told."""
 
@@ -35,34 +35,34 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Answer:
+class Prediction:
     """slopes: (views, 2, 64, 64). seconds: of processor time, for all views."""
 
     slopes: Single
     seconds: float
 
 
-def predicted(weights: MapWeights, tile: JudgedTile, asked: Asked, seed: int, kept: Kept) -> Answer:
+def predict_tile(weights: MapWeights, tile: HeldOutTile, query: Query, seed: int, cache: ArrayCache) -> Prediction:
     """Slopes of the tile's views. The noise of each is of the tile, the view and the seed."""
 
     def one(index: int) -> Single:
-        view = shown(tile.views[index], asked.depth)
+        view = mask_depth(tile.views[index], query.depth)
         own = int(np.random.default_rng([seed, tile.order.tile_seed, index]).integers(2**31))
-        return predict_slopes(weights, view, asked.sensor, own, asked.steps, asked.guidance, asked.colour)
+        return predict_slopes(weights, view, query.sensor, own, query.steps, query.guidance, query.colour)
 
     def make() -> Arrays:
         began = time.process_time()
-        with one_blas_thread(), ThreadPoolExecutor(cores()) as pool:
-            slopes = list(pool.map(one, range(*asked.views)))
+        with single_blas_thread(), ThreadPoolExecutor(available_cpus()) as pool:
+            slopes = list(pool.map(one, range(*query.views)))
         return {
             "slopes": np.stack(slopes).astype(np.float16),
             "seconds": np.array([time.process_time() - began]),
         }
 
-    arrays = kept.get(f"prediction {weights.fingerprint} {tile.order} {asked} {seed}", make)
-    return Answer(arrays["slopes"].astype(np.float32), float(arrays["seconds"][0]))
+    arrays = cache.get_or_make(f"prediction {weights.fingerprint} {tile.order} {query} {seed}", make)
+    return Prediction(arrays["slopes"].astype(np.float32), float(arrays["seconds"][0]))
 
 
-def shown(view: LookView, depth: bool) -> LookView:
+def mask_depth(view: AppearanceView, depth: bool) -> AppearanceView:
     """The view, its depth unknown unless `depth`."""
     return view if depth else replace(view, depth_m=np.zeros_like(view.depth_m), depth_known=False)

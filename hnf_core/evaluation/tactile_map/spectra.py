@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 from ...field.field import Field, evaluate, steady_amplitude
 from ...field.linear_contact import Condition as States
 from ...material.mechanics import Mechanics
-from ...metrics.average_spectrum import counted_bins
-from ...training.conditions import middle_conditions, speed_grid
-from ..expected_magnitude import window_densities
+from ...metrics.average_spectrum import select_compared_bins
+from ...training.conditions import make_middle_conditions, make_speed_grid
+from ..expected_magnitude import compute_window_densities
 from ..reference import FREQUENCY_HZ
 
 Float = NDArray[np.float64]
 
-PROBE = "pen"
+PROBE_NAME = "pen"
 BINS_HZ = FREQUENCY_HZ[1:101]
 
 
-def long_run_spectra(field: Field, tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]) -> Float:
+def predict_long_run_spectra(field: Field, tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]) -> Float:
     """(n, 6, 100) density at 10 … 1000 Hz that the field expects of long steady strokes with the pen, under the six
     middle conditions of training.conditions. tokens: (n, TOKEN_DIM). mechanics: n."""
-    count, grid = len(tokens), speed_grid()
+    count, grid = len(tokens), make_speed_grid()
     spectra = []
-    for each in middle_conditions():
+    for each in make_middle_conditions():
         states = States(
             tokens=np.asarray(tokens, dtype=np.float64),
             mechanics=tuple(mechanics),
@@ -36,10 +36,10 @@ def long_run_spectra(field: Field, tokens: NDArray[np.float32], mechanics: Seque
             speed=np.full(count, grid[each.speed]),
             force=np.full(count, each.force),
             contact=np.ones(count, dtype=bool),
-            probe=PROBE,
+            probe=PROBE_NAME,
         )
         amplitude = steady_amplitude(field.config, evaluate(field, states)).sum(axis=1)
-        spectra.append(window_densities(field.config.carriers, np.square(amplitude), states.speed))
+        spectra.append(compute_window_densities(field.config.carriers, np.square(amplitude), states.speed))
     return np.stack(spectra, axis=1)
 
 
@@ -55,11 +55,11 @@ class SpectrumError:
     shape: float
 
 
-def spectrum_error(spectra: Float, reference: Float) -> SpectrumError:
+def compute_spectrum_error(spectra: Float, reference: Float) -> SpectrumError:
     """(6, 100) each, as long_run_spectra has them. The reference's peaks choose the bins."""
     parts = []
     for ours, theirs in zip(spectra, reference, strict=True):
-        bins = counted_bins(theirs, BINS_HZ)
+        bins = select_compared_bins(theirs, BINS_HZ)
         floor = 1e-12 * float(theirs[bins].max())
         over = 10.0 * np.log10(np.maximum(ours[bins], floor) / theirs[bins])
         parts.append((np.sqrt(np.mean(over**2)), abs(over.mean()), over.mean(), over.std()))
@@ -67,6 +67,6 @@ def spectrum_error(spectra: Float, reference: Float) -> SpectrumError:
     return SpectrumError(float(total), float(level), float(bias), float(shape))
 
 
-def log_mean(spectra: Float) -> Float:
+def compute_log_mean(spectra: Float) -> Float:
     """Over the first axis, of levels."""
     return np.asarray(np.exp(np.mean(np.log(np.maximum(spectra, 1e-30)), axis=0)))

@@ -13,58 +13,58 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...datasets.pair_tiles import FACTORS, PITCH_M, LaidTile, TileOrder, laid_tile, photographed
-from ...datasets.tactile_pairs import PAIR_SENSORS, encoded_rgb, linear_rgb
-from ...material.encoders import Encoder, describe_with
-from ...material.mechanics import UNKNOWN, Mechanics
+from ...datasets.pair_tiles import FACTORS, PITCH_M, RenderedTile, TileRequest, render_tile, simulate_camera
+from ...datasets.tactile_pairs import PAIR_SENSORS, decode_rgb, encode_rgb
+from ...material.encoders import Encoder, describe_views
+from ...material.mechanics import UNKNOWN_MECHANICS, Mechanics
 from ...material.token import Token
-from ...simulation.classes import category_of
-from ...simulation.look.macro_depth import between
+from ...simulation.classes import get_category
+from ...simulation.look.macro_depth import interpolate_bilinear
 from ...simulation.surface import TILE_PIXELS
-from ...tactile.optics import limit_slope, sensor_by_name, shade
+from ...tactile.optics import get_sensor, limit_slope, shade
 from ...tactile.tactile_map import Route, TactileMap
-from ...tactile.views import PITCHES_M, VIEW_PIXELS, LookView, cut_views, decimated_tile, view_places
-from .kept import Arrays, Kept
+from ...tactile.views import PITCHES_M, VIEW_PIXELS, AppearanceView, cut_views, decimate_tile, find_view_corners
+from .kept import ArrayCache, Arrays
 
 Single = NDArray[np.float32]
 
-NEAR = 4
-TOKEN_VIEWS = 1 + NEAR
+NEAR_VIEWS = 4
+TOKEN_VIEWS = 1 + NEAR_VIEWS
 """The first of a tile's views: those that the product would take its token from."""
-_BETWEEN = (1, 2)
-_EVERYWHERE = np.ones((TILE_PIXELS, TILE_PIXELS), dtype=bool)
+_BETWEEN_PITCHES = (1, 2)
+_FULL_MASK = np.ones((TILE_PIXELS, TILE_PIXELS), dtype=bool)
 
 
 @dataclass(frozen=True)
-class JudgedTile:
+class HeldOutTile:
     """One tile of an instance. views: seven, see the module. slopes: (7, sensor, 2, 64, 64) of the true membranes in
     the order of PAIR_SENSORS. second: (5, 2, 64, 64) those of the first sensor in the token views of another tile of
     the same instance. whole: the band descriptor on all of the tile."""
 
-    order: TileOrder
+    order: TileRequest
     category: str
     mechanics: Mechanics
-    views: tuple[LookView, ...]
+    views: tuple[AppearanceView, ...]
     slopes: Single
-    second: Single
-    whole: Single
+    second_slopes: Single
+    full_token: Single
 
     @property
     def name(self) -> str:
         return f"{self.order.class_name}/{self.order.instance_seed}"
 
 
-def judged_tile(order: TileOrder, other: TileOrder, kept: Kept) -> JudgedTile:
+def load_tile(order: TileRequest, second: TileRequest, cache: ArrayCache) -> HeldOutTile:
     """order, other: two tiles of one instance."""
-    arrays = kept.get(f"tile {order} {other}", lambda: _arrays(order, other))
+    arrays = cache.get_or_make(f"tile {order} {second}", lambda: _make_arrays(order, second))
     stiffness, damping, friction = (None if np.isnan(value) else float(value) for value in arrays["mechanics"])
     views = tuple(
-        LookView(linear_rgb(rgb), depth.astype(np.float32), True, float(pitch))
+        AppearanceView(decode_rgb(rgb), depth.astype(np.float32), True, float(pitch))
         for rgb, depth, pitch in zip(arrays["rgb"], arrays["depth"], arrays["pitch"], strict=True)
     )
-    return JudgedTile(
+    return HeldOutTile(
         order,
-        category_of(order.class_name) if order.class_name else "",
+        get_category(order.class_name) if order.class_name else "",
         Mechanics(stiffness, damping, friction),
         views,
         arrays["slopes"].astype(np.float32),
@@ -73,71 +73,75 @@ def judged_tile(order: TileOrder, other: TileOrder, kept: Kept) -> JudgedTile:
     )
 
 
-def judged_tiles(orders: Sequence[TileOrder], count: int, kept: Kept) -> list[JudgedTile]:
+def load_tiles(orders: Sequence[TileRequest], count: int, cache: ArrayCache) -> list[HeldOutTile]:
     """The first tiles of the first `count` instances, each with its second. orders: as datasets.pair_tiles.orders
     gives a held-out split, two tiles of an instance side by side."""
     return [
-        judged_tile(first, second, kept) for first, second in list(zip(orders[::2], orders[1::2], strict=True))[:count]
+        load_tile(first, second, cache) for first, second in list(zip(orders[::2], orders[1::2], strict=True))[:count]
     ]
 
 
-def token_of_slopes(slopes: Sequence[Single], pitches_m: Sequence[float], sensor: str, encoder: Encoder) -> Token:
+def describe_slopes(slopes: Sequence[Single], pitches_m: Sequence[float], sensor: str, encoder: Encoder) -> Token:
     """E of each view's membrane (n, 2, 64, 64), merged: the product's way from maps to a token."""
-    return describe_with(encoder, [map_of(each, pitch, sensor) for each, pitch in zip(slopes, pitches_m, strict=True)])
+    return describe_views(
+        encoder, [make_map(each, pitch, sensor) for each, pitch in zip(slopes, pitches_m, strict=True)]
+    )
 
 
-def map_of(slopes: Single, pitch_m: float, sensor: str) -> TactileMap:
+def make_map(slopes: Single, pitch_m: float, sensor: str) -> TactileMap:
     """The tactile map of a membrane's slopes (2, 64, 64), without height."""
-    image = sensor_image(slopes, sensor)
+    image = render_sensor_image(slopes, sensor)
     return TactileMap(
         image, None, np.ones(image.shape[:2], dtype=bool), pitch_m, sensor, 2.0 * pitch_m, Route.PREDICTED
     )
 
 
-def sensor_image(slopes: Single, sensor: str) -> Single:
+def render_sensor_image(slopes: Single, sensor: str) -> Single:
     """(64, 64, 3) linear."""
-    optics = sensor_by_name(sensor)
+    optics = get_sensor(sensor)
     gx, gy = np.asarray(slopes, dtype=np.float64)
     return shade(*limit_slope(gx, gy, optics.max_slope), optics)
 
 
-def _arrays(order: TileOrder, other: TileOrder) -> Arrays:
-    tile, second = laid_tile(order), laid_tile(other)
-    views = _looked_at(tile, order)
+def _make_arrays(order: TileRequest, second_order: TileRequest) -> Arrays:
+    tile, second = render_tile(order), render_tile(second_order)
+    views = _cut_views(tile, order)
     # Eight bits: a picture is a file.
     return {
-        "rgb": np.stack([encoded_rgb(view.rgb) for view in views]),
+        "rgb": np.stack([encode_rgb(view.rgb) for view in views]),
         "depth": np.stack([view.depth_m for view in views]),
         "pitch": np.array([view.pitch_m for view in views]),
-        "slopes": np.stack([_true(tile, sensor) for sensor in range(len(PAIR_SENSORS))], axis=1).astype(np.float16),
-        "second": np.stack(_true(second, 0)[:TOKEN_VIEWS]).astype(np.float16),
+        "slopes": np.stack([_cut_true_slopes(tile, sensor) for sensor in range(len(PAIR_SENSORS))], axis=1).astype(
+            np.float16
+        ),
+        "second": np.stack(_cut_true_slopes(second, 0)[:TOKEN_VIEWS]).astype(np.float16),
         "whole": tile.token,
-        "mechanics": _row(tile.mechanics or UNKNOWN),
+        "mechanics": _to_mechanics_row(tile.mechanics or UNKNOWN_MECHANICS),
     }
 
 
-def _looked_at(tile: LaidTile, order: TileOrder) -> tuple[LookView, ...]:
-    picture = photographed(tile.photograph, np.random.default_rng([5, order.tile_seed]))
+def _cut_views(tile: RenderedTile, order: TileRequest) -> tuple[AppearanceView, ...]:
+    picture = simulate_camera(tile.photograph, np.random.default_rng([5, order.tile_seed]))
     place = (np.arange(TILE_PIXELS) + 0.5) / FACTORS[0] - 0.5
-    depth = between(tile.depth, place, place)
+    depth = interpolate_bilinear(tile.depth, place, place)
     return tuple(
         view
-        for finest, near, skip in _CUTS
-        for view in cut_views(picture, depth, None, PITCH_M, 2.0 * PITCHES_M[finest], near=near)[skip:]
+        for finest, near, skip in _VIEW_CUTS
+        for view in cut_views(picture, depth, None, PITCH_M, 2.0 * PITCHES_M[finest], fine_count=near)[skip:]
     )
 
 
-_CUTS = ((len(PITCHES_M) - 1, NEAR, 0), *((finest, 1, 1) for finest in _BETWEEN))
+_VIEW_CUTS = ((len(PITCHES_M) - 1, NEAR_VIEWS, 0), *((finest, 1, 1) for finest in _BETWEEN_PITCHES))
 """Finest pitch, near views, and how many of the first views not to take again."""
 
 
-def _true(tile: LaidTile, sensor: int) -> list[Single]:
+def _cut_true_slopes(tile: RenderedTile, sensor: int) -> list[Single]:
     """(2, 64, 64) slopes in each of the places that _looked_at cuts."""
     out = []
-    for finest, near, skip in _CUTS:
-        places = view_places(_EVERYWHERE, PITCH_M, 2.0 * PITCHES_M[finest], near)
+    for finest, near, skip in _VIEW_CUTS:
+        places = find_view_corners(_FULL_MASK, PITCH_M, 2.0 * PITCHES_M[finest], near)
         cut = [
-            decimated_tile(tile.membranes[sensor], factor)[:, row : row + VIEW_PIXELS, column : column + VIEW_PIXELS]
+            decimate_tile(tile.membranes[sensor], factor)[:, row : row + VIEW_PIXELS, column : column + VIEW_PIXELS]
             for pitch, corners in places
             for factor in [round(pitch / PITCH_M)]
             for row, column in corners // factor
@@ -146,6 +150,6 @@ def _true(tile: LaidTile, sensor: int) -> list[Single]:
     return [each.astype(np.float32) for each in out]
 
 
-def _row(mechanics: Mechanics) -> NDArray[np.float64]:
+def _to_mechanics_row(mechanics: Mechanics) -> NDArray[np.float64]:
     values = (mechanics.stiffness_n_m, mechanics.damping_ratio, mechanics.friction)
     return np.array([np.nan if value is None else value for value in values])

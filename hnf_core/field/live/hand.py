@@ -26,10 +26,10 @@ WINDOW_S = 0.024
 SHORTEST_GAP_S, LONGEST_GAP_S = 0.012, 0.05
 GAP_FACTOR = 1.5
 SPEED_STATES, FORCE_STATES = 4, 5
-FASTEST_M_S = 20.0
-REST_M_S = 1e-5
+MAX_SPEED_M_S = 20.0
+MIN_DIRECTION_SPEED_M_S = 1e-5
 """Below it there is no direction to be told."""
-KEPT_EVENTS = 64
+MAX_EVENTS = 64
 STATE_S = 1.0 / ACTION_RATE_HZ
 
 
@@ -44,27 +44,27 @@ class HandEvent:
     material: int = 0
 
 
-class LiveHand:
+class HandTracker:
     """Events in, states out. Memory is bounded."""
 
     def __init__(self) -> None:
-        self._events: deque[HandEvent] = deque(maxlen=KEPT_EVENTS)
+        self._events: deque[HandEvent] = deque(maxlen=MAX_EVENTS)
         self._velocities: deque[tuple[float, float]] = deque(maxlen=SPEED_STATES)
         self._forces: deque[float] = deque(maxlen=FORCE_STATES)
         self._direction, self._place, self._material = (1.0, 0.0), 0.0, 0
 
-    def take(self, event: HandEvent) -> None:
+    def push(self, event: HandEvent) -> None:
         """The next thing that the hand did. One that is not later than the last replaces it."""
         if event.force_n <= 0.0:
             self._events.clear()
             return
         if not self._events:
-            self._begin_anew()
+            self._restart()
         self._material, last = event.material, self._events[-1] if self._events else None
         if last is not None:
             gone = ((event.x_m - last.x_m) ** 2 + (event.y_m - last.y_m) ** 2) ** 0.5
-            if gone > FASTEST_M_S * max(event.time_s - last.time_s, STATE_S):
-                self._begin_anew()
+            if gone > MAX_SPEED_M_S * max(event.time_s - last.time_s, STATE_S):
+                self._restart()
             elif event.time_s <= last.time_s:
                 event = HandEvent(last.time_s, event.x_m, event.y_m, event.force_n, event.material)
                 self._events.pop()
@@ -80,33 +80,33 @@ class LiveHand:
         self._forces.append(self._events[-1].force_n)
         across, along = (sum(axis) / len(self._velocities) for axis in zip(*self._velocities, strict=True))
         speed = (across * across + along * along) ** 0.5
-        if speed > REST_M_S:
+        if speed > MIN_DIRECTION_SPEED_M_S:
             self._direction = across / speed, along / speed
         self._place += speed * STATE_S
         force = sum(self._forces) / len(self._forces)
         return LiveState(self._direction, speed, self._place - from_m, force, True, material)
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         """What was before a touch, or before a jump, is no part of how the hand moves and presses now."""
         for remembered in (self._events, self._velocities, self._forces):
             remembered.clear()
 
     def _velocity(self, time_s: float) -> tuple[float, float]:
-        end = max(self._events[-1].time_s, time_s - self._gap())
+        end = max(self._events[-1].time_s, time_s - self._expected_gap())
         start = max(end - WINDOW_S, self._events[0].time_s)
         if end <= start:
             return 0.0, 0.0
-        (x, y), (before_x, before_y) = self._seen(end), self._seen(start)
+        (x, y), (before_x, before_y) = self._locate(end), self._locate(start)
         span = max(end - start, STATE_S)
         return (x - before_x) / span, (y - before_y) / span
 
-    def _gap(self) -> float:
+    def _expected_gap(self) -> float:
         """What may pass after the newest event before the hand is held to rest."""
         times = [event.time_s for event in list(self._events)[-5:]]
         longest = max((later - earlier for earlier, later in pairwise(times)), default=0.0)
         return min(max(GAP_FACTOR * longest, SHORTEST_GAP_S), LONGEST_GAP_S)
 
-    def _seen(self, time_s: float) -> tuple[float, float]:
+    def _locate(self, time_s: float) -> tuple[float, float]:
         """Where the hand was: straight from event to event, and where it was seen last after the newest."""
         later = self._events[-1]
         if time_s >= later.time_s:

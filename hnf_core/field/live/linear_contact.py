@@ -19,20 +19,27 @@ from ...material.mechanics import Mechanics
 from ...material.probe import Probe
 from ...material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
 from ..carriers import ARC_PER_OCTAVE, Carriers
-from ..linear_contact import FLANK_FRICTION, arc_gain, lateral_hand_impedance, time_edges
-from ..linear_texture import ANGLES, BUMP_MEAN, GRID_ANGLES, LINE_CONCENTRATION, left_for_noise, texture_of
+from ..linear_contact import FLANK_FRICTION, arc_gain, lateral_hand_impedance, time_edges_in_arc_bands
+from ..linear_texture import (
+    ANGLES,
+    GRID_ANGLES,
+    LINE_CONCENTRATION,
+    ORIENTED_DENSITY_MEAN,
+    compute_surface_spectrum,
+    noise_remainder,
+)
 
 Float = NDArray[np.float64]
 
 _HALF = ANGLES // 2
 _ANGLE = GRID_ANGLES[:, None]
 _TWO, _FOUR = np.exp(-2j * _ANGLE) * (4.0 / 3.0), np.exp(-4j * _ANGLE) * (2.0 / 3.0)
-_FOLDS = np.array([[-2j], [-4j]])
+_ROTATION_EXPONENTS = np.array([[-2j], [-4j]])
 _TAPS = np.arange(2)[:, None]
 
 
 @dataclass(frozen=True)
-class Cut:
+class ProjectedSpectrum:
     """Power of three cuts of one surface. noise: (3, Ka). lines: (3, 2, lines) in the two arc bands about each tone.
     low: (lines,) index of the lower one, which may lie outside."""
 
@@ -41,7 +48,7 @@ class Cut:
     low: NDArray[np.intp]
 
 
-class LiveTexture:
+class LiveSurfaceSpectrum:
     """One material's token (TOKEN_DIM,), ready to be cut in any direction."""
 
     def __init__(self, token: Float, carriers: Carriers) -> None:
@@ -50,7 +57,7 @@ class LiveTexture:
         feature = dict(zip(BAND_FEATURES, values.T, strict=True))
         self._moments = np.stack([feature["cos2"] + 1j * feature["sin2"], feature["cos4"] + 1j * feature["sin4"]])
         self._peak, self._power = feature["peak"].copy(), 10.0 ** (2.0 * feature["level"])
-        still = texture_of(np.asarray(token)[None], np.array([[1.0, 0.0]]), carriers)
+        still = compute_surface_spectrum(np.asarray(token)[None], np.array([[1.0, 0.0]]), carriers)
         self._octaves = ARC_PER_OCTAVE * np.log2(np.tile(still.line_wavenumber[0], 2) / carriers.arc_centres()[0])
         position = np.log2(carriers.arc_centres() * BAND_WAVELENGTHS_M[0])
         self._below = np.clip(np.floor(position).astype(int), 0, bands - 2)
@@ -62,9 +69,9 @@ class LiveTexture:
         self._density_at = (np.arange(_HALF) * bands)[:, None] + np.append(still.band, 0)[self._source]
         self._weighted, self._moved = np.zeros((3, count + 1)), np.empty((3, *self._source.shape))
 
-    def cut(self, angle: float, weight: Float) -> Cut:
+    def project(self, angle: float, weight: Float) -> ProjectedSpectrum:
         """angle: of the stroke, radians. weight: (3, Ka), what of a wave of each |κ| counts in three cuts."""
-        two, four = self._moments * np.exp(angle * _FOLDS)
+        two, four = self._moments * np.exp(angle * _ROTATION_EXPONENTS)
         axis = 0.25 * np.arctan2(four.imag, four.real)
         along = 0.5 * (1.0 + (two * np.exp(-2j * axis)).real)
         along = np.minimum(np.maximum(along, 0.0), 1.0)
@@ -73,7 +80,9 @@ class LiveTexture:
         tones /= np.maximum(tones.sum(axis=0), 1.0)
         tones = np.minimum(np.maximum(tones, 0.0), 1.0)
         density = self._density(two, four, axis, along)
-        np.multiply(weight, self._radial(self._power * left_for_noise(tones)), out=self._weighted[:, :-1])
+        np.multiply(
+            weight, self._spread_over_wavenumbers(self._power * noise_remainder(tones)), out=self._weighted[:, :-1]
+        )
         np.take(self._weighted, self._source, axis=1, out=self._moved, mode="clip")
         noise = np.einsum("waj,aj->wj", self._moved, density.take(self._density_at))
         power = (weight[:, None, self._line_at] * (self._power * tones)).reshape(3, -1)
@@ -82,9 +91,11 @@ class LiveTexture:
         place = np.maximum(self._octaves + ARC_PER_OCTAVE * np.log2(np.maximum(cosine, 1e-300)), -1e3)
         low = np.floor(place)
         share = place - low
-        return Cut(noise / ANGLES, np.stack([power * (1.0 - share), power * share], axis=1), low.astype(np.intp))
+        return ProjectedSpectrum(
+            noise / ANGLES, np.stack([power * (1.0 - share), power * share], axis=1), low.astype(np.intp)
+        )
 
-    def _radial(self, power: Float) -> Float:
+    def _spread_over_wavenumbers(self, power: Float) -> Float:
         """Powers per token band spread over |κ| (Ka,)."""
         level = np.log(np.maximum(power, 1e-30) / ARC_PER_OCTAVE)
         return np.asarray(np.exp(level[self._below] * (1.0 - self._share) + level[self._below + 1] * self._share))
@@ -97,7 +108,7 @@ class LiveTexture:
         line = along * np.exp(LINE_CONCENTRATION * (turned - 1.0)) + (1.0 - along) * np.exp(
             -LINE_CONCENTRATION * (turned + 1.0)
         )
-        density = np.maximum((1.0 - oriented) * series + oriented * line / BUMP_MEAN, 0.0)
+        density = np.maximum((1.0 - oriented) * series + oriented * line / ORIENTED_DENSITY_MEAN, 0.0)
         return np.asarray(density[:_HALF] + density[: _HALF - 1 : -1])
 
 
@@ -115,7 +126,7 @@ class LinearState:
     gain: Float
 
 
-class LiveLinear:
+class LiveLinearContact:
     """The linear contact of one material under one probe."""
 
     def __init__(self, token: Float, mechanics: Mechanics, probe: Probe, carriers: Carriers) -> None:
@@ -127,11 +138,11 @@ class LiveLinear:
         self._weight = np.empty((3, len(self._kappa)))
 
     @cached_property
-    def _texture(self) -> LiveTexture:
+    def _spectrum(self) -> LiveSurfaceSpectrum:
         """That of at() alone."""
-        return LiveTexture(*self._of)
+        return LiveSurfaceSpectrum(*self._of)
 
-    def touch(self, angle: float, speed: float, force: float) -> tuple[tuple[float, ...], float]:
+    def contact_columns(self, angle: float, speed: float, force: float) -> tuple[tuple[float, ...], float]:
         """Columns TOUCH of a state, and its resonance [Hz]. angle: radians; speed, force: m/s and N, not below their
         floors."""
         probe, tip = self._probe, self._probe.tip_radius_m
@@ -145,9 +156,9 @@ class LiveLinear:
         leaning = (force / probe.mass_kg) ** 2
         return (angle, speed, radius, stiffness, damping, probe.mass_kg, leaning, rubbed, flank), resonance
 
-    def at(self, angle: float, speed: float, force: float) -> LinearState:
+    def evaluate(self, angle: float, speed: float, force: float) -> LinearState:
         """In numpy; arguments as of touch()."""
-        touch, resonance = self.touch(angle, speed, force)
+        touch, resonance = self.contact_columns(angle, speed, force)
         radius, stiffness, damping, mass, leaning, rubbed, flank = touch[2:]
         gain, wave = arc_gain(self._kappa, np.array([speed]))[0], self._wave
         # The squares of tip_response at κ and at half of it, by which the bearing spots are smaller.
@@ -160,7 +171,7 @@ class LiveLinear:
         hand, hand_damping = lateral_hand_impedance(self._probe.name)
         lateral = np.square(squared) / (np.square(hand - squared) + hand_damping * squared)
         up, aside = power_gain(squared, stiffness, damping, mass) * fade, lateral * leaning * fade
-        cut = self._texture.cut(angle, weight)
+        cut = self._spectrum.project(angle, weight)
         met = cut.noise[0] * up
         noise = met * rubbed + (cut.noise[1] + flank * wave * cut.noise[2]) * aside
         count = len(wave)
@@ -174,14 +185,14 @@ class LiveLinear:
         return LinearState(power, noise, normal, resonance, lines, cut.low, gain)
 
 
-class TimeShare:
+class TimeBandPower:
     """time_band_power for one state."""
 
     def __init__(self, carriers: Carriers) -> None:
-        self._edges = time_edges(carriers)
+        self._edges = time_edges_in_arc_bands(carriers)
         self._sum = np.zeros(carriers.arc_count + 1)
 
-    def of(self, power: Float, speed: float) -> Float:
+    def to_time_bands(self, power: Float, speed: float) -> Float:
         """(Ka,) power per arc band at a speed not below its floor → (Kt,) per time band."""
         np.cumsum(power, out=self._sum[1:])
         place = np.minimum(np.maximum(self._edges - ARC_PER_OCTAVE * math.log2(speed), 0.0), len(power))

@@ -25,14 +25,14 @@ class LiveState:
     material: int = 0
 
     def __post_init__(self) -> None:
-        for name, value in self._numbers():
+        for name, value in self._bounded_values():
             low, high = LIMITS[name]
             if not low <= value <= high:
                 raise StrokeError(
                     f"{name} is {value:g}, not {low:g} … {high:g}.", where="live state", remedy="Leave this one out."
                 )
 
-    def _numbers(self) -> Iterator[tuple[str, float]]:
+    def _bounded_values(self) -> Iterator[tuple[str, float]]:
         yield from (("direction", value) for value in self.direction)
         yield "speed [m/s]", self.speed
         yield "position [m]", self.position

@@ -25,29 +25,29 @@ from numpy.typing import NDArray
 
 from ...action.action import ACTION_RATE_HZ
 from ...errors import UsageError
-from ...material.mechanics import Mechanics, beyond_limits
+from ...material.mechanics import Mechanics, describe_limit_violation
 from ...material.probe import PROBES
 from ...material.token import LARGEST_VALUE, TOKEN_DIM
 from ..audible import AFTER_CONTACT_S
 from ..carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ
 from ..field import Field
 from ..linear_contact import BAND_END_HZ
-from ..timeline import SAMPLES_PER_STATE, SHARES
-from .arc_noise import LiveArc
+from ..timeline import SAMPLES_PER_STATE, STATE_FRACTIONS
+from .arc_noise import LiveArcCarriers
 from .emission import LiveEmission
-from .pressing import LivePressing
+from .pressing import LiveContactFilter
 from .state import LiveState
-from .time_noise import LiveNoise
+from .time_noise import LiveTimeCarriers
 
 Float = NDArray[np.float64]
 
 _FADE_STATES = round(AFTER_CONTACT_S * ACTION_RATE_HZ) - 1
 _HERMITE = np.stack(
     [
-        2 * SHARES**3 - 3 * SHARES**2 + 1,
-        SHARES**3 - 2 * SHARES**2 + SHARES,
-        3 * SHARES**2 - 2 * SHARES**3,
-        SHARES**3 - SHARES**2,
+        2 * STATE_FRACTIONS**3 - 3 * STATE_FRACTIONS**2 + 1,
+        STATE_FRACTIONS**3 - 2 * STATE_FRACTIONS**2 + STATE_FRACTIONS,
+        3 * STATE_FRACTIONS**2 - 2 * STATE_FRACTIONS**3,
+        STATE_FRACTIONS**3 - STATE_FRACTIONS**2,
     ],
     axis=1,
 )
@@ -75,7 +75,7 @@ class LiveSynthesis:
         tokens = np.asarray(tokens)
         if tokens.ndim != 2 or tokens.shape[1] != TOKEN_DIM or not 0 < len(tokens) == len(mechanics):
             raise UsageError(f"{len(mechanics)} mechanics and tokens of shape {tokens.shape} are no materials.")
-        problem = next(filter(None, map(beyond_limits, mechanics)), "")
+        problem = next(filter(None, map(describe_limit_violation, mechanics)), "")
         if problem or not (np.abs(tokens) <= LARGEST_VALUE).all():
             raise UsageError(
                 problem or f"a token holds NaN or leaves ±{LARGEST_VALUE:g}.",
@@ -89,8 +89,8 @@ class LiveSynthesis:
             raise UsageError("a field of the published form cannot be felt live.", remedy="Use the shared field.")
         self._config, self._carriers = field.config, field.config.carriers
         self._emission = [LiveEmission(field, *each, probe) for each in zip(tokens, mechanics, strict=True)]
-        self._noise, self._arcs = LiveNoise(self._carriers, seed), LiveArc(self._carriers, seed)
-        self._pressing = LivePressing(mechanics, probe)
+        self._noise, self._arcs = LiveTimeCarriers(self._carriers, seed), LiveArcCarriers(self._carriers, seed)
+        self._pressing = LiveContactFilter(mechanics, probe)
         self._kappa = self._carriers.arc_centres()
         self._lowest = self._kappa[::ARC_PER_OCTAVE].tolist()
         states, stride = field.config.states, field.config.stride
@@ -108,12 +108,12 @@ class LiveSynthesis:
         return len(self._emission)
 
     @property
-    def kept_blocks(self) -> int:
+    def cached_blocks(self) -> int:
         """Pieces of noise in memory: at most seven blocks in time and four hops of each octave."""
-        return self._noise.kept + self._arcs.kept
+        return self._noise.cached_blocks + self._arcs.cached_hops
 
     @property
-    def made_at_once(self) -> int:
+    def late_blocks(self) -> int:
         """Pieces of noise that a step had to wait for: the hand jumped."""
         return self._noise.at_once + self._arcs.at_once
 
@@ -126,7 +126,7 @@ class LiveSynthesis:
         while len(self._places) < 4:
             self._places.append(state.position)
         self._places.append(state.position)
-        out = self._felt(state) if state.contact or self._audible > 0.0 else self._silent()
+        out = self._render_contact(state) if state.contact or self._audible > 0.0 else self._render_silence()
         self._sample += SAMPLES_PER_STATE
         self._prepared = False
         return out
@@ -140,27 +140,27 @@ class LiveSynthesis:
         busy = self._arcs.prepare(self._places[-1], (self._places[-1] - self._places[-2]) * ACTION_RATE_HZ)
         self._noise.prepare(self._sample, spare=not busy)
 
-    def _felt(self, state: LiveState) -> Float:
+    def _render_contact(self, state: LiveState) -> Float:
         travel = max(abs(new - old) for old, new in pairwise(self._places))
-        amplitude = self._accumulated(state)
+        amplitude = self._accumulate(state)
         amplitude[self._carriers.arc_slice] *= self._kappa * (travel * ACTION_RATE_HZ) < BAND_END_HZ
         self._pair[0] = self._pair[1]
         self._pair[1] = amplitude
         fade = self._fade(state.contact)
         pressing = self._pressing.step(state.force if state.contact else 0.0, state.material)
-        out = self._texture(travel) + pressing
+        out = self._render_carriers(travel) + pressing
         return out if fade is None else fade * out
 
-    def _silent(self) -> Float:
+    def _render_silence(self) -> Float:
         """In the air for so long that nothing is heard or remembered: the next touch begins anew."""
         self._remembers = False
         self._emitted[:] = self._pair[1] = 0.0
         return np.zeros(SAMPLES_PER_STATE)
 
-    def _accumulated(self, state: LiveState) -> Float:
+    def _accumulate(self, state: LiveState) -> Float:
         """(K,) Σ_n w_n α of the past states; as field.accumulate."""
         emitted, density, stride = self._emitted, self._density, self._config.stride
-        alpha, sigma = self._emission[state.material].at(state.direction, state.speed, state.force, state.contact)
+        alpha, sigma = self._emission[state.material].evaluate(state.direction, state.speed, state.force, state.contact)
         if not self._remembers:
             density[:] = sigma  # before the first state nothing was emitted, as densely as then
         self._remembers = True
@@ -177,26 +177,26 @@ class LiveSynthesis:
         """(SAMPLES_PER_STATE,) of this stretch; None for all of it."""
         before = self._audible
         if contact and before == 0.0:
-            self._pressing.forget()  # what still rang unheard must not come up with the new touch
+            self._pressing.reset()  # what still rang unheard must not come up with the new touch
             before = 1.0
         self._air = 0 if contact else self._air + 1
         fading = max(1.0 - max(self._air - 1, 0) / _FADE_STATES, 0.0)
         self._audible = 1.0 if contact else min(fading, before)
         if before == self._audible == 1.0:
             return None
-        return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * SHARES)) ** 2)
+        return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * STATE_FRACTIONS)) ** 2)
 
-    def _texture(self, travel: float) -> Float:
+    def _render_carriers(self, travel: float) -> Float:
         carriers, pair, out = self._carriers, self._pair, np.zeros(SAMPLES_PER_STATE)
         if not pair.any():
             return out
-        mixed = self._noise.mixed(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)
-        out += mixed[0] * (1.0 - SHARES) + mixed[1] * SHARES
+        mixed = self._noise.mix(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)
+        out += mixed[0] * (1.0 - STATE_FRACTIONS) + mixed[1] * STATE_FRACTIONS
         if carriers.arc_count:
-            out += self._arc(pair[:, carriers.arc_slice].reshape(2, -1, ARC_PER_OCTAVE), travel)
+            out += self._render_arc_carriers(pair[:, carriers.arc_slice].reshape(2, -1, ARC_PER_OCTAVE), travel)
         return out
 
-    def _arc(self, pair: NDArray[np.float32], travel: float) -> Float:
+    def _render_arc_carriers(self, pair: NDArray[np.float32], travel: float) -> Float:
         """Σ_k A_k c_k(s(t)). pair: (2, octaves, 24). An octave that is left behind, being read too fast, fades out on
         the spot."""
         lowest = BAND_END_HZ / max(travel * ACTION_RATE_HZ, 1e-12)
@@ -204,13 +204,13 @@ class LiveSynthesis:
         heard = [octave for octave in active if self._lowest[octave] < lowest]
         out = np.zeros(SAMPLES_PER_STATE)
         if heard:
-            out += self._arcs.read(pair, heard, self._path())
+            out += self._arcs.read(pair, heard, self._interpolate_position())
         if len(heard) < len(active):
             left = [octave for octave in active if self._lowest[octave] >= lowest]
             out += self._arcs.read(pair, left, np.full(SAMPLES_PER_STATE, self._places[-2]))
         return out
 
-    def _path(self) -> Float:
+    def _interpolate_position(self) -> Float:
         """s (SAMPLES_PER_STATE,) from the state before to this one."""
         oldest, older, old, new = self._places
         return np.asarray(

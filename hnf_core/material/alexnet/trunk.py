@@ -29,30 +29,30 @@ class Convolution:
     pool: bool
 
 
-TRUNK = (
+BACKBONE_LAYERS = (
     Convolution("features.0", 3, 64, 11, 4, 2, True),
     Convolution("features.3", 64, 192, 5, 1, 2, True),
     Convolution("features.6", 192, 384, 3, 1, 1, False),
     Convolution("features.8", 384, 256, 3, 1, 1, False),
     Convolution("features.10", 256, 256, 3, 1, 1, False),
 )
-FEATURES = TRUNK[-1].outputs
-POOL, POOL_STRIDE = 3, 2
+BACKBONE_FEATURES = BACKBONE_LAYERS[-1].outputs
+POOL_SIZE, POOL_STRIDE = 3, 2
 
 
-def trunk_shapes() -> dict[str, tuple[int, ...]]:
+def get_backbone_shapes() -> dict[str, tuple[int, ...]]:
     """Shape of every tensor of the trunk, by torchvision's name."""
     shapes: dict[str, tuple[int, ...]] = {}
-    for layer in TRUNK:
+    for layer in BACKBONE_LAYERS:
         shapes[f"{layer.name}.weight"] = (layer.outputs, layer.inputs, layer.kernel, layer.kernel)
         shapes[f"{layer.name}.bias"] = (layer.outputs,)
     return shapes
 
 
-def trunk_features(pictures: Single, weights: Mapping[str, Single]) -> Single:
+def compute_backbone_features(images: Single, weights: Mapping[str, Single]) -> Single:
     """(n, FEATURES): the last convolution's rectified outputs for (n, H, W, 3) pictures, averaged over positions."""
-    x = pictures
-    for layer in TRUNK:
+    x = images
+    for layer in BACKBONE_LAYERS:
         x = convolve(x, weights[f"{layer.name}.weight"], weights[f"{layer.name}.bias"], layer.stride, layer.padding)
         np.maximum(x, 0.0, out=x)
         if layer.pool:
@@ -80,11 +80,11 @@ def convolve(x: Single, weight: Single, bias: Single, stride: int, padding: int)
 
 def max_pool(x: Single) -> Single:
     """(n, H, W, C) → 3 × 3 maxima, two pixels apart, as torch.nn.functional.max_pool2d(x, 3, 2)."""
-    rows, columns = ((side - POOL) // POOL_STRIDE + 1 for side in x.shape[1:3])
+    rows, columns = ((side - POOL_SIZE) // POOL_STRIDE + 1 for side in x.shape[1:3])
     shifted = [
         x[:, i : i + POOL_STRIDE * rows : POOL_STRIDE, j : j + POOL_STRIDE * columns : POOL_STRIDE]
-        for i in range(POOL)
-        for j in range(POOL)
+        for i in range(POOL_SIZE)
+        for j in range(POOL_SIZE)
     ]
     out = shifted[0].copy()
     for part in shifted[1:]:

@@ -13,17 +13,20 @@ import numpy as np
 
 from ...errors import MaterialError
 from ...files import write_bytes
-from ...tensor_file import packed
-from ...weights_file import Kind, read_weights
+from ...tensor_file import dump_tensors
+from ...weights_file import WeightsKind, read_weights
 from ..token import ALEXNET_ID, ENCODER_ID
-from .network import AlexNet, Design
+from .network import AlexNet, AlexNetConfig
 
 DEFAULT_ENCODER = Path(__file__).parents[2] / "data" / "encoder.safetensors"
-FORMAT = "hnf-encoder-1"
-_KIND = Kind(
-    "the encoder", FORMAT, "this is no encoder", "Train it again with `hnf train encoder`, or choose another file."
+ENCODER_FORMAT = "hnf-encoder-1"
+_ENCODER_KIND = WeightsKind(
+    "the encoder",
+    ENCODER_FORMAT,
+    "this is no encoder",
+    "Train it again with `hnf train encoder`, or choose another file.",
 )
-PIXELS = range(31, 513)
+SUPPORTED_PIXELS = range(31, 513)
 
 
 def save_encoder(path: Path, network: AlexNet) -> None:
@@ -32,11 +35,11 @@ def save_encoder(path: Path, network: AlexNet) -> None:
     tensors = {name: np.ascontiguousarray(value, dtype=np.float16) for name, value in network.tensors.items()}
     metadata = {
         **network.metadata,
-        "format": FORMAT,
+        "format": ENCODER_FORMAT,
         "encoder": ALEXNET_ID,
-        "architecture": json.dumps(dataclasses.asdict(network.design), sort_keys=True),
+        "architecture": json.dumps(dataclasses.asdict(network.config), sort_keys=True),
     }
-    write_bytes(path, packed(tensors, metadata))
+    write_bytes(path, dump_tensors(tensors, metadata))
 
 
 def load_encoder(path: Path | str | None = None) -> AlexNet:
@@ -45,33 +48,33 @@ def load_encoder(path: Path | str | None = None) -> AlexNet:
     Raises MaterialError where the project's own is left out, FileError where there is no file, WeightsError where it is
     damaged, of another format, make or architecture, or not finite.
     """
-    return _own(DEFAULT_ENCODER) if path is None else _read(Path(path))
+    return _load_default(DEFAULT_ENCODER) if path is None else _read_encoder(Path(path))
 
 
 @lru_cache(maxsize=1)
-def _own(path: Path) -> AlexNet:
+def _load_default(path: Path) -> AlexNet:
     if not path.is_file():
         raise MaterialError(
             f"the network of {ALEXNET_ID} is not part of the Blender extension.",
             remedy=f"Choose {ENCODER_ID}, or name a copy of hnf_core/data/{path.name} from the project's source.",
         )
-    return _read(path)
+    return _read_encoder(path)
 
 
-def _read(path: Path) -> AlexNet:
-    file = read_weights(path, _KIND)
+def _read_encoder(path: Path) -> AlexNet:
+    file = read_weights(path, _ENCODER_KIND)
     made = file.metadata.get("encoder")
     if made != ALEXNET_ID:
-        raise file.refused(f"{_KIND.foreign} ({made}, not {ALEXNET_ID}).")
-    design = file.described(lambda metadata: _design(json.loads(metadata["architecture"])))
-    return AlexNet(design, file.parameters(design.shapes()), file.metadata, file.content_id)
+        raise file.make_error(f"{_ENCODER_KIND.wrong_format} ({made}, not {ALEXNET_ID}).")
+    design = file.parse_metadata(lambda metadata: _parse_config(json.loads(metadata["architecture"])))
+    return AlexNet(design, file.check_parameters(design.shapes()), file.metadata, file.content_id)
 
 
-def _design(record: Mapping[str, Any]) -> Design:
+def _parse_config(record: Mapping[str, Any]) -> AlexNetConfig:
     mean, deviation = (tuple(float(value) for value in record[name]) for name in ("mean", "deviation"))
-    design = Design(int(record["pixels"]), int(record["hidden"]), mean, deviation)  # type: ignore[arg-type]
+    design = AlexNetConfig(int(record["pixels"]), int(record["hidden"]), mean, deviation)  # type: ignore[arg-type]
     if len(mean) != 3 or len(deviation) != 3 or not all(0.0 < value < float("inf") for value in deviation):
         raise ValueError("three means and three positive deviations are needed")
-    if design.pixels not in PIXELS or not 1 <= design.hidden <= 4096:
+    if design.pixels not in SUPPORTED_PIXELS or not 1 <= design.hidden <= 4096:
         raise ValueError(f"{design.pixels} pixels and {design.hidden} units are out of range")
     return design

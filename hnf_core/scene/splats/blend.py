@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .project import HALF_LIGHT, MOST_ALPHA, Footprints, Int, form
+from .project import MAX_ALPHA, MEDIAN_TRANSMITTANCE, Footprints, Int, evaluate_quadratic_form
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
-SPLATS = 1 << 13
+SPLATS_PER_BATCH = 1 << 13
 """Looked at together."""
-TOUCHES = 1 << 16
+INTERSECTIONS_PER_BATCH = 1 << 16
 """Pairs of a splat and a tile held at once, but for the last splat's."""
-PIXELS = 1 << 12
+PIXELS_PER_GROUP = 1 << 12
 """Blended together, in tiles."""
-EVALUATED = 1 << 17
+PAIRS_PER_BATCH = 1 << 17
 """Pairs of a splat and a pixel held at once."""
-OPAQUE = np.float32(1e-5)
+MIN_TRANSMITTANCE = np.float32(1e-5)
 """A pixel with less light left than this is done."""
 
-FAINTEST, LEAST_EXPONENT = np.float32(1e-30), np.float32(-50.0)
+SMALLEST_TRANSMITTANCE, MIN_EXPONENT = np.float32(1e-30), np.float32(-50.0)
 """Of light and of what is left out: subnormal numbers would take a hundred times as long to multiply."""
 
 
@@ -40,11 +40,11 @@ class Region:
     side: int
 
     @property
-    def across(self) -> int:
+    def tiles_across(self) -> int:
         return -(-self.width // self.side)
 
     @property
-    def down(self) -> int:
+    def tiles_down(self) -> int:
         return -(-self.height // self.side)
 
 
@@ -57,7 +57,7 @@ class Canvas:
     """
 
     region: Region
-    light: Single
+    transmittance: Single
     weight: Float
     sums: Float
     median: Single
@@ -65,8 +65,8 @@ class Canvas:
     @classmethod
     def empty(cls, region: Region) -> Canvas:
         side = region.side
-        light = np.zeros((region.down, side, region.across, side), dtype=np.float32)
-        light.reshape(region.down * side, -1)[: region.height, : region.width] = 1.0
+        light = np.zeros((region.tiles_down, side, region.tiles_across, side), dtype=np.float32)
+        light.reshape(region.tiles_down * side, -1)[: region.height, : region.width] = 1.0
         light = np.ascontiguousarray(light.transpose(1, 3, 0, 2)).reshape(side * side, -1)
         zero = np.zeros((7, *light.shape))
         return cls(region, light, zero[0], zero[1:], np.full_like(light, np.inf))
@@ -74,17 +74,17 @@ class Canvas:
     def depth(self) -> Float:
         """(P, T) Σ w (z − base)."""
         pixel = np.arange(self.region.side**2)[:, None]
-        return np.asarray(_depth(self.sums[:3], pixel, self.region.side), dtype=np.float64)
+        return np.asarray(_evaluate_depth_plane(self.sums[:3], pixel, self.region.side), dtype=np.float64)
 
-    def picture(self, values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    def to_image(self, values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """(P, T) → (height, width)."""
-        side, down, across = self.region.side, self.region.down, self.region.across
+        side, down, across = self.region.side, self.region.tiles_down, self.region.tiles_across
         whole = values.reshape(side, side, down, across).transpose(2, 0, 3, 1)
         return whole.reshape(down * side, -1)[: self.region.height, : self.region.width]
 
 
 @dataclass(frozen=True)
-class Touches:
+class TileIntersections:
     """Splats that meet tiles, tile by tile, each tile's front to back. splat: (I,) index into the footprints.
     tile: (A,) those met. start, end: (A,) where each one's splats lie."""
 
@@ -94,7 +94,9 @@ class Touches:
     end: Int
 
 
-def blend(prints: Footprints, order: Int, colour: Single, base: float, region: Region) -> tuple[Canvas, int]:
+def composite_region(
+    footprints: Footprints, order: Int, colour: Single, base: float, region: Region
+) -> tuple[Canvas, int]:
     """A region of a picture, at most 65,536 tiles, and how many pairs of a splat and a pixel it took.
 
     order: (M,) of the footprints, front to back. colour: (3, M) of the footprints. base: a depth that others are kept
@@ -102,29 +104,34 @@ def blend(prints: Footprints, order: Int, colour: Single, base: float, region: R
     """
     canvas, pairs, at = Canvas.empty(region), 0, 0
     right, bottom = region.left + region.width, region.top + region.height
-    met = (prints.left < right) & (prints.right > region.left) & (prints.top < bottom) & (prints.bottom > region.top)
+    met = (
+        (footprints.left < right)
+        & (footprints.right > region.left)
+        & (footprints.top < bottom)
+        & (footprints.bottom > region.top)
+    )
     mine = order[met[order]]
-    prints, colour = prints.take(mine), colour[:, mine]
-    while at < len(prints):
-        open_ = (canvas.light >= OPAQUE).any(axis=0)
+    footprints, colour = footprints.take(mine), colour[:, mine]
+    while at < len(footprints):
+        open_ = (canvas.transmittance >= MIN_TRANSMITTANCE).any(axis=0)
         if not open_.any():
             break
         with np.errstate(over="ignore"):  # far from a needle q is beyond float32
-            touches, at = _touches(prints, at, region, open_)
-            pairs += _composite(canvas, prints, colour, base, touches)
+            touches, at = _intersect_tiles(footprints, at, region, open_)
+            pairs += _composite_tiles(canvas, footprints, colour, base, touches)
     return canvas, pairs
 
 
-def _touches(prints: Footprints, at: int, region: Region, open_: Bool) -> tuple[Touches, int]:
+def _intersect_tiles(prints: Footprints, at: int, region: Region, open_: Bool) -> tuple[TileIntersections, int]:
     """Of the foremost splats from `at` on with the tiles that are still open, and where the next ones begin."""
-    span, side = np.s_[at : at + SPLATS], region.side
+    span, side = np.s_[at : at + SPLATS_PER_BATCH], region.side
     left = np.maximum(prints.left[span] - region.left, 0) // side
     right = (np.minimum(prints.right[span] - region.left, region.width) - 1) // side + 1
     top = np.maximum(prints.top[span] - region.top, 0) // side
     bottom = (np.minimum(prints.bottom[span] - region.top, region.height) - 1) // side + 1
-    seen = _any_open(open_.reshape(region.down, region.across), left, right, top, bottom)
+    seen = _has_open_tile(open_.reshape(region.tiles_down, region.tiles_across), left, right, top, bottom)
     count = np.where(seen, (right - left) * (bottom - top), 0)
-    taken = int(np.searchsorted(np.cumsum(count), TOUCHES)) + 1
+    taken = int(np.searchsorted(np.cumsum(count), INTERSECTIONS_PER_BATCH)) + 1
     which = np.flatnonzero(seen[:taken])
     count, wide = count[which], (right - left)[which]
 
@@ -132,17 +139,17 @@ def _touches(prints: Footprints, at: int, region: Region, open_: Bool) -> tuple[
     place = np.arange(len(member)) - (np.cumsum(count) - count)[member]
     row = ((place + 0.5) / wide[member]).astype(np.intp)  # whole numbers divide more slowly
     y, x, splat = top[which][member] + row, left[which][member] + place - row * wide[member], which[member] + at
-    kept = np.flatnonzero(open_[y * region.across + x])
+    kept = np.flatnonzero(open_[y * region.tiles_across + x])
     y, x, splat = y[kept], x[kept], splat[kept]
-    kept = np.flatnonzero(_near(prints, splat, region.left + side * x, region.top + side * y, side))
-    tile, splat = (y[kept] * region.across + x[kept]).astype(np.uint16), splat[kept]
+    kept = np.flatnonzero(_may_reach_tile(prints, splat, region.left + side * x, region.top + side * y, side))
+    tile, splat = (y[kept] * region.tiles_across + x[kept]).astype(np.uint16), splat[kept]
     order = np.argsort(tile, kind="stable")
     found = np.bincount(tile, minlength=len(open_))
     met, end = np.flatnonzero(found), np.cumsum(found)
-    return Touches(splat[order], met, (end - found)[met], end[met]), at + min(taken, len(seen))
+    return TileIntersections(splat[order], met, (end - found)[met], end[met]), at + min(taken, len(seen))
 
 
-def _any_open(open_: Bool, left: Int, right: Int, top: Int, bottom: Int) -> Bool:
+def _has_open_tile(open_: Bool, left: Int, right: Int, top: Int, bottom: Int) -> Bool:
     """Which boxes of tiles hold an open one (summed areas)."""
     if open_.all():
         return np.ones(len(left), dtype=np.bool_)
@@ -151,54 +158,58 @@ def _any_open(open_: Bool, left: Int, right: Int, top: Int, bottom: Int) -> Bool
     return np.asarray(total[bottom, right] - total[bottom, left] > total[top, right] - total[top, left])
 
 
-def _near(prints: Footprints, splat: Int, left: Int, top: Int, side: int) -> Bool:
+def _may_reach_tile(prints: Footprints, splat: Int, left: Int, top: Int, side: int) -> Bool:
     """False where an ellipse surely misses a tile: no pixel is nearer to it, in the Mahalanobis distance, than the
     tile's middle less what half its diagonal can make."""
-    steep, across, _ = form(prints, splat, top + (0.5 * side - 0.5))
+    steep, across, _ = evaluate_quadratic_form(prints, splat, top + (0.5 * side - 0.5))
     offset = left + 0.5 * side - across
-    q = steep + prints.sharp[splat] * (offset * offset)
-    return np.asarray(q <= (np.square(np.sqrt(prints.limit) + np.sqrt(0.5) * side * prints.narrow))[splat])
+    q = steep + prints.precision[splat] * (offset * offset)
+    return np.asarray(q <= (np.square(np.sqrt(prints.cutoff) + np.sqrt(0.5) * side * prints.inverse_std))[splat])
 
 
-def _composite(canvas: Canvas, prints: Footprints, colour: Single, base: float, touches: Touches) -> int:
+def _composite_tiles(
+    canvas: Canvas, prints: Footprints, colour: Single, base: float, touches: TileIntersections
+) -> int:
     """Blend them in; returns how many pairs had a part in it. Tiles go together with those that have as many splats."""
     pairs, size, depths = 0, canvas.region.side**2, touches.end - touches.start
     alike = np.argsort(depths, kind="stable")
-    for first in range(0, len(alike), PIXELS // size):
-        group = alike[first : first + PIXELS // size]
+    for first in range(0, len(alike), PIXELS_PER_GROUP // size):
+        group = alike[first : first + PIXELS_PER_GROUP // size]
         tile, start, end = touches.tile[group], touches.start[group], touches.end[group]
         while len(tile):
-            layers = int(min(max(EVALUATED // (size * len(tile)), 1), (end - start).max()))
+            layers = int(min(max(PAIRS_PER_BATCH // (size * len(tile)), 1), (end - start).max()))
             at = start + np.arange(layers)[:, None]
             there = at < end
             splat = touches.splat[np.where(there, at, 0)]
-            pairs += _layers(canvas, prints, colour, base, tile, splat, there)
+            pairs += _composite_layers(canvas, prints, colour, base, tile, splat, there)
             start = start + layers
-            rest = np.flatnonzero((start < end) & (canvas.light[:, tile] >= OPAQUE).any(axis=0))
+            rest = np.flatnonzero((start < end) & (canvas.transmittance[:, tile] >= MIN_TRANSMITTANCE).any(axis=0))
             tile, start, end = tile[rest], start[rest], end[rest]
     return pairs
 
 
-def _layers(canvas: Canvas, prints: Footprints, colour: Single, base: float, tile: Int, splat: Int, there: Bool) -> int:
+def _composite_layers(
+    canvas: Canvas, prints: Footprints, colour: Single, base: float, tile: Int, splat: Int, there: Bool
+) -> int:
     """L splats, one behind the other, in each of A tiles. splat, there: (L, A)."""
-    y, x = np.divmod(tile, canvas.region.across)
+    y, x = np.divmod(tile, canvas.region.tiles_across)
     side = canvas.region.side
     left, top = canvas.region.left + side * x, canvas.region.top + side * y
-    alpha, covered = _alpha(prints, left, top, side, splat, there)
+    alpha, covered = _evaluate_alpha(prints, left, top, side, splat, there)
     light = np.empty((len(splat) + 1, *alpha.shape[1:]), dtype=np.float32)
-    light[0] = canvas.light[:, tile]
+    light[0] = canvas.transmittance[:, tile]
     np.subtract(np.float32(1.0), alpha, out=light[1:])
     for layer in range(len(splat)):  # multiply.accumulate takes ten times as long
         light[layer + 1] *= light[layer]
-        np.maximum(light[layer + 1], FAINTEST, out=light[layer + 1])
-    canvas.light[:, tile] = light[-1]
-    seen = _seen(prints, colour, base, left, top, splat)
+        np.maximum(light[layer + 1], SMALLEST_TRANSMITTANCE, out=light[layer + 1])
+    canvas.transmittance[:, tile] = light[-1]
+    seen = _evaluate_layer_attributes(prints, colour, base, left, top, splat)
 
-    pixel, which = np.nonzero((light[0] > HALF_LIGHT) & (light[-1] <= HALF_LIGHT))
-    layer = np.argmax(light[1:, pixel, which] <= HALF_LIGHT, axis=0)
-    canvas.median[pixel, tile[which]] = _depth(seen[:3, layer, which], pixel, side)
+    pixel, which = np.nonzero((light[0] > MEDIAN_TRANSMITTANCE) & (light[-1] <= MEDIAN_TRANSMITTANCE))
+    layer = np.argmax(light[1:, pixel, which] <= MEDIAN_TRANSMITTANCE, axis=0)
+    canvas.median[pixel, tile[which]] = _evaluate_depth_plane(seen[:3, layer, which], pixel, side)
 
-    covered &= light[:-1] >= OPAQUE
+    covered &= light[:-1] >= MIN_TRANSMITTANCE
     weight = alpha
     weight *= light[:-1]
     weight *= covered
@@ -207,35 +218,37 @@ def _layers(canvas: Canvas, prints: Footprints, colour: Single, base: float, til
     return int(np.count_nonzero(covered))
 
 
-def _alpha(prints: Footprints, left: Int, top: Int, side: int, splat: Int, there: Bool) -> tuple[Single, Bool]:
+def _evaluate_alpha(prints: Footprints, left: Int, top: Int, side: int, splat: Int, there: Bool) -> tuple[Single, Bool]:
     """(L, P, A), and which of them count: q decides in float64, as it does for the reference. The others are 0."""
     steps = np.arange(side)[:, None]
-    steep, across, _ = form(prints, splat[:, None], (top + steps)[None])
+    steep, across, _ = evaluate_quadratic_form(prints, splat[:, None], (top + steps)[None])
     q = (left + steps + 0.5) - across[:, :, None]
     q *= q
-    q *= prints.sharp[splat][:, None, None]
+    q *= prints.precision[splat][:, None, None]
     q += steep[:, :, None]
-    covered = q <= np.where(there, prints.limit[splat], -1.0)[:, None, None]
+    covered = q <= np.where(there, prints.cutoff[splat], -1.0)[:, None, None]
     alpha = q.astype(np.float32)
     alpha *= np.float32(-0.5)
-    np.maximum(alpha, LEAST_EXPONENT, out=alpha)
+    np.maximum(alpha, MIN_EXPONENT, out=alpha)
     np.exp(alpha, out=alpha)
     alpha *= prints.opacity[splat].astype(np.float32)[:, None, None]
-    np.minimum(alpha, np.float32(MOST_ALPHA), out=alpha)
+    np.minimum(alpha, np.float32(MAX_ALPHA), out=alpha)
     alpha *= covered
     shape = (len(splat), side * side, len(left))
     return alpha.reshape(shape), covered.reshape(shape)
 
 
-def _seen(prints: Footprints, colour: Single, base: float, left: Int, top: Int, splat: Int) -> Single:
+def _evaluate_layer_attributes(
+    prints: Footprints, colour: Single, base: float, left: Int, top: Int, splat: Int
+) -> Single:
     """(6, L, A): depth less base in the middle of a tile's first pixel, its growth per pixel right and down, colour."""
     along, aside = top + 0.5 - prints.v[splat], left + 0.5 - prints.u[splat]
-    rise_x, rise_y = prints.rise_x[splat], prints.rise_y[splat]
+    rise_x, rise_y = prints.depth_slope_x[splat], prints.depth_slope_y[splat]
     corner = prints.depth[splat] - base + rise_x * aside + rise_y * along
     return np.stack([each.astype(np.float32) for each in (corner, rise_x, rise_y)] + [each[splat] for each in colour])
 
 
-def _depth(plane: NDArray[np.floating[Any]], pixel: Int, side: int) -> NDArray[np.floating[Any]]:
+def _evaluate_depth_plane(plane: NDArray[np.floating[Any]], pixel: Int, side: int) -> NDArray[np.floating[Any]]:
     """Of pixels (n,) of a tile, from depth in its first pixel and the growth right and down, (3, n, ...)."""
     row, column = np.divmod(pixel, side)
     corner, right, down = plane

@@ -15,7 +15,7 @@ class Box:
     low: tuple[float, float, float]
     high: tuple[float, float, float]
 
-    def holds(self, points: ArrayLike) -> NDArray[np.bool_]:
+    def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
         """(N, 3) → (N,)."""
         points = np.asarray(points)
         return np.asarray(((points >= np.array(self.low)) & (points <= np.array(self.high))).all(axis=-1))

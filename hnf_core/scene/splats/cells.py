@@ -13,18 +13,18 @@ from ...errors import SceneError
 
 Int = NDArray[np.int64]
 
-LONGEST_SIDE = (1 << 21) - 1
+MAX_CELLS_PER_AXIS = (1 << 21) - 1
 """Cells along an axis; three of them fit into one 63-bit number."""
 
 
 @dataclass(frozen=True)
-class Grid:
+class VoxelGrid:
     """shape: cells along x, y, z, at most LONGEST_SIDE each: else SceneError. A cell's key is (i · ny + j) · nz + k."""
 
     shape: tuple[int, int, int]
 
     def __post_init__(self) -> None:
-        if max(self.shape) > LONGEST_SIDE:
+        if max(self.shape) > MAX_CELLS_PER_AXIS:
             raise SceneError(
                 f"the splats lie too far apart for their size: {max(self.shape)} cells in a row.",
                 remedy="Cut away what lies far from the object, and export the splats again.",
@@ -40,14 +40,14 @@ class Grid:
         _, ny, nz = self.shape
         return np.stack([keys // (ny * nz), keys // nz % ny, keys % nz], axis=1)
 
-    def step(self, offset: tuple[int, int, int]) -> int:
+    def key_offset(self, offset: tuple[int, int, int]) -> int:
         """What a key grows by where its cell moves by offset. Only true away from the grid's rim: keep one cell of
         border per step."""
         _, ny, nz = self.shape
         return (offset[0] * ny + offset[1]) * nz + offset[2]
 
 
-def find(keys: Int, wanted: Int) -> NDArray[np.intp]:
+def find_keys(keys: Int, wanted: Int) -> NDArray[np.intp]:
     """Where each wanted key stands among sorted keys, -1 where it does not."""
     if len(keys) == 0:
         return np.full(wanted.shape, -1, dtype=np.intp)
@@ -55,17 +55,19 @@ def find(keys: Int, wanted: Int) -> NDArray[np.intp]:
     return np.where(keys[at] == wanted, at, -1)
 
 
-def grown(grid: Grid, keys: Int, reach: int) -> Int:
+def dilate_keys(grid: VoxelGrid, keys: Int, reach: int) -> Int:
     """The sorted keys of all cells within reach of one of these along every axis; they must lie that far from the
     grid's rim."""
     keys = np.unique(keys)
     for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1)):
-        step = grid.step(axis)
+        step = grid.key_offset(axis)
         keys = np.unique(np.concatenate([keys + by * step for by in range(-reach, reach + 1)]))
     return keys
 
 
-def connected(count: int, first: NDArray[np.integer[Any]], second: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+def label_components(
+    count: int, first: NDArray[np.integer[Any]], second: NDArray[np.integer[Any]]
+) -> NDArray[np.int64]:
     """Labels (count,) of the connected parts of a graph with edges first–second: the lowest number in each part.
 
     Hooking and pointer jumping (Shiloach & Vishkin 1982): some log(count) passes over all edges.

@@ -26,7 +26,7 @@ C3 = (
 )
 
 
-def directions(means: Floats, camera: Camera) -> Floats:
+def compute_view_directions(means: Floats, camera: Camera) -> Floats:
     """(N, 3) unit vectors from the camera's centre to points (N, 3), in their frame and number type; for an
     orthographic camera its forward axis. Zero for a point in the camera's centre."""
     if camera.kind == "orthographic":
@@ -36,10 +36,10 @@ def directions(means: Floats, camera: Camera) -> Floats:
     return np.asarray(offset / np.where(length > 0.0, length, 1.0)[:, None])
 
 
-def basis(towards: Floats, degree: int) -> list[Floats]:
+def evaluate_sh_basis(directions: Floats, degree: int) -> list[Floats]:
     """The (degree + 1)² harmonics of unit vectors (N, 3), each (N,)."""
-    x, y, z = towards[:, 0], towards[:, 1], towards[:, 2]
-    found: list[Floats] = [np.full(len(towards), C0, dtype=towards.dtype)]
+    x, y, z = directions[:, 0], directions[:, 1], directions[:, 2]
+    found: list[Floats] = [np.full(len(directions), C0, dtype=directions.dtype)]
     if degree > 0:
         found += [-C1 * y, C1 * z, -C1 * x]
     if degree > 1:
@@ -64,11 +64,11 @@ def basis(towards: Floats, degree: int) -> list[Floats]:
     return found
 
 
-def colours(harmonics: Floats, towards: Floats) -> Floats:
+def evaluate_sh_colours(harmonics: Floats, directions: Floats) -> Floats:
     """(N, 3) display-referred colour, 0.5 + Σ Y c and no less than 0, of coefficients (N, (L + 1)², 3) seen along unit
     vectors (N, 3). One coefficient after the other, so that a splat's colour does not depend on its neighbours."""
     degree = round(harmonics.shape[1] ** 0.5) - 1
     total = np.full((len(harmonics), 3), 0.5, dtype=harmonics.dtype)
-    for k, value in enumerate(basis(towards, degree)):
+    for k, value in enumerate(evaluate_sh_basis(directions, degree)):
         total += value[:, None] * harmonics[:, k]
     return np.maximum(total, 0.0)

@@ -14,17 +14,21 @@ from ...files import write_atomically
 from ..ply_header import PlyHeader
 from ..ply_rows import Rows, iter_rows
 from .cloud import Splats
-from .usable import LARGEST_LOG, Raw, Real
+from .usable import MAX_LOG_SCALE, RawSplats, Real
 
 # Y_00 = 1 / (2 √π): colour = 0.5 + Y_00 · c.
 Y_00 = 0.5 / np.sqrt(np.pi)
 # Properties f_rest_* of degree 0 … 3: three channels of (L + 1)² − 1.
-REST = (0, 9, 24, 45)
-CENTRE, ROTATION = ("x", "y", "z"), ("rot_0", "rot_1", "rot_2", "rot_3")
-SCALE, CONSTANT, PAINTED = ("scale_0", "scale_1", "scale_2"), ("f_dc_0", "f_dc_1", "f_dc_2"), ("red", "green", "blue")
+REST_COUNTS = (0, 9, 24, 45)
+CENTRE_PROPERTIES, ROTATION_PROPERTIES = ("x", "y", "z"), ("rot_0", "rot_1", "rot_2", "rot_3")
+SCALE_PROPERTIES, DC_PROPERTIES, RGB_PROPERTIES = (
+    ("scale_0", "scale_1", "scale_2"),
+    ("f_dc_0", "f_dc_1", "f_dc_2"),
+    ("red", "green", "blue"),
+)
 # Beyond it the logistic function is 0 or 1 in float32.
-LARGEST_LOGIT = 104.0
-WRITTEN_AT_ONCE = 1 << 14
+MAX_LOGIT = 104.0
+SPLATS_PER_WRITE = 1 << 14
 
 
 def check_inria(path: Path, header: PlyHeader) -> None:
@@ -32,42 +36,48 @@ def check_inria(path: Path, header: PlyHeader) -> None:
     types = dict(zip(header.names("vertex"), header.types["vertex"], strict=True))
     painted = "f_dc_0" not in types
     # 2-D Gaussian Splatting (Huang et al. 2024) writes no third scale: its Gaussians are flat.
-    needed = [*CENTRE, *SCALE[:2], *ROTATION, "opacity", *(PAINTED if painted else CONSTANT)]
-    rest = rest_count(path, header.names("vertex"))
-    for name in [*needed, *(SCALE[2:] if SCALE[2] in types else ()), *rest]:
+    needed = [
+        *CENTRE_PROPERTIES,
+        *SCALE_PROPERTIES[:2],
+        *ROTATION_PROPERTIES,
+        "opacity",
+        *(RGB_PROPERTIES if painted else DC_PROPERTIES),
+    ]
+    rest = get_rest_names(path, header.names("vertex"))
+    for name in [*needed, *(SCALE_PROPERTIES[2:] if SCALE_PROPERTIES[2] in types else ()), *rest]:
         if name not in types:
-            raise FileError(f"has no property '{name}' for its splats.", where=str(path), remedy=_AGAIN)
-        if types[name] not in (("u1",) if name in PAINTED and painted else ("f4", "f8")):
-            raise FileError(f"its property '{name}' is of the wrong type.", where=str(path), remedy=_AGAIN)
+            raise FileError(f"has no property '{name}' for its splats.", where=str(path), remedy=_EXPORT_REMEDY)
+        if types[name] not in (("u1",) if name in RGB_PROPERTIES and painted else ("f4", "f8")):
+            raise FileError(f"its property '{name}' is of the wrong type.", where=str(path), remedy=_EXPORT_REMEDY)
 
 
-def rest_count(path: Path, names: Sequence[str]) -> list[str]:
+def get_rest_names(path: Path, names: Sequence[str]) -> list[str]:
     """The names f_rest_0 … of an element in order. Raises FileError for a number that is no whole degree up to 3."""
     count = sum(name.startswith("f_rest_") for name in names)
-    if count not in REST:
+    if count not in REST_COUNTS:
         raise FileError(
             f"has {count} colour coefficients 'f_rest_' a splat; spherical harmonics of degree 0, 1, 2 or 3 have "
-            f"{', '.join(map(str, REST))}.",
+            f"{', '.join(map(str, REST_COUNTS))}.",
             where=str(path),
             remedy="Export it with harmonics of degree 3 at most.",
         )
     return [f"f_rest_{number}" for number in range(count)]
 
 
-def iter_inria(path: Path, header: PlyHeader, block: int) -> Iterator[Raw]:
+def iter_inria(path: Path, header: PlyHeader, block: int) -> Iterator[RawSplats]:
     """Splats as the file holds them, up to block at a time. Raises FileError, also for a file that ends early."""
-    rest = rest_count(path, header.names("vertex"))
+    rest = get_rest_names(path, header.names("vertex"))
     for rows in iter_rows(path, header, "vertex", block):
-        yield Raw(
-            means=columns(rows, CENTRE),
-            log_scales=_log_scales(rows),
-            rotations=columns(rows, ROTATION),
-            opacities=logistic(columns(rows, ("opacity",))[:, 0]),
-            harmonics=join_harmonics(_constant(rows), columns(rows, rest)),
+        yield RawSplats(
+            means=stack_columns(rows, CENTRE_PROPERTIES),
+            log_scales=_read_log_scales(rows),
+            rotations=stack_columns(rows, ROTATION_PROPERTIES),
+            opacities=sigmoid(stack_columns(rows, ("opacity",))[:, 0]),
+            harmonics=join_harmonics(_read_dc_coefficients(rows), stack_columns(rows, rest)),
         )
 
 
-def columns(rows: Rows, names: Sequence[str]) -> Real:
+def stack_columns(rows: Rows, names: Sequence[str]) -> Real:
     """(N, len(names)) float32, or float64 where a column is."""
     wide = any(rows.dtype[name].itemsize == 8 for name in names)
     table: Real = np.empty((len(rows), len(names)), dtype=np.float64 if wide else np.float32)
@@ -83,7 +93,7 @@ def join_harmonics(constant: Real, rest: Real) -> Real:
     return np.asarray(np.concatenate([constant[:, None, :], higher], axis=1))
 
 
-def logistic(logits: Real) -> NDArray[np.float64]:
+def sigmoid(logits: Real) -> NDArray[np.float64]:
     """1 / (1 + e^−x) without overflow; 0 and 1 at ∓∞."""
     with np.errstate(invalid="ignore"):  # a signalling NaN complains when it is widened
         small = np.exp(-np.abs(logits.astype(np.float64)))
@@ -100,41 +110,53 @@ def write_inria(path: Path, splats: Splats, *, comments: Sequence[str] = ()) -> 
     if any("\n" in comment or "\r" in comment for comment in comments):
         raise UsageError("A comment of a .ply is one line.", where=str(path))
     rest = [f"f_rest_{number}" for number in range(3 * (splats.harmonics.shape[1] - 1))]
-    names = [*CENTRE, "nx", "ny", "nz", *CONSTANT, *rest, "opacity", *SCALE, *ROTATION]
+    names = [
+        *CENTRE_PROPERTIES,
+        "nx",
+        "ny",
+        "nz",
+        *DC_PROPERTIES,
+        *rest,
+        "opacity",
+        *SCALE_PROPERTIES,
+        *ROTATION_PROPERTIES,
+    ]
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
     lines += [f"element vertex {len(splats)}", *(f"property float {name}" for name in names), "end_header", ""]
 
     def write(temporary: Path) -> None:
         with temporary.open("wb") as stream:
             stream.write("\n".join(lines).encode())
-            for first in range(0, len(splats), WRITTEN_AT_ONCE):
-                stream.write(_table(splats.take(np.arange(first, min(first + WRITTEN_AT_ONCE, len(splats))))).tobytes())
+            for first in range(0, len(splats), SPLATS_PER_WRITE):
+                stream.write(
+                    _encode_rows(splats.take(np.arange(first, min(first + SPLATS_PER_WRITE, len(splats))))).tobytes()
+                )
 
     write_atomically(path, write)
 
 
-def _table(splats: Splats) -> NDArray[np.float32]:
+def _encode_rows(splats: Splats) -> NDArray[np.float32]:
     """(N, 14 + 3 K) as the file holds it."""
     count = len(splats)
     opacities = splats.opacities.astype(np.float64)
     with np.errstate(divide="ignore"):
-        logits = np.clip(np.log(opacities) - np.log1p(-opacities), -LARGEST_LOGIT, LARGEST_LOGIT)
+        logits = np.clip(np.log(opacities) - np.log1p(-opacities), -MAX_LOGIT, MAX_LOGIT)
         logs = np.log(splats.scales.astype(np.float64))
     rest = splats.harmonics[:, 1:].transpose(0, 2, 1).reshape(count, -1)
     parts = [splats.means, np.zeros((count, 3)), splats.harmonics[:, 0], rest, logits[:, None], logs, splats.rotations]
     return np.asarray(np.concatenate(parts, axis=1), dtype="<f4")
 
 
-def _log_scales(rows: Rows) -> Real:
-    there = [name for name in SCALE if name in (rows.dtype.names or ())]
-    logs = columns(rows, there)
-    return logs if len(there) == 3 else np.pad(logs, ((0, 0), (0, 1)), constant_values=-LARGEST_LOG)
+def _read_log_scales(rows: Rows) -> Real:
+    there = [name for name in SCALE_PROPERTIES if name in (rows.dtype.names or ())]
+    logs = stack_columns(rows, there)
+    return logs if len(there) == 3 else np.pad(logs, ((0, 0), (0, 1)), constant_values=-MAX_LOG_SCALE)
 
 
-def _constant(rows: Rows) -> Real:
-    if CONSTANT[0] in (rows.dtype.names or ()):
-        return columns(rows, CONSTANT)
-    return np.asarray((columns(rows, PAINTED) / 255.0 - 0.5) / Y_00)
+def _read_dc_coefficients(rows: Rows) -> Real:
+    if DC_PROPERTIES[0] in (rows.dtype.names or ()):
+        return stack_columns(rows, DC_PROPERTIES)
+    return np.asarray((stack_columns(rows, RGB_PROPERTIES) / 255.0 - 0.5) / Y_00)
 
 
-_AGAIN = "Export it again as Gaussian splats (INRIA's .ply layout)."
+_EXPORT_REMEDY = "Export it again as Gaussian splats (INRIA's .ply layout)."

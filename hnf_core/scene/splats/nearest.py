@@ -8,25 +8,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import UsageError
-from ..raycast import closest_barycentric
-from .cells import Grid, find
+from ..raycast import find_closest_barycentric
+from .cells import VoxelGrid, find_keys
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-_CHUNK = 1 << 13
-_MOST_CELLS = 1 << 20
+_POINTS_PER_CHUNK = 1 << 13
+_MAX_CELLS = 1 << 20
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestTriangles:
     """triangle: (n,) int32, -1 where none is within reach. distance: (n,) float64, inf there."""
 
     triangle: NDArray[np.int32]
     distance: Float
 
 
-def nearest_faces(vertices: ArrayLike, triangles: ArrayLike, points: ArrayLike, within: float) -> Nearest:
+def find_nearest_triangles(
+    vertices: ArrayLike, triangles: ArrayLike, points: ArrayLike, within: float
+) -> NearestTriangles:
     """The triangle (T, 3) of vertices (V, 3) nearest to each point (n, 3), if no farther than within; of equally near
     ones any. Exact in float64; looks near first, and farther only for those that found nothing.
 
@@ -36,12 +38,12 @@ def nearest_faces(vertices: ArrayLike, triangles: ArrayLike, points: ArrayLike, 
         raise UsageError(f"a reach of {within} finds nothing.", remedy="Give a positive length.")
     corners = np.asarray(vertices, dtype=np.float64)[np.asarray(triangles)].reshape(-1, 3, 3)
     places = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    found = Nearest(np.full(len(places), -1, dtype=np.int32), np.full(len(places), np.inf))
+    found = NearestTriangles(np.full(len(places), -1, dtype=np.int32), np.full(len(places), np.inf))
     if len(corners) == 0 or len(places) == 0:
         return found
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    finest = float(np.ptp(centre, axis=0).max()) / _MOST_CELLS
+    finest = float(np.ptp(centre, axis=0).max()) / _MAX_CELLS
     reach = min(within, max(float(np.median(radius)), finest, within * 2.0**-20))
     # A few large triangles would make the cells of all the others large.
     small = radius <= max(1.5 * float(np.median(radius)), finest)
@@ -49,10 +51,10 @@ def nearest_faces(vertices: ArrayLike, triangles: ArrayLike, points: ArrayLike, 
     while True:
         open_ = np.flatnonzero(found.triangle < 0)
         for group in groups:
-            bins = _Bins.of(centre[group], reach + float(radius[group].max()))
-            for start in range(0, len(open_), _CHUNK):
-                which = open_[start : start + _CHUNK]
-                triangle, distance = _nearest(bins, corners[group], centre[group], radius[group], places[which])
+            bins = _TriangleBins.build(centre[group], reach + float(radius[group].max()))
+            for start in range(0, len(open_), _POINTS_PER_CHUNK):
+                which = open_[start : start + _POINTS_PER_CHUNK]
+                triangle, distance = _search_bins(bins, corners[group], centre[group], radius[group], places[which])
                 hit = (distance <= reach) & (distance < found.distance[which])
                 found.triangle[which[hit]], found.distance[which[hit]] = group[triangle[hit]], distance[hit]
         if reach >= within:
@@ -61,10 +63,10 @@ def nearest_faces(vertices: ArrayLike, triangles: ArrayLike, points: ArrayLike, 
 
 
 @dataclass(frozen=True)
-class _Bins:
+class _TriangleBins:
     """Triangles sorted by the cell of their middle: cells keys[i] hold order[start[i] : start[i + 1]]."""
 
-    grid: Grid
+    grid: VoxelGrid
     low: Float
     high: Float
     side: float
@@ -73,28 +75,33 @@ class _Bins:
     order: Index
 
     @staticmethod
-    def of(centre: Float, side: float) -> _Bins:
+    def build(centre: Float, side: float) -> _TriangleBins:
         low, high = centre.min(axis=0), centre.max(axis=0)
         nx, ny, nz = (np.floor((high - low) / side).astype(np.int64) + 5).tolist()
-        grid = Grid((nx, ny, nz))
+        grid = VoxelGrid((nx, ny, nz))
         keys = grid.keys(np.floor((centre - low) / side).astype(np.int64) + 2)
         order = np.argsort(keys, kind="stable")
         unique, start = np.unique(keys[order], return_index=True)
-        return _Bins(grid, low, high, side, unique, np.append(start, len(keys)), order)
+        return _TriangleBins(grid, low, high, side, unique, np.append(start, len(keys)), order)
 
 
-def _nearest(bins: _Bins, corners: Float, centre: Float, radius: Float, points: Float) -> tuple[Index, Float]:
+def _search_bins(
+    bins: _TriangleBins, corners: Float, centre: Float, radius: Float, points: Float
+) -> tuple[Index, Float]:
     """(n,) the nearest among the triangles of the 27 cells around each point, and its distance; -1, inf for none."""
     nearest, least = np.full(len(points), -1, dtype=np.intp), np.full(len(points), np.inf)
     inside = np.flatnonzero(((points >= bins.low - bins.side) & (points <= bins.high + bins.side)).all(axis=1))
     keys = bins.grid.keys(np.floor((points[inside] - bins.low) / bins.side).astype(np.int64) + 2)
     bound = np.full(len(points), np.inf)
-    pairs = [_pairs(bins, centre, radius, points, inside, keys + step, bound) for step in _steps(bins.grid)]
+    pairs = [
+        _find_candidate_pairs(bins, centre, radius, points, inside, keys + step, bound)
+        for step in _neighbour_key_offsets(bins.grid)
+    ]
     who, which, closest = (np.concatenate(each) for each in zip(*pairs, strict=True))
     kept = closest <= bound[who] * (1.0 + 1e-9)
     who, which = who[kept], which[kept]
     chosen = corners[which]
-    foot = np.einsum("nc,ncx->nx", closest_barycentric(chosen, points[who]), chosen)
+    foot = np.einsum("nc,ncx->nx", find_closest_barycentric(chosen, points[who]), chosen)
     distance = np.linalg.norm(foot - points[who], axis=1)
     order = np.lexsort((which, distance, who))
     first = order[np.unique(who[order], return_index=True)[1]]
@@ -102,18 +109,24 @@ def _nearest(bins: _Bins, corners: Float, centre: Float, radius: Float, points: 
     return nearest, least
 
 
-def _steps(grid: Grid) -> list[int]:
+def _neighbour_key_offsets(grid: VoxelGrid) -> list[int]:
     """To the 27 cells around one, itself first: where the nearest is likely found."""
     near = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-    return [grid.step(each) for each in sorted(near, key=lambda each: sum(map(abs, each)))]
+    return [grid.key_offset(each) for each in sorted(near, key=lambda each: sum(map(abs, each)))]
 
 
-def _pairs(
-    bins: _Bins, centre: Float, radius: Float, points: Float, inside: Index, keys: NDArray[np.int64], bound: Float
+def _find_candidate_pairs(
+    bins: _TriangleBins,
+    centre: Float,
+    radius: Float,
+    points: Float,
+    inside: Index,
+    keys: NDArray[np.int64],
+    bound: Float,
 ) -> tuple[Index, Index, Float]:
     """Points and the triangles of their cells keys that may be nearest, and the least distance that these can have.
     bound: (n,) the distance that something is within, lowered here."""
-    at = find(bins.keys, keys)
+    at = find_keys(bins.keys, keys)
     hit = np.flatnonzero(at >= 0)
     first, count = bins.start[at[hit]], np.diff(bins.start)[at[hit]]
     who = np.repeat(inside[hit], count)

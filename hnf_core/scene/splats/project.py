@@ -22,21 +22,21 @@ Int = NDArray[np.intp]
 
 LOW_PASS_PX2 = 0.3
 """On the diagonal of every 2-D covariance (INRIA): no splat is thinner than half a pixel."""
-CUTOFF = 1.0 / 255.0
+MIN_ALPHA = 1.0 / 255.0
 """A splat that covers less of a pixel than this is skipped there (INRIA)."""
-MOST_ALPHA = 0.99
-HALF_LIGHT = 0.5
+MAX_ALPHA = 0.99
+MEDIAN_TRANSMITTANCE = 0.5
 """Left behind the splat whose depth is the median."""
-FIELD_MARGIN = 0.3
+FOV_MARGIN = 0.3
 """Jacobians are taken no farther out than this part of the half field of view beyond the picture (INRIA; with gsplat's
 rule for principal points off the centre)."""
-CHUNK = 1 << 16
-FLATTEST = 1e-10
+SPLATS_PER_CHUNK = 1 << 16
+MIN_EIGENVALUE_SHARE = 1e-10
 """Of the trace: least eigenvalue taken for a footprint where its depth plane is solved for."""
-DEPTH_REACH = 2.0
+MAX_DEPTH_REACH = 2.0
 """A depth plane leaves a splat's centre by no more than this many of the splat's own reach in depth."""
-SHARPEST = 1e30
-NUDGE = 1e-9
+MAX_PRECISION = 1e30
+BOX_MARGIN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,12 @@ class Footprints:
     v: Float
     var_y: Float
     shear: Float
-    sharp: Float
-    narrow: Float
-    limit: Float
+    precision: Float
+    inverse_std: Float
+    cutoff: Float
     opacity: Float
-    rise_x: Float
-    rise_y: Float
+    depth_slope_x: Float
+    depth_slope_y: Float
     left: Int
     right: Int
     top: Int
@@ -77,108 +77,116 @@ class Footprints:
         return Footprints(*(getattr(self, each.name)[which] for each in fields(self)))
 
 
-def form(prints: Footprints, which: Int, y: Int | Float) -> tuple[Float, Float, Float]:
+def evaluate_quadratic_form(prints: Footprints, which: Int, y: Int | Float) -> tuple[Float, Float, Float]:
     """(steep, across, along) of splats on rows of pixels: q = steep + sharp (x + ½ − across)², along = dy. The only
     place where q is made, so that the reference and the fast way leave out the same pixels."""
     along = (y + 0.5) - prints.v[which]
     return along * along / prints.var_y[which], prints.u[which] + prints.shear[which] * along, along
 
 
-def footprints(splats: Splats, camera: Camera, low_pass: float = LOW_PASS_PX2) -> Footprints:
+def project_splats(splats: Splats, camera: Camera, low_pass: float = LOW_PASS_PX2) -> Footprints:
     """What of a cloud meets the picture, front to back. Raises UsageError where low_pass, pixels², is negative or not
     finite."""
-    found = joined([footprints_of(splats, camera, low_pass, chunk) for chunk in chunks(len(splats))])
-    return found.take(front_to_back(found))
+    found = concatenate_footprints(
+        [project_chunk(splats, camera, low_pass, chunk) for chunk in split_into_chunks(len(splats))]
+    )
+    return found.take(sort_front_to_back(found))
 
 
-def chunks(count: int) -> list[slice]:
+def split_into_chunks(count: int) -> list[slice]:
     """At least one."""
-    return [slice(start, min(start + CHUNK, count)) for start in range(0, max(count, 1), CHUNK)]
+    return [slice(start, min(start + SPLATS_PER_CHUNK, count)) for start in range(0, max(count, 1), SPLATS_PER_CHUNK)]
 
 
-def joined(parts: list[Footprints]) -> Footprints:
-    if len(parts) == 1:
-        return parts[0]
-    return Footprints(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Footprints)))
+def concatenate_footprints(chunks: list[Footprints]) -> Footprints:
+    if len(chunks) == 1:
+        return chunks[0]
+    return Footprints(*(np.concatenate([getattr(part, each.name) for part in chunks]) for each in fields(Footprints)))
 
 
-def front_to_back(prints: Footprints) -> Int:
+def sort_front_to_back(prints: Footprints) -> Int:
     """Their order; of equal depths the first in the cloud is in front."""
     return np.argsort(prints.depth, kind="stable")
 
 
-def footprints_of(splats: Splats, camera: Camera, low_pass: float, chunk: slice) -> Footprints:
+def project_chunk(splats: Splats, camera: Camera, low_pass: float, chunk: slice) -> Footprints:
     """Of some splats, in the cloud's order. What cannot reach the picture is left out before it has a covariance."""
     if not 0.0 <= low_pass < np.inf:
         raise UsageError(f"low_pass is {low_pass}.", remedy="It is a variance in pixels²: 0 or more.")
     with np.errstate(all="ignore"):  # what is not finite falls to the comparisons
-        return _footprints(splats, camera, low_pass, chunk)
+        return _project_chunk(splats, camera, low_pass, chunk)
 
 
-def _footprints(splats: Splats, camera: Camera, low_pass: float, chunk: slice) -> Footprints:
+def _project_chunk(splats: Splats, camera: Camera, low_pass: float, chunk: slice) -> Footprints:
     turn, focal = camera.pose[:3, :3], camera.intrinsics[:2, :2]
     offset = [splats.means[chunk, i].astype(np.float64) - camera.pose[i, 3] for i in range(3)]
     z = _dot(turn[:, 2], offset)
     opacity = splats.opacities[chunk].astype(np.float64)
-    limit = 2.0 * np.log(opacity / CUTOFF)
+    limit = 2.0 * np.log(opacity / MIN_ALPHA)
     seen = (z >= camera.clip_start) & (z <= camera.clip_end) & (limit >= 0.0)
     if camera.kind == "perspective":
         seen &= z > 0.0
     at = np.flatnonzero(seen)
     z, limit = z[at], limit[at]
     x, y = (_dot(turn[:, i], [each[at] for each in offset]) for i in range(2))
-    u, v, jacobian = _linear(camera, focal, x, y, z)
+    u, v, jacobian = _linearise_projection(camera, focal, x, y, z)
     widest = splats.scales[chunk].max(axis=1)[at].astype(np.float64) ** 2
     reach = [np.sqrt(limit * (widest * (row[0] ** 2 + row[1] ** 2 + row[2] ** 2) + low_pass)) for row in jacobian]
-    met = np.flatnonzero(_meets(camera, u, v, *reach))
+    met = np.flatnonzero(_overlaps_image(camera, u, v, *reach))
     at, z, limit, u, v = at[met], z[met], limit[met], u[met], v[met]
     jacobian = [[entry[met] for entry in row] for row in jacobian]
 
     index = at + chunk.start
     deep = [np.full(len(index), axis) for axis in (0.0, 0.0, 1.0)]
-    mx, my, mz = on_own_axes(splats, index, [[_dot(turn[i], row) for i in range(3)] for row in (*jacobian, deep)])
+    mx, my, mz = transform_to_principal_axes(
+        splats, index, [[_dot(turn[i], row) for i in range(3)] for row in (*jacobian, deep)]
+    )
     sxx, sxy, syy = _dot(mx, mx), _dot(mx, my), _dot(my, my)
-    area = _minors(mx, my)
+    area = _gram_determinant(mx, my)
     determinant = area + low_pass * (sxx + syy) + low_pass * low_pass
-    rise_x, rise_y = _rise(sxx, sxy, syy, area, (_dot(mx, mz), _dot(my, mz), _dot(mz, mz)), low_pass)
+    rise_x, rise_y = _compute_depth_slopes(sxx, sxy, syy, area, (_dot(mx, mz), _dot(my, mz), _dot(mz, mz)), low_pass)
     var_x, var_y = sxx + low_pass, syy + low_pass
     sharp, shear = var_y / determinant, sxy / var_y
     narrow = np.sqrt((var_x + var_y) / determinant)
     wide, high = np.sqrt(limit * var_x), np.sqrt(limit * var_y)
-    kept = (determinant > 0.0) & (sharp < SHARPEST) & (var_y > 1.0 / SHARPEST) & np.isfinite(wide * high * shear)
-    kept = np.flatnonzero(kept & _meets(camera, u, v, wide, high))
-    box = _box(camera, u[kept], v[kept], wide[kept], high[kept])
+    kept = (
+        (determinant > 0.0) & (sharp < MAX_PRECISION) & (var_y > 1.0 / MAX_PRECISION) & np.isfinite(wide * high * shear)
+    )
+    kept = np.flatnonzero(kept & _overlaps_image(camera, u, v, wide, high))
+    box = _compute_box(camera, u[kept], v[kept], wide[kept], high[kept])
     found = (z, u, v, var_y, shear, sharp, narrow, limit, opacity[at], rise_x, rise_y)
     numbers: list[Any] = [each[kept] for each in (index, *found)]
     return Footprints(*numbers, *box)
 
 
-def _linear(camera: Camera, focal: Float, x: Float, y: Float, z: Float) -> tuple[Float, Float, list[list[Float]]]:
+def _linearise_projection(
+    camera: Camera, focal: Float, x: Float, y: Float, z: Float
+) -> tuple[Float, Float, list[list[Float]]]:
     """Pixel coordinates of points in the camera's frame, and the two rows of the projection's Jacobian there."""
     if camera.kind == "orthographic":
         flat_x, flat_y = x, y
         jacobian = [[np.full(len(z), row[0]), np.full(len(z), row[1]), np.zeros(len(z))] for row in focal]
     else:
         flat_x, flat_y = x / z, y / z
-        (least_x, most_x), (least_y, most_y) = _field(camera, focal)
+        (least_x, most_x), (least_y, most_y) = _jacobian_bounds(camera, focal)
         at_x, at_y = np.clip(flat_x, least_x, most_x), np.clip(flat_y, least_y, most_y)
         jacobian = [[row[0] / z, row[1] / z, -(row[0] * at_x + row[1] * at_y) / z] for row in focal]
     u, v = (row[0] * flat_x + row[1] * flat_y + camera.intrinsics[i, 2] for i, row in enumerate(focal))
     return u, v, jacobian
 
 
-def _field(camera: Camera, focal: Float) -> list[tuple[float, float]]:
+def _jacobian_bounds(camera: Camera, focal: Float) -> list[tuple[float, float]]:
     """Least and greatest x / z and y / z at which a Jacobian is taken: of the whole picture, so that a crop sees what
     the picture sees."""
     left, top, right, bottom = camera.frame
     corners = np.array([[left, top], [right, top], [left, bottom], [right, bottom]]) - camera.intrinsics[:2, 2]
     flat = corners @ np.linalg.inv(focal).T
     least, most = flat.min(axis=0), flat.max(axis=0)
-    margin = FIELD_MARGIN * 0.5 * (most - least)
+    margin = FOV_MARGIN * 0.5 * (most - least)
     return [(float(least[i] - margin[i]), float(most[i] + margin[i])) for i in range(2)]
 
 
-def on_own_axes(splats: Splats, index: Int, rows: Sequence[Sequence[Any]]) -> list[list[Float]]:
+def transform_to_principal_axes(splats: Splats, index: Int, rows: Sequence[Sequence[Any]]) -> list[list[Float]]:
     """rows · R · diag(scales): linear forms of the frame (3 entries each, numbers or (N,)) on the own axes of those
     splats, 3 × (N,) each. Products of two of them are covariances."""
     w, x, y, z = (splats.rotations[index, i].astype(np.float64) for i in range(4))
@@ -192,41 +200,41 @@ def on_own_axes(splats: Splats, index: Int, rows: Sequence[Sequence[Any]]) -> li
     return [[_dot(row, [rotation[i][k] for i in range(3)]) * scales[k] for k in range(3)] for row in rows]
 
 
-def _rise(
+def _compute_depth_slopes(
     sxx: Float, sxy: Float, syy: Float, area: Float, depth: tuple[Float, Float, Float], low_pass: float
 ) -> tuple[Float, Float]:
     """Depth per pixel of the mean along a ray, Σ_xy⁻¹ Σ_xy,z: for a disc its own plane. Without the low pass, which
     would bend it; held where the splat is seen so nearly from its edge that the pixels around it would leave it."""
     sxz, syz, szz = depth
-    least = FLATTEST * (sxx + syy)
+    least = MIN_EIGENVALUE_SHARE * (sxx + syy)
     solvable = area + least * (sxx + syy) + least * least
     rise_x = ((syy + least) * sxz - sxy * syz) / solvable
     rise_y = ((sxx + least) * syz - sxy * sxz) / solvable
     var = rise_x * rise_x * (sxx + low_pass) + 2.0 * rise_x * rise_y * sxy + rise_y * rise_y * (syy + low_pass)
-    held = np.minimum(1.0, DEPTH_REACH * np.sqrt(szz / np.where(var > 0.0, var, 1.0)))
+    held = np.minimum(1.0, MAX_DEPTH_REACH * np.sqrt(szz / np.where(var > 0.0, var, 1.0)))
     rise_x, rise_y = held * rise_x, held * rise_y
     known = np.isfinite(rise_x) & np.isfinite(rise_y) & (var > 0.0)
     return np.where(known, rise_x, 0.0), np.where(known, rise_y, 0.0)
 
 
-def _minors(mx: list[Float], my: list[Float]) -> Float:
+def _gram_determinant(mx: list[Float], my: list[Float]) -> Float:
     """det(M Mᵀ) of two rows, as a sum of squares (Cauchy and Binet), which no cancellation makes negative."""
     pairs = ((0, 1), (0, 2), (1, 2))
     return np.asarray(sum((mx[i] * my[k] - mx[k] * my[i]) ** 2 for i, k in pairs))
 
 
-def _meets(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> NDArray[np.bool_]:
-    left, right, top, bottom = _edges(camera, u, v, wide, high)
+def _overlaps_image(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> NDArray[np.bool_]:
+    left, right, top, bottom = _compute_edges(camera, u, v, wide, high)
     return np.asarray((left < right) & (top < bottom))
 
 
-def _box(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> list[Int]:
-    return [edge.astype(np.intp) for edge in _edges(camera, u, v, wide, high)]
+def _compute_box(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> list[Int]:
+    return [edge.astype(np.intp) for edge in _compute_edges(camera, u, v, wide, high)]
 
 
-def _edges(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> tuple[Float, Float, Float, Float]:
+def _compute_edges(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> tuple[Float, Float, Float, Float]:
     """Pixels whose centres lie within a half width and height, rounding outwards."""
-    wide, high = wide + NUDGE * (1.0 + wide + abs(u)), high + NUDGE * (1.0 + high + abs(v))
+    wide, high = wide + BOX_MARGIN * (1.0 + wide + abs(u)), high + BOX_MARGIN * (1.0 + high + abs(v))
     return (
         np.maximum(np.ceil(u - wide - 0.5), 0.0),
         np.minimum(np.floor(u + wide - 0.5) + 1.0, camera.width),
@@ -235,7 +243,7 @@ def _edges(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> tupl
     )
 
 
-def _dot(one: object, other: object) -> Float:
+def _dot(first: object, second: object) -> Float:
     """Of three entries, numbers or (N,), one after the other."""
-    a, b = one, other
+    a, b = first, second
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])  # type: ignore[index]

@@ -10,26 +10,26 @@ import numpy as np
 
 from ...errors import FileError
 from ..ply_header import PlyHeader, read_ply_header
-from ..ply_rows import cut_short, whole_rows
+from ..ply_rows import count_complete_rows, make_truncated_error
 from .box import Box
 from .cloud import Single, Splats
 from .compressed import check_compressed, iter_compressed
 from .inria import check_inria, iter_inria
-from .usable import Raw, Reading, keep_usable
+from .usable import RawSplats, ValidatedSplats, validate_splats
 
-OTHER_SUFFIXES = (".spz", ".splat", ".ksplat", ".sog")
+UNSUPPORTED_SUFFIXES = (".spz", ".splat", ".ksplat", ".sog")
 # 32,768 splats of degree 3 are 8 MB in the file.
-BLOCK = 1 << 15
+ROWS_PER_BLOCK = 1 << 15
 # Training leaves a few broken splats; where more than these are, the file is what is broken.
-MOST_DROPPED = 0.1
+MAX_DROPPED_SHARE = 0.1
 
 
 def read_splats(path: Path, *, within: Box | None = None) -> Splats:
     """The usable Gaussians of a file in their order; within: only those whose centre it holds. Raises as read_whole."""
-    return read_whole(path, within=within).splats
+    return read_validated_splats(path, within=within).splats
 
 
-def read_whole(path: Path, *, within: Box | None = None) -> Reading:
+def read_validated_splats(path: Path, *, within: Box | None = None) -> ValidatedSplats:
     """read_splats with what was dropped; total and dropped count the whole file, with or without a box.
 
     Raises FileError where the file is missing, cut short, damaged, of another kind, without splats, or where more than
@@ -38,31 +38,31 @@ def read_whole(path: Path, *, within: Box | None = None) -> Reading:
     path = Path(path)
     header = check_splat_file(path)
     # The count of an ascii file cannot be checked beforehand, so it gets no room.
-    kept = _Kept(header.count("vertex") if within is None and header.format != "ascii" else None)
+    kept = _SplatAccumulator(header.count("vertex") if within is None and header.format != "ascii" else None)
     total, thickened = 0, 0
     dropped: Counter[str] = Counter()
-    for reading in _readings(path, header, BLOCK):
+    for reading in _iter_blocks(path, header, ROWS_PER_BLOCK):
         splats = reading.splats
-        kept.add(splats if within is None else splats.take(within.holds(splats.means)))
+        kept.add(splats if within is None else splats.take(within.contains(splats.means)))
         total, thickened = total + reading.total, thickened + reading.thickened
         dropped.update(reading.dropped)
-    return Reading(kept.splats(), total, dict(dropped), thickened)
+    return ValidatedSplats(kept.to_splats(), total, dict(dropped), thickened)
 
 
-def iter_readings(path: Path, chunk: int = BLOCK) -> Iterator[Reading]:
+def iter_validated_splats(path: Path, chunk: int = ROWS_PER_BLOCK) -> Iterator[ValidatedSplats]:
     """One Reading for each chunk of rows; memory follows chunk, not the file.
 
     Raises FileError as read_whole does: at the call for whatever the head and the length of the file tell, and while
     reading for what only the numbers tell (at the end, for too many unusable splats; an ascii file's end).
     """
     path = Path(path)
-    return _readings(path, check_splat_file(path), chunk)
+    return _iter_blocks(path, check_splat_file(path), chunk)
 
 
 def check_splat_file(path: Path) -> PlyHeader:
     """The header of a file whose splats can be read. Raises FileError where its kind, header or length forbid it."""
     path = Path(path)
-    if path.suffix.lower() in OTHER_SUFFIXES:
+    if path.suffix.lower() in UNSUPPORTED_SUFFIXES:
         raise FileError(
             f"splats of kind '{path.suffix.lower()}' are not read.",
             where=str(path),
@@ -76,22 +76,22 @@ def check_splat_file(path: Path) -> PlyHeader:
     count = header.count("vertex")
     if count == 0:
         raise FileError("holds no splats: it is empty.", where=str(path), remedy="Export it again.")
-    (check_compressed if header.is_packed else check_inria)(path, header)
-    there = min(whole_rows(path, header, name) for name in ("vertex", "sh") if header.count(name))
+    (check_compressed if header.is_compressed else check_inria)(path, header)
+    there = min(count_complete_rows(path, header, name) for name in ("vertex", "sh") if header.count(name))
     if there < count:
-        raise cut_short(path, "vertex", there, count)
+        raise make_truncated_error(path, "vertex", there, count)
     return header
 
 
-def _readings(path: Path, header: PlyHeader, chunk: int) -> Iterator[Reading]:
-    blocks: Iterator[Raw] = (iter_compressed if header.is_packed else iter_inria)(path, header, chunk)
+def _iter_blocks(path: Path, header: PlyHeader, chunk: int) -> Iterator[ValidatedSplats]:
+    blocks: Iterator[RawSplats] = (iter_compressed if header.is_compressed else iter_inria)(path, header, chunk)
     dropped = 0
     for raw in blocks:
-        reading = keep_usable(raw)
+        reading = validate_splats(raw)
         dropped += sum(reading.dropped.values())
         yield reading
     count = header.count("vertex")
-    if dropped > MOST_DROPPED * count:
+    if dropped > MAX_DROPPED_SHARE * count:
         raise FileError(
             f"is damaged: {dropped} of its {count} splats cannot be used.",
             where=str(path),
@@ -99,26 +99,26 @@ def _readings(path: Path, header: PlyHeader, chunk: int) -> Iterator[Reading]:
         )
 
 
-class _Kept:
+class _SplatAccumulator:
     """Blocks put together. room: splats at most, where it is to be taken at once, so that nothing is held twice."""
 
-    def __init__(self, room: int | None) -> None:
-        self._room, self._count = room, 0
+    def __init__(self, capacity: int | None) -> None:
+        self._capacity, self._count = capacity, 0
         self._fields: tuple[Single, ...] = ()
-        self._pieces: list[tuple[Single, ...]] = []
+        self._blocks: list[tuple[Single, ...]] = []
 
     def add(self, splats: Splats) -> None:
         block = (splats.means, splats.scales, splats.rotations, splats.opacities, splats.harmonics)
-        if self._room is None:
-            self._pieces.append(block)
+        if self._capacity is None:
+            self._blocks.append(block)
             return
         if not self._fields:
-            self._fields = tuple(np.empty((self._room, *part.shape[1:]), dtype=np.float32) for part in block)
+            self._fields = tuple(np.empty((self._capacity, *part.shape[1:]), dtype=np.float32) for part in block)
         for field, part in zip(self._fields, block, strict=True):
             field[self._count : self._count + len(part)] = part
         self._count += len(splats)
 
-    def splats(self) -> Splats:
-        if self._room is None:
-            return Splats(*map(np.concatenate, zip(*self._pieces, strict=True)))
+    def to_splats(self) -> Splats:
+        if self._capacity is None:
+            return Splats(*map(np.concatenate, zip(*self._blocks, strict=True)))
         return Splats(*(field[: self._count] for field in self._fields))

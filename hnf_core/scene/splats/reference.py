@@ -6,8 +6,8 @@ import numpy as np
 
 from ..camera import Camera
 from .cloud import Splats
-from .harmonics import colours, directions
-from .project import HALF_LIGHT, LOW_PASS_PX2, MOST_ALPHA, footprints, form
+from .harmonics import compute_view_directions, evaluate_sh_colours
+from .project import LOW_PASS_PX2, MAX_ALPHA, MEDIAN_TRANSMITTANCE, evaluate_quadratic_form, project_splats
 from .view import SplatView
 
 
@@ -16,10 +16,10 @@ def render_reference(splats: Splats, camera: Camera, *, low_pass: float = LOW_PA
     α = min(0.99, o exp(−q / 2)) at each pixel of its box, left out where o exp(−q / 2) < 1/255; w = α T, T ← T (1 − α),
     and never an early end. low_pass: pixels², added to the variance of every splat. Raises UsageError for one that is
     negative or not finite."""
-    prints = footprints(splats, camera, low_pass)
-    colour = colours(
+    prints = project_splats(splats, camera, low_pass)
+    colour = evaluate_sh_colours(
         splats.harmonics[prints.index].astype(np.float64),
-        directions(splats.means[prints.index].astype(np.float64), camera),
+        compute_view_directions(splats.means[prints.index].astype(np.float64), camera),
     )
     shape = (camera.height, camera.width)
     light, rgb, weighted = np.ones(shape), np.zeros((*shape, 3)), np.zeros(shape)
@@ -27,18 +27,18 @@ def render_reference(splats: Splats, camera: Camera, *, low_pass: float = LOW_PA
     for i in range(len(prints)):
         y = np.arange(prints.top[i], prints.bottom[i])[:, None]
         x = np.arange(prints.left[i], prints.right[i])[None, :]
-        steep, across, along = form(prints, np.array(i), y)
+        steep, across, along = evaluate_quadratic_form(prints, np.array(i), y)
         offset = (x + 0.5) - across
-        q = steep + prints.sharp[i] * (offset * offset)
-        covered = q <= prints.limit[i]
-        alpha = np.where(covered, np.minimum(MOST_ALPHA, prints.opacity[i] * np.exp(-0.5 * q)), 0.0)
-        z = prints.depth[i] + prints.rise_x[i] * ((x + 0.5) - prints.u[i]) + prints.rise_y[i] * along
+        q = steep + prints.precision[i] * (offset * offset)
+        covered = q <= prints.cutoff[i]
+        alpha = np.where(covered, np.minimum(MAX_ALPHA, prints.opacity[i] * np.exp(-0.5 * q)), 0.0)
+        z = prints.depth[i] + prints.depth_slope_x[i] * ((x + 0.5) - prints.u[i]) + prints.depth_slope_y[i] * along
         box = np.s_[prints.top[i] : prints.bottom[i], prints.left[i] : prints.right[i]]
         before = light[box]
         after = before * (1.0 - alpha)
         rgb[box] += (alpha * before)[..., None] * colour[i]
         weighted[box] += alpha * before * z
-        median[box] = np.where((before > HALF_LIGHT) & (after <= HALF_LIGHT), z, median[box])
+        median[box] = np.where((before > MEDIAN_TRANSMITTANCE) & (after <= MEDIAN_TRANSMITTANCE), z, median[box])
         light[box] = after
         pairs += int(covered.sum())
     opacity = 1.0 - light

@@ -15,14 +15,14 @@ from .view import SplatView
 Single = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
-SEEN = 0.5
+MIN_SURFACE_OPACITY = 0.5
 """Opacity from which a pixel shows a surface."""
-AGREEMENT = 3.0
+MAX_DEPTH_DIFFERENCE = 3.0
 """Pixels by which expected and median depth may differ where the light stops at one surface."""
 
 
 @dataclass(frozen=True)
-class Sight:
+class DepthView:
     """An orthographic depth picture, prepared for questions; lengths in pixels' sides.
 
     depth: (H, W) float32, inf = nothing. slope: (H, W, 2) depth's growth per pixel to the right and down, the flatter
@@ -37,7 +37,7 @@ class Sight:
     opacity: Single
     rgb: Single
 
-    def nearest_within(self, reach: int) -> Single:
+    def min_depth_within(self, reach: int) -> Single:
         """(H, W) the least depth among the pixels at most reach away along both axes."""
         least = self.depth
         for axis in (0, 1):
@@ -50,7 +50,7 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Glance:
+class PointSample:
     """What one sight says of n points. pixel: (n,) flat number of the pixel, -1 outside the picture. ahead: (n,) how
     far the point lies in front of the surface there along the view, inf = no surface. depth: (n,) of the point."""
 
@@ -59,7 +59,7 @@ class Glance:
     depth: Single
 
 
-def sight(view: SplatView, *, kind: str = "mixed") -> Sight:
+def make_depth_view(view: SplatView, *, kind: str = "mixed") -> DepthView:
     """Of an orthographic view with square pixels of side 1.
 
     The surface lies at the median depth where the light stops at several surfaces (at an outline, the expected depth
@@ -67,42 +67,42 @@ def sight(view: SplatView, *, kind: str = "mixed") -> Sight:
     splat. kind: "mixed", or one of the two alone ("median", "expected").
     """
     expected, median = view.depth.astype(np.float32), view.median.astype(np.float32)
-    seen = (view.opacity >= SEEN) & np.isfinite(median)
+    seen = (view.opacity >= MIN_SURFACE_OPACITY) & np.isfinite(median)
     with np.errstate(invalid="ignore"):
-        one = np.abs(expected - median) <= AGREEMENT
+        one = np.abs(expected - median) <= MAX_DEPTH_DIFFERENCE
     chosen = {"mixed": np.where(one, expected, median), "median": median, "expected": expected}[kind]
     depth = np.where(seen, chosen, np.float32(np.inf)).astype(np.float32)
-    slope = np.stack([_slope(depth, 1), _slope(depth, 0)], axis=-1)
+    slope = np.stack([_compute_slope(depth, 1), _compute_slope(depth, 0)], axis=-1)
     cosine = 1.0 / np.sqrt(1.0 + np.sum(slope * slope, axis=-1))
-    return Sight(view.camera, depth, slope, cosine, view.opacity.astype(np.float32), linear_colour(view))
+    return DepthView(view.camera, depth, slope, cosine, view.opacity.astype(np.float32), compute_linear_colour(view))
 
 
-def linear_colour(view: SplatView) -> Single:
+def compute_linear_colour(view: SplatView) -> Single:
     """(H, W, 3) linear colour of what is seen, 0 to 1, without the black behind it; 0 where nothing is."""
     opacity = np.asarray(view.opacity, dtype=np.float32)[..., None]
     return srgb_to_linear(np.clip(view.rgb / np.maximum(opacity, np.float32(1e-6)), 0.0, 1.0)).astype(np.float32)
 
 
-def glance(of: Sight, points: NDArray[np.floating[Any]]) -> Glance:
+def sample_points(view: DepthView, points: NDArray[np.floating[Any]]) -> PointSample:
     """points: (n, 3) in the camera's frame."""
-    axes = of.camera.pose[:3, :3].astype(np.float32)
-    local = np.asarray(points, dtype=np.float32) @ axes - (of.camera.pose[:3, 3] @ of.camera.pose[:3, :3]).astype(
+    axes = view.camera.pose[:3, :3].astype(np.float32)
+    local = np.asarray(points, dtype=np.float32) @ axes - (view.camera.pose[:3, 3] @ view.camera.pose[:3, :3]).astype(
         np.float32
     )
-    u = local[:, 0] + np.float32(of.camera.intrinsics[0, 2])
-    v = local[:, 1] + np.float32(of.camera.intrinsics[1, 2])
+    u = local[:, 0] + np.float32(view.camera.intrinsics[0, 2])
+    v = local[:, 1] + np.float32(view.camera.intrinsics[1, 2])
     column, row = np.floor(u).astype(np.intp), np.floor(v).astype(np.intp)
-    height, width = of.depth.shape
+    height, width = view.depth.shape
     within = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     pixel = np.where(within, row * width + column, 0)
-    slope = of.slope.reshape(-1, 2)[pixel]
-    surface = of.depth.reshape(-1)[pixel]
+    slope = view.slope.reshape(-1, 2)[pixel]
+    surface = view.depth.reshape(-1)[pixel]
     surface = surface + slope[:, 0] * (u - column - np.float32(0.5)) + slope[:, 1] * (v - row - np.float32(0.5))
     ahead = np.where(within, surface - local[:, 2], np.float32(np.inf))
-    return Glance(np.where(within, pixel, -1), ahead, local[:, 2])
+    return PointSample(np.where(within, pixel, -1), ahead, local[:, 2])
 
 
-def _slope(depth: Single, axis: int) -> Single:
+def _compute_slope(depth: Single, axis: int) -> Single:
     """The smaller of the differences to both neighbours, zero where neither is a number."""
     with np.errstate(invalid="ignore"):
         step = np.diff(depth, axis=axis)

@@ -10,32 +10,32 @@ from numpy.typing import NDArray
 
 from ...errors import SceneError, UsageError
 from ..camera import Camera
-from .cells import connected
-from .clean import Cleaned, clean
+from .cells import label_components
+from .clean import PruneResult, prune_splats
 from .cloud import Splats
-from .quality import Quality, clarity, quality
-from .sights import Sight, sight
+from .quality import Quality, assess_quality, measure_clarity
+from .sights import DepthView, make_depth_view
 from .splatter import render_splats
-from .surface_nets import surface_net
-from .tsdf import THICKNESS, band_of, fuse
+from .surface_nets import extract_surface
+from .tsdf import THICKNESS, find_band, fuse_depth_views
 from .view import SplatView
-from .viewpoints import cameras_around
-from .witness import Witness, settled, vertex_normals, witness
+from .viewpoints import make_surrounding_cameras
+from .witness import VertexObservations, compute_vertex_normals, observe_vertices, refine_vertices
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
-Render = Callable[[Splats, Camera], SplatView]
+RenderFunction = Callable[[Splats, Camera], SplatView]
 Progress = Callable[[str, float], None]
 
-CELLS = 256
+DEFAULT_CELLS = 256
 """Along the longest axis."""
-FEWEST_CELLS, MOST_CELLS = 8, 2048
-VIEWS = 32
-MARGIN = 20.0
+MIN_CELLS, MAX_CELLS = 8, 2048
+DEFAULT_VIEWS = 32
+MAX_VIEW_MARGIN = 20.0
 """Cells around a splat's centre that a view sees, at most."""
-SETTLINGS = 2
+REFINEMENT_ROUNDS = 2
 """Rounds in which vertices go where the views see the surface; a third moves them by less than 0.01 spacings."""
-SMALLEST_PIECE = 0.005
+MIN_COMPONENT_AREA_SHARE = 0.005
 """Of the area; smaller connected pieces are left out."""
 
 
@@ -56,17 +56,17 @@ class SplatSurface:
     support: NDArray[np.float32]
     spread: NDArray[np.float32]
     spacing: float
-    cleaned: Cleaned
+    pruned: PruneResult
     quality: Quality
 
 
-def reconstruct(
+def reconstruct_surface(
     splats: Splats,
     *,
-    cells: int = CELLS,
-    views: int = VIEWS,
+    cells: int = DEFAULT_CELLS,
+    views: int = DEFAULT_VIEWS,
     progress: Progress | None = None,
-    render: Render = render_splats,
+    render: RenderFunction = render_splats,
     where: str = "",
 ) -> SplatSurface:
     """cells: along the longest axis of the cleaned cloud. views: orthographic pictures from all around.
@@ -74,48 +74,52 @@ def reconstruct(
     progress: called with a stage's name and the share of the whole that is done, from 0 to 1; who wants to stop raises
     from it. Raises UsageError for cells or views out of range, and SceneError where nothing solid is seen.
     """
-    if not FEWEST_CELLS <= cells <= MOST_CELLS:
-        raise UsageError(f"{cells} cells.", remedy=f"Choose {FEWEST_CELLS} to {MOST_CELLS} along the longest axis.")
+    if not MIN_CELLS <= cells <= MAX_CELLS:
+        raise UsageError(f"{cells} cells.", remedy=f"Choose {MIN_CELLS} to {MAX_CELLS} along the longest axis.")
     if not 6 <= views <= 1000:
         raise UsageError(f"{views} views.", remedy="Choose 6 to 1000.")
     tell: Progress = progress or (lambda _stage, _share: None)
     tell("cleaning", 0.0)
-    cleaned = clean(splats, where=where)
-    local, middle, spacing = _in_cells(cleaned.splats, cells)
-    sights = _look(local, views, render, tell)
+    cleaned = prune_splats(splats, where=where)
+    local, middle, spacing = _scale_to_cells(cleaned.splats, cells)
+    sights = _render_depth_views(local, views, render, tell)
     tell("fusing", 0.75)
-    grid, origin, keys = band_of(sights)
-    band = fuse(sights, grid, origin, keys)
+    grid, origin, keys = find_band(sights)
+    band = fuse_depth_views(sights, grid, origin, keys)
     tell("meshing", 0.85)
-    net = surface_net(band.samples)
+    net = extract_surface(band.samples)
     if len(net.triangles) == 0:
         raise SceneError(
             "no view shows anything solid.", where=where, remedy="Its splats are too faint or too few; use fewer cells."
         )
     tell("settling", 0.9)
-    vertices, triangles, seen = _settle(sights, net.vertices + origin, net.triangles)
-    vertices, triangles, seen = _large_pieces(vertices, triangles, seen)
+    vertices, triangles, seen = _refine_surface(sights, net.vertices + origin, net.triangles)
+    vertices, triangles, seen = _drop_small_components(vertices, triangles, seen)
     if len(triangles) == 0:
         raise SceneError("no surface is seen.", where=where, remedy="Use fewer cells, or more views.")
     tell("judging", 0.95)
-    pieces = len(np.unique(connected(len(vertices), np.repeat(triangles[:, 0], 2), triangles[:, 1:].reshape(-1))))
+    pieces = len(
+        np.unique(label_components(len(vertices), np.repeat(triangles[:, 0], 2), triangles[:, 1:].reshape(-1)))
+    )
     share = float(cleaned.splats.opacities.sum(dtype=np.float64) / np.nansum(splats.opacities, dtype=np.float64))
-    report = quality(local, share, vertices, triangles, 1.0, seen.spread, seen.views, pieces, clarity(sights))
+    report = assess_quality(
+        local, share, vertices, triangles, 1.0, seen.spread, seen.views, pieces, measure_clarity(sights)
+    )
     tell("done", 1.0)
     return SplatSurface(
         vertices=(vertices * spacing + middle).astype(np.float32),
         triangles=triangles.astype(np.int32),
-        normals=vertex_normals(vertices, triangles).astype(np.float32),
+        normals=compute_vertex_normals(vertices, triangles).astype(np.float32),
         colour=seen.colour,
         support=seen.views.astype(np.float32),
         spread=seen.spread * np.float32(spacing),
         spacing=spacing,
-        cleaned=cleaned,
+        pruned=cleaned,
         quality=replace(report, median=report.median * spacing, most=report.most * spacing, spacing=spacing),
     )
 
 
-def _in_cells(splats: Splats, cells: int) -> tuple[Splats, Float, float]:
+def _scale_to_cells(splats: Splats, cells: int) -> tuple[Splats, Float, float]:
     """The cloud with a cell's side as its unit, around its middle: what follows knows no scale. That middle, and the
     side."""
     means = splats.means.astype(np.float64)
@@ -129,31 +133,39 @@ def _in_cells(splats: Splats, cells: int) -> tuple[Splats, Float, float]:
     return local, middle, side
 
 
-def _look(local: Splats, views: int, render: Render, tell: Progress) -> list[Sight]:
-    reach = np.minimum(2.0 * local.scales.max(axis=1).astype(np.float64), MARGIN)
-    cameras = cameras_around(local.means.astype(np.float64), reach, views, 1.0)
+def _render_depth_views(local: Splats, views: int, render: RenderFunction, progress: Progress) -> list[DepthView]:
+    reach = np.minimum(2.0 * local.scales.max(axis=1).astype(np.float64), MAX_VIEW_MARGIN)
+    cameras = make_surrounding_cameras(local.means.astype(np.float64), reach, views, 1.0)
     sights = []
     for done, camera in enumerate(cameras):
-        tell("looking", 0.05 + 0.7 * done / len(cameras))
-        sights.append(sight(render(local, camera)))
+        progress("looking", 0.05 + 0.7 * done / len(cameras))
+        sights.append(make_depth_view(render(local, camera)))
     return sights
 
 
-def _settle(sights: list[Sight], vertices: Float, triangles: Int) -> tuple[Float, Int, Witness]:
+def _refine_surface(
+    depth_views: list[DepthView], vertices: Float, triangles: Int
+) -> tuple[Float, Int, VertexObservations]:
     unseen = THICKNESS
-    for _ in range(SETTLINGS):
-        normals = vertex_normals(vertices, triangles)
-        vertices = settled(vertices, normals, triangles, witness(sights, vertices, normals), unseen)
+    for _ in range(REFINEMENT_ROUNDS):
+        normals = compute_vertex_normals(vertices, triangles)
+        vertices = refine_vertices(
+            vertices, normals, triangles, observe_vertices(depth_views, vertices, normals), unseen
+        )
         unseen = 0.0
-    return vertices, triangles, witness(sights, vertices, vertex_normals(vertices, triangles))
+    return vertices, triangles, observe_vertices(depth_views, vertices, compute_vertex_normals(vertices, triangles))
 
 
-def _large_pieces(vertices: Float, triangles: Int, seen: Witness) -> tuple[Float, Int, Witness]:
+def _drop_small_components(
+    vertices: Float, triangles: Int, observed: VertexObservations
+) -> tuple[Float, Int, VertexObservations]:
     """Without triangles none of whose corners any view sees, and without pieces under SMALLEST_PIECE of the area."""
-    triangles = triangles[(seen.views[triangles] > 0).any(axis=1)]
-    label = connected(len(vertices), np.repeat(triangles[:, 0], 2), triangles[:, 1:].reshape(-1))[triangles[:, 0]]
+    triangles = triangles[(observed.views[triangles] > 0).any(axis=1)]
+    label = label_components(len(vertices), np.repeat(triangles[:, 0], 2), triangles[:, 1:].reshape(-1))[
+        triangles[:, 0]
+    ]
     corner = vertices[triangles]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     held = np.bincount(label, weights=area, minlength=len(vertices))[label]
-    used, kept = np.unique(triangles[held >= SMALLEST_PIECE * area.sum()], return_inverse=True)
-    return vertices[used], kept.reshape(-1, 3).astype(np.int64), seen.take(used)
+    used, kept = np.unique(triangles[held >= MIN_COMPONENT_AREA_SHARE * area.sum()], return_inverse=True)
+    return vertices[used], kept.reshape(-1, 3).astype(np.int64), observed.take(used)

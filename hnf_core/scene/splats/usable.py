@@ -15,15 +15,15 @@ Real = NDArray[np.floating[Any]]
 
 # e^±20 = 4.9e8 and 2.1e-9 units: PlayCanvas's writer clips scales here too. Between them the squares and products that
 # rendering takes of float32 neither overflow nor vanish.
-LARGEST_LOG = 20.0
-LARGEST = float(np.exp(LARGEST_LOG))
-SHORTEST_ROTATION = 1e-12
+MAX_LOG_SCALE = 20.0
+MAX_VALUE = float(np.exp(MAX_LOG_SCALE))
+MIN_QUATERNION_NORM = 1e-12
 NOT_FINITE, TOO_LARGE, NO_ROTATION = "not finite", "too large", "no rotation"
-REASONS = (NOT_FINITE, TOO_LARGE, NO_ROTATION)
+DROP_REASONS = (NOT_FINITE, TOO_LARGE, NO_ROTATION)
 
 
 @dataclass(frozen=True)
-class Raw:
+class RawSplats:
     """N Gaussians as a file holds them, unchecked: means (N, 3), log_scales (N, 3), rotations (N, 4) w x y z of any
     length, opacities (N,) in [0, 1], harmonics (N, K, 3)."""
 
@@ -35,7 +35,7 @@ class Raw:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ValidatedSplats:
     """splats: what can be used. total: Gaussians read. dropped: how many for each of REASONS, each counted once, for
     the first that holds. thickened: kept ones with an axis below the thinnest (2.1e-9 units), which it became."""
 
@@ -45,7 +45,7 @@ class Reading:
     thickened: int
 
 
-def keep_usable(raw: Raw) -> Reading:
+def validate_splats(raw: RawSplats) -> ValidatedSplats:
     """Gaussians that can be drawn, in their order.
 
     Dropped: a NaN anywhere, or an infinite number other than a scale of 0 (log −∞); a centre, scale or colour
@@ -58,22 +58,24 @@ def keep_usable(raw: Raw) -> Reading:
         finite = ~np.isnan(raw.log_scales).any(axis=1) & ~np.isnan(raw.opacities)
         finite &= np.isfinite(raw.means).all(axis=1) & np.isfinite(raw.rotations).all(axis=1)
         finite &= np.isfinite(raw.harmonics).all(axis=(1, 2))
-        small = (np.abs(raw.means) <= LARGEST).all(axis=1) & (np.abs(raw.harmonics) <= LARGEST).all(axis=(1, 2))
-        small &= (raw.log_scales <= LARGEST_LOG).all(axis=1)
+        small = (np.abs(raw.means) <= MAX_VALUE).all(axis=1) & (np.abs(raw.harmonics) <= MAX_VALUE).all(axis=(1, 2))
+        small &= (raw.log_scales <= MAX_LOG_SCALE).all(axis=1)
         lengths = np.linalg.norm(raw.rotations.astype(np.float64), axis=1)
-        turned = (lengths >= SHORTEST_ROTATION) & np.isfinite(lengths)
-        dropped = dict(zip(REASONS, map(_count, (~finite, finite & ~small, finite & small & ~turned)), strict=True))
+        turned = (lengths >= MIN_QUATERNION_NORM) & np.isfinite(lengths)
+        dropped = dict(
+            zip(DROP_REASONS, map(_count_true, (~finite, finite & ~small, finite & small & ~turned)), strict=True)
+        )
         kept = finite & small & turned
         logs = raw.log_scales[kept].astype(np.float64)
         splats = Splats(
             means=np.ascontiguousarray(raw.means[kept], dtype=np.float32),
-            scales=np.exp(np.maximum(logs, -LARGEST_LOG)).astype(np.float32),
+            scales=np.exp(np.maximum(logs, -MAX_LOG_SCALE)).astype(np.float32),
             rotations=(raw.rotations[kept] / lengths[kept, None]).astype(np.float32),
             opacities=raw.opacities[kept].astype(np.float32),
             harmonics=np.ascontiguousarray(raw.harmonics[kept], dtype=np.float32),
         )
-    return Reading(splats, total, dropped, _count((logs < -LARGEST_LOG).any(axis=1)))
+    return ValidatedSplats(splats, total, dropped, _count_true((logs < -MAX_LOG_SCALE).any(axis=1)))
 
 
-def _count(mask: NDArray[np.bool_]) -> int:
+def _count_true(mask: NDArray[np.bool_]) -> int:
     return int(np.count_nonzero(mask))

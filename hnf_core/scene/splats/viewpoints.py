@@ -12,14 +12,14 @@ Float = NDArray[np.float64]
 GOLDEN_ANGLE = np.pi * (3.0 - 5.0**0.5)
 
 
-def sphere_directions(count: int) -> Float:
+def make_sphere_directions(count: int) -> Float:
     """(count, 3) unit vectors, evenly over the sphere: a Fibonacci lattice (Swinbank & Purser 2006)."""
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     around, radius = GOLDEN_ANGLE * np.arange(count), np.sqrt(1.0 - height**2)
     return np.stack([radius * np.cos(around), radius * np.sin(around), height], axis=1)
 
 
-def looking(direction: ArrayLike, means: Float, reach: Float, pixel: float) -> Camera:
+def fit_orthographic_camera(direction: ArrayLike, means: Float, reach: Float, pixel: float) -> Camera:
     """The orthographic camera that looks along a unit direction (3,) from outside and sees balls of radius reach (n,)
     around means (n, 3) whole, with pixels of side pixel. Its depths start at 0."""
     forward = np.asarray(direction, dtype=np.float64)
@@ -37,6 +37,6 @@ def looking(direction: ArrayLike, means: Float, reach: Float, pixel: float) -> C
     return Camera("orthographic", width, height, intrinsics, pose, 0.0, float(high[2] - low[2] + 2.0 * pixel))
 
 
-def cameras_around(means: Float, reach: Float, count: int, pixel: float) -> list[Camera]:
+def make_surrounding_cameras(means: Float, reach: Float, count: int, pixel: float) -> list[Camera]:
     """That camera for each of sphere_directions(count)."""
-    return [looking(-direction, means, reach, pixel) for direction in sphere_directions(count)]
+    return [fit_orthographic_camera(-direction, means, reach, pixel) for direction in make_sphere_directions(count)]

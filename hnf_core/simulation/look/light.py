@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 Single = NDArray[np.float32]
 
-OCCLUSION = 2.0
+OCCLUSION_PER_DEPTH = 2.0
 """Sky lost per unit of cavity depth over the reach it is measured against."""
-DIELECTRIC = 0.04
-LOBE_LIMIT = 1.5
+DIELECTRIC_REFLECTANCE = 0.04
+MAX_HIGHLIGHT = 1.5
 """A highlight saturates the film; brighter than this it only costs exposure."""
-METAL_SHARE = 0.7
+ENVIRONMENT_SHARE = 0.7
 """Of a metal's light that comes from the surroundings rather than the lamp: no metal here is a mirror."""
 
 
@@ -41,7 +41,7 @@ UNLIT_SHARE = 0.3
 ELEVATION_DEG = (15.0, 75.0)
 
 
-def drawn_light(rng: np.random.Generator) -> Light:
+def sample_light(rng: np.random.Generator) -> Light:
     """Any light: 30 % of it none at all, as in a base-colour texture."""
     return Light(
         azimuth_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
@@ -53,7 +53,7 @@ def drawn_light(rng: np.random.Generator) -> Light:
     )
 
 
-def lit(
+def shade_surface(
     albedo: ArrayLike,
     gx: ArrayLike,
     gy: ArrayLike,
@@ -72,41 +72,42 @@ def lit(
     if light.unlit:
         return colour
     slope_x, slope_y = np.asarray(gx, dtype=np.float32), np.asarray(gy, dtype=np.float32)
-    lamp = _direction(light.azimuth_rad, light.elevation_rad)
+    lamp = _unit_vector(light.azimuth_rad, light.elevation_rad)
     half = lamp + np.array([0.0, 0.0, 1.0])
     half = half / np.linalg.norm(half)
     up = 1.0 / np.sqrt(1.0 + np.square(slope_x) + np.square(slope_y))
-    cosine = np.maximum(_along(slope_x, slope_y, up, lamp), 0.0) / np.float32(lamp[2])
+    cosine = np.maximum(_project_normal(slope_x, slope_y, up, lamp), 0.0) / np.float32(lamp[2])
     sky = (0.5 + 0.5 * up) * (1.0 - np.asarray(occlusion, dtype=np.float32))
     matt = (1.0 - light.ambient) * cosine + light.ambient * sky
     alpha2 = max(roughness**2, 0.05) ** 2
-    facing = np.maximum(_along(slope_x, slope_y, up, half), 0.0)
+    facing = np.maximum(_project_normal(slope_x, slope_y, up, half), 0.0)
     lobe = alpha2 / (np.pi * np.square(np.square(facing) * (alpha2 - 1.0) + 1.0))
     # V of the microfacet model is close to 1/4 for a viewer straight above.
-    gloss = (1.0 - light.ambient) * np.minimum(lobe / 4.0 * cosine, LOBE_LIMIT)
+    gloss = (1.0 - light.ambient) * np.minimum(lobe / 4.0 * cosine, MAX_HIGHLIGHT)
     if metallic <= 0.0:
-        return np.asarray(colour * matt[..., None] + DIELECTRIC * gloss[..., None], dtype=np.float32)
-    side = _direction(light.surroundings_rad, 0.0)
+        return np.asarray(colour * matt[..., None] + DIELECTRIC_REFLECTANCE * gloss[..., None], dtype=np.float32)
+    side = _unit_vector(light.surroundings_rad, 0.0)
     # A mirror turns the view by twice the slope.
     seen = 1.0 - 2.0 * light.surroundings * up * (slope_x * side[0] + slope_y * side[1])
-    mirror = METAL_SHARE * np.maximum(seen, 0.0) + (1.0 - METAL_SHARE) * matt + gloss
+    mirror = ENVIRONMENT_SHARE * np.maximum(seen, 0.0) + (1.0 - ENVIRONMENT_SHARE) * matt + gloss
     shade = (1.0 - metallic) * matt + metallic * mirror
     return np.asarray(
-        colour * shade[..., None] + np.float32((1.0 - metallic) * DIELECTRIC) * gloss[..., None], dtype=np.float32
+        colour * shade[..., None] + np.float32((1.0 - metallic) * DIELECTRIC_REFLECTANCE) * gloss[..., None],
+        dtype=np.float32,
     )
 
 
-def sky_hidden(cavity_m: ArrayLike, reach_m: float) -> Single:
+def compute_ambient_occlusion(cavity_m: ArrayLike, reach_m: float) -> Single:
     """(H, W) share of the sky that a place does not see, from its depth below its surroundings (albedo.cavity)."""
     deep = np.maximum(np.asarray(cavity_m, dtype=np.float32), 0.0) / np.float32(reach_m)
-    return np.minimum(np.float32(OCCLUSION) * deep, np.float32(0.8))
+    return np.minimum(np.float32(OCCLUSION_PER_DEPTH) * deep, np.float32(0.8))
 
 
-def _direction(azimuth_rad: float, elevation_rad: float) -> NDArray[np.float64]:
+def _unit_vector(azimuth_rad: float, elevation_rad: float) -> NDArray[np.float64]:
     flat = np.cos(elevation_rad)
     return np.array([np.cos(azimuth_rad) * flat, np.sin(azimuth_rad) * flat, np.sin(elevation_rad)])
 
 
-def _along(gx: Single, gy: Single, up: Single, direction: NDArray[np.float64]) -> Single:
+def _project_normal(gx: Single, gy: Single, up: Single, direction: NDArray[np.float64]) -> Single:
     x, y, z = (np.float32(value) for value in direction)
     return np.asarray(up * (z - x * gx - y * gy))

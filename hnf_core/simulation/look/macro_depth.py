@@ -14,13 +14,13 @@ from ...tactile.spectral import frequencies
 
 Float = NDArray[np.float64]
 
-TIGHTEST_RADIUS_M = 20e-3
-TILT_DEG = 8.0
-SHORTEST_M = (4e-3, 6.5e-3)
+MIN_RADIUS_M = 20e-3
+MAX_TILT_DEG = 8.0
+CUTOFF_WAVELENGTH_M = (4e-3, 6.5e-3)
 """Full above this wavelength, nothing below ROLL_OFF times it: 3 mm at the least."""
 ROLL_OFF = 0.75
-NOISE_M = (0.05e-3, 0.5e-3)
-CORRELATION_M = (0.6e-3, 3e-3)
+NOISE_RMS_M = (0.05e-3, 0.5e-3)
+NOISE_CORRELATION_M = (0.6e-3, 3e-3)
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,11 @@ class Shape:
         return np.asarray(self.tilt[0] + xx * x + xy * y), np.asarray(self.tilt[1] + yy * y + xy * x)
 
 
-def drawn_shape(rng: np.random.Generator) -> Shape:
+def sample_shape(rng: np.random.Generator) -> Shape:
     """Flat to bent around 20 mm, hollow or round, the two main curvatures any way round."""
-    slope, way = np.tan(np.radians(TILT_DEG * rng.random())), rng.uniform(0.0, 2.0 * np.pi)
+    slope, way = np.tan(np.radians(MAX_TILT_DEG * rng.random())), rng.uniform(0.0, 2.0 * np.pi)
     # Cubed: most things are flat at this scale.
-    first, second = rng.uniform(-1.0, 1.0, 2) ** 3 / TIGHTEST_RADIUS_M
+    first, second = rng.uniform(-1.0, 1.0, 2) ** 3 / MIN_RADIUS_M
     turn = rng.uniform(0.0, np.pi)
     c, s = np.cos(turn), np.sin(turn)
     bent = (first * c * c + second * s * s, first * s * s + second * c * c, (first - second) * c * s)
@@ -58,7 +58,7 @@ def centred_grid(pixels: int, size_m: float) -> tuple[Float, Float]:
     return line[None, :], -line[:, None]
 
 
-def macro_depth(height_m: Float, shape: Shape, size_m: float, rng: np.random.Generator) -> Float:
+def simulate_macro_depth(height_m: Float, shape: Shape, size_m: float, rng: np.random.Generator) -> Float:
     """(H, W) depth in metres, growing away from the viewer, of a tile given coarsely.
 
     height_m: (H, W) band-limited at its own pitch (tactile.views.decimated_tile), so that nothing folds down.
@@ -66,27 +66,27 @@ def macro_depth(height_m: Float, shape: Shape, size_m: float, rng: np.random.Gen
     pixels = height_m.shape[0]
     fx, fy = frequencies((pixels, pixels), size_m / pixels)
     radius = np.hypot(fx, fy)
-    shortest = rng.uniform(*SHORTEST_M)
+    shortest = rng.uniform(*CUTOFF_WAVELENGTH_M)
     place = np.clip((radius * shortest - 1.0) / (1.0 / ROLL_OFF - 1.0), 0.0, 1.0)
     long_waves = np.fft.irfft2(np.fft.rfft2(height_m) * (0.5 + 0.5 * np.cos(np.pi * place)), s=height_m.shape)
-    correlation = np.exp(rng.uniform(*np.log(CORRELATION_M)))
+    correlation = np.exp(rng.uniform(*np.log(NOISE_CORRELATION_M)))
     blur = np.exp(-2.0 * np.square(np.pi * radius * correlation))
     noise = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(height_m.shape)) * blur, s=height_m.shape)
-    noise *= np.exp(rng.uniform(*np.log(NOISE_M))) / max(float(noise.std()), 1e-30)
+    noise *= np.exp(rng.uniform(*np.log(NOISE_RMS_M))) / max(float(noise.std()), 1e-30)
     return np.asarray(-(shape.height(*centred_grid(pixels, size_m)) + long_waves + noise))
 
 
-def between(coarse: Float, rows: Float, columns: Float) -> Float:
+def interpolate_bilinear(coarse: Float, rows: Float, columns: Float) -> Float:
     """Values at fractional rows and columns, bilinear: a reconstruction is a mesh, with facets between its vertices.
     Past the outermost ones their slope goes on."""
-    return np.asarray(_tents(rows, coarse.shape[0]) @ coarse @ _tents(columns, coarse.shape[1]).T)
+    return np.asarray(_bilinear_matrix(rows, coarse.shape[0]) @ coarse @ _bilinear_matrix(columns, coarse.shape[1]).T)
 
 
-def _tents(place: Float, size: int) -> Float:
-    base = np.clip(np.floor(place).astype(np.intp), 0, size - 2)
-    part = place - base
-    weights = np.zeros((len(place), size))
-    index = np.arange(len(place))
+def _bilinear_matrix(position: Float, size: int) -> Float:
+    base = np.clip(np.floor(position).astype(np.intp), 0, size - 2)
+    part = position - base
+    weights = np.zeros((len(position), size))
+    index = np.arange(len(position))
     weights[index, base] = 1.0 - part
     weights[index, base + 1] = part
     return weights

@@ -26,7 +26,7 @@ class Mark:
 
 
 @dataclass(frozen=True)
-class Piece:
+class SurfaceAppearance:
     """base_color: linear RGB. dirt: dark stuff in pits, wear: lighter crests; both fill up over depth_m (an absolute
     depth: what a pit holds says how deep it is) against the height's mean over reach_m. yarns: what stands up in a
     lattice against what lies low (warp and weft). streak: along the grain of stretched noise; streak_follows: share of
@@ -43,7 +43,7 @@ class Piece:
     reach_m: float
     yarns: Mark
     streak: Mark
-    streak_follows: float
+    streak_relief_share: float
     speckle: Mark
     speckle_m: float
     speckle_sharp: float
@@ -52,11 +52,11 @@ class Piece:
     print_m: float
 
 
-PRINTS = ("stripes", "dots", "clouds")
+PRINT_KINDS = ("stripes", "dots", "clouds")
 
 
 @dataclass(frozen=True)
-class Habit:
+class AppearanceRanges:
     """What pieces of a category do. dyed: share of any colour at all. The rest: ranges of strengths; printed: share."""
 
     dyed: float
@@ -68,82 +68,82 @@ class Habit:
     printed: float = 0.15
 
 
-HABITS: Mapping[str, Habit] = MappingProxyType(
+CATEGORY_RANGES: Mapping[str, AppearanceRanges] = MappingProxyType(
     {
-        "wood": Habit(0.15, streak=(0.05, 0.45)),
-        "metal": Habit(0.05, streak=(0.0, 0.12), printed=0.1),
-        "stone": Habit(0.1, streak=(0.0, 0.2), speckle=(0.04, 0.5), printed=0.05),
-        "fabric": Habit(0.7, dirt=(0.0, 0.7), yarns=(0.0, 0.7), speckle=(0.0, 0.2), printed=0.35),
-        "paper": Habit(0.4, speckle=(0.0, 0.15), printed=0.5),
-        "plastic": Habit(0.7, yarns=(0.0, 0.25), printed=0.25),
-        "foam": Habit(0.6),
-        "carpet": Habit(0.7, yarns=(0.0, 0.6), speckle=(0.0, 0.4), printed=0.3),
-        "tile": Habit(0.5, speckle=(0.0, 0.25), printed=0.25),
-        "leather": Habit(0.5, dirt=(0.1, 1.0)),
-        "rubber": Habit(0.3),
-        "glass": Habit(0.2, dirt=(0.0, 0.5)),
+        "wood": AppearanceRanges(0.15, streak=(0.05, 0.45)),
+        "metal": AppearanceRanges(0.05, streak=(0.0, 0.12), printed=0.1),
+        "stone": AppearanceRanges(0.1, streak=(0.0, 0.2), speckle=(0.04, 0.5), printed=0.05),
+        "fabric": AppearanceRanges(0.7, dirt=(0.0, 0.7), yarns=(0.0, 0.7), speckle=(0.0, 0.2), printed=0.35),
+        "paper": AppearanceRanges(0.4, speckle=(0.0, 0.15), printed=0.5),
+        "plastic": AppearanceRanges(0.7, yarns=(0.0, 0.25), printed=0.25),
+        "foam": AppearanceRanges(0.6),
+        "carpet": AppearanceRanges(0.7, yarns=(0.0, 0.6), speckle=(0.0, 0.4), printed=0.3),
+        "tile": AppearanceRanges(0.5, speckle=(0.0, 0.25), printed=0.25),
+        "leather": AppearanceRanges(0.5, dirt=(0.1, 1.0)),
+        "rubber": AppearanceRanges(0.3),
+        "glass": AppearanceRanges(0.2, dirt=(0.0, 0.5)),
     }
 )
-ANY_HABIT = Habit(0.9, (0.0, 1.0), (0.0, 0.3), (0.0, 0.7), (0.0, 0.45), (0.0, 0.5), 0.3)
+DEFAULT_RANGES = AppearanceRanges(0.9, (0.0, 1.0), (0.0, 0.3), (0.0, 0.7), (0.0, 0.45), (0.0, 0.5), 0.3)
 """Of a surface that belongs to no category."""
 
 
-def piece_of(appearance: Appearance | None, category: str, rng: np.random.Generator) -> Piece:
+def sample_appearance(appearance: Appearance | None, category: str, rng: np.random.Generator) -> SurfaceAppearance:
     """One piece with the class's typical appearance, scattered as its category does; with neither, any looks.
 
     The same generator state gives the same piece.
     """
-    habit = HABITS.get(category, ANY_HABIT)
+    habit = CATEGORY_RANGES.get(category, DEFAULT_RANGES)
     typical = appearance or Appearance()
     dyed = rng.random() < habit.dyed or typical.base_color is None
-    own = _any_colour(rng) if dyed else _near(typical.base_color or (0.5, 0.5, 0.5), rng)
+    own = _sample_colour(rng) if dyed else _perturb_colour(typical.base_color or (0.5, 0.5, 0.5), rng)
     gloss = rng.uniform(0.1, 1.0) if typical.roughness is None else typical.roughness + 0.08 * rng.standard_normal()
     metallic = float(rng.random() < 0.15) if typical.metallic is None else typical.metallic
-    return Piece(
+    return SurfaceAppearance(
         base_color=own,
         roughness=float(np.clip(gloss, 0.05, 1.0)),
         metallic=float(metallic),
-        dirt=Mark(-_drawn(habit.dirt, rng), _tint(rng, 0.15)),
-        wear=Mark(_drawn(habit.wear, rng), _tint(rng, 0.1)),
-        depth_m=_log_uniform(rng, 0.2e-6, 6e-6),
-        reach_m=_log_uniform(rng, 0.15e-3, 0.7e-3),
-        yarns=Mark(_drawn(habit.yarns, rng) * _sign(rng), _tint(rng, 0.5)),
-        streak=Mark(_drawn(habit.streak, rng) * _sign(rng), _tint(rng, 0.2)),
-        streak_follows=float(rng.uniform(0.0, 0.7)),
-        speckle=Mark(_drawn(habit.speckle, rng), _tint(rng, 0.2)),
-        speckle_m=_log_uniform(rng, 0.1e-3, 1.5e-3),
+        dirt=Mark(-_sample_strength(habit.dirt, rng), _sample_tint(rng, 0.15)),
+        wear=Mark(_sample_strength(habit.wear, rng), _sample_tint(rng, 0.1)),
+        depth_m=_sample_log_uniform(rng, 0.2e-6, 6e-6),
+        reach_m=_sample_log_uniform(rng, 0.15e-3, 0.7e-3),
+        yarns=Mark(_sample_strength(habit.yarns, rng) * _sample_sign(rng), _sample_tint(rng, 0.5)),
+        streak=Mark(_sample_strength(habit.streak, rng) * _sample_sign(rng), _sample_tint(rng, 0.2)),
+        streak_relief_share=float(rng.uniform(0.0, 0.7)),
+        speckle=Mark(_sample_strength(habit.speckle, rng), _sample_tint(rng, 0.2)),
+        speckle_m=_sample_log_uniform(rng, 0.1e-3, 1.5e-3),
         speckle_sharp=float(rng.uniform(0.0, 1.0)),
-        prints=Mark(float(rng.uniform(0.05, 0.4)) * (rng.random() < habit.printed), _tint(rng, 0.8)),
-        print_kind=PRINTS[int(rng.integers(len(PRINTS)))],
-        print_m=_log_uniform(rng, 0.4e-3, 10e-3),
+        prints=Mark(float(rng.uniform(0.05, 0.4)) * (rng.random() < habit.printed), _sample_tint(rng, 0.8)),
+        print_kind=PRINT_KINDS[int(rng.integers(len(PRINT_KINDS)))],
+        print_m=_sample_log_uniform(rng, 0.4e-3, 10e-3),
     )
 
 
-def _drawn(between: Range, rng: np.random.Generator) -> float:
+def _sample_strength(limits: Range, rng: np.random.Generator) -> float:
     # Faint marks are the rule: squared, half of the draws lie in the lowest quarter of the range.
-    return float(between[0] + (between[1] - between[0]) * rng.random() ** 2)
+    return float(limits[0] + (limits[1] - limits[0]) * rng.random() ** 2)
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def _sample_log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _sign(rng: np.random.Generator) -> float:
+def _sample_sign(rng: np.random.Generator) -> float:
     return 1.0 if rng.random() < 0.5 else -1.0
 
 
-def _tint(rng: np.random.Generator, spread: float) -> Colour:
+def _sample_tint(rng: np.random.Generator, spread: float) -> Colour:
     red, green, blue = 1.0 + spread * rng.uniform(-1.0, 1.0, 3)
     return float(red), float(green), float(blue)
 
 
-def _near(colour: Colour, rng: np.random.Generator) -> Colour:
+def _perturb_colour(colour: Colour, rng: np.random.Generator) -> Colour:
     factors = np.exp(0.25 * rng.standard_normal() + 0.08 * rng.standard_normal(3))
     red, green, blue = np.clip(np.asarray(colour) * factors, 0.01, 0.92)
     return float(red), float(green), float(blue)
 
 
-def _any_colour(rng: np.random.Generator) -> Colour:
+def _sample_colour(rng: np.random.Generator) -> Colour:
     """Any hue, from grey to strong, from near black to near white in equal steps of lightness."""
     hue = 2.0 * np.pi * (rng.random() + np.arange(3) / 3.0)
     value = rng.uniform(0.15, 0.93) ** 2.2

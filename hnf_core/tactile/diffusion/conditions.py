@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import UsageError
-from ..views import PITCHES_M, LookView
+from ..views import PITCHES_M, AppearanceView
 
 Array = NDArray[np.float32]
 
@@ -19,7 +19,7 @@ LOG_SNR_FEATURES = 16
 LOG_SNR_SCALES = np.geomspace(0.05, 1.5, LOG_SNR_FEATURES // 2)
 """Radians per unit of log-SNR of its sines and cosines."""
 LOG_SNR_LIMIT = 12.0
-SCALARS = 7
+SCALAR_COUNT = 7
 """Mean colour (3), log contrast, log depth scale, depth known, colour known."""
 CONTRAST_FLOOR = 1.0 / 1024.0
 """A quarter of a level of an 8-bit picture: below, there is nothing to see."""
@@ -28,22 +28,24 @@ DEPTH_FLOOR = 1e-2
 
 
 @dataclass(frozen=True)
-class Look:
+class NormalisedAppearance:
     """pictures: (n, 4, 64, 64) float32, three colours (square root of linear) and depth, each group with its mean
     taken out and divided by its RMS over the view. scalars: (n, SCALARS) float32."""
 
-    pictures: Array
+    images: Array
     scalars: Array
 
 
-def look_of(encoded: Array, depth: Array, depth_known: NDArray[np.bool_], rgb_known: NDArray[np.bool_]) -> Look:
+def normalise_appearance(
+    encoded_rgb: Array, depth: Array, depth_known: NDArray[np.bool_], rgb_known: NDArray[np.bool_]
+) -> NormalisedAppearance:
     """encoded: (n, 3, 64, 64) square root of linear colour, 0–1. depth: (n, 64, 64) in pixels. depth_known, rgb_known:
     (n,); what is not known counts as zero throughout, whatever the arrays hold."""
-    count = len(encoded)
-    pictures = np.zeros((count, 4, *encoded.shape[2:]), dtype=np.float32)
-    scalars = np.zeros((count, SCALARS), dtype=np.float32)
+    count = len(encoded_rgb)
+    pictures = np.zeros((count, 4, *encoded_rgb.shape[2:]), dtype=np.float32)
+    scalars = np.zeros((count, SCALAR_COUNT), dtype=np.float32)
     if rgb_known.any():
-        colour = encoded[rgb_known]
+        colour = encoded_rgb[rgb_known]
         mean = colour.mean(axis=(2, 3), keepdims=True, dtype=np.float64)
         contrast = np.sqrt(((colour - mean) ** 2).mean(axis=(1, 2, 3), keepdims=True) + CONTRAST_FLOOR**2)
         pictures[rgb_known, :3] = (colour - mean) / contrast
@@ -56,17 +58,17 @@ def look_of(encoded: Array, depth: Array, depth_known: NDArray[np.bool_], rgb_kn
         pictures[depth_known, 3] = level / scale
         scalars[depth_known, 4] = np.log10(scale[:, 0, 0])
         scalars[depth_known, 5] = 1.0
-    return Look(pictures, scalars)
+    return NormalisedAppearance(pictures, scalars)
 
 
-def look_of_view(view: LookView, rgb_known: bool = True) -> Look:
+def normalise_view(view: AppearanceView, rgb_known: bool = True) -> NormalisedAppearance:
     """The look of one view, n = 1."""
     encoded = np.sqrt(np.clip(view.rgb, 0.0, 1.0)).transpose(2, 0, 1)[None].astype(np.float32)
     depth = (view.depth_m / np.float32(view.pitch_m))[None].astype(np.float32)
-    return look_of(encoded, depth, np.array([view.depth_known]), np.array([rgb_known]))
+    return normalise_appearance(encoded, depth, np.array([view.depth_known]), np.array([rgb_known]))
 
 
-def pitch_index_of(pitch_m: float) -> int:
+def get_pitch_index(pitch_m: float) -> int:
     """Which of PITCHES_M. Raises UsageError for another pitch."""
     index = int(np.argmin(np.abs(np.log(np.asarray(PITCHES_M) / pitch_m)))) if pitch_m > 0 else 0
     if not np.isclose(PITCHES_M[index], pitch_m, rtol=1e-6, atol=0.0):
@@ -74,7 +76,7 @@ def pitch_index_of(pitch_m: float) -> int:
     return index
 
 
-def condition(
+def build_condition(
     log_snr: NDArray[np.float64],
     level: Array,
     pitch_index: NDArray[np.int64],

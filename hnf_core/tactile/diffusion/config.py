@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..views import PITCHES_M
-from .conditions import LOG_SNR_FEATURES, SCALARS
+from .conditions import LOG_SNR_FEATURES, SCALAR_COUNT
 
-PICTURE_CHANNELS = 6
+INPUT_CHANNELS = 6
 """Two noisy slopes, three colours, depth."""
 HEADS = 4
 DIFFUSION, REGRESSION = "diffusion", "regression"
@@ -36,7 +36,7 @@ class MapConfig:
     @property
     def condition_size(self) -> int:
         """Length of a condition: log-SNR features, noisy level, pitch, sensor, scalars of the look."""
-        return LOG_SNR_FEATURES + 1 + len(PITCHES_M) + len(self.sensors) + SCALARS
+        return LOG_SNR_FEATURES + 1 + len(PITCHES_M) + len(self.sensors) + SCALAR_COUNT
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Every parameter's name and shape; the same in torch and numpy."""
@@ -59,7 +59,7 @@ class MapConfig:
 
         layer("embed.0", emb, self.condition_size)
         layer("embed.1", emb, emb)
-        layer("enter", wide, 4 * PICTURE_CHANNELS, 3, 3)
+        layer("enter", wide, 4 * INPUT_CHANNELS, 3, 3)
         for level, (size, below) in enumerate(((wide, middle), (middle, deep))):
             for way, count in (("down", self.down), ("up", self.up)):
                 for index in range(count):

@@ -20,7 +20,7 @@ NORM_EPSILON = 1e-5
 
 
 @dataclass(frozen=True)
-class Network:
+class UNet:
     """config and parameters as MapConfig.shapes() has them, float32; kernels: 3 × 3 weights as (3, out, 3 · in)."""
 
     config: MapConfig
@@ -28,28 +28,28 @@ class Network:
     kernels: Mapping[str, Array]
 
 
-def network_of(config: MapConfig, parameters: Mapping[str, Array]) -> Network:
+def build_unet(config: MapConfig, parameters: Mapping[str, Array]) -> UNet:
     """Ready to run. Parameters must have config.shapes()."""
     kernels = {
         name: np.ascontiguousarray(value.transpose(2, 0, 3, 1)).reshape(3, value.shape[0], -1)
         for name, value in parameters.items()
         if value.ndim == 4 and value.shape[-1] == 3
     }
-    return Network(config, parameters, kernels)
+    return UNet(config, parameters, kernels)
 
 
-def run(network: Network, pictures: Array, conditions: Array) -> tuple[Array, np.float32]:
+def forward(network: UNet, images: Array, conditions: Array) -> tuple[Array, np.float32]:
     """pictures (6, 64, 64) and conditions (condition_size,) of one view → slopes (2, 64, 64) and level, both of v."""
     config, get = network.config, network.parameters
     embedding = _silu(_dense(network, "embed.1", _silu(_dense(network, "embed.0", conditions))))
-    side = pictures.shape[-1] // 2
-    x = _conv3(network, "enter", _unshuffled(pictures.reshape(len(pictures), -1), 2 * side), side)
+    side = images.shape[-1] // 2
+    x = _conv3(network, "enter", _pixel_unshuffle(images.reshape(len(images), -1), 2 * side), side)
     kept = []
     for level in range(2):
         for index in range(config.down):
             x = _block(network, f"down.{level}.{index}", x, embedding, side)
         kept.append(x)
-        x = _conv1(network, f"shrink.{level}", _unshuffled(x, side))
+        x = _conv1(network, f"shrink.{level}", _pixel_unshuffle(x, side))
         side //= 2
     for index in range(config.deep - 1):
         x = _block(network, f"deep.{index}", x, embedding, side)
@@ -63,27 +63,27 @@ def run(network: Network, pictures: Array, conditions: Array) -> tuple[Array, np
         x = np.add(skip, grown).reshape(len(skip), -1)
         for index in range(config.up):
             x = _block(network, f"up.{level}.{index}", x, embedding, side)
-    scale, shift = _norm(x, get["leave_norm.weight"], get["leave_norm.bias"], config.groups)
-    out = _conv3(network, "leave", _silu_of(x, scale, shift), side)
+    scale, shift = _group_norm(x, get["leave_norm.weight"], get["leave_norm.bias"], config.groups)
+    out = _conv3(network, "leave", _scaled_silu(x, scale, shift), side)
     slopes = out.reshape(2, 2, 2, side, side).transpose(0, 3, 1, 4, 2)
     return np.ascontiguousarray(slopes).reshape(2, 2 * side, 2 * side), level_out[0]
 
 
-def _block(network: Network, name: str, x: Array, embedding: Array, side: int) -> Array:
+def _block(network: UNet, name: str, x: Array, embedding: Array, side: int) -> Array:
     get, groups = network.parameters, network.config.groups
-    scale, shift = _norm(x, get[f"{name}.norm1.weight"], get[f"{name}.norm1.bias"], groups)
-    inner = _conv3(network, f"{name}.conv1", _silu_of(x, scale, shift), side)
-    scale, shift = _norm(inner, get[f"{name}.norm2.weight"], get[f"{name}.norm2.bias"], groups)
+    scale, shift = _group_norm(x, get[f"{name}.norm1.weight"], get[f"{name}.norm1.bias"], groups)
+    inner = _conv3(network, f"{name}.conv1", _scaled_silu(x, scale, shift), side)
+    scale, shift = _group_norm(inner, get[f"{name}.norm2.weight"], get[f"{name}.norm2.bias"], groups)
     film_scale, film_shift = np.split(_dense(network, f"{name}.film", embedding), 2)
     gain = 1.0 + film_scale
-    out = _conv3(network, f"{name}.conv2", _silu_of(inner, scale * gain, shift * gain + film_shift), side)
+    out = _conv3(network, f"{name}.conv2", _scaled_silu(inner, scale * gain, shift * gain + film_shift), side)
     out += x
     return out
 
 
-def _attention(network: Network, x: Array) -> Array:
+def _attention(network: UNet, x: Array) -> Array:
     get = network.parameters
-    scale, shift = _norm(x, get["attention.norm.weight"], get["attention.norm.bias"], network.config.groups)
+    scale, shift = _group_norm(x, get["attention.norm.weight"], get["attention.norm.bias"], network.config.groups)
     size, pixels = x.shape
     parts = _conv1(network, "attention.into", x * scale[:, None] + shift[:, None])
     query, key, value = parts.reshape(3, HEADS, size // HEADS, pixels)
@@ -94,7 +94,7 @@ def _attention(network: Network, x: Array) -> Array:
     return np.asarray(x + _conv1(network, "attention.out", mixed.reshape(size, pixels)))
 
 
-def _norm(x: Array, weight: Array, bias: Array, groups: int) -> tuple[Array, Array]:
+def _group_norm(x: Array, weight: Array, bias: Array, groups: int) -> tuple[Array, Array]:
     """Group norm (Wu & He 2018) as factor and offset per channel."""
     parts = x.reshape(groups, -1)
     count = parts.shape[1]
@@ -105,7 +105,7 @@ def _norm(x: Array, weight: Array, bias: Array, groups: int) -> tuple[Array, Arr
     return scale, bias - np.repeat(mean, len(x) // groups) * scale
 
 
-def _silu_of(x: Array, scale: Array, shift: Array) -> Array:
+def _scaled_silu(x: Array, scale: Array, shift: Array) -> Array:
     """SiLU of scale · x + shift."""
     out = x * scale[:, None]
     out += shift[:, None]
@@ -121,18 +121,18 @@ def _silu(x: Array) -> Array:
     return np.asarray(np.divide(x, gate, out=gate))
 
 
-def _dense(network: Network, name: str, x: Array) -> Array:
+def _dense(network: UNet, name: str, x: Array) -> Array:
     return np.asarray(network.parameters[f"{name}.weight"] @ x + network.parameters[f"{name}.bias"])
 
 
-def _conv1(network: Network, name: str, x: Array) -> Array:
+def _conv1(network: UNet, name: str, x: Array) -> Array:
     weight = network.parameters[f"{name}.weight"]
     out: Array = weight.reshape(weight.shape[:2]) @ x
     out += network.parameters[f"{name}.bias"][:, None]
     return out
 
 
-def _conv3(network: Network, name: str, x: Array, side: int) -> Array:
+def _conv3(network: UNet, name: str, x: Array, side: int) -> Array:
     kernel = network.kernels[f"{name}.weight"]
     picture = x.reshape(-1, side, side)
     shifted = np.zeros((3, len(picture), side + 2, side), dtype=picture.dtype)
@@ -148,7 +148,7 @@ def _conv3(network: Network, name: str, x: Array, side: int) -> Array:
     return out
 
 
-def _unshuffled(x: Array, side: int) -> Array:
+def _pixel_unshuffle(x: Array, side: int) -> Array:
     """(c, side²) → (4 c, side²/4): each 2 × 2 block of pixels becomes four channels."""
     blocks = x.reshape(-1, side // 2, 2, side // 2, 2).transpose(0, 2, 4, 1, 3)
     return np.ascontiguousarray(blocks).reshape(4 * len(x), -1)

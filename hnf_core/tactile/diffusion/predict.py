@@ -8,16 +8,16 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from ...cores import cores
+from ...cores import available_cpus
 from ...errors import UsageError
 from ..height import integrate_gradients
-from ..optics import limit_slope, sensor_by_name, shade
+from ..optics import get_sensor, limit_slope, shade
 from ..tactile_map import Route, TactileMap
-from ..views import VIEW_PIXELS, LookView
-from .conditions import Look, condition, look_of_view, pitch_index_of
+from ..views import VIEW_PIXELS, AppearanceView
+from .conditions import NormalisedAppearance, build_condition, get_pitch_index, normalise_view
 from .config import REGRESSION
-from .network import run
-from .sampling import denoise, guided
+from .network import forward
+from .sampling import apply_guidance, denoise
 from .schedule import log_snr, sampling_steps
 from .weights import MapWeights
 
@@ -27,9 +27,9 @@ DEFAULT_STEPS = 20
 """Of a diffusion; a regression takes one pass."""
 
 
-def predict(
+def predict_tactile_maps(
     weights: MapWeights,
-    views: Sequence[LookView],
+    views: Sequence[AppearanceView],
     sensor: str,
     *,
     seed: int | Sequence[int],
@@ -47,29 +47,29 @@ def predict(
     and anything longer than the view is not in it). Raises UsageError for an unknown sensor, one that the weights were
     not trained for, a view of another shape or pitch, seeds that are not as many as the views, or impossible steps.
     """
-    if sensor_by_name(sensor).name not in weights.config.sensors:
+    if get_sensor(sensor).name not in weights.config.sensors:
         raise UsageError(
             f"these weights know {', '.join(weights.config.sensors)}, not {sensor}.", remedy="Choose one of them."
         )
     sampling_steps(steps)
     for view in views:
-        _check(view)
+        _validate_view(view)
     seeds = [seed] * len(views) if isinstance(seed, int) else list(seed)
     if len(seeds) != len(views):
         raise UsageError(f"{len(seeds)} seeds do not fit {len(views)} views.")
     if not views:
         return ()
     # One view a thread: numpy lets go of the interpreter in its loops and products.
-    with ThreadPoolExecutor(min(len(views), cores())) as pool:
+    with ThreadPoolExecutor(min(len(views), available_cpus())) as pool:
         found = list(
             pool.map(lambda view, own: predict_slopes(weights, view, sensor, own, steps, guidance), views, seeds)
         )
-    return tuple(_tactile_map(slopes, view.pitch_m, sensor) for slopes, view in zip(found, views, strict=True))
+    return tuple(_build_tactile_map(slopes, view.pitch_m, sensor) for slopes, view in zip(found, views, strict=True))
 
 
 def predict_slopes(
     weights: MapWeights,
-    view: LookView,
+    view: AppearanceView,
     sensor: str,
     seed: int,
     steps: int = DEFAULT_STEPS,
@@ -78,20 +78,20 @@ def predict_slopes(
 ) -> Array:
     """(2, 64, 64) predicted slopes ∂h/∂x, ∂h/∂y of the membrane in one view. rgb_known: False withholds the colours."""
     config = weights.config
-    look = look_of_view(view, rgb_known)
-    free = look_of_view(view, rgb_known=False) if guidance != 1.0 else None
-    pitch, which = np.array([pitch_index_of(view.pitch_m)]), np.array([config.sensors.index(sensor)])
+    look = normalise_view(view, rgb_known)
+    free = normalise_view(view, rgb_known=False) if guidance != 1.0 else None
+    pitch, which = np.array([get_pitch_index(view.pitch_m)]), np.array([config.sensors.index(sensor)])
 
-    def once(of: Look, slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
-        told = condition(np.array([snr]), level, pitch, which, len(config.sensors), of.scalars)
-        v, v_level = run(weights.network, np.concatenate([slopes, of.pictures[0]]), told[0])
+    def once(of: NormalisedAppearance, slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
+        told = build_condition(np.array([snr]), level, pitch, which, len(config.sensors), of.scalars)
+        v, v_level = forward(weights.network, np.concatenate([slopes, of.images[0]]), told[0])
         return v, np.array([v_level])
 
     def velocity(slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
         # A Python float times float32 stays float32 on numpy 1 and 2 alike; this guards the promise.
         slopes, level = slopes.astype(np.float32, copy=False), level.astype(np.float32, copy=False)
         conditional = once(look, slopes, level, snr)
-        return conditional if free is None else guided(conditional, once(free, slopes, level, snr), guidance)
+        return conditional if free is None else apply_guidance(conditional, once(free, slopes, level, snr), guidance)
 
     if config.objective == REGRESSION:
         empty = np.zeros((2, VIEW_PIXELS, VIEW_PIXELS), dtype=np.float32)
@@ -105,16 +105,16 @@ def predict_slopes(
     return np.asarray(slopes * (10.0 ** (config.level_mean + config.level_scale * float(level[0])) / rms), np.float32)
 
 
-def _tactile_map(slopes: Array, pitch_m: float, sensor: str) -> TactileMap:
-    optics = sensor_by_name(sensor)
+def _build_tactile_map(slopes: Array, pitch_m: float, sensor: str) -> TactileMap:
+    optics = get_sensor(sensor)
     gx, gy = limit_slope(slopes[0].astype(np.float64), slopes[1].astype(np.float64), optics.max_slope)
     height = integrate_gradients(gx, gy, pitch_m).astype(np.float32)
     mask = np.ones(height.shape, dtype=bool)
     return TactileMap(shade(gx, gy, optics), height, mask, pitch_m, sensor, 2.0 * pitch_m, Route.PREDICTED, "D_φ")
 
 
-def _check(view: LookView) -> None:
-    pitch_index_of(view.pitch_m)
+def _validate_view(view: AppearanceView) -> None:
+    get_pitch_index(view.pitch_m)
     square = (VIEW_PIXELS, VIEW_PIXELS)
     if view.rgb.shape != (*square, 3) or view.depth_m.shape != square:
         raise UsageError(f"a view must be {square}, not {view.rgb.shape} with depth {view.depth_m.shape}.")

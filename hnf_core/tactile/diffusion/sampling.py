@@ -20,10 +20,10 @@ def denoise(velocity: Velocity, slopes: Any, level: Any, steps: int) -> tuple[An
     return slopes, level
 
 
-def guided(conditional: tuple[Any, Any], free: tuple[Any, Any], guidance: float) -> tuple[Any, Any]:
+def apply_guidance(conditional: tuple[Any, Any], unconditional: tuple[Any, Any], guidance: float) -> tuple[Any, Any]:
     """Classifier-free guidance (Ho & Salimans 2022): from what the network says without the look's colour to what it
     says with it, `guidance` times as far."""
     return (
-        free[0] + guidance * (conditional[0] - free[0]),
-        free[1] + guidance * (conditional[1] - free[1]),
+        unconditional[0] + guidance * (conditional[0] - unconditional[0]),
+        unconditional[1] + guidance * (conditional[1] - unconditional[1]),
     )

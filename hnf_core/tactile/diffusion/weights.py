@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from ...errors import WeightsError
 from ...files import write_bytes
-from ...tensor_file import packed
-from ...weights_file import Kind, read_weights
+from ...tensor_file import dump_tensors
+from ...weights_file import WeightsKind, read_weights
 from ..optics import SENSORS
 from .config import DIFFUSION, HEADS, REGRESSION, MapConfig
-from .network import Network, network_of
+from .network import UNet, build_unet
 
 DEFAULT_WEIGHTS = Path(__file__).parents[2] / "data" / "tactile-map.safetensors"
 FORMAT = "hnf-tactile-map-1"
-_KIND = Kind(
+_MAP_KIND = WeightsKind(
     "weights",
     FORMAT,
     "not weights of tactile maps",
@@ -34,7 +34,7 @@ _KIND = Kind(
 class MapWeights:
     """network: ready to run. metadata: training data, seed, metrics, licence, all text. fingerprint: of the file."""
 
-    network: Network
+    network: UNet
     metadata: Mapping[str, str]
     fingerprint: str
 
@@ -54,9 +54,9 @@ def save_map_weights(
         tensors = {name: np.ascontiguousarray(value, dtype=np.float16) for name, value in parameters.items()}
     beyond = [name for name, value in tensors.items() if not np.isfinite(value).all()]
     if beyond:
-        raise WeightsError(f"{beyond[0]} is not finite in half precision.", where=str(path), remedy=_KIND.again)
+        raise WeightsError(f"{beyond[0]} is not finite in half precision.", where=str(path), remedy=_MAP_KIND.remedy)
     header = {**metadata, "format": FORMAT, "architecture": json.dumps(dataclasses.asdict(config), sort_keys=True)}
-    write_bytes(path, packed(tensors, header))
+    write_bytes(path, dump_tensors(tensors, header))
 
 
 def load_map_weights(path: Path | str | None = None) -> MapWeights:
@@ -65,26 +65,26 @@ def load_map_weights(path: Path | str | None = None) -> MapWeights:
     Raises FileError where there is no file, WeightsError where it is damaged, of another format or architecture, not
     finite, or knows a sensor that is not in tactile.optics.
     """
-    return _default() if path is None else _read(Path(path))
+    return _load_default() if path is None else _read_map_weights(Path(path))
 
 
 @lru_cache(maxsize=1)
-def _default() -> MapWeights:
-    return _read(DEFAULT_WEIGHTS)
+def _load_default() -> MapWeights:
+    return _read_map_weights(DEFAULT_WEIGHTS)
 
 
-def _read(path: Path) -> MapWeights:
-    file = read_weights(path, _KIND)
-    config, shapes = file.described(_architecture)
-    return MapWeights(network_of(config, file.parameters(shapes)), file.metadata, file.content_id)
+def _read_map_weights(path: Path) -> MapWeights:
+    file = read_weights(path, _MAP_KIND)
+    config, shapes = file.parse_metadata(_parse_architecture)
+    return MapWeights(build_unet(config, file.check_parameters(shapes)), file.metadata, file.content_id)
 
 
-def _architecture(metadata: Mapping[str, str]) -> tuple[MapConfig, Mapping[str, tuple[int, ...]]]:
-    config = _config(metadata["architecture"])
+def _parse_architecture(metadata: Mapping[str, str]) -> tuple[MapConfig, Mapping[str, tuple[int, ...]]]:
+    config = _parse_config(metadata["architecture"])
     return config, config.shapes()
 
 
-def _config(text: str) -> MapConfig:
+def _parse_config(text: str) -> MapConfig:
     record = json.loads(text)
     config = MapConfig(**{**record, "channels": tuple(record["channels"]), "sensors": tuple(record["sensors"])})
     sizes = (*config.channels, config.down, config.up, config.deep, config.embedding, config.groups)

@@ -15,9 +15,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...errors import WeightsError
-from ..state_dict import how_to_save
+from ..state_dict import format_save_command
 
-EXPANSION = 4
+BOTTLENECK_EXPANSION = 4
 """A block's outputs per unit of its width."""
 
 
@@ -39,7 +39,7 @@ class Bottleneck(nn.Module):
 
     def __init__(self, inputs: int, width: int, stride: int) -> None:
         super().__init__()
-        outputs = EXPANSION * width
+        outputs = BOTTLENECK_EXPANSION * width
         self.conv1 = nn.Conv2d(inputs, width, 1, bias=False)
         self.bn1 = nn.BatchNorm2d(width)
         self.conv2 = nn.Conv2d(width, width, 3, stride=stride, padding=1, bias=False)
@@ -59,7 +59,7 @@ class Bottleneck(nn.Module):
         return torch.relu(self.bn3(self.conv3(y)) + beside)
 
 
-class Encoder(nn.Module):
+class ResNetEncoder(nn.Module):
     """Pictures (n, 3, H, W) → embeddings (n, outputs) of length 1, float32 at least."""
 
     def __init__(self, architecture: Architecture = RESNET50) -> None:
@@ -67,25 +67,25 @@ class Encoder(nn.Module):
         width = architecture.width
         self.conv1 = nn.Conv2d(3, width, 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(width)
-        self.layer1 = _stage(width, width, architecture.blocks[0], 1)
-        self.layer2 = _stage(EXPANSION * width, 2 * width, architecture.blocks[1], 2)
-        self.layer3 = _stage(2 * EXPANSION * width, 4 * width, architecture.blocks[2], 2)
-        self.layer4 = _stage(4 * EXPANSION * width, 8 * width, architecture.blocks[3], 2)
-        self.fc = nn.Linear(8 * EXPANSION * width, architecture.outputs)
-        _start(self)
+        self.layer1 = _make_stage(width, width, architecture.blocks[0], 1)
+        self.layer2 = _make_stage(BOTTLENECK_EXPANSION * width, 2 * width, architecture.blocks[1], 2)
+        self.layer3 = _make_stage(2 * BOTTLENECK_EXPANSION * width, 4 * width, architecture.blocks[2], 2)
+        self.layer4 = _make_stage(4 * BOTTLENECK_EXPANSION * width, 8 * width, architecture.blocks[3], 2)
+        self.fc = nn.Linear(8 * BOTTLENECK_EXPANSION * width, architecture.outputs)
+        _initialise(self)
 
-    def features(self, x: Tensor) -> Tensor:
+    def pool_features(self, x: Tensor) -> Tensor:
         """(n, 32 width): the last stage, averaged over the picture."""
         x = torch.relu(self.bn1(self.conv1(x)))
         x = functional.max_pool2d(x, 3, stride=2, padding=1)
         return self.layer4(self.layer3(self.layer2(self.layer1(x)))).mean(dim=(2, 3))  # type: ignore[no-any-return]
 
     def forward(self, x: Tensor) -> Tensor:
-        point = self.fc(self.features(x))
+        point = self.fc(self.pool_features(x))
         return functional.normalize(point.to(torch.promote_types(point.dtype, torch.float32)), dim=1)
 
 
-def load_trunk(encoder: Encoder, published: Mapping[str, Tensor], where: str) -> None:
+def load_backbone(encoder: ResNetEncoder, published: Mapping[str, Tensor], where: str) -> None:
     """Take all weights but `fc` from a state dict with the standard names, as of ImageNet.
 
     Raises WeightsError where one is missing, left over, of another shape, or not finite.
@@ -94,28 +94,28 @@ def load_trunk(encoder: Encoder, published: Mapping[str, Tensor], where: str) ->
     trunk = {name: value for name, value in own.items() if not name.startswith("fc.")}
     given = {name: value for name, value in published.items() if not name.startswith("fc.")}
     wrong = sorted(trunk.keys() ^ given.keys()) or [
-        name for name, value in trunk.items() if not _fits(given[name], value)
+        name for name, value in trunk.items() if not _is_compatible(given[name], value)
     ]
     if wrong:
         raise WeightsError(
             f"these are no weights of a ResNet-50: {wrong[0]} is missing, unknown, misshapen or not finite"
             f" ({len(wrong)} such).",
             where=where,
-            remedy=how_to_save("resnet50"),
+            remedy=format_save_command("resnet50"),
         )
     encoder.load_state_dict({**own, **{name: given[name].to(value.dtype) for name, value in trunk.items()}})
 
 
-def _fits(given: Tensor, own: Tensor) -> bool:
-    return given.shape == own.shape and bool(given.isfinite().all())
+def _is_compatible(given: Tensor, expected: Tensor) -> bool:
+    return given.shape == expected.shape and bool(given.isfinite().all())
 
 
-def _stage(inputs: int, width: int, blocks: int, stride: int) -> nn.Sequential:
+def _make_stage(inputs: int, width: int, blocks: int, stride: int) -> nn.Sequential:
     first = Bottleneck(inputs, width, stride)
-    return nn.Sequential(first, *(Bottleneck(EXPANSION * width, width, 1) for _ in range(blocks - 1)))
+    return nn.Sequential(first, *(Bottleneck(BOTTLENECK_EXPANSION * width, width, 1) for _ in range(blocks - 1)))
 
 
-def _start(encoder: Encoder) -> None:
+def _initialise(encoder: ResNetEncoder) -> None:
     """Convolutions as He et al. (2015); every block starts as its identity (Goyal et al. 2017, 5.1)."""
     for module in encoder.modules():
         if isinstance(module, nn.Conv2d):

@@ -23,7 +23,9 @@ from torch.nn.modules.batchnorm import _BatchNorm
 Loss = Callable[..., Tensor]
 
 
-def cached_backward(encoders: Sequence[nn.Module], inputs: Sequence[Tensor], loss: Loss, chunk: int) -> Tensor:
+def backward_with_gradient_cache(
+    encoders: Sequence[nn.Module], inputs: Sequence[Tensor], loss: Loss, chunk: int
+) -> Tensor:
     """Add the gradients of loss(encoders[0](inputs[0]), encoders[1](inputs[1]), …) to the encoders' parameters and
     return the loss, detached.
 
@@ -32,7 +34,7 @@ def cached_backward(encoders: Sequence[nn.Module], inputs: Sequence[Tensor], los
     embedded = []
     with torch.no_grad():
         for encoder, batch in zip(encoders, inputs, strict=True):
-            with still_statistics(encoder):
+            with freeze_running_statistics(encoder):
                 embedded.append(torch.cat([encoder(part) for part in torch.split(batch, chunk)]))
     leaves = [each.requires_grad_() for each in embedded]
     value = loss(*leaves)
@@ -43,7 +45,7 @@ def cached_backward(encoders: Sequence[nn.Module], inputs: Sequence[Tensor], los
     return value.detach()
 
 
-def plain_backward(encoders: Sequence[nn.Module], inputs: Sequence[Tensor], loss: Loss, chunk: int) -> Tensor:
+def backward_reference(encoders: Sequence[nn.Module], inputs: Sequence[Tensor], loss: Loss, chunk: int) -> Tensor:
     """What cached_backward computes, the plain way: one graph over all chunks."""
     value = loss(
         *(
@@ -56,7 +58,7 @@ def plain_backward(encoders: Sequence[nn.Module], inputs: Sequence[Tensor], loss
 
 
 @contextmanager
-def still_statistics(network: nn.Module) -> Iterator[None]:
+def freeze_running_statistics(network: nn.Module) -> Iterator[None]:
     """Batch normalisation as in training, but its running statistics stay as they are."""
     tracking = [each for each in network.modules() if isinstance(each, _BatchNorm) and each.track_running_stats]
     training = [each for each in tracking if each.training]

@@ -9,7 +9,7 @@ TEMPERATURE = 0.07
 """As van den Oord et al. (2018) is used by CMC (Tian et al. 2020) and by the paper."""
 
 
-def info_nce(vision: Tensor, touch: Tensor, temperature: float = TEMPERATURE) -> Tensor:
+def compute_info_nce(vision: Tensor, touch: Tensor, temperature: float = TEMPERATURE) -> Tensor:
     """Mean of −log p(touch i | vision i) and −log p(vision i | touch i) over a batch; a scalar.
 
     vision, touch: (n, d) of length 1; row i of one belongs to row i of the other. p is the softmax of the cosines over

@@ -13,17 +13,17 @@ import numpy as np
 from ...errors import FileError
 from ...files import write_text
 from .heads import Cell
-from .measure import Bridged, Measured
+from .measure import CrossSensorRetrieval, Measurement
 from .statistics import Hits
 
-FORMAT = "hnf-alignment-measured-1"
+MEASUREMENT_FORMAT = "hnf-alignment-measured-1"
 
 
-def save_measured(path: Path, measured: Measured, sums: Mapping[str, str]) -> None:
+def save_measurement(path: Path, measured: Measurement, sums: Mapping[str, str]) -> None:
     """sums: checksums of the weights. Raises FileError."""
     record = {
-        "format": FORMAT, "sha256": dict(sums), "trained_on": measured.trained_on,
-        "known": _told(measured.known), "unseen": _told(measured.unseen),
+        "format": MEASUREMENT_FORMAT, "sha256": dict(sums), "trained_on": measured.trained_on,
+        "known": _hits_to_json(measured.known), "unseen": _hits_to_json(measured.unseen),
         "recall": {
             sensor: {way: {str(k): value for k, value in found.items()} for way, found in ways.items()}
             for sensor, ways in measured.recall.items()
@@ -33,19 +33,19 @@ def save_measured(path: Path, measured: Measured, sums: Mapping[str, str]) -> No
     write_text(path, json.dumps(record) + "\n")
 
 
-def load_measured(path: Path, sums: Mapping[str, str]) -> Measured | None:
+def load_measurement(path: Path, sums: Mapping[str, str]) -> Measurement | None:
     """None where there is none, or it is of other weights. Raises FileError where the file is damaged."""
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-        if record["format"] != FORMAT or record["sha256"] != dict(sums):
+        if record["format"] != MEASUREMENT_FORMAT or record["sha256"] != dict(sums):
             return None
-        return Measured(
-            str(record["trained_on"]), _heard(record["known"]), _heard(record["unseen"]),
+        return Measurement(
+            str(record["trained_on"]), _hits_from_json(record["known"]), _hits_from_json(record["unseen"]),
             {
                 sensor: {way: {int(k): float(value) for k, value in found.items()} for way, found in ways.items()}
                 for sensor, ways in record["recall"].items()
             },
-            int(record["gallery"]), None if record["bridged"] is None else Bridged(**record["bridged"]),
+            int(record["gallery"]), None if record["bridged"] is None else CrossSensorRetrieval(**record["bridged"]),
         )  # fmt: skip
     except FileNotFoundError:
         return None
@@ -53,7 +53,7 @@ def load_measured(path: Path, sums: Mapping[str, str]) -> Measured | None:
         raise FileError(f"cannot be read ({error}).", where=str(path), remedy="Delete it; it is made again.") from error
 
 
-def _told(cells: Mapping[Cell, Hits]) -> list[dict[str, Any]]:
+def _hits_to_json(cells: Mapping[Cell, Hits]) -> list[dict[str, Any]]:
     return [
         {
             "head": head, "tested_on": tested_on, "group": hits.group.tolist(),
@@ -63,7 +63,7 @@ def _told(cells: Mapping[Cell, Hits]) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _heard(cells: list[dict[str, Any]]) -> dict[Cell, Hits]:
+def _hits_from_json(cells: list[dict[str, Any]]) -> dict[Cell, Hits]:
     return {
         (str(cell["head"]), str(cell["tested_on"])): Hits(
             np.array([each == "1" for each in cell["correct"]]), np.array(cell["group"], dtype=np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...datasets.tactile_pairs import PAIR_SENSORS, Pairs
-from ...tactile.lamps import varied
+from ...tactile.lamps import perturb_sensor
 from ...tactile.optics import SENSORS, Sensor
 
 Float32 = NDArray[np.float32]
@@ -23,7 +23,7 @@ PAIR_FLOOR, RECORDED_FLOOR = 0.002, 0.02
 hundred. A recorded frame's own noise is below the second."""
 
 
-class Pictures(Protocol):
+class ImagePairs(Protocol):
     """N places. turns: in how many ways a place may be turned without its touch becoming one that no sensor gives.
     floor: the contrast of touch below which it is shown linearly, above as a logarithm."""
 
@@ -43,7 +43,7 @@ class Pictures(Protocol):
 
 
 @dataclass(frozen=True)
-class PairPictures:
+class GeneratedImagePairs:
     """Of pairs that the project makes: any sensor of PAIR_SENSORS, each time another piece of it (lamps, noise)."""
 
     pairs: Pairs
@@ -51,56 +51,56 @@ class PairPictures:
     floor: float = PAIR_FLOOR
 
     def rgb(self, rows: Rows, turn: Rows) -> NDArray[np.uint8]:
-        return np.stack([turned(self.pairs.rgb[row], way) for row, way in zip(rows, turn, strict=True)])
+        return np.stack([apply_symmetry(self.pairs.rgb[row], way) for row, way in zip(rows, turn, strict=True)])
 
     def touch(self, rows: Rows, sensor: Rows, turn: Rows, rng: np.random.Generator) -> Float32:
         return np.stack(
             [
-                pressed(self.pairs.slopes[row, make].astype(np.float32), SENSORS[PAIR_SENSORS[make]], way, rng)
+                render_touch(self.pairs.slopes[row, make].astype(np.float32), SENSORS[PAIR_SENSORS[make]], way, rng)
                 for row, make, way in zip(rows, sensor, turn, strict=True)
             ]
         )
 
 
 @dataclass(frozen=True)
-class RecordedPictures:
+class RecordedImagePairs:
     """Of recordings: one touch of a place, by the sensor that touched it. looks: (N, P, P, 3) uint8, square root of
     linear colour. touches: (N, P, P, 3) float16, background taken off. They are never turned: a turned recording would
     be one under turned lamps."""
 
-    looks: NDArray[np.uint8]
-    touches: NDArray[np.float16]
+    images: NDArray[np.uint8]
+    touch_images: NDArray[np.float16]
     turns: int = 1
     floor: float = RECORDED_FLOOR
 
     def rgb(self, rows: Rows, turn: Rows) -> NDArray[np.uint8]:
-        return self.looks[rows]
+        return self.images[rows]
 
     def touch(self, rows: Rows, sensor: Rows, turn: Rows, rng: np.random.Generator) -> Float32:
-        return self.touches[rows].astype(np.float32)
+        return self.touch_images[rows].astype(np.float32)
 
 
-def pressed(slopes: Float32, sensor: Sensor, turn: int, rng: np.random.Generator) -> Float32:
+def render_touch(slopes: Float32, sensor: Sensor, turn: int, rng: np.random.Generator) -> Float32:
     """(P, P, 3): the place, turned, under another piece of the sensor, less that piece's untouched picture.
 
     slopes: (2, P, P) of the membrane, ∂h/∂x and ∂h/∂y. As tactile.optics.shade, in float32.
     """
-    piece = varied(sensor, rng)
-    gx, gy = turned_slopes(slopes, turn)
+    piece = perturb_sensor(sensor, rng)
+    gx, gy = apply_symmetry_to_slopes(slopes, turn)
     upright = 1.0 / np.sqrt(1.0 + gx**2 + gy**2)
     off = np.stack([-gx * upright, -gy * upright, upright - 1.0], axis=-1)
     picture = off @ piece.shading.T.astype(np.float32)
     return np.asarray(picture + NOISE * rng.standard_normal(picture.shape, dtype=np.float32), dtype=np.float32)
 
 
-def turned(picture: NDArray[Any], turn: int) -> NDArray[Any]:
+def apply_symmetry(image: NDArray[Any], turn: int) -> NDArray[Any]:
     """A picture (P, P, …), mirrored left and right where turn ≥ 4, then turned by turn % 4 quarters to the left."""
-    return np.rot90(picture[:, ::-1] if turn >= 4 else picture, turn % 4)
+    return np.rot90(image[:, ::-1] if turn >= 4 else image, turn % 4)
 
 
-def turned_slopes(slopes: Float32, turn: int) -> tuple[Float32, Float32]:
+def apply_symmetry_to_slopes(slopes: Float32, turn: int) -> tuple[Float32, Float32]:
     """Slopes of the height field that `turned` gives: their pictures turn, and so do they as vectors."""
-    gx, gy = turned(slopes[0], turn), turned(slopes[1], turn)
+    gx, gy = apply_symmetry(slopes[0], turn), apply_symmetry(slopes[1], turn)
     if turn >= 4:
         gx = -gx
     for _ in range(turn % 4):

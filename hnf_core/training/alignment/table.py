@@ -10,34 +10,34 @@ from typing import Any
 import numpy as np
 
 from ...datasets.tactile_pairs import PAIR_SENSORS
-from .data import Judged
+from .data import HeldOutTuples
 from .heads import HEADS, TOUCH, Cell
-from .measure import Measured
-from .statistics import Hits, Share, ratio, share
+from .measure import Measurement
+from .statistics import Estimate, Hits, estimate_accuracy, estimate_ratio
 
 TITLES = {"known": "New pieces of known classes", "unseen": "Classes that the encoders never met"}
 SENSOR_NAMES = {"gelsight": "GelSight", "digit": "DIGIT", "both": "both", "looks": "looks"}
 
 
 @dataclass(frozen=True)
-class Row:
+class AccuracyRow:
     """One accuracy."""
 
     data: str
     trained_on: str
     head: str
     tested_on: str
-    accuracy: Share
+    accuracy: Estimate
 
 
 @dataclass(frozen=True)
-class Kept:
+class Retention:
     """What training on `trained_on` keeps of the accuracy that training on the tested sensor alone reaches."""
 
     data: str
     trained_on: str
     tested_on: str
-    ratio: Share
+    ratio: Estimate
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,15 @@ class Report:
     """chance: data → share of the most frequent class."""
 
     chance: Mapping[str, float]
-    rows: tuple[Row, ...]
-    kept: tuple[Kept, ...]
-    measured: tuple[Measured, ...]
+    rows: tuple[AccuracyRow, ...]
+    kept: tuple[Retention, ...]
+    measured: tuple[Measurement, ...]
 
     def to_json(self) -> dict[str, Any]:
         return {
             "chance": {name: round(value, 4) for name, value in self.chance.items()},
-            "accuracy": [{**_words(row), "accuracy": row.accuracy.to_json()} for row in self.rows],
-            "kept": [{**_words(each), "ratio": each.ratio.to_json()} for each in self.kept],
+            "accuracy": [{**_get_text_fields(row), "accuracy": row.accuracy.to_json()} for row in self.rows],
+            "kept": [{**_get_text_fields(each), "ratio": each.ratio.to_json()} for each in self.kept],
             "recall": {each.trained_on: {"gallery": each.gallery, **each.recall} for each in self.measured},
             "bridged": {
                 each.trained_on: asdict(each.bridged) for each in self.measured if each.bridged is not None
@@ -61,42 +61,47 @@ class Report:
         }  # fmt: skip
 
 
-def chances(judged: Judged) -> dict[str, float]:
+def compute_chance_levels(held_out: HeldOutTuples) -> dict[str, float]:
     """Of known and unseen, where they have labels: share of the most frequent class, what always saying it gets."""
     found = {}
-    for name, tested in (("known", judged.known), ("unseen", judged.unseen)):
+    for name, tested in (("known", held_out.known), ("unseen", held_out.unseen)):
         label = np.concatenate([each.label for each in tested.values()]) if tested else np.zeros(0, dtype=np.int64)
         if (label >= 0).any():
             found[name] = float(np.bincount(label[label >= 0]).max() / (label >= 0).sum())
     return found
 
 
-def report(measured: Sequence[Measured], chances: Mapping[str, float]) -> Report:
+def make_report(measured: Sequence[Measurement], chances: Mapping[str, float]) -> Report:
     """measured: one for each training. chances: of "known" and, where there are such, "unseen"."""
     rows = [
-        Row(data, each.trained_on, head, tested_on, share(hits))
+        AccuracyRow(data, each.trained_on, head, tested_on, estimate_accuracy(hits))
         for data in chances
         for head in HEADS
         for each in measured
-        for (name, tested_on), hits in _cells(each, data).items()
+        for (name, tested_on), hits in _get_cells(each, data).items()
         if name == head
     ]
     alone = {each.trained_on: each for each in measured if each.trained_on in PAIR_SENSORS}
     kept = [
-        Kept(data, each.trained_on, sensor, ratio(_cells(each, data)[TOUCH, sensor], _cells(one, data)[TOUCH, sensor]))
+        Retention(
+            data,
+            each.trained_on,
+            sensor,
+            estimate_ratio(_get_cells(each, data)[TOUCH, sensor], _get_cells(one, data)[TOUCH, sensor]),
+        )
         for data in chances
         for each in measured
         for sensor, one in alone.items()
-        if sensor != each.trained_on and (TOUCH, sensor) in _cells(each, data)
+        if sensor != each.trained_on and (TOUCH, sensor) in _get_cells(each, data)
     ]
     return Report(dict(chances), tuple(rows), tuple(kept), tuple(measured))
 
 
-def markdown(told: Report) -> str:
+def format_report(report: Report) -> str:
     """The tables in words."""
     parts = []
-    for data, value in told.chance.items():
-        rows = [row for row in told.rows if row.data == data]
+    for data, value in report.chance.items():
+        rows = [row for row in report.rows if row.data == data]
         items = rows[0].accuracy
         lines = [
             f"{TITLES[data]}: {items.items} views of {items.groups} pieces; chance {100 * value:.1f} %.",
@@ -105,10 +110,10 @@ def markdown(told: Report) -> str:
             "|---|---|---|---|",
         ]
         lines += [
-            f"| {row.head} | {_name(row.trained_on)} | {_name(row.tested_on)} | {_percent(row.accuracy)} |"
+            f"| {row.head} | {_get_sensor_name(row.trained_on)} | {_get_sensor_name(row.tested_on)} | {_format_percent(row.accuracy)} |"
             for row in rows
         ]
-        kept = [each for each in told.kept if each.data == data]
+        kept = [each for each in report.kept if each.data == data]
         if kept:
             lines += [
                 "",
@@ -116,22 +121,22 @@ def markdown(told: Report) -> str:
                 "|---|---|---|",
             ]
             lines += [
-                f"| {_name(each.trained_on)} | {_name(each.tested_on)} | {_percent(each.ratio)} |" for each in kept
+                f"| {_get_sensor_name(each.trained_on)} | {_get_sensor_name(each.tested_on)} | {_format_percent(each.ratio)} |" for each in kept
             ]  # fmt: skip
         parts.append("\n".join(lines))
-    parts.append(_retrieval(told.measured))
-    bridges = _bridging(told.measured)
+    parts.append(_format_retrieval(report.measured))
+    bridges = _format_bridging(report.measured)
     return "\n\n".join([*parts, *([bridges] if bridges else [])]) + "\n"
 
 
-def _retrieval(measured: Sequence[Measured]) -> str:
+def _format_retrieval(measured: Sequence[Measurement]) -> str:
     ks = sorted({k for each in measured for ways in each.recall.values() for found in ways.values() for k in found})
     head = [f"The right one of {measured[0].gallery} among the k nearest, %.", ""]
     head += [f"| trained on | touch | way | {' | '.join(f'k = {k}' for k in ks)} |", "|---" * (3 + len(ks)) + "|"]
     return "\n".join(
         head
         + [
-            f"| {_name(each.trained_on)} | {_name(sensor)} | {way} | "
+            f"| {_get_sensor_name(each.trained_on)} | {_get_sensor_name(sensor)} | {way} | "
             + " | ".join(f"{100 * found[k]:.1f}" for k in ks)
             + " |"
             for each in measured
@@ -141,9 +146,9 @@ def _retrieval(measured: Sequence[Measured]) -> str:
     )
 
 
-def _bridging(measured: Sequence[Measured]) -> str:
+def _format_bridging(measured: Sequence[Measurement]) -> str:
     lines = [
-        f"| {_name(each.trained_on)} | {found.triplets} | {100 * found.of_class:.1f} | {100 * found.of_piece:.1f} | "
+        f"| {_get_sensor_name(each.trained_on)} | {found.triplets} | {100 * found.of_class:.1f} | {100 * found.of_piece:.1f} | "
         f"{100 * found.by_chance:.1f} | {found.mutual} | {100 * found.mutual_of_class:.1f} |"
         for each in measured
         if (found := each.bridged) is not None
@@ -156,17 +161,17 @@ def _bridging(measured: Sequence[Measured]) -> str:
     return "\n".join(head + lines) if lines else ""
 
 
-def _cells(measured: Measured, data: str) -> Mapping[Cell, Hits]:
+def _get_cells(measured: Measurement, data: str) -> Mapping[Cell, Hits]:
     return measured.known if data == "known" else measured.unseen
 
 
-def _words(row: Row | Kept) -> dict[str, str]:
+def _get_text_fields(row: AccuracyRow | Retention) -> dict[str, str]:
     return {name: value for name, value in asdict(row).items() if isinstance(value, str)}
 
 
-def _name(word: str) -> str:
-    return SENSOR_NAMES.get(word, word)
+def _get_sensor_name(key: str) -> str:
+    return SENSOR_NAMES.get(key, key)
 
 
-def _percent(value: Share) -> str:
+def _format_percent(value: Estimate) -> str:
     return f"{100 * value.value:.1f} ({100 * value.low:.1f}–{100 * value.high:.1f})"

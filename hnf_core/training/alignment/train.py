@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from ...errors import UsageError
 from ...files import content_hash
 from ..checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from .batches import training_batch
-from .encoders import RESNET50, Architecture, Encoder, load_trunk
-from .gradient_cache import cached_backward
-from .info_nce import TEMPERATURE, info_nce
+from .batches import make_training_batch
+from .encoders import RESNET50, Architecture, ResNetEncoder, load_backbone
+from .gradient_cache import backward_with_gradient_cache
+from .info_nce import TEMPERATURE, compute_info_nce
 from .tuples import Tuples
 
 Float = NDArray[np.float64]
-Watch = Callable[[float, float], None]
-CHECKPOINT_S = 240.0
+ProgressCallback = Callable[[float, float], None]
+CHECKPOINT_INTERVAL_S = 240.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Recipe:
         if self.batch < 2 or self.chunk < 2 or self.pixels < 32:
             raise UsageError("a batch and a chunk need two tuples at least, a picture 32 pixels.")
 
-    def progress(self, steps: int, seconds: float) -> float:
+    def compute_progress(self, steps: int, seconds: float) -> float:
         """0 at the start, 1 at the end."""
         shares = [
             0.0 if self.steps is None else steps / max(self.steps, 1),
@@ -59,7 +59,7 @@ class Recipe:
         ]
         return min(max(shares), 1.0)
 
-    def rate_at(self, progress: float) -> float:
+    def compute_learning_rate(self, progress: float) -> float:
         """The learning rate."""
         if progress < self.warmup:
             return self.rate * (progress / self.warmup + 0.01)
@@ -67,21 +67,21 @@ class Recipe:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FitResult:
     """vision, touch: in evaluation mode. history: (steps, 3) step, seconds of training so far, loss."""
 
-    vision: Encoder
-    touch: Encoder
+    vision: ResNetEncoder
+    touch: ResNetEncoder
     history: Float
 
 
-def fit(
+def fit_encoders(
     tuples: Tuples,
     recipe: Recipe,
     checkpoint: Path | None = None,
-    watch: Watch = lambda *_: None,
+    watch: ProgressCallback = lambda *_: None,
     start: Mapping[str, torch.Tensor] | None = None,
-) -> Fitted:
+) -> FitResult:
     """Train two encoders on tuples (their labels are not looked at).
 
     checkpoint: file to go on from and to write to every few minutes; one of another recipe or of other tuples is passed
@@ -92,38 +92,38 @@ def fit(
         raise UsageError(
             f"{len(tuples)} tuples are fewer than a batch of {recipe.batch}.", remedy="Take a smaller one."
         )
-    run = _Run(tuples, recipe)
+    run = _TrainingRun(tuples, recipe)
     fingerprint = content_hash(repr(asdict(recipe)), tuples.row.tobytes(), tuples.sensor.tobytes())
     found = None if checkpoint is None else load_checkpoint(checkpoint, fingerprint)
     if found is not None:
-        run.restore(found)
+        run.restore_checkpoint(found)
     elif start is not None:
         for encoder in (run.vision, run.touch):
-            load_trunk(encoder, start, "the trunk to start from")
+            load_backbone(encoder, start, "the trunk to start from")
     written = time.monotonic()
-    while (progress := recipe.progress(len(run.history), run.seconds)) < 1.0:
+    while (progress := recipe.compute_progress(len(run.history), run.seconds)) < 1.0:
         loss = run.step(progress)
         watch(progress, loss)
-        if checkpoint is not None and time.monotonic() - written > CHECKPOINT_S:
-            save_checkpoint(checkpoint, run.saved(), fingerprint)
+        if checkpoint is not None and time.monotonic() - written > CHECKPOINT_INTERVAL_S:
+            save_checkpoint(checkpoint, run.make_checkpoint(), fingerprint)
             written = time.monotonic()
-    return Fitted(run.vision.eval(), run.touch.eval(), np.array(run.history).reshape(-1, 3))
+    return FitResult(run.vision.eval(), run.touch.eval(), np.array(run.history).reshape(-1, 3))
 
 
-def use_threads(threads: int) -> str:
+def set_torch_threads(threads: int) -> str:
     """Let torch use so many; its version."""
     torch.set_num_threads(threads)
     return str(torch.__version__)
 
 
-class _Run:
+class _TrainingRun:
     """What a step changes."""
 
     def __init__(self, tuples: Tuples, recipe: Recipe) -> None:
         torch.manual_seed(recipe.seed)
         self.tuples, self.recipe = tuples, recipe
         self.vision, self.touch = (
-            Encoder(recipe.architecture).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
+            ResNetEncoder(recipe.architecture).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
             for _ in range(2)
         )
         self.history: list[tuple[float, float, float]] = []
@@ -140,9 +140,9 @@ class _Run:
         """One batch; the loss."""
         began, recipe, number = time.monotonic(), self.recipe, len(self.history)
         for group in self.optimiser.param_groups:
-            group["lr"] = recipe.rate_at(progress)
+            group["lr"] = recipe.compute_learning_rate(progress)
         rng = np.random.default_rng([recipe.seed, 1, number])
-        batch = training_batch(self.tuples, self._rows(number), recipe.pixels, rng)
+        batch = make_training_batch(self.tuples, self._select_rows(number), recipe.pixels, rng)
         self.optimiser.zero_grad(set_to_none=True)
         with torch.autocast("cpu", torch.bfloat16):
             loss = self._backward([batch.vision, batch.touch])
@@ -155,21 +155,21 @@ class _Run:
         recipe = self.recipe
 
         def loss(vision: torch.Tensor, touch: torch.Tensor) -> torch.Tensor:
-            return info_nce(vision, touch, recipe.temperature)
+            return compute_info_nce(vision, touch, recipe.temperature)
 
         if recipe.chunk < recipe.batch:
-            return float(cached_backward([self.vision, self.touch], inputs, loss, recipe.chunk))
+            return float(backward_with_gradient_cache([self.vision, self.touch], inputs, loss, recipe.chunk))
         value = loss(self.vision(inputs[0]), self.touch(inputs[1]))
         value.backward()  # type: ignore[no-untyped-call]
         return float(value.detach())
 
-    def _rows(self, number: int) -> NDArray[np.int64]:
+    def _select_rows(self, number: int) -> NDArray[np.int64]:
         """Of one batch: every epoch goes through all tuples in an order of its own, the last few left out."""
         epoch, place = divmod(number, len(self.tuples) // self.recipe.batch)
         order = np.random.default_rng([self.recipe.seed, 0, epoch]).permutation(len(self.tuples))
         return order[place * self.recipe.batch : (place + 1) * self.recipe.batch]
 
-    def saved(self) -> Checkpoint:
+    def make_checkpoint(self) -> Checkpoint:
         tensors = {f"vision.{name}": value for name, value in self.vision.state_dict().items()}
         tensors |= {f"touch.{name}": value for name, value in self.touch.state_dict().items()}
         for index, state in self.optimiser.state_dict()["state"].items():
@@ -178,7 +178,7 @@ class _Run:
         arrays["seconds"] = np.array(self.seconds)
         return Checkpoint(len(self.history), arrays, np.array(self.history))
 
-    def restore(self, found: Checkpoint) -> None:
+    def restore_checkpoint(self, found: Checkpoint) -> None:
         tensors = {name: torch.from_numpy(np.array(value)) for name, value in found.tensors.items()}
         for prefix, encoder in (("vision.", self.vision), ("touch.", self.touch)):
             encoder.load_state_dict({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})

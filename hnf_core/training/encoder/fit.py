@@ -13,11 +13,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...datasets.tactile_pairs import Pairs
-from ...material.alexnet.network import LEVEL_AT, OUTPUTS, AlexNet, Design
-from .batches import Lamps, make_batch, scattered_lamps
-from .network import AlexNetTwin
+from ...material.alexnet.network import LEVEL_INDICES, OUTPUT_COUNT, AlexNet, AlexNetConfig
+from .batches import LampSets, draw_lamps, make_batch
+from .network import TorchAlexNet
 
-Watch = Callable[[int, float, float], None]
+ProgressCallback = Callable[[int, float, float], None]
 
 
 @dataclass(frozen=True)
@@ -37,24 +37,24 @@ class Schedule:
     narrow: bool = True
 
 
-FIRST_VIEWS, SETTLING_VIEWS = 1024, 256
+STATISTICS_VIEWS, INITIALISATION_VIEWS = 1024, 256
 """Views that the units of the outputs, and the scale of the first weights, are taken from."""
 SMALLEST_SPREAD = 0.02
-HUBER = 0.2
+HUBER_DELTA = 0.2
 """In units of spread: below it errors count as squares, above as they are: chance peaks must not lead."""
 
 
-def fit(
-    design: Design,
+def fit_encoder(
+    design: AlexNetConfig,
     pairs: Pairs,
     schedule: Schedule,
     seed: int,
     *,
-    trunk: dict[str, Tensor] | None = None,
+    backbone: dict[str, Tensor] | None = None,
     start: AlexNet | None = None,
     refresh: Callable[[], Pairs] | None = None,
-    watch: Watch | None = None,
-) -> AlexNetTwin:
+    watch: ProgressCallback | None = None,
+) -> TorchAlexNet:
     """Train the whole network, or with a trunk (torchvision's names) the head alone, the trunk as it is.
 
     start: an encoder of the same design to go on from, with its units. refresh: asked for the pairs of every further
@@ -62,14 +62,14 @@ def fit(
     times.
     """
     torch.set_num_threads(1)
-    twin = AlexNetTwin(design)
+    twin = TorchAlexNet(design)
     twin.initialise(seed)
-    if trunk is not None:
-        twin.load_state_dict(trunk, strict=False)
+    if backbone is not None:
+        twin.load_state_dict(backbone, strict=False)
         twin.features.requires_grad_(False)
-    lamps = scattered_lamps(seed)
+    lamps = draw_lamps(seed)
     if start is None:
-        _set_out(twin, pairs, lamps, seed)
+        _initialise_outputs(twin, pairs, lamps, seed)
     else:
         twin.load_state_dict({name: torch.tensor(value) for name, value in start.tensors.items()})
     twin.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -78,9 +78,9 @@ def fit(
     rng = np.random.default_rng([seed, 1])
     rows = np.zeros(0, dtype=np.intp)
     began, step, told, losses = time.monotonic(), 0, 0.0, []
-    while (done := _done(schedule, step, time.monotonic() - began)) < 1.0:
+    while (done := _compute_progress(schedule, step, time.monotonic() - began)) < 1.0:
         for group in optimiser.param_groups:
-            group["lr"] = schedule.learning_rate * _rate(done, schedule.warm_up)
+            group["lr"] = schedule.learning_rate * _compute_rate_factor(done, schedule.warm_up)
         if len(rows) < schedule.batch:
             if refresh is not None and step:
                 pairs, rows = refresh(), rows[:0]
@@ -89,7 +89,7 @@ def fit(
         rows = rows[schedule.batch :]
         with torch.autocast("cpu", torch.bfloat16, enabled=schedule.narrow):
             found = twin(batch.views, batch.given)
-        loss = loss_of(twin, found, batch.target, schedule.level_weight)
+        loss = compute_loss(twin, found, batch.target, schedule.level_weight)
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(learnt, 1.0)
@@ -103,30 +103,30 @@ def fit(
     return twin
 
 
-def loss_of(twin: AlexNetTwin, found: Tensor, target: Tensor, level_weight: float) -> Tensor:
+def compute_loss(network: TorchAlexNet, found: Tensor, target: Tensor, level_weight: float) -> Tensor:
     """Mean Huber loss over outputs in units of spread, levels weighted."""
-    wanted = (target - twin.output_mean) / twin.output_spread
-    weight = torch.ones(OUTPUTS)
-    weight[list(LEVEL_AT)] = level_weight
-    each = functional.huber_loss(found, wanted, reduction="none", delta=HUBER) / HUBER
+    wanted = (target - network.output_mean) / network.output_spread
+    weight = torch.ones(OUTPUT_COUNT)
+    weight[list(LEVEL_INDICES)] = level_weight
+    each = functional.huber_loss(found, wanted, reduction="none", delta=HUBER_DELTA) / HUBER_DELTA
     return (each * weight).mean() / weight.mean()
 
 
-def _set_out(twin: AlexNetTwin, pairs: Pairs, lamps: Lamps, seed: int) -> None:
+def _initialise_outputs(network: TorchAlexNet, pairs: Pairs, lamps: LampSets, seed: int) -> None:
     """Units of the outputs, and layers that start where they can learn."""
     rng = np.random.default_rng([seed, 2])
-    batch = make_batch(pairs, rng.integers(0, len(pairs), FIRST_VIEWS), lamps, rng)
-    twin.output_mean.copy_(batch.target.mean(dim=0))
-    twin.output_spread.copy_(batch.target.std(dim=0, correction=0).clamp(min=SMALLEST_SPREAD))
-    twin.settle(batch.views[:SETTLING_VIEWS], batch.given[:SETTLING_VIEWS])
+    batch = make_batch(pairs, rng.integers(0, len(pairs), STATISTICS_VIEWS), lamps, rng)
+    network.output_mean.copy_(batch.target.mean(dim=0))
+    network.output_spread.copy_(batch.target.std(dim=0, correction=0).clamp(min=SMALLEST_SPREAD))
+    network.standardise_layers(batch.views[:INITIALISATION_VIEWS], batch.given[:INITIALISATION_VIEWS])
 
 
-def _done(schedule: Schedule, step: int, seconds: float) -> float:
+def _compute_progress(schedule: Schedule, step: int, seconds: float) -> float:
     by_time = 0.0 if schedule.minutes is None else seconds / (60.0 * schedule.minutes)
     return max(step / schedule.steps, by_time)
 
 
-def _rate(done: float, warm_up: float) -> float:
+def _compute_rate_factor(done: float, warm_up: float) -> float:
     if done < warm_up:
         return max(done / warm_up, 0.02)
     return 0.5 + 0.5 * math.cos(math.pi * (done - warm_up) / (1.0 - warm_up))

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ...datasets.tactile_pairs import PAIR_SENSORS, Pairs
 from ...material.encoders import Encoder
-from ...material.fuse import DRAWN_DECADES
+from ...material.fuse import SIGNIFICANT_DECADES
 from ...material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, LEVELS, SMOOTH_LEVEL, TOKEN_DIM
-from ...tactile.optics import sensor_by_name, shade
+from ...tactile.optics import get_sensor, shade
 from ...tactile.tactile_map import Route, TactileMap
 from ...tactile.views import PITCHES_M
 
@@ -24,7 +24,7 @@ DB_PER_DECADE = 20.0
 
 
 @dataclass(frozen=True)
-class Errors:
+class TokenErrors:
     """level_db: (7,) RMS error of the level per band, longest first. two_fold, four_fold: (7,) RMS error of (cos2,
     sin2) and (cos4, sin4), per component. peak, offset: (7,) RMS error. median_level_db: of |error| over all bands.
     NaN where no view knows a band."""
@@ -36,36 +36,36 @@ class Errors:
     offset: Float
     median_level_db: float
 
-    def overall_db(self) -> float:
+    def compute_overall_db(self) -> float:
         """RMS over the bands."""
         return float(np.sqrt(np.nanmean(np.square(self.level_db))))
 
 
-def map_of_view(pairs: Pairs, row: int, sensor: str) -> TactileMap:
+def make_view_map(pairs: Pairs, row: int, sensor: str) -> TactileMap:
     """The tactile map of one view under a sensor's own lamps."""
     slopes = pairs.slopes[row, PAIR_SENSORS.index(sensor)].astype(np.float64)
-    image = shade(slopes[0], slopes[1], sensor_by_name(sensor))
+    image = shade(slopes[0], slopes[1], get_sensor(sensor))
     pitch = PITCHES_M[int(pairs.pitch_index[row])]
     mask = np.ones(image.shape[:2], dtype=bool)
     return TactileMap(image, None, mask, pitch, sensor, 2.0 * pitch, Route.PREDICTED, "one view")
 
 
-def tokens_of_views(encoder: Encoder, pairs: Pairs, rows: Sequence[int], sensor: str) -> tuple[Float, Mask]:
+def describe_single_views(encoder: Encoder, pairs: Pairs, rows: Sequence[int], sensor: str) -> tuple[Float, Mask]:
     """(n, TOKEN_DIM) tokens, each of one view alone, and which of their components are known."""
-    tokens = [encoder.describe(map_of_view(pairs, row, sensor)) for row in rows]
+    tokens = [encoder.describe(make_view_map(pairs, row, sensor)) for row in rows]
     return (
         np.array([token.values for token in tokens], dtype=np.float64).reshape(-1, TOKEN_DIM),
         np.array([token.known for token in tokens], dtype=bool).reshape(-1, TOKEN_DIM),
     )
 
 
-def errors_of(tokens: Float, known: Mask, wanted: Float) -> Errors:
+def compute_token_errors(tokens: Float, known: Mask, expected: Float) -> TokenErrors:
     """Against whole tiles' tokens wanted (n, TOKEN_DIM); bands of the tile with next to nothing in them (see fuse)
     do not count, nor do the directions and peaks of what is not there."""
-    levels = wanted[:, LEVELS]
+    levels = expected[:, LEVELS]
     strongest = levels.max(axis=1, keepdims=True)
-    counts = known[:, LEVELS] & (levels > np.maximum(strongest - DRAWN_DECADES, SMOOTH_LEVEL + 0.3))
-    error = (tokens - wanted)[:, : BANDS * WIDTH].reshape(-1, BANDS, WIDTH)
+    counts = known[:, LEVELS] & (levels > np.maximum(strongest - SIGNIFICANT_DECADES, SMOOTH_LEVEL + 0.3))
+    error = (tokens - expected)[:, : BANDS * WIDTH].reshape(-1, BANDS, WIDTH)
     level = DB_PER_DECADE * error[:, :, 0]
 
     def rms(values: Float) -> Float:
@@ -73,7 +73,7 @@ def errors_of(tokens: Float, known: Mask, wanted: Float) -> Errors:
         number = counts.sum(axis=0)
         return np.asarray(np.sqrt(np.where(number > 0, total / np.maximum(number, 1), np.nan)))
 
-    return Errors(
+    return TokenErrors(
         rms(level),
         rms(np.hypot(error[:, :, 1], error[:, :, 2]) / np.sqrt(2.0)),
         rms(np.hypot(error[:, :, 3], error[:, :, 4]) / np.sqrt(2.0)),
@@ -83,25 +83,27 @@ def errors_of(tokens: Float, known: Mask, wanted: Float) -> Errors:
     )
 
 
-def judge(encoder: Encoder, pairs: Pairs, rows: Sequence[int] | None = None, sensor: str = "gelsight") -> Errors:
+def evaluate_encoder(
+    encoder: Encoder, pairs: Pairs, rows: Sequence[int] | None = None, sensor: str = "gelsight"
+) -> TokenErrors:
     """Errors of an encoder on single views (all where rows is None)."""
     chosen = range(len(pairs)) if rows is None else rows
-    tokens, known = tokens_of_views(encoder, pairs, chosen, sensor)
-    return errors_of(tokens, known, pairs.token[pairs.tile_index[np.asarray(chosen)]].astype(np.float64))
+    tokens, known = describe_single_views(encoder, pairs, chosen, sensor)
+    return compute_token_errors(tokens, known, pairs.token[pairs.tile_index[np.asarray(chosen)]].astype(np.float64))
 
 
-def errors_in_words(errors: Errors) -> str:
+def format_errors(errors: TokenErrors) -> str:
     """One line for metadata and terminals."""
     bands = ", ".join(
         f"{wavelength * 1e3:g} mm {level:.1f}"
         for wavelength, level in zip(BAND_WAVELENGTHS_M, errors.level_db, strict=True)
     )
     return (
-        f"level {errors.overall_db():.2f} dB RMS (median {errors.median_level_db:.2f}; {bands}), two-fold "
-        f"{_rms(errors.two_fold):.3f}, four-fold {_rms(errors.four_fold):.3f}, peak {_rms(errors.peak):.3f}, offset "
-        f"{_rms(errors.offset):.3f} octaves"
+        f"level {errors.compute_overall_db():.2f} dB RMS (median {errors.median_level_db:.2f}; {bands}), two-fold "
+        f"{_compute_rms(errors.two_fold):.3f}, four-fold {_compute_rms(errors.four_fold):.3f}, peak {_compute_rms(errors.peak):.3f}, offset "
+        f"{_compute_rms(errors.offset):.3f} octaves"
     )
 
 
-def _rms(values: Float) -> float:
+def _compute_rms(values: Float) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))

@@ -10,40 +10,44 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ...material.alexnet.network import (
-    CONDITIONS,
-    OUTPUTS,
-    PICTURE_CONTRAST,
-    PICTURE_GREY,
+    CONDITION_COUNT,
+    INPUT_DEVIATION,
+    INPUT_MEAN,
+    OUTPUT_COUNT,
     AlexNet,
-    Design,
-    enlarging,
+    AlexNetConfig,
+    cubic_resize_matrix,
 )
-from ...material.alexnet.trunk import FEATURES, POOL, POOL_STRIDE, TRUNK
+from ...material.alexnet.trunk import BACKBONE_FEATURES, BACKBONE_LAYERS, POOL_SIZE, POOL_STRIDE
 from ...tactile.views import VIEW_PIXELS
 
 Single = NDArray[np.float32]
 
 
-class AlexNetTwin(nn.Module):
+class TorchAlexNet(nn.Module):
     """forward: views (n, 3, 64, 64) of contrast 1 and conditions (n, CONDITIONS) → (n, OUTPUTS) in units of spread.
 
     State dict: torchvision's names for the trunk (features.0.weight …), head.0 and head.2; output.mean and
     output.spread belong to it as buffers.
     """
 
-    def __init__(self, design: Design) -> None:
+    def __init__(self, design: AlexNetConfig) -> None:
         super().__init__()
         self.design = design
-        self.features = nn.Sequential(*_trunk())
+        self.features = nn.Sequential(*_make_backbone())
         self.head = nn.Sequential(
-            nn.Linear(FEATURES + CONDITIONS, design.hidden), nn.ReLU(), nn.Linear(design.hidden, OUTPUTS)
+            nn.Linear(BACKBONE_FEATURES + CONDITION_COUNT, design.hidden),
+            nn.ReLU(),
+            nn.Linear(design.hidden, OUTPUT_COUNT),
         )
         self.output = nn.Module()
-        self.output.register_buffer("mean", torch.zeros(OUTPUTS))
-        self.output.register_buffer("spread", torch.ones(OUTPUTS))
+        self.output.register_buffer("mean", torch.zeros(OUTPUT_COUNT))
+        self.output.register_buffer("spread", torch.ones(OUTPUT_COUNT))
         self.mean = torch.tensor(design.mean)[:, None, None]
         self.deviation = torch.tensor(design.deviation)[:, None, None]
-        self.matrix = torch.tensor(enlarging(VIEW_PIXELS, design.pixels)) if design.pixels != VIEW_PIXELS else None
+        self.matrix = (
+            torch.tensor(cubic_resize_matrix(VIEW_PIXELS, design.pixels)) if design.pixels != VIEW_PIXELS else None
+        )
 
     @property
     def output_mean(self) -> Tensor:
@@ -55,21 +59,21 @@ class AlexNetTwin(nn.Module):
         """(OUTPUTS,) standard deviation of the training targets: the unit of forward's result."""
         return self.get_buffer("output.spread")
 
-    def pooled(self, views: Tensor) -> Tensor:
+    def pool_features(self, views: Tensor) -> Tensor:
         """(n, FEATURES) trunk features averaged over positions."""
-        found: Tensor = self.features(self.picture(views))
+        found: Tensor = self.features(self.prepare_images(views))
         return found.float().mean(dim=(2, 3))
 
-    def picture(self, views: Tensor) -> Tensor:
+    def prepare_images(self, views: Tensor) -> Tensor:
         """What the trunk sees: views as pictures, in the units it was trained on, enlarged."""
-        picture = (PICTURE_GREY + PICTURE_CONTRAST * views - self.mean) / self.deviation
+        picture = (INPUT_MEAN + INPUT_DEVIATION * views - self.mean) / self.deviation
         if self.matrix is not None:
             picture = self.matrix @ picture @ self.matrix.T
         return picture.contiguous(memory_format=torch.channels_last)
 
-    def forward(self, views: Tensor, given: Tensor) -> Tensor:
+    def forward(self, views: Tensor, conditions: Tensor) -> Tensor:
         """In units of each output's spread about its mean."""
-        found: Tensor = self.head(torch.cat([self.pooled(views), given], dim=1))
+        found: Tensor = self.head(torch.cat([self.pool_features(views), conditions], dim=1))
         return found.float()
 
     def initialise(self, seed: int) -> None:
@@ -88,23 +92,23 @@ class AlexNetTwin(nn.Module):
             last.weight.mul_(0.1)
 
     @torch.no_grad()
-    def settle(self, views: Tensor, given: Tensor) -> None:
+    def standardise_layers(self, views: Tensor, conditions: Tensor) -> None:
         """Scale every trainable layer but the last so that on these views each of its units has mean 0 and deviation 1
         before the rectifier (Krähenbühl et al. 2016): a plain deep network of no normalisation starts to learn at once.
         """
-        x = self.picture(views)
+        x = self.prepare_images(views)
         for module in self.features:
             if isinstance(module, nn.Conv2d) and module.weight.requires_grad:
-                _standardise(module, module(x).transpose(0, 1).flatten(1).T)
+                _standardise_layer(module, module(x).transpose(0, 1).flatten(1).T)
             x = module(x)
         first = self.head[0]
         assert isinstance(first, nn.Linear)
-        joined = torch.cat([x.mean(dim=(2, 3)), given], dim=1)
+        joined = torch.cat([x.mean(dim=(2, 3)), conditions], dim=1)
         # Averages over positions hardly differ between views: each is brought to order 1, as the conditions are.
         mean, spread = joined.mean(dim=0), joined.std(dim=0).clamp(min=1e-3)
         first.weight.div_(spread)
         first.bias.sub_(first.weight @ mean)
-        _standardise(first, first(joined))
+        _standardise_layer(first, first(joined))
 
     def to_numpy(self, metadata: Mapping[str, str]) -> AlexNet:
         """The run-time network with these tensors."""
@@ -112,14 +116,14 @@ class AlexNetTwin(nn.Module):
         return AlexNet(self.design, {name: state[name] for name in self.design.shapes()}, dict(metadata))
 
 
-def twin_of(network: AlexNet) -> AlexNetTwin:
+def to_torch(network: AlexNet) -> TorchAlexNet:
     """The torch network with a run-time network's tensors."""
-    twin = AlexNetTwin(network.design)
+    twin = TorchAlexNet(network.config)
     twin.load_state_dict({name: torch.tensor(np.asarray(value)) for name, value in network.tensors.items()})
     return twin
 
 
-def _standardise(layer: nn.Conv2d | nn.Linear, found: Tensor) -> None:
+def _standardise_layer(layer: nn.Conv2d | nn.Linear, found: Tensor) -> None:
     """found: (n, units) of what the layer gives now."""
     spread = found.std(dim=0).clamp(min=1e-3)
     assert layer.bias is not None
@@ -127,14 +131,14 @@ def _standardise(layer: nn.Conv2d | nn.Linear, found: Tensor) -> None:
     layer.bias.sub_(found.mean(dim=0)).div_(spread)
 
 
-def _trunk() -> list[nn.Module]:
+def _make_backbone() -> list[nn.Module]:
     """In torchvision's order, so that its names come out: ReLU after every convolution, pooling after the first two."""
     layers: list[nn.Module] = []
-    for part in TRUNK:
+    for part in BACKBONE_LAYERS:
         layers += [
             nn.Conv2d(part.inputs, part.outputs, part.kernel, part.stride, part.padding),
             nn.ReLU(inplace=True),
         ]
         if part.pool:
-            layers.append(nn.MaxPool2d(POOL, POOL_STRIDE))
+            layers.append(nn.MaxPool2d(POOL_SIZE, POOL_STRIDE))
     return layers

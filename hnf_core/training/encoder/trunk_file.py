@@ -8,21 +8,21 @@ import torch
 from torch import Tensor
 
 from ...errors import WeightsError
-from ...material.alexnet.trunk import trunk_shapes
-from ..state_dict import how_to_save, read_state_dict
+from ...material.alexnet.trunk import get_backbone_shapes
+from ..state_dict import format_save_command, read_state_dict
 
-NETWORK = "alexnet"
-_REMEDY = how_to_save(NETWORK)
+BACKBONE_NAME = "alexnet"
+_REMEDY = format_save_command(BACKBONE_NAME)
 
 
-def load_trunk(path: Path) -> tuple[dict[str, Tensor], str]:
+def load_backbone(path: Path) -> tuple[dict[str, Tensor], str]:
     """Float32 tensors features.0.weight … features.10.bias, and the file's SHA-256 in hex.
 
     classifier.* is ignored. Raises FileError where there is no file, WeightsError where it is not a safetensors file,
     or names, shapes or numbers are not AlexNet's.
     """
-    state, digest = read_state_dict(path, NETWORK)
-    wanted = trunk_shapes()
+    state, digest = read_state_dict(path, BACKBONE_NAME)
+    wanted = get_backbone_shapes()
     missing = sorted(set(wanted) - set(state))
     strange = sorted(name for name in set(state) - set(wanted) if not name.startswith("classifier."))
     if missing or strange:

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...datasets.tactile_pairs import Pairs
-from ...tactile.diffusion.conditions import Look, look_of
+from ...tactile.diffusion.conditions import NormalisedAppearance, normalise_appearance
 
 Array = NDArray[np.float32]
 
 RMS_FLOOR = 1e-5
 """Slopes below are those of a smooth surface: the level stops here and the pattern fades."""
-DEPTH_DROPPED = 0.3
-RGB_DROPPED = 0.1
+DEPTH_DROPOUT = 0.3
+RGB_DROPOUT = 0.1
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Batch:
 
     slopes: Array
     log_rms: Array
-    look: Look
+    appearance: NormalisedAppearance
     pitch_index: NDArray[np.int64]
     sensor_index: NDArray[np.int64]
 
@@ -33,22 +33,22 @@ class Batch:
         return len(self.slopes)
 
 
-def training_batch(pairs: Pairs, rows: NDArray[np.int64], rng: np.random.Generator) -> Batch:
+def make_training_batch(pairs: Pairs, rows: NDArray[np.int64], rng: np.random.Generator) -> Batch:
     """A random one of the eight turns and mirror images of each view, one of the sensors, depth and colour dropped."""
     count = len(rows)
     sensor = rng.integers(0, pairs.slopes.shape[1], count)
-    depth_known, rgb_known = rng.random(count) >= DEPTH_DROPPED, rng.random(count) >= RGB_DROPPED
-    return _batch(pairs, rows, sensor, rng.integers(0, 8, count), depth_known, rgb_known)
+    depth_known, rgb_known = rng.random(count) >= DEPTH_DROPOUT, rng.random(count) >= RGB_DROPOUT
+    return _assemble_batch(pairs, rows, sensor, rng.integers(0, 8, count), depth_known, rgb_known)
 
 
-def fixed_batch(pairs: Pairs, rows: NDArray[np.int64], sensor: int, *, depth_known: bool = True) -> Batch:
+def make_fixed_batch(pairs: Pairs, rows: NDArray[np.int64], sensor: int, *, depth_known: bool = True) -> Batch:
     """Views as they are, for validation."""
     every = np.ones(len(rows), dtype=bool)
     zero = np.zeros(len(rows), dtype=np.int64)
-    return _batch(pairs, rows, zero + sensor, zero, every & depth_known, every)
+    return _assemble_batch(pairs, rows, zero + sensor, zero, every & depth_known, every)
 
 
-def turned(picture: NDArray[np.generic], slopes: Array, turn: int) -> tuple[NDArray[np.generic], Array]:
+def apply_symmetry(image: NDArray[np.generic], slopes: Array, turn: int) -> tuple[NDArray[np.generic], Array]:
     """Pictures (..., 64, 64) and slopes (2, 64, 64) under one of the eight symmetries of the square.
 
     turn: + 1 mirrors left and right, + 2 up and down, + 4 about the falling diagonal (rows ↔ columns). With column → +x
@@ -56,15 +56,15 @@ def turned(picture: NDArray[np.generic], slopes: Array, turn: int) -> tuple[NDAr
     """
     gx, gy = slopes
     if turn & 1:
-        picture, gx, gy = picture[..., ::-1], -gx[:, ::-1], gy[:, ::-1]
+        image, gx, gy = image[..., ::-1], -gx[:, ::-1], gy[:, ::-1]
     if turn & 2:
-        picture, gx, gy = picture[..., ::-1, :], gx[::-1], -gy[::-1]
+        image, gx, gy = image[..., ::-1, :], gx[::-1], -gy[::-1]
     if turn & 4:
-        picture, gx, gy = picture.swapaxes(-1, -2), -gy.T, -gx.T
-    return picture, np.stack([gx, gy])
+        image, gx, gy = image.swapaxes(-1, -2), -gy.T, -gx.T
+    return image, np.stack([gx, gy])
 
 
-def _batch(
+def _assemble_batch(
     pairs: Pairs,
     rows: NDArray[np.int64],
     sensor: NDArray[np.int64],
@@ -78,18 +78,18 @@ def _batch(
         picture = np.concatenate(
             [pairs.rgb[row].transpose(2, 0, 1) / np.float32(255.0), pairs.depth[row][None].astype(np.float32)]
         )
-        pictures[index], slopes[index] = turned(picture, pairs.slopes[row, which].astype(np.float32), int(turn))
+        pictures[index], slopes[index] = apply_symmetry(picture, pairs.slopes[row, which].astype(np.float32), int(turn))
     rms = np.maximum(np.sqrt((slopes**2).mean(axis=(1, 2, 3))), RMS_FLOOR)
     return Batch(
         slopes / rms[:, None, None, None],
         np.log10(rms),
-        look_of(pictures[:, :3], pictures[:, 3], depth_known, rgb_known),
+        normalise_appearance(pictures[:, :3], pictures[:, 3], depth_known, rgb_known),
         pairs.pitch_index[rows],
         sensor,
     )
 
 
-def level_statistics(pairs: Pairs) -> tuple[float, float]:
+def compute_level_statistics(pairs: Pairs) -> tuple[float, float]:
     """Mean and standard deviation of log_rms over all views and sensors."""
     levels = [
         np.log10(max(float(np.sqrt(np.mean(np.square(each, dtype=np.float32)))), RMS_FLOOR))

@@ -18,17 +18,17 @@ from ...errors import UsageError
 from ...files import content_hash
 from ...tactile.diffusion.config import MapConfig
 from ..checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from .batches import level_statistics, training_batch
+from .batches import compute_level_statistics, make_training_batch
 from .network import MapNetwork
-from .objective import losses
-from .validate import Distance, distances
+from .objective import compute_losses
+from .validate import Distance, measure_distances
 
-Watch = Callable[[int, float, float, Mapping[str, Distance]], None]
+ProgressCallback = Callable[[int, float, float, Mapping[str, Distance]], None]
 """(steps done, share of the budget, running loss, distances: empty between validations)."""
 
 
 @dataclass(frozen=True)
-class Plan:
+class MapTrainingPlan:
     """steps or minutes (of training, validation not counted in the course of the rate), whichever is used up first
     where both are given; rate: AdamW's, warm_up steps up and then a cosine down to nothing at the budget's end.
     ema: of the averaged weights. level_weight: of the level's loss beside the pattern's. validate_views: of each
@@ -51,7 +51,7 @@ class Plan:
     validate_minutes: float = 3.0
     checkpoint_minutes: float = 3.0
 
-    def spent(self, step: int, seconds: float) -> float:
+    def compute_progress(self, step: int, seconds: float) -> float:
         """Share of the budget that is used up."""
         by_steps = 0.0 if self.steps is None else step / max(self.steps, 1)
         by_time = 0.0 if self.minutes is None else seconds / (60.0 * self.minutes)
@@ -59,7 +59,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FitResult:
     """config with the level's scale filled in, averaged weights, and what it took."""
 
     config: MapConfig
@@ -70,7 +70,7 @@ class Fitted:
 
 
 @dataclass
-class _State:
+class _TrainingState:
     network: MapNetwork
     optimiser: torch.optim.AdamW
     average: dict[str, Tensor]
@@ -78,14 +78,14 @@ class _State:
     seconds: float = 0.0
 
 
-def fit(
+def fit_map(
     pairs: Pairs,
     held_out: Mapping[str, Pairs],
-    plan: Plan,
+    plan: MapTrainingPlan,
     config: MapConfig,
     checkpoint: Path | None = None,
-    watch: Watch = lambda *_: None,
-) -> Fitted:
+    watch: ProgressCallback = lambda *_: None,
+) -> FitResult:
     """Train on pairs; the networks of held_out splits' distances are the averaged ones.
 
     With steps alone the same seed gives the same weights on the same machine and torch, killed and resumed or not; with
@@ -97,43 +97,43 @@ def fit(
     if len(pairs) < plan.batch:
         raise UsageError(f"{len(pairs)} pairs are fewer than a batch of {plan.batch}.")
     torch.set_num_threads(plan.threads)
-    mean, scale = level_statistics(pairs)
+    mean, scale = compute_level_statistics(pairs)
     config = replace(config, level_mean=mean, level_scale=scale)
-    state = _fresh(config, plan)
-    fingerprint = _fingerprint(pairs, plan, config)
+    state = _make_initial_state(config, plan)
+    fingerprint = _compute_fingerprint(pairs, plan, config)
     if checkpoint is not None:
-        _restore(state, load_checkpoint(checkpoint, fingerprint))
+        _restore_checkpoint(state, load_checkpoint(checkpoint, fingerprint))
     running, saved, validated = math.nan, state.seconds, state.seconds
-    while plan.spent(state.step, state.seconds) < 1.0:
+    while plan.compute_progress(state.step, state.seconds) < 1.0:
         began = time.monotonic()
-        loss = _step(state, pairs, plan)
+        loss = _train_step(state, pairs, plan)
         state.seconds += time.monotonic() - began
         running = loss if math.isnan(running) else 0.98 * running + 0.02 * loss
         seen: dict[str, Distance] = {}
         if state.seconds - validated >= 60.0 * plan.validate_minutes:
             validated = state.seconds
-            seen = distances(_averaged(state), held_out, plan.validate_views, plan.seed, None)
-        watch(state.step, plan.spent(state.step, state.seconds), running, seen)
+            seen = measure_distances(_make_averaged_network(state), held_out, plan.validate_views, plan.seed, None)
+        watch(state.step, plan.compute_progress(state.step, state.seconds), running, seen)
         if checkpoint is not None and state.seconds - saved >= 60.0 * plan.checkpoint_minutes:
             saved = state.seconds
-            save_checkpoint(checkpoint, _snapshot(state), fingerprint)
+            save_checkpoint(checkpoint, _make_checkpoint(state), fingerprint)
     if checkpoint is not None:
-        save_checkpoint(checkpoint, _snapshot(state), fingerprint)
-    final = distances(_averaged(state), held_out, plan.validate_views, plan.seed, 20)
+        save_checkpoint(checkpoint, _make_checkpoint(state), fingerprint)
+    final = measure_distances(_make_averaged_network(state), held_out, plan.validate_views, plan.seed, 20)
     parameters = {name: value.numpy().astype(np.float32) for name, value in state.average.items()}
-    return Fitted(config, parameters, state.step, state.seconds, final)
+    return FitResult(config, parameters, state.step, state.seconds, final)
 
 
-def _step(state: _State, pairs: Pairs, plan: Plan) -> float:
+def _train_step(state: _TrainingState, pairs: Pairs, plan: MapTrainingPlan) -> float:
     per_epoch = len(pairs) // plan.batch
     epoch, place = divmod(state.step, per_epoch)
     order = np.random.default_rng((plan.seed, 1, epoch)).permutation(len(pairs))
     rng = np.random.default_rng((plan.seed, 2, state.step))
-    batch = training_batch(pairs, order[place * plan.batch : (place + 1) * plan.batch], rng)
+    batch = make_training_batch(pairs, order[place * plan.batch : (place + 1) * plan.batch], rng)
     for group in state.optimiser.param_groups:
-        group["lr"] = _rate(plan, state)
+        group["lr"] = _compute_learning_rate(plan, state)
     with torch.autocast("cpu", torch.bfloat16, enabled=plan.half):
-        pattern, level = losses(state.network, batch, rng)
+        pattern, level = compute_losses(state.network, batch, rng)
     loss = pattern + plan.level_weight * level
     state.optimiser.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]
@@ -147,32 +147,32 @@ def _step(state: _State, pairs: Pairs, plan: Plan) -> float:
     return float(loss.detach())
 
 
-def _rate(plan: Plan, state: _State) -> float:
-    spent = min(plan.spent(state.step, state.seconds), 1.0)
+def _compute_learning_rate(plan: MapTrainingPlan, state: _TrainingState) -> float:
+    spent = min(plan.compute_progress(state.step, state.seconds), 1.0)
     return plan.rate * min(1.0, (state.step + 1) / plan.warm_up) * (0.5 + 0.5 * math.cos(math.pi * spent))
 
 
-def _fresh(config: MapConfig, plan: Plan) -> _State:
+def _make_initial_state(config: MapConfig, plan: MapTrainingPlan) -> _TrainingState:
     torch.manual_seed(plan.seed)
-    network = _network(config)
+    network = _make_network(config)
     optimiser = torch.optim.AdamW(network.parameters(), plan.rate, betas=(0.9, 0.99), weight_decay=plan.decay)
-    return _State(network, optimiser, {name: value.clone() for name, value in network.state_dict().items()})
+    return _TrainingState(network, optimiser, {name: value.clone() for name, value in network.state_dict().items()})
 
 
-def _network(config: MapConfig) -> MapNetwork:
+def _make_network(config: MapConfig) -> MapNetwork:
     network = MapNetwork(config)
     # oneDNN's half-precision convolutions want the channels last.
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network
 
 
-def _averaged(state: _State) -> MapNetwork:
-    network = _network(state.network.config)
+def _make_averaged_network(state: _TrainingState) -> MapNetwork:
+    network = _make_network(state.network.config)
     network.load_state_dict(state.average)
     return network
 
 
-def _snapshot(state: _State) -> Checkpoint:
+def _make_checkpoint(state: _TrainingState) -> Checkpoint:
     tensors: dict[str, NDArray[np.generic]] = {"seconds": np.array([state.seconds])}
     for name, parameter in state.network.named_parameters():
         moments = state.optimiser.state[parameter]
@@ -185,7 +185,7 @@ def _snapshot(state: _State) -> Checkpoint:
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
-def _restore(state: _State, checkpoint: Checkpoint | None) -> None:
+def _restore_checkpoint(state: _TrainingState, checkpoint: Checkpoint | None) -> None:
     if checkpoint is None:
         return
     state.step, state.seconds = checkpoint.epoch, float(checkpoint.tensors["seconds"][0])
@@ -201,7 +201,7 @@ def _restore(state: _State, checkpoint: Checkpoint | None) -> None:
             state.optimiser.state[parameter] = {"step": torch.tensor(float(state.step)), **moments}
 
 
-def _fingerprint(pairs: Pairs, plan: Plan, config: MapConfig) -> str:
+def _compute_fingerprint(pairs: Pairs, plan: MapTrainingPlan, config: MapConfig) -> str:
     """Of the run: data, network and what steers the course; not of how long it may take."""
     budget_free = replace(plan, steps=None, minutes=None, threads=1, validate_minutes=0.0, checkpoint_minutes=0.0)
     data = (pairs.tile_seed.tobytes(), pairs.slopes[0].tobytes(), pairs.slopes[-1].tobytes())

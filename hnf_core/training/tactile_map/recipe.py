@@ -10,15 +10,22 @@ from typing import Any
 from ...datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, TRAIN, load_pairs
 from ...tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
 from ...tactile.diffusion.weights import save_map_weights
-from .fit import Fitted, Plan, Watch, fit
+from .fit import FitResult, MapTrainingPlan, ProgressCallback, fit_map
 
 LICENCE = "GPL-3.0-or-later"
-RATES = {DIFFUSION: 1e-3, REGRESSION: 2e-3}
+LEARNING_RATES = {DIFFUSION: 1e-3, REGRESSION: 2e-3}
 """Of learning, by objective."""
 
 
 def train_map(
-    folder: Path, plan: Plan, config: MapConfig, out: Path, checkpoint: Path, watch: Watch, *, partial: bool = False
+    folder: Path,
+    plan: MapTrainingPlan,
+    config: MapConfig,
+    out: Path,
+    checkpoint: Path,
+    watch: ProgressCallback,
+    *,
+    partial: bool = False,
 ) -> dict[str, Any]:
     """Train on the pairs in a folder (tools/make_tactile_pairs.py), write the averaged weights, return the record that
     is also in their header. A killed run goes on from its checkpoint. partial: train on what shards there are.
@@ -27,7 +34,7 @@ def train_map(
     """
     pairs = load_pairs(folder, TRAIN, partial=partial)
     held_out = {name: load_pairs(folder, name, partial=partial) for name in (HELD_OUT_INSTANCES, HELD_OUT_CLASSES)}
-    fitted = fit(pairs, held_out, plan, config, checkpoint, watch)
+    fitted = fit_map(pairs, held_out, plan, config, checkpoint, watch)
     record = {
         "training_data": f"{len(pairs)} paired views of {pairs.tiles} generated tiles of "
         f"{len(set(pairs.class_name) - {''})} classes and of random surfaces; no recorded data",
@@ -39,15 +46,15 @@ def train_map(
         "metrics": {name: asdict(distance) for name, distance in fitted.distances.items()},
         "licence": LICENCE,
     }
-    save_map_weights(out, fitted.config, fitted.parameters, _text(record))
-    return {**record, "weights": str(out), "in_words": _in_words(fitted)}
+    save_map_weights(out, fitted.config, fitted.parameters, _to_text(record))
+    return {**record, "weights": str(out), "in_words": _format_distances(fitted)}
 
 
-def _text(record: dict[str, Any]) -> dict[str, str]:
+def _to_text(record: dict[str, Any]) -> dict[str, str]:
     return {
         name: value if isinstance(value, str) else json.dumps(value, sort_keys=True) for name, value in record.items()
     }
 
 
-def _in_words(fitted: Fitted) -> str:
-    return "; ".join(f"{name}: {distance.in_words()}" for name, distance in fitted.distances.items())
+def _format_distances(fitted: FitResult) -> str:
+    return "; ".join(f"{name}: {distance.describe()}" for name, distance in fitted.distances.items())
