@@ -29,7 +29,7 @@ from hnf_core.field.config import FieldConfig  # noqa: E402
 from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field  # noqa: E402
 from hnf_core.simulation.classes import get_category, list_classes  # noqa: E402
 from hnf_core.training.conditions import make_middle_conditions, make_speed_grid  # noqa: E402
-from hnf_core.training.gathering import Sizes, build_training_data, load_specimens  # noqa: E402
+from hnf_core.training.gathering import Sizes, build_training_data, load_specimens, select_classes  # noqa: E402
 from hnf_core.training.model import FieldNetwork  # noqa: E402
 from hnf_core.training.recipe import (  # noqa: E402
     HELD_OUT,
@@ -39,8 +39,8 @@ from hnf_core.training.recipe import (  # noqa: E402
     load_or_build_training_data,
     load_or_simulate_references,
 )
-from hnf_core.training.references import compute_new_patch_distances_db, predict_spectra  # noqa: E402
-from hnf_core.training.shared_bars import (  # noqa: E402
+from hnf_core.training.references import compute_new_patch_distances_db, predict_spectra, select_materials  # noqa: E402
+from hnf_core.training.shared_bars import (
     LONG_SCHEDULE,
     make_eight_directions,
     make_single_material_config,
@@ -48,8 +48,6 @@ from hnf_core.training.shared_bars import (  # noqa: E402
     measure_single_material_field_db,
     measure_training_token_db,
     measure_unseen_materials,
-    select_classes,
-    select_materials,
 )
 
 SINGLE_HIDDEN = 64

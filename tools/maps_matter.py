@@ -34,7 +34,6 @@ from hnf_blender.touch.jobs import StrokeJob, gather_jobs  # noqa: E402
 from hnf_blender.touch.seeing import SENSOR  # noqa: E402
 from hnf_blender.touch.steps import CACHE_FOLDER_NAME, bake_steps  # noqa: E402
 from hnf_blender.touch.store import PatchRecord  # noqa: E402
-from hnf_core.cli.touch import TouchRequest  # noqa: E402
 from hnf_core.errors import HnfError, SceneError  # noqa: E402
 from hnf_core.evaluation.tables import format_table  # noqa: E402
 from hnf_core.export.figure import write_figure  # noqa: E402
@@ -49,6 +48,7 @@ from hnf_core.metrics.spectra import welch  # noqa: E402
 from hnf_core.tactile.height import tactile_map_from_height  # noqa: E402
 from hnf_core.tactile.spectral import apply_filters, frequencies, gaussian_mtf  # noqa: E402
 from hnf_core.tactile.tactile_map import Route  # noqa: E402
+from hnf_core.touch_request import TouchRequest  # noqa: E402
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

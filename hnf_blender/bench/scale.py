@@ -14,8 +14,8 @@ from hnf_core.bench.curves import add_exponents
 from hnf_core.bench.frame import BenchOptions, Row, Spread
 from hnf_core.bench.growth import Cost, CostClock, Sweep, run_sizes
 from hnf_core.bench.scale import SCALE_NAME
-from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import HnfError
+from hnf_core.touch_request import TouchRequest
 
 from .hollow import draw_tab, register_tab
 from .needs import require_bpy

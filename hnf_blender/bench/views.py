@@ -138,7 +138,9 @@ def _measure_scene(name: str, opened: Callable[[], Any], truth: ReferenceViews, 
         scene = opened()
         most = counts[0][-1]
         _record_errors(
-            plain, plain.measure(lambda: _get_colours(render_as_blenderproc(scene, cameras, most, False))), truth  # noqa: B023
+            plain,
+            plain.measure(lambda: _get_colours(render_as_blenderproc(scene, cameras, most, False))),
+            truth,  # noqa: B023
         )
         for samples, timed in ours.items():
             scene = opened()

@@ -60,7 +60,9 @@ def main(core: str, request: str, out: str) -> int:
     errors = importlib.import_module(f"{CORE}.errors")
     try:
         learn.learn_material(
-            learn.LearnRequest(**json.loads(request)), Path(out), lambda progress: send_message("Step", **vars(progress))
+            learn.LearnRequest(**json.loads(request)),
+            Path(out),
+            lambda progress: send_message("Step", **vars(progress)),
         )
     except errors.HnfError as error:
         send_message("Failed", why=str(error))

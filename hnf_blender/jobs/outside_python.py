@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
-from hnf_core.cli.train_needs import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
+from hnf_core.cli.health import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
 
 from ..state.outside_python import ExternalPython
 from ..translations import tr

@@ -11,12 +11,12 @@ import numpy as np
 
 from hnf_core import __version__
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE, Primitive
-from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import HnfError, SceneError
 from hnf_core.field.weights import load_field_for_encoders
 from hnf_core.files import content_hash
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.library import LIBRARY_PATH, get_material
+from hnf_core.touch_request import TouchRequest
 
 from ..bridge.boxes import describe_neighbours, filter_visible, is_visible
 from ..bridge.hashes import hash_material

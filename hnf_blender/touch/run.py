@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from hnf_core.cli.progress import Progress, ProgressBar
-from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import FileError
 from hnf_core.export.path_on_view import StrokeView
 from hnf_core.files import content_hash
 from hnf_core.folder_lock import folder_lock
+from hnf_core.touch_request import TouchRequest
 
 from ..bridge.importers import open_scene
 from ..bridge.metres import get_metres_per_unit

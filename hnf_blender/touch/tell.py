@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hnf_core.cli.program import get_command_prefix
-from hnf_core.cli.touch import TouchRequest
 from hnf_core.counted import pluralize
+from hnf_core.touch_request import TouchRequest
 
 from .options import add_option_hint
 from .probe_report import format_query_line

@@ -93,3 +93,10 @@ def hash_data_files() -> tuple[Fact, ...]:
         Fact("material_library", "Material library", hash_of(LIBRARY_PATH)),
         Fact("weights_for_pictures", "Weights for pictures", hash_of(DEFAULT_WEIGHTS)),
     )
+
+
+MIN_TRAINING_PYTHON = (3, 11)
+
+
+TRAINING_PACKAGES = {"numpy": "numpy>=1.24", "safetensors": "safetensors==0.8.0", "torch": "torch==2.13.0"}
+"""What `hnf train field` imports → what pip is asked for, as pyproject.toml pins it."""

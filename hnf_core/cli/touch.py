@@ -3,67 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..action.primitives import PRIMITIVES, Primitive
+from ..action.primitives import PRIMITIVES
 from ..action.words import parse_stroke
 from ..errors import UsageError
-from .probe import TouchQuery, parse_touch_query
+from ..touch_request import MaterialChoice, StrokeRequest, TouchRequest
+from .probe import parse_touch_query
 from .seed import parse_seed
 from .verbs import HELP
-
-
-@dataclass(frozen=True)
-class StrokeRequest:
-    """A primitive to be placed: --stroke WORDS --on OBJECT[:SLOT]."""
-
-    primitive: Primitive
-    target: str
-
-
-@dataclass(frozen=True)
-class MaterialChoice:
-    """The artist's own choice: --material OBJECT[:SLOT]=NAME."""
-
-    target: str
-    material: str
-
-
-@dataclass(frozen=True)
-class TouchRequest:
-    """What a run of `touch` was asked for.
-
-    scene: file to open, or None for the file already open in Blender. out: folder of the results; None where only a
-    plan is asked for and no earlier results are to be read. metres_per_unit: None = the scene's own.
-    seed: None = each stroke's own. plan_only: print the plan and stop. probes: places to look at; with them, the
-    scene's own strokes are left alone unless placements ask for strokes too. encoder: name or file of the E that
-    describes tactile maps, "" = the default of each route.
-    """
-
-    scene: Path | None
-    out: Path | None
-    strokes: tuple[StrokeRequest, ...] = ()
-    choices: tuple[MaterialChoice, ...] = ()
-    metres_per_unit: float | None = None
-    seed: int | None = None
-    plan_only: bool = False
-    as_json: bool = False
-    queries: tuple[TouchQuery, ...] = ()
-    encoder: str = ""
-
-    @property
-    def folder(self) -> Path:
-        """Where the results go. Raises UsageError where none is named."""
-        if self.out is None:
-            raise UsageError("--out is missing.", remedy="Say where the results go: --out DIR. (--plan needs none.)")
-        return self.out
-
-    @property
-    def has_only_queries(self) -> bool:
-        """Look at places, and do nothing else."""
-        return bool(self.queries) and not self.strokes
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:

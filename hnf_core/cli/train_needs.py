@@ -8,10 +8,6 @@ from contextlib import contextmanager
 
 from ..errors import HnfError, UsageError
 
-MIN_TRAINING_PYTHON = (3, 11)
-TRAINING_PACKAGES = {"numpy": "numpy>=1.24", "safetensors": "safetensors==0.8.0", "torch": "torch==2.13.0"}
-"""What `hnf train field` imports → what pip is asked for, as pyproject.toml pins it."""
-
 
 @contextmanager
 def require_torch(what: str) -> Iterator[None]:

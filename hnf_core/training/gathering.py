@@ -170,3 +170,10 @@ def load_training_data(path: Path) -> TrainingData:
             )
         )
     return TrainingData(names, classes, material, tokens, tuple(strokes), power)
+
+
+def select_classes(data: TrainingData, class_names: Sequence[str]) -> TrainingData:
+    """Strokes on materials of these classes and on surfaces of no material."""
+    classes = np.array([name in class_names for name in data.classes])
+    material = data.get_stroke_materials()
+    return data.select_strokes(np.where(material < 0, True, classes[material]))

@@ -34,6 +34,7 @@ from .gathering import (
     load_specimens,
     load_training_data,
     save_training_data,
+    select_classes,
 )
 from .model import FieldNetwork
 from .references import (
@@ -41,9 +42,9 @@ from .references import (
     compute_new_patch_distances_db,
     load_references,
     save_references,
+    select_materials,
     simulate_references,
 )
-from .shared_bars import select_classes, select_materials
 from .surfaces import Specimen
 
 Float = NDArray[np.float64]

@@ -132,3 +132,15 @@ def load_references(path: Path, specimens: Sequence[Specimen], conditions: Seque
     if found.spectra.shape[:2] != (len(specimens), len(conditions)):
         raise FileError("references of other materials.", where=str(path), remedy="Delete it to simulate again.")
     return found
+
+
+def select_materials(references: References, materials: Sequence[int]) -> References:
+    """The references of some materials."""
+    rows = list(materials)
+    return replace(
+        references,
+        specimens=tuple(references.specimens[row] for row in rows),
+        tokens=references.tokens[rows],
+        spectra=references.spectra[rows],
+        scatter_db=references.scatter_db[rows],
+    )

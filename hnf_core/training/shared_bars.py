@@ -15,7 +15,13 @@ from .conditions import StrokeCondition
 from .fit import Schedule, build_training_set, fit_network
 from .gathering import TrainingData
 from .model import FieldNetwork
-from .references import References, compute_distances_db, compute_new_patch_distances_db, predict_spectra
+from .references import (
+    References,
+    compute_distances_db,
+    compute_new_patch_distances_db,
+    predict_spectra,
+    select_materials,
+)
 
 Float = NDArray[np.float64]
 
@@ -51,18 +57,6 @@ def measure_single_material_field_db(
     return float(compute_distances_db(alone, predict_spectra(network, alone, training_data.tokens[[patch]])).mean())
 
 
-def select_materials(references: References, materials: Sequence[int]) -> References:
-    """The references of some materials."""
-    rows = list(materials)
-    return replace(
-        references,
-        specimens=tuple(references.specimens[row] for row in rows),
-        tokens=references.tokens[rows],
-        spectra=references.spectra[rows],
-        scatter_db=references.scatter_db[rows],
-    )
-
-
 def measure_training_token_db(network: FieldNetwork, references: References, data: TrainingData) -> Float:
     """(M,) as on_new_patches_db, but asked with the tokens of the patches trained on."""
     stroked = np.unique([stroke.surface for stroke in data.strokes])
@@ -78,13 +72,6 @@ def measure_training_token_db(network: FieldNetwork, references: References, dat
             axis=(0, 2),
         )
     )
-
-
-def select_classes(data: TrainingData, class_names: Sequence[str]) -> TrainingData:
-    """Strokes on materials of these classes and on surfaces of no material."""
-    classes = np.array([name in class_names for name in data.classes])
-    material = data.get_stroke_materials()
-    return data.select_strokes(np.where(material < 0, True, classes[material]))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from live_strokes import states
 
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE
-from hnf_core.cli.train_needs import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
+from hnf_core.cli.health import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
 from hnf_core.errors import FileError, StrokeError, WeightsError
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig

@@ -151,5 +151,7 @@ def test_what_a_file_says_of_itself_comes_before_the_totals(tmp_path: Path) -> N
         '<testcase classname="a" name="b"/></testsuite></testsuites>',
         encoding="utf-8",
     )
-    lines = merge_summary.format_summary(merge_summary.read_cases(path), 1.5, merge_summary.read_properties(path)).splitlines()
+    lines = merge_summary.format_summary(
+        merge_summary.read_cases(path), 1.5, merge_summary.read_properties(path)
+    ).splitlines()
     assert lines[1:] == ["app: blender 5.2.2 LTS", "==== 1 passed in 1.50s ===="]

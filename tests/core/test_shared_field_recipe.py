@@ -22,6 +22,7 @@ from hnf_core.training.gathering import (  # noqa: E402
     load_specimens,
     load_training_data,
     save_training_data,
+    select_classes,
 )
 from hnf_core.training.model import FieldNetwork  # noqa: E402
 from hnf_core.training.recipe import TrainingPlan, collect_training_ranges, fit_shared_field  # noqa: E402
@@ -31,16 +32,15 @@ from hnf_core.training.references import (  # noqa: E402
     load_references,
     predict_spectra,
     save_references,
+    select_materials,
     simulate_references,
 )
-from hnf_core.training.shared_bars import (  # noqa: E402
+from hnf_core.training.shared_bars import (
     bootstrap_mean,
     measure_directions,
     measure_single_material_field_db,
     measure_training_token_db,
     measure_unseen_materials,
-    select_classes,
-    select_materials,
 )
 
 SIZES = Sizes(patches=2, described=1, strokes=4, random=2, random_strokes=2, seconds=0.15)
