@@ -9,7 +9,7 @@ import importlib
 from types import ModuleType
 from typing import Any
 
-from .rooms import register_modules, unregister_modules
+from .registration import register_modules, unregister_modules
 
 SUBMODULES = ("translations", "props", "prefs", "handlers", "jobs", "actuator", "preview", "ops", "tool", "ui")
 """Sub-modules with register() and unregister(), in order; each may use those before it. What handlers note, later ones
@@ -23,7 +23,7 @@ def register() -> None:
     """Called by Blender when the add-on is switched on. Where a part cannot be loaded, a panel says why instead."""
     import bpy
 
-    from . import rescue
+    from . import error_panel
 
     try:
         register_modules((importlib.import_module(f".{name}", __package__) for name in SUBMODULES), _registered)
@@ -32,7 +32,7 @@ def register() -> None:
         unregister()
         if bpy.app.background:
             raise
-        rescue.register(error)
+        error_panel.register(error)
 
 
 def _command(argv: list[str]) -> int:
@@ -46,9 +46,9 @@ def unregister() -> None:
     """Called by Blender when the add-on is switched off."""
     import bpy
 
-    from . import rescue
+    from . import error_panel
 
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     unregister_modules(_registered)
-    rescue.unregister()
+    error_panel.unregister()

@@ -16,7 +16,7 @@ from hnf_core.cli.main import main as run_command_line
 from hnf_core.errors import HnfError
 
 if TYPE_CHECKING:
-    from hnf_core.export.surface import TouchedSurface
+    from hnf_core.export.touched_surface import TouchedSurface
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -44,10 +44,10 @@ def run_touch(arguments: argparse.Namespace) -> int:
 
 
 def run_bench(arguments: argparse.Namespace) -> int:
-    from hnf_core.cli.bench import make_unavailable_error, run_benches
+    from hnf_lab.cli.bench import make_unavailable_error, run_benches
 
     try:
-        from .bench.catalogue import BENCHES
+        from hnf_lab.cli.bench_catalogue import BENCHES
     except ImportError as error:
         raise make_unavailable_error(error) from error
     return run_benches(arguments, BENCHES)
@@ -66,8 +66,8 @@ def read_scene_surface(path: Path, provenance: Mapping[str, str], object_name: s
     import bpy
 
     from .bridge.importers import open_scene
-    from .bridge.metres import get_metres_per_unit
-    from .bridge.touched_surface import find_surface_in_scene
+    from .bridge.scene.unit_scale import get_metres_per_unit
+    from .bridge.stroke.surface_export import find_surface_in_scene
 
     scene, view_layer = open_scene(path), bpy.context.view_layer
     view_layer.update()

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from .bridge.temporary import TEMP_SCENE_NAME
-from .props.listed import CHANGES
-from .rooms import add_handlers, remove_handlers
-from .state import picked
-from .state.session import STATE
-from .state.watch import EVERYTHING, clear_trackers, process_changes
+from .bridge.scene.temp_scene import TEMP_SCENE_NAME
+from .props.object_cache import CHANGES
+from .registration import add_handlers, remove_handlers
+from .state import interface
+from .state.session_state import STATE
+from .state.status_tracker import EVERYTHING, clear_trackers, process_changes
 
 INTERVAL_S = 0.25
 TRACKED_TYPES = frozenset({"Object", "Mesh", "Curve", "Material", "Image", "Action", "Key"})
@@ -39,15 +39,15 @@ def on_undo_redo(*_: Any) -> None:
 
 def on_load_pre(*_: Any) -> None:
     """load_pre: a job belongs to the file that is left."""
-    from .jobs import current
+    from .jobs import manager
 
-    current.cancel()
+    manager.cancel()
 
 
 def on_load_post(*_: Any) -> None:
     """load_post."""
     clear_trackers()
-    picked.clear_active_strokes()
+    interface.clear_active_strokes()
     STATE.clear()
     CHANGES.mark_changed()
     STATE.dirty_names.add(EVERYTHING)
@@ -58,14 +58,14 @@ def tick() -> float:
     """Timer: look at what changed, unless the timeline plays."""
     import bpy
 
-    from .jobs.warm import is_preloaded
-    from .props.scene import list_cached_strokes
-    from .state.redraw import redraw_tab
+    from .jobs.manager import is_preloaded
+    from .props.scene_settings import list_cached_strokes
+    from .state.interface import redraw_tab
 
     windows = bpy.context.window_manager.windows
     if any(window.screen.is_animation_playing for window in windows):
         return INTERVAL_S
-    if any(picked.restore_active_stroke(window.scene) for window in windows):
+    if any(interface.restore_active_stroke(window.scene) for window in windows):
         redraw_tab()
     if not (STATE.dirty_names or any(STATE.statuses.values())):
         return INTERVAL_S
@@ -102,5 +102,5 @@ def unregister() -> None:
     CHANGES.is_notified = False
     CHANGES.mark_changed()
     clear_trackers()
-    picked.clear_active_strokes()
+    interface.clear_active_strokes()
     STATE.clear()

@@ -1,4 +1,4 @@
-"""Preferences of the add-on; state/settings.py is how the rest of it reads them."""
+"""Preferences of the add-on; state/addon_settings.py is how the rest of it reads them."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -8,8 +8,8 @@ import bpy
 
 from hnf_core.material.probe import PROBES
 
-from .state.session import STATE
-from .state.settings import DEFAULT_SETTINGS
+from .state.addon_settings import DEFAULT_SETTINGS
+from .state.session_state import STATE
 from .translations import tr
 
 
@@ -42,8 +42,7 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
     )
 
     def draw(self, _context: Any) -> None:
-        from .ui.diagnose_panel import draw_cache
-        from .ui.outside_python import draw_external_python
+        from .ui.diagnose_panel import draw_cache, draw_external_python
 
         layout = self.layout
         layout.use_property_split = True

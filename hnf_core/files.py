@@ -1,13 +1,28 @@
-"""Writing that never costs what is already saved: a temporary file beside the target, then one rename."""
+"""Writing that never costs what is already saved: a temporary file beside the target, then one rename.
+
+Two runs on one folder would tear each other's results: the second is told so and leaves.
+
+Archives of arrays (.npz) that may be damaged: which error that raises depends on the byte that was hit.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import shutil
+import struct
 import tempfile
-from collections.abc import Callable
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .errors import FileError
 
@@ -112,3 +127,85 @@ def content_hash(*parts: bytes | str) -> str:
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
     return digest.hexdigest()
+
+
+LOCK_NAME = ".hnf-lock"
+
+
+@contextmanager
+def folder_lock(folder: Path, kind: str = "run", name: str = LOCK_NAME) -> Iterator[None]:
+    """Hold folder for this process; the operating system lets go of it if the process dies.
+
+    kind: what holds it, for the refusal to name. name: of the file in it that is locked.
+
+    Raises FileError when the folder cannot be made or another run holds it.
+    """
+    if folder.is_file():
+        raise FileError(
+            "is a file, and the results need a folder.",
+            where=str(folder),
+            remedy=f"Give --out a folder, for example: --out {folder.with_suffix('')}-touched",
+        )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        stream = (folder / name).open("a+")
+    except OSError as error:
+        raise FileError(
+            f"cannot be used as the output folder ({error.strerror}).",
+            where=str(folder),
+            remedy="Give --out a folder that you may write to.",
+        ) from error
+    with stream:
+        if not _try_lock(stream):
+            raise FileError(
+                f"another {kind} is writing to this folder.",
+                where=str(folder),
+                remedy="Wait for it, or give another --out.",
+            )
+        yield  # the file stays: removing it would let a third run lock a new one beside a waiting second
+
+
+def _try_lock(stream: IO[str]) -> bool:
+    try:
+        if os.name == "nt":
+            import msvcrt
+
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+        else:
+            import fcntl
+
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+NPZ_ERRORS: tuple[type[Exception], ...] = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    MemoryError,
+    NotImplementedError,
+    RuntimeError,
+    SyntaxError,  # of an array's header, which is a literal of Python; or, where that is not even words,
+    tokenize.TokenError,
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+
+
+def read_npz(data: bytes) -> dict[str, NDArray[Any]]:
+    """All arrays of an archive by name, without pickle. Raises one of DAMAGED.
+
+    Its last record counts the entries: a damaged length in the list of them swallows the next one, and zipfile does
+    not miss it.
+    """
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        found = {name: arrays[name] for name in arrays.files}
+    if len(found) != int.from_bytes(data[-12:-10], "little"):
+        raise zipfile.BadZipFile(f"it lists {len(found)} arrays of {int.from_bytes(data[-12:-10], 'little')}")
+    return found

@@ -1,12 +1,16 @@
-"""Every unit conversion of the project. Inside: m, s, N, m/s², Hz, rad. mm/s and g live at the edges."""
+"""Every unit conversion of the project. Inside: m, s, N, m/s², Hz, rad. mm/s and g live at the edges.
+
+Linear values as a screen shows them.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:  # the add-on is switched on without it
+if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 STANDARD_GRAVITY = 9.80665
@@ -48,3 +52,9 @@ def frame_to_seconds(frame: float, start: float, fps: float, fps_base: float) ->
 
 def seconds_to_frame(seconds: float, start: float, fps: float, fps_base: float) -> float:
     return start + seconds * fps / fps_base
+
+
+def linear_to_srgb(rgb: NDArray[Any]) -> NDArray[np.float64]:
+    """IEC 61966-2-1 transfer of linear values; out of range is clipped, not-a-number is black."""
+    linear = np.clip(np.nan_to_num(np.asarray(rgb, dtype=np.float64), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -1,4 +1,4 @@
-"""Build hnf_core/data/library.json from hnf_core/simulation/table.py and print how it feels through the simulator.
+"""Build hnf_core/data/library.json from hnf_core/simulation/material_classes.py and print how it feels through the simulator.
 
 Usage: python tools/build_library.py [--check] [NAME …]    --check writes nothing; names restrict the table printed.
 Exit code 1 where an entry breaks a MUST.
@@ -17,17 +17,20 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 
-from recorded_ranges import check_ranges  # noqa: E402
-
-from hnf_core.files import write_text  # noqa: E402
-from hnf_core.material.encoder import describe  # noqa: E402
-from hnf_core.material.token import ENCODER_ID  # noqa: E402
-from hnf_core.simulation.classes import derive_seed  # noqa: E402
-from hnf_core.simulation.feel import TextureStatistics, compute_texture_statistics  # noqa: E402
-from hnf_core.simulation.sampling import SmoothedMaps  # noqa: E402
-from hnf_core.simulation.surface import TILE_PIXELS, TILE_SIZE_M, height_map  # noqa: E402
-from hnf_core.simulation.table import MATERIAL_TABLE, MaterialEntry, build_recipe  # noqa: E402
-from hnf_core.tactile.height import tactile_map_from_height  # noqa: E402
+from hnf_core.files import write_text
+from hnf_core.material.band_descriptor import describe
+from hnf_core.material.token import ENCODER_ID
+from hnf_core.simulation.height_sampling import SmoothedMaps
+from hnf_core.simulation.material_classes import (
+    MATERIAL_TABLE,
+    MaterialEntry,
+    build_recipe,
+    derive_seed,
+)
+from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, height_map
+from hnf_core.simulation.texture_statistics import TextureStatistics, compute_texture_statistics
+from hnf_core.tactile.height import tactile_map_from_height
+from hnf_lab.experiments.simulator import check_ranges
 
 SCHEMA = 1
 ENTRIES_PER_BATCH = 8

@@ -14,7 +14,6 @@ from typing import Any
 
 sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
 
-# ruff: noqa: E402
 import bpy
 import numpy as np
 from demo_scene import materials, things
@@ -23,7 +22,7 @@ from mathutils import Vector
 
 from hnf_blender import compat, props
 from hnf_blender.bridge.importers import open_empty_scene
-from hnf_blender.bridge.quiet import suppress_output
+from hnf_blender.bridge.scene.suppress_output import suppress_output
 from hnf_core.files import write_atomically
 
 RENDER_SIZE = (960, 540)

@@ -16,11 +16,14 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from hnf_core.datasets.pair_shards import write_pairs  # noqa: E402
-from hnf_core.datasets.pair_tiles import PairSizes  # noqa: E402
-from hnf_core.export.contact_sheet import make_contact_sheet  # noqa: E402
-from hnf_core.export.png import encode_colour_png  # noqa: E402
-from hnf_core.files import write_bytes  # noqa: E402
+from contact_sheet import make_contact_sheet
+
+from hnf_core.datasets.pair_generation import (
+    PairSizes,
+    write_pairs,
+)
+from hnf_core.export.png import encode_colour_png
+from hnf_core.files import write_bytes
 
 
 def main() -> int:

@@ -2,7 +2,7 @@
 
 Usage: python tools/train_default_field.py [--held-out] [--encoder NAME|FILE …] [--seed N] [--out FILE]
        [--workers N] [--cache DIR]
-Needs the extra "train". What is simulated stays in the cache for tools/evaluate_shared_field.py.
+Needs the extra "train". What is simulated stays in the cache for tools/hnf_lab/experiments/shared_field.py.
 --held-out trains hnf_core/data/field-held-out.safetensors instead, without the last class of every category: the field
 that `hnf eval` asks about classes it never met.
 """
@@ -16,8 +16,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, save_field  # noqa: E402
-from hnf_core.training.recipe import HELD_OUT, SHARED_CONFIG, TrainingPlan, train_shared_field  # noqa: E402
+from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, save_field
+from hnf_core.training.train_shared import HELD_OUT, SHARED_CONFIG, TrainingPlan, train_shared_field
 
 CACHE = ROOT / "build" / "shared-field"
 

@@ -19,10 +19,13 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig  # noqa: E402
-from hnf_core.training.tactile_map.fit import MapTrainingPlan  # noqa: E402
-from hnf_core.training.tactile_map.recipe import LEARNING_RATES, train_map  # noqa: E402
-from hnf_core.training.tactile_map.validate import Distance  # noqa: E402
+from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
+from hnf_core.training.tactile_map.train_map import (
+    LEARNING_RATES,
+    MapTrainingPlan,
+    train_map,
+)
+from hnf_core.training.tactile_map.validation import Distance
 
 BUILD = ROOT / "build"
 

@@ -7,7 +7,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from ..rooms import add_handlers, remove_handlers
+from ..registration import add_handlers, remove_handlers
 
 if TYPE_CHECKING:
     from hnf_core.signal import Signal
@@ -22,15 +22,12 @@ def tick(context: Any, stamp: str = "", signal: Signal | None = None) -> None:
     """Called by the preview's timer: take in what the processes said, tell the panel. Some comparisons while none
     runs. signal: that the preview shows, known by its stamp; None where it shows none."""
     global _redrawn_at
-    from ..props.profile_file import PROFILE_FROM_FILE
-    from ..props.scene import get_actuator_profile
-    from ..state.redraw import redraw_tab
-    from .choice import get_selected_output
-    from .facts import get_phase, make_facts
-    from .finding import DEVICE_SCANNER
-    from .link import PLAYER_CLIENT
-    from .skin import SKIN_PREVIEW, describe_estimate
-    from .state import ACTUATOR, VIRTUAL
+    from ..props.scene_settings import PROFILE_FROM_FILE, get_actuator_profile
+    from ..state.interface import redraw_tab
+    from .actuator_state import ACTUATOR, VIRTUAL, get_selected_output
+    from .player_client import PLAYER_CLIENT, get_phase, make_facts
+    from .player_process import DEVICE_SCANNER
+    from .skin_preview import SKIN_PREVIEW, describe_estimate
 
     profile = get_actuator_profile(context.scene)
     found = DEVICE_SCANNER.tick()
@@ -52,19 +49,19 @@ def tick(context: Any, stamp: str = "", signal: Signal | None = None) -> None:
 
 def on_load_pre(*_: Any) -> None:
     """load_pre: what is felt belongs to the file that is left."""
-    from .link import PLAYER_CLIENT
+    from .player_client import PLAYER_CLIENT
 
     PLAYER_CLIENT.release()
 
 
 def _shut_down() -> None:
     """End what was begun; what was never begun is not imported for it."""
-    if f"{__name__}.link" in sys.modules:
-        from .link import PLAYER_CLIENT
+    if f"{__name__}.player_client" in sys.modules:
+        from .player_client import PLAYER_CLIENT
 
         PLAYER_CLIENT.release()
-    if f"{__name__}.finding" in sys.modules:
-        from .finding import DEVICE_SCANNER
+    if f"{__name__}.player_process" in sys.modules:
+        from .player_process import DEVICE_SCANNER
 
         DEVICE_SCANNER.stop()
 

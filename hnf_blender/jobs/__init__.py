@@ -15,6 +15,6 @@ def unregister() -> None:
 
 
 def _cancel_job() -> None:
-    from .current import cancel
+    from .manager import cancel
 
     cancel()

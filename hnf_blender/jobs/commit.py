@@ -10,17 +10,15 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
-from ..bridge.scene_names import get_named_objects, get_scene_name
-from ..bridge.splat_cloud import get_cloud, require_writable, write_point_tokens
-from ..bridge.storage import FaceTokens, write_tokens
-from ..state.guard import suppress_change_tracking
-from ..state.session import STATE
-from ..touch.inputs import InputHashes
-from ..touch.jobs import Session, make_scene_session
-from ..touch.status import Freshness
-from ..touch.stored import make_status, save_bake
+from ..bridge.scene.mesh_attributes import FaceTokens, write_tokens
+from ..bridge.scene.scene_names import get_named_objects, get_scene_name
+from ..bridge.splats.splat_cloud import get_cloud, require_writable, write_point_tokens
+from ..state.session_state import STATE, suppress_change_tracking
+from ..touch.bake_storage import make_status, save_bake
+from ..touch.freshness import Freshness
+from ..touch.session import InputHashes, Session, make_scene_session
 from ..touch.stroke_bake import StrokeBake
-from .order import BakedFile, JobResult, Rejection, TokenFile, unpack_tokens
+from .request import BakedFile, JobResult, Rejection, TokenFile, unpack_tokens
 
 MAX_ROUNDS = 3
 """How often what changes while it is looked at is looked at again, bit by bit, before it is done in one go."""

@@ -1,6 +1,6 @@
 """The child that learns a material, under a Python outside Blender: `PYTHON learn_worker.py CORE LESSON OUT`. It loads
 the add-on's own hnf_core by its folder: nothing of the project is installed there, and no bpy. LESSON is
-hnf_core.cli.learn.Lesson as JSON, OUT the weights to write. It tells its steps as messages.py reads them."""
+hnf_core.training.learn.Lesson as JSON, OUT the weights to write. It tells its steps as messages.py reads them."""
 
 import importlib
 import importlib.util
@@ -53,7 +53,7 @@ def main(core: str, request: str, out: str) -> int:
     sys.path[:] = [entry for entry in sys.path if os.path.realpath(entry) != own]
     try:
         load_core(core)
-        learn = importlib.import_module(f"{CORE}.cli.learn")
+        learn = importlib.import_module(f"{CORE}.training.learn")
     except ImportError as error:
         send_message("Failed", why=f"This Python cannot learn ({error}). Check it in the add-on's preferences.")
         return 1

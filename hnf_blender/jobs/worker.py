@@ -57,7 +57,7 @@ def main(folder: Path) -> int:
     importlib.import_module("bpy")  # before the parent's paths: among them is the inside of the bpy module
     sys.path += [entry for entry in order["sys_path"] if entry not in sys.path]
     load_package(order["package"], order["package_folder"])
-    child = importlib.import_module(order["package"] + ".jobs.in_child")
+    child = importlib.import_module(order["package"] + ".jobs.bake_steps")
     return int(child.run_request(folder))
 
 

@@ -4,27 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..rooms import collect_classes, register_classes, unregister_classes
+from ..registration import collect_classes, register_classes, unregister_classes
 
 MODULES = (
-    "materials",
-    "bake",
-    "diagnose",
-    "drop",
-    "splats",
-    "real_length",
-    "assets",
-    "draw",
-    "stroke_tool",
-    "strokes",
-    "force",
-    "preview",
-    "actuator",
-    "live",
-    "probe",
-    "export",
-    "outside_python",
-    "learn",
+    "material_ops",
+    "bake_ops",
+    "diagnose_ops",
+    "import_ops",
+    "scale_ops",
+    "draw_ops",
+    "stroke_ops",
+    "force_ops",
+    "preview_ops",
+    "actuator_ops",
+    "export_ops",
+    "learn_ops",
 )
 """Sub-modules, each with a tuple CLASSES."""
 

@@ -1,4 +1,4 @@
-"""The life of an operator whose work is the job of jobs/current.py: begun, ticked, given up with Esc, told."""
+"""The life of an operator whose work is the job of jobs/manager.py: begun, ticked, given up with Esc, told."""
 
 # No `from __future__ import annotations`: Blender reads the annotations of operators, of their bases too.
 
@@ -7,19 +7,18 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
-from ..jobs import current
-from ..state.redraw import redraw_tab
-from ..state.session import STATE, JobStatus, LastJob
+from ..jobs import manager
+from ..state.interface import redraw_tab
+from ..state.session_state import STATE, JobStatus, LastJob
 from ..translations import tr
-from .active import format_error
-from .greyed import fail_poll
+from .context import fail_poll, format_error
 
 TICK_S = 0.1
 
 
 def poll_no_job(operator: Any) -> bool:
     """For its poll(): whether a job may begin; where not, says why."""
-    if current.is_running():
+    if manager.is_running():
         return fail_poll(operator, "A job is running. Wait for it, or press Esc to cancel it.")
     return True
 
@@ -61,16 +60,16 @@ class ModalJob:
         return True
 
     def modal(self, context: Any, event: Any) -> set[str]:
-        from ..bridge.under_cursor import find_view_under_mouse
+        from ..bridge.viewport_pick import find_view_under_mouse
 
-        if not current.is_running():  # cancelled from elsewhere
+        if not manager.is_running():  # cancelled from elsewhere
             return self.finish(context, STATE.last_job)
         if event.type == "ESC" and event.value == "PRESS" and find_view_under_mouse(context, event) is not None:
-            current.cancel()
+            manager.cancel()
             return self.finish(context, STATE.last_job)
         if event.type == "TIMER":
             try:
-                ended = current.tick()
+                ended = manager.tick()
             except BaseException:
                 self.finish(context, None)
                 raise
@@ -81,7 +80,7 @@ class ModalJob:
 
     def cancel(self, context: Any) -> None:
         """Blender's own word: the window closes, or another file is opened."""
-        current.cancel()
+        manager.cancel()
         self.finish(context, None)
 
     def update_status(self, context: Any) -> None:

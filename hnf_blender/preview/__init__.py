@@ -7,9 +7,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from ..rooms import add_handlers, remove_handlers
-from . import timeline
-from .facts import PREVIEW, PreviewFacts, get_preview_facts, get_preview_icon
+from ..registration import add_handlers, remove_handlers
+from . import timeline_playback
+from .preview_state import PREVIEW, PreviewFacts, get_preview_facts, get_preview_icon
 
 __all__ = ["PreviewFacts", "get_preview_facts", "get_preview_icon"]
 
@@ -40,10 +40,10 @@ _snapshots: dict[str, SceneSnapshot] = {}
 
 def on_load_post(*_: Any) -> None:
     """load_post: nothing that was heard belongs to this file."""
-    from .current import stop
+    from .controller import stop
 
     stop()
-    timeline.on_playback_post()
+    timeline_playback.on_playback_post()
     _snapshots.clear()
     if PREVIEW.synthesis_thread is not None:  # with what it kept and is still making of the other file's strokes
         PREVIEW.synthesis_thread.stop(wait=False)
@@ -66,10 +66,10 @@ def on_depsgraph_update(scene: Any, depsgraph: Any = None) -> None:
 def _request_preview(context: Any, depsgraph: Any) -> None:
     """Only for the stroke that the panels speak of, and where that takes no evaluation of Blender's: the timer does
     all else."""
-    from ..props.scene import get_active_stroke
-    from ..state.session import STATE
-    from ..state.watch import get_changed_names, get_stroke_data_names
-    from . import current
+    from ..props.scene_settings import get_active_stroke
+    from ..state.session_state import STATE
+    from ..state.status_tracker import get_changed_names, get_stroke_data_names
+    from . import controller
 
     if STATE.suppress_depth:
         return
@@ -79,13 +79,13 @@ def _request_preview(context: Any, depsgraph: Any) -> None:
         and get_stroke_data_names(active) & get_changed_names(depsgraph)
         and not _is_driven(active, context.scene)
     ):
-        current.refresh(active, context, wait=False)
+        controller.refresh(active, context, wait=False)
 
 
 def _is_driven(stroke: Any, scene: Any) -> bool:
     from hnf_core.errors import HnfError
 
-    from ..bridge.channels import read_channel
+    from ..bridge.stroke.animation import read_channel
 
     try:
         return read_channel(stroke, "force", scene).source == "driven"
@@ -97,7 +97,7 @@ def tick() -> float:
     """Timer: take what was heard, ask for what changed, tell the panels. Looks at a counter while nothing happens."""
     import bpy
 
-    from ..jobs.warm import is_preloaded
+    from ..jobs.manager import is_preloaded
 
     windows = list(bpy.context.window_manager.windows)
     if not windows or not hasattr(bpy.types.Object, "hnf_stroke") or not is_preloaded():
@@ -111,11 +111,11 @@ def update_scenes(windows: Sequence[Any]) -> None:
     """Every scene that one of them shows, once; the first one's is what an actuator plays."""
     import bpy
 
-    from . import current
+    from . import controller
 
-    current.PLAYER.update()
-    heard = current.collect_results()
-    ended = bool(PREVIEW.sounding) and not current.PLAYER.is_playing
+    controller.PLAYER.update()
+    heard = controller.collect_results()
+    ended = bool(PREVIEW.sounding) and not controller.PLAYER.is_playing
     if ended:
         PREVIEW.sounding = ""
     shown = {window.scene.name_full: window for window in reversed(windows)}
@@ -134,10 +134,10 @@ def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: boo
     import bpy
 
     from .. import actuator
-    from ..props.scene import get_active_stroke, get_actuator_profile, list_cached_strokes
-    from ..state.redraw import redraw_tab
-    from ..state.session import STATE
-    from . import current
+    from ..props.scene_settings import get_active_stroke, get_actuator_profile, list_cached_strokes
+    from ..state.interface import redraw_tab
+    from ..state.session_state import STATE
+    from . import controller
 
     scene, active = context.scene, get_active_stroke(context)
     looked = _snapshots.setdefault(scene.name_full, SceneSnapshot())
@@ -148,7 +148,7 @@ def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: boo
         actuator.tick(context, shown_now.stamp, shown_now.signal)
     settings = scene.hnf
     seen = (
-        STATE.changes, active and active.name, active and current.get_image_style(context), get_actuator_profile(scene),
+        STATE.changes, active and active.name, active and controller.get_image_style(context), get_actuator_profile(scene),
         settings.monitor_gain_db,
         tuple((name, status.freshness, status.why) for name, status in STATE.get_statuses(scene).items()),
     )  # fmt: skip
@@ -158,16 +158,16 @@ def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: boo
         PREVIEW.discard_except({obj.name for obj in bpy.data.objects})
         looked.pending[:] = [obj.name for obj in others if obj != active]
         if active is not None:
-            current.refresh(active, context, wait=False)
-            current.update_outdated_strips(active, scene)
+            controller.refresh(active, context, wait=False)
+            controller.update_outdated_strips(active, scene)
     until = time.monotonic() + TICK_BUDGET_S
     while looked.pending and time.monotonic() < until:
         other = scene.objects.get(looked.pending.pop(0))
         if other is not None:
-            current.refresh(other, context, wait=False, first=False)
+            controller.refresh(other, context, wait=False, first=False)
     shown = active.name if active is not None else ""
     for name in updated | {shown} - {""}:
-        current.update_facts(name, scene)
+        controller.update_facts(name, scene)
     drawn = shown, _delay_busy(PREVIEW.facts.get(shown), looked), get_actuator_profile(scene)
     if updated or ended or drawn != looked.shown:
         looked.shown = drawn
@@ -188,27 +188,27 @@ def _update_playback(context: Any, updated: set[str], timeline_plays: bool) -> N
     """What was waited for is played; what sounds goes on as it is now."""
     from hnf_core.errors import HnfError
 
-    from . import current
+    from . import controller
 
     is_ready = PREVIEW.play_when_ready in updated
     if is_ready or PREVIEW.sounding in updated:
-        name, begin = PREVIEW.sounding, current.continue_playback
+        name, begin = PREVIEW.sounding, controller.continue_playback
         if is_ready:
-            name, begin, PREVIEW.play_when_ready = PREVIEW.play_when_ready, current.play, ""
+            name, begin, PREVIEW.play_when_ready = PREVIEW.play_when_ready, controller.play, ""
         try:
             begin(name, context.scene)
         except HnfError as error:
             PREVIEW.problems[name] = str(error)
-        current.update_facts(name, context.scene)
-    elif updated and timeline_plays and timeline.FOLLOWER.is_playing(context.scene):
-        timeline.FOLLOWER.wait(context.scene)
+        controller.update_facts(name, context.scene)
+    elif updated and timeline_plays and timeline_playback.FOLLOWER.is_playing(context.scene):
+        timeline_playback.FOLLOWER.wait(context.scene)
 
 
 HANDLERS = (
     ("depsgraph_update_post", on_depsgraph_update),
-    ("animation_playback_pre", timeline.on_playback_pre),
-    ("animation_playback_post", timeline.on_playback_post),
-    ("frame_change_post", timeline.on_frame_change),
+    ("animation_playback_pre", timeline_playback.on_playback_pre),
+    ("animation_playback_post", timeline_playback.on_playback_post),
+    ("frame_change_post", timeline_playback.on_frame_change),
     ("load_post", on_load_post),
 )
 
@@ -222,13 +222,13 @@ def register() -> None:
 
 
 def unregister() -> None:
-    from ..state import icons
-    from . import current
+    from ..state import interface
+    from . import controller
 
     remove_handlers(HANDLERS, tick)
     if PREVIEW.synthesis_thread is not None:
         PREVIEW.synthesis_thread.stop()
         PREVIEW.synthesis_thread = None
-    current.PLAYER.release()
-    icons.release_icons()
+    controller.PLAYER.release()
+    interface.release_icons()
     PREVIEW.clear()

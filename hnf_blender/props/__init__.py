@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from ..rooms import register_modules, unregister_modules
-from . import material, scene, stroke
+from ..registration import register_modules, unregister_modules
+from . import material_settings, scene_settings, stroke_settings
 
-GROUPS = (stroke, material, scene)
+GROUPS = (stroke_settings, material_settings, scene_settings)
 
 _registered: list[ModuleType] = []
 

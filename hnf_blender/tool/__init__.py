@@ -6,7 +6,7 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
-from ..rooms import register_modules, unregister_modules
+from ..registration import register_modules, unregister_modules
 
 MODULES = (".stroke_tool", ".menus", ".overlay")
 """Modules with register() and unregister(), in order."""

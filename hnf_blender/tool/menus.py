@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..state.settings import get_settings
+from ..state.addon_settings import get_settings
 
 
 def draw_add_menu(self: Any, _context: Any) -> None:

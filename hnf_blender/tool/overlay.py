@@ -13,17 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ..bridge.temporary import TEMP_SCENE_NAME
-from ..props.scene import get_active_stroke, list_cached_strokes, list_strokes
-from ..rooms import add_handlers, remove_handlers
-from ..state.names import find_absent_names
-from ..state.redraw import redraw_views
-from ..state.session import STATE
-from ..state.settings import get_settings
-from ..state.watch import get_changed_names, get_stroke_data_names
+from ..bridge.scene.temp_scene import TEMP_SCENE_NAME
+from ..props.scene_settings import get_active_stroke, list_cached_strokes, list_strokes
+from ..registration import add_handlers, remove_handlers
+from ..state.addon_settings import get_settings
+from ..state.interface import redraw_views
+from ..state.session_state import STATE
+from ..state.status_tracker import find_absent_names, get_changed_names, get_stroke_data_names
 
 if TYPE_CHECKING:
-    from .overlay_paths import OverlayPath
+    from .overlay_drawing import OverlayPath
 
 FEW_STROKES = 4
 """Strokes that a redraw can wait for: 2 ms each."""
@@ -69,10 +68,10 @@ def _remove_all_paths() -> None:
 
 
 def _remove_path(name: str) -> None:
-    from . import overlay_gpu
+    from . import overlay_drawing
 
     del OVERLAY.paths[name]
-    overlay_gpu.remove_batches(name)
+    overlay_drawing.remove_batches(name)
 
 
 def _on_depsgraph_update(scene: Any, depsgraph: Any) -> None:
@@ -155,13 +154,13 @@ def _refresh() -> float | None:
 
 
 def _compute_paths(strokes: Sequence[Any], scene: Any, depsgraph: Any) -> None:
-    from ..bridge.metres import get_metres_per_unit
-    from . import overlay_gpu
-    from .overlay_paths import compute_overlay_path
+    from ..bridge.scene.unit_scale import get_metres_per_unit
+    from . import overlay_drawing
+    from .overlay_drawing import compute_overlay_path
 
     for obj in strokes:
         OVERLAY.paths[obj.name] = compute_overlay_path(obj, scene, depsgraph, get_metres_per_unit(scene))
-        overlay_gpu.remove_batches(obj.name)
+        overlay_drawing.remove_batches(obj.name)
 
 
 def _draw() -> None:
@@ -172,7 +171,7 @@ def _draw() -> None:
         return
     import numpy as np
 
-    from . import overlay_gpu
+    from . import overlay_drawing
 
     held = {obj.name: obj for obj in list_cached_strokes(scene)}
     if find_absent_names(OVERLAY.paths.keys() - held.keys(), bpy.data.objects):
@@ -182,19 +181,19 @@ def _draw() -> None:
         (obj, path) for obj, path in drawn if obj is not None and path is not None and obj.visible_get(viewport=space)
     ]
     active = get_active_stroke(context)
-    view = overlay_gpu.OverlayView(context.region_data, context.region)
+    view = overlay_drawing.OverlayView(context.region_data, context.region)
     for obj, path in shown:
         faint = bool(obj.hnf_stroke.mute)
-        overlay_gpu.draw_path(obj.name, path, obj.matrix_world, view, is_active=obj == active, is_muted=faint)
+        overlay_drawing.draw_path(obj.name, path, obj.matrix_world, view, is_active=obj == active, is_muted=faint)
     frame = float(scene.frame_current_final)
     for obj, path in shown:
         world = np.array(obj.matrix_world)
         if obj == active:
-            overlay_gpu.draw_start(world[:3, :3] @ path.points[0] + world[:3, 3], view)
+            overlay_drawing.draw_start(world[:3, :3] @ path.points[0] + world[:3, 3], view)
         if path.frames[0] <= frame <= path.frames[-1] and not obj.hnf_stroke.mute:
             place = [np.interp(frame, path.frames, path.contact_points[:, axis]) for axis in range(3)]
             force = float(np.interp(frame, path.frames, path.forces))
-            overlay_gpu.draw_contact(world[:3, :3] @ place + world[:3, 3], force, view, is_active=obj == active)
+            overlay_drawing.draw_contact(world[:3, :3] @ place + world[:3, 3], force, view, is_active=obj == active)
 
 
 CLASSES = ()

@@ -7,9 +7,8 @@ from typing import Any
 
 import bpy
 
-from ..actuator.choice import get_selected_output
-from ..actuator.state import SPEAKERS
-from ..ops.draw import draw_style
+from ..actuator.actuator_state import SPEAKERS, get_selected_output
+from ..ops.draw_ops import draw_style
 
 ICON = Path(__file__).resolve().parent / "data" / "hnf.stroke"
 """Without its ending .dat, as Blender asks for it; tools/make_tool_icon.py makes it."""
@@ -18,7 +17,7 @@ KEYMAP = "3D View Tool: Object, Touch Stroke"
 """As Blender names the keymap of the tool below."""
 
 
-class HNF_TOOL_stroke(bpy.types.WorkSpaceTool):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+class HNF_TOOL_stroke(bpy.types.WorkSpaceTool):  # type: ignore[misc]  # bpy has no types
     bl_space_type = "VIEW_3D"
     bl_context_mode = "OBJECT"
     bl_idname = "hnf.stroke"

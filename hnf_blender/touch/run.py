@@ -1,39 +1,126 @@
-"""The main job from request to files, as a generator of steps: the command line drives it here, a window later."""
+"""The main job from request to files, as a generator of steps: the command line drives it here, a window later.
+
+What a run tells a person at the end: each result in a line, what to be careful of, and where to look, listen and go
+on.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import shlex
 import signal
+import sys
 import time
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hnf_core.cli.progress import Progress, ProgressBar
+from hnf_core.cli.commands import get_command_prefix
 from hnf_core.errors import FileError
-from hnf_core.export.path_on_view import StrokeView
-from hnf_core.files import content_hash
-from hnf_core.folder_lock import folder_lock
+from hnf_core.export.plots.stroke_figure import StrokeView
+from hnf_core.files import content_hash, folder_lock
+from hnf_core.progress import Progress, ProgressBar
+from hnf_core.text import pluralize
 from hnf_core.touch_request import TouchRequest
 
 from ..bridge.importers import open_scene
-from ..bridge.metres import get_metres_per_unit
-from ..bridge.scene_names import find_object
-from .deliver import redraw_stroke_plot, save_baked_blend, write_stroke_files
-from .earlier import PreviousRun, RerunReason, find_orphaned_files, read_previous_run
-from .feel import BakedStroke, synthesise_stroke
-from .jobs import GatheredJobs, Session, StrokeJob, gather_jobs
-from .mapped import map_steps
-from .outside import hash_source_files, list_external_files
-from .plan import TYPICAL_PATH_M, Plan, PlannedBake, UpToDate, estimate_max_patches
-from .probe_run import add_queries, carry_over_strokes, run_queries, skip_strokes
-from .report import Report, StrokeReport
-from .routes import describe_shader_reliefs, plan_slots
-from .steps import CACHE_FOLDER_NAME, bake_steps, record_time
-from .tell import print_summary
-from .tokens import store_tokens
-from .view import StrokeViews
+from ..bridge.scene.scene_names import find_object
+from ..bridge.scene.unit_scale import get_metres_per_unit
+from .bake_plan import (
+    TYPICAL_PATH_M,
+    Plan,
+    PlannedBake,
+    PreviousRun,
+    RerunReason,
+    UpToDate,
+    describe_shader_reliefs,
+    estimate_max_patches,
+    find_orphaned_files,
+    hash_source_files,
+    list_external_files,
+    plan_slots,
+    read_previous_run,
+)
+from .bake_storage import store_tokens
+from .output_files import redraw_stroke_plot, save_baked_blend, write_stroke_files
+from .overview import StrokeViews
+from .query import add_queries, carry_over_strokes, format_query_line, run_queries, skip_strokes
+from .report import REPORT_NAME, Report, StrokeReport, add_option_hint
+from .session import GatheredJobs, Session, StrokeJob, gather_jobs
+from .synthesise import CACHE_FOLDER_NAME, BakedStroke, bake_steps, map_steps, record_time, synthesise_stroke
+
+
+def print_summary(report: Report, request: TouchRequest) -> int:
+    """The result for a person, or as JSON; notes and problems go to stderr, one line each. Returns the exit code."""
+    folder = request.folder
+    if request.as_json:
+        print(report.as_json(), end="")
+    else:
+        for entry in report.probes:
+            print(f"{format_query_line(entry)} → {folder / (entry['tactile_map'] or {}).get('picture', REPORT_NAME)}")
+        for stroke in () if request.has_only_queries else report.strokes:
+            print(format_stroke_line(stroke, folder))
+    sys.stdout.flush()  # else the notes would come before what they are about
+    if report.left_over:
+        print(
+            f"note: {', '.join(report.left_over)}: left by an earlier run, and of no stroke of this one. Nothing reads "
+            "them; delete them if you do not need them.",
+            file=sys.stderr,
+        )
+    for warning in report.warnings:
+        print(f"note: {add_option_hint(warning)}", file=sys.stderr)
+    for failed in report.failed:
+        print(f"hnf: {failed.why}", file=sys.stderr)
+    if not request.as_json:
+        sys.stderr.flush()
+        for line in format_closing(report, folder, with_strokes=not request.has_only_queries):
+            print(line)
+    return 1 if report.failed else 0
+
+
+def format_stroke_line(stroke: StrokeReport, folder: Path) -> str:
+    """One stroke in one line."""
+    state = "  (up to date)" if stroke.fresh else ""
+    return (
+        f"{stroke.name}: {stroke.library_material}, {stroke.confidence:.0%} confidence, {stroke.duration_s:.2f} s, "
+        f"{stroke.rms_m_s2:.3g} m/s² RMS → {folder / stroke.wav}{state}"
+    )
+
+
+def format_closing(report: Report, folder: Path, *, with_strokes: bool = True) -> list[str]:
+    """What there is now, and what to do with it; nothing where nothing came of the run."""
+    strokes = report.strokes if with_strokes else []
+    if not strokes and not report.probes:
+        return []
+    things = [pluralize(len(strokes), "stroke")] if strokes else []
+    things += [pluralize(len(report.probes), "place")] if report.probes else []
+    lines = [f"Done: {' and '.join(things)} in {folder}. {_format_work(report)}"]
+    lines += [f"  {head:<8} {text}" for head, text in _iter_next_steps(report, strokes, folder)]
+    return lines
+
+
+def _format_work(report: Report) -> str:
+    """What it took, where that says something to a person; the counts stand in the report."""
+    if report.counts.renders:
+        return f"It took {pluralize(report.counts.renders, 'rendered image')}."
+    if report.strokes and all(stroke.fresh for stroke in report.strokes):
+        return "Nothing had changed, so that nothing was made again."
+    return "Nothing had to be rendered."
+
+
+def _iter_next_steps(report: Report, strokes: list[StrokeReport], folder: Path) -> Iterator[tuple[str, str]]:
+    if strokes:
+        loudest = max(strokes, key=lambda stroke: stroke.rms_m_s2)
+        wav, ears = folder / loudest.wav, folder / f"{Path(loudest.wav).stem}-listen.wav"
+        yield "Look at", str(folder / loudest.picture)
+        yield (
+            "Listen",
+            shlex.join([*get_command_prefix(), "export", str(wav), "--format", "listen", "--out", str(ears)]),
+        )
+        if report.baked_blend:
+            yield "Open", f"{folder / report.baked_blend} in Blender: the strokes are curves that you can edit"
+    yield "Read", f"{folder / REPORT_NAME}: every figure"
 
 
 def run(request: TouchRequest) -> int:

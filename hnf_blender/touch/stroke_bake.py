@@ -15,19 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
-from hnf_core.archive import NPZ_ERRORS, read_npz
 from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.field.weights import parse_field, serialise_field
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.files import NPZ_ERRORS, read_npz
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.probe import PROBES
 
-from ..bridge.keeping import delete_property, get_property, set_property
+from ..bridge.scene.id_properties import delete_property, get_property, set_property
 
 if TYPE_CHECKING:
     from hnf_core.field.field import Field
 
-    from .feel import BakedStroke, SynthesisedStroke
+    from .synthesise import BakedStroke, SynthesisedStroke
 
 BAKE_PROPERTY = "hnf_bake"
 """ID property of the stroke's curve object."""
@@ -128,7 +128,7 @@ class StrokeBake:
 
 def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key: str, path_key: str) -> StrokeBake:
     """What to keep of a stroke that was baked and felt. key, path_key: of its job."""
-    from .feel import compute_known_shares, get_signal_facts
+    from .synthesise import compute_known_shares, get_signal_facts
 
     return StrokeBake(
         stroke=synthesised.stroke,

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..rooms import collect_classes, register_classes, unregister_classes
-from . import follow_selection
+from ..registration import collect_classes, register_classes, unregister_classes
+from . import strokes_panel
 
 MODULES = (
-    "stroke_list",
     "scene_panel",
     "materials_panel",
-    "probe_panel",
     "strokes_panel",
     "preview_panel",
     "export_panel",
@@ -28,13 +26,13 @@ def register() -> None:
     register_classes(classes)
     _registered_classes.extend(classes)
     try:
-        follow_selection.register()
+        strokes_panel.register()
     except Exception:
         unregister()
         raise
 
 
 def unregister() -> None:
-    follow_selection.unregister()
+    strokes_panel.unregister()
     unregister_classes(_registered_classes)
     _registered_classes.clear()

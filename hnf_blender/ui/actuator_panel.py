@@ -8,10 +8,17 @@ import bpy
 
 from hnf_core.actuators.profile import USER_PROFILE_NAME, ActuatorProfile
 
-from ..actuator.choice import find_output_title, get_selected_output, list_outputs, needs_offline_player
-from ..actuator.state import ACTUATOR, SPEAKERS, ActuatorFacts, Phase
-from ..props.profile_file import PROFILE_FROM_FILE
-from ..props.scene import get_shown_profile
+from ..actuator.actuator_state import (
+    ACTUATOR,
+    SPEAKERS,
+    ActuatorFacts,
+    Phase,
+    find_output_title,
+    get_selected_output,
+    list_outputs,
+    needs_offline_player,
+)
+from ..props.scene_settings import PROFILE_FROM_FILE, get_shown_profile
 from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
 
@@ -38,10 +45,10 @@ def describe_profile(profile: ActuatorProfile) -> tuple[str, ...]:
     return tuple(lines)
 
 
-class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
     bl_label = "Actuator"
     bl_order = 5
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.hnf
@@ -129,7 +136,7 @@ def draw_live(layout: Any, context: Any, facts: ActuatorFacts) -> None:
         draw_paragraph(column, context, tr("Drag over a surface to feel it. Esc ends"), icon="INFO")
 
 
-class HNF_MT_output(bpy.types.Menu):  # type: ignore[misc]  # noqa: N801
+class HNF_MT_output(bpy.types.Menu):  # type: ignore[misc]
     bl_label = "Output"
 
     def draw(self, context: Any) -> None:

@@ -6,9 +6,8 @@ from typing import Any
 
 import bpy
 
-from ..preview.facts import PREVIEW
-from ..props.export_formats import CHOICE_BY_NAME
-from ..props.scene import get_active_stroke, get_shown_profile, list_cached_strokes
+from ..preview.preview_state import PREVIEW
+from ..props.scene_settings import CHOICE_BY_NAME, get_active_stroke, get_shown_profile, list_cached_strokes
 from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row
 
@@ -16,10 +15,10 @@ MAX_LINES = 4
 """Sentences shown of a large export; all of them are copied."""
 
 
-class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
     bl_label = "Export"
     bl_order = 4
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene

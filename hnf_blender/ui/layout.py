@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..state.texts import CHARACTER_PX, MARGIN_PX, shorten_text, wrap_text
+from ..state.labels import CHARACTER_PX, MARGIN_PX, shorten_text, wrap_text
 
 NARROW_CHARACTERS = 26
 """Characters in a line below which buttons stand under each other."""

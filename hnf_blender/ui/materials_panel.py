@@ -1,20 +1,34 @@
-"""Materials: what each slot feels like, who decided, and what else it could be."""
+"""Materials: what each slot feels like, who decided, and what else it could be.
+
+One place: what was found where the artist clicked.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ..ops.materials import find_material_object, format_display_name
-from ..ops.outside_python import get_python_path
-from ..props.material import DEFINITION_NAME_PROPERTY, DEFINITION_PROPERTY
-from ..state.session import STATE, get_shown_name
-from ..state.texts import format_confidence, format_reason, format_routes
-from ..touch.status import StrokeStatus
+from ..ops.learn_ops import get_python_path
+from ..ops.material_ops import find_material_object, format_display_name
+from ..props.material_settings import DEFINITION_NAME_PROPERTY, DEFINITION_PROPERTY
+from ..state.labels import (
+    format_confidence,
+    format_factor_range,
+    format_height,
+    format_reason,
+    format_routes,
+    format_stiffness,
+)
+from ..state.session_state import STATE, get_shown_name
+from ..touch.freshness import StrokeStatus
 from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
+from .preview_panel import compute_image_size
+
+if TYPE_CHECKING:
+    from ..state.job_results import QueryView
 
 MAX_SUGGESTIONS, MAX_BAKES = 4, 5
 
@@ -49,7 +63,7 @@ def list_bakes(scene: Any, obj: Any) -> list[tuple[str, StrokeStatus]]:
     )
 
 
-class HNF_UL_slots(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
+class HNF_UL_slots(bpy.types.UIList):  # type: ignore[misc]  # bpy has no types, Blender's naming
     """Material slots with what each feels like."""
 
     def draw_item(
@@ -64,7 +78,7 @@ class HNF_UL_slots(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801  # bpy
         row.label(text=felt, icon=lock, translate=False)
 
 
-class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
     bl_label = "Materials"
     bl_order = 1
 
@@ -129,10 +143,10 @@ def group_equal_bakes(bakes: list[tuple[str, StrokeStatus]]) -> list[tuple[list[
     return list(found.values())
 
 
-class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
     bl_label = "As Baked"
     bl_parent_id = "HNF_PT_materials"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -156,3 +170,72 @@ class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
 
 
 MATERIALS_CLASSES = (HNF_UL_slots, HNF_PT_materials, HNF_PT_as_baked)
+
+
+MAX_IMAGE_UNITS = 9.0
+"""Units of Blender's interface: the picture is looked at, not worked on."""
+
+
+class HNF_PT_probe(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
+    bl_label = "One Place"
+    bl_parent_id = "HNF_PT_materials"
+
+    def draw(self, context: Any) -> None:
+        layout, view = self.layout, STATE.query_view
+        layout.operator("hnf.probe", text="Examine a Place", icon="EYEDROPPER")
+        if view is not None and view.scene in ("", context.scene.name):
+            draw_query_result(layout, context, view)
+
+
+def draw_query_result(layout: Any, context: Any, view: QueryView) -> None:
+    """Everything that is known of the place."""
+    layout.label(text=shorten_name(context, view.object_name), icon="OBJECT_DATA", translate=False)
+    if view.icon:
+        size = compute_image_size(context.region.width, float(context.preferences.system.ui_scale))
+        layout.template_icon(icon_value=view.icon, scale=min(size, MAX_IMAGE_UNITS))
+    column = layout.column(align=True)
+    draw_paragraph(
+        column,
+        context,
+        f"{format_display_name(view.library_material)}, {format_confidence(view.confidence)}",
+        icon="MATERIAL",
+    )
+    draw_paragraph(column, context, tr("Why: {reason}").format(reason=format_reason(view.reason)), icon="BLANK1")
+    rough = tr("Roughness: {height} RMS").format(height=format_height(view.roughness_m))
+    draw_paragraph(column, context, rough, icon="RNDCURVE")
+    friction = tr("Friction: about {value} ({range})").format(
+        value=f"{view.friction:.2f}", range=format_factor_range(view.friction, view.friction_factor, "{:.2f}")
+    )
+    draw_paragraph(column, context, friction, icon="FORCE_DRAG")
+    draw_paragraph(column, context, format_stiffness(view.stiffness_n_m, view.stiffness_factor), icon="CON_FLOOR")
+    draw_paragraph(column, context, tr("Friction and stiffness are estimates from the material, not seen"), icon="INFO")
+    for line in format_routes(view.routes):
+        draw_paragraph(column, context, line, icon="BLANK1")
+    draw_nearest(layout, context, view)
+    for note in view.notes:
+        draw_paragraph(layout, context, note, icon="ERROR")
+
+
+def draw_nearest(layout: Any, context: Any, view: QueryView) -> None:
+    """The nearest library materials, to be chosen with a click; nothing is chosen unasked."""
+    if not view.nearest:
+        return
+    seen = view.seen_m is not None
+    column = layout.column(align=True)
+    said = (
+        tr("Closest materials by relief (0 = identical)") if seen else tr("Most likely materials (no relief was seen)")
+    )
+    draw_paragraph(column, context, said, icon="INFO")
+    for near in view.nearest:
+        how = f"{round(100 * near.confidence)} %" if near.distance is None else f"{near.distance:.2f}"
+        text = f"{format_display_name(near.name)}  {how}"
+        if view.material_full:
+            choose = column.operator("hnf.material_choose", text=text, translate=False)
+            choose.material, choose.name = view.material_full, near.name
+        else:
+            column.label(text=text, translate=False)
+
+
+QUERY_CLASSES = (HNF_PT_probe,)
+
+CLASSES = (*MATERIALS_CLASSES, *QUERY_CLASSES)

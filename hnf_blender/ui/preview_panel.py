@@ -6,11 +6,11 @@ from typing import Any
 
 import bpy
 
-from ..actuator.state import ACTUATOR
-from ..preview.facts import PreviewFacts, get_preview_facts, get_preview_icon
-from ..props.scene import get_active_stroke, list_cached_strokes
-from ..state.session import STATE
-from ..touch.status import Freshness
+from ..actuator.actuator_state import ACTUATOR
+from ..preview.preview_state import PreviewFacts, get_preview_facts, get_preview_icon
+from ..props.scene_settings import get_active_stroke, list_cached_strokes
+from ..state.session_state import STATE
+from ..touch.freshness import Freshness
 from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph
 
@@ -30,7 +30,7 @@ def has_bake(scene: Any, stroke: Any) -> bool:
     return status is None or status.freshness is not Freshness.UNBAKED
 
 
-class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
     bl_label = "Preview"
     bl_order = 3
 
@@ -89,10 +89,10 @@ def draw_comparison(layout: Any, facts: PreviewFacts) -> None:
     row.operator("hnf.preview_ab", text="", icon="X").action = "FORGET"
 
 
-class HNF_PT_monitor(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+class HNF_PT_monitor(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
     bl_label = "Monitor"
     bl_parent_id = "HNF_PT_preview"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.hnf

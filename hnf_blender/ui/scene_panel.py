@@ -6,9 +6,8 @@ from typing import Any, TypeVar
 
 import bpy
 
-from ..props.scene import list_cached_strokes
-from ..state.session import STATE, LastJob, PlanView
-from ..state.texts import (
+from ..props.scene_settings import list_cached_strokes
+from ..state.labels import (
     PLAYABLE_STATES,
     compute_progress,
     format_counts,
@@ -18,6 +17,7 @@ from ..state.texts import (
     group_plan_lines,
     list_first_steps,
 )
+from ..state.session_state import STATE, LastJob, PlanView
 from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
 
@@ -27,7 +27,7 @@ MAX_LINES = 6
 """Of one kind in the plan; the rest is counted."""
 
 
-class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
     bl_label = "Scene"
     bl_order = 0
 
@@ -110,10 +110,10 @@ def draw_last_job(layout: Any, context: Any) -> None:
         draw_paragraph(box, context, detail, icon="DOT")  # each begins with one: several lines would run together
 
 
-class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
     bl_label = "Plan"
     bl_parent_id = "HNF_PT_scene"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, plan = self.layout, filter_by_scene(context.scene, STATE.plan)
@@ -131,14 +131,14 @@ class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
                 column.label(text=more, icon="BLANK1", translate=False)
 
 
-class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
     bl_label = "Units"
     bl_parent_id = "HNF_PT_scene"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: Any) -> None:
-        from ..bridge.metres import get_metres_per_unit
-        from ..bridge.splat_cloud import TOUCHABLE_SURFACES
+        from ..bridge.scene.unit_scale import get_metres_per_unit
+        from ..bridge.splats.splat_cloud import TOUCHABLE_SURFACES
 
         layout, scene = self.layout, context.scene
         layout.use_property_split = True

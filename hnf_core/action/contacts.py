@@ -1,4 +1,9 @@
-"""Where a stroke touches: samples of a path against a mesh become contact points with a tangent frame."""
+"""Where a stroke touches: samples of a path against a mesh become contact points with a tangent frame.
+
+The nearest point of a triangle mesh, exact in float64, in plain numpy.
+
+Surfaces that change shape while they are touched.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +14,166 @@ from numpy.typing import NDArray
 
 from ..errors import SceneError, StrokeError
 from ..scene.mesh import TriangleMesh
-from .deforming import DeformingMesh, transform_to_rest
-from .nearest import find_nearest_on_triangles
+from ..scene.raycast import ClosestPoints, find_closest_barycentric
 
 Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
+Int = NDArray[np.intp]
+
+_BOUND_SAMPLES = 2048
+_PAIRS_PER_CHUNK = 4_000_000
+"""Point–triangle pairs looked at together; bounds the memory to some 100 MB."""
+
+
+def find_nearest_on_triangles(points: Float, corners: Float) -> ClosestPoints:
+    """Nearest point of triangles (T, 3, 3) to each point (n, 3); of equally near triangles the first.
+
+    A triangle is looked at only if its bounding sphere may hold something nearer than the nearest centroid.
+    """
+    centre = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+    near = _select_near_triangles(points, corners, centre)
+    # Counted from the points: squares of kilometres have no digits left for millimetres.
+    origin = points.mean(axis=0) if len(points) else np.zeros(3)
+    centre, radius = centre[near] - origin, radius[near]
+    step = max(1, _PAIRS_PER_CHUNK // max(1, len(near)))
+    parts = [
+        _find_nearest_in_chunk(points[i : i + step], corners, near, centre, radius, origin)
+        for i in range(0, len(points), step)
+    ]
+    return concatenate_hits(parts)
+
+
+def concatenate_hits(parts: list[ClosestPoints]) -> ClosestPoints:
+    """One Closest of several, in order."""
+    return ClosestPoints(
+        np.concatenate([part.triangle for part in parts]),
+        np.concatenate([part.barycentric for part in parts]),
+        np.concatenate([part.position for part in parts]),
+        np.concatenate([part.distance for part in parts]),
+    )
+
+
+def _select_near_triangles(points: Float, corners: Float, centre: Float) -> Int:
+    """Triangles whose box meets the points' box, widened by a bound on the largest distance."""
+    if len(corners) <= _BOUND_SAMPLES:
+        return np.arange(len(corners), dtype=np.intp)
+    some = centre[:: len(centre) // _BOUND_SAMPLES + 1]
+    bound = max(float(np.sqrt(((some - p) ** 2).sum(axis=1).min())) for p in points)
+    low, high = points.min(axis=0) - bound, points.max(axis=0) + bound
+    inside = (corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)
+    return np.flatnonzero(inside.all(axis=1))
+
+
+def _find_nearest_in_chunk(
+    points: Float, corners: Float, near: Int, centre: Float, radius: Float, origin: Float
+) -> ClosestPoints:
+    local = points - origin
+    square, length = (local**2).sum(axis=1)[:, None], (centre**2).sum(axis=1)
+    squared = square - 2.0 * local @ centre.T + length
+    slack = 1e-12 * (square + length)
+    distance = np.sqrt(np.maximum(squared, 0.0) + slack)
+    who, which = np.nonzero(distance - radius <= distance.min(axis=1, keepdims=True) + 2.0 * np.sqrt(slack))
+    triangle = near[which]
+    barycentric = find_closest_barycentric(corners[triangle], points[who])
+    found = np.einsum("nc,ncx->nx", barycentric, corners[triangle])
+    gap = np.linalg.norm(found - points[who], axis=1)
+    least = np.full(len(points), np.inf)
+    np.minimum.at(least, who, gap)
+    # Across a shared edge rounding decides; a tie of a nanometre goes to the lower index instead.
+    good = np.flatnonzero(gap <= least[who] + 1e-9)
+    first = good[np.unique(who[good], return_index=True)[1]]
+    return ClosestPoints(triangle[first].astype(np.int32), barycentric[first], found[first], gap[first])
+
+
 Int32 = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class DeformingMesh:
+    """A mesh whose vertices move and whose triangles stay.
+
+    mesh: its shape at rest. time: (F,) s ascending. vertices: (F, V, 3) m in the surface frame at those times;
+    between them Catmull-Rom in time, so that the surface's own speed has no steps; outside, the end shapes.
+    """
+
+    mesh: TriangleMesh
+    time: Float
+    vertices: NDArray[np.float64] | NDArray[np.float32]
+
+    def corners_at(self, time: float, triangle: Int32 | None = None) -> Float:
+        """Corner positions (T or n, 3, 3) at a time, of all or the given triangles."""
+        index = self.mesh.triangles if triangle is None else self.mesh.triangles[triangle]
+        frames, weights = self._compute_time_weights(time)
+        return np.asarray(
+            sum(w * self.vertices[f][index].astype(np.float64) for f, w in zip(frames, weights, strict=True))
+        )
+
+    def find_nearest(self, time: Float, points: Float) -> tuple[ClosestPoints, Float, Float]:
+        """Closest material point of each sample (n,), (n, 3), at that sample's time: the hit, its triangle's corners
+        (n, 3, 3) at that time, and the velocity (n, 3) m/s of the material there."""
+        hits, corners = [], []
+        for t, point in zip(time, points, strict=True):
+            shape = self.corners_at(float(t))
+            hit = find_nearest_on_triangles(point[None], shape)
+            hits.append(hit)
+            corners.append(shape[hit.triangle])
+        hit = concatenate_hits(hits)
+        return hit, np.concatenate(corners), self._compute_material_velocity(time, hit)
+
+    def _compute_material_velocity(self, time: Float, hit: ClosestPoints) -> Float:
+        step = 1e-3
+        drift = np.empty((len(time), 3))
+        for i, t in enumerate(time):
+            before, after = max(float(t) - step, float(self.time[0])), min(float(t) + step, float(self.time[-1]))
+            if after <= before:
+                drift[i] = 0.0
+                continue
+            triangle = hit.triangle[i : i + 1]
+            change = self.corners_at(after, triangle) - self.corners_at(before, triangle)
+            drift[i] = hit.barycentric[i] @ change[0] / (after - before)
+        return drift
+
+    def _compute_time_weights(self, time: float) -> tuple[list[int], list[float]]:
+        """Frames and weights of the Catmull-Rom spline on an uneven grid (cubic Hermite, central slopes)."""
+        count = len(self.time)
+        if count == 1 or time <= self.time[0]:
+            return [0], [1.0]
+        if time >= self.time[-1]:
+            return [count - 1], [1.0]
+        i = int(np.searchsorted(self.time, time, side="right")) - 1
+        width = self.time[i + 1] - self.time[i]
+        u = float((time - self.time[i]) / width)
+        h00, h10 = (1 + 2 * u) * (1 - u) ** 2, u * (1 - u) ** 2
+        h01, h11 = u * u * (3 - 2 * u), u * u * (u - 1)
+        weights = dict.fromkeys(range(max(i - 1, 0), min(i + 3, count)), 0.0)
+        weights[i] += h00
+        weights[i + 1] += h01
+        for knot, share in ((i, h10), (i + 1, h11)):
+            low, high = max(knot - 1, 0), min(knot + 1, count - 1)
+            slope = share * float(width / (self.time[high] - self.time[low]))
+            weights[high] += slope
+            weights[low] -= slope
+        return list(weights), list(weights.values())
+
+
+def transform_to_rest(mesh: TriangleMesh, triangle: Int32, corners: Float, vectors: Float) -> Float:
+    """Vectors (n, 3) on triangles whose corners moved to (n, 3, 3), carried back to the shape at rest by the inverse
+    of each triangle's deformation gradient; lengths change as the surface was stretched."""
+    rest, moved = _compute_edge_frames(mesh.vertices[mesh.triangles[triangle]]), _compute_edge_frames(corners)
+    flat = np.abs(np.linalg.det(moved)) <= 1e-30  # a triangle without area tells nothing of how it turned
+    rest[flat] = moved[flat] = np.eye(3)
+    return np.asarray((rest @ np.linalg.solve(moved, vectors[:, :, None]))[:, :, 0])
+
+
+def _compute_edge_frames(corners: Float) -> Float:
+    """Edge, edge and normal (as long as the edges) as the columns of (n, 3, 3)."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(first, second)
+    size = np.sqrt(np.maximum(np.linalg.norm(normal, axis=1), 1e-300))
+    return np.stack([first, second, normal / size[:, None]], axis=2)
+
+
+Bool = NDArray[np.bool_]
 
 CONTACT_TOLERANCE_M = 5e-3
 """How far a drawn curve may float above or sink below the surface and still touch it."""

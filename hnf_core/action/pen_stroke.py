@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from ..errors import StrokeError
 from .action import ACTION_RATE_HZ
-from .bezier import make_bezier_curve
-from .curves import ArcCurve, build_arc_curve
+from .curves import ArcCurve, build_arc_curve, make_bezier_curve
 from .fit_bezier import FittedBezier, fit_bezier
-from .fit_keys import fit_keyframes
-from .keys import Keyframes
-from .time_law import MAX_DURATION_S, compute_travel_time, make_motion_at_speed, make_time_grid
+from .keyframes import Keyframes, fit_keyframes
+from .motion_profile import MAX_DURATION_S, compute_travel_time, make_motion_at_speed, make_time_grid
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]

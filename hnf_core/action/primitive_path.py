@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError
 from .action import ACTION_RATE_HZ, Action
-from .bezier import make_smooth_curve
-from .curves import ArcCurve, build_arc_curve
-from .keys import Keyframes, make_eased_travel
+from .curves import ArcCurve, build_arc_curve, make_smooth_curve
+from .keyframes import Keyframes, make_eased_travel
 from .primitives import Primitive, find_primitive
 
 Float = NDArray[np.float64]

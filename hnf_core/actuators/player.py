@@ -3,6 +3,8 @@
 Commands come in on standard input and reports leave on standard output, one of player_messages.py a line. It needs
 numpy, and what the target needs. When standard input ends, for whatever reason, it stops softly and leaves; when it is
 killed itself, the device's own queue falls silent.
+
+What a player plays now, and how it is doing.
 """
 
 from __future__ import annotations
@@ -15,17 +17,17 @@ import threading
 import types
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from ..errors import HnfError, UsageError
-from ..field.live.materials import create_live_synthesis
-from .acceleration import db_to_gain, read_acceleration
-from .at_most import describe_peak_limit
-from .compensation import make_compensation
+from ..field.live.synthesis import create_live_synthesis
+from .live_source import LiveSource
+from .measure.inverse_filter import make_compensation
+from .output_prediction import describe_peak_limit
 from .player_messages import (
     VERSION,
     Began,
@@ -49,13 +51,58 @@ from .player_messages import (
     decode_command,
     encode,
 )
-from .playing import Playback
 from .profile import USER_PROFILE_NAME, ActuatorProfile, make_user_profile
-from .profile_file import load_profile
-from .sources.live import LiveSource
-from .sources.recorded import BufferSource
+from .profile_json import load_profile
+from .sink import SinkFormat
+from .sources import BufferSource, db_to_gain, read_acceleration
 from .stream import Stream
-from .targets import FileTarget, make_sink, parse_target
+from .stream_targets import FileTarget, make_sink, parse_target
+
+
+@dataclass(frozen=True, eq=False)
+class Playback:
+    """gain: that was multiplied into the source's samples beforehand. ahead_s: made ahead of the sink."""
+
+    play: int
+    stream: Stream
+    source: BufferSource | LiveSource
+    device: SinkFormat
+    where: OutputSpec
+    gain: float
+    ahead_s: float
+    note: str
+
+    @property
+    def has_ended(self) -> bool:
+        return self.stream.wait(0.0)
+
+    def status(self) -> Status:
+        report = self.stream.report
+        made, latency_ms = 0.0, report.latency_p99_ms
+        if isinstance(self.source, LiveSource):
+            latency_ms += self.source.latency_p99_ms
+        else:
+            owed_s = min(max(report.frames / self.device.rate_hz - report.played_s, 0.0), self._queue_s)
+            made = self.source.position_s - (owed_s + self.ahead_s if report.state == "playing" else 0.0)
+        return Status(
+            self.play,
+            "paused" if report.state == "paused" else "ended" if report.state == "ended" else "playing",
+            max(made, 0.0),
+            report.level_m_s2,
+            report.peak,
+            report.underruns,
+            report.limited_samples + report.device_limited_samples,
+            report.nonfinite_samples,
+            report.played_s,
+            latency_ms,
+            report.temperature_c,
+            " ".join(report.problem.split()),
+        )
+
+    @property
+    def _queue_s(self) -> float:
+        return self.device.queue_frames / self.device.rate_hz
+
 
 STATUS_PERIOD_S = 0.05
 AHEAD_BLOCKS = 3
@@ -67,7 +114,7 @@ QueuedCommand = Play | LiveBegin | Pause | Resume | Seek | Loop | Gain | Swap
 """Commands that may take time, or are to be done in their turn."""
 
 
-class Superseded(Exception):  # noqa: N818  # no error: somebody wanted silence
+class Superseded(Exception):  # no error: somebody wanted silence  # noqa: N818
     """It was stopped before it began."""
 
 

@@ -10,7 +10,7 @@ from ..errors import UsageError
 
 if TYPE_CHECKING:
     from .limits import Limits
-    from .response import FrequencyResponse
+    from .measure.frequency_response import FrequencyResponse
 
 
 @dataclass(frozen=True)

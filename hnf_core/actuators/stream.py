@@ -4,6 +4,10 @@
 
 What the pump sends is ready counts, so nothing a source does can hold up a device that still has frames; and when
 nothing comes any more, the device's own queue is the watchdog: it fades to silence by itself.
+
+How a stream is doing.
+
+Counts that are ready, between the thread that makes them and the thread that sends them.
 """
 
 from __future__ import annotations
@@ -14,23 +18,165 @@ import os
 import threading
 import time
 import weakref
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import asdict, dataclass
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
 from ..errors import DeviceError, HnfError, UsageError
-from . import calm, urgency
-from .chain import SignalChain
+from . import runtime
+from .limiter import THERMAL_STATE
 from .limits import FULL_SCALE_COUNTS, Limits
-from .report import DurationHistogram, StreamReport
-from .ring import RingBuffer
+from .signal_chain import Processor, SignalChain, Source
 from .sink import Counts, Sink, SinkFormat, SinkStatus
-from .source import Source
-from .stage import Processor
-from .warmth import THERMAL_STATE
+
+_BIN_MS = 0.01
+_BINS = 10_000
+
+
+class DurationHistogram:
+    """A histogram of times in bins of 10 µs up to 100 ms: as large after a day as after a second."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_BINS + 1, dtype=np.int64)
+        self.count = 0
+        self.max_ms = 0.0
+
+    def record(self, seconds: float) -> None:
+        milliseconds = max(seconds * 1e3, 0.0)
+        self._counts[min(int(milliseconds / _BIN_MS), _BINS)] += 1
+        self.count += 1
+        self.max_ms = max(self.max_ms, milliseconds)
+
+    def percentile_ms(self, percent: float) -> float:
+        """The upper edge of the bin that percent of all times lie in or below, never more than the longest; 0 where
+        there are none. From 100 ms on it is the longest."""
+        if self.count == 0:
+            return 0.0
+        place = int(np.searchsorted(np.cumsum(self._counts), self.count * percent / 100.0))
+        return self.max_ms if place >= _BINS else min((place + 1) * _BIN_MS, self.max_ms)
+
+
+@dataclass(frozen=True)
+class StreamReport:
+    """state: ready, playing, paused or ended. device: as it calls itself. blocks: made; frames: that the sink got.
+    underruns: times that the device missed frames. errors: damaged or lost frames of the wire. compute_p99_ms: of a
+    block, from its source to ready counts; compute_cpu_p99_ms: of that, what the thread computed. latency_p99_ms: from
+    the moment a block was asked of the source until the sink had it; a resampler that is not prompt gives many blocks
+    in one lump, whose last samples wait until the first are played. peak: largest level that left, as a share of full
+    scale. limited_samples, nonfinite_samples: changed by the limiter. device_limited_samples: by the device's own
+    limits, behind ours. played_s: by the device. level_m_s2: RMS of the last 20 ms or so.
+    temperature_c: of the coil, where it is told. resampler: what converts the rate. realtime: the system
+    granted both threads its real-time priority; never to a file. problem: why it ended, or "".
+    """
+
+    state: str = "ready"
+    device: str = ""
+    blocks: int = 0
+    frames: int = 0
+    underruns: int = 0
+    errors: int = 0
+    compute_p99_ms: float = 0.0
+    compute_highest_ms: float = 0.0
+    compute_cpu_p99_ms: float = 0.0
+    latency_p99_ms: float = 0.0
+    latency_highest_ms: float = 0.0
+    peak: float = 0.0
+    limited_samples: int = 0
+    nonfinite_samples: int = 0
+    device_limited_samples: int = 0
+    played_s: float = 0.0
+    level_m_s2: float = 0.0
+    temperature_c: float | None = None
+    resampler: str = ""
+    realtime: bool = False
+    problem: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+class RingBuffer:
+    """A bounded queue of frames for one writer and one reader. Both sleep on it; neither ever spins.
+
+    capacity: frames. Each put carries a stamp (any clock of the writer's); take() tells that of the oldest frame it
+    gives.
+    """
+
+    def __init__(self, capacity: int, channels: int) -> None:
+        self._frames = np.zeros((max(capacity, 1), channels), dtype=np.int16)
+        self._written = 0
+        self._read = 0
+        self._stamps: deque[tuple[int, float]] = deque()
+        self._finished = False
+        self._closed = False
+        self._condition = threading.Condition()
+
+    def wait_for_space(self, frames: int, timeout_s: float) -> bool:
+        """Whether there is room for frames (or all of an empty ring, where it is smaller), after at most timeout_s.
+        False at once on a closed ring."""
+        wanted = min(frames, len(self._frames))
+        with self._condition:
+            self._condition.wait_for(lambda: self._closed or self._count_free_frames() >= wanted, timeout_s)
+            return not self._closed and self._count_free_frames() >= wanted
+
+    def put(self, counts: Counts, stamp: float = 0.0) -> bool:
+        """Append (n, channels), sleeping while it is full. False: it was closed before all of them were in."""
+        start = 0
+        while start < len(counts):
+            with self._condition:
+                self._condition.wait_for(lambda: self._closed or self._count_free_frames() > 0)
+                if self._closed:
+                    return False
+                piece = counts[start : start + self._count_free_frames()]
+                places = (self._written + np.arange(len(piece))) % len(self._frames)
+                self._frames[places] = piece
+                self._written += len(piece)
+                self._stamps.append((self._written, stamp))
+                self._condition.notify_all()
+            start += len(piece)
+        return True
+
+    def get(self, max_frames: int, timeout_s: float) -> tuple[Counts, float]:
+        """Up to most frames, as many as are there, in order, and the stamp of the first. Sleeps while it is empty, for
+        at most timeout_s; none: nothing came, or it has ended."""
+        with self._condition:
+            self._condition.wait_for(lambda: self._closed or self._finished or self._written > self._read, timeout_s)
+            count = 0 if self._closed else min(max_frames, self._written - self._read)
+            while self._stamps and self._stamps[0][0] <= self._read:
+                self._stamps.popleft()
+            stamp = self._stamps[0][1] if count else 0.0
+            counts = self._frames[(self._read + np.arange(count)) % len(self._frames)]
+            self._read += count
+            self._condition.notify_all()
+            return counts, stamp
+
+    def finish(self) -> None:
+        """Nothing more is put; what is there can still be taken."""
+        with self._condition:
+            self._finished = True
+            self._condition.notify_all()
+
+    def close(self) -> None:
+        """Drop what is there and wake both."""
+        with self._condition:
+            self._closed = True
+            self._condition.notify_all()
+
+    @property
+    def ended(self) -> bool:
+        """Nothing will come out of it any more."""
+        with self._condition:
+            return self._closed or (self._finished and self._written == self._read)
+
+    def _count_free_frames(self) -> int:
+        return len(self._frames) - (self._written - self._read)
+
 
 _OPEN_TIMEOUT_S = 10.0
 _JOIN_TIMEOUT_S = 2.0
@@ -189,7 +335,7 @@ class Stream:
 
     def _produce(self, chain: SignalChain, ring: RingBuffer, frames: int) -> None:
         try:
-            if self._realtime and not urgency.request_realtime_priority():
+            if self._realtime and not runtime.request_realtime_priority():
                 self._realtime = False
             try:
                 self._fill_ring(chain, ring, frames)
@@ -220,12 +366,12 @@ class Stream:
 
     def _pump(self) -> None:
         producer: threading.Thread | None = None
-        calm.enter_low_latency()
+        runtime.enter_low_latency()
         try:
             device = self._sink.open()
             _stop_first_at_exit()
             self._realtime = (
-                device.live and urgency.request_realtime_priority()
+                device.live and runtime.request_realtime_priority()
             )  # as fast as it can, it would keep a core from all others
             heat = THERMAL_STATE.get_heat(device.device, self._limits, device.channels)
             chain = SignalChain(
@@ -311,7 +457,7 @@ class Stream:
                 if self._chain is not None and self._device is not None and self._device.coil:
                     THERMAL_STATE.record(self._device.device, self._limits, self._chain.limiter.heat)
             _active_streams.discard(self)
-            calm.exit_low_latency()
+            runtime.exit_low_latency()
             self._ended.set()
 
     def _set_problem(self, error: Exception, context: str) -> None:

@@ -1,32 +1,235 @@
-"""One attempt at a job, on whatever worker: look, run, publish. JSON text in, JSON text out; it never raises."""
+"""One attempt at a job, on whatever worker: look, run, publish. JSON text in, JSON text out; it never raises.
+
+What crosses the wire: JSON text alone, an Order one way and an Outcome the other.
+
+One `hnf` command in a process of its own: begun, watched, ended with all that it started.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import shutil
+import signal
 import socket
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from enum import Enum
 from pathlib import Path
+from typing import IO, Any
 
-from ..errors import HnfError
-from .child import CommandResult, run_child
-from .in_child import EXIT_BROKEN
-from .inputs import compute_version
-from .job import FAILED_SUFFIX
-from .order import Outcome, Request, State, encode_message, parse_request
-from .record import JobRecord, hash_outputs, hash_referenced_files, is_fresh, read_record, write_record
-from .workplace import (
+from ..errors import FileError, HnfError
+from ..files import content_hash
+from .__main__ import EXIT_BROKEN
+from .jobs import FAILED_SUFFIX
+from .staging import (
     MARKER_NAME,
+    JobRecord,
     StagingMarker,
+    compute_version,
     find_staging_folders,
+    hash_outputs,
+    hash_referenced_files,
     is_abandoned,
+    is_fresh,
     make_staging_folder,
     publish,
     read_marker,
+    read_record,
     reuse_files,
+    write_record,
 )
+
+
+class State(Enum):
+    """How an attempt ended. FAILED: by the command's own word, which another attempt would only repeat. ACCIDENT: the
+    process died. UNSEEN: this worker lacks a file or has another version. STOPPED: the batch was."""
+
+    DONE = "done"
+    FAILED = "failed"
+    ACCIDENT = "accident"
+    UNSEEN = "unseen"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one attempt ended. why: one line for a person, "" where it is done. earlier: why those before it ended.
+    was_fresh: the result had been there, nothing was run."""
+
+    name: str
+    state: State
+    why: str = ""
+    seconds: float = 0.0
+    earlier: tuple[str, ...] = ()
+    worker: str = ""
+    was_fresh: bool = False
+
+
+@dataclass(frozen=True)
+class Request:
+    """One attempt at a job.
+
+    words, out: as in Job. inputs: path → digest when it was planned. base: where the command runs. folder: of the whole
+    batch. version: of the program. run: of this batch, as its folder says it while it may go on. retries: after so many
+    lost attempts no other is made. earlier: why each attempt before ended.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    out: str
+    inputs: Mapping[str, str]
+    base: str
+    folder: str
+    version: str
+    run: str
+    retries: int = 0
+    earlier: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Of all that the result follows from, as far as the command names it."""
+        parts = (part for pair in sorted(self.inputs.items()) for part in pair)
+        return content_hash(self.version, self.out, str(len(self.words)), *self.words, *parts)
+
+    @property
+    def result_folder(self) -> Path:
+        """The job's own folder, there when it is finished."""
+        return Path(self.folder) / self.name
+
+    def should_retry(self, outcome: Outcome) -> bool:
+        """After this end of an attempt another one is made."""
+        return outcome.state is State.ACCIDENT and len(outcome.earlier) < self.retries
+
+
+def encode_message(message: Request | Outcome) -> str:
+    return json.dumps(asdict(message) | ({"state": message.state.value} if isinstance(message, Outcome) else {}))
+
+
+def parse_request(text: str) -> Request:
+    """Raises FileError where the text is no order."""
+    record = _parse_record(text, Request)
+    return Request(**(record | {name: tuple(record[name]) for name in ("words", "earlier")}))
+
+
+def parse_outcome(text: Any) -> Outcome:
+    """Raises FileError where it is no text of an outcome, whatever a worker sent."""
+    record = _parse_record(text, Outcome)
+    try:
+        return Outcome(**(record | {"state": State(record["state"]), "earlier": tuple(record["earlier"])}))
+    except ValueError as error:
+        raise _make_parse_error("outcome") from error
+
+
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "str": str, "int": int, "float": (int, float), "bool": bool, "State": str, "tuple[str, ...]": list,
+    "Mapping[str, str]": dict,
+}  # fmt: skip
+
+
+def _parse_record(text: Any, kind: type[Request] | type[Outcome]) -> dict[str, Any]:
+    try:
+        record = json.loads(text)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise _make_parse_error(kind.__name__.lower()) from error
+    if not isinstance(record, dict) or set(record) != {field.name for field in fields(kind)}:
+        raise _make_parse_error(kind.__name__.lower())
+    for field in fields(kind):
+        value = record[field.name]
+        inner = value if isinstance(value, list) else [*value, *value.values()] if isinstance(value, dict) else ()
+        if not isinstance(value, _KINDS[str(field.type)]) or not all(isinstance(each, str) for each in inner):
+            raise _make_parse_error(kind.__name__.lower())
+    return record
+
+
+def _make_parse_error(what: str) -> FileError:
+    return FileError(f"a worker and the batch do not understand each other: no {what}.",
+                     remedy="Install the same version of hnf on every machine.")  # fmt: skip
+
+
+ROOT = Path(__file__).resolve().parents[2]
+CHILD_MODULE = __package__
+MAX_LINES, MAX_BYTES = 20, 4000
+POLL_S = 0.2
+
+
+@dataclass(frozen=True)
+class CommandResult:
+    """code: its exit code, below 0 the signal that killed it, None where it was stopped. stdout, stderr: last lines."""
+
+    code: int | None
+    seconds: float
+    stdout: tuple[str, ...]
+    stderr: tuple[str, ...]
+
+
+def run_child(
+    arguments: Sequence[str], base: Path, lock_descriptor: int, should_continue: Callable[[], bool]
+) -> CommandResult:
+    """Run `hnf words…` in folder base until it ends or may not go on.
+
+    held: descriptor that the process holds too, whose lock tells that it lives. When this process dies, its child sees
+    the end of its standard input and leaves. Raises FileError where it cannot be started.
+    """
+    began = time.monotonic()
+    with (
+        tempfile.TemporaryFile() as out,
+        tempfile.TemporaryFile() as err,
+        tempfile.TemporaryDirectory(prefix="hnf-batch-", ignore_cleanup_errors=True) as scratch,
+    ):
+        paths = os.pathsep.join(path for path in (str(ROOT), os.environ.get("PYTHONPATH", "")) if path)
+        try:
+            process = subprocess.Popen(
+                # -P: the folder it runs in is the person's own, and no place to import from.
+                [sys.executable, "-P", "-m", CHILD_MODULE, *arguments],
+                stdin=subprocess.PIPE,
+                stdout=out,
+                stderr=err,
+                cwd=base,
+                env=os.environ | {"PYTHONPATH": paths, "TMPDIR": scratch},
+                start_new_session=True,
+                pass_fds=(lock_descriptor,),
+            )
+        except OSError as error:
+            raise FileError(
+                f"no command can be run there ({error.strerror or error}).",
+                where=str(base),
+                remedy="Check that this machine has the folder, and processes and memory left.",
+            ) from error
+        try:
+            code = _wait(process, should_continue)
+        finally:
+            _kill_process_group(process)
+        return CommandResult(code, time.monotonic() - began, _read_last_lines(out), _read_last_lines(err))
+
+
+def _wait(process: subprocess.Popen[bytes], should_continue: Callable[[], bool]) -> int | None:
+    while True:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return process.wait(POLL_S)
+        if not should_continue():
+            return None
+
+
+def _kill_process_group(process: subprocess.Popen[bytes]) -> None:
+    """The whole group, also what the command started and left."""
+    with contextlib.suppress(OSError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    if process.stdin is not None:
+        process.stdin.close()
+
+
+def _read_last_lines(stream: IO[bytes]) -> tuple[str, ...]:
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(max(0, size - MAX_BYTES))
+    return tuple(stream.read().decode("utf-8", "replace").splitlines()[-MAX_LINES:])
+
 
 RUN_FILE_NAME = ".hnf-batch"
 """In the batch's folder: which run may go on."""

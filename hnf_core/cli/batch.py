@@ -12,14 +12,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..cores import available_cpus
 from ..errors import HnfError, UsageError
-from .progress import Progress, ProgressBar
+from ..progress import Progress, ProgressBar
+from ..threads import available_cpus
 
 if TYPE_CHECKING:
-    from ..batch.job import Job
-    from ..batch.order import Outcome
-    from ..batch.run import BatchSummary
+    from ..batch.attempt import Outcome
+    from ..batch.jobs import Job
+    from ..batch.runner import BatchSummary
 
 DIRECT_COMMANDS = ("touch", "synth", "train")
 VARIED_OPTIONS = {
@@ -65,8 +65,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
     try:
-        from ..batch.cluster import check_address
-        from ..batch.run import BatchOptions, run_batch
+        from ..batch.runner import BatchOptions, check_address, run_batch
     except ImportError as error:
         raise HnfError(
             f"batch is no part of the extension, and needs Linux or macOS ({error}).",
@@ -102,8 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _read_jobs(arguments: argparse.Namespace) -> tuple[tuple[Job, ...], Path]:
     """The jobs, and the folder that their paths count from; the batch's own options among the words are taken out."""
-    from ..batch.expand import make_combined_jobs, make_scene_jobs
-    from ..batch.jobs_file import SUFFIXES, read_jobs
+    from ..batch.jobs import SUFFIXES, make_combined_jobs, make_scene_jobs, read_jobs
 
     what = arguments.what
     own = argparse.ArgumentParser(
@@ -138,7 +136,7 @@ def _read_jobs(arguments: argparse.Namespace) -> tuple[tuple[Job, ...], Path]:
 def _find_inputs(job: Job, base: Path, job_folder: Path) -> tuple[str, ...]:
     """The files and folders that a job names, absolute. Raises UsageError where hnf does not take its command, or an
     input that was declared is not there."""
-    from ..batch.inputs import find_named_files
+    from ..batch.staging import find_named_files
 
     parsed = _parse_job(job)
     for path in job.inputs:
@@ -166,7 +164,7 @@ def _parse_job(job: Job) -> argparse.Namespace:
 
 def _report_outcome(outcome: Outcome, retried: bool, folder: Path, as_json: bool) -> None:
     """One line an attempt: a result to stdout, the reason of another attempt to stderr."""
-    from ..batch.order import State
+    from ..batch.attempt import State
 
     reasons: Sequence[str] = (*outcome.earlier, outcome.why) if retried else outcome.earlier
     if retried or (reasons and outcome.state is State.DONE):
@@ -178,7 +176,7 @@ def _report_outcome(outcome: Outcome, retried: bool, folder: Path, as_json: bool
 
 def _report_summary(summary: BatchSummary, folder: Path, as_json: bool) -> int:
     """The end: counts to stdout, what to do to stderr. Returns the exit code."""
-    from ..batch.order import State
+    from ..batch.attempt import State
 
     for outcome in summary.failed:
         record = folder / f"{outcome.name}.failed" / "batch.json"

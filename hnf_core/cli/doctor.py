@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from .health import (
+from ..diagnostics import (
     OPTIONAL_PACKAGES,
     Fact,
     describe_field,
@@ -15,7 +15,7 @@ from .health import (
     get_version,
     hash_data_files,
 )
-from .verbs import HELP
+from .commands import HELP
 
 CACHE_LOCATION = "in the folder 'cache' of each --out"
 

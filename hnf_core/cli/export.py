@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from ..actuators.profile import GENERIC, PROFILES
-from ..actuators.profile_file import load_profile
+from ..actuators.profile_json import load_profile
 from ..errors import UsageError
 from ..export.convert import export_signal
 from ..export.formats import FORMATS, format_of
 from ..export.options import DEFAULT_FULL_SCALE_M_S2, DEFAULT_RANGE_HZ, ExportOptions
-from ..export.surface import TouchedSurface
-from ..export.wav_copies import read_wav_with_units
-from .verbs import HELP
+from ..export.touched_surface import TouchedSurface
+from ..export.wav import read_wav_with_units
+from .commands import HELP
 
 SceneReader = Callable[[Path, Mapping[str, str], str | None], TouchedSurface]
 

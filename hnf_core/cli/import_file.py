@@ -11,20 +11,19 @@ from typing import Any
 import numpy as np
 
 from ..export.convert import import_signal
-from ..export.formats import SUFFIXES, format_of, format_of_file
-from ..export.loss import (
+from ..export.fidelity import (
     describe_sidecar_loss,
     format_level_table,
     format_loss_table,
     format_rendered_summary,
     measure_loss,
 )
+from ..export.formats import SUFFIXES, format_of, format_of_file
 from ..export.options import DEFAULT_RENDER_RATE_HZ, ImportOptions
-from ..export.sidecar import get_sidecar_path, read_sidecar_loss
-from ..export.wav import write_wav
-from ..export.wav_copies import read_wav_scaled
+from ..export.provenance import get_sidecar_path, read_sidecar_loss
+from ..export.wav import read_wav_scaled, write_wav
+from .commands import HELP
 from .export import add_scale_options, check_output, get_scale
-from .verbs import HELP
 
 REPORTED_PROVENANCE = ("scale", "assumed", "carrier", "ignored")
 """Of the provenance: what was assumed, made up, and left out."""

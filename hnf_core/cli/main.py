@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import HnfError, UsageError
-from .verbs import COMMAND_HINTS, COMMAND_MODULES, EXAMPLES, HELP, import_command
+from .commands import COMMAND_HINTS, COMMAND_MODULES, EXAMPLES, HELP, import_command
 
 Runner = Callable[[argparse.Namespace], int]
 
@@ -82,7 +82,7 @@ def main(
 
 
 def _make_unknown_command_error(word: str) -> UsageError:
-    from ..closest import close_matches  # here: who makes no mistake needs no guesses
+    from ..text import close_matches  # here: who makes no mistake needs no guesses
 
     near = close_matches(word, COMMAND_MODULES)
     guess = f"Did you mean {' or '.join(repr(name) for name in near)}? " if near else ""

@@ -9,11 +9,10 @@ from typing import Any
 
 from ..errors import UsageError
 from ..material.hnf_file import from_library, write_hnf
-from ..material.library import get_material, load_library
-from ..material.material import Appearance
-from ..material.prior import NO_EVIDENCE, Suggestion, rank
-from ..material.words import is_image_name
-from .verbs import HELP
+from ..material.library import Appearance, get_material, load_library
+from ..material.name_matching import is_image_name
+from ..material.ranking import NO_EVIDENCE, Suggestion, rank
+from .commands import HELP
 
 LIBRARY_LICENCE = "GPL-3.0-or-later"
 """Of the library, and so of what is exported from it."""

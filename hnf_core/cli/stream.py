@@ -1,42 +1,131 @@
-"""`hnf stream`: play a WAV on an actuator."""
+"""`hnf stream`: play a WAV on an actuator.
+
+How a stream is doing, on a terminal: one line, redrawn; elsewhere a plain line now and then.
+
+What is said before a signal plays that is too strong for an actuator.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
 import math
+import shutil
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
-from ..actuators.acceleration import Acceleration, db_to_gain, read_accelerations
-from ..actuators.at_most import describe_peak_limit
-from ..actuators.chain import SignalChain
-from ..actuators.compensation import make_compensation
-from ..actuators.foretold import predict_limiting
 from ..actuators.limits import Limits
+from ..actuators.measure.inverse_filter import make_compensation
+from ..actuators.output_prediction import LimitingForecast, describe_peak_limit, predict_limiting
 from ..actuators.profile import GENERIC, ActuatorProfile
-from ..actuators.profile_file import load_profile
-from ..actuators.report import StreamReport
+from ..actuators.profile_json import load_profile
+from ..actuators.signal_chain import SignalChain, Source
 from ..actuators.sink import SinkFormat
-from ..actuators.source import Source
-from ..actuators.sources.limited import TruncatedSource
-from ..actuators.sources.recorded import BufferSource
-from ..actuators.stream import Stream
-from ..actuators.targets import TARGET_FORMS, FileTarget, Target, make_sink, parse_target
-from ..counted import pluralize
+from ..actuators.sources import Acceleration, BufferSource, TruncatedSource, db_to_gain, read_accelerations
+from ..actuators.stream import Stream, StreamReport
+from ..actuators.stream_targets import TARGET_FORMS, FileTarget, Target, make_sink, parse_target
 from ..errors import DeviceError, UsageError
-from .level_meter import LevelMeter
-from .stream_warning import MAX_CHECKED_S, compute_checked_duration, cut_strongest, format_limit_warning
-from .verbs import HELP
+from ..text import pluralize
+from .commands import HELP
+
+METER_MIN_DB = -60.0
+PLAIN_LINE_INTERVAL_S = 5.0
+METER_WIDTH = 12
+
+
+class LevelMeter:
+    """full_m_s2: where the meter ends. whole_s: how long it plays, None = until it is stopped."""
+
+    def __init__(self, full_m_s2: float, duration_s: float | None, stream: TextIO | None = None) -> None:
+        self._full, self._duration_s = full_m_s2, duration_s
+        self._stream = stream or sys.stderr
+        self._redraws = self._stream.isatty()
+        self._next_s = time.monotonic() + PLAIN_LINE_INTERVAL_S
+
+    def show(self, report: StreamReport) -> None:
+        line = format_meter(report, self._full, self._duration_s)
+        if self._redraws:
+            columns = shutil.get_terminal_size().columns  # a line that wraps cannot be redrawn
+            self._stream.write(f"\r\x1b[K{line[: columns - 1]}")
+            self._stream.flush()
+        elif time.monotonic() >= self._next_s:
+            self._next_s += PLAIN_LINE_INTERVAL_S
+            print(line, file=self._stream, flush=True)
+
+    def close(self) -> None:
+        if self._redraws:
+            self._stream.write("\r\x1b[K")
+            self._stream.flush()
+
+
+def format_meter(report: StreamReport, full_m_s2: float, duration_s: float | None) -> str:
+    """Time, RMS level in dB below full_m_s2 as a bar and a figure, underruns, samples that were limited."""
+    of = f" of {duration_s:.1f}" if duration_s is not None else ""
+    level_db = 20.0 * math.log10(report.level_m_s2 / full_m_s2) if report.level_m_s2 > 0.0 else -math.inf
+    share = min(max(1.0 - level_db / METER_MIN_DB, 0.0), 1.0)
+    filled = round(METER_WIDTH * share)
+    level = f"{level_db:4.0f} dB" if level_db >= METER_MIN_DB else " silent"
+    bar = f"{'█' * filled}{'·' * (METER_WIDTH - filled)}"
+    counts = f"underruns {report.underruns}  limited {report.limited_samples}"
+    return f"{report.played_s:6.1f}{of} s  {bar} {level} {report.level_m_s2:6.2f} m/s²  {counts}"
+
+
+MAX_CHECKED_S = 120.0
+"""So much of a long signal is looked at beforehand, about its strongest place: somebody waits meanwhile."""
+WARM_TIME_CONSTANTS = 6.0
+"""Time constants after which a coil is as warm as it gets."""
+
+
+def compute_checked_duration(duration_s: float, seconds: float | None, *, loop: bool, thermal_s: float) -> float:
+    """How much of what plays is looked at: of a loop as much as warms the coil."""
+    plays_s = duration_s + WARM_TIME_CONSTANTS * thermal_s if loop else duration_s
+    return min(plays_s if seconds is None else seconds if loop else min(seconds, duration_s), MAX_CHECKED_S)
+
+
+def cut_strongest(found: Acceleration, seconds: float) -> Acceleration:
+    """So much of it, its largest sample in the middle; all of what is no longer."""
+    count = round(seconds * found.rate_hz)
+    if count >= len(found.samples):
+        return found
+    loudest = int(np.abs(found.samples).max(axis=1).argmax())
+    start = min(max(loudest - count // 2, 0), len(found.samples) - count)
+    return replace(found, samples=found.samples[start : start + count])
+
+
+def format_limit_warning(
+    found: LimitingForecast, profile: ActuatorProfile, device: SinkFormat, largest_m_s2: float, *, partial: bool
+) -> str:
+    """One line. largest_m_s2: of the signal, its gain included. in_part: only strongest_of it was looked at."""
+    limits = profile.limits.with_device_peak(device.peak)
+    most = limits.peak * limits.full_scale_m_s2
+    reasons = []
+    if found.peak and largest_m_s2 > most:
+        reasons.append(f"{largest_m_s2:.3g} m/s² is more than the {most:.4g} m/s² of '{profile.title}'")
+    elif found.peak and profile.response is not None:
+        reasons.append(f"with the response of '{profile.title}' corrected, it is more than its {most:.4g} m/s²")
+    elif found.peak:
+        reasons.append(f"between its samples it is more than the {most:.4g} m/s² of '{profile.title}'")
+    if found.slew:
+        reasons.append(f"it changes faster than '{profile.title}' may follow")
+    if found.heat:
+        reasons.append(f"it warms the coil of '{profile.title}' beyond what it carries for long")
+    share = f"{found.share:.2%}" if found.share >= 5e-5 else "less than 0.01%"
+    fits = "No --gain makes it fit: check the file's unit."
+    if found.max_gain_db is not None:
+        fits = f"--gain {found.max_gain_db:.1f} fits."
+    where = f" about its strongest place ({MAX_CHECKED_S:.0f} s)" if partial else ""
+    return f"{', and '.join(reasons)}: {share} of the samples{where} are limited. {fits}"
+
 
 AHEAD_BLOCKS = 3
 POLL_S = 0.05

@@ -6,13 +6,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from ..action.parse_stroke import parse_stroke
 from ..action.primitives import PRIMITIVES
-from ..action.words import parse_stroke
 from ..errors import UsageError
-from ..touch_request import MaterialChoice, StrokeRequest, TouchRequest
-from .probe import parse_touch_query
-from .seed import parse_seed
-from .verbs import HELP
+from ..touch_request import MaterialChoice, StrokeRequest, TouchRequest, parse_touch_query
+from .commands import HELP, parse_seed
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -90,7 +88,7 @@ def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
         encoder=arguments.encoder,
     )
     if not request.plan_only:
-        request.folder  # noqa: B018  # refused here, before Blender starts
+        request.folder  # refused here, before Blender starts  # noqa: B018
     return request
 
 

@@ -1,28 +1,109 @@
 """`hnf train`: what can be trained; `hnf train field`, a field for one material, from the user's own copy of a data set
-or from the simulator."""
+or from the simulator.
+
+`hnf train tactile-map`: D_φ, which predicts tactile maps from colour and depth, from paired views.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hnf_lab.cli.train_alignment import add_parser as _add_alignment
+from hnf_lab.cli.train_encoder import add_parser as _add_encoder
+
 from ..errors import UsageError
 from ..field.weights import save_field
-from .progress import Progress, ProgressBar
-from .train_alignment import add_parser as _add_alignment
-from .train_encoder import add_parser as _add_encoder
-from .train_needs import check_seed_and_weights, require_torch
-from .train_tactile_map import _add_tactile_map as _add_tactile_map
-from .verbs import HELP
+from ..progress import Progress, ProgressBar
+from ..tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
+from .commands import HELP, check_seed_and_weights, require_torch
 
 if TYPE_CHECKING:
-    from ..datasets.dataset import DataSet
-    from ..datasets.recording import Recording
-    from ..training.material import TrainingResult
+    from ..datasets.recording import DataSet, Recording
+    from ..training.tactile_map.validation import Distance
+    from ..training.train_material import TrainingResult
+
+SIMULATED_PAIRS = "simulated"
+DEFAULT_MINUTES = 60.0
+
+
+def _add_tactile_map(subjects: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = subjects.add_parser(
+        "tactile-map",
+        help="the network that predicts tactile maps from a look",
+        description="Train D_φ (colour and depth → tactile map) on paired views and write its weights. A killed run "
+        "resumes where it was when the same command is given again. Needs the extra [train].",
+    )
+    parser.add_argument(
+        "--data", required=True, metavar="DIR",
+        help="folder of pairs (tools/make_tactile_pairs.py), or simulated: they are made first, beside FILE",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
+    parser.add_argument(
+        "--minutes", type=float, default=DEFAULT_MINUTES, metavar="M", help=f"to train (default {DEFAULT_MINUTES:g})"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of batches, noise and initial weights")
+    parser.add_argument(
+        "--objective", choices=(REGRESSION, DIFFUSION), default=REGRESSION,
+        help=f"{REGRESSION} (default; shipped): least squares, one pass; {DIFFUSION}: maps sampled from noise in steps",
+    )  # fmt: skip
+    parser.add_argument("--fresh", action="store_true", help="start anew even where a killed run could go on")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.set_defaults(run=_run_tactile_map)
+    return parser
+
+
+def _run_tactile_map(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    check_seed_and_weights(arguments)
+    if not arguments.minutes > 0.0:
+        raise UsageError("--minutes must be more than 0.")
+    checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
+    if arguments.fresh:
+        checkpoint.unlink(missing_ok=True)
+    record = _train_tactile_map(arguments, checkpoint)
+    checkpoint.unlink(missing_ok=True)
+    words = record.pop("in_words")
+    text = f"{record['weights']}: {record['training_data']}; {record['views']} views seen; {words}"
+    print(json.dumps(record, indent=1) if arguments.json else text)
+    return 0
+
+
+def _train_tactile_map(arguments: argparse.Namespace, checkpoint: Path) -> dict[str, Any]:
+    with require_torch("training"):
+        from ..training.tactile_map.train_map import LEARNING_RATES, MapTrainingPlan, train_map
+
+    bar = ProgressBar()
+
+    def watch(step: int, spent: float, loss: float, distances: Mapping[str, Distance]) -> None:
+        bar.show(Progress(f"% loss {loss:.4f}", int(100 * spent), 100))
+        for name, distance in distances.items():
+            print(f"hnf: {step} steps, {name}: {distance.describe()}", file=sys.stderr)
+
+    try:
+        folder = _find_pairs(arguments, bar)
+        plan = MapTrainingPlan(minutes=arguments.minutes, seed=arguments.seed, rate=LEARNING_RATES[arguments.objective])
+        config = MapConfig(objective=arguments.objective)
+        return train_map(folder, plan, config, arguments.out, checkpoint, watch)
+    finally:
+        bar.close()
+
+
+def _find_pairs(arguments: argparse.Namespace, bar: ProgressBar) -> Path:
+    if arguments.data != SIMULATED_PAIRS:
+        return Path(arguments.data)
+    from ..datasets.pair_generation import PairSizes, write_pairs
+
+    folder = arguments.out.with_name(f"{arguments.out.stem}-pairs")
+    write_pairs(
+        folder, PairSizes(), arguments.seed, on_progress=lambda done, total: bar.show(Progress("shards", done, total))
+    )
+    return Path(folder)
+
 
 SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_tactile_map, _add_encoder, _add_alignment)
 """What else can be trained: each adds a parser that names its own runner as the default of `run`."""
@@ -78,12 +159,12 @@ def _add_field(subjects: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
     check_seed_and_weights(arguments)
-    from ..datasets.training_strokes import get_training_recordings
+    from ..datasets.registry import get_training_recordings
 
     kind, data = _open_data(arguments.data)
     recordings = get_training_recordings(data, arguments.material, arguments.seconds, arguments.seed, arguments.source)
     trained, record = _train_field(arguments, kind, data, recordings)
-    from ..export.training_curve import write_training_curve
+    from ..export.plots.figure import write_training_curve
 
     save_field(arguments.out, trained.field)
     curve = arguments.out.with_suffix(".curve.png")
@@ -94,7 +175,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _open_data(words: list[str]) -> tuple[str, DataSet]:
-    from ..datasets.catalogue import open_dataset
+    from ..datasets.registry import open_dataset
 
     if len(words) > 2:
         raise UsageError(f"--data takes a kind and a folder, not {words}.", remedy="Quote a path with blanks.")
@@ -104,10 +185,10 @@ def _open_data(words: list[str]) -> tuple[str, DataSet]:
 def _train_field(
     arguments: argparse.Namespace, kind: str, data: DataSet, recordings: list[Recording]
 ) -> tuple[TrainingResult, dict[str, Any]]:
-    from ..datasets.catalogue import LICENCES
+    from ..datasets.registry import LICENCES
 
     with require_torch("training"):
-        from ..training.own_material import TrainingOverrides, train_from_recordings
+        from ..training.from_recordings import TrainingOverrides, train_from_recordings
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
     if arguments.fresh:
         checkpoint.unlink(missing_ok=True)

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..archive import NPZ_ERRORS
 from ..errors import FileError
+from ..files import NPZ_ERRORS
 
 Float = NDArray[np.float64]
 

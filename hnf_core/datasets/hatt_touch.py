@@ -14,10 +14,20 @@ from functools import cached_property, partial
 from pathlib import Path
 
 from ..errors import FileError
-from .folders import find_files
-from .names import normalise_name
-from .photographs import IMAGE_SUFFIXES, crop_centre_square, read_photograph, read_touch_image, resize_by_area
-from .vision_touch import FilePairs, PairFiles, VisionTouchPair, format_left_out, get_split
+from .data_files import find_files
+from .recording import normalise_name
+from .vision_touch import (
+    IMAGE_SUFFIXES,
+    FilePairs,
+    PairFiles,
+    VisionTouchPair,
+    crop_centre_square,
+    format_left_out,
+    get_split,
+    read_photograph,
+    read_touch_image,
+    resize_by_area,
+)
 
 PHOTO_SIDE_M = 1024 / 15e3
 """A HaTT photograph is square, 1024 pixels at 15 a millimetre."""

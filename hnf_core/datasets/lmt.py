@@ -18,12 +18,9 @@ from numpy.typing import NDArray
 
 from ..errors import FileError
 from ..simulation.dft321 import dft321
-from .columns import read_numbers
-from .dataset import ActionRange, DataSet
-from .folders import find_files
-from .names import match_name, normalise_name
-from .recording import Recording
-from .series import SIGNAL_RATE_HZ, build_action, constant_direction, count_action_samples
+from .data_files import find_files, read_numbers
+from .recording import ActionRange, DataSet, Recording, match_name, normalise_name
+from .time_series import SIGNAL_RATE_HZ, build_action, constant_direction, count_action_samples
 
 Float = NDArray[np.float64]
 

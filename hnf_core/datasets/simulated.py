@@ -11,17 +11,14 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..errors import UsageError
-from ..material.library import load_library
-from ..material.material import LibraryMaterial
-from ..material.mechanics import Mechanics
+from ..material.contact_model import Mechanics
+from ..material.library import LibraryMaterial, load_library
 from ..material.probe import PROBES
 from ..simulation.dft321 import dft321
-from ..simulation.sampling import SmoothedMaps
+from ..simulation.height_sampling import SmoothedMaps
 from ..simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate_batch
-from ..simulation.surface import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
-from .dataset import ActionRange, DataSet
-from .names import match_name
-from .recording import Recording
+from ..simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
+from .recording import ActionRange, DataSet, Recording, match_name
 
 Float = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, UsageError
 from ..files import write_bytes
-from ..simulation.classes import get_category, list_classes
+from ..safetensors_io import dump_tensors, load_tensors
+from ..simulation.material_classes import get_category, list_classes
 from ..tactile.views import PITCHES_M
-from ..tensor_file import dump_tensors, load_tensors
 
 FORMAT = "hnf-tactile-pairs-1"
 TRAIN, HELD_OUT_INSTANCES, HELD_OUT_CLASSES = SPLITS = ("train", "held-out-instances", "held-out-classes")

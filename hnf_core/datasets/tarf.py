@@ -15,9 +15,19 @@ from functools import cached_property, partial
 from pathlib import Path
 
 from ..errors import FileError, UsageError
-from .folders import is_safe_name, list_file_names
-from .photographs import Float32, crop_centre_square, read_depth, read_photograph, read_touch_image, resize_by_area
-from .vision_touch import FilePairs, PairFiles, VisionTouchPair, format_left_out
+from .data_files import is_safe_name, list_file_names
+from .vision_touch import (
+    FilePairs,
+    Float32,
+    PairFiles,
+    VisionTouchPair,
+    crop_centre_square,
+    format_left_out,
+    read_depth,
+    read_photograph,
+    read_touch_image,
+    resize_by_area,
+)
 
 SPLIT_FILE = "split_interval.json"
 TOUCH_SCALE = "40_30"

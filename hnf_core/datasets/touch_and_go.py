@@ -16,9 +16,19 @@ from functools import cached_property, partial
 from pathlib import Path
 
 from ..errors import FileError
-from .folders import is_safe_name, list_file_names
-from .photographs import IMAGE_SUFFIXES, crop_centre_square, read_photograph, read_touch_image, resize_by_area
-from .vision_touch import FilePairs, PairFiles, VisionTouchPair, format_left_out, get_split
+from .data_files import is_safe_name, list_file_names
+from .vision_touch import (
+    IMAGE_SUFFIXES,
+    FilePairs,
+    PairFiles,
+    VisionTouchPair,
+    crop_centre_square,
+    format_left_out,
+    get_split,
+    read_photograph,
+    read_touch_image,
+    resize_by_area,
+)
 
 CLASS_COUNT = 20
 UNDECIDED_LABEL = -1

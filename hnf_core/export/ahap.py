@@ -20,14 +20,27 @@ import numpy as np
 
 from ..errors import FileError
 from ..signal import Signal
-from .control_points import select_control_points, select_frequency_points, separate_equal_times
-from .envelope import ENVELOPE_STEP_S, Emphasis, Envelope, Float, Index, compute_envelope
+from .envelope import (
+    EMPHASIS_DURATION_S,
+    ENVELOPE_STEP_S,
+    Emphasis,
+    Envelope,
+    Float,
+    Index,
+    compute_envelope,
+    count_clipped,
+    denormalise_frequency,
+    format_clipped,
+    normalise_frequency,
+    render_envelope,
+    select_control_points,
+    select_frequency_points,
+    separate_equal_times,
+)
 from .haptic import DROPPED
-from .json_files import JsonReader, read_json, write_json
+from .json_reader import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
-from .origin import SOFTWARE, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
-from .shares import count_clipped, denormalise_frequency, format_clipped, normalise_frequency
-from .tone import EMPHASIS_DURATION_S, render_envelope
+from .provenance import SOFTWARE, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
 
 MAX_EVENT_S = 30.0
 MAX_POINTS_PER_CURVE = 16

@@ -17,12 +17,10 @@ import numpy as np
 
 from ..errors import FileError
 from ..signal import Signal
-from .envelope import Envelope, compute_envelope
-from .json_files import JsonReader, read_json, write_json
+from .envelope import Envelope, compute_envelope, format_clipped, render_envelope
+from .json_reader import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
-from .origin import Provenance, make_provenance_record, make_rendered_provenance, parse_provenance
-from .shares import format_clipped
-from .tone import render_envelope
+from .provenance import Provenance, make_provenance_record, make_rendered_provenance, parse_provenance
 
 MAX_AMPLITUDE = 255
 STEP_MS = 10

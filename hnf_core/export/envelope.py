@@ -4,20 +4,28 @@
 root mean square over a Hann window (a sine of 3 m/s² has amplitude 3, noise of 1 m/s² RMS has √2). *Frequency* is the
 local power centroid within the range, Im(z̄ z′)/(2π |z|²) averaged with the power as weight (L. Cohen, Time-Frequency
 Analysis, 1995, ch. 2): exact for a tone, however short the window. Both need numpy's FFT alone.
+
+Curves as formats keep them: few points, and lines between them.
+
+Envelopes back to acceleration: what a device that knows only strength and frequency plays.
+
+m/s² and Hz ↔ the 0 … 1 of formats that know nothing else, and what did not fit.
 """
 
 from __future__ import annotations
 
+import math
 from bisect import bisect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
 from ..signal import Signal
-from .samples import MAX_RENDERED_SAMPLES, choose_render_rate, get_finite_samples
+from .options import MAX_RENDERED_SAMPLES, ExportOptions, choose_render_rate, get_finite_samples
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -191,3 +199,109 @@ def _larger_side_median(rows: Float, inside: Float) -> Float:
     """The greater of the medians before and after."""
     side = SIDE_STEPS[1] - SIDE_STEPS[0] + 1
     return np.asarray(np.maximum(np.median(rows[:, :side], axis=1), np.median(rows[:, -side:], axis=1)))
+
+
+MAX_FREQUENCY_ERROR = 0.02
+"""Of the frequency, between its control points."""
+
+
+def select_control_points(time: Float, value: Float, error: float, required: Iterable[int] = ()) -> Index:
+    """Indices (m,) of as few of the points as a greedy pass finds whose connecting lines stay within error of all
+    others; the first, the last and kept are always among them."""
+    times, values = time.tolist(), value.tolist()
+    chosen = [0]
+    for stop in sorted({*required, len(times) - 1}):
+        while chosen[-1] < stop:
+            chosen.append(_find_farthest_point(times, values, error, chosen[-1], stop))
+    return np.asarray(chosen, dtype=np.intp)
+
+
+def select_frequency_points(envelope: Envelope) -> Index:
+    """Where the frequency needs a control point."""
+    return select_control_points(envelope.time, np.log(envelope.frequency), MAX_FREQUENCY_ERROR)
+
+
+def separate_equal_times(time: Float) -> Float:
+    """Times that never fall → times that rise: of two equal ones, a step, the second comes a nanosecond later."""
+    rising = time.copy()
+    for index in np.flatnonzero(np.diff(time) <= 0.0) + 1:
+        rising[index] = max(rising[index - 1] + 1e-9, np.nextafter(rising[index - 1], np.inf))
+    return np.maximum.accumulate(rising)
+
+
+def _find_farthest_point(time: Sequence[float], value: Sequence[float], error: float, start: int, stop: int) -> int:
+    """The farthest point up to stop that a line from start reaches within error of all between. Such a line lies in the
+    cone of slopes that pass each of them within error (J. Sklansky and V. Gonzalez 1980); it only narrows."""
+    low, high, best = -math.inf, math.inf, start + 1
+    for index in range(start + 1, stop + 1):
+        span, rise = time[index] - time[start], value[index] - value[start]
+        if low <= rise / span <= high:
+            best = index
+        low, high = max(low, (rise - error) / span), min(high, (rise + error) / span)
+        if low > high:
+            break
+    return best
+
+
+CARRIER_DESCRIPTION = "a sine whose phase is the integral of the frequency envelope; the seed draws where it starts"
+EMPHASIS_DURATION_S = 0.015
+"""Length of a click, under a Hann window; the tone gives way to it. As long as Lofelt's tests of its emphasis on
+Android (`core/datamodel/src/emphasis.rs`); its level is the emphasis's own."""
+
+
+def render_envelope(envelope: Envelope, rate_hz: float, seed: int, *, where: str = "envelope") -> NDArray[np.float32]:
+    """(n,) m/s², n = round(duration · rate_hz): amplitude(t) sin(φ₀ + 2π ∫ frequency dt), φ₀ from seed, and the clicks.
+
+    Raises FileError where it would be longer than LONGEST_SAMPLES or a frequency reaches rate_hz / 2.
+    """
+    if not envelope.duration_s * rate_hz <= MAX_RENDERED_SAMPLES:
+        raise FileError(
+            f"{envelope.duration_s:g} s at {rate_hz:g} Hz are more than can be rendered.",
+            where=where,
+            remedy=f"At most {MAX_RENDERED_SAMPLES / rate_hz:.0f} s at this rate.",
+        )
+    highest = max([float(envelope.frequency.max()), *(each.frequency_hz for each in envelope.emphases)])
+    if highest >= 0.5 * rate_hz:
+        raise FileError(
+            f"{rate_hz:g} Hz cannot hold its {highest:g} Hz.", where=where, remedy=f"Give more than {2 * highest:g} Hz."
+        )
+    time = np.arange(round(envelope.duration_s * rate_hz)) / rate_hz
+    hertz = np.interp(time, envelope.time, envelope.frequency)
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (hertz[1:] + hertz[:-1]))]) if len(hertz) else hertz
+    start = np.random.default_rng(abs(seed)).uniform(0.0, 2.0 * np.pi)
+    samples = np.interp(time, envelope.time, envelope.amplitude) * np.sin(start + 2.0 * np.pi * turned / rate_hz)
+    for each in envelope.emphases:
+        first = max(0, int(np.ceil((each.time_s - 0.5 * EMPHASIS_DURATION_S) * rate_hz)))
+        near = slice(first, int((each.time_s + 0.5 * EMPHASIS_DURATION_S) * rate_hz) + 1)
+        away = time[near] - each.time_s
+        share = np.square(np.cos(np.pi * away / EMPHASIS_DURATION_S))
+        burst = each.amplitude * np.cos(2.0 * np.pi * each.frequency_hz * away)
+        samples[near] += share * (burst - samples[near])
+    return np.asarray(samples, dtype=np.float32)
+
+
+CLIPPED_PREFIX = "Clipped"
+"""How the sentence of what did not fit begins."""
+
+
+def normalise_frequency(hertz: Any, range_hz: tuple[float, float]) -> Any:
+    """Hz → 0 … 1 of the range, linear."""
+    return (hertz - range_hz[0]) / (range_hz[1] - range_hz[0])
+
+
+def denormalise_frequency(share: Any, range_hz: tuple[float, float]) -> Any:
+    """0 … 1 of the range → Hz."""
+    return range_hz[0] + share * (range_hz[1] - range_hz[0])
+
+
+def count_clipped(envelope: Envelope, options: ExportOptions) -> int:
+    """How many of its values and clicks exceed full scale; rounding is not counted."""
+    levels = np.concatenate([envelope.amplitude, [each.amplitude for each in envelope.emphases]])
+    return int(np.count_nonzero(np.round(levels / options.full_scale_m_s2, 12) > 1.0))
+
+
+def format_clipped(count: int, options: ExportOptions) -> tuple[str, ...]:
+    """The sentence, where count is not 0."""
+    if not count:
+        return ()
+    return (f"{CLIPPED_PREFIX}: {count} values above the full scale of {options.full_scale_m_s2:g} m/s².",)

@@ -22,15 +22,13 @@ from ..errors import UsageError
 from ..signal import Signal
 from .ahap import read_ahap, write_ahap
 from .android import read_android, write_android
-from .glb import read_glb, write_glb
+from .csv_npz import read_csv, read_npz, write_csv, write_npz
+from .gltf import read_glb, write_glb
 from .haptic import read_haptic, write_haptic
-from .hjif import write_hjif
-from .hjif_read import read_hjif
-from .listen import LISTEN_FORMAT as LISTEN
-from .listen import fit_full_scale, write_listening_copy
+from .hjif import read_hjif, write_hjif
 from .options import ExportOptions, ImportOptions
-from .table import read_csv, read_npz, write_csv, write_npz
-from .wav_copies import make_copy_writer, read_wav_scaled, write_native_wav
+from .wav import LISTEN_FORMAT as LISTEN
+from .wav import fit_full_scale, make_copy_writer, read_wav_scaled, write_listening_copy, write_native_wav
 
 Writer = Callable[[Path, Signal, ExportOptions], tuple[str, ...]]
 Reader = Callable[[Path, ImportOptions], Signal]

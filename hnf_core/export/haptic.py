@@ -14,13 +14,23 @@ from typing import Any
 import numpy as np
 
 from ..signal import Signal
-from .control_points import select_control_points, select_frequency_points, separate_equal_times
-from .envelope import Emphasis, Envelope, Float, compute_envelope
-from .json_files import JsonReader, read_json, write_json
+from .envelope import (
+    Emphasis,
+    Envelope,
+    Float,
+    compute_envelope,
+    count_clipped,
+    denormalise_frequency,
+    format_clipped,
+    normalise_frequency,
+    render_envelope,
+    select_control_points,
+    select_frequency_points,
+    separate_equal_times,
+)
+from .json_reader import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
-from .origin import SOFTWARE, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
-from .shares import count_clipped, denormalise_frequency, format_clipped, normalise_frequency
-from .tone import render_envelope
+from .provenance import SOFTWARE, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
 
 VERSION = {"major": 1, "minor": 0, "patch": 0}
 _DIGITS = 6

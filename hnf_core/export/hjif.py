@@ -13,6 +13,13 @@ origin stand as JSON in the three descriptions (255 bytes each at most).
 * With the surface it was drawn on: VibrotactileTexture, ticks of way (10^unit_exponent m), a channel whose `vertices`
   are those under the stroke, in the mesh that the avatar names: NAME.hjif.glb, written beside. timescale is the
   mean speed in ticks a second, so that a player that knows time alone plays it at that speed.
+
+The bands of `.hjif`, rendered: keyframes of an effect → samples (see `hjif_read.py`).
+
+`.hjif` → Signal: what `hjif.py` writes, and of other files bands of the types Curve, VectorialWave and Transient.
+
+Rendered as the reference software's synthesiser does (MPEGGroup/HapticReferenceSoftware: Types/src/Band.cpp,
+Types/src/Effect.cpp), with a chirp's phase as the exact integral of its frequency.
 """
 
 from __future__ import annotations
@@ -20,7 +27,7 @@ from __future__ import annotations
 import datetime
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,12 +40,17 @@ from ..errors import FileError
 from ..files import write_bytes
 from ..signal import Signal
 from ..units import m_to_mm
-from .glb import encode_surface
-from .gltf_mesh import build_vertex_table, find_vertices_on_path
-from .json_files import write_json
-from .options import ExportOptions
-from .samples import get_finite_samples
-from .surface import StrokePath, TouchedSurface
+from .gltf import build_vertex_table, encode_surface, find_vertices_on_path
+from .json_reader import JsonReader, read_json, write_json
+from .options import (
+    DEFAULT_FULL_SCALE_M_S2,
+    MAX_FULL_SCALE_M_S2,
+    MIN_FULL_SCALE_M_S2,
+    ExportOptions,
+    ImportOptions,
+    get_finite_samples,
+)
+from .touched_surface import StrokePath, TouchedSurface
 from .wav import UNITS
 
 VERSION, PROFILE, LEVEL = "2025", "Main", 1
@@ -255,3 +267,283 @@ def _dump_compact_json(facts: Mapping[str, Any]) -> str:
 
 def _truncate_text(text: str) -> str:
     return text.encode()[:MAX_TEXT_BYTES].decode(errors="ignore")
+
+
+Float = NDArray[np.float64]
+TRANSIENT_S = 0.022
+"""Of a transient: two periods of a sine (the reference software's TRANSIENT_DURATION_MS)."""
+
+
+@dataclass(frozen=True)
+class TickGrid:
+    """The grid to render on: count samples, rate a second, with timescale ticks a second."""
+
+    count: int
+    rate: int
+    timescale: int
+
+
+@dataclass(frozen=True)
+class EffectKeyframes:
+    """An effect's keyframes. start: tick at which it begins. place: (k,) ticks after it, never falling. amplitude,
+    frequency: (k,), Hz, NaN where a keyframe has none. phase: rad. shape: of its wave. low_hz, high_hz: of its band.
+    linear: whether a curve goes in lines. joined: another begins exactly where this one ends. tail: ticks that it
+    sounds on after its last keyframe."""
+
+    start: int
+    position: Float
+    amplitude: Float
+    frequency: Float
+    phase: float
+    shape: str
+    low_hz: float = 0.0
+    high_hz: float = np.inf
+    linear: bool = False
+    joined: bool = False
+    tail: float = 0.0
+
+    @property
+    def end(self) -> float:
+        """Tick at which it is over."""
+        return self.start + (float(self.position[-1]) if len(self.position) else 0.0) + self.tail
+
+
+def render_curve(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
+    """(first sample, values) of a curve: lines, or cubics that are level at each keyframe."""
+    known = np.isfinite(effect.amplitude)
+    place, value = effect.position[known], effect.amplitude[known]
+    first, at = _sample_ticks(effect, ticks)
+    if len(place) == 0:
+        return first, np.zeros(0)
+    if effect.joined and len(at) and at[-1] >= effect.position[-1]:
+        at = at[:-1]
+    if effect.linear or len(place) == 1:
+        return first, np.interp(at, place, value)
+    after = np.clip(np.searchsorted(place, at, side="right"), 1, len(place) - 1)
+    wide = np.maximum(place[after] - place[after - 1], 1e-12)
+    share = np.clip((at - place[after - 1]) / wide, 0.0, 1.0)
+    return first, value[after - 1] + (value[after] - value[after - 1]) * (3.0 - 2.0 * share) * share**2
+
+
+def render_wave(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
+    """(first sample, values) of a wave whose amplitude and frequency go in lines from keyframe to keyframe."""
+    first, at = _sample_ticks(effect, ticks)
+    if len(effect.position) == 0:
+        return first, np.zeros(0)
+    known = np.isfinite(effect.amplitude)
+    amplitude = np.interp(at, effect.position[known], effect.amplitude[known]) if known.any() else np.ones(len(at))
+    tones = np.isfinite(effect.frequency)
+    cycles = np.full(len(at), effect.phase / (2.0 * np.pi))
+    if tones.any():
+        place = effect.position[tones] / ticks.timescale
+        tone = np.clip(effect.frequency[tones], effect.low_hz, effect.high_hz)
+        cycles = cycles + _integrate_frequency(at / ticks.timescale, place, tone)
+    return first, amplitude * _WAVEFORMS.get(effect.shape, _sine)(cycles)
+
+
+def render_transient(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
+    """(first sample, values) of clicks: two periods of a sine at each keyframe."""
+    first, at = _sample_ticks(effect, ticks)
+    values = np.zeros(len(at))
+    for place, amplitude in zip(effect.position, effect.amplitude, strict=True):
+        inside = slice(*np.searchsorted(at, (place, place + TRANSIENT_S * ticks.timescale)))
+        turn = (at[inside] - place) / (TRANSIENT_S * ticks.timescale)
+        values[inside] += np.nan_to_num(amplitude) * np.sin(4.0 * np.pi * turn)
+    return first, values
+
+
+BAND_RENDERERS: dict[str, Callable[[EffectKeyframes, TickGrid], tuple[int, Float]]] = {
+    "Curve": render_curve,
+    "VectorialWave": render_wave,
+    "Transient": render_transient,
+}
+
+
+def _sample_ticks(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
+    """First sample of an effect within the grid, and the ticks after its start of all its samples."""
+    # In whole numbers: a tick of a float grid may fall short of a keyframe that it stands on.
+    first = max(0, -((-effect.start * ticks.rate) // ticks.timescale))
+    stop = min(ticks.count, int(effect.end * ticks.rate // ticks.timescale) + 1)
+    at = np.arange(first, max(first, stop), dtype=np.float64) * ticks.timescale / ticks.rate - effect.start
+    return min(first, ticks.count), at
+
+
+def _integrate_frequency(time: Float, keyframe_time: Float, keyframe_frequency: Float) -> Float:
+    """Cycles from 0 to time of a frequency that goes in lines through (place, tone), and stays before and after."""
+    knots = np.concatenate([[0.0], keyframe_time]) if keyframe_time[0] > 0.0 else keyframe_time
+    tones = (
+        np.concatenate([[keyframe_frequency[0]], keyframe_frequency]) if keyframe_time[0] > 0.0 else keyframe_frequency
+    )
+    area = np.concatenate([[0.0], np.cumsum(np.diff(knots) * (tones[1:] + tones[:-1]) / 2.0)])
+    index = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(knots) - 1)
+    here = np.interp(time, knots, tones)
+    return np.asarray(area[index] + (time - knots[index]) * (tones[index] + here) / 2.0)
+
+
+def _sine(cycles: Float) -> Float:
+    return np.asarray(np.sin(2.0 * np.pi * cycles))
+
+
+_WAVEFORMS: dict[str, Callable[[Float], Float]] = {
+    "Sine": _sine,
+    "Square": lambda cycles: 1.0 - 2.0 * np.round(cycles - np.floor(cycles)),
+    "Triangle": lambda cycles: 1.0 - 4.0 * np.abs(np.round(cycles - 0.25) - (cycles - 0.25)),
+    "SawToothUp": lambda cycles: 2.0 * (cycles - np.floor(cycles + 0.5)),
+    "SawToothDown": lambda cycles: 2.0 * (np.floor(cycles + 0.5) - cycles),
+}
+
+
+DEFAULT_TIMESCALE = 1000
+MAX_TICKS = 2**31 - 1
+MAX_READ_SAMPLES = 20_000_000
+MAX_GAIN = 1e45
+"""The largest float32 over the smallest full scale."""
+_REFERENCE_REMEDY = "Render it with MPEG's reference software, and import the WAV."
+
+
+@dataclass(frozen=True)
+class _StatedScale:
+    """full_scale: m/s² that 1 stands for. told: whether the file says so. seed: as told, else of the options."""
+
+    full_scale: float
+    is_stated: bool
+    seed: int
+
+
+def read_hjif(path: Path, options: ImportOptions) -> Signal:
+    """The file's one channel in m/s², at the rate that it states, else that of options.
+
+    A texture is played at the speed that the file's timescale stands for. Raises FileError where the file breaks the
+    format, has several channels, or bands of another type.
+    """
+    tree, reading = read_json(path), JsonReader(path)
+    perceptions = [
+        (each, reading.get_array(_require_object(reading, each), "channels"))
+        for each in reading.get_array(tree, "perceptions")
+    ]
+    filled = [(perception, channel) for perception, channels in perceptions for channel in channels]
+    if len(filled) != 1:
+        raise reading.make_error(f"has {len(filled)} channels, and a vibration has one")
+    perception, channel = filled[0][0], _require_object(reading, filled[0][1])
+    timescale = _read_integer(reading, tree, "timescale", 1, 10**6, DEFAULT_TIMESCALE)
+    rate = _read_integer(reading, channel, "frequency_sampling", 1, 10**6, int(options.rate_hz))
+    library = {
+        _read_integer(reading, each, "id", -1, MAX_TICKS): each
+        for each in reading.get_array(perception, "effect_library")
+    }
+    parts = list(_iter_effects(reading, channel, library, timescale))
+    last = int(max((part.end for _, part in parts), default=-1.0) * rate // timescale)
+    count = _read_integer(reading, channel, "sample_count", 0, MAX_TICKS, max(last + 1, 0))
+    if count > MAX_READ_SAMPLES:
+        raise reading.make_error(f"lasts {count / rate:.0f} s, more than can be held")
+    ticks = TickGrid(count, rate, timescale)
+    shares = np.zeros(count)
+    for band, part in parts:
+        first, values = BAND_RENDERERS[band](part, ticks)
+        shares[first : first + len(values)] += values
+    exponent = _read_integer(reading, perception, "perception_unit_exponent", -128, 127, 0)
+    gain = reading.get_number(channel, "gain", -MAX_GAIN, MAX_GAIN) * 10.0**exponent
+    scale = _read_scale(tree.get("description"), options)
+    with np.errstate(over="ignore"):
+        samples = np.asarray(shares * (gain * scale.full_scale), dtype=np.float32)
+    if not np.isfinite(samples).all():
+        raise reading.make_error("some samples are beyond all measure")
+    return Signal(samples, float(rate), scale.seed, _make_provenance(path, perception, scale))
+
+
+def _iter_effects(
+    reading: JsonReader, channel: dict[str, Any], library: dict[int, dict[str, Any]], timescale: int
+) -> Iterator[tuple[str, EffectKeyframes]]:
+    """(band type, effect) of everything in a channel."""
+    for row in reading.get_array(channel, "bands"):
+        band = _require_object(reading, row)
+        kind = band.get("band_type")
+        if not isinstance(kind, str) or kind not in BAND_RENDERERS:
+            error = reading.make_error(
+                f"holds a band of type '{kind}', and only {', '.join(BAND_RENDERERS)} can be read"
+            )
+            error.remedy = _REFERENCE_REMEDY
+            raise error
+        curve = band.get("curve_type", "Cubic")
+        if kind == "Curve" and curve not in ("Cubic", "Linear"):
+            raise reading.make_error(f"holds a curve of type '{curve}', and only Cubic and Linear can be read")
+        low = reading.get_number(band, "lower_frequency_limit", 0.0, 1e6)
+        high = reading.get_number(band, "upper_frequency_limit", 0.0, 1e6)
+        effects = sorted(
+            (
+                _read_effect(reading, _require_object(reading, each), library)
+                for each in reading.get_array(band, "effects")
+            ),
+            key=lambda effect: effect.start,
+        )
+        for number, effect in enumerate(effects):
+            joined = number + 1 < len(effects) and effects[number + 1].start == effect.end
+            tail = TRANSIENT_S * timescale if kind == "Transient" else 0.0
+            yield kind, replace(effect, low_hz=low, high_hz=high, linear=curve == "Linear", joined=joined, tail=tail)
+
+
+def _read_effect(reading: JsonReader, row: dict[str, Any], library: dict[int, dict[str, Any]]) -> EffectKeyframes:
+    kind, start = row.get("effect_type"), _read_integer(reading, row, "position", -MAX_TICKS, MAX_TICKS)
+    if kind == "Reference":
+        row = library.get(_read_integer(reading, row, "id", -1, MAX_TICKS), {})
+        kind = row.get("effect_type")
+    if kind != "Basis":
+        raise reading.make_error(f"holds an effect of type '{kind}', and only Basis and Reference can be read")
+    keyframes = [_require_object(reading, each) for each in reading.get_array(row, "keyframes")]
+    place = np.array(
+        [_read_integer(reading, each, "relative_position", 0, MAX_TICKS, 0) for each in keyframes], dtype=float
+    )
+    if np.any(np.diff(place) < 0.0):
+        raise reading.make_error("the places of its keyframes fall")
+    signal = row.get("base_signal")
+    return EffectKeyframes(
+        start=start,
+        position=place,
+        amplitude=_read_values(reading, keyframes, "amplitude_modulation", 1e6),
+        frequency=_read_values(reading, keyframes, "frequency_modulation", 1e6),
+        phase=reading.get_number(row, "phase", -1e6, 1e6),
+        shape=signal if isinstance(signal, str) else "Sine",
+    )
+
+
+def _read_values(reading: JsonReader, keyframes: list[dict[str, Any]], name: str, largest: float) -> Float:
+    """NaN where a keyframe has none."""
+    return np.array(
+        [reading.get_number(each, name, -largest, largest) if name in each else np.nan for each in keyframes]
+    )
+
+
+def _require_object(reading: JsonReader, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise reading.make_error("a part of it is no object")
+    return value
+
+
+def _read_integer(reading: JsonReader, owner: Any, name: str, low: int, high: int, default: int | None = None) -> int:
+    if default is not None and isinstance(owner, dict) and name not in owner:
+        return default
+    return round(reading.get_number(owner, name, low, high))
+
+
+def _read_scale(text: object, options: ImportOptions) -> _StatedScale:
+    """What the file's description states, else what options say. Text of others states nothing."""
+    try:
+        record = json.loads(text) if isinstance(text, str) else {}
+        scale, seed = float(record["full_scale"]), int(record["seed"])
+        if record["units"] == UNITS and MIN_FULL_SCALE_M_S2 <= scale <= MAX_FULL_SCALE_M_S2:
+            return _StatedScale(scale, True, seed)
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
+        pass
+    return _StatedScale(options.full_scale_m_s2 or DEFAULT_FULL_SCALE_M_S2, False, options.seed)
+
+
+def _make_provenance(path: Path, perception: dict[str, Any], scale: _StatedScale) -> dict[str, str]:
+    """Provenance: as it was told, and where not, what was assumed."""
+    if not scale.is_stated:
+        said = f"1 = {scale.full_scale:g} m/s² (the file states none)"
+        return {"source": path.name, "scale": said, "modality": str(perception.get("perception_modality"))}
+    try:
+        told = json.loads(str(perception.get("description")))
+        return {str(name): str(value) for name, value in told.items()}
+    except (ValueError, AttributeError, RecursionError):
+        return {"source": path.name}

@@ -1,11 +1,18 @@
-"""What a conversion must be told because a flat format has no place, or only 0 … 1, for it."""
+"""What a conversion must be told because a flat format has no place, or only 0 … 1, for it.
+
+What every format asks of a signal before it writes it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..errors import UsageError
-from .surface import TouchedSurface
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError, UsageError
+from ..signal import Signal
+from .touched_surface import TouchedSurface
 
 DEFAULT_FULL_SCALE_M_S2 = 30.0
 """Where nobody says: the generic voice coil's largest acceleration (`hnf_core/actuators/profile.py`)."""
@@ -62,3 +69,28 @@ def _check_scale_and_range(full_scale_m_s2: float, range_hz: tuple[float, float]
         raise UsageError(f"a full scale of {full_scale_m_s2:g} m/s² fits no device.", remedy="Give e.g. 30.")
     if not 0.0 < range_hz[0] < range_hz[1] <= 1e5:
         raise UsageError(f"{range_hz[0]:g} to {range_hz[1]:g} Hz is no range.", remedy="Give e.g. 20 and 1000.")
+
+
+MAX_RENDERED_SAMPLES = 2**24
+"""Rendered from envelopes: 28 minutes at 10 kHz. A file that claims more is damaged, or made to fill memory."""
+
+
+def get_finite_samples(signal: Signal, where: str) -> NDArray[np.float32]:
+    """The signal's samples, (n,). Raises FileError where there is one that is not finite, or another shape."""
+    with np.errstate(over="ignore"):
+        samples = np.asarray(signal.samples, dtype="<f4")
+    if samples.ndim != 1:
+        raise FileError(f"a signal is one-dimensional, this one has shape {samples.shape}.", where=where)
+    bad = int(np.count_nonzero(~np.isfinite(samples)))
+    if bad:
+        raise FileError(
+            f"{bad} of {len(samples)} samples are not finite, so nothing was written.",
+            where=where,
+            remedy="Check the stroke's keyframes and the material's values for NaN or infinity.",
+        )
+    return samples
+
+
+def choose_render_rate(signal: Signal, range_hz: tuple[float, float]) -> float:
+    """Hz at which an envelope of signal is rendered again: the signal's own, or what holds the range."""
+    return float(min(max(round(signal.sample_rate), round(2.5 * range_hz[1]), 1), 1_000_000))

@@ -6,6 +6,15 @@ length c(s(t)) glide with its speed, as the tone of a weave or a grating does: f
 
 Every carrier is a chain of half-overlapping noise blocks with power-complementary fades; block j is a pure function of
 (seed, family, j), so any stretch is computable alone and nothing repeats.
+
+Counter-based normal noise: any block of any stream is computable alone, and no stream repeats.
+
+Noise bands as waves: each is a few bins of a long period, so a product of matrices makes it for less than a
+transform that is mostly zeros.
+
+A band's bins k₀ … k₀ + W − 1 are an envelope, W slow turns that are the same for every band, on a turn at k₀. Turns at
+n and at −n have the same cosine and opposite sines: half of the samples say the rest. What is broad is left to the
+inverse FFT.
 """
 
 from __future__ import annotations
@@ -13,11 +22,118 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .noise import crossfade_window, draw_band_spectra
+from ..kernel import compiled_carriers as kernel_noise
+from ..kernel.compiled_carriers import TILE_SAMPLES
+from ..kernel.loader import load_kernel
+
+WORD_MASK = 0xFFFF_FFFF_FFFF_FFFF
+_WORDS_PER_COUNT = 4
+
+
+def _draw_words(seed: int, stream: int, block: int, first: int, last: int) -> NDArray[np.uint64]:
+    """Words first … last − 1 of block `block` (any integer, also negative) of a stream; what lies before them is not
+    drawn.
+
+    Philox4x64-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") keyed by (seed, stream) at a
+    counter set by the block. Raw words, for numpy promises those across versions, but not its own normal sampler, and
+    the same seed must give the same bytes.
+    """
+    skipped = first // _WORDS_PER_COUNT
+    bits = np.random.Philox(
+        key=(seed & WORD_MASK) | ((stream & WORD_MASK) << 64), counter=((block & WORD_MASK) << 64) + skipped
+    )
+    return np.asarray(bits.random_raw(last - _WORDS_PER_COUNT * skipped)[first - _WORDS_PER_COUNT * skipped :])
+
+
+def _to_uniform(words: NDArray[np.uint64]) -> NDArray[np.float64]:
+    """In 0 … 1, both ends left out."""
+    return np.asarray(((words >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53)
+
+
+def _draw_polar(
+    seed: int, stream: int, block: int, pairs: int, rows: slice
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Radius and angle of those in rows of a block's pairs: their cosine and sine parts are normal (Box & Muller
+    1958)."""
+    radius = _to_uniform(_draw_words(seed, stream, block, rows.start, rows.stop))
+    angle = _to_uniform(_draw_words(seed, stream, block, pairs + rows.start, pairs + rows.stop))
+    return np.sqrt(-2.0 * np.log(radius)), 2.0 * np.pi * angle
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """The bins of a period of size samples that bands hold. starts: (B + 1,) the first of each, and of what follows the
+    last. level: (Σ W,) of each bin, so that every band is of unit expected power."""
+
+    starts: NDArray[np.intp]
+    level: NDArray[np.float64]
+    size: int
+
+    def select_bands(self, low: int, high: int) -> Bins:
+        """Of bands low … high − 1 alone: drawn apart, their numbers are the same."""
+        first, last = self.starts[[low, high]] - self.starts[0]
+        return Bins(self.starts[low : high + 1], self.level[first:last], self.size)
+
+
+def make_bins(edges: NDArray[np.float64], size: int) -> Bins:
+    """edges: (B + 1,) ascending band edges in cycles per period; a bin belongs to the band that holds it, bins outside
+    to none. Raises ValueError where a band is narrower than the period resolves."""
+    starts = find_first_bins(edges, size)
+    widths = np.diff(starts)
+    # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
+    return Bins(starts, np.repeat(size / np.sqrt(4.0 * widths), widths), size)
+
+
+def draw_band_spectra(
+    seed: int, stream: int, block: int, edges: NDArray[np.float64], size: int
+) -> NDArray[np.complex128]:
+    """rfft spectra (B, size // 2 + 1) of B noise bands, each of unit expected power over a period of size samples.
+
+    Disjoint bands take their numbers from one white spectrum, so they are independent. edges, errors: as in bins_of.
+    """
+    bins = make_bins(edges, size)
+    drawn, starts = draw_band_bins(seed, stream, block, bins), bins.starts
+    spectra = np.zeros((len(edges) - 1, size // 2 + 1), dtype=np.complex128)
+    for band, (low, high) in enumerate(pairwise(starts.tolist())):
+        spectra[band, low:high] = drawn[low - starts[0] : high - starts[0]]
+    return spectra
+
+
+def draw_band_bins(seed: int, stream: int, block: int, bins: Bins) -> NDArray[np.complex128]:
+    """(Σ W,) the bins of band_spectra that are not zero, one band after another. Numbers that no band holds are not
+    drawn."""
+    first, last, pairs = int(bins.starts[0]), int(bins.starts[-1]), bins.size // 2 + 1
+    compiled = load_kernel()
+    if compiled is not None:
+        return kernel_noise.draw_bins(
+            compiled, (seed & WORD_MASK, stream & WORD_MASK, block & WORD_MASK), pairs, first, bins.level
+        )
+    radius, angle = _draw_polar(seed, stream, block, pairs, slice(first, last))
+    out = np.empty(len(radius), dtype=np.complex128)
+    out.real, out.imag = radius * bins.level * np.cos(angle), radius * bins.level * np.sin(angle)
+    return out
+
+
+def find_first_bins(edges: NDArray[np.float64], size: int) -> NDArray[np.intp]:
+    """(B + 1,) first bin of each band and of what follows the last. Raises ValueError as bins_of does."""
+    starts = np.clip(np.ceil(edges).astype(np.intp), 1, size // 2)
+    empty = np.diff(starts) <= 0
+    if empty.any():
+        raise ValueError(f"band {int(np.argmax(empty))} holds no bin of a period of {size} samples")
+    return starts
+
+
+def crossfade_window(size: int) -> NDArray[np.float64]:
+    """Power-complementary window (size,): w²(t) + w²(t + size/2) = 1, smooth at its ends (the Vorbis I window)."""
+    t = (np.arange(size) + 0.5) / size
+    return np.asarray(np.sin(0.5 * np.pi * np.square(np.sin(np.pi * t))))
+
 
 Float = NDArray[np.float64]
 
@@ -146,3 +262,125 @@ def _overlap_add(waves: Callable[[int], Float], size: int, bands: int, start: in
         low, high = max(start, first), min(start + count, first + size)
         out[:, low - start : high - start] += waves(block)[:, low - first : high - first]
     return out
+
+
+Float32 = NDArray[np.float32]
+Complex = NDArray[np.complex128]
+Starts = NDArray[np.intp]
+
+MAX_PRODUCT_BINS = 32
+"""Bins of a band up to which a product is the faster."""
+
+
+@dataclass(frozen=True, eq=False)
+class WavePlan:
+    """What does not change from block to block.
+
+    starts: (B + 1,) first bin of each band, and of what follows the last. window: (size,). narrow, broad: bands that
+    are a product and those that are a transform. slow: (2W, size / 2 + 1) cosines of 0 … W − 1 turns, then sines.
+    turns: cosine and sine (narrow, size / 2 + 1) of first bins.
+    """
+
+    starts: Starts
+    window: Float32
+    narrow: Starts
+    broad: Starts
+    slow: Float32
+    turns: tuple[Float32, Float32]
+
+    @property
+    def size(self) -> int:
+        return len(self.window)
+
+    def select_bands(self, low: int, high: int) -> WavePlan:
+        """Of bands low … high − 1 alone."""
+        narrow = slice(*np.searchsorted(self.narrow, (low, high)))
+        broad = self.broad[slice(*np.searchsorted(self.broad, (low, high)))] - low
+        cosine, sine = self.turns
+        return WavePlan(
+            self.starts[low : high + 1], self.window, self.narrow[narrow] - low, broad, self.slow,
+            (cosine[narrow], sine[narrow]),
+        )  # fmt: skip
+
+
+def make_wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
+    """Of bands that are turned back by `middle` turns a period; window: (size,)."""
+    width, size = np.diff(starts), len(window)
+    narrow, broad = np.flatnonzero(width <= MAX_PRODUCT_BINS), np.flatnonzero(width > MAX_PRODUCT_BINS)
+    slow = _sinusoids(np.arange(int(width[narrow].max(initial=0))), size)
+    return WavePlan(
+        np.ascontiguousarray(starts, dtype=np.int64), window.astype(np.float32), narrow, broad, np.concatenate(slow),
+        _sinusoids(starts[narrow] - middle, size),
+    )  # fmt: skip
+
+
+def render_real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None) -> Float32:
+    """2 Re Σ_k X_k e^{2πikn/size} of each of B bands, times the window; (B, size).
+
+    bins: (Σ W,) X of the bands one after another; every bin lies between 0 and size / 2. out: where to put them.
+    """
+    out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.float32) if out is None else out
+    compiled = load_kernel()
+    if len(plan.narrow) and compiled is not None and plan.size % TILE_SAMPLES == 0:
+        given = plan.starts, plan.narrow, plan.slow, plan.turns, plan.window
+        kernel_noise.render_real_waves(compiled, bins, *given, out)
+    elif len(plan.narrow):
+        cosine, sine = plan.turns
+        ahead, back = _envelopes(2.0 * _padded(bins, plan), plan.slow)
+        out[plan.narrow] = plan.window * _mirror(
+            ahead.real * cosine - ahead.imag * sine, back.real * cosine + back.imag * sine
+        )
+    if len(plan.broad):
+        # As long as what comes out, though half is read: numpy 1 would copy it to that length.
+        spectra = np.zeros((len(plan.broad), plan.size), dtype=np.complex128)
+        for spectrum, band in zip(spectra, plan.broad, strict=True):
+            low, high = plan.starts[band], plan.starts[band + 1]
+            spectrum[low:high] = bins[low - plan.starts[0] : high - plan.starts[0]]
+        waves = np.fft.irfft(spectra, plan.size)
+        waves *= plan.size * plan.window.astype(np.float64)
+        out[plan.broad] = waves
+    return out
+
+
+def render_complex_waves(
+    bins: Complex, plan: WavePlan, out: NDArray[np.complex64] | None = None
+) -> NDArray[np.complex64]:
+    """Σ_k X_k e^{2πi(k − middle)n/size} of each of B bands of at most WIDEST bins, times the window; (B, size). out:
+    where to put them."""
+    out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.complex64) if out is None else out
+    compiled = load_kernel()
+    if compiled is not None and plan.size % TILE_SAMPLES == 0:
+        kernel_noise.render_complex_waves(compiled, bins, plan.starts, plan.slow, plan.turns, plan.window, out)
+        return out
+    turn = plan.turns[0] + 1j * plan.turns[1]
+    ahead, back = _envelopes(_padded(bins, plan), plan.slow)
+    return np.multiply(plan.window, _mirror(ahead * turn, back * turn.conj()), out=out, casting="same_kind")
+
+
+def _padded(bins: Complex, plan: WavePlan) -> Complex:
+    """(narrow, W) their bins, then zeros; W: of the widest."""
+    width = np.diff(plan.starts)[plan.narrow, None]
+    at = (plan.starts[:-1] - plan.starts[0])[plan.narrow, None] + np.arange(len(plan.slow) // 2)
+    inside = np.arange(len(plan.slow) // 2) < width
+    return np.where(inside, bins[np.minimum(at, len(bins) - 1)], 0.0)
+
+
+def _envelopes(bins: Complex, slow: Float32) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
+    """Σ_w bins (B, W) e^{±2πiwn/size} at n = 0 … size / 2, with either sign."""
+    cosine, sine = slow[: len(slow) // 2], slow[len(slow) // 2 :]
+    both = np.concatenate([bins.real, bins.imag]).astype(np.float32)
+    even, odd = both @ cosine, both @ sine
+    x, y = even[: len(bins)] + 1j * even[len(bins) :], 1j * odd[: len(bins)] - odd[len(bins) :]
+    return x + y, x - y
+
+
+def _mirror(ahead: NDArray[Any], back: NDArray[Any]) -> NDArray[Any]:
+    """(B, size) of samples n and −n, n = 0 … size / 2."""
+    return np.concatenate([ahead, back[:, -2:0:-1]], axis=1)
+
+
+def _sinusoids(wavenumbers: Starts, size: int) -> tuple[Float32, Float32]:
+    """cos and sin of 2πkn/size, (B, size / 2 + 1), from one period of each."""
+    angle = 2.0 * np.pi * np.arange(size) / size
+    at = np.multiply.outer(wavenumbers, np.arange(size // 2 + 1)) % size
+    return np.cos(angle).astype(np.float32)[at], np.sin(angle).astype(np.float32)[at]

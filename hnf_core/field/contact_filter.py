@@ -15,14 +15,13 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from ..kernel.library import load_kernel
-from ..kernel.press import StateResponses
-from ..material.contact import force_response, height_response
-from ..material.mechanics import Mechanics
+from ..kernel.compiled_carriers import StateResponses
+from ..kernel.loader import load_kernel
+from ..material.contact_model import Mechanics, force_response, height_response
 from ..material.probe import PROBES, Probe
+from .carrier_rendering import find_states_read, interpolate_amplitudes
 from .carriers import MODEL_RATE_HZ
-from .modulation import find_states_read, interpolate_amplitudes
-from .timeline import SAMPLES_PER_STATE, STATE_FRACTIONS, evaluate_bspline
+from .stroke import SAMPLES_PER_STATE, STATE_FRACTIONS, evaluate_bspline
 
 Float = NDArray[np.float64]
 Response = Callable[[ArrayLike, Mechanics, Probe, ArrayLike], NDArray[np.complex128]]

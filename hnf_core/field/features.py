@@ -2,6 +2,8 @@
 
 Mechanics do not show in a picture (foam and stone give the same map), so they are inputs of their own, each with a
 flag that says whether it is known.
+
+Rotation-invariant RMS distance between tokens, in the field's input normalisation.
 """
 
 from __future__ import annotations
@@ -9,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ..material.contact import with_defaults
-from ..material.mechanics import Mechanics
+from ..errors import MaterialError
+from ..material.contact_model import Mechanics, with_defaults
 from ..material.probe import PROBES
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
 from .carriers import Carriers
@@ -22,9 +24,9 @@ from .linear_contact import (
     Condition,
     arc_gain,
     compute_linear_contact,
+    encode_line_prior,
     time_band_power,
 )
-from .lines import encode_line_prior
 
 Float = NDArray[np.float64]
 
@@ -182,3 +184,28 @@ def encode_mechanics(mechanics: Mechanics) -> tuple[float, ...]:
     known = [value is not None for value in (mechanics.stiffness_n_m, mechanics.damping_ratio, mechanics.friction)]
     values = (np.log(full.stiffness_n_m / 5e4) / 2.0, (full.damping_ratio - 0.2) / 0.2, (full.friction - 0.3) / 0.3)
     return tuple(float(item) for pair in zip(values, known, strict=True) for item in pair)
+
+
+ROTATION_COUNT = 36
+"""Directions tried over half a turn: every 5°. After half a turn every moment of a token is what it was."""
+
+
+def token_distances(values: ArrayLike, known: NDArray[np.bool_], others: ArrayLike) -> Float:
+    """(n,) root mean square difference of the known features, normalised as the field's input is (one unit: a factor of
+    30 in height, or all of a band's anisotropy), least over the directions in which the others may lie.
+
+    values: (TOKEN_DIM,). known: (TOKEN_DIM,). others: (n, TOKEN_DIM). Raises MaterialError where nothing is known or
+    sizes are wrong.
+    """
+    own, rest = np.asarray(values, dtype=np.float64), np.asarray(others, dtype=np.float64)
+    if own.shape != (TOKEN_DIM,) or known.shape != (TOKEN_DIM,) or rest.ndim != 2 or rest.shape[1] != TOKEN_DIM:
+        raise MaterialError(f"tokens hold {TOKEN_DIM} values, not {own.shape}, {known.shape} and {rest.shape}.")
+    if not known.any():
+        raise MaterialError("a token of which nothing is known is like no other.")
+    normal = normalise_tokens(own[None])[0, known]
+    least = np.full(len(rest), np.inf)
+    for angle in np.pi * np.arange(ROTATION_COUNT) / ROTATION_COUNT:
+        direction = np.tile([np.cos(angle), np.sin(angle)], (len(rest), 1))
+        gap = normalise_tokens(rotate_to_stroke_frame(rest, direction))[:, known] - normal
+        least = np.minimum(least, np.sqrt(np.mean(gap**2, axis=1)))
+    return least

@@ -4,31 +4,249 @@ Haptic Neural Fields (CVPR 2026): L layers of H units, α and σ heads of N valu
 carrier, σΔt is what the σ head gives (in seconds Σw would start at 3.5e-4 and training stall), and the N states may be
 past states u(t − nΔ), which unlike N heads of one state carry memory. The published form is
 FieldConfig.published().
+
+The architecture of F_Θ: its layers and heads, what its states are, and which carriers its emissions drive.
+
+The layers and heads of F_Θ on many states: bytes that do not depend on how many cores a machine has to spare.
+
+OpenBLAS adds in another order on another number of threads. So states go through in portions that follow from their
+number alone, each on one thread of BLAS, as many at once as there are cores where that is worth the trouble.
+
+F_Θ at many states by the compiled kernel, for fields of the shipped form: the twin in C of what field.py does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from ctypes import CDLL
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.layers import Layers
-from ..kernel.library import load_kernel
-from .config import FieldConfig
-from .emitter import decode_outputs, evaluate_compiled, get_emitter, kernel_supports
-from .features import build_inputs
-from .linear_contact import Condition
-from .lines import LINE_GAIN_COUNT, compute_line_power
-from .network import run_network
-from .ranges import TrainingRanges
-from .rendering import render_weights
+from ..action.action import ACTION_RATE_HZ
+from ..kernel import compiled_field as compiled
+from ..kernel.compiled_field import CONTACT_COLUMNS, EmissionTables, Layers
+from ..kernel.loader import load_kernel
+from ..material.contact_model import Mechanics
+from ..threads import available_cpus, single_blas_thread
+from .carriers import Carriers
+from .features import (
+    AMPLITUDE_FLOOR_M_S2,
+    DIRECTION_COLUMN,
+    MECHANICS_COLUMN,
+    PROBE_NAMES,
+    REFERENCE_RESONANCE_HZ,
+    REFERENCE_SPEED_M_S,
+    TIME_SHARE_DB,
+    build_inputs,
+    encode_mechanics,
+    input_size,
+    motion_gate,
+    token_normalisation,
+)
+from .linear_contact import (
+    FORCE_FLOOR_N,
+    HARMONIC_SHIFTS,
+    HARMONIC_START_LOG,
+    LINE_FLOOR_M_S2,
+    LINE_GAIN_COUNT,
+    SPEED_FLOOR_M_S,
+    Condition,
+    compute_contact_columns,
+    compute_line_power,
+    lateral_hand_impedance,
+    time_edges_in_arc_bands,
+)
+from .surface_spectrum import build_kernel_tables
+from .temporal_rendering import render_weights
+from .training_ranges import TrainingRanges
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """Architecture.
+
+    hidden, layers: H and L. states: N. accumulation: "past" = N past states, spacing_s apart, sharing one α head;
+    "heads" = N heads of one state (published), whose carriers lag n Δt. emission: "log" = α is an amplitude exp(head);
+    "linear" = α is the head (published). physics: add the linear contact to the inputs and, per carrier and weighted
+    by a learned skip, to the log-amplitude head. arc_knots: values the α head gives for the arc carriers, spread evenly
+    over log κ and read linearly between; 0 = one per carrier. With one each, the few training strokes whose tone falls
+    on a carrier decided alone how loud that carrier's tones are (up to 28 dB off on an unseen weave). action_octaves:
+    of the positional encoding of u(t), features.encode_action. directed: False for data that never told directions
+    apart; the field then ignores d. line_gains: an output for each tone of the token's lattice, see lines; needs
+    physics, log emission and arc carriers. stroke_frame: the network sees the token in the frame of the stroke instead
+    of token and d, see features.seen_from. Raises ValueError where past states are not a whole number of action
+    samples apart, one at least, and no distance of states is more than a second.
+    """
+
+    hidden: int = 256
+    layers: int = 4
+    states: int = 5
+    accumulation: Literal["past", "heads"] = "past"
+    spacing_s: float = 0.01
+    carriers: Carriers = field(default_factory=Carriers)
+    emission: Literal["log", "linear"] = "log"
+    physics: bool = True
+    arc_knots: int = 25
+    action_octaves: int = 0
+    directed: bool = True
+    line_gains: bool = False
+    stroke_frame: bool = False
+
+    def __post_init__(self) -> None:
+        if self.accumulation != "past":
+            if not 0.0 <= self.spacing_s <= 1.0:
+                raise ValueError(f"spacing_s must lie between 0 and 1, not {self.spacing_s:g}")
+            return
+        steps = self.spacing_s * ACTION_RATE_HZ
+        if not 0.5 < steps < ACTION_RATE_HZ + 0.5 or abs(steps - round(steps)) > 1e-9 * steps:
+            step, given = 1.0 / ACTION_RATE_HZ, self.spacing_s
+            raise ValueError(f"spacing_s must lie between 0 and 1, a whole multiple of {step:g} s, not {given:g}")
+
+    @staticmethod
+    def published(hidden: int = 1024, layers: int = 4, states: int = 5) -> FieldConfig:
+        """The paper's literal model: N heads, one constant carrier."""
+        constant = Carriers(time_edges_hz=(), arc_octaves=0, constant=True)
+        return FieldConfig(hidden, layers, states, "heads", 0.0, constant, "linear", False, 0)
+
+    @property
+    def alpha_heads(self) -> int:
+        return self.states if self.accumulation == "heads" else 1
+
+    @property
+    def stride(self) -> int:
+        """Action samples between neighbouring past states."""
+        return round(self.spacing_s * ACTION_RATE_HZ)
+
+    @property
+    def alpha_outputs(self) -> int:
+        """Values of one α head."""
+        spared = self.carriers.arc_count - self.arc_knots if self.arc_knots and self.carriers.arc_count else 0
+        return self.carriers.count - spared + (LINE_GAIN_COUNT if self.line_gains else 0)
+
+    def expansion(self) -> NDArray[np.float32] | None:
+        """(Ka, arc_knots) linear interpolation from knots to arc carriers, or None where each has its own value."""
+        count = self.carriers.arc_count
+        if not self.arc_knots or not count:
+            return None
+        place = np.linspace(0.0, self.arc_knots - 1.0, count)
+        return np.maximum(1.0 - np.abs(place[:, None] - np.arange(self.arc_knots)), 0.0).astype(np.float32)
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Name and shape of every parameter; weight matrices are (outputs, inputs)."""
+        width = input_size(self.carriers, self.physics, self.action_octaves)
+        shapes: dict[str, tuple[int, ...]] = {}
+        for layer in range(self.layers):
+            shapes[f"layer{layer}.weight"] = (self.hidden, width if layer == 0 else self.hidden)
+            shapes[f"layer{layer}.bias"] = (self.hidden,)
+        outputs = self.alpha_heads * self.alpha_outputs
+        shapes["alpha.weight"], shapes["alpha.bias"] = (outputs, self.hidden), (outputs,)
+        shapes["sigma.weight"], shapes["sigma.bias"] = (self.states, self.hidden), (self.states,)
+        if self.physics:
+            shapes["skip"] = (self.carriers.count,)
+        return shapes
+
+
+Float32 = NDArray[np.float32]
+
+BATCH_ROWS = 96
+"""States at most; an even number of portions of one size, so that two cores end together."""
+MIN_THREADED_MULTIPLICATIONS = 1 << 26
+"""Multiplications: about a millisecond of one core."""
+
+
+def run_network(parameters: Mapping[str, Float32], layers: int, x: Float32) -> tuple[Float32, Float32]:
+    """Outputs of the α head and of the σ head, (n, …) each, for inputs x (n, D)."""
+    portions = np.array_split(x, 2 * -(-len(x) // (2 * BATCH_ROWS))) if len(x) > BATCH_ROWS else [x]
+    multiplications = len(x) * sum(value.size for value in parameters.values() if value.ndim == 2)
+    with single_blas_thread():
+        if len(portions) > 1 and multiplications > MIN_THREADED_MULTIPLICATIONS:
+            with ThreadPoolExecutor(min(len(portions), available_cpus())) as pool:
+                found = list(pool.map(lambda portion: _forward(parameters, layers, portion), portions))
+        else:
+            found = [_forward(parameters, layers, portion) for portion in portions]
+    return np.concatenate([alpha for alpha, _ in found]), np.concatenate([sigma for _, sigma in found])
+
+
+def _forward(parameters: Mapping[str, Float32], layers: int, hidden: Float32) -> tuple[Float32, Float32]:
+    for layer in range(layers):
+        hidden = hidden @ parameters[f"layer{layer}.weight"].T
+        hidden += parameters[f"layer{layer}.bias"]
+        np.maximum(hidden, 0.0, out=hidden)
+    alpha, sigma = (hidden @ parameters[f"{head}.weight"].T + parameters[f"{head}.bias"] for head in ("alpha", "sigma"))
+    return alpha, sigma
+
 
 Float = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+
+
+def kernel_supports(config: FieldConfig) -> bool:
+    """Whether the kernel knows a field of this form."""
+    carriers = config.carriers
+    shipped = config.physics and config.emission == "log" and config.alpha_heads == 1 and not config.action_octaves
+    return shipped and not carriers.constant and carriers.time_count > 0 and carriers.arc_count > 0
+
+
+@lru_cache(maxsize=16)
+def get_emitter(config: FieldConfig, skip: bytes, probe: str, ceiling: float) -> EmissionTables:
+    """skip: the parameter's float32 numbers. ceiling: of a log amplitude."""
+    carriers = config.carriers
+    shift, scale = token_normalisation()
+    knots = config.arc_knots or carriers.arc_count
+    place = np.linspace(0.0, knots - 1.0, carriers.arc_count)
+    knot = np.minimum(place.astype(np.int64), max(knots - 2, 0))
+    return EmissionTables(
+        build_kernel_tables(carriers, *lateral_hand_impedance(probe)), token_shift=shift, token_scale=scale,
+        time_edge=time_edges_in_arc_bands(carriers),
+        skip=np.frombuffer(skip, dtype=np.float32).astype(np.float64), knot=knot, knot_share=place - knot,
+        harmonic_shift=np.array(HARMONIC_SHIFTS), harmonic_start=np.array(HARMONIC_START_LOG),
+        inputs=input_size(carriers, config.physics), fixed_at=MECHANICS_COLUMN, fixed=DIRECTION_COLUMN - MECHANICS_COLUMN,
+        direction_at=DIRECTION_COLUMN, outputs=config.alpha_outputs, stroke_frame=config.stroke_frame,
+        directed=config.directed, line_gains=config.line_gains, quiet_power=AMPLITUDE_FLOOR_M_S2**2,
+        quiet_line_power=LINE_FLOOR_M_S2**2, time_share=10.0 ** (TIME_SHARE_DB / 10.0), ceiling=ceiling, pace=REFERENCE_SPEED_M_S,
+        pitch=REFERENCE_RESONANCE_HZ,
+    )  # fmt: skip
+
+
+def encode_fixed_inputs(mechanics: Mechanics, probe: str) -> tuple[float, ...]:
+    """Of a material under a probe, what no state changes: inputs from MECHANICS_AT on."""
+    return (*encode_mechanics(mechanics), *(float(name == probe) for name in PROBE_NAMES))
+
+
+def evaluate_compiled(
+    kernel: CDLL, emitter: EmissionTables, condition: Condition, network: Callable[[Float32], tuple[Float32, Float32]]
+) -> tuple[Float, Float32]:
+    """alpha (n, K), and what the σ head answers. answer: inputs (n, D) → both heads' (n, …)."""
+    tokens, motion, touch = _state_columns(condition)
+    known = np.array([encode_fixed_inputs(each, condition.probe) for each in condition.mechanics])
+    x, expected = compiled.compute_inputs(kernel, emitter, tokens, known[condition.material], motion, touch)
+    head, sigma = network(x)
+    return compiled.decode_head(kernel, emitter, np.ascontiguousarray(head, dtype=np.float32), motion, expected), sigma
+
+
+def decode_outputs(kernel: CDLL, emitter: EmissionTables, condition: Condition, head: Float32) -> Float:
+    """alpha (n, K) of what the α head has answered (n, outputs)."""
+    return compiled.decode_known_head(
+        kernel, emitter, *_state_columns(condition), np.ascontiguousarray(head, dtype=np.float32)
+    )
+
+
+def _state_columns(condition: Condition) -> tuple[Float, Float, Float]:
+    """Of n states: tokens (n, TOKEN_DIM), and the columns MOTION and TOUCH."""
+    touch, resonance = compute_contact_columns(condition)
+    motion = np.empty((len(resonance), len(compiled.MOTION_COLUMNS)))
+    motion[:, :2] = condition.direction
+    np.maximum(condition.speed, SPEED_FLOOR_M_S, out=motion[:, 2])
+    np.maximum(condition.force, FORCE_FLOOR_N, out=motion[:, 3])
+    motion[:, 4], motion[:, 5], motion[:, 6] = touch["mass"], resonance, motion_gate(condition)
+    columns = np.stack([touch[name] for name in CONTACT_COLUMNS], axis=1)
+    return np.ascontiguousarray(condition.tokens, dtype=np.float64), motion, columns
+
+
 UNTRAINED = "untrained"
 """Identity of every field that was never saved."""
 NetworkOutput = tuple[Float32, Float32]

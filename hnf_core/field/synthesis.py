@@ -2,26 +2,52 @@
 
 The field is evaluated at the action rate, its carriers at 10 kHz, in blocks; any block is computable alone. Another
 output rate is a resampling of the same signal, never another model.
+
+A stroke over materials of which some bring a field of their own: each field hears the whole stroke, and at each
+moment the one speaks whose material is touched.
+
+At a border one fades into the other between two action samples (5 ms), with shares that sum to 1: what all of them
+hear alike, such as the press of the hand, passes unchanged.
+
+A stroke pressed otherwise: only the samples that the change reaches are rendered again.
+
+Equal, to the last bit, to rendering the whole stroke anew: states are evaluated and samples rendered in the same
+portions, and a portion is kept only where everything it is made from is unchanged.
+
+Many strokes of one field: F_Θ of all in common batches, and the carriers of each drawn while another is rendered.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel.loader import single_blas_thread_without_kernel
 from ..signal import Signal
-from .blocks import render_samples
+from .carrier_rendering import find_states_read
 from .carriers import MODEL_RATE_HZ
-from .emissions import Evaluate
-from .extrapolation import check_ceiling, check_ranges
-from .field import Field, evaluate
-from .noise_ahead import prefetch_noise
-from .prepared import PreparedStroke, prepare_stroke
+from .contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
+from .field import Field, evaluate, find_kernel, is_same_field
+from .noise_cache import prefetch_noise
+from .prepare import (
+    Evaluate,
+    PreparedStroke,
+    evaluate_requests_together,
+    is_audible,
+    prepare_stroke,
+    request_prepared_stroke,
+    split_blocks,
+)
+from .range_check import check_ceiling, check_ranges
+from .render import render_block, render_samples
 from .resampling import resample
-from .stroke import StrokeInput, Synthesis
-from .timeline import resample_action
+from .stroke import SAMPLES_PER_STATE, StrokeInput, Synthesis, resample_action
+from .weights import read_trained_material
 
 Float = NDArray[np.float64]
 
@@ -87,3 +113,242 @@ def make_result(
     provenance = {"probe": stroke.action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
     signal = Signal(output.astype(np.float32), float(sample_rate), prepared.seed, provenance)
     return Synthesis(signal, confidence, (*warnings, *rate_warnings))
+
+
+@dataclass(frozen=True)
+class FieldStroke:
+    """What one field is given of a stroke. share: (n,) 0 or 1 at each action sample, whether its material is touched;
+    None = everywhere."""
+
+    field: Field
+    stroke: StrokeInput
+    mask: Float | None = None
+
+
+def split_by_field(field: Field, stroke: StrokeInput) -> tuple[FieldStroke, ...]:
+    """field, for all materials without one of their own, and each that a material brings, where they are touched.
+
+    A field of its own is asked as it was trained: with its own token and mechanics, and without a height under the
+    path, for the relief that was recorded is in what it learned. Raises WeightsError where it names no material.
+    """
+    own, of_row = _find_distinct_fields(stroke.fields)
+    if not own:
+        return (FieldStroke(field, stroke),)
+    touched = of_row[stroke.token_index]
+    found = [index for index in range(-1, len(own)) if (touched == index).any()]
+    return tuple(
+        FieldStroke(
+            field if index < 0 else own[index],
+            replace(stroke, fields=()) if index < 0 else _restore_training_inputs(own[index], stroke, of_row == index),
+            None if len(found) == 1 else (touched == index).astype(np.float64),
+        )
+        for index in found
+    )
+
+
+def blend(strokes: Sequence[FieldStroke], results: Sequence[Synthesis]) -> Synthesis:
+    """What the parts gave, each where its material is touched. made: of each part, at one seed and sample rate."""
+    if len(strokes) == 1:
+        return results[0]
+    first = results[0].signal
+    time_s = np.arange(len(first.samples)) / first.sample_rate
+    samples, weight, confidence = np.zeros(len(first.samples)), 0.0, 0.0
+    for part, one in zip(strokes, results, strict=True):
+        if part.mask is None:
+            raise ValueError("a part that is everywhere leaves no room for another")
+        at = np.arange(len(part.mask)) / part.stroke.action.rate
+        samples += np.interp(time_s, at, part.mask) * one.signal.samples
+        lasting = float(part.mask.sum())
+        weight, confidence = weight + lasting, confidence + lasting * one.confidence
+    fields = "+".join(one.signal.provenance["field"] for one in results)
+    signal = Signal(
+        samples.astype(np.float32), first.sample_rate, first.seed, {**first.provenance, "field": fields}
+    )  # fmt: skip
+    warnings = tuple(dict.fromkeys(warning for one in results for warning in one.warnings))
+    return Synthesis(signal, confidence / weight, warnings)
+
+
+def synthesise_by_field(field: Field, stroke: StrokeInput, *, seed: int) -> Synthesis:
+    """synthesise(), with what the stroke's materials bring. Raises what that and parts_of() raise."""
+    parts = split_by_field(field, stroke)
+    return blend(parts, [synthesise(part.field, part.stroke, seed=seed) for part in parts])
+
+
+def _find_distinct_fields(fields: Sequence[Field | None]) -> tuple[list[Field], NDArray[np.int32]]:
+    """Each field once, in the order in which they are met, and (M,) which of them each material brings, −1 = none."""
+    own: list[Field] = []
+    of_row = np.full(len(fields), -1, dtype=np.int32)
+    for row, each in enumerate(fields):
+        if each is None:
+            continue
+        known = [index for index, other in enumerate(own) if is_same_field(each, other)]
+        if not known:
+            own.append(each)
+        of_row[row] = known[0] if known else len(own) - 1
+    return own, of_row
+
+
+def _restore_training_inputs(field: Field, stroke: StrokeInput, rows: NDArray[np.bool_]) -> StrokeInput:
+    material = read_trained_material(field, "the field of a material")
+    tokens = np.where(rows[:, None], material.token, stroke.tokens).astype(np.float32)
+    mechanics = tuple(
+        material.mechanics if own else each for own, each in zip(rows, stroke.mechanics, strict=True)
+    )  # fmt: skip
+    return replace(stroke, tokens=tokens, mechanics=mechanics, profile=None, fields=())
+
+
+_SPLINE_STATES = 2
+"""States to either side that a sample of the pressing force is made from."""
+
+
+class Superseded(Exception):  # no error: something newer was asked for  # noqa: N818
+    """Raised out of a synthesis whose result nobody waits for any more."""
+
+
+@dataclass(frozen=True)
+class RenderedStroke:
+    """A synthesised stroke, kept to start from. samples: (count,) float64 m/s² at the model rate. rendered: samples
+    that were rendered for it; the others were there."""
+
+    field: Field
+    stroke: StrokeInput
+    prepared: PreparedStroke
+    samples: Float
+    synthesis: Synthesis
+    rendered_count: int
+
+
+def render_incremental(
+    field: Field,
+    stroke: StrokeInput,
+    *,
+    seed: int,
+    earlier: RenderedStroke | None = None,
+    superseded: Callable[[], bool] = lambda: False,
+) -> RenderedStroke:
+    """Synthesise stroke, from earlier where that helps; the signal is that of synthesise(), byte for byte.
+
+    superseded: asked between blocks. Raises Superseded when it says yes, and what synthesise() raises.
+    """
+    start = earlier if earlier is not None and is_same_path(earlier, field, stroke, seed) else None
+    # What is made from earlier has its carriers, and takes few of them anew.
+    with nullcontext() if start is not None else prefetch_noise(field.config, seed, resample_action(stroke)[0]):
+        prepared = prepare_stroke(field, stroke, seed=seed, earlier=None if start is None else start.prepared)
+    samples = np.empty(prepared.count) if start is None else start.samples.copy()
+    blocks = split_blocks(prepared.count)
+    if start is not None:
+        blocks = find_changed_blocks(start.prepared, prepared)
+    with single_blas_thread_without_kernel():
+        for first, count in blocks:
+            if superseded():
+                raise Superseded
+            samples[first : first + count] = render_block(prepared, first, count)
+    synthesis = make_result(field, stroke, prepared, samples)
+    return RenderedStroke(field, stroke, prepared, samples, synthesis, sum(count for _, count in blocks))
+
+
+def is_same_path(earlier: RenderedStroke, field: Field, stroke: StrokeInput, seed: int) -> bool:
+    """Do the two differ in force and contact alone?"""
+    mine, other = stroke, earlier.stroke
+    if not is_same_field(earlier.field, field) or earlier.prepared.seed != seed or mine.mechanics != other.mechanics:
+        return False
+    a, b = mine.action, other.action
+    if (a.rate, a.probe, len(a.speed)) != (b.rate, b.probe, len(b.speed)):
+        return False
+    pairs: list[tuple[NDArray[Any], NDArray[Any]]] = [
+        (a.direction, b.direction), (a.speed, b.speed), (a.position, b.position), (mine.tokens, other.tokens),
+        (mine.token_index, other.token_index),
+    ]  # fmt: skip
+    one, two = mine.profile, other.profile
+    if one is not None and two is not None:
+        scales = [(each.step_m, each.origin_m, each.resolved_wavelength_m) for each in (one, two)]
+        if scales[0] != scales[1]:
+            return False
+        pairs.append((one.height, two.height))
+    elif one is not two:
+        return False
+    return all(first is second or np.array_equal(first, second) for first, second in pairs)
+
+
+def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[int, int]]:
+    """(start, count) of the blocks in which a sample may differ; both of the same path."""
+    states = len(new.force)
+    texture = _rows_differ(old.amplitude, new.amplitude)
+    pressing = old.force != new.force
+    height = np.zeros(states, dtype=bool)
+    if new.profile_amplitude is not None and old.profile_amplitude is not None:
+        height = _rows_differ(old.profile_amplitude, new.profile_amplitude)
+    audible = old.audible != new.audible
+    blocks = []
+    for start, count in split_blocks(new.count):
+        near = find_states_read(states, start, count)
+        # The contact's memory: what was pressed TAIL samples ago, and the blend of its responses now.
+        low = (start - TAIL_SAMPLES) // SAMPLES_PER_STATE - _SPLINE_STATES
+        far = slice(max(low, 0), (start + count + LEAD_SAMPLES) // SAMPLES_PER_STATE + _SPLINE_STATES + 1)
+        if audible[start : start + count].any() or (
+            is_audible(new.audible[start : start + count])
+            and (texture[near].any() or pressing[far].any() or height[far].any())
+        ):
+            blocks.append((start, count))
+    return blocks
+
+
+def _rows_differ(old: Float, new: Float) -> NDArray[np.bool_]:
+    return np.asarray((old != new).reshape(len(new), -1).any(axis=1))
+
+
+GROUP_STATES = 4096
+"""Of the strokes that are asked about at once, where one alone does not have more: 10 MB on the way."""
+
+
+def synthesise_many(
+    field: Field,
+    strokes: Sequence[StrokeInput],
+    *,
+    seeds: Sequence[int],
+    sample_rate: float = MODEL_RATE_HZ,
+    tolerance: float | None = None,
+) -> Iterator[Synthesis]:
+    """synthesise() of each stroke with its seed, in their order and to the last bit.
+
+    Raises ValueError where there is not one seed a stroke, and what synthesise() raises.
+    """
+    if len(strokes) != len(seeds):
+        raise ValueError(f"{len(strokes)} strokes with {len(seeds)} seeds")
+    if find_kernel(field) is None:  # numpy's bytes depend on what is asked for at once
+        return (
+            synthesise(field, stroke, seed=seed, sample_rate=sample_rate, tolerance=tolerance)
+            for stroke, seed in zip(strokes, seeds, strict=True)
+        )
+    return _synthesise_in_batches(field, strokes, seeds, sample_rate, tolerance)
+
+
+def _synthesise_in_batches(
+    field: Field, strokes: Sequence[StrokeInput], seeds: Sequence[int], sample_rate: float, tolerance: float | None
+) -> Iterator[Synthesis]:
+    for some in _group_strokes(strokes):
+        group, drawn_from = strokes[some], seeds[some]
+        asking = [
+            request_prepared_stroke(field, stroke, seed=seed, tolerance=tolerance)
+            for stroke, seed in zip(group, drawn_from, strict=True)
+        ]
+        with prefetch_noise(field.config, drawn_from[0], resample_action(group[0])[0]):
+            prepared = evaluate_requests_together(field, asking)
+        for stroke, one, following in zip(group, prepared, [*prepared[1:], prepared[-1]], strict=True):
+            draws = following.seed != one.seed
+            with prefetch_noise(field.config, following.seed, following.action) if draws else nullcontext():
+                samples = render_samples(one)
+            yield make_result_within_tolerance(field, stroke, one, samples, sample_rate, tolerance)
+
+
+def _group_strokes(strokes: Sequence[StrokeInput]) -> Iterator[slice]:
+    """Neighbours, up to STATES_TOGETHER."""
+    begin = states = 0
+    for at, stroke in enumerate(strokes):
+        count = len(stroke.action.speed)
+        if at > begin and states + count > GROUP_STATES:
+            yield slice(begin, at)
+            begin, states = at, 0
+        states += count
+    if begin < len(strokes):
+        yield slice(begin, len(strokes))

@@ -1,4 +1,7 @@
-"""Weights on disk: safetensors with JSON metadata, checked on the way in."""
+"""Weights on disk: safetensors with JSON metadata, checked on the way in.
+
+A material that brings its own field: learned from recordings of it, kept and sent as one `.hnf` file.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +17,14 @@ from numpy.typing import NDArray
 
 from ..errors import WeightsError
 from ..files import write_bytes
-from ..material.material import Appearance, LibraryMaterial
-from ..material.mechanics import MECHANICS_NAMES, Mechanics, describe_limit_violation
-from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM
-from ..tensor_file import dump_tensors
-from ..weights_file import WeightsFile, WeightsKind, parse_weights, read_weights
-from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers
-from .config import FieldConfig
-from .field import Field
-from .noise import find_first_bins
-from .ranges import SECTORS, PropertyRange, TrainingRanges
+from ..material.contact_model import MECHANICS_NAMES, Mechanics, describe_limit_violation
+from ..material.hnf_file import MAX_NAME_BYTES, MaterialFile
+from ..material.library import Appearance, LibraryMaterial
+from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM, Token
+from ..safetensors_io import WeightsFile, WeightsKind, dump_tensors, parse_weights, read_weights
+from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers, find_first_bins
+from .field import Field, FieldConfig
+from .training_ranges import SECTORS, PropertyRange, TrainingRanges
 
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
 HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")
@@ -280,3 +281,37 @@ def _parse_span(record: Any, *, zero: bool = False) -> tuple[float, float]:
     if not 0.0 <= low <= high < float("inf") or (low == 0.0 and not zero):
         raise ValueError(f"{low:g} to {high:g} is not a range")
     return low, high
+
+
+CACHED_FIELDS = 16
+"""Fields that are read once: of the learned materials of a scene."""
+
+
+def build_learned_material(weights: bytes, where: str) -> MaterialFile:
+    """The material that weights (field.weights.field_bytes) were trained for, with the weights in it. Its token is
+    known where training knew one; else the library says what it is like wherever the field is not asked.
+
+    where: names the source in messages. Raises WeightsError where the weights are damaged or of no one material.
+    """
+    field = parse_field(weights, where)
+    trained = read_trained_material(field, where)
+    token = Token(trained.token, np.full(trained.token.shape, bool(trained.token.any())))
+    name = "".join(each if each.isprintable() else " " for each in trained.name).strip() or "learned"
+    while len(name.encode()) > MAX_NAME_BYTES:
+        name = name[:-1]
+    licence = field.metadata.get("licence", "")
+    return MaterialFile(name, token, trained.mechanics, words=(name.lower(),), licence=licence, field=weights)
+
+
+def load_material_field(material: MaterialFile) -> Field | None:
+    """The field that material brings, read once; None where it brings none. Raises WeightsError where it is damaged or
+    of no one material."""
+    return _parse_material_field(material.field, material.name) if material.field else None
+
+
+@lru_cache(maxsize=CACHED_FIELDS)
+def _parse_material_field(weights: bytes, name: str) -> Field:
+    where = f"material '{name}'"
+    field = parse_field(weights, where)
+    read_trained_material(field, where)
+    return field

@@ -17,12 +17,11 @@ import numpy as np
 
 from ..errors import FileError, MaterialError
 from ..files import write_bytes
-from ..tensor_file import pack_header, split_header
+from ..safetensors_io import pack_header, split_header
+from .contact_model import UNKNOWN_MECHANICS, Mechanics, describe_limit_violation
 from .fuse import fuse
-from .library import load_library
-from .material import Appearance, LibraryMaterial
-from .mechanics import UNKNOWN_MECHANICS, Mechanics, describe_limit_violation
-from .prior import rank
+from .library import Appearance, LibraryMaterial, load_library
+from .ranking import rank
 from .token import ENCODER_ID, ENCODER_NAMES, LARGEST_VALUE, TOKEN_DIM, Token
 
 HNF_SUFFIX = ".hnf"

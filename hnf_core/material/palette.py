@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, MaterialError
 from ..files import content_hash
-from ..tensor_file import pack_header, split_header
-from .mechanics import MECHANICS_NAMES, Mechanics
+from ..safetensors_io import pack_header, split_header
+from .contact_model import MECHANICS_NAMES, Mechanics
 from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, joined_encoders, split_encoders
 
 PALETTE_SCHEMA = 1

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import UsageError
-from .cubic import cubic_taps
-from .height import fill_masked
-from .spectral import apply_filters, frequencies
+from .fourier_filters import apply_filters, frequencies
+from .height import cubic_taps, fill_masked
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]

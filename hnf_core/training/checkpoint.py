@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files import write_bytes
-from ..tensor_file import dump_tensors, load_tensors
+from ..safetensors_io import dump_tensors, load_tensors
 
 FORMAT = "hnf-checkpoint-1"
 

@@ -14,16 +14,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..field.carriers import Carriers
-from ..field.config import FieldConfig
 from ..field.features import DIRECTION_COLUMN, build_inputs
-from ..field.field import initial_parameters
+from ..field.field import FieldConfig, initial_parameters
 from ..field.linear_contact import Condition
-from ..material.mechanics import Mechanics
+from ..material.contact_model import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
-from .conditions import SteadyStroke, make_speed_grid, withhold_mechanics
-from .expectation import compute_expectation_matrices
-from .likelihood import DENSITY_FLOOR, WindowLikelihood, compute_arc_density
+from .likelihood import DENSITY_FLOOR, WindowLikelihood, compute_arc_density, compute_expectation_matrices
 from .model import FieldNetwork, accumulate_steady
+from .simulated_strokes import SteadyStroke, make_speed_grid, withhold_mechanics
 
 Float = NDArray[np.float64]
 

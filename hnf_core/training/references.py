@@ -15,14 +15,12 @@ import torch
 from numpy.typing import NDArray
 
 from ..errors import FileError
-from ..field.config import FieldConfig
+from ..field.field import FieldConfig
 from ..files import write_bytes
-from ..tensor_file import dump_tensors, load_tensors
-from .conditions import SteadyStroke, StrokeCondition
+from ..safetensors_io import dump_tensors, load_tensors
 from .fit import Likelihood, build_network_inputs
 from .model import FieldNetwork
-from .recordings import FINE_BINS, record_strokes
-from .surfaces import Specimen, Surface, make_patches
+from .simulated_strokes import FINE_BINS, Specimen, SteadyStroke, StrokeCondition, Surface, make_patches, record_strokes
 
 Float = NDArray[np.float64]
 

@@ -12,12 +12,11 @@ from ..datasets.recording import Recording
 from ..errors import UsageError
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.resampling import resample
-from ..field.stroke import uniform_stroke
-from ..field.timeline import SAMPLES_PER_STATE, resample_action, sample_count
-from ..material.mechanics import UNKNOWN_MECHANICS
+from ..field.stroke import SAMPLES_PER_STATE, resample_action, sample_count, uniform_stroke
+from ..material.contact_model import UNKNOWN_MECHANICS
 from ..material.token import TOKEN_DIM
 from ..metrics.spectra import WINDOW_SAMPLES, hann_window, window_power
-from .recordings import compute_bin_widths, pool_bins
+from .simulated_strokes import compute_bin_widths, pool_bins
 
 Float = NDArray[np.float64]
 

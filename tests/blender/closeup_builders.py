@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 from builders import add_plane, bump_material
 
-from hnf_blender.bridge.closeup import render_closeup
+from hnf_blender.bridge.render.closeup import render_closeup
 from hnf_core.scene.patch import Patch
 
 PIXELS = 64

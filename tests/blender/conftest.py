@@ -39,13 +39,13 @@ def lone_bake(operators, tmp_path, monkeypatch):
     """Bakes with a cache of their own (its path); none runs before or after, and none leaves a folder."""
     from job_scene import my_folders
 
-    from hnf_blender.jobs import current, running
-    from hnf_blender.state.session import STATE
+    from hnf_blender.jobs import bake_job, manager
+    from hnf_blender.state.session_state import STATE
 
-    monkeypatch.setattr(running, "get_cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: tmp_path / "cache")
     STATE.clear()
     yield tmp_path / "cache"
-    current.cancel()
+    manager.cancel()
     STATE.clear()
     assert my_folders() == []
 
@@ -55,14 +55,14 @@ def rendered_plate(stroke_properties, tmp_path_factory):
     """The close-ups of job_scene.small_scene."""
     from job_scene import small_scene
 
-    from hnf_blender.jobs import running
+    from hnf_blender.jobs import bake_job
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     folder = tmp_path_factory.mktemp("rendered")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "get_cache_folder", lambda: folder)
+        patch.setattr(bake_job, "get_cache_folder", lambda: folder)
         small_scene()
-        running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+        bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return folder
 

@@ -10,11 +10,11 @@ import time
 import bpy
 from touch_scene import PLATE, line_stroke, ridge_plate
 
-from hnf_blender.bridge.storage import read_tokens
-from hnf_blender.jobs import current
-from hnf_blender.jobs.folder import JOB_FOLDER_PREFIX, get_job_root, is_process_alive
-from hnf_blender.jobs.order import pack_tokens
-from hnf_blender.state.session import STATE, LastJob
+from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.jobs import manager
+from hnf_blender.jobs.child_job import JOB_FOLDER_PREFIX, get_job_root, is_process_alive
+from hnf_blender.jobs.request import pack_tokens
+from hnf_blender.state.session_state import STATE, LastJob
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 
 LIMIT_S = 60.0
@@ -31,18 +31,18 @@ def small_scene(**settings):
 
 
 def start(only=()):
-    return current.start_bake(bpy.context.scene, bpy.context.view_layer, only)
+    return manager.start_bake(bpy.context.scene, bpy.context.view_layer, only)
 
 
 def finish(bake) -> LastJob:
     """Tick until it has ended, as the operator's timer does."""
     until = time.monotonic() + LIMIT_S
     while time.monotonic() < until:
-        ended = current.tick()
+        ended = manager.tick()
         if ended is not None:
             return ended
         time.sleep(0.01)
-    current.cancel()
+    manager.cancel()
     raise AssertionError(f"it did not end: {STATE.job}")
 
 
@@ -54,8 +54,8 @@ def reach(stage: str) -> bool:
     """Tick until that stage or a later one is told; False where the job ended first."""
     place = ORDER.index(stage)
     until = time.monotonic() + LIMIT_S
-    while time.monotonic() < until and current.is_running():
-        current.tick()
+    while time.monotonic() < until and manager.is_running():
+        manager.tick()
         if STATE.job is not None and _place(STATE.job.stage) >= place:
             return True
         time.sleep(0.001)

@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from hnf_blender.bench.hollow import make_tab_context
+from hnf_lab.blender_bench.scenes import make_tab_context
 
 FUNCTIONS = {function.identifier: function for function in bpy.types.UILayout.bl_rna.functions}
 ICONS = {item.identifier for item in FUNCTIONS["label"].parameters["icon"].enum_items}

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from hnf_blender.actuator.link import PlayerClient
+from hnf_blender.actuator.actuator_state import ACTUATOR, SPEAKERS, ActuatorFacts
+from hnf_blender.actuator.player_client import PlayerClient
 from hnf_blender.actuator.sound import Sound
-from hnf_blender.actuator.state import ACTUATOR, SPEAKERS, ActuatorFacts
 from hnf_core.actuators.profile import GENERIC
 
 LIMIT_S = 40.0

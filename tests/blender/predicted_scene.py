@@ -10,12 +10,11 @@ import numpy as np
 from builders import add_plane, float_image
 from closeup_builders import principled
 
-from hnf_blender.touch import seeing
-from hnf_blender.touch.feel import BakedStroke
-from hnf_blender.touch.jobs import StrokeJob, gather_jobs, make_scene_session
+from hnf_blender.touch import bake_patches
 from hnf_blender.touch.report import Report
-from hnf_blender.touch.steps import bake_steps
-from hnf_core.tactile.diffusion.config import MapConfig
+from hnf_blender.touch.session import StrokeJob, gather_jobs, make_scene_session
+from hnf_blender.touch.synthesise import BakedStroke, bake_steps
+from hnf_core.tactile.diffusion.unet import MapConfig
 from hnf_core.tactile.diffusion.weights import save_map_weights
 
 TEXEL = 0.1e-3
@@ -67,7 +66,7 @@ def small_weights(path: Path, seed: int = 0, level: float = -1.5) -> Path:
 
 
 def use_weights(monkeypatch, path: Path) -> None:
-    monkeypatch.setattr(seeing, "DEFAULT_WEIGHTS", path)
+    monkeypatch.setattr(bake_patches, "DEFAULT_WEIGHTS", path)
 
 
 @dataclass(frozen=True)

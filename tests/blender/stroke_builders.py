@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from hnf_blender.bridge.meshes import read_surface
-from hnf_blender.bridge.strokes import read_stroke
+from hnf_blender.bridge.scene.meshes import read_surface
+from hnf_blender.bridge.stroke.read_stroke import read_stroke
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import action_from_contacts, plan_patches
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import bpy
 from job_scene import kept
 
-from hnf_blender.bridge.own_material import get_definition
+from hnf_blender.bridge.scene.material_definition import get_definition
 from hnf_blender.compat import fcurves_of
-from hnf_blender.state.session import STATE
-from hnf_blender.state.watch import refresh_status
+from hnf_blender.state.session_state import STATE
+from hnf_blender.state.status_tracker import refresh_status
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field

@@ -16,16 +16,15 @@ import pytest
 from job_scene import is_gone
 from player_builders import RATE_HZ, chosen, tone, until, until_for
 
-from hnf_blender.actuator import channel
-from hnf_blender.actuator.facts import get_phase, make_facts
-from hnf_blender.actuator.link import RESTART_HINT, PlayerClient, make_output_spec
-from hnf_blender.actuator.process import list_worker_commands
-from hnf_blender.actuator.state import VIRTUAL, Phase
-from hnf_blender.actuator.sweep import SWEEP_LEVEL_SHARE, make_test_sweep
-from hnf_blender.props import profile_file
-from hnf_blender.props.scene import get_actuator_profile
+from hnf_blender.actuator import player_process
+from hnf_blender.actuator.actuator_state import VIRTUAL, Phase
+from hnf_blender.actuator.player_client import RESTART_HINT, PlayerClient, get_phase, make_facts, make_output_spec
+from hnf_blender.actuator.player_process import list_worker_commands
+from hnf_blender.actuator.sound import SWEEP_LEVEL_SHARE, make_test_sweep
+from hnf_blender.props import scene_settings
+from hnf_blender.props.scene_settings import get_actuator_profile
 from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, make_user_profile
-from hnf_core.actuators.profile_file import write_profile
+from hnf_core.actuators.profile_json import write_profile
 from hnf_core.errors import DeviceError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -196,7 +195,9 @@ def test_a_sound_that_cannot_be_written_is_told(link) -> None:
 
 def test_a_python_that_cannot_is_followed_by_one_that_can(link, monkeypatch) -> None:
     monkeypatch.setattr(
-        channel, "list_worker_commands", lambda *_: ([sys.executable, "-c", "exit(4)"], *list_worker_commands(*_))
+        player_process,
+        "list_worker_commands",
+        lambda *_: ([sys.executable, "-c", "exit(4)"], *list_worker_commands(*_)),
     )
     link.play(tone(5.0))
     assert until(link, lambda: link.is_sounding)
@@ -204,7 +205,7 @@ def test_a_python_that_cannot_is_followed_by_one_that_can(link, monkeypatch) -> 
 
 
 def test_what_cannot_be_started_is_said_and_leaves_nothing(link, monkeypatch) -> None:
-    monkeypatch.setattr(channel, "list_worker_commands", lambda *_: (["/no/such/python"],))
+    monkeypatch.setattr(player_process, "list_worker_commands", lambda *_: (["/no/such/python"],))
     with pytest.raises(DeviceError, match=r"/no/such/python.*could not be started"):
         link.play(tone(0.3))
     assert not link.is_playing
@@ -260,7 +261,7 @@ def test_the_limits_are_those_of_the_scenes_actuator() -> None:
 
 
 def test_a_measured_profile_is_the_files_and_is_read_again_where_it_is_played(link, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(profile_file, "CHECK_INTERVAL_S", 1e-6)
+    monkeypatch.setattr(scene_settings, "CHECK_INTERVAL_S", 1e-6)
     scene, path = bpy.context.scene, tmp_path / "mine.json"
     scene.hnf.actuator = "file"
     assert "no profile is chosen" in get_actuator_profile(scene).source

@@ -15,17 +15,15 @@ from mathutils import Euler
 from player_builders import chosen, until
 from touch_scene import PLATE, ridge_plate
 
-from hnf_blender.actuator.facts import get_phase
-from hnf_blender.actuator.hand import SurfaceUnroll, force_from_pressure
-from hnf_blender.actuator.link import PlayerClient
-from hnf_blender.actuator.live import LiveTouch
-from hnf_blender.actuator.state import VIRTUAL, Phase
-from hnf_blender.bridge.drawn_stroke import cast_on_surface
-from hnf_blender.bridge.own_material import set_definition
-from hnf_blender.bridge.under_pen import find_contact_point, find_touched_material
-from hnf_blender.ops.live import guess_first_material, update_live_touch
-from hnf_blender.state.session import STATE
-from hnf_blender.state.still_true import TokenValidity
+from hnf_blender.actuator.actuator_state import VIRTUAL, Phase
+from hnf_blender.actuator.live_touch import LiveTouch, SurfaceUnroll, force_from_pressure
+from hnf_blender.actuator.player_client import PlayerClient, get_phase
+from hnf_blender.bridge.scene.material_definition import set_definition
+from hnf_blender.bridge.stroke.new_stroke import cast_on_surface
+from hnf_blender.bridge.viewport_pick import find_contact_point, find_touched_material
+from hnf_blender.ops.actuator_ops import guess_first_material, update_live_touch
+from hnf_blender.state.session_state import STATE
+from hnf_blender.state.status_tracker import TokenValidity
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.errors import MaterialError, SceneError

@@ -14,20 +14,30 @@ from player_builders import RATE_HZ, chosen, tone
 
 import hnf_blender.ui
 from hnf_blender import actuator, preview, translations
-from hnf_blender.actuator import choice, finding
-from hnf_blender.actuator.choice import find_output_title, get_selected_output, needs_offline_player, select_output
-from hnf_blender.actuator.link import PLAYER_CLIENT
-from hnf_blender.actuator.skin import estimate_skin
-from hnf_blender.actuator.state import ACTUATOR, SPEAKERS, VIRTUAL, ActuatorFacts, Output, Phase
-from hnf_blender.preview import current
-from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.preview.outputs import OutputRouter
-from hnf_blender.preview.timeline import PlayheadFollower, make_sound_ahead
-from hnf_blender.rooms import collect_classes
+from hnf_blender.actuator import actuator_state, player_process
+from hnf_blender.actuator.actuator_state import (
+    ACTUATOR,
+    SPEAKERS,
+    VIRTUAL,
+    ActuatorFacts,
+    Output,
+    Phase,
+    find_output_title,
+    get_selected_output,
+    needs_offline_player,
+    select_output,
+)
+from hnf_blender.actuator.player_client import PLAYER_CLIENT
+from hnf_blender.actuator.skin_preview import estimate_skin
+from hnf_blender.preview import controller
+from hnf_blender.preview.controller import OutputRouter
+from hnf_blender.preview.preview_state import PREVIEW
+from hnf_blender.preview.timeline_playback import PlayheadFollower, make_sound_ahead
+from hnf_blender.registration import collect_classes
 from hnf_blender.ui.actuator_panel import PHASE_LABELS
 from hnf_core.actuators.limiter import Limiter
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.virtual.recording import Recording
+from hnf_core.actuators.virtual.port import Recording
 from hnf_core.errors import FileError
 from hnf_core.signal import Signal
 
@@ -47,7 +57,7 @@ def virtual(switched_on):
     with chosen(VIRTUAL):
         yield
         folder = PLAYER_CLIENT.folder
-        current.PLAYER.release()
+        controller.PLAYER.release()
         PLAYER_CLIENT.release()
         PREVIEW.clear()
         assert folder is None or until(lambda: not folder.exists())
@@ -60,7 +70,7 @@ def stroke(warm_bake, virtual):
     small_scene()
     assert bpy.ops.hnf.bake() == {"FINISHED"}
     obj = bpy.data.objects["Along"]
-    current.refresh(obj, bpy.context, wait=True)
+    controller.refresh(obj, bpy.context, wait=True)
     return obj
 
 
@@ -104,11 +114,11 @@ def test_the_choice_is_the_machines_not_the_files(virtual, tmp_path) -> None:
 def test_a_stroke_is_felt_on_the_virtual_actuator(stroke) -> None:
     assert bpy.ops.hnf.preview_play() == {"FINISHED"}
     assert PREVIEW.sounding == "Along"
-    assert until(lambda: current.PLAYER.is_sounding)
+    assert until(lambda: controller.PLAYER.is_sounding)
     shown = panel()
     assert "Playing" in shown.words
     assert "m/s²" in shown.words
-    assert until(lambda: not current.PLAYER.is_playing)
+    assert until(lambda: not controller.PLAYER.is_playing)
     assert ACTUATOR.facts.problem == ""
     assert PLAYER_CLIENT.current_status.status.peak > 0.0
     until(lambda: ACTUATOR.facts.phase is Phase.READY)
@@ -119,22 +129,22 @@ def test_a_looped_stroke_goes_on_as_a_and_as_now(stroke) -> None:
     bpy.context.scene.hnf.loop = True
     bpy.ops.hnf.preview_ab(action="KEEP")
     assert bpy.ops.hnf.preview_play() == {"FINISHED"}
-    assert until(lambda: current.PLAYER.is_sounding)
+    assert until(lambda: controller.PLAYER.is_sounding)
     began = PLAYER_CLIENT.began
     stroke.hnf_stroke.seed += 1
-    current.refresh(stroke, bpy.context, wait=True)
+    controller.refresh(stroke, bpy.context, wait=True)
     bpy.ops.hnf.preview_ab(action="SWITCH")
     bpy.ops.hnf.preview_ab(action="SWITCH")
     assert until(lambda: PLAYER_CLIENT.current_status.status.played_s > 0.6)
     assert PLAYER_CLIENT.began is began
     assert PREVIEW.sounding == "Along"
     assert bpy.ops.hnf.preview_stop() == {"FINISHED"}
-    assert not current.PLAYER.is_playing
+    assert not controller.PLAYER.is_playing
     assert until(lambda: ACTUATOR.facts.phase is Phase.READY)
 
 
 def test_a_paused_stroke_is_silent_and_goes_on_where_it_was(stroke) -> None:
-    player = current.PLAYER
+    player = controller.PLAYER
     bpy.context.scene.hnf.loop = True
     assert bpy.ops.hnf.preview_play() == {"FINISHED"}
     assert until(lambda: player.is_sounding and player.position_s > 0.05)
@@ -148,8 +158,8 @@ def test_a_paused_stroke_is_silent_and_goes_on_where_it_was(stroke) -> None:
     assert "Paused" in panel().words
     held = player.position_s
     stroke.hnf_stroke.seed += 1
-    current.refresh(stroke, bpy.context, wait=True)
-    current.continue_playback("Along", bpy.context.scene)
+    controller.refresh(stroke, bpy.context, wait=True)
+    controller.continue_playback("Along", bpy.context.scene)
     assert not until_for(0.3, lambda: PLAYER_CLIENT.current_status.status.level_m_s2 > 1e-3)
     assert player.is_playing
     assert player.is_paused
@@ -182,7 +192,7 @@ def test_the_test_button_plays_one_second(virtual) -> None:
 
 
 def test_choosing_another_output_silences_this_one(virtual) -> None:
-    current.PLAYER.play(tone(5.0, loop=True))
+    controller.PLAYER.play(tone(5.0, loop=True))
     assert until(lambda: PLAYER_CLIENT.is_sounding)
     assert bpy.ops.hnf.output_choose(target=VIRTUAL) == {"FINISHED"}
     assert PLAYER_CLIENT.is_playing  # the same one
@@ -192,12 +202,12 @@ def test_choosing_another_output_silences_this_one(virtual) -> None:
 
 
 def test_another_file_silences_it(virtual) -> None:
-    current.PLAYER.play(tone(5.0, loop=True))
+    controller.PLAYER.play(tone(5.0, loop=True))
     assert until(lambda: PLAYER_CLIENT.is_sounding)
     actuator.on_load_pre()
     assert not PLAYER_CLIENT.is_running
     preview.on_load_post()
-    assert not current.PLAYER.is_playing
+    assert not controller.PLAYER.is_playing
 
 
 def test_an_address_of_her_own_is_checked(virtual) -> None:
@@ -219,7 +229,7 @@ def test_devices_are_looked_for_beside_blender(virtual) -> None:
 
 
 def test_what_was_found_can_be_chosen_and_told_apart(virtual) -> None:
-    finding.store_scan_result(
+    player_process.store_scan_result(
         '{"devices": [{"target": "serial:/dev/ttyACM0", "title": "Pico", "facts": "USB 2e8a:000a"},'
         ' {"target": "audio:Card", "title": "Card", "facts": "48000 Hz, 2 channels"}],'
         ' "without": ["python-osc"], "missing": ["the Python package \'python-osc\' is not installed."]}'
@@ -231,7 +241,7 @@ def test_what_was_found_can_be_chosen_and_told_apart(virtual) -> None:
     assert "python-osc" in panel().words.replace("\n", " ")
     for damaged in ("", "{}", '{"devices": [{}], "without": [], "missing": []}', "[]"):
         with pytest.raises(FileError):
-            finding.store_scan_result(damaged)
+            player_process.store_scan_result(damaged)
     assert ACTUATOR.outputs == (
         Output("serial:/dev/ttyACM0", "Pico (/dev/ttyACM0)"),
         Output("audio:Card", "Card (48000 Hz, 2 channels)"),
@@ -239,7 +249,7 @@ def test_what_was_found_can_be_chosen_and_told_apart(virtual) -> None:
 
 
 def test_without_sounddevice_a_sound_output_is_played_whole(virtual, monkeypatch) -> None:
-    monkeypatch.setattr(choice, "_is_sounddevice_installed", lambda: True)
+    monkeypatch.setattr(actuator_state, "_is_sounddevice_installed", lambda: True)
     assert not needs_offline_player("audio")
     ACTUATOR.missing_packages = frozenset({"sounddevice"})
     select_output("audio:Card")

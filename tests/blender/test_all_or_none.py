@@ -7,7 +7,7 @@ import pytest
 
 import hnf_blender
 from hnf_blender import props, tool, ui
-from hnf_blender.props import GROUPS, overriding
+from hnf_blender.props import GROUPS, material_settings
 
 OURS = {"Object": "hnf_stroke", "Material": "hnf_touch", "Scene": "hnf"}
 
@@ -46,7 +46,7 @@ def test_a_refused_group_of_properties(switched_off, monkeypatch, place) -> None
 
 def test_a_group_that_no_datablock_takes(switched_off, monkeypatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(overriding, "OVERRIDABLE", {"NO_SUCH_OPTION"})
+        patch.setattr(material_settings, "OVERRIDABLE", {"NO_SUCH_OPTION"})
         with pytest.raises(ValueError, match="could not register"):
             props.register()
     assert what_is_on() == ([], [])
@@ -76,7 +76,7 @@ def test_a_part_of_the_tool_that_fails_takes_the_others_back(monkeypatch) -> Non
         def unregister(self):
             self.on = False
 
-    from hnf_blender.rooms import register_modules
+    from hnf_blender.registration import register_modules
 
     parts, done = [Part(True), Part(True), Part(False), Part(True)], []
     with pytest.raises(RuntimeError):

@@ -12,7 +12,7 @@ import pytest
 from builders import add_plane
 from stroke_builders import act
 
-from hnf_blender.ops.assets import ASSET_FOLDER, ASSET_LIBRARY_NAME, find_asset_library
+from hnf_blender.ops.diagnose_ops import ASSET_FOLDER, ASSET_LIBRARY_NAME, find_asset_library
 from hnf_core.action.primitive_path import make_primitive_path
 from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.material.library import get_material, load_library

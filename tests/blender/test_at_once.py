@@ -9,11 +9,11 @@ from job_scene import small_scene
 from stroke_builders import LINE, add_stroke, key
 
 from hnf_blender import handlers, preview
-from hnf_blender.jobs import running
-from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.preview.hearing import SynthesisThread
-from hnf_blender.props.listed import CHANGES
-from hnf_blender.state.guard import suppress_change_tracking
+from hnf_blender.jobs import bake_job
+from hnf_blender.preview.preview_state import PREVIEW
+from hnf_blender.preview.synthesis_thread import SynthesisThread
+from hnf_blender.props.object_cache import CHANGES
+from hnf_blender.state.session_state import suppress_change_tracking
 from hnf_blender.tool import overlay
 
 
@@ -127,7 +127,7 @@ def listening(warm_bake):
     """A baked stroke that has been heard once, and its handler as in a window."""
     preview.on_load_post()
     plate, stroke = small_scene()
-    running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     bpy.context.view_layer.update()
     PREVIEW.synthesis_thread = SynthesisThread()
     handler = lambda _scene, depsgraph: preview._request_preview(bpy.context, depsgraph)  # noqa: E731

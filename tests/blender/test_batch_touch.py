@@ -8,10 +8,8 @@ from pathlib import Path
 from outside_pictures import picture
 from touch_scene import line_stroke, ridge_plate, save_scene, touch
 
-from hnf_core.batch.attempt import RUN_FILE_NAME, run_request
-from hnf_core.batch.inputs import compute_digest, compute_version
-from hnf_core.batch.order import Request, State
-from hnf_core.batch.record import is_fresh, read_record
+from hnf_core.batch.attempt import RUN_FILE_NAME, Request, State, run_request
+from hnf_core.batch.staging import compute_digest, compute_version, is_fresh, read_record
 
 
 def test_a_touched_scene_is_the_direct_commands_and_its_pictures_are_inputs(tmp_path: Path) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from touch_scene import PLATE, line_stroke, ridge_plate
 
-from hnf_blender.bridge import closeup
-from hnf_blender.touch import bake
-from hnf_blender.touch.feel import bake_stroke_steps
-from hnf_blender.touch.jobs import gather_jobs, make_scene_session
+from hnf_blender.bridge.render import closeup
+from hnf_blender.touch import bake_patches
 from hnf_blender.touch.report import Counts
+from hnf_blender.touch.session import gather_jobs, make_scene_session
+from hnf_blender.touch.synthesise import bake_stroke_steps
 from hnf_core.errors import MaterialError
 
 LONG_S = 30.0
@@ -40,7 +40,7 @@ def test_patches_are_described_beside_rays_and_never_beside_a_render(tmp_path, m
     patches = len(plain.patches)
     assert patches > 1
     busy, cast_began, described, beside, renders = threading.Event(), threading.Semaphore(0), [], [], []
-    record, cast, render = bake._make_record, closeup.cast_view, closeup.render_passes
+    record, cast, render = bake_patches._make_record, closeup.cast_view, closeup.render_passes
 
     def slow_record(*args):
         busy.set()
@@ -61,7 +61,7 @@ def test_patches_are_described_beside_rays_and_never_beside_a_render(tmp_path, m
         renders.append(busy.is_set())
         return render(*args)
 
-    monkeypatch.setattr(bake, "_make_record", slow_record)
+    monkeypatch.setattr(bake_patches, "_make_record", slow_record)
     monkeypatch.setattr(closeup, "cast_view", watched_cast)
     monkeypatch.setattr(closeup, "render_passes", watched_render)
     counts = Counts()
@@ -79,18 +79,18 @@ def test_patches_are_described_beside_rays_and_never_beside_a_render(tmp_path, m
 def test_what_goes_wrong_in_a_description_is_told_and_nothing_is_left_running(tmp_path, monkeypatch) -> None:
     ridge_plate()
     line_stroke("Along")
-    before, record, count = set(threading.enumerate()), bake._make_record, iter(range(100))
+    before, record, count = set(threading.enumerate()), bake_patches._make_record, iter(range(100))
 
     def failing(*args):
         if next(count) == 1:
             raise MaterialError("no such relief.")
         return record(*args)
 
-    monkeypatch.setattr(bake, "_make_record", failing)
+    monkeypatch.setattr(bake_patches, "_make_record", failing)
     with pytest.raises(MaterialError, match="no such relief"):
         baked(tmp_path, Counts())
     assert set(threading.enumerate()) <= before
-    monkeypatch.setattr(bake, "_make_record", record)
+    monkeypatch.setattr(bake_patches, "_make_record", record)
     again = Counts()
     stroke, _ = baked(tmp_path, again)
     assert again.close_ups == len(stroke.patches) - 1  # the first one was stored

@@ -19,13 +19,14 @@ from closeup_builders import look
 from shader_changes import FELT
 from touch_scene import line_stroke, ridge_plate, save_scene, touch
 
-from hnf_blender.bridge.strokes import list_strokes
+from hnf_blender.bridge.stroke.read_stroke import list_strokes
 from hnf_blender.compat import version
-from hnf_blender.jobs import running, work
-from hnf_blender.touch import bake, jobs
+from hnf_blender.jobs import bake_job, bake_steps
+from hnf_blender.touch import bake_patches
+from hnf_blender.touch import session as jobs
+from hnf_blender.touch.bake_storage import hash_surface_source
 from hnf_blender.touch.report import Counts, Report
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
-from hnf_blender.touch.tokens import hash_surface_source
 from hnf_core.errors import SceneError
 
 NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
@@ -46,7 +47,7 @@ class Work:
 @pytest.fixture(autouse=True)
 def small_closeups(monkeypatch):
     """Close-ups of a few pixels: what they show is not asked here."""
-    for module in (bake, jobs):
+    for module in (bake_patches, jobs):
         monkeypatch.setattr(module, "PATCH_PIXELS", PIXELS)
 
 
@@ -55,12 +56,12 @@ def stored(stroke_properties, tmp_path_factory):
     """A folder: the scene as it is arranged first, baked, and its close-ups under "cache"."""
     folder = tmp_path_factory.mktemp("stored")
     with pytest.MonkeyPatch.context() as patch:
-        for module in (bake, jobs):
+        for module in (bake_patches, jobs):
             patch.setattr(module, "PATCH_PIXELS", PIXELS)
-        patch.setattr(running, "get_cache_folder", lambda: folder / "cache")
+        patch.setattr(bake_job, "get_cache_folder", lambda: folder / "cache")
         bpy.ops.wm.read_factory_settings(use_empty=True)
         two_plates()
-        running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+        bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     save_scene(folder / "scene.blend")
     return folder
 
@@ -76,13 +77,13 @@ def job(stored, tmp_path, monkeypatch):
         reports.append(Report(*arguments, **settings))
         return reports[-1]
 
-    monkeypatch.setattr(running, "get_cache_folder", lambda: cache)
-    monkeypatch.setattr(work, "Report", report)
+    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: cache)
+    monkeypatch.setattr(bake_steps, "Report", report)
 
     def run() -> Work:
         before = bakes()
         bpy.context.view_layer.update()
-        ended = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+        ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
         assert ended.ok, ended
         after = bakes()
         return Work(tuple(sorted(name for name in after if after[name] != before.get(name))), reports[-1].counts)
@@ -104,7 +105,7 @@ def bakes() -> dict[str, bytes]:
 def keys() -> dict[str, tuple[str, str]]:
     """Stroke → the key of its signal, and the name of what its tokens are measured from."""
     bpy.context.view_layer.update()
-    session = work.make_scene_session(bpy.context.scene, bpy.context.view_layer, Path())
+    session = bake_steps.make_scene_session(bpy.context.scene, bpy.context.view_layer, Path())
     found = [session.make_curve_job(curve) for curve in list_strokes(bpy.context.scene)]
     surfaces = [session.get_facts(bpy.data.objects[each.object_name]) for each in found]
     return {each.name: (each.key, hash_surface_source(facts)) for each, facts in zip(found, surfaces, strict=True)}
@@ -258,7 +259,7 @@ def test_notes_say_the_names_of_now(job, tmp_path) -> None:
     picture.image.colorspace_settings.name = "sRGB"
     for name in ("old name", "new name"):
         picture.image.name = name
-        ended = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+        ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
         assert [f"'{name}'" in each for each in ended.details if "tagged sRGB" in each] == [True]
 
 
@@ -268,7 +269,7 @@ def test_a_texture_that_is_not_saved_is_refused_by_name(job, tmp_path) -> None:
     job()
     image.pixels[0] = 0.9
     kept = bakes()
-    ended = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     assert not ended.ok
     assert "'worn.bmp' was painted and is not saved" in ended.message
     assert image.is_dirty
@@ -285,7 +286,7 @@ def test_a_window_says_at_once_that_a_texture_is_not_saved(job, tmp_path, packed
     bpy.data.objects["Along"].hnf_stroke.surface = plate()
     image.pixels[0] = 0.9
     with pytest.raises(SceneError, match=r"worn\.bmp.*painted"):
-        running.BakeJob(bpy.context.scene, bpy.context.view_layer)
+        bake_job.BakeJob(bpy.context.scene, bpy.context.view_layer)
 
 
 def test_a_changed_library_is_noticed_when_the_file_is_opened(job, tmp_path) -> None:
@@ -341,7 +342,7 @@ for lost in (False, True):
 def test_another_process_and_another_name_of_the_file_change_nothing(job, stored, tmp_path) -> None:
     """What is baked is found in the file; and where the file has lost it, its close-ups are found in the store."""
     scene = shutil.copy(stored / "scene.blend", tmp_path / "renamed.blend")
-    root = Path(running.__file__).parents[2]
+    root = Path(bake_job.__file__).parents[2]
     code = ANOTHER_PROCESS.format(
         root=str(root), tests=str(Path(__file__).parent), pixels=PIXELS, cache=str(tmp_path / "cache"), scene=str(scene)
     )

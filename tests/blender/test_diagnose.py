@@ -9,22 +9,22 @@ import numpy
 import pytest
 
 import hnf_core
-from hnf_blender.ops import diagnose
-from hnf_blender.rooms import register_classes, unregister_classes
-from hnf_blender.state.session import STATE, JobStatus, LastJob
-from hnf_core.cli import health
+from hnf_blender.ops import diagnose_ops
+from hnf_blender.registration import register_classes, unregister_classes
+from hnf_blender.state.session_state import STATE, JobStatus, LastJob
+from hnf_core import diagnostics
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import load_kernel, without_kernel
+from hnf_core.kernel.loader import load_kernel, without_kernel
 
 
 @pytest.fixture(autouse=True)
 def operators(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(diagnose, "get_cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(diagnose_ops, "get_cache_folder", lambda: tmp_path)
     STATE.clear()
     STATE.diagnosis = ()
-    register_classes(diagnose.DIAGNOSE_CLASSES)
+    register_classes(diagnose_ops.DIAGNOSE_CLASSES)
     yield
-    unregister_classes(diagnose.DIAGNOSE_CLASSES)
+    unregister_classes(diagnose_ops.DIAGNOSE_CLASSES)
     STATE.clear()
     STATE.diagnosis = ()
 
@@ -46,34 +46,34 @@ def test_the_report_names_every_part_and_where_it_lies(tmp_path: Path) -> None:
 def test_the_last_error_is_in_it() -> None:
     STATE.last_job = LastJob(False, "The bake stopped.", ("Killed",))
     bpy.ops.hnf.diagnose()
-    text = diagnose.format_rows(STATE.diagnosis)
+    text = diagnose_ops.format_rows(STATE.diagnosis)
     assert "failed: The bake stopped." in text
     assert "Killed" in text
 
 
 def test_copied_is_what_is_shown() -> None:
     assert bpy.ops.hnf.diagnose_copy() == {"FINISHED"}
-    assert STATE.diagnosis == diagnose.collect_diagnosis()
+    assert STATE.diagnosis == diagnose_ops.collect_diagnosis()
     if not bpy.app.background:  # without a window there is no clipboard
-        assert bpy.context.window_manager.clipboard == diagnose.format_rows(STATE.diagnosis)
+        assert bpy.context.window_manager.clipboard == diagnose_ops.format_rows(STATE.diagnosis)
 
 
 def test_lines_up() -> None:
-    assert diagnose.format_rows((("A", "1"), ("Long", "2"))) == "A     1\nLong  2\n"
+    assert diagnose_ops.format_rows((("A", "1"), ("Long", "2"))) == "A     1\nLong  2\n"
 
 
 def test_a_part_that_is_missing_is_said_not_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert health.get_version("no-such-package") == ""
-    monkeypatch.setattr(diagnose, "REPORTED_PACKAGES", ("no-such-package",))
-    assert ("no-such-package", "not installed") in diagnose.collect_diagnosis()
+    assert diagnostics.get_version("no-such-package") == ""
+    monkeypatch.setattr(diagnose_ops, "REPORTED_PACKAGES", ("no-such-package",))
+    assert ("no-such-package", "not installed") in diagnose_ops.collect_diagnosis()
 
 
 def test_whoever_does_the_kernels_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = health.describe_kernel()
+    told = diagnostics.describe_kernel()
     assert (told == "at work") == (load_kernel() is not None)
     with without_kernel():
-        assert health.describe_kernel().startswith("using slower numpy version")
-    assert ("Compiled kernel", told) in diagnose.collect_diagnosis()
+        assert diagnostics.describe_kernel().startswith("using slower numpy version")
+    assert ("Compiled kernel", told) in diagnose_ops.collect_diagnosis()
 
 
 def test_clearing_the_cache_deletes_its_files_and_nothing_else(tmp_path: Path) -> None:
@@ -102,11 +102,11 @@ def test_another_file_is_not_described_by_the_last_ones_figures() -> None:
 
 
 def test_figures_are_collected_again_only_where_they_are_shown(tmp_path: Path) -> None:
-    diagnose.refresh_diagnosis()
+    diagnose_ops.refresh_diagnosis()
     assert STATE.diagnosis == ()
     bpy.ops.hnf.diagnose()
     (tmp_path / "patch.npz").write_bytes(bytes(2500))
-    diagnose.refresh_diagnosis()
+    diagnose_ops.refresh_diagnosis()
     assert dict(STATE.diagnosis)["Cache size"] == "2.5 kB"
 
 

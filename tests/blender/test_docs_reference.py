@@ -13,13 +13,13 @@ import pytest
 
 from hnf_blender import ops, ui
 from hnf_blender.prefs import HnfPreferences
-from hnf_blender.props.material import HnfMaterial
-from hnf_blender.props.scene import HnfScene
-from hnf_blender.props.stroke import HnfStroke
-from hnf_blender.rooms import collect_classes
-from hnf_blender.state.texts import PLAN_LABELS, ROUTE_LABELS, STATUS_LABELS
-from hnf_blender.touch.inputs import CHANGE_DESCRIPTIONS as CHANGES
-from hnf_blender.touch.inputs import PATH_ON_SAME_SURFACE, TOUCH_FIELD
+from hnf_blender.props.material_settings import HnfMaterial
+from hnf_blender.props.scene_settings import HnfScene
+from hnf_blender.props.stroke_settings import HnfStroke
+from hnf_blender.registration import collect_classes
+from hnf_blender.state.labels import PLAN_LABELS, ROUTE_LABELS, STATUS_LABELS
+from hnf_blender.touch.session import CHANGE_DESCRIPTIONS as CHANGES
+from hnf_blender.touch.session import PATH_ON_SAME_SURFACE, TOUCH_FIELD
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = (ROOT / "docs" / "blender.md").read_text(encoding="utf-8")

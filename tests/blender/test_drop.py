@@ -10,10 +10,15 @@ import pytest
 from builders import add_plane
 from touch_scene import line_stroke, ridge_plate
 
-from hnf_blender.bridge.drawn_stroke import cast_on_surface
-from hnf_blender.bridge.own_material import PRINCIPLED_INPUTS, assign_definition, clear_definition, get_definition
-from hnf_blender.bridge.under_cursor import pick_object_along_ray
-from hnf_blender.props.material import DEFINITION_PROPERTY
+from hnf_blender.bridge.scene.material_definition import (
+    PRINCIPLED_INPUTS,
+    assign_definition,
+    clear_definition,
+    get_definition,
+)
+from hnf_blender.bridge.stroke.new_stroke import cast_on_surface
+from hnf_blender.bridge.viewport_pick import pick_object_along_ray
+from hnf_blender.props.material_settings import DEFINITION_PROPERTY
 from hnf_blender.ui.materials_panel import describe_material
 from hnf_core.errors import FileError, SceneError
 from hnf_core.export.wav import write_wav

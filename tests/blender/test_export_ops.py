@@ -10,13 +10,12 @@ import pytest
 from job_scene import small_scene
 from panel_recorder import drawn
 
-from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.preview.losses import describe_loss
-from hnf_blender.preview.outlet import export_stroke, get_current_signal
-from hnf_blender.props.export_formats import FORMAT_CHOICES
+from hnf_blender.preview.export_stroke import describe_loss, export_stroke, get_current_signal
+from hnf_blender.preview.preview_state import PREVIEW
+from hnf_blender.props.scene_settings import FORMAT_CHOICES
 from hnf_core.export.convert import import_signal
 from hnf_core.export.formats import FORMATS
-from hnf_core.export.hjif_read import read_hjif
+from hnf_core.export.hjif import read_hjif
 from hnf_core.export.options import ImportOptions
 
 WORDS = [choice.format_name for choice in FORMAT_CHOICES]
@@ -29,7 +28,7 @@ def baked_file(operators, rendered_plate, tmp_path_factory):
     The artist says that it is smooth plastic, whose last octave, in which one format ends, is too quiet to be told of.
     By its ridges it would be carbon fibre, the one plastic that has any so far apart, and that octave would be heard.
     """
-    from hnf_blender.jobs import running
+    from hnf_blender.jobs import bake_job
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     folder = tmp_path_factory.mktemp("scene")
@@ -37,7 +36,7 @@ def baked_file(operators, rendered_plate, tmp_path_factory):
     plate, _ = small_scene()
     plate.data.materials[0].hnf_touch.library = "smooth-plastic"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "get_cache_folder", lambda: folder / "cache")
+        patch.setattr(bake_job, "get_cache_folder", lambda: folder / "cache")
         assert bpy.ops.hnf.bake() == {"FINISHED"}
     path = folder / "scene.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))

@@ -22,8 +22,8 @@ import build_extension
 import pytest
 
 from hnf_core.field.weights import DEFAULT_WEIGHTS, EVERY_ENCODER_WEIGHTS, HELD_OUT_WEIGHTS, load_field, read_encoders
-from hnf_core.material.alexnet.weights import DEFAULT_ENCODER
-from hnf_core.material.encoders import PREFERRED_ENCODERS, get_default_encoder
+from hnf_core.material.alexnet_encoder import DEFAULT_ENCODER
+from hnf_core.material.encoder_registry import PREFERRED_ENCODERS, get_default_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID
 from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS as DEFAULT_MAP_WEIGHTS
 

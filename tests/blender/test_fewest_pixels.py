@@ -12,14 +12,12 @@ from closeup_builders import patch, principled
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_blender.bridge.closeup import iter_closeups
-from hnf_blender.bridge.fewest_pixels import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, choose_resolution
-from hnf_blender.bridge.look import MAX_READABLE_WAVELENGTH_M
-from hnf_blender.bridge.shader_colour import ColourSources, is_direct_image
-from hnf_blender.bridge.stage import SlotReading
-from hnf_blender.bridge.taps import Tap
-from hnf_blender.bridge.texels import ImageTap
-from hnf_core.material.encoder import describe
+from hnf_blender.bridge.render.closeup import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, choose_resolution, iter_closeups
+from hnf_blender.bridge.render.isolated_object import SlotReading
+from hnf_blender.bridge.render.unlit_image import MAX_READABLE_WAVELENGTH_M
+from hnf_blender.bridge.shader.aov_taps import ImageTap, Tap
+from hnf_blender.bridge.shader.closures import ColourSources, is_direct_image
+from hnf_core.material.band_descriptor import describe
 from hnf_core.material.token import LEVELS
 from hnf_core.tactile.height import tactile_map_from_height
 
@@ -94,7 +92,7 @@ def test_fewer_pixels_than_it_takes_would_be_told_apart(first: int, monkeypatch:
     """The bound is no luxury: what it keeps from happening is seen by the same measure."""
     obj = plate(0.5e-3)
     right = token_of(looked(obj))
-    monkeypatch.setattr("hnf_blender.bridge.fewest_pixels.PIXELS_PER_TEXEL", 1e-9)
+    monkeypatch.setattr("hnf_blender.bridge.render.closeup.PIXELS_PER_TEXEL", 1e-9)
     few = looked(obj, first)
     assert few.mask.shape == (first, first)
     wrong = token_of(few)

@@ -8,16 +8,14 @@ from builders import add_plane
 from job_scene import PLATE, line_stroke, small_scene
 
 from hnf_blender import handlers, preview
-from hnf_blender.jobs import running
-from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.props.listed import CHANGES, STROKES
-from hnf_blender.props.scene import has_strokes, list_cached_strokes, list_strokes
-from hnf_blender.state import picked, watch
-from hnf_blender.state.guard import suppress_change_tracking
-from hnf_blender.state.names import FEW_NAMES
-from hnf_blender.state.session import STATE
-from hnf_blender.state.watch import EVERYTHING, refresh_status
-from hnf_blender.touch.status import Freshness, StrokeStatus
+from hnf_blender.jobs import bake_job
+from hnf_blender.preview.preview_state import PREVIEW
+from hnf_blender.props.object_cache import CHANGES, STROKES
+from hnf_blender.props.scene_settings import has_strokes, list_cached_strokes, list_strokes
+from hnf_blender.state import interface, status_tracker
+from hnf_blender.state.session_state import STATE, suppress_change_tracking
+from hnf_blender.state.status_tracker import EVERYTHING, FEW_NAMES, refresh_status
+from hnf_blender.touch.freshness import Freshness, StrokeStatus
 
 
 @pytest.fixture(autouse=True)
@@ -30,13 +28,13 @@ def noting():
     """Blender tells of changes, as in a window."""
     listed = bpy.app.handlers.depsgraph_update_post
     listed.append(handlers.on_depsgraph_update)
-    watch.clear_trackers()
+    status_tracker.clear_trackers()
     CHANGES.is_notified = True
     yield
     CHANGES.is_notified = False
     CHANGES.mark_changed()
     listed.remove(handlers.on_depsgraph_update)
-    watch.clear_trackers()
+    status_tracker.clear_trackers()
 
 
 def update() -> None:
@@ -45,7 +43,7 @@ def update() -> None:
 
 def baked_scene():
     plate, stroke = small_scene()
-    running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     update()
     STATE.dirty_names.clear()
     return plate, stroke
@@ -56,8 +54,8 @@ def drain() -> list[str]:
     before = {name: StrokeStatus(Freshness.UNKNOWN, "old") for name in STATE.get_statuses(bpy.context.scene)}
     STATE.get_statuses(bpy.context.scene).update(before)
     for _ in range(100):
-        watch.process_changes([(bpy.context.scene, bpy.context.view_layer)])
-        if not STATE.dirty_names and all(each.is_idle for each in watch._trackers.values()):
+        status_tracker.process_changes([(bpy.context.scene, bpy.context.view_layer)])
+        if not STATE.dirty_names and all(each.is_idle for each in status_tracker._trackers.values()):
             return sorted(
                 name for name, status in STATE.get_statuses(bpy.context.scene).items() if status != before.get(name)
             )
@@ -101,7 +99,7 @@ def test_a_bake_does_not_make_its_own_mesh_dirty(noting) -> None:
     small_scene()
     update()
     STATE.dirty_names.clear()
-    assert running.bake_blocking(bpy.context.scene, bpy.context.view_layer).ok
+    assert bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer).ok
     update()
     assert STATE.dirty_names == set()
     assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
@@ -211,13 +209,13 @@ def test_two_scenes_in_two_windows_keep_their_statuses(noting) -> None:
         for order in (shown, shown[::-1]):
             STATE.dirty_names.update(dirty)
             for _ in range(20):
-                watch.process_changes(order)
+                status_tracker.process_changes(order)
             assert [set(STATE.get_statuses(scene)) for scene in (first, second)] == [{"Along"}, {"There"}]
     refresh_status(second)
     assert STATE.get_statuses(first)["Along"].freshness is Freshness.FRESH
     bpy.data.objects.remove(there)
     STATE.dirty_names.add("There")
-    watch.process_changes(shown)
+    status_tracker.process_changes(shown)
     assert [set(STATE.get_statuses(scene)) for scene in (first, second)] == [{"Along"}, set()]
 
 
@@ -255,17 +253,17 @@ def test_another_file_forgets_all(noting, tmp_path) -> None:
 
 
 def test_leaving_the_file_stops_its_bake() -> None:
-    from hnf_blender.jobs import current
+    from hnf_blender.jobs import manager
 
     small_scene()
-    current.start_bake(bpy.context.scene, bpy.context.view_layer)
+    manager.start_bake(bpy.context.scene, bpy.context.view_layer)
     handlers.on_load_pre("")
-    assert not current.is_running()
+    assert not manager.is_running()
     assert STATE.job is None
 
 
 def test_a_fault_of_ours_is_shown_and_the_other_strokes_are_looked_at(noting, monkeypatch) -> None:
-    from hnf_blender.touch.jobs import Session
+    from hnf_blender.touch.session import Session
 
     plate, _ = baked_scene()
     line_stroke("Beside", surface=plate)
@@ -293,23 +291,23 @@ def test_the_picked_stroke_stays_picked_when_objects_come_and_go() -> None:
     for name in ("Along", "Beside"):
         strokes.objects.link(objects[name])
         scene.collection.objects.unlink(objects[name])
-    picked.clear_active_strokes()
+    interface.clear_active_strokes()
     settings.stroke_index = objects.find("Beside")
-    assert not picked.restore_active_stroke(scene)
+    assert not interface.restore_active_stroke(scene)
     before = settings.stroke_index
     other = add_plane("Other")
     assert objects[before].name == "Along"  # what Blender's list would show now
-    assert picked.restore_active_stroke(scene)
+    assert interface.restore_active_stroke(scene)
     assert objects[settings.stroke_index].name == "Beside"
     bpy.data.objects.remove(other)
-    assert picked.restore_active_stroke(scene)
+    assert interface.restore_active_stroke(scene)
     assert settings.stroke_index == before
     objects["Beside"].name = "Renamed"
-    assert not picked.restore_active_stroke(scene)
+    assert not interface.restore_active_stroke(scene)
     settings.stroke_index = objects.find("Along")  # another one is picked
-    assert not picked.restore_active_stroke(scene)
+    assert not interface.restore_active_stroke(scene)
     assert objects[settings.stroke_index].name == "Along"
-    picked.clear_active_strokes()
+    interface.clear_active_strokes()
 
 
 def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch) -> None:
@@ -333,13 +331,13 @@ def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch
     assert not has_strokes(scene)
     beside.hnf_stroke.is_stroke = True  # nor of this; it is seen as soon as the list is old, and at once by operators
     assert list_strokes(scene) == [beside]
-    monkeypatch.setattr("hnf_blender.props.scene.REDRAW_LIFETIME_S", 0.0)
+    monkeypatch.setattr("hnf_blender.props.scene_settings.REDRAW_LIFETIME_S", 0.0)
     assert has_strokes(scene)
     assert listed() == ["Beside"]
     beside.hnf_stroke.is_stroke = False
     assert listed() == []
     beside.hnf_stroke.is_stroke = True
-    monkeypatch.setattr("hnf_blender.props.listed.CACHE_LIFETIME_S", 0.0)
+    monkeypatch.setattr("hnf_blender.props.object_cache.CACHE_LIFETIME_S", 0.0)
     assert listed() == ["Beside"]
 
 
@@ -347,9 +345,9 @@ def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch
 def test_one_name_that_is_nobodys_is_found_among_few_and_many(count) -> None:
     small_scene()
     names = {bpy.data.objects.new(f"Other {k}", None).name for k in range(count)}
-    assert not watch._has_unknown_names(names)
-    assert not watch._has_unknown_names(names | {bpy.data.meshes[0].name, bpy.data.curves[0].name})
-    assert watch._has_unknown_names(names | {bpy.data.images.new("Picture", 1, 1).name})
+    assert not status_tracker._has_unknown_names(names)
+    assert not status_tracker._has_unknown_names(names | {bpy.data.meshes[0].name, bpy.data.curves[0].name})
+    assert status_tracker._has_unknown_names(names | {bpy.data.images.new("Picture", 1, 1).name})
 
 
 def test_edit_mode_is_waited_for(noting) -> None:

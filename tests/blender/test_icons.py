@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hnf_blender.jobs.probe import QUERY_ICON, to_icon_pixels
-from hnf_blender.preview import current
-from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.state import icons
+from hnf_blender.jobs.query_job import QUERY_ICON, to_icon_pixels
+from hnf_blender.preview import controller
+from hnf_blender.preview.preview_state import PREVIEW
+from hnf_blender.state import interface
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +18,7 @@ def nothing_shown():
     PREVIEW.clear()
     yield
     PREVIEW.clear()
-    icons.release_icons()
+    interface.release_icons()
 
 
 def heard(shade: float) -> SimpleNamespace:
@@ -26,18 +26,18 @@ def heard(shade: float) -> SimpleNamespace:
 
 
 def test_a_stroke_called_as_the_probes_picture_has_one_of_its_own() -> None:
-    icons.set_icon(QUERY_ICON, to_icon_pixels(np.full((4, 4, 3), 51, np.uint8)))
-    probe = icons._previews[QUERY_ICON]
-    current.store_result(QUERY_ICON, heard(1.0))
-    assert icons._previews[QUERY_ICON] is probe
+    interface.set_icon(QUERY_ICON, to_icon_pixels(np.full((4, 4, 3), 51, np.uint8)))
+    probe = interface._previews[QUERY_ICON]
+    controller.store_result(QUERY_ICON, heard(1.0))
+    assert interface._previews[QUERY_ICON] is probe
     assert probe.image_pixels_float[0] == pytest.approx(0.2)
-    assert len(icons._previews) == 2
+    assert len(interface._previews) == 2
 
 
 def test_a_and_b_of_a_stroke_change_one_picture() -> None:
-    current.store_result("Scrape", heard(0.25))
+    controller.store_result("Scrape", heard(0.25))
     PREVIEW.references["Scrape"] = heard(0.75)
-    (picture,) = icons._previews.values()
+    (picture,) = interface._previews.values()
     for shade in (0.75, 0.25):  # kept as bytes
-        assert current.toggle_ab("Scrape")
+        assert controller.toggle_ab("Scrape")
         assert picture.image_pixels_float[0] == pytest.approx(shade, abs=0.01)

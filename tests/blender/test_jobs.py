@@ -19,9 +19,9 @@ from job_scene import (
     start,
 )
 
-from hnf_blender.jobs import current, running
-from hnf_blender.jobs.child import NICENESS
-from hnf_blender.state.session import STATE
+from hnf_blender.jobs import bake_job, manager
+from hnf_blender.jobs.child_job import NICENESS
+from hnf_blender.state.session_state import STATE
 
 pytestmark = pytest.mark.usefixtures("lone_bake")
 
@@ -71,7 +71,7 @@ def test_one_bake_at_a_time() -> None:
     start()
     with pytest.raises(RuntimeError, match="A job is running"):
         bpy.ops.hnf.bake()
-    current.cancel()
+    manager.cancel()
     with pytest.raises(RuntimeError, match="No bake is running"):
         bpy.ops.hnf.bake_cancel()
 
@@ -84,7 +84,7 @@ def test_without_strokes_the_button_says_what_to_do() -> None:
 
 def test_a_copy_that_cannot_be_opened_is_told(monkeypatch, warm_bake) -> None:
     small_scene()
-    monkeypatch.setattr(running, "save_copy", lambda path: path.write_bytes(b"BLENDER-v500 and then nothing"))
+    monkeypatch.setattr(bake_job, "save_copy", lambda path: path.write_bytes(b"BLENDER-v500 and then nothing"))
     ended = bake()
     assert not ended.ok
     assert kept() == NOTHING
@@ -99,4 +99,4 @@ def test_the_child_comes_after_the_window_from_its_first_moment(warm_bake) -> No
     assert reach("opening")
     every = [os.getpriority(os.PRIO_PROCESS, int(thread.name)) for thread in Path(f"/proc/{child}/task").iterdir()]
     assert every.count(mine + NICENESS) > 0.5 * len(every)  # all, but for one begun in the first microseconds
-    current.cancel()
+    manager.cancel()

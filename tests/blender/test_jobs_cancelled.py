@@ -6,8 +6,8 @@ import bpy
 import pytest
 from job_scene import NOTHING, STAGES, is_gone, kept, my_folders, reach, small_scene, start
 
-from hnf_blender.jobs import current
-from hnf_blender.state.session import STATE
+from hnf_blender.jobs import manager
+from hnf_blender.state.session_state import STATE
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -22,4 +22,4 @@ def test_a_cancelled_bake_leaves_neither_process_nor_folder(stage, warm_bake) ->
     assert STATE.job is None
     assert "cancelled" in STATE.last_job.message
     assert kept() == NOTHING
-    assert current.tick() is None
+    assert manager.tick() is None

@@ -8,12 +8,12 @@ from builders import add_plane
 from job_scene import NOTHING, PLATE, kept, line_stroke, small_scene
 from touch_scene import save_scene
 
-from hnf_blender.jobs import running
+from hnf_blender.jobs import bake_job
+from hnf_blender.jobs.bake_steps import job_steps
+from hnf_blender.jobs.child_job import remove_job_folder
 from hnf_blender.jobs.commit import commit_steps
-from hnf_blender.jobs.folder import remove_job_folder
-from hnf_blender.jobs.work import job_steps
-from hnf_blender.state.session import STATE
-from hnf_blender.touch.status import Freshness
+from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.freshness import Freshness
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_core.errors import HnfError
 
@@ -27,7 +27,7 @@ def baked(warm_bake):
 
 
 def worked_on():
-    prepared = running.prepare_job(bpy.context.scene, bpy.context.view_layer)
+    prepared = bake_job.prepare_job(bpy.context.scene, bpy.context.view_layer)
     yield end(job_steps(prepared.request, prepared.folder)), prepared.folder, prepared.target
     remove_job_folder(prepared.folder)
 
@@ -124,7 +124,7 @@ def test_edit_mode_keeps_bakes_and_asks_for_tokens_later(baked) -> None:
     assert strokes_kept() == ["Along", "Beside"]
     assert kept()["tokens"] == {}
     bpy.context.view_layer.update()
-    ended = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     assert ended.ok
     assert list(kept()["tokens"]) == [PLATE]
 
@@ -195,10 +195,10 @@ def test_a_linked_mesh_is_heard_and_its_missing_tokens_are_said(tmp_path, warm_b
         wanted.objects = [PLATE]
     bpy.context.scene.collection.objects.link(wanted.objects[0])
     line_stroke("Along", surface=wanted.objects[0])
-    ended = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     assert not ended.ok
     assert "linked from" in ended.message
     assert "local" in ended.message
     assert [obj.name for obj in bpy.data.objects if BAKE_PROPERTY in obj] == ["Along"]
-    again = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    again = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     assert (again.ok, again.written) == (True, 0)

@@ -8,14 +8,13 @@ import pytest
 from job_scene import PLATE, kept, small_scene
 from touch_scene import save_scene, touch
 
-from hnf_blender.state.session import STATE
-from hnf_blender.touch.choose import merge_relief
-from hnf_blender.touch.status import Freshness
-from hnf_blender.touch.store import PatchRecord
+from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.freshness import Freshness
+from hnf_blender.touch.material_choice import merge_relief
+from hnf_blender.touch.patch_cache import PatchRecord
 from hnf_blender.touch.stroke_bake import load_bake
-from hnf_core.material.library import load_library
-from hnf_core.material.material import Appearance
-from hnf_core.material.merge import merge_tokens
+from hnf_core.material.fuse import merge_tokens
+from hnf_core.material.library import Appearance, load_library
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route
 

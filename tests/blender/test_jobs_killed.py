@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from job_scene import NOTHING, STAGES, finish, is_gone, kept, kill, my_folders, reach, small_scene, start
 
-from hnf_blender.jobs import current
-from hnf_blender.jobs.folder import JOB_FOLDER_PREFIX, get_job_root, is_process_alive, remove_abandoned_folders
-from hnf_blender.state.session import STATE
+from hnf_blender.jobs import manager
+from hnf_blender.jobs.child_job import JOB_FOLDER_PREFIX, get_job_root, is_process_alive, remove_abandoned_folders
+from hnf_blender.state.session_state import STATE
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -24,7 +24,7 @@ def test_a_killed_child_is_told_and_costs_nothing(stage, warm_bake) -> None:
         if running_now.pid is not None:
             kill(running_now.pid)
         ended = finish(running_now)
-        assert not current.is_running()
+        assert not manager.is_running()
         assert STATE.job is None
         assert STATE.last_job == ended
         if not ended.ok:
@@ -68,7 +68,7 @@ def test_it_is_cleared_away_where_no_thread_can_be_begun_any_more(warm_bake, mon
         raise RuntimeError("can't create new thread at interpreter shutdown")
 
     monkeypatch.setattr(threading.Thread, "start", refused)
-    assert current.cancel()
+    assert manager.cancel()
     monkeypatch.undo()
     assert is_gone(pid)
     assert my_folders() == []

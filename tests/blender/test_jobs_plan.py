@@ -8,10 +8,10 @@ from builders import add_plane
 from job_scene import NOTHING, PLATE, kept, line_stroke, small_scene
 from touch_scene import save_scene
 
-from hnf_blender.bridge.storage import count_token_bytes
-from hnf_blender.state.session import STATE
-from hnf_blender.touch.status import Freshness
-from hnf_blender.touch.stored import count_stored_bytes
+from hnf_blender.bridge.scene.mesh_attributes import count_token_bytes
+from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.bake_storage import count_stored_bytes
+from hnf_blender.touch.freshness import Freshness
 
 
 @pytest.fixture(autouse=True)

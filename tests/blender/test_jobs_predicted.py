@@ -10,8 +10,8 @@ from job_scene import NOTHING, bake, kept
 from predicted_scene import PHOTO_PLATE, photo_plate, small_weights, use_weights
 from touch_scene import line_stroke
 
-from hnf_blender.jobs.plan_view import make_plan
-from hnf_blender.state.session import STATE
+from hnf_blender.jobs.baked_data import make_plan
+from hnf_blender.state.session_state import STATE
 from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS
 
 pytestmark = pytest.mark.usefixtures("lone_bake")

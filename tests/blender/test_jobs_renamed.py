@@ -6,7 +6,7 @@ import bpy
 import pytest
 from job_scene import finish, kept, small_scene, start
 
-from hnf_blender.jobs import current
+from hnf_blender.jobs import manager
 
 
 @pytest.fixture(autouse=True)
@@ -36,7 +36,7 @@ def test_a_renamed_view_layer_is_the_one_that_shows_the_surface():
     shown.objects.link(plate)
     scene.view_layers[0].layer_collection.children[shown.name].exclude = True
     working.update()
-    bake = current.start_bake(scene, working)
+    bake = manager.start_bake(scene, working)
     working.name = "Renamed meanwhile"
     ended = finish(bake)
     assert ended.ok, ended

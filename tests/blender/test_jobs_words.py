@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_blender.bridge.storage import FaceTokens
-from hnf_blender.jobs import folder
-from hnf_blender.jobs.messages import MESSAGE_PREFIX, Failed, Finished, Started, Step, decode_message, encode_message
-from hnf_blender.jobs.order import (
+from hnf_blender.bridge.scene.mesh_attributes import FaceTokens
+from hnf_blender.jobs import child_job
+from hnf_blender.jobs.child_job import MESSAGE_PREFIX, Failed, Finished, Started, Step, decode_message, encode_message
+from hnf_blender.jobs.request import (
     BakedFile,
     JobRequest,
     JobResult,
@@ -28,7 +28,7 @@ from hnf_blender.jobs.order import (
     write_request,
     write_result,
 )
-from hnf_blender.touch.inputs import InputHashes
+from hnf_blender.touch.session import InputHashes
 from hnf_core.errors import FileError
 from hnf_core.material.library import load_library
 from hnf_core.material.palette import build_palette
@@ -132,24 +132,24 @@ def test_without_a_temporary_folder_it_is_said_in_words(monkeypatch) -> None:
     def none() -> None:
         raise FileNotFoundError(2, "No usable temporary directory found")
 
-    monkeypatch.setattr(folder, "get_job_root", none)
+    monkeypatch.setattr(child_job, "get_job_root", none)
     with pytest.raises(FileError, match="no temporary folder can be made"):
-        folder.make_job_folder()
+        child_job.make_job_folder()
 
 
 def test_only_folders_of_the_dead_are_abandoned(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(folder, "get_job_root", lambda: tmp_path)
-    mine = folder.make_job_folder()
+    monkeypatch.setattr(child_job, "get_job_root", lambda: tmp_path)
+    mine = child_job.make_job_folder()
     (mine / "scene.blend").write_bytes(b"x")
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
-    left = tmp_path / f"{folder.JOB_FOLDER_PREFIX}{ended.pid}-left"
+    left = tmp_path / f"{child_job.JOB_FOLDER_PREFIX}{ended.pid}-left"
     left.mkdir()
     (left / "scene.blend").write_bytes(b"x")
-    foreign = tmp_path / f"{folder.JOB_FOLDER_PREFIX}notes"
+    foreign = tmp_path / f"{child_job.JOB_FOLDER_PREFIX}notes"
     foreign.mkdir()
-    assert folder.is_process_alive(os.getpid())
-    assert folder.remove_abandoned_folders() == [left]
+    assert child_job.is_process_alive(os.getpid())
+    assert child_job.remove_abandoned_folders() == [left]
     assert mine.is_dir()
     assert foreign.is_dir()
     assert not left.exists()

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from touch_scene import line_stroke, ridge_plate
 
-from hnf_blender.bridge.hashes import FLOAT32_TOLERANCE, NEUTRAL_VALUES, hash_material
-from hnf_blender.bridge.strokes import HASH_STEP, hash_path, hash_touch, to_quantised_bytes
+from hnf_blender.bridge.shader.shader_hash import FLOAT32_TOLERANCE, NEUTRAL_VALUES, hash_material
+from hnf_blender.bridge.stroke.read_stroke import HASH_STEP, hash_path, hash_touch, to_quantised_bytes
 from hnf_blender.compat import version
-from hnf_blender.touch.inputs import InputHashes
-from hnf_blender.touch.jobs import make_scene_session
+from hnf_blender.touch.session import InputHashes, make_scene_session
 
 FINGER_MOVES_M = 1e-5
 

@@ -14,14 +14,15 @@ import pytest
 from builders import add_plane, bump_material
 from touch_scene import PLATE, line_stroke, ridge_plate
 
-from hnf_blender.bench.scale import measure_open_file_bake
-from hnf_blender.bridge import boxes, closeup
-from hnf_blender.bridge.meshes import evaluated_mesh
-from hnf_blender.bridge.nearest_surface import find_nearest_surface
-from hnf_blender.bridge.storage import read_tokens
-from hnf_blender.touch import bake, jobs, store, tokens
+from hnf_blender.bridge.render import closeup
+from hnf_blender.bridge.scene import bounding_boxes
+from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.bridge.scene.meshes import evaluated_mesh
+from hnf_blender.bridge.stroke.read_stroke import find_nearest_surface
+from hnf_blender.touch import bake_patches, bake_storage, patch_cache, session
+from hnf_lab.blender_bench.scale import measure_open_file_bake
 
-tokens_of = tokens.store_tokens
+tokens_of = bake_storage.store_tokens
 SHORT_M = 0.01
 """One close-up."""
 
@@ -75,18 +76,18 @@ def test_no_mesh_is_read_but_that_under_the_stroke(tmp_path, read, named, way) -
 def test_collections_are_looked_through_once_however_many_objects_there_are(monkeypatch) -> None:
     planes = [add_plane(f"Plate {number}", 0.1) for number in range(6)]
     in_hidden_collection(planes[0], "disabled in renders")
-    asked, rendered = [], boxes._iter_rendered_collections
+    asked, rendered = [], bounding_boxes._iter_rendered_collections
 
     def counted(layer):
         asked.append(layer.name)
         return rendered(layer)
 
-    monkeypatch.setattr(boxes, "_iter_rendered_collections", counted)
-    shown = boxes.filter_visible(bpy.context.scene.objects, bpy.context.view_layer)
+    monkeypatch.setattr(bounding_boxes, "_iter_rendered_collections", counted)
+    shown = bounding_boxes.filter_visible(bpy.context.scene.objects, bpy.context.view_layer)
     assert {obj.name for obj in shown} == {obj.name for obj in planes[1:]}
     assert len(asked) == len(set(asked)) == 2
     planes[1].hide_render = True
-    assert [boxes.is_visible(obj, bpy.context.view_layer) for obj in planes[:3]] == [False, False, True]
+    assert [bounding_boxes.is_visible(obj, bpy.context.view_layer) for obj in planes[:3]] == [False, False, True]
 
 
 def test_the_next_surface_is_found_among_the_near_boxes(read) -> None:
@@ -98,7 +99,7 @@ def test_the_next_surface_is_found_among_the_near_boxes(read) -> None:
 
     def surfaces(obj):
         asked.append(obj.name)
-        return jobs.read_surface(obj, depsgraph, 1.0)
+        return session.read_surface(obj, depsgraph, 1.0)
 
     points = np.array([[-0.01, 0.0, -0.0301], [0.01, 0.0, -0.0301]])
     found = find_nearest_surface(points, bpy.context.scene, depsgraph, surfaces, 1.0, where="stroke")
@@ -111,12 +112,12 @@ def test_boxes_of_many_are_those_of_each() -> None:
         obj.location, obj.rotation_euler, obj.scale = (number, -2.0, 0.5), (0.3 * number, 0.2, 1.0), (1.0, 2.0, number)
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    low, high = boxes.get_world_boxes(list(bpy.context.scene.objects), depsgraph, 0.01)
+    low, high = bounding_boxes.get_world_boxes(list(bpy.context.scene.objects), depsgraph, 0.01)
     assert low.shape == high.shape == (4, 3)
     for index, obj in enumerate(bpy.context.scene.objects):
         corners = np.array([obj.matrix_world @ vertex.co for vertex in obj.data.vertices]) * 0.01
         np.testing.assert_allclose([low[index], high[index]], [corners.min(axis=0), corners.max(axis=0)], atol=1e-7)
-    assert [each.shape for each in boxes.get_world_boxes([], depsgraph)] == [(0, 3), (0, 3)]
+    assert [each.shape for each in bounding_boxes.get_world_boxes([], depsgraph)] == [(0, 3), (0, 3)]
 
 
 def grid(cuts: int, size: float):
@@ -170,7 +171,7 @@ def test_passes_are_rendered_of_the_touched_slot_alone(tmp_path, monkeypatch) ->
 def test_a_map_is_pictured_for_its_token_and_not_again_for_the_path(tmp_path, monkeypatch) -> None:
     """Two strokes over one place: one close-up, one token, and no sensor image beside E's own."""
     pictured = []
-    monkeypatch.setattr(bake, "render_sensor_image", lambda *parts: pictured.append(parts))
+    monkeypatch.setattr(bake_patches, "render_sensor_image", lambda *parts: pictured.append(parts))
     plate = ridge_plate()
     for seed in (1, 2):
         line_stroke(f"Seed {seed}", length=SHORT_M, surface=plate, seed=seed)
@@ -182,7 +183,7 @@ def test_a_map_is_pictured_for_its_token_and_not_again_for_the_path(tmp_path, mo
 def test_no_map_is_held_once_its_stroke_is_felt(tmp_path, monkeypatch) -> None:
     """Only what the faces' tokens follow from waits for the end."""
     held = []
-    monkeypatch.setattr(tokens, "store_tokens", lambda strokes: (held.extend(strokes), tokens_of(strokes))[1])
+    monkeypatch.setattr(bake_storage, "store_tokens", lambda strokes: (held.extend(strokes), tokens_of(strokes))[1])
     plate = ridge_plate()
     line_stroke("Along", length=SHORT_M, surface=plate)
     measure_open_file_bake(tmp_path)
@@ -197,26 +198,28 @@ def test_a_place_that_many_strokes_cross_is_unpacked_once(tmp_path, monkeypatch)
     plate, unpacked = ridge_plate(), []
     for number in range(4):
         line_stroke(f"Stroke {number}", length=SHORT_M, surface=plate)
-    np_load = store.np.load
-    monkeypatch.setattr(store.np, "load", lambda path, **words: (unpacked.append(path), np_load(path, **words))[1])
+    np_load = patch_cache.np.load
+    monkeypatch.setattr(
+        patch_cache.np, "load", lambda path, **words: (unpacked.append(path), np_load(path, **words))[1]
+    )
     measure_open_file_bake(tmp_path)
     assert len(unpacked) == 1
 
 
 def test_a_patch_in_memory_is_left_once_its_file_changes(tmp_path, monkeypatch) -> None:
     saved = []
-    monkeypatch.setattr(bake, "save_patch", lambda folder, key, record: saved.append(record))
+    monkeypatch.setattr(bake_patches, "save_patch", lambda folder, key, record: saved.append(record))
     line_stroke("Along", length=SHORT_M, surface=ridge_plate())
     measure_open_file_bake(tmp_path)
-    store.save_patch(tmp_path, "place", saved[0])
-    kept = store.load_patch(tmp_path, "place")
-    assert kept is store.load_patch(tmp_path, "place")
+    patch_cache.save_patch(tmp_path, "place", saved[0])
+    kept = patch_cache.load_patch(tmp_path, "place")
+    assert kept is patch_cache.load_patch(tmp_path, "place")
     with pytest.raises(ValueError, match="read-only"):
         kept.height[0] = 0.0
-    store.save_patch(tmp_path, "place", replace(saved[0], height=saved[0].height + 1e-6))
-    np.testing.assert_array_equal(store.load_patch(tmp_path, "place").height, saved[0].height + 1e-6)
+    patch_cache.save_patch(tmp_path, "place", replace(saved[0], height=saved[0].height + 1e-6))
+    np.testing.assert_array_equal(patch_cache.load_patch(tmp_path, "place").height, saved[0].height + 1e-6)
     path = tmp_path / "place.npz"
     path.write_bytes(path.read_bytes()[:-100])
-    assert store.load_patch(tmp_path, "place") is None
+    assert patch_cache.load_patch(tmp_path, "place") is None
     path.unlink()
-    assert store.load_patch(tmp_path, "place") is None
+    assert patch_cache.load_patch(tmp_path, "place") is None

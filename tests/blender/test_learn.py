@@ -15,29 +15,27 @@ import pytest
 from job_scene import LIMIT_S, PLATE, finish, is_gone, kill, my_folders, small_scene
 from panel_recorder import Recorder, context_of, rna_of
 
-from hnf_blender.bridge.own_material import get_artist_choice, set_definition
-from hnf_blender.jobs import current, learning, running
-from hnf_blender.jobs.folder import is_process_alive
-from hnf_blender.jobs.learning import LearnJob, MaterialSlot, assign_to_slot, make_weights_path
-from hnf_blender.jobs.outside_python import check_python
-from hnf_blender.ops import outside_python as python_ops
-from hnf_blender.ops.diagnose import collect_diagnosis
-from hnf_blender.ops.learn import LAST_CHOICES, HNF_OT_learn, HNF_OT_learn_run
+from hnf_blender.bridge.scene.material_definition import get_artist_choice, set_definition
+from hnf_blender.jobs import bake_job, learn_job, manager
+from hnf_blender.jobs.child_job import is_process_alive
+from hnf_blender.jobs.learn_job import LearnJob, MaterialSlot, assign_to_slot, check_python, make_weights_path
+from hnf_blender.ops import learn_ops as python_ops
+from hnf_blender.ops.diagnose_ops import collect_diagnosis
+from hnf_blender.ops.learn_ops import LAST_CHOICES, HNF_OT_learn, HNF_OT_learn_run
 from hnf_blender.prefs import HnfPreferences
-from hnf_blender.preview.hearing import RenderCache, synthesise_preview
-from hnf_blender.preview.pictures import ImageStyle
-from hnf_blender.preview.present import read_current_bake
-from hnf_blender.state.session import STATE
-from hnf_blender.state.settings import Settings
+from hnf_blender.preview.stroke_image import ImageStyle
+from hnf_blender.preview.synthesis_thread import RenderCache, read_current_bake, synthesise_preview
+from hnf_blender.state.addon_settings import Settings
+from hnf_blender.state.session_state import STATE
 from hnf_blender.touch.stroke_bake import load_bake
+from hnf_blender.ui.diagnose_panel import draw_external_python
 from hnf_blender.ui.materials_panel import draw_learn
-from hnf_blender.ui.outside_python import draw_external_python
-from hnf_core.cli.learn import STAGE_GATHERING, LearnRequest
-from hnf_core.datasets.catalogue import LICENCES
-from hnf_core.field.parts import synthesise_by_field
+from hnf_core.datasets.registry import LICENCES
+from hnf_core.field.synthesis import synthesise_by_field
 from hnf_core.field.weights import load_field, read_trained_material
 from hnf_core.material.hnf_file import from_library, read_hnf
 from hnf_core.material.library import get_material
+from hnf_core.training.learn import STAGE_GATHERING, LearnRequest
 
 pytestmark = pytest.mark.usefixtures("operators")
 NO_TORCH = importlib.util.find_spec("torch") is None
@@ -51,7 +49,7 @@ def learned(tmp_path, monkeypatch) -> Path:
     """Where learned materials go."""
     folder = tmp_path / "learned"
     folder.mkdir()
-    monkeypatch.setattr(learning, "get_learned_folder", lambda: folder)
+    monkeypatch.setattr(learn_job, "get_learned_folder", lambda: folder)
     yield folder
     STATE.external_python = None
     LAST_CHOICES.clear()
@@ -84,14 +82,14 @@ def lesson_of(folder: Path, epochs: int = 3) -> LearnRequest:
 
 
 def begin(lesson: LearnRequest, python: str = sys.executable) -> LearnJob:
-    return current.start_job(lambda: LearnJob(python, lesson, MaterialSlot(PLATE, 0)))
+    return manager.start_job(lambda: LearnJob(python, lesson, MaterialSlot(PLATE, 0)))
 
 
 def reach(stage: str, done: int) -> int:
     """Tick until so many steps of a stage are done; how many that are."""
     until = time.monotonic() + LIMIT_S
     while time.monotonic() < until:
-        assert current.tick() is None, STATE.last_job
+        assert manager.tick() is None, STATE.last_job
         if STATE.job is not None and STATE.job.stage == stage and STATE.job.done >= done:
             return STATE.job.done
         time.sleep(0.005)
@@ -192,7 +190,7 @@ def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, le
     pid = begin(lesson).pid
     assert len(my_folders()) == 1
     done = reach("epoch", 1)
-    assert current.cancel()
+    assert manager.cancel()
     assert is_gone(pid)
     assert STATE.job is None
     assert "with the same choices to resume" in STATE.last_job.message
@@ -210,7 +208,7 @@ def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, le
     assert material == read_hnf(learned / f"{NAME} (own).hnf")
     assert (material.name, material.licence) == (NAME, LICENCES["own"])
 
-    assert running.bake_blocking(bpy.context.scene, bpy.context.view_layer).ok
+    assert bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer).ok
     bake = load_bake(stroke)
     assert {read_trained_material(field, "").name for field in bake.stroke.fields} == {NAME}
     assert any("its shader's relief is not felt" in note for note in bake.notes)
@@ -258,7 +256,7 @@ def test_a_python_that_is_none_leaves_nothing(lone_bake, learned, tmp_path, name
     with pytest.raises(RuntimeError, match="No folder is chosen"):
         bpy.ops.hnf.learn_run(kind="hatt", name="ABS Plastic")
     assert my_folders() == []
-    assert current.cancel() is False
+    assert manager.cancel() is False
 
 
 def test_the_dialog_tells_what_is_missing_and_no_traceback(lone_bake, learned, tmp_path, name_python, capfd) -> None:
@@ -286,11 +284,11 @@ def test_a_lessons_parent_that_dies_takes_it_along(tmp_path) -> None:
     """Its standard input ends."""
     import subprocess
 
-    from hnf_blender.jobs.records import to_json
+    from hnf_blender.jobs.child_job import to_json
     from hnf_core import errors
 
     lesson = to_json(LearnRequest("simulated", "", "oak-wood", 60.0, 1))
-    words = [sys.executable, str(learning.WORKER), str(Path(errors.__file__).parent), lesson, str(tmp_path / "out")]
+    words = [sys.executable, str(learn_job.WORKER), str(Path(errors.__file__).parent), lesson, str(tmp_path / "out")]
     process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stdin is not None

@@ -8,7 +8,7 @@ import pytest
 from builders import add_plane
 from stroke_builders import LINE, add_stroke, key, keyed_fcurves
 
-from hnf_blender.ops.strokes import list_convertible_curves
+from hnf_blender.ops.stroke_ops import list_convertible_curves
 
 pytestmark = pytest.mark.usefixtures("operators")
 

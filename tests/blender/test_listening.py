@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from hnf_blender.rooms import add_handlers, remove_handlers
+from hnf_blender.registration import add_handlers, remove_handlers
 
 
 def test_what_is_listened_to_outlives_a_file_and_ends_when_asked() -> None:

@@ -11,12 +11,12 @@ import pytest
 from builders import add_plane
 from stroke_builders import LINE, add_stroke
 
-from hnf_blender.bridge.scene_names import find_object, get_named_objects, get_scene_name
-from hnf_blender.ops.active import get_surface_in_layer
-from hnf_blender.props.listed import CHANGES
-from hnf_blender.state import watch
-from hnf_blender.state.session import STATE, get_shown_name
-from hnf_blender.touch.status import Freshness, StrokeStatus
+from hnf_blender.bridge.scene.scene_names import find_object, get_named_objects, get_scene_name
+from hnf_blender.ops.context import get_surface_in_layer
+from hnf_blender.props.object_cache import CHANGES
+from hnf_blender.state import status_tracker
+from hnf_blender.state.session_state import STATE, get_shown_name
+from hnf_blender.touch.freshness import Freshness, StrokeStatus
 
 FEW, MANY = 2, 12
 
@@ -134,10 +134,10 @@ def test_the_timer_looks_through_a_scene_as_often_for_many_as_for_few(tmp_path, 
         folder = tmp_path / str(count)
         folder.mkdir()
         scene, _ = linked_strokes(folder, count)
-        seen = watch.StatusTracker(bpy.context.scene, bpy.context.view_layer)
+        seen = status_tracker.StatusTracker(bpy.context.scene, bpy.context.view_layer)
         while not seen.is_idle:
             seen.check_next()
-        monkeypatch.setattr(watch, "_find_scene", lambda _, scene=scene: scene)
+        monkeypatch.setattr(status_tracker, "_find_scene", lambda _, scene=scene: scene)
         seen.mark_changed(*changed)
         assert seen.is_idle == (not changed)
         monkeypatch.undo()

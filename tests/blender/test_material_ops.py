@@ -7,15 +7,20 @@ import numpy as np
 import pytest
 from builders import add_plane, datablock_names
 
-from hnf_blender.bridge.picture_names import list_texture_names
-from hnf_blender.bridge.shader_values import read_stated_appearance
+from hnf_blender.bridge.shader.closures import read_stated_appearance
+from hnf_blender.bridge.shader.images import list_texture_names
 from hnf_blender.compat import switch_nodes_on
-from hnf_blender.ops.materials import MATERIAL_CLASSES, HNF_OT_material_choose, find_material_object, list_library_items
-from hnf_blender.rooms import register_classes, unregister_classes
-from hnf_blender.state.probe import Relief
-from hnf_blender.state.session import STATE
-from hnf_blender.state.watch import StatusTracker
-from hnf_blender.touch.jobs import make_scene_session
+from hnf_blender.ops.material_ops import (
+    MATERIAL_CLASSES,
+    HNF_OT_material_choose,
+    find_material_object,
+    list_library_items,
+)
+from hnf_blender.registration import register_classes, unregister_classes
+from hnf_blender.state.job_results import Relief
+from hnf_blender.state.session_state import STATE
+from hnf_blender.state.status_tracker import StatusTracker
+from hnf_blender.touch.session import make_scene_session
 from hnf_core.material.library import get_material, load_library
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route

@@ -10,7 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Euler, Matrix
 
-from hnf_blender.bridge.meshes import BlenderGeometry, compute_surface_frame, hash_mesh, make_ray_caster, read_surface
+from hnf_blender.bridge.scene.meshes import (
+    BlenderGeometry,
+    compute_surface_frame,
+    hash_mesh,
+    make_ray_caster,
+    read_surface,
+)
 from hnf_core.errors import SceneError
 from hnf_core.scene.raycast import ReferenceGeometry
 

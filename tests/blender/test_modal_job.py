@@ -9,9 +9,9 @@ import bpy
 import pytest
 from job_scene import LIMIT_S, NOTHING, is_gone, kept, kill, my_folders, reach, small_scene
 
-from hnf_blender.jobs import current
+from hnf_blender.jobs import manager as current
 from hnf_blender.ops.modal_job import ModalJob, poll_no_job
-from hnf_blender.state.session import STATE, LastJob
+from hnf_blender.state.session_state import STATE, LastJob
 from hnf_core.errors import HnfError
 
 VIEW, TEXT = (
@@ -179,7 +179,7 @@ def test_in_line_the_end_is_told_as_in_a_window(lone_bake) -> None:
 
 
 def test_a_place_is_waited_for_in_the_view_and_other_editors_keep_their_clicks() -> None:
-    from hnf_blender.ops.probe import HNF_OT_probe
+    from hnf_blender.ops.material_ops import HNF_OT_probe
 
     view = SimpleNamespace(**vars(VIEW) | {"regions": [SimpleNamespace(type="WINDOW", x=0, y=0, width=80, height=100)]})
     context, ended = SimpleNamespace(window=SimpleNamespace(screen=SimpleNamespace(areas=[view, TEXT]))), []

@@ -8,15 +8,14 @@ import bpy
 from job_scene import PLATE, kept, line_stroke, small_scene
 from touch_scene import save_scene, touch
 
-from hnf_blender.bridge.scene_names import find_object, get_named_objects, get_scene_name
-from hnf_blender.jobs import plan_view, running
-from hnf_blender.state.session import STATE
-from hnf_blender.state.watch import refresh_status
-from hnf_blender.touch.jobs import gather_jobs, make_scene_session
-from hnf_blender.touch.status import Freshness
+from hnf_blender.bridge.scene.scene_names import find_object, get_named_objects, get_scene_name
+from hnf_blender.jobs import bake_job, baked_data
+from hnf_blender.state.session_state import STATE
+from hnf_blender.state.status_tracker import refresh_status
+from hnf_blender.touch.freshness import Freshness
+from hnf_blender.touch.session import gather_jobs, make_scene_session, resolve_target
 from hnf_blender.touch.stroke_bake import load_bake
-from hnf_blender.touch.targets import resolve_target
-from hnf_blender.ui import follow_selection
+from hnf_blender.ui import strokes_panel
 
 
 def link_again(tmp_path, *names):
@@ -46,7 +45,7 @@ def two_plates(tmp_path):
 
 
 def bake_all():
-    return running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    return bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
 
 
 def test_every_object_of_a_scene_has_one_name(tmp_path) -> None:
@@ -71,7 +70,7 @@ def test_the_surface_that_was_chosen_is_baked(tmp_path, lone_bake) -> None:
     assert facts["material"] == "Plate plastic"
     assert "measured" in facts["routes"]
     refresh_status(bpy.context.scene)
-    assert plan_view.make_plan(bpy.context.scene, bpy.context.view_layer).lines[0].kind == "fresh"
+    assert baked_data.make_plan(bpy.context.scene, bpy.context.view_layer).lines[0].kind == "fresh"
     stroke.hnf_stroke.surface = None  # the nearest one is the same
     bpy.context.view_layer.update()
     assert surfaces() == [linked.name_full]
@@ -107,7 +106,7 @@ def test_the_list_picks_the_one_that_is_active(tmp_path) -> None:
     scene, layer = bpy.context.scene, bpy.context.view_layer
     for each in (linked, stroke, linked):
         layer.objects.active = each
-        follow_selection.sync_list_with_selection()
+        strokes_panel.sync_list_with_selection()
         assert scene.objects[scene.hnf.stroke_index] == each
 
 

@@ -14,16 +14,14 @@ from builders import add_plane, add_sphere
 from closeup_builders import principled
 from mathutils import Vector
 
-from hnf_blender.bridge import splat_reconstruction
-from hnf_blender.bridge.importers import open_scene
-from hnf_blender.bridge.nerfstudio import CAMERA_COLLECTION, add_cameras, find_geometry
-from hnf_blender.bridge.scene_camera import read_camera
-from hnf_blender.bridge.splat_cloud import get_cloud
+from hnf_blender.bridge.importers import CAMERA_COLLECTION, add_cameras, find_geometry, open_scene
+from hnf_blender.bridge.render.cycles import read_camera
+from hnf_blender.bridge.splats import reconstruction
+from hnf_blender.bridge.splats.splat_cloud import get_cloud
 from hnf_core.errors import FileError, SceneError
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.nerfstudio import NerfstudioFrame, read_transforms
-from hnf_core.scene.splats.inria import write_inria
-from hnf_core.scene.splats.read import read_splats
+from hnf_core.scene.splats.io_ply import read_splats, write_inria
 
 SPOT = np.array([0.021, -0.013, 0.012])
 WIDTH, HEIGHT = 144, 96
@@ -178,7 +176,7 @@ def test_splats_of_an_export_stand_upright_among_its_cameras(copied, monkeypatch
     (copied / "poisson_mesh.ply").unlink()
     splats = read_splats(copied / "splat.ply")
     write_inria(copied / "splat.ply", splats)
-    monkeypatch.setattr(splat_reconstruction, "DEFAULT_CELLS", 40)
+    monkeypatch.setattr(reconstruction, "DEFAULT_CELLS", 40)
     scene = open_scene(copied / "transforms.json")
     surface = next(obj for obj in scene.objects if get_cloud(obj) is not None)
     np.testing.assert_allclose(np.array(get_cloud(surface).matrix_world), np.eye(4), atol=1e-6)

@@ -9,10 +9,10 @@ import numpy as np
 from builders import add_plane
 from outside_pictures import picture
 
-from hnf_blender.bridge.hashes import hash_material
-from hnf_blender.bridge.picture_hash import RenderHashes
-from hnf_blender.bridge.scene_camera import make_overview_camera
-from hnf_blender.touch.outside import list_external_files
+from hnf_blender.bridge.render.cycles import make_overview_camera
+from hnf_blender.bridge.render.lit_render import RenderHashes
+from hnf_blender.bridge.shader.shader_hash import hash_material
+from hnf_blender.touch.bake_plan import list_external_files
 
 
 def test_files_beside_a_scene(tmp_path: Path) -> None:

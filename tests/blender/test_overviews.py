@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 from builders import add_plane, add_sphere, datablock_names
 
-from hnf_blender.bridge import picture
-from hnf_blender.bridge.meshes import read_surface
-from hnf_blender.bridge.picture import OverviewRenderer, render_overview
-from hnf_blender.bridge.render import configure_cycles
-from hnf_blender.bridge.scene_camera import make_overview_camera
-from hnf_blender.bridge.temporary import TEMP_SCENE_NAME, TemporaryScene
-from hnf_blender.touch import view as touch_view
+from hnf_blender.bridge.render import lit_render
+from hnf_blender.bridge.render.cycles import configure_cycles, make_overview_camera
+from hnf_blender.bridge.render.lit_render import OverviewRenderer, render_overview
+from hnf_blender.bridge.scene.meshes import read_surface
+from hnf_blender.bridge.scene.temp_scene import TEMP_SCENE_NAME, TemporaryScene
+from hnf_blender.touch import overview as touch_view
+from hnf_blender.touch.overview import StrokeViews
 from hnf_blender.touch.report import Counts
-from hnf_blender.touch.view import StrokeViews
 from hnf_core.errors import SceneError
-from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.scene.camera import Camera
+from hnf_core.units import linear_to_srgb
 
 LEFT = make_overview_camera([[0, 0, 0]], [-1, -1, 0.2], 0.7, 96, 54)
 RIGHT = make_overview_camera([[0, 0, 0]], [1, -1, 0.2], 0.7, 80, 60)
@@ -174,7 +173,9 @@ def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a
     scenes = []
     monkeypatch.setattr(touch_view, "WIDTH", 96)
     monkeypatch.setattr(touch_view, "HEIGHT", 54)
-    monkeypatch.setattr(picture, "configure_cycles", lambda scene, samples: scenes.append(configure_cycles(scene, 1)))
+    monkeypatch.setattr(
+        lit_render, "configure_cycles", lambda scene, samples: scenes.append(configure_cycles(scene, 1))
+    )
     depsgraph, counts = bpy.context.evaluated_depsgraph_get(), Counts()
     surface = read_surface(floor, depsgraph, 1.0)
     with StrokeViews(bpy.context.scene, depsgraph, 1.0, counts) as views:
@@ -195,7 +196,7 @@ def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a
 def small(monkeypatch):
     monkeypatch.setattr(touch_view, "WIDTH", 96)
     monkeypatch.setattr(touch_view, "HEIGHT", 54)
-    monkeypatch.setattr(picture, "configure_cycles", lambda scene, samples: configure_cycles(scene, 1))
+    monkeypatch.setattr(lit_render, "configure_cycles", lambda scene, samples: configure_cycles(scene, 1))
 
 
 def seen_from_below(gap):
@@ -272,7 +273,7 @@ def test_a_tree_of_lights_is_grown_where_there_are_several_and_beside_one_lamp_i
             own = overviews.temporary.scene.cycles
             own.use_denoising, own.seed = False, seed
             if tree is not None:
-                monkeypatch.setattr(picture, "_count_lamps", lambda scene: 2 * tree)
+                monkeypatch.setattr(lit_render, "_count_lamps", lambda scene: 2 * tree)
             rgb = linear_to_srgb(overviews.render_view(LEFT)[0].rgb)
             monkeypatch.undo()
             return own.use_light_tree, rgb

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hnf_blender.state import texts
-from hnf_blender.touch.status import Freshness, StrokeStatus
+from hnf_blender.state import labels
+from hnf_blender.touch.freshness import Freshness, StrokeStatus
 from hnf_blender.ui.materials_panel import group_equal_bakes
 
 LONG = "A stroke along the very long seam of the left armrest"
@@ -16,60 +16,60 @@ LONG = "A stroke along the very long seam of the left armrest"
     [(0.2, "under 1 s"), (1.0, "1 s"), (59.4, "59 s"), (60.0, "1 min"), (200.0, "3 min 20 s"), (3900.0, "1 h 5 min")],
 )
 def test_times_are_said_as_people_do(seconds: float, said: str) -> None:
-    assert texts.format_duration(seconds) == said
+    assert labels.format_duration(seconds) == said
 
 
 @pytest.mark.parametrize(
     ("count", "said"), [(0, "0 B"), (999, "999 B"), (1234, "1.2 kB"), (48_321, "48 kB"), (5_000_000, "5 MB")]
 )
 def test_sizes(count: int, said: str) -> None:
-    assert texts.format_bytes(count) == said
+    assert labels.format_bytes(count) == said
 
 
 @pytest.mark.parametrize("most", [8, 12, 20, 200])
 def test_a_shortened_name_fits_and_keeps_both_ends(most: int) -> None:
-    short = texts.shorten_text(LONG, most)
+    short = labels.shorten_text(LONG, most)
     assert len(short) <= most
     assert (short[0], short[-1]) == (LONG[0], LONG[-1])
-    assert texts.shorten_text("Rub", most) == "Rub"
+    assert labels.shorten_text("Rub", most) == "Rub"
 
 
 @pytest.mark.parametrize("most", [8, 20, 60])
 def test_wrapped_lines_fit_and_lose_no_word(most: int) -> None:
     text = "The mesh of 'Chair' changed since the bake: bake again."
-    lines = texts.wrap_text(text, most)
+    lines = labels.wrap_text(text, most)
     assert max(len(line) for line in lines) <= most
     assert "".join(lines).replace(" ", "") == text.replace(" ", "")
 
 
 def test_routes_are_said_in_an_artists_words() -> None:
-    assert texts.format_routes("8–2 mm measured, 1–0.125 mm prior") == (
+    assert labels.format_routes("8–2 mm measured, 1–0.125 mm prior") == (
         "8–2 mm: seen in the shader's relief",
         "1–0.125 mm: taken from the library",
     )
-    assert texts.format_routes("8–0.5 mm predicted, 0.25–0.125 mm prior") == (
+    assert labels.format_routes("8–0.5 mm predicted, 0.25–0.125 mm prior") == (
         "8–0.5 mm: estimated from the picture",
         "0.25–0.125 mm: taken from the library",
     )
-    assert texts.format_routes("") == ()
+    assert labels.format_routes("") == ()
 
 
 def test_reasons_are_short() -> None:
     reason = "'oak' in 'Old oak table; sanded'; 'table' in 'Old oak table'; roughness 0.60 fits"
-    assert texts.format_reason("'oak' in 'Old oak'; 'table' in 'Old table'; colour fits") == (
+    assert labels.format_reason("'oak' in 'Old oak'; 'table' in 'Old table'; colour fits") == (
         "the name says oak, table; colour fits"
     )
-    assert texts.format_reason("no clue in the scene") == "no clue in the scene"
-    assert "roughness 0.60 fits" in texts.format_reason(reason)
+    assert labels.format_reason("no clue in the scene") == "no clue in the scene"
+    assert "roughness 0.60 fits" in labels.format_reason(reason)
 
 
 def test_reasons_tell_pictures_and_relief_apart_from_names() -> None:
     reason = "'oak' in 'T_Oak.png'; 'wood' in 'Old wood'; colour fits; its relief is like oak-wood's"
-    assert texts.format_reason(reason) == (
+    assert labels.format_reason(reason) == (
         "the name says wood; a picture's name says oak; colour fits; its relief is like oak-wood"
     )
-    assert texts.format_reason("its relief does not fit") == "its relief does not fit"
-    assert texts.format_reason("'plate' in 'Plate'; its relief does not fit") == (
+    assert labels.format_reason("its relief does not fit") == "its relief does not fit"
+    assert labels.format_reason("'plate' in 'Plate'; its relief does not fit") == (
         "the name says plate, though its relief does not fit"
     )
 
@@ -80,19 +80,19 @@ def test_reasons_tell_pictures_and_relief_apart_from_names() -> None:
      (2.5e-3, "2.5 mm"), (0.25, "250 mm")],
 )  # fmt: skip
 def test_roughness_is_said_in_the_unit_that_suits_it(metres: float, said: str) -> None:
-    assert texts.format_height(metres) == said
+    assert labels.format_height(metres) == said
 
 
 def test_spreads_are_said_as_spans() -> None:
-    assert texts.format_factor_range(0.3, 1.2, "{:.2f}") == "0.25 – 0.36"
-    assert texts.format_stiffness(60_000.0, 1.5) == "Stiffness: about 60 N/mm (40 – 90)"
+    assert labels.format_factor_range(0.3, 1.2, "{:.2f}") == "0.25 – 0.36"
+    assert labels.format_stiffness(60_000.0, 1.5) == "Stiffness: about 60 N/mm (40 – 90)"
 
 
 def test_what_the_strokes_are_is_counted() -> None:
     states = [Freshness.FRESH, Freshness.FORCE, Freshness.STALE, Freshness.BROKEN]
-    assert texts.format_counts([StrokeStatus(each) for each in states]) == "2 up to date, 1 to bake, 1 broken"
-    assert texts.format_counts([None]) == "1 not checked"
-    assert texts.format_counts([]) == ""
+    assert labels.format_counts([StrokeStatus(each) for each in states]) == "2 up to date, 1 to bake, 1 broken"
+    assert labels.format_counts([None]) == "1 not checked"
+    assert labels.format_counts([]) == ""
 
 
 def test_strokes_that_were_baked_alike_are_told_together() -> None:

@@ -16,14 +16,14 @@ from panel_recorder import Recorder, context_of, drawn, rna_of
 import hnf_blender.ops
 import hnf_blender.ui
 from hnf_blender.prefs import HnfPreferences
-from hnf_blender.preview.facts import PREVIEW, PreviewFacts
-from hnf_blender.props.scene import get_active_stroke
-from hnf_blender.rooms import collect_classes
-from hnf_blender.state import texts
-from hnf_blender.state.session import STATE, JobStatus, LastJob, PlanLine, PlanView
-from hnf_blender.state.settings import Settings, get_settings
-from hnf_blender.touch.status import Freshness, StrokeStatus
-from hnf_blender.ui import stroke_list
+from hnf_blender.preview.preview_state import PREVIEW, PreviewFacts
+from hnf_blender.props.scene_settings import get_active_stroke
+from hnf_blender.registration import collect_classes
+from hnf_blender.state import labels
+from hnf_blender.state.addon_settings import Settings, get_settings
+from hnf_blender.state.session_state import STATE, JobStatus, LastJob, PlanLine, PlanView
+from hnf_blender.touch.freshness import Freshness, StrokeStatus
+from hnf_blender.ui import strokes_panel
 from hnf_core.action.primitives import PRIMITIVES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -75,7 +75,7 @@ def fill() -> None:
             name, 1.2, 3.0, 1.0, 20.0, 0.64, has_kept=freshness is Freshness.FRESH, busy=freshness is Freshness.FORCE,
             problem="stale" if freshness is Freshness.STALE else "", lines=("1.20 s; peak 3 m/s², RMS 1 m/s²",),
         )  # fmt: skip
-    kinds = tuple(PlanLine(kind, f"stroke '{LONG}'", "because") for kind in texts.PLAN_LABELS for _ in range(8))
+    kinds = tuple(PlanLine(kind, f"stroke '{LONG}'", "because") for kind in labels.PLAN_LABELS for _ in range(8))
     STATE.plan = PlanView(kinds, 75.0, 48_321)
     STATE.last_job = LastJob(False, "The bake stopped. Bake again.", ("Killed",))
     plane.data.materials[0].hnf_touch.library = "oak-wood"
@@ -207,9 +207,9 @@ def test_figures_of_her_own_are_asked_for_where_her_own_actuator_is_chosen() -> 
 
 @pytest.mark.parametrize("row_px", [70.0, 105.0, 180.0, 250.0, 800.0])
 def test_solo_and_mute_have_their_room_in_a_narrow_list(row_px: float) -> None:
-    share = stroke_list.compute_name_share(row_px)
-    assert (1.0 - share) * row_px >= stroke_list.SWITCHES_PX - 1e-9
-    assert stroke_list.MIN_SHARE <= share <= stroke_list.NAME_SHARE
+    share = strokes_panel.compute_name_share(row_px)
+    assert (1.0 - share) * row_px >= strokes_panel.SWITCHES_PX - 1e-9
+    assert strokes_panel.MIN_SHARE <= share <= strokes_panel.NAME_SHARE
 
 
 def test_what_was_told_of_another_scene_is_not_shown_here() -> None:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from builders import add_mesh, add_plane, add_sphere
 
-from hnf_blender.bridge.meshes import make_ray_caster, read_surface
-from hnf_blender.bridge.placement import choose_default_slots, list_touchable_slots, place_primitive
-from hnf_blender.bridge.strokes import list_strokes, read_stroke
+from hnf_blender.bridge.scene.meshes import make_ray_caster, read_surface
+from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, list_touchable_slots, place_primitive
+from hnf_blender.bridge.stroke.read_stroke import list_strokes, read_stroke
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import action_from_contacts, plan_patches
 from hnf_core.action.primitive_path import make_primitive_action

@@ -8,8 +8,8 @@ import bpy
 import pytest
 
 from hnf_blender import preview
-from hnf_blender.preview import current
-from hnf_blender.preview.facts import PREVIEW
+from hnf_blender.preview import controller
+from hnf_blender.preview.preview_state import PREVIEW
 
 
 @pytest.fixture
@@ -17,8 +17,8 @@ def begun(monkeypatch):
     """What was played anew or went on, in order."""
     done = []
     for name in ("play", "go_on"):
-        monkeypatch.setattr(current, name, lambda stroke, _scene, name=name: done.append((name, stroke)))
-    monkeypatch.setattr(current, "update_facts", lambda *_: None)
+        monkeypatch.setattr(controller, name, lambda stroke, _scene, name=name: done.append((name, stroke)))
+    monkeypatch.setattr(controller, "update_facts", lambda *_: None)
     PREVIEW.clear()
     yield done
     PREVIEW.clear()

@@ -10,15 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from player_builders import RATE_HZ, tone
 
-from hnf_blender.preview.whole import limit_offline, process_for_output
-from hnf_core.actuators.chain import render_counts
-from hnf_core.actuators.compensation import make_compensation
+from hnf_blender.preview.offline_player import limit_offline, process_for_output
 from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits
-from hnf_core.actuators.measure.resonator import Resonator
+from hnf_core.actuators.measure.frequency_response import FrequencyResponse, Resonator
+from hnf_core.actuators.measure.inverse_filter import make_compensation
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.response import FrequencyResponse
+from hnf_core.actuators.signal_chain import render_counts
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 
 bounds = st.builds(
     Limits,

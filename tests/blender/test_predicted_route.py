@@ -12,9 +12,9 @@ from closeup_builders import principled
 from predicted_scene import PHOTO_PLATE, bake_open_scene, photo, photo_material, photo_plate, small_weights, use_weights
 from touch_scene import line_stroke
 
-from hnf_blender.bridge.look import UnlitImage
-from hnf_blender.touch import bake, seeing
-from hnf_blender.touch.feel import synthesise_stroke
+from hnf_blender.bridge.render.unlit_image import UnlitImage
+from hnf_blender.touch import bake_patches
+from hnf_blender.touch.synthesise import synthesise_stroke
 from hnf_core.field.weights import load_field
 from hnf_core.tactile.tactile_map import Route
 from hnf_core.tactile.views import cut_views
@@ -26,7 +26,7 @@ PRIOR = ["prior"] * 7
 def quick(tmp_path, monkeypatch):
     """Small networks, and close-ups of a quarter of the pixels."""
     use_weights(monkeypatch, small_weights(tmp_path / "small.safetensors"))
-    monkeypatch.setattr(bake, "PATCH_PIXELS", 256)
+    monkeypatch.setattr(bake_patches, "PATCH_PIXELS", 256)
 
 
 def ridges_under_a_photo():
@@ -64,7 +64,7 @@ def test_a_photo_without_relief_is_predicted_once_a_patch(tmp_path) -> None:
 
 
 def test_no_network_looks_where_the_relief_is_known(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(seeing, "_load_weights", None)  # to read the weights would fail
+    monkeypatch.setattr(bake_patches, "_load_weights", None)  # to read the weights would fail
     ridges_under_a_photo()
     line_stroke("Along")
     baked = bake_open_scene(tmp_path)
@@ -101,12 +101,12 @@ def test_where_a_picture_is_of_one_colour_it_is_not_read() -> None:
     look = UnlitImage(rgb, np.zeros((512, 512), dtype=np.float32), 2.0 * pixel_m, "a print")
     mask = np.ones((512, 512), dtype=bool)
     every = cut_views(look.linear, look.depth_m, mask, pixel_m, look.resolved_wavelength_m)
-    read = seeing.ReliefPredictor().make_views(look, mask, pixel_m)
+    read = bake_patches.ReliefPredictor().make_views(look, mask, pixel_m)
     assert 1 < len(read) < len(every)
     assert read[0].pitch_m == every[0].pitch_m
     assert all(view.rgb.std(axis=(0, 1)).max() > 0.01 for view in read)
     plain = replace(look, rgb=np.full_like(rgb, 140))
-    assert seeing.ReliefPredictor().make_views(plain, mask, pixel_m) == ()
+    assert bake_patches.ReliefPredictor().make_views(plain, mask, pixel_m) == ()
 
 
 def test_a_soft_photo_tells_no_more_than_it_shows(tmp_path) -> None:
@@ -199,7 +199,7 @@ def test_where_the_scene_stands_changes_nothing(tmp_path) -> None:
 
 def test_a_flat_map_gives_the_level_of_a_smooth_surface(tmp_path, monkeypatch) -> None:
     """What the picture shows to be smooth is not roughened by what the name promises."""
-    monkeypatch.setattr(bake, "PATCH_PIXELS", 512)
+    monkeypatch.setattr(bake_patches, "PATCH_PIXELS", 512)
     use_weights(monkeypatch, small_weights(tmp_path / "flat.safetensors", level=-7.0))
     photo_plate(name="Rough sandstone", texel=20e-6)
     line_stroke("Along")

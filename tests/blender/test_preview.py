@@ -17,14 +17,13 @@ from job_scene import small_scene
 from touch_scene import save_scene, set_keys
 
 from hnf_blender import preview
-from hnf_blender.preview import current, get_preview_facts, get_preview_icon
-from hnf_blender.preview.device import import_aud
-from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.preview.hearing import RenderCache, SynthesisThread, synthesise_preview
-from hnf_blender.preview.pictures import ImageStyle
-from hnf_blender.preview.present import read_current_bake
-from hnf_blender.preview.timeline import PlayheadFollower, list_placed_signals
-from hnf_blender.state.watch import refresh_status
+from hnf_blender.preview import controller, get_preview_facts, get_preview_icon
+from hnf_blender.preview.preview_state import PREVIEW
+from hnf_blender.preview.sound_device import import_aud
+from hnf_blender.preview.stroke_image import ImageStyle
+from hnf_blender.preview.synthesis_thread import RenderCache, SynthesisThread, read_current_bake, synthesise_preview
+from hnf_blender.preview.timeline_playback import PlayheadFollower, list_placed_signals
+from hnf_blender.state.status_tracker import refresh_status
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY, SCHEMA, StrokeBake, load_bake, remove_bake, store_bake
 from hnf_core.errors import FileError, SceneError, StrokeError
 
@@ -33,11 +32,11 @@ from hnf_core.errors import FileError, SceneError, StrokeError
 def stroke(warm_bake):
     """A baked stroke, in a scene that nothing was heard of yet."""
     PREVIEW.clear()
-    current.PLAYER.release()
+    controller.PLAYER.release()
     small_scene()
     assert bpy.ops.hnf.bake() == {"FINISHED"}
     yield bpy.data.objects["Along"]
-    current.PLAYER.release()
+    controller.PLAYER.release()
     PREVIEW.clear()
 
 
@@ -66,14 +65,14 @@ def export(tmp_path, **words) -> dict[str, bytes]:
 
 
 def test_another_file_takes_nothing_that_was_still_being_heard(stroke) -> None:
-    current.refresh(stroke, bpy.context, wait=False)
+    controller.refresh(stroke, bpy.context, wait=False)
     listener = PREVIEW.synthesis_thread
     assert listener is not None
     preview.on_load_post()
     assert PREVIEW.synthesis_thread is None
     listener._thread.join(timeout=30.0)
     assert not listener._thread.is_alive()
-    assert current.collect_results() == set()
+    assert controller.collect_results() == set()
     assert PREVIEW.results == {}
 
 
@@ -160,13 +159,13 @@ def test_damaged_bytes_are_said_to_be_damaged(whole, data) -> None:
 
 @pytest.fixture(scope="module")
 def whole(rendered_plate) -> bytes:
-    from hnf_blender.jobs import running
+    from hnf_blender.jobs import bake_job
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "get_cache_folder", lambda: rendered_plate)
+        patch.setattr(bake_job, "get_cache_folder", lambda: rendered_plate)
         small_scene()
-        running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+        bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     return bytes(bpy.data.objects["Along"][BAKE_PROPERTY])
 
 
@@ -256,8 +255,8 @@ def test_playing_without_a_device_says_so(stroke) -> None:
 def test_facts_are_there_to_be_shown(stroke) -> None:
     assert get_preview_facts(stroke) is None
     assert get_preview_icon(stroke) == 0
-    heard = current.refresh(stroke, bpy.context, wait=True)
-    facts = current.update_facts("Along", bpy.context.scene)
+    heard = controller.refresh(stroke, bpy.context, wait=True)
+    facts = controller.update_facts("Along", bpy.context.scene)
     assert get_preview_facts(stroke) is facts
     assert facts.duration_s == pytest.approx(heard.signal.duration_s)
     assert facts.peak_m_s2 == pytest.approx(float(np.abs(heard.signal.samples).max()))
@@ -265,27 +264,27 @@ def test_facts_are_there_to_be_shown(stroke) -> None:
     assert not facts.busy
     assert "m/s²" in facts.lines[0]
     bpy.context.scene.hnf.monitor_gain_db = 60.0
-    assert any("clips by" in line for line in current.update_facts("Along", bpy.context.scene).lines)
+    assert any("clips by" in line for line in controller.update_facts("Along", bpy.context.scene).lines)
     bpy.context.scene.hnf.actuator = "eai-c-mf"  # nothing is known of its largest
-    assert current.update_facts("Along", bpy.context.scene).headroom_db is None
+    assert controller.update_facts("Along", bpy.context.scene).headroom_db is None
 
 
 def test_an_actuator_of_her_own_counts_at_once_in_levels_and_picture(stroke) -> None:
     settings = bpy.context.scene.hnf
     settings.actuator = "own"
-    plain = current.refresh(stroke, bpy.context, wait=True)
-    told = current.update_facts("Along", bpy.context.scene)
+    plain = controller.refresh(stroke, bpy.context, wait=True)
+    told = controller.update_facts("Along", bpy.context.scene)
     assert told.headroom_db is None
     for peak in (told.peak_m_s2 / 2.0, told.peak_m_s2 * 2.0):
         settings.own_peak_m_s2 = peak
-        drawn = current.refresh(stroke, bpy.context, wait=True)
-        told = current.update_facts("Along", bpy.context.scene)
+        drawn = controller.refresh(stroke, bpy.context, wait=True)
+        told = controller.update_facts("Along", bpy.context.scene)
         assert told.headroom_db == pytest.approx(20.0 * np.log10(peak / told.peak_m_s2), abs=1e-4)
         assert any("My actuator" in line for line in told.lines)
         assert drawn.style.limit_m_s2 == pytest.approx(peak)
         assert not np.array_equal(drawn.image, plain.image)
     settings.own_lowest_hz, settings.own_highest_hz = 2000.0, 1000.0  # the wrong way round
-    assert any("below 1000 Hz" in line for line in current.update_facts("Along", bpy.context.scene).lines)
+    assert any("below 1000 Hz" in line for line in controller.update_facts("Along", bpy.context.scene).lines)
 
 
 def test_a_and_now_are_compared_at_their_own_level(stroke) -> None:
@@ -293,7 +292,7 @@ def test_a_and_now_are_compared_at_their_own_level(stroke) -> None:
     assert bpy.ops.hnf.preview_ab(action="KEEP") == {"FINISHED"}
     kept = PREVIEW.results["Along"]
     set_keys(stroke, "force", (3.0, 3.0))
-    new = current.refresh(stroke, bpy.context, wait=True)
+    new = controller.refresh(stroke, bpy.context, wait=True)
     assert PREVIEW.get_shown("Along") is new
     assert new.signal.rms > kept.signal.rms
     bpy.ops.hnf.preview_ab(action="SWITCH")
@@ -362,7 +361,7 @@ def test_store_bake_is_what_load_bake_reads(whole) -> None:
 def test_on_the_timeline_sounds_what_is_true_and_not_muted(stroke) -> None:
     scene = bpy.context.scene
     assert list_placed_signals(scene) == []
-    heard = current.refresh(stroke, bpy.context, wait=True)
+    heard = controller.refresh(stroke, bpy.context, wait=True)
     (placed,) = list_placed_signals(scene)
     assert (placed.start, placed.rate) == (1.0, 10_000.0)
     assert placed.samples is heard.signal.samples
@@ -373,11 +372,11 @@ def test_on_the_timeline_sounds_what_is_true_and_not_muted(stroke) -> None:
     bpy.context.view_layer.update()
     refresh_status(scene)
     assert list_placed_signals(scene) == []
-    assert "ake" in current.update_facts("Along", scene).problem
+    assert "ake" in controller.update_facts("Along", scene).problem
 
 
 def test_the_timeline_plays_on_without_a_sound_device(stroke) -> None:
-    current.refresh(stroke, bpy.context, wait=True)
+    controller.refresh(stroke, bpy.context, wait=True)
     follower = PlayheadFollower()
     follower.start(bpy.context.scene)
     assert follower.start_frame == float(bpy.context.scene.frame_current)

@@ -8,12 +8,12 @@ import bpy
 from job_scene import small_scene
 from touch_scene import save_scene, set_keys, touch
 
-from hnf_blender.preview import current
-from hnf_blender.preview.companions import ID_PROPERTY, find_linked_strips, mark_linked
-from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.state.session import STATE
-from hnf_blender.state.watch import refresh_status
-from hnf_blender.touch.status import Freshness
+from hnf_blender.preview import controller
+from hnf_blender.preview.linked_strips import ID_PROPERTY, find_linked_strips, mark_linked
+from hnf_blender.preview.preview_state import PREVIEW
+from hnf_blender.state.session_state import STATE
+from hnf_blender.state.status_tracker import refresh_status
+from hnf_blender.touch.freshness import Freshness
 
 
 def exported(tmp_path) -> dict[str, bytes]:
@@ -76,9 +76,9 @@ def test_a_speaker_that_sounds_as_the_stroke_did_before_is_told(warm_bake) -> No
     assert bpy.ops.hnf.add_speaker() == {"FINISHED"}
 
     def told() -> list[str]:
-        current.refresh(stroke, bpy.context, wait=True)
-        current.update_outdated_strips(stroke, scene)
-        return [line for line in current.update_facts("Along", scene).lines if "before the last change" in line]
+        controller.refresh(stroke, bpy.context, wait=True)
+        controller.update_outdated_strips(stroke, scene)
+        return [line for line in controller.update_facts("Along", scene).lines if "before the last change" in line]
 
     assert told() == []
     set_keys(stroke, "force", (3.0, 2.7))

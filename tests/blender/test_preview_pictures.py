@@ -9,9 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_blender.preview.letters import rasterise_text
-from hnf_blender.preview.monitor import FULL_SCALE_M_S2, apply_monitor_gain, compute_clipping_db, compute_monitor_gain
-from hnf_blender.preview.pictures import (
+from hnf_blender.preview.sound_device import (
+    FULL_SCALE_M_S2,
+    apply_monitor_gain,
+    compute_clipping_db,
+    compute_monitor_gain,
+)
+from hnf_blender.preview.stroke_image import (
     DARK,
     LIGHT,
     SIZE_PX,
@@ -20,11 +24,12 @@ from hnf_blender.preview.pictures import (
     ImageStyle,
     compute_column_extrema,
     draw_stroke_image,
+    rasterise_text,
     round_up_nicely,
 )
-from hnf_blender.preview.placement import FrameClock, PlacedSignal, has_jumped, mix_strokes
+from hnf_blender.preview.timeline_playback import FrameClock, PlacedSignal, has_jumped, mix_strokes
 from hnf_core.action.action import Action
-from hnf_core.export.tracks import FORCE_COLOUR, SPEED_COLOUR
+from hnf_core.export.plots.figure import FORCE_COLOUR, SPEED_COLOUR
 from hnf_core.signal import Signal
 
 RATE = 10_000.0

@@ -13,17 +13,17 @@ from job_scene import finish, kept
 from panel_recorder import drawn
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
-from hnf_blender.jobs import current
-from hnf_blender.state.session import STATE
-from hnf_blender.touch.bake import get_token
-from hnf_blender.touch.feel import bake_stroke_steps
-from hnf_blender.touch.jobs import gather_jobs, make_scene_session
-from hnf_blender.touch.probe import QueryResult, query_steps
+from hnf_blender.jobs import manager
+from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.bake_patches import get_token
+from hnf_blender.touch.query import QueryResult, query_steps
 from hnf_blender.touch.report import Counts
-from hnf_core.cli.probe import TouchQuery
+from hnf_blender.touch.session import gather_jobs, make_scene_session
+from hnf_blender.touch.synthesise import bake_stroke_steps
 from hnf_core.errors import SceneError
 from hnf_core.material.library import load_library
 from hnf_core.material.token import BAND_FEATURES, band_slice
+from hnf_core.touch_request import TouchQuery
 
 RIDGES = 2
 """The band of 2 mm waves."""
@@ -233,7 +233,7 @@ def test_a_chosen_material_is_what_friction_is_told_of(tmp_path) -> None:
 def panel():
     import hnf_blender.ops
     import hnf_blender.ui
-    from hnf_blender.ui.probe_panel import HNF_PT_probe
+    from hnf_blender.ui.materials_panel import HNF_PT_probe
 
     hnf_blender.ui.register()
     yield HNF_PT_probe
@@ -249,7 +249,7 @@ def test_the_window_s_job_finds_what_is_found_in_line(lone_bake, panel) -> None:
     assert in_line.object_name == PLATE
     shutil.rmtree(lone_bake)
     STATE.clear()
-    bake = current.start_bake(bpy.context.scene, bpy.context.view_layer, point=TouchQuery(PLATE, (0.01, 0.02, 0.0)))
+    bake = manager.start_bake(bpy.context.scene, bpy.context.view_layer, point=TouchQuery(PLATE, (0.01, 0.02, 0.0)))
     assert bake.pid is not None
     ended = finish(bake)
     assert ended.ok, ended
@@ -269,7 +269,7 @@ def test_a_place_that_is_gone_is_told_by_the_job(lone_bake) -> None:
     ridge_plate()
     bpy.context.view_layer.update()
     ended = finish(
-        current.start_bake(bpy.context.scene, bpy.context.view_layer, point=TouchQuery("Gone", (0.0, 0.0, 0.0)))
+        manager.start_bake(bpy.context.scene, bpy.context.view_layer, point=TouchQuery("Gone", (0.0, 0.0, 0.0)))
     )
     assert not ended.ok
     assert "no such object" in ended.message
@@ -279,8 +279,8 @@ def test_a_place_that_is_gone_is_told_by_the_job(lone_bake) -> None:
 def test_a_look_that_is_given_up_leaves_nothing(lone_bake) -> None:
     ridge_plate()
     bpy.context.view_layer.update()
-    current.start_bake(bpy.context.scene, bpy.context.view_layer, point=TouchQuery(PLATE, (0.01, 0.02, 0.0)))
-    assert current.cancel()
+    manager.start_bake(bpy.context.scene, bpy.context.view_layer, point=TouchQuery(PLATE, (0.01, 0.02, 0.0)))
+    assert manager.cancel()
     assert STATE.last_job.message == "Nothing was examined."
     assert STATE.query_view is None
     assert STATE.job is None

@@ -7,14 +7,14 @@ import pytest
 from predicted_scene import PHOTO_PLATE, photo_plate, small_weights, use_weights
 from touch_scene import save_scene, touch
 
-from hnf_blender.touch import bake
+from hnf_blender.touch import bake_patches
 
 WORDS = ("--probe", f"{PHOTO_PLATE}:0.01,0.02")
 
 
 @pytest.fixture(autouse=True)
 def smaller(monkeypatch):
-    monkeypatch.setattr(bake, "PATCH_PIXELS", 256)
+    monkeypatch.setattr(bake_patches, "PATCH_PIXELS", 256)
 
 
 def test_a_picture_is_read_once_and_its_map_is_told(tmp_path, monkeypatch, capsys) -> None:

@@ -9,12 +9,12 @@ import pytest
 from panel_recorder import drawn
 
 import hnf_blender.ui
-from hnf_blender.props import profile_file
-from hnf_blender.props.scene import get_actuator_profile, get_shown_profile
+from hnf_blender.props import scene_settings
+from hnf_blender.props.scene_settings import get_actuator_profile, get_shown_profile
 from hnf_blender.ui.actuator_panel import HNF_PT_actuator
 from hnf_blender.ui.export_panel import HNF_PT_export
 from hnf_core.actuators.profile import GENERIC, ActuatorProfile
-from hnf_core.actuators.profile_file import write_profile
+from hnf_core.actuators.profile_json import write_profile
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -26,7 +26,7 @@ def switched_on(operators):
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    monkeypatch.setattr(profile_file, "CHECK_INTERVAL_S", 1e-6)
+    monkeypatch.setattr(scene_settings, "CHECK_INTERVAL_S", 1e-6)
     path = tmp_path / "mine.json"
     write_profile(path, ActuatorProfile("mine", "Mine", "measured here", (30.0, 500.0), peak_m_s2=4.0))
     settings = bpy.context.scene.hnf
@@ -38,7 +38,7 @@ def scene(tmp_path, monkeypatch):
 def words(monkeypatch) -> str:
     """What both panels say while every look at a file fails; where its lines break is the sidebar's affair."""
     with monkeypatch.context() as patch:
-        for module, name in ((os, "stat"), (profile_file, "_read"), (profile_file, "_changed")):
+        for module, name in ((os, "stat"), (scene_settings, "_read"), (scene_settings, "_changed")):
             patch.setattr(module, name, lambda *_args, **_named: pytest.fail("a panel asked the disk"))
         return " ".join(f"{drawn(HNF_PT_actuator).words} {drawn(HNF_PT_export).words}".split())
 

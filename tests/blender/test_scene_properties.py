@@ -11,12 +11,12 @@ from changes import add_picture, node, plate, tree, write_picture
 from closeup_builders import look
 from touch_scene import line_stroke, ridge_plate
 
-from hnf_blender.bridge.strokes import list_strokes
+from hnf_blender.bridge.stroke.read_stroke import list_strokes
 from hnf_blender.compat import version
-from hnf_blender.jobs import running
-from hnf_blender.touch import bake as patches
-from hnf_blender.touch import jobs
-from hnf_blender.touch.jobs import make_scene_session
+from hnf_blender.jobs import bake_job
+from hnf_blender.touch import bake_patches as patches
+from hnf_blender.touch import session as jobs
+from hnf_blender.touch.session import make_scene_session
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 
 worked_through = pytest.mark.skipif(
@@ -44,12 +44,12 @@ def bake(tmp_path, monkeypatch):
     """Bakes a scene in one of its view layers. Returns the bytes of the stroke, and how many close-ups were made."""
     for module in (patches, jobs):
         monkeypatch.setattr(module, "PATCH_PIXELS", 64)
-    monkeypatch.setattr(running, "get_cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: tmp_path)
 
     def run(scene, layer) -> tuple[bytes, int]:
         before = set(tmp_path.iterdir())
         layer.update()
-        ended = running.bake_blocking(scene, layer)
+        ended = bake_job.bake_blocking(scene, layer)
         assert ended.ok, ended
         return bytes(bpy.data.objects["Along"][BAKE_PROPERTY]), len({*tmp_path.iterdir()} - before)
 
@@ -107,7 +107,7 @@ def test_a_bake_does_not_ask_another_scene(scene, bake) -> None:
     assert made == 1
     other = other_scene(0.9)
     assert bake(scene, layer) == (alone, 0)
-    for stored in running.get_cache_folder().iterdir():
+    for stored in bake_job.get_cache_folder().iterdir():
         stored.unlink()
     del bpy.data.objects["Along"][BAKE_PROPERTY]
     assert bake(scene, layer) == (alone, 1)

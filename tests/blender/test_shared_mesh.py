@@ -6,9 +6,9 @@ import bpy
 import pytest
 from job_scene import small_scene
 
-from hnf_blender.bridge.storage import read_tokens
-from hnf_blender.jobs import plan_view, running
-from hnf_blender.jobs.purge import purge
+from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.jobs import bake_job, baked_data
+from hnf_blender.jobs.baked_data import purge
 
 
 @pytest.fixture
@@ -29,11 +29,11 @@ def twins(lone_bake):
 
 
 def bake(*only):
-    return running.bake_blocking(bpy.context.scene, bpy.context.view_layer, only)
+    return bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer, only)
 
 
 def kinds():
-    plan = plan_view.make_plan(bpy.context.scene, bpy.context.view_layer)
+    plan = baked_data.make_plan(bpy.context.scene, bpy.context.view_layer)
     return [line.kind for line in plan.lines if line.kind in {"needed", "fresh"}]
 
 

@@ -8,11 +8,17 @@ from dataclasses import replace
 import numpy as np
 from player_builders import RATE_HZ, tone
 
-from hnf_blender.actuator.skin import OutputEstimate, SkinPreview, describe_estimate, estimate_output, estimate_skin
-from hnf_blender.props.profile_file import read_file_profile
+from hnf_blender.actuator.skin_preview import (
+    OutputEstimate,
+    SkinPreview,
+    describe_estimate,
+    estimate_output,
+    estimate_skin,
+)
+from hnf_blender.props.scene_settings import read_file_profile
+from hnf_core.actuators.measure.frequency_response import FrequencyResponse
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.profile_file import read_profile, write_profile
-from hnf_core.actuators.response import FrequencyResponse
+from hnf_core.actuators.profile_json import read_profile, write_profile
 from hnf_core.signal import Signal
 
 LIMIT_S = 20.0

@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
-from hnf_blender.preview import device
-from hnf_blender.preview.timeline import TAIL_S, PlayheadFollower, pad_with_silence
+from hnf_blender.preview import sound_device
+from hnf_blender.preview.timeline_playback import TAIL_S, PlayheadFollower, pad_with_silence
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.errors import SceneError
 
@@ -29,7 +29,7 @@ class Driver:
         self.blender_has_one = True
         self.Sound = SimpleNamespace(buffer=lambda samples, rate: (samples, rate))
 
-    def Device(self, name: str | None = None) -> SimpleNamespace:  # noqa: N802  # as aud calls it
+    def Device(self, name: str | None = None) -> SimpleNamespace:  # as aud calls it  # noqa: N802
         if name is None and not self.blender_has_one:
             raise self.error("there is none")
         self.opened.append(name)
@@ -45,13 +45,13 @@ class Driver:
 @pytest.fixture
 def driver(monkeypatch) -> Driver:
     made = Driver()
-    monkeypatch.setattr(device, "import_aud", lambda: made)
-    monkeypatch.setattr(device, "get_device_name", lambda: OWN)
+    monkeypatch.setattr(sound_device, "import_aud", lambda: made)
+    monkeypatch.setattr(sound_device, "get_device_name", lambda: OWN)
     return made
 
 
 def test_one_device_is_opened_and_kept(driver) -> None:
-    speakers = device.Speakers()
+    speakers = sound_device.Speakers()
     speakers.start(TONE, 1000.0)
     speakers.start(TONE, 1000.0)
     assert driver.opened == [OWN]
@@ -59,7 +59,7 @@ def test_one_device_is_opened_and_kept(driver) -> None:
 
 
 def test_a_device_that_is_gone_is_opened_anew_and_one_that_never_played_is_told(driver) -> None:
-    speakers = device.Speakers()
+    speakers = sound_device.Speakers()
     speakers.start(TONE, 1000.0)
     driver.broken = {1}
     speakers.start(TONE, 1000.0)
@@ -74,15 +74,15 @@ def test_a_device_that_is_gone_is_opened_anew_and_one_that_never_played_is_told(
 
 
 def test_another_choice_in_the_preferences_is_followed(driver, monkeypatch) -> None:
-    speakers = device.Speakers()
+    speakers = sound_device.Speakers()
     speakers.start(TONE, 1000.0)
-    monkeypatch.setattr(device, "get_device_name", lambda: "Another")
+    monkeypatch.setattr(sound_device, "get_device_name", lambda: "Another")
     speakers.start(TONE, 1000.0)
     assert driver.opened == [OWN, "Another"]
 
 
 def test_while_the_timeline_plays_it_is_blenders_own_device(driver) -> None:
-    speakers = device.Speakers()
+    speakers = sound_device.Speakers()
     speakers.start(TONE, 1000.0)
     speakers.use_shared_device(True)
     assert not speakers.is_playing
@@ -94,18 +94,18 @@ def test_while_the_timeline_plays_it_is_blenders_own_device(driver) -> None:
 
 def test_without_one_of_blenders_it_is_the_chosen_one(driver) -> None:
     driver.blender_has_one = False
-    speakers = device.Speakers()
+    speakers = sound_device.Speakers()
     speakers.use_shared_device(True)
     speakers.start(TONE, 1000.0)
     assert driver.opened == [OWN]
 
 
 def test_who_chose_silence_hears_no_other_device_with_the_timeline(driver, monkeypatch) -> None:
-    monkeypatch.setattr(device, "get_device_name", lambda: device.NO_DEVICE)
-    speakers = device.Speakers()
+    monkeypatch.setattr(sound_device, "get_device_name", lambda: sound_device.NO_DEVICE)
+    speakers = sound_device.Speakers()
     speakers.use_shared_device(True)
     speakers.start(TONE, 1000.0)
-    assert driver.opened == [device.NO_DEVICE]
+    assert driver.opened == [sound_device.NO_DEVICE]
 
 
 def test_the_sound_waits_for_the_next_frame_and_begins_there() -> None:
@@ -128,7 +128,7 @@ def test_the_sound_waits_for_the_next_frame_and_begins_there() -> None:
 
 
 def test_silence_lingers_after_a_sound() -> None:
-    moment = device.Sound(np.ones(100, dtype=np.float32), 1000.0, GENERIC)
+    moment = sound_device.Sound(np.ones(100, dtype=np.float32), 1000.0, GENERIC)
     longer = pad_with_silence(moment)
     assert longer.duration_s == pytest.approx(moment.duration_s + TAIL_S)
     assert np.array_equal(longer.samples[:100], moment.samples)

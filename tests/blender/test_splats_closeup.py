@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from mathutils import Euler
 from splat_builders import FINE_M, HALF_M, METRES, Y_00, slab
 
-from hnf_blender.bridge.look import UnlitImage
-from hnf_blender.bridge.meshes import read_surface
-from hnf_blender.bridge.splat_closeup import (
+from hnf_blender.bridge.render.unlit_image import UnlitImage
+from hnf_blender.bridge.scene.meshes import read_surface
+from hnf_blender.bridge.splats.splat_closeup import (
     HALF_PASS_SIGMAS,
     PIXELS_PER_WAVELENGTH,
     choose_splat_resolution,
@@ -21,12 +21,12 @@ from hnf_blender.bridge.splat_closeup import (
     fill_pinholes,
     iter_splat_closeups,
 )
-from hnf_blender.bridge.splat_cloud import create_cloud, link_cloud
+from hnf_blender.bridge.splats.splat_cloud import create_cloud, link_cloud
 from hnf_core.errors import SceneError
 from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
-from hnf_core.scene.splats.cloud import Splats
-from hnf_core.scene.splats.sights import compute_linear_colour
-from hnf_core.scene.splats.view import SplatView
+from hnf_core.scene.splats.depth_views import compute_linear_colour
+from hnf_core.scene.splats.gaussians import Splats
+from hnf_core.scene.splats.rasterize import SplatView
 
 PIXELS = 128
 TOP = Patch(np.array([0.0, 0.0, HALF_M[2]]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), 0)

@@ -14,13 +14,18 @@ from hypothesis import strategies as st
 from mathutils import Matrix
 from splat_builders import read_point_tokens
 
-from hnf_blender.bridge import splat_shown
-from hnf_blender.bridge.splat_cloud import (
+from hnf_blender.bridge.scene.mesh_attributes import PointTokens
+from hnf_blender.bridge.splats import reconstruction
+from hnf_blender.bridge.splats.reconstruction import GROUP_NAME, MAX_SHOWN_SPLATS, get_display_stride, show_ellipsoids
+from hnf_blender.bridge.splats.splat_cloud import (
     HARMONIC_ATTRIBUTE,
+    CloudFrame,
+    compute_cloud_frame,
     create_cloud,
     get_cloud,
     get_cloud_placement,
     get_reconstruction_notes,
+    get_uniform_scale,
     hash_cloud,
     is_cloud,
     link_cloud,
@@ -28,12 +33,9 @@ from hnf_blender.bridge.splat_cloud import (
     remove_point_tokens,
     write_point_tokens,
 )
-from hnf_blender.bridge.splat_frame import CloudFrame, compute_cloud_frame, get_uniform_scale
-from hnf_blender.bridge.splat_shown import GROUP_NAME, MAX_SHOWN_SPLATS, get_display_stride, show_ellipsoids
-from hnf_blender.bridge.storage import PointTokens
 from hnf_core.errors import SceneError
 from hnf_core.scene.patch import Patch
-from hnf_core.scene.splats.cloud import Splats
+from hnf_core.scene.splats.gaussians import Splats
 
 
 def some_splats(count: int = 7, degree: int = 0, seed: int = 0) -> Splats:
@@ -238,7 +240,7 @@ def test_a_large_cloud_is_thinned_for_the_viewport(monkeypatch: pytest.MonkeyPat
     assert get_display_stride(MAX_SHOWN_SPLATS + 1) == 2
     assert get_display_stride(10 * MAX_SHOWN_SPLATS) == 10
     _, cloud = reconstructed(some_splats(30))
-    monkeypatch.setattr(splat_shown, "MAX_SHOWN_SPLATS", 8)
+    monkeypatch.setattr(reconstruction, "MAX_SHOWN_SPLATS", 8)
     show_ellipsoids(cloud)
     bpy.context.view_layer.update()
     assert sum(each.is_instance for each in bpy.context.view_layer.depsgraph.object_instances) == 8

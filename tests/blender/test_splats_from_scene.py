@@ -11,13 +11,12 @@ import splats_from_scene
 from builders import add_plane, add_sphere
 from closeup_builders import principled
 from predicted_scene import photo, photo_material
-from scene_splats.convert import compute_rotations_from_z, make_object_splats
 from touch_scene import line_stroke
 
-from hnf_blender.bridge.meshes import read_surface
+from data_tools.object_splats import compute_rotations_from_z, make_object_splats
+from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_core.scene.patch import Patch
-from hnf_core.scene.splats.inria import Y_00
-from hnf_core.scene.splats.read import read_splats
+from hnf_core.scene.splats.io_ply import Y_00, read_splats
 
 UP = np.array([0.0, 0.0, 1.0])
 

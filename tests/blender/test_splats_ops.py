@@ -14,13 +14,13 @@ from mathutils import Vector
 from panel_recorder import drawn
 from splat_builders import slab, slab_file
 
-from hnf_blender.bridge import splat_reconstruction
-from hnf_blender.bridge.drawn_stroke import cast_on_surface
-from hnf_blender.bridge.splat_cloud import get_cloud, is_cloud, read_cloud
-from hnf_blender.bridge.splat_reconstruction import TouchSurface
-from hnf_blender.bridge.under_cursor import pick_object_along_ray
-from hnf_blender.ops import splats
-from hnf_blender.ops.splats import SplatReader
+from hnf_blender.bridge.splats import reconstruction
+from hnf_blender.bridge.splats.reconstruction import TouchSurface
+from hnf_blender.bridge.splats.splat_cloud import get_cloud, is_cloud, read_cloud
+from hnf_blender.bridge.stroke.new_stroke import cast_on_surface
+from hnf_blender.bridge.viewport_pick import pick_object_along_ray
+from hnf_blender.ops import import_ops
+from hnf_blender.ops.import_ops import SplatReader
 from hnf_blender.ui.scene_panel import HNF_PT_scale
 
 pytestmark = pytest.mark.usefixtures("operators")
@@ -46,8 +46,8 @@ def quick(monkeypatch, tmp_path):
                 time.sleep(0.01)
         return made
 
-    monkeypatch.setattr(splat_reconstruction, "reconstruct_surface", reconstruct)
-    monkeypatch.setattr(splats, "get_cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(reconstruction, "reconstruct_surface", reconstruct)
+    monkeypatch.setattr(import_ops, "get_cache_folder", lambda: tmp_path / "cache")
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def test_a_dropped_file_is_added_to_what_is_open(quick, tmp_path: Path) -> None:
 
 
 def test_up_is_turned_to_z(quick, tmp_path: Path) -> None:
-    from hnf_core.scene.splats.inria import write_inria
+    from hnf_core.scene.splats.io_ply import write_inria
 
     for number, (comment, up) in enumerate({"": (0, -1, 0), "Vertical Axis: -z": (0, 0, -1)}.items()):
         path = tmp_path / f"s{number}.ply"

@@ -14,20 +14,19 @@ from predicted_scene import small_weights, use_weights
 from splat_builders import FINE_M, HALF_M, METRES, read_point_tokens, slab, slab_file
 from touch_scene import signals, touch
 
-from hnf_blender.bridge import splat_closeup, splat_reconstruction
-from hnf_blender.bridge.meshes import read_surface
-from hnf_blender.bridge.splat_closeup import HALF_PASS_SIGMAS
-from hnf_blender.bridge.splat_cloud import get_cloud, read_cloud
-from hnf_blender.bridge.splat_frame import compute_cloud_frame
-from hnf_blender.bridge.splat_reconstruction import TouchSurface, read_reconstruction
-from hnf_blender.bridge.storage import UNBAKED, read_tokens
-from hnf_blender.jobs import running
-from hnf_blender.state.session import STATE
-from hnf_blender.state.watch import StatusTracker
-from hnf_blender.touch import bake
-from hnf_blender.touch.jobs import make_scene_session
+from hnf_blender.bridge.scene.mesh_attributes import UNBAKED, read_tokens
+from hnf_blender.bridge.scene.meshes import read_surface
+from hnf_blender.bridge.splats import reconstruction, splat_closeup
+from hnf_blender.bridge.splats.reconstruction import TouchSurface, read_reconstruction
+from hnf_blender.bridge.splats.splat_closeup import HALF_PASS_SIGMAS
+from hnf_blender.bridge.splats.splat_cloud import compute_cloud_frame, get_cloud, read_cloud
+from hnf_blender.jobs import bake_job
+from hnf_blender.state.session_state import STATE
+from hnf_blender.state.status_tracker import StatusTracker
+from hnf_blender.touch import bake_patches
+from hnf_blender.touch.session import make_scene_session
 from hnf_core.errors import SceneError
-from hnf_core.scene.splats.surface import reconstruct_surface
+from hnf_core.scene.splats.reconstruct import reconstruct_surface
 
 STROKE = ("--stroke", "left-right-soft", "--on", "slab", "--scale", str(METRES))
 CELLS = 24
@@ -48,8 +47,8 @@ def quick(tmp_path_factory):
     """A coarse surface, small pictures, a small D_φ."""
     weights = small_weights(tmp_path_factory.mktemp("weights") / "small.safetensors")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(splat_reconstruction, "DEFAULT_CELLS", CELLS)
-        patch.setattr(bake, "PATCH_PIXELS", 256)
+        patch.setattr(reconstruction, "DEFAULT_CELLS", CELLS)
+        patch.setattr(bake_patches, "PATCH_PIXELS", 256)
         use_weights(patch, weights)
         yield
 
@@ -68,7 +67,7 @@ def no_work(monkeypatch):
     def fail(*_args, **_named):
         raise AssertionError("this was done before")
 
-    monkeypatch.setattr(splat_reconstruction, "reconstruct_surface", fail)
+    monkeypatch.setattr(reconstruction, "reconstruct_surface", fail)
     monkeypatch.setattr(splat_closeup, "render_splats", fail)
 
 
@@ -179,11 +178,11 @@ def test_a_changed_splat_is_noticed_and_a_changed_name_or_place_is_not(baked, tm
 def test_a_bake_in_the_window_gives_the_same_tokens(baked, ran: Ran, no_work, operators, tmp_path, monkeypatch) -> None:
     cloud = baked[1]
     shutil.copytree(ran.out / "cache", tmp_path / "cache")
-    monkeypatch.setattr(running, "get_cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: tmp_path / "cache")
     meant = read_point_tokens(cloud)
     assert bpy.ops.hnf.purge(what="ALL") == {"FINISHED"}
     assert read_point_tokens(cloud) is None
-    ended = running.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     STATE.clear()
     assert ended.ok, ended.message
     found = read_point_tokens(cloud)
@@ -229,13 +228,13 @@ def test_a_kept_surface_is_used_where_it_is_whole_and_made_anew_where_not(damage
         calls.append(len(splats))
         return Made
 
-    monkeypatch.setattr(splat_reconstruction, "reconstruct_surface", counted)
+    monkeypatch.setattr(reconstruction, "reconstruct_surface", counted)
     path = slab_file(tmp_path)
     first = read_reconstruction(path, tmp_path / "cache")
     (kept,) = (tmp_path / "cache").iterdir()
     whole = kept.read_bytes()
     if damage == "indices":
-        splat_reconstruction._save_cached(
+        reconstruction._save_cached(
             tmp_path / "cache", path, CELLS, TouchSurface(plain.vertices, plain.triangles + 1, plain.colour, ())
         )
     else:
@@ -250,9 +249,9 @@ def test_a_kept_surface_is_used_where_it_is_whole_and_made_anew_where_not(damage
 
 def test_a_file_that_makes_no_surface_leaves_nothing_behind(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
-        splat_reconstruction, "reconstruct_surface", lambda *_a, **_n: (_ for _ in ()).throw(SceneError("fog."))
+        reconstruction, "reconstruct_surface", lambda *_a, **_n: (_ for _ in ()).throw(SceneError("fog."))
     )
     with pytest.raises(SceneError, match=r"fog"):
         read_reconstruction(slab_file(tmp_path), tmp_path / "cache")
     assert not (tmp_path / "cache").exists()
-    assert reconstruct_surface is not splat_reconstruction.reconstruct_surface
+    assert reconstruct_surface is not reconstruction.reconstruct_surface

@@ -9,7 +9,7 @@ from builders import add_mesh, add_plane, add_sphere
 from mathutils import Matrix
 from stroke_builders import act, add_stroke, key, read
 
-from hnf_blender.bridge.meshes import BlenderGeometry, hash_mesh, read_surface
+from hnf_blender.bridge.scene.meshes import BlenderGeometry, hash_mesh, read_surface
 from hnf_core.errors import HnfError, SceneError, StrokeError
 from hnf_core.scene.raycast import ReferenceGeometry
 

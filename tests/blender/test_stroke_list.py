@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from job_scene import line_stroke, small_scene
 
-from hnf_blender.ui.stroke_list import HNF_UL_strokes, compute_order
+from hnf_blender.ui.strokes_panel import HNF_UL_strokes, compute_order
 
 
 @given(st.lists(st.text("abC", max_size=3), max_size=12), st.data())

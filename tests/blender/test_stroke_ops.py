@@ -8,18 +8,20 @@ import pytest
 from builders import add_plane, datablock_names
 from stroke_builders import LINE, act, add_stroke, key, keyed_fcurves, read
 
-from hnf_blender.bridge.strokes import list_strokes
-from hnf_blender.props.scene import find_namesake, get_active_stroke
+from hnf_blender.bridge.stroke.read_stroke import list_strokes
+from hnf_blender.props.scene_settings import find_namesake, get_active_stroke
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 
 
 @pytest.fixture(autouse=True, scope="module")
 def operators():
-    from hnf_blender.ops import draw, force, strokes
+    from hnf_blender.ops import draw_ops
+    from hnf_blender.ops import force_ops as force
+    from hnf_blender.ops import stroke_ops as strokes
 
     classes = [
         each
-        for module in (draw, strokes, force)
+        for module in (draw_ops, strokes, force)
         for each in module.CLASSES
         if not hasattr(bpy.types, each.__name__) and not (each.__name__ == "HnfPenSample" and each.is_registered)
     ]
@@ -324,7 +326,7 @@ def test_the_force_graph_needs_a_window():
 def test_a_view_that_fills_the_window_stays_a_view_and_nothing_is_keyed():
     from types import SimpleNamespace
 
-    from hnf_blender.ops.force import HNF_OT_force_graph
+    from hnf_blender.ops.force_ops import HNF_OT_force_graph
 
     add_plane()
     stroke, told = add_stroke(LINE), []
@@ -340,7 +342,7 @@ def test_a_view_that_fills_the_window_stays_a_view_and_nothing_is_keyed():
 
 
 def test_a_force_that_is_not_keyed_gets_two_keys_for_the_graph():
-    from hnf_blender.bridge.force_keys import ensure_force_keys
+    from hnf_blender.bridge.stroke.edit_keyframes import ensure_force_keys
 
     add_plane()
     stroke = add_stroke(LINE, speed_mm_s=60.0, force=1.5, start=3.0)
@@ -351,8 +353,8 @@ def test_a_force_that_is_not_keyed_gets_two_keys_for_the_graph():
 
 
 def test_the_overlay_follows_the_force_and_the_playhead():
-    from hnf_blender.tool.overlay_paths import compute_overlay_path
-    from hnf_core.export.force_colour import force_to_colour
+    from hnf_blender.tool.overlay_drawing import compute_overlay_path
+    from hnf_core.export.plots.figure import force_to_colour
 
     plane = add_plane()
     stroke = add_stroke(LINE, speed_mm_s=60.0, surface=plane)

@@ -8,14 +8,14 @@ import pytest
 from builders import add_plane, add_sphere, datablock_names
 from stroke_builders import act, keyed_fcurves, read
 
-from hnf_blender.bridge.drawn_stroke import cast_on_surface
-from hnf_blender.props.scene import get_active_stroke
+from hnf_blender.bridge.stroke.new_stroke import cast_on_surface
+from hnf_blender.props.scene_settings import get_active_stroke
 from hnf_core.action.pen_stroke import FORCE_TOLERANCE_N, PATH_TOLERANCE_M, PROGRESS_TOLERANCE_M
 
 
 @pytest.fixture(autouse=True, scope="module")
 def operators():
-    from hnf_blender.ops import draw
+    from hnf_blender.ops import draw_ops as draw
 
     already = hasattr(bpy.types, "HNF_OT_stroke_draw")
     if not already:
@@ -352,7 +352,7 @@ def test_a_pen_that_tells_of_itself_late_and_not_at_the_release(pen, desk):
 def test_the_tool_is_taken_in_object_mode_over_a_view_else_it_says_why():
     from types import SimpleNamespace
 
-    from hnf_blender.ops.stroke_tool import HNF_OT_stroke_tool
+    from hnf_blender.ops.draw_ops import HNF_OT_stroke_tool
 
     told = []
 

@@ -10,9 +10,8 @@ import pytest
 from builders import add_plane, datablock_names
 from stroke_builders import LINE, SPLINES, act, add_stroke, key, keyed_fcurves, read
 
-from hnf_blender.bridge.channels import read_channel, sample_channels
-from hnf_blender.bridge.splines import read_curve
-from hnf_blender.bridge.strokes import list_strokes
+from hnf_blender.bridge.stroke.animation import read_channel, sample_channels
+from hnf_blender.bridge.stroke.read_stroke import list_strokes, read_curve
 from hnf_core.action.curves import build_arc_curve
 from hnf_core.errors import StrokeError
 

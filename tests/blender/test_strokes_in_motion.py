@@ -8,7 +8,7 @@ import pytest
 from builders import add_mesh, add_plane, add_sphere, datablock_names
 from stroke_builders import LINE, act, add_stroke, key, keyed_fcurves, read
 
-from hnf_blender.bridge.strokes import hash_path, hash_touch
+from hnf_blender.bridge.stroke.read_stroke import hash_path, hash_touch
 from hnf_core.errors import SceneError, StrokeError
 
 # Places and motion

@@ -7,8 +7,8 @@ import pytest
 from builders import add_plane
 from stroke_builders import LINE, add_stroke
 
-from hnf_blender.ops.materials import find_material_object
-from hnf_blender.ops.strokes import find_surface_for_new_stroke
+from hnf_blender.ops.material_ops import find_material_object
+from hnf_blender.ops.stroke_ops import find_surface_for_new_stroke
 
 pytestmark = pytest.mark.usefixtures("operators")
 

@@ -13,15 +13,14 @@ from builders import add_mesh
 from job_scene import small_scene
 from touch_scene import PLATE, save_scene, touch
 
-from hnf_blender.bridge.storage import FaceTokens, read_tokens, write_tokens
-from hnf_blender.bridge.touched_surface import read_touched_surface
+from hnf_blender.bridge.scene.mesh_attributes import FaceTokens, read_tokens, write_tokens
+from hnf_blender.bridge.stroke.surface_export import read_touched_surface
 from hnf_blender.cli import main
-from hnf_core.export.glb import read_glb
-from hnf_core.export.gltf_file import decode_glb
-from hnf_core.export.hjif_read import read_hjif
+from hnf_core.export.gltf import decode_glb, read_glb
+from hnf_core.export.hjif import read_hjif
 from hnf_core.export.options import ImportOptions
 from hnf_core.export.wav import read_wav
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.palette import Palette
 from hnf_core.material.token import TOKEN_DIM
 

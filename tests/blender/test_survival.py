@@ -12,14 +12,14 @@ from builders import add_plane, bump_material
 from survival_scene import append, bake, duplicate, everything, heard, opened, statuses
 from touch_scene import line_stroke, ridge_plate
 
-from hnf_blender.bridge.keeping import delete_property, get_property, set_property
-from hnf_blender.bridge.own_material import assign_definition
-from hnf_blender.bridge.storage import read_tokens
-from hnf_blender.jobs import running
-from hnf_blender.preview.present import read_current_bake
-from hnf_blender.props.material import DEFINITION_PROPERTY
-from hnf_blender.state.session import STATE
-from hnf_blender.touch.status import Freshness
+from hnf_blender.bridge.scene.id_properties import delete_property, get_property, set_property
+from hnf_blender.bridge.scene.material_definition import assign_definition
+from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.jobs import bake_job
+from hnf_blender.preview.synthesis_thread import read_current_bake
+from hnf_blender.props.material_settings import DEFINITION_PROPERTY
+from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.freshness import Freshness
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY, load_bake
 from hnf_core.material.hnf_file import from_library
 from hnf_core.material.library import get_material
@@ -45,7 +45,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def apart(operators: None, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Close-ups in a folder of these tests' own; nothing remembered of the file before."""
-    monkeypatch.setattr(running, "get_cache_folder", lambda: cache)
+    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: cache)
     STATE.clear()
 
 
@@ -61,7 +61,7 @@ def saved(cache: Path, operators: None, tmp_path_factory: pytest.TempPathFactory
     line_stroke("Below", surface=block, centre=(0.0, 0.0, -0.2), material="", speed_mm_s=80.0, **SHORT)
     bpy.context.scene.hnf.monitor_gain_db = -6.0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "get_cache_folder", lambda: cache)
+        patch.setattr(bake_job, "get_cache_folder", lambda: cache)
         assert bpy.ops.hnf.bake() == {"FINISHED"}
     path = tmp_path_factory.mktemp("saved") / "scene.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
@@ -380,7 +380,7 @@ def test_a_commit_is_one_step_to_undo_and_redo(saved: Path) -> None:
 def test_an_asset_is_felt_as_chosen() -> None:
     from build_assets import MATERIALS
 
-    from hnf_blender.ops.assets import ASSET_FOLDER
+    from hnf_blender.ops.diagnose_ops import ASSET_FOLDER
 
     plane = add_plane()
     with bpy.data.libraries.load(str(ASSET_FOLDER / MATERIALS), assets_only=True) as (_, wanted):

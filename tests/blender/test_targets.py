@@ -6,7 +6,7 @@ import bpy
 import pytest
 from builders import add_mesh, add_plane
 
-from hnf_blender.touch.targets import Target, resolve_target
+from hnf_blender.touch.session import Target, resolve_target
 from hnf_core.errors import SceneError
 
 

@@ -10,9 +10,9 @@ import pytest
 from builders import add_mesh, add_plane, bump_material
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, signals, spectrum_db, touch
 
-from hnf_blender.bridge.storage import TOKEN_ATTRIBUTE, read_tokens
-from hnf_blender.touch import deliver
-from hnf_core.export.picture import write_stroke_figure
+from hnf_blender.bridge.scene.mesh_attributes import TOKEN_ATTRIBUTE, read_tokens
+from hnf_blender.touch import output_files
+from hnf_core.export.plots.stroke_figure import write_stroke_figure
 
 
 def rms_of_one(scene, out, *words) -> float:
@@ -217,7 +217,7 @@ def test_pressing_and_lifting_without_moving_gives_two_transients(tmp_path) -> N
 def test_one_stroke_over_two_materials_meets_both(tmp_path, monkeypatch) -> None:
     drawn = []
     monkeypatch.setattr(
-        deliver,
+        output_files,
         "write_stroke_figure",
         lambda *paths, **shown: drawn.append(shown) or write_stroke_figure(*paths, **shown),
     )

@@ -10,10 +10,10 @@ import pytest
 from builders import add_plane
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
-from hnf_blender.bridge.storage import read_tokens
+from hnf_blender.bridge.scene.mesh_attributes import read_tokens
 from hnf_blender.cli import main
-from hnf_blender.touch import view
-from hnf_blender.touch.view import MAX_STROKE_VIEWS, MIN_STROKE_FRACTION
+from hnf_blender.touch import overview
+from hnf_blender.touch.overview import MAX_STROKE_VIEWS, MIN_STROKE_FRACTION
 
 NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
 PLACE = (0.04, 0.03, 0.02)
@@ -22,8 +22,8 @@ PLACE = (0.04, 0.03, 0.02)
 @pytest.fixture(autouse=True)
 def small(monkeypatch) -> None:
     """Pictures in which a stroke is seen, and that take no longer than that."""
-    monkeypatch.setattr(view, "WIDTH", 192)
-    monkeypatch.setattr(view, "HEIGHT", 108)
+    monkeypatch.setattr(overview, "WIDTH", 192)
+    monkeypatch.setattr(overview, "HEIGHT", 108)
 
 
 @pytest.fixture

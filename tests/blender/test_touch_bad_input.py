@@ -15,7 +15,7 @@ from builders import add_mesh, add_plane, datablock_names
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, touch
 
 from hnf_blender.cli import main
-from hnf_core.folder_lock import folder_lock
+from hnf_core.files import folder_lock
 
 ROOT = Path(__file__).parents[2]
 STROKES = 5

@@ -11,7 +11,7 @@ from builders import bump_material
 from predicted_scene import PHOTO_PLATE, TEXEL, photo_plate, small_weights, use_weights
 from touch_scene import line_stroke, save_scene, signals, touch
 
-from hnf_blender.touch import bake
+from hnf_blender.touch import bake_patches
 from hnf_core.tactile.diffusion.weights import load_map_weights
 
 
@@ -19,7 +19,7 @@ from hnf_core.tactile.diffusion.weights import load_map_weights
 def weights(tmp_path, monkeypatch):
     path = small_weights(tmp_path / "small.safetensors")
     use_weights(monkeypatch, path)
-    monkeypatch.setattr(bake, "PATCH_PIXELS", 256)
+    monkeypatch.setattr(bake_patches, "PATCH_PIXELS", 256)
     return path
 
 

@@ -12,8 +12,8 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.cli import main
 from hnf_blender.touch.report import Report
-from hnf_blender.touch.tell import format_closing
-from hnf_core.cli.program import get_command_prefix
+from hnf_blender.touch.run import format_closing
+from hnf_core.cli.commands import get_command_prefix
 from hnf_core.export.wav import read_wav
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from touch_scene import PLATE, ridge_plate, save_scene, signals, touch
 
-from hnf_blender.bridge.strokes import read_stroke
-from hnf_core.action.words import FORCE_LIMITS_N
+from hnf_blender.bridge.stroke.read_stroke import read_stroke
+from hnf_core.action.parse_stroke import FORCE_LIMITS_N
 from hnf_core.export.wav import read_wav
 
 

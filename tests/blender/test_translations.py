@@ -10,9 +10,9 @@ from ui_strings import strings_of_classes, strings_of_sources, untranslated_repo
 
 import hnf_blender
 from hnf_blender import translations
-from hnf_blender.ops.materials import list_library_items
-from hnf_blender.state import texts
-from hnf_blender.touch.inputs import CHANGE_DESCRIPTIONS, PATH_ON_SAME_SURFACE
+from hnf_blender.ops.material_ops import list_library_items
+from hnf_blender.state import labels
+from hnf_blender.touch.session import CHANGE_DESCRIPTIONS, PATH_ON_SAME_SURFACE
 from hnf_core.actuators.profile import PROFILES
 
 GERMAN = translations.read_translations("de_DE")
@@ -27,8 +27,8 @@ def our_classes() -> list[type]:
 
 
 def test_every_text_has_a_german_one(switched_on: None) -> None:
-    tables = (texts.STATUS_LABELS.values(), texts.PLAN_LABELS.values())
-    wanted = strings_of_classes(our_classes()) | strings_of_sources() | set(texts.ROUTE_LABELS.values())
+    tables = (labels.STATUS_LABELS.values(), labels.PLAN_LABELS.values())
+    wanted = strings_of_classes(our_classes()) | strings_of_sources() | set(labels.ROUTE_LABELS.values())
     wanted |= {text for table in tables for _, text in table}
     wanted |= set(CHANGE_DESCRIPTIONS.values()) | {PATH_ON_SAME_SURFACE, "no stroke touches it", "hidden", "muted"}
     # Names and citations stay as they are.
@@ -56,7 +56,7 @@ def test_blender_is_given_every_text_in_both_contexts(switched_on: None) -> None
     assert {text for context, text in given["de_DE"] if context == "Operator"} == set(GERMAN)
     assert {text for context, text in given["de_DE"] if context == "*"} == set(GERMAN)
     assert translations.tr("no such text") == "no such text"
-    assert texts.format_duration(0.1) in ("under 1 s", "unter 1 s")
+    assert labels.format_duration(0.1) in ("under 1 s", "unter 1 s")
 
 
 @pytest.fixture
@@ -82,18 +82,18 @@ def test_sentences_with_figures_are_german_throughout(monkeypatch) -> None:
     """As in a German Blender: the wheels have no languages, so tr() is put in."""
     from dataclasses import replace
 
-    from hnf_blender.jobs import running
+    from hnf_blender.jobs import bake_job
     from hnf_blender.jobs.commit import CommitResult
-    from hnf_blender.jobs.order import JobResult, Rejection
+    from hnf_blender.jobs.request import JobResult, Rejection
 
-    monkeypatch.setattr(running, "tr", lambda text: GERMAN[text])
+    monkeypatch.setattr(bake_job, "tr", lambda text: GERMAN[text])
     result = JobResult((), (), (), (), fresh=1, close_ups=3)
-    said = running.describe_result(result, CommitResult(["A", "B"]), 4.2).message
+    said = bake_job.describe_result(result, CommitResult(["A", "B"]), 4.2).message
     assert said == "2 Striche in 4 s gebacken, 3 Nahaufnahmen, 1 schon aktuell."
-    nothing = running.describe_result(replace(result, close_ups=0), CommitResult(), 1.0).message
+    nothing = bake_job.describe_result(replace(result, close_ups=0), CommitResult(), 1.0).message
     assert nothing == "Nichts zu backen: 1 Strich schon aktuell."
     problems = tuple(Rejection("C", "warum") for _ in range(3))
-    failed = running.describe_result(replace(result, failed=problems), CommitResult(["A"]), 4.0)
+    failed = bake_job.describe_result(replace(result, failed=problems), CommitResult(["A"]), 4.0)
     assert failed.message.endswith("Warum (und 2 weitere Probleme)")
     assert not failed.ok
 
@@ -102,8 +102,8 @@ def test_why_a_button_is_grey_is_said_in_german(monkeypatch) -> None:
     """Blender would show the English that poll() gives it."""
     from types import SimpleNamespace
 
-    from hnf_blender.ops import greyed
-    from hnf_blender.ops.strokes import poll_object_mode
+    from hnf_blender.ops import context as greyed
+    from hnf_blender.ops.stroke_ops import poll_object_mode
 
     monkeypatch.setattr(greyed, "tr", lambda text: GERMAN[text])
     told: list[str] = []

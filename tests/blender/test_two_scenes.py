@@ -6,53 +6,53 @@ import bpy
 import pytest
 from job_scene import small_scene
 
-from hnf_blender.jobs import plan_view, running
-from hnf_blender.jobs.purge import purge
-from hnf_blender.state import watch
-from hnf_blender.state.session import STATE
-from hnf_blender.touch.status import Freshness
+from hnf_blender.jobs import bake_job, baked_data
+from hnf_blender.jobs.baked_data import purge
+from hnf_blender.state import status_tracker
+from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.freshness import Freshness
 from hnf_blender.ui.scene_panel import format_counts
 
 
 @pytest.fixture
 def scenes(warm_bake):
     """The stroke was baked in the first; in the second frames are half as long, so that its force comes sooner."""
-    watch.clear_trackers()
+    status_tracker.clear_trackers()
     plate, stroke = small_scene()
     first, second = bpy.context.scene, bpy.data.scenes.new("Second")
     for each in (plate, stroke):
         second.collection.objects.link(each)
     second.render.fps = 2 * first.render.fps
-    running.bake_blocking(first, first.view_layers[0])
+    bake_job.bake_blocking(first, first.view_layers[0])
     yield first, second
-    watch.clear_trackers()
+    status_tracker.clear_trackers()
 
 
 def look(*scenes) -> list[Freshness]:
     """What is known once the windows that show these scenes have been looked after."""
     for _ in range(20):
-        watch.process_changes([(scene, scene.view_layers[0]) for scene in scenes])
+        status_tracker.process_changes([(scene, scene.view_layers[0]) for scene in scenes])
     stroke = bpy.data.objects["Along"]
     return [STATE.get_status(scene, stroke).freshness for scene in sorted(scenes, key=lambda scene: scene.name)]
 
 
 def test_it_is_judged_in_each_whichever_is_looked_at_last(scenes) -> None:
     for order in (scenes, scenes[::-1]):
-        STATE.dirty_names.add(watch.EVERYTHING)
+        STATE.dirty_names.add(status_tracker.EVERYTHING)
         assert look(*order) == [Freshness.FRESH, Freshness.FORCE]
 
 
 def test_a_bake_in_one_is_news_in_the_other(scenes) -> None:
     second = scenes[1]
     look(*scenes)
-    running.bake_blocking(second, second.view_layers[0])
+    bake_job.bake_blocking(second, second.view_layers[0])
     assert look(*scenes) == [Freshness.STALE, Freshness.FRESH]  # it lasts longer here than was baked
 
 
 def test_plan_and_purge_speak_of_their_scene(scenes) -> None:
     first, second = scenes
     look(*scenes)
-    plan_view.make_plan(second, second.view_layers[0])
+    baked_data.make_plan(second, second.view_layers[0])
     assert look(*scenes) == [Freshness.FRESH, Freshness.FORCE]
     purge(first, first.view_layers[0], everything=True)
     assert [STATE.get_statuses(scene)["Along"].freshness for scene in scenes] == [Freshness.UNBAKED] * 2

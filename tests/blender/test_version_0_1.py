@@ -10,11 +10,11 @@ import bpy
 import numpy as np
 import pytest
 
-from hnf_blender.bridge.storage import read_tokens
+from hnf_blender.bridge.scene.mesh_attributes import read_tokens
 from hnf_blender.cli import main
-from hnf_blender.state.session import STATE
-from hnf_blender.state.watch import refresh_status
-from hnf_blender.touch.status import Freshness
+from hnf_blender.state.session_state import STATE
+from hnf_blender.state.status_tracker import refresh_status
+from hnf_blender.touch.freshness import Freshness
 from hnf_core.export.wav import read_wav
 
 FILES = Path(__file__).resolve().parents[1] / "fixtures" / "version-0.1"

@@ -11,20 +11,21 @@ from bpy_extras.object_utils import world_to_camera_view
 from builders import add_plane, add_sphere, datablock_names
 from mathutils import Vector
 
-from hnf_blender.bridge.meshes import make_ray_caster, read_surface
-from hnf_blender.bridge.picture import render_overview, to_surface_frame
-from hnf_blender.bridge.render import (
+from hnf_blender.bridge.render.cycles import (
     add_aovs,
     add_camera,
     configure_cycles,
     disable_lighting,
     get_planar_depth,
+    make_overview_camera,
+    read_camera,
     render_passes,
     set_camera,
 )
-from hnf_blender.bridge.scene_camera import make_overview_camera, read_camera
-from hnf_blender.bridge.taps import Tap
-from hnf_blender.bridge.temporary import TemporaryScene
+from hnf_blender.bridge.render.lit_render import render_overview, to_surface_frame
+from hnf_blender.bridge.scene.meshes import make_ray_caster, read_surface
+from hnf_blender.bridge.scene.temp_scene import TemporaryScene
+from hnf_blender.bridge.shader.aov_taps import Tap
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.raycast import cast_view

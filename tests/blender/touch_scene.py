@@ -12,7 +12,7 @@ import pytest
 from builders import add_plane, bump_material
 
 from hnf_blender.cli import main
-from hnf_blender.touch import view
+from hnf_blender.touch import overview
 from hnf_core.export.wav import read_wav
 from hnf_core.signal import Signal
 
@@ -65,8 +65,8 @@ def touch(scene: Path, out: Path, *words: str) -> tuple[int, dict]:
     """Run the command line, its view of each stroke a quarter as large: it takes longer than the touch itself. Exit
     code and report."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(view, "WIDTH", view.WIDTH // 2)
-        patch.setattr(view, "HEIGHT", view.HEIGHT // 2)
+        patch.setattr(overview, "WIDTH", overview.WIDTH // 2)
+        patch.setattr(overview, "HEIGHT", overview.HEIGHT // 2)
         code = main(["touch", str(scene), "--out", str(out), *words])
     report = out / "report.json"
     return code, json.loads(report.read_text()) if report.is_file() else {}

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from hnf_core.material.alexnet.network import AlexNet, AlexNetConfig
-from hnf_core.material.alexnet.trunk import BACKBONE_LAYERS
+from hnf_core.material.alexnet_encoder import BACKBONE_LAYERS, AlexNet, AlexNetConfig
 
 HIDDEN = 16
 

@@ -9,10 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from hnf_core.batch.attempt import RUN_FILE_NAME
-from hnf_core.batch.inputs import compute_digest, compute_version
-from hnf_core.batch.order import Request
-from hnf_core.batch.workplace import StagingMarker, find_staging_folders, read_marker
+from hnf_core.batch.attempt import RUN_FILE_NAME, Request
+from hnf_core.batch.staging import StagingMarker, compute_digest, compute_version, find_staging_folders, read_marker
 from hnf_core.cli.main import main
 
 T = TypeVar("T")

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hnf_core.actuators.protocol.frames import Decoder, Encoder
-from hnf_core.actuators.protocol.messages import (
+from hnf_core.actuators.serial_protocol import (
     FROM_DEVICE,
     Credit,
+    Decoder,
+    Encoder,
     Error,
     Hello,
     Message,

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.datasets.hatt_models import TextureModel, read_texture_model
-from hnf_core.datasets.line_spectra import polynomial_from_lsf
+from hnf_core.datasets.hatt_models import TextureModel, polynomial_from_lsf, read_texture_model
 
 HATT = Path(__file__).resolve().parents[3] / "shared" / "data" / "hatt"
 needs_hatt = pytest.mark.skipif(not HATT.is_dir(), reason="the HaTT sample (shared/data/hatt) is not here")

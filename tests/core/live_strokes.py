@@ -7,17 +7,15 @@ from itertools import pairwise
 import numpy as np
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.field import texture
-from hnf_core.field.blocks import render_contact
-from hnf_core.field.knots import Knots
-from hnf_core.field.live.state import LiveState
+from hnf_core.field import carrier_rendering
+from hnf_core.field.carrier_rendering import Knots, render_carriers_full_rate, sum_time_carriers
+from hnf_core.field.live.hand_tracker import LiveState
 from hnf_core.field.live.synthesis import LiveSynthesis
-from hnf_core.field.path import interpolate_position
-from hnf_core.field.plain import render_carriers_full_rate, sum_time_carriers
-from hnf_core.field.prepared import prepare_stroke
-from hnf_core.field.stroke import StrokeInput, uniform_stroke
+from hnf_core.field.prepare import prepare_stroke
+from hnf_core.field.render import render_contact
+from hnf_core.field.stroke import StrokeInput, interpolate_position, uniform_stroke
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import without_kernel
+from hnf_core.kernel.loader import without_kernel
 from hnf_core.material.library import get_material
 
 BLOCK = 50
@@ -45,15 +43,15 @@ def on(action: Action, material: str) -> StrokeInput:
 
 def offline(stroke: StrokeInput) -> np.ndarray:
     """The whole stroke at the model's rate: carriers in time in float64, those in arc length as they are kept for any
-    render (field/hops.py), read by numpy."""
+    render (field/noise_cache.py), read by numpy."""
     prepared = prepare_stroke(load_field(), stroke, seed=SEED)
     carriers, count, amplitude = prepared.carriers, prepared.count, prepared.amplitude[:, 0]
     out = sum_time_carriers(amplitude[:, carriers.time_slice], carriers, SEED, 0, count)
     near = Knots(BLOCK * np.arange(len(amplitude)), amplitude).select_range(0, count)
-    when = texture._Interpolation(0, *near.locate(np.arange(count)))
+    when = carrier_rendering._Interpolation(0, *near.locate(np.arange(count)))
     with without_kernel():
         place, octaves = interpolate_position(prepared.action, 0, count), list(range(carriers.arc_octaves))
-        out += texture._sum_arc_bands(near, carriers, SEED, octaves, place, when)
+        out += carrier_rendering._sum_arc_bands(near, carriers, SEED, octaves, place, when)
     return prepared.audible * (out + render_contact(prepared, 0, count))
 
 

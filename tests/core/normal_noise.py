@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.field.noise import _draw_polar
+from hnf_core.field.carriers import _draw_polar
 
 
 def normal_block(seed: int, stream: int, block: int, count: int) -> NDArray[np.float64]:

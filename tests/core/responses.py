@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hnf_core.actuators.response import MIN_GAIN_DB, FrequencyResponse
+from hnf_core.actuators.measure.frequency_response import MIN_GAIN_DB, FrequencyResponse
 
 
 def of_gains(frequency_hz: ArrayLike, gain: ArrayLike) -> FrequencyResponse:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hnf_core.scene.camera import Camera, orthographic
-from hnf_core.scene.splats import reference
-from hnf_core.scene.splats.cloud import Splats
-from hnf_core.scene.splats.reference import render_reference
-from hnf_core.scene.splats.splatter import render_splats
+from hnf_core.scene.splats.gaussians import Splats
+from hnf_core.scene.splats.rasterize import render_splats
+from reference import splat_rendering
+from reference.splat_rendering import render_reference
 
 TIE = 1e-5
 """Of the light: where so much more or less would give the other median, either is right."""
@@ -87,7 +87,7 @@ def assert_as_defined(one: Splats, camera: Camera, **settings):
     with pytest.MonkeyPatch.context() as patch:
         medians = [exact.median]
         for share in (0.5 - TIE, 0.5 + TIE):
-            patch.setattr(reference, "MEDIAN_TRANSMITTANCE", share)
+            patch.setattr(splat_rendering, "MEDIAN_TRANSMITTANCE", share)
             medians.append(render_reference(one, camera, **settings).median)
     with np.errstate(invalid="ignore"):
         apart = [np.where(fast.median == median, 0.0, np.abs(fast.median - median)) for median in medians]

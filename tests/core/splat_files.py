@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.scene.splats.cloud import Splats
+from hnf_core.scene.splats.gaussians import Splats
 
 C0 = 0.28209479177387814
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.scene.splats.cloud import Splats
-from hnf_core.scene.splats.viewpoints import make_sphere_directions
+from hnf_core.scene.splats.depth_views import make_sphere_directions
+from hnf_core.scene.splats.gaussians import Splats
 
 Float = NDArray[np.float64]
 Y00 = 0.28209479177387814

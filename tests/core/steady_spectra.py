@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.field.field import Field, evaluate, steady_amplitude
 from hnf_core.field.linear_contact import Condition
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.contact_model import Mechanics
 
 Float = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.source import Samples
+from hnf_core.actuators.signal_chain import Samples
 
 LIMITS = Limits(30.0, slew_per_s=2.0 * np.pi * 1000.0, sustained=0.3)
 LONG_S = 20.0

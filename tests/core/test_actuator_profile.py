@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.actuators.levels import compute_levels
+from hnf_core.actuators.output_prediction import compute_levels
 from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, get_profile, make_user_profile
 from hnf_core.errors import UsageError
 from hnf_core.signal import Signal

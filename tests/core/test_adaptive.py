@@ -10,19 +10,23 @@ from test_synthesis import FOAM, WOOD, linear_field, make_action, rough_token, s
 
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVES
-from hnf_core.bench.synth_sampled import synthesise_every_sample
-from hnf_core.field import adaptive
-from hnf_core.field.adaptive import MAX_EVALUATIONS, MAX_INTERVAL, MIN_INTERVAL, interpolate_rows, sample_adaptively
-from hnf_core.field.blocks import render_block, render_carriers, render_samples
-from hnf_core.field.emissions import drive_requests, evaluate_requests
+from hnf_core.field import adaptive_sampling
+from hnf_core.field.adaptive_sampling import (
+    MAX_EVALUATIONS,
+    MAX_INTERVAL,
+    MIN_INTERVAL,
+    interpolate_rows,
+    sample_adaptively,
+)
 from hnf_core.field.field import Emission, evaluate
-from hnf_core.field.prepared import prepare_adaptive, prepare_stroke
-from hnf_core.field.reference import synthesise_reference
-from hnf_core.field.stroke import HeightProfile, uniform_stroke
+from hnf_core.field.prepare import drive_requests, evaluate_requests, prepare_adaptive, prepare_stroke
+from hnf_core.field.render import render_block, render_carriers, render_samples
+from hnf_core.field.stroke import HeightProfile, interpolate_condition, resample_action, sample_count, uniform_stroke
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.timeline import interpolate_condition, resample_action, sample_count
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import get_material
+from hnf_lab.bench.synth import synthesise_every_sample
+from reference.literal_synthesis import synthesise_reference
 
 
 def counted(evaluation):
@@ -131,7 +135,7 @@ def test_no_round_is_of_a_handful(seed, tolerance, monkeypatch):
         return sizes
 
     found = rounds()
-    monkeypatch.setattr(adaptive, "UNREFINED_ERROR_SHARE", 1.0)
+    monkeypatch.setattr(adaptive_sampling, "UNREFINED_ERROR_SHARE", 1.0)
     nothing_left = rounds()
     assert min(found) >= 10 > min(nothing_left)
     assert len(found) < len(nothing_left)

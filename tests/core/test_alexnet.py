@@ -6,18 +6,21 @@ from alexnet_parts import HIDDEN, random_tensors, trunk_names
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.material.alexnet.network import (
+from hnf_core.material.alexnet_encoder import (
     CONDITION_COUNT,
     IMAGENET_DEVIATION,
     IMAGENET_MEAN,
     AlexNet,
     AlexNetConfig,
     build_view_conditions,
+    compute_backbone_features,
+    convolve,
     cubic_resize_matrix,
     forward,
+    get_backbone_shapes,
+    max_pool,
     normalise_view,
 )
-from hnf_core.material.alexnet.trunk import compute_backbone_features, convolve, get_backbone_shapes, max_pool
 from hnf_core.tactile.optics import SENSORS, shade
 from hnf_core.tactile.views import PITCHES_M
 
@@ -90,7 +93,7 @@ def test_enlarging_keeps_planes_and_means_by_cubic_convolution(pixels):
 @pytest.mark.parametrize("imagenet", [False, True])
 def test_numpy_and_torch_agree(pixels, imagenet):
     torch = pytest.importorskip("torch", reason="the twin is for training")
-    from hnf_core.training.encoder.network import to_torch
+    from hnf_lab.encoder.network import to_torch
 
     design = (
         AlexNetConfig(pixels, HIDDEN, IMAGENET_MEAN, IMAGENET_DEVIATION) if imagenet else AlexNetConfig(pixels, HIDDEN)
@@ -111,7 +114,7 @@ def test_numpy_and_torch_agree(pixels, imagenet):
 
 def test_training_and_run_time_prepare_a_view_alike():
     torch = pytest.importorskip("torch", reason="the twin is for training")
-    from hnf_core.training.encoder.batches import normalise_views, shade_views
+    from hnf_lab.encoder.train import normalise_views, shade_views
 
     rng = np.random.default_rng(1)
     slopes = 0.3 * rng.standard_normal((2, 2, 64, 64)).astype(np.float32)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.archive import NPZ_ERRORS, read_npz
+from hnf_core.files import NPZ_ERRORS, read_npz
 
 
 def packed() -> bytes:

@@ -14,13 +14,13 @@ import pytest
 from numpy.typing import NDArray
 from sound_server import RATE_HZ, SoundServer, sound_server, why_not
 
-from hnf_core.actuators.chain import render_counts
 from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.signal_chain import render_counts
 from hnf_core.actuators.sinks.audio import CALLBACK_TIMEOUT_S, QUEUE_S, AudioSink
 from hnf_core.actuators.sinks.fading_queue import RAMP_S
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
-from hnf_core.actuators.targets import list_devices
+from hnf_core.actuators.stream_targets import list_devices
 from hnf_core.errors import DeviceError
 
 needs_server = pytest.mark.skipif(why_not() != "", reason=why_not())

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.band_limited import resample_band_limited
+from hnf_core.action.action import resample_band_limited
 
 RATE = 200.0
 SIGMA_S = np.sqrt(np.log(2.0)) / (2.0 * np.pi * 0.25 * RATE)

@@ -14,24 +14,40 @@ from pathlib import Path
 import pytest
 from batch_builders import at_work, direct, half_written, order_for, pipe, processes_with, synth, table, until
 
+from hnf_core.batch import __main__, attempt
 from hnf_core.batch import attempt as attempt_module
-from hnf_core.batch import child, in_child
 from hnf_core.batch.attempt import (
     MAX_UNREADABLE_S,
     RUN_FILE_NAME,
+    CommandResult,
+    Outcome,
+    Request,
+    State,
+    encode_message,
     explain_unsuitable_worker,
     make_continue_check,
+    parse_outcome,
     run_attempt,
     run_request,
     summarise_outcome,
 )
-from hnf_core.batch.child import CommandResult
-from hnf_core.batch.inputs import compute_version
-from hnf_core.batch.job import Job
-from hnf_core.batch.order import Outcome, Request, State, encode_message, parse_outcome
-from hnf_core.batch.plan import make_plan
-from hnf_core.batch.record import JobRecord, hash_outputs, hash_referenced_files, is_fresh, read_record, write_record
-from hnf_core.batch.workplace import StagingMarker, clean_up, is_abandoned, make_staging_folder, publish, reuse_files
+from hnf_core.batch.jobs import Job
+from hnf_core.batch.runner import make_plan
+from hnf_core.batch.staging import (
+    JobRecord,
+    StagingMarker,
+    clean_up,
+    compute_version,
+    hash_outputs,
+    hash_referenced_files,
+    is_abandoned,
+    is_fresh,
+    make_staging_folder,
+    publish,
+    read_record,
+    reuse_files,
+    write_record,
+)
 from hnf_core.errors import FileError
 
 if sys.platform == "win32":
@@ -150,9 +166,9 @@ def test_an_exception_in_the_command_is_an_accident_and_a_refusal_is_not(
     refused = run(order_for(folder, "a", synth(tmp_path / "absent.csv")))
     assert refused.state is State.FAILED
     assert "absent.csv" in refused.why
-    monkeypatch.setattr(in_child, "exit_with_parent", lambda: None)
-    monkeypatch.setattr(in_child, "PROGRAM", "no_such_program")
-    code = in_child.main([])
+    monkeypatch.setattr(__main__, "exit_with_parent", lambda: None)
+    monkeypatch.setattr(__main__, "PROGRAM", "no_such_program")
+    code = __main__.main([])
     assert "ModuleNotFoundError" in capsys.readouterr().err
     assert summarise_outcome(CommandResult(code, 0.1, (), ()))[0] is State.ACCIDENT
 
@@ -359,7 +375,7 @@ def test_new_results_are_for_whom_the_persons_umask_says(tmp_path: Path) -> None
     (tmp_path / "old").touch()
     (tmp_path / "old").chmod(0o604)
     words = [sys.executable, "-c", MODES, str(tmp_path)]
-    told = subprocess.run(words, cwd=child.ROOT, umask=0o027, check=True, capture_output=True, text=True)
+    told = subprocess.run(words, cwd=attempt.ROOT, umask=0o027, check=True, capture_output=True, text=True)
     assert told.stdout.split() == ["0o750", "0o640", "0o604"]
 
 
@@ -401,4 +417,4 @@ def test_what_is_begun_with_is_not_written_into(tmp_path: Path) -> None:
 
 
 def test_the_childs_program_is_the_hnf_command() -> None:
-    assert (child.ROOT / in_child.PROGRAM.replace(".", "/")).with_suffix(".py").is_file()
+    assert (attempt.ROOT / __main__.PROGRAM.replace(".", "/")).with_suffix(".py").is_file()

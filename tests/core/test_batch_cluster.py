@@ -17,8 +17,8 @@ from hatt_files import model_xml
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed: the extra [batch]")
 
-from hnf_core.batch.record import read_record  # noqa: E402
-from hnf_core.cli.main import main  # noqa: E402
+from hnf_core.batch.staging import read_record
+from hnf_core.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -205,10 +205,10 @@ def test_a_scheduler_that_is_not_there_and_workers_that_see_nothing_are_told(
     tmp_path: Path, scheduler: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ("synth", "--material", "oak-wood", "--stroke", "rub-slow", "--out", tmp_path / "out")
-    monkeypatch.setattr("hnf_core.batch.cluster.CONNECT_S", 0.5)
+    monkeypatch.setattr("hnf_core.batch.runner.CONNECT_S", 0.5)
     assert batch(*words, "--scheduler", "tcp://127.0.0.1:9") == 1
     assert "no scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
-    monkeypatch.setattr("hnf_core.batch.run.compute_version", lambda: "0.0")
+    monkeypatch.setattr("hnf_core.batch.runner.compute_version", lambda: "0.0")
     assert batch(*words, "--scheduler", scheduler) == 1
     assert "Install the same version there" in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "out").iterdir()] == [".hnf-batch"]

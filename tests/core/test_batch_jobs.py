@@ -15,15 +15,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.batch import inputs
-from hnf_core.batch.expand import make_combined_jobs, make_scene_jobs
-from hnf_core.batch.inputs import compute_digest, find_named_files
-from hnf_core.batch.job import FAILED_SUFFIX, make_folder_name, make_job, reject_duplicates
-from hnf_core.batch.jobs_file import parse_jobs, read_jobs
-from hnf_core.batch.order import Outcome, Request, State, encode_message, parse_outcome, parse_request
+from hnf_core.batch import staging
+from hnf_core.batch.attempt import Outcome, Request, State, encode_message, parse_outcome, parse_request
+from hnf_core.batch.jobs import (
+    FAILED_SUFFIX,
+    make_combined_jobs,
+    make_folder_name,
+    make_job,
+    make_scene_jobs,
+    parse_jobs,
+    read_jobs,
+    reject_duplicates,
+)
+from hnf_core.batch.staging import compute_digest, find_named_files
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, UsageError
-from hnf_core.kernel import library
+from hnf_core.kernel import loader
 
 SYNTH = "synth --material oak-wood --stroke rub-slow --out x.wav"
 ANYTHING = st.recursive(
@@ -194,12 +201,12 @@ def test_the_version_follows_the_code_the_data_and_the_kernel(tmp_path: Path, mo
     for path in (core / "data" / "library.json", core / "field" / "a.py", guest / "b.py", guest / "data" / "de.json"):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("1")
-    monkeypatch.setattr(inputs, "PACKAGES", (core, guest, tmp_path / "absent"))
-    monkeypatch.setattr(inputs, "DATA_FOLDER", core / "data")
+    monkeypatch.setattr(staging, "PACKAGES", (core, guest, tmp_path / "absent"))
+    monkeypatch.setattr(staging, "DATA_FOLDER", core / "data")
 
     def version() -> str:
-        inputs.compute_version.cache_clear()
-        return inputs.compute_version()
+        staging.compute_version.cache_clear()
+        return staging.compute_version()
 
     try:
         first = version()
@@ -214,21 +221,21 @@ def test_the_version_follows_the_code_the_data_and_the_kernel(tmp_path: Path, mo
             seen.append(version())
         (core / "field" / "a.py").rename(core / "field" / "c.py")
         seen.append(version())
-        monkeypatch.setattr(library, "get_build_id", lambda: "another")
+        monkeypatch.setattr(loader, "get_build_id", lambda: "another")
         seen.append(version())
         assert len(set(seen)) == len(seen)
     finally:
-        inputs.compute_version.cache_clear()
+        staging.compute_version.cache_clear()
 
 
 def test_the_version_of_the_program_itself_counts_its_own_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    read, content = [], inputs._hash_content
-    monkeypatch.setattr(inputs, "_hash_content", lambda path: (read.append(path), content(path))[1])
-    inputs.compute_version.cache_clear()
-    first = inputs.compute_version()
-    assert {Path(inputs.__file__), inputs.DATA_FOLDER / "library.json"} <= set(read)
+    read, content = [], staging._hash_content
+    monkeypatch.setattr(staging, "_hash_content", lambda path: (read.append(path), content(path))[1])
+    staging.compute_version.cache_clear()
+    first = staging.compute_version()
+    assert {Path(staging.__file__), staging.DATA_FOLDER / "library.json"} <= set(read)
     count = len(read)
-    assert inputs.compute_version() == first
+    assert staging.compute_version() == first
     assert len(read) == count  # once a process
 
 

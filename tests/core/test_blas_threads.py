@@ -7,13 +7,12 @@ import threading
 import numpy as np
 import pytest
 
-from hnf_core.bench.synth import clear_carrier_caches, make_keyed_stroke
-from hnf_core.blas import find_openblas_threads, single_blas_thread
-from hnf_core.field import network
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import initial_parameters
+from hnf_core.field import field
+from hnf_core.field.field import FieldConfig, initial_parameters
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
+from hnf_core.threads import find_openblas_threads, single_blas_thread
+from hnf_lab.bench.synth import clear_carrier_caches, make_keyed_stroke
 
 
 @pytest.fixture
@@ -87,7 +86,7 @@ def test_states_through_a_pool_have_the_bytes_of_portions_one_after_the_other(mo
         for name, value in initial_parameters(config, 0).items()
     }
     width = parameters["layer0.weight"].shape[1]
-    size, through = network.BATCH_ROWS, network._forward
+    size, through = field.BATCH_ROWS, field._forward
     x = random.standard_normal((round(portions * size), width)).astype(np.float32)
     worked, meeting = [], threading.Barrier(2)
 
@@ -97,11 +96,11 @@ def test_states_through_a_pool_have_the_bytes_of_portions_one_after_the_other(mo
             meeting.wait(10.0)
         return through(*given)
 
-    monkeypatch.setattr(network, "MIN_THREADED_MULTIPLICATIONS", 0)
-    monkeypatch.setattr(network, "available_cpus", lambda: 2)
+    monkeypatch.setattr(field, "MIN_THREADED_MULTIPLICATIONS", 0)
+    monkeypatch.setattr(field, "available_cpus", lambda: 2)
     with monkeypatch.context() as patch:
-        patch.setattr(network, "_forward", noted)
-        pooled = network.run_network(parameters, config.layers, x)
+        patch.setattr(field, "_forward", noted)
+        pooled = field.run_network(parameters, config.layers, x)
     assert len({thread for thread, _ in worked} - {threading.get_ident()}) == 2
     counts = [count for _, count in worked]
     assert sum(counts) == len(x)
@@ -110,8 +109,8 @@ def test_states_through_a_pool_have_the_bytes_of_portions_one_after_the_other(mo
 
     with single_blas_thread():
         rows = [through(parameters, config.layers, part) for part in np.array_split(x, len(counts))]
-    monkeypatch.setattr(network, "MIN_THREADED_MULTIPLICATIONS", 1 << 60)
-    plainly = network.run_network(parameters, config.layers, x)
+    monkeypatch.setattr(field, "MIN_THREADED_MULTIPLICATIONS", 1 << 60)
+    plainly = field.run_network(parameters, config.layers, x)
     for head, (found, alone) in enumerate(zip(pooled, plainly, strict=True)):
         assert np.ptp(found) > 0.1
         assert found.tobytes() == alone.tobytes() == np.concatenate([row[head] for row in rows]).tobytes()

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.field.breakpoints import MAX_DEVIATION, find_breakpoints
+from hnf_core.field.adaptive_sampling import MAX_DEVIATION, find_breakpoints
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
-from hnf_core.field.timeline import SAMPLES_PER_STATE
-from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
-from hnf_core.kernel.turns import find_bends
+from hnf_core.field.stroke import SAMPLES_PER_STATE
+from hnf_core.kernel.compiled_carriers import find_bends
+from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 
 
 def wandering(seed: int, count: int, restless: float) -> tuple[Action, np.ndarray]:

@@ -6,10 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from normal_noise import normal_block
 
-from hnf_core.field.carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, TIME_BLOCK, Carriers
-from hnf_core.field.modulation import interpolate_amplitudes, sum_arc_carriers
-from hnf_core.field.noise import crossfade_window
-from hnf_core.field.plain import sum_time_carriers
+from hnf_core.field.carrier_rendering import interpolate_amplitudes, sum_arc_carriers, sum_time_carriers
+from hnf_core.field.carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, TIME_BLOCK, Carriers, crossfade_window
 from hnf_core.metrics.spectra import welch
 
 CARRIERS = Carriers()

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_sheet import GAP, make_tile_row, make_view_images
 
-from hnf_core.datasets.pair_tiles import PairSizes, list_tile_requests, make_tile
+from hnf_core.datasets.pair_generation import PairSizes, list_tile_requests, make_tile
 from hnf_core.datasets.tactile_pairs import TRAIN
-from hnf_core.export.contact_sheet import GAP, make_tile_row, make_view_images
 from hnf_core.export.png import encode_colour_png
 
 ROOT = Path(__file__).resolve().parents[2]

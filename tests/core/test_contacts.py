@@ -9,13 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.bezier import make_poly_curve, make_smooth_curve
-from hnf_core.action.contacts import StrokeSamples, find_contacts, require_contact
-from hnf_core.action.curves import build_arc_curve
-from hnf_core.action.deforming import DeformingMesh
-from hnf_core.action.nearest import find_nearest_on_triangles
+from hnf_core.action.contacts import (
+    DeformingMesh,
+    StrokeSamples,
+    find_contacts,
+    find_nearest_on_triangles,
+    require_contact,
+)
+from hnf_core.action.curves import build_arc_curve, make_poly_curve, make_smooth_curve
+from hnf_core.action.motion_profile import make_motion_at_speed, make_motion_from_progress
 from hnf_core.action.patches import action_from_contacts, covers, plan_patches
-from hnf_core.action.time_law import make_motion_at_speed, make_motion_from_progress
 from hnf_core.errors import SceneError, StrokeError
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.raycast import ReferenceGeometry

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from hnf_core import cores as both_cores
+from hnf_core import threads as both_cores
 
 
 @pytest.mark.parametrize(

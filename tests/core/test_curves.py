@@ -10,9 +10,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hnf_core.action.bezier import make_bezier_curve, make_poly_curve, make_smooth_curve
-from hnf_core.action.curves import build_arc_curve, require_single_spline
-from hnf_core.action.nurbs import compute_blender_knots, make_nurbs_curve
+from hnf_core.action.curves import (
+    build_arc_curve,
+    compute_blender_knots,
+    make_bezier_curve,
+    make_nurbs_curve,
+    make_poly_curve,
+    make_smooth_curve,
+    require_single_spline,
+)
 from hnf_core.errors import StrokeError
 
 coordinates = st.floats(-1.0, 1.0, allow_nan=False).map(lambda x: round(x, 6))

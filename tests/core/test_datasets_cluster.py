@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.datasets.catalogue import open_dataset
-from hnf_core.datasets.cluster import get_family
+from hnf_core.datasets.cluster_database import get_family
 from hnf_core.datasets.recording import Recording
+from hnf_core.datasets.registry import open_dataset
 from hnf_core.errors import FileError, MaterialError
 from hnf_core.metrics.spectra import welch
 

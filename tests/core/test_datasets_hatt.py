@@ -10,8 +10,9 @@ from hatt_files import HATT, TRIANGLES, model_xml, needs_hatt, read, values
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
-from hnf_core.datasets.autoregressive import (
+from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
+from hnf_core.datasets.hatt_models import polynomial_from_lsf, read_texture_model
+from hnf_core.datasets.hatt_synthesis import (
     HattProcess,
     _build_states,
     _draw_noise,
@@ -21,9 +22,7 @@ from hnf_core.datasets.autoregressive import (
     synthesise_autoregressive,
     synthesise_reference,
 )
-from hnf_core.datasets.catalogue import open_dataset
-from hnf_core.datasets.hatt_models import read_texture_model
-from hnf_core.datasets.line_spectra import polynomial_from_lsf
+from hnf_core.datasets.registry import open_dataset
 from hnf_core.errors import FileError, MaterialError, UsageError
 from hnf_core.metrics.spectra import welch
 

@@ -8,9 +8,8 @@ from hatt_files import FORCES, SPEEDS, TRIANGLES, lsf_at, model_xml, read, value
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.datasets.autoregressive import compute_power_spectrum
-from hnf_core.datasets.hatt_models import read_texture_model
-from hnf_core.datasets.line_spectra import lsf_from_polynomial, polynomial_from_lsf
+from hnf_core.datasets.hatt_models import lsf_from_polynomial, polynomial_from_lsf, read_texture_model
+from hnf_core.datasets.hatt_synthesis import compute_power_spectrum
 from hnf_core.errors import FileError
 
 # --- line spectral frequencies -----------------------------------------------------------------------------------

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
-from hnf_core.action.smooth import make_random_smooth_action
-from hnf_core.datasets.catalogue import open_dataset
+from hnf_core.action.synthetic_actions import make_random_smooth_action
 from hnf_core.datasets.hatt_models import TextureModel
 from hnf_core.datasets.recording import Recording
+from hnf_core.datasets.registry import open_dataset
 from hnf_core.errors import FileError
 
 RATE = 10_000

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.datasets.catalogue import open_dataset
 from hnf_core.datasets.lmt import ASSUMPTIONS
+from hnf_core.datasets.registry import open_dataset
 from hnf_core.errors import FileError, MaterialError
 
 SIGNAL = np.random.default_rng(3).standard_normal((5000, 3))

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hnf_core.datasets.catalogue import open_dataset
+from hnf_core.datasets.registry import open_dataset
 from hnf_core.errors import FileError, MaterialError
+from hnf_core.export.csv_npz import write_csv
 from hnf_core.export.options import ExportOptions
-from hnf_core.export.table import write_csv
 from hnf_core.signal import Signal
 
 SECONDS = 1.0

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.datasets.safe_xml import parse_xml
-from hnf_core.datasets.series import (
+from hnf_core.datasets.data_files import parse_unit_factor, parse_xml
+from hnf_core.datasets.time_series import (
     build_action,
     check_time_grid,
     derive_motion,
@@ -16,7 +16,6 @@ from hnf_core.datasets.series import (
     resample_to_action_rate,
     smooth_series,
 )
-from hnf_core.datasets.written_units import parse_unit_factor
 from hnf_core.errors import FileError
 
 grids = st.integers(0, 2**32).map(lambda seed: np.cumsum(np.random.default_rng(seed).uniform(0.1, 2.0, 40)))

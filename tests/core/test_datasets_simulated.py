@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.action.smooth import make_circular_action, make_random_smooth_action, make_steady_action
-from hnf_core.datasets.catalogue import open_dataset
+from hnf_core.action.synthetic_actions import make_circular_action, make_random_smooth_action, make_steady_action
+from hnf_core.datasets.registry import open_dataset
 from hnf_core.datasets.simulated import SETTLE_S, SimulatedProcess, build_stroke
 from hnf_core.errors import MaterialError, UsageError
-from hnf_core.material.mechanics import Mechanics
-from hnf_core.simulation.recipes import grating
-from hnf_core.simulation.surface import Noise, SurfaceRecipe
+from hnf_core.material.contact_model import Mechanics
+from hnf_core.simulation.surface_recipe import Noise, SurfaceRecipe, grating
 
 ROUGH = SimulatedProcess("rough", SurfaceRecipe(noise=(Noise(2e-6),)), Mechanics(1e5, 0.2, 0.3))
 AHEAD = round(SETTLE_S * 10_000)

@@ -10,17 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from picture_files import MID_GREY, image, linear, write_picture, write_pixels
 
-from hnf_core.datasets import photographs
-from hnf_core.datasets.folders import is_safe_name
-from hnf_core.datasets.photographs import (
+from hnf_core.datasets import vision_touch
+from hnf_core.datasets.data_files import is_safe_name
+from hnf_core.datasets.vision_touch import (
+    FilePairs,
+    PairFiles,
+    VisionTouchPair,
     crop_centre_square,
+    iterate_readable,
     read_array,
     read_depth,
     read_photograph,
     read_touch_image,
     resize_by_area,
+    split_by_location,
 )
-from hnf_core.datasets.vision_touch import FilePairs, PairFiles, VisionTouchPair, iterate_readable, split_by_location
 from hnf_core.errors import FileError, UsageError
 
 
@@ -174,7 +178,7 @@ def test_what_is_no_picture_is_refused(tmp_path, monkeypatch):
         read_photograph(tmp_path / "deep.png")
     with pytest.raises(FileError, match="has 64 × 8 pixels"):
         read_photograph(write_picture(tmp_path / "d.png", height=8))
-    monkeypatch.setattr(photographs, "MAX_PIXELS", 1000)
+    monkeypatch.setattr(vision_touch, "MAX_PIXELS", 1000)
     with pytest.raises(FileError, match="has 64 × 48 pixels"):
         read_photograph(tmp_path / "a.jpg")
 

@@ -15,12 +15,10 @@ from tactile_networks import SMALL, architecture, look, random_parameters, rando
 
 from hnf_core.errors import FileError, UsageError, WeightsError
 from hnf_core.tactile.diffusion import predict as module
-from hnf_core.tactile.diffusion.conditions import normalise_view
-from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
-from hnf_core.tactile.diffusion.network import build_unet
-from hnf_core.tactile.diffusion.predict import predict_slopes, predict_tactile_maps
-from hnf_core.tactile.diffusion.sampling import denoise
+from hnf_core.tactile.diffusion.conditioning import normalise_view
+from hnf_core.tactile.diffusion.predict import denoise, predict_slopes, predict_tactile_maps
 from hnf_core.tactile.diffusion.schedule import alpha_bars, ddim_step, noised, sampling_steps, velocity
+from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, build_unet
 from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
 from hnf_core.tactile.optics import SENSORS, decode_gradients
 from hnf_core.tactile.tactile_map import Route

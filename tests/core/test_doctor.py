@@ -11,10 +11,10 @@ import pytest
 
 import hnf_core
 from hnf_core.cli import doctor
-from hnf_core.cli.health import OPTIONAL_PACKAGES, Package
 from hnf_core.cli.main import main
+from hnf_core.diagnostics import OPTIONAL_PACKAGES, Package
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import without_kernel
+from hnf_core.kernel.loader import without_kernel
 
 
 def hnf(*words: str) -> int:

@@ -7,7 +7,12 @@ from hypothesis import strategies as st
 from unresolved_maps import unresolved_tactile_map
 
 from hnf_core.errors import UsageError
-from hnf_core.material.encoder import band_edges_per_metre, describe, find_resolved_bands, get_smooth_token_values
+from hnf_core.material.band_descriptor import (
+    band_edges_per_metre,
+    describe,
+    find_resolved_bands,
+    get_smooth_token_values,
+)
 from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, SMOOTH_LEVEL, band_slice
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import TactileMap

@@ -10,24 +10,20 @@ from hypothesis import strategies as st
 from unresolved_maps import unresolved_tactile_map
 
 from hnf_core.errors import FileError, MaterialError, UsageError, WeightsError
-from hnf_core.material.alexnet import weights
-from hnf_core.material.alexnet.network import (
+from hnf_core.material import alexnet_encoder
+from hnf_core.material.alexnet_encoder import (
     CONTRAST_FLOOR,
     LEVEL_INDICES,
     OUTPUT_COUNT,
     decode_outputs,
+    describe_with_alexnet,
     encode_targets,
+    load_encoder,
+    save_encoder,
 )
-from hnf_core.material.alexnet.reading import describe_with_alexnet
-from hnf_core.material.alexnet.weights import load_encoder, save_encoder
-from hnf_core.material.encoder import describe, get_smooth_token_values
-from hnf_core.material.encoders import (
-    PREFERRED_ENCODERS,
-    describe_views,
-    get_default_encoder,
-    get_encoder,
-)
-from hnf_core.material.merge import merge_tokens
+from hnf_core.material.band_descriptor import describe, get_smooth_token_values
+from hnf_core.material.encoder_registry import PREFERRED_ENCODERS, describe_views, get_default_encoder, get_encoder
+from hnf_core.material.fuse import merge_tokens
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, LEVELS, TOKEN_DIM, band_slice
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import Route, TactileMap
@@ -177,7 +173,7 @@ def test_what_is_no_encoder_is_named(tmp_path):
 
 
 def test_where_the_network_was_left_out_nothing_else_takes_its_place(tmp_path, monkeypatch):
-    monkeypatch.setattr(weights, "DEFAULT_ENCODER", tmp_path / "encoder.safetensors")
+    monkeypatch.setattr(alexnet_encoder, "DEFAULT_ENCODER", tmp_path / "encoder.safetensors")
     for asked in (
         load_encoder,
         lambda: get_encoder(ALEXNET_ID),

@@ -10,10 +10,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import FileError
-from hnf_core.export.control_points import select_control_points
-from hnf_core.export.envelope import Emphasis, Envelope, compute_envelope, make_envelope_grid, reduce_windows
-from hnf_core.export.samples import MAX_RENDERED_SAMPLES
-from hnf_core.export.tone import EMPHASIS_DURATION_S, render_envelope
+from hnf_core.export.envelope import (
+    EMPHASIS_DURATION_S,
+    Emphasis,
+    Envelope,
+    compute_envelope,
+    make_envelope_grid,
+    reduce_windows,
+    render_envelope,
+    select_control_points,
+)
+from hnf_core.export.options import MAX_RENDERED_SAMPLES
 
 RANGE = (20.0, 1000.0)
 

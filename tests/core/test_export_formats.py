@@ -24,7 +24,7 @@ from hnf_core.export.convert import export_signal, import_signal
 from hnf_core.export.envelope import compute_envelope
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.options import ExportOptions, ImportOptions
-from hnf_core.export.sidecar import get_sidecar_path
+from hnf_core.export.provenance import get_sidecar_path
 from hnf_core.export.wav import read_wav
 from hnf_core.metrics.band_energy import band_power
 from hnf_core.signal import Signal

@@ -16,8 +16,8 @@ from hypothesis.extra import numpy as hnp
 from hnf_core.export.ahap import MIN_DURATION_WITH_CLICKS_S
 from hnf_core.export.convert import export_signal
 from hnf_core.export.envelope import compute_envelope
+from hnf_core.export.fidelity import SILENT_OUTPUT, compute_signal_stats, format_loss_table, measure_loss
 from hnf_core.export.formats import FORMATS
-from hnf_core.export.loss import SILENT_OUTPUT, compute_signal_stats, format_loss_table, measure_loss
 from hnf_core.metrics.band_energy import OCTAVE_CENTRES_HZ, OCTAVE_EDGES_HZ, band_power, compare_bands
 
 SAMPLES = hnp.arrays(np.float64, st.integers(1, 800), elements=st.floats(-30.0, 30.0))

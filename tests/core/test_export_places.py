@@ -15,7 +15,7 @@ from hnf_core.errors import FileError
 from hnf_core.export.convert import export_signal
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.options import ExportOptions
-from hnf_core.export.sidecar import get_sidecar_path
+from hnf_core.export.provenance import get_sidecar_path
 from hnf_core.export.wav import write_wav
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hnf_core.errors import FileError
-from hnf_core.scene.exr import group_channels, read_exr
+from hnf_core.scene.rgbd_view import group_channels, read_exr
 
 OpenEXR = pytest.importorskip("OpenEXR", reason="OpenEXR is not installed here")
 

@@ -10,17 +10,16 @@ from hypothesis import strategies as st
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES
-from hnf_core.action.smooth import make_circular_action, make_random_smooth_action, make_steady_action
+from hnf_core.action.synthetic_actions import make_circular_action, make_random_smooth_action, make_steady_action
 from hnf_core.errors import StrokeError
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.extrapolation import check_ranges
-from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.ranges import PropertyRange, TrainingRanges, compute_training_ranges
+from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.range_check import check_ranges
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise
+from hnf_core.field.training_ranges import PropertyRange, TrainingRanges, compute_training_ranges
 from hnf_core.field.weights import load_field
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import load_library
-from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import TOKEN_NAMES
 
 LIBRARY = load_library()[:4]

@@ -6,13 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from hnf_core.action.smooth import make_steady_action
+from hnf_core.action.synthetic_actions import make_steady_action
 from hnf_core.errors import WeightsError
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.ranges import compute_training_ranges
+from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.training_ranges import compute_training_ranges
 from hnf_core.field.weights import load_field, save_field
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 
 CONFIG = FieldConfig(hidden=4, layers=1)

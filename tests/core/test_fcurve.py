@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.fcurve import BEZIER, CONSTANT, LINEAR, FCurve
+from hnf_core.action.keyframes import BEZIER, CONSTANT, LINEAR, FCurve
 
 
 def curve(keys, *kinds, reach=1 / 3, slopes=None):

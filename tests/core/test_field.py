@@ -11,18 +11,17 @@ from steady_spectra import expected_rms, expected_spectrum
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import FileError, WeightsError
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.config import FieldConfig
 from hnf_core.field.features import build_inputs
-from hnf_core.field.field import Emission, Field, accumulate, evaluate, initial_parameters
+from hnf_core.field.field import Emission, Field, FieldConfig, accumulate, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field, save_field
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import load_library
-from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import BAND_FEATURES, ENCODER_ID, TOKEN_DIM
 from hnf_core.metrics.spectra import spectrum_distance_db, welch
-from hnf_core.simulation.feel import STROKE_ANGLES_RAD
+from hnf_core.simulation.texture_statistics import STROKE_ANGLES_RAD
 
 FREQUENCY = np.arange(2.0, 5000.0, 2.0)
 ALONG, ACROSS = (1.0, 0.0), (0.0, 1.0)

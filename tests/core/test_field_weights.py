@@ -13,13 +13,12 @@ from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE
 from hnf_core.errors import WeightsError
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, initial_parameters
+from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import parse_field, read_trained_material, serialise_field
 from hnf_core.material.library import get_material
-from hnf_core.tensor_file import dump_tensors, load_tensors
+from hnf_core.safetensors_io import dump_tensors, load_tensors
 
 CONFIG = FieldConfig(hidden=8, layers=1, states=2, carriers=Carriers((50.0, 100.0, 200.0), arc_octaves=2), arc_knots=5)
 TENSORS, METADATA = load_tensors(serialise_field(Field(CONFIG, initial_parameters(CONFIG, 0))))

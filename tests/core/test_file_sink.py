@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from stream_builders import comes
 
-from hnf_core.actuators.chain import SignalChain, render_counts
 from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.signal_chain import SignalChain, render_counts
 from hnf_core.actuators.sinks.file import FileSink
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 from hnf_core.errors import DeviceError, UsageError
 from hnf_core.export.wav import read_wav

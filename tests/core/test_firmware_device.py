@@ -11,9 +11,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.actuators.protocol.frames import encode_frame
-from hnf_core.actuators.protocol.messages import Bye, ErrorCode, Hello, Samples, Start, State, Stop
-from hnf_core.actuators.protocol.messages import Credit as Credits
+from hnf_core.actuators.serial_protocol import Bye, ErrorCode, Hello, Samples, Start, State, Stop, encode_frame
+from hnf_core.actuators.serial_protocol import Credit as Credits
 
 Counts = NDArray[np.int16]
 SEEDS = st.integers(0, 2**32 - 1)

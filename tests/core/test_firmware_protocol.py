@@ -12,9 +12,19 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_protocol import DEVICE_MESSAGES, GARBAGE, HOST_MESSAGES, U8
 
-from hnf_core.actuators.protocol.crc import crc16_reference
-from hnf_core.actuators.protocol.frames import Decoder, encode_frame
-from hnf_core.actuators.protocol.messages import FROM_DEVICE, FROM_HOST, Bye, Message, Ping, Samples, Start, Stop
+from hnf_core.actuators.serial_protocol import (
+    FROM_DEVICE,
+    FROM_HOST,
+    Bye,
+    Decoder,
+    Message,
+    Ping,
+    Samples,
+    Start,
+    Stop,
+    crc16_reference,
+    encode_frame,
+)
 
 
 @pytest.fixture(scope="module")

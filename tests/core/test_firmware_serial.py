@@ -12,7 +12,7 @@ from firmware_host import build
 from numpy.typing import NDArray
 from ptys import needs_pty
 
-from hnf_core.actuators.sinks import rate_watch
+from hnf_core.actuators.sinks import serial_session
 from hnf_core.actuators.sinks.serial import SerialSink
 from hnf_core.errors import DeviceError
 
@@ -50,7 +50,7 @@ class Running:
 @pytest.fixture
 def keeps_no_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     """A patient device waits for a slow machine; that shall not look like a lie."""
-    monkeypatch.setattr(rate_watch, "RATE_TOLERANCE", 100.0)
+    monkeypatch.setattr(serial_session, "RATE_TOLERANCE", 100.0)
 
 
 def send(sink: SerialSink, counts: NDArray[np.int16]) -> None:

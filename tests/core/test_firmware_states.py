@@ -10,7 +10,7 @@ from firmware_host import QUEUE, RAMP, RATE, Check, Device, build, credits_of, e
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.protocol.messages import (
+from hnf_core.actuators.serial_protocol import (
     Bye,
     Caps,
     Error,

@@ -10,12 +10,12 @@ from firmware_host import Check, Device, build, errors_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.protocol.frames import Decoder, encode_frame
-from hnf_core.actuators.protocol.messages import (
+from hnf_core.actuators.serial_protocol import (
     FROM_DEVICE,
     Bye,
     Caps,
     Credit,
+    Decoder,
     Hello,
     Message,
     Ping,
@@ -24,8 +24,9 @@ from hnf_core.actuators.protocol.messages import (
     Start,
     Status,
     Stop,
+    encode_frame,
 )
-from hnf_core.actuators.virtual.device import VirtualDevice
+from hnf_core.actuators.virtual.serial_device import VirtualDevice
 
 STARTS = st.builds(
     Start,

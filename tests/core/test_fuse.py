@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import MaterialError
-from hnf_core.material.encoder import get_smooth_token_values
+from hnf_core.material.band_descriptor import get_smooth_token_values
 from hnf_core.material.fuse import (
     BAND_COUNT,
     EMPTY_LEVEL,

@@ -17,18 +17,21 @@ from touched_surfaces import palette, rough_tone, touched_sheet
 
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, SceneError, UsageError
-from hnf_core.export.glb import encode_surface, read_glb, write_glb
-from hnf_core.export.gltf_file import decode_glb, get_view_bytes
-from hnf_core.export.gltf_mesh import (
+from hnf_core.export.gltf import (
     build_vertex_table,
     compute_taxel_row_width,
     compute_taxel_uv,
+    decode_glb,
+    encode_surface,
     find_distinct_rows,
     find_vertices_on_path,
+    get_view_bytes,
+    read_glb,
+    write_glb,
 )
 from hnf_core.export.options import ExportOptions, ImportOptions
 from hnf_core.export.png import encode_grey_png
-from hnf_core.export.surface import UNTOUCHED, TouchedSurface
+from hnf_core.export.touched_surface import UNTOUCHED, TouchedSurface
 from hnf_core.export.wav import write_wav
 from hnf_core.material.token import LEVELS
 from hnf_core.scene.mesh import TriangleMesh

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from touched_surfaces import rough_tone, touched_sheet
 
-from hnf_core.export.glb import write_glb
+from hnf_core.export.gltf import write_glb
 from hnf_core.export.options import ExportOptions
-from hnf_core.export.surface import TouchedSurface
+from hnf_core.export.touched_surface import TouchedSurface
 
 TOOL = Path(__file__).parents[2] / "tools" / "validate_gltf.js"
 INSTALL = "npm install --prefix build/node --no-save gltf-validator@2.0.0-dev.3.10"

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import UsageError
-from hnf_core.tactile.held_wave import CUTOFF_MTF, compute_soft_window, estimate_resolved_wavelength
+from hnf_core.tactile.image_resolution import CUTOFF_MTF, compute_soft_window, estimate_resolved_wavelength
 
 SIDE = 160
 ALL = np.ones((SIDE, SIDE), dtype=bool)

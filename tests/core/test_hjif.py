@@ -14,13 +14,10 @@ from hypothesis.extra import numpy as hnp
 from touched_surfaces import RATE, rough_tone, touched_sheet
 
 from hnf_core.errors import FileError
-from hnf_core.export.glb import encode_surface
-from hnf_core.export.gltf_file import decode_glb
-from hnf_core.export.gltf_mesh import build_vertex_table
-from hnf_core.export.hjif import MAX_WRITTEN_SAMPLES, encode_hjif, make_texture, write_hjif
-from hnf_core.export.hjif_read import read_hjif
+from hnf_core.export.gltf import build_vertex_table, decode_glb, encode_surface
+from hnf_core.export.hjif import MAX_WRITTEN_SAMPLES, encode_hjif, make_texture, read_hjif, write_hjif
 from hnf_core.export.options import ExportOptions, ImportOptions
-from hnf_core.export.surface import StrokePath
+from hnf_core.export.touched_surface import StrokePath
 from hnf_core.signal import Signal
 
 PLAIN = ExportOptions()

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, MaterialError
+from hnf_core.material.contact_model import MECHANICS_LIMITS, Mechanics
 from hnf_core.material.hnf_file import (
     HNF_FORMAT,
     MAX_FILE_BYTES,
@@ -24,9 +25,7 @@ from hnf_core.material.hnf_file import (
     with_library_defaults,
     write_hnf,
 )
-from hnf_core.material.library import get_material, load_library
-from hnf_core.material.material import Appearance
-from hnf_core.material.mechanics import MECHANICS_LIMITS, Mechanics
+from hnf_core.material.library import Appearance, get_material, load_library
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM, Token, band_slice
 
 OAK = from_library(get_material("oak-wood"), "CC0-1.0")

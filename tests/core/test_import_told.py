@@ -12,8 +12,8 @@ from export_signals import ENVELOPES, OPTIONS, WORDS, texture
 from test_export_cli import hnf
 
 from hnf_core.export.convert import import_signal
+from hnf_core.export.fidelity import describe_sidecar_loss
 from hnf_core.export.formats import FORMATS
-from hnf_core.export.loss import describe_sidecar_loss
 from hnf_core.export.options import ImportOptions
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal

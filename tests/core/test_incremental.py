@@ -10,7 +10,6 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
-from hnf_core.field.audible import BLOCK_SAMPLES
 from hnf_core.field.contact_filter import (
     LEAD_SAMPLES,
     LOADS_PER_OCTAVE,
@@ -19,14 +18,12 @@ from hnf_core.field.contact_filter import (
     compute_impulse_response,
 )
 from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.incremental import RenderedStroke, Superseded, render_incremental
-from hnf_core.field.stroke import HeightProfile, StrokeInput
-from hnf_core.field.synthesis import synthesise
-from hnf_core.field.timeline import SAMPLES_PER_STATE, evaluate_bspline
+from hnf_core.field.prepare import BLOCK_SAMPLES
+from hnf_core.field.stroke import SAMPLES_PER_STATE, HeightProfile, StrokeInput, evaluate_bspline
+from hnf_core.field.synthesis import RenderedStroke, Superseded, render_incremental, synthesise
 from hnf_core.field.weights import load_field
-from hnf_core.material.contact import force_response, height_response
+from hnf_core.material.contact_model import Mechanics, force_response, height_response
 from hnf_core.material.library import get_material, load_library
-from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.probe import PROBES
 
 FIELD = load_field()

@@ -13,35 +13,39 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core import cores as both_cores
-from hnf_core.bench.synth import clear_carrier_caches, make_keyed_stroke
-from hnf_core.field import texture
-from hnf_core.field.adaptive import SampledEmission, accumulate_samples
-from hnf_core.field.band_waves import make_wave_plan, render_complex_waves, render_real_waves
-from hnf_core.field.blocks import render_samples
-from hnf_core.field.carriers import Carriers
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.hops import get_arc_hop, get_time_hop
-from hnf_core.field.knots import Knots
+from hnf_core import threads as both_cores
+from hnf_core.field import carrier_rendering
+from hnf_core.field.adaptive_sampling import SampledEmission, accumulate_samples
+from hnf_core.field.carrier_rendering import REACH_SAMPLES, Knots, render_carrier_hops
+from hnf_core.field.carriers import (
+    Carriers,
+    crossfade_window,
+    draw_band_bins,
+    make_bins,
+    make_wave_plan,
+    render_complex_waves,
+    render_real_waves,
+)
+from hnf_core.field.field import FieldConfig
 from hnf_core.field.linear_contact import compute_linear_contact
-from hnf_core.field.noise import crossfade_window, draw_band_bins, make_bins
-from hnf_core.field.path import extrapolate_position
-from hnf_core.field.prepared import prepare_stroke
-from hnf_core.field.texture import REACH_SAMPLES, render_carrier_hops
-from hnf_core.field.timeline import interpolate_condition, resample_action
+from hnf_core.field.noise_cache import get_arc_hop, get_time_hop
+from hnf_core.field.prepare import prepare_stroke
+from hnf_core.field.render import render_samples
+from hnf_core.field.stroke import extrapolate_position, interpolate_condition, resample_action
 from hnf_core.field.weights import load_field
-from hnf_core.kernel import hop as kernel_hop
-from hnf_core.kernel import library
-from hnf_core.kernel.contact import CONTACT_COLUMNS, TOKEN_FEATURES, ContactTables, blend_rows
-from hnf_core.kernel.contact import compute_linear_contact as compiled_contact
-from hnf_core.kernel.hop import ArcHop, ArcReader, CarrierTables, TimeHop
-from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
-from hnf_core.kernel.noise import draw_bins as compiled_bins
-from hnf_core.kernel.noise import render_real_waves as compiled_waves
+from hnf_core.kernel import compiled_carriers as kernel_hop
+from hnf_core.kernel import loader
+from hnf_core.kernel.compiled_carriers import ArcHop, ArcReader, CarrierTables, TimeHop
+from hnf_core.kernel.compiled_carriers import draw_bins as compiled_bins
+from hnf_core.kernel.compiled_carriers import render_real_waves as compiled_waves
+from hnf_core.kernel.compiled_field import CONTACT_COLUMNS, TOKEN_FEATURES, ContactTables, blend_rows
+from hnf_core.kernel.compiled_field import compute_linear_contact as compiled_contact
+from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.library import get_material
+from hnf_lab.bench.synth import clear_carrier_caches, make_keyed_stroke
 
 CARRIERS = Carriers()
-HOP = texture.HOP_SIZE
+HOP = carrier_rendering.HOP_SIZE
 needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 
 
@@ -52,7 +56,7 @@ def level_db(found: np.ndarray, wanted: np.ndarray) -> float:
 def libraries() -> list[Path]:
     import hnf_kernel
 
-    return sorted(Path(hnf_kernel.__file__).parent.glob(f"hnf_kernel*{library.LIBRARY_SUFFIX}"))
+    return sorted(Path(hnf_kernel.__file__).parent.glob(f"hnf_kernel*{loader.LIBRARY_SUFFIX}"))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="an environment that is left without")
@@ -191,8 +195,8 @@ def test_a_stroke_is_numpys_and_the_same_each_time(tolerance):
 def test_every_build_says_the_same(monkeypatch):
     field, stroke, found = load_field(), make_keyed_stroke(1.0), []
     for path in libraries():
-        one = library._load_library(path)
-        monkeypatch.setattr(library, "_find_library", lambda one=one: (one, ""))
+        one = loader._load_library(path)
+        monkeypatch.setattr(loader, "_find_library", lambda one=one: (one, ""))
         clear_carrier_caches()
         found.append(render_samples(prepare_stroke(field, stroke, seed=8)))
     assert len(found) == 2
@@ -208,7 +212,7 @@ class Refuses:
 
 
 def test_what_it_would_misread_never_reaches_it():
-    none, tables, share = Refuses(), texture.build_hop_tables(CARRIERS), np.zeros(8, np.float32)
+    none, tables, share = Refuses(), carrier_rendering.build_hop_tables(CARRIERS), np.zeros(8, np.float32)
     place = np.full(8, 0.03)
     kept = get_arc_hop(CARRIERS, 1, 0, 0)
 
@@ -267,7 +271,7 @@ def test_what_it_would_misread_never_reaches_it():
 
 
 def test_a_hop_that_it_would_misread_never_reaches_it():
-    tables, none = texture.build_hop_tables(CARRIERS), Refuses()
+    tables, none = carrier_rendering.build_hop_tables(CARRIERS), Refuses()
     at, amplitude = np.array([0, 9000]), np.ones((2, CARRIERS.count), np.float32)
     place, waves = np.linspace(0.0, 0.05, HOP + 2 * REACH_SAMPLES), get_time_hop(CARRIERS, 1, 0)
 
@@ -343,7 +347,7 @@ def test_a_hand_that_jumps_asks_for_no_more_cells_than_it_can_sound():
 
 def test_switched_off_numpy_does_the_work():
     code = (
-        "from hnf_core.kernel.library import load_kernel, why_unavailable; from hnf_core.bench.synth import make_keyed_stroke;"
+        "from hnf_core.kernel.loader import load_kernel, why_unavailable; from hnf_lab.bench.synth import make_keyed_stroke;"
         "from hnf_core.field.synthesis import synthesise; from hnf_core.field.weights import load_field;"
         "s = synthesise(load_field(), make_keyed_stroke(0.3), seed=1).signal.samples; print(load_kernel(), why_unavailable(), s.std() > 0)"
     )
@@ -357,16 +361,16 @@ def test_another_version_or_a_damaged_file_is_left_alone(monkeypatch, tmp_path):
     package = tmp_path / "hnf_kernel"
     package.mkdir()
     (package / "__init__.py").touch()
-    (package / f"hnf_kernel{library.LIBRARY_SUFFIX}").write_text("not a library")
+    (package / f"hnf_kernel{loader.LIBRARY_SUFFIX}").write_text("not a library")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "hnf_kernel", raising=False)
-    found, why = library._find_library.__wrapped__()
+    found, why = loader._find_library.__wrapped__()
     assert found is None
     assert "hnf_kernel" in why
     monkeypatch.undo()
     sys.modules.pop("hnf_kernel", None)
     if load_kernel() is not None:
-        monkeypatch.setattr(library, "ABI", 10**6)
-        found, why = library._find_library.__wrapped__()
+        monkeypatch.setattr(loader, "ABI", 10**6)
+        found, why = loader._find_library.__wrapped__()
         assert found is None
         assert "build and install it anew" in why

@@ -10,24 +10,34 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core import cores as both_cores
-from hnf_core.bench.synth_table import TableGrid, evaluate_table, interpolate_table, tabulate_field
+from hnf_core import threads as both_cores
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.emitter import get_emitter, kernel_supports
-from hnf_core.field.field import Field, evaluate, initial_parameters
+from hnf_core.field.field import (
+    Field,
+    FieldConfig,
+    evaluate,
+    get_emitter,
+    initial_parameters,
+    kernel_supports,
+    run_network,
+)
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.live.emission import LiveEmission
-from hnf_core.field.network import run_network
 from hnf_core.field.weights import load_field
-from hnf_core.kernel import emission
-from hnf_core.kernel.contact import CONTACT_COLUMNS
-from hnf_core.kernel.emission import MOTION_COLUMNS, ContactPrior, EmissionTables, StateEvaluator
-from hnf_core.kernel.layers import Layers
-from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
+from hnf_core.kernel import compiled_field
+from hnf_core.kernel.compiled_field import (
+    CONTACT_COLUMNS,
+    MOTION_COLUMNS,
+    ContactPrior,
+    EmissionTables,
+    Layers,
+    StateEvaluator,
+)
+from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import get_material, load_library
-from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.probe import PROBES
+from hnf_lab.bench.synth import TableGrid, evaluate_table, interpolate_table, tabulate_field
 
 needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 SHARED, LIBRARY = load_field(), load_library()
@@ -132,24 +142,27 @@ def test_what_the_kernel_would_misread_never_reaches_it():
         (tokens, fixed, motion[:, 1:], touch), (tokens, fixed, motion, touch[1:]),
     ):  # fmt: skip
         with pytest.raises(ValueError, match="tokens"):
-            emission.compute_inputs(none, emitter, *wrong)
+            compiled_field.compute_inputs(none, emitter, *wrong)
     with pytest.raises(TypeError, match="float64"):
-        emission.compute_inputs(none, emitter, tokens.astype(np.float32), fixed, motion, touch)
+        compiled_field.compute_inputs(none, emitter, tokens.astype(np.float32), fixed, motion, touch)
     expected, head = ContactPrior.empty(2, emitter), np.ones((2, emitter.outputs), np.float32)
     for wrong in ((head[:, 1:], motion, expected), (head, motion[:1], expected)):
         with pytest.raises(ValueError, match="answers"):
-            emission.decode_head(none, emitter, *wrong)
+            compiled_field.decode_head(none, emitter, *wrong)
     for wrong in (
         (tokens, motion, touch[:1], head),
         (tokens, motion, touch, head[:, 1:]),
         (tokens[:1], motion, touch, head),
     ):
         with pytest.raises(ValueError, match=r"tokens|answers"):
-            emission.decode_known_head(none, emitter, *wrong)
+            compiled_field.decode_known_head(none, emitter, *wrong)
     with pytest.raises(ValueError, match="expected"):
-        emission.decode_head(none, emitter, head, motion, ContactPrior.empty(3, emitter))
-    counts = {name: getattr(emitter.struct, name) for name in emission._EMISSION_COUNTS + emission._EMISSION_NUMBERS}
-    arrays = dict(zip(emission._EMISSION_ARRAYS, emitter._arrays, strict=True))
+        compiled_field.decode_head(none, emitter, head, motion, ContactPrior.empty(3, emitter))
+    counts = {
+        name: getattr(emitter.struct, name)
+        for name in compiled_field._EMISSION_COUNTS + compiled_field._EMISSION_NUMBERS
+    }
+    arrays = dict(zip(compiled_field._EMISSION_ARRAYS, emitter._arrays, strict=True))
     derived = {"token_size", "time_bands", "carriers", "harmonics"}
     told = {**arrays, **{name: value for name, value in counts.items() if name not in derived}}
     EmissionTables(emitter.tables, **told)

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core import cores as both_cores
-from hnf_core.field.network import run_network
+from hnf_core import threads as both_cores
+from hnf_core.field.field import run_network
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.layers import STATES_PER_CALL, Layers
-from hnf_core.kernel.library import LIBRARY_SUFFIX, _load_library, load_kernel, why_unavailable
+from hnf_core.kernel.compiled_field import STATES_PER_CALL, Layers
+from hnf_core.kernel.loader import LIBRARY_SUFFIX, _load_library, load_kernel, why_unavailable
 
 pytestmark = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from hnf_core.action.action import ACTION_RATE_HZ
-from hnf_core.bench.scale import count_states, make_scrape
-from hnf_core.field import blocks, prepared, synthesis
-from hnf_core.field.adaptive import MIN_INTERVAL
-from hnf_core.field.audible import AFTER_CONTACT_S, BLOCK_SAMPLES
+from hnf_core.field import prepare as prepared
+from hnf_core.field import render, synthesis
+from hnf_core.field.adaptive_sampling import MIN_INTERVAL
 from hnf_core.field.carriers import MODEL_RATE_HZ
-from hnf_core.field.long_stroke import render_chunks
-from hnf_core.field.stroke import HeightProfile
-from hnf_core.field.timeline import SAMPLES_PER_STATE
+from hnf_core.field.prepare import AFTER_CONTACT_S, BLOCK_SAMPLES
+from hnf_core.field.render import render_chunks
+from hnf_core.field.stroke import SAMPLES_PER_STATE, HeightProfile
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
+from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
+from hnf_lab.bench.strokes import count_states, make_scrape
 
 SEED = 3
 SECONDS = 8
@@ -30,13 +30,13 @@ SECONDS = 8
 def rendered(monkeypatch):
     """First samples and lengths of what the carriers were summed for."""
     spans = []
-    texture = blocks.render_carriers
+    texture = render.render_carriers
 
     def counted(prepared, start, count):
         spans.append((start, count))
         return texture(prepared, start, count)
 
-    monkeypatch.setattr(blocks, "render_carriers", counted)
+    monkeypatch.setattr(render, "render_carriers", counted)
     return spans
 
 

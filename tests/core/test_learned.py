@@ -13,20 +13,24 @@ from live_strokes import states
 
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE
-from hnf_core.cli.health import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
+from hnf_core.diagnostics import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
 from hnf_core.errors import FileError, StrokeError, WeightsError
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import UNTRAINED, Field, initial_parameters
-from hnf_core.field.learned import build_learned_material, load_material_field
-from hnf_core.field.live.materials import create_live_synthesis
-from hnf_core.field.parts import split_by_field, synthesise_by_field
+from hnf_core.field.field import UNTRAINED, Field, FieldConfig, initial_parameters
+from hnf_core.field.live.synthesis import create_live_synthesis
 from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
-from hnf_core.field.synthesis import synthesise
-from hnf_core.field.weights import load_field, parse_field, read_trained_material, serialise_field
+from hnf_core.field.synthesis import split_by_field, synthesise, synthesise_by_field
+from hnf_core.field.weights import (
+    build_learned_material,
+    load_field,
+    load_material_field,
+    parse_field,
+    read_trained_material,
+    serialise_field,
+)
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.hnf_file import parse_hnf
 from hnf_core.material.library import get_material
-from hnf_core.material.mechanics import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.token import TOKEN_DIM
 
 LICENCE = "for a test"

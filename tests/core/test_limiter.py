@@ -11,11 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.actuators.law import compute_limiter_params
 from hnf_core.actuators.limiter import Limiter
-from hnf_core.actuators.limiter_reference import ChannelReference, limit
-from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits
+from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits, compute_limiter_params
 from hnf_core.errors import UsageError
+from reference.limiter_reference import ChannelReference, limit
 
 SPECIALS = np.array([np.nan, np.inf, -np.inf, 1e-45, -1e-45, 3.4e38, -3.4e38, 0.0, -0.0, 1.0], dtype=np.float32)
 RATES = (100.0, 2800.0, 8000.0, 10000.0, 44100.0)

@@ -10,14 +10,20 @@ from steady_spectra import steady_amplitudes
 
 from hnf_core.errors import WeightsError
 from hnf_core.field.carriers import ARC_PER_OCTAVE, Carriers
-from hnf_core.field.config import FieldConfig
 from hnf_core.field.features import build_inputs
-from hnf_core.field.field import Field, evaluate, initial_parameters, steady_amplitude
-from hnf_core.field.linear_contact import Condition, compute_linear_contact
-from hnf_core.field.lines import LINE_COUNT, LINE_GAIN_COUNT, SpectralLines, compute_line_power, encode_line_prior
+from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters, steady_amplitude
+from hnf_core.field.linear_contact import (
+    LINE_COUNT,
+    LINE_GAIN_COUNT,
+    Condition,
+    SpectralLines,
+    compute_line_power,
+    compute_linear_contact,
+    encode_line_prior,
+)
 from hnf_core.field.weights import load_field, save_field
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import get_material
-from hnf_core.material.mechanics import Mechanics
 
 CONFIG = FieldConfig(hidden=8, layers=1, line_gains=True)
 WOVEN = ("denim", "knurled-metal", "corduroy", "oak-wood")

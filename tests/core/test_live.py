@@ -21,17 +21,15 @@ from live_strokes import (
 )
 
 from hnf_core.errors import StrokeError, UsageError
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.live.arc_noise import CACHED_HOPS
-from hnf_core.field.live.state import LiveState
+from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.live.carriers import CACHED_BLOCKS, CACHED_HOPS
+from hnf_core.field.live.hand_tracker import LiveState
 from hnf_core.field.live.synthesis import LiveSynthesis
-from hnf_core.field.live.time_noise import CACHED_BLOCKS
 from hnf_core.field.stroke import LIMITS, StrokeInput
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import get_material
-from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 
 STEADY = 5e-6

@@ -8,11 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_strokes import BLOCK, SEED, error, hand, on
 
-from hnf_core.field.blocks import render_contact
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.config import FieldConfig
 from hnf_core.field.contact_filter import TAIL_SAMPLES
-from hnf_core.field.field import Field, evaluate, initial_parameters
+from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
 from hnf_core.field.linear_contact import (
     FORCE_FLOOR_N,
     SPEED_FLOOR_M_S,
@@ -20,17 +18,15 @@ from hnf_core.field.linear_contact import (
     compute_linear_contact,
     time_band_power,
 )
-from hnf_core.field.live.arc_noise import CACHED_HOPS, LiveArcCarriers
-from hnf_core.field.live.emission import LiveEmission
-from hnf_core.field.live.linear_contact import LiveLinearContact, TimeBandPower
-from hnf_core.field.live.pressing import LiveContactFilter, compute_causal_response
-from hnf_core.field.live.time_noise import CACHED_BLOCKS, LiveTimeCarriers
-from hnf_core.field.prepared import prepare_stroke
+from hnf_core.field.live.carriers import CACHED_BLOCKS, CACHED_HOPS, LiveArcCarriers, LiveTimeCarriers
+from hnf_core.field.live.contact_filter import LiveContactFilter, compute_causal_response
+from hnf_core.field.live.emission import LiveEmission, LiveLinearContact, TimeBandPower
+from hnf_core.field.prepare import prepare_stroke
+from hnf_core.field.render import render_contact
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import without_kernel
-from hnf_core.material.contact import force_response
+from hnf_core.kernel.loader import without_kernel
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS, force_response
 from hnf_core.material.library import load_library
-from hnf_core.material.mechanics import UNKNOWN_MECHANICS
 from hnf_core.material.probe import PROBES
 
 LIBRARY = load_library()

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_strokes import error
 
-from hnf_core.actuators.sources.live import MAX_CLOCK_ERROR_S, LiveSource
+from hnf_core.actuators.live_source import MAX_CLOCK_ERROR_S, LiveSource
 from hnf_core.errors import FileError, MaterialError, UsageError
-from hnf_core.field.live.hand import (
+from hnf_core.field.live.hand_tracker import (
     FORCE_STATES,
     LONGEST_GAP_S,
     SPEED_STATES,
@@ -19,9 +19,9 @@ from hnf_core.field.live.hand import (
     WINDOW_S,
     HandEvent,
     HandTracker,
+    LiveState,
 )
-from hnf_core.field.live.materials import create_live_synthesis
-from hnf_core.field.live.state import LiveState
+from hnf_core.field.live.synthesis import create_live_synthesis
 from hnf_core.material.hnf_file import from_library, write_hnf
 from hnf_core.material.library import get_material
 

@@ -9,20 +9,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.datasets.pair_tiles import compute_slopes
-from hnf_core.simulation.classes import CLASS_ENTRIES, get_category, list_classes
-from hnf_core.simulation.look.albedo import compute_cavity_depth, render_albedo, render_lattice_pattern, render_streaks
-from hnf_core.simulation.look.light import Light, compute_ambient_occlusion, sample_light, shade_surface
-from hnf_core.simulation.look.macro_depth import (
+from hnf_core.datasets.pair_generation import compute_slopes
+from hnf_core.simulation.appearance.albedo import (
+    compute_cavity_depth,
+    render_albedo,
+    render_lattice_pattern,
+    render_streaks,
+)
+from hnf_core.simulation.appearance.instance import PRINT_KINDS, Mark, SurfaceAppearance, sample_appearance
+from hnf_core.simulation.appearance.macro_depth import (
     Shape,
     centred_grid,
     interpolate_bilinear,
     sample_shape,
     simulate_macro_depth,
 )
-from hnf_core.simulation.look.piece import PRINT_KINDS, Mark, SurfaceAppearance, sample_appearance
-from hnf_core.simulation.recipes import plain_weave
-from hnf_core.simulation.surface import Lattice, Noise, SurfaceRecipe, height_map, wavenumbers
+from hnf_core.simulation.appearance.shading import Light, compute_ambient_occlusion, sample_light, shade_surface
+from hnf_core.simulation.material_classes import CLASS_ENTRIES, get_category, list_classes
+from hnf_core.simulation.surface_recipe import Lattice, Noise, SurfaceRecipe, height_map, plain_weave, wavenumbers
 
 SIZE_M = 20e-3
 PIXELS = 128

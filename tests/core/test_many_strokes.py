@@ -10,17 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
-from hnf_core.bench.scale import count_states
 from hnf_core.errors import UsageError
-from hnf_core.field import emissions as module
-from hnf_core.field import many_strokes
-from hnf_core.field.many_strokes import synthesise_many
+from hnf_core.field import prepare as module
+from hnf_core.field import synthesis
 from hnf_core.field.stroke import HeightProfile, StrokeInput
-from hnf_core.field.synthesis import synthesise
+from hnf_core.field.synthesis import synthesise, synthesise_many
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
+from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.library import load_library
 from hnf_core.material.probe import PROBES
+from hnf_lab.bench.strokes import count_states
 
 FIELD, LIBRARY = load_field(), load_library()
 needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
@@ -86,7 +85,7 @@ def test_each_is_what_it_is_alone_in_numpy_too():
 @needs_kernel
 @pytest.mark.parametrize("together", [300, 4096])
 def test_every_state_is_asked_about_once_and_many_at_a_time(monkeypatch, together):
-    monkeypatch.setattr(many_strokes, "GROUP_STATES", together)
+    monkeypatch.setattr(synthesis, "GROUP_STATES", together)
     monkeypatch.setattr(module, "BATCH_STATES", 256)
     strokes = [all_felt(drawn(seed, states=60), ("pen", "finger")[seed % 2]) for seed in range(40)]
     with count_states() as asked:

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.export import map_picture as module
-from hnf_core.export.map_picture import (
+from hnf_core.export.plots import tactile_map_figure as module
+from hnf_core.export.plots.figure import INK
+from hnf_core.export.plots.tactile_map_figure import (
     choose_bar_length_mm,
     compute_contrast_gain,
     stretch_contrast,
     write_tactile_map_figure,
 )
-from hnf_core.export.tracks import INK
 from hnf_core.tactile.tactile_map import Route, TactileMap
 
 image = pytest.importorskip("matplotlib.image", reason="pictures need matplotlib")

@@ -11,25 +11,38 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch", reason="training needs the extra [train]")
 
-from steady_spectra import expected_spectrum  # noqa: E402
+from steady_spectra import expected_spectrum
 
-from hnf_core.action.smooth import make_circular_action, make_random_smooth_action, make_steady_action  # noqa: E402
-from hnf_core.datasets.recording import Recording  # noqa: E402
-from hnf_core.errors import UsageError  # noqa: E402
-from hnf_core.field.carriers import Carriers  # noqa: E402
-from hnf_core.field.config import FieldConfig  # noqa: E402
-from hnf_core.field.field import Field, initial_parameters  # noqa: E402
-from hnf_core.field.stroke import uniform_stroke  # noqa: E402
-from hnf_core.field.synthesis import synthesise  # noqa: E402
-from hnf_core.material.mechanics import UNKNOWN_MECHANICS  # noqa: E402
-from hnf_core.material.token import TOKEN_DIM  # noqa: E402
-from hnf_core.metrics.spectra import WINDOW_SAMPLES  # noqa: E402
-from hnf_core.training.checkpoint import load_checkpoint  # noqa: E402
-from hnf_core.training.material import Schedule, train_material  # noqa: E402
-from hnf_core.training.model import FieldNetwork  # noqa: E402
-from hnf_core.training.own_material import TrainingOverrides, choose_config, make_fine_carriers, train_from_recordings  # noqa: E402
-from hnf_core.training.rendered_power import RenderedPower, build_rendered_inputs, make_speed_table  # noqa: E402
-from hnf_core.training.windows import HOP, ROLES, TRAIN, cut_windows, find_role_runs  # noqa: E402
+from hnf_core.action.synthetic_actions import make_circular_action, make_random_smooth_action, make_steady_action
+from hnf_core.datasets.recording import Recording
+from hnf_core.errors import UsageError
+from hnf_core.field.carriers import Carriers
+from hnf_core.field.field import (
+    Field,
+    FieldConfig,
+    initial_parameters,
+)
+from hnf_core.field.stroke import uniform_stroke
+from hnf_core.field.synthesis import synthesise
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS
+from hnf_core.material.token import TOKEN_DIM
+from hnf_core.metrics.spectra import WINDOW_SAMPLES
+from hnf_core.training.checkpoint import load_checkpoint
+from hnf_core.training.from_recordings import (
+    TrainingOverrides,
+    choose_config,
+    make_fine_carriers,
+    train_from_recordings,
+)
+from hnf_core.training.model import FieldNetwork
+from hnf_core.training.train_material import (
+    RenderedPower,
+    Schedule,
+    build_rendered_inputs,
+    make_speed_table,
+    train_material,
+)
+from hnf_core.training.windows import HOP, ROLES, TRAIN, cut_windows, find_role_runs
 
 RATE = 10_000.0
 NO_TOKEN = np.zeros(TOKEN_DIM, dtype=np.float32)

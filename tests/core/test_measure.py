@@ -11,26 +11,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from responses import of_gains
 
-from hnf_core.actuators.chain import SignalChain
-from hnf_core.actuators.compensation import CompensationFilter, make_compensation
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.measure.bands import compute_band_errors, compute_third_octave_centres, find_largest_errors_db
-from hnf_core.actuators.measure.estimate import estimate_response
-from hnf_core.actuators.measure.excitation import make_noise, make_sweep
-from hnf_core.actuators.measure.inverse import (
+from hnf_core.actuators.measure.accelerometer import Accelerometer, make_noise, make_sweep, measure_actuator
+from hnf_core.actuators.measure.build_profile import make_measured_profile
+from hnf_core.actuators.measure.frequency_response import FrequencyResponse, Resonator, estimate_response, fit_resonance
+from hnf_core.actuators.measure.inverse_filter import (
     MAX_BOOST_DB,
+    CompensationFilter,
+    compute_band_errors,
     compute_filter_gain,
     compute_inverse_gain,
+    compute_third_octave_centres,
     design_inverse_filter,
+    find_largest_errors_db,
+    make_compensation,
 )
-from hnf_core.actuators.measure.profiled import make_measured_profile
-from hnf_core.actuators.measure.resonator import Resonator, fit_resonance
-from hnf_core.actuators.measure.run import Accelerometer, measure_actuator
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.response import FrequencyResponse
+from hnf_core.actuators.signal_chain import SignalChain
 from hnf_core.actuators.sink import SinkFormat, SinkStatus
 from hnf_core.actuators.sinks.file import FileSink
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
 from hnf_core.errors import DeviceError, UsageError
 from hnf_core.metrics.band_energy import band_power

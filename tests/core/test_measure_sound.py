@@ -9,9 +9,8 @@ import pytest
 from sound_server import sound_server, why_not
 
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.measure.estimate import estimate_response
-from hnf_core.actuators.measure.excitation import make_sweep
-from hnf_core.actuators.measure.run import Accelerometer, measure_actuator
+from hnf_core.actuators.measure.accelerometer import Accelerometer, make_sweep, measure_actuator
+from hnf_core.actuators.measure.frequency_response import estimate_response
 from hnf_core.actuators.sinks.audio import OPEN_STREAMS, AudioSink
 from hnf_core.errors import DeviceError, UsageError
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import MaterialError
-from hnf_core.material.encoder import get_smooth_token_values
-from hnf_core.material.merge import BAND_COUNT, merge_tokens
+from hnf_core.material.band_descriptor import get_smooth_token_values
+from hnf_core.material.fuse import BAND_COUNT, merge_tokens
 from hnf_core.material.token import LEVELS, TOKEN_DIM, Token, band_slice
 
 band_sets = st.lists(st.booleans(), min_size=BAND_COUNT, max_size=BAND_COUNT)

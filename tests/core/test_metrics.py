@@ -10,18 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.metrics.average_spectrum import (
+from hnf_core.metrics.spectra import (
     NINE_BANDS_HZ,
     average_spectrum_distance_db,
+    gfc,
+    lsd_log10_magnitude,
+    lsd_power_db,
     nine_band_error_db,
     power_bias_db,
     select_compared_bins,
+    spectral_mse,
+    welch,
+    window_magnitudes,
 )
-from hnf_core.metrics.limits import compute_bounds
-from hnf_core.metrics.log_spectral_distance import lsd_log10_magnitude, lsd_power_db
-from hnf_core.metrics.magnitudes import gfc, spectral_mse, window_magnitudes
-from hnf_core.metrics.repetition import measure_repetition
-from hnf_core.metrics.spectra import welch
+from hnf_lab.evaluation.bounds import compute_bounds, measure_repetition
 
 Float = NDArray[np.float64]
 RATE = 10_000.0

@@ -8,10 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.metrics.perceptual_spectrum import dct, get_touch_threshold_db, resample_to_tum_rate, split_blocks
-from hnf_core.metrics.spqi import spqi
-from hnf_core.metrics.st_sim_cosine import st_sim_cosine
-from hnf_core.metrics.st_sim_tum import st_sim_tum
+from hnf_core.metrics.similarity import (
+    dct,
+    get_touch_threshold_db,
+    resample_to_tum_rate,
+    split_blocks,
+    spqi,
+    st_sim_cosine,
+    st_sim_tum,
+)
 
 Float = NDArray[np.float64]
 RATE = 8000.0

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.near import crop_mesh
+from hnf_core.scene.mesh import TriangleMesh, crop_mesh
 from hnf_core.scene.patch import Patch
 from hnf_core.scene.raycast import ReferenceGeometry, cast_view
 

@@ -13,19 +13,23 @@ import pytest
 
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVES
-from hnf_core.bench.synth import clear_carrier_caches, make_keyed_stroke
-from hnf_core.field import noise_ahead as ahead
-from hnf_core.field.blocks import render_samples
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.hops import get_arc_hop, get_time_hop
-from hnf_core.field.noise_ahead import MAX_PREFETCHED_ARC_HOPS, MAX_PREFETCHED_TIME_HOPS, prefetch_noise
-from hnf_core.field.prepared import prepare_stroke
-from hnf_core.field.stroke import StrokeInput, uniform_stroke
+from hnf_core.field import noise_cache as ahead
+from hnf_core.field.field import FieldConfig
+from hnf_core.field.noise_cache import (
+    MAX_PREFETCHED_ARC_HOPS,
+    MAX_PREFETCHED_TIME_HOPS,
+    get_arc_hop,
+    get_time_hop,
+    prefetch_noise,
+)
+from hnf_core.field.prepare import prepare_stroke
+from hnf_core.field.render import render_samples
+from hnf_core.field.stroke import StrokeInput, resample_action, uniform_stroke
 from hnf_core.field.synthesis import render_stroke
-from hnf_core.field.timeline import resample_action
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
+from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.library import get_material
+from hnf_lab.bench.synth import clear_carrier_caches, make_keyed_stroke
 
 needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 FIELD = load_field()

@@ -9,16 +9,22 @@ from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError
-from hnf_core.field.blocks import render_contact
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, accumulate, evaluate, initial_parameters
-from hnf_core.field.prepared import count_memory_states, prepare_stroke
-from hnf_core.field.profile import split_profile
-from hnf_core.field.stroke import LIMITS, HeightProfile, StrokeInput, uniform_stroke
+from hnf_core.field.field import Field, FieldConfig, accumulate, evaluate, initial_parameters
+from hnf_core.field.height_profile import split_profile
+from hnf_core.field.prepare import count_memory_states, prepare_stroke
+from hnf_core.field.render import render_contact
+from hnf_core.field.stroke import (
+    LIMITS,
+    HeightProfile,
+    StrokeInput,
+    build_condition,
+    resample_action,
+    select_states,
+    uniform_stroke,
+)
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.timeline import build_condition, resample_action, select_states
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 
 WOOD = Mechanics(8e4, 0.15, 0.3)

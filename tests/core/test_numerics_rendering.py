@@ -1,4 +1,4 @@
-"""Temporal rendering against mpmath, over all that each number type holds. The figures: tools/check_numerics.py."""
+"""Temporal rendering against mpmath, over all that each number type holds. The figures: tools/hnf_lab/experiments/numerics.py."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,9 @@ import pytest
 pytest.importorskip("mpmath", reason="the exact weights need mpmath (test extra)")
 torch = pytest.importorskip("torch", reason="the twin needs torch (train extra)")
 
-from check_numerics import (  # noqa: E402
+from hnf_core.field.temporal_rendering import render_weights
+from hnf_core.training.model import render_weights as twin
+from hnf_lab.experiments.numerics import (
     TORCH_TYPES,
     compute_exact_gradient,
     compute_exact_weights,
@@ -16,9 +18,6 @@ from check_numerics import (  # noqa: E402
     measure_gradient_errors,
     measure_weight_errors,
 )
-
-from hnf_core.field.rendering import render_weights  # noqa: E402
-from hnf_core.training.model import render_weights as twin  # noqa: E402
 
 SHORT = (1, 5, 64)
 HALF_AN_ULP = 0.51

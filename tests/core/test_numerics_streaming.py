@@ -7,21 +7,19 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
+from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
 from hnf_core.field import resampling
-from hnf_core.field.blocks import render_block, render_carriers
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.hops import CACHED_TIME_HOPS
-from hnf_core.field.prepared import PreparedStroke, prepare_stroke
-from hnf_core.field.reference import texture_reference
+from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.noise_cache import CACHED_TIME_HOPS
+from hnf_core.field.prepare import PreparedStroke, prepare_stroke
+from hnf_core.field.render import render_block, render_carriers
 from hnf_core.field.resampling import resample
-from hnf_core.field.stroke import HeightProfile, uniform_stroke
+from hnf_core.field.stroke import SAMPLES_PER_STATE, HeightProfile, sample_count, uniform_stroke
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.timeline import SAMPLES_PER_STATE, sample_count
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 from hnf_core.metrics.spectra import welch
+from reference.literal_synthesis import texture_reference
 
 WOOD = Mechanics(8e4, 0.15, 0.3)
 CONFIG = FieldConfig(hidden=8, layers=2)

@@ -11,8 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.datasets.pair_shards import Shard, is_complete, list_shards, write_pairs, write_shard
-from hnf_core.datasets.pair_tiles import PairSizes, list_tile_requests, make_tile
+from hnf_core.datasets.pair_generation import (
+    PairSizes,
+    Shard,
+    is_complete,
+    list_shards,
+    list_tile_requests,
+    make_tile,
+    write_pairs,
+    write_shard,
+)
 from hnf_core.datasets.tactile_pairs import TRAIN, concatenate_pairs, get_shard_path, load_pairs, load_shard, save_shard
 from hnf_core.errors import FileError, UsageError
 
@@ -63,8 +71,8 @@ def test_bytes_do_not_depend_on_workers(made: Path, tmp_path: Path) -> None:
 def test_a_killed_run_leaves_whole_shards_and_goes_on(made: Path, tmp_path: Path) -> None:
     code = (
         "from pathlib import Path; import sys\n"
-        "from hnf_core.datasets.pair_shards import write_pairs\n"
-        "from hnf_core.datasets.pair_tiles import PairSizes\n"
+        "from hnf_core.datasets.pair_generation import write_pairs\n"
+        "from hnf_core.datasets.pair_generation import PairSizes\n"
         "make_pairs(Path(sys.argv[1]), PairSizes(3, 0, 0), 3, tiles_per_shard=1)"
     )
     run = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT)

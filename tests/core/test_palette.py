@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import FileError, MaterialError
-from hnf_core.material.mechanics import UNKNOWN_MECHANICS, Mechanics
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.palette import MERGE_TOLERANCE, Palette, build_palette
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM, split_encoders
 

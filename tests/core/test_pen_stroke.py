@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.bezier import make_bezier_curve
-from hnf_core.action.curves import build_arc_curve
+from hnf_core.action.curves import build_arc_curve, make_bezier_curve
 from hnf_core.action.fit_bezier import fit_bezier
-from hnf_core.action.fit_keys import fit_keyframes
+from hnf_core.action.keyframes import fit_keyframes
+from hnf_core.action.motion_profile import compute_travel_time
 from hnf_core.action.pen_stroke import (
     FORCE_TOLERANCE_N,
     PATH_TOLERANCE_M,
@@ -20,7 +20,6 @@ from hnf_core.action.pen_stroke import (
     fit_pen_stroke,
     spread_times_evenly,
 )
-from hnf_core.action.time_law import compute_travel_time
 from hnf_core.errors import StrokeError
 
 RAW = PenStyle(smoothing_s=0.0)

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from hnf_core.action.contacts import StrokeSamples, find_contacts
 from hnf_core.action.patches import plan_patches
-from hnf_core.action.places import compute_uv_barycentric, find_point_at_uv, find_point_near, select_slot
-from hnf_core.cli.probe import parse_touch_query
+from hnf_core.action.surface_point import compute_uv_barycentric, find_point_at_uv, find_point_near, select_slot
 from hnf_core.errors import SceneError
 from hnf_core.scene.mesh import TriangleMesh
+from hnf_core.touch_request import parse_touch_query
 
 SIDE = 0.1
 unit = st.floats(0.0, 1.0)

@@ -17,10 +17,8 @@ from player_process import ROOT, player
 from ptys import needs_pty
 from responses import of_gains
 
-from hnf_core.actuators.acceleration import read_acceleration
-from hnf_core.actuators.chain import render_counts
-from hnf_core.actuators.compensation import make_compensation
 from hnf_core.actuators.limits import FULL_SCALE_COUNTS
+from hnf_core.actuators.measure.inverse_filter import make_compensation
 from hnf_core.actuators.player_messages import (
     VERSION,
     Began,
@@ -42,9 +40,10 @@ from hnf_core.actuators.player_messages import (
     encode,
 )
 from hnf_core.actuators.profile import GENERIC, make_user_profile
-from hnf_core.actuators.profile_file import read_profile, write_profile
+from hnf_core.actuators.profile_json import read_profile, write_profile
+from hnf_core.actuators.signal_chain import render_counts
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource, read_acceleration
 from hnf_core.actuators.virtual.port import VirtualPort
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal

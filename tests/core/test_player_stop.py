@@ -15,7 +15,7 @@ import pytest
 from stream_sink import ClockSink
 
 from hnf_core.actuators import player as player_module
-from hnf_core.actuators.acceleration import Acceleration
+from hnf_core.actuators.live_source import LiveSource
 from hnf_core.actuators.player import main
 from hnf_core.actuators.player_messages import (
     Began,
@@ -33,7 +33,7 @@ from hnf_core.actuators.player_messages import (
     encode,
 )
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.sources.live import LiveSource
+from hnf_core.actuators.sources import Acceleration
 
 WHERE = OutputSpec("virtual", "generic-voice-coil")
 

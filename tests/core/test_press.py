@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from hnf_core.field.carriers import MODEL_RATE_HZ
 from hnf_core.field.contact_filter import LEAD_SAMPLES, TAIL_SAMPLES, build_filter_bank, compute_impulse_response
-from hnf_core.field.timeline import SAMPLES_PER_STATE, evaluate_bspline
-from hnf_core.kernel.library import load_kernel, why_unavailable, without_kernel
-from hnf_core.kernel.press import StateResponses
-from hnf_core.material.contact import force_response
+from hnf_core.field.stroke import SAMPLES_PER_STATE, evaluate_bspline
+from hnf_core.kernel.compiled_carriers import StateResponses
+from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
+from hnf_core.material.contact_model import force_response
 from hnf_core.material.library import get_material, load_library
 from hnf_core.material.probe import PROBES
 

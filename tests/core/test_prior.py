@@ -9,13 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import MaterialError
-from hnf_core.material.library import load_library
-from hnf_core.material.material import Appearance, LibraryMaterial
-from hnf_core.material.mechanics import UNKNOWN_MECHANICS
-from hnf_core.material.naming import build_vocabulary, split_compound
-from hnf_core.material.prior import NO_EVIDENCE, rank
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS
+from hnf_core.material.library import Appearance, LibraryMaterial, load_library
+from hnf_core.material.name_matching import (
+    CATEGORY_WORDS,
+    build_vocabulary,
+    is_image_name,
+    list_singulars,
+    split_compound,
+    split_image_name,
+    split_words,
+)
+from hnf_core.material.ranking import NO_EVIDENCE, rank
 from hnf_core.material.token import TOKEN_DIM
-from hnf_core.material.words import CATEGORY_WORDS, is_image_name, list_singulars, split_image_name, split_words
 
 
 def entry(name, category, words, color, roughness, metallic=0.0, sheen=0.0, transmission=0.0):

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hnf_core.field.carriers import ARC_PER_OCTAVE, Carriers
+from hnf_core.field.height_profile import ProfileBands, share_power, split_profile
 from hnf_core.field.linear_contact import SPEED_FLOOR_M_S, Condition, profile_band_power
-from hnf_core.field.profile import ProfileBands, share_power, split_profile
 from hnf_core.field.stroke import HeightProfile
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import load_library

@@ -10,15 +10,16 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.protocol.crc import crc16, crc16_reference
-from hnf_core.actuators.protocol.frames import FRAME_OVERHEAD_BYTES, Decoder, Encoder, encode_frame
-from hnf_core.actuators.protocol.messages import (
+from hnf_core.actuators.serial_protocol import (
+    FRAME_OVERHEAD_BYTES,
     FROM_DEVICE,
     FROM_HOST,
     LARGEST_PAYLOAD,
     Bye,
     Caps,
     Credit,
+    Decoder,
+    Encoder,
     Error,
     Hello,
     Message,
@@ -29,6 +30,9 @@ from hnf_core.actuators.protocol.messages import (
     State,
     Status,
     Stop,
+    crc16,
+    crc16_reference,
+    encode_frame,
     frames_per_message,
 )
 from hnf_core.errors import UsageError

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from hnf_core.actuators.protocol import frames, messages
-from hnf_core.actuators.protocol.crc import crc16
-from hnf_core.actuators.protocol.messages import (
+from hnf_core.actuators import serial_protocol
+from hnf_core.actuators.serial_protocol import (
     FROM_DEVICE,
     FROM_HOST,
     Credit,
     ErrorCode,
     Message,
     State,
+    crc16,
     frames_per_message,
 )
 
@@ -31,7 +31,7 @@ def example_message(name: str, arguments: str) -> Message:
     call = ast.parse(f"f({arguments})", mode="eval").body
     assert isinstance(call, ast.Call)
     values = {str(word.arg): ast.literal_eval(word.value) for word in call.keywords}
-    found: Message = getattr(messages, name)(**values)
+    found: Message = getattr(serial_protocol, name)(**values)
     return found
 
 
@@ -51,9 +51,9 @@ EXAMPLES = EXAMPLE.findall(PAGE)
 @pytest.mark.parametrize(("name", "arguments", "sequence", "listing"), EXAMPLES)
 def test_the_example_is_what_the_codec_says(name: str, arguments: str, sequence: str, listing: str) -> None:
     message, data = example_message(name, arguments), bytes.fromhex(listing)
-    assert frames.encode_frame(message, int(sequence)) == data
+    assert serial_protocol.encode_frame(message, int(sequence)) == data
     kinds = FROM_HOST if message.TYPE < 0x80 else FROM_DEVICE
-    assert frames.Decoder(kinds).feed(data) == [message]
+    assert serial_protocol.Decoder(kinds).feed(data) == [message]
 
 
 def test_every_message_has_an_example_and_a_section() -> None:
@@ -97,7 +97,7 @@ def test_the_bandwidths_are_right() -> None:
     for cells in table:
         channels, rate, count, per_second, baud, line = map(int, cells[:6])
         assert count <= frames_per_message(channels)
-        bytes_each = frames.FRAME_OVERHEAD_BYTES + 6 + 2 * channels * count
+        bytes_each = serial_protocol.FRAME_OVERHEAD_BYTES + 6 + 2 * channels * count
         assert per_second == round(rate / count * bytes_each)
         assert baud == pytest.approx(rate / count * bytes_each * 10, abs=1)
         assert baud < line

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.actuators.sources.recorded import CROSSFADE_S, BufferSource
+from hnf_core.actuators.sources import CROSSFADE_S, BufferSource
 from hnf_core.errors import UsageError
 
 RATE = 8000.0

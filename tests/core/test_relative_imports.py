@@ -5,9 +5,9 @@ from __future__ import annotations
 import ast
 
 import pytest
+from build_extension import ImportRewriteError, rewrite_imports
 from hypothesis import given
 from hypothesis import strategies as st
-from relative_imports import ImportRewriteError, rewrite_imports
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True).filter(lambda name: not _is_keyword(name))
 

@@ -10,14 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import MaterialError
-from hnf_core.field.features import rotate_to_stroke_frame
-from hnf_core.field.likeness import token_distances
-from hnf_core.material.estimate import estimate_property, get_probabilities
-from hnf_core.material.library import get_material, load_library
-from hnf_core.material.material import Appearance
-from hnf_core.material.mechanics import UNKNOWN_MECHANICS
-from hnf_core.material.prior import NO_EVIDENCE, rank
-from hnf_core.material.relief import RELIEF_DOUBT, compute_invariants, relief_log_odds
+from hnf_core.field.features import rotate_to_stroke_frame, token_distances
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS
+from hnf_core.material.library import Appearance, get_material, load_library
+from hnf_core.material.ranking import (
+    NO_EVIDENCE,
+    RELIEF_DOUBT,
+    compute_invariants,
+    estimate_property,
+    get_probabilities,
+    rank,
+    relief_log_odds,
+)
 from hnf_core.material.token import LEVELS, TOKEN_DIM, Token, band_slice
 from hnf_core.tactile.tactile_map import Route
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.actuators.resample import (
+from hnf_core.actuators.signal_chain import (
     ZERO_CROSSINGS,
     PassThroughResampler,
     PolyphaseResampler,

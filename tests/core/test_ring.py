@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.ring import RingBuffer
 from hnf_core.actuators.sink import Counts
+from hnf_core.actuators.stream import RingBuffer
 
 
 def numbered(start: int, frames: int, channels: int = 1) -> Counts:

@@ -6,9 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.protocol.messages import NO_TEMPERATURE, Caps, Credit, Error, ErrorCode, State, Status
-from hnf_core.actuators.sinks.rate_watch import ClockRateMonitor
-from hnf_core.actuators.sinks.serial_session import CREDIT_TIMEOUT_S, MAX_READ_GAP_S, STUCK_TIMEOUT_S, SerialSession
+from hnf_core.actuators.serial_protocol import NO_TEMPERATURE, Caps, Credit, Error, ErrorCode, State, Status
+from hnf_core.actuators.sinks.serial_session import (
+    CREDIT_TIMEOUT_S,
+    MAX_READ_GAP_S,
+    STUCK_TIMEOUT_S,
+    ClockRateMonitor,
+    SerialSession,
+)
 
 RATE, QUEUE = 8000, 120
 CAPS = Caps(1, 16, 16, 1000, 48_000, 720, 32767, 2048, "a device")

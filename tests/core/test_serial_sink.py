@@ -17,14 +17,21 @@ import numpy as np
 import pytest
 from ptys import needs_pty
 
-from hnf_core.actuators.protocol.frames import FRAME_OVERHEAD_BYTES, Decoder
-from hnf_core.actuators.protocol.messages import FROM_HOST, Bye, Message, Samples, Stop, frames_per_message
+from hnf_core.actuators.serial_protocol import (
+    FRAME_OVERHEAD_BYTES,
+    FROM_HOST,
+    Bye,
+    Decoder,
+    Message,
+    Samples,
+    Stop,
+    frames_per_message,
+)
+from hnf_core.actuators.sinks import serial as serial_port
 from hnf_core.actuators.sinks import serial as serial_sink
-from hnf_core.actuators.sinks import serial_port
 from hnf_core.actuators.sinks.serial import FRAMES_PER_MESSAGE, SerialSink
-from hnf_core.actuators.virtual.device import Capabilities
-from hnf_core.actuators.virtual.port import VirtualPort
-from hnf_core.actuators.virtual.sink import VirtualSink
+from hnf_core.actuators.virtual.port import VirtualPort, VirtualSink
+from hnf_core.actuators.virtual.serial_device import Capabilities
 from hnf_core.errors import DeviceError, UsageError
 
 pytest.importorskip("serial", reason="pyserial is not installed")

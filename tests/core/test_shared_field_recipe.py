@@ -9,24 +9,16 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from hnf_core.errors import FileError  # noqa: E402
-from hnf_core.field.config import FieldConfig  # noqa: E402
-from hnf_core.field.field import initial_parameters  # noqa: E402
-from hnf_core.material.library import LIBRARY_PATH  # noqa: E402
-from hnf_core.simulation.classes import list_classes  # noqa: E402
-from hnf_core.training.conditions import StrokeCondition, make_middle_conditions  # noqa: E402
-from hnf_core.training.fit import Schedule, build_training_set  # noqa: E402
-from hnf_core.training.gathering import (  # noqa: E402
-    Sizes,
-    build_training_data,
-    load_specimens,
-    load_training_data,
-    save_training_data,
-    select_classes,
+from hnf_core.errors import FileError
+from hnf_core.field.field import (
+    FieldConfig,
+    initial_parameters,
 )
-from hnf_core.training.model import FieldNetwork  # noqa: E402
-from hnf_core.training.recipe import TrainingPlan, collect_training_ranges, fit_shared_field  # noqa: E402
-from hnf_core.training.references import (  # noqa: E402
+from hnf_core.material.library import LIBRARY_PATH
+from hnf_core.simulation.material_classes import list_classes
+from hnf_core.training.fit import Schedule, build_training_set
+from hnf_core.training.model import FieldNetwork
+from hnf_core.training.references import (
     compute_distances_db,
     compute_new_patch_distances_db,
     load_references,
@@ -35,7 +27,17 @@ from hnf_core.training.references import (  # noqa: E402
     select_materials,
     simulate_references,
 )
-from hnf_core.training.shared_bars import (
+from hnf_core.training.simulated_strokes import StrokeCondition, make_middle_conditions
+from hnf_core.training.train_shared import TrainingPlan, collect_training_ranges, fit_shared_field
+from hnf_core.training.training_data import (
+    Sizes,
+    build_training_data,
+    load_specimens,
+    load_training_data,
+    save_training_data,
+    select_classes,
+)
+from hnf_lab.experiments.shared_field import (
     bootstrap_mean,
     measure_directions,
     measure_single_material_field_db,

@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from hnf_core.evaluation.encoders import SensorView, compute_level_change_db, make_sample, render_maps
-from hnf_core.material.alexnet.trunk import get_backbone_shapes
-from hnf_core.material.alexnet.weights import DEFAULT_ENCODER, load_encoder
-from hnf_core.material.encoders import describe_views, get_encoder
+from hnf_core.material.alexnet_encoder import DEFAULT_ENCODER, get_backbone_shapes, load_encoder
+from hnf_core.material.encoder_registry import describe_views, get_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, LEVELS, Token
+from hnf_lab.encoder.evaluate import SensorView, compute_level_change_db, make_sample, render_maps
 
 PIECES = [make_sample(name, 900) for name in ("oak-wood", "denim", "sandpaper", "ribbed-plastic", "granite")]
 

@@ -10,12 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import MaterialError
-from hnf_core.material import contact
-from hnf_core.material.mechanics import UNKNOWN_MECHANICS, Mechanics
+from hnf_core.material import contact_model
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.probe import PROBES
 from hnf_core.simulation.dft321 import dft321
-from hnf_core.simulation.recipes import EXAMPLE_RECIPES, grating, random_recipe
-from hnf_core.simulation.sampling import SmoothedMaps
+from hnf_core.simulation.height_sampling import SmoothedMaps
 from hnf_core.simulation.simulate import (
     HAND_DRAG_PER_S,
     SAMPLE_RATE_HZ,
@@ -24,7 +23,17 @@ from hnf_core.simulation.simulate import (
     simulate_batch,
     straight_stroke,
 )
-from hnf_core.simulation.surface import TILE_SIZE_M, Grains, Lattice, Noise, SurfaceRecipe, height_map
+from hnf_core.simulation.surface_recipe import (
+    EXAMPLE_RECIPES,
+    TILE_SIZE_M,
+    Grains,
+    Lattice,
+    Noise,
+    SurfaceRecipe,
+    grating,
+    height_map,
+    random_recipe,
+)
 
 PEN = PROBES["pen"]
 WOOD = Mechanics(1.0e5, 0.2, 0.3)
@@ -142,9 +151,9 @@ def test_slopes_are_the_derivatives_of_heights():
 
 def test_a_ripple_is_smoothed_by_the_tip_response_of_the_contact():
     surface = wave(periods=40, amplitude=1e-6)
-    radius = float(contact.contact_radius(WOOD, PEN, 1.0))
+    radius = float(contact_model.contact_radius(WOOD, PEN, 1.0))
     sampled = surface.sample(np.stack([np.linspace(0, 0.02, 4001), np.zeros(4001)], axis=1), radius)[0]
-    expected = contact.tip_response(40 / TILE_SIZE_M, WOOD, PEN, 1.0)
+    expected = contact_model.tip_response(40 / TILE_SIZE_M, WOOD, PEN, 1.0)
     assert sampled.max() / 1e-6 == pytest.approx(float(expected), rel=0.03)
 
 
@@ -171,8 +180,8 @@ def test_a_small_ripple_gives_the_linear_response_at_its_own_frequency(stiffness
     near = np.abs(frequency - tone) < 5.0
     assert np.abs(frequency[np.argmax(spectrum)] - tone) <= 2.0
     measured = np.sqrt(np.sum(spectrum[near] ** 2) / 1.5)
-    linear = abs(contact.height_response(tone, mechanics, PROBES[probe], 1.0))
-    linear = linear * contact.tip_response(kappa, mechanics, PROBES[probe], 1.0) * amplitude
+    linear = abs(contact_model.height_response(tone, mechanics, PROBES[probe], 1.0))
+    linear = linear * contact_model.tip_response(kappa, mechanics, PROBES[probe], 1.0) * amplitude
     assert measured == pytest.approx(float(linear), rel=0.06)
 
 

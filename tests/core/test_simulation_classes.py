@@ -6,23 +6,22 @@ import json
 
 import numpy as np
 import pytest
-from check_simulator import fill_markers, make_row
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recorded_ranges import HATT_RANGES, check_ranges, compute_instrument_noise
 
 from hnf_core.errors import MaterialError
-from hnf_core.simulation.classes import (
+from hnf_core.simulation.height_sampling import SmoothedMaps
+from hnf_core.simulation.material_classes import (
     DEFAULT_SCATTER,
+    MATERIAL_TABLE,
     get_category,
     get_recorded_category,
     list_classes,
     sample_instance,
 )
-from hnf_core.simulation.feel import TextureStatistics, aggregate_strokes, simulate_strokes
-from hnf_core.simulation.sampling import SmoothedMaps
-from hnf_core.simulation.surface import SurfaceRecipe, height_map
-from hnf_core.simulation.table import MATERIAL_TABLE
+from hnf_core.simulation.surface_recipe import SurfaceRecipe, height_map
+from hnf_core.simulation.texture_statistics import TextureStatistics, aggregate_strokes, simulate_strokes
+from hnf_lab.experiments.simulator import HATT_RANGES, check_ranges, compute_instrument_noise, fill_markers, make_row
 
 CATEGORIES = {
     "wood", "metal", "stone", "fabric", "paper", "plastic", "foam", "carpet", "tile", "leather", "rubber", "glass",

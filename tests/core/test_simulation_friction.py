@@ -7,11 +7,17 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.probe import PROBES
-from hnf_core.simulation.friction import STATIC_OVER_KINETIC, STRIBECK_SPEED_M_S, Bristles, LuGre, derive_bristles
-from hnf_core.simulation.integrate import compute_contact_force
-from hnf_core.simulation.sampling import SmoothedMaps
+from hnf_core.simulation.contact_dynamics import (
+    STATIC_OVER_KINETIC,
+    STRIBECK_SPEED_M_S,
+    Bristles,
+    LuGre,
+    compute_contact_force,
+    derive_bristles,
+)
+from hnf_core.simulation.height_sampling import SmoothedMaps
 from hnf_core.simulation.simulate import HAND_STIFFNESS_N_M, Physics, Stroke, simulate, simulate_motion, straight_stroke
 
 WOOD = Mechanics(1.0e5, 0.2, 0.3)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from splat_shapes import fog, joined, moved, sheet, sphere, torus
 
 from hnf_core.errors import SceneError
-from hnf_core.scene.splats.clean import PRUNE_REASONS, prune_splats
-from hnf_core.scene.splats.cloud import Splats
+from hnf_core.scene.splats.gaussians import Splats
+from hnf_core.scene.splats.prune import PRUNE_REASONS, prune_splats
 
 BALL = sphere(600)
 SPECKS = moved(sphere(6), 0.01, (2.0, 0.0, 0.0))

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from splat_files import floats, inria_columns, ply_bytes, random_splats, write_compressed
 
 from hnf_core.errors import FileError
-from hnf_core.scene.ply_header import read_ply_header
-from hnf_core.scene.splats import read
-from hnf_core.scene.splats.inria import write_inria
-from hnf_core.scene.splats.read import iter_validated_splats, read_splats, read_validated_splats
+from hnf_core.scene.ply import read_ply_header
+from hnf_core.scene.splats import io_ply
+from hnf_core.scene.splats.io_ply import iter_validated_splats, read_splats, read_validated_splats, write_inria
 
 
 def in_a_folder(examples: int) -> settings:
@@ -212,7 +211,7 @@ def test_an_absurd_count_of_an_ascii_file_takes_no_room(
     whole: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not even once some of it was found to be there."""
-    monkeypatch.setattr(read, "ROWS_PER_BLOCK", 100)
+    monkeypatch.setattr(io_ply, "ROWS_PER_BLOCK", 100)
     path = tmp_path / "a.ply"
     path.write_bytes(whole["ascii"].read_bytes().replace(b"vertex 300", b"vertex 999999999999999999"))
     assert "cut short: 300 of its 999999999999999999" in str(refusal(path))

@@ -19,12 +19,15 @@ from splat_files import (
 )
 
 from hnf_core.errors import UsageError
-from hnf_core.scene.ply_header import PlyHeader, read_ply_header
-from hnf_core.scene.splats.box import Box
-from hnf_core.scene.splats.cloud import Splats
-from hnf_core.scene.splats.frame import detect_up_axis
-from hnf_core.scene.splats.inria import write_inria
-from hnf_core.scene.splats.read import iter_validated_splats, read_splats, read_validated_splats
+from hnf_core.scene.ply import PlyHeader, read_ply_header
+from hnf_core.scene.splats.gaussians import Box, Splats
+from hnf_core.scene.splats.io_ply import (
+    detect_up_axis,
+    iter_validated_splats,
+    read_splats,
+    read_validated_splats,
+    write_inria,
+)
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "splats"
 FIELDS = ("means", "scales", "rotations", "opacities", "harmonics")

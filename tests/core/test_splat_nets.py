@@ -11,11 +11,17 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import SceneError, UsageError
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.metric import compute_metric_scale
 from hnf_core.scene.raycast import ReferenceGeometry
-from hnf_core.scene.splats.cells import MAX_CELLS_PER_AXIS, VoxelGrid, dilate_keys, find_keys, label_components
-from hnf_core.scene.splats.nearest import find_nearest_triangles
+from hnf_core.scene.scale import compute_metric_scale
 from hnf_core.scene.splats.surface_nets import GridSamples, SurfaceNet, extract_surface
+from hnf_core.scene.splats.voxel_grid import (
+    MAX_CELLS_PER_AXIS,
+    VoxelGrid,
+    dilate_keys,
+    find_keys,
+    find_nearest_triangles,
+    label_components,
+)
 
 
 def ball(points, radius=0.7):

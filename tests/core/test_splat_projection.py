@@ -12,7 +12,7 @@ from splat_clouds import close_up, cloud, perspective, splats
 from test_splat_views import turned
 
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.splats.harmonics import compute_view_directions, evaluate_sh_basis, evaluate_sh_colours
+from hnf_core.scene.splats.gaussians import compute_view_directions, evaluate_sh_basis, evaluate_sh_colours
 from hnf_core.scene.splats.project import evaluate_quadratic_form, project_splats
 
 

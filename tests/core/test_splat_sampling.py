@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_splats.sampling import (
+
+from data_tools.mesh_sampling import (
     compute_triangle_sequence,
     distribute_points,
     order_along_curve,
     sample_mesh,
     subdivide_triangles,
 )
-
 from hnf_core.scene.mesh import TriangleMesh
 
 few = settings(max_examples=25)

@@ -11,18 +11,24 @@ import pytest
 from splat_shapes import fog, joined, moved, sheet, sphere, torus
 
 from hnf_core.errors import SceneError, UsageError
-from hnf_core.scene.splats.quality import (
+from hnf_core.scene.splats.depth_views import (
+    fit_orthographic_camera,
+    make_depth_view,
+    make_sphere_directions,
+    make_surrounding_cameras,
+    sample_points,
+)
+from hnf_core.scene.splats.io_ply import read_splats
+from hnf_core.scene.splats.rasterize import SplatView
+from hnf_core.scene.splats.reconstruct import (
     MAX_RAGGED_SHARE,
     MAX_TRANSLUCENT_SHARE,
     Clarity,
+    SplatSurface,
     assess_quality,
     compute_open_edge_share,
+    reconstruct_surface,
 )
-from hnf_core.scene.splats.read import read_splats
-from hnf_core.scene.splats.sights import make_depth_view, sample_points
-from hnf_core.scene.splats.surface import SplatSurface, reconstruct_surface
-from hnf_core.scene.splats.view import SplatView
-from hnf_core.scene.splats.viewpoints import fit_orthographic_camera, make_sphere_directions, make_surrounding_cameras
 from hnf_core.units import srgb_to_linear
 
 SPLATS = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "splats"

@@ -13,10 +13,10 @@ from splat_clouds import assert_as_defined, assert_same_view, both, close_up, cl
 
 from hnf_core.errors import UsageError
 from hnf_core.scene.camera import Camera, orthographic
-from hnf_core.scene.splats import splatter
-from hnf_core.scene.splats.read import read_splats
-from hnf_core.scene.splats.reference import render_reference
-from hnf_core.scene.splats.splatter import render_splats
+from hnf_core.scene.splats import rasterize
+from hnf_core.scene.splats.io_ply import read_splats
+from hnf_core.scene.splats.rasterize import render_splats
+from reference.splat_rendering import render_reference
 
 GUITAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "splats" / "guitar.compressed.ply"
 SEEDS = st.integers(0, 2**32 - 1)
@@ -242,7 +242,7 @@ def test_one_thread_and_several_give_the_same_bytes():
 def test_the_size_of_tiles_changes_nothing(monkeypatch):
     one, camera, views = cloud(10, 200, degree=1), perspective(150, 131, focal=120.0), []
     for side in (2, 4, 8):
-        monkeypatch.setattr(splatter, "TILE_SIDES", ((np.inf, side),))
+        monkeypatch.setattr(rasterize, "TILE_SIDES", ((np.inf, side),))
         views.append(render_splats(one, camera))
     for view in views[1:]:
         assert view.pairs == views[0].pairs
@@ -253,13 +253,13 @@ def test_the_size_of_tiles_changes_nothing(monkeypatch):
 def test_work_follows_the_crop(monkeypatch):
     """A sheet of splats: those met, their colours and the pairs all shrink with the area that is looked at."""
     coloured = []
-    original = splatter.evaluate_sh_colours
+    original = rasterize.evaluate_sh_colours
 
     def counted(harmonics, towards):
         coloured.append(len(harmonics))
         return original(harmonics, towards)
 
-    monkeypatch.setattr(splatter, "evaluate_sh_colours", counted)
+    monkeypatch.setattr(rasterize, "evaluate_sh_colours", counted)
     places = np.random.default_rng(8).uniform(-1.0, 1.0, (4000, 3)) * [1.0, 1.0, 0.01]
     sheet, camera = splats(places, 0.01, 0.3), close_up(128)
     whole = render_splats(sheet, camera)

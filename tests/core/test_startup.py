@@ -6,12 +6,11 @@ import shlex
 
 import pytest
 
-from hnf_core.bench.frame import BenchOptions
-from hnf_core.bench.process import HEAVY_PACKAGES, run_process
-from hnf_core.bench.startup import HNF_CODE, make_action_csv, measure_startup
+from hnf_core.cli.commands import COMMAND_MODULES, HELP
 from hnf_core.cli.main import build_parser
-from hnf_core.cli.verbs import COMMAND_MODULES, HELP
 from hnf_core.errors import HnfError
+from hnf_lab.bench.harness import BenchOptions
+from hnf_lab.bench.startup import HEAVY_PACKAGES, HNF_CODE, make_action_csv, measure_startup, run_process
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "wait4"), reason="no system call that tells what a process took")
 
@@ -25,7 +24,7 @@ def test_telling_what_there_is_loads_no_numpy(words):
 
 
 def is_word(module: str) -> bool:
-    return module == "hnf_core.errors" or module in {"hnf_core.cli", "hnf_core.cli.main", "hnf_core.cli.verbs"}
+    return module == "hnf_core.errors" or module in {"hnf_core.cli", "hnf_core.cli.main", "hnf_core.cli.commands"}
 
 
 @pytest.mark.parametrize("words", ["materials --json", "synth --help", "train --help", "stream --help"])
@@ -72,7 +71,7 @@ def test_a_process_tells_its_own_memory_and_not_its_parents():
 
 
 def test_a_hand_moves_all_the_time(tmp_path):
-    from hnf_core.action.table import read_action_csv
+    from hnf_core.action.action import read_action_csv
 
     table = tmp_path / "action.csv"
     table.write_text(make_action_csv(10.0))

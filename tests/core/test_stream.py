@@ -16,11 +16,10 @@ import pytest
 from stream_builders import LIMITS, LONG_S, Failing, at_rest, comes, noise, slope
 from stream_sink import ClockSink, check_sink
 
-from hnf_core.actuators.chain import SignalChain, render_counts
 from hnf_core.actuators.limits import FULL_SCALE_COUNTS
+from hnf_core.actuators.signal_chain import Samples, SignalChain, render_counts
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.source import Samples
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 from hnf_core.errors import UsageError
 

@@ -19,19 +19,19 @@ import pytest
 from osc_receiver import receiver
 from ptys import needs_pty
 
-from hnf_core.actuators.chain import render_counts
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.profile_file import write_profile
-from hnf_core.actuators.report import StreamReport
+from hnf_core.actuators.profile_json import write_profile
+from hnf_core.actuators.signal_chain import render_counts
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.sources.recorded import BufferSource
-from hnf_core.actuators.virtual.device import Capabilities
+from hnf_core.actuators.sources import BufferSource
+from hnf_core.actuators.stream import StreamReport
 from hnf_core.actuators.virtual.port import VirtualPort
-from hnf_core.cli.level_meter import LevelMeter, format_meter
+from hnf_core.actuators.virtual.serial_device import Capabilities
 from hnf_core.cli.main import main
-from hnf_core.counted import pluralize
+from hnf_core.cli.stream import LevelMeter, format_meter
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
+from hnf_core.text import pluralize
 
 ROOT = Path(__file__).resolve().parents[2]
 HNF = [sys.executable, "-c", "import sys; from hnf_core.cli.main import main; sys.exit(main(sys.argv[1:], None))"]

@@ -10,9 +10,9 @@ import pytest
 from stream_builders import LIMITS, LONG_S, Failing, at_rest, comes, noise, slope
 from stream_sink import ClockSink
 
-from hnf_core.actuators.chain import render_counts
+from hnf_core.actuators.signal_chain import render_counts
 from hnf_core.actuators.sinks.file import FileSink
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 from hnf_core.errors import DeviceError
 

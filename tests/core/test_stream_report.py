@@ -11,12 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stream_sink import ClockSink
 
+from hnf_core.actuators.limiter import ThermalState
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.report import DurationHistogram, StreamReport
 from hnf_core.actuators.sinks.file import FileSink
-from hnf_core.actuators.sources.recorded import BufferSource
-from hnf_core.actuators.stream import Stream
-from hnf_core.actuators.warmth import ThermalState
+from hnf_core.actuators.sources import BufferSource
+from hnf_core.actuators.stream import DurationHistogram, Stream, StreamReport
 
 LIMITS = Limits(30.0, sustained=0.3, thermal_s=10.0)
 

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from stress_table import format_stress_table, list_stress_files
 
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, evaluate, initial_parameters
-from hnf_core.field.timeline import build_condition, resample_action
+from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
+from hnf_core.field.stroke import build_condition, resample_action
+from hnf_lab.experiments.stress_table import format_stress_table, list_stress_files
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "numerics.md"
 
@@ -24,7 +23,7 @@ def test_the_page_lists_every_case():
 def test_narrow_types():
     """F_Θ's layers in float32, float16, bfloat16 → amplitudes within −110, −45, −30 dB of float64's"""
     torch = pytest.importorskip("torch", reason="the twin needs torch (train extra)")
-    from precision_tables import compute_error_db, evaluate_in_type, make_example_stroke
+    from hnf_lab.experiments.numerics import compute_error_db, evaluate_in_type, make_example_stroke
 
     config, rng = FieldConfig(hidden=32, layers=2), np.random.default_rng(0)
     start = initial_parameters(config, 0)

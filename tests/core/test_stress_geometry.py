@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from stress_meshes import PLACES, joined, mesh_of, plate, rays
 
-from hnf_core.action.contacts import StrokeSamples, find_contacts
-from hnf_core.action.nearest import find_nearest_on_triangles
+from hnf_core.action.contacts import StrokeSamples, find_contacts, find_nearest_on_triangles
 from hnf_core.action.patches import action_from_contacts, plan_patches
-from hnf_core.action.placing import find_placements
+from hnf_core.action.stroke_placement import find_placements
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import orthographic
 from hnf_core.scene.raycast import ReferenceGeometry, cast_view
@@ -174,7 +173,7 @@ def touched(samples, mesh):
 
 def test_a_dense_mesh_far_away_needs_no_more_pairs(monkeypatch):
     """Nearest points on 10 km of coordinates → as few triangles are looked at as at the origin"""
-    from hnf_core.action import nearest
+    from hnf_core.action import contacts as nearest
 
     looked = []
     whole = nearest.find_closest_barycentric

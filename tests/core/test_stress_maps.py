@@ -9,12 +9,13 @@ import pytest
 
 from hnf_core.action.contacts import compute_tangents
 from hnf_core.errors import SceneError, StrokeError, UsageError
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, evaluate, initial_parameters
+from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
+from hnf_core.field.height_profile import build_stroke_profile
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.stroke import LIMITS
-from hnf_core.field.stroke_profile import build_stroke_profile
-from hnf_core.material.contact import (
+from hnf_core.material.band_descriptor import describe
+from hnf_core.material.contact_model import (
+    Mechanics,
     contact_radius,
     contact_stiffness,
     force_response,
@@ -22,8 +23,6 @@ from hnf_core.material.contact import (
     resonance_hz,
     tip_response,
 )
-from hnf_core.material.encoder import describe
-from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.probe import PROBES
 from hnf_core.material.token import LEVELS, SMOOTH_LEVEL, TOKEN_DIM
 from hnf_core.scene.patch import Patch

@@ -10,26 +10,23 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
+from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
 from hnf_core.actuators.limiter import Limiter
 from hnf_core.actuators.limits import Limits
-from hnf_core.cli.synth_long import write_in_chunks
+from hnf_core.cli.synth import write_in_chunks
 from hnf_core.errors import FileError, StrokeError, UsageError
 from hnf_core.export.convert import export_signal
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.options import ExportOptions, ImportOptions
 from hnf_core.export.wav import read_wav, write_wav, write_wav_stream
-from hnf_core.field.audible import split_blocks
-from hnf_core.field.blocks import render_block
 from hnf_core.field.carriers import MODEL_RATE_HZ, Carriers
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.long_stroke import CHUNK_STEP, render_chunks
-from hnf_core.field.prepared import prepare_stroke
+from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.prepare import prepare_stroke, split_blocks
+from hnf_core.field.render import CHUNK_STEP, render_block, render_chunks
 from hnf_core.field.resampling import plan_conversion, resample, resample_stream
 from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import synthesise
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 from hnf_core.signal import Signal
 

@@ -7,17 +7,17 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from hnf_core.action.bezier import (
+from hnf_core.action.action import MAX_ACTION_S, action_from_table, read_action_csv
+from hnf_core.action.curves import (
     PiecewiseBezier,
+    build_arc_curve,
     compute_smooth_handles,
     make_bezier_curve,
+    make_nurbs_curve,
     make_poly_curve,
     make_smooth_curve,
 )
-from hnf_core.action.curves import build_arc_curve
-from hnf_core.action.nurbs import make_nurbs_curve
-from hnf_core.action.table import MAX_ACTION_S, action_from_table, read_action_csv
-from hnf_core.action.time_law import (
+from hnf_core.action.motion_profile import (
     MAX_SPEED_M_S,
     MotionProfile,
     check_motion,

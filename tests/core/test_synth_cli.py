@@ -7,13 +7,12 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from hnf_core.action.table import action_from_table, read_action_csv
+from hnf_core.action.action import action_from_table, read_action_csv
 from hnf_core.cli.main import main
-from hnf_core.cli.synth_long import is_long
+from hnf_core.cli.synth import is_long
 from hnf_core.errors import FileError, StrokeError
 from hnf_core.export.wav import read_wav
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, initial_parameters
+from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.weights import save_field
 from hnf_core.material.library import load_library
 
@@ -110,7 +109,7 @@ def test_what_no_wav_can_hold_is_refused_before_anything_is_made(tmp_path, capsy
     """Two minutes at 10 MHz are 1.2e9 samples, though the stroke is not a long one: it took 6.5 GB."""
     table = tmp_path / "a.csv"
     table.write_text(HEADER + "0,0,0.1,1\n119,0,0.1,1\n")
-    monkeypatch.setattr("hnf_core.field.long_stroke.prepare_stroke", lambda *_, **__: pytest.fail("it is made"))
+    monkeypatch.setattr("hnf_core.field.render.prepare_stroke", lambda *_, **__: pytest.fail("it is made"))
     monkeypatch.setattr("hnf_core.cli.synth.synthesise", lambda *_, **__: pytest.fail("it is made"))
     words = ("--material", material, "--action", table, "--rate", "1e7", "--out", tmp_path / "x.wav")
     assert hnf("synth", *words) == 1

@@ -10,19 +10,24 @@ from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError, UsageError
-from hnf_core.field.blocks import render_block, render_carriers
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.prepared import prepare_stroke
-from hnf_core.field.reference import synthesise_reference
-from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
+from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.prepare import prepare_stroke
+from hnf_core.field.render import render_block, render_carriers
+from hnf_core.field.stroke import (
+    SAMPLES_PER_STATE,
+    HeightProfile,
+    StrokeInput,
+    interpolate_cubic,
+    interpolate_cubic_samples,
+    uniform_stroke,
+)
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.timeline import SAMPLES_PER_STATE, interpolate_cubic, interpolate_cubic_samples
 from hnf_core.field.weights import load_field
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.token import BAND_FEATURES, TOKEN_DIM
 from hnf_core.metrics.spectra import spectrum_distance_db, welch
+from reference.literal_synthesis import synthesise_reference
 
 WOOD = Mechanics(8e4, 0.15, 0.3)
 FOAM = Mechanics(2e3, 0.5, 0.7)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.datasets import pair_tiles
-from hnf_core.datasets.pair_tiles import (
+from hnf_core.datasets import pair_generation
+from hnf_core.datasets.pair_generation import (
     FACTORS,
     PITCH_M,
     PairSizes,
@@ -33,13 +33,12 @@ from hnf_core.datasets.tactile_pairs import (
     decode_rgb,
     encode_rgb,
 )
-from hnf_core.material.encoder import describe
-from hnf_core.simulation.classes import get_category, list_classes, sample_instance
-from hnf_core.simulation.surface import TILE_PIXELS, TILE_SIZE_M, height_map, wavenumbers
+from hnf_core.material.band_descriptor import describe
+from hnf_core.simulation.material_classes import get_category, list_classes, sample_instance
+from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, height_map, wavenumbers
+from hnf_core.tactile.fourier_filters import frequencies, gaussian_mtf
 from hnf_core.tactile.height import tactile_map_from_height
-from hnf_core.tactile.lamps import perturb_sensor
-from hnf_core.tactile.optics import SENSORS, decode_gradients, gel_gradients, shade
-from hnf_core.tactile.spectral import frequencies, gaussian_mtf
+from hnf_core.tactile.optics import SENSORS, decode_gradients, gel_gradients, perturb_sensor, shade
 from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, decimate_tile
 
 SEED = st.integers(0, 2**31)
@@ -141,7 +140,9 @@ def test_depth_does_not_tell_the_relief(seed: int) -> None:
     chance = np.fft.rfft2(np.random.default_rng(seed).standard_normal((TILE_PIXELS, TILE_PIXELS)))
     micro = np.fft.irfft2(chance * (np.hypot(kx, ky) > 1.0 / 3e-3), (TILE_PIXELS, TILE_PIXELS))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pair_tiles, "height_map", lambda *given: height_map(*given) + (3e-5 * micro).astype(np.float32))
+        patch.setattr(
+            pair_generation, "height_map", lambda *given: height_map(*given) + (3e-5 * micro).astype(np.float32)
+        )
         rough = make_tile(order)
     plain = make_tile(order)
     assert float(np.abs(rough.height[3] - plain.height[3]).max()) > 1.0

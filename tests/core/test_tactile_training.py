@@ -17,22 +17,20 @@ from tactile_networks import SMALL, look, random_weights
 from hnf_core.cli.main import main
 from hnf_core.datasets.tactile_pairs import SPLITS, get_shard_path, save_shard
 from hnf_core.errors import UsageError
-from hnf_core.tactile.diffusion.conditions import normalise_view
-from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
-from hnf_core.tactile.diffusion.network import forward
+from hnf_core.tactile.diffusion.conditioning import normalise_view
 from hnf_core.tactile.diffusion.predict import predict_slopes
+from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, forward
 from hnf_core.tactile.diffusion.weights import load_map_weights
-from hnf_core.tactile.spectral import frequencies
+from hnf_core.tactile.fourier_filters import frequencies
 from hnf_core.training.tactile_map.batches import (
     apply_symmetry,
     compute_level_statistics,
     make_fixed_batch,
     make_training_batch,
 )
-from hnf_core.training.tactile_map.fit import MapTrainingPlan, fit_map
-from hnf_core.training.tactile_map.network import MapNetwork
-from hnf_core.training.tactile_map.objective import sample_slopes
-from hnf_core.training.tactile_map.validate import compute_band_powers
+from hnf_core.training.tactile_map.map_network import MapNetwork, sample_slopes
+from hnf_core.training.tactile_map.train_map import MapTrainingPlan, fit_map
+from hnf_core.training.tactile_map.validation import compute_band_powers
 
 TINY = MapConfig(**SMALL)
 QUICK = MapTrainingPlan(steps=6, batch=4, warm_up=2, half=False, validate_views=4)

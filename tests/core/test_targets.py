@@ -10,15 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.actuators.law import compute_limiter_params, compute_max_step
-from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits
+from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits, compute_limiter_params, compute_max_step
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.protocol.messages import NO_SLEW_LIMIT, Start
+from hnf_core.actuators.serial_protocol import NO_SLEW_LIMIT, Start
 from hnf_core.actuators.sinks.audio import AudioSink
 from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.sinks.osc import OscSink
 from hnf_core.actuators.sinks.serial import SerialSink, compute_device_slew
-from hnf_core.actuators.targets import (
+from hnf_core.actuators.stream_targets import (
     AudioTarget,
     FileTarget,
     OscTarget,
@@ -29,8 +28,8 @@ from hnf_core.actuators.targets import (
     make_sink,
     parse_target,
 )
-from hnf_core.actuators.virtual.playout import PlayoutFormat
-from hnf_core.actuators.virtual.sink import VirtualSink
+from hnf_core.actuators.virtual.port import VirtualSink
+from hnf_core.actuators.virtual.serial_device import PlayoutFormat
 from hnf_core.errors import UsageError
 
 

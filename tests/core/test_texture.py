@@ -11,9 +11,18 @@ from hypothesis import strategies as st
 from normal_noise import normal_block
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.field.band_waves import make_wave_plan, render_complex_waves, render_real_waves
-from hnf_core.field.carriers import ARC_BLOCK, Carriers
-from hnf_core.field.hops import (
+from hnf_core.field.carrier_rendering import REACH_SAMPLES, Knots, render_carrier_hops, render_carriers_full_rate
+from hnf_core.field.carriers import (
+    ARC_BLOCK,
+    Carriers,
+    draw_band_bins,
+    draw_band_spectra,
+    make_bins,
+    make_wave_plan,
+    render_complex_waves,
+    render_real_waves,
+)
+from hnf_core.field.noise_cache import (
     ARC_HOP_CELLS,
     CELL_SAMPLES,
     DEMODULATION_CYCLES,
@@ -23,13 +32,8 @@ from hnf_core.field.hops import (
     get_time_hop,
     group_time_levels,
 )
-from hnf_core.field.knots import Knots
-from hnf_core.field.noise import draw_band_bins, draw_band_spectra, make_bins
-from hnf_core.field.path import extrapolate_position
-from hnf_core.field.plain import render_carriers_full_rate
-from hnf_core.field.texture import REACH_SAMPLES, render_carrier_hops
-from hnf_core.field.timeline import SAMPLES_PER_STATE
-from hnf_core.kernel.library import without_kernel
+from hnf_core.field.stroke import SAMPLES_PER_STATE, extrapolate_position
+from hnf_core.kernel.loader import without_kernel
 
 CARRIERS = Carriers()
 FAR = 10 ** (-57 / 20)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.keys import Keyframes, make_eased_travel
-from hnf_core.action.time_law import (
+from hnf_core.action.keyframes import Keyframes, make_eased_travel
+from hnf_core.action.motion_profile import (
     clamp_force,
     clamp_progress,
     compute_speed_for_duration,

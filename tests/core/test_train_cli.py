@@ -18,14 +18,13 @@ pytest.importorskip("torch", reason="training needs the extra [train]")
 from steady_spectra import expected_spectrum
 
 from hnf_core.cli.main import main
-from hnf_core.datasets.autoregressive import compute_power_spectrum
-from hnf_core.datasets.catalogue import open_dataset
 from hnf_core.datasets.hatt_models import read_texture_model
+from hnf_core.datasets.hatt_synthesis import compute_power_spectrum
 from hnf_core.datasets.recording import Recording
-from hnf_core.datasets.training_strokes import get_training_recordings
+from hnf_core.datasets.registry import get_training_recordings, open_dataset
 from hnf_core.export.wav import read_wav
 from hnf_core.field.weights import load_field, read_trained_material
-from hnf_core.training.own_material import TrainingOverrides, train_from_recordings
+from hnf_core.training.from_recordings import TrainingOverrides, train_from_recordings
 
 QUICK = ("--seconds", "20", "--epochs", "2", "--hidden", "16", "--layers", "2")
 

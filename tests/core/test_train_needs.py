@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from hnf_core.cli.commands import require_torch
 from hnf_core.cli.main import main
-from hnf_core.cli.train_needs import require_torch
 from hnf_core.errors import HnfError
 
 SUBJECTS = {

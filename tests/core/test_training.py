@@ -7,27 +7,23 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from hnf_core.field import linear_contact as physics  # noqa: E402
-from hnf_core.field.carriers import MODEL_RATE_HZ, Carriers  # noqa: E402
-from hnf_core.field.config import FieldConfig  # noqa: E402
-from hnf_core.field.field import evaluate, initial_parameters, steady_amplitude  # noqa: E402
-from hnf_core.field.linear_texture import compute_surface_spectrum, project_spectrum  # noqa: E402
-from hnf_core.field.modulation import sum_arc_carriers  # noqa: E402
-from hnf_core.field.weights import load_field  # noqa: E402
-from hnf_core.material.mechanics import Mechanics  # noqa: E402
-from hnf_core.material.probe import PROBES  # noqa: E402
-from hnf_core.metrics.spectra import window_power  # noqa: E402
-from hnf_core.simulation import simulate as simulator  # noqa: E402
-from hnf_core.simulation.surface import Noise, SurfaceRecipe, height_map, wavenumbers  # noqa: E402
-from hnf_core.training.conditions import (  # noqa: E402
-    SteadyStroke,
-    draw_mechanics,
-    draw_steady_strokes,
-    make_speed_grid,
-    withhold_mechanics,
+from hnf_core.field import linear_contact as physics
+from hnf_core.field.carrier_rendering import sum_arc_carriers
+from hnf_core.field.carriers import MODEL_RATE_HZ, Carriers
+from hnf_core.field.field import (
+    FieldConfig,
+    evaluate,
+    initial_parameters,
+    steady_amplitude,
 )
-from hnf_core.training.expectation import compute_band_expectation  # noqa: E402
-from hnf_core.training.fit import (  # noqa: E402
+from hnf_core.field.surface_spectrum import compute_surface_spectrum, project_spectrum
+from hnf_core.field.weights import load_field
+from hnf_core.material.contact_model import Mechanics
+from hnf_core.material.probe import PROBES
+from hnf_core.metrics.spectra import window_power
+from hnf_core.simulation import simulate as simulator
+from hnf_core.simulation.surface_recipe import Noise, SurfaceRecipe, height_map, wavenumbers
+from hnf_core.training.fit import (
     Likelihood,
     Schedule,
     TrainingSet,
@@ -37,10 +33,23 @@ from hnf_core.training.fit import (  # noqa: E402
     make_condition,
     rotate_inputs,
 )
-from hnf_core.training.likelihood import compute_whittle_loss  # noqa: E402
-from hnf_core.training.model import FieldNetwork  # noqa: E402
-from hnf_core.training.recordings import pool_bins, record_strokes  # noqa: E402
-from hnf_core.training.surfaces import make_random_surfaces, make_surface, splice_spectra  # noqa: E402
+from hnf_core.training.likelihood import (
+    compute_band_expectation,
+    compute_whittle_loss,
+)
+from hnf_core.training.model import FieldNetwork
+from hnf_core.training.simulated_strokes import (
+    SteadyStroke,
+    draw_mechanics,
+    draw_steady_strokes,
+    make_random_surfaces,
+    make_speed_grid,
+    make_surface,
+    pool_bins,
+    record_strokes,
+    splice_spectra,
+    withhold_mechanics,
+)
 
 WOOD = Mechanics(8e4, 0.15, 0.3)
 

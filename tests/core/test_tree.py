@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from relative_imports import rewrite_imports
+from build_extension import rewrite_imports
 
 ROOT = Path(__file__).resolve().parents[2]
 CORE, BRIDGE = ROOT / "hnf_core", ROOT / "hnf_blender"

@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from stream_sink import ClockSink
 
-from hnf_core.actuators import urgency
-from hnf_core.actuators.chain import render_counts
+from hnf_core.actuators import runtime
 from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.signal_chain import Samples, render_counts
 from hnf_core.actuators.sink import Sink
 from hnf_core.actuators.sinks.file import FileSink
-from hnf_core.actuators.source import Samples
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,11 +81,11 @@ def in_a_thread_of_its_own(work: object) -> object:
 @linux
 def test_it_says_whether_it_was_granted() -> None:
     def asked() -> tuple[bool, int, int]:
-        return urgency.request_realtime_priority(), os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+        return runtime.request_realtime_priority(), os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
 
     granted, policy, priority = in_a_thread_of_its_own(asked)  # type: ignore[misc]
     if granted:
-        assert (policy, priority) == (os.SCHED_RR | os.SCHED_RESET_ON_FORK, urgency.REALTIME_PRIORITY)
+        assert (policy, priority) == (os.SCHED_RR | os.SCHED_RESET_ON_FORK, runtime.REALTIME_PRIORITY)
     else:
         assert (policy, priority) == (os.SCHED_OTHER, 0)
     assert os.sched_getscheduler(0) == os.SCHED_OTHER, "the thread that asked, and no other"
@@ -95,7 +94,7 @@ def test_it_says_whether_it_was_granted() -> None:
 @linux
 def test_neither_its_threads_nor_its_children_inherit_it() -> None:
     def asked() -> list[int]:
-        urgency.request_realtime_priority()
+        runtime.request_realtime_priority()
         found: list[int] = []
         thread = threading.Thread(target=lambda: found.append(os.sched_getscheduler(0)))
         thread.start()
@@ -111,7 +110,7 @@ def test_a_stream_says_whether_its_threads_got_it() -> None:
     told = played()
     wanted = os.SCHED_RR | os.SCHED_RESET_ON_FORK if told["realtime"] else os.SCHED_OTHER
     assert told["policies"] == [wanted]
-    assert told["realtime"] == in_a_thread_of_its_own(urgency.request_realtime_priority)
+    assert told["realtime"] == in_a_thread_of_its_own(runtime.request_realtime_priority)
 
 
 @linux

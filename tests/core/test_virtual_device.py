@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.protocol.frames import Decoder, Encoder
-from hnf_core.actuators.protocol.messages import (
+from hnf_core.actuators.serial_protocol import (
     FROM_DEVICE,
     Bye,
     Caps,
     Credit,
+    Decoder,
+    Encoder,
     Error,
     ErrorCode,
     Hello,
@@ -25,9 +26,16 @@ from hnf_core.actuators.protocol.messages import (
     State,
     Stop,
 )
-from hnf_core.actuators.virtual.device import Capabilities, VirtualDevice, compute_queue_frames, interpolate_gap
-from hnf_core.actuators.virtual.playout import Playout, PlayoutCommand, PlayoutFormat
-from hnf_core.actuators.virtual.recording import Recording
+from hnf_core.actuators.virtual.port import Recording
+from hnf_core.actuators.virtual.serial_device import (
+    Capabilities,
+    Playout,
+    PlayoutCommand,
+    PlayoutFormat,
+    VirtualDevice,
+    compute_queue_frames,
+    interpolate_gap,
+)
 from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, Transducer, counts_to_drive, simulate_motion
 
 RATE = 8000

@@ -9,11 +9,19 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from hnf_core import weights_file
+from hnf_core import safetensors_io
 from hnf_core.errors import FileError, WeightsError
 from hnf_core.files import content_hash
-from hnf_core.tensor_file import dump_tensors, load_tensors, pack_header, split_header
-from hnf_core.weights_file import MAX_FILE_BYTES, WeightsKind, read_weights, read_weights_bytes
+from hnf_core.safetensors_io import (
+    MAX_FILE_BYTES,
+    WeightsKind,
+    dump_tensors,
+    load_tensors,
+    pack_header,
+    read_weights,
+    read_weights_bytes,
+    split_header,
+)
 
 KIND = WeightsKind("the thing", "thing-1", "this is no thing", "Make another.")
 NAMES = st.text(min_size=1, max_size=12).filter(lambda name: name != "__metadata__" and name.isprintable())
@@ -159,7 +167,7 @@ def test_a_huge_file_is_refused_unread(tmp_path):
 def test_the_largest_file_is_still_read(tmp_path, monkeypatch):
     path = tmp_path / "large"
     path.write_bytes(bytes(100))
-    monkeypatch.setattr(weights_file, "MAX_FILE_BYTES", 100)
+    monkeypatch.setattr(safetensors_io, "MAX_FILE_BYTES", 100)
     assert read_weights_bytes(path, "it", "") == bytes(100)
     path.write_bytes(bytes(101))
     with pytest.raises(WeightsError, match="larger"):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hnf_core.export.surface import UNTOUCHED, StrokePath, TouchedSurface
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.export.touched_surface import UNTOUCHED, StrokePath, TouchedSurface
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.palette import Palette
 from hnf_core.material.token import LEVELS, TOKEN_DIM
 from hnf_core.scene.mesh import TriangleMesh

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import DeviceError
-from ..libraries import import_optional
 from ..limits import FULL_SCALE_COUNTS
+from ..runtime import import_optional
 from ..sink import Counts, SinkFormat, SinkStatus
 from .fading_queue import RAMP_S, FadingQueue
 

@@ -1,5 +1,5 @@
-/* The carriers in arc length, modulated: the twin of _in_arc in hnf_core/field/texture.py and of _read_plainly in
- * live/arc_noise.py. */
+/* The carriers in arc length, modulated: the twin of _in_arc in hnf_core/field/carrier_rendering.py and of _read_plainly in
+ * field/live/carriers.py. */
 #include <math.h>
 #include <string.h>
 

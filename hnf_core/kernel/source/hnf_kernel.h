@@ -32,7 +32,7 @@ static inline int64_t hnf_stretch_end(const int64_t *row, int64_t at, int64_t co
 HNF_EXPORT int64_t hnf_abi(void);
 HNF_EXPORT int64_t hnf_has_wide_vectors(void);
 
-/* What no stroke changes of the carriers and of the pieces that are kept of them (hnf_core/field/hops.py). */
+/* What no stroke changes of the carriers and of the pieces that are kept of them (hnf_core/field/noise_cache.py). */
 typedef struct {
     int64_t hop, reach;                      /* samples of a hop, and those about it that it is made from */
     int64_t levels;                          /* rates: each half of the one before */

@@ -1,4 +1,4 @@
-/* Hops of carriers in time and in arc length, modulated: the twin of texture_hops in hnf_core/field/texture.py. */
+/* Hops of carriers in time and in arc length, modulated: the twin of texture_hops in hnf_core/field/carrier_rendering.py. */
 #include <math.h>
 #include <string.h>
 

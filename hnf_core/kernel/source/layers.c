@@ -1,4 +1,4 @@
-/* The layers and heads of F_Theta: the twin of heads in hnf_core/field/network.py.
+/* The layers and heads of F_Theta: the twin of heads in hnf_core/field/field.py.
  *
  * Every output of every state is one sum over the inputs, in their order, whatever is worked out beside it: what a state
  * gives is the same to the last bit alone and among thousands, on any number of threads, in vectors of any width.
@@ -7,7 +7,7 @@
 
 #include "sums.h"
 
-/* Outputs whose weights lie side by side, input after input: PANEL in kernel/layers.py. */
+/* Outputs whose weights lie side by side, input after input: PANEL in kernel/compiled_field.py. */
 #define PANEL 32
 #define GROUPS (PANEL / LANES)
 

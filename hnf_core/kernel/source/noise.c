@@ -1,5 +1,5 @@
-/* Noise bands as waves: the twins of band_bins (hnf_core/field/noise.py) and of real_waves and complex_waves
- * (hnf_core/field/band_waves.py). */
+/* Noise bands as waves: the twins of band_bins (hnf_core/field/carriers.py) and of real_waves and complex_waves
+ * (hnf_core/field/carriers.py). */
 #include <math.h>
 
 #include "sums.h"

@@ -1,4 +1,4 @@
-/* Where the hand is between the states of the action: the twin of position_beyond in hnf_core/field/path.py. */
+/* Where the hand is between the states of the action: the twin of position_beyond in hnf_core/field/stroke.py. */
 #include "hnf_kernel.h"
 
 /* Catmull and Rom's spline from a state to the next, both of which exist: powers of the way. */

@@ -1,4 +1,4 @@
-/* What lies between the rows of a table: the twin of between in hnf_core/field/adaptive.py. */
+/* What lies between the rows of a table: the twin of between in hnf_core/field/adaptive_sampling.py. */
 #include "hnf_kernel.h"
 
 #include <string.h>

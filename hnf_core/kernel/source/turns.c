@@ -1,4 +1,4 @@
-/* Where a course bends: the twin of bends in hnf_core/field/breakpoints.py. */
+/* Where a course bends: the twin of bends in hnf_core/field/adaptive_sampling.py. */
 #include <math.h>
 
 #include "hnf_kernel.h"

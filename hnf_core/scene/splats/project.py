@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...errors import UsageError
 from ..camera import Camera
-from .cloud import Splats
+from .gaussians import Splats
 
 Float = NDArray[np.float64]
 Int = NDArray[np.intp]

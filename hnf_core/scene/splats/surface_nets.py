@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cells import VoxelGrid, find_keys
+from .voxel_grid import VoxelGrid, find_keys
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .cells import VoxelGrid, dilate_keys
-from .sights import DepthView, sample_points
+from .depth_views import DepthView, sample_points
 from .surface_nets import GridSamples
+from .voxel_grid import VoxelGrid, dilate_keys
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]

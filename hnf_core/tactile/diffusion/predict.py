@@ -1,25 +1,49 @@
-"""From looks to tactile maps: D_φ at run time, in numpy."""
+"""From looks to tactile maps: D_φ at run time, in numpy.
+
+From noise to slopes: the loop around the network, for numpy arrays and torch tensors alike.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...cores import available_cpus
 from ...errors import UsageError
+from ...threads import available_cpus
 from ..height import integrate_gradients
 from ..optics import get_sensor, limit_slope, shade
 from ..tactile_map import Route, TactileMap
 from ..views import VIEW_PIXELS, AppearanceView
-from .conditions import NormalisedAppearance, build_condition, get_pitch_index, normalise_view
-from .config import REGRESSION
-from .network import forward
-from .sampling import apply_guidance, denoise
-from .schedule import log_snr, sampling_steps
+from .conditioning import NormalisedAppearance, build_condition, get_pitch_index, normalise_view
+from .schedule import ddim_step, log_snr, sampling_steps
+from .unet import REGRESSION, forward
 from .weights import MapWeights
+
+Velocity = Callable[[Any, Any, float], tuple[Any, Any]]
+"""(noisy slopes, noisy level, log-SNR) → v of both."""
+
+
+def denoise(velocity: Velocity, slopes: Any, level: Any, steps: int) -> tuple[Any, Any]:
+    """DDIM (η = 0) from unit noise in slopes and level to a sample of both. Raises UsageError for impossible steps."""
+    for before, after in sampling_steps(steps):
+        v_slopes, v_level = velocity(slopes, level, float(log_snr(before)))
+        slopes = ddim_step(slopes, v_slopes, before, after)
+        level = ddim_step(level, v_level, before, after)
+    return slopes, level
+
+
+def apply_guidance(conditional: tuple[Any, Any], unconditional: tuple[Any, Any], guidance: float) -> tuple[Any, Any]:
+    """Classifier-free guidance (Ho & Salimans 2022): from what the network says without the look's colour to what it
+    says with it, `guidance` times as far."""
+    return (
+        unconditional[0] + guidance * (conditional[0] - unconditional[0]),
+        unconditional[1] + guidance * (conditional[1] - unconditional[1]),
+    )
+
 
 Array = NDArray[np.float32]
 

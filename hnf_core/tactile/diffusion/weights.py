@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from ...errors import WeightsError
 from ...files import write_bytes
-from ...tensor_file import dump_tensors
-from ...weights_file import WeightsKind, read_weights
+from ...safetensors_io import WeightsKind, dump_tensors, read_weights
 from ..optics import SENSORS
-from .config import DIFFUSION, HEADS, REGRESSION, MapConfig
-from .network import UNet, build_unet
+from .unet import DIFFUSION, HEADS, REGRESSION, MapConfig, UNet, build_unet
 
 DEFAULT_WEIGHTS = Path(__file__).parents[2] / "data" / "tactile-map.safetensors"
 FORMAT = "hnf-tactile-map-1"

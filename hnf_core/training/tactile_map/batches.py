@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...datasets.tactile_pairs import Pairs
-from ...tactile.diffusion.conditions import NormalisedAppearance, normalise_appearance
+from ...tactile.diffusion.conditioning import NormalisedAppearance, normalise_appearance
 
 Array = NDArray[np.float32]
 

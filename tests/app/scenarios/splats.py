@@ -31,8 +31,8 @@ def write_slab(path):
     colour = (light[:, None] * [1.0, 0.8, 0.5] - 0.5) / 0.28209479177387814
     turned = np.tile([1.0, 0.0, 0.0, 0.0], (len(means), 1))
     parts = (means, np.concatenate(sizes), turned, np.full(len(means), 0.97), colour[:, None, :])
-    splats = ours("hnf_core.scene.splats.cloud").Splats(*(np.float32(part) for part in parts))
-    ours("hnf_core.scene.splats.inria").write_inria(path, splats, comments=("Vertical Axis: z",))
+    splats = ours("hnf_core.scene.splats.gaussians").Splats(*(np.float32(part) for part in parts))
+    ours("hnf_core.scene.splats.io_ply").write_inria(path, splats, comments=("Vertical Axis: z",))
 
 
 def check_a_drop_asks_and_makes_a_surface(stage):

@@ -18,7 +18,7 @@ from hnf_core.datasets.tactile_pairs import (
     get_shard_path,
     save_shard,
 )
-from hnf_core.simulation.classes import list_classes
+from hnf_core.simulation.material_classes import list_classes
 
 MET = tuple(name for name in list_classes() if name not in UNSEEN_CLASSES)
 

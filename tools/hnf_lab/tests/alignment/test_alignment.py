@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch", reason="alignment trains with torch")
 
-from hnf_core.errors import WeightsError  # noqa: E402
-from hnf_core.training.alignment.encoders import RESNET50, Architecture, ResNetEncoder, load_backbone  # noqa: E402
-from hnf_core.training.alignment.gradient_cache import (  # noqa: E402
+from hnf_core.errors import WeightsError
+from hnf_lab.alignment.encoders import RESNET50, Architecture, ResNetEncoder, load_backbone
+from hnf_lab.alignment.train import (
+    TEMPERATURE,
     backward_reference,
     backward_with_gradient_cache,
+    compute_info_nce,
     freeze_running_statistics,
 )
-from hnf_core.training.alignment.info_nce import TEMPERATURE, compute_info_nce  # noqa: E402
 
 PUBLISHED = Path(__file__).with_name("resnet50_names.txt")
 """Names and shapes of torchvision's resnet50 (0.28.0), in its order, as its own code lists them."""

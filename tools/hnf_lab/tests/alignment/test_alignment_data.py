@@ -10,32 +10,35 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch", reason="alignment trains with torch")
 
-from hnf_core.datasets.tactile_pairs import PAIR_SENSORS, encode_rgb  # noqa: E402
-from hnf_core.datasets.vision_touch import VisionTouchPair  # noqa: E402
-from hnf_core.errors import FileError, UsageError  # noqa: E402
-from hnf_core.tactile.lamps import perturb_sensor  # noqa: E402
-from hnf_core.tactile.optics import SENSORS, gel_gradients, shade  # noqa: E402
-from hnf_core.training.alignment.batches import (  # noqa: E402
+from hnf_core.datasets.tactile_pairs import PAIR_SENSORS, encode_rgb
+from hnf_core.datasets.vision_touch import VisionTouchPair
+from hnf_core.errors import FileError, UsageError
+from hnf_core.tactile.optics import (
+    SENSORS,
+    gel_gradients,
+    perturb_sensor,
+    shade,
+)
+from hnf_lab.alignment.encoders import (
     COLOUR_SCALE,
     TOUCH_SCALE,
+    crop_corners,
     make_image_tensor,
     make_training_batch,
 )
-from hnf_core.training.alignment.data import open_source, select_labelled  # noqa: E402
-from hnf_core.training.alignment.embedding import crop_corners  # noqa: E402
-from hnf_core.training.alignment.pictures import (  # noqa: E402
+from hnf_lab.alignment.inputs import (
+    NO_LABEL,
     NOISE,
     RecordedImagePairs,
+    Tuples,
     apply_symmetry,
     apply_symmetry_to_slopes,
-    render_touch,
-)
-from hnf_core.training.alignment.tuples import (  # noqa: E402
-    NO_LABEL,
-    Tuples,
     make_recorded_tuples,
     make_test_tuples,
     make_training_tuples,
+    open_source,
+    render_touch,
+    select_labelled,
 )
 
 

@@ -10,22 +10,33 @@ from hypothesis import strategies as st
 pytest.importorskip("torch", reason="alignment trains with torch")
 
 from hnf_core.errors import FileError
-from hnf_core.training.alignment.bridge import compute_label_agreement, find_nearest, make_pseudo_triplets
-from hnf_core.training.alignment.heads import (
+from hnf_lab.alignment.linear_probes import (
     IMAGES,
     REFITTED,
     TOUCH,
     VISION,
+    Hits,
     ProbeInput,
+    choose_linear_probe,
     cross_validate_probes,
+    estimate_accuracy,
+    estimate_ratio,
     evaluate_probes,
+    fit_linear_probe,
 )
-from hnf_core.training.alignment.kept import load_measurement, save_measurement
-from hnf_core.training.alignment.measure import CrossSensorRetrieval, Measurement
-from hnf_core.training.alignment.probe import choose_linear_probe, fit_linear_probe
-from hnf_core.training.alignment.retrieval import compute_ranks, compute_recall
-from hnf_core.training.alignment.statistics import Hits, estimate_accuracy, estimate_ratio
-from hnf_core.training.alignment.table import format_report, make_report
+from hnf_lab.alignment.results import (
+    CrossSensorRetrieval,
+    Measurement,
+    compute_label_agreement,
+    compute_ranks,
+    compute_recall,
+    find_nearest,
+    format_report,
+    load_measurement,
+    make_pseudo_triplets,
+    make_report,
+    save_measurement,
+)
 
 
 def unit(rng: np.random.Generator, n: int, d: int = 8) -> np.ndarray:

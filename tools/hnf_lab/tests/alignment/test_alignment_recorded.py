@@ -15,10 +15,9 @@ from picture_files import write_picture, write_pixels
 from hnf_core.cli.main import main
 from hnf_core.datasets.tactile_pairs import PAIR_SENSORS
 from hnf_core.errors import UsageError
-from hnf_core.training.alignment import train
-from hnf_core.training.alignment.data import open_source
-from hnf_core.training.alignment.encoders import Architecture
-from hnf_core.training.alignment.tuples import NO_LABEL
+from hnf_lab.alignment import train
+from hnf_lab.alignment.encoders import Architecture
+from hnf_lab.alignment.inputs import NO_LABEL, open_source
 
 RECORDINGS, MOMENTS = 10, 6
 

@@ -12,17 +12,15 @@ from alignment_pairs import write_pairs
 
 torch = pytest.importorskip("torch", reason="alignment trains with torch")
 
-from safetensors.torch import save_file  # noqa: E402
+from safetensors.torch import save_file
 
-from hnf_core.cli.main import main  # noqa: E402
-from hnf_core.errors import FileError, UsageError, WeightsError  # noqa: E402
-from hnf_core.training.alignment import train  # noqa: E402
-from hnf_core.training.alignment.data import open_source  # noqa: E402
-from hnf_core.training.alignment.embedding import embed_images, embed_touches  # noqa: E402
-from hnf_core.training.alignment.encoders import Architecture, ResNetEncoder  # noqa: E402
-from hnf_core.training.alignment.models import load_encoders, save_encoders  # noqa: E402
-from hnf_core.training.alignment.retrieval import compute_recall  # noqa: E402
-from hnf_core.training.alignment.train import Recipe, fit_encoders  # noqa: E402
+from hnf_core.cli.main import main
+from hnf_core.errors import FileError, UsageError, WeightsError
+from hnf_lab.alignment import train
+from hnf_lab.alignment.encoders import Architecture, ResNetEncoder, embed_images, embed_touches
+from hnf_lab.alignment.inputs import open_source
+from hnf_lab.alignment.results import compute_recall
+from hnf_lab.alignment.train import Recipe, fit_encoders, load_encoders, save_encoders
 
 TINY = Architecture((1, 1, 1, 1), 4, 8)
 RECIPE = Recipe(pixels=32, batch=16, chunk=16, steps=6, rate=3e-3, architecture=TINY)

@@ -7,17 +7,25 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch")
 
-from hnf_core.action.smooth import make_random_smooth_action, make_steady_action  # noqa: E402
-from hnf_core.baselines import piecewise_ar_fit as fitting  # noqa: E402
-from hnf_core.baselines.linear_prediction import compute_ar_density, fit_burg  # noqa: E402
-from hnf_core.baselines.method import MaterialRecordings  # noqa: E402
-from hnf_core.baselines.pieces import cut_segments  # noqa: E402
-from hnf_core.baselines.piecewise_ar import PiecewiseAr  # noqa: E402
-from hnf_core.datasets.autoregressive import HattProcess, compute_power_spectrum  # noqa: E402
-from hnf_core.datasets.hatt_models import TextureModel  # noqa: E402
-from hnf_core.datasets.line_spectra import lsf_from_polynomial, polynomial_from_lsf  # noqa: E402
-from hnf_core.datasets.recording import Recording  # noqa: E402
-from hnf_core.errors import FileError  # noqa: E402
+from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
+from hnf_core.datasets.hatt_models import (
+    TextureModel,
+    lsf_from_polynomial,
+    polynomial_from_lsf,
+)
+from hnf_core.datasets.hatt_synthesis import HattProcess, compute_power_spectrum
+from hnf_core.datasets.recording import Recording
+from hnf_core.errors import FileError
+from hnf_lab.baselines import piecewise_ar as fitting
+from hnf_lab.baselines.interface import (
+    MaterialRecordings,
+    cut_segments,
+)
+from hnf_lab.baselines.piecewise_ar import (
+    PiecewiseAr,
+    compute_ar_density,
+    fit_burg,
+)
 
 RATE = 10_000.0
 BAND_HZ = np.arange(2, 101) * 10.0

@@ -7,15 +7,24 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch")
 
-from hnf_core.action.smooth import make_random_smooth_action, make_steady_action  # noqa: E402
-from hnf_core.baselines.gacm import FrameSize, Gacm, GacmSingleMaterial, compute_magnitudes, get_recent_action  # noqa: E402
-from hnf_core.baselines.griffin_lim import compute_inconsistency, compute_stft, overlap_add, run_griffin_lim  # noqa: E402
-from hnf_core.baselines.method import MaterialRecordings  # noqa: E402
-from hnf_core.datasets.recording import Recording  # noqa: E402
-from hnf_core.errors import UsageError  # noqa: E402
-from hnf_core.material.mechanics import UNKNOWN_MECHANICS  # noqa: E402
-from hnf_core.material.token import TOKEN_DIM  # noqa: E402
-from hnf_core.metrics.spectra import welch  # noqa: E402
+from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
+from hnf_core.datasets.recording import Recording
+from hnf_core.errors import UsageError
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS
+from hnf_core.material.token import TOKEN_DIM
+from hnf_core.metrics.spectra import welch
+from hnf_lab.baselines.gacm import (
+    FrameSize,
+    Gacm,
+    GacmSingleMaterial,
+    compute_inconsistency,
+    compute_magnitudes,
+    compute_stft,
+    get_recent_action,
+    overlap_add,
+    run_griffin_lim,
+)
+from hnf_lab.baselines.interface import MaterialRecordings
 
 RATE = 10_000
 SHAPES = ((100, 25), (250, 62), (64, 32))

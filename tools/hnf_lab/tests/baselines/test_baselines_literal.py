@@ -7,17 +7,24 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch")
 
-from hnf_core.action.smooth import make_random_smooth_action  # noqa: E402
-from hnf_core.baselines.literal import PublishedHnf, build_window_batch, cut_windows, predict_windows  # noqa: E402
-from hnf_core.baselines.method import MaterialRecordings  # noqa: E402
-from hnf_core.datasets.recording import Recording  # noqa: E402
-from hnf_core.errors import UsageError  # noqa: E402
-from hnf_core.field.config import FieldConfig  # noqa: E402
-from hnf_core.field.field import initial_parameters  # noqa: E402
-from hnf_core.material.mechanics import UNKNOWN_MECHANICS  # noqa: E402
-from hnf_core.material.token import TOKEN_DIM  # noqa: E402
-from hnf_core.training.losses import compute_l_mag  # noqa: E402
-from hnf_core.training.model import FieldNetwork  # noqa: E402
+from hnf_core.action.synthetic_actions import make_random_smooth_action
+from hnf_core.datasets.recording import Recording
+from hnf_core.errors import UsageError
+from hnf_core.field.field import (
+    FieldConfig,
+    initial_parameters,
+)
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS
+from hnf_core.material.token import TOKEN_DIM
+from hnf_core.training.model import FieldNetwork
+from hnf_lab.baselines.interface import MaterialRecordings
+from hnf_lab.baselines.published_hnf import (
+    PublishedHnf,
+    build_window_batch,
+    compute_l_mag,
+    cut_windows,
+    predict_windows,
+)
 
 RATE = 10_000
 TOKEN = np.zeros(TOKEN_DIM, dtype=np.float32)

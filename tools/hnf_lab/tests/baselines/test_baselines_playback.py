@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from hnf_core.action.primitive_path import make_primitive_action
-from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
-from hnf_core.baselines.by_duration import render_by_duration
-from hnf_core.baselines.method import MaterialRecordings
-from hnf_core.baselines.oracle import OracleMethod
-from hnf_core.baselines.playback import GRAIN_SAMPLES, NearestNeighbour
+from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
 from hnf_core.datasets.recording import Recording
 from hnf_core.errors import FileError
+from hnf_lab.baselines.interface import MaterialRecordings, OracleMethod, render_by_duration
+from hnf_lab.baselines.nearest_neighbour import GRAIN_SAMPLES, NearestNeighbour
 
 RATE = 10_000
 

@@ -9,19 +9,26 @@ import sys
 import numpy as np
 import pytest
 
-from hnf_core.bench import synth
-from hnf_core.bench.catalogue import CORE_BENCHES
-from hnf_core.bench.frame import Bench, BenchOptions, Row, Spread, Times, measure_peak_mb
-from hnf_core.bench.machine import describe_machine
-from hnf_core.bench.scale import make_scrape
-from hnf_core.bench.synth import make_keyed_stroke
-from hnf_core.bench.synth_ar import make_texture_model, synthesise_autoregressive
-from hnf_core.bench.table import format_duration, format_rows
 from hnf_core.cli.main import build_parser, main
-from hnf_core.field import network
+from hnf_core.field import field as network
 from hnf_core.field.field import evaluate
-from hnf_core.field.prepared import prepare_stroke
+from hnf_core.field.prepare import prepare_stroke
 from hnf_core.field.weights import load_field
+from hnf_lab.bench import synth
+from hnf_lab.bench.harness import (
+    Bench,
+    BenchOptions,
+    Row,
+    Spread,
+    Times,
+    describe_machine,
+    format_duration,
+    format_rows,
+    measure_peak_mb,
+)
+from hnf_lab.bench.strokes import make_scrape
+from hnf_lab.bench.synth import make_keyed_stroke, make_texture_model, synthesise_autoregressive
+from hnf_lab.cli.bench_catalogue import CORE_BENCHES
 
 SPREAD = Spread.from_values([0.3, 0.1, 0.2])
 
@@ -106,7 +113,7 @@ def test_the_machine_is_described():
 def test_what_computed_is_named_with_its_version_and_what_did_not_is_not():
     """bfloat16 is torch's work; pictures and rays have packages of their own. In a process that has loaded none yet."""
     code = (
-        "import json; from hnf_core.bench.machine import describe_machine; before = describe_machine();"
+        "import json; from hnf_lab.bench.harness import describe_machine; before = describe_machine();"
         "import torch, scipy, OpenEXR, embreex; print(json.dumps([before, describe_machine()]))"
     )
     for name in ("torch", "scipy", "OpenEXR", "embreex"):
@@ -153,7 +160,7 @@ def test_help_is_there(capsys):
 
 
 def test_all_that_are_asked_for_run_in_order(capsys):
-    from hnf_core.cli.bench import run_benches
+    from hnf_lab.cli.bench import run_benches
 
     seen = []
 
@@ -173,7 +180,7 @@ def test_all_that_are_asked_for_run_in_order(capsys):
 
 def test_without_the_benches_as_in_the_extension_it_says_where_they_are():
     code = (
-        "import sys; sys.modules['hnf_core.bench.catalogue'] = None; from hnf_core.cli.main import main; "
+        "import sys; sys.modules['hnf_lab.cli.bench_catalogue'] = None; from hnf_core.cli.main import main; "
         "sys.exit(main(['bench'], lambda arguments: 1))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -207,14 +214,14 @@ def test_synthesis_has_a_row_for_every_way_and_an_error_beside_each(capsys):
 
 def test_layers_in_bfloat16_are_nearly_those_in_float32():
     pytest.importorskip("torch")
-    from hnf_core.bench.synth_narrow import evaluate_in_bfloat16
-    from hnf_core.training import narrow
+    from hnf_lab.bench import bfloat16
+    from hnf_lab.bench.synth import evaluate_in_bfloat16
 
     field = load_field()
     x = np.random.default_rng(0).standard_normal((5, field.parameters["layer0.weight"].shape[1])).astype(np.float32)
     plain = network.run_network(field.parameters, field.config.layers, x)
     for exact, found in zip(
-        plain, narrow.evaluate_heads_bfloat16(field.parameters, field.config.layers, x), strict=True
+        plain, bfloat16.evaluate_heads_bfloat16(field.parameters, field.config.layers, x), strict=True
     ):
         assert found.dtype == np.float32
         off = np.sqrt(np.mean(np.square(found - exact)) / np.mean(np.square(exact)))
@@ -293,8 +300,8 @@ def test_splats_have_a_picture_beside_the_reference_and_crops_cost_less_work(cap
 
 
 def test_splats_are_measured_on_a_file_too_and_a_broken_one_is_refused(tmp_path, capsys):
-    from hnf_core.bench.splats import make_ball
-    from hnf_core.scene.splats.inria import write_inria
+    from hnf_core.scene.splats.io_ply import write_inria
+    from hnf_lab.bench.splats import make_ball
 
     path = tmp_path / "ball.ply"
     write_inria(path, make_ball(50))

@@ -10,17 +10,35 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hnf_core.bench.axes import make_decibel_axis, make_log_axis
-from hnf_core.bench.curves import add_exponents, group_curves
-from hnf_core.bench.exponent import fit_exponent
-from hnf_core.bench.frame import Bench, CurvePosition, Row, Spread
-from hnf_core.bench.labels import MARK_PX, crosses_box, lay_out_labels, make_leader, overlaps_any
-from hnf_core.bench.pareto import Point, dominates, find_pareto_front, group_trade_offs
-from hnf_core.bench.plot import lay_out, write_plot
-from hnf_core.bench.table import format_duration, format_rows
-from hnf_core.cli.bench import run_benches
 from hnf_core.cli.main import build_parser, main
 from hnf_core.errors import UsageError
+from hnf_lab.bench.harness import (
+    Bench,
+    CurvePosition,
+    Row,
+    Spread,
+    add_exponents,
+    fit_exponent,
+    format_duration,
+    format_rows,
+    group_curves,
+)
+from hnf_lab.bench.plots import (
+    MARK_PX,
+    Point,
+    crosses_box,
+    dominates,
+    find_pareto_front,
+    group_trade_offs,
+    lay_out,
+    lay_out_labels,
+    make_decibel_axis,
+    make_leader,
+    make_log_axis,
+    overlaps_any,
+    write_plot,
+)
+from hnf_lab.cli.bench import run_benches
 
 ERRORS = st.one_of(st.floats(-300.0, 10.0), st.just(-math.inf), st.sampled_from([-40.0, -60.0]))
 TIMES = st.one_of(st.floats(1e-6, 1e3), st.sampled_from([0.1, 1.0]))
@@ -205,7 +223,7 @@ def test_names_as_they_are_drawn_lie_over_each_other_nowhere(monkeypatch, tmp_pa
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from hnf_core.bench import plot
+    from hnf_lab.bench import plots
 
     boxes = []
 
@@ -217,8 +235,8 @@ def test_names_as_they_are_drawn_lie_over_each_other_nowhere(monkeypatch, tmp_pa
         boxes.extend(tuple(text.get_tightbbox(renderer).extents) for text in figure.axes[0].texts)
 
     # Without leaders: they end at the points, which is meant.
-    monkeypatch.setattr(plot, "LEADER_STYLE", None)
-    monkeypatch.setattr(plot, "write_figure", measure)
+    monkeypatch.setattr(plots, "LEADER_STYLE", None)
+    monkeypatch.setattr(plots, "write_figure", measure)
     names = ("float64 per sample", "float32, blocks of 4096", "table", "WWWWWWWWWWWW", "adaptive, 1e-3", "hops")
     rows = [Row("b", name, second(1.0 + 1e-3 * k), error=1e-3, error_unit="m") for k, name in enumerate(names)]
     write_plot(tmp_path / "x.png", rows)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from hnf_core.bench import growth, scale
-from hnf_core.bench.catalogue import CORE_BENCHES
-from hnf_core.bench.frame import BenchOptions
-from hnf_core.bench.growth import Cost, Sweep, run_sizes
-from hnf_core.bench.memory import read_available_mb, run_with_peak
+from hnf_lab.bench import harness, strokes
+from hnf_lab.bench.harness import BenchOptions, Cost, Sweep, read_available_mb, run_sizes, run_with_peak
+from hnf_lab.cli.bench_catalogue import CORE_BENCHES
 
 QUICK = BenchOptions(repeats=1, quick=True)
 
@@ -34,8 +32,8 @@ def test_a_size_that_would_take_too_long_is_not_begun_and_says_so():
 
 def test_a_size_that_would_not_fit_into_memory_says_so(monkeypatch):
     peaks = iter([100.0, 1000.0])
-    monkeypatch.setattr(growth, "run_with_peak", lambda function: (function(), next(peaks)))
-    monkeypatch.setattr(growth, "read_available_mb", lambda: 8000.0)
+    monkeypatch.setattr(harness, "run_with_peak", lambda function: (function(), next(peaks)))
+    monkeypatch.setattr(harness, "read_available_mb", lambda: 8000.0)
     rows = run_sizes("scale", line(lambda count: Cost(1e-3, 1e-3, {}), sizes=(1, 10, 100)), QUICK)
     assert [row.peak_mb for row in rows] == [100.0, 1000.0, None]
     assert "about 10.0 GB, and 8.0 GB are free" in rows[-1].note
@@ -74,6 +72,6 @@ def test_signals_of_any_length_count_their_samples_and_states():
 
 
 def test_contact_that_ends_makes_a_stroke_silent_after_it():
-    stroke = scale.make_scrape(3.0, contact_s=1.0)
+    stroke = strokes.make_scrape(3.0, contact_s=1.0)
     assert stroke.action.contact.sum() == 201
     assert (stroke.action.force[~stroke.action.contact] == 0.0).all()

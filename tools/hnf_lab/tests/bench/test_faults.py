@@ -8,15 +8,14 @@ from dataclasses import replace
 import pytest
 from ptys import needs_pty
 
-from hnf_core.bench import faults_process
-from hnf_core.bench.faults import find_violations, run_trials
-from hnf_core.bench.faults_kinds import FAULTS, Fault
-from hnf_core.bench.faults_rig import Outcome
+from hnf_lab.bench import fault_harness
+from hnf_lab.bench.fault_harness import Outcome
+from hnf_lab.bench.faults import FAULTS, Fault, find_violations, run_trials
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 pytestmark = needs_pty
 
-OF_A_PROCESS = (faults_process.kill_player, faults_process.suspend_briefly, faults_process.suspend_for_long)
+OF_A_PROCESS = (fault_harness.kill_player, fault_harness.suspend_briefly, fault_harness.suspend_for_long)
 HERE = [kind for kind in FAULTS if kind.trial not in OF_A_PROCESS]
 
 

@@ -7,16 +7,15 @@ import os
 import pytest
 from ptys import needs_pty
 
-from hnf_core.bench import faults_process
-from hnf_core.bench.faults import find_violations, run_trials
-from hnf_core.bench.faults_kinds import FAULTS, Fault
+from hnf_lab.bench import fault_harness
+from hnf_lab.bench.faults import FAULTS, Fault, find_violations, run_trials
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 pytestmark = needs_pty
 if os.name != "posix":
     pytest.skip("this system has no signals that stop a process", allow_module_level=True)
 
-OF_A_PROCESS = (faults_process.kill_player, faults_process.suspend_briefly, faults_process.suspend_for_long)
+OF_A_PROCESS = (fault_harness.kill_player, fault_harness.suspend_briefly, fault_harness.suspend_for_long)
 HERE = [kind for kind in FAULTS if kind.trial in OF_A_PROCESS]
 
 

@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
+from hnf_core.actuators.live_source import EventTiming
 from hnf_core.actuators.sink import SinkFormat, SinkStatus
-from hnf_core.actuators.sources.live import EventTiming
-from hnf_core.bench.frame import BenchOptions
-from hnf_core.bench.live import TimedSink, compute_latencies, measure_live, simulate_states
+from hnf_lab.bench.harness import BenchOptions
+from hnf_lab.bench.stream import TimedSink, compute_latencies, measure_live, simulate_states
 
 
 class Device:

@@ -12,11 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.bench.frame import BenchOptions
-from hnf_core.bench.memory import run_with_peak
-from hnf_core.bench.standstill import StallLog, start_watcher, stop_watcher, watch_stalls
-from hnf_core.bench.stream import STREAM_CASES, compute_difference_share, measure_stream, trim_silence
-from hnf_core.bench.stream_device import PacedLine
+from hnf_lab.bench.harness import BenchOptions, run_with_peak
+from hnf_lab.bench.scheduling_jitter import StallLog, start_watcher, stop_watcher, watch_stalls
+from hnf_lab.bench.stream import STREAM_CASES, compute_difference_share, measure_stream, trim_silence
+from hnf_lab.bench.virtual_device import PacedLine
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 0.01), st.binary(max_size=500)), max_size=30))

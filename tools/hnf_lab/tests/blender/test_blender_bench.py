@@ -9,13 +9,13 @@ import build_extension
 import pytest
 from job_scene import my_folders
 
-from hnf_blender.bench import authoring, bake, enable, responsiveness
-from hnf_blender.bench.catalogue import BENCHES
 from hnf_blender.cli import main
-from hnf_blender.jobs import current
-from hnf_blender.state.session import STATE
-from hnf_blender.touch.bake import FIRST_PASS_PIXELS, PATCH_PIXELS
-from hnf_core.bench.frame import BenchOptions
+from hnf_blender.jobs import manager
+from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.bake_patches import FIRST_PASS_PIXELS, PATCH_PIXELS
+from hnf_lab.bench.harness import BenchOptions
+from hnf_lab.blender_bench import bake, waiting_times
+from hnf_lab.cli.bench_catalogue import BENCHES
 
 
 def test_every_bench_has_a_name_of_its_own():
@@ -25,7 +25,7 @@ def test_every_bench_has_a_name_of_its_own():
 
 
 def test_switching_the_add_on_on_loads_nothing_heavy():
-    numpy, addon = enable.measure_enable(BenchOptions(repeats=1))
+    numpy, addon = waiting_times.measure_enable(BenchOptions(repeats=1))
     assert (numpy.method, addon.ratio_to) == ("import numpy", "import numpy")
     assert addon.ratio.median == pytest.approx(addon.cpu.median / numpy.cpu.median)
     assert addon.note.endswith("heavy ones: none")
@@ -33,12 +33,15 @@ def test_switching_the_add_on_on_loads_nothing_heavy():
 
 
 def test_a_heavy_package_is_named():
-    assert enable.EnableRun(0.1, 0.1, 1.0, ("hnf_blender", "torch.nn", "scipy")).heavy_packages == ("scipy", "torch")
+    assert waiting_times.EnableRun(0.1, 0.1, 1.0, ("hnf_blender", "torch.nn", "scipy")).heavy_packages == (
+        "scipy",
+        "torch",
+    )
 
 
 def test_every_kind_of_call_is_seen_and_nothing_is_left():
     handlers = list(bpy.app.handlers.depsgraph_update_post)
-    rows = {row.method: row for row in responsiveness.measure_responsiveness(BenchOptions(repeats=1, quick=True))}
+    rows = {row.method: row for row in waiting_times.measure_responsiveness(BenchOptions(repeats=1, quick=True))}
     assert {
         "save a copy", "start", "cancel", "handler", "look at what changed", "tick, child at work", "tick, commit",
         "draw the tab",
@@ -47,7 +50,7 @@ def test_every_kind_of_call_is_seen_and_nothing_is_left():
     assert rows["tick, child at work"].seconds.count > 1
     assert all(row.seconds.lowest > 0.0 for row in rows.values())
     assert list(bpy.app.handlers.depsgraph_update_post) == handlers
-    assert not current.is_running()
+    assert not manager.is_running()
     assert my_folders() == []
     assert (STATE.job, STATE.get_statuses(bpy.context.scene), STATE.dirty_names) == (None, {}, set())
 
@@ -84,7 +87,7 @@ def test_the_extension_holds_no_bench():
 
 
 def test_a_stroke_is_drawn_and_placed():
-    drawn, placed = authoring.measure_authoring(BenchOptions(repeats=2, quick=True))
+    drawn, placed = waiting_times.measure_authoring(BenchOptions(repeats=2, quick=True))
     assert drawn.seconds.count == placed.seconds.count == 2
     samples, knots = (int(word) for word in drawn.note.replace(" samples →", "").replace(" knots", "").split())
     assert 2 <= knots < samples == 100

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import bpy
 
-from hnf_blender.bench import scale
-from hnf_blender.bench.hollow import draw_tab, register_tab
-from hnf_blender.bench.scale_scenes import add_crowd, add_relief_plate, add_strokes, open_empty_file
-from hnf_blender.bridge.splat_cloud import TOUCHABLE_SURFACES
-from hnf_blender.props.listed import STROKES
-from hnf_core.bench.frame import BenchOptions
-from hnf_core.bench.growth import run_sizes
+from hnf_blender.bridge.splats.splat_cloud import TOUCHABLE_SURFACES
+from hnf_blender.props.object_cache import STROKES
+from hnf_lab.bench.harness import BenchOptions, run_sizes
+from hnf_lab.blender_bench import scale
+from hnf_lab.blender_bench.scenes import (
+    add_crowd,
+    add_relief_plate,
+    add_strokes,
+    draw_tab,
+    open_empty_file,
+    register_tab,
+)
 
 
 def test_others_beside_a_touched_object_cost_no_work(tmp_path):

@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hnf_blender.bench import views, views_scene
-from hnf_blender.bench.views import AT_EQUAL_ERROR, TimedRenders, compute_ratio_at_equal_error
-from hnf_blender.bench.views_scene import Rectangle, expand_rectangle, find_patch
-from hnf_blender.bridge.scene_camera import make_overview_camera
-from hnf_core.bench.frame import BenchOptions
-from hnf_core.bench.memory import run_with_peak
+from hnf_blender.bridge.render.cycles import make_overview_camera
 from hnf_core.scene.raycast import cast_view, make_embree_caster
+from hnf_lab.bench.harness import BenchOptions, run_with_peak
+from hnf_lab.blender_bench import views
+from hnf_lab.blender_bench import views as views_scene
+from hnf_lab.blender_bench.views import (
+    AT_EQUAL_ERROR,
+    Rectangle,
+    TimedRenders,
+    compute_ratio_at_equal_error,
+    expand_rectangle,
+    find_patch,
+)
 
 
 def timed(error, *cpus):

@@ -11,8 +11,14 @@ import pytest
 from builders import add_plane, bump_material
 from closeup_builders import principled
 from predicted_scene import photo_plate, small_weights, use_weights
-from scene_splats import compare
-from scene_splats.compare import (
+
+from data_tools.object_splats import make_object_splats
+from hnf_blender.bridge.scene.meshes import read_surface
+from hnf_blender.touch.bake_patches import ReliefPredictor
+from hnf_core.material.token import LEVELS, TOKEN_DIM, Token
+from hnf_core.scene.patch import Patch
+from hnf_lab.experiments import splats as compare
+from hnf_lab.experiments.splats import (
     PatchPair,
     PatchReading,
     compare_patches,
@@ -20,12 +26,6 @@ from scene_splats.compare import (
     make_palette,
     remove_relief,
 )
-from scene_splats.convert import make_object_splats
-
-from hnf_blender.bridge.meshes import read_surface
-from hnf_blender.touch.seeing import ReliefPredictor
-from hnf_core.material.token import LEVELS, TOKEN_DIM, Token
-from hnf_core.scene.patch import Patch
 
 PIXELS = 128
 UP, ALONG = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])

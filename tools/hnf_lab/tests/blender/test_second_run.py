@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from hnf_blender.bench.second_run import OPEN_NAME, SECOND_RUN_NAME, measure_second_run
 from hnf_blender.compat import version
-from hnf_core.bench.frame import BenchOptions
+from hnf_lab.bench.harness import BenchOptions
+from hnf_lab.blender_bench.waiting_times import OPEN_NAME, SECOND_RUN_NAME, measure_second_run
 
 
 @pytest.mark.skipif(version() < (5, 0, 0), reason="one Blender is enough for a bench's rows")

@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from hnf_core.action.smooth import make_steady_action
-from hnf_core.evaluation.encoders import (
+from hnf_core.action.synthetic_actions import make_steady_action
+from hnf_core.field.weights import load_field
+from hnf_core.material.band_descriptor import describe, get_smooth_token_values
+from hnf_core.material.encoder_registry import get_encoder
+from hnf_core.material.token import ENCODER_ID, LEVELS, TOKEN_DIM, Token
+from hnf_core.tactile.views import PITCHES_M
+from hnf_lab.encoder.evaluate import (
     SensorView,
     SurfaceSample,
     compute_level_change_db,
@@ -16,11 +21,6 @@ from hnf_core.evaluation.encoders import (
     make_sample,
     render_maps,
 )
-from hnf_core.field.weights import load_field
-from hnf_core.material.encoder import describe, get_smooth_token_values
-from hnf_core.material.encoders import get_encoder
-from hnf_core.material.token import ENCODER_ID, LEVELS, TOKEN_DIM, Token
-from hnf_core.tactile.views import PITCHES_M
 
 DESCRIPTOR = get_encoder(ENCODER_ID)
 PIECES = [make_sample(name, 900) for name in ("denim", "cork")]

@@ -13,21 +13,27 @@ from hypothesis import strategies as st
 
 from hnf_core.cli.main import main
 from hnf_core.datasets.tactile_pairs import HELD_OUT_INSTANCES, TRAIN, Pairs, get_shard_path, save_shard
-from hnf_core.material.alexnet.network import LEVEL_INDICES, AlexNetConfig
-from hnf_core.material.alexnet.weights import load_encoder
-from hnf_core.material.encoder import describe
-from hnf_core.material.encoders import get_encoder
+from hnf_core.material.alexnet_encoder import LEVEL_INDICES, AlexNetConfig, load_encoder
+from hnf_core.material.band_descriptor import describe
+from hnf_core.material.encoder_registry import get_encoder
 from hnf_core.material.token import ENCODER_ID, LEVELS, TOKEN_DIM
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import SENSORS, gel_gradients
 from hnf_core.tactile.views import PITCHES_M
 
 torch = pytest.importorskip("torch", reason="training needs the extra [train]")
-from safetensors.torch import save_file  # noqa: E402
+from safetensors.torch import save_file
 
-from hnf_core.training.encoder.batches import apply_symmetry, clamp_faint_levels, draw_lamps, make_batch, rotate_views  # noqa: E402
-from hnf_core.training.encoder.fit import Schedule, fit_encoder  # noqa: E402
-from hnf_core.training.encoder.judge import compute_token_errors, evaluate_encoder  # noqa: E402
+from hnf_lab.encoder.evaluate import compute_token_errors, evaluate_encoder
+from hnf_lab.encoder.train import (
+    Schedule,
+    apply_symmetry,
+    clamp_faint_levels,
+    draw_lamps,
+    fit_encoder,
+    make_batch,
+    rotate_views,
+)
 
 PITCH = 20e-3 / 64
 

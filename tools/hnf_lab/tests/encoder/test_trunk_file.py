@@ -10,13 +10,15 @@ import pytest
 from alexnet_parts import HIDDEN, random_tensors, trunk_names
 
 from hnf_core.errors import FileError, WeightsError
-from hnf_core.material.alexnet.network import AlexNetConfig
+from hnf_core.material.alexnet_encoder import AlexNetConfig
 
 torch = pytest.importorskip("torch", reason="trunks are for training, which needs torch")
-from safetensors.torch import save_file  # noqa: E402
+from safetensors.torch import save_file
 
-from hnf_core.training.encoder.trunk_file import load_backbone  # noqa: E402
-from hnf_core.training.state_dict import read_state_dict  # noqa: E402
+from hnf_lab.encoder.network import (
+    load_backbone,
+    read_state_dict,
+)
 
 
 def torchvision_state(seed: int = 5) -> dict:

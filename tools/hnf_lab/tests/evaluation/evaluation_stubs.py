@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
-from hnf_core.baselines.method import FittedMaterial, Form, MaterialRecordings
-from hnf_core.datasets.dataset import ActionRange
-from hnf_core.datasets.recording import Recording
+from hnf_core.datasets.recording import ActionRange, Recording
 from hnf_core.errors import FileError
+from hnf_lab.baselines.interface import FittedMaterial, Form, MaterialRecordings
 
 Float = NDArray[np.float64]
 RATE = 10_000.0

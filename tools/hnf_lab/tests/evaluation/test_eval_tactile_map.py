@@ -14,38 +14,50 @@ from hypothesis import strategies as st
 from synthetic_pairs import synthetic_pairs
 from tactile_networks import SMALL, random_parameters
 
-from hnf_core.action.smooth import make_steady_action
+from hnf_core.action.synthetic_actions import make_steady_action
 from hnf_core.cli.main import main
-from hnf_core.datasets import pair_tiles
-from hnf_core.datasets.pair_tiles import PairSizes, list_tile_requests, render_tile
+from hnf_core.datasets import pair_generation
+from hnf_core.datasets.pair_generation import PairSizes, list_tile_requests, render_tile
 from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, decode_rgb
 from hnf_core.errors import FileError, UsageError
-from hnf_core.evaluation.held_out import KnownMaterial, predict_spectrum
-from hnf_core.evaluation.tactile_map import judge, predictions, run, tiles
-from hnf_core.evaluation.tactile_map.figures import write_plots
-from hnf_core.evaluation.tactile_map.image_quality import (
+from hnf_core.field.weights import load_field
+from hnf_core.material.encoder_registry import get_encoder
+from hnf_core.material.library import get_material
+from hnf_core.material.token import ENCODER_ID
+from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
+from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
+from hnf_core.tactile.views import AppearanceView
+from hnf_core.training.simulated_strokes import make_middle_conditions, make_speed_grid
+from hnf_lab.evaluation.held_out import KnownMaterial, predict_spectrum
+from hnf_lab.evaluation.tactile_map import run, score, tiles
+from hnf_lab.evaluation.tactile_map import tiles as predictions
+from hnf_lab.evaluation.tactile_map.naive_baselines import (
+    GREY_HEIGHT_M,
+    compute_grey_slopes,
+    fit_grey_m,
+    fit_naive_baselines,
+)
+from hnf_lab.evaluation.tactile_map.report import (
+    bootstrap_mean,
+    bootstrap_ratio,
+    compute_excess,
+    make_tables,
+    report_to_json,
+    write_plots,
+)
+from hnf_lab.evaluation.tactile_map.run import MapSetup, MapSizes, make_network_entries, measure_maps
+from hnf_lab.evaluation.tactile_map.score import (
     SSIM_SIDE,
     SSIM_SIGMA,
     compute_normal_angle_deg,
     compute_psnr_db,
+    compute_spectrum_error,
     compute_ssim,
+    predict_long_run_spectra,
+    score_images,
+    score_spectra,
 )
-from hnf_core.evaluation.tactile_map.judge import score_images, score_spectra
-from hnf_core.evaluation.tactile_map.kept import ArrayCache
-from hnf_core.evaluation.tactile_map.learned import GREY_HEIGHT_M, compute_grey_slopes, fit_grey_m, fit_naive_baselines
-from hnf_core.evaluation.tactile_map.networks import make_network_entries
-from hnf_core.evaluation.tactile_map.run import MapSetup, MapSizes, measure_maps
-from hnf_core.evaluation.tactile_map.spectra import compute_spectrum_error, predict_long_run_spectra
-from hnf_core.evaluation.tactile_map.statistics import bootstrap_mean, bootstrap_ratio
-from hnf_core.evaluation.tactile_map.tables import compute_excess, make_tables, report_to_json
-from hnf_core.field.weights import load_field
-from hnf_core.material.encoders import get_encoder
-from hnf_core.material.library import get_material
-from hnf_core.material.token import ENCODER_ID
-from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
-from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
-from hnf_core.tactile.views import AppearanceView
-from hnf_core.training.conditions import make_middle_conditions, make_speed_grid
+from hnf_lab.evaluation.tactile_map.tiles import ArrayCache
 
 pytestmark = pytest.mark.filterwarnings("error")
 SEED = st.integers(0, 2**31)
@@ -159,8 +171,8 @@ def test_perfect_is_zero_and_the_second_tile_is_the_floor(tile) -> None:
     for name in maps:
         assert result.errors[name].total == pytest.approx(0.0, abs=1e-6)
         np.testing.assert_allclose(result.bands_db[name], 0.0, atol=1e-5)
-    assert compute_excess([result], judge.FLOOR) == [0.0]
-    assert result.errors[judge.FLOOR].total > 0.1
+    assert compute_excess([result], score.FLOOR) == [0.0]
+    assert result.errors[score.FLOOR].total > 0.1
     assert all(each.angle_deg == 0.0 and each.ssim == pytest.approx(1.0) for each in score_images(tile, maps))
 
 
@@ -191,8 +203,8 @@ def test_a_flat_map_is_far_too_quiet(tile) -> None:
 
 def test_looks_and_slopes_of_a_tile_show_the_same_place(monkeypatch) -> None:
     """Where the photograph is the height itself, its gradient in every view is the true slope of that view."""
-    monkeypatch.setattr(pair_tiles, "NOISE", (0.0, 0.0))
-    monkeypatch.setattr(pair_tiles, "BLUR_PIXELS", (0.0, 0.0))
+    monkeypatch.setattr(pair_generation, "NOISE", (0.0, 0.0))
+    monkeypatch.setattr(pair_generation, "BLUR_PIXELS", (0.0, 0.0))
     order = list_tile_requests(HELD_OUT_CLASSES, PairSizes(), 0)[0]
     laid = render_tile(order)
     grey = (laid.height - laid.height.min()) / np.ptp(laid.height)
@@ -285,14 +297,14 @@ def test_the_whole_report(weights, main, other, tmp_path, monkeypatch, capsys) -
     record = json.loads(told)
     found = record["tables"][f"vibration, {HELD_OUT_CLASSES}"]
     assert record["networks"] == [NAMES[main], NAMES[other]]
-    assert set(found) >= {*NAMES.values(), judge.NEIGHBOUR, judge.CLASS_MEAN, judge.NO_DEPTH, judge.FUSED}
+    assert set(found) >= {*NAMES.values(), score.NEIGHBOUR, score.CLASS_MEAN, score.NO_DEPTH, score.FUSED}
     # Zero but for float32 rounding: on some machines equal rows of one product are rounded otherwise.
-    assert found[judge.TRUTH]["total_db"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
-    assert found[judge.FLOOR]["excess_db"] == [0.0, 0.0, 0.0]
+    assert found[score.TRUTH]["total_db"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert found[score.FLOOR]["excess_db"] == [0.0, 0.0, 0.0]
     margins = record["tables"][f"margins, {HELD_OUT_CLASSES}"]
-    rivals = {judge.NEIGHBOUR: 0.5, judge.CLASS_MEAN: 0.5, NAMES[other]: 1.0}
+    rivals = {score.NEIGHBOUR: 0.5, score.CLASS_MEAN: 0.5, NAMES[other]: 1.0}
     assert {name: each["aim"] for name, each in margins.items()} == {
-        f"{ours} / {rival}": aim for ours in (NAMES[main], judge.FUSED) for rival, aim in rivals.items()
+        f"{ours} / {rival}": aim for ours in (NAMES[main], score.FUSED) for rival, aim in rivals.items()
     }
     assert [(each["steps"], each["guidance"]) for each in record["tables"]["steps"]["points"]] == [
         (1, 1),
@@ -338,7 +350,7 @@ def test_the_curve_is_that_of_the_diffusion_wherever_it_stands(weights) -> None:
     ]
     assert len(curves[0]) == 2
     for one, other in zip(*curves, strict=True):
-        assert one.results[0].errors[judge.PREDICTED] == other.results[0].errors[judge.PREDICTED]
+        assert one.results[0].errors[score.PREDICTED] == other.results[0].errors[score.PREDICTED]
 
 
 def test_no_more_threads_are_asked_than_this_process_may_use(weights, tile, tmp_path, monkeypatch) -> None:

@@ -8,25 +8,30 @@ import numpy as np
 import pytest
 from evaluation_stubs import LIMITS, GaussianTexture, Perfect, gaussian
 
-from hnf_core.action.smooth import make_steady_action
+from hnf_core.action.synthetic_actions import make_steady_action
 from hnf_core.errors import UsageError
-from hnf_core.evaluation.direction import measure_directions
-from hnf_core.evaluation.expected_magnitude import make_expected_magnitude_signal
-from hnf_core.evaluation.materials import (
+from hnf_core.metrics.spectra import welch
+from hnf_lab.evaluation.materials import (
     EvaluatedMaterial,
     EvaluationSizes,
     MaterialResult,
     evaluate_material,
     make_column,
+    measure_directions,
     score_method,
 )
-from hnf_core.evaluation.methods import Budget, MethodEntry, list_entries, select_entries
-from hnf_core.evaluation.reference import Reference, make_references
-from hnf_core.evaluation.report import Report, summarise
-from hnf_core.evaluation.score import METRIC_NAMES, score_best, score_expected_magnitude, score_natural
-from hnf_core.evaluation.strokes import make_training_actions, make_trials
-from hnf_core.evaluation.tables import format_report
-from hnf_core.metrics.spectra import welch
+from hnf_lab.evaluation.methods import Budget, MethodEntry, list_entries, make_expected_magnitude_signal, select_entries
+from hnf_lab.evaluation.report import Report, format_report, summarise
+from hnf_lab.evaluation.scoring import (
+    METRIC_NAMES,
+    Reference,
+    make_references,
+    make_training_actions,
+    make_trials,
+    score_best,
+    score_expected_magnitude,
+    score_natural,
+)
 
 SIZES = EvaluationSizes(2.0, 32, 4, 4.0, 1, 1, 2)
 

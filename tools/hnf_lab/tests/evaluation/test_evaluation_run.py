@@ -11,8 +11,8 @@ pytest.importorskip("torch")
 
 from hnf_core.cli.main import main
 from hnf_core.errors import UsageError
-from hnf_core.evaluation.materials import EvaluationSizes
-from hnf_core.evaluation.run import EvaluationOptions, run_evaluation
+from hnf_lab.evaluation.materials import EvaluationSizes
+from hnf_lab.evaluation.run import EvaluationOptions, run_evaluation
 
 TINY = EvaluationSizes(1.0, 4, 1, 2.0, 1, 1, 1, 2)
 

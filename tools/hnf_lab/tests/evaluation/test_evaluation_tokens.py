@@ -9,22 +9,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hnf_core.action.smooth import make_steady_action
+from hnf_core.action.synthetic_actions import make_steady_action
 from hnf_core.errors import FileError
-from hnf_core.evaluation.held_out import (
+from hnf_core.field.weights import HELD_OUT_WEIGHTS, load_field
+from hnf_core.material.library import load_library
+from hnf_core.material.token import BAND_FEATURES, LEVELS, SMOOTH_LEVEL
+from hnf_lab.evaluation.held_out import (
     KnownMaterial,
     bootstrap_margin,
     compute_category_mean,
     compute_distance_db,
+    describe_photo,
+    find_category,
     find_held_out_names,
     find_nearest_token,
+    fit_height_decades,
     make_held_out_table,
+    make_photo_table,
     predict_spectrum,
+    scale_token,
 )
-from hnf_core.evaluation.photo import describe_photo, find_category, fit_height_decades, make_photo_table, scale_token
-from hnf_core.field.weights import HELD_OUT_WEIGHTS, load_field
-from hnf_core.material.library import load_library
-from hnf_core.material.token import BAND_FEATURES, LEVELS, SMOOTH_LEVEL
 
 ACTION = make_steady_action(0.3, 0.1, 1.0)
 FLAT = np.full(501, 1e-3)

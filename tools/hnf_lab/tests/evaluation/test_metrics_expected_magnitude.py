@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hnf_core.action.smooth import make_random_smooth_action, make_steady_action
-from hnf_core.evaluation.expected_magnitude import (
-    compute_expected_densities,
-    make_expected_magnitude_signal,
-    synthesise_expected_magnitude,
-)
+from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import get_material
-from hnf_core.metrics.limits import MetricBounds, compute_bounds
-from hnf_core.metrics.magnitudes import window_magnitudes
-from hnf_core.metrics.spectra import WINDOW_SAMPLES, welch
+from hnf_core.metrics.spectra import WINDOW_SAMPLES, welch, window_magnitudes
+from hnf_lab.evaluation.bounds import MetricBounds, compute_bounds
+from hnf_lab.evaluation.methods import (
+    compute_expected_densities,
+    make_expected_magnitude_signal,
+    synthesise_expected_magnitude,
+)
 
 Float = NDArray[np.float64]
 SECONDS = 2.0

@@ -21,23 +21,24 @@ from hnf_core.datasets.ball_calibration import (
     read_polynomial_table,
 )
 from hnf_core.errors import FileError, UsageError
-from hnf_core.evaluation import polynomial_optics
-from hnf_core.evaluation.ball_press import (
+from hnf_core.tactile.optics import SENSORS, Sensor, shade
+from hnf_lab.experiments import optics_models
+from hnf_lab.experiments.optics_check import (
+    check_presses,
+    check_table,
+    format_ball_check,
+    format_table_checks,
+    get_lamps,
+    plot_presses,
+    plot_response,
+)
+from hnf_lab.experiments.optics_models import (
     find_contact_radius_px,
     fit_linear_optics,
     make_sensor,
     mount_sensor,
     select_pixels_under,
 )
-from hnf_core.evaluation.optics_check import (
-    check_presses,
-    check_table,
-    format_ball_check,
-    format_table_checks,
-    get_lamps,
-)
-from hnf_core.evaluation.optics_picture import plot_presses, plot_response
-from hnf_core.tactile.optics import SENSORS, Sensor, shade
 
 CALIBRATIONS = Path(__file__).resolve().parents[3] / "shared" / "data" / "tactile_calibration"
 needs_calibrations = pytest.mark.skipif(
@@ -169,19 +170,19 @@ def test_a_published_table_is_read_in_its_own_convention():
     sensor = SENSORS["digit"]
     pixels = select_pixels_under(pressed(sensor), CONTACT)
     table = taxim_table(sensor, 120)
-    error = polynomial_optics.predict_polynomial(table, pixels) - pixels.colour
+    error = optics_models.predict_polynomial(table, pixels) - pixels.colour
     assert np.sqrt(np.mean(error**2)) < 0.01
     few = pixels.select(np.arange(len(pixels.press)) % 9 == 0)
-    cosine = np.sum(polynomial_optics.decode_polynomial(table, few, np.radians(58.0)) * few.normal, axis=1)
+    cosine = np.sum(optics_models.decode_polynomial(table, few, np.radians(58.0)) * few.normal, axis=1)
     assert np.degrees(np.arccos(np.minimum(cosine, 1.0))).mean() < 2.0
 
 
 def test_a_table_fitted_anew_learns_a_background_that_the_place_changes():
     sensor = flat_is(make_sensor(0.3 * SENSORS["gelsight"].shading, np.zeros(3)), 1.0)
     pixels = select_pixels_under(pressed(sensor, hilly(), "ratio"), CONTACT)
-    table = polynomial_optics.fit_polynomial_table(pixels, 40)
+    table = optics_models.fit_polynomial_table(pixels, 40)
     assert table.coefficients.shape == (40, 40, 3, 6)
-    error = polynomial_optics.predict_polynomial(table, pixels) - pixels.colour
+    error = optics_models.predict_polynomial(table, pixels) - pixels.colour
     assert np.sqrt(np.mean(error**2)) < 0.01
 
 

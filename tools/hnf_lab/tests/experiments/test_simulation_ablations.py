@@ -6,7 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from simulator_ablations import (
+
+from hnf_core.material.contact_model import resonance_hz
+from hnf_lab.experiments.simulator import (
     PEN,
     WOOD_MECHANICS,
     compute_stuck_share,
@@ -17,8 +19,6 @@ from simulator_ablations import (
     measure_ring_hz,
     simulate_slow_pull,
 )
-
-from hnf_core.material.contact import resonance_hz
 
 SPEEDS = (1e-3, 2e-3, 0.05)
 

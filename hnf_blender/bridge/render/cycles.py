@@ -1,0 +1,189 @@
+"""Renders by Cycles on the CPU, in temporary scenes, read back through a multilayer EXR.
+
+Camera records of Blender's cameras, and a camera where the scene has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hnf_core.errors import SceneError
+from hnf_core.scene.camera import Camera
+from hnf_core.scene.rgbd_view import read_exr
+
+from ... import compat
+from ..scene.suppress_output import suppress_output
+from ..scene.temp_scene import TemporaryScene
+from ..shader.aov_taps import Tap
+
+NO_HIT_DEPTH = 1e9
+"""Cycles writes 1e10 where a camera ray meets nothing."""
+
+
+def configure_cycles(scene: Any, samples: int) -> None:
+    """Cycles on the CPU into a multilayer EXR, no compositor, no sequencer; one sample is exact, never denoised."""
+    try:
+        scene.render.engine = "CYCLES"
+    except TypeError as error:
+        raise SceneError(
+            "Cycles is switched off.", where="Blender", remedy="Enable 'Cycles Render Engine' in the preferences."
+        ) from error
+    render, cycles = scene.render, scene.cycles
+    cycles.device = "CPU"
+    cycles.samples = samples
+    cycles.use_adaptive_sampling = False
+    cycles.use_denoising = False
+    cycles.seed = 0
+    render.resolution_percentage = 100
+    render.use_compositing = render.use_sequencer = render.use_border = render.use_multiview = False
+    render.use_motion_blur = render.use_simplify = render.use_stamp = render.use_freestyle = False
+    render.use_overwrite, render.use_placeholder, render.use_file_extension = True, False, True
+    render.film_transparent = False
+    compat.use_multilayer_exr(render)
+
+
+def disable_lighting(scene: Any) -> None:
+    """No light is followed: one sample of the first surface under each pixel centre."""
+    cycles = scene.cycles
+    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = 0
+    cycles.transparent_max_bounces = 0
+
+
+def add_aovs(view_layer: Any, taps: Iterable[Tap]) -> None:
+    for tap in taps:
+        aov = view_layer.aovs.add()
+        aov.name, aov.type = tap.name, tap.kind
+
+
+def add_camera(temporary: TemporaryScene, name: str = "hnf camera") -> Any:
+    import bpy
+
+    camera = temporary.new_object(name, bpy.data.cameras.new(name))
+    temporary.scene.camera = camera
+    return camera
+
+
+def set_camera(scene: Any, camera_object: Any, camera: Camera, rigid: ArrayLike, metres_per_unit: float) -> None:
+    """Set Blender's camera to camera, whose pose is in a frame that rigid (4, 4) brings to world metres.
+
+    Square pixels only. Raises SceneError for a pixel aspect other than 1.
+    """
+    from mathutils import Matrix
+
+    focal_x, focal_y = camera.intrinsics[0, 0], camera.intrinsics[1, 1]
+    if abs(focal_x - focal_y) > 1e-6 * focal_x:
+        raise SceneError("its pixels are not square.", where="camera", remedy="Render with pixel aspect 1.")
+    pose = np.asarray(rigid, dtype=np.float64) @ camera.pose @ np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] /= metres_per_unit
+    camera_object.matrix_world = Matrix(pose.tolist())
+    data, longest = camera_object.data, max(camera.width, camera.height)
+    data.sensor_fit = "AUTO"
+    if camera.kind == "orthographic":
+        data.type, data.ortho_scale = "ORTHO", longest / focal_x / metres_per_unit
+    else:
+        data.type = "PERSP"
+        data.lens = focal_x / longest * data.sensor_width
+    data.shift_x = (camera.width / 2.0 - camera.intrinsics[0, 2]) / longest
+    data.shift_y = (camera.intrinsics[1, 2] - camera.height / 2.0) / longest
+    data.clip_start = max(camera.clip_start / metres_per_unit, 1e-6)
+    data.clip_end = min(camera.clip_end / metres_per_unit, 1e6)
+    render = scene.render
+    render.resolution_x, render.resolution_y = camera.width, camera.height
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+
+
+def render_passes(temporary: TemporaryScene) -> dict[str, NDArray[np.float32]]:
+    """Render the temporary scene from its camera and read every pass. Raises SceneError where Blender fails."""
+    import bpy
+
+    path = temporary.folder / "passes.exr"
+    path.unlink(missing_ok=True)
+    temporary.scene.render.filepath = str(path)
+    try:
+        # An operator updates its context's view layer: ours, or cost would follow the size of the user's scene.
+        with suppress_output(), bpy.context.temp_override(scene=temporary.scene, view_layer=temporary.view_layer):
+            bpy.ops.render.render(scene=temporary.scene.name, layer=temporary.view_layer.name, write_still=True)
+    except RuntimeError as error:
+        raise SceneError(f"Blender could not render ({error}).", where="close-up") from error
+    return read_exr(path)
+
+
+def get_planar_depth(passes: dict[str, NDArray[np.float32]], metres_per_unit: float) -> NDArray[np.float32]:
+    """Depth pass in metres, sky = inf."""
+    depth = passes["Depth"]
+    return np.where(depth < NO_HIT_DEPTH, depth * np.float32(metres_per_unit), np.inf).astype(np.float32)
+
+
+Float = NDArray[np.float64]
+
+FIELD_OF_VIEW_RAD = np.radians(40.0)
+"""Of the camera that is supplied, across the image."""
+
+
+def read_camera(scene: Any, camera_object: Any, metres_per_unit: float, matrix_world: Any = None) -> Camera:
+    """The camera that scene renders camera_object with: resolution and its percentage, pixel aspect, sensor fit and
+    shift counted; a render border is not (the whole frame is meant).
+
+    matrix_world: (4, 4) evaluated matrix where the camera is animated, else as it stands. Raises SceneError for a
+    panoramic camera.
+    """
+    data, render = camera_object.data, scene.render
+    if data.type not in {"PERSP", "ORTHO"}:
+        raise SceneError(
+            "it is a panoramic camera, which has no flat picture.",
+            where=f"camera '{camera_object.name}'",
+            remedy="Choose Perspective or Orthographic as its type.",
+        )
+    width = max(1, render.resolution_x * render.resolution_percentage // 100)
+    height = max(1, render.resolution_y * render.resolution_percentage // 100)
+    frame = np.array([list(corner) for corner in data.view_frame(scene=scene)], dtype=np.float64)
+    (left, bottom, _), (right, top, _) = frame.min(axis=0), frame.max(axis=0)
+    # view_frame answers on a plane in front of the camera; a perspective image scales with its distance.
+    reach = -frame[0, 2] if data.type == "PERSP" else 1.0 / metres_per_unit
+    scale_x, scale_y = width / (right - left), height / (top - bottom)
+    intrinsics = np.array([[scale_x * reach, 0.0, -left * scale_x], [0.0, scale_y * reach, top * scale_y], [0, 0, 1]])
+    matrix = camera_object.matrix_world if matrix_world is None else matrix_world
+    pose = np.array([list(row) for row in matrix], dtype=np.float64)
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    pose[:3, 3] *= metres_per_unit
+    return Camera(
+        "perspective" if data.type == "PERSP" else "orthographic",
+        width,
+        height,
+        intrinsics,
+        pose @ np.diag([1.0, -1.0, -1.0, 1.0]),
+        data.clip_start * metres_per_unit,
+        data.clip_end * metres_per_unit,
+    )
+
+
+def make_overview_camera(
+    points: ArrayLike, outward: ArrayLike, radius_m: float, width: int = 960, height: int = 540
+) -> Camera:
+    """A perspective camera that shows points (n, 3) (world metres, z up) at three-quarter view from the side that
+    outward (3,) points to, with radius_m around their middle in the picture."""
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    normal = np.asarray(outward, dtype=np.float64)
+    length = np.linalg.norm(normal)
+    normal = normal / length if length > 0.0 else np.array([0.0, -1.0, 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    side = np.cross(up, normal)
+    level = np.linalg.norm(side) < 0.2  # a table top or a ceiling: come from the front
+    lean = np.array([0.45, -0.8, 0.0]) if level else 0.5 * side / np.linalg.norm(side) + 0.35 * up
+    back = normal + lean
+    back = back / np.linalg.norm(back)
+    reach = max(float(np.linalg.norm(points - middle, axis=-1).max(initial=0.0)), radius_m, 1e-6)
+    focal = width / (2.0 * np.tan(FIELD_OF_VIEW_RAD / 2.0))
+    distance = 1.1 * reach * np.hypot(focal, min(width, height) / 2.0) / (min(width, height) / 2.0)
+    right = np.cross(up, back)
+    right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-6 else np.array([1.0, 0.0, 0.0])
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(-back, right), -back
+    pose[:3, 3] = middle + distance * back
+    intrinsics = np.array([[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]])
+    return Camera("perspective", width, height, intrinsics, pose, distance * 1e-3, distance * 1e3)

@@ -1,0 +1,362 @@
+"""Lit pictures: the whole scene for people to look at, and lit close-ups.
+
+What a lit picture of a scene follows from, as a hash: camera, lights, world, and all that stands in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.errors import HnfError
+from hnf_core.files import content_hash
+from hnf_core.scene.camera import Camera
+from hnf_core.scene.raycast import RayCaster, cast_view
+from hnf_core.scene.rgbd_view import RgbdView
+
+from ... import compat
+from ..scene.meshes import Surface, get_slot_materials, hash_mesh, make_ray_caster
+from ..scene.suppress_output import suppress_output
+from ..scene.temp_scene import TemporaryScene
+from ..shader.images import fingerprint_file
+from ..shader.object_inputs import find_shader_inputs, format_object_inputs
+from ..shader.shader_hash import format_settings, hash_material, hash_node_tree
+from .cycles import add_camera, configure_cycles, get_planar_depth, render_passes, set_camera
+from .isolated_object import isolate_object
+
+DOME_STRENGTH = 1.0
+MAX_BOUNCES = 4
+DEPTH_TOLERANCE = 1e-3
+"""Relative depth difference under which a rendered pixel shows the surface that a ray met."""
+
+
+class OverviewRenderer:
+    """Lit views of one scene, one render each, on a temporary scene that Cycles keeps between them: what did not change
+    is neither loaded nor built again. Use as a context manager; other work may go on in the file meanwhile.
+
+    whole: everything in the scene is rendered; else what each view names, and the scene's lights, so that cost does not
+    follow the scene. The pictures are denoised where this Blender can. relief: what is a few pixels wide stays then,
+    which takes longer than two samples do; without it a surface's ridges may be taken for noise. A scene without light
+    gets a neutral dome. Between two views no object of the user's is in the temporary scene, unless it is whole.
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        *,
+        metres_per_unit: float = 1.0,
+        samples: int = 16,
+        entire_scene: bool = False,
+        relief: bool = False,
+    ) -> None:
+        self._scene, self._metres, self._samples = scene, metres_per_unit, samples
+        self._entire_scene, self._relief = entire_scene, relief
+        self._dome: Any = None
+
+    def __enter__(self) -> OverviewRenderer:
+        self.temporary = TemporaryScene(self._scene if self._entire_scene else None, long_lived=True).__enter__()
+        try:
+            with self.temporary.track_new_data():
+                scene = self.temporary.scene
+                configure_cycles(scene, self._samples)
+                _configure_quick_render(scene, self._relief)
+                scene.render.use_persistent_data = True
+                self.temporary.view_layer.use_pass_z = self.temporary.view_layer.use_pass_normal = True
+                self._camera = add_camera(self.temporary)
+        except BaseException:
+            self.temporary.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.temporary.__exit__(None, None, None)
+
+    def render_view(
+        self, camera: Camera | None, objects: Sequence[Any] = (), frame: float | None = None
+    ) -> tuple[RgbdView, tuple[str, ...]]:
+        """(view, notes). camera: world metres; None = the scene's own. objects: to render, unless whole. frame: of the
+        scene, None = now."""
+        scene, temporary = self._scene, self.temporary
+        with (
+            temporary.track_new_data(),
+            self._link_temporarily([] if self._entire_scene else objects, scene.camera if camera is None else None),
+        ):
+            notes = self._set_lighting(scene)
+            if camera is None:
+                camera = self._use_scene_camera(frame)
+            else:
+                temporary.scene.camera = self._camera
+                set_camera(temporary.scene, self._camera, camera, np.eye(4), self._metres)
+                temporary.evaluate(_get_frame(scene, frame))
+            passes = render_passes(temporary)
+        depth = get_planar_depth(passes, self._metres)
+        view = RgbdView(
+            camera=camera,
+            rgb=np.ascontiguousarray(passes["Combined"][..., :3]),
+            depth=depth,
+            face_id=np.full(depth.shape, -1, dtype=np.int32),
+            normal=passes["Normal"][..., :3],
+        )
+        return view, notes
+
+    @contextmanager
+    def _link_temporarily(self, objects: Sequence[Any], camera: Any) -> Iterator[None]:
+        """objects, the scene's lights and its camera stand in the temporary scene in this block."""
+        lights = [] if self._entire_scene else [each for each in self._scene.objects if each.type == "LIGHT"]
+        collection = self.temporary.scene.collection
+        guests = dict.fromkeys([*objects, *lights, *([] if camera is None or self._entire_scene else [camera])])
+        try:
+            for guest in guests:
+                self.temporary.link(guest)
+            yield
+        finally:
+            for guest in guests:
+                if self.temporary.scene in guest.users_scene:
+                    collection.objects.unlink(guest)
+
+    def _set_lighting(self, scene: Any) -> tuple[str, ...]:
+        self.temporary.scene.world = scene.world
+        # A tree of lights pays where there are many; beside one lamp it gives the same pixels for up to a tenth more.
+        self.temporary.scene.cycles.use_light_tree = _count_lamps(self.temporary.scene) > 1 or _has_emissive_material(
+            self.temporary.scene
+        )
+        if is_lit(self.temporary.scene):
+            return ()
+        if self._dome is None:
+            add_dome(self.temporary.scene)
+            self._dome = self.temporary.scene.world
+        self.temporary.scene.world = self._dome
+        return ("the scene has no light: a neutral dome lights the picture.",)
+
+    def _use_scene_camera(self, frame: float | None) -> Camera:
+        """The scene's own camera, evaluated and rendered from."""
+        from .cycles import read_camera
+
+        scene, temporary = self._scene, self.temporary
+        temporary.scene.camera = scene.camera
+        _copy_resolution(scene, temporary.scene)
+        temporary.evaluate(_get_frame(scene, frame))
+        evaluated = scene.camera.evaluated_get(temporary.view_layer.depsgraph)
+        return read_camera(temporary.scene, scene.camera, self._metres, evaluated.matrix_world)
+
+
+def render_overview(
+    scene: Any,
+    camera: Camera | None,
+    *,
+    metres_per_unit: float = 1.0,
+    samples: int = 16,
+    objects: Sequence[Any] | None = None,
+    surface: Surface | None = None,
+    caster: RayCaster | None = None,
+    frame: float | None = None,
+) -> tuple[RgbdView, tuple[str, ...]]:
+    """(view, notes): one view of Overviews. objects: None = everything. surface: fills face_id with the evaluated
+    polygons of this object where it is what the camera sees."""
+    with OverviewRenderer(
+        scene, metres_per_unit=metres_per_unit, samples=samples, entire_scene=objects is None
+    ) as overviews:
+        view, notes = overviews.render_view(camera, objects or (), frame)
+    if surface is not None:
+        view = replace(view, face_id=find_visible_faces(view, surface, caster or make_ray_caster(surface.mesh)))
+    return view, notes
+
+
+def find_visible_faces(view: RgbdView, surface: Surface, caster: RayCaster) -> NDArray[np.int32]:
+    """(H, W) evaluated polygon of surface that each pixel of view shows, -1 where it shows something else."""
+    cast = cast_view(caster, surface.mesh, to_surface_frame(view.camera, surface))
+    seen = np.isfinite(cast.depth) & np.isfinite(view.depth)
+    ours, theirs = np.where(seen, cast.depth, 0.0), np.where(seen, view.depth, 0.0)
+    same = seen & (np.abs(ours - theirs) <= DEPTH_TOLERANCE * ours)
+    return np.where(same, cast.face_id, -1).astype(np.int32)
+
+
+def to_surface_frame(camera: Camera, surface: Surface) -> Camera:
+    """A world camera, seen from a surface's own frame."""
+    return replace(camera, pose=np.linalg.inv(surface.rigid) @ camera.pose)
+
+
+def render_lit_images(
+    obj: Any,
+    cameras: Sequence[Camera],
+    samples: int,
+    metres_per_unit: float,
+    frame: float | None,
+    view_layer: Any = None,
+) -> list[NDArray[np.float32]]:
+    """(H, W, 3) linear pictures of obj alone under a neutral dome; cameras in its surface frame. One render each."""
+    with TemporaryScene() as temporary:
+        configure_cycles(temporary.scene, samples)
+        stage = isolate_object(temporary, obj, metres_per_unit, frame, view_layer=view_layer)
+        add_dome(temporary.scene)
+        camera_object = add_camera(temporary)
+        temporary.scene.render.use_persistent_data = len(cameras) > 1
+        pictures = []
+        for camera in cameras:
+            set_camera(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
+            pictures.append(np.ascontiguousarray(render_passes(temporary)["Combined"][..., :3]))
+    return pictures
+
+
+def add_dome(scene: Any) -> None:
+    """An even white world."""
+    import bpy
+
+    world = bpy.data.worlds.new("hnf dome")
+    compat.switch_nodes_on(world)
+    background = next(node for node in world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    background.inputs["Strength"].default_value = DOME_STRENGTH
+    scene.world = world
+
+
+def is_lit(scene: Any) -> bool:
+    """Is there a lamp, a world that is not black, or a material that glows?"""
+    return (
+        _count_lamps(scene) > 0
+        or (scene.world is not None and _is_emissive(scene.world))
+        or _has_emissive_material(scene)
+    )
+
+
+def _count_lamps(scene: Any) -> int:
+    """That are on."""
+    return sum(obj.type == "LIGHT" and not obj.hide_render and obj.data.energy > 0.0 for obj in scene.objects)
+
+
+def _has_emissive_material(scene: Any) -> bool:
+    """Whether a material does."""
+    slots = (slot for obj in scene.objects if not obj.hide_render for slot in obj.material_slots)
+    return any(slot.material is not None and _is_emissive(slot.material) for slot in slots)
+
+
+def _is_emissive(datablock: Any) -> bool:
+    if not compat.use_nodes(datablock):
+        return bool(datablock.id_type == "WORLD" and max(datablock.color) > 0.0)
+    return any(_is_emissive_node(node) for node in datablock.node_tree.nodes)
+
+
+def _is_emissive_node(node: Any) -> bool:
+    if node.bl_idname in {"ShaderNodeEmission", "ShaderNodeBackground"}:
+        colour, strength = node.inputs["Color"], node.inputs["Strength"]
+    elif node.bl_idname == "ShaderNodeBsdfPrincipled":
+        colour, strength = node.inputs["Emission Color"], node.inputs["Emission Strength"]
+    else:
+        return False
+    bright = colour.is_linked or max(list(colour.default_value)[:3]) > 0.0
+    return bool(bright and (strength.is_linked or strength.default_value > 0.0))
+
+
+def _copy_resolution(scene: Any, target: Any) -> None:
+    for name in ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y"):
+        setattr(target.render, name, getattr(scene.render, name))
+
+
+def _get_frame(scene: Any, frame: float | None) -> float:
+    return float(scene.frame_current_final) if frame is None else frame
+
+
+def _configure_quick_render(scene: Any, relief: bool) -> None:
+    """Few bounces, and Open Image Denoise where this build has it: without it the render would fail, or stay noisy."""
+    cycles = scene.cycles
+    cycles.max_bounces = min(cycles.max_bounces, MAX_BOUNCES)
+    cycles.caustics_reflective = cycles.caustics_refractive = False
+    if not compat.has_denoiser():
+        return
+    cycles.use_denoising = True
+    with (
+        suppress_output()
+    ):  # naming one makes Cycles look for graphics cards, and say on standard output that there are none
+        cycles.denoiser = "OPENIMAGEDENOISE"
+    # Of so few samples albedo and normal are as noisy as the colour: they only help once they are denoised themselves,
+    # and well, which takes longer than the colour does.
+    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if relief else "RGB"
+    cycles.denoising_prefilter = "ACCURATE" if relief else "FAST"
+    if hasattr(cycles, "denoising_quality"):
+        cycles.denoising_quality = "FAST"
+
+
+VISIBILITY_FLAGS = (
+    "hide_render", "visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission",
+    "visible_volume_scatter", "visible_shadow", "is_holdout", "is_shadow_catcher",
+)  # fmt: skip
+SCATTER_MODIFIERS = frozenset({"NODES", "PARTICLE_SYSTEM"})
+"""Modifiers that may show what is in no mesh of the object's own."""
+
+
+class RenderHashes:
+    """Of the pictures of one scene as it is now; each object is looked at once.
+
+    Files of images count by size and time of change: what stands around may have many, and a picture is soon drawn.
+
+    source: hash of the file, which stands in for what is not looked at: scattered copies, hair, what has no faces.
+    """
+
+    def __init__(self, scene: Any, depsgraph: Any, metres_per_unit: float, source: str = "") -> None:
+        self._scene, self._depsgraph, self._metres, self._source = scene, depsgraph, metres_per_unit, source
+        self._lighting_hash = ""
+        self._objects: dict[int, str] = {}
+        self._materials: dict[int, str] = {}
+
+    def hash_view(self, camera: Camera, objects: Iterable[Any], *extra: str) -> str:
+        """Of a view by camera of these objects. words: what else is drawn."""
+        if not self._lighting_hash:
+            self._lighting_hash = content_hash(*_iter_lighting_values(self._scene, self._depsgraph))
+        view = (
+            camera.kind, camera.width, camera.height, camera.intrinsics.tolist(), camera.pose.tolist(),
+            camera.clip_start, camera.clip_end,
+        )  # fmt: skip
+        return content_hash(repr(view), self._lighting_hash, *sorted(map(self._hash_object, objects)), *extra)
+
+    def _hash_object(self, obj: Any) -> str:
+        key = obj.as_pointer()
+        if key not in self._objects:
+            self._objects[key] = content_hash(*self._iter_object_values(obj))
+        return self._objects[key]
+
+    def _iter_object_values(self, obj: Any) -> Iterator[str]:
+        yield _format_world_matrix(obj, self._depsgraph)
+        yield repr([getattr(obj, name) for name in VISIBILITY_FLAGS])
+        yield repr([(each.show_render, getattr(each, "render_levels", 0)) for each in obj.modifiers])
+        if obj.instance_type != "NONE" or any(each.type in SCATTER_MODIFIERS for each in obj.modifiers):
+            yield self._source
+        try:
+            materials = get_slot_materials(obj, self._depsgraph)
+            reads = find_shader_inputs(obj, materials)
+            yield hash_mesh(obj, self._depsgraph, self._metres, reads.layers)
+        except HnfError:
+            yield self._source
+            return
+        yield format_object_inputs(obj, self._scene.view_layers[0], materials, reads)
+        yield from map(self._hash_material, materials)
+
+    def _hash_material(self, material: Any) -> str:
+        if material is None:
+            return ""
+        key = material.as_pointer()
+        if key not in self._materials:
+            self._materials[key] = hash_material(material, self._scene.frame_current, fingerprint_file)
+        return self._materials[key]
+
+
+def _iter_lighting_values(scene: Any, depsgraph: Any) -> Iterator[str]:
+    """What lights the scene."""
+    frame, world = scene.frame_current, scene.world
+    for lamp in (obj for obj in scene.objects if obj.type == "LIGHT"):
+        data = lamp.data
+        yield _format_world_matrix(lamp, depsgraph)
+        yield repr([getattr(lamp, name) for name in VISIBILITY_FLAGS])
+        yield data.type + format_settings(data) + format_settings(getattr(data, "cycles", None))
+        yield hash_node_tree(data.node_tree if getattr(data, "use_nodes", True) else None, frame, fingerprint_file)
+    if world is not None:
+        yield format_settings(world) + format_settings(getattr(world, "cycles", None))
+        yield hash_node_tree(world.node_tree if compat.use_nodes(world) else None, frame, fingerprint_file)
+
+
+def _format_world_matrix(obj: Any, depsgraph: Any) -> str:
+    return repr([list(row) for row in obj.evaluated_get(depsgraph).matrix_world])

@@ -1,0 +1,151 @@
+"""Tokens on the mesh: an INT attribute of palette indices, FLOAT companions, and the table in an ID property.
+
+Everything lives in the mesh datablock, so it survives save, reload, append and copies, also without the add-on.
+
+Colours that lie on a mesh's own points, and a material that shows them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.errors import SceneError
+from hnf_core.material.palette import Palette
+
+from ... import compat
+from .id_properties import set_property
+
+TOKEN_ATTRIBUTE = "hnf_token"
+ROUGHNESS_ATTRIBUTE = "hnf_roughness"
+CONFIDENCE_ATTRIBUTE = "hnf_confidence"
+PALETTE_PROPERTY = "hnf_palette"
+SOURCE_PROPERTY = "hnf_source"
+SCHEMA_PROPERTY = "hnf_schema"
+SCHEMA = 1
+UNBAKED = -1
+
+
+@dataclass(frozen=True)
+class PointTokens:
+    """The same of the splats that a mesh was made from: index (N,) int32, confidence (N,) float32."""
+
+    index: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class FaceTokens:
+    """What one mesh carries. index: (F,) int32 into palette, UNBAKED where nothing was touched.
+    roughness: (F,) float32 metres RMS; confidence: (F,) float32. source: hash of what it was baked from. points: for
+    the splats of a reconstructed surface, None where there are none; they are kept there (bridge.splat_cloud)."""
+
+    palette: Palette
+    index: NDArray[np.int32]
+    roughness: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    source: str
+    points: PointTokens | None = None
+
+
+def write_tokens(mesh: Any, tokens: FaceTokens) -> None:
+    """Store tokens on mesh. Raises SceneError for a linked mesh, Edit Mode, or a face count that does not fit."""
+    _check_writable(mesh)
+    count = len(mesh.polygons)
+    if not len(tokens.index) == len(tokens.roughness) == len(tokens.confidence) == count:
+        raise SceneError(f"it has {count} faces, the bake has {len(tokens.index)}.", where=f"mesh '{mesh.name}'")
+    _write_attribute(mesh, TOKEN_ATTRIBUTE, "INT", np.ascontiguousarray(tokens.index, dtype=np.int32))
+    _write_attribute(mesh, ROUGHNESS_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.roughness, dtype=np.float32))
+    _write_attribute(mesh, CONFIDENCE_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.confidence, dtype=np.float32))
+    set_property(mesh, PALETTE_PROPERTY, tokens.palette.to_bytes())
+    set_property(mesh, SOURCE_PROPERTY, tokens.source)
+    set_property(mesh, SCHEMA_PROPERTY, SCHEMA)
+
+
+def read_tokens(mesh: Any) -> FaceTokens | None:
+    """What write_tokens stored; None where the mesh carries nothing (or another schema's data), and in Edit Mode, where
+    Blender shows no attribute's values."""
+    if (
+        mesh.is_editmode
+        or mesh.get(SCHEMA_PROPERTY) != SCHEMA
+        or any(
+            mesh.attributes.get(name) is None for name in (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)
+        )
+    ):
+        return None
+    return FaceTokens(
+        palette=Palette.from_bytes(bytes(mesh[PALETTE_PROPERTY])),
+        index=_read_attribute(mesh, TOKEN_ATTRIBUTE, np.int32),
+        roughness=_read_attribute(mesh, ROUGHNESS_ATTRIBUTE, np.float32),
+        confidence=_read_attribute(mesh, CONFIDENCE_ATTRIBUTE, np.float32),
+        source=str(mesh[SOURCE_PROPERTY]),
+    )
+
+
+def count_token_bytes(mesh: Any) -> int:
+    """How much write_tokens left on mesh."""
+    names = (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)
+    attributes = sum(4 * len(mesh.polygons) for name in names if name in mesh.attributes)
+    palette = mesh.get(PALETTE_PROPERTY)
+    return attributes + (len(palette) if isinstance(palette, bytes) else 0)
+
+
+def remove_tokens(mesh: Any) -> int:
+    """Take off mesh what write_tokens left; returns the bytes freed. Raises SceneError as write_tokens does."""
+    _check_writable(mesh)
+    freed = count_token_bytes(mesh)
+    for name in (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE):
+        attribute = mesh.attributes.get(name)
+        if attribute is not None:
+            mesh.attributes.remove(attribute)
+    for name in (PALETTE_PROPERTY, SOURCE_PROPERTY, SCHEMA_PROPERTY):
+        if name in mesh:
+            del mesh[name]
+    return freed
+
+
+def _check_writable(mesh: Any) -> None:
+    if mesh.library is not None:
+        raise SceneError(
+            f"its mesh is linked from {mesh.library.filepath} and cannot be written.",
+            where=f"mesh '{mesh.name}'",
+            remedy="Make it local (Object > Relations > Make Local) to keep tokens on it; the signals are unharmed.",
+        )
+    if mesh.is_editmode:
+        raise SceneError("it is in Edit Mode.", where=f"mesh '{mesh.name}'", remedy="Leave Edit Mode and bake again.")
+
+
+def _write_attribute(mesh: Any, name: str, kind: str, values: NDArray[Any]) -> None:
+    attribute = mesh.attributes.get(name)
+    if attribute is not None and (attribute.data_type != kind or attribute.domain != "FACE"):
+        mesh.attributes.remove(attribute)
+        attribute = None
+    if attribute is None:
+        mesh.attributes.new(name, kind, "FACE")
+    mesh.attributes[name].data.foreach_set("value", values)  # fetched anew: new() invalidates earlier references
+
+
+def _read_attribute(mesh: Any, name: str, dtype: type) -> NDArray[Any]:
+    values: NDArray[Any] = np.empty(len(mesh.polygons), dtype=dtype)
+    mesh.attributes[name].data.foreach_get("value", values)
+    return values
+
+
+def show_vertex_colours(obj: Any) -> None:
+    """A scan's colours lie on its points, and its file names no material: give it one that shows them. Nothing happens
+    to what is no mesh, has a material, or has no colours."""
+    import bpy
+
+    if obj.type != "MESH" or obj.data.materials or not obj.data.color_attributes:
+        return
+    material = bpy.data.materials.new(obj.name)
+    compat.switch_nodes_on(material)
+    tree = material.node_tree
+    painted = tree.nodes.new("ShaderNodeVertexColor")
+    painted.layer_name = obj.data.color_attributes[0].name
+    shader = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    tree.links.new(painted.outputs["Color"], shader.inputs["Base Color"])
+    obj.data.materials.append(material)

@@ -1,0 +1,216 @@
+"""Content hashes of shaders: equal hash, equal close-up. Names, layout and selection do not count, and the same file
+gives the same hash in every Blender."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from hnf_core.files import content_hash
+
+from ... import compat
+from .images import hash_image, read_file_bytes
+
+COSMETIC_PROPERTIES = frozenset({
+    "name", "label", "location", "location_absolute", "width", "height", "select", "color", "use_custom_color",
+    "show_options", "show_preview", "show_texture", "hide", "parent", "dimensions", "is_active_output", "rna_type",
+    "warning_propagation", "color_tag", "is_active_preview", "subsurface_method", "falloff",
+})  # fmt: skip
+"""Node properties that say how a node looks in the editor, or how light is scattered below the surface (close-ups are
+unlit), not what it computes. Blender 5.2 calls the old scattering by another name."""
+
+NEUTRAL_VALUES: dict[str, dict[str, object]] = {
+    "ShaderNodeBsdfPrincipled": {"Diffuse Roughness": 0.0, "Thin Wall": False},
+    "ShaderNodeBsdfGlass": {"Thin Film Thickness": 0.0, "Thin Film IOR": 1.33},
+    "ShaderNodeBsdfMetallic": {"Thin Film Thickness": 0.0, "Thin Film IOR": 1.33},
+    "ShaderNodeBump": {"Filter Width": 1.0},
+    "ShaderNodeVolumeScatter": {
+        "phase": "HENYEY_GREENSTEIN",
+        "IOR": 1.33,
+        "Backscatter": 0.1,
+        "Alpha": 0.5,
+        "Diameter": 20.0,
+    },
+    "ShaderNodeNormalMap": {"base": "DISPLACED", "convention": "OPENGL"},
+}
+"""Sockets and properties that came after Blender 4.2, by type of node, with the value that computes what versions
+without them compute. At that value they do not count."""
+
+CURVE_SETTINGS = (
+    "extend", "tone", "use_clip", "clip_min_x", "clip_min_y", "clip_max_x", "clip_max_y", "black_level", "white_level",
+)  # fmt: skip
+TEXTURE_MAPPING = (
+    "vector_type", "translation", "rotation", "scale", "mapping", "mapping_x", "mapping_y", "mapping_z", "use_min",
+    "use_max", "min", "max",
+)  # fmt: skip
+
+OUTPUT_NODES = ("ShaderNodeOutputMaterial", "ShaderNodeOutputWorld", "ShaderNodeOutputLight", "NodeGroupOutput")
+
+FileReader = Callable[[Path], bytes | str]
+ImageHash = Callable[[Any, Any], str]
+"""(image, its user in a node) → hash."""
+
+FLOAT32_TOLERANCE = 1e-6
+"""Blender keeps such values as float32."""
+
+
+def hash_material(material: Any, frame: int = 1, read_file: FileReader = read_file_bytes) -> str:
+    """Hash of everything a material's node tree computes, images' pixels included; "" for no material.
+
+    frame: of the scene, which says what image sequences show; all other values are as they stand now. The file's
+    working colour space counts: greys of colours and values of pictures follow from it. What feeds only the viewport
+    (preview, line art) does not count, nor what is another object's or the mesh's (see owner.py).
+    of_file: what of an image's file counts.
+    """
+    if material is None:
+        return ""
+    if not compat.use_nodes(material):
+        plain = (material.diffuse_color, material.roughness, material.metallic)
+        return content_hash("plain", repr([list(plain[0]), plain[1], plain[2]]))
+    method = getattr(material, "displacement_method", "")
+    return content_hash(
+        "nodes",
+        method,
+        *_iter_tree_values(material.node_tree, set(), _make_image_hash(frame, read_file)),
+        *_describe_working_space(),
+    )
+
+
+def format_settings(block: Any) -> str:
+    """Every number, word and switch that a datablock or a group of properties has of its own, without what all
+    datablocks have, and without its nodes; "" for None."""
+    import bpy
+
+    if block is None:
+        return ""
+    common = {"rna_type", "name", "use_nodes", *bpy.types.ID.bl_rna.properties.keys()}
+    found = [
+        (prop.identifier, _to_plain_value(getattr(block, prop.identifier)))
+        for prop in block.bl_rna.properties
+        if prop.type not in {"POINTER", "COLLECTION"} and not prop.is_readonly and prop.identifier not in common
+    ]
+    return repr(sorted(found))
+
+
+def hash_node_tree(tree: Any, frame: int = 1, read_file: FileReader = read_file_bytes) -> str:
+    """As material_hash, of the node tree of a world or a light; "" for None."""
+    if tree is None:
+        return ""
+    return content_hash(
+        "tree", *_iter_tree_values(tree, set(), _make_image_hash(frame, read_file)), *_describe_working_space()
+    )
+
+
+def _make_image_hash(frame: int, read_file: FileReader) -> ImageHash:
+    return lambda image, user: hash_image(image, user, frame, read_file)
+
+
+def _describe_working_space() -> Iterator[str]:
+    """Nothing for the usual one: a file has the same hash in Blenders that know no other."""
+    yield from filter(None, [compat.working_space()])
+
+
+def _iter_tree_values(tree: Any, visited: set[str], image_hash: ImageHash) -> Iterator[str]:
+    """Nodes in the order of their names (names give links their ends), then links."""
+    if tree.name_full in visited:
+        return
+    visited.add(tree.name_full)
+    if tree.animation_data is not None and tree.animation_data.drivers:
+        yield repr([(driver.data_path, driver.driver.expression) for driver in tree.animation_data.drivers])
+    yield from _iter_active_outputs(tree)
+    for node in sorted(tree.nodes, key=lambda node: node.name):
+        if node.bl_idname == "NodeFrame":
+            continue
+        yield node.name
+        yield node.bl_idname
+        yield repr(sorted(_iter_simple_properties(node)))
+        yield repr(list(_iter_socket_values(node)))
+        if node.bl_idname.startswith(("ShaderNodeValue", "ShaderNodeRGB")) or node.bl_idname == "ShaderNodeNormal":
+            yield repr([_read_socket_value(socket) for socket in node.outputs])
+        yield from _iter_special_values(node, visited, image_hash)
+    yield from sorted(
+        f"{link.from_node.name}|{link.from_socket.identifier}|{link.to_node.name}|{link.to_socket.identifier}"
+        for link in tree.links
+        if not link.is_muted
+    )
+
+
+def _iter_simple_properties(node: Any) -> Iterator[tuple[str, str]]:
+    neutral = NEUTRAL_VALUES.get(node.bl_idname, {})
+    for prop in node.bl_rna.properties:
+        # bl_…: of the type, not of this node; descriptions and sizes of theirs differ between versions.
+        if (
+            prop.identifier in COSMETIC_PROPERTIES
+            or prop.identifier.startswith("bl_")
+            or prop.type in {"POINTER", "COLLECTION"}
+        ):
+            continue
+        if prop.is_readonly and prop.identifier != "mute":
+            continue
+        value = getattr(node, prop.identifier)
+        if prop.identifier in neutral and value == neutral[prop.identifier]:
+            continue
+        yield prop.identifier, repr(list(value) if getattr(prop, "is_array", False) else value)
+
+
+def _iter_socket_values(node: Any) -> Iterator[tuple[str, object]]:
+    """By identifier, in their order: later versions have more of them."""
+    neutral = NEUTRAL_VALUES.get(node.bl_idname, {})
+    for socket in node.inputs:
+        value, name = _read_socket_value(socket), str(socket.identifier)
+        usual = neutral.get(name)
+        if isinstance(usual, float) and isinstance(value, float):
+            usual = value if abs(value - usual) < FLOAT32_TOLERANCE else usual
+        if name not in neutral or socket.is_linked or value != usual:
+            yield name, value
+
+
+def _read_socket_value(socket: Any) -> object:
+    value = getattr(socket, "default_value", None)
+    if value is None or isinstance(value, (int, float, str, bool)):
+        return value
+    try:
+        return [float(part) for part in value]
+    except TypeError:  # an object, image or collection socket
+        return getattr(value, "name_full", repr(value))
+
+
+def _iter_special_values(node: Any, visited: set[str], image_hash: ImageHash) -> Iterator[str]:
+    image = getattr(node, "image", None)
+    if image is not None:
+        yield image_hash(image, getattr(node, "image_user", None))
+    ramp = getattr(node, "color_ramp", None)
+    if ramp is not None:
+        kinds = (ramp.interpolation, ramp.color_mode, ramp.hue_interpolation)
+        yield repr((*kinds, [(e.position, list(e.color)) for e in ramp.elements]))
+    mapping = getattr(node, "mapping", None)
+    if mapping is not None and hasattr(mapping, "curves"):
+        yield repr([[(list(point.location), point.handle_type) for point in curve.points] for curve in mapping.curves])
+        yield repr([_to_plain_value(getattr(mapping, name)) for name in CURVE_SETTINGS])
+    texture = getattr(node, "texture_mapping", None)
+    if texture is not None:
+        yield repr([_to_plain_value(getattr(texture, name)) for name in TEXTURE_MAPPING])
+    for name in ("script", "ies"):
+        text = getattr(node, name, None)
+        if text is not None:
+            yield str(text.as_string())
+    target = getattr(node, "object", None)
+    if target is not None:
+        yield repr([list(row) for row in target.matrix_world])
+    group = getattr(node, "node_tree", None)
+    if group is not None:
+        yield group.name_full
+        yield from _iter_tree_values(group, visited, image_hash)
+
+
+def _iter_active_outputs(tree: Any) -> Iterator[str]:
+    """Where a tree has several outputs of one kind: the one that counts."""
+    for kind in OUTPUT_NODES:
+        outputs = [node for node in tree.nodes if node.bl_idname == kind]
+        if len(outputs) > 1:
+            yield repr(sorted(node.name for node in outputs if node.is_active_output))
+
+
+def _to_plain_value(value: Any) -> object:
+    return value if isinstance(value, (bool, int, float, str)) or not hasattr(value, "__len__") else list(value)

@@ -1,0 +1,483 @@
+"""A Curve object's spline as an exact curve in object coordinates.
+
+The visible mesh that a stroke lies on.
+
+Stroke objects of a scene → samples of a touch in the surface frame, at the action rate.
+
+Where a stroke's hand is and how hard it presses at each time, without looking at the surface: for what is drawn
+in the viewport, and for fitting one stroke's force to another's time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.action import ACTION_RATE_HZ
+from hnf_core.action.contacts import DeformingMesh, StrokeSamples, find_nearest_on_triangles
+from hnf_core.action.curves import (
+    ArcCurve,
+    PiecewiseBezier,
+    build_arc_curve,
+    make_bezier_curve,
+    make_nurbs_curve,
+    make_poly_curve,
+    require_single_spline,
+)
+from hnf_core.action.motion_profile import (
+    MotionProfile,
+    check_motion,
+    clamp_force,
+    clamp_progress,
+    compute_speed_for_duration,
+    compute_travel_time,
+    make_motion_at_speed,
+    make_motion_from_progress,
+    make_time_grid,
+)
+from hnf_core.errors import HnfError, SceneError, StrokeError
+from hnf_core.files import content_hash
+from hnf_core.scene.mesh import TriangleMesh
+from hnf_core.units import mm_to_m, seconds_to_frame
+
+from ... import compat
+from ...props.scene_settings import find_index
+from ...props.stroke_settings import FORCE_MAX_N
+from ..scene.bounding_boxes import filter_visible, get_world_boxes, is_visible
+from ..scene.meshes import Surface, compute_surface_frame, evaluated_mesh, read_surface
+from ..scene.scene_names import get_scene_name
+from .animation import (
+    Channel,
+    is_moving,
+    may_deform,
+    read_channel,
+    sample_channels,
+    sample_shapes,
+    sample_world_matrices,
+)
+
+Float = NDArray[np.float64]
+
+POINT_MOVING_MODIFIERS = {
+    *("ARMATURE", "CAST", "CURVE", "HOOK", "LATTICE", "MESH_DEFORM"),
+    *("SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH", "WARP", "WAVE"),
+}
+"""Modifiers that put the drawn points elsewhere; bevels and other solid looks leave the path as it is."""
+
+
+def read_curve(obj: Any) -> PiecewiseBezier:
+    """The one spline of a Curve object, in object coordinates (Blender units).
+
+    Raises StrokeError naming the stroke: not a curve, no or several splines, broken points, or points that shape
+    keys, keyframes or modifiers move.
+    """
+    where = f"stroke '{obj.name}'"
+    if obj.type != "CURVE":
+        raise StrokeError(
+            f"it is a {obj.type.lower()} object.",
+            where=where,
+            remedy="Convert it to a curve (Object > Convert > Curve).",
+        )
+    _refuse_moved_points(obj, where)
+    try:
+        return require_single_spline(
+            [_read_spline(spline) for spline in obj.data.splines if _count_points(spline)], where=where
+        )
+    except HnfError as error:
+        if error.where:
+            raise
+        raise StrokeError(error.what, where=where, remedy=error.remedy) from error
+
+
+def _count_points(spline: Any) -> int:
+    return len(spline.bezier_points) if spline.type == "BEZIER" else len(spline.points)
+
+
+def _read_spline(spline: Any) -> PiecewiseBezier:
+    cyclic = bool(spline.use_cyclic_u)
+    if spline.type == "BEZIER":
+        points = spline.bezier_points
+        knots = [_read_points(points, name, 3) for name in ("co", "handle_left", "handle_right")]
+        return make_bezier_curve(*knots, cyclic=cyclic)
+    points = _read_points(spline.points, "co", 4)
+    if spline.type == "NURBS":
+        return make_nurbs_curve(
+            points[:, :3],
+            points[:, 3],
+            spline.order_u,
+            cyclic=cyclic,
+            endpoint=bool(spline.use_endpoint_u),
+            bezier=bool(spline.use_bezier_u),
+        )
+    return make_poly_curve(points[:, :3], cyclic=cyclic)
+
+
+def _read_points(points: Any, name: str, width: int) -> Float:
+    values = np.empty(len(points) * width, dtype=np.float32)
+    points.foreach_get(name, values)
+    return values.reshape(-1, width).astype(np.float64)
+
+
+def _refuse_moved_points(obj: Any, where: str) -> None:
+    modifier = next((m for m in obj.modifiers if m.show_viewport and m.type in POINT_MOVING_MODIFIERS), None)
+    if modifier is not None:
+        what, remedy = f"its modifier '{modifier.name}' moves the drawn points.", "Apply the modifier or remove it."
+    elif obj.data.shape_keys is not None:
+        what, remedy = "its curve has shape keys.", "Remove them, or apply the mix."
+    elif any(fcurve.data_path.startswith("splines") for fcurve in compat.fcurves_of(obj.data)):
+        what, remedy = "its curve points are keyframed.", "Delete those keyframes; move the object instead."
+    else:
+        return
+    raise StrokeError(what, where=where, remedy=remedy)
+
+
+MAX_COUNTED_DISTANCE_M = 20e-3
+"""Distances count up to here, so that a stretch off the surface does not pull the choice to another object."""
+BOX_CHUNK = 256
+"""Boxes whose distances are computed at once: bounds memory."""
+
+
+def find_nearest_surface(
+    points: Float,
+    scene: Any,
+    depsgraph: Any,
+    surfaces: Callable[[Any], Surface],
+    metres_per_unit: float,
+    *,
+    where: str,
+    ignore: Any = None,
+) -> Any:
+    """The visible mesh object nearest on average to world points (n, 3) (Blender units).
+
+    Objects are looked at in the order of their bounding boxes' distances, and only until no box can be nearer.
+    Raises StrokeError where the scene shows no mesh.
+    """
+    meshes = filter_visible(
+        (obj for obj in scene.objects if obj.type == "MESH" and obj != ignore), depsgraph.view_layer
+    )
+    if len(meshes) == 1 and len(meshes[0].evaluated_get(depsgraph).data.polygons):
+        return meshes[0]  # nothing to compare with
+    best, chosen = np.inf, None
+    metres = points * metres_per_unit
+    bounds = _bound_box_distances(metres, *get_world_boxes(meshes, depsgraph, metres_per_unit)).tolist()
+    for box, obj in sorted(zip(bounds, meshes, strict=True), key=lambda pair: (pair[0], pair[1].name)):
+        if box > best:
+            break
+        try:
+            surface = surfaces(obj)
+        except SceneError:
+            continue  # a mesh without faces is no surface
+        local = (metres - surface.rigid[:3, 3]) @ surface.rigid[:3, :3]
+        distance = float(
+            _mean_capped_distance(find_nearest_on_triangles(local, surface.mesh.corner_positions()).distance)
+        )
+        if distance < best:
+            best, chosen = distance, obj
+    if chosen is None:
+        raise StrokeError("there is no visible mesh to touch.", where=where, remedy="Show the object it lies on.")
+    return chosen
+
+
+def _mean_capped_distance(distance: Float) -> Float:
+    """Over the last axis."""
+    # A last digit of the far distances keeps the nearest of several far objects.
+    return np.asarray(np.mean(np.minimum(distance, MAX_COUNTED_DISTANCE_M) + 1e-6 * distance, axis=-1))
+
+
+def _bound_box_distances(points: Float, low: Float, high: Float) -> Float:
+    """(n,) lower bounds on the mean distance of points (k, 3) to what lies in boxes (n, 3), (n, 3)."""
+    bounds = np.empty(len(low))
+    for start in range(0, len(low), BOX_CHUNK):
+        part = slice(start, start + BOX_CHUNK)
+        outside = np.maximum(np.maximum(low[part, None] - points, points - high[part, None]), 0.0)
+        bounds[part] = _mean_capped_distance(np.linalg.norm(outside, axis=-1))
+    return bounds
+
+
+SurfaceGetter = Callable[[Any], Surface]
+
+MOTION_TOLERANCE = 2e-7
+"""Blender's matrices are float32: a relative motion below this share of the coordinates is rounding."""
+
+HASH_STEP, HASH_OFFSET = 1e-7, 0.381966
+"""In m, m/s, s and N: a tenth of a micrometre, less than a finger, a pen or a key can be moved by."""
+
+
+@dataclass(frozen=True)
+class SceneStroke:
+    """One stroke, ready to touch.
+
+    name, object_name: of the curve object and the surface, as name_in says them. samples: in the surface frame (m).
+    deforming: the surface's shapes while it is touched, None where it keeps its shape. frames: (n,) scene frame of
+    each sample. length_m: of the curve. law: what moved the hand. seed, probe: as set. material: library material that
+    overrides the surface's, "" = none. notes: what a person should know.
+    """
+
+    name: str
+    object_name: str
+    samples: StrokeSamples
+    deforming: DeformingMesh | None
+    frames: Float
+    length_m: float
+    motion_profile: str
+    seed: int
+    probe: str
+    material: str
+    notes: tuple[str, ...] = ()
+
+    def get_surface(self, mesh: TriangleMesh) -> TriangleMesh | DeformingMesh:
+        """What find_contacts takes: the deforming shapes, or the mesh (of surface_mesh) as it is."""
+        return mesh if self.deforming is None else self.deforming
+
+
+def list_strokes(scene: Any) -> list[Any]:
+    """The scene's strokes that are not muted, by name."""
+    strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke and not obj.hnf_stroke.mute]
+    return sorted(strokes, key=lambda obj: str(obj.name))
+
+
+def read_stroke(
+    obj: Any,
+    scene: Any,
+    depsgraph: Any,
+    metres_per_unit: float,
+    *,
+    surfaces: SurfaceGetter | None = None,
+    rate: float = ACTION_RATE_HZ,
+) -> SceneStroke:
+    """Sample a stroke object at rate [Hz].
+
+    surfaces: object → Surface, for a caller that keeps them. Raises StrokeError naming the stroke (curve, keyframes,
+    time) and SceneError naming the surface (hidden, nothing to touch, simulated).
+    """
+    group = obj.hnf_stroke
+    where = f"stroke '{obj.name}'"
+    surfaces = surfaces or (lambda touched: read_surface(touched, depsgraph, metres_per_unit))
+    curve = read_curve(obj)
+    target = _find_surface_object(obj, scene, depsgraph, curve, surfaces, metres_per_unit, where)
+    with evaluated_mesh(target.evaluated_get(depsgraph), depsgraph):
+        pass  # there is something to touch; its triangles are needed only where it deforms
+    fps, base = float(scene.render.fps), float(scene.render.fps_base)
+    start = float(group.start)
+
+    moving = is_moving(obj) or is_moving(target)
+    place = _sample_placements(obj, target, scene, depsgraph, np.array([start]), metres_per_unit, moving)[0]
+    arc = build_arc_curve(curve.transform(place))
+    force_channel, progress_channel = (read_channel(obj, name, scene) for name in ("force", "progress"))
+    law, duration = choose_motion_profile(
+        group, arc.length, (force_channel, progress_channel), start, base / fps, where
+    )
+    time = make_time_grid(duration, rate, where=where)
+    frames = np.array([seconds_to_frame(float(t), start, fps, base) for t in time])
+    force, progress = sample_channels(obj, scene, (force_channel, progress_channel), frames)
+    keyed, force = force, clamp_force(force, frames, where=where, max_force=FORCE_MAX_N)
+    motion = compute_motion(group, law, clamp_progress(progress, frames, where=where), time, arc.length, rate)
+    check_motion(motion, where=where)
+    placements = _sample_placements(obj, target, scene, depsgraph, frames, metres_per_unit, moving) if moving else None
+    samples = _make_samples(curve, arc, placements, time, motion, force)
+    deforming = None
+    if may_deform(target):
+        whole = np.arange(np.floor(frames[0]), np.ceil(frames[-1]) + 1.0)
+        seconds = (whole - start) * base / fps
+        deforming = sample_shapes(target, scene, surfaces(target).mesh, whole, seconds, metres_per_unit)
+    notes: tuple[str, ...] = ()
+    if keyed.max() > FORCE_MAX_N * 1.001:
+        notes = (f"{where}: its force curve reaches {keyed.max():.3g} N and is held at {FORCE_MAX_N:g} N.",)
+    if law == "PROGRESS" and group.law != "PROGRESS":
+        notes += (f"{where}: progress is keyed, so its {group.law.lower()} timing is not used.",)
+    return SceneStroke(
+        name=get_scene_name(scene, obj),
+        object_name=get_scene_name(scene, target),
+        samples=samples,
+        deforming=deforming,
+        frames=frames,
+        length_m=arc.length,
+        motion_profile=law,
+        seed=int(group.seed),
+        probe=str(group.probe),
+        material=str(group.material),
+        notes=notes,
+    )
+
+
+def to_quantised_bytes(values: NDArray[np.floating[Any]]) -> bytes:
+    """Bytes for a hash that do not know the last bits of a computation, which differ between numpy's versions: counts
+    of HASH_STEP. A change of more than HASH_STEP is always seen."""
+    # Without the offset, round figures such as 0.00000005 would lie where rounding may go either way.
+    counts: NDArray[np.int64] = np.floor(values.astype(np.float64) / HASH_STEP + HASH_OFFSET).astype("<i8")
+    return counts.tobytes()
+
+
+def hash_path(stroke: SceneStroke) -> str:
+    """Hash of where a stroke goes and when, on which object: of all but force, seed, probe and material."""
+    samples = stroke.samples
+    arrays = [samples.time, samples.point, samples.tangent, samples.position, samples.velocity]
+    parts = [to_quantised_bytes(array) for array in arrays]
+    if stroke.deforming is not None:
+        parts += [to_quantised_bytes(stroke.deforming.vertices), to_quantised_bytes(stroke.deforming.time)]
+    return content_hash(stroke.object_name, str(samples.moving), *parts)
+
+
+def hash_touch(stroke: SceneStroke, seed: int) -> str:
+    """Hash of how a stroke presses: force, probe, and the seed it is given."""
+    return content_hash(to_quantised_bytes(stroke.samples.force), str(seed), stroke.probe)
+
+
+def _find_surface_object(
+    obj: Any,
+    scene: Any,
+    depsgraph: Any,
+    curve: PiecewiseBezier,
+    surfaces: SurfaceGetter,
+    metres_per_unit: float,
+    where: str,
+) -> Any:
+    chosen = obj.hnf_stroke.surface
+    if chosen is None:
+        world = np.array(obj.evaluated_get(depsgraph).matrix_world, dtype=np.float64)
+        arc = build_arc_curve(curve.transform(world))
+        points = arc.point_at(np.linspace(0.0, arc.length, 64))
+        return find_nearest_surface(points, scene, depsgraph, surfaces, metres_per_unit, where=where, ignore=obj)
+    if find_index(scene.objects, chosen) < 0:
+        raise SceneError(
+            f"it is not in this scene, and {where} touches it.",
+            where=f"object '{chosen.name}'",
+            remedy="Choose another surface, or link the object to this scene.",
+        )
+    if not is_visible(chosen, depsgraph.view_layer):
+        raise SceneError(
+            f"it is hidden, and {where} touches it.",
+            where=f"object '{chosen.name}'",
+            remedy=f"Show it in the viewport and in renders, or choose another surface for {where}.",
+        )
+    return chosen
+
+
+def _sample_placements(
+    obj: Any, target: Any, scene: Any, depsgraph: Any, frames: Float, metres_per_unit: float, moving: bool
+) -> Float:
+    """(n, 4, 4) surface frame (m) ← curve object coordinates, at frames (n,); (1, 4, 4) as it is now if nothing
+    moves."""
+    if moving:
+        curve_world, target_world = sample_world_matrices(scene, (obj, target), frames)
+    else:
+        curve_world, target_world = (
+            np.array(one.evaluated_get(depsgraph).matrix_world, dtype=np.float64)[None] for one in (obj, target)
+        )
+    placements = np.empty_like(curve_world)
+    for i, (curve, surface) in enumerate(zip(curve_world, target_world, strict=True)):
+        rigid, _ = compute_surface_frame(surface, metres_per_unit, f"object '{target.name}'")
+        metres = curve.copy()
+        metres[:3] *= metres_per_unit
+        turned = rigid[:3, :3].T
+        placements[i] = np.eye(4)
+        placements[i, :3, :3] = turned @ metres[:3, :3]
+        placements[i, :3, 3] = turned @ (metres[:3, 3] - rigid[:3, 3])
+    return np.asarray(placements)
+
+
+def choose_motion_profile(
+    group: Any, length_m: float, channels: tuple[Channel, Channel], start: float, frame_s: float, where: str
+) -> tuple[str, float]:
+    """Which law moves the hand, and how long the stroke lasts [s], from its start to the last thing keyed."""
+    force, progress = channels
+    keyed_until = (max(force.last_frame, progress.last_frame) - start) * frame_s
+    if progress.source != "set":
+        return "PROGRESS", keyed_until
+    if group.law == "DURATION":
+        return "DURATION", max(float(group.duration_s), keyed_until)
+    if group.law == "SPEED" and length_m > 0.0:
+        return "SPEED", max(compute_travel_time(length_m, mm_to_m(float(group.speed_mm_s))), keyed_until)
+    if force.source != "set":
+        return group.law, keyed_until
+    what = "its progress has no keyframes." if length_m > 0.0 else "it has no length, and its force has no keyframes."
+    raise StrokeError(
+        what, where=where, remedy="Key progress or force at two frames, or choose the speed or duration law."
+    )
+
+
+def compute_motion(
+    group: Any, motion_profile: str, progress: Float, time: Float, length_m: float, rate: float
+) -> MotionProfile:
+    if motion_profile == "PROGRESS":
+        return make_motion_from_progress(progress, length_m, rate)
+    if motion_profile == "SPEED":
+        return make_motion_at_speed(time, length_m, mm_to_m(float(group.speed_mm_s)))
+    return make_motion_at_speed(time, length_m, compute_speed_for_duration(length_m, float(group.duration_s)))
+
+
+def _make_samples(
+    curve: PiecewiseBezier, arc: ArcCurve, placements: Float | None, time: Float, motion: MotionProfile, force: Float
+) -> StrokeSamples:
+    point, tangent = arc.point_at(motion.position), arc.tangent_at(motion.position)
+    moving = placements is not None and _has_motion(placements)
+    if placements is not None and moving:
+        first = placements[0]
+        # arc lies where the curve was at the first sample: carry its points by what the placement did since.
+        local = curve.evaluate(*arc.parameter_at(motion.position))[0]
+        point = np.einsum("nxy,ny->nx", placements[:, :3, :3], local) + placements[:, :3, 3]
+        since = np.einsum("nxy,yz->nxz", placements[:, :3, :3], np.linalg.pinv(first[:3, :3]))
+        tangent = np.einsum("nxy,ny->nx", since, tangent)
+        size = np.linalg.norm(tangent, axis=1, keepdims=True)
+        tangent = tangent / np.where(size > 0.0, size, 1.0)
+    return StrokeSamples(time, point, tangent, motion.position, motion.velocity, force, moving)
+
+
+def _has_motion(placements: Float) -> bool:
+    change = np.abs(placements - placements[0]).max()
+    return bool(change > MOTION_TOLERANCE * max(1.0, float(np.abs(placements).max())))
+
+
+TIMELINE_RATE_HZ = 60.0
+
+
+@dataclass(frozen=True)
+class StrokeTimeline:
+    """frames: (n,) scene frames, even. position: (n,) m along the curve as its object stands now. force: (n,) N.
+    arc: the curve in metres, in world axes."""
+
+    frames: Float
+    position: Float
+    force: Float
+    arc: ArcCurve
+
+
+def sample_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = TIMELINE_RATE_HZ) -> StrokeTimeline:
+    """Sample a stroke's motion and force at rate [Hz]. What drivers and the NLA move counts with its present value.
+
+    Raises StrokeError as read_stroke does.
+    """
+    group, where = obj.hnf_stroke, f"stroke '{obj.name}'"
+    world = np.array(obj.matrix_world, dtype=np.float64)
+    world[:3] *= metres_per_unit
+    arc = build_arc_curve(read_curve(obj).transform(world))
+    start, frame_s = float(group.start), float(scene.render.fps_base) / float(scene.render.fps)
+    channels = tuple(_ignore_drivers(read_channel(obj, name, scene)) for name in ("force", "progress"))
+    law, duration = choose_motion_profile(group, arc.length, (channels[0], channels[1]), start, frame_s, where)
+    time = make_time_grid(duration, rate, where=where)
+    frames = start + time / frame_s
+    force, progress = sample_channels(obj, scene, channels, frames)
+    motion = compute_motion(group, law, clamp_progress(progress, frames, where=where), time, arc.length, rate)
+    return StrokeTimeline(frames, motion.position, clamp_force(force, frames, where=where, max_force=FORCE_MAX_N), arc)
+
+
+def get_motion_end(obj: Any, scene: Any, metres_per_unit: float) -> float:
+    """Frame at which the hand stops moving, whatever force does: the last key of progress, or the end of the law."""
+    group, where = obj.hnf_stroke, f"stroke '{obj.name}'"
+    start, frame_s = float(group.start), float(scene.render.fps_base) / float(scene.render.fps)
+    progress = _ignore_drivers(read_channel(obj, "progress", scene))
+    world = np.array(obj.matrix_world, dtype=np.float64)
+    world[:3] *= metres_per_unit
+    length = build_arc_curve(read_curve(obj).transform(world)).length
+    still = Channel("force", "set", -np.inf)
+    return start + choose_motion_profile(group, length, (still, progress), start, frame_s, where)[1] / frame_s
+
+
+def _ignore_drivers(channel: Channel) -> Channel:
+    """A driven channel as if it were set: evaluating drivers needs a scene of its own, which a redraw cannot wait
+    for."""
+    return channel if channel.source != "driven" else Channel(channel.name, "set", channel.last_frame)

@@ -1,0 +1,90 @@
+"""A baked object, and the way of a stroke over it, for exports that bind touch to geometry. Nothing is rendered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.contacts import Contacts, find_contacts
+from hnf_core.errors import UsageError
+from hnf_core.export.touched_surface import UNTOUCHED, StrokePath, TouchedSurface
+
+from ..scene.mesh_attributes import FaceTokens, read_tokens
+from ..scene.meshes import Surface, read_surface
+from ..scene.scene_names import find_object, get_scene_name
+from .read_stroke import read_stroke
+
+
+def read_touched_surface(
+    scene: Any, depsgraph: Any, metres_per_unit: float, *, stroke: Any = None, obj: Any = None
+) -> TouchedSurface:
+    """What stroke (a stroke object) was drawn on, with its way; or obj, with the way where stroke touches just that.
+
+    Raises StrokeError and SceneError where either cannot be read, FileError where the stored palette is damaged.
+    """
+    read = None if stroke is None else read_stroke(stroke, scene, depsgraph, metres_per_unit)
+    target = obj if obj is not None else find_object(scene, read.object_name) if read is not None else None
+    if target is None:
+        raise UsageError("no object to export.", remedy="Name a stroke or an object.")
+    surface = read_surface(target, depsgraph, metres_per_unit)
+    found = _make_touched_surface(surface, read_tokens(target.data) if target.type == "MESH" else None)
+    if read is None or read.object_name != get_scene_name(scene, target):
+        return found
+    contacts = find_contacts(read.samples, read.get_surface(surface.mesh), where=f"stroke '{read.name}'")
+    return replace(found, path=make_stroke_path(contacts))
+
+
+def make_stroke_path(contacts: Contacts) -> StrokePath:
+    """The way travelled over the material, and the triangles that are pressed on the way."""
+    speed = np.linalg.norm(contacts.velocity, axis=1)
+    steps = np.diff(contacts.time) * (speed[1:] + speed[:-1]) / 2.0
+    pressed = contacts.on_surface & (contacts.force > 0.0)
+    return StrokePath(
+        time=contacts.time - contacts.time[0],
+        distance=np.concatenate([[0.0], np.cumsum(steps)]),
+        triangle=np.where(pressed, contacts.triangle, np.int32(UNTOUCHED)).astype(np.int32),
+    )
+
+
+def find_surface_in_scene(
+    scene: Any, depsgraph: Any, metres_per_unit: float, provenance: Mapping[str, str], object_name: str | None
+) -> TouchedSurface:
+    """The surface of a signal that says where it comes from. origin: provenance of its WAV, of which stroke and object
+    count. object_name: as asked for, counts more; None = not. Raises UsageError naming what there is."""
+    stroke = find_object(scene, provenance.get("stroke", ""))
+    if stroke is not None and not stroke.hnf_stroke.is_stroke:
+        stroke = None
+    name = object_name or ("" if stroke is not None else provenance.get("object", ""))
+    target = find_object(scene, name) if name else None
+    if (name and target is None) or (target is None and stroke is None):
+        meshes = [obj.name for obj in scene.objects if obj.type == "MESH" and read_tokens(obj.data) is not None]
+        said = f"there is no object '{name}' in scene '{scene.name}'" if name else "the WAV does not say its object"
+        remedy = f"Name one with --object. Baked: {', '.join(meshes) or 'none; run hnf touch first'}."
+        raise UsageError(f"{said}.", remedy=remedy)
+    return read_touched_surface(scene, depsgraph, metres_per_unit, stroke=stroke, obj=target)
+
+
+def _make_touched_surface(surface: Surface, tokens: FaceTokens | None) -> TouchedSurface:
+    """Faces' tokens on their triangles; faces that a modifier made of none have none."""
+    count = len(surface.mesh.triangles)
+    index = np.full(count, UNTOUCHED, dtype=np.int32)
+    roughness, confidence = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    if tokens is not None and surface.source_face is not None:
+        source = surface.source_face[surface.mesh.face]
+        known: NDArray[np.bool_] = (source >= 0) & (source < len(tokens.index))
+        index[known] = tokens.index[source[known]]
+        roughness[known], confidence[known] = tokens.roughness[source[known]], tokens.confidence[source[known]]
+    return TouchedSurface(
+        name=surface.object_name,
+        mesh=surface.mesh,
+        materials=surface.materials,
+        token=index,
+        roughness=roughness,
+        confidence=confidence,
+        palette=None if tokens is None else tokens.palette,
+        placement=surface.rigid,
+    )

@@ -1,0 +1,270 @@
+"""The one bake that runs: copy, child process, comparison, commit; a tick at a time, none of them long."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hnf_core.errors import FileError, HnfError
+from hnf_core.touch_request import TouchQuery
+
+from ..bridge.scene.scene_names import find_object
+from ..bridge.scene.suppress_output import suppress_output
+from ..bridge.shader.images import check_images_saved
+from ..state.addon_settings import get_cache_folder
+from ..state.job_results import QueryView
+from ..state.session_state import STATE, JobStatus, LastJob
+from ..translations import tr
+from .bake_steps import job_steps, select_strokes
+from .child_job import (
+    ChildJob,
+    ChildProcess,
+    Failed,
+    Finished,
+    Message,
+    Started,
+    Step,
+    make_blender_program,
+    make_job_folder,
+    remove_job_folder,
+)
+from .commit import CommitResult, CommitTarget, commit_steps, find_target_scene, make_commit_target
+from .query_job import load_query_result
+from .request import SCENE_NAME, JobRequest, JobResult, read_result, write_request
+
+PACKAGE = __name__.rpartition(".jobs.")[0]
+TICK_S = 0.02
+"""No new comparison begins in a tick after this; one, of the shape of 100,000 faces, may take twice as long again."""
+BAKE_KILLED_REMEDY = (
+    "Nothing was changed. Bake again: close-ups that were finished are kept. If it happens again, close other "
+)
+BAKE_KILLED_REMEDY += "programs (memory), or hide heavy objects."
+
+
+@dataclass(frozen=True)
+class PreparedJob:
+    """A folder with the order in it, and where the results will belong."""
+
+    folder: Path
+    request: JobRequest
+    target: CommitTarget
+
+
+class BakeJob(ChildJob):
+    """A bake in a child process, or a look at one place (place)."""
+
+    process_name = "The bake's own process"
+    killed_remedy = BAKE_KILLED_REMEDY
+
+    def __init__(self, scene: Any, view_layer: Any, only: Sequence[str] = (), point: TouchQuery | None = None) -> None:
+        """Saves a copy of what is open and starts. Raises HnfError; nothing is left behind then."""
+        self.started = time.monotonic()
+        check_images_saved(_list_named_surfaces(scene, only, point))
+        self._prepared = prepare_job(scene, view_layer, only, point)
+        self._committing: Generator[None, None, CommitResult] | None = None
+        self._result: JobResult | None = None
+        self._started_s: float | None = None
+        try:
+            save_copy(self._prepared.folder / SCENE_NAME)
+            self._child = ChildProcess(self._prepared.folder, make_blender_program(self._prepared.folder))
+        except BaseException:
+            self.clean_up()
+            raise
+        self._update_status(Step("starting", 0, 1))
+
+    @property
+    def folder(self) -> Path:
+        return self._prepared.folder
+
+    @property
+    def is_committing(self) -> bool:
+        """The child has ended its work; what it made is compared and written."""
+        return self._committing is not None
+
+    def _advance(self) -> LastJob | None:
+        return self._commit() if self._committing is not None else self._poll_messages()
+
+    def cancel(self) -> LastJob:
+        """Stop now; nothing is left behind, nothing is changed."""
+        if self._prepared.request.probe_object:
+            return self._finish(LastJob(True, tr("Nothing was examined.")))
+        return self._finish(LastJob(True, tr("Bake cancelled. Nothing was changed; finished close-ups are kept.")))
+
+    def _finish(self, outcome: LastJob) -> LastJob:
+        scene = find_target_scene(self._prepared.target)
+        return super()._finish(outcome._replace(scene=self._prepared.request.scene if scene is None else scene.name))
+
+    def clean_up(self) -> None:
+        if self._child is not None:
+            self._child.kill(on_exit=partial(remove_job_folder, self.folder))  # once more, in case it was writing
+            self._child = None
+        if self._committing is not None:
+            self._committing.close()
+        remove_job_folder(self.folder)
+        STATE.job = None
+
+    def _on_message(self, message: Message, child: ChildProcess) -> LastJob | None:
+        if isinstance(message, Failed):
+            return LastJob(False, message.why, child.last_lines)
+        if isinstance(message, Finished):
+            self._result = read_result(self.folder)
+            if self._result.probed:
+                return describe_query(load_query_result(self.folder))
+            self._committing = commit_steps(self._result, self.folder, self._prepared.target)
+            self._update_status(Step("comparing scene", 0, 1))
+        if isinstance(message, Started):
+            self._started_s = time.monotonic()
+        if isinstance(message, Step):
+            self._update_status(message)
+        return None
+
+    def _commit(self) -> LastJob | None:
+        until = time.monotonic() + TICK_S
+        while self._committing is not None and self._result is not None and time.monotonic() < until:
+            try:
+                next(self._committing)
+            except StopIteration as done:
+                return describe_result(self._result, done.value, time.monotonic() - self.started)
+        return None
+
+    def _update_status(self, step: Step) -> None:
+        now, left = time.monotonic(), None
+        done = step.done + step.share
+        if self._started_s is not None and done > 0.0:
+            left = (now - self._started_s) / done * (step.total - done)
+        STATE.job = JobStatus(step.stage, step.done, step.total, now - self.started, left)
+
+
+def bake_blocking(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> LastJob:
+    """The blocking twin: the same steps in this very process, on the scene itself; equal bytes."""
+    started = time.monotonic()
+    prepared = prepare_job(scene, view_layer, only)
+    try:
+        result = _run_to_end(job_steps(prepared.request, prepared.folder))
+        committed = _run_to_end(commit_steps(result, prepared.folder, prepared.target))
+        STATE.last_job = describe_result(result, committed, time.monotonic() - started)._replace(scene=scene.name)
+        return STATE.last_job
+    except HnfError as error:
+        STATE.last_job = LastJob(False, str(error), scene=scene.name)
+        raise
+    finally:
+        remove_job_folder(prepared.folder)
+
+
+def query_blocking(scene: Any, view_layer: Any, point: TouchQuery) -> LastJob:
+    """Look at a place in this very process. Raises HnfError."""
+    prepared = prepare_job(scene, view_layer, point=point)
+    try:
+        _run_to_end(job_steps(prepared.request, prepared.folder))
+        STATE.last_job = describe_query(load_query_result(prepared.folder))._replace(scene=scene.name)
+        return STATE.last_job
+    finally:
+        remove_job_folder(prepared.folder)
+
+
+def prepare_job(scene: Any, view_layer: Any, only: Sequence[str] = (), point: TouchQuery | None = None) -> PreparedJob:
+    """place: to look at; None = a bake. Raises SceneError where there is nothing to bake, FileError where no folder can
+    be made."""
+    import bpy
+
+    if point is None:
+        select_strokes(scene, only)
+    belongs = make_commit_target(scene, view_layer)
+    order = JobRequest(
+        scene=scene.name,
+        view_layer=view_layer.name,
+        only=tuple(only),
+        cache=str(get_cache_folder()),
+        package=PACKAGE,
+        package_folder=str(Path(__file__).resolve().parents[1]),
+        sys_path=tuple(entry for entry in sys.path if entry),
+        use_scripts=bool(bpy.context.preferences.filepaths.use_scripts_auto_execute),
+        probe_object="" if point is None else point.target,
+        probe_at=() if point is None else point.at,
+    )
+    folder = make_job_folder()
+    try:
+        write_request(folder, order)
+    except BaseException:
+        remove_job_folder(folder)
+        raise
+    return PreparedJob(folder, order, belongs)
+
+
+def _list_named_surfaces(scene: Any, only: Sequence[str], point: TouchQuery | None) -> list[Any]:
+    """The objects that are known to be touched. What a stroke finds by itself is compared when the child has ended."""
+    if point is None:
+        surfaces = [curve.hnf_stroke.surface for curve in select_strokes(scene, only)]
+    else:
+        surfaces = [find_object(scene, point.target) or find_object(scene, point.target.rpartition(":")[0])]
+    return [obj for obj in surfaces if obj is not None]
+
+
+def save_copy(path: Path) -> None:
+    """Save what is open, unsaved changes included, to path; the open file stays what it is. Raises FileError."""
+    import bpy
+
+    files = bpy.context.preferences.filepaths
+    preview, was_dirty = files.file_preview_type, bpy.context.preferences.is_dirty
+    try:
+        files.file_preview_type = "NONE"  # a thumbnail would be rendered first
+        with suppress_output():
+            bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, compress=False, relative_remap=True)
+    except RuntimeError as error:
+        raise FileError(
+            f"Blender could not save a copy to bake from ({str(error).strip()}).",
+            where=str(path.parent),
+            remedy=f"Free some disk space: {shutil.disk_usage(path.parent).free // 1_000_000} MB are left there.",
+        ) from error
+    finally:
+        files.file_preview_type = preview
+        bpy.context.preferences.is_dirty = was_dirty
+
+
+def describe_query(view: QueryView) -> LastJob:
+    """A sentence about a place that was looked at."""
+    said = tr("Examined '{surface}': {material}").format(surface=view.object_name, material=view.library_material)
+    return LastJob(True, f"{said}.")
+
+
+def describe_result(result: JobResult, committed: CommitResult, seconds: float) -> LastJob:
+    """A sentence for the status bar, with the first problem if there is one; the others, and notes, as details."""
+    problems = [*result.failed, *committed.refused]
+    baked = tr("{strokes} baked in {seconds} s")
+    parts = [baked.format(strokes=_format_stroke_count(len(committed.strokes)), seconds=f"{seconds:.0f}")]
+    if result.close_ups:
+        said = tr("1 close-up") if result.close_ups == 1 else tr("{count} close-ups")
+        parts.append(said.format(count=result.close_ups))
+    if result.fresh:
+        parts.append(tr("{count} already up to date").format(count=result.fresh))
+    message = ", ".join(parts) + "."
+    if result.fresh and not committed.strokes and not problems:
+        message = tr("Nothing to bake: {strokes} already up to date.").format(
+            strokes=_format_stroke_count(result.fresh)
+        )
+    if problems:
+        first, left = problems[0].why, len(problems) - 1
+        said = tr("(and 1 problem more)") if left == 1 else tr("(and {count} problems more)")
+        more = f" {said.format(count=left)}" if left else ""
+        message = f"{message} {first[:1].upper()}{first[1:]}{more}"
+    details = (*(problem.why for problem in problems[1:]), *result.warnings)
+    written = len(committed.strokes) + len(committed.meshes)
+    return LastJob(not problems, message, details, written)
+
+
+def _format_stroke_count(count: int) -> str:
+    return tr("1 stroke") if count == 1 else tr("{count} strokes").format(count=count)
+
+
+def _run_to_end(steps: Generator[Any, None, Any]) -> Any:
+    while True:
+        try:
+            next(steps)
+        except StopIteration as done:
+            return done.value

@@ -1,0 +1,330 @@
+"""Where strokes are played: choose it, look for devices, test it.
+
+Touch a surface by hand and feel it at once on the actuator.
+"""
+
+import time
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from hnf_core.errors import HnfError, SceneError
+
+from ..actuator.actuator_state import (
+    ACTUATOR,
+    SPEAKERS,
+    Phase,
+    find_output_title,
+    get_selected_output,
+    needs_offline_player,
+    select_output,
+)
+from ..actuator.live_touch import force_from_pressure
+from ..bridge.scene.unit_scale import get_metres_per_unit
+from ..props.scene_settings import get_actuator_profile
+from ..state.interface import redraw_tab
+from ..translations import tr
+from .context import DEFAULT_PROBE, fail_poll, format_error, resolve_probe
+
+if TYPE_CHECKING:
+    from ..state.status_tracker import TokenValidity
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+
+NO_ACTUATOR_REASON = "Strokes are played on speakers: choose an actuator in the Actuator panel"
+
+
+def poll_actuator(cls: Any, context: Any) -> bool:
+    """For poll(): True where an actuator is chosen, else says why greyed."""
+    if get_selected_output(context) == SPEAKERS:
+        return fail_poll(cls, NO_ACTUATOR_REASON)
+    return True
+
+
+class HNF_OT_output_choose(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
+    bl_idname = "hnf.output_choose"
+    bl_label = "Play Here"
+    bl_description = "Strokes are played on this device, on this machine. The choice is kept in the preferences"
+
+    target: bpy.props.StringProperty(
+        name="Target", description="Address of the device; empty: Blender's own sound", options={"SKIP_SAVE"}
+    )
+
+    def execute(self, _context: Any) -> set[str]:
+        from ..actuator.player_client import PLAYER_CLIENT
+        from ..preview import controller
+
+        if self.target != get_selected_output():
+            controller.stop()
+            PLAYER_CLIENT.release()
+            select_output(str(self.target))
+            ACTUATOR.scan_notes = ()  # what was not found is not wanted any more
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_output_other(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.output_other"
+    bl_label = "Another Address"
+    bl_description = "Play on a device that the search does not find, such as a program that listens to OSC"
+
+    target: bpy.props.StringProperty(
+        name="Target",
+        description="Address of the device: serial:PORT, serial:PORT@BAUD, audio:DEVICE, osc:HOST:PORT or virtual",
+        default="osc:127.0.0.1:9000",
+    )
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        kind = context.window_manager.invoke_props_dialog(self, width=360)
+        return set(kind)
+
+    def execute(self, _context: Any) -> set[str]:
+        from hnf_core.actuators.stream_targets import parse_target
+
+        try:
+            target = parse_target(str(self.target)).text
+        except HnfError as error:
+            self.report({"WARNING"}, format_error(error))
+            return {"CANCELLED"}
+        return set(bpy.ops.hnf.output_choose(target=target))
+
+
+class HNF_OT_actuator_find(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.actuator_find"
+    bl_label = "Look for Devices"
+    bl_description = "List the serial ports and sound outputs of this machine, in a process of its own"
+
+    def execute(self, _context: Any) -> set[str]:
+        from ..actuator.player_process import DEVICE_SCANNER
+
+        try:
+            DEVICE_SCANNER.start()
+        except HnfError as error:
+            self.report({"WARNING"}, format_error(error))
+            return {"CANCELLED"}
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_actuator_test(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.actuator_test"
+    bl_label = "Test"
+    bl_description = "One second of a soft sweep through the actuator's range, at a tenth of its largest level"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return poll_actuator(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..actuator.sound import make_test_sweep
+        from ..preview import controller
+        from ..preview.preview_state import PREVIEW
+
+        PREVIEW.sounding = PREVIEW.play_when_ready = ""
+        try:
+            controller.PLAYER.play(make_test_sweep(get_actuator_profile(context.scene)))
+        except HnfError as error:
+            self.report({"WARNING"}, format_error(error))
+            return {"CANCELLED"}
+        self.report(
+            {"INFO"}, tr("A soft sweep on {device}").format(device=find_output_title(get_selected_output(context)))
+        )
+        redraw_tab()
+        return {"FINISHED"}
+
+
+OUTPUT_CLASSES = (
+    HNF_OT_output_choose,
+    HNF_OT_output_other,
+    HNF_OT_actuator_find,
+    HNF_OT_actuator_test,
+)
+
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+
+NOT_LIVE_REASON = "Live Touch cannot play through Blender's own sound: install sounddevice"
+
+
+class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
+    bl_idname = "hnf.live_touch"
+    bl_label = "Live Touch"
+    bl_description = (
+        "Drag over a surface and feel it at once: pen pressure becomes force in newtons, your hand's motion becomes "
+        "speed in mm/s. Nothing is baked or kept. Esc ends"
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not poll_actuator(cls, context):
+            return False
+        if needs_offline_player(get_selected_output(context)):
+            return fail_poll(cls, NOT_LIVE_REASON)
+        if context.mode != "OBJECT":
+            return fail_poll(cls, "Surfaces are touched in Object Mode: press Tab")
+        return True
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        """Begin, or end where it runs already."""
+        from ..actuator.player_client import PLAYER_CLIENT
+
+        if ACTUATOR.facts.phase is Phase.LIVE:
+            PLAYER_CLIENT.live_end()
+            return {"FINISHED"}
+        if context.window is None:
+            self.report({"WARNING"}, tr("Surfaces are touched in a 3-D view"))
+            return {"CANCELLED"}
+        if not self._start(context):
+            return {"CANCELLED"}
+        context.workspace.status_text_set(tr("Drag over a surface to feel it.  Esc or right click: end"))
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: Any, event: Any) -> set[str]:
+        try:
+            return self._step(context, event)
+        except Exception:
+            self._end(context)
+            raise
+
+    def cancel(self, context: Any) -> None:
+        """Blender ends the operator itself: the file or the window is closed."""
+        self._end(context)
+
+    def _start(self, context: Any) -> bool:
+        from ..actuator.live_touch import LiveTouch
+        from ..actuator.player_client import PLAYER_CLIENT
+        from ..preview import controller
+        from ..state.status_tracker import TokenValidity
+
+        controller.stop()
+        try:
+            likely = guess_first_material(context)
+            PLAYER_CLIENT.live_begin(
+                get_selected_output(context),
+                get_actuator_profile(context.scene),
+                resolve_probe(context, DEFAULT_PROBE),
+                likely,
+            )
+        except HnfError as error:
+            self.report({"WARNING"}, format_error(error))
+            return False
+        self._touch = LiveTouch(PLAYER_CLIENT, likely)
+        self._token_validity, self._reported = TokenValidity(), set[str]()
+        self._check_likely_surface(context)
+        self._region: Any = None
+        self._is_pen, self._pressure = False, 1.0
+        redraw_tab()
+        return True
+
+    def _check_likely_surface(self, context: Any) -> None:
+        """At what is likely to be touched first: hashing it would keep the pen waiting."""
+        from ..bridge.scene.mesh_attributes import TOKEN_ATTRIBUTE
+        from .material_ops import find_material_object
+
+        likely = find_material_object(context)
+        if likely is not None and likely.type == "MESH" and TOKEN_ATTRIBUTE in likely.data.attributes:
+            self._token_validity.is_valid(likely, context.scene, context.view_layer)
+
+    def _end(self, context: Any) -> None:
+        from ..actuator.player_client import PLAYER_CLIENT
+
+        self._touch.lift(time.perf_counter())
+        PLAYER_CLIENT.live_end()
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+        redraw_tab()
+
+    def _step(self, context: Any, event: Any) -> set[str]:
+        from ..actuator.player_client import PLAYER_CLIENT
+        from ..bridge.viewport_pick import find_region_under_mouse
+        from .pen import is_cancel_event
+
+        if not PLAYER_CLIENT.is_live:  # ended by its button, another file, or the device
+            if PLAYER_CLIENT.problem:
+                self.report({"WARNING"}, PLAYER_CLIENT.problem)
+            self._end(context)
+            return {"FINISHED"}
+        if is_cancel_event(context, event, pressed=self._region is not None):
+            self._end(context)
+            return {"FINISHED"}
+        if event.type == "LEFTMOUSE" and event.value == "PRESS":
+            self._region = find_region_under_mouse(context, event)
+            if self._region is None:
+                return {"PASS_THROUGH"}
+            self._is_pen, self._pressure = False, 1.0
+        elif event.type == "LEFTMOUSE" and event.value == "RELEASE" and self._region is not None:
+            self._region = None
+            self._touch.lift(time.perf_counter())
+            return {"RUNNING_MODAL"}
+        elif event.type not in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
+            return {"PASS_THROUGH"}
+        if self._region is None:
+            return {"PASS_THROUGH"}
+        self._track_pen(context, event)
+        return {"RUNNING_MODAL"}
+
+    def _track_pen(self, context: Any, event: Any) -> None:
+        """The pen is down, or has moved."""
+        from ..bridge.viewport_pick import pick_surface
+
+        areas = context.window.screen.areas
+        area = next((area for area in areas if self._region in tuple(area.regions)), None)
+        at = (event.mouse_x - self._region.x, event.mouse_y - self._region.y)
+        hit = None if area is None else pick_surface(context, area, self._region, at)
+        if event.is_tablet:  # some drivers tell of the pen only after the press, or no longer at the release
+            self._is_pen, self._pressure = True, float(event.pressure)
+        settings = context.scene.hnf
+        force = force_from_pressure(
+            self._pressure, self._is_pen, float(settings.live_pen_n), float(settings.live_mouse_n)
+        )
+        try:
+            update_live_touch(self._touch, context, hit, force, time.perf_counter(), self._token_validity)
+        except HnfError as error:
+            self.report({"WARNING"}, format_error(error))
+        for name in self._token_validity.outdated.keys() - self._reported:
+            said = tr("{why}: it is felt by its look, not as baked")
+            self.report({"WARNING"}, said.format(why=self._token_validity.outdated[name].rstrip(".")))
+        self._reported |= self._token_validity.outdated.keys()
+
+
+def update_live_touch(
+    touch: Any, context: Any, hit: Any, force_n: float, time_s: float, validity: "TokenValidity"
+) -> None:
+    """Tell where the pen is: on what it met (a Hit), or lifted (None). What was baked of another state of its surface
+    is not felt. Raises HnfError where what it met cannot be felt."""
+    from ..bridge.viewport_pick import find_contact_point, find_touched_material
+
+    if hit is None or force_n <= 0.0:
+        touch.lift(time_s)
+        return
+    depsgraph = context.evaluated_depsgraph_get()
+    met = find_contact_point(hit, depsgraph, get_metres_per_unit(context.scene))
+    if met.token >= 0 and not validity.is_valid(hit.obj, context.scene, context.view_layer):
+        met = replace(met, token=-1)
+    touch.meet(
+        time_s, hit.obj.name, met, force_n, partial(find_touched_material, hit.obj, depsgraph, met.slot, met.token)
+    )
+
+
+def guess_first_material(context: Any) -> Any:
+    """What will most likely be touched: the device is taken before the pen comes down. Raises HnfError where there is
+    no mesh, or its material cannot be felt."""
+    from ..bridge.viewport_pick import find_touched_material
+    from .material_ops import find_material_object
+
+    meshes = [
+        obj for obj in (find_material_object(context), *context.scene.objects) if obj is not None and obj.type == "MESH"
+    ]
+    if not meshes:
+        raise SceneError("there is no mesh to touch.", remedy="Add or import one.")
+    return find_touched_material(meshes[0], context.evaluated_depsgraph_get(), 0, -1)
+
+
+LIVE_CLASSES = (HNF_OT_live_touch,)
+
+CLASSES = (*OUTPUT_CLASSES, *LIVE_CLASSES)

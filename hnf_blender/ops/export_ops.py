@@ -1,0 +1,156 @@
+"""Signals leave Blender's scene, or enter its sequencer and its sound."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.errors import HnfError
+
+from ..props.scene_settings import FORMAT_ITEMS, get_active_stroke, has_strokes, list_strokes
+from ..state.interface import redraw_tab
+from ..translations import tr
+from .context import fail_poll
+from .preview_ops import poll_playable
+from .stroke_ops import UNDOABLE
+
+
+class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
+    bl_idname = "hnf.export"
+    bl_label = "Export"
+    bl_description = (
+        "Write into the export folder in the chosen format and report what was lost. Strokes that need a new bake "
+        "are skipped with a message"
+    )
+
+    all: bpy.props.BoolProperty(
+        name="All strokes", description="Every stroke that is not muted, instead of the active one only", default=False
+    )
+    format: bpy.props.EnumProperty(
+        name="Format", description="File format; if not given, the one chosen in the panel", items=FORMAT_ITEMS
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not has_strokes(context.scene):
+            return fail_poll(cls, "This scene has no stroke to export")
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.export_stroke import describe_loss, export_stroke, get_export_folder
+        from ..preview.preview_state import PREVIEW
+
+        active = get_active_stroke(context)
+        chosen = [active] if active is not None else []
+        if self.all:
+            chosen = [obj for obj in list_strokes(context.scene) if not obj.hnf_stroke.mute]
+        if not chosen:
+            self.report({"ERROR"}, tr("No stroke to export: select one, or unmute one"))
+            return {"CANCELLED"}
+        word = self.format if self.properties.is_property_set("format") else context.scene.hnf.export_format
+        written, refused = [], []
+        try:
+            get_export_folder(context.scene)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for obj in chosen:
+            try:
+                written.append(export_stroke(obj, context, word))
+            except HnfError as error:
+                refused.append(str(error))
+        redraw_tab()
+        if not written:
+            self.report({"ERROR"}, "\n".join(refused))
+            return {"CANCELLED"}
+        PREVIEW.exported = tuple(describe_loss(each) for each in written)
+        PREVIEW.losses = "\n\n".join(each.report() for each in written) + "\n"
+        for text in refused:
+            self.report({"WARNING"}, text)
+        for each, sentence in zip(written, PREVIEW.exported, strict=True):
+            self.report({"INFO"}, sentence)
+            if each.clipped:
+                self.report({"WARNING"}, f"{each.path.name}: {each.clipped}")
+        said = tr("{count} written to {folder}: {names}")
+        names = ", ".join(each.path.name for each in written)
+        self.report({"INFO"}, said.format(count=len(written), folder=written[0].path.parent, names=names))
+        return {"FINISHED"}
+
+
+class HNF_OT_export_copy(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.export_copy"
+    bl_label = "Copy Export Report"
+    bl_description = (
+        "Copy what the last export lost to the clipboard: level, octave by octave, and what the format cannot hold"
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        from ..preview.preview_state import PREVIEW
+
+        if not PREVIEW.losses:
+            return fail_poll(cls, "Nothing was exported yet")
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.preview_state import PREVIEW
+
+        context.window_manager.clipboard = PREVIEW.losses
+        self.report({"INFO"}, tr("Copied"))
+        return {"FINISHED"}
+
+
+class HNF_OT_add_to_sequencer(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.add_to_sequencer"
+    bl_label = "Add to Sequencer"
+    bl_description = "Export the stroke's WAV and lay it as a sound strip at its start frame; again replaces the strip"
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return poll_playable(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.export_stroke import add_strip
+
+        try:
+            strip = add_strip(get_active_stroke(context), context)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        said = tr("'{name}' in the sequencer, channel {channel}")
+        self.report({"INFO"}, said.format(name=strip.name, channel=strip.channel))
+        return {"FINISHED"}
+
+
+class HNF_OT_add_speaker(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.add_speaker"
+    bl_label = "Add Speaker at the Stroke"
+    bl_description = (
+        "Put a Speaker where the stroke begins; it moves with the surface, its sound is packed into the .blend. Again "
+        "replaces it"
+    )
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if context.mode != "OBJECT":
+            return fail_poll(cls, "Speakers are added in Object Mode: press Tab")
+        return poll_playable(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.export_stroke import add_stroke_speaker
+
+        stroke = get_active_stroke(context)
+        name = stroke.name
+        try:
+            speaker = add_stroke_speaker(stroke, context)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, tr("'{speaker}' sounds like '{name}'").format(speaker=speaker.name, name=name))
+        return {"FINISHED"}
+
+
+CLASSES = (HNF_OT_export, HNF_OT_export_copy, HNF_OT_add_to_sequencer, HNF_OT_add_speaker)

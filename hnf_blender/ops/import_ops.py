@@ -1,0 +1,406 @@
+"""Files dropped on the 3-D view: a `.hnf` material goes onto the surface under the mouse, a WAV becomes a Speaker.
+
+Gaussian splats into the open scene, from a drop or from File > Import; a window does not wait for their surface.
+"""
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from hnf_core.errors import FileError, HnfError, SceneError
+
+from ..bridge.scene.scene_names import find_object, get_scene_name
+from ..compat import beside_the_file
+from ..props.scene_settings import get_active_stroke, list_strokes
+from ..state.addon_settings import get_cache_folder
+from ..state.session_state import STATE
+from ..translations import tr
+from .context import fail_poll, format_error, make_active
+from .material_ops import find_material_object
+from .stroke_ops import UNDOABLE
+
+if TYPE_CHECKING:
+    from hnf_core.material.hnf_file import MaterialFile
+    from hnf_core.signal import Signal
+
+    from ..bridge.splats.reconstruction import Reconstruction
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+
+SPEAKER_PEAK_SHARE = 0.9
+"""Share of full scale that a signal in m/s² is played at, at its loudest: Blender clips what lies above 1."""
+
+
+class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
+    bl_idname = "hnf.import_material"
+    bl_label = "Touch Material (.hnf)"
+    bl_description = "Make a surface feel like the material in a .hnf file. The choice is locked: no bake overwrites it"
+    bl_options = UNDOABLE
+
+    filepath: bpy.props.StringProperty(
+        name="File", description="The .hnf file", subtype="FILE_PATH", options={"SKIP_SAVE"} | beside_the_file()
+    )
+    filter_glob: bpy.props.StringProperty(default="*.hnf", options={"HIDDEN"})
+    target: bpy.props.StringProperty(
+        name="Object", description="Object that receives it; empty: the active object", options={"SKIP_SAVE"}
+    )
+    slot: bpy.props.IntProperty(
+        name="Slot", description="Material slot, counted from 0; −1: the active one", default=-1, options={"SKIP_SAVE"}
+    )
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        if not self.filepath:
+            context.window_manager.fileselect_add(self)
+            return {"RUNNING_MODAL"}
+        from ..bridge.viewport_pick import pick_object
+
+        found = pick_object(context, event.mouse_region_x, event.mouse_region_y)
+        if found is not None and not self.target:
+            self.target, self.slot = get_scene_name(context.scene, found[0]), found[1]
+        return self.execute(context)
+
+    def execute(self, context: Any) -> set[str]:
+        from hnf_core.material.hnf_file import read_hnf
+
+        from ..bridge.scene.material_definition import assign_definition, create_material
+
+        try:
+            definition = read_hnf(Path(bpy.path.abspath(self.filepath)))
+            obj = self._find_target(context)
+            material = (
+                create_material(definition) if obj is None else assign_definition(obj, self._find_slot(obj), definition)
+            )
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        STATE.dirty_names.add(material.name)
+        self.report({"INFO"}, _describe_assignment(definition, obj, material))
+        return {"FINISHED"}
+
+    def _find_target(self, context: Any) -> Any:
+        """Raises SceneError where the target is not there."""
+        if not self.target:
+            return find_material_object(context)
+        obj = find_object(context.scene, self.target)
+        if obj is None or not hasattr(obj.data, "materials"):
+            raise SceneError(
+                "there is no such object with materials in the scene.",
+                where=f"object '{self.target}'",
+                remedy="Drop the file on a mesh.",
+            )
+        return obj.hnf_stroke.surface or obj if obj.hnf_stroke.is_stroke else obj
+
+    def _find_slot(self, obj: Any) -> int:
+        """Raises SceneError where the object has slots, and not this one."""
+        slot = obj.active_material_index if self.slot < 0 else self.slot
+        if slot > max(len(obj.material_slots) - 1, 0):
+            raise SceneError(
+                f"it has no material slot {slot}.",
+                where=f"object '{obj.name}'",
+                remedy=f"Its slots go from 0 to {max(len(obj.material_slots) - 1, 0)}.",
+            )
+        return int(slot)
+
+
+class HNF_OT_import_sound(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.import_sound"
+    bl_label = "Sound as Speaker (.wav)"
+    bl_description = "Add a Speaker with a WAV file: at its stroke, at the active stroke, or else at the 3-D cursor"
+    bl_options = UNDOABLE
+
+    filepath: bpy.props.StringProperty(
+        name="File", description="The .wav file", subtype="FILE_PATH", options={"SKIP_SAVE"} | beside_the_file()
+    )
+    filter_glob: bpy.props.StringProperty(default="*.wav", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if context.mode != "OBJECT":
+            return fail_poll(cls, "Leave Edit Mode first: a Speaker is added in Object Mode")
+        return True
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        if not self.filepath:
+            context.window_manager.fileselect_add(self)
+            return {"RUNNING_MODAL"}
+        return self.execute(context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..bridge.scene.speakers import add_speaker, get_bounding_box_centre
+
+        path = Path(bpy.path.abspath(self.filepath))
+        try:
+            signal = read_hnf_signal(path)
+            sound = _load_sound(path)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        stroke = _find_signal_stroke(signal, context)
+        place = context.scene.cursor.location if stroke is None else get_bounding_box_centre(stroke)
+        frame = context.scene.frame_current if stroke is None else stroke.hnf_stroke.start
+        speaker = add_speaker(sound, path.stem, place, frame, stroke)
+        if signal is not None and signal.samples.size:
+            speaker.data.volume = min(1.0, SPEAKER_PEAK_SHARE / max(float(abs(signal.samples).max()), 1e-9))
+        where = tr("at the 3-D cursor") if stroke is None else tr("at stroke '{name}'").format(name=stroke.name)
+        self.report({"INFO"}, f"{speaker.name}: {where}")
+        return {"FINISHED"}
+
+
+def read_hnf_signal(path: Path) -> "Signal | None":
+    """The signal in a WAV of this project; None for any other sound that Blender may know. Raises FileError where
+    there is no file."""
+    from hnf_core.export.wav import UNITS, read_wav
+
+    if not path.is_file():
+        raise FileError("there is no such file.", where=str(path), remedy="Check the file's path.")
+    try:
+        signal = read_wav(path)
+    except FileError:  # stereo, compressed: Blender's own reader has the last word
+        return None
+    return signal if signal.provenance.get("units", UNITS) == UNITS else None
+
+
+def _load_sound(path: Path) -> Any:
+    try:
+        return bpy.data.sounds.load(str(path), check_existing=True)
+    except RuntimeError as error:
+        raise FileError("Blender cannot read this sound.", where=str(path), remedy="Give a .wav file.") from error
+
+
+def _find_signal_stroke(signal: "Signal | None", context: Any) -> Any:
+    """The stroke that a signal was made of, where it is in the scene; else the active stroke; else None."""
+    name = "" if signal is None else signal.provenance.get("stroke", "")
+    own = [stroke for stroke in list_strokes(context.scene) if stroke.name == name]
+    return own[0] if own else get_active_stroke(context)
+
+
+def _describe_assignment(definition: "MaterialFile", obj: Any, material: Any) -> str:
+    if obj is None:
+        return tr("'{name}' is a new material; no object was under the mouse or active").format(name=material.name)
+    return tr("{object}: material '{material}' now feels like {name}").format(
+        object=obj.name, material=material.name, name=definition.name
+    )
+
+
+class HNF_FH_material(bpy.types.FileHandler):  # type: ignore[misc]
+    bl_idname = "HNF_FH_material"
+    bl_label = "Touch material"
+    bl_import_operator = "hnf.import_material"
+    bl_file_extensions = ".hnf"
+
+    @classmethod
+    def poll_drop(cls, context: Any) -> bool:
+        return _is_over_3d_view(context)
+
+
+class HNF_FH_sound(bpy.types.FileHandler):  # type: ignore[misc]
+    bl_idname = "HNF_FH_sound"
+    bl_label = "Sound as Speaker"
+    bl_import_operator = "hnf.import_sound"
+    bl_file_extensions = ".wav"
+
+    @classmethod
+    def poll_drop(cls, context: Any) -> bool:
+        return _is_over_3d_view(context)
+
+
+def _is_over_3d_view(context: Any) -> bool:
+    return context.area is not None and context.area.type == "VIEW_3D"
+
+
+FILE_CLASSES = (HNF_OT_import_material, HNF_OT_import_sound, HNF_FH_material, HNF_FH_sound)
+
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+
+TICK_S = 0.1
+
+
+class _StoppedError(Exception):
+    pass
+
+
+class SplatReader:
+    """A file being read and its surface being made in a thread, which knows nothing of Blender."""
+
+    def __init__(self, path: Path, cache: Path) -> None:
+        self.stage, self.share = "", 0.0
+        self.result: Reconstruction | None = None
+        self.error: HnfError | None = None
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(path, cache), daemon=True)
+        self._thread.start()
+
+    @property
+    def is_done(self) -> bool:
+        return not self._thread.is_alive()
+
+    def stop(self) -> None:
+        """It ends with its present stage; nothing comes of it."""
+        self._stopped.set()
+
+    def _run(self, path: Path, cache: Path) -> None:
+        try:
+            self.result = read_splat_file(path, cache, self._on_progress)
+        except HnfError as error:
+            self.error = error
+        except _StoppedError:
+            pass
+        except Exception as error:  # a fault of ours, which a thread would swallow
+            self.error = SceneError(f"internal error ({error!r}). Please report it.", where=str(path))
+
+    def _on_progress(self, stage: str, share: float) -> None:
+        if self._stopped.is_set():
+            raise _StoppedError
+        self.stage, self.share = stage, share
+
+
+def read_splat_file(path: Path, cache: Path, progress: Any = None) -> "Reconstruction":
+    """Raises HnfError where the file holds no splats or cannot be read, or no surface can be made of it."""
+    from hnf_core.scene.ply import read_ply_header
+
+    from ..bridge.splats.reconstruction import read_reconstruction
+
+    if path.is_file() and path.suffix.lower() == ".ply" and not read_ply_header(path).is_splat:
+        raise SceneError(
+            "is a mesh or a point cloud, not splats.",
+            where=str(path),
+            remedy="Import it with File > Import > Stanford PLY (.ply).",
+        )
+    return read_reconstruction(path, cache, progress=progress)
+
+
+class _ImportState:
+    """What an import holds while its surface is made. asked: Blender's file browser was opened for it, and calls
+    execute()."""
+
+    _reader: SplatReader | None = None
+    _timer: Any = None
+    _browser_opened: bool = False
+
+
+class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
+    bl_idname = "hnf.import_splats"
+    bl_label = "Gaussian Splats (.ply)"
+    bl_description = (
+        "Add a 3-D Gaussian splat reconstruction: its splats, and a surface made of them that can be touched"
+    )
+    bl_options = UNDOABLE
+
+    filepath: bpy.props.StringProperty(
+        name="File",
+        description="The .ply file, in INRIA's or PlayCanvas's layout",
+        subtype="FILE_PATH",
+        options={"SKIP_SAVE"} | beside_the_file(),
+    )
+    filter_glob: bpy.props.StringProperty(default="*.ply", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if context.mode != "OBJECT":
+            return fail_poll(cls, "Leave Edit Mode first: splats are added in Object Mode")
+        return True
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        if not self.filepath:
+            self._browser_opened = True
+            context.window_manager.fileselect_add(self)
+            return {"RUNNING_MODAL"}
+        return self._start(context)
+
+    def execute(self, context: Any) -> set[str]:
+        if self._browser_opened and not bpy.app.background:
+            return self._start(context)
+        try:
+            made = read_splat_file(self._path, get_cache_folder())
+        except HnfError as error:
+            return self._report_error(error)
+        return self._add_to_scene(context, made)
+
+    def modal(self, context: Any, event: Any) -> set[str]:
+        from ..bridge.viewport_pick import find_view_under_mouse
+
+        reading = self._reader
+        if reading is None:
+            return {"CANCELLED"}
+        if event.type == "ESC" and event.value == "PRESS" and find_view_under_mouse(context, event) is not None:
+            self.cancel(context)
+            return {"CANCELLED"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        if not reading.is_done:
+            said = tr("Reconstructing {file}: {percent} %.  Esc over the 3-D view: cancel")
+            text = said.format(file=self._path.name, percent=f"{100 * reading.share:.0f}")
+            context.workspace.status_text_set(text)
+            return {"PASS_THROUGH"}
+        self._clean_up(context)
+        if reading.error is not None:
+            return self._report_error(reading.error)
+        if reading.result is None or context.mode != "OBJECT":
+            self.report({"ERROR"}, tr("Leave Edit Mode first: splats are added in Object Mode"))
+            return {"CANCELLED"}
+        return self._add_to_scene(context, reading.result)
+
+    def cancel(self, context: Any) -> None:
+        """Blender's own word too: the window closes, or another file is opened."""
+        if self._reader is not None:
+            self._reader.stop()
+        self._clean_up(context)
+
+    @property
+    def _path(self) -> Path:
+        return Path(bpy.path.abspath(self.filepath))
+
+    def _start(self, context: Any) -> set[str]:
+        if bpy.app.background:
+            return self.execute(context)
+        self._reader = SplatReader(self._path, get_cache_folder())
+        self._timer = context.window_manager.event_timer_add(TICK_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def _add_to_scene(self, context: Any, made: "Reconstruction") -> set[str]:
+        from ..bridge.splats.reconstruction import add_reconstruction, describe_shown_splats
+
+        surface = add_reconstruction(context.scene, made)
+        make_active(context, surface)
+        said = tr("{name}: {splats} splats, a surface of {faces} faces; Material Preview shows their colours")
+        count = len(made.surface.triangles)
+        self.report({"INFO"}, said.format(name=surface.name, splats=len(made.splats), faces=count))
+        for note in (*made.surface.warnings, describe_shown_splats(made)):
+            if note:
+                self.report({"WARNING"}, note[:1].upper() + note[1:])
+        return {"FINISHED"}
+
+    def _report_error(self, error: HnfError) -> set[str]:
+        self.report({"ERROR"}, format_error(error))
+        return {"CANCELLED"}
+
+    def _clean_up(self, context: Any) -> None:
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+
+
+class HNF_FH_splats(bpy.types.FileHandler):  # type: ignore[misc]
+    """Blender's own handler takes .ply too: a drop then asks which of the two it shall be."""
+
+    bl_idname = "HNF_FH_splats"
+    bl_label = "Gaussian splats"
+    bl_import_operator = "hnf.import_splats"
+    bl_file_extensions = ".ply"
+
+    @classmethod
+    def poll_drop(cls, context: Any) -> bool:
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+SPLAT_CLASSES = (HNF_OT_import_splats, HNF_FH_splats)
+
+CLASSES = (*FILE_CLASSES, *SPLAT_CLASSES)

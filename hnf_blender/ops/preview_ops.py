@@ -1,0 +1,174 @@
+"""Hear a stroke: play, stop, compare."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.errors import HnfError
+
+from ..preview.preview_state import PREVIEW
+from ..props.scene_settings import get_active_stroke
+from ..state.interface import redraw_tab
+from ..state.session_state import STATE
+from ..touch.freshness import Freshness
+from ..translations import tr
+from .context import fail_poll
+from .stroke_ops import poll_active_stroke
+
+NOT_BAKED_REASON = "Not baked yet: press Bake in the Touch tab"
+
+
+def poll_playable(cls: Any, context: Any) -> bool:
+    """For poll(): True where the active stroke has a bake that holds, else says why greyed."""
+    from ..bridge.scene.id_properties import has_property
+    from ..touch.stroke_bake import BAKE_PROPERTY
+
+    if not poll_active_stroke(cls, context):
+        return False
+    stroke = get_active_stroke(context)
+    if not has_property(stroke, BAKE_PROPERTY):
+        return fail_poll(cls, NOT_BAKED_REASON)
+    status = STATE.get_status(context.scene, stroke)
+    if status is not None and status.freshness in (Freshness.STALE, Freshness.BROKEN):
+        return fail_poll(cls, status.why or "Changed since it was baked: bake it again")
+    return True
+
+
+class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
+    bl_idname = "hnf.preview_play"
+    bl_label = "Play"
+    bl_description = (
+        "Play the stroke, on the speakers or on the chosen actuator. On speakers, at 0 dB monitor gain, 10 m/s² is "
+        "full scale"
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return poll_playable(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview import controller
+
+        stroke = get_active_stroke(context)
+        heard = controller.refresh(stroke, context, wait=bpy.app.background)
+        problem = PREVIEW.problems.get(stroke.name, "")
+        if problem:
+            self.report({"WARNING"}, problem)
+            return {"CANCELLED"}
+        STATE.has_played = True
+        if heard is None and stroke.name not in PREVIEW.showing_reference:
+            PREVIEW.play_when_ready = stroke.name
+            return {"FINISHED"}
+        try:
+            controller.play(stroke.name, context.scene)
+        except HnfError as error:
+            self.report({"WARNING"}, str(error))
+            return {"CANCELLED"}
+        controller.update_facts(stroke.name, context.scene)
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_preview_stop(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.preview_stop"
+    bl_label = "Stop"
+    bl_description = "Stop the preview's sound"
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview import controller
+
+        was = PREVIEW.sounding
+        controller.stop()
+        if was:
+            controller.update_facts(was, context.scene)
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_preview_pause(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.preview_pause"
+    bl_label = "Pause"
+    bl_description = "Pause with a soft fade; press again to resume"
+
+    @classmethod
+    def poll(cls, _context: Any) -> bool:
+        from ..preview.controller import PLAYER
+
+        if not (PREVIEW.sounding and PLAYER.is_playing):
+            return fail_poll(cls, "Nothing plays")
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview import controller
+
+        try:
+            controller.toggle_pause()
+        except HnfError as error:
+            self.report({"WARNING"}, str(error))
+            return {"CANCELLED"}
+        controller.update_facts(PREVIEW.sounding, context.scene)
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.preview_ab"
+    bl_label = "Compare"
+    bl_description = (
+        "Keep the current signal as A, then change the stroke and switch between the two. Both keep their level"
+    )
+
+    action: bpy.props.EnumProperty(
+        name="Action",
+        description="What to do",
+        items=[
+            ("KEEP", "Keep as A", "Keep the current signal to compare with"),
+            ("SWITCH", "Switch", "Switch between A and the current signal, both sound and picture"),
+            ("FORGET", "Forget A", "End the comparison"),
+        ],
+        default="SWITCH",
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return poll_playable(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview import controller
+
+        stroke = get_active_stroke(context)
+        name = stroke.name
+        if self.action == "KEEP":
+            heard = controller.refresh(stroke, context, wait=bpy.app.background)
+            if heard is None:
+                made = tr("The signal is still being computed: try again in a moment")
+                self.report({"WARNING"}, PREVIEW.problems.get(name, made))
+                return {"CANCELLED"}
+            PREVIEW.references[name] = heard
+        elif name not in PREVIEW.references:
+            self.report({"WARNING"}, tr("Nothing is kept as A yet: keep the current signal first"))
+            return {"CANCELLED"}
+        elif self.action == "SWITCH":
+            controller.toggle_ab(name)
+        else:
+            if name in PREVIEW.showing_reference:
+                controller.toggle_ab(name)
+            del PREVIEW.references[name]
+        if PREVIEW.sounding == name:
+            self._continue_playback(context, name)
+        controller.update_facts(name, context.scene)
+        redraw_tab()
+        return {"FINISHED"}
+
+    def _continue_playback(self, context: Any, name: str) -> None:
+        from ..preview import controller
+
+        try:
+            controller.continue_playback(name, context.scene)
+        except HnfError as error:
+            self.report({"WARNING"}, str(error))
+
+
+CLASSES = (HNF_OT_preview_play, HNF_OT_preview_stop, HNF_OT_preview_pause, HNF_OT_preview_ab)

@@ -1,0 +1,250 @@
+"""What the overlay draws of each stroke, computed when something has changed and kept until it changes again.
+
+Lines and discs of the stroke overlay, by the gpu module. Batches are kept until a path changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from hnf_core.action.curves import ArcCurve
+from hnf_core.errors import HnfError
+from hnf_core.export.plots.figure import Colour, force_to_colour
+
+Float64 = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+STEP_M = 1e-3
+MAX_POINTS = 1500
+TICK_SPACING_M = 8e-3
+"""A direction tick every so many metres of path, but FEWEST to MOST_TICKS of them."""
+MIN_TICKS, MAX_TICKS = 2, 10
+TICK_SHARE = 0.028
+"""A tick's arms as a share of the curve's length, within TICK_SIZE_M."""
+TICK_SIZE_M = (0.6e-3, 4e-3)
+
+
+@dataclass(frozen=True)
+class OverlayPath:
+    """In the stroke object's coordinates, so that moving it costs nothing.
+
+    points: (k, 3) along the way the hand takes. colours: (k, 4). ticks: (4m, 3) pairs of ends.
+    frames: (n,) ascending. places: (n, 3) the contact point at these frames. forces: (n,) N.
+    """
+
+    points: Float32
+    colours: Float32
+    ticks: Float32
+    frames: Float64
+    contact_points: Float32
+    forces: Float64
+
+
+def compute_overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> OverlayPath | None:
+    """None where the stroke cannot be read: the Touch tab says why."""
+    from ..bridge.stroke.read_stroke import sample_timeline
+
+    try:
+        timeline = sample_timeline(obj, scene, metres_per_unit)
+    except HnfError:
+        return None
+    world = np.array(obj.matrix_world, dtype=np.float64)
+    world[:3] *= metres_per_unit
+    if abs(np.linalg.det(world[:3, :3])) < 1e-30:
+        return None
+    local = np.linalg.inv(world)
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(timeline.position)))])
+    count = int(np.clip(np.ceil(way[-1] / STEP_M) + 1, 2, MAX_POINTS))
+    at = np.interp(np.linspace(0.0, way[-1], count), way, np.arange(len(way)))
+    position, force = (np.interp(at, np.arange(len(way)), each) for each in (timeline.position, timeline.force))
+    arc = timeline.arc
+    return OverlayPath(
+        points=_transform_points(local, arc.point_at(position)),
+        colours=_compute_colours(force),
+        ticks=_transform_points(local, _compute_ticks(arc, position, obj, depsgraph, metres_per_unit)),
+        frames=timeline.frames,
+        contact_points=_transform_points(local, arc.point_at(timeline.position)),
+        forces=timeline.force,
+    )
+
+
+def _compute_ticks(arc: ArcCurve, position: Float64, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float64:
+    """Chevrons that lie on the surface and point where the hand goes: (4m, 3) pairs of ends in metres."""
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
+    if way[-1] <= 0.0:
+        return np.empty((0, 3))
+    count = int(np.clip(way[-1] / TICK_SPACING_M, MIN_TICKS, MAX_TICKS))
+    share = (np.arange(count) + 0.5) / count
+    index = np.clip(np.searchsorted(way, share * way[-1]), 1, len(way) - 1)
+    tip = arc.point_at(position[index])
+    size = float(np.clip(TICK_SHARE * arc.length, *TICK_SIZE_M))
+    # Over as long a way as the arms: a tremble of the hand does not turn them.
+    ahead = arc.point_at(position[index] + size) - arc.point_at(position[index] - size)
+    ahead *= np.sign(position[index] - position[index - 1])[:, None]
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+    normal = _find_normals(tip, ahead, obj, depsgraph, metres_per_unit)
+    aside = np.cross(normal, ahead)
+    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
+    ends = [tip - size * (ahead + side * aside) for side in (-1.0, 1.0)]
+    return np.asarray(np.stack([ends[0], tip, tip, ends[1]], axis=1).reshape(-1, 3))
+
+
+def _find_normals(points: Float64, ahead: Float64, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float64:
+    """The touched surface's normals (m, 3) in the world at points [m]; without a surface, as level as can be."""
+    up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    up[np.abs(ahead[:, 2]) > 0.9] = (1.0, 0.0, 0.0)
+    surface = obj.hnf_stroke.surface or obj.parent
+    if surface is None or surface.type != "MESH":
+        return up
+    evaluated = surface.evaluated_get(depsgraph)
+    if evaluated.data is None or len(evaluated.data.polygons) == 0:
+        return up
+    world = np.array(evaluated.matrix_world, dtype=np.float64)
+    if abs(np.linalg.det(world[:3, :3])) < 1e-30:
+        return up
+    inverse = np.linalg.inv(world)
+    for k, point in enumerate(points / metres_per_unit @ inverse[:3, :3].T + inverse[:3, 3]):
+        try:
+            found, _, normal, _ = evaluated.closest_point_on_mesh(point)
+        except RuntimeError:  # no mesh of it in this view layer: appended with its stroke, hidden or excluded
+            return up
+        turned = inverse[:3, :3].T @ np.array(normal)
+        if found and np.linalg.norm(turned) > 0.0:
+            up[k] = turned / np.linalg.norm(turned)
+    return up
+
+
+def _transform_points(matrix: Float64, points: Float64) -> Float32:
+    return np.ascontiguousarray(points @ matrix[:3, :3].T + matrix[:3, 3], dtype=np.float32)
+
+
+def _compute_colours(force: Float64) -> Float32:
+    return np.array([force_to_colour(float(each)) for each in force], dtype=np.float32).reshape(-1, 4)
+
+
+Float = NDArray[np.float64]
+
+LINE_PX, ACTIVE_PX, HALO_PX = 2.0, 3.5, 3.0
+HALO: Colour = (0.02, 0.02, 0.03, 0.75)
+WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
+DEPTH_BIAS = 4e-3
+"""By this share of its distance a line is drawn nearer than it is, so that it does not sink into the surface."""
+OCCLUDED_ALPHA = 0.35
+MUTED_ALPHA = 0.3
+START_PX, CONTACT_PX, ACTIVE_CONTACT_PX = 5.0, 6.0, 8.0
+
+_batches: dict[str, tuple[Any, Any, Any]] = {}
+
+
+class OverlayView:
+    """Of one region: where the eye is, and how long a pixel is."""
+
+    def __init__(self, region_data: Any, region: Any) -> None:
+        scale = float(_get_preferences().system.pixel_size or 1.0)
+        self.size = (float(region.width), float(region.height))
+        self.pixel_size = scale
+        self.view = np.array(region_data.view_matrix)
+        self.window = np.array(region_data.window_matrix)
+        self.is_perspective = bool(region_data.is_perspective)
+        distance = float(region_data.view_distance)
+        self.depth_bias_matrix = (
+            Matrix.Diagonal((1.0 - DEPTH_BIAS, 1.0 - DEPTH_BIAS, 1.0 - DEPTH_BIAS, 1.0))
+            if self.is_perspective
+            else Matrix.Translation((0.0, 0.0, DEPTH_BIAS * distance))
+        )
+
+    def disc(self, centre: Float, radius_px: float, segments: int = 20) -> Float:
+        """(segments, 3) corners of a disc in the world that faces the eye."""
+        eye = self.view[:3, :3] @ centre + self.view[:3, 3]
+        w = float(self.window[3, :3] @ eye + self.window[3, 3])
+        radius = radius_px * self.pixel_size * 2.0 * abs(w) / (abs(self.window[1, 1]) * self.size[1])
+        angle = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
+        right, up = self.view[0, :3], self.view[1, :3]
+        return np.asarray(centre + radius * (np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up))
+
+
+def remove_batches(name: str) -> None:
+    """Drop the batches of one stroke."""
+    _batches.pop(name, None)
+
+
+def draw_path(name: str, path: OverlayPath, world: Any, view: OverlayView, *, is_active: bool, is_muted: bool) -> None:
+    """A path with its halo; what lies behind something shows through a little."""
+    if name not in _batches:
+        _batches[name] = _make_batches(path)
+    line, halo, ticks = _batches[name]
+    width = (ACTIVE_PX if is_active else LINE_PX) * view.pixel_size
+    alpha = MUTED_ALPHA if is_muted else 1.0
+    gpu.state.blend_set("ALPHA")
+    gpu.state.depth_mask_set(False)
+    with gpu.matrix.push_pop():
+        base = gpu.matrix.get_model_view_matrix()
+        gpu.matrix.load_matrix(view.depth_bias_matrix @ base @ world)
+        gpu.state.depth_test_set("GREATER")
+        _draw_lines(halo, (*HALO[:3], OCCLUDED_ALPHA * alpha), width, view)
+        gpu.state.depth_test_set("LESS_EQUAL")
+        _draw_lines(halo, (*HALO[:3], HALO[3] * alpha), width + HALO_PX * view.pixel_size, view)
+        if is_active:
+            _draw_lines(ticks, (*HALO[:3], HALO[3] * alpha), width + HALO_PX * view.pixel_size, view)
+            _draw_lines(ticks, (*WHITE[:3], alpha), 0.6 * width, view)
+        _draw_lines(line, None, width, view)
+    gpu.state.depth_test_set("NONE")
+    gpu.state.blend_set("NONE")
+
+
+def draw_start(point: Float, view: OverlayView) -> None:
+    """A white ring."""
+    _draw_disc(view.disc(point, START_PX + 1.5), HALO)
+    _draw_disc(view.disc(point, START_PX), WHITE)
+    _draw_disc(view.disc(point, START_PX - 2.0), HALO)
+
+
+def draw_contact(point: Float, force_n: float, view: OverlayView, *, is_active: bool) -> None:
+    """A disc of the force's colour; grey where the hand is in the air."""
+    radius = ACTIVE_CONTACT_PX if is_active else CONTACT_PX
+    _draw_disc(view.disc(point, radius + 2.5), HALO)
+    _draw_disc(view.disc(point, radius + 1.0), WHITE)
+    _draw_disc(view.disc(point, radius - 1.0), force_to_colour(force_n))
+
+
+def _make_batches(path: OverlayPath) -> tuple[Any, Any, Any]:
+    coloured, plain = (gpu.shader.from_builtin(f"POLYLINE_{kind}_COLOR") for kind in ("SMOOTH", "UNIFORM"))
+    line = batch_for_shader(coloured, "LINE_STRIP", {"pos": path.points, "color": path.colours})
+    halo = batch_for_shader(plain, "LINE_STRIP", {"pos": path.points})
+    ticks = batch_for_shader(plain, "LINES", {"pos": path.ticks}) if len(path.ticks) else None
+    return line, halo, ticks
+
+
+def _draw_lines(batch: Any, colour: Colour | None, width: float, view: OverlayView) -> None:
+    if batch is None:
+        return
+    shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR" if colour is None else "POLYLINE_UNIFORM_COLOR")
+    shader.bind()
+    shader.uniform_float("viewportSize", view.size)
+    shader.uniform_float("lineWidth", width)
+    if colour is not None:
+        shader.uniform_float("color", colour)
+    batch.draw(shader)
+
+
+def _draw_disc(corners: Float, colour: Colour) -> None:
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    gpu.state.blend_set("ALPHA")
+    shader.bind()
+    shader.uniform_float("color", colour)
+    fan = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
+    batch_for_shader(shader, "TRIS", {"pos": corners.astype(np.float32)}, indices=fan).draw(shader)
+    gpu.state.blend_set("NONE")
+
+
+def _get_preferences() -> Any:
+    import bpy
+
+    return bpy.context.preferences

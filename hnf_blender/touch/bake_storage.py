@@ -1,0 +1,230 @@
+"""Tokens of all baked strokes → attributes on the meshes they touch.
+
+What a stroke's curve object keeps of its bake, and how that stands to the scene of now.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence, Set
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
+from hnf_core.files import content_hash
+from hnf_core.material.palette import Palette, build_palette
+from hnf_core.material.token import ENCODER_ID, LEVELS, split_encoders
+from hnf_core.scene.mesh import crop_mesh
+from hnf_core.scene.patch import CAMERA_DISTANCE_M
+
+from ..bridge.scene import id_properties
+from ..bridge.scene.mesh_attributes import SOURCE_PROPERTY, UNBAKED, FaceTokens, PointTokens, read_tokens, write_tokens
+from ..bridge.scene.scene_names import find_object
+from ..bridge.splats.splat_cloud import compute_cloud_frame, get_cloud, read_cloud, write_point_tokens
+from ..props.scene_settings import find_index
+from ..translations import tr
+from .bake_patches import TouchedObject, get_encoder_name
+from .freshness import Freshness, StrokeStatus
+from .session import InputHashes, Session, StrokeJob, SurfaceFacts
+from .stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
+from .synthesise import BakedStroke
+
+
+def group_by_mesh(strokes: Sequence[BakedStroke]) -> list[list[BakedStroke]]:
+    """The strokes in groups that touch one mesh."""
+    groups: dict[str, list[BakedStroke]] = {}
+    for stroke in strokes:
+        groups.setdefault(stroke.touched.obj.data.name_full, []).append(stroke)
+    return list(groups.values())
+
+
+def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:
+    """Write every touched mesh once; yields a warning for each that cannot be written."""
+    for group in group_by_mesh(strokes):
+        obj = group[0].touched.obj
+        if obj.type != "MESH":
+            yield f"object '{obj.name}' has no mesh of its own: its tokens are not stored in the .blend."
+            continue
+        try:
+            tokens = make_face_tokens(obj.data, group)
+            write_tokens(obj.data, tokens)
+            if tokens.points is not None:
+                write_point_tokens(get_cloud(obj), tokens.points)
+        except SceneError as error:
+            yield str(error)
+
+
+def make_face_tokens(mesh: Any, strokes: Sequence[BakedStroke], sources: Set[str] = frozenset()) -> FaceTokens:
+    """Faces under the strokes' patches get their patch's token; of overlapping patches the last wins. Tokens that an
+    earlier bake left on the other faces stay as long as the mesh and its shaders are what they were then. sources: of
+    other surfaces with this mesh (shared_sources), whose tokens stay too."""
+    source = hash_surface_source(strokes[0].touched)
+    earlier = _read_valid_tokens(mesh, {source, *sources})
+    count = len(mesh.polygons)
+    index = np.full(count, UNBAKED, dtype=np.int32)
+    confidence = np.zeros(count, dtype=np.float32)
+    tokens, mechanics, names, makes = [], [], [], {ENCODER_ID}
+    if earlier is not None:
+        index, confidence = earlier.index.copy(), earlier.confidence.copy()
+        tokens, mechanics = list(earlier.palette.tokens), list(earlier.palette.mechanics)
+        names = list(earlier.palette.names)
+        makes.update(split_encoders(earlier.palette.encoder_id))
+    for stroke in strokes:
+        for patch, record, fused in zip(stroke.patches, stroke.records, stroke.fused, strict=True):
+            index[record.faces] = len(tokens)
+            confidence[record.faces] = fused.confidence
+            tokens.append(fused.values)
+            mechanics.append(stroke.materials[patch.slot].library.mechanics)
+            names.append(stroke.materials[patch.slot].library.name)
+            makes.update({get_encoder_name(record)} - {""})
+    used = sorted(set(index[index >= 0].tolist()))
+    palette, merged = build_palette(
+        [tokens[i] for i in used], [mechanics[i] for i in used], [names[i] for i in used], encoders=makes
+    )
+    lookup = np.full(len(tokens) + 1, UNBAKED, dtype=np.int32)
+    lookup[used] = merged
+    index = lookup[index]  # UNBAKED is −1, the last entry
+    points = make_point_tokens(strokes[0].touched, index, confidence)
+    return FaceTokens(palette, index, _compute_roughness(palette, index), confidence, source, points)
+
+
+def make_point_tokens(
+    touched: TouchedObject, index: NDArray[np.int32], confidence: NDArray[np.float32]
+) -> PointTokens | None:
+    """Of the splats of a reconstructed surface: each gets what the nearest face has, if no farther than a patch's
+    camera stands off; None where there are no splats. index, confidence: (F,) of the faces of the object's own mesh."""
+    cloud = get_cloud(touched.obj)
+    if cloud is None:
+        return None
+    from hnf_core.scene.splats.voxel_grid import find_nearest_triangles
+
+    mesh, own = touched.surface.mesh, touched.surface.source_face
+    splats = compute_cloud_frame(touched.obj, cloud, touched.surface.stretch).to_surface(read_cloud(cloud).means)
+    face = mesh.face if own is None else own[mesh.face]
+    made = PointTokens(np.full(len(splats), UNBAKED, dtype=np.int32), np.zeros(len(splats), dtype=np.float32))
+    baked = mesh.vertices[mesh.triangles[(face >= 0) & (index[face] != UNBAKED)]].reshape(-1, 3)
+    if len(baked) == 0:
+        return made
+    low, high = baked.min(axis=0) - CAMERA_DISTANCE_M, baked.max(axis=0) + CAMERA_DISTANCE_M
+    here = np.flatnonzero(((splats >= low) & (splats <= high)).all(axis=1))
+    near = crop_mesh(mesh, [(low + high) / 2.0], float((high - low).max() / 2.0) + CAMERA_DISTANCE_M)
+    found = find_nearest_triangles(near.vertices, near.triangles, splats[here], CAMERA_DISTANCE_M)
+    here, triangle = here[found.triangle >= 0], found.triangle[found.triangle >= 0]
+    nearest = near.face[triangle] if own is None else own[near.face[triangle]]
+    told = nearest >= 0
+    made.index[here[told]], made.confidence[here[told]] = index[nearest[told]], confidence[nearest[told]]
+    return made
+
+
+def _compute_roughness(palette: Palette, index: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """RMS height in metres over all bands of each face's token; 0 where nothing was touched."""
+    power = np.sum(10.0 ** (2.0 * palette.tokens[:, LEVELS].astype(np.float64)), axis=1)
+    return np.asarray(np.append(np.sqrt(power), 0.0)[index], dtype=np.float32)
+
+
+def _read_valid_tokens(mesh: Any, sources: Set[str]) -> FaceTokens | None:
+    try:
+        earlier = read_tokens(mesh)
+    except FileError:  # damaged: this bake replaces it
+        return None
+    return earlier if earlier is not None and earlier.source in sources else None
+
+
+def hash_surface_source(surface: TouchedObject | SurfaceFacts) -> str:
+    """Hash of what a surface's tokens are measured from."""
+    return content_hash(surface.shape_hash, *surface.shader_hashes, surface.owner_hash)
+
+
+def find_shared_sources(session: Session, obj: Any) -> set[str]:
+    """surface_source of the other touched objects with obj's mesh. Linked duplicates (Alt D) may differ in scale and in
+    the materials of their own slots, and the mesh, which has room for the tokens of one source, serves them all."""
+    chosen = (each.hnf_stroke.surface for each in session.scene.objects if each.hnf_stroke.is_stroke)
+    touched = {*chosen, *(find_object(session.scene, name) for name in session.known_names)} - {None, obj}
+    sources = set()
+    for other in touched:
+        if other.data == obj.data and find_index(session.scene.objects, other) >= 0:
+            with contextlib.suppress(HnfError):  # one that is hidden says nothing
+                sources.add(hash_surface_source(session.get_facts(other)))
+    return sources
+
+
+INPUTS_PROPERTY = "hnf_inputs"
+"""Beside the bake: what it was made from, part by part, so that a stale one can say why."""
+
+
+def save_bake(obj: Any, bake: StrokeBake, inputs: InputHashes) -> None:
+    """Raises SceneError for a linked object."""
+    store_bake(obj, bake)
+    id_properties.set_property(obj, INPUTS_PROPERTY, inputs.to_text())
+
+
+def clear_bake(obj: Any) -> int:
+    """Remove what keep left; returns the bytes freed."""
+    freed = count_stored_bytes(obj)
+    remove_bake(obj)
+    id_properties.delete_property(obj, INPUTS_PROPERTY)
+    return freed
+
+
+def count_stored_bytes(obj: Any) -> int:
+    """How much keep left on a stroke's curve object."""
+    data, text = id_properties.get_property(obj, BAKE_PROPERTY), id_properties.get_property(obj, INPUTS_PROPERTY)
+    return (len(data) if isinstance(data, bytes) else 0) + (len(text) if isinstance(text, str) else 0)
+
+
+def check_validity(obj: Any, job: StrokeJob) -> StrokeStatus:
+    """How the bake on obj stands to job, which was read from obj just now."""
+    try:
+        bake = load_bake(obj)
+    except FileError as error:
+        return StrokeStatus(Freshness.UNBAKED, str(error), object_name=job.object_name)
+    if bake is None:
+        return StrokeStatus(Freshness.UNBAKED, tr("Not baked yet."), object_name=job.object_name)
+    if bake.key == job.key:
+        return make_status(bake, Freshness.FRESH)
+    if bake.path_key != job.path_key:
+        return make_status(bake, Freshness.STALE, _describe_changes(obj, job, bake))
+    force = None if job.stroke is None else job.stroke.samples.force
+    try:
+        if force is not None:
+            bake.with_force(force)
+    except StrokeError as error:
+        return make_status(bake, Freshness.STALE, str(error))
+    return make_status(bake, Freshness.FORCE, tr("Only force, seed or probe changed: no bake needed, just play."))
+
+
+def make_status(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeStatus:
+    """For the panels: what was baked, and how it stands."""
+    facts = bake.facts
+    return StrokeStatus(
+        freshness,
+        why,
+        duration_s=bake.stroke.action.duration_s,
+        object_name=facts.get("object", ""),
+        library_material=facts.get("library_material", ""),
+        routes=facts.get("routes", ""),
+        confidence=bake.confidence,
+        warnings=(*bake.warnings, *bake.notes),
+        shader=facts.get("material", ""),
+    )
+
+
+def has_tokens(session: Session, obj: Any) -> bool:
+    """Does obj's mesh carry the tokens of its surface as it is, or of another that has the same mesh? True also where
+    it cannot carry any. Raises SceneError where obj is hidden or has no surface."""
+    facts = session.get_facts(obj)
+    if obj.type != "MESH" or obj.data.library is not None:
+        return True
+    source = obj.data.get(SOURCE_PROPERTY)
+    return bool(source == hash_surface_source(facts)) or source in find_shared_sources(session, obj)
+
+
+def _describe_changes(obj: Any, job: StrokeJob, bake: StrokeBake) -> str:
+    earlier = InputHashes.from_text(id_properties.get_property(obj, INPUTS_PROPERTY))
+    if earlier is None or earlier.path_key != bake.path_key:
+        return tr("Changed since it was baked.")
+    words = job.inputs.describe_changes(earlier, same_surface=bake.facts.get("object") == job.object_name)
+    said = tr("Changed since the bake: {what}. Bake again.")
+    return said.format(what="; ".join(tr(word) for word in words))

@@ -1,0 +1,149 @@
+"""What a person gets of a stroke: WAV and picture; and of the run: the baked .blend."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import unicodedata
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hnf_core.action.action import Action
+from hnf_core.errors import FileError
+from hnf_core.export.plots.stroke_figure import StrokeView, write_stroke_figure
+from hnf_core.export.wav import encode_wav, read_wav
+from hnf_core.files import content_hash, write_atomically, write_bytes
+from hnf_core.material.fuse import routes_by_band
+from hnf_core.signal import Signal
+
+from ..bridge.scene.suppress_output import suppress_output
+from .bake_patches import get_encoder_name, get_resolved_wavelength, get_widest_map
+from .material_choice import SlotMaterial, format_certainty
+from .report import StrokeReport
+from .session import StrokeJob
+from .synthesise import BakedStroke, SynthesisedStroke, add_provenance, get_signal_facts, make_stroke_input
+
+
+def write_stroke_files(
+    folder: Path,
+    job: StrokeJob,
+    baked: BakedStroke,
+    synthesised: SynthesisedStroke,
+    view: StrokeView,
+    used_names: Container[str] = (),
+    picture_key: str = "",
+) -> StrokeReport:
+    """Write the WAV, then the picture, each atomically; returns the stroke's entry for the report. taken: the WAVs of
+    the run's other strokes. picture_key: for the entry."""
+    main, patch = baked.main_material, baked.main_patch
+    record, fused = baked.records[patch], baked.fused[patch]
+    routes = routes_by_band(fused.routes)
+    resolved = get_resolved_wavelength(record)
+    facts = get_signal_facts(baked)
+    names = facts["library_material"]
+    signal = add_provenance(synthesised.signal, job.name, facts, synthesised.confidence)
+    data = encode_wav(signal, where=f"stroke '{job.name}'")
+    stem = next(each for each in iter_numbered_stems(make_file_stem(job.name)) if f"{each}.wav" not in used_names)
+    write_bytes(folder / f"{stem}.wav", data)
+    confidence = round(synthesised.confidence, 4)
+    _plot_stroke(folder / f"{stem}.png", job, baked, synthesised.action, signal, confidence, view)
+    return StrokeReport(
+        name=job.name,
+        object=job.object_name,
+        material=main.shader,
+        library_material=names,
+        routes=routes,
+        resolved_wavelength_m=resolved if np.isfinite(resolved) else None,
+        height_source=facts["height_source"],
+        height_peak_to_peak_m=None if record.height is None else record.height_peak_to_peak_m,
+        wav=f"{stem}.wav",
+        picture=f"{stem}.png",
+        duration_s=round(signal.duration_s, 6),
+        rms_m_s2=signal.rms,
+        confidence=confidence,
+        probe=baked.stroke.probe,
+        seed=job.seed,
+        fresh=False,
+        key=job.key,
+        wav_hash=content_hash(data),
+        warnings=synthesised.warnings,
+        encoder=get_encoder_name(record),
+        tactile_map_weights="" if record.predicted is None else record.predicted.weights,
+        picture_key=picture_key,
+    )
+
+
+def redraw_stroke_plot(
+    folder: Path, entry: StrokeReport, job: StrokeJob, baked: BakedStroke, view: StrokeView, picture_key: str
+) -> StrokeReport:
+    """Another picture of a stroke whose signal is there; returns its entry with this picture's key."""
+    signal = read_wav(folder / entry.wav)
+    _plot_stroke(folder / entry.picture, job, baked, make_stroke_input(baked).action, signal, entry.confidence, view)
+    return replace(entry, picture_key=picture_key)
+
+
+def _plot_stroke(
+    path: Path, job: StrokeJob, baked: BakedStroke, action: Action, signal: Signal, confidence: float, view: StrokeView
+) -> None:
+    record, facts = baked.records[baked.main_patch], get_signal_facts(baked)
+    slots = dict.fromkeys(baked.patches[index].slot for index in baked.patch_index if index >= 0)
+    write_stroke_figure(
+        path, title=job.name, action=action, signal=signal, view=view,
+        facts={
+            "Material": format_material_line(job.object_name, [baked.materials[slot] for slot in slots]),
+            "Routes": facts["routes"],
+            "Height": _format_height_line(facts["height_source"], get_resolved_wavelength(record)),
+            "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",
+        },
+        tactile=get_widest_map(record),
+    )  # fmt: skip
+
+
+def make_file_stem(name: str) -> str:
+    """A plain file name from a stroke's name; where it had to change, four digits of a hash part what looks alike."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    slug = re.sub(r"[^A-Za-z0-9]+", "-", plain).strip("-").lower()[:60] or "stroke"
+    return f"{slug}-{content_hash(name)[:4]}" if slug != name.lower().replace(" ", "-") else slug
+
+
+def iter_numbered_stems(stem: str) -> Iterator[str]:
+    """The stem, and where that one is taken: stem-2, stem-3, …"""
+    yield stem
+    yield from (f"{stem}-{count}" for count in itertools.count(2))
+
+
+def save_baked_blend(path: Path) -> None:
+    """Save a copy of what is open to path; the file the user has open stays what it is. Raises FileError."""
+    import bpy
+
+    def write(temporary: Path) -> None:
+        temporary.unlink()  # Blender would keep the empty file as its backup
+        try:
+            with suppress_output():
+                bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True, relative_remap=True)
+        except RuntimeError as error:
+            raise FileError(
+                f"Blender could not save it ({str(error).strip()}).",
+                where=str(path),
+                remedy="Free some disk space or choose another output folder.",
+            ) from error
+
+    write_atomically(path, write)
+
+
+def format_material_line(object_name: str, materials: Sequence[SlotMaterial]) -> str:
+    """Each shader and what it is taken for, in the order in which the stroke meets them."""
+    told = [
+        f"{each.shader or 'no material'}{place} → {each.library.name}, {format_certainty(each)}"
+        for each, place in zip(materials, [f" on {object_name}"] + [""] * len(materials), strict=False)
+    ]
+    return "; ".join(told)
+
+
+def _format_height_line(source: str, resolved: float) -> str:
+    if not np.isfinite(resolved):
+        return "no bump, normal or displacement in the shader"
+    return f"{source}; resolves waves from {resolved * 1e3:.2g} mm"

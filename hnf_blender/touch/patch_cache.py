@@ -1,0 +1,210 @@
+"""Baked patches on disk, named by the content they were made from, so that nothing stale can be found."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.files import NPZ_ERRORS, write_bytes
+from hnf_core.material.library import Appearance
+from hnf_core.material.token import Token
+from hnf_core.tactile.tactile_map import Route
+
+from ..bridge.render.unlit_image import UnlitImage
+
+PATCH_VERSION = 4
+PREDICTION_VERSION = 1
+
+PATCHES_IN_MEMORY = 8
+"""Patches kept in memory, some 2 MB each, 6 with a picture: more than a stroke of 10 cm crosses."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the networks made of one patch's look.
+
+    images: (V, 64, 64, 3) float32 sensor images, the widest view first. pitch_m: (V,) metres per pixel of each.
+    resolved_wavelength_m: shortest wave that the picture shows. token: E of the maps, merged. encoder: make of E.
+    weights: content hash of D_φ's.
+    """
+
+    images: NDArray[np.float32]
+    pitch_m: NDArray[np.float64]
+    resolved_wavelength_m: float
+    token: Token
+    encoder: str
+    weights: str
+
+
+@dataclass(frozen=True)
+class PatchRecord:
+    """What the close-up of one patch gave.
+
+    height: (H, W) float32 metres, or None where the shader has no micro-geometry. mask: (H, W) bool.
+    metres_per_pixel: m. resolved_wavelength_m: inf where nothing is resolved. height_source: for the report.
+    height_peak_to_peak_m: of the shader's own height, 0 where it has none.
+    token, known: E of the measured tactile map, or None. appearance: shading values averaged over the patch.
+    faces: (k,) int32 faces of the object's own mesh that the patch covers. notes: warnings for the artist.
+    look: the unlit picture, where height is None and the colour varies. encoder: make of E that token is from.
+    predicted: what was estimated from the look, where that was wanted; kept in a file of its own.
+    """
+
+    height: NDArray[np.float32] | None
+    mask: NDArray[np.bool_]
+    metres_per_pixel: float
+    resolved_wavelength_m: float
+    height_source: str
+    height_peak_to_peak_m: float
+    token: NDArray[np.float32] | None
+    known: NDArray[np.bool_] | None
+    appearance: Appearance
+    faces: NDArray[np.int32]
+    notes: tuple[str, ...]
+    unlit: UnlitImage | None = None
+    encoder: str = ""
+    predicted: Prediction | None = None
+
+    @property
+    def route(self) -> Route:
+        """How the relief of this patch is known."""
+        if self.height is not None:
+            return Route.MEASURED
+        return Route.PRIOR if self.predicted is None else Route.PREDICTED
+
+
+def load_patch(folder: Path, key: str) -> PatchRecord | None:
+    """The record stored under key, its arrays for reading only, or None. A damaged file counts as absent: it is baked
+    anew."""
+    path = folder / f"{key}.npz"
+    try:
+        stat = path.stat()
+        return _read_patch(path, stat.st_mtime_ns, stat.st_size)
+    except NPZ_ERRORS:
+        return None
+
+
+@lru_cache(maxsize=PATCHES_IN_MEMORY)
+def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None:
+    """Raises what DAMAGED names. The last ones stay in memory as long as their files are what they were: strokes of a
+    scene often cross the same place, and unpacking takes longer than all else that a stroke over it costs."""
+    with np.load(path, allow_pickle=False) as data:
+        if int(data["version"]) != PATCH_VERSION:
+            return None
+        measured = bool(data["measured"])
+        return PatchRecord(
+            height=_set_read_only(data["height"]) if measured else None,
+            mask=_set_read_only(data["mask"]),
+            metres_per_pixel=float(data["metres_per_pixel"]),
+            resolved_wavelength_m=float(data["resolved_wavelength_m"]),
+            height_source=str(data["height_source"]),
+            height_peak_to_peak_m=float(data["height_peak_to_peak_m"]),
+            token=_set_read_only(data["token"]) if measured else None,
+            known=_set_read_only(data["known"]) if measured else None,
+            appearance=_unpack_appearance(data["appearance"]),
+            faces=_set_read_only(data["faces"]),
+            notes=tuple(str(note) for note in data["notes"]),
+            unlit=_unpack_unlit_image(data) if bool(data["pictured"]) else None,
+            encoder=str(data["encoder"]),
+        )
+
+
+def _set_read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Made read-only: several records may hold it."""
+    array.setflags(write=False)
+    return array
+
+
+def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
+    empty = np.zeros(0, dtype=np.float32)
+    arrays = {
+        "version": np.array(PATCH_VERSION),
+        "measured": np.array(record.height is not None),
+        "height": empty if record.height is None else record.height,
+        "mask": record.mask,
+        "metres_per_pixel": np.array(record.metres_per_pixel),
+        "resolved_wavelength_m": np.array(record.resolved_wavelength_m),
+        "height_source": np.array(record.height_source),
+        "height_peak_to_peak_m": np.array(record.height_peak_to_peak_m),
+        "token": empty if record.token is None else record.token,
+        "known": empty.astype(bool) if record.known is None else record.known,
+        "appearance": _pack_appearance(record.appearance),
+        "faces": record.faces,
+        "notes": np.array(record.notes, dtype=np.str_),
+        "pictured": np.array(record.unlit is not None),
+        "encoder": np.array(record.encoder),
+    }
+    if record.unlit is not None:
+        arrays |= {
+            "rgb": record.unlit.rgb,
+            "depth": record.unlit.depth_m,
+            "look_resolved": np.array(record.unlit.resolved_wavelength_m),
+            "look_source": np.array(record.unlit.source),
+        }
+    _save_arrays(folder / f"{key}.npz", arrays)
+
+
+def load_prediction(folder: Path, key: str) -> Prediction | None:
+    """The prediction stored under key, or None. A damaged file counts as absent: it is made anew."""
+    try:
+        with np.load(folder / f"{key}.npz", allow_pickle=False) as data:
+            if int(data["prediction"]) != PREDICTION_VERSION:
+                return None
+            return Prediction(
+                images=data["images"],
+                pitch_m=data["pitch_m"],
+                resolved_wavelength_m=float(data["resolved_wavelength_m"]),
+                token=Token(data["token"], data["known"]),
+                encoder=str(data["encoder"]),
+                weights=str(data["weights"]),
+            )
+    except NPZ_ERRORS:
+        return None
+
+
+def save_prediction(folder: Path, key: str, prediction: Prediction) -> None:
+    arrays = {
+        "prediction": np.array(PREDICTION_VERSION),
+        "images": prediction.images,
+        "pitch_m": prediction.pitch_m,
+        "resolved_wavelength_m": np.array(prediction.resolved_wavelength_m),
+        "token": prediction.token.values,
+        "known": prediction.token.known,
+        "encoder": np.array(prediction.encoder),
+        "weights": np.array(prediction.weights),
+    }
+    _save_arrays(folder / f"{key}.npz", arrays)
+
+
+def _save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    packed = io.BytesIO()  # in memory first: on a full disk a half-written archive complains again when dropped
+    np.savez_compressed(packed, **arrays)
+    write_bytes(path, packed.getvalue())
+
+
+def _unpack_unlit_image(data: Mapping[str, NDArray[Any]]) -> UnlitImage:
+    return UnlitImage(
+        _set_read_only(data["rgb"]),
+        _set_read_only(data["depth"]),
+        float(data["look_resolved"]),
+        str(data["look_source"]),
+    )
+
+
+def _pack_appearance(appearance: Appearance) -> NDArray[np.float64]:
+    colour = appearance.base_color or (np.nan,) * 3
+    rest = (appearance.roughness, appearance.metallic, appearance.sheen, appearance.transmission)
+    return np.array([*colour, *(np.nan if value is None else value for value in rest)])
+
+
+def _unpack_appearance(row: NDArray[np.float64]) -> Appearance:
+    values = [None if np.isnan(value) else float(value) for value in row]
+    red, green, blue = values[:3]
+    colour = None if red is None or green is None or blue is None else (red, green, blue)
+    return Appearance(colour, *values[3:])

@@ -1,0 +1,166 @@
+"""Cubic keyframes: what a Blender F-curve with handles a third of the way computes, in closed form.
+
+Few cubic keyframes for a densely sampled quantity.
+
+Keyframes as Blender interpolates them, in float64: Blender's own evaluation rounds time to float32, which at
+frame 10,000 would shake a 100 mm/s stroke by half a per cent.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Keyframes:
+    """time (k,) s ascending, value (k,), slope (k,) per second. Between keys the cubic Hermite polynomial, which a
+    Bézier F-curve draws exactly when its handles lie a third of the way in time; outside, the end values."""
+
+    time: Float
+    value: Float
+    slope: Float
+
+    def sample(self, time: ArrayLike) -> tuple[Float, Float]:
+        """Value and its rate of change per second, (n,) each."""
+        t = np.asarray(time, dtype=np.float64)
+        if len(self.time) == 1:
+            return np.full(t.shape, self.value[0]), np.zeros(t.shape)
+        i = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
+        width = self.time[i + 1] - self.time[i]
+        u = np.clip((t - self.time[i]) / width, 0.0, 1.0)
+        a, b = self.value[i], self.value[i + 1]
+        m, n = self.slope[i] * width, self.slope[i + 1] * width
+        value = a + u * (m + u * (3 * (b - a) - 2 * m - n + u * (m + n - 2 * (b - a))))
+        rate = (m + u * (2 * (3 * (b - a) - 2 * m - n) + 3 * u * (m + n - 2 * (b - a)))) / width
+        outside = (t < self.time[0]) | (t > self.time[-1])
+        return value, np.where(outside, 0.0, rate)
+
+
+def make_eased_travel(distance: float, speed: float, ramp_s: float, start_s: float = 0.0) -> Keyframes:
+    """Travel 0 → distance at constant speed, with S-shaped ramps (acceleration continuous) at both ends.
+
+    Takes distance / speed + ramp. A ramp longer than distance / speed is shortened to it, so that the speed is
+    reached however short the way is.
+    """
+    ramp = min(ramp_s, distance / speed)
+    if ramp < 1e-6:
+        lasting = distance / speed + ramp
+        return Keyframes(start_s + np.array([0.0, lasting]), np.array([0.0, distance]), np.array([speed, speed]))
+    cruise = distance / speed - ramp
+    # In half a ramp of duration r the speed goes 2v·(t/r)², which covers v·r/12; the second half mirrors it.
+    half = np.array([0.0, ramp / 2, ramp])
+    covered = np.array([0.0, ramp / 12, ramp / 2])
+    rise = np.array([0.0, 0.5, 1.0])
+    time = np.concatenate([half, ramp + cruise + half])
+    value = np.concatenate([covered, ramp + cruise - covered[::-1]])
+    keys = Keyframes(start_s + time, speed * value, speed * np.concatenate([rise, rise[::-1]]))
+    distinct = np.concatenate([[True], np.diff(keys.time) > 1e-9])
+    return Keyframes(keys.time[distinct], keys.value[distinct], keys.slope[distinct])
+
+
+def fit_keyframes(time: ArrayLike, value: ArrayLike, tolerance: float, *, rising: bool = False) -> Keyframes:
+    """Keys within tolerance of every sample, fewer where the quantity changes smoothly.
+
+    time: (n,) s ascending, n ≥ 2. value: (n,). rising: value never falls, and neither do the keys between samples
+    (slopes limited after Fritsch and Carlson, 1980). A quantity that never leaves its first value by more than
+    tolerance gets two keys.
+    """
+    t, v = np.asarray(time, dtype=np.float64), np.asarray(value, dtype=np.float64)
+    if np.ptp(v) <= tolerance and not rising:
+        middle = float(v.max() + v.min()) / 2.0
+        return Keyframes(t[[0, -1]], np.full(2, middle), np.zeros(2))
+    slope = np.gradient(v, t)
+    chosen = np.zeros(len(t), dtype=bool)
+    chosen[[0, -1]] = True
+    while True:
+        keys = _make_keyframes(t, v, slope, chosen, rising)
+        error = np.abs(keys.sample(t)[0] - v)
+        if error.max() <= tolerance or chosen.all():
+            return keys
+        borders = np.flatnonzero(chosen)
+        worst = [a + 1 + int(np.argmax(error[a + 1 : b])) for a, b in itertools.pairwise(borders) if b > a + 1]
+        chosen[[k for k in worst if error[k] > tolerance]] = True
+
+
+def _make_keyframes(t: Float, v: Float, slope: Float, chosen: NDArray[np.bool_], rising: bool) -> Keyframes:
+    time, value, at = t[chosen], v[chosen], slope[chosen]
+    if rising:
+        secant = np.diff(value) / np.diff(time)
+        most = 3.0 * np.minimum(np.r_[secant, secant[-1]], np.r_[secant[0], secant])
+        at = np.clip(at, 0.0, most)
+    return Keyframes(time, value, at)
+
+
+CONSTANT, LINEAR, BEZIER = "CONSTANT", "LINEAR", "BEZIER"
+
+
+@dataclass(frozen=True)
+class FCurve:
+    """key, left, right: (k, 2) (frame, value) of keyframes and their handles, ascending in time. interpolation:
+    CONSTANT, LINEAR or BEZIER from each key to the next. Before the first and after the last key the value holds."""
+
+    key: Float
+    left: Float
+    right: Float
+    interpolation: tuple[str, ...]
+
+    def evaluate(self, frames: ArrayLike) -> Float:
+        """Values (n,) at (fractional) frames (n,)."""
+        frame = np.asarray(frames, dtype=np.float64)
+        if len(self.key) == 1:
+            return np.full(frame.shape, self.key[0, 1])
+        i = np.clip(np.searchsorted(self.key[:, 0], frame, side="right") - 1, 0, len(self.key) - 2)
+        start, end = self.key[i], self.key[i + 1]
+        width = end[:, 0] - start[:, 0]
+        share = np.clip(np.divide(frame - start[:, 0], width, out=np.ones_like(width), where=width > 0.0), 0.0, 1.0)
+        value = start[:, 1] + share * (end[:, 1] - start[:, 1])
+        kind = np.array(self.interpolation)[i]
+        bezier = np.flatnonzero(kind == BEZIER)
+        value[bezier] = _evaluate_bezier(
+            start[bezier], self.right[i[bezier]], self.left[i[bezier] + 1], end[bezier], share[bezier]
+        )
+        constant = kind == CONSTANT
+        value[constant] = start[constant, 1]
+        value = np.where(frame <= self.key[0, 0], self.key[0, 1], value)
+        return np.where(frame >= self.key[-1, 0], self.key[-1, 1], value)
+
+
+def _evaluate_bezier(start: Float, right: Float, left: Float, end: Float, share: Float) -> Float:
+    """Values of cubic Bézier pieces at a share (n,) of their time; handles (n, 2) that reach past the piece are
+    shortened to it, as Blender does, so that time never runs backward."""
+    width = (end - start)[:, :1]
+    width = np.where(width > 0.0, width, 1.0)  # two keys on one frame: the later one counts
+    first, second = right - start, left - end
+    first = first * _compute_shortening(first[:, :1], width)
+    second = second * _compute_shortening(second[:, :1], width)
+    a = first[:, 0] / width[:, 0]
+    b = 1.0 + second[:, 0] / width[:, 0]
+    low, high = np.zeros(len(share)), np.ones(len(share))
+    u = share.copy()
+    for _ in range(64):
+        error = _evaluate_cubic(u, a, b) - share
+        low, high = np.where(error < 0.0, u, low), np.where(error > 0.0, u, high)
+        slope = 3.0 * ((1 - u) ** 2 * a + 2 * u * (1 - u) * (b - a) + u * u * (1 - b))
+        step = u - np.divide(error, slope, out=np.full_like(u, np.inf), where=slope > 0.0)
+        u = np.where((step >= low) & (step <= high), step, (low + high) / 2.0)
+        if np.all(np.abs(error) < 1e-15):
+            break
+    v = 1.0 - u
+    values = np.stack([start, start + first, end + second, end], axis=2)[:, 1]
+    return np.asarray(
+        v**3 * values[:, 0] + 3 * u * v * v * values[:, 1] + 3 * u * u * v * values[:, 2] + u**3 * values[:, 3]
+    )
+
+
+def _evaluate_cubic(u: Float, a: Float, b: Float) -> Float:
+    return np.asarray(3 * u * (1 - u) ** 2 * a + 3 * u * u * (1 - u) * b + u**3)
+
+
+def _compute_shortening(reach: Float, width: Float) -> Float:
+    return np.asarray(width / np.maximum(np.abs(reach), width))

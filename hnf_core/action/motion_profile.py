@@ -1,0 +1,119 @@
+"""When the hand is where: keyed progress, a constant speed or a duration become s(t) and its rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import StrokeError
+from .keyframes import make_eased_travel
+
+Float = NDArray[np.float64]
+
+RAMP_S = 0.1
+"""S-ramp at both ends of a speed or duration law: a hand neither starts nor stops at once."""
+MAX_DURATION_S = 600.0
+MAX_SPEED_M_S = 1e4
+"""What the field is asked for at most (field.stroke.LIMITS): no hand, but a scene of another unit."""
+
+
+@dataclass(frozen=True)
+class MotionProfile:
+    """position: (n,) m along the curve. velocity: (n,) m/s, its rate; negative where the stroke runs backward."""
+
+    position: Float
+    velocity: Float
+
+
+def make_time_grid(duration_s: float, rate: float, *, where: str = "") -> Float:
+    """Even times 0, 1/rate, … that reach duration_s (the last sample lies at or after it).
+
+    Raises StrokeError for a duration that is not positive, shorter than a step of the grid, or beyond ten minutes.
+    """
+    if not duration_s > 0.0:
+        raise StrokeError(
+            "the stroke lasts no time.",
+            where=where,
+            remedy="Set keyframes of progress or force at two different frames, or use the speed or duration law.",
+        )
+    if not duration_s <= MAX_DURATION_S:
+        raise StrokeError(
+            f"the stroke lasts {duration_s:g} s, and {MAX_DURATION_S:g} s is the most.",
+            where=where,
+            remedy="Move its last keyframe closer or raise its speed.",
+        )
+    if not duration_s * rate >= 1.0 - 1e-6:
+        raise StrokeError(
+            f"the stroke lasts {duration_s:.3g} s, and {1.0 / rate:g} s is the least.",
+            where=where,
+            remedy="Move its keyframes apart, or give it a longer duration or path.",
+        )
+    return np.arange(int(np.ceil(duration_s * rate - 1e-6)) + 1) / rate
+
+
+def clamp_force(force: ArrayLike, frames: ArrayLike, *, where: str, max_force: float = np.inf) -> Float:
+    """Normal force (n,) N clamped to 0 … most, since F-curve handles overshoot.
+
+    Raises StrokeError naming the stroke and the first frame whose value is not finite.
+    """
+    return np.clip(_check_finite(force, frames, "force", where), 0.0, max_force)
+
+
+def clamp_progress(progress: ArrayLike, frames: ArrayLike, *, where: str) -> Float:
+    """Progress (n,) clamped to 0–1; raises StrokeError like checked_force."""
+    return np.clip(_check_finite(progress, frames, "progress", where), 0.0, 1.0)
+
+
+def _check_finite(values: ArrayLike, frames: ArrayLike, name: str, where: str) -> Float:
+    array = np.asarray(values, dtype=np.float64)
+    broken = np.flatnonzero(~np.isfinite(array))
+    if len(broken):
+        frame = float(np.asarray(frames, dtype=np.float64)[broken[0]])
+        raise StrokeError(
+            f"{name} is not a number at frame {frame:g}.",
+            where=where,
+            remedy="Delete or correct the keyframe there in the Graph Editor.",
+        )
+    return array
+
+
+def check_motion(motion: MotionProfile, *, where: str) -> MotionProfile:
+    """motion itself; raises StrokeError where it is faster than FASTEST_M_S, before anything is rendered for it."""
+    fastest = float(np.abs(motion.velocity).max(initial=0.0))
+    if not fastest <= MAX_SPEED_M_S:
+        raise StrokeError(
+            f"the hand moves at {fastest:.2g} m/s, and {MAX_SPEED_M_S:g} m/s is the most.",
+            where=where,
+            remedy="Check the scene's unit scale, and move the stroke's keyframes apart or give it a longer duration.",
+        )
+    return motion
+
+
+def make_motion_from_progress(progress: Float, length_m: float, rate: float) -> MotionProfile:
+    """Progress samples (n,) in 0–1 of a curve's length; velocity by second-order differences, so that a knot of the
+    curve, which arc length does not feel, makes no spike."""
+    position = progress * length_m
+    if len(position) < 3:
+        return MotionProfile(
+            position, np.gradient(position, 1.0 / rate) if len(position) > 1 else np.zeros(len(position))
+        )
+    return MotionProfile(position, np.gradient(position, 1.0 / rate, edge_order=2))
+
+
+def make_motion_at_speed(time: Float, length_m: float, speed_m_s: float) -> MotionProfile:
+    """From end to end at constant speed with eased ends, from time 0."""
+    if length_m == 0.0:
+        return MotionProfile(np.zeros(len(time)), np.zeros(len(time)))
+    return MotionProfile(*make_eased_travel(length_m, speed_m_s, RAMP_S).sample(time))
+
+
+def compute_travel_time(length_m: float, speed_m_s: float) -> float:
+    """Seconds that motion_at_speed takes."""
+    return length_m / speed_m_s + min(RAMP_S, length_m / speed_m_s)
+
+
+def compute_speed_for_duration(length_m: float, duration_s: float) -> float:
+    """The constant speed whose eased travel takes duration_s: travel_time(length, result) = duration."""
+    return length_m / (duration_s - min(RAMP_S, duration_s / 2.0))

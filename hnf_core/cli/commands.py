@@ -1,0 +1,105 @@
+"""The verbs of the command line, and what each is for: all that `hnf --help` needs to know of them.
+
+What a verb loads and which options it takes stands in its own module, which is imported when the verb is asked for.
+
+--seed of the verbs that feel strokes.
+
+How this program was called, for lines that a person is to paste.
+
+What the subjects of `hnf train` have in common: torch, a seed, and a file of weights to write.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+from ..errors import HnfError, UsageError
+
+COMMAND_MODULES = {
+    "touch": "touch",
+    "synth": "synth",
+    "train": "train",
+    "eval": "eval",
+    "materials": "materials",
+    "export": "export",
+    "import": "import_file",
+    "actuators": "actuators",
+    "stream": "stream",
+    "bench": "bench",
+    "batch": "batch",
+    "doctor": "doctor",
+}
+"""Verb → module of this package. Its add_parser(verbs) adds the verb; its run, where it has one, does it."""
+
+HELP = {
+    "touch": "bake a scene and write what each stroke feels like as WAV files",
+    "synth": "write what one stroke on one material feels like as a WAV file",
+    "train": "train a field on recordings of one material, or another of the networks",
+    "eval": "measure fields and rivals by every metric, with the limits beside them",
+    "materials": "list the library's materials",
+    "export": "write a WAV in another format, and say what was lost",
+    "import": "turn a haptic file of another program into a WAV in m/s²",
+    "actuators": "list devices and profiles; measure an actuator",
+    "stream": "play a WAV on an actuator",
+    "bench": "measure time, memory and error, as a table",
+    "batch": "run many of these commands on many workers; what is finished is not run again",
+    "doctor": "say what is installed and at work, and what a missing part costs",
+}
+
+EXAMPLES = """examples:
+  hnf touch scene.blend --plan                          what can be touched, and what it would take
+  hnf touch scene.blend --out result                    a WAV and a picture for every stroke
+  hnf synth --material oak-wood --stroke rub-slow --out rub.wav"""
+
+COMMAND_HINTS = {"probe": "To ask about one place: hnf touch SCENE --out DIR --probe OBJECT:u,v"}
+"""What people look for as a command of its own → what does it."""
+
+
+def import_command(verb: str) -> ModuleType:
+    """Where a verb's words stand."""
+    return import_module(f".{COMMAND_MODULES[verb]}", __package__)
+
+
+SEED_LIMIT = 2**63
+
+
+def parse_seed(text: str) -> int:
+    """For argparse. Raises UsageError for what is no whole number from 0 to SEEDS − 1."""
+    if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) < SEED_LIMIT):
+        raise UsageError(f"--seed {text[:40]}: not a whole number from 0 to 2^63 − 1.", remedy="Give e.g. 0.")
+    return int(text)
+
+
+def get_command_prefix(argv: Sequence[str] | None = None) -> list[str]:
+    """The words before a command: hnf as it was found, or Blender's way to it. argv: None = sys.argv."""
+    first = (sys.argv if argv is None else argv)[0]
+    name = Path(first).name.lower()
+    if name.startswith("blender"):
+        return [first, "-b", "--command", "hnf"]
+    return [first] if name in {"hnf", "hnf.exe"} else ["hnf"]
+
+
+@contextmanager
+def require_torch(what: str) -> Iterator[None]:
+    """For imports that torch is needed for. Raises HnfError, which names what, where they fail."""
+    try:
+        yield
+    except ImportError as error:
+        raise HnfError(
+            f"{what} needs torch ({error}).",
+            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[train]'.",
+        ) from error
+
+
+def check_seed_and_weights(arguments: argparse.Namespace) -> None:
+    """--seed and --out. Raises UsageError where one of them will not do."""
+    if arguments.seed < 0:
+        raise UsageError("--seed must be a whole number from 0.")
+    if arguments.out.suffix != ".safetensors":
+        raise UsageError(f"--out {arguments.out.name}: weights are .safetensors files.", remedy="Name it so.")

@@ -1,0 +1,288 @@
+"""Files of a user's folder, whatever its sub-folders are called.
+
+Units as data files write them → factor into SI; and which numbers can be a measurement at all.
+
+XML of unknown origin → element tree, with nothing in it expanded.
+
+Any DTD is refused: entities, and with them every expansion and outside reference, can only be declared there, and no
+file of the data sets has one. That needs twenty lines on the standard library's expat, so no further package (such as
+defusedxml) has to travel into Blender.
+
+Text files of numbers: CSV tables with a header, and one number a line.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import NoReturn
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError
+from ..units import STANDARD_GRAVITY
+
+MAX_FOLDER_DEPTH = 8
+MAX_FILES = 500_000
+MAX_NAME_LENGTH = 200
+
+
+def find_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """Sorted files with one of the suffixes (lower case, with dot), at most DEEPEST folders down; links to folders are
+    not followed, hidden ones are left out. Raises FileError where folder is none, or holds more than MOST_FILES files.
+    """
+    if not folder.is_dir():
+        raise FileError("this is no folder.", where=str(folder), remedy="Give the folder that holds the data set.")
+    found: list[Path] = []
+    seen = 0
+    for here, folders, names in os.walk(folder):
+        depth = len(Path(here).relative_to(folder).parts)
+        folders[:] = [] if depth >= MAX_FOLDER_DEPTH else [name for name in folders if not name.startswith(".")]
+        seen += len(names)
+        if seen > MAX_FILES:
+            raise FileError(
+                f"more than {MAX_FILES} files.", where=str(folder), remedy="Give the data set's own folder."
+            )
+        wanted = (name for name in names if not name.startswith(".") and os.path.splitext(name)[1].lower() in suffixes)
+        # A pipe or device of such a name would be waited for.
+        found += [path for name in wanted if (path := Path(here) / name).is_file()]
+    return sorted(found)
+
+
+def read_head(path: Path, size: int = 4096) -> bytes:
+    """The first bytes of a file; empty where it cannot be read (who needs the file will say so)."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(size)
+    except OSError:
+        return b""
+
+
+def is_safe_name(name: str) -> bool:
+    """Whether a name written in a file is one file's or folder's own: on no system does it lead anywhere else."""
+    fits = len(name) <= MAX_NAME_LENGTH and re.fullmatch(r"\w[\w .,+()&'-]*", name) is not None
+    return fits and not name.endswith((" ", "."))
+
+
+def list_file_names(folder: Path) -> frozenset[str]:
+    """Names of the files that lie directly in a folder; empty where there is no such folder."""
+    try:
+        with os.scandir(folder) as entries:
+            return frozenset(entry.name for entry in entries if not entry.name.startswith(".") and entry.is_file())
+    except OSError:
+        return frozenset()
+
+
+_UNIT_FACTORS = {
+    "acceleration": {
+        "m/s2": 1.0, "m/s/s": 1.0, "ms-2": 1.0, "mm/s2": 1e-3, "g": STANDARD_GRAVITY, "g0": STANDARD_GRAVITY,
+        "mg": 1e-3 * STANDARD_GRAVITY, "gravity": STANDARD_GRAVITY,
+    },
+    "speed": {"m/s": 1.0, "ms-1": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "um/s": 1e-6, "in/s": 25.4e-3},
+    "force": {
+        "n": 1.0, "newton": 1.0, "newtons": 1.0, "mn": 1e-3, "gf": 1e-3 * STANDARD_GRAVITY, "kgf": STANDARD_GRAVITY,
+    },
+    "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3},
+    "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6},
+    "rate": {"hz": 1.0, "khz": 1e3, "samples/s": 1.0},
+}  # fmt: skip
+
+MAX_MEASURABLE = 1e12
+"""No sensor of touch gives such a number, in whatever unit; its square would overflow."""
+
+
+def is_measurable(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Finite and below BEYOND, element by element."""
+    return np.abs(values) < MAX_MEASURABLE  # False for NaN
+
+
+def parse_unit_factor(quantity: str, written: str, where: str) -> float:
+    """What a number in the written unit is multiplied by to be SI; case, blanks, ^ and brackets do not count.
+
+    quantity: acceleration, speed, force, position, time or rate. Raises FileError for a unit that is not one of these.
+    """
+    known = _UNIT_FACTORS[quantity]
+    plain = re.sub(r"[\s^*\[\](){}·]", "", written.replace("²", "2").replace("µ", "u").replace("μ", "u")).lower()
+    if plain not in known:
+        raise FileError(
+            f"{written.strip()!r} is no unit of {quantity} known here.",
+            where=where,
+            remedy=f"Known are {', '.join(known)}.",
+        )
+    return known[plain]
+
+
+MAX_FILE_BYTES = 256 * 2**20
+"""A recording of 10 s at 10 kHz is some 30 MB; more than this is no file of a data set."""
+MAX_XML_DEPTH = 64
+_XML_REMEDY = "Get the file again from the data set."
+
+
+class _DtdError(Exception):
+    pass
+
+
+class _DepthError(Exception):
+    pass
+
+
+def read_xml(path: Path) -> Element:
+    """Root element of an XML file, namespaces and comments dropped.
+
+    Raises FileError where it cannot be read, is larger than LARGEST_BYTES, is not well-formed, declares a DTD, or nests
+    deeper than DEEPEST.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise FileError(f"{size / 2**20:.0f} MB are too much.", where=str(path), remedy=_XML_REMEDY)
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
+    return parse_xml(data, str(path))
+
+
+def parse_xml(data: bytes, where: str) -> Element:
+    """As read_xml, from bytes."""
+    builder, depth = TreeBuilder(), 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > MAX_XML_DEPTH:
+            raise _DepthError
+        builder.start(tag.rpartition(":")[2], attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag.rpartition(":")[2])
+
+    def refuse(*_: object) -> NoReturn:
+        raise _DtdError
+
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = builder.data
+    parser.StartDoctypeDeclHandler = refuse
+    parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(data, True)
+        return builder.close()
+    except _DtdError as error:
+        line = parser.CurrentLineNumber
+        raise FileError(
+            f"line {line} declares a DTD, which could hide anything.", where=where, remedy="Remove it from the file."
+        ) from error
+    except _DepthError as error:
+        raise FileError(f"elements nest deeper than {MAX_XML_DEPTH}.", where=where, remedy=_XML_REMEDY) from error
+    except (expat.ExpatError, LookupError, ValueError) as error:
+        raise FileError(f"not well-formed XML ({error}).", where=where, remedy=_XML_REMEDY) from error
+
+
+Float = NDArray[np.float64]
+_TABLE_REMEDY = "Get the file again from the data set."
+
+
+def read_text(path: Path) -> str:
+    """Raises FileError where the file cannot be read, is too large, or is not text."""
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise FileError("too large for a recording.", where=str(path), remedy=_TABLE_REMEDY)
+        text = path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
+    except UnicodeDecodeError as error:
+        raise FileError("not a text file.", where=str(path), remedy=_TABLE_REMEDY) from error
+    if "\0" in text:
+        raise FileError("not a text file.", where=str(path), remedy=_TABLE_REMEDY)
+    return text
+
+
+def read_header(path: Path) -> list[str]:
+    """Names of a CSV's columns in lower case, without their units in brackets; "" for what is no name. Raises FileError
+    as read_table."""
+    return _parse_header(_read_numbered_lines(path))[0]
+
+
+def read_table(path: Path, wanted: tuple[str, ...]) -> tuple[Float, dict[str, str]]:
+    """CSV → (n, len(wanted)) numbers, and the unit in brackets behind a column's name where the header has one.
+
+    Case, order and further columns do not matter; comma, semicolon or tab separate, and where it is not the comma, that
+    may stand for the decimal point. Raises FileError for a column that
+    is missing, a cell that is no finite number, or no rows.
+    """
+    where, numbered = str(path), _read_numbered_lines(path)
+    names, written, separator = _parse_header(numbered)
+    missing = [name for name in wanted if name.lower() not in names]
+    if missing:
+        raise FileError(
+            f"column {missing[0]} is missing.", where=where, remedy=f"A header {','.join(wanted)} is expected."
+        )
+    places = [names.index(name.lower()) for name in wanted]
+    units = {name: written[place] for name, place in zip(wanted, places, strict=True) if written[place]}
+    if len(numbered) < 2:
+        raise FileError("it has no rows.", where=where, remedy=_TABLE_REMEDY)
+    return _parse_rows(numbered[1:], separator, places, where), units
+
+
+def _read_numbered_lines(path: Path) -> list[tuple[int, str]]:
+    """Those that are not empty, each with its number."""
+    return [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
+
+
+def _parse_header(numbered: list[tuple[int, str]]) -> tuple[list[str], list[str], str]:
+    """Of each column the name in lower case and the unit in brackets, "" where there is none; and the separator."""
+    first = numbered[0][1] if numbered else ""
+    separator = max((",", ";", "\t"), key=first.count)
+    cells = [
+        re.match(r"\s*([^(\[]*?)\s*(?:[(\[](.*)[)\]])?\s*$", cell.replace('"', "")) for cell in first.split(separator)
+    ]
+    return [cell[1].lower() if cell else "" for cell in cells], [(cell and cell[2]) or "" for cell in cells], separator
+
+
+def read_numbers(path: Path) -> Float:
+    """One number a line → (n,). Raises FileError for a line that is not one finite number, or for none."""
+    numbered = _read_numbered_lines(path)
+    if not numbered:
+        raise FileError("it is empty.", where=str(path), remedy=_TABLE_REMEDY)
+    return _parse_rows(numbered, ",", [0], str(path))[:, 0]
+
+
+def _parse_rows(numbered: list[tuple[int, str]], separator: str, column_indices: list[int], where: str) -> Float:
+    """Lines with their numbers → (n, len(places)); which line is at fault is only looked for where one is."""
+    if separator != ",":
+        numbered = [(number, line.replace(",", ".")) for number, line in numbered]
+    try:
+        lines = (line for _, line in numbered)
+        values = np.loadtxt(lines, delimiter=separator, usecols=column_indices, comments=None, ndmin=2)
+    except ValueError as error:
+        for number, line in numbered:
+            cells = line.split(separator)
+            if not all(place < len(cells) and _is_number(cells[place]) for place in column_indices):
+                raise FileError(
+                    f"line {number}: a cell is missing or no number.", where=where, remedy=_TABLE_REMEDY
+                ) from error
+        raise FileError(f"not a table of numbers ({error}).", where=where, remedy=_TABLE_REMEDY) from error
+    usable = is_measurable(values).all(axis=1)
+    if not usable.all():
+        raise FileError(
+            f"line {numbered[int(np.argmin(usable))][0]}: a value is not finite or beyond {MAX_MEASURABLE:g}.",
+            where=where,
+            remedy=_TABLE_REMEDY,
+        )
+    return np.asarray(values)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,102 @@
+"""What is at work here and what is missing: for `hnf doctor`, and for the panel that says the same of a Blender."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import __version__
+from .errors import HnfError
+
+
+@dataclass(frozen=True)
+class Fact:
+    """key: its name for programs, which stays when the label is worded anew. label: its name for people."""
+
+    key: str
+    label: str
+    value: str
+
+
+@dataclass(frozen=True)
+class Package:
+    """name: as pip knows it. without: what cannot be done where it is missing."""
+
+    name: str
+    without: str
+
+
+OPTIONAL_PACKAGES = (
+    Package("bpy", "no scene is opened at a shell: touch runs in Blender alone (blender -b --command hnf touch …)"),
+    Package("OpenEXR", "close-ups cannot be read: touch does not work"),
+    Package("embreex", "rays are cast more slowly"),
+    Package("safetensors", "weights cannot be read: nothing is synthesised"),
+    Package("matplotlib", "no pictures of strokes and no plots"),
+    Package("torch", "no training; touching and synthesis do not need it"),
+    Package("sounddevice", "no playing by the sound card (stream --to audio)"),
+    Package("python-osc", "no sending by OSC (stream --to osc:HOST:PORT)"),
+    Package("pyserial", "no actuators on a serial port (stream --to serial:PORT)"),
+)
+
+
+def get_base_versions() -> tuple[Fact, ...]:
+    """Of the program, of Python and of what it cannot run without."""
+    return (
+        Fact("hnf", "hnf", __version__),
+        Fact("python", "Python", platform.python_version()),
+        Fact("numpy", "numpy", get_version("numpy") or "not installed"),
+        Fact("system", "System", f"{platform.system()} {platform.release()} {platform.machine()}"),
+    )
+
+
+def get_version(package: str) -> str:
+    """ "" where it is not installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+def describe_kernel() -> str:
+    """Whether the inner loops of synthesis are compiled: numpy does the same in about twice the time."""
+    from .kernel.loader import load_kernel, why_unavailable
+
+    return "at work" if load_kernel() is not None else f"using slower numpy version ({why_unavailable()})"
+
+
+def describe_field() -> str:
+    """Of the shipped field, or what is wrong with it."""
+    from .field.weights import load_field
+
+    try:
+        return load_field().identity
+    except (HnfError, ImportError) as error:
+        return str(error)
+
+
+def hash_data_files() -> tuple[Fact, ...]:
+    """Content hashes of the material library and of the network that reads pictures; "not there" without the file."""
+    from .files import content_hash
+    from .material.library import LIBRARY_PATH
+    from .tactile.diffusion.weights import DEFAULT_WEIGHTS
+
+    def hash_of(path: Path) -> str:
+        try:
+            return content_hash(path.read_bytes())
+        except OSError as error:
+            return f"not there ({error.strerror}): {path}"
+
+    return (
+        Fact("material_library", "Material library", hash_of(LIBRARY_PATH)),
+        Fact("weights_for_pictures", "Weights for pictures", hash_of(DEFAULT_WEIGHTS)),
+    )
+
+
+MIN_TRAINING_PYTHON = (3, 11)
+
+
+TRAINING_PACKAGES = {"numpy": "numpy>=1.24", "safetensors": "safetensors==0.8.0", "torch": "torch==2.13.0"}
+"""What `hnf train field` imports → what pip is asked for, as pyproject.toml pins it."""

@@ -1,0 +1,159 @@
+"""CSV and NPZ, for laboratories: the samples themselves, lossless.
+
+CSV: the header `time_s,acceleration_m_s2` and a row a sample, float32 with nine digits, which give back the same bits.
+The rate is read from the times; seed and origin stand in the sidecar. NPZ: `samples` (n,) float32 m/s²,
+`sample_rate_hz`, `seed`, and `origin`, a JSON text; arrays of plain numbers and text, read without pickle.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError
+from ..files import write_bytes
+from ..signal import Signal
+from .json_reader import REEXPORT_REMEDY, read_limited_bytes
+from .options import ExportOptions, ImportOptions, get_finite_samples
+from .provenance import encode_provenance, read_sidecar_provenance
+
+HEADER = "time_s,acceleration_m_s2"
+MAX_TABLE_BYTES = 2**29
+MAX_ROW_BYTES = 40
+"""At most: a time of up to nine digits before the point and twelve after it, and a float32."""
+MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e9
+MAX_TIME_DEVIATION = 0.1
+"""Of a sample's time: more than this off its place, and times are not even. Tables round their times."""
+
+
+def write_csv(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
+    """Raises FileError where a sample is not finite, there are fewer than two, whose times tell no rate, the table
+    would be larger than is read again, or the disk refuses."""
+    samples = get_finite_samples(signal, str(path))
+    if len(samples) < 2:
+        raise FileError(f"a table of {len(samples)} rows tells no rate.", where=str(path), remedy="Write NPZ instead.")
+    if len(samples) * MAX_ROW_BYTES > MAX_TABLE_BYTES:
+        raise FileError(f"{len(samples)} rows are too many for a table.", where=str(path), remedy="Write NPZ instead.")
+    time = np.arange(len(samples)) / signal.sample_rate
+    rows = io.StringIO()
+    np.savetxt(rows, np.stack([time, samples.astype(np.float64)], axis=1), fmt=["%.12f", "%.9g"], delimiter=",")
+    write_bytes(path, f"{HEADER}\n{rows.getvalue()}".encode("ascii"))
+    return ("Seed and origin stand in the .json beside it.",)
+
+
+def read_csv(path: Path, options: ImportOptions) -> Signal:
+    """Seed and provenance come from the sidecar where it speaks of these very bytes. Raises FileError where it is no
+    such table, its times do not rise evenly, a value is not finite, or it has fewer than two rows and so no rate."""
+    data = read_limited_bytes(path, MAX_TABLE_BYTES)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileError("is no UTF-8 text.", where=str(path), remedy="Save it as UTF-8.") from error
+    header, _, body = text.partition("\n")
+    if [cell.strip() for cell in header.split(",")] != HEADER.split(","):
+        raise FileError("is no table of accelerations.", where=str(path), remedy=f"Give the header {HEADER}.")
+    try:
+        rows = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2) if body.strip() else np.zeros((0, 2))
+    except ValueError as error:
+        raise FileError(f"is damaged ({error}).", where=str(path), remedy=REEXPORT_REMEDY) from error
+    if rows.shape[1] != 2 or len(rows) < 2:
+        raise FileError("has no two columns and rows.", where=str(path), remedy=f"Give the header {HEADER} and rows.")
+    with np.errstate(over="ignore"):
+        samples = rows[:, 1].astype(np.float32)
+    if not (np.isfinite(rows).all() and np.isfinite(samples).all()):
+        raise FileError("some values are not finite.", where=str(path), remedy=REEXPORT_REMEDY)
+    seed, facts = read_sidecar_provenance(path) or (options.seed, {"source": path.name})
+    return Signal(samples, _infer_rate(rows[:, 0], path), seed, facts)
+
+
+def _infer_rate(time: NDArray[np.float64], path: Path) -> float:
+    """Hz, a whole number where rounded times allow it."""
+    with np.errstate(over="ignore"):
+        span = time[-1] - time[0]
+    if not span > 0.0:
+        raise FileError("its times do not rise.", where=str(path), remedy="Sort the rows by time_s.")
+    with np.errstate(over="ignore"):
+        rate = (len(time) - 1) / span
+    if not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
+        raise FileError(
+            f"its times are {span / (len(time) - 1):g} s apart.", where=str(path), remedy="Give times in seconds."
+        )
+    if np.abs((time - time[0]) * rate - np.arange(len(time))).max() > MAX_TIME_DEVIATION:
+        raise FileError("its times are not even.", where=str(path), remedy="Resample it to even times.")
+    whole = float(round(rate))
+    return whole if abs(rate - whole) <= rate * max(1e-6, 2e-12 / span) else float(rate)
+
+
+def write_npz(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
+    """Equal signals give equal bytes. Raises FileError where a sample is not finite or the disk refuses."""
+    arrays: dict[str, NDArray[Any]] = {
+        "samples": get_finite_samples(signal, str(path)),
+        "sample_rate_hz": np.array(float(signal.sample_rate)),
+        "seed": np.array(str(int(signal.seed))),
+        "origin": np.array(encode_provenance(signal, None)),
+    }
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            member = io.BytesIO()
+            np.save(member, array, allow_pickle=False)
+            # A date of its own would make two files of one signal differ.
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), member.getvalue())
+    write_bytes(path, buffer.getvalue())
+    return ()
+
+
+def read_npz(path: Path, options: ImportOptions) -> Signal:
+    """Raises FileError where it is no such archive, an array is missing, larger than it says, of another kind, or not
+    finite."""
+    data = read_limited_bytes(path, MAX_TABLE_BYTES)
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            found = {name: _read_member(archive, name) for name in ("samples", "sample_rate_hz", "seed", "origin")}
+        samples, rate = found["samples"], float(found["sample_rate_hz"])
+        seed, record = int(str(found["seed"])), json.loads(str(found["origin"]))
+        facts = {str(name): str(value) for name, value in record["provenance"].items()}
+        sound = (
+            samples.ndim == 1
+            and samples.dtype == np.float32
+            and np.isfinite(samples).all()
+            and 0.0 < rate <= MAX_RATE_HZ
+        )
+    except (zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError, EOFError, NotImplementedError,
+            RuntimeError, RecursionError, OSError) as error:  # fmt: skip
+        raise FileError(f"is no archive of a signal ({error}).", where=str(path), remedy=REEXPORT_REMEDY) from error
+    if not sound:
+        raise FileError("its samples are no finite float32 at a rate.", where=str(path), remedy=REEXPORT_REMEDY)
+    return Signal(samples, rate, seed, facts)
+
+
+def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    """An array whose header claims no more than is there."""
+    info = archive.getinfo(f"{name}.npy")
+    if info.file_size > MAX_TABLE_BYTES:
+        raise ValueError(f"{name} is larger than {MAX_TABLE_BYTES} bytes")
+    stream = io.BytesIO(archive.read(info))
+    shape, fortran, kind = _read_array_header(stream)
+    rest = stream.read()
+    if kind.hasobject or kind.kind not in "fU" or fortran or any(size < 0 for size in shape):
+        raise ValueError(f"{name} is of the kind {kind}")
+    count = 1
+    for size in shape:
+        count *= int(size)
+    if count * kind.itemsize != len(rest):
+        raise ValueError(f"{name} claims {count} values and holds {len(rest)} bytes")
+    return np.frombuffer(rest, kind, count).reshape(shape).copy()
+
+
+def _read_array_header(stream: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and type of the array that follows. numpy reads the literal, and evaluates nothing."""
+    layout: Any = np.lib.format
+    read = layout.read_array_header_1_0 if layout.read_magic(stream) == (1, 0) else layout.read_array_header_2_0
+    shape, fortran, kind = read(stream)
+    return shape, fortran, kind

@@ -1,0 +1,413 @@
+"""The binary container of glTF 2.0 (GLB): one JSON object and one block of bytes.
+
+Layout: Khronos, "glTF 2.0 Specification", 4.4 "Binary glTF Layout": magic "glTF", version 2, length; chunks of uint32
+length, uint32 type and data, padded to four bytes, JSON with spaces and BIN with zeros.
+
+A touched surface → the vertices of a glTF mesh, which knows no faces and no corners.
+
+MPEG_haptic_material: what a baked surface feels like, as textures of a glTF file.
+
+ISO/IEC 23090-14, 2nd edition; the extension's page and schemas are public: github.com/KhronosGroup/glTF,
+extensions/2.0/Vendor/MPEG_haptic_material (README.md, schema/glTF.MPEG_haptic_material.schema.json,
+MPEG_haptic_material.schema.json, ….material.schema.json, ….material.texture.schema.json). The file lists materials; a
+mesh names one by hapticMaterialIndex; a material has arrays of textures {texture, type} by property.
+
+The page says what a property means but not how pixels count. So each texture has its range, unit and exact values in
+extras, and a taxel a baked material: a row of pixels that a UV map of its own points at. So values are not averaged
+over seams of the artist's UV map, and a mesh without one has them too. Left out, as nothing baked says them:
+temperature, vibration, custom. Left out, as it needs binary haptic media (.hmpg), which this project does not write:
+haptic, and textures of type Reference.
+
+GLB (glTF 2.0): the touched mesh with its UVs, what was baked onto it, and the stroke's signal.
+
+What stands where: MPEG_haptic_material as `gltf_haptics.py` says; vertex attributes _HNF_TOKEN (index into the palette,
+−1 untouched), _HNF_ROUGHNESS (m RMS), _HNF_CONFIDENCE (0–1) and _HNF_VERTEX (of the mesh in Blender), floats, as glTF
+allows no other exact kind for −1 and large numbers; the palette, in extras.hnf of the mesh; the stroke's WAV, byte for
+byte, in a view that extras.hnf of the asset names (glTF has no place for a vibration that is not .hmpg).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import __version__
+from ..errors import FileError, UsageError
+from ..files import write_bytes
+from ..material.palette import Palette
+from ..material.token import LEVELS, TOKEN_NAMES
+from ..signal import Signal
+from .json_reader import read_limited_bytes
+from .options import ExportOptions, ImportOptions
+from .png import encode_grey_png
+from .touched_surface import UNTOUCHED, TouchedSurface
+from .wav import decode_wav, encode_wav
+
+_MAGIC, _JSON, _BIN = b"glTF", 0x4E4F534A, 0x004E4942
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+_FLOAT, _UINT32 = 5126, 5125
+_ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+_MAX_GLB_BYTES = 2**32 - 1
+
+
+class BufferBuilder:
+    """The bytes of a file, with the views and accessors that speak of them."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    @property
+    def data(self) -> bytes:
+        return bytes(self._data)
+
+    def add_bytes(self, data: bytes, target: int | None = None) -> int:
+        """Index of a new view, aligned to four bytes."""
+        self._data.extend(b"\0" * (-len(self._data) % 4))
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(data)}
+        if target is not None:
+            view["target"] = target
+        self._data.extend(data)
+        self.views.append(view)
+        return len(self.views) - 1
+
+    def add_vertices(self, values: NDArray[np.float32]) -> int:
+        """Index of a new accessor of (N,) or (N, k) floats, with its bounds."""
+        rows = np.ascontiguousarray(values.reshape(len(values), -1), dtype="<f4")
+        bounds = {"min": [float(v) for v in rows.min(axis=0)], "max": [float(v) for v in rows.max(axis=0)]}
+        view = self.add_bytes(rows.tobytes(), ARRAY_BUFFER)
+        return self._add_accessor(view, _FLOAT, len(rows), _ACCESSOR_TYPES[rows.shape[1]], bounds)
+
+    def add_indices(self, values: NDArray[np.uint32]) -> int:
+        """Index of a new accessor of vertex indices."""
+        flat = np.ascontiguousarray(values.ravel(), dtype="<u4")
+        bounds = {"min": [int(flat.min())], "max": [int(flat.max())]}
+        view = self.add_bytes(flat.tobytes(), ELEMENT_ARRAY_BUFFER)
+        return self._add_accessor(view, _UINT32, len(flat), "SCALAR", bounds)
+
+    def _add_accessor(self, view: int, kind: int, count: int, shape: str, bounds: dict[str, Any]) -> int:
+        self.accessors.append({"bufferView": view, "componentType": kind, "count": count, "type": shape, **bounds})
+        return len(self.accessors) - 1
+
+
+def encode_glb(tree: dict[str, Any], data: bytes, *, where: str = "glb") -> bytes:
+    """The file of tree and its one buffer. Equal input gives equal bytes. Raises FileError above 4 GB."""
+    tree = {**tree, "buffers": [{"byteLength": len(data)}]}
+    text = json.dumps(tree, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    data += b"\0" * (-len(data) % 4)
+    total = 12 + 8 + len(text) + 8 + len(data)
+    if total > _MAX_GLB_BYTES:
+        raise FileError("is more than a GLB can hold (4 GB).", where=where, remedy="Decimate the mesh.")
+    head = struct.pack("<4sII", _MAGIC, 2, total)
+    return b"".join([head, struct.pack("<II", len(text), _JSON), text, struct.pack("<II", len(data), _BIN), data])
+
+
+def decode_glb(data: bytes, path: Path) -> tuple[dict[str, Any], bytes]:
+    """JSON and bytes of a GLB. Raises FileError where it is damaged."""
+    if len(data) < 20 or data[:4] != _MAGIC:
+        raise _damaged_error(path, "it does not begin like a binary glTF file")
+    version, total = struct.unpack_from("<II", data, 4)
+    if version != 2 or total > len(data):
+        raise _damaged_error(path, f"it is of version {version} and says {total} bytes, {len(data)} are there")
+    tree, block, at = None, b"", 12
+    while at + 8 <= total:
+        size, kind = struct.unpack_from("<II", data, at)
+        body = data[at + 8 : at + 8 + size]
+        if len(body) < size:
+            raise _damaged_error(path, "it ends early")
+        if kind == _JSON and tree is None:
+            tree = _parse_json_chunk(body, path)
+        elif kind == _BIN and not block:
+            block = body
+        at += 8 + size
+    if tree is None:
+        raise _damaged_error(path, "it has no JSON")
+    return tree, block
+
+
+def get_view_bytes(tree: dict[str, Any], block: bytes, index: object, path: Path) -> bytes:
+    """The bytes of a view. Raises FileError where it is not there."""
+    try:
+        view = tree["bufferViews"][index]
+        start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise _damaged_error(path, "a part that it names is missing") from error
+    if start < 0 or length < 0 or start + length > len(block):
+        raise _damaged_error(path, "a part that it names lies beyond its end")
+    return block[start : start + length]
+
+
+def _parse_json_chunk(body: bytes, path: Path) -> dict[str, Any]:
+    try:
+        tree = json.loads(body.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise _damaged_error(path, f"its JSON cannot be read ({error})") from error
+    if not isinstance(tree, dict):
+        raise _damaged_error(path, "its JSON is no object")
+    return tree
+
+
+def _damaged_error(path: Path, why: str) -> FileError:
+    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")
+
+
+Float32 = NDArray[np.float32]
+
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""glTF ← Blender: +y up and right-handed, z up before (glTF 2.0, 3.4 "Coordinate System and Units")."""
+
+
+@dataclass(frozen=True)
+class VertexTable:
+    """N vertices, each of one corner's normal and UV and of one kind of face, so that nothing is averaged.
+
+    position: (N, 3) m, y up. normal: (N, 3) unit. uv: (N, 2), origin at the upper left as glTF has it, or None.
+    taxel: (N, 2) place of the face's material in a row of taxels. token, roughness, confidence: (N,) of the face.
+    vertex: (N,) of the surface's own mesh. corner: (T, 3) uint32 into these.
+    """
+
+    position: Float32
+    normal: Float32
+    uv: Float32 | None
+    taxel: Float32
+    token: Float32
+    roughness: Float32
+    confidence: Float32
+    vertex: Float32
+    corner: NDArray[np.uint32]
+
+
+def build_vertex_table(surface: TouchedSurface) -> VertexTable:
+    """Corners that agree in everything become one vertex, in the order of the triangles."""
+    mesh = surface.mesh
+    count = len(mesh.triangles)
+    normal = _normalise_rows(mesh.normals.reshape(-1, 3) @ Y_UP.T)
+    faces = np.stack([surface.token.astype(np.float32), surface.roughness, surface.confidence], axis=1)
+    columns = [mesh.triangles.reshape(-1, 1).astype(np.float32), normal, np.repeat(faces, 3, axis=0)]
+    if mesh.uv is not None:
+        columns.append(mesh.uv.reshape(-1, 2).astype(np.float32))
+    # Large meshes have more vertices than float32 counts, so their number goes beside it, bit for bit.
+    rows = np.ascontiguousarray(np.concatenate(columns, axis=1), dtype=np.float32) + np.float32(0.0)
+    rows[:, 0] = mesh.triangles.reshape(-1).astype(np.int32).view(np.float32)
+    first, inverse = find_distinct_rows(rows)
+    kept, vertex = rows[first], mesh.triangles.reshape(-1)[first]
+    uv = None
+    if mesh.uv is not None:
+        uv = np.stack([kept[:, 7], np.float32(1.0) - kept[:, 8]], axis=1)
+    return VertexTable(
+        position=(mesh.vertices[vertex] @ Y_UP.T).astype(np.float32),
+        normal=kept[:, 1:4].copy(),
+        uv=uv,
+        taxel=compute_taxel_uv(kept[:, 4].astype(np.int64), 0 if surface.palette is None else len(surface.palette)),
+        token=kept[:, 4].copy(),
+        roughness=kept[:, 5].copy(),
+        confidence=kept[:, 6].copy(),
+        vertex=vertex.astype(np.float32),
+        corner=inverse.reshape(count, 3).astype(np.uint32),
+    )
+
+
+def find_distinct_rows(rows: Float32) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(first row of each kind, in the order of the rows; kind of each row). Equal means equal bits."""
+    rows = np.ascontiguousarray(rows)
+    whole = rows.view(np.dtype((np.void, rows.strides[0]))).reshape(-1)
+    _, first, inverse = np.unique(whole, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[inverse.reshape(-1)]
+
+
+def find_vertices_on_path(surface: TouchedSurface, table: VertexTable) -> NDArray[np.int32]:
+    """Vertices of table in the triangles under the surface's path, rising; empty where there is no path."""
+    if surface.path is None:
+        return np.zeros(0, dtype=np.int32)
+    touched = np.unique(surface.path.triangle[surface.path.triangle > UNTOUCHED])
+    return np.asarray(np.unique(table.corner[touched]), dtype=np.int32)
+
+
+def compute_taxel_uv(token: NDArray[np.int64], entries: int) -> Float32:
+    """(…, 2) centre of each token's pixel in the row of taxels: the first is of what was not touched."""
+    across = (token + 1 + 0.5) / compute_taxel_row_width(entries)
+    return np.asarray(np.stack([across, np.full(across.shape, 0.5)], axis=-1), dtype=np.float32)
+
+
+def compute_taxel_row_width(entries: int) -> int:
+    """Pixels of a row of taxels: a power of two, as old renderers want it, for entries and what was not touched."""
+    return 1 << entries.bit_length()
+
+
+def encode_placement(placement: NDArray[np.float64]) -> list[float]:
+    """A world ← surface matrix (Blender's axes) as glTF's 16 numbers, column by column."""
+    turn = np.eye(4)
+    turn[:3, :3] = Y_UP
+    return [float(value) for value in (turn @ placement @ turn.T).T.ravel()]
+
+
+def _normalise_rows(normals: NDArray[np.float64]) -> Float32:
+    """Unit length in float32; what has no direction points up, as glTF wants one."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    up = np.array([0.0, 1.0, 0.0])
+    return np.where(length > 1e-12, normals / np.where(length > 1e-12, length, 1.0), up).astype(np.float32)
+
+
+HAPTIC_EXTENSION = "MPEG_haptic_material"
+_NEAREST, _CLAMP = 9728, 33071
+
+
+def encode_haptic_material(palette: Palette, buffer: BufferBuilder, uv_map: int) -> dict[str, Any]:
+    """glTF's samplers, images, textures and extensions of a palette; a property that no material knows is left out.
+    uv_map: number of the TEXCOORD that points at the taxels."""
+    roughness = np.sqrt(np.sum(10.0 ** (2.0 * palette.tokens[:, LEVELS].astype(np.float64)), axis=1))
+    columns: dict[str, tuple[str, str, str, list[float | None]]] = {
+        "stiffness": ("High_Resolution", "contact stiffness at 1 N", "N/m", _get_mechanics(palette, "stiffness_n_m")),
+        "friction": ("High_Resolution", "coefficient of friction", "1", _get_mechanics(palette, "friction")),
+        "vibrotactileTexture": ("Other", "RMS height of the relief", "m", [float(value) for value in roughness]),
+    }
+    material: dict[str, Any] = {"name": "baked touch"}
+    images: list[dict[str, Any]] = []
+    for name, (kind, quantity, unit, values) in columns.items():
+        largest = max((value for value in values if value is not None), default=0.0)
+        if largest <= 0.0:
+            continue
+        images.append(
+            {"name": name, "mimeType": "image/png", "bufferView": buffer.add_bytes(_encode_taxel_row(values, largest))}
+        )
+        meaning = {"quantity": quantity, "unit": unit, "minimum": 0.0, "maximum": largest, "values": values}
+        texture = {"index": len(images) - 1, "texCoord": uv_map}
+        material[name] = [{"texture": texture, "type": kind, "extras": {"hnf": meaning}}]
+    return {
+        "samplers": [{"magFilter": _NEAREST, "minFilter": _NEAREST, "wrapS": _CLAMP, "wrapT": _CLAMP}],
+        "images": images,
+        "textures": [{"sampler": 0, "source": index} for index in range(len(images))],
+        "extensions": {HAPTIC_EXTENSION: {"materials": [material]}},
+        "extensionsUsed": [HAPTIC_EXTENSION],
+    }
+
+
+def encode_palette(palette: Palette) -> dict[str, Any]:
+    """The palette in words and numbers that JSON holds exactly, for extras."""
+    return {
+        "schema": palette.schema,
+        "encoder": palette.encoder_id,
+        "names": list(palette.names),
+        "stiffness_n_m": _get_mechanics(palette, "stiffness_n_m"),
+        "damping_ratio": _get_mechanics(palette, "damping_ratio"),
+        "friction": _get_mechanics(palette, "friction"),
+        "features": list(TOKEN_NAMES),
+        "tokens": [[float(value) for value in token] for token in palette.tokens],
+    }
+
+
+def _get_mechanics(palette: Palette, name: str) -> list[float | None]:
+    values = [getattr(each, name) for each in palette.mechanics]
+    return [None if value is None else float(value) for value in values]
+
+
+def _encode_taxel_row(values: list[float | None], largest: float) -> bytes:
+    """A row of taxels: black for what was not touched or is not known, 255 for the largest."""
+    pixels: NDArray[np.uint8] = np.zeros((1, compute_taxel_row_width(len(values))), dtype=np.uint8)
+    pixels[0, 1 : len(values) + 1] = [round(255.0 * (value or 0.0) / largest) for value in values]
+    return encode_grey_png(pixels)
+
+
+MAX_READ_BYTES = 512 * 2**20
+GENERATOR = "Haptic Neural Fields"
+"""How what a file says of its maker begins."""
+_TRIANGLES = 4
+
+
+def write_glb(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
+    """Write the surface in options with signal. Returns what was left out. Raises UsageError where options have no
+    surface, FileError where the signal is not finite or the disk refuses."""
+    if options.surface is None:
+        raise UsageError(
+            "a GLB needs the mesh that the stroke was drawn on.",
+            remedy="Name the baked scene: --scene BAKED.blend, and with --object NAME which mesh.",
+        )
+    surface = options.surface
+    write_bytes(path, encode_surface(surface, build_vertex_table(surface), signal, where=str(path)))
+    left_out = []
+    if surface.palette is None:
+        left_out.append(f"What it feels like: nothing is baked on object '{surface.name}'.")
+    left_out.append("The surface's look: its materials are named, without shaders.")
+    return tuple(left_out)
+
+
+def read_glb(path: Path, options: ImportOptions) -> Signal:
+    """The signal in a GLB of write_glb, as it was. Raises FileError where the file is damaged or holds none."""
+    tree, block = decode_glb(read_limited_bytes(path, MAX_READ_BYTES), path)
+    try:
+        view = tree["asset"]["extras"]["hnf"]["signal"]["bufferView"]
+    except (KeyError, TypeError) as error:
+        raise FileError(
+            "holds no vibration.", where=str(path), remedy="Give a .glb that hnf wrote, or open it as a scene."
+        ) from error
+    return decode_wav(get_view_bytes(tree, block, view, path), path)
+
+
+def encode_surface(
+    surface: TouchedSurface, table: VertexTable, signal: Signal | None = None, *, where: str = "glb"
+) -> bytes:
+    """The file of a surface, and of a stroke's signal on it. Equal input gives equal bytes."""
+    buffer = BufferBuilder()
+    tree = _encode_tree(surface, table, buffer)
+    if signal is not None:
+        view = buffer.add_bytes(encode_wav(signal, where=where))
+        facts = {str(name): str(value) for name, value in signal.provenance.items()}
+        tree["asset"]["extras"]["hnf"]["signal"] = {"bufferView": view, "mimeType": "audio/wav", "provenance": facts}
+    tree |= {"accessors": buffer.accessors, "bufferViews": buffer.views}
+    return encode_glb(tree, buffer.data, where=where)
+
+
+def _encode_tree(surface: TouchedSurface, table: VertexTable, buffer: BufferBuilder) -> dict[str, Any]:
+    attributes = {
+        "POSITION": buffer.add_vertices(table.position),
+        "NORMAL": buffer.add_vertices(table.normal),
+        "_HNF_TOKEN": buffer.add_vertices(table.token),
+        "_HNF_ROUGHNESS": buffer.add_vertices(table.roughness),
+        "_HNF_CONFIDENCE": buffer.add_vertices(table.confidence),
+        "_HNF_VERTEX": buffer.add_vertices(table.vertex),
+    }
+    maps = [each for each in (table.uv, None if surface.palette is None else table.taxel) if each is not None]
+    attributes |= {f"TEXCOORD_{number}": buffer.add_vertices(each) for number, each in enumerate(maps)}
+    mesh: dict[str, Any] = {"name": surface.name, "primitives": []}
+    slots = np.unique(surface.mesh.slot)
+    tree: dict[str, Any] = {
+        "asset": {
+            "version": "2.0",
+            "generator": f"{GENERATOR} {__version__}",
+            "extras": {"hnf": {"units": {"_HNF_ROUGHNESS": "m", "position": "m"}}},
+        },
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": surface.name, "mesh": 0, **_encode_node_matrix(surface)}],
+        "meshes": [mesh],
+        "materials": [{"name": _get_material_name(surface, int(slot))} for slot in slots],
+    }
+    if surface.palette is not None:
+        tree |= encode_haptic_material(surface.palette, buffer, len(maps) - 1)
+        mesh["extensions"] = {HAPTIC_EXTENSION: {"hapticMaterialIndex": 0}}
+        mesh["extras"] = {"hnf": {"palette": encode_palette(surface.palette)}}
+    for number, slot in enumerate(slots):
+        corners = table.corner[surface.mesh.slot == slot]
+        primitive = {"attributes": attributes, "indices": buffer.add_indices(corners), "mode": _TRIANGLES}
+        mesh["primitives"].append({**primitive, "material": number})
+    return tree
+
+
+def _encode_node_matrix(surface: TouchedSurface) -> dict[str, Any]:
+    matrix = encode_placement(surface.placement)
+    return {} if matrix == np.eye(4).ravel().tolist() else {"matrix": matrix}
+
+
+def _get_material_name(surface: TouchedSurface, slot: int) -> str:
+    return surface.materials[slot] if slot < len(surface.materials) else ""

@@ -1,0 +1,273 @@
+"""F_Θ evaluated where the action asks for it: as few states as keep the whole stroke within a tolerance.
+
+The amplitudes follow the action, which is slow most of the time and turns within milliseconds where a hand lands or
+reverses. So they are evaluated on a coarse grid of samples, then halfway between neighbours; and where halfway was not
+what the straight line says, further, the worst places first, until the power that is missed all over the stroke is
+within the tolerance. The reference evaluates every sample.
+
+Breakpoints of the action: samples that adaptive evaluation of F_Θ must not skip, since the hand bends there.
+
+An action is known at every state and costs nothing to read. A tap, a stop or a push shorter than the distance between
+two evaluations would otherwise never be asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import Action
+from ..kernel.compiled_carriers import find_bends
+from ..kernel.compiled_field import blend_rows
+from ..kernel.loader import load_kernel
+from .field import Emission, FieldConfig
+from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
+from .stroke import SAMPLES_PER_STATE
+from .temporal_rendering import render_weights
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Samples = NDArray[np.int64]
+
+MAX_INTERVAL, MIN_INTERVAL = 800, 2
+"""Samples between evaluations at most and at least: 80 ms, and 0.2 ms."""
+TOLERANCE_SAFETY = 0.42
+"""Share of the requested tolerance that is aimed at. What an interval misses is judged by its middle alone; and where
+the error is in few bands for a few milliseconds, one realisation of their noise may be far louder than the expected
+one. docs/benchmarks.md says how often the tolerance is then kept over the library."""
+UNREFINED_ERROR_SHARE = 0.8
+"""Share of the error budget that is left to intervals which are not halved again, since halves miss something too. With
+all of it a ten-second stroke took five to eight rounds, the last of a few states each; with this, three or four."""
+_PARABOLA_MEAN_SQUARE = 8.0 / 15.0
+"""Mean square of what a parabola misses of its chord, over the square in the middle."""
+BATCH_SAMPLES = 512
+INITIAL_CAPACITY = 1024
+"""Evaluations that there is room for from the start: what is not used costs nothing."""
+MAX_EVALUATIONS = 40_000
+"""Cap on evaluations (0.8 GB on the way): nothing is gained from following a 200 Hz action further than that."""
+
+
+@dataclass(frozen=True)
+class SampledEmission:
+    """Emissions of one head at samples at (m,), ascending: alpha (m, K), sigma_dt (m, N); straight lines between them.
+    missed: power left out, over that of all, as is to be expected of a signal at worst: what is seen of it in the
+    intervals' middles, over SAFETY². It is within the square of the tolerance unless the samples did not suffice."""
+
+    at: Samples
+    alpha: Float32
+    sigma_dt: Float
+    residual_power: float
+
+    def locate(self, sample: Samples) -> tuple[Samples, Float]:
+        """The evaluation before each sample (…), and how far it is on the way to the next, 0 … 1."""
+        row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
+        begin = self.at[row]
+        return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
+
+
+SampleRequests = Generator[Samples, Emission, SampledEmission]
+"""Yields samples of the model rate (m,), is sent what is emitted there, and returns all of it."""
+Sampler = Callable[[int, float, Samples], SampleRequests]
+"""As sampling: the samples of the stroke, the tolerance, the breakpoints."""
+
+
+def interpolate_rows(values: Float32, row: Samples, share: Float, factor: Float) -> Float32:
+    """(n, K) Σ over terms of factor times what lies share of the way from a row of values (m, K) to the next; row,
+    share, factor: (n, terms)."""
+    compiled = load_kernel()
+    if compiled is not None:
+        return blend_rows(compiled, np.ascontiguousarray(values), row, share, np.ascontiguousarray(factor))
+    out = np.zeros((len(row), values.shape[1]))
+    for one, part, times in zip(row.T, share.T, factor.T, strict=True):
+        far = (times * part)[:, None]
+        out += (times[:, None] - far) * values[one] + far * values[one + 1]
+    return out.astype(np.float32)
+
+
+def sample_adaptively(count: int, tolerance: float, breakpoints: Samples | None = None) -> SampleRequests:
+    """Emissions over samples 0 … count of a field with one head.
+
+    tolerance: root of the power that the straight lines miss over that of the stroke, 0 for as fine as FINEST.
+    breakpoints: samples that are asked for in any case, since something begins or ends there. At MOST samples it stops.
+    """
+    known = np.arange(0) if breakpoints is None else breakpoints[breakpoints < count]
+    grid = np.unique(np.concatenate([np.arange(0, count, MAX_INTERVAL), known, [count]]))
+    pending = np.stack([np.arange(len(grid) - 1), np.arange(1, len(grid))], axis=1)
+    pending = pending[np.diff(grid) > MIN_INTERVAL]
+    asked, before = _Samples(), np.zeros(len(pending))
+    # Every middle of the grid is asked for whatever is found there, so all of it at once.
+    yield from asked.request(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
+    middle = slice(len(grid), asked.count)
+    settled, power, claimed = np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0)
+    while True:
+        if len(pending):
+            halves, found = asked.bisect(pending, middle)
+            settled, power = np.concatenate([settled, halves]), np.concatenate([power, np.tile(found, 2)])
+            claimed = np.concatenate([claimed, np.tile(_predict_child_error(found, before), 2)])
+        total = asked.total_power()
+        left_out = claimed * asked.lengths(settled) * _PARABOLA_MEAN_SQUARE
+        order = np.argsort(left_out)
+        so_far = np.cumsum(left_out[order])
+        missed = float(so_far[-1] / total) / TOLERANCE_SAFETY**2 if len(so_far) and total > 0.0 else 0.0
+        limit = (TOLERANCE_SAFETY * tolerance) ** 2 * total
+        if len(so_far) == 0 or so_far[-1] <= limit:
+            return asked.to_sampled_emission(missed)
+        worst = order[np.searchsorted(so_far, UNREFINED_ERROR_SHARE * limit, side="right") :]
+        worst = worst[asked.lengths(settled[worst]) > MIN_INTERVAL]
+        worst = worst[len(worst) - min(len(worst), max(MAX_EVALUATIONS - asked.count, 0) // 2) :]
+        if len(worst) == 0:
+            return asked.to_sampled_emission(missed)
+        worst.sort()
+        pending, before = settled[worst], power[worst]
+        middle = yield from asked.request(asked.middles(pending))
+        settled, power, claimed = np.delete(settled, worst, axis=0), np.delete(power, worst), np.delete(claimed, worst)
+
+
+class _Samples:
+    """Evaluations in the order in which they were asked for; an interval is the rows (p, 2) of its two ends."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._at = np.zeros(0, dtype=np.int64)
+        self._alpha = np.zeros((0, 0), dtype=np.float32)
+        self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros(0)
+
+    def lengths(self, intervals: Samples) -> Samples:
+        """Samples (p,)."""
+        return np.asarray(self._at[intervals[:, 1]] - self._at[intervals[:, 0]])
+
+    def middles(self, intervals: Samples) -> Samples:
+        """Samples (p,)."""
+        return np.asarray(self._at[intervals].sum(axis=1) // 2)
+
+    def bisect(self, intervals: Samples, rows: slice) -> tuple[Samples, Float]:
+        """Their halves (2p, 2), and what the straight line of each misses in its middle (p,), as power. rows: of the
+        middles, in the order of the intervals."""
+        low, high = intervals.T
+        share = ((self._at[rows] - self._at[low]) / (self._at[high] - self._at[low])).astype(np.float32)[:, None]
+        off, thinner = (
+            each[rows] - (each[low] + share * (each[high] - each[low])) for each in (self._alpha, self._sigma_dt)
+        )
+        # Weights answer to densities one to one at most, so a density's error is one of the whole amplitude.
+        missed = _sum_squares(off) + self._power[rows] * _sum_squares(thinner)
+        between = np.arange(rows.start, rows.stop)
+        return np.concatenate([np.stack([low, between], 1), np.stack([between, high], 1)]), missed
+
+    def total_power(self) -> float:
+        """Power of the straight lines, times samples."""
+        order = np.argsort(self._at[: self.count])
+        power, at = self._power[order], self._at[order]
+        return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(at)))
+
+    def to_sampled_emission(self, residual_power: float) -> SampledEmission:
+        order = np.argsort(self._at[: self.count])
+        return SampledEmission(self._at[order], self._alpha[order], self._sigma_dt[order], residual_power)
+
+    def request(self, at: Samples) -> Generator[Samples, Emission, slice]:
+        """The rows of what is emitted at these samples."""
+        begin = self.count
+        for low in range(0, len(at), BATCH_SAMPLES):
+            asked = at[low : low + BATCH_SAMPLES]
+            emission, rows = (yield asked), slice(self.count, self.count + len(asked))
+            alpha = emission.alpha[:, 0].astype(np.float32)
+            self._at, self._power = (
+                _append_rows(self._at, rows, asked),
+                _append_rows(self._power, rows, _sum_squares(alpha)),
+            )
+            self._alpha = _append_rows(self._alpha, rows, alpha)
+            self._sigma_dt = _append_rows(self._sigma_dt, rows, emission.sigma_dt)
+            self.count = rows.stop
+        return slice(begin, self.count)
+
+
+def _append_rows(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
+    """kept with new in these rows, which follow the last; where there is no room, in twice the memory."""
+    if rows.stop > len(kept):
+        grown = np.empty((max(2 * len(kept), rows.stop, INITIAL_CAPACITY), *new.shape[1:]), dtype=new.dtype)
+        grown[: rows.start] = kept[: rows.start] if rows.start else 0.0
+        kept = grown
+    kept[rows] = new
+    return kept
+
+
+def _sum_squares(values: NDArray[np.floating[Any]]) -> Float:
+    """(n,) sums of squares of (n, K)."""
+    return np.asarray(np.einsum("nk,nk->n", values, values))
+
+
+def _predict_child_error(found: Float, before: Float) -> Float:
+    """Error expected in the middle of each half of an interval, as power (p,), from that in the interval's own middle,
+    found (p,), and in the middle of the interval it is a half of, before (p,), 0 where there was none.
+
+    A parabola leaves a 16th to each half, a kink all of it to one half, a jump too: half of it each. Where the last
+    halving made it no less than half, that is taken for one of them; else a quarter is.
+    """
+    share: Float = 0.5 * np.clip(found / np.maximum(before, 1e-300), 0.5, 1.0)
+    return found * share
+
+
+def accumulate_samples(config: FieldConfig, sampled: SampledEmission, count: int) -> tuple[Samples, Float32]:
+    """Knots (m,) in 0 … count and the amplitudes (m, K) there, over the past states of each (field.accumulate)."""
+    lag = config.stride * SAMPLES_PER_STATE
+    # What bends now bends again in the nearest memory; of what lies further back a hundredth is left.
+    at = np.unique(np.concatenate([sampled.at, np.minimum(sampled.at + lag, count)]))
+    row, share = sampled.locate(at[:, None] - lag * np.arange(config.states))
+    density, state = sampled.sigma_dt, np.arange(config.states)
+    before = density[row, state]
+    weights = render_weights(before + share * (density[row + 1, state] - before))
+    return at, interpolate_rows(sampled.alpha, row, share, weights * (at[:, None] >= lag * state))
+
+
+MAX_DEVIATION = 0.25
+"""Largest deviation of log speed, log force and direction (radians) from the straight line between two breakpoints.
+F_Θ answers to them about one to one, and what it makes of such a bend is seen in the middle between two of them."""
+
+
+def find_breakpoints(action: Action, token_index: NDArray[np.int32]) -> Samples:
+    """Samples of the model rate, ascending, between which an action at ACTION_RATE_HZ is straight within BENT, on one
+    material, and in contact or in the air throughout: states, and places between two of them."""
+    force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
+    speed = np.maximum(action.speed, SPEED_FLOOR_M_S)
+    course = np.column_stack([np.log(speed), np.log(force), action.direction])
+    changes = np.flatnonzero((np.diff(token_index) != 0) | (np.diff(action.contact.astype(np.int8)) != 0))
+    kept = np.unique(np.concatenate([[0, len(speed) - 1], changes, changes + 1]))
+    compiled = load_kernel()
+    found = _find_bends_numpy(course, kept) if compiled is None else find_bends(compiled, course, kept, MAX_DEVIATION)
+    states: Samples = SAMPLES_PER_STATE * found.astype(np.int64)
+    all_: Samples = np.unique(
+        np.concatenate([states, _find_bends_between_states(speed), _find_bends_between_states(force)])
+    )
+    return all_
+
+
+def _find_bends_numpy(course: Float, fixed: Samples) -> Samples:
+    """In numpy: what the kernel is tested against."""
+    pending = list(zip(fixed[:-1].tolist(), fixed[1:].tolist(), strict=True))
+    found = set(fixed.tolist())
+    while pending:
+        low, high = pending.pop()
+        if high - low < 2:
+            continue
+        share = np.arange(1, high - low)[:, None] / (high - low)
+        off = np.abs(course[low + 1 : high] - (course[low] + share * (course[high] - course[low]))).max(axis=1)
+        worst = int(np.argmax(off))
+        if off[worst] > MAX_DEVIATION:
+            found.add(low + 1 + worst)
+            pending += [(low, low + 1 + worst), (low + 1 + worst, high)]
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def _find_bends_between_states(value: Float) -> Samples:
+    """Samples where a value > 0 that goes straight from state to state bends in its logarithm by more than BENT: a stop
+    or a start within one state. It bends most where it is the logarithmic mean of its ends."""
+    rise, growth = np.diff(value), np.diff(np.log(value))
+    row = np.flatnonzero(np.abs(growth) > 1.0)
+    mean = rise[row] / growth[row]
+    share = (mean - value[row]) / rise[row]
+    bent = np.log(mean / value[row]) - share * growth[row] > MAX_DEVIATION
+    at: Samples = SAMPLES_PER_STATE * row[bent] + np.rint(SAMPLES_PER_STATE * share[bent]).astype(np.int64)
+    return at

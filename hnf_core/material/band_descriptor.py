@@ -1,0 +1,293 @@
+"""E: tactile map → material token, the first descriptor ("band-descriptor-1", layout in token.py).
+
+It reads the sensor image itself: decoded to slopes, divided by the gel's transfer, so that any sensor of
+tactile.optics gives the same token. The height spectrum follows from the windowed slopes, P = |κ·G|² / κ⁴ (the
+curl-free part; Frankot & Chellappa 1988), band by band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import UsageError
+from ..tactile.fourier_filters import frequencies, gaussian_mtf
+from ..tactile.optics import decode_gradients, get_sensor
+from ..tactile.tactile_map import TactileMap
+from .token import BAND_FEATURES, BAND_WAVELENGTHS_M, SHAPE_FEATURES, SMOOTH_LEVEL, TOKEN_DIM, Token, band_slice
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+BAND_COUNT = len(BAND_WAVELENGTHS_M)
+BAND_EDGE_RATIO = np.sqrt(2.0)
+MIN_PERIODS = 2.0
+"""A band is known where the patch holds at least this many of its centre's wavelengths."""
+MIN_SHAPE_BANDS = 3
+"""Skewness and kurtosis are known from this many known bands on: fewer octaves say little of pits and grains."""
+FLOOR_M2 = (10.0**SMOOTH_LEVEL) ** 2
+CLEAR_PEAK_SHARE = 0.3
+"""Share of its band from which on a peak's place is told in full."""
+FEATHER_M = 0.4e-3
+"""The window falls to zero over about this distance at the border of the unseen."""
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """What depends on the map's size only, for rfft2 bins of shape (H, W//2 + 1).
+
+    square: f². fx, fy: cycles/m. weight: 2 for bins that stand for a mirror image too, else 1. lower, upper: band
+    indices (BANDS = none) and share of each bin in the lower one; theta harmonics per bin (4, n) on active bins.
+    """
+
+    fx: Float
+    fy: Float
+    square: Float
+    active: NDArray[np.intp]
+    frequency: Float
+    mirror: Float
+    lower: NDArray[np.intp]
+    upper: NDArray[np.intp]
+    lower_share: Float
+    harmonics: Float
+
+
+@lru_cache(maxsize=4)
+def _grid(shape: tuple[int, int], metres_per_pixel: float) -> _Grid:
+    fx, fy = frequencies(shape, metres_per_pixel)
+    square = fx**2 + fy**2
+    radius = np.sqrt(square)
+    bin_width = 1.0 / (min(shape) * metres_per_pixel)
+    edges = band_edges_per_metre()
+    flat = radius.ravel()
+    active = np.flatnonzero((flat > edges[0] - bin_width) & (flat < edges[-1] + bin_width))
+    frequency = flat[active]
+    # Bins near a band's edge are shared between both sides: hard edges on a square grid favour some directions.
+    shares = np.clip((frequency[None, :] - edges[:, None]) / bin_width + 0.5, 0.0, 1.0)
+    above = shares.sum(axis=0)
+    band = np.minimum(np.floor(above).astype(np.intp), BAND_COUNT + 1)
+    fraction = above - band
+    lower, upper = np.where(band >= 1, np.minimum(band - 1, BAND_COUNT), BAND_COUNT), np.minimum(band, BAND_COUNT)
+    theta = np.arctan2(
+        np.broadcast_to(fy, square.shape).ravel()[active], np.broadcast_to(fx, square.shape).ravel()[active]
+    )
+    columns = np.broadcast_to(np.arange(square.shape[1])[None, :], square.shape).ravel()[active]
+    single = (columns == 0) | ((shape[1] % 2 == 0) & (columns == square.shape[1] - 1))
+    return _Grid(
+        fx,
+        fy,
+        square,
+        active,
+        frequency,
+        np.where(single, 1.0, 2.0),
+        lower,
+        upper,
+        1.0 - fraction,
+        np.stack([np.cos(2 * theta), np.sin(2 * theta), np.cos(4 * theta), np.sin(4 * theta)]),
+    )
+
+
+def band_edges_per_metre() -> Float:
+    """(BANDS + 1,) ascending band edges in cycles per metre."""
+    centres = 1.0 / BAND_WAVELENGTHS_M
+    return np.concatenate([centres / BAND_EDGE_RATIO, centres[-1:] * BAND_EDGE_RATIO])
+
+
+def find_resolved_bands(size_m: float, metres_per_pixel: float, resolved_wavelength_m: float) -> NDArray[np.bool_]:
+    """(BANDS,) bool: bands resolved to their shortest wavelength, of which the patch holds PERIODS_NEEDED periods."""
+    shortest = BAND_WAVELENGTHS_M / BAND_EDGE_RATIO * (1.0 + 1e-6)
+    finest = max(resolved_wavelength_m, 2.0 * metres_per_pixel)
+    return np.asarray((finest <= shortest) & (size_m * (1.0 + 1e-6) >= MIN_PERIODS * BAND_WAVELENGTHS_M))
+
+
+def get_smooth_token_values() -> NDArray[np.float32]:
+    """(TOKEN_DIM,) token of a perfectly smooth, featureless surface: every level at the floor, everything else 0."""
+    values = np.zeros(TOKEN_DIM, dtype=np.float32)
+    for band in range(BAND_COUNT):
+        values[band_slice(band)][0] = SMOOTH_LEVEL
+    return values
+
+
+def describe(tactile_map: TactileMap) -> Token:
+    """The token of a tactile map.
+
+    Bands that the map does not resolve, or of which the patch holds too few periods, are marked unknown and hold the
+    smooth floor. Unseen pixels (mask) do not count. In noise, peak and offset name a chance maximum; where one
+    wave holds the band, offset gives its wavelength within 0.1 % (2 % in a band of which the patch holds fewer than
+    four periods). Raises UsageError where the image and mask do not fit, or a seen pixel is not a number.
+    """
+    image, mask = tactile_map.image, tactile_map.mask
+    if image.ndim != 3 or image.shape[2] != 3 or mask.shape != image.shape[:2]:
+        raise UsageError(f"a tactile map's image {image.shape} and mask {mask.shape} do not fit together.")
+    shape, pitch = (image.shape[0], image.shape[1]), float(tactile_map.metres_per_pixel)
+    bands = find_resolved_bands(min(shape) * pitch, pitch, tactile_map.resolved_wavelength_m)
+    values = get_smooth_token_values()
+    known = np.zeros(TOKEN_DIM, dtype=bool)
+    for band in np.flatnonzero(bands):
+        known[band_slice(band)] = True
+    shape_known = int(bands.sum()) >= MIN_SHAPE_BANDS
+    known[-len(SHAPE_FEATURES) :] = shape_known
+    window = compute_window(mask, pitch)
+    if not bands.any() or not window.any():
+        return Token(values, known & bool(window.any()))
+    sensor = get_sensor(tactile_map.sensor)
+    finite = np.isfinite(image).all(axis=2)
+    if not finite[mask].all():
+        raise UsageError(
+            f"{int((mask & ~finite).sum())} seen pixels of the tactile map are not numbers.",
+            remedy="Mask them, or make the map again.",
+        )
+    if not finite.all():
+        image = np.where(finite[..., None], image, sensor.background)
+    gx, gy = decode_gradients(image, sensor)
+    spectrum, slope = _compute_spectra(gx, gy, window, pitch, sensor.gel_sigma_m)
+    for band, features in enumerate(_compute_band_features(spectrum, slope, window, shape, pitch)):
+        if bands[band]:
+            values[band_slice(band)] = features
+    if shape_known:
+        edges = band_edges_per_metre()
+        lowest, highest = edges[:-1][bands].min(), edges[1:][bands].max()
+        values[-len(SHAPE_FEATURES) :] = _compute_shape_features(spectrum, window, shape, pitch, lowest, highest)
+    return Token(values, known)
+
+
+def compute_window(mask: NDArray[np.bool_], metres_per_pixel: float) -> Float:
+    """(H, W) analysis window: Hann along both axes, falling smoothly to zero at the border of the unseen."""
+    rows, columns = mask.shape
+    window = np.asarray(np.outer(_hann(rows), _hann(columns)))
+    if mask.all():
+        return window
+    blur = min(FEATHER_M, min(rows, columns) * metres_per_pixel / 16)
+    fx, fy = frequencies((rows, columns), metres_per_pixel)
+    smooth = np.fft.irfft2(
+        np.fft.rfft2(mask.astype(np.float64)) * gaussian_mtf(np.hypot(fx, fy), blur), s=(rows, columns)
+    )
+    share = np.clip(2.0 * smooth - 1.0, 0.0, 1.0)
+    return np.asarray(window * share**2 * (3.0 - 2.0 * share))
+
+
+def _hann(size: int) -> Float:
+    return np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(size) + 0.5) / size))
+
+
+def _detrend(g: Float, window: Float) -> Float:
+    """g less its window-weighted fit of 1, x, y: the tilt and curvature of the object are shape, not texture."""
+    rows = np.linspace(-1.0, 1.0, g.shape[0])
+    columns = np.linspace(-1.0, 1.0, g.shape[1])
+    wr, wc = window.sum(axis=1), window.sum(axis=0)
+    cross = float(rows @ window @ columns)
+    gram = np.array(
+        [
+            [wr.sum(), columns @ wc, rows @ wr],
+            [columns @ wc, columns**2 @ wc, cross],
+            [rows @ wr, cross, rows**2 @ wr],
+        ]
+    )
+    weighted = window * g
+    across, down = weighted.sum(axis=0), weighted.sum(axis=1)
+    a, b, c = np.linalg.lstsq(gram, np.array([across.sum(), across @ columns, down @ rows]), rcond=1e-9)[0]
+    return np.asarray(g - (a + b * columns[None, :] + c * rows[:, None]))
+
+
+def _compute_spectra(gx: Float, gy: Float, window: Float, pitch: float, gel_sigma_m: float) -> tuple[Complex, Float]:
+    """rfft2 of window × height, from the slopes, and |rfft2| of window × slopes; the gel's transfer divided out."""
+    shape = (gx.shape[0], gx.shape[1])
+    grid = _grid(shape, pitch)
+    weighted_x = np.fft.rfft2(window * _detrend(gx, window))
+    weighted_y = np.fft.rfft2(window * _detrend(gy, window))
+    # Below exp(-3) the transfer is left as it is: nothing there but rounding noise to raise.
+    mtf = np.maximum(gaussian_mtf(np.sqrt(grid.square), gel_sigma_m), np.exp(-3.0))
+    inverse = 1.0 / (2.0 * np.pi * np.maximum(grid.square, 1e-300) * mtf)
+    inverse[0, 0] = 0.0
+    height = -1j * (grid.fx * weighted_x + grid.fy * weighted_y) * inverse
+    slope = np.sqrt(weighted_x.real**2 + weighted_x.imag**2 + weighted_y.real**2 + weighted_y.imag**2) / mtf
+    return height, slope
+
+
+def _compute_band_features(
+    spectrum: Complex, slope: Float, window: Float, shape: tuple[int, int], pitch: float
+) -> Float:
+    """(BANDS, 7) in the order of BAND_FEATURES."""
+    grid = _grid(shape, pitch)
+    active = spectrum.ravel()[grid.active]
+    density = active.real**2 + active.imag**2
+    # Parseval with the window's energy: the sum over a band is its mean square height in m².
+    power = density * grid.mirror / (window.size * np.sum(window**2))
+    sums = np.stack([_sum_per_band(power * factor, grid) for factor in (np.ones_like(power), *grid.harmonics)])
+    total = sums[0]
+    features = np.zeros((BAND_COUNT, len(BAND_FEATURES)))
+    features[:, 0] = 0.5 * np.log10(total + FLOOR_M2)
+    features[:, 1:5] = (sums[1:] / (total + FLOOR_M2)).T
+    # A pure wave of mean square m gives |X|² = m (Σw)² / 2 at its own frequency.
+    per_wave = 2.0 / np.sum(window) ** 2
+    nearest = np.where(grid.lower_share >= 0.5, grid.lower, grid.upper)
+    for band in range(BAND_COUNT):
+        inside = np.flatnonzero(nearest == band)
+        if inside.size == 0 or total[band] <= 0.0:
+            continue
+        top = int(grid.active[inside[np.argmax(density[inside])]])
+        frequency, wave_slope = _refine_peak(slope, top, shape, pitch)
+        wave = per_wave * (wave_slope / (2.0 * np.pi * frequency)) ** 2
+        solid = total[band] / (total[band] + FLOOR_M2)
+        share = min(wave / total[band], 1.0) * solid
+        features[band, 5] = share
+        # The place of a peak that hardly stands out is chance: it fades, so that equal surfaces stay equal.
+        octaves = np.clip(np.log2(frequency * BAND_WAVELENGTHS_M[band]), -0.5, 0.5)
+        features[band, 6] = octaves * min(share / CLEAR_PEAK_SHARE, 1.0)
+    return features
+
+
+def _sum_per_band(power: Float, grid: _Grid) -> Float:
+    lower = np.bincount(grid.lower, power * grid.lower_share, BAND_COUNT + 1)
+    upper = np.bincount(grid.upper, power * (1.0 - grid.lower_share), BAND_COUNT + 1)
+    return np.asarray((lower + upper)[:BAND_COUNT])
+
+
+def _refine_peak(slope: Float, index: int, shape: tuple[int, int], pitch: float) -> tuple[float, float]:
+    """Frequency (cycles/m) and |rfft2| of window × slope of the wave behind a local maximum.
+
+    On the slopes, where one wave is exactly one Hann lobe (in the height, 1/f tilts it). Per axis the two-bin ratio
+    a gives the offset (2a − 1)/(a + 1) (Grandke 1983), and the lobe's own shape the loss at the bin.
+    """
+    rows, columns = shape
+    last = slope.shape[1] - 1
+    row, column = divmod(index, slope.shape[1])
+    here = float(slope[row, column])
+    row_shift, row_loss = _estimate_hann_offset(slope[(row - 1) % rows, column], here, slope[(row + 1) % rows, column])
+    # rfft2 stores half the plane: the neighbour across its border is the mirror image of a stored one.
+    left = slope[row, column - 1] if column > 0 else slope[-row % rows, 1]
+    right = slope[row, column + 1] if column < last else slope[-row % rows, (columns - column - 1) % columns]
+    column_shift, column_loss = _estimate_hann_offset(left, here, right)
+    signed_row = row - rows if row > rows // 2 else row
+    frequency = np.hypot((column + column_shift) / columns, (signed_row + row_shift) / rows) / pitch
+    return float(frequency), here / (row_loss * column_loss)
+
+
+def _estimate_hann_offset(before: float, here: float, after: float) -> tuple[float, float]:
+    """Offset in bins (−1 … 1) of a wave from a bin of its lobe, and that bin's share of the wave's height."""
+    neighbour, sign = (after, 1.0) if after >= before else (before, -1.0)
+    ratio = neighbour / max(here, 1e-300)
+    shift = float(np.clip((2.0 * ratio - 1.0) / (ratio + 1.0), 0.0, 0.99))
+    return sign * shift, float(np.sinc(shift) / (1.0 - shift**2))
+
+
+def _compute_shape_features(
+    spectrum: Complex, window: Float, shape: tuple[int, int], pitch: float, lowest: float, highest: float
+) -> NDArray[np.float32]:
+    """Skewness and log10(kurtosis / 3) of the height between two frequencies, window-weighted."""
+    square = _grid(shape, pitch).square
+    height = np.fft.irfft2(np.where((square >= lowest**2) & (square <= highest**2), spectrum, 0.0), s=shape)
+    # height is window × h, so each moment is divided by the same power of the window.
+    squared = height**2
+    second = squared.sum() / np.sum(window**2)
+    if second <= 0.0:
+        return np.zeros(2, dtype=np.float32)
+    third = np.vdot(squared, height) / np.sum(window**3)
+    fourth = np.vdot(squared, squared) / np.sum(window**4)
+    solid = second / (second + FLOOR_M2)
+    skewness = third / second**1.5
+    kurtosis = fourth / second**2
+    return np.asarray([skewness * solid, np.log10(max(kurtosis, 1e-3) / 3.0) * solid], dtype=np.float32)

@@ -1,0 +1,345 @@
+"""What names say of materials: splitting them into words, and the words that name a category.
+
+Names as evidence of a material: which library materials the words of a name speak for, and how strongly.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import unicodedata
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from types import MappingProxyType
+from typing import NamedTuple
+
+from .library import LibraryMaterial
+
+_WORD = re.compile(r"[^\W\d_]+")
+_CAMEL = re.compile(r"(?<=[a-zß-öø-ÿ])(?=[A-ZÀ-ÖØ-Þ])|(?<=[A-ZÀ-ÖØ-Þ])(?=[A-ZÀ-ÖØ-Þ][a-zß-öø-ÿ])")
+
+STOP_WORDS = frozenset(
+    {
+        *("mat", "mats", "mtl", "material", "materials", "shader", "tex", "texture"),
+        *("low", "high", "lod", "geo", "geometry", "mesh", "obj", "object", "part", "parts"),
+    }
+)
+"""Words that say "material" or "object" themselves: a mat in "HoseMat" is not a door mat."""
+
+CATEGORY_WORDS = MappingProxyType(
+    {
+        "wood": "wood wooden timber lumber plywood veneer hardwood softwood parquet plank log bark oak pine walnut "
+        "maple birch beech cherry mahogany teak ash cedar bamboo ebony mdf spruce fir cork laminate oakwood rosewood "
+        "sycamore poplar larch chestnut hickory redwood driftwood chipboard osb "
+        "holz eiche eichen buche buchen kiefer kiefern fichte fichten nussbaum ahorn birke esche kirschbaum parkett "
+        "diele dielen sperrholz rinde borke kork spanplatte laminat "
+        "bois chene hetre noyer erable liege ecorce contreplaque madera roble nogal haya corcho legno quercia rovere "
+        "noce faggio sughero hout houten eiken beuken grenen kurk madeira carvalho",
+        "metal": "metal metallic steel iron aluminium aluminum brass copper bronze gold silver chrome titanium zinc "
+        "tin nickel rust rusty stainless pewter platinum tungsten alloy galvanized galvanised wrought chainmail "
+        "metall stahl edelstahl eisen gusseisen kupfer messing blech chrom silber zinn zink blei rost rostig "
+        "acier fer fonte laiton cuivre inox etain plomb argent rouille tole acero hierro cobre laton plata plomo "
+        "oxidado metallo ferro acciaio ottone rame alluminio argento piombo staal ijzer koper zilver lood aco",
+        "stone": "stone rock granite marble slate sandstone limestone concrete cement brick asphalt gravel pebble "
+        "plaster stucco gneiss travertine onyx shale cobblestone cobble paving paver flagstone basalt terrazzo "
+        "quartz quartzite obsidian boulder masonry mortar adobe tarmac rocky stony brickwork stonework plastered "
+        "stein steine beton ziegel backstein klinker putz kies kiesel marmor schiefer sandstein kalkstein fels "
+        "pflaster mauerwerk pierre granit marbre brique gres ardoise calcaire platre gravier "
+        "piedra ladrillo hormigon pizarra arenisca yeso grava marmol granito pietra marmo mattone mattoni "
+        "calcestruzzo ardesia arenaria gesso cemento steen baksteen marmer graniet leisteen pedra tijolo",
+        "fabric": "fabric cloth textile velvet cotton wool linen denim silk satin canvas tweed corduroy felt "
+        "polyester nylon jeans upholstery knit woven towel fleece jersey velour plush burlap twill flannel yarn "
+        "damask jacquard brocade chenille hessian jute muslin cashmere mohair terry terrycloth teddy sherpa pique "
+        "tartan spandex lycra crochet tapestry "
+        "stoff samt baumwolle leinen wolle seide filz gewebe tuch polster tissu velours coton laine soie feutre toile "
+        "tela lana algodon seda fieltro lona terciopelo mezclilla tessuto cotone lino seta feltro velluto stof "
+        "katoen linnen zijde vilt fluweel tecido",
+        "paper": "paper cardboard carton parchment papier papel carta book page newspaper wallpaper paperboard "
+        "pappe wellpappe pappkarton tapete kartonnage cartone karton",
+        "plastic": "plastic plastics acrylic abs pvc polycarbonate bakelite vinyl polypropylene polyethylene plastik "
+        "kunststoff plastique plastico plastica pla petg polymer composite cfrp kevlar fibreglass fiberglass resin "
+        "pmma perspex plexi melamine formica celluloid thermoplastic epoxy kunststof",
+        "foam": "foam sponge styrofoam polystyrene polyurethane schaum schaumstoff mousse espuma schiuma styropor "
+        "schwamm polistirolo schuim piepschuim",
+        "carpet": "carpet rug doormat teppich moquette alfombra tappeto carpeting tapis moqueta tapijt vloerkleed "
+        "fussmatte astroturf",
+        "tile": "tile ceramic porcelain terracotta clay earthenware pottery faience fliese fliesen kachel kacheln "
+        "keramik carrelage azulejo ceramica piastrella stoneware mosaic majolica porzellan steinzeug steingut "
+        "dachziegel carreau ceramique porcelaine baldosa porcelana loza piastrelle porcellana cotto tegel tegels "
+        "keramiek porselein",
+        "leather": "leather suede nubuck leatherette hide cowhide chamois leder cuir cuero pelle nappa wildleder "
+        "kunstleder daim gamuza cuoio camoscio couro piel",
+        "rubber": "rubber latex silicone neoprene gummi caoutchouc goma gomma ebonite kautschuk silikon caucho "
+        "elastomer vulcanized borracha",
+        "glass": "glass glas crystal verre vidrio vetro plexiglass vitre cristal vidro glazing windowpane",
+    }
+)
+"""Materials of each category by name, in several languages."""
+
+OBJECT_WORDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "lens": ("glass",),
+        "window": ("glass",),
+        "bottle": ("glass", "plastic"),
+        "windscreen": ("glass",),
+        "windshield": ("glass",),
+        "hose": ("rubber",),
+        "tire": ("rubber",),
+        "tyre": ("rubber",),
+        "gasket": ("rubber",),
+        "sole": ("rubber",),
+        "screw": ("metal",),
+        "bolt": ("metal",),
+        "rivet": ("metal",),
+        "buckle": ("metal",),
+        "chain": ("metal",),
+        "zipper": ("metal",),
+        "curtain": ("fabric",),
+        "cushion": ("fabric", "foam"),
+        "shirt": ("fabric",),
+        "sofa": ("fabric", "leather"),
+        "chair": ("wood", "fabric", "metal", "plastic"),
+        "table": ("wood", "metal", "glass", "stone"),
+        "floor": ("wood", "stone", "tile", "carpet"),
+        "wall": ("stone", "paper", "wood"),
+        "roof": ("tile", "stone", "metal"),
+        "strap": ("leather", "fabric"),
+        "belt": ("leather", "fabric"),
+        "saddle": ("leather",),
+        "pavement": ("stone",),
+        "mug": ("tile",),
+        "vase": ("tile", "glass"),
+        "keyboard": ("plastic",),
+        "mattress": ("foam", "fabric"),
+    }
+)
+"""Things, and what they are mostly made of: a weaker hint."""
+
+COMPOUND_PARTS = frozenset(
+    {
+        *("floor", "wall", "roof", "door", "table", "chair", "board", "panel", "plate", "plank", "beam", "fence"),
+        *("deck", "bench", "handle", "grip", "knob", "frame", "rail", "pipe", "tube", "wire", "sheet", "trim", "shelf"),
+        *("cabinet", "counter", "work", "ware", "side", "tread", "block", "slab"),
+        *("boden", "wand", "mauer", "dach", "tisch", "stuhl", "brett", "platte", "bezug", "matte", "scheibe", "rohr"),
+        *("reifen", "kiste", "regal", "schrank", "balken", "zaun", "treppe", "decke", "griff", "knopf", "fassade"),
+        *("optik", "struktur", "textur", "muster", "farbe", "stange", "draht", "kette", "korb", "tasche", "jacke"),
+        *("schuh", "verkleidung", "oberfläche", "leiste", "rahmen", "kachel", "ziegel"),
+    }
+)
+"""What stands before or behind a material in a word that is two: woodfloor, Glasscheibe."""
+
+CHANNEL_WORDS = frozenset(
+    {
+        *(
+            "diff",
+            "diffuse",
+            "dif",
+            "albedo",
+            "alb",
+            "base",
+            "basecolor",
+            "basecolour",
+            "color",
+            "colour",
+            "col",
+            "coll",
+        ),
+        *("nor", "nrm", "norm", "normal", "normals", "normalgl", "normaldx", "gl", "dx", "opengl", "directx"),
+        *("rough", "roughness", "rgh", "gloss", "glossiness", "smoothness", "spec", "specular", "spc", "refl"),
+        *("metallic", "metalness", "metallicness", "metalroughness", "metallicroughness", "roughmetal", "metalrough"),
+        *("ao", "ambient", "occlusion", "disp", "displacement", "height", "bump", "bmp", "cavity", "curvature"),
+        *("orm", "arm", "rma", "mra", "mask", "opacity", "alpha", "transmission", "emissive", "emission"),
+        *("sheen", "anisotropy", "clearcoat", "thickness", "map", "jpg", "jpeg", "png", "k"),
+    }
+)
+"""What a picture of a texture shows, said at the end of its name: no word of the material."""
+METAL_CHANNEL_PREFIXES = frozenset({"rough", "roughness", "occlusion", "ao"})
+"""Before "metal" these say that it is a channel: OcclusionRoughMetal."""
+IMAGE_SUFFIX = re.compile(r"\.(jpe?g|png|tga|exr|tiff?|webp|bmp|dds|ktx2?|hdr|psd|basis)$", re.IGNORECASE)
+
+
+def split_words(name: str) -> list[str]:
+    """Lower-case words of a name: "GlassPlasticMat.001" → glass, plastic, mat. CamelCase, separators and digits
+    split; accents go, so that "métal" is "metal"."""
+    plain = unicodedata.normalize("NFC", name)
+    parts = [word for run in _WORD.findall(plain) for word in _CAMEL.split(run)]
+    return [_normalise_word(word) for word in parts if word]
+
+
+def is_image_name(name: str) -> bool:
+    """Does it end like the name of a picture's file?"""
+    return IMAGE_SUFFIX.search(name.strip()) is not None
+
+
+def split_image_name(name: str) -> list[str]:
+    """split_words of a texture's name without its file type and what channel it shows: "T_Oak_Planks_BaseColor.png" →
+    t, oak, planks; "SavonaTile_Metalness" → savona, tile."""
+    words = split_words(IMAGE_SUFFIX.sub("", name.strip()))
+    while words and (
+        len(words[-1]) == 1
+        or words[-1] in CHANNEL_WORDS
+        or (words[-1] == "metal" and len(words) > 1 and words[-2] in METAL_CHANNEL_PREFIXES)
+    ):
+        words.pop()
+    return words
+
+
+def list_singulars(word: str) -> tuple[str, ...]:
+    """The word and what it may be the plural of, likeliest first."""
+    forms = [word]
+    if len(word) > 3 and word.endswith("s") and not word.endswith("ss"):
+        forms.append(word[:-1])
+        if word.endswith("es"):
+            forms.append(word[:-2])
+        if word.endswith("ies"):
+            forms.append(word[:-3] + "y")
+    return tuple(forms)
+
+
+def _normalise_word(word: str) -> str:
+    decomposed = unicodedata.normalize("NFD", word.lower())
+    return "".join(letter for letter in decomposed if not unicodedata.combining(letter))
+
+
+NAME_WEIGHTS = (1.0, 0.6, 0.35)
+"""For a word in the first name (the material's), the second (the object's), any other."""
+IMAGE_NAME_WEIGHT = 0.7
+"""For a word in the name of a picture that feeds the shader: it was chosen for this surface, the object's was not."""
+OBJECT_WORD_WEIGHT = 0.55
+"""For words of things and finishes, not stuffs: a lens is mostly glass, satin is often metal."""
+NAME_PART_WEIGHT = 0.4
+"""For parts of a library material's own name: "coarse" says something of coarse-carpet, not much."""
+RELATED_WEIGHT = 0.7
+"""For the others of a category where one of them bears the very word: velvet is also a fabric, but not denim."""
+MIN_HALF_LENGTH = 4
+"""Letters of each half of a compound: shorter ones are found in words that mean something else."""
+COMPOUND_LINKS = ("", "n", "s", "en", "es")
+"""What German puts between the halves: Eiche-n-tisch."""
+
+Vocabulary = Mapping[str, Mapping[str, float]]
+"""Word or phrase (joined by spaces, and run together) → {material name: weight}."""
+Hits = dict[str, dict[str, tuple[float, str]]]
+"""Material name → {matched word: (weight, the name it stood in)}."""
+
+
+def match_names(library: Sequence[LibraryMaterial], names: Sequence[str], image_names: Sequence[str] = ()) -> Hits:
+    """What the names tell; a word told twice counts once, in its most telling place.
+
+    names: the material's, the object's, any others. pictures: of textures, whose channel ("_Metalness") is no word of
+    theirs. A word that belongs to several categories weighs less, one of all categories nothing.
+    """
+    words = build_vocabulary(library)
+    category = {material.name: material.category for material in library}
+    count = len(set(category.values()))
+    told = [
+        (name, split_words(name), NAME_WEIGHTS[min(place, len(NAME_WEIGHTS) - 1)]) for place, name in enumerate(names)
+    ]
+    told += [(name, split_image_name(name), IMAGE_NAME_WEIGHT) for name in image_names]
+    hits: Hits = {material.name: {} for material in library}
+    for name, parts, telling in told:
+        for word in _find_matches(parts, words):
+            spread = len({category[material] for material in words[word]})
+            special = 1.0 if count < 2 else 1.0 - math.log(spread) / math.log(count)
+            for material, weight in words[word].items():
+                total = telling * special * weight
+                if total > hits[material].get(word, (0.0, ""))[0]:
+                    hits[material][word] = (total, name)
+    return hits
+
+
+def build_vocabulary(library: Sequence[LibraryMaterial]) -> Vocabulary:
+    """Every word that speaks for a material of the library."""
+    return _cached_vocabulary(
+        tuple(_MaterialWords(material.name, material.category, tuple(material.words)) for material in library)
+    )
+
+
+class _MaterialWords(NamedTuple):
+    """What of a library material its words follow from."""
+
+    name: str
+    category: str
+    words: tuple[str, ...]
+
+
+@lru_cache(maxsize=4)
+def _cached_vocabulary(library: tuple[_MaterialWords, ...]) -> Vocabulary:
+    """Made once for a library: it takes 13 ms, and every slot of every stroke asks."""
+    owned = {form for material in library for word in material.words for form in _get_word_forms(word)}
+    stuffs = {
+        category: {form for word in words.split() for form in _get_word_forms(word)}
+        for category, words in CATEGORY_WORDS.items()
+    }
+    found: dict[str, dict[str, float]] = {}
+    for material in library:
+        weighted: dict[str, float] = {}
+
+        def add(words: Iterable[str], weight: float, into: dict[str, float] = weighted) -> None:
+            for form in (form for word in words for form in _get_word_forms(word)):
+                into[form] = max(into.get(form, 0.0), weight)
+
+        related = CATEGORY_WORDS.get(material.category, "").split()
+        own_stuffs = stuffs.get(material.category, set())
+        add((word for word in related if word not in owned), 1.0)
+        add(related, RELATED_WEIGHT)
+        add((thing for thing, made_of in OBJECT_WORDS.items() if material.category in made_of), OBJECT_WORD_WEIGHT)
+        add(material.name.split("-"), NAME_PART_WEIGHT)
+        add(material.words, OBJECT_WORD_WEIGHT)
+        add((word for word in material.words if _get_word_forms(word) & own_stuffs), 1.0)
+        add((material.category, material.name), 1.0)
+        for form, weight in weighted.items():
+            found.setdefault(form, {})[material.name] = weight
+    return found
+
+
+@lru_cache(maxsize=4096)
+def _get_word_forms(word: str) -> frozenset[str]:
+    parts = split_words(word)
+    return frozenset({" ".join(parts), "".join(parts)} - STOP_WORDS - {""})
+
+
+def _find_matches(parts: Sequence[str], vocabulary: Vocabulary) -> list[str]:
+    """Words, halves of compounds, and phrases of up to three words of the vocabulary among the words of a name."""
+    words = [word for word in parts if word not in STOP_WORDS]
+    found: list[str] = []
+    for length in (1, 2, 3):
+        for start in range(len(words) - length + 1):
+            head = " ".join(words[start : start + length - 1])
+            for last in list_singulars(words[start + length - 1]):
+                phrase = f"{head} {last}".strip()
+                if phrase in vocabulary:
+                    found.append(phrase)
+                    break
+            else:
+                found += split_compound(words[start], vocabulary) if length == 1 else []
+    return found
+
+
+def split_compound(word: str, vocabulary: Vocabulary) -> list[str]:
+    """The parts of a compound that the vocabulary knows: "gummireifen" → gummi. Both halves must be words, one of
+    them a stuff, so that nothing is found inside a word that means something else; else []."""
+    for cut in range(MIN_HALF_LENGTH, len(word) - MIN_HALF_LENGTH + 1):
+        last = next((form for form in list_singulars(word[cut:]) if _is_compound_half(form, vocabulary)), None)
+        if last is None:
+            continue
+        for link in COMPOUND_LINKS:
+            first = word[: cut - len(link)]
+            if (
+                not word[:cut].endswith(link)
+                or len(first) < MIN_HALF_LENGTH
+                or not _is_compound_half(first, vocabulary)
+            ):
+                continue
+            if first in MATERIAL_WORDS or last in MATERIAL_WORDS:
+                return [half for half in (first, last) if half in vocabulary]
+    return []
+
+
+MATERIAL_WORDS = frozenset(
+    form for words in CATEGORY_WORDS.values() for word in words.split() for form in _get_word_forms(word)
+)
+_COMPOUND_FORMS = frozenset(form for word in COMPOUND_PARTS for form in _get_word_forms(word))
+
+
+def _is_compound_half(word: str, vocabulary: Vocabulary) -> bool:
+    return word in _COMPOUND_FORMS or word in MATERIAL_WORDS or (word in OBJECT_WORDS and word in vocabulary)

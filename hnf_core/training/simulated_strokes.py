@@ -1,0 +1,319 @@
+"""Surfaces to train on: the library's and random ones, also with long waves of one and short waves of another.
+
+Conditions to train on: who is stroked, with what, how fast, how hard, in which direction.
+
+Simulated strokes → window powers: what the likelihood is fitted to.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..datasets.pair_generation import CROSSOVER_WAVELENGTH_M, RANDOM_SCALE_DECADES, splice_spectra
+from ..material.contact_model import Mechanics
+from ..material.encoder_registry import get_encoder
+from ..material.probe import PROBES
+from ..material.token import ENCODER_ID
+from ..metrics.spectra import WINDOW_SAMPLES, window_power
+from ..simulation.dft321 import dft321
+from ..simulation.height_sampling import SmoothedMaps
+from ..simulation.material_classes import derive_seed, list_classes, sample_instance
+from ..simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate_batch, straight_stroke
+from ..simulation.surface_recipe import TILE_SIZE_M, SurfaceRecipe, height_map, random_recipe
+from ..tactile.height import tactile_map_from_height
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A height map with what E says of it. mechanics: of the material it comes from, None = any."""
+
+    name: str
+    maps: SmoothedMaps
+    token: NDArray[np.float32]
+    mechanics: Mechanics | None = None
+
+
+def make_surface(
+    name: str, height: NDArray[np.float32], mechanics: Mechanics | None = None, encoder: str = ENCODER_ID
+) -> Surface:
+    """Describe a height map (one 20 mm tile) by the product's own path: sensor image, then E (a make, or its file)."""
+    pitch = TILE_SIZE_M / height.shape[0]
+    token = get_encoder(encoder).describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch)).values
+    return Surface(name, SmoothedMaps(height, cache_size=4), token, mechanics)
+
+
+def make_random_surfaces(count: int, seed: int, workers: int = 1, encoder: str = ENCODER_ID) -> list[Surface]:
+    """Random recipes; every second one fused from two, because tokens in use are: measured long waves of a bake with a
+    library material's short waves."""
+    rng = np.random.default_rng(seed)
+    heights = []
+    for _ in range(count):
+        scale = 10.0 ** rng.uniform(*RANDOM_SCALE_DECADES)
+        heights.append(height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(scale))
+    jobs: list[SurfaceJob] = []
+    for index, height in enumerate(heights):
+        if index % 2:
+            border_m = np.exp(rng.uniform(*np.log(CROSSOVER_WAVELENGTH_M)))
+            height = splice_spectra(height, heights[int(rng.integers(count))], 1.0 / border_m)
+        jobs.append((f"random-{index}", height, None, encoder))
+    return _make_surfaces(jobs, workers)
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """One material: a surface process with its mechanics. name: unique. class_name: of simulation.classes. seed: of its
+    first patch; a later patch of the same material has a later one."""
+
+    name: str
+    class_name: str
+    recipe: SurfaceRecipe
+    mechanics: Mechanics
+    seed: int
+
+
+def load_library_specimens(path: Path) -> list[Specimen]:
+    """The materials of a library file; each is named after its class."""
+    return [
+        Specimen(entry["name"], entry["name"], SurfaceRecipe.from_dict(entry["recipe"]),
+                 Mechanics(**entry["mechanics"]), int(entry["seed"]))
+        for entry in json.loads(path.read_text(encoding="utf-8"))["materials"]
+    ]  # fmt: skip
+
+
+def make_class_specimens(seeds: Sequence[int]) -> list[Specimen]:
+    """One instance of every class for each seed."""
+    return [
+        Specimen(f"{name}/{seed}", name, *sample_instance(name, seed), derive_seed(f"{name}/{seed}"))
+        for seed in seeds
+        for name in list_classes()
+    ]
+
+
+def make_patches(
+    specimens: Sequence[Specimen], first: int, count: int, workers: int = 1, encoder: str = ENCODER_ID
+) -> list[Surface]:
+    """Patches first … first + count − 1 of every specimen, described; those of one specimen stand together."""
+    jobs: list[SurfaceJob] = [
+        (each.name, height_map(each.recipe, each.seed + first + index), each.mechanics, encoder)
+        for each in specimens
+        for index in range(count)
+    ]
+    return _make_surfaces(jobs, workers)
+
+
+SurfaceJob = tuple[str, NDArray[np.float32], Mechanics | None, str]
+
+
+def _make_surfaces(jobs: list[SurfaceJob], workers: int) -> list[Surface]:
+    if workers <= 1:
+        return [make_surface(*job) for job in jobs]
+    with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
+        return list(pool.map(_make_from_job, jobs, chunksize=8))
+
+
+def _make_from_job(job: SurfaceJob) -> Surface:
+    return make_surface(*job)
+
+
+SPEED_RANGE_M_S = (0.005, 0.4)
+FORCE_RANGE_N = (0.1, 5.0)
+SPEED_COUNT = 64
+"""Steady strokes use a grid of speeds: the expectation of a window needs one matrix per speed."""
+FORCE_COUNT = 24
+"""And a grid of forces: a surface smoothed by one contact radius serves many strokes."""
+STIFFNESS_RANGE_N_M = (8e2, 4e5)
+DAMPING_RANGE = (0.05, 0.8)
+FRICTION_RANGE = (0.1, 1.3)
+MIDDLE_SPEED_M_S = (0.03, 0.25)
+MIDDLE_FORCE_N = (0.3, 3.0)
+"""Where strokes mostly are, and where a material's own feel is checked."""
+MATERIAL_MECHANICS_SHARE = 0.6
+WITHHELD_SHARE = 0.25
+"""Chance of each mechanical value to be withheld from the network."""
+SPEEDS_AND_FORCES = ((0.05, 1.0), (0.1, 0.5), (0.1, 1.0), (0.1, 2.0), (0.2, 1.0), (0.15, 0.7))
+ANGLES_RAD = np.radians([10.0, 77.0, 33.0, 121.0, 154.0, 55.0])
+"""Of middle_conditions."""
+
+
+@dataclass(frozen=True)
+class SteadyStroke:
+    """One steady stroke. surface: index; speed: index into speed_grid(); angle: rad; force: N."""
+
+    surface: int
+    mechanics: Mechanics
+    probe: str
+    speed: int
+    angle: float
+    force: float
+    start: tuple[float, float]
+
+
+def make_speed_grid() -> Float:
+    return np.geomspace(*SPEED_RANGE_M_S, SPEED_COUNT)
+
+
+def make_force_grid() -> Float:
+    return np.geomspace(*FORCE_RANGE_N, FORCE_COUNT)
+
+
+def draw_steady_strokes(
+    surfaces: Sequence[Surface], per_surface: int, seed: int, *, middle_share: float = 0.0
+) -> list[SteadyStroke]:
+    """per_surface conditions on each surface, log-uniform in speed and force, two thirds with the pen.
+
+    middle_share of them keep to the middle ranges, to the pen and to the surface's own mechanics. Directions are
+    uniform over the circle: any fixed one lies between those trained on.
+    """
+    rng = np.random.default_rng(seed)
+    forces = make_force_grid()
+    low, high = np.searchsorted(make_speed_grid(), MIDDLE_SPEED_M_S)
+    lightest, firmest = np.searchsorted(forces, MIDDLE_FORCE_N)
+    strokes = []
+    for index, surface in enumerate(surfaces):
+        for draw in range(per_surface):
+            middle = rng.random() < middle_share and surface.mechanics is not None
+            own = surface.mechanics if middle else None
+            strokes.append(
+                SteadyStroke(
+                    surface=index,
+                    mechanics=own or draw_mechanics(surface.mechanics, rng),
+                    probe="pen" if middle or draw % 3 else "finger",
+                    speed=int(rng.integers(low, high)) if middle else int(rng.integers(SPEED_COUNT)),
+                    angle=float(rng.uniform(0.0, 2.0 * np.pi)),
+                    force=float(forces[rng.integers(lightest, firmest) if middle else rng.integers(FORCE_COUNT)]),
+                    start=(float(rng.uniform(0.0, 0.02)), float(rng.uniform(0.0, 0.02))),
+                )
+            )
+    return strokes
+
+
+def draw_mechanics(typical: Mechanics | None, rng: np.random.Generator) -> Mechanics:
+    """The material's own values (with 20 % of scatter) or any, so that the condition is not read off the token."""
+    if typical is not None and rng.random() < MATERIAL_MECHANICS_SHARE:
+        scatter = np.exp(0.2 * rng.standard_normal(3))
+        return Mechanics(
+            None if typical.stiffness_n_m is None else typical.stiffness_n_m * float(scatter[0]),
+            None if typical.damping_ratio is None else typical.damping_ratio * float(scatter[1]),
+            None if typical.friction is None else typical.friction * float(scatter[2]),
+        )
+    return Mechanics(
+        float(np.exp(rng.uniform(*np.log(STIFFNESS_RANGE_N_M)))),
+        float(np.exp(rng.uniform(*np.log(DAMPING_RANGE)))),
+        float(np.exp(rng.uniform(*np.log(FRICTION_RANGE)))),
+    )
+
+
+def withhold_mechanics(mechanics: Mechanics, rng: np.random.Generator) -> Mechanics:
+    """Each value dropped to unknown with chance UNKNOWN_SHARE; one time in eight all of them."""
+    if rng.random() < 0.125:
+        return Mechanics()
+    keep = rng.random(3) >= WITHHELD_SHARE
+    return Mechanics(
+        mechanics.stiffness_n_m if keep[0] else None,
+        mechanics.damping_ratio if keep[1] else None,
+        mechanics.friction if keep[2] else None,
+    )
+
+
+@dataclass(frozen=True)
+class StrokeCondition:
+    """A steady stroke with the pen. speed: index into speed_grid(). force: N. angle: rad."""
+
+    speed: int
+    force: float
+    angle: float
+
+
+def make_middle_conditions() -> list[StrokeCondition]:
+    """Six: speed and force about the middle, directions between the tile's axes."""
+    grid = make_speed_grid()
+    return [
+        StrokeCondition(int(np.argmin(np.abs(np.log(grid / speed)))), force, float(angle))
+        for (speed, force), angle in zip(SPEEDS_AND_FORCES, ANGLES_RAD, strict=True)
+    ]
+
+
+FINE_BINS = 100
+"""Bins 1–100 of a 1000-sample window: 10–1000 Hz, DC left out."""
+COARSE_EDGES_HZ = 1000.0 * 5.0 ** (np.arange(8) / 7.0)
+"""Above, seven bands to 5 kHz, so that the total power is right too."""
+SETTLE_S = 0.06
+STROKES_PER_BATCH = 512
+
+
+def pool_bins(power: Float) -> Float:
+    """Window powers (…, 501) → (…, 107): fine bins, then the mean density of each coarse band."""
+    frequency = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / SAMPLE_RATE_HZ)
+    fine = power[..., 1 : FINE_BINS + 1]
+    coarse = [
+        power[..., (frequency > low) & (frequency <= high)].mean(axis=-1) for low, high in pairwise(COARSE_EDGES_HZ)
+    ]
+    return np.concatenate([fine, np.stack(coarse, axis=-1)], axis=-1)
+
+
+def compute_bin_widths() -> Float:
+    """(107,) Hz that each observation stands for: density times width sums to power."""
+    return np.concatenate([np.full(FINE_BINS, SAMPLE_RATE_HZ / WINDOW_SAMPLES), np.diff(COARSE_EDGES_HZ)])
+
+
+def record_strokes(
+    surfaces: Sequence[Surface], strokes: Sequence[SteadyStroke], seconds: float, workers: int = 2
+) -> Float:
+    """Mean observed power (n, 107) of `seconds` of each steady stroke, DFT321 over the whole of it.
+
+    The result does not depend on the number of workers.
+    """
+    jobs: list[list[int]] = []
+    for probe in PROBES:
+        rows = sorted((row for row, stroke in enumerate(strokes) if stroke.probe == probe),
+                      key=lambda row: (strokes[row].surface, strokes[row].force))  # fmt: skip
+        jobs += [rows[low : low + STROKES_PER_BATCH] for low in range(0, len(rows), STROKES_PER_BATCH)]
+    out = np.zeros((len(strokes), FINE_BINS + len(COARSE_EDGES_HZ) - 1))
+    calls = [_make_job(surfaces, [strokes[row] for row in rows], seconds) for rows in jobs]
+    with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
+        for done, (rows, power) in enumerate(zip(jobs, pool.map(_record_batch, calls), strict=True)):
+            out[rows] = power
+            print(f"\rsimulated {done + 1}/{len(jobs)} batches", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return out
+
+
+RecordingJob = tuple[list[Surface], list[SteadyStroke], float]
+
+
+def _make_job(surfaces: Sequence[Surface], strokes: list[SteadyStroke], seconds: float) -> RecordingJob:
+    """Only the surfaces that a batch needs travel to its process."""
+    used = sorted({stroke.surface for stroke in strokes})
+    place = {surface: index for index, surface in enumerate(used)}
+    local = [SteadyStroke(place[s.surface], s.mechanics, s.probe, s.speed, s.angle, s.force, s.start) for s in strokes]
+    return [surfaces[index] for index in used], local, seconds
+
+
+def _record_batch(job: RecordingJob) -> Float:
+    surfaces, strokes, seconds = job
+    speeds = make_speed_grid()
+    acceleration = simulate_batch(
+        [surfaces[stroke.surface].maps for stroke in strokes],
+        [_make_path(stroke, float(speeds[stroke.speed]), seconds + SETTLE_S) for stroke in strokes],
+        [stroke.mechanics for stroke in strokes],
+        PROBES[strokes[0].probe],
+    )
+    kept = acceleration[:, round(SETTLE_S * SAMPLE_RATE_HZ) :]
+    fused = dft321(kept - kept.mean(axis=1, keepdims=True))
+    return np.stack([pool_bins(window_power(signal, SAMPLE_RATE_HZ)).mean(axis=0) for signal in fused])
+
+
+def _make_path(stroke: SteadyStroke, speed: float, seconds: float) -> Stroke:
+    return straight_stroke(speed, stroke.force, seconds, angle_rad=stroke.angle, start_m=stroke.start)

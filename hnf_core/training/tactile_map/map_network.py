@@ -1,0 +1,201 @@
+"""D_φ in torch, for training; hnf_core.tactile.diffusion.unet computes the same in numpy.
+
+What one step of training minimises, and what a trained network predicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from ...tactile.diffusion.conditioning import build_condition
+from ...tactile.diffusion.predict import denoise
+from ...tactile.diffusion.schedule import TRAIN_STEPS, alpha_bars, log_snr, noised, velocity
+from ...tactile.diffusion.unet import HEADS, INPUT_CHANNELS, REGRESSION, MapConfig
+from .batches import Batch
+
+
+class Block(nn.Module):
+    """Residual block (He et al. 2016), group norm and SiLU before each convolution; FiLM (Perez et al. 2018)."""
+
+    def __init__(self, size: int, config: MapConfig) -> None:
+        super().__init__()
+        self.norm1 = nn.GroupNorm(config.groups, size)
+        self.conv1 = nn.Conv2d(size, size, 3, padding=1)
+        self.norm2 = nn.GroupNorm(config.groups, size)
+        self.film = nn.Linear(config.embedding, 2 * size)
+        self.conv2 = nn.Conv2d(size, size, 3, padding=1)
+        _zero_weights(self.conv2)
+
+    def forward(self, x: Tensor, embedding: Tensor) -> Tensor:
+        scale, shift = self.film(embedding)[:, :, None, None].chunk(2, dim=1)
+        inner = self.conv1(functional.silu(self.norm1(x)))
+        inner = functional.silu(torch.addcmul(shift, self.norm2(inner), 1.0 + scale))
+        out: Tensor = x + self.conv2(inner)
+        return out
+
+
+class Attention(nn.Module):
+    """Every pixel looks at every other, once, where there are 64 of them."""
+
+    def __init__(self, size: int, config: MapConfig) -> None:
+        super().__init__()
+        self.norm = nn.GroupNorm(config.groups, size)
+        self.into = nn.Conv2d(size, 3 * size, 1)
+        self.out = nn.Conv2d(size, size, 1)
+        _zero_weights(self.out)
+
+    def forward(self, x: Tensor) -> Tensor:
+        batch, size, rows, columns = x.shape
+        parts = self.into(self.norm(x)).reshape(batch, 3, HEADS, size // HEADS, rows * columns)
+        query, key, value = (part.transpose(-1, -2) for part in parts.unbind(1))
+        mixed = functional.scaled_dot_product_attention(query, key, value)
+        out: Tensor = x + self.out(mixed.transpose(-1, -2).reshape(batch, size, rows, columns))
+        return out
+
+
+class MapNetwork(nn.Module):
+    """(pictures (n, 6, 64, 64), conditions (n, condition_size)) → slopes (n, 2, 64, 64) and level (n,), both of v."""
+
+    def __init__(self, config: MapConfig) -> None:
+        super().__init__()
+        self.config = config
+        wide, middle, deep = config.channels
+        emb = config.embedding
+        self.embed = nn.ModuleList([nn.Linear(config.condition_size, emb), nn.Linear(emb, emb)])
+        self.enter = nn.Conv2d(4 * INPUT_CHANNELS, wide, 3, padding=1)
+        self.down = nn.ModuleList(_make_blocks(size, config.down, config) for size in (wide, middle))
+        self.up = nn.ModuleList(_make_blocks(size, config.up, config) for size in (wide, middle))
+        self.shrink = nn.ModuleList(nn.Conv2d(4 * a, b, 1) for a, b in ((wide, middle), (middle, deep)))
+        self.grow = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in ((wide, middle), (middle, deep)))
+        self.deep = _make_blocks(deep, config.deep, config)
+        self.attention = Attention(deep, config)
+        self.level = nn.ModuleList([nn.Linear(deep + emb, emb), nn.Linear(emb, 1)])
+        self.leave_norm = nn.GroupNorm(config.groups, wide)
+        self.leave = nn.Conv2d(wide, 8, 3, padding=1)
+        _zero_weights(self.leave)
+        _zero_weights(self.level[1])
+
+    def forward(self, images: Tensor, conditions: Tensor) -> tuple[Tensor, Tensor]:
+        embedding = functional.silu(self.embed[1](functional.silu(self.embed[0](conditions))))
+        x = self.enter(functional.pixel_unshuffle(images, 2).contiguous(memory_format=torch.channels_last))
+        kept = []
+        for level, shrink in enumerate(self.shrink):
+            x = _apply_blocks(self._get_level(self.down, level), x, embedding)
+            kept.append(x)
+            x = shrink(functional.pixel_unshuffle(x, 2).contiguous(memory_format=torch.channels_last))
+        x = _apply_blocks(self.deep[:-1], x, embedding)
+        x = self.deep[-1](self.attention(x), embedding)
+        coarse = self.level[1](functional.silu(self.level[0](torch.cat([x.mean(dim=(2, 3)), embedding], dim=1))))
+        for level in reversed(range(len(kept))):
+            x = functional.interpolate(self.grow[level](x), scale_factor=2, mode="nearest") + kept[level]
+            x = _apply_blocks(self._get_level(self.up, level), x, embedding)
+        slopes = functional.pixel_shuffle(self.leave(functional.silu(self.leave_norm(x))), 2)
+        return slopes, coarse[:, 0]
+
+    @staticmethod
+    def _get_level(levels: nn.ModuleList, index: int) -> Iterable[nn.Module]:
+        blocks = levels[index]
+        assert isinstance(blocks, nn.ModuleList)
+        return blocks
+
+
+def _apply_blocks(blocks: Iterable[nn.Module], x: Tensor, embedding: Tensor) -> Tensor:
+    for block in blocks:
+        x = block(x, embedding)
+    return x
+
+
+def _make_blocks(size: int, count: int, config: MapConfig) -> nn.ModuleList:
+    return nn.ModuleList(Block(size, config) for _ in range(count))
+
+
+def _zero_weights(layer: nn.Module) -> None:
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
+
+
+Array = NDArray[np.float32]
+
+
+def compute_losses(network: MapNetwork, batch: Batch, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+    """Mean squared error of v (regression: of x) of the pattern and of the level.
+
+    The steps of a batch are spread evenly over the schedule from a random start, so that the loss scatters less than
+    with independent ones (Kingma et al. 2021). The level is one number with one noise, not a picture: as a constant
+    picture its noise would average out, and it would be known before the denoising began.
+    """
+    config = network.config
+    count = len(batch)
+    place = (rng.random() + np.arange(count)) / count % 1.0
+    bars = alpha_bars()[(place * TRAIN_STEPS).astype(int)]
+    noise = rng.standard_normal(batch.slopes.shape, dtype=np.float32)
+    level_noise = rng.standard_normal(count, dtype=np.float32)
+    level = normalise_level(batch, config)
+    if config.objective == REGRESSION:
+        wanted, wanted_level = batch.slopes, level
+        v, v_level = run_network(network, batch, np.zeros_like(noise), np.zeros_like(level), np.ones(count) / 2.0)
+    else:
+        wide = bars.astype(np.float32)[:, None, None, None]
+        wanted, wanted_level = velocity(batch.slopes, noise, wide), velocity(level, level_noise, bars)
+        noisy = noised(batch.slopes, noise, wide)
+        v, v_level = run_network(network, batch, noisy, noised(level, level_noise, bars).astype(np.float32), bars)
+    return (
+        (v.float() - _to_tensor(wanted)).square().mean(),
+        (v_level.float() - _to_tensor(wanted_level)).square().mean(),
+    )
+
+
+def run_network(
+    network: MapNetwork, batch: Batch, noisy: Array, level: Array, bars: NDArray[np.float64]
+) -> tuple[Tensor, Tensor]:
+    """The network on a batch with these noisy slopes (n, 2, 64, 64) and levels (n,) at ᾱ = bars (n,)."""
+    pictures = np.concatenate([noisy, batch.appearance.images], axis=1)
+    told = build_condition(
+        log_snr(bars),
+        level,
+        batch.pitch_index,
+        batch.sensor_index,
+        len(network.config.sensors),
+        batch.appearance.scalars,
+    )
+    slopes, out_level = network(_to_tensor(pictures), _to_tensor(told))
+    return slopes, out_level
+
+
+def normalise_level(batch: Batch, config: MapConfig) -> Array:
+    """(n,) levels as the network knows them."""
+    return np.asarray((batch.log_rms - config.level_mean) / config.level_scale, dtype=np.float32)
+
+
+def sample_slopes(network: MapNetwork, batch: Batch, seed: int, steps: int) -> tuple[Array, Array]:
+    """Slopes (n, 2, 64, 64) of unit RMS and log10 RMS (n,) that the network sees in the looks of a batch: what
+    tactile.diffusion.predict computes. A sample and the median of the level, or of a regression the mean of both."""
+    rng = np.random.default_rng(seed)
+    config, count = network.config, len(batch)
+
+    def once(slopes: Array, level: Array, bars: NDArray[np.float64]) -> tuple[Array, Array]:
+        v, v_level = run_network(network, batch, slopes, level, bars)
+        return v.float().numpy(), v_level.float().numpy()
+
+    def step(slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
+        bar = 1.0 / (1.0 + np.exp(-snr))
+        return once(slopes.astype(np.float32), level.astype(np.float32), np.full(count, bar))
+
+    with torch.no_grad():
+        if config.objective == REGRESSION:
+            slopes, level = once(np.zeros_like(batch.slopes), np.zeros_like(batch.log_rms), np.ones(count) / 2.0)
+        else:
+            noise = rng.standard_normal(batch.slopes.shape, dtype=np.float32)
+            slopes, level = denoise(step, noise, np.zeros(count, dtype=np.float32), steps)
+    rms = np.sqrt((slopes**2).mean(axis=(1, 2, 3), keepdims=True))
+    return slopes / np.maximum(rms, 1e-6), level * config.level_scale + config.level_mean
+
+
+def _to_tensor(values: NDArray[np.generic]) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))

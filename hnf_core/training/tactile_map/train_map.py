@@ -1,0 +1,261 @@
+"""Training D_φ: batches until the steps or the minutes are used up; a killed run goes on where it was.
+
+How weights of D_φ come about: pairs on disk → training → a file with its own figures in it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ...datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, TRAIN, Pairs, load_pairs
+from ...errors import UsageError
+from ...files import content_hash
+from ...tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
+from ...tactile.diffusion.weights import save_map_weights
+from ..checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from .batches import compute_level_statistics, make_training_batch
+from .map_network import MapNetwork, compute_losses
+from .validation import Distance, measure_distances
+
+ProgressCallback = Callable[[int, float, float, Mapping[str, Distance]], None]
+"""(steps done, share of the budget, running loss, distances: empty between validations)."""
+
+
+@dataclass(frozen=True)
+class MapTrainingPlan:
+    """steps or minutes (of training, validation not counted in the course of the rate), whichever is used up first
+    where both are given; rate: AdamW's, warm_up steps up and then a cosine down to nothing at the budget's end.
+    ema: of the averaged weights. level_weight: of the level's loss beside the pattern's. validate_views: of each
+    held-out split, every validate_minutes; sampled only at the end. checkpoint_minutes: between checkpoints.
+    """
+
+    steps: int | None = None
+    minutes: float | None = None
+    batch: int = 16
+    rate: float = 1e-3
+    warm_up: int = 200
+    decay: float = 0.01
+    clip: float = 1.0
+    ema: float = 0.998
+    level_weight: float = 0.5
+    seed: int = 0
+    threads: int = 1
+    half: bool = True
+    validate_views: int = 96
+    validate_minutes: float = 3.0
+    checkpoint_minutes: float = 3.0
+
+    def compute_progress(self, step: int, seconds: float) -> float:
+        """Share of the budget that is used up."""
+        by_steps = 0.0 if self.steps is None else step / max(self.steps, 1)
+        by_time = 0.0 if self.minutes is None else seconds / (60.0 * self.minutes)
+        return max(by_steps, by_time)
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """config with the level's scale filled in, averaged weights, and what it took."""
+
+    config: MapConfig
+    parameters: dict[str, NDArray[np.float32]]
+    steps: int
+    seconds: float
+    distances: Mapping[str, Distance]
+
+
+@dataclass
+class _TrainingState:
+    network: MapNetwork
+    optimiser: torch.optim.AdamW
+    average: dict[str, Tensor]
+    step: int = 0
+    seconds: float = 0.0
+
+
+def fit_map(
+    pairs: Pairs,
+    held_out: Mapping[str, Pairs],
+    plan: MapTrainingPlan,
+    config: MapConfig,
+    checkpoint: Path | None = None,
+    watch: ProgressCallback = lambda *_: None,
+) -> FitResult:
+    """Train on pairs; the networks of held_out splits' distances are the averaged ones.
+
+    With steps alone the same seed gives the same weights on the same machine and torch, killed and resumed or not; with
+    minutes the course of the rate follows the clock. Raises UsageError without a budget or without enough pairs,
+    FileError where the checkpoint cannot be written.
+    """
+    if plan.steps is None and plan.minutes is None:
+        raise UsageError("training needs a number of steps or of minutes.")
+    if len(pairs) < plan.batch:
+        raise UsageError(f"{len(pairs)} pairs are fewer than a batch of {plan.batch}.")
+    torch.set_num_threads(plan.threads)
+    mean, scale = compute_level_statistics(pairs)
+    config = replace(config, level_mean=mean, level_scale=scale)
+    state = _make_initial_state(config, plan)
+    fingerprint = _compute_fingerprint(pairs, plan, config)
+    if checkpoint is not None:
+        _restore_checkpoint(state, load_checkpoint(checkpoint, fingerprint))
+    running, saved, validated = math.nan, state.seconds, state.seconds
+    while plan.compute_progress(state.step, state.seconds) < 1.0:
+        began = time.monotonic()
+        loss = _train_step(state, pairs, plan)
+        state.seconds += time.monotonic() - began
+        running = loss if math.isnan(running) else 0.98 * running + 0.02 * loss
+        seen: dict[str, Distance] = {}
+        if state.seconds - validated >= 60.0 * plan.validate_minutes:
+            validated = state.seconds
+            seen = measure_distances(_make_averaged_network(state), held_out, plan.validate_views, plan.seed, None)
+        watch(state.step, plan.compute_progress(state.step, state.seconds), running, seen)
+        if checkpoint is not None and state.seconds - saved >= 60.0 * plan.checkpoint_minutes:
+            saved = state.seconds
+            save_checkpoint(checkpoint, _make_checkpoint(state), fingerprint)
+    if checkpoint is not None:
+        save_checkpoint(checkpoint, _make_checkpoint(state), fingerprint)
+    final = measure_distances(_make_averaged_network(state), held_out, plan.validate_views, plan.seed, 20)
+    parameters = {name: value.numpy().astype(np.float32) for name, value in state.average.items()}
+    return FitResult(config, parameters, state.step, state.seconds, final)
+
+
+def _train_step(state: _TrainingState, pairs: Pairs, plan: MapTrainingPlan) -> float:
+    per_epoch = len(pairs) // plan.batch
+    epoch, place = divmod(state.step, per_epoch)
+    order = np.random.default_rng((plan.seed, 1, epoch)).permutation(len(pairs))
+    rng = np.random.default_rng((plan.seed, 2, state.step))
+    batch = make_training_batch(pairs, order[place * plan.batch : (place + 1) * plan.batch], rng)
+    for group in state.optimiser.param_groups:
+        group["lr"] = _compute_learning_rate(plan, state)
+    with torch.autocast("cpu", torch.bfloat16, enabled=plan.half):
+        pattern, level = compute_losses(state.network, batch, rng)
+    loss = pattern + plan.level_weight * level
+    state.optimiser.zero_grad(set_to_none=True)
+    loss.backward()  # type: ignore[no-untyped-call]
+    torch.nn.utils.clip_grad_norm_(state.network.parameters(), plan.clip)
+    state.optimiser.step()
+    state.step += 1
+    keep = min(plan.ema, (1.0 + state.step) / (10.0 + state.step))
+    with torch.no_grad():
+        for name, value in state.network.state_dict().items():
+            state.average[name].lerp_(value, 1.0 - keep)
+    return float(loss.detach())
+
+
+def _compute_learning_rate(plan: MapTrainingPlan, state: _TrainingState) -> float:
+    spent = min(plan.compute_progress(state.step, state.seconds), 1.0)
+    return plan.rate * min(1.0, (state.step + 1) / plan.warm_up) * (0.5 + 0.5 * math.cos(math.pi * spent))
+
+
+def _make_initial_state(config: MapConfig, plan: MapTrainingPlan) -> _TrainingState:
+    torch.manual_seed(plan.seed)
+    network = _make_network(config)
+    optimiser = torch.optim.AdamW(network.parameters(), plan.rate, betas=(0.9, 0.99), weight_decay=plan.decay)
+    return _TrainingState(network, optimiser, {name: value.clone() for name, value in network.state_dict().items()})
+
+
+def _make_network(config: MapConfig) -> MapNetwork:
+    network = MapNetwork(config)
+    # oneDNN's half-precision convolutions want the channels last.
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network
+
+
+def _make_averaged_network(state: _TrainingState) -> MapNetwork:
+    network = _make_network(state.network.config)
+    network.load_state_dict(state.average)
+    return network
+
+
+def _make_checkpoint(state: _TrainingState) -> Checkpoint:
+    tensors: dict[str, NDArray[np.generic]] = {"seconds": np.array([state.seconds])}
+    for name, parameter in state.network.named_parameters():
+        moments = state.optimiser.state[parameter]
+        tensors[f"network.{name}"] = parameter.detach().numpy()
+        tensors[f"average.{name}"] = state.average[name].numpy()
+        tensors[f"first.{name}"], tensors[f"second.{name}"] = (moments[key].numpy() for key in _MOMENTS)
+    return Checkpoint(state.step, tensors, np.zeros((0, 3)))
+
+
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
+def _restore_checkpoint(state: _TrainingState, checkpoint: Checkpoint | None) -> None:
+    if checkpoint is None:
+        return
+    state.step, state.seconds = checkpoint.epoch, float(checkpoint.tensors["seconds"][0])
+    tensors = {
+        name: torch.from_numpy(np.array(value)) for name, value in checkpoint.tensors.items() if name != "seconds"
+    }
+    with torch.no_grad():
+        for name, parameter in state.network.named_parameters():
+            parameter.copy_(tensors[f"network.{name}"])
+            state.average[name].copy_(tensors[f"average.{name}"])
+            moments = {key: torch.empty_like(parameter).copy_(tensors[f"{part}.{name}"])
+                       for key, part in zip(_MOMENTS, ("first", "second"), strict=True)}  # fmt: skip
+            state.optimiser.state[parameter] = {"step": torch.tensor(float(state.step)), **moments}
+
+
+def _compute_fingerprint(pairs: Pairs, plan: MapTrainingPlan, config: MapConfig) -> str:
+    """Of the run: data, network and what steers the course; not of how long it may take."""
+    budget_free = replace(plan, steps=None, minutes=None, threads=1, validate_minutes=0.0, checkpoint_minutes=0.0)
+    data = (pairs.tile_seed.tobytes(), pairs.slopes[0].tobytes(), pairs.slopes[-1].tobytes())
+    return content_hash(repr((budget_free, config)), *data)
+
+
+LICENCE = "GPL-3.0-or-later"
+LEARNING_RATES = {DIFFUSION: 1e-3, REGRESSION: 2e-3}
+"""Of learning, by objective."""
+
+
+def train_map(
+    folder: Path,
+    plan: MapTrainingPlan,
+    config: MapConfig,
+    out: Path,
+    checkpoint: Path,
+    watch: ProgressCallback,
+    *,
+    partial: bool = False,
+) -> dict[str, Any]:
+    """Train on the pairs in a folder (tools/make_tactile_pairs.py), write the averaged weights, return the record that
+    is also in their header. A killed run goes on from its checkpoint. partial: train on what shards there are.
+
+    Raises FileError where pairs are missing or damaged, UsageError for a plan without a budget.
+    """
+    pairs = load_pairs(folder, TRAIN, partial=partial)
+    held_out = {name: load_pairs(folder, name, partial=partial) for name in (HELD_OUT_INSTANCES, HELD_OUT_CLASSES)}
+    fitted = fit_map(pairs, held_out, plan, config, checkpoint, watch)
+    record = {
+        "training_data": f"{len(pairs)} paired views of {pairs.tiles} generated tiles of "
+        f"{len(set(pairs.class_name) - {''})} classes and of random surfaces; no recorded data",
+        "objective": config.objective,
+        "seed": plan.seed,
+        "steps": fitted.steps,
+        "views": fitted.steps * plan.batch,
+        "minutes": round(fitted.seconds / 60.0, 1),
+        "metrics": {name: asdict(distance) for name, distance in fitted.distances.items()},
+        "licence": LICENCE,
+    }
+    save_map_weights(out, fitted.config, fitted.parameters, _to_text(record))
+    return {**record, "weights": str(out), "in_words": _format_distances(fitted)}
+
+
+def _to_text(record: dict[str, Any]) -> dict[str, str]:
+    return {
+        name: value if isinstance(value, str) else json.dumps(value, sort_keys=True) for name, value in record.items()
+    }
+
+
+def _format_distances(fitted: FitResult) -> str:
+    return "; ".join(f"{name}: {distance.describe()}" for name, distance in fitted.distances.items())

@@ -1,0 +1,115 @@
+"""The literal model, sample by sample in float64: slow, plain, and what the fast path is tested against.
+
+u(t) is read at every 10 kHz sample, F_Θ evaluated there and at the N past samples, and every carrier summed from its
+Fourier coefficients at the exact t or s(t). No tables, no interpolation of amplitudes, no spatial grid.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.action import Action
+from hnf_core.errors import UsageError
+from hnf_core.field.carriers import ARC_BLOCK, TIME_BLOCK, Carriers
+from hnf_core.field.field import Field, evaluate
+from hnf_core.field.prepare import prepare_stroke
+from hnf_core.field.render import render_contact
+from hnf_core.field.stroke import (
+    SAMPLES_PER_STATE,
+    StrokeInput,
+    interpolate_condition,
+    interpolate_cubic,
+    resample_action,
+    sample_count,
+)
+from hnf_core.field.temporal_rendering import render_weights
+
+Float = NDArray[np.float64]
+
+
+def synthesise_reference(field: Field, stroke: StrokeInput, *, seed: int, start: int = 0, count: int = 2000) -> Float:
+    """Samples start … of the model rate [m/s²], (count,) float64.
+
+    The texture term is literal; pressing is the shared linear filter, which is exact already. Raises UsageError for a
+    stroke with a height profile: its share of the power is defined at the action rate.
+    """
+    if stroke.profile is not None:
+        raise UsageError("the reference does not take a height profile.", remedy="Compare without it.")
+    action, token_index = resample_action(stroke)
+    count = min(count, sample_count(action) - start)
+    prepared = prepare_stroke(field, stroke, seed=seed)
+    texture = texture_reference(field, stroke, action, token_index, seed, start, count)
+    out = prepared.audible[start : start + count] * (texture + render_contact(prepared, start, count))
+    return np.asarray(out)
+
+
+def texture_reference(
+    field: Field,
+    stroke: StrokeInput,
+    action: Action,
+    token_index: NDArray[np.int32],
+    seed: int,
+    start: int,
+    count: int,
+) -> Float:
+    """Σ_n w_n Σ_k A_k c_k, literally. Returns (count,)."""
+    config, carriers = field.config, field.config.carriers
+    lag = config.stride * SAMPLES_PER_STATE
+    out = np.zeros(count)
+    for offset in range(0, count, 500):
+        sample = start + offset + np.arange(min(500, count - offset))
+        emissions = []
+        for n in range(config.states if config.accumulation == "past" else 1):
+            at = sample - n * lag
+            emission = evaluate(field, interpolate_condition(stroke, action, token_index, at))
+            emissions.append((np.where(at[:, None, None] < 0, 0.0, emission.alpha), emission.sigma_dt))
+        if config.accumulation == "past":
+            sigma = np.stack([emission[1][:, n] for n, emission in enumerate(emissions)], axis=1)
+            weights = render_weights(sigma)
+            terms = [(0, sum(weights[:, n, None] * emission[0][:, 0] for n, emission in enumerate(emissions)))]
+        else:
+            alpha, sigma = emissions[0]
+            weights = render_weights(sigma)
+            terms = [(n, weights[:, n, None] * alpha[:, n]) for n in range(config.states)]
+        total = np.zeros(len(sample))
+        for delay, amplitude in terms:
+            place = interpolate_cubic(action.position, (sample - delay) / SAMPLES_PER_STATE)
+            total += np.einsum("ik,ik->i", amplitude, carriers_at(carriers, seed, sample - delay, place))
+        out[offset : offset + len(sample)] = total
+    return out
+
+
+def carriers_at(carriers: Carriers, seed: int, sample: NDArray[np.intp], place: Float) -> Float:
+    """(count, K) every carrier at given samples of the model rate and places s [m], by Fourier sums."""
+    columns = [np.ones((len(sample), int(carriers.constant)))]
+    if carriers.time_count:
+        columns.append(_fourier(lambda b: carriers.time_block_spectra(seed, b), TIME_BLOCK, sample.astype(np.float64)))
+    for octave in range(carriers.arc_octaves):
+        columns.append(
+            _fourier(
+                lambda b, octave=octave: carriers.arc_block_spectra(seed, octave, b),
+                ARC_BLOCK,
+                place / carriers.arc_step_m(octave),
+            )
+        )
+    return np.concatenate(columns, axis=1)
+
+
+def _fourier(spectra, size: int, at: Float) -> Float:  # type: ignore[no-untyped-def]
+    """Faded blocks summed at fractional positions; the window is evaluated there too."""
+    hop = size // 2
+    block = np.floor(at / hop).astype(int)
+    total = None
+    for index in range(int(block.min()) - 1, int(block.max()) + 1):
+        inside = np.flatnonzero((at >= index * hop) & (at < index * hop + size))
+        coefficients = spectra(index)
+        if total is None:
+            total = np.zeros((len(at), len(coefficients)))
+        used = np.flatnonzero(np.any(coefficients != 0.0, axis=0))
+        local = at[inside] - index * hop
+        waves = np.exp(2j * np.pi * local[:, None] * used[None, :] / size)
+        fade = np.sin(0.5 * np.pi * np.sin(np.pi * (local + 0.5) / size) ** 2)
+        total[inside] += 2.0 / size * np.real(waves @ coefficients[:, used].T) * fade[:, None]
+    assert total is not None
+    return np.asarray(total)

@@ -1,0 +1,245 @@
+"""ResNet-50 with the state-dict names that the published weights have, and an embedding on the unit sphere.
+
+The network of He et al. (2016) in the form that torchvision publishes (the stride in the 3×3 convolution), so that its
+files load here and ours there; only the last layer, `fc`, has as many outputs as the shared space has dimensions. It
+stands here because the package torchvision as published does not import beside a torch that was built without CUDA.
+
+Tuples → the numbers that go into the encoders.
+
+Tuples through frozen encoders: a view's embedding is the mean of those of its four corners.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from hnf_core.errors import WeightsError
+
+from ..encoder.network import format_save_command
+from .inputs import Tuples
+
+BOTTLENECK_EXPANSION = 4
+"""A block's outputs per unit of its width."""
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """blocks: in each of the four stages. width: of the first stage, doubled by each later one. outputs: dimensions of
+    the shared space."""
+
+    blocks: tuple[int, int, int, int] = (3, 4, 6, 3)
+    width: int = 64
+    outputs: int = 128
+
+
+RESNET50 = Architecture()
+
+
+class Bottleneck(nn.Module):
+    """1×1 → 3×3 → 1×1 beside the identity, or beside a 1×1 convolution where the shape changes."""
+
+    def __init__(self, inputs: int, width: int, stride: int) -> None:
+        super().__init__()
+        outputs = BOTTLENECK_EXPANSION * width
+        self.conv1 = nn.Conv2d(inputs, width, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(width)
+        self.conv2 = nn.Conv2d(width, width, 3, stride=stride, padding=1, bias=False)
+        self.bn2 = nn.BatchNorm2d(width)
+        self.conv3 = nn.Conv2d(width, outputs, 1, bias=False)
+        self.bn3 = nn.BatchNorm2d(outputs)
+        self.downsample = (
+            nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride=stride, bias=False), nn.BatchNorm2d(outputs))
+            if stride != 1 or inputs != outputs
+            else None
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        beside = x if self.downsample is None else self.downsample(x)
+        y = torch.relu(self.bn1(self.conv1(x)))
+        y = torch.relu(self.bn2(self.conv2(y)))
+        return torch.relu(self.bn3(self.conv3(y)) + beside)
+
+
+class ResNetEncoder(nn.Module):
+    """Pictures (n, 3, H, W) → embeddings (n, outputs) of length 1, float32 at least."""
+
+    def __init__(self, architecture: Architecture = RESNET50) -> None:
+        super().__init__()
+        width = architecture.width
+        self.conv1 = nn.Conv2d(3, width, 7, stride=2, padding=3, bias=False)
+        self.bn1 = nn.BatchNorm2d(width)
+        self.layer1 = _make_stage(width, width, architecture.blocks[0], 1)
+        self.layer2 = _make_stage(BOTTLENECK_EXPANSION * width, 2 * width, architecture.blocks[1], 2)
+        self.layer3 = _make_stage(2 * BOTTLENECK_EXPANSION * width, 4 * width, architecture.blocks[2], 2)
+        self.layer4 = _make_stage(4 * BOTTLENECK_EXPANSION * width, 8 * width, architecture.blocks[3], 2)
+        self.fc = nn.Linear(8 * BOTTLENECK_EXPANSION * width, architecture.outputs)
+        _initialise(self)
+
+    def pool_features(self, x: Tensor) -> Tensor:
+        """(n, 32 width): the last stage, averaged over the picture."""
+        x = torch.relu(self.bn1(self.conv1(x)))
+        x = functional.max_pool2d(x, 3, stride=2, padding=1)
+        return self.layer4(self.layer3(self.layer2(self.layer1(x)))).mean(dim=(2, 3))  # type: ignore[no-any-return]
+
+    def forward(self, x: Tensor) -> Tensor:
+        point = self.fc(self.pool_features(x))
+        return functional.normalize(point.to(torch.promote_types(point.dtype, torch.float32)), dim=1)
+
+
+def load_backbone(encoder: ResNetEncoder, published: Mapping[str, Tensor], where: str) -> None:
+    """Take all weights but `fc` from a state dict with the standard names, as of ImageNet.
+
+    Raises WeightsError where one is missing, left over, of another shape, or not finite.
+    """
+    own = encoder.state_dict()
+    trunk = {name: value for name, value in own.items() if not name.startswith("fc.")}
+    given = {name: value for name, value in published.items() if not name.startswith("fc.")}
+    wrong = sorted(trunk.keys() ^ given.keys()) or [
+        name for name, value in trunk.items() if not _is_compatible(given[name], value)
+    ]
+    if wrong:
+        raise WeightsError(
+            f"these are no weights of a ResNet-50: {wrong[0]} is missing, unknown, misshapen or not finite"
+            f" ({len(wrong)} such).",
+            where=where,
+            remedy=format_save_command("resnet50"),
+        )
+    encoder.load_state_dict({**own, **{name: given[name].to(value.dtype) for name, value in trunk.items()}})
+
+
+def _is_compatible(given: Tensor, expected: Tensor) -> bool:
+    return given.shape == expected.shape and bool(given.isfinite().all())
+
+
+def _make_stage(inputs: int, width: int, blocks: int, stride: int) -> nn.Sequential:
+    first = Bottleneck(inputs, width, stride)
+    return nn.Sequential(first, *(Bottleneck(BOTTLENECK_EXPANSION * width, width, 1) for _ in range(blocks - 1)))
+
+
+def _initialise(encoder: ResNetEncoder) -> None:
+    """Convolutions as He et al. (2015); every block starts as its identity (Goyal et al. 2017, 5.1)."""
+    for module in encoder.modules():
+        if isinstance(module, nn.Conv2d):
+            nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+        if isinstance(module, Bottleneck):
+            nn.init.zeros_(module.bn3.weight)
+
+
+Float32 = NDArray[np.float32]
+Rows = NDArray[np.int64]
+
+COLOUR_MEAN, COLOUR_SCALE = 0.45, 0.5
+IMAGE_FLOOR = 0.03
+"""Of a look's texture, as Pictures.floor of touch: colours differ by ten times what the texture of one does."""
+IMAGE_SCALE = 1.5
+TOUCH_SCALE = 1.5
+MAX_LOG_GAIN = 0.2
+"""A look is made darker or brighter by up to exp(± this)."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """vision, touch: (k, 3, pixels, pixels) float32, channels last in memory; row i of both is one tuple."""
+
+    vision: Tensor
+    touch: Tensor
+
+
+def make_training_batch(tuples: Tuples, chosen: Rows, pixels: int, rng: np.random.Generator) -> Batch:
+    """Each tuple turned, cut out at one random place for both, its look at another brightness, its sensor another piece
+    of the same make."""
+    rows, count = tuples.row[chosen], len(chosen)
+    turn = rng.integers(tuples.images.turns, size=count)
+    look = tuples.images.rgb(rows, turn).astype(np.float32) / np.float32(255.0)
+    look *= np.exp(rng.uniform(-MAX_LOG_GAIN, MAX_LOG_GAIN, (count, 1, 1, 1))).astype(np.float32)
+    touch = tuples.images.touch(rows, tuples.sensor[chosen], turn, rng)
+    corner = rng.integers(look.shape[1] - pixels + 1, size=(count, 2))
+    return Batch(
+        make_image_tensor(_crop(look, corner, pixels)),
+        make_touch_tensor(_crop(touch, corner, pixels), tuples.images.floor),
+    )
+
+
+def make_image_tensor(images: Float32) -> Tensor:
+    """(k, P, P, 3) square root of linear colour 0–1 → (k, 3, P, P): each picture's mean colour, and its texture on top,
+    as a logarithm where it is strong."""
+    colour = images.mean(axis=(1, 2), keepdims=True)
+    texture = np.arcsinh((images - colour) / IMAGE_FLOOR) / IMAGE_SCALE
+    return _to_tensor((colour - COLOUR_MEAN) / COLOUR_SCALE + texture)
+
+
+def make_touch_tensor(touches: Float32, floor: float) -> Tensor:
+    """(k, P, P, 3) linear, background taken off → (k, 3, P, P)."""
+    return _to_tensor(np.arcsinh(touches / floor) / TOUCH_SCALE)
+
+
+def _crop(images: Float32, corner: Rows, pixels: int) -> Float32:
+    return np.stack(
+        [each[top : top + pixels, left : left + pixels] for each, (top, left) in zip(images, corner, strict=True)]
+    )
+
+
+def _to_tensor(images: Float32) -> Tensor:
+    """(k, H, W, 3) in memory is (k, 3, H, W) channels last."""
+    return torch.from_numpy(np.ascontiguousarray(images, dtype=np.float32)).permute(0, 3, 1, 2)
+
+
+VIEWS_PER_BATCH = 128
+"""Views at once."""
+
+
+def embed_images(encoder: ResNetEncoder, tuples: Tuples, pixels: int) -> Float32:
+    """(n, d) of length 1, of looks as they are."""
+
+    def pictures(rows: slice) -> Float32:
+        upright = np.zeros(len(tuples.row[rows]), dtype=np.int64)
+        return tuples.images.rgb(tuples.row[rows], upright).astype(np.float32) / np.float32(255.0)
+
+    return _embed(encoder, len(tuples), pixels, pictures, make_image_tensor)
+
+
+def embed_touches(encoder: ResNetEncoder, tuples: Tuples, pixels: int, seed: int) -> Float32:
+    """(n, d) of length 1, each by another piece of its sensor's make."""
+
+    def pictures(rows: slice) -> Float32:
+        upright = np.zeros(len(tuples.row[rows]), dtype=np.int64)
+        rng = np.random.default_rng([seed, rows.start])
+        return tuples.images.touch(tuples.row[rows], tuples.sensor[rows], upright, rng)
+
+    return _embed(encoder, len(tuples), pixels, pictures, partial(make_touch_tensor, floor=tuples.images.floor))
+
+
+def _embed(
+    encoder: ResNetEncoder,
+    count: int,
+    pixels: int,
+    load_images: Callable[[slice], Float32],
+    tensor: Callable[[Float32], Tensor],
+) -> Float32:
+    if not count:
+        return np.zeros((0, encoder.fc.out_features), dtype=np.float32)
+    was, out = encoder.training, []
+    encoder.eval()
+    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
+        for first in range(0, count, VIEWS_PER_BATCH):
+            whole = load_images(slice(first, min(first + VIEWS_PER_BATCH, count)))
+            points = torch.stack([encoder(tensor(corner)) for corner in crop_corners(whole, pixels)]).mean(dim=0)
+            out.append(torch.nn.functional.normalize(points, dim=1).numpy())
+    encoder.train(was)
+    return np.concatenate(out)
+
+
+def crop_corners(images: Float32, pixels: int) -> list[Float32]:
+    """The four squares of that side in the corners of pictures (k, P, P, 3); the pictures themselves where they are no
+    larger."""
+    spare = images.shape[1] - pixels
+    starts = (0, spare) if spare else (0,)
+    return [images[:, top : top + pixels, left : left + pixels] for top in starts for left in starts]

@@ -1,0 +1,242 @@
+"""Cost against size, of what needs no Blender: seconds of signal.
+
+Many strokes of one field: F_Θ of all in common batches, against each stroke alone.
+
+A force key changes: until its new samples are there, from what is there against all anew.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.action import ACTION_RATE_HZ, Action
+from hnf_core.field import field as field_module
+from hnf_core.field import synthesis
+from hnf_core.field.field import Field, run_network
+from hnf_core.field.render import render_chunks
+from hnf_core.field.stroke import StrokeInput, uniform_stroke
+from hnf_core.field.synthesis import RenderedStroke, render_incremental, synthesise, synthesise_many
+from hnf_core.field.weights import load_field
+from hnf_core.kernel.compiled_field import Layers
+from hnf_core.material.library import get_material
+
+from .harness import BenchOptions, Cost, CostClock, Row, Sweep, Times, add_exponents, measure_peak_mb, run_sizes
+
+SCALE_NAME = "scale"
+MATERIAL_NAME, SEED = "oak-wood", 7
+STROKE_LENGTHS_S, QUICK_STROKE_LENGTHS_S = (1, 10, 100, 1000, 3600), (1, 2)
+COMPLETE_UP_TO_S = 100
+"""In one piece a longer one fills the memory of the machine."""
+CONTACT_S = 10
+MAX_SIZE_S = 300.0
+
+
+def measure_scale(options: BenchOptions) -> list[Row]:
+    """Seconds of a stroke without an end, in one piece and in portions, and of one that touches for ten seconds and is
+    held in the air for the rest."""
+    field = load_field()
+    sizes = QUICK_STROKE_LENGTHS_S if options.quick else STROKE_LENGTHS_S
+    whole = tuple(size for size in sizes if size <= COMPLETE_UP_TO_S)
+    lines = [
+        Sweep("seconds of signal", "in one piece", whole, partial(_synthesise_complete, field), MAX_SIZE_S),
+        Sweep("seconds of signal", "in portions", sizes, partial(_synthesise_in_chunks, field, None), MAX_SIZE_S),
+        Sweep(
+            "seconds of signal", f"in portions, {CONTACT_S} s in contact", sizes,
+            partial(_synthesise_in_chunks, field, CONTACT_S), MAX_SIZE_S,
+        ),
+    ]  # fmt: skip
+    _synthesise_complete(field, 1)  # what is made once in a process
+    return add_exponents([row for line in lines for row in run_sizes(SCALE_NAME, line, options)])
+
+
+def _synthesise_complete(field: Field, seconds: int) -> Cost:
+    stroke = make_scrape(seconds)
+    with count_states() as states:
+        clock = CostClock()
+        made = synthesis.synthesise(field, stroke, seed=SEED)
+        return clock.read_cost({"samples": len(made.signal.samples), "F_Θ states": sum(states)})
+
+
+def _synthesise_in_chunks(field: Field, contact_s: int | None, seconds: int) -> Cost:
+    stroke = make_scrape(seconds, contact_s)
+    with count_states() as states:
+        clock, samples = CostClock(), 0
+        for portion in render_chunks(field, stroke, seed=SEED):
+            samples += len(portion.samples)
+        return clock.read_cost({"samples": samples, "F_Θ states": sum(states)})
+
+
+def make_scrape(seconds: float, contact_s: float | None = None) -> StrokeInput:
+    """Back and forth over oak at up to 150 mm/s and 1 N; in the air after touching_s, None = never."""
+    count = round(seconds * ACTION_RATE_HZ) + 1
+    at: NDArray[np.float64] = np.arange(count) / ACTION_RATE_HZ
+    speed = 0.15 * np.abs(np.sin(np.pi * at))
+    touching = np.ones(count, dtype=bool) if contact_s is None else at <= contact_s
+    ahead = np.tile([1.0, 0.0], (count, 1))
+    position = np.concatenate([[0.0], np.cumsum(speed[:-1])]) / ACTION_RATE_HZ
+    action = Action(ACTION_RATE_HZ, ahead, speed, np.where(touching, 1.0, 0.0), position, touching)
+    material = get_material(MATERIAL_NAME)
+    return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)
+
+
+@contextmanager
+def count_states() -> Iterator[list[int]]:
+    """Grows by the number of states at every evaluation of F_Θ in a synthesis."""
+    counts: list[int] = []
+    asked = Layers.evaluate
+
+    def counted(parameters: Any, layers: int, x: Any) -> Any:
+        counts.append(len(x))
+        return run_network(parameters, layers, x)
+
+    def counted_in_kernel(self: Layers, compiled: Any, x: Any) -> Any:
+        counts.append(len(x))
+        return asked(self, compiled, x)
+
+    with patch.object(field_module, "run_network", counted), patch.object(Layers, "evaluate", counted_in_kernel):
+        yield counts
+
+
+STROKES_NAME = "strokes"
+BATCH_LENGTHS_S, QUICK_BATCH_LENGTHS_S = (0.1, 0.3, 1.0, 3.0), (0.1,)
+SIGNAL_PER_ROUND_S = 12.0
+"""Of each round, in as many strokes as that takes: at most MOST."""
+MAX_STROKES, QUICK_MAX_STROKES = 100, 5
+TOLERANCE_DB = -35.0
+MODES = (
+    ("every state, one seed", None, False),
+    ("every state, a seed each", None, True),
+    (f"within {TOLERANCE_DB:g} dB, one seed", TOLERANCE_DB, False),
+)
+"""Name, tolerance in dB, and whether the carriers of each are drawn anew."""
+
+Float = NDArray[np.float64]
+
+
+def measure_strokes(options: BenchOptions) -> list[Row]:
+    """Of each length and way two rows; the second has the largest difference of any sample to the first, and the ratio
+    of the times on the wall."""
+    field, made = load_field(), list[Row]()
+    for length in QUICK_BATCH_LENGTHS_S if options.quick else BATCH_LENGTHS_S:
+        count = min(round(SIGNAL_PER_ROUND_S / length), QUICK_MAX_STROKES if options.quick else MAX_STROKES)
+        strokes = [make_scrape(length) for _ in range(count)]
+        for way, tolerance_db, drawn in MODES:
+            options.watch(f"{STROKES_NAME}: {count} of {length:g} s, {way}")
+            tolerance = None if tolerance_db is None else 10.0 ** (tolerance_db / 20.0)
+            made += _compare_modes(field, strokes, f"{count} of {length:g} s, {way}", tolerance, drawn, options.repeats)
+    return made
+
+
+def _compare_modes(
+    field: Field, strokes: Sequence[StrokeInput], name: str, tolerance: float | None, new_seeds: bool, repeats: int
+) -> list[Row]:
+    ways = {"each alone": _synthesise_separately, "in common batches": _synthesise_batch}
+    first = range(len(strokes))
+    one, other = (way(field, strokes, first, tolerance) for way in ways.values())  # whose libraries are ready then
+    off = max(float(np.abs(a - b).max(initial=0.0)) for a, b in zip(one, other, strict=True))
+    times = {way: Times(time.perf_counter) for way in ways}  # two cores at once are what is won
+    for number in range(1, repeats + 1):
+        for at, (way, function) in enumerate(ways.items()):
+            begin = (2 * number + at) * len(strokes)
+            seeds = range(begin, begin + len(strokes)) if new_seeds else [0] * len(strokes)
+            times[way].measure(partial(function, field, strokes, seeds, tolerance))
+    seconds = sum(stroke.action.duration_s for stroke in strokes)
+    (alone, base), (together, taken) = times.items()
+    peaks = {
+        way: measure_peak_mb(partial(function, field, strokes, first, tolerance)) for way, function in ways.items()
+    }
+    return [
+        Row(
+            STROKES_NAME, f"{name}: {alone}", base.seconds, peak_mb=peaks[alone],
+            realtime_factor=seconds / base.seconds.median,
+        ),
+        Row(
+            STROKES_NAME, f"{name}: {together}", taken.seconds, ratio=taken.compute_ratio(base), ratio_to=f"{name}: {alone}", error=off,
+            error_unit="m/s²", note="ratio on the wall", peak_mb=peaks[together],
+            realtime_factor=seconds / taken.seconds.median,
+        ),
+    ]  # fmt: skip
+
+
+def _synthesise_separately(
+    field: Field, strokes: Sequence[StrokeInput], seeds: Sequence[int], tolerance: float | None
+) -> list[NDArray[np.float32]]:
+    return [
+        synthesise(field, stroke, seed=seed, tolerance=tolerance).signal.samples
+        for stroke, seed in zip(strokes, seeds, strict=True)
+    ]
+
+
+def _synthesise_batch(
+    field: Field, strokes: Sequence[StrokeInput], seeds: Sequence[int], tolerance: float | None
+) -> list[NDArray[np.float32]]:
+    return [each.signal.samples for each in synthesise_many(field, strokes, seeds=seeds, tolerance=tolerance)]
+
+
+PREVIEW_NAME = "preview"
+PREVIEW_MATERIAL = "oak-wood"
+PREVIEW_LENGTHS_S = (2.0, 60.0)
+QUICK_PREVIEW_LENGTHS_S = (2.0,)
+KEY_REACH_S = 0.2
+"""How far a moved key reaches to either side: to its neighbours."""
+PREVIEW_SEED = 7
+
+
+def measure_preview(options: BenchOptions) -> list[Row]:
+    """For each length: all anew, and from the render before, with the largest difference of the two signals."""
+    found: list[Row] = []
+    for seconds in QUICK_PREVIEW_LENGTHS_S if options.quick else PREVIEW_LENGTHS_S:
+        options.watch(f"{PREVIEW_NAME}: {seconds:g} s")
+        found += _measure_length(seconds, options.repeats)
+    return found
+
+
+def _measure_length(seconds: float, repeats: int) -> list[Row]:
+    field = load_field()
+    before = render_incremental(field, _make_stroke(seconds, 0.0), seed=PREVIEW_SEED)
+    wholes, parts, error, rendered = Times(), Times(), 0.0, 0
+    for repeat in range(repeats):
+        changed = _make_stroke(seconds, 0.1 * (repeat + 1))
+        whole = wholes.measure(partial(render_incremental, field, changed, seed=PREVIEW_SEED))
+        part = parts.measure(partial(render_incremental, field, changed, seed=PREVIEW_SEED, earlier=before))
+        error, rendered = max(error, _compute_max_difference(whole, part)), part.rendered_count
+    again = partial(render_incremental, field, _make_stroke(seconds, 0.5), seed=PREVIEW_SEED)
+    all_anew = Row(PREVIEW_NAME, f"all anew, {seconds:g} s", wholes.seconds, wholes.cpu, peak_mb=measure_peak_mb(again))
+    from_before = Row(
+        PREVIEW_NAME,
+        f"one key, {seconds:g} s",
+        parts.seconds,
+        parts.cpu,
+        parts.compute_ratio(wholes),
+        all_anew.method,
+        error,
+        "m/s²",
+        measure_peak_mb(partial(again, earlier=before)),
+        f"{rendered / len(before.samples):.0%} of the samples made anew",
+    )
+    return [all_anew, from_before]
+
+
+def _compute_max_difference(complete: RenderedStroke, partial_render: RenderedStroke) -> float:
+    one, two = complete.synthesis.signal.samples, partial_render.synthesis.signal.samples
+    return float(np.abs(one.astype(np.float64) - two.astype(np.float64)).max())
+
+
+def _make_stroke(seconds: float, more_n: float) -> StrokeInput:
+    """1 N at 100 mm/s along one material; in the middle a key more_n higher, eased to its neighbours."""
+    count = round(seconds * ACTION_RATE_HZ) + 1
+    time: NDArray[np.float64] = np.arange(count) / ACTION_RATE_HZ
+    beside = np.clip(1.0 - np.abs(time - seconds / 2.0) / KEY_REACH_S, 0.0, 1.0)
+    force = 1.0 + more_n * beside * beside * (3.0 - 2.0 * beside)
+    ahead, speed, touching = np.tile([1.0, 0.0], (count, 1)), np.full(count, 0.1), np.ones(count, dtype=bool)
+    action = Action(ACTION_RATE_HZ, ahead, speed, force, 0.1 * time, touching)
+    material = get_material(PREVIEW_MATERIAL)
+    return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)

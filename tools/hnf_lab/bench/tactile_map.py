@@ -1,0 +1,168 @@
+"""A patch's relief and its picture, until there is a token: how long, and what narrower numbers cost.
+
+The relief is a sum of waves in every band of E; the picture is that relief lit from one side, from which D_φ sees it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.material.band_descriptor import describe
+from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, Token
+from hnf_core.tactile.diffusion.conditioning import build_condition, get_pitch_index, normalise_view
+from hnf_core.tactile.diffusion.predict import predict_tactile_maps
+from hnf_core.tactile.diffusion.schedule import log_snr
+from hnf_core.tactile.diffusion.unet import UNet, build_unet, forward
+from hnf_core.tactile.diffusion.weights import MapWeights, load_map_weights
+from hnf_core.tactile.height import tactile_map_from_height
+from hnf_core.tactile.tactile_map import TactileMap
+from hnf_core.tactile.views import AppearanceView, cut_views
+from hnf_core.threads import single_blas_thread
+
+from .harness import BenchOptions, Row, Times, measure_peak_mb
+
+Float = NDArray[np.float64]
+
+MAPS_NAME = "maps"
+PIXELS, QUICK_PIXELS = 512, 128
+SIZE_M = 0.02
+SEED = 5
+SENSOR = "gelsight"
+LEVEL_INDEX = BAND_FEATURES.index("level")
+
+
+def measure_maps(options: BenchOptions) -> list[Row]:
+    """Relief → sensor image → E, and picture → D_φ, each beside the same in float64."""
+    pixels = QUICK_PIXELS if options.quick else PIXELS
+    height = make_relief(pixels)
+    pitch = SIZE_M / pixels
+    options.watch(f"{MAPS_NAME}: relief")
+    found = _measure_relief(height, pitch, options.repeats)
+    options.watch(f"{MAPS_NAME}: picture")
+    return found + _measure_image(height, pitch, options.repeats)
+
+
+def _measure_relief(height: Float, pitch: float, repeats: int) -> list[Row]:
+    made, make = Times(), partial(tactile_map_from_height, height, None, pitch, 2.0 * pitch)
+    for _ in range(repeats):
+        shown = made.measure(make)
+    side = height.shape[0]
+    found = [Row(MAPS_NAME, f"relief → sensor image, {side}²", made.seconds, made.cpu, peak_mb=measure_peak_mb(make))]
+    maps = {"float32": shown, "float16": replace(shown, image=shown.image.astype(np.float16))}
+    reference, taken = describe(shown), {name: Times() for name in maps}
+    for _ in range(repeats):
+        for name, times in taken.items():
+            times.measure(partial(describe, maps[name]))
+    for name, times in taken.items():
+        row = Row(
+            MAPS_NAME,
+            f"E of an image in {name}",
+            times.seconds,
+            times.cpu,
+            peak_mb=measure_peak_mb(partial(describe, maps[name])),
+        )
+        if name != "float32":
+            error = _compute_level_difference_db(describe(maps[name]), reference)
+            row = replace(
+                row,
+                ratio=times.compute_ratio(taken["float32"]),
+                ratio_to=found[-1].method,
+                error=error,
+                error_unit="dB, worst band",
+            )
+        found.append(row)
+    return found
+
+
+def _measure_image(height: Float, pitch: float, repeats: int) -> list[Row]:
+    weights, cutting, asked = load_map_weights(), Times(), Times()
+    cut = partial(cut_views, shade_relief(height, pitch), None, None, pitch, 2.0 * pitch)
+    for _ in range(repeats):
+        views = cutting.measure(cut)
+    found = [
+        Row(MAPS_NAME, f"picture → {len(views)} views", cutting.seconds, cutting.cpu, peak_mb=measure_peak_mb(cut))
+    ]
+    passes: dict[str, Callable[[], NDArray[Any]]] = {
+        name: partial(_run_network, _make_network(weights, kind), weights, views[0], kind)
+        for name, kind in (("float64", np.float64), ("float32", np.float32))
+    }
+    times = {name: Times() for name in passes}
+    with single_blas_thread():
+        for _ in range(repeats):
+            for name, one in passes.items():
+                times[name].measure(one)
+        exact = passes["float64"]()
+        for name, one in passes.items():
+            row = Row(
+                MAPS_NAME,
+                f"D_φ of one view in {name}",
+                times[name].seconds,
+                times[name].cpu,
+                peak_mb=measure_peak_mb(one),
+            )
+            if name != "float64":
+                missed = float(np.sqrt(np.mean(np.square(one() - exact)) / np.mean(np.square(exact))))
+                ratio = times[name].compute_ratio(times["float64"])
+                row = replace(
+                    row, ratio=ratio, ratio_to=found[-1].method, error=missed, error_unit="of the slopes' RMS"
+                )
+            found.append(row)
+    every = partial(_predict_tokens, weights, views)
+    for _ in range(repeats):
+        asked.measure(every)
+    found.append(Row(MAPS_NAME, f"{len(views)} views → maps → token", asked.seconds, peak_mb=measure_peak_mb(every)))
+    return found
+
+
+def _predict_tokens(weights: MapWeights, views: tuple[AppearanceView, ...]) -> list[Token]:
+    with single_blas_thread():
+        maps: tuple[TactileMap, ...] = predict_tactile_maps(weights, views, SENSOR, seed=SEED)
+    return [describe(each) for each in maps]
+
+
+def _make_network(weights: MapWeights, kind: type[np.floating[Any]]) -> UNet:
+    network = weights.network
+    return build_unet(network.config, {name: value.astype(kind) for name, value in network.parameters.items()})
+
+
+def _run_network(
+    network: UNet, weights: MapWeights, view: AppearanceView, kind: type[np.floating[Any]]
+) -> NDArray[Any]:
+    """(2, 64, 64): what the shipped regression makes of a view."""
+    look, config = normalise_view(view), weights.config
+    pitch, sensor = np.array([get_pitch_index(view.pitch_m)]), np.array([config.sensors.index(SENSOR)])
+    level = np.zeros(1, dtype=np.float32)
+    told = build_condition(np.array([log_snr(0.5)]), level, pitch, sensor, len(config.sensors), look.scalars)
+    empty = np.zeros((2, *look.images.shape[-2:]), dtype=kind)
+    return forward(network, np.concatenate([empty, look.images[0].astype(kind)]), told[0].astype(kind))[0]
+
+
+def make_relief(pixels: int) -> Float:
+    """(pixels, pixels) metres, SIZE_M wide: a wave in each band of E, the longer the higher."""
+    rng, at = np.random.default_rng(SEED), np.arange(pixels) * (SIZE_M / pixels)
+    x, y = np.meshgrid(at, at)
+    height = np.zeros_like(x)
+    for wavelength in BAND_WAVELENGTHS_M:
+        for angle in rng.uniform(0.0, np.pi, 3):
+            along = (x * np.cos(angle) + y * np.sin(angle)) / wavelength
+            height += 1e-3 * wavelength * np.sin(2.0 * np.pi * (along + rng.random()))
+    return np.asarray(height)
+
+
+def shade_relief(height: Float, pitch: float) -> NDArray[np.float32]:
+    """(H, W, 3) grey: the relief lit from one side."""
+    light = 0.5 + 2.0 * np.gradient(height, pitch, axis=1)
+    return np.repeat(np.clip(light, 0.0, 1.0)[..., None], 3, axis=2).astype(np.float32)
+
+
+def _compute_level_difference_db(first: Token, second: Token) -> float:
+    """The largest difference of a known band's level."""
+    levels = np.arange(len(BAND_WAVELENGTHS_M)) * len(BAND_FEATURES) + LEVEL_INDEX
+    known = levels[np.asarray(second.known)[levels]]
+    return float(20.0 * np.max(np.abs(first.values[known].astype(np.float64) - second.values[known]), initial=0.0))

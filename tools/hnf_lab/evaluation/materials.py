@@ -1,0 +1,370 @@
+"""Does a method know which way the hand goes? Spectra by direction on one anisotropic material (HNF, fig. 5).
+
+Methods on materials that can be stroked anew: each learns from its own diet, judged on strokes it never met.
+
+One material of the evaluation as a job of its own, so that two cores work on two of them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.synthetic_actions import make_steady_action
+from hnf_core.datasets.recording import ActionRange, Recording, TextureProcess
+from hnf_core.datasets.registry import open_dataset
+from hnf_core.datasets.simulated import SimulatedLibrary
+from hnf_core.errors import HnfError
+from hnf_core.material.band_descriptor import describe
+from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
+from hnf_core.material.library import get_material
+from hnf_core.metrics.spectra import select_compared_bins, welch
+from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
+from hnf_core.tactile.height import tactile_map_from_height
+from hnf_core.tactile.optics import SENSORS
+
+from ..baselines.interface import FittedMaterial, MaterialRecordings, Method
+from .methods import Budget, FittedField, MethodEntry, SharedField, select_entries
+from .report import BEST_NAME, ORACLE_NAME, Cell, Column, Row
+from .scoring import (
+    FREQUENCY_HZ,
+    RATE_HZ,
+    Reference,
+    TrainingStrokes,
+    Trial,
+    make_references,
+    make_training_actions,
+    make_trials,
+    score_best,
+    score_expected_magnitude,
+    score_natural,
+)
+
+Float = NDArray[np.float64]
+
+DIRECTION_COUNT = 8
+"""Over half a circle, 22.5° apart: there and back feel nearly the same."""
+
+
+@dataclass(frozen=True)
+class DirectionSpectra:
+    """angle: (8,) rad. truth: (8, 501) long-run densities. methods: name → (8, 501)."""
+
+    material: str
+    speed: float
+    force: float
+    angle: Float
+    truth: Float
+    methods: Mapping[str, Float]
+
+    def compute_anisotropy_db(self) -> float:
+        """Largest RMS level ratio of two directions' spectra, over the bins that count in both."""
+        return max(
+            _compute_rms(_compute_ratio_db(self.truth, i, j), self._count_bins(i, j))
+            for i in range(DIRECTION_COUNT)
+            for j in range(i + 1, DIRECTION_COUNT)
+        )
+
+    def compute_ratio_error_db(self, name: str) -> float:
+        """RMS error of the level ratio of each direction's spectrum to the first one's."""
+        spectra = self.methods[name]
+        errors = [
+            _compute_rms(_compute_ratio_db(spectra, i, 0) - _compute_ratio_db(self.truth, i, 0), self._count_bins(i, 0))
+            for i in range(1, DIRECTION_COUNT)
+        ]
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+    def _count_bins(self, i: int, j: int) -> NDArray[np.bool_]:
+        return select_compared_bins(self.truth[i], FREQUENCY_HZ) & select_compared_bins(self.truth[j], FREQUENCY_HZ)
+
+
+def measure_directions(
+    process: TextureProcess,
+    limits: ActionRange,
+    fitted: Mapping[str, FittedMaterial],
+    seconds: float,
+    draws: int,
+    seed: int,
+) -> DirectionSpectra:
+    """Steady strokes at the middle speed and force in eight directions: `draws` of the truth and of each method."""
+    speed, force = (float(np.sqrt(low * high)) for low, high in (limits.speed_m_s, limits.force_n))
+    angle = np.arange(DIRECTION_COUNT) * np.pi / DIRECTION_COUNT
+    actions = [make_steady_action(seconds, speed, force, float(each)) for each in angle]
+    drawn = process.record([action for action in actions for _ in range(draws)], 900_000 + seed)
+    truth = _average_spectra([each.samples for each in drawn])
+    methods = {}
+    for name, each in fitted.items():
+        rendered = [each.render(actions, seed + 40 + draw) for draw in range(draws)]
+        methods[name] = _average_spectra(
+            [rendered[draw][index] for index in range(DIRECTION_COUNT) for draw in range(draws)]
+        )
+    return DirectionSpectra(process.name, speed, force, angle, truth, methods)
+
+
+def _average_spectra(signals: list[Float]) -> Float:
+    spectra = np.stack([welch(each, RATE_HZ)[1] for each in signals])
+    return np.asarray(spectra.reshape(DIRECTION_COUNT, len(signals) // DIRECTION_COUNT, -1).mean(axis=1))
+
+
+def _compute_ratio_db(spectra: Float, i: int, j: int) -> Float:
+    floor = 1e-12 * float(spectra.max())
+    return np.asarray(10.0 * np.log10(np.maximum(spectra[i], floor) / np.maximum(spectra[j], floor)))
+
+
+def _compute_rms(values: Float, bins: NDArray[np.bool_]) -> float:
+    return float(np.sqrt(np.mean(np.square(values[bins])))) if bins.any() else 0.0
+
+
+ProgressCallback = Callable[[str], None]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class EvaluationSizes:
+    """seconds: of each judged stroke. realisations: of the true process per stroke, for limits and long-run spectrum.
+    renders: of each method, averaged (seconds × renders = 8 s is what the bars speak of). training_s: of recordings
+    that a method learns from. simulated, hatt, held_out: materials of each kind. known: trained materials that stand
+    beside the held-out ones; None = all."""
+
+    seconds: float = 4.0
+    realisations: int = 32
+    renders: int = 2
+    training_s: float = 120.0
+    simulated: int = 3
+    hatt: int = 3
+    held_out: int = 8
+    known: int | None = None
+
+
+@dataclass(frozen=True)
+class EvaluatedMaterial:
+    """A material under evaluation. known: which parts of u(t) its recordings may claim to know."""
+
+    process: TextureProcess
+    limits: ActionRange
+    token: NDArray[np.float32] | None = None
+    mechanics: Mechanics = UNKNOWN_MECHANICS
+    category: str = ""
+    known: frozenset[str] = frozenset({"direction", "speed", "force"})
+
+
+@dataclass(frozen=True)
+class MaterialResult:
+    """A material's references by kind of stroke, and what every method made of them."""
+
+    references: dict[str, list[Reference]]
+    cells: dict[str, dict[str, list[Cell]]]
+    seconds: dict[str, float]
+    fitted: dict[str, FittedMaterial]
+    notes: tuple[str, ...]
+
+
+def evaluate_material(
+    subject: EvaluatedMaterial,
+    entries: Sequence[MethodEntry],
+    sizes: EvaluationSizes,
+    budget: Budget,
+    seed: int,
+    watch: ProgressCallback,
+) -> MaterialResult:
+    """All entries on one material. One that fails is named in the notes and does not cost the others."""
+    name = subject.process.name
+    watch(f"{name}: the true process")
+    planned = make_trials(subject.limits, sizes.seconds, seed)
+    drawn = make_references(
+        subject.process, [(each.name, each.action) for each in planned], 77 + seed, sizes.realisations, sizes.renders
+    )
+    cells = {
+        "oracle": _group_by_kind(planned, [_make_natural_cell(each.oracle, each) for each in drawn]),
+        "best": _group_by_kind(planned, [Cell(each.material, each.stroke, score_best(each)) for each in drawn]),
+    }
+    seconds, notes = {"oracle": 0.0, "best": 0.0}, []
+    fitted: dict[str, FittedMaterial] = {}
+    diets: dict[TrainingStrokes, tuple[Recording, ...]] = {}
+    for entry in entries:
+        if entry.needs_token and subject.token is None:
+            continue
+        watch(f"{name}: {entry.key}")
+        try:
+            if entry.needs_recordings and entry.reuses not in fitted and entry.training_strokes not in diets:
+                diets[entry.training_strokes] = record_training_strokes(
+                    subject, entry.training_strokes, sizes.training_s, seed
+                )
+            began = time.monotonic()
+            method = entry.build(budget)
+            fitted[entry.key] = _fit_method(entry, method, subject, diets.get(entry.training_strokes, ()), fitted, seed)
+            made = score_method(method, fitted[entry.key], drawn, sizes.renders, seed)
+            cells[entry.key] = _group_by_kind(planned, made)
+            seconds[entry.key] = time.monotonic() - began
+        except (HnfError, ValueError) as error:
+            notes.append(f"{entry.key} on {name}: {error}")
+    return MaterialResult(_group_by_kind(planned, drawn), cells, seconds, fitted, tuple(notes))
+
+
+def record_training_strokes(
+    subject: EvaluatedMaterial, training_strokes: TrainingStrokes, seconds: float, seed: int
+) -> tuple[Recording, ...]:
+    """What a method learns from: the true process on its diet."""
+    actions = make_training_actions(training_strokes, subject.limits, seconds, seed)
+    out: list[Recording] = []
+    for group, length in enumerate(sorted({len(action.speed) for action in actions})):
+        same = [action for action in actions if len(action.speed) == length]
+        out += subject.process.record(same, 500_000 + 1000 * seed + group)
+    return tuple(replace(each, known=subject.known) for each in out)
+
+
+def make_column(key: str, title: str, note: str, kinds: Sequence[str], results: Sequence[MaterialResult],
+           entries: Sequence[MethodEntry], budget: Budget) -> Column:  # fmt: skip
+    """One column of the table from judged materials: limits first, then every entry that took part."""
+    rows = []
+    for row_key in ("oracle", "best", *(entry.key for entry in entries)):
+        cells = [cell for each in results for kind in kinds for cell in each.cells.get(row_key, {}).get(kind, [])]
+        if not cells:
+            continue
+        method = next((entry.build(budget) for entry in entries if entry.key == row_key), None)
+        name = method.name if method else {"oracle": ORACLE_NAME, "best": BEST_NAME}[row_key]
+        form = method.form if method else {"oracle": "natural", "best": "expected magnitude"}[row_key]
+        spent = sum(each.seconds.get(row_key, 0.0) for each in results)
+        rows.append(Row(row_key, name, form, tuple(cells), spent))  # type: ignore[arg-type]
+    return Column(key, title, note, tuple(rows))
+
+
+def _fit_method(
+    entry: MethodEntry,
+    method: Method,
+    subject: EvaluatedMaterial,
+    recordings: tuple[Recording, ...],
+    fitted: dict[str, FittedMaterial],
+    seed: int,
+) -> FittedMaterial:
+    shown = fitted.get(entry.reuses)
+    if isinstance(shown, FittedField):
+        return replace(shown, form=method.form)
+    specimen = MaterialRecordings(subject.process.name, recordings, subject.token, subject.mechanics, subject.category)
+    return method.fit(specimen, seed)
+
+
+def score_method(
+    method: Method, fitted: FittedMaterial, drawn: Sequence[Reference], renders: int, seed: int
+) -> list[Cell]:
+    """One cell per reference."""
+    rendered = [fitted.render([each.action for each in drawn], seed + 1 + again) for again in range(renders)]
+    out = []
+    for index, reference in enumerate(drawn):
+        signals = [each[index] for each in rendered]
+        if method.form == "natural":
+            out.append(_make_natural_cell(signals, reference))
+        else:
+            out.append(Cell(reference.material, reference.stroke, score_expected_magnitude(signals, reference)))
+    return out
+
+
+def _make_natural_cell(signals: Sequence[Float], reference: Reference) -> Cell:
+    density = np.asarray(np.mean([welch(each, RATE_HZ)[1] for each in signals], axis=0))
+    return Cell(reference.material, reference.stroke, score_natural(signals, reference), density)
+
+
+def _group_by_kind(planned: Sequence[Trial], values: Sequence[T]) -> dict[str, list[T]]:
+    out: dict[str, list[T]] = {}
+    for trial, thing in zip(planned, values, strict=True):
+        out.setdefault(trial.kind, []).append(thing)
+    return out
+
+
+DIRECTION_METHODS = ("field", "shared", "gacm", "ar", "playback")
+
+
+@dataclass(frozen=True)
+class EvaluationJob:
+    """kind: "simulated" or "hatt". folder: of the HaTT copy. place: of the material in the run, from 0. directions:
+    also measure spectra by direction."""
+
+    kind: str
+    name: str
+    folder: Path | None
+    index: int
+    keys: tuple[str, ...]
+    sizes: EvaluationSizes
+    budget: Budget
+    seed: int
+    directions: bool = False
+
+
+@dataclass(frozen=True)
+class JobResult:
+    """sensors: touch sensor → the shared field's cells with that sensor's token, on the column's own strokes."""
+
+    job: EvaluationJob
+    result: MaterialResult
+    sensors: dict[str, list[Cell]]
+    directions: DirectionSpectra | None
+
+
+def make_subject(job: EvaluationJob) -> EvaluatedMaterial:
+    """Raises HnfError where the data set does not have the material."""
+    if job.kind == "simulated":
+        data, material = SimulatedLibrary(), get_material(job.name)
+        process = data.process(material.name)
+        return EvaluatedMaterial(
+            process, data.action_range(material.name), material.token, material.mechanics, material.category
+        )
+    data_set = open_dataset(job.kind, job.folder)
+    modelled = data_set.process(job.name)
+    if modelled is None:
+        raise HnfError("it has no texture model.", where=job.name, remedy="Choose another material.")
+    return EvaluatedMaterial(modelled, data_set.action_range(job.name), known=frozenset({"speed", "force"}))
+
+
+def run_job(job: EvaluationJob, watch: Callable[[str], None] = lambda _: None) -> JobResult:
+    """Everything about one material."""
+    subject = make_subject(job)
+    entries = [
+        entry for entry in select_entries(job.keys) if entry.max_materials is None or job.index < entry.max_materials
+    ]
+    judged = evaluate_material(subject, entries, job.sizes, job.budget, job.seed, watch)
+    sensors = _score_by_sensor(job, judged) if job.kind == "simulated" and "shared" in job.keys else {}
+    directions = None
+    if job.directions:
+        watch(f"{job.name}: by direction")
+        shown = {key: judged.fitted[key] for key in DIRECTION_METHODS if key in judged.fitted}
+        directions = measure_directions(
+            subject.process, subject.limits, shown, job.sizes.seconds, max(2, job.sizes.realisations // 4), job.seed
+        )
+    return JobResult(job, replace(judged, fitted={}), sensors, directions)
+
+
+def run_jobs(jobs: Sequence[EvaluationJob], workers: int, watch: Callable[[str], None]) -> Iterator[JobResult]:
+    """In order; each in a process of its own where there are workers for it."""
+    if workers <= 1 or len(jobs) <= 1:
+        for job in jobs:
+            yield run_job(job, watch)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        waiting = [pool.submit(run_job, job) for job in jobs]
+        for job, future in zip(jobs, waiting, strict=True):
+            watch(f"{job.name}")
+            yield future.result()
+
+
+def _score_by_sensor(job: EvaluationJob, result: MaterialResult) -> dict[str, list[Cell]]:
+    """The shared field with tokens that E makes of each sensor's image of the same height map."""
+    material = get_material(job.name)
+    height = height_map(SurfaceRecipe.from_dict(material.recipe), material.seed)
+    pitch = TILE_SIZE_M / TILE_PIXELS
+    drawn = result.references["window"]
+    shared = select_entries(["shared"])[0].build(job.budget)
+    assert isinstance(shared, SharedField)
+    out = {}
+    for sensor in SENSORS:
+        token = describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch, sensor)).values
+        fitted = shared.fit(MaterialRecordings(material.name, (), token, material.mechanics), job.seed)
+        out[sensor] = score_method(shared, fitted, drawn, job.sizes.renders, job.seed)
+    return out

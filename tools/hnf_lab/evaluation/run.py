@@ -1,0 +1,279 @@
+"""Tables beside the columns: where the token came from, and spectra by direction.
+
+The whole evaluation: columns, tables of their own, pictures, and what was left out.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from dataclasses import field as default
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
+from hnf_core.datasets.recording import DataSet
+from hnf_core.datasets.registry import open_dataset
+from hnf_core.datasets.simulated import SimulatedLibrary
+from hnf_core.errors import MaterialError
+from hnf_core.field.field import Field
+from hnf_core.field.weights import HELD_OUT_WEIGHTS, load_field
+from hnf_core.files import write_text
+
+from .held_out import find_held_out_names, load_textures, make_held_out_table, make_photo_table, measure_known_material
+from .materials import DirectionSpectra, EvaluationJob, EvaluationSizes, JobResult, make_column, run_jobs
+from .methods import Budget, select_entries
+from .plots import plot_directions, plot_spectra
+from .report import Cell, Column, ExtraTable, Report, format_report, summarise
+
+SENSOR_LABELS = {"gelsight": "GelSight", "digit": "DIGIT"}
+UNSUPPORTED_SOURCES = {"predicted map": "not yet: needs D_φ", "bridged": "not yet: needs bridging"}
+SENSOR_METRICS = {
+    "st_sim_tum": "ST-SIM TUM ↑",
+    "st_sim_cosine": "ST-SIM cosine ↑",
+    "lsd_log10": "LSD log10 ↓",
+    "mse": "MSE ↓",
+    "mse_oracle": "MSE / oracle ↓",
+    "distance_db": "average spectrum [dB] ↓",
+}
+
+
+def make_sensor_table(results: Sequence[JobResult]) -> ExtraTable:
+    """The paper's columns: the shared field with tokens of each sensor. Sources that do not exist yet say so."""
+    cells: dict[str, list[Cell]] = {}
+    for each in results:
+        for sensor, made in each.sensors.items():
+            cells.setdefault(sensor, []).extend(made)
+    figures = {sensor: summarise(made) for sensor, made in cells.items()}
+    rows = [
+        (SENSOR_LABELS.get(sensor, sensor), *(f"{found[name]['median']:.3g}" for name in SENSOR_METRICS))
+        for sensor, found in figures.items()
+    ]
+    rows += [(source, why, *["–"] * (len(SENSOR_METRICS) - 1)) for source, why in UNSUPPORTED_SOURCES.items()]
+    return ExtraTable(
+        "token_source",
+        "Token source (shared field, held-out windows)",
+        "The paper's columns. Token = E of each sensor's image, by its optics model, of one and the same height map. "
+        "Neither sensor is noisy, and E undoes the optics: they can differ only where the gels do.",
+        ("token from", *SENSOR_METRICS.values()),
+        tuple(rows),
+        figures,
+    )
+
+
+def make_direction_table(measured: DirectionSpectra, names: Mapping[str, str]) -> ExtraTable:
+    """names: key of a method → words."""
+    errors = {key: measured.compute_ratio_error_db(key) for key in measured.methods}
+    return ExtraTable(
+        "direction",
+        f"By direction: {measured.material}",
+        f"Eight directions over half a circle, steady; {measured.compute_anisotropy_db():.1f} dB of anisotropy. RMS error of "
+        "the level ratio of each direction's spectrum to the first one's.",
+        ("method", "ratio error [dB]"),
+        tuple((names.get(key, key), f"{value:.2f}") for key, value in errors.items()),
+        {"material": measured.material, "anisotropy_db": measured.compute_anisotropy_db(), "ratio_error_db": errors},
+    )
+
+
+SIMULATED_MATERIALS = ("sandstone", "denim", "brushed-metal")
+"""Rough, woven, and the one whose directions are pictured."""
+HATT_MATERIALS = ("ABS Plastic", "Brick 1", "Cork")
+QUICK_SIZES = EvaluationSizes(2.0, 8, 1, 20.0, 1, 1, 3, 6)
+HELD_OUT_DRAWS, KNOWN_DRAWS = 12, 2
+"""Realisations behind a long-run spectrum of (c): 48 s of a class that is asked about, 8 s of a stand-in."""
+PHOTO_STROKE = (0.1, 1.0)
+"""m/s and N at which real textures are tabulated."""
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """keys: of methods, None = all. hatt: folder of the user's copy, or None. weights: of the shared field, None = the
+    shipped ones."""
+
+    out: Path
+    sizes: EvaluationSizes = default(default_factory=EvaluationSizes)
+    budget: Budget = default(default_factory=Budget)
+    keys: tuple[str, ...] | None = None
+    hatt: Path | None = None
+    seed: int = 0
+    workers: int = 2
+    simulated: tuple[str, ...] = SIMULATED_MATERIALS
+
+
+def run_evaluation(options: EvaluationOptions, watch: Callable[[str], None] = lambda _: None) -> Report:
+    """Evaluate, and write eval.md, eval.json and pictures under options.out. Raises HnfError for what a person can act
+    on: unknown methods, a folder without textures, weights that cannot be read."""
+    entries = select_entries(options.keys)
+    hatt = None if options.hatt is None else open_dataset("hatt", options.hatt)
+    field = load_field(options.budget.weights)
+    timings: dict[str, float] = {}
+    with _Timer(timings, "materials"):
+        done = list(run_jobs(_make_jobs(options, hatt), options.workers, watch))
+    simulated = [each for each in done if each.job.kind == "simulated"]
+    recorded = [each for each in done if each.job.kind == "hatt"]
+    notes = [note for each in done for note in each.result.notes]
+    columns = _make_columns(options, simulated, recorded)
+    extras = [make_sensor_table(simulated)] if any(each.sensors for each in simulated) else []
+    extras += [
+        make_direction_table(each.directions, _collect_names(columns))
+        for each in simulated
+        if each.directions is not None
+    ]
+    with _Timer(timings, "held-out classes"):
+        watch("held-out classes")
+        held = _make_held_out_table(options, None if options.budget.weights is None else field)
+        notes += [held] if isinstance(held, str) else []
+        extras += [held] if isinstance(held, ExtraTable) else []
+    if hatt is None:
+        notes.append("(d) HaTT: no folder was given (--hatt DIR).")
+    else:
+        with _Timer(timings, "photographs"):
+            watch("photographs")
+            extras.append(_make_photo_table(hatt, field, options))
+    settings = {**asdict(options.sizes), "seed": options.seed, "field": field.identity,
+                "methods": " ".join(entry.key for entry in entries)}  # fmt: skip
+    report = Report(settings, tuple(columns), tuple(extras), tuple(notes), timings)
+    _write_report(report, done, options.out)
+    return report
+
+
+class _Timer:
+    def __init__(self, timings: dict[str, float], name: str) -> None:
+        self._timings, self._name, self._began = timings, name, time.monotonic()
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *_: object) -> None:
+        self._timings[self._name] = time.monotonic() - self._began
+
+
+def _make_jobs(options: EvaluationOptions, hatt: DataSet | None) -> list[EvaluationJob]:
+    keys = tuple(entry.key for entry in select_entries(options.keys))
+
+    def job(kind: str, name: str, place: int, directions: bool = False) -> EvaluationJob:
+        return EvaluationJob(
+            kind, name, options.hatt, place, keys, options.sizes, options.budget, options.seed + 10 * place, directions
+        )
+
+    names = options.simulated[-options.sizes.simulated :]
+    jobs = [job("simulated", name, place, name == names[-1]) for place, name in enumerate(names)]
+    if hatt is not None:
+        known = [name for name in HATT_MATERIALS if name in hatt.materials]
+        rest = [name for name in hatt.materials if name not in known]
+        jobs += [
+            job("hatt", name, len(jobs) + place) for place, name in enumerate([*known, *rest][: options.sizes.hatt])
+        ]
+    return jobs
+
+
+def _make_columns(
+    options: EvaluationOptions, simulated: Sequence[JobResult], recorded: Sequence[JobResult]
+) -> list[Column]:
+    keys = tuple(entry.key for entry in select_entries(options.keys))
+
+    def make(key: str, title: str, what: str, kinds: Sequence[str], done: Sequence[JobResult]) -> Column:
+        names = ", ".join(each.job.name for each in done)
+        note = f"{names}. {what} Methods learned from {options.sizes.training_s:g} s of each material."
+        return make_column(
+            key, title, note, kinds, [each.result for each in done], select_entries(keys), options.budget
+        )
+
+    out = []
+    if simulated:
+        out += [
+            make("windows", "(a) Simulated, held-out windows", "New stretches of wandering strokes.", ["window"],
+                 simulated),
+            make("unseen", "(b) Simulated, unseen kinds of stroke", "A steady stroke and a speed sweep, kinds that no "
+                 "method learned from.", ["unseen"], simulated),
+        ]  # fmt: skip
+    if recorded:
+        out.append(
+            make("hatt", "(d) HaTT texture models", "Wandering, steady and sweeping strokes. AR is the true model "
+                 "class here, and direction does not exist.", ["window", "unseen"], recorded)
+        )  # fmt: skip
+    return out
+
+
+def _make_held_out_table(options: EvaluationOptions, field: Field | None) -> ExtraTable | str:
+    """field: the user's own weights; None = those shipped for this."""
+    if field is None:
+        if not HELD_OUT_WEIGHTS.is_file():
+            return f"(c) Held-out classes: {HELD_OUT_WEIGHTS.name} is not part of the Blender extension."
+        field = load_field(HELD_OUT_WEIGHTS)
+    library = SimulatedLibrary()
+    names = find_held_out_names(field, library.materials)[: options.sizes.held_out]
+    if len(names) < 2:
+        return (
+            "(c) Held-out classes: the weights name no classes that were kept from training "
+            '(metadata "held_out", a JSON list). Without --weights, the field that was trained so is asked.'
+        )
+    kept_away = set(find_held_out_names(field, library.materials))
+    limits = library.action_range(names[0])
+    action = make_random_smooth_action(
+        options.sizes.seconds, 4242 + options.seed, speed_m_s=limits.speed_m_s, force_n=limits.force_n
+    )
+    sizes = options.sizes
+    others = [name for name in library.materials if name not in kept_away][: sizes.known]
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        held = [
+            pool.submit(
+                measure_known_material,
+                name,
+                action,
+                min(sizes.realisations, HELD_OUT_DRAWS),
+                sizes.renders,
+                options.seed,
+            )
+            for name in names
+        ]
+        trained = [pool.submit(measure_known_material, name, action, KNOWN_DRAWS, 0, options.seed) for name in others]
+        return make_held_out_table(
+            field, action, [each.result() for each in held], [each.result() for each in trained], options.seed
+        )
+
+
+def _make_photo_table(hatt: DataSet, field: Field, options: EvaluationOptions) -> ExtraTable:
+    known = load_textures(hatt, make_steady_action(options.sizes.seconds, *PHOTO_STROKE), 8, options.seed)
+    if len(known) < 3:
+        raise MaterialError(
+            f"{len(known)} textures with a photograph.", where=str(options.hatt), remedy="Give the toolkit's folder."
+        )
+    return make_photo_table(field, known, make_steady_action(1.0, *PHOTO_STROKE))
+
+
+def _collect_names(columns: Sequence[Column]) -> dict[str, str]:
+    return {row.key: row.name for found in columns for row in found.rows if row.form == "natural"}
+
+
+def _write_report(report: Report, done: Sequence[JobResult], out: Path) -> None:
+    names = _collect_names(report.columns)
+    names.pop("oracle", None)
+    lines = [format_report(report), "## Pictures", ""]
+    for kind, key, title in (
+        ("window", "simulated", "Simulated, held-out windows"),
+        ("unseen", "simulated", "Simulated, unseen kinds of stroke"),
+        ("unseen", "hatt", "HaTT, unseen kinds of stroke"),
+    ):
+        judged = [each.result for each in done if each.job.kind == key]
+        if judged:
+            picture = out / f"spectra-{key}-{kind}.png"
+            plot_spectra(picture, judged, kind, names, title)
+            lines += [f"![{title}]({picture.name})", ""]
+    for each in done:
+        if each.directions is not None:
+            picture = out / f"directions-{each.job.name}.png"
+            plot_directions(picture, each.directions, names)
+            lines += [f"![By direction]({picture.name})", ""]
+    write_text(out / "eval.json", json.dumps(report.to_json(), indent=1, default=_to_json_value) + "\n")
+    write_text(out / "eval.md", "\n".join(lines))
+
+
+def _to_json_value(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value)

@@ -1,0 +1,173 @@
+"""How long a sound output still sounds after a stream on it is stopped, ends with its program, or is killed: through a
+real sound server (PulseAudio with a null sink, as the tests have), each way many times, at random moments.
+
+Usage: python tools/hnf_lab/experiments/audio_silence.py [TIMES]    100 of each by default; needs pulseaudio, pulseaudio-utils
+
+The output's own clock is read off a recording of what it got: a frame cannot have sounded later than it was recorded,
+so the earliest that all pieces of a recording allow for its first frame is the latest that this frame sounded. What is
+told is therefore an upper bound; it is counted from just before the command. Prints a Markdown table.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "core")]
+
+from sound_server import RATE_HZ, SoundServer, sound_server, why_not
+
+from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.sinks.audio import AudioSink
+from hnf_core.actuators.sources import BufferSource
+from hnf_core.actuators.stream import Stream
+
+Play = Callable[[], Callable[[], None]]
+"""Begins to play, and returns the command that shall end it."""
+Ending = Callable[[], AbstractContextManager[Play]]
+
+PLAY_RANGE_S = (0.15, 0.4)
+RECORDED_AFTER_S = 0.35
+"""Of recording after the command: what still sounds by then is told as that much."""
+MAX_WAIT_S = 30.0
+CHILD_CODE = f"""
+import sys; sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / "tools")!r}]
+from check_audio_silence import endless
+with endless() as stream:
+    stream.start()
+    print("plays", flush=True)
+    stream.wait()
+"""
+
+
+def make_endless_stream() -> Stream:
+    """Never zero, so that a frame of zero is silence."""
+    return Stream(BufferSource(np.ones((500, 1)), 10_000.0, loop=True), AudioSink(), Limits(10.0))
+
+
+class Recorder:
+    """What the output gets, and when it was got."""
+
+    def __init__(self, server: SoundServer) -> None:
+        words = ["parec", "--device=lab.monitor", "--format=s16le", f"--rate={RATE_HZ}", "--channels=1"]
+        self._process = subprocess.Popen(
+            [*words, "--latency-msec=2"], stdout=subprocess.PIPE, env=server.environment, bufsize=0
+        )
+        self._blocks: list[tuple[float, bytes]] = []
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        while piece := self._process.stdout.read(4096):
+            self._blocks.append((time.monotonic(), piece))
+
+    def stop(self) -> tuple[NDArray[np.int16], float]:
+        """(counts (n,), the latest moment at which the first of them sounded)."""
+        self._process.terminate()
+        self._process.wait(MAX_WAIT_S)
+        self._thread.join(MAX_WAIT_S)
+        ends = np.cumsum([len(piece) // 2 for _, piece in self._blocks])
+        begun = min(at - end / RATE_HZ for (at, _), end in zip(self._blocks, ends, strict=True))
+        return np.frombuffer(b"".join(piece for _, piece in self._blocks), dtype="<i2"), begun
+
+
+def measure_sound_s(server: SoundServer, play: Play, moment_s: float) -> float:
+    """Seconds from the command, moment_s after play(), until silence."""
+    recorder = Recorder(server)
+    command = play()
+    time.sleep(moment_s)
+    at = time.monotonic()
+    command()
+    time.sleep(max(0.0, at + RECORDED_AFTER_S - time.monotonic()))
+    counts, begun = recorder.stop()
+    loud = np.flatnonzero(counts)
+    if len(loud) == 0 or counts[loud[0] : loud[-1]].max() < 1000:
+        raise SystemExit("nothing was heard: the sound server is too late for this machine; try again at rest.")
+    return float(begun + (loud[-1] + 1) / RATE_HZ - at)
+
+
+@contextmanager
+def play_until_stop() -> Iterator[Play]:
+    streams: list[Stream] = []
+
+    def play() -> Callable[[], None]:
+        streams.append(make_endless_stream())
+        streams[-1].start()
+        return streams[-1].stop
+
+    yield play
+    for stream in streams:
+        stream.stop()
+
+
+@contextmanager
+def play_until_pause() -> Iterator[Play]:
+    with make_endless_stream() as stream:
+
+        def play() -> Callable[[], None]:
+            stream.start()
+            return stream.pause
+
+        yield play
+
+
+def play_until_signal(number: signal.Signals) -> Ending:
+    @contextmanager
+    def way() -> Iterator[Play]:
+        with subprocess.Popen(
+            [sys.executable, "-c", CHILD_CODE], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        ) as child:
+
+            def play() -> Callable[[], None]:
+                assert child.stdout is not None
+                assert child.stdout.readline() == "plays\n"
+                return lambda: os.kill(child.pid, number)
+
+            try:
+                yield play
+            finally:
+                child.kill()
+
+    return way
+
+
+ENDINGS: dict[str, Ending] = {
+    "stop": play_until_stop,
+    "pause": play_until_pause,
+    "Ctrl C": play_until_signal(signal.SIGINT),
+    "the program is killed": play_until_signal(signal.SIGKILL),
+    "the program stands still (SIGSTOP)": play_until_signal(signal.SIGSTOP),
+}
+
+
+def main(times: int) -> None:
+    missing = why_not()
+    if missing:
+        raise SystemExit(f"{missing}: apt-get install pulseaudio pulseaudio-utils, and pip install sounddevice.")
+    rng = np.random.default_rng(0)
+    print("| | median | 99 % | most | beyond 20 ms |\n|---|---|---|---|---|", flush=True)
+    with tempfile.TemporaryDirectory() as folder, sound_server(Path(folder)) as server:
+        for name, way in ENDINGS.items():
+            found = []
+            for _ in range(times):
+                with way() as play:
+                    found.append(1e3 * measure_sound_s(server, play, rng.uniform(*PLAY_RANGE_S)))
+            middle, p99, beyond = np.median(found), np.percentile(found, 99), sum(each > 20.0 for each in found)
+            print(f"| {name} | {middle:.1f} ms | {p99:.1f} | {max(found):.1f} | {beyond} of {times} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)

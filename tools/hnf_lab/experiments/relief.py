@@ -1,0 +1,268 @@
+"""Does the relief under a stroke matter? A real scene's measured relief, blurred, doubled, turned, flattened, and a(t).
+
+Usage: python tools/hnf_lab/experiments/relief.py SCENE [--out DIR] [--picture PNG] [--material NAME] [--json FILE]
+
+Touches SCENE as `hnf touch` does (default strokes, Blender as a module), then changes the height map of every patch and
+goes on by the same path: tactile map, E, fusion with the library material, field, a(t) with the same seed. Beside that
+the map alone: what it does not resolve counts as smooth, and no library material fills it in.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_blender import cli
+from hnf_blender.touch import run as touch_run
+from hnf_blender.touch.bake_patches import SENSOR
+from hnf_blender.touch.patch_cache import PatchRecord
+from hnf_blender.touch.session import StrokeJob, gather_jobs
+from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, BakedStroke, bake_steps, make_stroke_input
+from hnf_core.errors import HnfError, SceneError
+from hnf_core.export.plots.figure import write_figure
+from hnf_core.field.synthesis import synthesise
+from hnf_core.field.weights import load_field
+from hnf_core.files import write_text
+from hnf_core.material.band_descriptor import describe, get_smooth_token_values
+from hnf_core.material.fuse import fuse
+from hnf_core.material.token import Token
+from hnf_core.metrics.spectra import (
+    average_spectrum_distance_db,
+    welch,
+)
+from hnf_core.tactile.fourier_filters import apply_filters, frequencies, gaussian_mtf
+from hnf_core.tactile.height import tactile_map_from_height
+from hnf_core.tactile.tactile_map import Route
+from hnf_core.touch_request import TouchRequest
+
+from ..evaluation.report import format_table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Float = NDArray[np.float64]
+Height = NDArray[np.float32]
+
+BLUR_M = 1e-3
+"""Standard deviation: half of a wave of 5.3 mm is left, a tenth of one of 2.9 mm."""
+UNCHANGED, SMOOTH_SURFACE = "as it is", "smooth surface"
+PLOTTED_S = 0.25
+COLOURS = {UNCHANGED: "#1c2430", "blurred, 1 mm": "#0072b2", "twice as high": "#d55e00", "turned by 90°": "#009e73",
+           "flat": "#cc79a7"}  # fmt: skip
+
+
+def blur(height: Height, metres_per_pixel: float) -> Height:
+    def response(shape: tuple[int, int]) -> list[Float]:
+        fx, fy = frequencies(shape, metres_per_pixel)
+        return [gaussian_mtf(np.hypot(fx, fy), BLUR_M)]
+
+    (kept,), _ = apply_filters(height.astype(np.float64), metres_per_pixel, response, "even", 6.0 * BLUR_M)
+    return kept.astype(np.float32)
+
+
+RELIEF_CHANGES: dict[str, Callable[[Height, float], Height]] = {
+    UNCHANGED: lambda height, pitch: height,
+    "blurred, 1 mm": blur,
+    "twice as high": lambda height, pitch: 2.0 * height,
+    "turned by 90°": lambda height, pitch: np.ascontiguousarray(np.rot90(height)),
+    "flat": lambda height, pitch: np.zeros_like(height),
+}
+
+
+@dataclass(frozen=True)
+class ReliefResult:
+    """One change on one stroke. samples: a(t) at rate, of the product's path; alone: of the map without a library
+    material. profile_m: RMS height under the path."""
+
+    change: str
+    samples: Float
+    map_only: Float
+    rate: float
+    profile_m: float
+
+
+def change_relief(baked: BakedStroke, change: str, *, map_only: bool) -> BakedStroke:
+    """The stroke on patches whose measured height is changed, described and fused anew."""
+    records, fused = [], []
+    for patch, record in zip(baked.patches, baked.records, strict=True):
+        new, told = _change_record(record, change)
+        material = baked.materials[patch.slot]
+        prior = get_smooth_token_values() if map_only else material.library.token
+        records.append(new)
+        fused.append(fuse(told, prior, material.confidence, Route.MEASURED if told is not None else record.route))
+    return replace(baked, records=tuple(records), fused=tuple(fused))
+
+
+def _change_record(record: PatchRecord, change: str) -> tuple[PatchRecord, Token | None]:
+    if record.height is None:
+        return record, None
+    height = RELIEF_CHANGES[change](record.height, record.metres_per_pixel)
+    mask = np.ascontiguousarray(np.rot90(record.mask)) if "turned" in change else record.mask
+    tactile = tactile_map_from_height(
+        height, mask, record.metres_per_pixel, record.resolved_wavelength_m, sensor=SENSOR,
+        height_source=record.height_source,
+    )  # fmt: skip
+    token = describe(tactile)
+    return replace(record, height=height, mask=mask, token=token.values, known=token.known), token
+
+
+def synthesise_changed(baked: BakedStroke, change: str, seed: int) -> ReliefResult:
+    made = []
+    for alone in (False, True):
+        given = make_stroke_input(change_relief(baked, change, map_only=alone))
+        made.append(synthesise(load_field(), given, seed=seed).signal)
+    profile = 0.0 if given.profile is None else float(np.std(given.profile.height))
+    return ReliefResult(change, made[0].samples.astype(np.float64), made[1].samples.astype(np.float64),
+                 float(made[0].sample_rate), profile)  # fmt: skip
+
+
+def measure_smooth(baked: BakedStroke, seed: int) -> float:
+    """RMS of a(t) on the same path over a surface with nothing in it."""
+    flat = replace(
+        baked,
+        records=tuple(replace(record, height=None, token=None, known=None) for record in baked.records),
+        fused=tuple(fuse(None, get_smooth_token_values(), each.confidence) for each in baked.fused),
+    )
+    return compute_rms(synthesise(load_field(), make_stroke_input(flat), seed=seed).signal.samples.astype(np.float64))
+
+
+def compute_rms(samples: Float) -> float:
+    """Of the middle third: full speed and force."""
+    middle = samples[len(samples) // 3 : -len(samples) // 3]
+    return float(np.sqrt(np.mean(middle**2)))
+
+
+def bake_strokes(scene: Path, out: Path) -> Iterator[tuple[StrokeJob, BakedStroke]]:
+    """Default strokes of a scene, baked by the main job's own steps. Raises HnfError where nothing can be touched."""
+    request = TouchRequest(scene=scene, out=out)
+    cli._register_properties()
+    session = touch_run._make_session(touch_run._open_request_scene(request), request)
+    found = gather_jobs(session)
+    report = touch_run._new_report(session, found)
+    kept: list[tuple[StrokeJob, BakedStroke]] = []
+
+    def each(job: StrokeJob, described: BakedStroke) -> list[str]:
+        kept.append((job, described))
+        return []
+
+    for _ in bake_steps(session, found.jobs, out / CACHE_FOLDER_NAME, report, each):
+        pass
+    if not kept:
+        raise SceneError("nothing could be touched.", where=str(scene), remedy="Run hnf touch on it to see why.")
+    yield from kept
+
+
+def plot_signals(path: Path, name: str, results: list[ReliefResult]) -> None:
+    """Of the map alone: what the library material fills in does not change with the map, and would hide it."""
+    size = (1000, 118 * len(results) + 96)
+
+    def fill(figure: Figure) -> None:
+        figure.text(0.02, 1.0 - 28 / size[1], f"{name}: a(t) of the map alone, as its relief is changed", fontsize=14,
+                    fontweight="bold")  # fmt: skip
+        top = max(float(np.abs(each.map_only).max()) for each in results)
+        for row, each in enumerate(results):
+            bottom = (size[1] - 66 - 118 * (row + 1) + 30) / size[1]
+            wave = figure.add_axes((0.075, bottom, 0.53, 74 / size[1]))
+            start = len(each.map_only) // 2
+            count = min(round(PLOTTED_S * each.rate), len(each.map_only) - start)
+            wave.plot(1e3 * np.arange(count) / each.rate, each.map_only[start : start + count],
+                      color=COLOURS[each.change], lw=0.9)  # fmt: skip
+            wave.set_ylim(-top, top)
+            wave.set_title(f"{each.change}: {compute_rms(each.map_only):.3f} m/s² RMS", fontsize=10, loc="left")
+            spectrum = figure.add_axes((0.68, bottom, 0.29, 74 / size[1]))
+            for other, width in ((results[0], 2.4), (each, 1.2)):
+                hertz, density = compute_spectrum(other.map_only, other.rate)
+                spectrum.plot(hertz, 10 * np.log10(np.maximum(density, 1e-12)), color=COLOURS[other.change], lw=width,
+                              alpha=0.35 if width > 2 else 1.0)  # fmt: skip
+            spectrum.set_xscale("log")
+            spectrum.set_xlim(20, 1000)
+            spectrum.set_xticks([20, 50, 100, 200, 500, 1000], labels=["20", "50", "100", "200", "500", "1000"])
+            spectrum.set_xticks([], minor=True)
+            spectrum.set_ylim(-95, 5)
+            for axes in (wave, spectrum):
+                axes.tick_params(labelbottom=each is results[-1])
+            if row == 0:
+                spectrum.set_title("dB re 1 (m/s²)²/Hz; pale: as it is", fontsize=10, loc="left")
+                wave.set_ylabel("m/s²")
+        wave.set_xlabel("ms")
+        spectrum.set_xlabel("Hz")
+
+    write_figure(path, size, fill)
+
+
+def compute_spectrum(samples: Float, rate: float) -> tuple[Float, Float]:
+    middle = samples[len(samples) // 4 : -len(samples) // 4]
+    hertz, density = welch(middle, rate)
+    return np.asarray(hertz), np.asarray(density)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "maps-matter", help="cache of close-ups")
+    parser.add_argument("--picture", type=Path, help="a(t) of one material")
+    parser.add_argument("--material", default="LeatherPartsMat", help="shader of that material")
+    parser.add_argument("--json", type=Path, dest="record", help="figures")
+    arguments = parser.parse_args()
+    if not arguments.scene.is_file():
+        print(f"maps_matter: {arguments.scene} is not there; nothing was measured.", file=sys.stderr)
+        return 1
+    try:
+        rows, figures = make_report(arguments)
+    except HnfError as error:
+        print(error, file=sys.stderr)
+        return 1
+    header = ("material", "relief", "a(t) RMS [m/s²]", "spectrum [dB]", "map alone: RMS [m/s²]", "level [dB]",
+              "spectrum [dB]", "height under the path [µm RMS]")  # fmt: skip
+    print("\n".join(format_table(header, rows)))
+    if arguments.record is not None:
+        write_text(arguments.record, json.dumps(figures, indent=1) + "\n")
+    return 0
+
+
+def make_report(arguments: argparse.Namespace) -> tuple[list[tuple[str, ...]], list[dict[str, object]]]:
+    rows: list[tuple[str, ...]] = []
+    figures: list[dict[str, object]] = []
+    for job, baked in bake_strokes(arguments.scene, arguments.out):
+        if all(record.height is None for record in baked.records):
+            continue
+        shader = baked.main_material.shader
+        made = [synthesise_changed(baked, change, job.seed) for change in RELIEF_CHANGES]
+        for each in made:
+            level = 20.0 * np.log10(compute_rms(each.map_only) / compute_rms(made[0].map_only))
+            distance, alone = (
+                average_spectrum_distance_db(
+                    compute_spectrum(ours, each.rate)[1], *compute_spectrum(before, each.rate)[::-1]
+                )
+                for ours, before in ((each.samples, made[0].samples), (each.map_only, made[0].map_only))
+            )
+            rows.append((shader, each.change, f"{compute_rms(each.samples):.3f}", f"{distance:.1f}", f"{compute_rms(each.map_only):.4f}",
+                         f"{level:+.1f}", f"{alone:.1f}", f"{1e6 * each.profile_m:.1f}"))  # fmt: skip
+            figures.append({"material": shader, "relief": each.change, "rms_m_s2": compute_rms(each.samples),
+                            "distance_db": distance, "alone_rms_m_s2": compute_rms(each.map_only), "alone_level_db": level,
+                            "alone_distance_db": alone, "profile_rms_m": each.profile_m})  # fmt: skip
+        bare = measure_smooth(baked, job.seed)
+        rows.append((shader, SMOOTH_SURFACE, "", "", f"{bare:.4f}", "", "", "0.0"))
+        figures.append({"material": shader, "relief": SMOOTH_SURFACE, "alone_rms_m_s2": bare})
+        if arguments.picture is not None and shader == arguments.material:
+            plot_signals(arguments.picture, shader, made)
+    return rows, figures
+
+
+if __name__ == "__main__":
+    sys.exit(main())

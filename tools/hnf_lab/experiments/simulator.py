@@ -1,0 +1,421 @@
+"""What recorded textures feel like: HaTT's ranges per category, from the published AR models of its 100 textures.
+
+H. Culbertson et al. 2014, "One hundred data-driven haptic texture models and open-source methods for rendering on 3D
+objects", IEEE Haptics Symposium.
+
+What each part of the contact model is for: take it away, and one named statistic moves as the cited model says.
+
+Used by tools/hnf_lab/experiments/simulator.py for docs/simulator.md, and by tests/core/test_simulation_ablations.py.
+
+Hold the contact simulator against recorded textures; measure its ablations and its speed. Prints Markdown.
+
+Usage: python tools/hnf_lab/experiments/simulator.py [--instances N] [--first-seed S] [--only CATEGORY …] [--classes] [--speed]
+       [--write]
+
+--write puts what was measured into docs/simulator.md, between its markers; --classes shows every class as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.files import write_text
+from hnf_core.material.contact_model import Mechanics
+from hnf_core.material.probe import PROBES, Probe
+from hnf_core.simulation.height_sampling import SmoothedMaps
+from hnf_core.simulation.material_classes import get_recorded_category, list_classes, sample_instance
+from hnf_core.simulation.simulate import (
+    SAMPLE_RATE_HZ,
+    Physics,
+    Stroke,
+    simulate,
+    simulate_batch,
+    simulate_motion,
+    straight_stroke,
+)
+from hnf_core.simulation.surface_recipe import Noise, SurfaceRecipe, height_map
+from hnf_core.simulation.texture_statistics import (
+    TextureStatistics,
+    aggregate_strokes,
+    compute_fused_spectra,
+    simulate_strokes,
+)
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class CategoryRanges:
+    """One category: textures, medians, and 5–95 % ranges (of RMS: the whole range). RMS [m/s²] and centroid [Hz] at
+    100 mm/s, 1 N. f_exponent is one number, no range, for carbon fibre."""
+
+    count: int
+    rms_median: float
+    rms: Range
+    centroid_median: float
+    centroid_hz: Range
+    below_1k: Range
+    v_exponent: Range
+    f_exponent: Range | None
+
+
+HATT_RANGES = {
+    "Carbon fibre": CategoryRanges(2, 1.78, (1.57, 2.00), 271, (241, 301), (0.98, 0.99), (1.31, 1.48), None),
+    "Carpet": CategoryRanges(5, 2.86, (2.05, 6.84), 61, (50, 117), (0.99, 1.00), (0.02, 1.64), (0.32, 0.85)),
+    "Fabric": CategoryRanges(30, 0.55, (0.24, 3.44), 256, (67, 754), (0.72, 1.00), (0.51, 1.55), (-0.11, 0.83)),
+    "Foam": CategoryRanges(6, 0.97, (0.71, 1.47), 187, (73, 319), (0.96, 0.99), (0.42, 0.95), (0.15, 0.31)),
+    "Metal": CategoryRanges(6, 1.71, (0.38, 6.24), 466, (234, 695), (0.89, 0.99), (0.06, 0.97), (-0.40, 0.62)),
+    "Paper": CategoryRanges(22, 0.79, (0.33, 7.51), 261, (149, 601), (0.87, 1.00), (0.29, 1.37), (-0.07, 0.89)),
+    "Plastic": CategoryRanges(10, 0.98, (0.22, 3.30), 209, (137, 771), (0.72, 1.00), (0.73, 1.36), (-0.14, 0.57)),
+    "Stone": CategoryRanges(7, 5.29, (1.05, 13.8), 513, (407, 579), (0.85, 0.98), (0.50, 1.31), (-0.37, 0.27)),
+    "Tile": CategoryRanges(7, 1.68, (0.69, 4.14), 169, (131, 196), (0.97, 1.00), (0.70, 1.36), (0.10, 0.56)),
+    "Wood": CategoryRanges(5, 0.79, (0.49, 1.47), 282, (144, 345), (0.95, 0.99), (0.55, 1.49), (0.05, 0.49)),
+}
+PUBLISHED_DECIMALS = {"rms": 2, "centroid_hz": 0, "below_1k": 2, "v_exponent": 2, "f_exponent": 2}
+"""Decimals to which the ranges are published: a value counts as inside when it is so after the same rounding."""
+
+
+NOISE_FLOOR_M_S2_PER_ROOT_HZ = 0.9e-3
+LINE_HZ = 1915.0
+LINE_RMS_M_S2 = 0.107
+"""What HaTT's instrument adds. Above 1.3 kHz eleven soft textures of twenty at hand (silk, velvet, cork, foam, …) have
+one and the same spectrum, at 50, 100 and 150 mm/s alike: a flat floor and a line, together 0.115–0.126 m/s² (medians).
+No contact does that. In silk it is a tenth of the power, and it is what keeps foam's share below 1 kHz under 1."""
+
+
+def compute_instrument_noise(frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Power density [(m/s²)²/Hz] of that noise; the line 20 Hz wide."""
+    width = 20.0
+    line = LINE_RMS_M_S2**2 / (width * np.sqrt(np.pi)) * np.exp(-np.square((frequency_hz - LINE_HZ) / width))
+    return np.asarray(NOISE_FLOOR_M_S2_PER_ROOT_HZ**2 + line)
+
+
+def check_ranges(statistics: TextureStatistics, category: str) -> dict[str, bool]:
+    """For each number that the category has a range of: does it lie inside? Empty for a category never recorded."""
+    if category not in HATT_RANGES:
+        return {}
+    found = {}
+    for name, digits in PUBLISHED_DECIMALS.items():
+        limits = getattr(HATT_RANGES[category], name)
+        if limits is not None:
+            found[name] = limits[0] <= round(getattr(statistics, name), digits) <= limits[1]
+    return found
+
+
+Float = NDArray[np.float64]
+
+PEN = PROBES["pen"]
+WOOD_MECHANICS = Mechanics(1.0e5, 0.2, 0.3)
+ROUGH_RECIPE = SurfaceRecipe(noise=(Noise(6e-6, slope=2.0),))
+FLAT_SURFACE = SmoothedMaps(np.zeros((64, 64), np.float32))
+ANGLES = (0.3, 1.1, 1.9, 2.7)
+
+
+def simulate_over(recipe: SurfaceRecipe, force_n: float, probe: Probe, physics: Physics, speed_m_s: float) -> Float:
+    """(4, n, 3): half a second in four directions, the first 50 ms left out."""
+    surface = SmoothedMaps(height_map(recipe, 1))
+    strokes = [straight_stroke(speed_m_s, force_n, 0.55, angle_rad=angle) for angle in ANGLES]
+    count = len(strokes)
+    acceleration = simulate_batch([surface] * count, strokes, [WOOD_MECHANICS] * count, probe, physics=physics)
+    return acceleration[:, round(0.05 * SAMPLE_RATE_HZ) :]
+
+
+def measure_centroid(radius_m: float) -> float:
+    """Centroid [Hz] of the normal acceleration on a fine rough surface, 100 mm/s, 1 N, under a tip of this radius.
+
+    Hertz: the contact is a ∝ R^(1/3) wide and averages shorter waves away, so it falls. The surface's stiffness is held
+    (k ∝ R^(1/3) is divided out), so that the tip's low-pass alone is seen.
+    """
+    probe = PEN._replace(tip_radius_m=radius_m)
+    held = replace(WOOD_MECHANICS, stiffness_n_m=1.0e5 * (PEN.tip_radius_m / radius_m) ** (1.0 / 3.0))
+    surface = SmoothedMaps(height_map(ROUGH_RECIPE.scale_heights(0.05), 1))
+    strokes = [straight_stroke(0.1, 1.0, 0.35, angle_rad=angle) for angle in ANGLES]
+    acceleration = simulate_batch([surface] * 4, strokes, [held] * 4, probe)[:, 500:, 2]
+    power = np.square(np.abs(np.fft.rfft(acceleration * np.hanning(acceleration.shape[1]), axis=1))).mean(axis=0)
+    frequency = np.fft.rfftfreq(acceleration.shape[1], 1.0 / SAMPLE_RATE_HZ)
+    return float((power * frequency)[frequency >= 10.0].sum() / power[frequency >= 10.0].sum())
+
+
+def simulate_slow_pull(speeds_m_s: Sequence[float], friction: str, seconds: float = 1.6) -> Float:
+    """Velocity (speeds, steps) of the pen's tip, pulled from rest over a flat surface at 1 N by the hand's spring; the
+    second half of `seconds`."""
+    n = round(seconds * SAMPLE_RATE_HZ)
+    start = np.minimum(np.arange(n) / (0.05 * SAMPLE_RATE_HZ), 1.0)
+    strokes = [
+        Stroke(np.stack([np.cumsum(v * start) / SAMPLE_RATE_HZ, np.zeros(n)], axis=1), np.ones(n)) for v in speeds_m_s
+    ]
+    rows = len(strokes)
+    motion = simulate_motion(
+        [FLAT_SURFACE] * rows, strokes, [WOOD_MECHANICS] * rows, physics=Physics(friction=friction)
+    )
+    return motion.sliding_m_s[len(motion.sliding_m_s) // 2 :, 0].T
+
+
+def compute_stuck_share(sliding: Float, speed_m_s: float) -> float:
+    """Share of the time in which the tip moves at less than a fifth of the hand's speed."""
+    return float(np.mean(np.abs(sliding) < 0.2 * speed_m_s))
+
+
+def count_slips_per_second(sliding: Float, speed_m_s: float) -> float:
+    """Times per second that the tip breaks away, from the first break to the last."""
+    fast = sliding > 2.0 * speed_m_s
+    breaks = np.flatnonzero(fast[1:] & ~fast[:-1])
+    return float((len(breaks) - 1) / ((breaks[-1] - breaks[0]) / (2.0 * SAMPLE_RATE_HZ))) if len(breaks) > 1 else 0.0
+
+
+def measure_level_db(friction: str) -> float:
+    """Level of all three axes on a rough surface at 100 mm/s, 1 N, in dB of (m/s²)²."""
+    power, _ = compute_fused_spectra(simulate_over(ROUGH_RECIPE, 1.0, PEN, Physics(friction=friction), 0.1))
+    return float(10.0 * np.log10(power.sum(axis=1).mean()))
+
+
+def measure_flight_and_skewness(unilateral: bool) -> tuple[float, float]:
+    """Light stroke (0.3 N, 150 mm/s) on a rough surface: share of time in free fall, and skewness of the normal
+    acceleration. A contact that cannot pull gives long falls at −F/m and short blows upwards; one that can gives
+    neither."""
+    force = 0.3
+    normal = simulate_over(ROUGH_RECIPE, force, PEN, Physics(unilateral=unilateral), 0.15)[:, :, 2]
+    falling = np.abs(normal + force / PEN.mass_kg) < 0.03 * force / PEN.mass_kg
+    centred = normal - normal.mean()
+    return float(falling.mean()), float(np.mean(centred**3) / np.mean(centred**2) ** 1.5)
+
+
+def measure_ring_hz(mass_kg: float) -> float:
+    """Frequency [Hz] at which the probe rings after a step of force from 1.0 to 1.1 N: sqrt(k/m) / 2π."""
+    n = 2500
+    force = np.where(np.arange(n) < 500, 1.0, 1.1)
+    stroke = Stroke(np.zeros((n, 2)), force)
+    normal = simulate(FLAT_SURFACE, stroke, replace(WOOD_MECHANICS, damping_ratio=0.03), PEN._replace(mass_kg=mass_kg))[
+        520:, 2
+    ]
+    spectrum = np.abs(np.fft.rfft(normal * np.hanning(len(normal)), 1 << 16))
+    return float(np.fft.rfftfreq(1 << 16, 1.0 / SAMPLE_RATE_HZ)[np.argmax(spectrum)])
+
+
+def measure_ablations() -> list[tuple[str, str, str, str]]:
+    """(part, statistic, figures, what the cited model says) for docs/simulator.md."""
+    tips = [measure_centroid(r) for r in (0.25e-3, 0.5e-3, 1e-3, 2e-3)]
+    slow, quick = (1e-3, 2e-3, 4e-3), (0.02, 0.1)
+    pulled = simulate_slow_pull((*slow, *quick), "lugre", 2.4)
+    stuck = [compute_stuck_share(pulled[1], 2e-3), compute_stuck_share(simulate_slow_pull([2e-3], "coulomb")[0], 2e-3)]
+    slips = [count_slips_per_second(sliding, v) for sliding, v in zip(pulled, slow, strict=False)]
+    fast = [compute_stuck_share(sliding, v) for sliding, v in zip(pulled[3:], quick, strict=True)]
+    levels = [measure_level_db(law) for law in ("lugre", "coulomb")]
+    loss = [measure_flight_and_skewness(unilateral) for unilateral in (True, False)]
+    rings = [measure_ring_hz(m) for m in (0.0175, 0.035, 0.07, 0.14)]
+    return [
+        ("tip radius 0.25, 0.5, 1, 2 mm", "centroid of the normal axis",
+         ", ".join(f"{c:.0f}" for c in tips) + " Hz", "falls: a wider contact averages short waves (Hertz)"),
+        ("LuGre → Coulomb", "share of time stuck, pulled at 2 mm/s", f"{100 * stuck[0]:.0f} % → {100 * stuck[1]:.0f} %",
+         "stick–slip needs stiction and the falling Stribeck branch (Canudas de Wit 1995)"),
+        ("LuGre, pulled at 1, 2, 4 mm/s", "slips per second", ", ".join(f"{s:.1f}" for s in slips),
+         "rises with speed: the spring must be wound up by 2 ΔF / k each time (Rabinowicz 1965)"),
+        ("LuGre, pulled at 20, 100 mm/s", "share of time stuck", ", ".join(f"{100 * s:.0f} %" for s in fast),
+         "none far above the Stribeck speed"),
+        ("LuGre → Coulomb", "level at 100 mm/s on a rough surface", f"{levels[0]:.2f} → {levels[1]:.2f} dB",
+         "unchanged far above the Stribeck speed"),
+        ("contact loss → N < 0 allowed", "time in free fall; skewness of the normal axis",
+         f"{100 * loss[0][0]:.0f} % → {100 * loss[1][0]:.0f} %; {loss[0][1]:+.2f} → {loss[1][1]:+.2f}",
+         "falls at −F/m and blows upwards only where the surface cannot pull"),
+        ("mass 17.5, 35, 70, 140 g", "ringing after a step of force", ", ".join(f"{r:.0f}" for r in rings) + " Hz",
+         "∝ m^(−1/2) (contact resonance)"),
+    ]  # fmt: skip
+
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
+
+
+FIRST_SEED = 1000
+"""Constants were chosen on seeds below it."""
+INSTANCES_PER_BATCH = 12
+"""Instances per batch: ten strokes each."""
+Instance = tuple[str, int]
+TABLE_HEADER = (
+    "category", "classes", "instances", "RMS median (recorded)", "dB", "centroid median (recorded)", "%",
+    "RMS in", "centroid in", "< 1 kHz in", "v exp in", "F exp in", "all numbers", "all five at once",
+)  # fmt: skip
+
+
+def measure_instances(instances: Sequence[Instance]) -> list[tuple[TextureStatistics, TextureStatistics]]:
+    """The five numbers of some instances, as the instrument would record them and of the contact alone: one process's
+    share of the work."""
+    surfaces = []
+    for name, seed in instances:
+        recipe, mechanics = sample_instance(name, seed)
+        surfaces.append((SmoothedMaps(height_map(recipe, seed)), mechanics))
+    power, frequency = simulate_strokes(surfaces)
+    return [
+        (aggregate_strokes(each, frequency, compute_instrument_noise), aggregate_strokes(each, frequency))
+        for each in power
+    ]
+
+
+def measure_in_parallel(
+    instances: Sequence[Instance], workers: int
+) -> list[tuple[TextureStatistics, TextureStatistics]]:
+    parts = [instances[low : low + INSTANCES_PER_BATCH] for low in range(0, len(instances), INSTANCES_PER_BATCH)]
+    with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
+        return [each for part in pool.map(measure_instances, parts) for each in part]
+
+
+def format_percent(values: Sequence[bool]) -> str:
+    return f"{100.0 * np.mean(values):.0f} %" if len(values) else "–"
+
+
+def make_row(
+    label: str, names: int, statistics: Sequence[TextureStatistics], inside: Sequence[dict[str, bool]], median: bool
+) -> list[str]:
+    """One line of the table. Without `median` the middle columns stay empty."""
+    middle = ["", "", "", ""]
+    if median:
+        recorded = HATT_RANGES[label]
+        rms = float(np.median([each.rms for each in statistics]))
+        centroid = float(np.median([each.centroid_hz for each in statistics]))
+        middle = [
+            f"{rms:.2f} ({recorded.rms_median:.2f})",
+            f"{20.0 * np.log10(rms / recorded.rms_median):+.1f}",
+            f"{centroid:.0f} ({recorded.centroid_median})",
+            f"{100.0 * (centroid / recorded.centroid_median - 1.0):+.0f}",
+        ]
+    shares = [
+        format_percent([each[name] for each in inside if name in each])
+        for name in ("rms", "centroid_hz", "below_1k", "v_exponent", "f_exponent")
+    ]
+    pooled = format_percent([value for each in inside for value in each.values()])
+    return [
+        label,
+        str(names),
+        str(len(statistics)),
+        *middle,
+        *shares,
+        pooled,
+        format_percent([all(e.values()) for e in inside]),
+    ]
+
+
+def format_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def make_range_tables(instances: int, first_seed: int, only: Sequence[str], by_class: bool, workers: int) -> list[str]:
+    """Instances of every recorded class against the ranges of its category: with the recording instrument, without."""
+    names = [n for n in list_classes() if get_recorded_category(n) and (not only or get_recorded_category(n) in only)]
+    pieces = [(name, first_seed + k) for name in names for k in range(instances)]
+    tables = []
+    for felts in zip(*measure_in_parallel(pieces, workers), strict=True):
+        inside = [
+            check_ranges(each, get_recorded_category(name)) for each, (name, _) in zip(felts, pieces, strict=True)
+        ]
+        if by_class:
+            print_classes(names, pieces, felts, inside)
+        rows = []
+        for category in HATT_RANGES:
+            chosen = [k for k, (name, _) in enumerate(pieces) if get_recorded_category(name) == category]
+            if chosen:
+                count = len({pieces[k][0] for k in chosen})
+                rows.append(make_row(category, count, [felts[k] for k in chosen], [inside[k] for k in chosen], True))
+        rows.append(make_row("all", len(names), felts, inside, False))
+        tables.append(format_table(TABLE_HEADER, rows))
+    return tables
+
+
+def print_classes(
+    names: Sequence[str],
+    instances: Sequence[Instance],
+    statistics: Sequence[TextureStatistics],
+    inside: Sequence[dict[str, bool]],
+) -> None:
+    for name in names:
+        chosen = [k for k, (other, _) in enumerate(instances) if other == name]
+        numbers = np.array([[f.rms, f.centroid_hz, f.below_1k, f.v_exponent, f.f_exponent] for f in statistics])[chosen]
+        spread = "  ".join(f"{np.median(column):7.3f} [{column.min():.3f} {column.max():.3f}]" for column in numbers.T)
+        misses = {key: sum(not inside[k][key] for k in chosen) for key in inside[chosen[0]]}
+        print(f"{name:18}{spread}  {({key: n for key, n in misses.items() if n}) or ''}", flush=True)
+
+
+SPEED_ROWS, SPEED_SECONDS = 192, 1.0
+
+
+def time_batch(worker: int) -> tuple[float, float]:
+    """Wall and CPU seconds of one batch: sixteen surfaces, twelve strokes each, sampling of the maps included."""
+    surfaces = []
+    for name in list_classes()[worker::2][:16]:
+        recipe, mechanics = sample_instance(name, 0)
+        surfaces.append((SmoothedMaps(height_map(recipe, 0)), mechanics))
+    each = SPEED_ROWS // len(surfaces)
+    rows = [(maps, mechanics, k) for maps, mechanics in surfaces for k in range(each)]
+    strokes = [straight_stroke(0.02 * (1 + k), 1.0, SPEED_SECONDS, angle_rad=0.5 * k) for _, _, k in rows]
+    wall, cpu = time.perf_counter(), time.process_time()
+    simulate_batch([maps for maps, _, _ in rows], strokes, [mechanics for _, mechanics, _ in rows])
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def make_speed_table() -> str:
+    """Seconds of signal per second, two processes side by side."""
+    load = os.getloadavg()[0]
+    with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
+        walls, cpus = zip(*pool.map(time_batch, range(2)), strict=True)
+    signal = 2 * SPEED_ROWS * SPEED_SECONDS
+    rows = [
+        [f"wall clock, two processes, load {load:.1f} before on {os.cpu_count()} cores", f"{signal / max(walls):.0f}×"],
+        ["CPU time, per core", f"{signal / sum(cpus):.0f}×"],
+    ]
+    return format_table(["measured by", f"real time ({2 * SPEED_ROWS} strokes of {SPEED_SECONDS:g} s)"], rows)
+
+
+def fill_markers(document: Path, tables: dict[str, str]) -> None:
+    """Put each table between its markers <!-- name --> … <!-- /name -->."""
+    text = document.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        start, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        if start not in text or end not in text:
+            raise SystemExit(f"{document}: the markers {start} and {end} are missing; put them back.")
+        text = re.sub(f"{start}.*?{end}", lambda _, a=start, b=end, c=table: f"{a}\n{c}\n{b}", text, flags=re.DOTALL)
+    write_text(document, text)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--instances", type=int, default=8, help="per class")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
+    parser.add_argument("--only", nargs="*", default=[], help="categories")
+    parser.add_argument("--classes", action="store_true", help="every class as well")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--speed", action="store_true", help="nothing but the speed")
+    parser.add_argument("--write", action="store_true", help="into docs/simulator.md")
+    a = parser.parse_args()
+    tables = {"speed": make_speed_table()} if a.speed else make_all_tables(a)
+    print("\n\n".join(tables.values()))
+    if a.write:
+        fill_markers(ROOT / "docs" / "simulator.md", tables)
+    return 0
+
+
+def make_all_tables(a: argparse.Namespace) -> dict[str, str]:
+    recorded, alone = make_range_tables(a.instances, a.first_seed, a.only, a.classes, a.workers)
+    seeds = f"{a.instances} instances per class, seeds {a.first_seed}–{a.first_seed + a.instances - 1}."
+    tables = {"recorded": f"{seeds}\n\n{recorded}", "alone": alone}
+    if not a.only:
+        tables["ablations"] = format_table(
+            ["part", "statistic", "measured", "what the model says"], measure_ablations()
+        )
+        tables["speed"] = make_speed_table()
+    return tables
+
+
+if __name__ == "__main__":
+    sys.exit(main())

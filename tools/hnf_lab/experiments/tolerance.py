@@ -1,0 +1,151 @@
+"""How far the fast paths are from the model taken literally, over the whole library: every state as scenes use it, and
+within each tolerance. Prints the Markdown table of docs/benchmarks.md.
+
+Usage: python tools/hnf_lab/experiments/tolerance.py [PRIMITIVE …]    all eight: some twenty minutes on one core
+
+The literal model is tests/reference/literal_synthesis.py's: F_Θ and every carrier at each sample, in float64. Its carriers are the same
+for all materials under one stroke, so they are summed once. Errors are those of the whole signal, in dB of its power.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import PRIMITIVES
+from hnf_core.field.field import Field, evaluate
+from hnf_core.field.prepare import prepare_stroke
+from hnf_core.field.render import render_block, render_contact
+from hnf_core.field.stroke import (
+    SAMPLES_PER_STATE,
+    StrokeInput,
+    interpolate_condition,
+    interpolate_cubic,
+    resample_action,
+    sample_count,
+    uniform_stroke,
+)
+from hnf_core.field.synthesis import tolerance_warning
+from hnf_core.field.temporal_rendering import render_weights
+from hnf_core.field.weights import load_field
+from hnf_core.material.library import load_library
+from reference.literal_synthesis import carriers_at
+
+Float = NDArray[np.float64]
+
+SEED = 0
+SAMPLES_PER_BATCH = 500
+TOLERANCES_DB = (-30.0, -35.0, -40.0, -45.0)
+FAST_PRIMITIVE = "rub-fast"
+"""It circles twice a second, so that tones pass through an octave of bands within some states."""
+
+
+@dataclass(frozen=True)
+class ErrorResult:
+    """Of one stroke: error_db of the signal, told: whether it was said that the tolerance is not kept, knots: states
+    that F_Θ was asked for."""
+
+    primitive: str
+    tolerance_db: float | None
+    error_db: float
+    warned: bool
+    knots: int
+
+
+def compute_literal_texture(field: Field, stroke: StrokeInput, waves: Float) -> Float:
+    """reference.texture_reference of the whole stroke; waves: its carriers, (count, K)."""
+    action, token_index = resample_action(stroke)
+    config, lag = field.config, field.config.stride * SAMPLES_PER_STATE
+    sample = np.arange(-lag * config.states, len(waves))
+    parts = [evaluate(field, interpolate_condition(stroke, action, token_index, at)) for at in split_samples(sample)]
+    alpha = np.concatenate([part.alpha[:, 0] for part in parts])
+    sigma_dt = np.concatenate([part.sigma_dt for part in parts])
+    alpha[sample < 0] = 0.0
+    past = lag * config.states + np.arange(len(waves))[:, None] - lag * np.arange(config.states)
+    weights = render_weights(sigma_dt[past, np.arange(config.states)])
+    total = np.zeros_like(waves)
+    for state in range(config.states):
+        total += weights[:, state, None] * alpha[past[:, state]]
+    return np.asarray(np.einsum("nk,nk->n", total, waves))
+
+
+def split_samples(sample: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    return np.split(sample, range(SAMPLES_PER_BATCH, len(sample), SAMPLES_PER_BATCH))
+
+
+def measure_primitive(primitive: str, field: Field) -> Iterator[ErrorResult]:
+    """Each material of the library under one stroke, each way."""
+    action = make_primitive_action(PRIMITIVES[primitive], seed=SEED)
+    waves: Float | None = None
+    for material in load_library():
+        stroke = uniform_stroke(action, material.token, material.mechanics)
+        at_states, _ = resample_action(stroke)
+        if waves is None:
+            sample = np.arange(sample_count(at_states))
+            waves = np.concatenate([
+                carriers_at(field.config.carriers, SEED, at, interpolate_cubic(at_states.position, at / SAMPLES_PER_STATE))
+                for at in split_samples(sample)
+            ])  # fmt: skip
+        every = prepare_stroke(field, stroke, seed=SEED)
+        count = every.count
+        exact = every.audible * (
+            compute_literal_texture(field, stroke, waves[:count]) + render_contact(every, 0, count)
+        )
+        for tolerance_db in (None, *TOLERANCES_DB):
+            tolerance = None if tolerance_db is None else 10.0 ** (tolerance_db / 20.0)
+            prepared = every if tolerance is None else prepare_stroke(field, stroke, seed=SEED, tolerance=tolerance)
+            error = render_block(prepared, 0, count) - exact
+            error_db = 10.0 * np.log10(np.mean(np.square(error)) / np.mean(np.square(exact)))
+            told = bool(tolerance_warning(prepared.residual_power, tolerance))
+            knots = len(prepared.amplitude) if prepared.knots is None else len(prepared.knots)
+            yield ErrorResult(primitive, tolerance_db, float(error_db), told, knots)
+
+
+def format_table(found: list[ErrorResult]) -> str:
+    lines = [
+        "| strokes | F_Θ | median error | 90 % within | worst | kept | said not to be | missed, and not said |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for strokes, ours in (
+        ("the seven others", [each for each in found if each.primitive != FAST_PRIMITIVE]),
+        (FAST_PRIMITIVE, [each for each in found if each.primitive == FAST_PRIMITIVE]),
+    ):
+        for tolerance_db in (None, *TOLERANCES_DB):
+            rows = [each for each in ours if each.tolerance_db == tolerance_db]
+            if not rows:
+                continue
+            error = np.array([each.error_db for each in rows])
+            cells = [
+                f"{value:.1f} dB".replace("-", "−") for value in (*np.percentile(error, (50.0, 90.0)), error.max())
+            ]
+            if tolerance_db is None:
+                cells += ["", "", ""]
+            else:
+                kept, told = error <= tolerance_db, np.array([each.warned for each in rows])
+                cells += [f"{kept.sum()} of {len(rows)}", str(told.sum()), str((~kept & ~told).sum())]
+            way = "every state" if tolerance_db is None else f"within −{-tolerance_db:.0f} dB"
+            lines.append(f"| {strokes} | {way} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    names, field, found = sys.argv[1:] or list(PRIMITIVES), load_field(), []
+    for name in names:
+        for each in measure_primitive(name, field):
+            found.append(each)
+        print(f"{name}: {len(found)} renders judged", file=sys.stderr)
+    print(format_table(found))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
