@@ -1,4 +1,4 @@
-# make demo | test | test-app | extension | repository | assets | lint | clean | clean-env
+# make demo | test | test-app | docs | extension | repository | assets | lint | clean | clean-env
 # (Linux, Python 3.11; sets everything up)
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -10,12 +10,13 @@ PYTHON ?= $(shell for p in python3.11 /usr/bin/python3.11 /usr/local/bin/python3
 VENV := .venv/bin
 PLATFORM ?= linux-x64
 
-.PHONY: help demo test test-app extension repository assets lint python env-demo env-test env-matrix clean clean-env
+.PHONY: help demo test test-app docs extension repository assets lint python env-demo env-test env-matrix clean clean-env
 
 help:
 	@echo 'make demo       set up, build the demo scene, touch it: build/demo'
 	@echo 'make test       set up, lint, types, all tests on bpy 5.0, 4.5 and 4.2'
 	@echo 'make test-app   tests in a real, windowed Blender in a Debian chroot (root)'
+	@echo 'make docs       the docs as a site, links checked: build/site'
 	@echo 'make extension  the add-on as installable zips: dist; for other machines than Linux:'
 	@echo '               PLATFORM=windows-x64, macos-arm64 or macos-x64'
 	@echo 'make repository an extension repository that Blender updates from: dist/repository'
@@ -48,6 +49,10 @@ test: env-matrix
 test-app: env-test
 	@$(VENV)/python tools/run_tests.py app
 
+docs: python
+	@[ -x .venv-docs/bin/mkdocs ] || { '$(PYTHON)' -m venv .venv-docs && .venv-docs/bin/python -m pip install -q -r tools/requirements/docs.txt; }
+	NO_MKDOCS_2_WARNING=1 timeout 300 .venv-docs/bin/mkdocs build -q
+
 lint: env-test
 	$(VENV)/ruff check .
 	$(VENV)/mypy
@@ -67,4 +72,4 @@ clean:
 	rm -rf --one-file-system build dist
 
 clean-env: clean
-	rm -rf .venv .venv-4.5 .venv-4.2 hnf.egg-info
+	rm -rf .venv .venv-4.5 .venv-4.2 .venv-docs hnf.egg-info tools/hnf_lab.egg-info

@@ -1,6 +1,93 @@
 """Haptic Neural Fields: from 3-D scenes and strokes to vibrotactile acceleration.
 
-Importing this package imports numpy only: no torch, no scipy, and never bpy.
+The names below are loaded when they are used: importing this package imports no torch, no scipy, and never bpy.
+`docs/python.md` shows them at work.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from . import metrics
+    from .api import (
+        Action,
+        Material,
+        OutputStream,
+        Recording,
+        export,
+        list_devices,
+        list_materials,
+        load_field,
+        load_material,
+        material,
+        open_stream,
+        parse_stroke,
+        read_action,
+        read_signal,
+        save_field,
+        synthesise,
+        touch,
+        train,
+        write_wav,
+    )
+    from .errors import HnfError
+    from .signal import Signal
+
+_MODULES = {
+    "HnfError": ".errors",
+    "Signal": ".signal",
+    **dict.fromkeys(
+        (
+            "Action", "Material", "OutputStream", "Recording", "export", "list_devices", "list_materials", "load_field",
+            "load_material", "material", "open_stream", "parse_stroke", "read_action", "read_signal", "save_field",
+            "synthesise", "touch", "train", "write_wav",
+        ),
+        ".api",
+    ),
+}  # fmt: skip
+
+__all__ = [
+    "Action",
+    "HnfError",
+    "Material",
+    "OutputStream",
+    "Recording",
+    "Signal",
+    "__version__",
+    "export",
+    "list_devices",
+    "list_materials",
+    "load_field",
+    "load_material",
+    "material",
+    "metrics",
+    "open_stream",
+    "parse_stroke",
+    "read_action",
+    "read_signal",
+    "save_field",
+    "synthesise",
+    "touch",
+    "train",
+    "write_wav",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first used."""
+    from importlib import import_module
+
+    if name == "metrics":
+        return import_module(".metrics", __name__)
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_MODULES[name], __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

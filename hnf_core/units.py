@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -31,18 +30,10 @@ def m_to_mm(value: float) -> float:
     return value * 1e3
 
 
-def m_s2_to_g(value: float) -> float:
-    return value / STANDARD_GRAVITY
-
-
 def power_to_db(power: ArrayLike) -> NDArray[np.float64]:
     """10 log10 of a power ratio; zero power gives -inf without a warning."""
     with np.errstate(divide="ignore"):
         return np.asarray(10.0 * np.log10(np.asarray(power, dtype=np.float64)))
-
-
-def db_to_power(db: ArrayLike) -> NDArray[np.float64]:
-    return np.asarray(10.0 ** (np.asarray(db, dtype=np.float64) / 10.0))
 
 
 def frame_to_seconds(frame: float, start: float, fps: float, fps_base: float) -> float:

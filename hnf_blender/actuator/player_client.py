@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hnf_core.actuators.player_messages import (
     VERSION,
@@ -42,9 +41,6 @@ from ..translations import tr
 from .actuator_state import ActuatorFacts, Phase, get_selected_output
 from .player_process import PlayerProcess
 from .sound import Sound
-
-if TYPE_CHECKING:
-    pass  # moved
 
 SEEK_SETTLE_S = 0.2
 """After a seek the positions that are told may still be those of before."""

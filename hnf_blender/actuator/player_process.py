@@ -22,8 +22,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hnf_core import errors
 from hnf_core.actuators.player_messages import Command, Quit, Report, decode_report, encode
+from hnf_core.child_process import CORE_FOLDER
 from hnf_core.errors import DeviceError, FileError, HnfError, UsageError
 
 from ..jobs.child_job import CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW, make_job_folder, remove_job_folder
@@ -158,9 +158,8 @@ def list_worker_commands(module: str, arguments: Sequence[str]) -> tuple[list[st
     Python, where it is one that can; else a second Blender in the background."""
     import bpy
 
-    core = str(Path(errors.__file__).parent)
     version = "{}.{}".format(*sys.version_info)
-    given = [core, json.dumps([entry for entry in sys.path if entry]), version, module, *arguments]
+    given = [CORE_FOLDER, json.dumps([entry for entry in sys.path if entry]), version, module, *arguments]
     ways = []
     if sys.executable:
         ways.append([sys.executable, "-I", str(WORKER), *given])

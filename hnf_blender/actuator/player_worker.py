@@ -1,16 +1,14 @@
-"""The child process that plays: `python worker.py CORE PATHS VERSION MODULE [WORD…]`, or under a background Blender,
-`blender -b --factory-startup --python worker.py -- …`. It loads the parent's own hnf_core by its folder and calls
-main(WORDS) of MODULE; neither preferences nor an enabled add-on are needed."""
+"""The child process that plays: `python player_worker.py CORE PATHS VERSION MODULE [WORD…]`, or under a background
+Blender, `blender -b --factory-startup --python player_worker.py -- …`. It loads the parent's own hnf_core by its
+folder, CORE, and calls main(WORDS) of MODULE; neither preferences nor an enabled add-on are needed."""
 
 import importlib
 import importlib.util
 import json
-import os
 import sys
-import traceback
 from pathlib import Path
+from typing import Any
 
-CORE = "hnf_core"
 LIST_DEVICES = "devices"
 """In place of a module: say what there is to play on, one JSON object in one line, {"devices": [{"target", "title",
 "facts"}], "without": [package], "missing": [why a list is short]}."""
@@ -18,19 +16,15 @@ WRONG_PYTHON = 4
 """Exit code of a Python that cannot do it: another version than the parent's, or one without numpy."""
 
 
-def load_core(folder: str) -> None:
-    """Import the package in folder as hnf_core, and put nothing beside it on the path."""
-    spec = importlib.util.spec_from_file_location(
-        CORE, Path(folder) / "__init__.py", submodule_search_locations=[folder]
-    )
-    if spec is None or spec.loader is None:
-        raise ImportError(f"there is no package in {folder}")
+def load_child_process(core: str) -> Any:
+    """hnf_core/child_process.py, by its path: a script that is run has no package."""
+    spec: Any = importlib.util.spec_from_file_location("child_process", Path(core) / "child_process.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[CORE] = module
     spec.loader.exec_module(module)
+    return module
 
 
-def main(core: str, paths: str, version: str, module: str, *arguments: str) -> int:
+def main(child_process: Any, paths: str, version: str, module: str, *arguments: str) -> int:
     if version != "{}.{}".format(*sys.version_info):
         return WRONG_PYTHON
     sys.path += [entry for entry in json.loads(paths) if entry not in sys.path]
@@ -38,19 +32,19 @@ def main(core: str, paths: str, version: str, module: str, *arguments: str) -> i
         importlib.import_module("numpy")
     except ImportError:
         return WRONG_PYTHON
-    load_core(core)
+    child_process.load_core()
     if module == LIST_DEVICES:
-        return print_devices()
-    return int(importlib.import_module(f"{CORE}.{module}").main(list(arguments)))
+        return print_devices(child_process.CORE)
+    return int(importlib.import_module(f"{child_process.CORE}.{module}").main(list(arguments)))
 
 
-def print_devices() -> int:
-    libraries = importlib.import_module(f"{CORE}.actuators.runtime")
-    found = importlib.import_module(f"{CORE}.actuators.stream_targets").list_devices()
+def print_devices(core: str) -> int:
+    runtime = importlib.import_module(f"{core}.actuators.runtime")
+    found = importlib.import_module(f"{core}.actuators.stream_targets").list_devices()
     without, missing = [], list(found.missing)
-    for name, package in libraries.PIP_PACKAGES.items():
+    for name, package in runtime.PIP_PACKAGES.items():
         try:
-            libraries.import_optional(name)
+            runtime.import_optional(name)
         except Exception as error:
             without.append(package)
             if not any(package in line for line in missing):
@@ -61,12 +55,6 @@ def print_devices() -> int:
 
 
 if __name__ == "__main__":
-    code = 1
-    try:
-        code = main(*(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]))
-    except BaseException:
-        traceback.print_exc()  # the parent shows the last line
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)  # a device's driver must not keep a process whose parent is gone
+    core, *arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
+    child_process = load_child_process(core)
+    child_process.run_main(main, child_process, *arguments)

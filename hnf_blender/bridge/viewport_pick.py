@@ -9,6 +9,7 @@ Looked up face by face in the evaluated mesh as it is, without a copy: a hand mo
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from hnf_core.action.contacts import compute_tangents
 from hnf_core.material.hnf_file import MaterialFile, from_library, with_library_defaults
-from hnf_core.material.library import LibraryMaterial, get_material, load_library
+from hnf_core.material.library import Appearance, LibraryMaterial, get_material, load_library
 from hnf_core.material.ranking import rank
 from hnf_core.material.token import TOKEN_DIM, Token
 
@@ -26,7 +27,26 @@ from .scene.material_definition import get_artist_choice
 from .scene.mesh_attributes import TOKEN_ATTRIBUTE, read_tokens
 from .scene.meshes import compute_surface_frame, get_materials
 from .splats.splat_cloud import is_cloud
-from .stroke.new_stroke import SEE_THROUGH_DISPLAY_TYPES, Hit, cast_on_surface, iter_ray_hits
+
+Float = NDArray[np.float64]
+
+SEE_THROUGH_DISPLAY_TYPES = ("WIRE", "BOUNDS")
+"""Display types that a person sees through, so that a pen draws through them too."""
+MAX_RAY_HITS = 64
+RAY_STEP_FRACTION = 1e-5
+"""By how much of the way so far a ray goes on behind something it passes through."""
+
+
+@dataclass(frozen=True)
+class Hit:
+    """obj: what the ray met. local: (3,) in its coordinates. world, normal: (3,). face: polygon of its evaluated
+    mesh."""
+
+    obj: Any
+    local: Float
+    world: Float
+    normal: Float
+    face: int
 
 
 @dataclass(frozen=True)
@@ -35,6 +55,61 @@ class UntouchableObject:
 
     name: str
     is_instance: bool
+
+
+def cast_on_surface(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
+    """The first mesh that a person sees along a ray of the viewport (SpaceView3D, None: the view layer decides), in
+    Blender units. Instances, and what the viewport hides or shows as wires, are passed through."""
+    from mathutils import Vector
+
+    if any(is_cloud(obj) for obj in scene.objects):
+        return _cast_per_object(scene, depsgraph, viewport, Vector(origin), Vector(direction))
+    for world, normal, face, obj, matrix in iter_ray_hits(scene, depsgraph, origin, direction):
+        if _is_surface(obj, matrix, scene, depsgraph, viewport):
+            return Hit(obj, np.array(matrix.inverted_safe() @ world), np.array(world), np.array(normal), int(face))
+    return None
+
+
+def iter_ray_hits(scene: Any, depsgraph: Any, origin: Any, direction: Any) -> Iterator[tuple[Any, Any, int, Any, Any]]:
+    """(place, normal, face, object, its matrix there) of what Blender's own ray meets, the nearest first, LAYERS of
+    them at most; instances and whatever else it stops at."""
+    from mathutils import Vector
+
+    start, direction = Vector(origin), Vector(direction)
+    for _ in range(MAX_RAY_HITS):
+        found, world, normal, face, met, matrix = scene.ray_cast(depsgraph, start, direction)
+        if not found:
+            return
+        yield world, normal, face, met.original, matrix
+        start = world + direction * max((world - Vector(origin)).length * RAY_STEP_FRACTION, 1e-7)
+
+
+def _cast_per_object(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
+    """The same, object by object: Blender's own ray would walk over a hundred thousand ellipsoids first."""
+    nearest: Hit | None = None
+    for obj in scene.objects:
+        if obj.type != "MESH" or is_cloud(obj) or not obj.visible_get(view_layer=depsgraph.view_layer):
+            continue
+        evaluated = obj.evaluated_get(depsgraph)
+        matrix = evaluated.matrix_world
+        if len(evaluated.data.polygons) == 0 or not _is_surface(obj, matrix, scene, depsgraph, viewport):
+            continue
+        back = matrix.inverted_safe()
+        found, local, normal, face = evaluated.ray_cast(back @ origin, back.to_3x3() @ direction)
+        world = matrix @ local
+        if found and (nearest is None or (world - origin).length < np.linalg.norm(nearest.world - np.array(origin))):
+            up = back.to_3x3().transposed() @ normal
+            nearest = Hit(obj, np.array(local), np.array(world), np.array(up.normalized()), int(face))
+    return nearest
+
+
+def _is_surface(obj: Any, matrix: Any, scene: Any, depsgraph: Any, viewport: Any) -> bool:
+    if obj.type != "MESH" or obj.display_type in SEE_THROUGH_DISPLAY_TYPES or scene.objects.get(obj.name) != obj:
+        return False
+    if not obj.visible_get(view_layer=depsgraph.view_layer, viewport=viewport):
+        return False
+    own = np.array(obj.evaluated_get(depsgraph).matrix_world)
+    return bool(np.allclose(own, np.array(matrix), rtol=1e-5, atol=1e-6))
 
 
 def find_untouchable(scene: Any, depsgraph: Any, origin: Any, direction: Any) -> UntouchableObject | None:
@@ -132,8 +207,6 @@ def explain_untouchable(context: Any, region: Any, at: tuple[float, float]) -> s
     nothing is seen there."""
     from bpy_extras import view3d_utils
 
-    pass  # moved
-
     seen = find_untouchable(
         context.scene,
         context.evaluated_depsgraph_get(),
@@ -147,9 +220,6 @@ def explain_untouchable(context: Any, region: Any, at: tuple[float, float]) -> s
     else:
         said = tr("'{name}' is not a mesh: select it, Object > Convert > Mesh, then press again")
     return said.format(name=seen.name)
-
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -223,8 +293,6 @@ def _get_baked_material(obj: Any, token: int) -> MaterialFile | None:
 
 
 def _guess_material(obj: Any, shader: Any) -> LibraryMaterial:
-    from hnf_core.material.library import Appearance
-
     from .shader.closures import read_stated_appearance
     from .shader.images import list_texture_names
 

@@ -27,6 +27,7 @@ from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
+from hnf_core.child_process import CORE_FOLDER
 from hnf_core.errors import FileError, HnfError
 
 from ..state.session_state import STATE, LastJob
@@ -342,9 +343,9 @@ def make_blender_program(folder: Path) -> ChildProgram:
     import bpy
 
     binary = bpy.app.binary_path
-    words = [sys.executable, str(WORKER), str(folder)]
+    words = [sys.executable, str(WORKER), CORE_FOLDER, str(folder)]
     if binary:
-        words = [binary, "-b", "--factory-startup", "-noaudio", "--python", str(WORKER), "--", str(folder)]
+        words = [binary, "-b", "--factory-startup", "-noaudio", "--python", str(WORKER), "--", CORE_FOLDER, str(folder)]
     return ChildProgram(
         words, "a second Blender", "Bake in the background instead: blender -b FILE --command hnf touch --out DIR"
     )

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hnf_core import errors
+from hnf_core.child_process import CORE_FOLDER
 from hnf_core.datasets.registry import LICENCES
 from hnf_core.diagnostics import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
 from hnf_core.errors import FileError, HnfError
@@ -147,7 +147,7 @@ class LearnJob(ChildJob):
         self._training_since: float | None = None
         self.out = make_weights_path(lesson)
         self.folder = make_job_folder()
-        words = [python, str(WORKER), str(Path(errors.__file__).parent), to_json(lesson), str(self.out)]
+        words = [python, str(WORKER), CORE_FOLDER, to_json(lesson), str(self.out)]
         program = ChildProgram(
             words, "the external Python", "Check it in the add-on's preferences.", make_clean_environment()
         )  # fmt: skip

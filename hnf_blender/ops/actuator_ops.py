@@ -3,6 +3,8 @@
 Touch a surface by hand and feel it at once on the actuator.
 """
 
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
 import time
 from dataclasses import replace
 from functools import partial
@@ -21,7 +23,7 @@ from ..actuator.actuator_state import (
     needs_offline_player,
     select_output,
 )
-from ..actuator.live_touch import force_from_pressure
+from ..actuator.live_touch import LiveTouch, force_from_pressure
 from ..bridge.scene.unit_scale import get_metres_per_unit
 from ..props.scene_settings import get_actuator_profile
 from ..state.interface import redraw_tab
@@ -30,8 +32,6 @@ from .context import DEFAULT_PROBE, fail_poll, format_error, resolve_probe
 
 if TYPE_CHECKING:
     from ..state.status_tracker import TokenValidity
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 
 NO_ACTUATOR_REASON = "Strokes are played on speakers: choose an actuator in the Actuator panel"
@@ -136,17 +136,6 @@ class HNF_OT_actuator_test(bpy.types.Operator):  # type: ignore[misc]
         return {"FINISHED"}
 
 
-OUTPUT_CLASSES = (
-    HNF_OT_output_choose,
-    HNF_OT_output_other,
-    HNF_OT_actuator_find,
-    HNF_OT_actuator_test,
-)
-
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
-
-
 NOT_LIVE_REASON = "Live Touch cannot play through Blender's own sound: install sounddevice"
 
 
@@ -196,7 +185,6 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         self._end(context)
 
     def _start(self, context: Any) -> bool:
-        from ..actuator.live_touch import LiveTouch
         from ..actuator.player_client import PLAYER_CLIENT
         from ..preview import controller
         from ..state.status_tracker import TokenValidity
@@ -306,7 +294,7 @@ def update_live_touch(
     met = find_contact_point(hit, depsgraph, get_metres_per_unit(context.scene))
     if met.token >= 0 and not validity.is_valid(hit.obj, context.scene, context.view_layer):
         met = replace(met, token=-1)
-    touch.meet(
+    touch.touch(
         time_s, hit.obj.name, met, force_n, partial(find_touched_material, hit.obj, depsgraph, met.slot, met.token)
     )
 
@@ -325,6 +313,4 @@ def guess_first_material(context: Any) -> Any:
     return find_touched_material(meshes[0], context.evaluated_depsgraph_get(), 0, -1)
 
 
-LIVE_CLASSES = (HNF_OT_live_touch,)
-
-CLASSES = (*OUTPUT_CLASSES, *LIVE_CLASSES)
+CLASSES = (HNF_OT_output_choose, HNF_OT_output_other, HNF_OT_actuator_find, HNF_OT_actuator_test, HNF_OT_live_touch)

@@ -3,7 +3,7 @@
 The asset library that comes with the add-on: offered, never put into the preferences without being asked.
 """
 
-from __future__ import annotations
+# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 import platform
 import sys
@@ -24,9 +24,6 @@ from ..state.labels import format_bytes
 from ..state.session_state import STATE
 from ..translations import tr
 from .context import fail_poll
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
-
 
 REPORTED_PACKAGES = ("OpenEXR", "embreex", "safetensors", "matplotlib")
 
@@ -170,12 +167,6 @@ class HNF_OT_cache_clear(bpy.types.Operator):  # type: ignore[misc]
         return {"FINISHED"}
 
 
-DIAGNOSE_CLASSES = (HNF_OT_diagnose, HNF_OT_diagnose_copy, HNF_OT_cache_clear)
-
-
-# No `from __future__ import annotations`: Blender reads class attributes as values.
-
-
 ASSET_FOLDER = Path(__file__).resolve().parents[1] / "assets"
 ASSET_LIBRARY_NAME = "Haptic Neural Fields"
 
@@ -234,6 +225,4 @@ def _is_same_folder(path: str, folder: Path) -> bool:
     return bool(path) and Path(bpy.path.abspath(path)).resolve() == folder
 
 
-ASSET_CLASSES = (HNF_OT_assets_add, HNF_OT_assets_remove)
-
-CLASSES = (*DIAGNOSE_CLASSES, *ASSET_CLASSES)
+CLASSES = (HNF_OT_diagnose, HNF_OT_diagnose_copy, HNF_OT_cache_clear, HNF_OT_assets_add, HNF_OT_assets_remove)

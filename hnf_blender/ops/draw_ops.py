@@ -3,6 +3,8 @@
 Take the stroke tool from the tab.
 """
 
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
 from typing import Any
 
 import bpy
@@ -16,9 +18,6 @@ from ..bridge.scene.unit_scale import get_metres_per_unit
 from ..props.stroke_settings import FORCE_MAX_N
 from ..translations import tr
 from .context import DEFAULT_PROBE, fail_poll, format_error, make_active_and_visible, resolve_probe
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
-
 
 PROBE_ITEMS = [
     (DEFAULT_PROBE, "Default", "The default probe set in the preferences"),
@@ -281,12 +280,6 @@ def draw_style(layout: Any, props: Any, *, pen: bool = True, mouse: bool = True)
     layout.prop(props, "probe")
 
 
-DRAW_CLASSES = (HnfPenSample, HNF_OT_stroke_draw)
-
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
-
-
 TOOL_ID = "hnf.stroke"
 """bl_idname of the tool (tool/stroke_tool.py)."""
 
@@ -309,6 +302,4 @@ class HNF_OT_stroke_tool(bpy.types.Operator):  # type: ignore[misc]  # bpy has n
         return set(bpy.ops.wm.tool_set_by_id(name=TOOL_ID))
 
 
-TOOL_CLASSES = (HNF_OT_stroke_tool,)
-
-CLASSES = (*DRAW_CLASSES, *TOOL_CLASSES)
+CLASSES = (HnfPenSample, HNF_OT_stroke_draw, HNF_OT_stroke_tool)

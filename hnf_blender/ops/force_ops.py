@@ -3,6 +3,8 @@
 A Graph Editor that shows one F-curve.
 """
 
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
 from functools import partial
 from typing import Any
 
@@ -112,9 +114,6 @@ def _frame_all(flat: bool) -> None:
             bpy.ops.view2d.zoom(deltax=0.0, deltay=-FLAT_MARGIN_N, use_cursor_init=False)
     finally:
         preferences.view.smooth_view, preferences.is_dirty = smooth, was_dirty
-
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 
 FORCE_PATH = "hnf_stroke.force"
@@ -251,8 +250,6 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]
 
     def execute(self, context: Any) -> set[str]:
         from ..bridge.stroke.edit_keyframes import ensure_force_keys
-
-        pass  # moved
 
         stroke = get_active_stroke(context)
         try:

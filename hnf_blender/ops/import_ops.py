@@ -3,6 +3,8 @@
 Gaussian splats into the open scene, from a drop or from File > Import; a window does not wait for their surface.
 """
 
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
     from hnf_core.signal import Signal
 
     from ..bridge.splats.reconstruction import Reconstruction
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 
 SPEAKER_PEAK_SHARE = 0.9
@@ -209,12 +209,6 @@ class HNF_FH_sound(bpy.types.FileHandler):  # type: ignore[misc]
 
 def _is_over_3d_view(context: Any) -> bool:
     return context.area is not None and context.area.type == "VIEW_3D"
-
-
-FILE_CLASSES = (HNF_OT_import_material, HNF_OT_import_sound, HNF_FH_material, HNF_FH_sound)
-
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 
 TICK_S = 0.1
@@ -401,6 +395,11 @@ class HNF_FH_splats(bpy.types.FileHandler):  # type: ignore[misc]
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-SPLAT_CLASSES = (HNF_OT_import_splats, HNF_FH_splats)
-
-CLASSES = (*FILE_CLASSES, *SPLAT_CLASSES)
+CLASSES = (
+    HNF_OT_import_material,
+    HNF_OT_import_sound,
+    HNF_FH_material,
+    HNF_FH_sound,
+    HNF_OT_import_splats,
+    HNF_FH_splats,
+)

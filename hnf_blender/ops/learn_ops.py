@@ -3,6 +3,8 @@
 Learn a material from recordings of it, or from the simulator, in the external Python.
 """
 
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -25,8 +27,6 @@ if TYPE_CHECKING:
     from hnf_core.training.learn import LearnRequest
 
     from ..state.job_results import ExternalPython
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 
 def get_python_path() -> str:
@@ -109,12 +109,6 @@ class HNF_OT_python_copy(bpy.types.Operator):  # type: ignore[misc]
             context.window_manager.clipboard = STATE.external_python.command
         self.report({"INFO"}, tr("Command copied: paste it into a terminal"))
         return {"FINISHED"}
-
-
-PYTHON_CLASSES = (HNF_OT_python_check, HNF_OT_python_copy)
-
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 
 EFFORTS = {"QUICK": (60.0, 10), "STANDARD": (480.0, 40)}
@@ -296,6 +290,4 @@ class HNF_OT_learn_run(LearnChoices, ModalJob, bpy.types.Operator):  # type: ign
         return {"FINISHED"} if ended.written else {"CANCELLED"}
 
 
-LEARN_CLASSES = (HNF_OT_learn, HNF_OT_learn_run)
-
-CLASSES = (*PYTHON_CLASSES, *LEARN_CLASSES)
+CLASSES = (HNF_OT_python_check, HNF_OT_python_copy, HNF_OT_learn, HNF_OT_learn_run)

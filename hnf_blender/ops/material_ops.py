@@ -3,6 +3,8 @@
 Look at one place of a surface: a click in the 3-D view, a close-up in a second Blender, the answer in the panel.
 """
 
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +24,6 @@ from .stroke_ops import UNDOABLE, poll_editable_stroke
 
 if TYPE_CHECKING:
     from hnf_core.touch_request import TouchQuery
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 
 ACRONYMS = {"Eva": "EVA"}
@@ -228,18 +228,6 @@ def _assign_library_material(operator: Any, material_name: str, library_name: st
     return {"FINISHED"}
 
 
-MATERIAL_CLASSES = (
-    HNF_OT_suggest,
-    HNF_OT_material_choose,
-    HNF_OT_material_auto,
-    HNF_OT_stroke_material,
-    HNF_OT_stroke_material_auto,
-)
-
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
-
-
 class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
     """Modal: waits for a click, then ticks the job. No REGISTER: adjusting it afterwards would look anew."""
 
@@ -345,6 +333,11 @@ def find_clicked_point(context: Any, event: Any) -> "TouchQuery | None":
     )
 
 
-QUERY_CLASSES = (HNF_OT_probe,)
-
-CLASSES = (*MATERIAL_CLASSES, *QUERY_CLASSES)
+CLASSES = (
+    HNF_OT_suggest,
+    HNF_OT_material_choose,
+    HNF_OT_material_auto,
+    HNF_OT_stroke_material,
+    HNF_OT_stroke_material_auto,
+    HNF_OT_probe,
+)

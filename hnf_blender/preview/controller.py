@@ -15,7 +15,7 @@ from ..state.session_state import STATE
 from ..touch.freshness import Freshness
 from ..translations import tr
 from .preview_state import PREVIEW, PreviewFacts
-from .sound_device import Speakers
+from .sound_device import Speakers, compute_clipping_db
 
 if TYPE_CHECKING:
     import numpy as np
@@ -263,8 +263,6 @@ def update_facts(name: str, scene: Any) -> PreviewFacts:
 
 def describe_signal(shown: PreviewResult, profile: ActuatorProfile, gain_db: float) -> list[str]:
     """A signal's figures, one line a thought."""
-    from .sound_device import compute_clipping_db
-
     levels = compute_levels(shown, profile)
     said = tr("{seconds} s; peak {peak} m/s², RMS {rms} m/s²")
     lines = [said.format(seconds=f"{shown.signal.duration_s:.2f}", peak=f"{levels.peak:.3g}", rms=f"{levels.rms:.3g}")]

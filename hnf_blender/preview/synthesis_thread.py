@@ -29,7 +29,7 @@ from ..bridge.scene.id_properties import get_property
 from ..bridge.stroke.animation import read_channel, sample_channels
 from ..props.stroke_settings import FORCE_MAX_N
 from ..state.session_state import suppress_change_tracking
-from ..touch.stroke_bake import BAKE_PROPERTY, StrokeBake
+from ..touch.stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake
 from ..touch.synthesise import add_provenance, compute_mean_share
 from .stroke_image import ImageStyle, Rgba, draw_stroke_image
 
@@ -79,8 +79,6 @@ def clear_bake_cache() -> None:
 
 def _load_bake(obj: Any, digest: str) -> StrokeBake:
     """Decoding takes milliseconds, and a hand on a key asks many times a second."""
-    from ..touch.stroke_bake import load_bake
-
     if digest not in _bake_cache:
         bake = load_bake(obj)
         assert bake is not None

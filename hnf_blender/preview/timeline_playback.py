@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,7 @@ MAX_DRIFT_S = 0.1
 """Sound further than this from the picture is moved to it: Blender may drop or delay frames, sound does not."""
 
 
-@dataclass(frozen=True)
-class FrameClock:
+class FrameClock(NamedTuple):
     """Frames per second of a scene: fps / fps_base."""
 
     fps: float
@@ -38,8 +37,7 @@ class FrameClock:
         return frame_to_seconds(frame, start, self.fps, self.fps_base)
 
 
-@dataclass(frozen=True)
-class PlacedSignal:
+class PlacedSignal(NamedTuple):
     """A stroke's samples at rate [Hz], the first of them at frame start."""
 
     start: float
@@ -133,8 +131,6 @@ class PlayheadFollower:
         """Another frame is shown: where the timeline jumped, the sound jumps too."""
         from .controller import PLAYER
 
-        pass  # moved
-
         if self.start_frame is None or not self.is_playing(scene):
             return
         clock = FrameClock(float(scene.render.fps), float(scene.render.fps_base))
@@ -173,8 +169,6 @@ def make_sound_ahead(scene: Any, last_frame: float) -> Sound | None:
     """What sounds from the present frame to the end of last_frame; None where nothing does."""
     from .controller import make_sound
 
-    pass  # moved
-
     clock = FrameClock(float(scene.render.fps), float(scene.render.fps_base))
     placed = list_placed_signals(scene)
     samples = mix_strokes(placed, float(scene.frame_current_final), last_frame, clock)
@@ -191,8 +185,6 @@ def list_placed_signals(scene: Any) -> list[Any]:
     """Signals that are there and true, of strokes that are not muted, at their start frames."""
     from ..props.scene_settings import list_cached_strokes
     from .controller import get_problem
-
-    pass  # moved
 
     placed = []
     for obj in list_cached_strokes(scene):

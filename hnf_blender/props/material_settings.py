@@ -3,6 +3,8 @@
 Material.hnf_touch: the artist's own word on what a material feels like.
 """
 
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
 from typing import Any
 
 import bpy
@@ -25,9 +27,6 @@ def unregister_pointer(kind: Any, name: str, group: Any) -> None:
     """What give() did."""
     delattr(kind, name)
     bpy.utils.unregister_class(group)
-
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 
 DEFINITION_PROPERTY = "hnf_material"

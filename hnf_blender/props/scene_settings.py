@@ -5,6 +5,8 @@ An actuator's profile in a file beside the scene, such as `hnf actuators measure
 Scene.hnf: what the Touch tab keeps with the scene.
 """
 
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
 import os
 import time
 from collections.abc import Callable
@@ -101,9 +103,6 @@ def _read_profile(path: str, _mtime: int) -> ActuatorProfile:
 
 def _make_title(path: str) -> str:
     return Path(path).name or tr("Measured actuator")
-
-
-# No `from __future__ import annotations`: Blender reads these annotations as values.
 
 
 class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types

@@ -36,9 +36,6 @@ def get_settings(context: Any = None) -> Any:
     return DEFAULT_SETTINGS if addon is None or addon.preferences is None else addon.preferences
 
 
-PACKAGE = __name__.rsplit(".", 2)[0]
-
-
 def get_cache_folder() -> Path:
     """Close-ups of earlier bakes, named by content. Made where it is missing; survives upgrades of an extension."""
     return _make_data_folder("cache")
@@ -54,8 +51,8 @@ def _make_data_folder(name: str) -> Path:
 
     import bpy
 
-    if PACKAGE.startswith("bl_ext."):
-        return Path(bpy.utils.extension_path_user(PACKAGE, path=name, create=True))
+    if ADDON_PACKAGE.startswith("bl_ext."):
+        return Path(bpy.utils.extension_path_user(ADDON_PACKAGE, path=name, create=True))
     data = bpy.utils.user_resource("DATAFILES", path=f"hnf/{name}", create=True)
     folder = Path(data) if data else Path(tempfile.gettempdir()) / f"hnf-{name}"
     folder.mkdir(parents=True, exist_ok=True)

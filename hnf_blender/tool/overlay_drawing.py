@@ -18,7 +18,7 @@ from hnf_core.action.curves import ArcCurve
 from hnf_core.errors import HnfError
 from hnf_core.export.plots.figure import Colour, force_to_colour
 
-Float64 = NDArray[np.float64]
+Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 STEP_M = 1e-3
@@ -42,9 +42,9 @@ class OverlayPath:
     points: Float32
     colours: Float32
     ticks: Float32
-    frames: Float64
+    frames: Float
     contact_points: Float32
-    forces: Float64
+    forces: Float
 
 
 def compute_overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> OverlayPath | None:
@@ -75,7 +75,7 @@ def compute_overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: 
     )
 
 
-def _compute_ticks(arc: ArcCurve, position: Float64, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float64:
+def _compute_ticks(arc: ArcCurve, position: Float, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float:
     """Chevrons that lie on the surface and point where the hand goes: (4m, 3) pairs of ends in metres."""
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
     if way[-1] <= 0.0:
@@ -96,7 +96,7 @@ def _compute_ticks(arc: ArcCurve, position: Float64, obj: Any, depsgraph: Any, m
     return np.asarray(np.stack([ends[0], tip, tip, ends[1]], axis=1).reshape(-1, 3))
 
 
-def _find_normals(points: Float64, ahead: Float64, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float64:
+def _find_normals(points: Float, ahead: Float, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float:
     """The touched surface's normals (m, 3) in the world at points [m]; without a surface, as level as can be."""
     up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     up[np.abs(ahead[:, 2]) > 0.9] = (1.0, 0.0, 0.0)
@@ -121,15 +121,13 @@ def _find_normals(points: Float64, ahead: Float64, obj: Any, depsgraph: Any, met
     return up
 
 
-def _transform_points(matrix: Float64, points: Float64) -> Float32:
+def _transform_points(matrix: Float, points: Float) -> Float32:
     return np.ascontiguousarray(points @ matrix[:3, :3].T + matrix[:3, 3], dtype=np.float32)
 
 
-def _compute_colours(force: Float64) -> Float32:
+def _compute_colours(force: Float) -> Float32:
     return np.array([force_to_colour(float(each)) for each in force], dtype=np.float32).reshape(-1, 4)
 
-
-Float = NDArray[np.float64]
 
 LINE_PX, ACTIVE_PX, HALO_PX = 2.0, 3.5, 3.0
 HALO: Colour = (0.02, 0.02, 0.03, 0.75)

@@ -21,6 +21,7 @@ from typing import Any
 from hnf_core.files import content_hash
 from hnf_core.tactile.tactile_map import Route
 from hnf_core.text import pluralize
+from hnf_core.touch_request import TouchRequest
 
 from ..bridge.render.unlit_image import MAX_READABLE_WAVELENGTH_M
 from ..bridge.scene.scene_names import find_object
@@ -424,3 +425,39 @@ def describe_shader_reliefs(session: Session, found: GatheredJobs) -> list[str]:
                     "stiffness and the bands that this relief does not show."
                 )
     return notes
+
+
+def make_plan(session: Session, found: GatheredJobs, previous: PreviousRun, source: str) -> Plan:
+    """Nothing is rendered and no ray is cast for it. source: hash of the scene's file."""
+    needed, fresh = [], []
+    known = previous.find_fresh(found.jobs, session.request.out)
+    for job in found.jobs:
+        if job.name in known:
+            fresh.append(UpToDate(job.name, job.object_name, known[job.name].wav))
+            continue
+        length = TYPICAL_PATH_M if job.stroke is None else job.stroke.length_m
+        slots = session.get_facts(find_object(session.scene, job.object_name)).materials
+        shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
+        why = "changed since the last run" if previous.has_name(job.name) else "not baked yet"
+        routes = plan_slots(session, job)
+        needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes))
+    folder, again = session.request.out, RerunReason.NOTHING
+    if fresh and folder is not None:
+        again = previous.get_rerun_reason(found.jobs, source, folder / get_blend_name(session))
+    # Of the same file, only a picture of which nobody knows what it shows may be another.
+    pictures = sum(previous.source != source or not entry.picture_key for entry in known.values())
+    return Plan(
+        tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes), pictures=pictures,
+        again=again,
+    )  # fmt: skip
+
+
+def get_blend_name(session: Session) -> str:
+    source = get_scene_path(session.request)
+    return f"{source.stem}_touched.blend"
+
+
+def get_scene_path(request: TouchRequest) -> Path:
+    import bpy
+
+    return request.scene if request.scene is not None else Path(bpy.data.filepath)

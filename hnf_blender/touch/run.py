@@ -25,21 +25,17 @@ from hnf_core.text import pluralize
 from hnf_core.touch_request import TouchRequest
 
 from ..bridge.importers import open_scene
-from ..bridge.scene.scene_names import find_object
 from ..bridge.scene.unit_scale import get_metres_per_unit
 from .bake_plan import (
-    TYPICAL_PATH_M,
     Plan,
-    PlannedBake,
     PreviousRun,
-    RerunReason,
-    UpToDate,
     describe_shader_reliefs,
-    estimate_max_patches,
     find_orphaned_files,
+    get_blend_name,
+    get_scene_path,
     hash_source_files,
     list_external_files,
-    plan_slots,
+    make_plan,
     read_previous_run,
 )
 from .bake_storage import store_tokens
@@ -156,8 +152,8 @@ def _prepare(request: TouchRequest) -> _Prepared:
     session = _make_session(scene, request)
     found = skip_strokes(session) if request.has_only_queries else gather_jobs(session)
     found.notes += describe_shader_reliefs(session, found)
-    files = list_external_files(_get_scene_path(request))
-    source = hash_source_files(_get_scene_path(request), files)
+    files = list_external_files(get_scene_path(request))
+    source = hash_source_files(get_scene_path(request), files)
     earlier = read_previous_run(request.out)
     plan = add_queries(session, make_plan(session, found, earlier, source))
     return _Prepared(session, found, files, source, earlier, plan, opened - started, time.monotonic() - opened)
@@ -247,36 +243,6 @@ def _write_after_each_stroke(
     return (yield from map_steps(steps, kept))
 
 
-def make_plan(session: Session, found: GatheredJobs, previous: PreviousRun, source: str) -> Plan:
-    """Nothing is rendered and no ray is cast for it. source: hash of the scene's file."""
-    needed, fresh = [], []
-    known = previous.find_fresh(found.jobs, session.request.out)
-    for job in found.jobs:
-        if job.name in known:
-            fresh.append(UpToDate(job.name, job.object_name, known[job.name].wav))
-            continue
-        length = TYPICAL_PATH_M if job.stroke is None else job.stroke.length_m
-        slots = session.get_facts(find_object(session.scene, job.object_name)).materials
-        shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
-        why = "changed since the last run" if previous.has_name(job.name) else "not baked yet"
-        routes = plan_slots(session, job)
-        needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes))
-    folder, again = session.request.out, RerunReason.NOTHING
-    if fresh and folder is not None:
-        again = previous.get_rerun_reason(found.jobs, source, folder / get_blend_name(session))
-    # Of the same file, only a picture of which nobody knows what it shows may be another.
-    pictures = sum(previous.source != source or not entry.picture_key for entry in known.values())
-    return Plan(
-        tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes), pictures=pictures,
-        again=again,
-    )  # fmt: skip
-
-
-def get_blend_name(session: Session) -> str:
-    source = _get_scene_path(session.request)
-    return f"{source.stem}_touched.blend"
-
-
 def _make_session(scene: Any, request: TouchRequest) -> Session:
     import bpy
 
@@ -308,16 +274,10 @@ def _open_request_scene(request: TouchRequest) -> Any:
     return bpy.context.scene
 
 
-def _get_scene_path(request: TouchRequest) -> Path:
-    import bpy
-
-    return request.scene if request.scene is not None else Path(bpy.data.filepath)
-
-
 def _new_report(session: Session, found: GatheredJobs, files: list[str]) -> Report:
     request = session.request
     report = Report(
-        scene=_get_scene_path(request).name,
+        scene=get_scene_path(request).name,
         metres_per_unit=float(f"{session.metres_per_unit:.7g}"),  # the scene keeps no more of it
         scale_source="the scene's units" if request.metres_per_unit is None else "--scale",
         skipped=list(found.skipped),

@@ -169,9 +169,6 @@ class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
             self.layout.label(text=more, icon="BLANK1", translate=False)
 
 
-MATERIALS_CLASSES = (HNF_UL_slots, HNF_PT_materials, HNF_PT_as_baked)
-
-
 MAX_IMAGE_UNITS = 9.0
 """Units of Blender's interface: the picture is looked at, not worked on."""
 
@@ -236,6 +233,4 @@ def draw_nearest(layout: Any, context: Any, view: QueryView) -> None:
             column.label(text=text, translate=False)
 
 
-QUERY_CLASSES = (HNF_PT_probe,)
-
-CLASSES = (*MATERIALS_CLASSES, *QUERY_CLASSES)
+CLASSES = (HNF_UL_slots, HNF_PT_materials, HNF_PT_as_baked, HNF_PT_probe)

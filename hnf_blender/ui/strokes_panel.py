@@ -180,9 +180,6 @@ def is_keyed(obj: Any, name: str) -> bool:
     return any(fcurve.data_path == path and not fcurve.is_empty for fcurve in compat.fcurves_of(obj))
 
 
-STROKE_CLASSES = (HNF_PT_strokes, HNF_PT_stroke, HNF_PT_stroke_time, HNF_PT_stroke_force, HNF_PT_stroke_variation)
-
-
 NAME_SHARE, MIN_SHARE = 0.74, 0.3
 """Of a row of the list, at the most and at the least; the rest is for solo and mute."""
 SWITCHES_PX = 46.0
@@ -274,9 +271,6 @@ def is_solo(scene: Any, stroke: Any) -> bool:
     return bool(next(others, False)) and all(others)
 
 
-LIST_CLASSES = (HNF_MT_stroke_add, HNF_UL_strokes)
-
-
 _MSGBUS_OWNER = object()
 
 
@@ -324,4 +318,13 @@ def _subscribe(*_: Any) -> None:
 
 HANDLERS = (("load_post", _subscribe),)
 
-CLASSES = (*LIST_CLASSES, *STROKE_CLASSES)
+
+CLASSES = (
+    HNF_MT_stroke_add,
+    HNF_UL_strokes,
+    HNF_PT_strokes,
+    HNF_PT_stroke,
+    HNF_PT_stroke_time,
+    HNF_PT_stroke_force,
+    HNF_PT_stroke_variation,
+)

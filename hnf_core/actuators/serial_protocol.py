@@ -33,15 +33,6 @@ def crc16(data: bytes) -> int:
     return binascii.crc_hqx(data, CRC_START)
 
 
-def crc16_reference(data: bytes) -> int:
-    """The same, bit by bit, as firmware without a table would do it."""
-    crc = CRC_START
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1) ^ CRC_POLYNOMIAL if crc & 0x8000 else crc << 1
-            crc &= 0xFFFF
-    return crc
 
 
 VERSION = 1

@@ -35,9 +35,9 @@ from ..export.wav import read_wav, write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..signal import Signal
 from ..text import pluralize
+from ..units import STANDARD_GRAVITY
 from .commands import HELP, parse_seed
 
-STANDARD_GRAVITY_M_S2 = 9.80665
 BAND_ERROR_FIELDS = ("before_db", "after_db")
 
 
@@ -80,7 +80,7 @@ def run_describe(arguments: argparse.Namespace) -> int:
         raise UsageError("--sustained is a share of full scale.", remedy="Give at most 1.")
     if arguments.range is not None and not 0.0 < arguments.range[0] < arguments.range[1]:
         raise UsageError("--range goes from low to high.", remedy="Give e.g. --range 100 300.")
-    peak = arguments.peak if arguments.peak_g is None else arguments.peak_g * STANDARD_GRAVITY_M_S2
+    peak = arguments.peak if arguments.peak_g is None else arguments.peak_g * STANDARD_GRAVITY
     profile = make_datasheet_profile(
         arguments.title,
         arguments.source,

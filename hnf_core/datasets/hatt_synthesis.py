@@ -113,13 +113,6 @@ def _evaluate_polynomial(coefficients: Float, turn: NDArray[np.complex128]) -> N
     return value
 
 
-def rms_and_centroid(model: TextureModel, speed_m_s: float, force_n: float) -> tuple[float, float]:
-    """RMS [m/s²] = sqrt(variance · mean |H|²), and the power-weighted mean frequency [Hz], from 0 to half the rate."""
-    grid = (np.arange(2**15) + 0.5) / 2**16 * model.sample_rate  # midpoints: exact to rounding for such smooth spectra
-    density = compute_power_spectrum(model, speed_m_s, force_n, grid)
-    total = float(density.sum())
-    centroid = float((density * grid).sum()) / total if total > 0.0 else 0.0
-    return float(np.sqrt(total * 0.5 * model.sample_rate / len(grid))), centroid
 
 
 @dataclass(frozen=True)
@@ -231,7 +224,7 @@ def synthesise_autoregressive(states: FilterStates, noise: Float) -> Float:
     scratch, step = np.empty((order, width)), np.empty(width)
     for low in range(0, total, states.block_samples):
         # Latest sample last in the history, so the coefficients stand in reverse.
-        reverse = np.ascontiguousarray(states.ar[_get_block_index(states, low), ::-1])
+        reverse = np.ascontiguousarray(states.ar[get_block_index(states, low), ::-1])
         for n in range(low, min(low + states.block_samples, total)):
             np.multiply(reverse, signal[n : n + order], out=scratch)
             np.add.reduce(scratch, axis=0, out=step)
@@ -248,19 +241,7 @@ def _filter_moving_average(states: FilterStates, noise: Float) -> Float:
     return np.asarray(out)
 
 
-def _get_block_index(states: FilterStates, sample: int) -> int:
+def get_block_index(states: FilterStates, sample: int) -> int:
     return max(sample - states.warm_up, 0) // states.block_samples
 
 
-def synthesise_reference(states: FilterStates, noise: Float) -> Float:
-    """The rule as it is written, one sample after the other: what synthesise is tested against."""
-    total, width = noise.shape
-    driven, signal = np.zeros((total, width)), np.zeros((total, width))
-    for b in range(width):
-        for n in range(total):
-            k = _get_block_index(states, n)
-            driven[n, b] = noise[n, b] * states.deviation[k, b]
-            value = sum(states.ma[k, j, b] * driven[n - j, b] for j in range(min(n + 1, states.ma.shape[1])))
-            value -= sum(states.ar[k, i, b] * signal[n - 1 - i, b] for i in range(min(n, states.ar.shape[1])))
-            signal[n, b] = value
-    return signal[states.warm_up :]

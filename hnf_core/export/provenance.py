@@ -25,9 +25,9 @@ from .options import (
     ExportOptions,
     ImportOptions,
 )
+from .wav import UNITS
 
 SOFTWARE = f"Haptic Neural Fields {__version__}"
-UNITS = "m/s^2"
 _RECORD_SCHEMA = 1
 
 

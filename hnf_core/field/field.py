@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ
-from ..kernel import compiled_field as compiled
+from ..kernel import compiled_field as kernel_field
 from ..kernel.compiled_field import CONTACT_COLUMNS, EmissionTables, Layers
 from ..kernel.loader import load_kernel
 from ..material.contact_model import Mechanics
@@ -64,6 +64,9 @@ from .linear_contact import (
 from .surface_spectrum import build_kernel_tables
 from .temporal_rendering import render_weights
 from .training_ranges import TrainingRanges
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -151,116 +154,8 @@ class FieldConfig:
         return shapes
 
 
-Float32 = NDArray[np.float32]
-
-BATCH_ROWS = 96
-"""States at most; an even number of portions of one size, so that two cores end together."""
-MIN_THREADED_MULTIPLICATIONS = 1 << 26
-"""Multiplications: about a millisecond of one core."""
-
-
-def run_network(parameters: Mapping[str, Float32], layers: int, x: Float32) -> tuple[Float32, Float32]:
-    """Outputs of the α head and of the σ head, (n, …) each, for inputs x (n, D)."""
-    portions = np.array_split(x, 2 * -(-len(x) // (2 * BATCH_ROWS))) if len(x) > BATCH_ROWS else [x]
-    multiplications = len(x) * sum(value.size for value in parameters.values() if value.ndim == 2)
-    with single_blas_thread():
-        if len(portions) > 1 and multiplications > MIN_THREADED_MULTIPLICATIONS:
-            with ThreadPoolExecutor(min(len(portions), available_cpus())) as pool:
-                found = list(pool.map(lambda portion: _forward(parameters, layers, portion), portions))
-        else:
-            found = [_forward(parameters, layers, portion) for portion in portions]
-    return np.concatenate([alpha for alpha, _ in found]), np.concatenate([sigma for _, sigma in found])
-
-
-def _forward(parameters: Mapping[str, Float32], layers: int, hidden: Float32) -> tuple[Float32, Float32]:
-    for layer in range(layers):
-        hidden = hidden @ parameters[f"layer{layer}.weight"].T
-        hidden += parameters[f"layer{layer}.bias"]
-        np.maximum(hidden, 0.0, out=hidden)
-    alpha, sigma = (hidden @ parameters[f"{head}.weight"].T + parameters[f"{head}.bias"] for head in ("alpha", "sigma"))
-    return alpha, sigma
-
-
-Float = NDArray[np.float64]
-
-
-def kernel_supports(config: FieldConfig) -> bool:
-    """Whether the kernel knows a field of this form."""
-    carriers = config.carriers
-    shipped = config.physics and config.emission == "log" and config.alpha_heads == 1 and not config.action_octaves
-    return shipped and not carriers.constant and carriers.time_count > 0 and carriers.arc_count > 0
-
-
-@lru_cache(maxsize=16)
-def get_emitter(config: FieldConfig, skip: bytes, probe: str, ceiling: float) -> EmissionTables:
-    """skip: the parameter's float32 numbers. ceiling: of a log amplitude."""
-    carriers = config.carriers
-    shift, scale = token_normalisation()
-    knots = config.arc_knots or carriers.arc_count
-    place = np.linspace(0.0, knots - 1.0, carriers.arc_count)
-    knot = np.minimum(place.astype(np.int64), max(knots - 2, 0))
-    return EmissionTables(
-        build_kernel_tables(carriers, *lateral_hand_impedance(probe)), token_shift=shift, token_scale=scale,
-        time_edge=time_edges_in_arc_bands(carriers),
-        skip=np.frombuffer(skip, dtype=np.float32).astype(np.float64), knot=knot, knot_share=place - knot,
-        harmonic_shift=np.array(HARMONIC_SHIFTS), harmonic_start=np.array(HARMONIC_START_LOG),
-        inputs=input_size(carriers, config.physics), fixed_at=MECHANICS_COLUMN, fixed=DIRECTION_COLUMN - MECHANICS_COLUMN,
-        direction_at=DIRECTION_COLUMN, outputs=config.alpha_outputs, stroke_frame=config.stroke_frame,
-        directed=config.directed, line_gains=config.line_gains, quiet_power=AMPLITUDE_FLOOR_M_S2**2,
-        quiet_line_power=LINE_FLOOR_M_S2**2, time_share=10.0 ** (TIME_SHARE_DB / 10.0), ceiling=ceiling, pace=REFERENCE_SPEED_M_S,
-        pitch=REFERENCE_RESONANCE_HZ,
-    )  # fmt: skip
-
-
-def encode_fixed_inputs(mechanics: Mechanics, probe: str) -> tuple[float, ...]:
-    """Of a material under a probe, what no state changes: inputs from MECHANICS_AT on."""
-    return (*encode_mechanics(mechanics), *(float(name == probe) for name in PROBE_NAMES))
-
-
-def evaluate_compiled(
-    kernel: CDLL, emitter: EmissionTables, condition: Condition, network: Callable[[Float32], tuple[Float32, Float32]]
-) -> tuple[Float, Float32]:
-    """alpha (n, K), and what the σ head answers. answer: inputs (n, D) → both heads' (n, …)."""
-    tokens, motion, touch = _state_columns(condition)
-    known = np.array([encode_fixed_inputs(each, condition.probe) for each in condition.mechanics])
-    x, expected = compiled.compute_inputs(kernel, emitter, tokens, known[condition.material], motion, touch)
-    head, sigma = network(x)
-    return compiled.decode_head(kernel, emitter, np.ascontiguousarray(head, dtype=np.float32), motion, expected), sigma
-
-
-def decode_outputs(kernel: CDLL, emitter: EmissionTables, condition: Condition, head: Float32) -> Float:
-    """alpha (n, K) of what the α head has answered (n, outputs)."""
-    return compiled.decode_known_head(
-        kernel, emitter, *_state_columns(condition), np.ascontiguousarray(head, dtype=np.float32)
-    )
-
-
-def _state_columns(condition: Condition) -> tuple[Float, Float, Float]:
-    """Of n states: tokens (n, TOKEN_DIM), and the columns MOTION and TOUCH."""
-    touch, resonance = compute_contact_columns(condition)
-    motion = np.empty((len(resonance), len(compiled.MOTION_COLUMNS)))
-    motion[:, :2] = condition.direction
-    np.maximum(condition.speed, SPEED_FLOOR_M_S, out=motion[:, 2])
-    np.maximum(condition.force, FORCE_FLOOR_N, out=motion[:, 3])
-    motion[:, 4], motion[:, 5], motion[:, 6] = touch["mass"], resonance, motion_gate(condition)
-    columns = np.stack([touch[name] for name in CONTACT_COLUMNS], axis=1)
-    return np.ascontiguousarray(condition.tokens, dtype=np.float64), motion, columns
-
-
 UNTRAINED = "untrained"
 """Identity of every field that was never saved."""
-NetworkOutput = tuple[Float32, Float32]
-"""What the α head and the σ head say of n states, (n, …) each."""
-NetworkFn = Callable[[Float32], NetworkOutput]
-"""Of their inputs (n, D)."""
-
-LOG_AMPLITUDE_CEILING = 6.0
-"""exp of it is 400 m/s² in one band: far above any touch, far below overflow."""
-
-PAST_DENSITY = 2.3
-"""σΔt of each past state: 90 % of the weight on the present, 9 % on 10 ms ago. Against simulated strokes that stop and
-turn five times a second the envelope errs by 6 % (sandpaper) and 10 % (leather); with 0.69, a longer memory, by 10 %
-and 13 %."""
 
 
 @dataclass(frozen=True)
@@ -302,65 +197,32 @@ class Emission:
         self.alpha[rows], self.sigma_dt[rows] = values.alpha, values.sigma_dt
 
 
-def find_kernel(model: Field) -> CDLL | None:
-    """The kernel, where it knows fields of this form: then what a state gives is the same to the last bit whatever
-    others are asked for beside it."""
-    return load_kernel() if kernel_supports(model.config) and model.parameters["skip"].dtype == np.float32 else None
-
-
-def get_network(model: Field) -> NetworkFn:
-    """F_Θ's layers and heads."""
-    compiled = find_kernel(model)
-    if compiled is None:
-        return partial(run_network, model.parameters, model.config.layers)
-    return partial(model.layers.evaluate, compiled)
+NetworkOutput = tuple[Float32, Float32]
+"""What the α head and the σ head say of n states, (n, …) each."""
+NetworkFn = Callable[[Float32], NetworkOutput]
+"""Of their inputs (n, D)."""
+LOG_AMPLITUDE_CEILING = 6.0
+"""exp of it is 400 m/s² in one band: far above any touch, far below overflow."""
+PAST_DENSITY = 2.3
+"""σΔt of each past state: 90 % of the weight on the present, 9 % on 10 ms ago. Against simulated strokes that stop and
+turn five times a second the envelope errs by 6 % (sandpaper) and 10 % (leather); with 0.69, a longer memory, by 10 %
+and 13 %."""
 
 
 def evaluate(model: Field, condition: Condition, network: NetworkFn | NetworkOutput | None = None) -> Emission:
     """F_Θ at each of n states, in float32 products (as the torch twin). answer: what stands for the network, or what it
     would have answered."""
-    config, weights, compiled = model.config, model.parameters, find_kernel(model)
+    config, weights, kernel = model.config, model.parameters, find_kernel(model)
     if network is None:
         network = get_network(model)
-    if compiled is None:
+    if kernel is None:
         return _evaluate_numpy(model, condition, network if callable(network) else lambda _: network)
     emitter = get_emitter(config, weights["skip"].tobytes(), condition.probe, LOG_AMPLITUDE_CEILING)
     if callable(network):
-        alpha, sigma = evaluate_compiled(compiled, emitter, condition, network)
+        alpha, sigma = evaluate_compiled(kernel, emitter, condition, network)
     else:
-        alpha, sigma = decode_outputs(compiled, emitter, condition, network[0]), network[1]
+        alpha, sigma = decode_outputs(kernel, emitter, condition, network[0]), network[1]
     return Emission(alpha[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
-
-
-def _evaluate_numpy(model: Field, condition: Condition, network: NetworkFn) -> Emission:
-    """Every form of field, and what the kernel is tested against."""
-    config, weights = model.config, model.parameters
-    inputs = build_inputs(
-        condition,
-        config.carriers,
-        config.physics,
-        config.action_octaves,
-        config.directed,
-        config.line_gains,
-        config.stroke_frame,
-    )
-    head, sigma = network(inputs.x.astype(np.float32))
-    alpha = head.astype(np.float64).reshape(len(head), config.alpha_heads, config.alpha_outputs)
-    alpha, gains = (
-        (alpha[..., :-LINE_GAIN_COUNT], alpha[:, 0, -LINE_GAIN_COUNT:]) if config.line_gains else (alpha, None)
-    )
-    prior, tones = np.split(inputs.prior, [config.carriers.count], axis=1)
-    expansion, first = config.expansion(), config.carriers.arc_slice.start
-    if expansion is not None:
-        alpha = np.concatenate([alpha[..., :first], alpha[..., first:] @ expansion.T], axis=-1)
-    if config.physics:
-        alpha = alpha + (weights["skip"] * prior)[:, None, :]
-    if config.emission == "log":
-        alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
-    if gains is not None:
-        ringing = compute_line_power(gains, tones, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
-        alpha[:, 0, config.carriers.arc_slice] = np.sqrt(np.square(alpha[:, 0, config.carriers.arc_slice]) + ringing)
-    return Emission(alpha * inputs.gate[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
 
 
 def accumulate(config: FieldConfig, emission: Emission, first: int = 0) -> Float:
@@ -411,3 +273,141 @@ def initial_parameters(config: FieldConfig, seed: int) -> dict[str, NDArray[np.f
             value = gain * generator.standard_normal(shape) * np.sqrt(1.0 / shape[1])
         parameters[name] = value.astype(np.float32)
     return parameters
+
+
+def get_network(model: Field) -> NetworkFn:
+    """F_Θ's layers and heads."""
+    kernel = find_kernel(model)
+    if kernel is None:
+        return partial(run_network, model.parameters, model.config.layers)
+    return partial(model.layers.evaluate, kernel)
+
+
+BATCH_ROWS = 96
+"""States at most; an even number of portions of one size, so that two cores end together."""
+MIN_THREADED_MULTIPLICATIONS = 1 << 26
+"""Multiplications: about a millisecond of one core."""
+
+
+def run_network(parameters: Mapping[str, Float32], layers: int, x: Float32) -> tuple[Float32, Float32]:
+    """Outputs of the α head and of the σ head, (n, …) each, for inputs x (n, D)."""
+    portions = np.array_split(x, 2 * -(-len(x) // (2 * BATCH_ROWS))) if len(x) > BATCH_ROWS else [x]
+    multiplications = len(x) * sum(value.size for value in parameters.values() if value.ndim == 2)
+    with single_blas_thread():
+        if len(portions) > 1 and multiplications > MIN_THREADED_MULTIPLICATIONS:
+            with ThreadPoolExecutor(min(len(portions), available_cpus())) as pool:
+                found = list(pool.map(lambda portion: _forward(parameters, layers, portion), portions))
+        else:
+            found = [_forward(parameters, layers, portion) for portion in portions]
+    return np.concatenate([alpha for alpha, _ in found]), np.concatenate([sigma for _, sigma in found])
+
+
+def _forward(parameters: Mapping[str, Float32], layers: int, hidden: Float32) -> tuple[Float32, Float32]:
+    for layer in range(layers):
+        hidden = hidden @ parameters[f"layer{layer}.weight"].T
+        hidden += parameters[f"layer{layer}.bias"]
+        np.maximum(hidden, 0.0, out=hidden)
+    alpha, sigma = (hidden @ parameters[f"{head}.weight"].T + parameters[f"{head}.bias"] for head in ("alpha", "sigma"))
+    return alpha, sigma
+
+
+def _evaluate_numpy(model: Field, condition: Condition, network: NetworkFn) -> Emission:
+    """Every form of field, and what the kernel is tested against."""
+    config, weights = model.config, model.parameters
+    inputs = build_inputs(
+        condition,
+        config.carriers,
+        config.physics,
+        config.action_octaves,
+        config.directed,
+        config.line_gains,
+        config.stroke_frame,
+    )
+    head, sigma = network(inputs.x.astype(np.float32))
+    alpha = head.astype(np.float64).reshape(len(head), config.alpha_heads, config.alpha_outputs)
+    alpha, gains = (
+        (alpha[..., :-LINE_GAIN_COUNT], alpha[:, 0, -LINE_GAIN_COUNT:]) if config.line_gains else (alpha, None)
+    )
+    prior, tones = np.split(inputs.prior, [config.carriers.count], axis=1)
+    expansion, first = config.expansion(), config.carriers.arc_slice.start
+    if expansion is not None:
+        alpha = np.concatenate([alpha[..., :first], alpha[..., first:] @ expansion.T], axis=-1)
+    if config.physics:
+        alpha = alpha + (weights["skip"] * prior)[:, None, :]
+    if config.emission == "log":
+        alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
+    if gains is not None:
+        ringing = compute_line_power(gains, tones, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
+        alpha[:, 0, config.carriers.arc_slice] = np.sqrt(np.square(alpha[:, 0, config.carriers.arc_slice]) + ringing)
+    return Emission(alpha * inputs.gate[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
+
+
+def find_kernel(model: Field) -> CDLL | None:
+    """The kernel, where it knows fields of this form: then what a state gives is the same to the last bit whatever
+    others are asked for beside it."""
+    return load_kernel() if kernel_supports(model.config) and model.parameters["skip"].dtype == np.float32 else None
+
+
+def kernel_supports(config: FieldConfig) -> bool:
+    """Whether the kernel knows a field of this form."""
+    carriers = config.carriers
+    shipped = config.physics and config.emission == "log" and config.alpha_heads == 1 and not config.action_octaves
+    return shipped and not carriers.constant and carriers.time_count > 0 and carriers.arc_count > 0
+
+
+def evaluate_compiled(
+    kernel: CDLL, emitter: EmissionTables, condition: Condition, network: Callable[[Float32], tuple[Float32, Float32]]
+) -> tuple[Float, Float32]:
+    """alpha (n, K), and what the σ head answers. answer: inputs (n, D) → both heads' (n, …)."""
+    tokens, motion, touch = _state_columns(condition)
+    known = np.array([encode_fixed_inputs(each, condition.probe) for each in condition.mechanics])
+    x, expected = kernel_field.compute_inputs(kernel, emitter, tokens, known[condition.material], motion, touch)
+    head, sigma = network(x)
+    return kernel_field.decode_head(
+        kernel, emitter, np.ascontiguousarray(head, dtype=np.float32), motion, expected
+    ), sigma
+
+
+def decode_outputs(kernel: CDLL, emitter: EmissionTables, condition: Condition, head: Float32) -> Float:
+    """alpha (n, K) of what the α head has answered (n, outputs)."""
+    return kernel_field.decode_known_head(
+        kernel, emitter, *_state_columns(condition), np.ascontiguousarray(head, dtype=np.float32)
+    )
+
+
+@lru_cache(maxsize=16)
+def get_emitter(config: FieldConfig, skip: bytes, probe: str, ceiling: float) -> EmissionTables:
+    """skip: the parameter's float32 numbers. ceiling: of a log amplitude."""
+    carriers = config.carriers
+    shift, scale = token_normalisation()
+    knots = config.arc_knots or carriers.arc_count
+    place = np.linspace(0.0, knots - 1.0, carriers.arc_count)
+    knot = np.minimum(place.astype(np.int64), max(knots - 2, 0))
+    return EmissionTables(
+        build_kernel_tables(carriers, *lateral_hand_impedance(probe)), token_shift=shift, token_scale=scale,
+        time_edge=time_edges_in_arc_bands(carriers),
+        skip=np.frombuffer(skip, dtype=np.float32).astype(np.float64), knot=knot, knot_share=place - knot,
+        harmonic_shift=np.array(HARMONIC_SHIFTS), harmonic_start=np.array(HARMONIC_START_LOG),
+        inputs=input_size(carriers, config.physics), fixed_at=MECHANICS_COLUMN, fixed=DIRECTION_COLUMN - MECHANICS_COLUMN,
+        direction_at=DIRECTION_COLUMN, outputs=config.alpha_outputs, stroke_frame=config.stroke_frame,
+        directed=config.directed, line_gains=config.line_gains, quiet_power=AMPLITUDE_FLOOR_M_S2**2,
+        quiet_line_power=LINE_FLOOR_M_S2**2, time_share=10.0 ** (TIME_SHARE_DB / 10.0), ceiling=ceiling, pace=REFERENCE_SPEED_M_S,
+        pitch=REFERENCE_RESONANCE_HZ,
+    )  # fmt: skip
+
+
+def encode_fixed_inputs(mechanics: Mechanics, probe: str) -> tuple[float, ...]:
+    """Of a material under a probe, what no state changes: inputs from MECHANICS_AT on."""
+    return (*encode_mechanics(mechanics), *(float(name == probe) for name in PROBE_NAMES))
+
+
+def _state_columns(condition: Condition) -> tuple[Float, Float, Float]:
+    """Of n states: tokens (n, TOKEN_DIM), and the columns MOTION and TOUCH."""
+    touch, resonance = compute_contact_columns(condition)
+    motion = np.empty((len(resonance), len(kernel_field.MOTION_COLUMNS)))
+    motion[:, :2] = condition.direction
+    np.maximum(condition.speed, SPEED_FLOOR_M_S, out=motion[:, 2])
+    np.maximum(condition.force, FORCE_FLOOR_N, out=motion[:, 3])
+    motion[:, 4], motion[:, 5], motion[:, 6] = touch["mass"], resonance, motion_gate(condition)
+    columns = np.stack([touch[name] for name in CONTACT_COLUMNS], axis=1)
+    return np.ascontiguousarray(condition.tokens, dtype=np.float64), motion, columns

@@ -279,7 +279,7 @@ def encode_targets(token: Single | Float, contrast: Float, pitch_index: NDArray[
     return np.asarray(out)
 
 
-DEFAULT_ENCODER = Path(__file__).parents[2] / "data" / "encoder.safetensors"
+DEFAULT_ENCODER = Path(__file__).parents[1] / "data" / "encoder.safetensors"
 ENCODER_FORMAT = "hnf-encoder-1"
 _ENCODER_KIND = WeightsKind(
     "the encoder",

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
@@ -19,12 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
-from ..files import write_text
 from .camera import Camera
 
 Float = NDArray[np.float64]
 
-TRANSFORMS_FILE = "transforms.json"
 MODEL_TRANSFORM_FILE = "dataparser_transforms.json"
 PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
@@ -87,28 +85,6 @@ def read_model_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
     )
 
 
-def write_transforms(path: Path, frames: Sequence[NerfstudioFrame], **more: Any) -> None:
-    """What read_transforms reads, lenses written once where all frames share them. more: further keys, JSON values.
-
-    Raises FileError where a camera is not perspective or a path leaves the folder.
-    """
-    lenses = [_encode_lens(path, frame.camera) for frame in frames]
-    shared = all(lens == lenses[0] for lens in lenses)
-    document: dict[str, Any] = {"camera_model": "OPENCV", **(lenses[0] if shared and lenses else {}), **more}
-    document["frames"] = [
-        {
-            "file_path": _check_relative_path(path, frame.file_path, "file_path"),
-            **(
-                {"depth_file_path": _check_relative_path(path, frame.depth_file_path, "depth")}
-                if frame.depth_file_path
-                else {}
-            ),
-            **({} if shared else lens),
-            "transform_matrix": (frame.camera.pose @ OPENGL_CAMERA_AXES).tolist(),
-        }
-        for frame, lens in zip(frames, lenses, strict=True)
-    ]
-    write_text(path, json.dumps(document, indent=1) + "\n")
 
 
 def _parse_frame(path: Path, document: Mapping[str, Any], entry: Any, index: int) -> NerfstudioFrame:
@@ -139,9 +115,9 @@ def _parse_frame(path: Path, document: Mapping[str, Any], entry: Any, index: int
     if not isinstance(depth, str):
         raise _unusable_error(path, f"{where}: its depth_file_path is no text")
     return NerfstudioFrame(
-        file_path=_check_relative_path(path, entry["file_path"], where),
+        file_path=check_relative_path(path, entry["file_path"], where),
         camera=Camera("perspective", int(width), int(height), intrinsics, pose),
-        depth_file_path=_check_relative_path(path, depth, where) if depth else "",
+        depth_file_path=check_relative_path(path, depth, where) if depth else "",
     )
 
 
@@ -156,14 +132,6 @@ def _transform_camera(camera: Camera, axes: Float, applied: float, to_model: Flo
     return replace(camera, pose=pose)
 
 
-def _encode_lens(path: Path, camera: Camera) -> dict[str, float]:
-    if camera.kind != "perspective":
-        raise FileError("nerfstudio knows no orthographic camera.", where=str(path), remedy="Choose Perspective.")
-    matrix = camera.intrinsics
-    return {
-        "fl_x": float(matrix[0, 0]), "fl_y": float(matrix[1, 1]), "cx": float(matrix[0, 2]), "cy": float(matrix[1, 2]),
-        "w": camera.width, "h": camera.height,
-    }  # fmt: skip
 
 
 def _read_document(path: Path) -> dict[str, Any]:
@@ -214,7 +182,7 @@ def _read_rigid_matrix(path: Path, values: Any, name: str) -> Float:
     return matrix
 
 
-def _check_relative_path(path: Path, name: str, where: str) -> str:
+def check_relative_path(path: Path, name: str, where: str) -> str:
     """A path below the file's folder, with '/'. Raises FileError for any other."""
     text = name.replace("\\", "/")
     parts = PurePosixPath(text).parts

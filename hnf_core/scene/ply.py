@@ -72,7 +72,7 @@ def read_ply_header(path: Path) -> PlyHeader:
     end = END_OF_HEADER.search(head)
     lines = head[: end.start() if end else 0].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
     if end is None or lines[0].strip() != b"ply":
-        raise _damaged_header_error(path, "it has no PLY header")
+        raise _damaged_error(path, "it has no PLY header")
     # A file of lone carriage returns may begin its data with a byte that looks like a line feed.
     lone = head[3:].lstrip(b" \t").startswith(b"\r") and not head[3:].lstrip(b" \t").startswith(b"\r\n")
     data_at = end.start(1) + 1 if lone and end[1] == b"\r\n" else end.end()
@@ -89,7 +89,7 @@ def read_ply_header(path: Path) -> PlyHeader:
         elif words[:1] == ["element"]:
             bad = len(words) != 3 or not words[2].isdecimal() or len(words[2]) > MAX_COUNT_DIGITS
             if bad or words[1] in elements:
-                raise _damaged_header_error(path, f"its header line {' '.join(words)[:80]!r} cannot be read")
+                raise _damaged_error(path, f"its header line {' '.join(words)[:80]!r} cannot be read")
             name = words[1]
             elements[name], types[name] = (int(words[2]), ()), ()
         elif words[:1] == ["property"] and name:
@@ -99,7 +99,7 @@ def read_ply_header(path: Path) -> PlyHeader:
     return PlyHeader(elements, types, form, tuple(comments), data_at)
 
 
-def _damaged_header_error(path: Path, why: str) -> FileError:
+def _damaged_error(path: Path, why: str) -> FileError:
     return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")
 
 
@@ -189,9 +189,9 @@ def _parse_numbers(path: Path, text: list[str], columns: int) -> NDArray[np.floa
     try:
         table = np.loadtxt(text, dtype=np.float64, comments=None, ndmin=2)
     except ValueError as error:
-        raise _damaged_data_error(path, "a line of its data holds something else than numbers") from error
+        raise _damaged_error(path, "a line of its data holds something else than numbers") from error
     if table.shape != (len(text), columns):
-        raise _damaged_data_error(path, f"a line of its data holds {table.shape[1]} numbers instead of {columns}")
+        raise _damaged_error(path, f"a line of its data holds {table.shape[1]} numbers instead of {columns}")
     return table
 
 
@@ -207,7 +207,7 @@ def _find_element_offset(path: Path, header: PlyHeader, element: str) -> int:
 
 def _get_row_dtype(path: Path, header: PlyHeader, element: str) -> np.dtype[Any]:
     if header.format != "ascii" and header.format not in BYTE_ORDERS:
-        raise _damaged_data_error(
+        raise _damaged_error(
             path, f"its format {header.format[:40]!r} is not one of {', '.join(('ascii', *BYTE_ORDERS))}"
         )
     order = BYTE_ORDERS.get(header.format, "=")
@@ -220,7 +220,7 @@ def _get_row_dtype(path: Path, header: PlyHeader, element: str) -> np.dtype[Any]
                 remedy="Export it again, as Gaussian splats alone.",
             )
     if len(set(names)) < len(names):
-        raise _damaged_data_error(path, f"its element '{element}' names a property twice")
+        raise _damaged_error(path, f"its element '{element}' names a property twice")
     return np.dtype([(name, order + code) for name, code in zip(names, types, strict=True)])
 
 
@@ -228,7 +228,3 @@ def _unreadable_error(path: Path, error: OSError) -> FileError:
     return FileError(
         f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the path and its rights."
     )
-
-
-def _damaged_data_error(path: Path, why: str) -> FileError:
-    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")

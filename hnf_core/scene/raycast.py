@@ -74,7 +74,7 @@ class EmbreeCaster:
         )
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
-        origins, directions = _as_ray_arrays(origins, directions)
+        origins, directions = as_ray_arrays(origins, directions)
         # A far camera's origin would be rounded to float32: start each ray where it enters the bounding sphere.
         local = self._frame.to_frame(origins)
         length = np.sqrt(_dot(directions, directions))
@@ -94,32 +94,6 @@ def make_embree_caster(mesh: TriangleMesh) -> EmbreeCaster:
     return EmbreeCaster(mesh)
 
 
-class ReferenceGeometry:
-    """Every triangle tried for every ray or point: the plain reference for the fast casters (O(n T))."""
-
-    def __init__(self, mesh: TriangleMesh) -> None:
-        self._corners = mesh.corner_positions()
-        compute_float32_frame(self._corners)  # refuses what has no place
-
-    def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
-        origins, directions = _as_ray_arrays(origins, directions)
-        chosen, planes = np.full(len(origins), -1, dtype=np.int32), _triangle_planes(self._corners)
-        for index in range(len(origins)):
-            origin, direction = (np.broadcast_to(each[index], planes[0].shape) for each in (origins, directions))
-            distance, weights = _intersect_planes(*planes, origin, direction)
-            valid = (weights >= 0.0).all(axis=-1) & (distance >= 0.0)
-            if valid.any():
-                chosen[index] = np.argmin(np.where(valid, distance, np.inf))
-        return refine_hits(self._corners, chosen, origins, directions)
-
-    def closest_points(self, points: ArrayLike) -> ClosestPoints:
-        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        chosen = np.zeros(len(points), dtype=np.int32)
-        for index, point in enumerate(points):
-            weights = find_closest_barycentric(self._corners, np.broadcast_to(point, (len(self._corners), 3)))
-            position = np.einsum("tc,tcx->tx", weights, self._corners)
-            chosen[index] = np.argmin(np.sum((position - point) ** 2, axis=-1))
-        return find_closest_points(self._corners, chosen, points)
 
 
 def cast_view(caster: RayCaster, mesh: TriangleMesh, camera: Camera) -> CastView:
@@ -167,7 +141,7 @@ def find_closest_barycentric(corners: Float, points: Float) -> Float:
     The nearest point is the foot on the plane where that lies inside, else the nearest of the three edges' feet.
     """
     origin = corners[:, 0]
-    _, normal, *towards = _triangle_planes(corners)
+    _, normal, *towards = compute_triangle_planes(corners)
     inside = _plane_barycentric((towards[0], towards[1]), points - origin)
     candidates = [_closest_on_edge(corners, points, start) for start in range(3)]
     feet = np.stack([np.einsum("nc,ncx->nx", weights, corners) for weights in candidates], axis=1)
@@ -193,7 +167,7 @@ def _dot(first: Float, second: Float) -> Float:
     return np.asarray(np.einsum("nx,nx->n", first, second))
 
 
-def _triangle_planes(corners: Float) -> tuple[Float, Float, Float, Float]:
+def compute_triangle_planes(corners: Float) -> tuple[Float, Float, Float, Float]:
     """Of each triangle (T, 3, 3): corner 0, normal (as long as twice its area), and the two vectors whose products with
     an offset from corner 0 are its barycentric weights of corners 1 and 2; (T, 3) each."""
     origin = corners[:, 0]
@@ -210,7 +184,7 @@ def _plane_barycentric(towards: tuple[Float, Float], offset: Float) -> Float:
     return np.stack([1.0 - v - w, v, w], axis=-1)
 
 
-def _intersect_planes(
+def intersect_planes(
     origin: Float, normal: Float, second: Float, third: Float, origins: Float, directions: Float
 ) -> tuple[Float, Float]:
     """Ray parameter and barycentric weights on planes as of _planes, elementwise; inf where parallel."""
@@ -229,8 +203,8 @@ def refine_hits(corners: Float, triangle: Int, origins: Float, directions: Float
     hit = slice(None) if met_any.all() else np.flatnonzero(met_any)
     # What a triangle is counts once, however many rays meet it.
     met, which = _find_distinct_triangles(triangle[hit], len(corners))
-    origin, normal, second, third = np.stack(_triangle_planes(corners[met]), axis=1)[which].swapaxes(0, 1)
-    distance, weights = _intersect_planes(origin, normal, second, third, origins[hit], directions[hit])
+    origin, normal, second, third = np.stack(compute_triangle_planes(corners[met]), axis=1)[which].swapaxes(0, 1)
+    distance, weights = intersect_planes(origin, normal, second, third, origins[hit], directions[hit])
     real = np.isfinite(distance)  # a ray in the plane of its triangle has no crossing
     np.maximum(weights, 0.0, out=weights)  # rounding may leave an edge by 1e-7
     total = weights[:, 0] + weights[:, 1] + weights[:, 2]
@@ -252,7 +226,7 @@ def _make_empty_hits(count: int) -> Hits:
     return Hits(np.full(count, -1, dtype=np.int32), np.full(count, np.inf), np.zeros((count, 3)))
 
 
-def _as_ray_arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[Float, Float]:
+def as_ray_arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[Float, Float]:
     return (
         np.asarray(origins, dtype=np.float64).reshape(-1, 3),
         np.asarray(directions, dtype=np.float64).reshape(-1, 3),

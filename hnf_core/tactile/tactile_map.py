@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Route(str, Enum):  # noqa: UP042
+class Route(str, Enum):
     """How a property of a patch came to be known."""
 
     MEASURED = "measured"

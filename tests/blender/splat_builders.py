@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from data_tools.write_splats import write_inria
 from hnf_blender.bridge.scene.mesh_attributes import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
 from hnf_core.scene.splats.gaussians import Splats
-from hnf_core.scene.splats.io_ply import write_inria
 
 Y_00 = 0.28209479177387814
 HALF_M = (30e-3, 15e-3, 5e-3)

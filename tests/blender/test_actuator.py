@@ -47,7 +47,7 @@ def test_a_stroke_is_played_to_its_end_and_the_level_is_told(link) -> None:
     link.play(tone(0.8))
     assert link.is_playing
     assert get_phase(link) is Phase.OPENING
-    assert until(link, lambda: link.is_sounding and link.newest.status.level_m_s2 > 1.0)
+    assert until(link, lambda: link.is_sounding and link.current_status.status.level_m_s2 > 1.0)
     facts = make_facts(link, GENERIC)
     assert facts.phase is Phase.PLAYING
     assert facts.level_m_s2 == pytest.approx(2.0 / np.sqrt(2.0), rel=0.3)
@@ -55,7 +55,7 @@ def test_a_stroke_is_played_to_its_end_and_the_level_is_told(link) -> None:
     assert link.began.device in facts.lines[0]
     assert until(link, lambda: not link.is_playing)
     assert link.problem == ""
-    assert link.newest.status.underruns == 0 or link.newest.status.played_s > 0.7
+    assert link.current_status.status.underruns == 0 or link.current_status.status.played_s > 0.7
     assert get_phase(link) is Phase.READY
 
 
@@ -63,11 +63,11 @@ def test_the_place_goes_on_between_two_reports(link) -> None:
     link.play(tone(2.0))
     assert link.position_s == 0.0
     assert until(link, lambda: link.position_s > 0.3)
-    told = link.newest
+    told = link.current_status
     before, at = time.monotonic(), link.position_s
     time.sleep(0.02)
     later, after = link.position_s, time.monotonic()
-    assert link.newest is told
+    assert link.current_status is told
     assert 0.02 <= later - at <= after - before
     assert link.position_s <= 2.0
 
@@ -78,7 +78,7 @@ def test_stopped_it_is_silent_and_can_be_played_again(link) -> None:
     pid = link.pid
     link.stop()
     assert not link.is_playing
-    assert until(link, lambda: link.newest is not None and link.newest.status.state == "ended")
+    assert until(link, lambda: link.current_status is not None and link.current_status.status.state == "ended")
     assert link.problem == ""
     link.play(tone(5.0))
     assert until(link, lambda: link.is_sounding)
@@ -90,19 +90,19 @@ def test_a_change_goes_on_where_it_is_without_opening_the_device_anew(link) -> N
     assert until(link, lambda: link.position_s > 0.4)
     began = link.began
     link.change(tone(4.0, level=4.0))
-    assert until(link, lambda: link.newest.status.level_m_s2 > 2.0)
+    assert until(link, lambda: link.current_status.status.level_m_s2 > 2.0)
     assert link.began is began
     assert link.position_s > 0.4
-    assert link.newest.status.play == began.play
+    assert link.current_status.status.play == began.play
 
 
 def test_played_anew_it_begins_where_it_is_told_on_the_open_device(link) -> None:
     link.play(tone(9.0))
-    assert until(link, lambda: link.newest is not None and link.newest.status.position_s > 1.0)
-    began, at = link.began, link.newest.status.position_s
+    assert until(link, lambda: link.current_status is not None and link.current_status.status.position_s > 1.0)
+    began, at = link.began, link.current_status.status.position_s
     link.play(tone(9.0))
     assert link.position_s < at
-    assert until(link, lambda: 0.0 < link.newest.status.position_s < at)
+    assert until(link, lambda: 0.0 < link.current_status.status.position_s < at)
     assert link.began is began
 
 
@@ -113,18 +113,18 @@ def test_what_ends_in_the_moment_of_a_change_is_begun_anew(link) -> None:
     time.sleep(0.7)  # it ends; nobody listens
     assert link.is_playing
     link.change(tone(1.0, level=3.0))
-    assert until(link, lambda: link.newest is not None and link.newest.status.level_m_s2 > 1.0)
+    assert until(link, lambda: link.current_status is not None and link.current_status.status.level_m_s2 > 1.0)
     assert link.is_playing
 
 
 def test_asked_for_while_the_device_is_taken_the_newest_alone_is_played(link) -> None:
     for level in (1.0, 2.0, 3.0, 8.0):
         link.play(tone(2.0, level=level))
-    assert until(link, lambda: link.newest is not None and link.newest.status.level_m_s2 > 4.0)
-    assert link.newest.status.play == link.began.play == 1
+    assert until(link, lambda: link.current_status is not None and link.current_status.status.level_m_s2 > 4.0)
+    assert link.current_status.status.play == link.began.play == 1
     link.play(tone(2.0))
     link.stop()
-    assert until(link, lambda: link.newest.status.state == "ended")
+    assert until(link, lambda: link.current_status.status.state == "ended")
     time.sleep(0.2)
     link.tick()
     assert not link.is_playing
@@ -152,7 +152,7 @@ def test_another_rate_loop_or_device_is_begun_anew(link) -> None:
 
 def test_a_loop_goes_on_over_its_end(link) -> None:
     link.play(tone(0.2, loop=True))
-    assert until(link, lambda: link.is_sounding and link.newest.status.played_s > 0.6)
+    assert until(link, lambda: link.is_sounding and link.current_status.status.played_s > 0.6)
     assert link.is_playing
     assert 0.0 <= link.position_s < 0.2
 
@@ -228,9 +228,9 @@ import os, sys, time
 sys.path[:0] = [{root!r}, {tests!r}]
 import bpy
 from player_builders import tone, until
-from hnf_blender.actuator.link import PlayerClient
-from hnf_blender.actuator.state import ACTUATOR, VIRTUAL
-ACTUATOR.chosen = VIRTUAL
+from hnf_blender.actuator.player_client import PlayerClient
+from hnf_blender.actuator.actuator_state import ACTUATOR, VIRTUAL
+ACTUATOR.selected = VIRTUAL
 link = PlayerClient()
 link.play(tone(60.0))
 assert until(link, lambda: link.is_sounding)
@@ -277,9 +277,9 @@ def test_a_measured_profile_is_the_files_and_is_read_again_where_it_is_played(li
     assert (found.title, found.peak_m_s2) == ("Mine", 4.0)
     assert make_output_spec(VIRTUAL, found).profile == str(path)
     link.play(dataclasses.replace(tone(0.3, level=2.0), profile=found))
-    assert until(link, lambda: link.newest is not None and not link.is_playing)
+    assert until(link, lambda: link.current_status is not None and not link.is_playing)
     assert link.problem == ""
-    assert link.newest.status.peak == pytest.approx(0.5, abs=0.05)
+    assert link.current_status.status.peak == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.parametrize(

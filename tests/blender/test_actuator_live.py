@@ -19,8 +19,7 @@ from hnf_blender.actuator.actuator_state import VIRTUAL, Phase
 from hnf_blender.actuator.live_touch import LiveTouch, SurfaceUnroll, force_from_pressure
 from hnf_blender.actuator.player_client import PlayerClient, get_phase
 from hnf_blender.bridge.scene.material_definition import set_definition
-from hnf_blender.bridge.stroke.new_stroke import cast_on_surface
-from hnf_blender.bridge.viewport_pick import find_contact_point, find_touched_material
+from hnf_blender.bridge.viewport_pick import cast_on_surface, find_contact_point, find_touched_material
 from hnf_blender.ops.actuator_ops import guess_first_material, update_live_touch
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import TokenValidity
@@ -290,12 +289,12 @@ def test_a_hand_is_felt_while_it_moves_and_not_when_it_is_lifted(link) -> None:
     link.live_begin(VIRTUAL, GENERIC, "pen", denim)
     touch = LiveTouch(link, denim)
     assert get_phase(link) is Phase.OPENING
-    assert until(link, lambda: link.newest is not None)
+    assert until(link, lambda: link.current_status is not None)
     assert get_phase(link) is Phase.LIVE
-    assert link.newest.status.peak == 0.0  # nothing before the first touch
+    assert link.current_status.status.peak == 0.0  # nothing before the first touch
     assert max(status.level_m_s2 for status in stroke_by_hand(link, touch, 1.0)) > 0.01
     touch.lift(time.perf_counter())
-    assert until(link, lambda: link.newest.status.level_m_s2 < 1e-4)
+    assert until(link, lambda: link.current_status.status.level_m_s2 < 1e-4)
     assert link.is_live
     link.live_end()
     assert until(link, lambda: get_phase(link) is Phase.READY)
@@ -311,7 +310,7 @@ def test_over_another_material_the_hand_goes_on(link) -> None:
     oak = from_library(get_material("oak-wood"))
     link.live_begin(VIRTUAL, GENERIC, "finger", oak)
     touch = LiveTouch(link, oak)
-    assert until(link, lambda: link.newest is not None)
+    assert until(link, lambda: link.current_status is not None)
     pid = link.pid
     told = stroke_by_hand(link, touch, 1.5)
     assert max(status.level_m_s2 for status in told) > 0.01
@@ -329,7 +328,7 @@ def test_a_sound_takes_the_place_of_a_hand_and_ends_it(link) -> None:
     choose(add_plane(), "denim")
     denim = from_library(get_material("denim"))
     link.live_begin(VIRTUAL, GENERIC, "pen", denim)
-    assert until(link, lambda: link.newest is not None)
+    assert until(link, lambda: link.current_status is not None)
     link.play(tone(0.5))
     assert not link.is_live
     assert until(link, lambda: get_phase(link) is Phase.PLAYING)

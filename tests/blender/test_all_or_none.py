@@ -6,8 +6,9 @@ import bpy
 import pytest
 
 import hnf_blender
-from hnf_blender import props, tool, ui
+from hnf_blender import props, tool
 from hnf_blender.props import GROUPS, material_settings
+from hnf_blender.ui import strokes_panel
 
 OURS = {"Object": "hnf_stroke", "Material": "hnf_touch", "Scene": "hnf"}
 
@@ -53,7 +54,7 @@ def test_a_group_that_no_datablock_takes(switched_off, monkeypatch) -> None:
     props.register()
 
 
-@pytest.mark.parametrize("room", [tool, ui.follow_selection])
+@pytest.mark.parametrize("room", [tool, strokes_panel])
 def test_a_room_that_fails_after_panels_are_there(switched_off, monkeypatch, room) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(room, "register", refuse)

@@ -321,19 +321,19 @@ sys.path[:0] = [{root!r}, {tests!r}]
 import bpy
 from hnf_blender import props
 props.register()
-from hnf_blender.jobs import running, work
+from hnf_blender.jobs import bake_job, bake_steps
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
-from hnf_blender.touch import bake, jobs
-bake.PATCH_PIXELS = jobs.PATCH_PIXELS = {pixels}
-running.cache_folder = lambda: Path({cache!r})
-made, report = [], work.Report
-work.Report = lambda *arguments, **settings: made.append(report(*arguments, **settings)) or made[-1]
+from hnf_blender.touch import bake_patches, session
+bake_patches.PATCH_PIXELS = session.PATCH_PIXELS = {pixels}
+bake_job.get_cache_folder = lambda: Path({cache!r})
+made, report = [], bake_steps.Report
+bake_steps.Report = lambda *arguments, **settings: made.append(report(*arguments, **settings)) or made[-1]
 bpy.ops.wm.open_mainfile(filepath={scene!r})
 for lost in (False, True):
     if lost:
         for name in ("Along", "Beside"):
             del bpy.data.objects[name][BAKE_PROPERTY]
-    ended = running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     print("RESULT", ended.ok, ended.written > 0, made[-1].counts.renders, made[-1].counts.network_calls, flush=True)
 """
 

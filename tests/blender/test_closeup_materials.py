@@ -6,10 +6,20 @@ import bpy
 import numpy as np
 import pytest
 from builders import add_mesh, add_plane, bump_material, datablock_names, math_node
-from closeup_builders import assert_sine, bump_of, bumpy_plane, look, patch, plane_coordinates, principled
+from closeup_builders import (
+    assert_sine,
+    bump_of,
+    bumpy_plane,
+    look,
+    patch,
+    plane_coordinates,
+    principled,
+    render_closeup,
+    render_closeups,
+)
 
 from hnf_blender.bridge.render import closeup as closeup_module
-from hnf_blender.bridge.render.closeup import flood_fill, has_flipped_green, render_closeup, render_closeups
+from hnf_blender.bridge.render.closeup import flood_fill, has_flipped_green
 from hnf_core.errors import SceneError
 
 

@@ -151,7 +151,7 @@ def test_one_stroke_runs_along_the_wales_and_one_across(scene) -> None:
 
 def test_building_twice_gives_the_same_scene() -> None:
     def content() -> dict:
-        module.build()
+        module.build_scene()
         meshes = {}
         for mesh in bpy.data.meshes:
             places = np.empty(3 * len(mesh.vertices), np.float32)
@@ -165,7 +165,8 @@ def test_building_twice_gives_the_same_scene() -> None:
 
 
 def test_a_close_up_of_the_cushion_measures_its_wales(scene) -> None:
-    from hnf_blender.bridge.render.closeup import render_closeup
+    from closeup_builders import render_closeup
+
     from hnf_core.scene.patch import Patch
 
     cushion, pixels = scene.objects["Cushion"], 256

@@ -22,9 +22,9 @@ def operators(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(diagnose_ops, "get_cache_folder", lambda: tmp_path)
     STATE.clear()
     STATE.diagnosis = ()
-    register_classes(diagnose_ops.DIAGNOSE_CLASSES)
+    register_classes(diagnose_ops.CLASSES)
     yield
-    unregister_classes(diagnose_ops.DIAGNOSE_CLASSES)
+    unregister_classes(diagnose_ops.CLASSES)
     STATE.clear()
     STATE.diagnosis = ()
 

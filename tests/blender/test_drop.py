@@ -16,8 +16,7 @@ from hnf_blender.bridge.scene.material_definition import (
     clear_definition,
     get_definition,
 )
-from hnf_blender.bridge.stroke.new_stroke import cast_on_surface
-from hnf_blender.bridge.viewport_pick import pick_object_along_ray
+from hnf_blender.bridge.viewport_pick import cast_on_surface, pick_object_along_ray
 from hnf_blender.props.material_settings import DEFINITION_PROPERTY
 from hnf_blender.ui.materials_panel import describe_material
 from hnf_core.errors import FileError, SceneError

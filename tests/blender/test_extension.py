@@ -144,13 +144,13 @@ def test_asked_for_what_the_zip_leaves_out_it_says_what_to_do(profile: Profile) 
     code = f"""
         import importlib, json
         ours = lambda name: importlib.import_module('{PACKAGE}.' + name)
-        seeing, family = ours('touch.seeing').Seeing, ours('hnf_core.errors')
+        seeing, family = ours('touch.bake_patches').ReliefPredictor, ours('hnf_core.errors')
         try:
             seeing('{ALEXNET_ID}')
         except family.HnfError as error:
             said = [type(error).__name__, str(error)]
         usual = seeing()
-        print('RESULT', json.dumps([said, usual.measured.name, usual.predicted.name, usual.missing]))
+        print('RESULT', json.dumps([said, usual.measured_encoder.name, usual.predicted_encoder.name, usual.missing_reason]))
     """
     run = profile.run(code)
     assert run.returncode == 0, run.stdout + run.stderr
@@ -202,7 +202,7 @@ def test_its_wheels_are_unpacked_into_the_profile_and_work(profile: Profile) -> 
         OpenEXR.File({}, {'Y': numpy.ones((4, 4), numpy.float32)}).write('image.exr')
         scene = embreex.rtcore_scene.EmbreeScene()
         modules = [OpenEXR, embreex, matplotlib, safetensors, serial, pythonosc, _cffi_backend]
-        assert importlib.import_module(sys.argv[1] + '.hnf_core.kernel.library').why_not() == sys.argv[2]
+        assert importlib.import_module(sys.argv[1] + '.hnf_core.kernel.loader').why_unavailable() == sys.argv[2]
         modules += [] if sys.argv[2] else [sys.modules['hnf_kernel']]
         print('RESULT', json.dumps({'files': [module.__file__ for module in modules]}))
     """
@@ -219,22 +219,23 @@ def test_an_actuator_is_driven_from_the_installed_extension(profile: Profile) ->
         import importlib, json, time
         import numpy as np
         ours = lambda name: importlib.import_module('{PACKAGE}.' + name)
-        ours('actuator.state').ACTUATOR.chosen = 'virtual'
-        settings = ours('state.settings').settings()
+        ours('actuator.actuator_state').ACTUATOR.selected = 'virtual'
+        settings = ours('state.addon_settings').get_settings()
         if hasattr(settings, 'bl_rna'):
             settings.output = 'virtual'
-        link, finder = ours('actuator.link').LINK, ours('actuator.finding').FINDER
-        finder.look()
+        link = ours('actuator.player_client').PLAYER_CLIENT
+        finder = ours('actuator.player_process').DEVICE_SCANNER
+        finder.start()
         tone = (2.0 * np.sin(np.arange(3000) * 0.1)).astype(np.float32)
         link.play(ours('actuator.sound').Sound(tone, 10000.0, ours('hnf_core.actuators.profile').GENERIC))
         end = time.monotonic() + 40.0
-        while (link.is_playing or ours('actuator.state').ACTUATOR.seeking) and time.monotonic() < end:
+        while (link.is_playing or ours('actuator.actuator_state').ACTUATOR.is_scanning) and time.monotonic() < end:
             link.tick(); finder.tick(); time.sleep(0.01)
-        heard, state = link.newest, ours('actuator.state').ACTUATOR
+        heard, state = link.current_status, ours('actuator.actuator_state').ACTUATOR
         link.release()
         print('RESULT', json.dumps({{
-            'problem': link.problem, 'peak': heard.status.peak if heard else 0.0, 'looked': state.looked,
-            'missing': [name for name in ('pyserial', 'python-osc') if name in state.without],
+            'problem': link.problem, 'peak': heard.status.peak if heard else 0.0, 'looked': state.is_scanned,
+            'missing': [name for name in ('pyserial', 'python-osc') if name in state.missing_packages],
             'foreign': 'hnf_core' in sys.modules,
         }}))
     """

@@ -188,7 +188,7 @@ def test_no_map_is_held_once_its_stroke_is_felt(tmp_path, monkeypatch) -> None:
     line_stroke("Along", length=SHORT_M, surface=plate)
     measure_open_file_bake(tmp_path)
     (record,) = held[0].records
-    assert (record.height, record.look, record.predicted, record.mask.size) == (None, None, None, 0)
+    assert (record.height, record.unlit, record.predicted, record.mask.size) == (None, None, None, 0)
     assert record.encoder
     assert read_tokens(plate.data).index.tolist() == [0]
 

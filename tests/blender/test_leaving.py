@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from hnf_blender.jobs import learn_worker, worker
+from hnf_core import child_process
 
 
 def ended(*_: object) -> bytes:
@@ -19,11 +19,10 @@ def broken(*_: object) -> bytes:
 
 
 @pytest.mark.parametrize("read", [ended, broken])
-@pytest.mark.parametrize("child", [worker, learn_worker], ids=lambda each: each.__name__.rpartition(".")[2])
-def test_it_leaves(monkeypatch, child, read) -> None:
+def test_it_leaves(monkeypatch, read) -> None:
     left, codes = threading.Event(), []
     monkeypatch.setattr(os, "read", read)
     monkeypatch.setattr(os, "_exit", lambda code: (codes.append(code), left.set()))
-    child.leave_with_parent()
+    child_process.exit_with_parent()
     assert left.wait(30.0)
-    assert codes == [child.PARENT_GONE]
+    assert codes == [child_process.EXIT_PARENT_GONE]

@@ -11,7 +11,7 @@ from hnf_blender.bridge.shader.closures import read_stated_appearance
 from hnf_blender.bridge.shader.images import list_texture_names
 from hnf_blender.compat import switch_nodes_on
 from hnf_blender.ops.material_ops import (
-    MATERIAL_CLASSES,
+    CLASSES,
     HNF_OT_material_choose,
     find_material_object,
     list_library_items,
@@ -29,9 +29,9 @@ from hnf_core.tactile.tactile_map import Route
 @pytest.fixture(autouse=True)
 def operators():
     STATE.clear()
-    register_classes(MATERIAL_CLASSES)
+    register_classes(CLASSES)
     yield
-    unregister_classes(MATERIAL_CLASSES)
+    unregister_classes(CLASSES)
     STATE.clear()
 
 

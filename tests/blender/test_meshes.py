@@ -18,7 +18,7 @@ from hnf_blender.bridge.scene.meshes import (
     read_surface,
 )
 from hnf_core.errors import SceneError
-from hnf_core.scene.raycast import ReferenceGeometry
+from reference.geometry import ReferenceGeometry
 
 
 def depsgraph():

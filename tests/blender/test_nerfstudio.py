@@ -7,13 +7,14 @@ import shutil
 import sys
 
 import bpy
-import nerfstudio_export
 import numpy as np
 import pytest
 from builders import add_plane, add_sphere
 from closeup_builders import principled
 from mathutils import Vector
 
+from data_tools import nerfstudio_export
+from data_tools.write_splats import write_inria
 from hnf_blender.bridge.importers import CAMERA_COLLECTION, add_cameras, find_geometry, open_scene
 from hnf_blender.bridge.render.cycles import read_camera
 from hnf_blender.bridge.splats import reconstruction
@@ -21,7 +22,7 @@ from hnf_blender.bridge.splats.splat_cloud import get_cloud
 from hnf_core.errors import FileError, SceneError
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.nerfstudio import NerfstudioFrame, read_transforms
-from hnf_core.scene.splats.io_ply import read_splats, write_inria
+from hnf_core.scene.splats.io_ply import read_splats
 
 SPOT = np.array([0.021, -0.013, 0.012])
 WIDTH, HEIGHT = 144, 96

@@ -328,18 +328,18 @@ import bpy, sys, os
 sys.path.insert(0, {root!r})
 sys.modules["hnf_blender.ui.strokes_panel"] = None  # importing it fails
 import hnf_blender
-from hnf_blender import rescue
+from hnf_blender import error_panel
 try:
     hnf_blender.register()
 except ImportError as error:
     print("RAISED", flush=True)
     left = [name for name in dir(bpy.types) if "hnf" in name.lower()]
     assert left == [], left
-    rescue.register(error)  # what a Blender with a window does at this point
+    error_panel.register(error)  # what a Blender with a window does at this point
     assert hasattr(bpy.types, "HNF_PT_rescue")
-    words = rescue.plain_words(error)
+    words = error_panel.explain_error(error)
     assert "strokes_panel" in words and "install" in words, words
-    assert "Traceback" in rescue.report(error)
+    assert "Traceback" in error_panel.format_report(error)
 hnf_blender.unregister()
 left = [name for name in dir(bpy.types) if "hnf" in name.lower()]
 assert left == [], left

@@ -16,7 +16,7 @@ from hnf_blender.preview.preview_state import PREVIEW
 def begun(monkeypatch):
     """What was played anew or went on, in order."""
     done = []
-    for name in ("play", "go_on"):
+    for name in ("play", "continue_playback"):
         monkeypatch.setattr(controller, name, lambda stroke, _scene, name=name: done.append((name, stroke)))
     monkeypatch.setattr(controller, "update_facts", lambda *_: None)
     PREVIEW.clear()
@@ -31,11 +31,11 @@ def hear(*names):
 def test_what_sounds_goes_on_and_what_waits_is_played_in_its_turn(begun):
     PREVIEW.sounding, PREVIEW.play_when_ready = "Sounds", "Waits"
     hear("Sounds")
-    assert begun == [("go_on", "Sounds")]
+    assert begun == [("continue_playback", "Sounds")]
     assert PREVIEW.play_when_ready == "Waits"
     hear("Other")
     hear("Waits")
-    assert begun == [("go_on", "Sounds"), ("play", "Waits")]
+    assert begun == [("continue_playback", "Sounds"), ("play", "Waits")]
     assert PREVIEW.play_when_ready == ""
 
 

@@ -39,7 +39,7 @@ def ridges_under_a_photo():
 
 
 def changed(now, before) -> tuple[str, ...]:
-    return now.jobs[0].inputs.changes(before.jobs[0].inputs)
+    return now.jobs[0].inputs.describe_changes(before.jobs[0].inputs)
 
 
 def test_a_photo_without_relief_is_predicted_once_a_patch(tmp_path) -> None:

@@ -38,7 +38,7 @@ def scene(tmp_path, monkeypatch):
 def words(monkeypatch) -> str:
     """What both panels say while every look at a file fails; where its lines break is the sidebar's affair."""
     with monkeypatch.context() as patch:
-        for module, name in ((os, "stat"), (scene_settings, "_read"), (scene_settings, "_changed")):
+        for module, name in ((os, "stat"), (scene_settings, "_read_profile"), (scene_settings, "_read_mtime")):
             patch.setattr(module, name, lambda *_args, **_named: pytest.fail("a panel asked the disk"))
         return " ".join(f"{drawn(HNF_PT_actuator).words} {drawn(HNF_PT_export).words}".split())
 

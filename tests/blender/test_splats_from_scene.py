@@ -7,16 +7,17 @@ import sys
 import bpy
 import numpy as np
 import pytest
-import splats_from_scene
 from builders import add_plane, add_sphere
 from closeup_builders import principled
 from predicted_scene import photo, photo_material
 from touch_scene import line_stroke
 
+from data_tools import splats_from_scene
 from data_tools.object_splats import compute_rotations_from_z, make_object_splats
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_core.scene.patch import Patch
-from hnf_core.scene.splats.io_ply import Y_00, read_splats
+from hnf_core.scene.splats.gaussians import C0
+from hnf_core.scene.splats.io_ply import read_splats
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -29,7 +30,7 @@ def splats_of(obj, spacing=2e-3, patches=(), fine=None, seed=0):
 
 def shown(splats) -> np.ndarray:
     """(n, 3) sRGB."""
-    return 0.5 + Y_00 * splats.harmonics[:, 0]
+    return 0.5 + C0 * splats.harmonics[:, 0]
 
 
 def srgb(linear) -> np.ndarray:

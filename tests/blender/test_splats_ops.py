@@ -17,8 +17,7 @@ from splat_builders import slab, slab_file
 from hnf_blender.bridge.splats import reconstruction
 from hnf_blender.bridge.splats.reconstruction import TouchSurface
 from hnf_blender.bridge.splats.splat_cloud import get_cloud, is_cloud, read_cloud
-from hnf_blender.bridge.stroke.new_stroke import cast_on_surface
-from hnf_blender.bridge.viewport_pick import pick_object_along_ray
+from hnf_blender.bridge.viewport_pick import cast_on_surface, pick_object_along_ray
 from hnf_blender.ops import import_ops
 from hnf_blender.ops.import_ops import SplatReader
 from hnf_blender.ui.scene_panel import HNF_PT_scale
@@ -72,7 +71,7 @@ def test_a_dropped_file_is_added_to_what_is_open(quick, tmp_path: Path) -> None:
 
 
 def test_up_is_turned_to_z(quick, tmp_path: Path) -> None:
-    from hnf_core.scene.splats.io_ply import write_inria
+    from data_tools.write_splats import write_inria
 
     for number, (comment, up) in enumerate({"": (0, -1, 0), "Vertical Axis: -z": (0, 0, -1)}.items()):
         path = tmp_path / f"s{number}.ply"

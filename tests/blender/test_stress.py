@@ -11,7 +11,7 @@ from stroke_builders import act, add_stroke, key, read
 
 from hnf_blender.bridge.scene.meshes import BlenderGeometry, hash_mesh, read_surface
 from hnf_core.errors import HnfError, SceneError, StrokeError
-from hnf_core.scene.raycast import ReferenceGeometry
+from reference.geometry import ReferenceGeometry
 
 LINE = np.array([(-0.01, 0.002, 0.0495), (0.0, 0.004, 0.0505), (0.01, -0.002, 0.0495)])
 

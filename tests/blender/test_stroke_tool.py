@@ -8,7 +8,7 @@ import pytest
 from builders import add_plane, add_sphere, datablock_names
 from stroke_builders import act, keyed_fcurves, read
 
-from hnf_blender.bridge.stroke.new_stroke import cast_on_surface
+from hnf_blender.bridge.viewport_pick import cast_on_surface
 from hnf_blender.props.scene_settings import get_active_stroke
 from hnf_core.action.pen_stroke import FORCE_TOLERANCE_N, PATH_TOLERANCE_M, PROGRESS_TOLERANCE_M
 
@@ -19,11 +19,11 @@ def operators():
 
     already = hasattr(bpy.types, "HNF_OT_stroke_draw")
     if not already:
-        for each in draw.DRAW_CLASSES:
+        for each in draw.CLASSES:
             bpy.utils.register_class(each)
     yield
     if not already:
-        for each in reversed(draw.DRAW_CLASSES):
+        for each in reversed(draw.CLASSES):
             bpy.utils.unregister_class(each)
 
 
@@ -293,7 +293,7 @@ def test_what_is_seen_and_no_surface_is_named_with_a_way_out(pen, desk):
     bpy.context.scene.collection.objects.link(empty)
     bpy.context.view_layer.update()
     assert not press(pen, desk, 100, 100)
-    assert pen.why_not.startswith("'Asset' shows instances")
+    assert pen.reject_reason.startswith("'Asset' shows instances")
     empty.hide_viewport = True
     line = bpy.data.curves.new("Line", "CURVE")
     line.bevel_depth = 0.02
@@ -302,13 +302,13 @@ def test_what_is_seen_and_no_surface_is_named_with_a_way_out(pen, desk):
     bpy.context.scene.collection.objects.link(bpy.data.objects.new("Hose", line))
     bpy.context.view_layer.update()
     assert not press(pen, desk, 110, 100)
-    assert pen.why_not.startswith("'Hose' is not a mesh")
+    assert pen.reject_reason.startswith("'Hose' is not a mesh")
 
 
 def test_the_pen_follows_the_surface_and_knows_where_it_leaves_it(pen, desk):
     add_plane("Cloth")
     assert not press(pen, desk, 10, 100)
-    assert "No mesh under the pen" in pen.why_not
+    assert "No mesh under the pen" in pen.reject_reason
     assert press(pen, desk, 100, 100)
     assert pen.is_click
     pen.move(desk.context, desk.event(180, 100))

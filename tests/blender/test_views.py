@@ -10,6 +10,7 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from builders import add_plane, add_sphere, datablock_names
 from mathutils import Vector
+from overview_builders import render_overview, to_surface_frame
 
 from hnf_blender.bridge.render.cycles import (
     add_aovs,
@@ -22,7 +23,6 @@ from hnf_blender.bridge.render.cycles import (
     render_passes,
     set_camera,
 )
-from hnf_blender.bridge.render.lit_render import render_overview, to_surface_frame
 from hnf_blender.bridge.scene.meshes import make_ray_caster, read_surface
 from hnf_blender.bridge.scene.temp_scene import TemporaryScene
 from hnf_blender.bridge.shader.aov_taps import Tap

@@ -166,7 +166,7 @@ def test_an_exception_in_the_command_is_an_accident_and_a_refusal_is_not(
     refused = run(order_for(folder, "a", synth(tmp_path / "absent.csv")))
     assert refused.state is State.FAILED
     assert "absent.csv" in refused.why
-    monkeypatch.setattr(__main__, "exit_with_parent", lambda: None)
+    monkeypatch.setattr(__main__, "exit_with_parent", lambda **_: None)
     monkeypatch.setattr(__main__, "PROGRAM", "no_such_program")
     code = __main__.main([])
     assert "ModuleNotFoundError" in capsys.readouterr().err

@@ -21,7 +21,7 @@ from hnf_core.action.motion_profile import make_motion_at_speed, make_motion_fro
 from hnf_core.action.patches import action_from_contacts, covers, plan_patches
 from hnf_core.errors import SceneError, StrokeError
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.raycast import ReferenceGeometry
+from reference.geometry import ReferenceGeometry
 
 RATE = 200.0
 

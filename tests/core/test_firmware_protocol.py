@@ -22,9 +22,9 @@ from hnf_core.actuators.serial_protocol import (
     Samples,
     Start,
     Stop,
-    crc16_reference,
     encode_frame,
 )
+from reference.device_reference import crc16_reference
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from hnf_core.scene.mesh import TriangleMesh, crop_mesh
 from hnf_core.scene.patch import Patch
-from hnf_core.scene.raycast import ReferenceGeometry, cast_view
+from hnf_core.scene.raycast import cast_view
+from reference.geometry import ReferenceGeometry
 
 
 def random_mesh(seed: int, count: int = 60, size: float = 0.02) -> TriangleMesh:

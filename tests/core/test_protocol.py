@@ -31,11 +31,11 @@ from hnf_core.actuators.serial_protocol import (
     Status,
     Stop,
     crc16,
-    crc16_reference,
     encode_frame,
     frames_per_message,
 )
 from hnf_core.errors import UsageError
+from reference.device_reference import crc16_reference
 
 U8, U16, U32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
 STATES = st.sampled_from(State)

@@ -10,13 +10,8 @@ from hypothesis import strategies as st
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import Camera, orthographic
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.raycast import (
-    ReferenceGeometry,
-    cast_view,
-    find_closest_barycentric,
-    make_embree_caster,
-    refine_hits,
-)
+from hnf_core.scene.raycast import cast_view, find_closest_barycentric, make_embree_caster, refine_hits
+from reference.geometry import ReferenceGeometry
 
 pytest.importorskip("embreex", reason="embreex is not installed here")
 

@@ -11,10 +11,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from splat_files import floats, inria_columns, ply_bytes, random_splats, write_compressed
 
+from data_tools.write_splats import write_inria
 from hnf_core.errors import FileError
 from hnf_core.scene.ply import read_ply_header
 from hnf_core.scene.splats import io_ply
-from hnf_core.scene.splats.io_ply import iter_validated_splats, read_splats, read_validated_splats, write_inria
+from hnf_core.scene.splats.io_ply import check_splat_file, iter_validated_splats, read_splats, read_validated_splats
 
 
 def in_a_folder(examples: int) -> settings:
@@ -104,7 +105,7 @@ def test_more_broken_splats_than_a_tenth_are_a_broken_file(tmp_path: Path) -> No
     columns["z"][60] = np.nan
     path.write_bytes(ply_bytes([("vertex", floats(columns))]))
     assert "11 of its 100 splats cannot be used" in str(refusal(path))
-    readings = iter_validated_splats(path, 10)
+    readings = iter_validated_splats(path, check_splat_file(path), 10)
     assert [sum(next(readings).dropped.values()) for _ in range(10)] == [0] * 5 + [10, 1, 0, 0, 0]
     with pytest.raises(FileError, match="11 of its 100"):
         next(readings)
@@ -128,7 +129,7 @@ def test_a_cut_file_says_how_much_is_there(whole: dict[str, Path], tmp_path: Pat
     assert f"is cut short: {there} of its 300 splats are there." in str(refusal(path))
     if layout != "ascii":  # whose end only reading finds
         with pytest.raises(FileError, match="cut short"):
-            iter_validated_splats(path)
+            check_splat_file(path)
 
 
 def sound_or_refused(path: Path) -> None:
@@ -268,7 +269,7 @@ def test_memory_follows_the_block_and_not_the_file(tmp_path: Path) -> None:
     with path.open("wb") as stream:
         stream.write(head.replace(b"vertex 2000", b"vertex 1000000") + end + data)
         stream.truncate(stream.tell() + len(data) * 499)
-    blocks = iter_validated_splats(path, 1000)
+    blocks = iter_validated_splats(path, check_splat_file(path), 1000)
     tracemalloc.start()
     first = [next(blocks).splats for _ in range(2)]
     peak = tracemalloc.get_traced_memory()[1]
@@ -286,7 +287,7 @@ def test_a_stream_of_blocks_holds_one_at_a_time(tmp_path: Path, layout: str) -> 
 
     def peak(chunk: int) -> int:
         tracemalloc.start()
-        count = sum(len(reading.splats) for reading in iter_validated_splats(path, chunk))
+        count = sum(len(reading.splats) for reading in iter_validated_splats(path, check_splat_file(path), chunk))
         _, highest = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert count == 4000

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import SceneError, UsageError
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.raycast import ReferenceGeometry
 from hnf_core.scene.scale import compute_metric_scale
 from hnf_core.scene.splats.surface_nets import GridSamples, SurfaceNet, extract_surface
 from hnf_core.scene.splats.voxel_grid import (
@@ -22,6 +21,7 @@ from hnf_core.scene.splats.voxel_grid import (
     find_nearest_triangles,
     label_components,
 )
+from reference.geometry import ReferenceGeometry
 
 
 def ball(points, radius=0.7):

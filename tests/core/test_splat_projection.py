@@ -13,7 +13,8 @@ from test_splat_views import turned
 
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.splats.gaussians import compute_view_directions, evaluate_sh_basis, evaluate_sh_colours
-from hnf_core.scene.splats.project import evaluate_quadratic_form, project_splats
+from hnf_core.scene.splats.project import evaluate_quadratic_form
+from reference.splat_rendering import project_splats
 
 
 def covariances(one):

@@ -13,7 +13,8 @@ from hnf_core.action.patches import action_from_contacts, plan_patches
 from hnf_core.action.stroke_placement import find_placements
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import orthographic
-from hnf_core.scene.raycast import ReferenceGeometry, cast_view
+from hnf_core.scene.raycast import cast_view
+from reference.geometry import ReferenceGeometry
 
 CASTERS = ["reference", "embree"]
 

@@ -18,9 +18,9 @@ from hnf_core.actuators.virtual.transducer import (
     counts_to_drive,
     make_rest_state,
     simulate_motion,
-    simulate_motion_reference,
 )
 from hnf_core.errors import UsageError
+from reference.device_reference import simulate_motion_reference
 
 RATE = 8000.0
 transducers = st.builds(

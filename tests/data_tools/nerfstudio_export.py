@@ -17,6 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,15 +37,16 @@ from data_tools.splats_from_scene import (
     open_session,
     parse_metres,
 )
+from data_tools.write_splats import write_inria
+from data_tools.write_transforms import TRANSFORMS_FILE, write_transforms
 from hnf_blender.bridge.render.lit_render import OverviewRenderer
 from hnf_blender.touch.session import Session
 from hnf_core.errors import HnfError, UsageError
 from hnf_core.export.png import encode_colour_png, encode_grey16_png
 from hnf_core.files import write_bytes, write_text
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.nerfstudio import TRANSFORMS_FILE, NerfstudioFrame, write_transforms
-from hnf_core.scene.splats.gaussians import Splats
-from hnf_core.scene.splats.io_ply import Y_00, write_inria
+from hnf_core.scene.nerfstudio import NerfstudioFrame
+from hnf_core.scene.splats.gaussians import C0, Splats
 from hnf_core.units import linear_to_srgb
 
 Float = NDArray[np.float64]
@@ -97,9 +100,6 @@ def _make_header(elements: dict[str, tuple[int, list[tuple[str, str]]]]) -> byte
         lines += [f"property {_PLY_TYPES[kind]} {name}" for name, kind in names]
         lines += ["property list uchar int vertex_indices"] if element == "face" else []
     return "\n".join([*lines, "end_header", ""]).encode()
-
-
-sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
 
 
 FIELD_OF_VIEW, ELEVATION = np.radians(45.0), np.radians(35.0)
@@ -162,7 +162,7 @@ def make_coloured_mesh(
 
 
 def get_colour_codes(splats: Splats) -> NDArray[np.uint8]:
-    shown = np.clip(0.5 + Y_00 * splats.harmonics[:, 0], 0.0, 1.0)
+    shown = np.clip(0.5 + C0 * splats.harmonics[:, 0], 0.0, 1.0)
     return np.rint(255.0 * shown).astype(np.uint8)
 
 

@@ -37,8 +37,7 @@ from hnf_core.scene.camera import Camera, orthographic
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.patch import PATCH_SIZE_M, Patch
 from hnf_core.scene.raycast import cast_view
-from hnf_core.scene.splats.gaussians import Splats
-from hnf_core.scene.splats.io_ply import Y_00
+from hnf_core.scene.splats.gaussians import C0, Splats
 from hnf_core.units import linear_to_srgb
 
 Float = NDArray[np.float64]
@@ -195,7 +194,7 @@ def make_flat_splats(samples: Samples, linear: NDArray[np.float32], rigid: Float
     """Discs on the points, of linear colour (n, 3); rigid: (4, 4) world ← the samples' frame."""
     count = len(samples)
     scales = samples.spacing[:, None] * np.array([RADIUS_SPACINGS, RADIUS_SPACINGS, THICKNESS_SPACINGS])
-    harmonics = (linear_to_srgb(linear) - 0.5) / Y_00
+    harmonics = (linear_to_srgb(linear) - 0.5) / C0
     return Splats(
         means=(samples.position @ rigid[:3, :3].T + rigid[:3, 3]).astype(np.float32),
         scales=scales.astype(np.float32),

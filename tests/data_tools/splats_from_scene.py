@@ -16,21 +16,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
+sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
 import bpy
 import numpy as np
 
 from data_tools.object_splats import concatenate_splats, find_touched_patches, make_object_splats
+from data_tools.write_splats import write_inria
 from hnf_blender import props
 from hnf_blender.bridge.importers import open_scene
 from hnf_blender.bridge.scene.bounding_boxes import is_visible
 from hnf_blender.touch.session import Session, make_scene_session
 from hnf_core.errors import HnfError, UsageError
 from hnf_core.scene.patch import Patch
-from hnf_core.scene.raycast import ReferenceGeometry
 from hnf_core.scene.splats.gaussians import Splats
-from hnf_core.scene.splats.io_ply import write_inria
+from reference.geometry import ReferenceGeometry
 
 UP_AXIS = "Vertical Axis: z"
 SPACING_M, FINE_M = 2e-3, 0.15e-3

@@ -10,10 +10,25 @@ from hnf_core.scene.splats.project import (
     LOW_PASS_PX2,
     MAX_ALPHA,
     MEDIAN_TRANSMITTANCE,
+    Footprints,
+    concatenate_footprints,
     evaluate_quadratic_form,
-    project_splats,
+    project_chunk,
+    sort_front_to_back,
+    split_into_chunks,
 )
 from hnf_core.scene.splats.rasterize import SplatView
+
+
+def project_splats(splats: Splats, camera: Camera, low_pass: float = LOW_PASS_PX2) -> Footprints:
+    """Project a cloud to the footprints that the image sees, front to back.
+
+    Raises UsageError where low_pass [pixels²] is negative or not finite.
+    """
+    found = concatenate_footprints(
+        [project_chunk(splats, camera, low_pass, chunk) for chunk in split_into_chunks(len(splats))]
+    )
+    return found.take(sort_front_to_back(found))
 
 
 def render_reference(splats: Splats, camera: Camera, *, low_pass: float = LOW_PASS_PX2) -> SplatView:

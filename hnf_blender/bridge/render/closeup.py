@@ -141,7 +141,7 @@ SELF_OCCLUSION_OFFSET_M = 1e-4
 class CloseUp:
     """A patch as its shader describes it.
 
-    patch: where. view: albedo (or, with samples, the lit picture) as rgb, planar depth, evaluated polygon ids and
+    patch: where. view: albedo as rgb, planar depth, evaluated polygon ids and
     shading normals in the surface frame. height: (H, W) float32 metres, +z along the patch normal, mean 0 over mask
     and 0 outside it; None where the shader has no micro-geometry. height_source: where the metres come from.
     appearance: shading values averaged over mask. mask: (H, W) bool, True where the patch's own connected surface in
@@ -169,58 +169,6 @@ class CloseUp:
         return self.patch.size_m / self.mask.shape[1]
 
 
-def render_closeup(obj: Any, patch: Patch, **options: Any) -> CloseUp:
-    """render_closeups for one patch."""
-    return render_closeups(obj, [patch], **options)[0]
-
-
-def render_closeups(
-    obj: Any,
-    patches: Sequence[Patch],
-    *,
-    surface: Surface | None = None,
-    caster: RayCaster | None = None,
-    pixels: int = 512,
-    metres_per_unit: float = 1.0,
-    frame: float | None = None,
-    view_layer: Any = None,
-    samples: int | None = None,
-) -> list[CloseUp]:
-    """Close-ups of several patches of one object, on one temporary stage: one render a patch.
-
-    obj: the touched object. patches: in its surface frame. surface, caster: of obj at frame, made here where not
-    given. pixels: side of the square image, at most APPEARANCE_PIXELS where relief and colour show nothing.
-    metres_per_unit: of the user's scene. frame: scene frame, None = now. view_layer: of the scene that obj is touched
-    in, None = the first that it stands in.
-    samples: also light the patch with a neutral dome and render the original shader with so many samples (rgb).
-    Raises SceneError for a missing texture (naming object, material and image) and where there is no surface. The
-    user's file is left as it was, also on errors.
-    """
-    made = list(
-        iter_closeups(
-            obj,
-            patches,
-            surface=surface,
-            caster=caster,
-            pixels=pixels,
-            metres_per_unit=metres_per_unit,
-            frame=frame,
-            view_layer=view_layer,
-        )
-    )
-    if samples and made:
-        from .lit_render import render_lit_images
-
-        pictures = render_lit_images(
-            obj, [each.view.camera for each in made], samples, metres_per_unit, frame, view_layer
-        )
-        made = [
-            replace(each, view=replace(each.view, rgb=rgb), renders=each.renders + 1)
-            for each, rgb in zip(made, pictures, strict=True)
-        ]
-    return made
-
-
 def iter_closeups(
     obj: Any,
     patches: Sequence[Patch],
@@ -234,11 +182,20 @@ def iter_closeups(
     first_pass_pixels: int | None = None,
     wait_for_threads: Callable[[], None] = lambda: None,
 ) -> Generator[CloseUp, None, None]:
-    """render_closeups, unlit, one after the other. Close it, or take all: the stage stands until then.
+    """Close-ups of several patches of one object, one after the other, on one temporary stage: one render a patch.
 
-    first: side of a first look where all detail is in images; a closer one follows only where those show more than it
-    sees. None: no first look. alone: called before Blender is asked for anything, to wait for the caller's threads: an
-    operator lets them run Python, and Blender crashes. Rays are cast beside them.
+    Close it, or take all: the stage stands until then. The user's file is left as it was, also on errors.
+
+    obj: the touched object. patches: in its surface frame. surface, caster: of obj at frame, made here where not
+    given. pixels: side of the square image, at most APPEARANCE_PIXELS where relief and colour show nothing.
+    metres_per_unit: of the user's scene. frame: scene frame, None = now. view_layer: of the scene that obj is touched
+    in, None = the first that it stands in.
+
+    first_pass_pixels: side of a first look where all detail is in images; a closer one follows only where those show
+    more than it sees. None: no first look. wait_for_threads: called before Blender is asked for anything, to wait for
+    the caller's threads: an operator lets them run Python, and Blender crashes. Rays are cast beside them.
+
+    Raises SceneError for a missing texture (naming object, material and image) and where there is no surface.
     """
     if not patches:
         return
@@ -256,7 +213,7 @@ def iter_closeups(
         camera_object = add_camera(temporary)
         temporary.scene.render.use_persistent_data = len(patches) > 1
 
-        def look(patch: Patch, side: int, before: _MaskedPatch | None = None) -> _MaskedPatch:
+        def render_patch(patch: Patch, side: int, before: _MaskedPatch | None = None) -> _MaskedPatch:
             try:
                 camera, rays = make_unoccluded_camera(patch, side, caster)
                 cast = cast_view(caster, surface.mesh, camera)
@@ -276,12 +233,14 @@ def iter_closeups(
             slot = readings[patch.slot]
             side = pixels if _has_detail(slot) else min(pixels, APPEARANCE_PIXELS)
             if first_pass_pixels is None or first_pass_pixels >= side or not is_image_based(slot):
-                yield _build_closeup(look(patch, side), surface)
+                yield _build_closeup(render_patch(patch, side), surface)
                 continue
-            looked = look(patch, first_pass_pixels)
+            looked = render_patch(patch, first_pass_pixels)
             cast, passes = looked.rendered.cast, looked.rendered.passes
             enough = choose_resolution(slot, passes, looked.mask, cast.triangle, patch.size_m, side)
-            yield _build_closeup(looked if enough <= first_pass_pixels else look(patch, enough, looked), surface)
+            yield _build_closeup(
+                looked if enough <= first_pass_pixels else render_patch(patch, enough, looked), surface
+            )
 
 
 def crop_to_patches(surface: Surface, patches: Sequence[Patch]) -> Surface:

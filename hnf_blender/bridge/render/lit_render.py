@@ -7,32 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hnf_core.errors import HnfError
 from hnf_core.files import content_hash
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.raycast import RayCaster, cast_view
 from hnf_core.scene.rgbd_view import RgbdView
 
 from ... import compat
-from ..scene.meshes import Surface, get_slot_materials, hash_mesh, make_ray_caster
+from ..scene.meshes import get_slot_materials, hash_mesh
 from ..scene.suppress_output import suppress_output
 from ..scene.temp_scene import TemporaryScene
 from ..shader.images import fingerprint_file
 from ..shader.object_inputs import find_shader_inputs, format_object_inputs
 from ..shader.shader_hash import format_settings, hash_material, hash_node_tree
-from .cycles import add_camera, configure_cycles, get_planar_depth, render_passes, set_camera
-from .isolated_object import isolate_object
+from .cycles import add_camera, configure_cycles, get_planar_depth, read_camera, render_passes, set_camera
 
 DOME_STRENGTH = 1.0
 MAX_BOUNCES = 4
-DEPTH_TOLERANCE = 1e-3
-"""Relative depth difference under which a rendered pixel shows the surface that a ray met."""
 
 
 class OverviewRenderer:
@@ -135,72 +129,12 @@ class OverviewRenderer:
 
     def _use_scene_camera(self, frame: float | None) -> Camera:
         """The scene's own camera, evaluated and rendered from."""
-        from .cycles import read_camera
-
         scene, temporary = self._scene, self.temporary
         temporary.scene.camera = scene.camera
         _copy_resolution(scene, temporary.scene)
         temporary.evaluate(_get_frame(scene, frame))
         evaluated = scene.camera.evaluated_get(temporary.view_layer.depsgraph)
         return read_camera(temporary.scene, scene.camera, self._metres, evaluated.matrix_world)
-
-
-def render_overview(
-    scene: Any,
-    camera: Camera | None,
-    *,
-    metres_per_unit: float = 1.0,
-    samples: int = 16,
-    objects: Sequence[Any] | None = None,
-    surface: Surface | None = None,
-    caster: RayCaster | None = None,
-    frame: float | None = None,
-) -> tuple[RgbdView, tuple[str, ...]]:
-    """(view, notes): one view of Overviews. objects: None = everything. surface: fills face_id with the evaluated
-    polygons of this object where it is what the camera sees."""
-    with OverviewRenderer(
-        scene, metres_per_unit=metres_per_unit, samples=samples, entire_scene=objects is None
-    ) as overviews:
-        view, notes = overviews.render_view(camera, objects or (), frame)
-    if surface is not None:
-        view = replace(view, face_id=find_visible_faces(view, surface, caster or make_ray_caster(surface.mesh)))
-    return view, notes
-
-
-def find_visible_faces(view: RgbdView, surface: Surface, caster: RayCaster) -> NDArray[np.int32]:
-    """(H, W) evaluated polygon of surface that each pixel of view shows, -1 where it shows something else."""
-    cast = cast_view(caster, surface.mesh, to_surface_frame(view.camera, surface))
-    seen = np.isfinite(cast.depth) & np.isfinite(view.depth)
-    ours, theirs = np.where(seen, cast.depth, 0.0), np.where(seen, view.depth, 0.0)
-    same = seen & (np.abs(ours - theirs) <= DEPTH_TOLERANCE * ours)
-    return np.where(same, cast.face_id, -1).astype(np.int32)
-
-
-def to_surface_frame(camera: Camera, surface: Surface) -> Camera:
-    """A world camera, seen from a surface's own frame."""
-    return replace(camera, pose=np.linalg.inv(surface.rigid) @ camera.pose)
-
-
-def render_lit_images(
-    obj: Any,
-    cameras: Sequence[Camera],
-    samples: int,
-    metres_per_unit: float,
-    frame: float | None,
-    view_layer: Any = None,
-) -> list[NDArray[np.float32]]:
-    """(H, W, 3) linear pictures of obj alone under a neutral dome; cameras in its surface frame. One render each."""
-    with TemporaryScene() as temporary:
-        configure_cycles(temporary.scene, samples)
-        stage = isolate_object(temporary, obj, metres_per_unit, frame, view_layer=view_layer)
-        add_dome(temporary.scene)
-        camera_object = add_camera(temporary)
-        temporary.scene.render.use_persistent_data = len(cameras) > 1
-        pictures = []
-        for camera in cameras:
-            set_camera(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
-            pictures.append(np.ascontiguousarray(render_passes(temporary)["Combined"][..., :3]))
-    return pictures
 
 
 def add_dome(scene: Any) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.errors import SceneError
 from hnf_core.scene.mesh import TriangleMesh, compute_float32_frame, has_area
-from hnf_core.scene.raycast import ClosestPoints, Hits, RayCaster, find_closest_points, refine_hits
+from hnf_core.scene.raycast import ClosestPoints, Hits, RayCaster, find_closest_points, make_embree_caster, refine_hits
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
@@ -218,8 +218,6 @@ class BlenderGeometry:
 
 def make_ray_caster(mesh: TriangleMesh, fallback: BlenderGeometry | None = None) -> RayCaster:
     """Embree where it is installed (not on Linux arm), Blender's BVH otherwise: equal results, ten times slower."""
-    from hnf_core.scene.raycast import make_embree_caster
-
     try:
         return make_embree_caster(mesh)
     except ImportError:

@@ -174,8 +174,6 @@ def preserve_animated_values(scene: Any, *objects: Any) -> Iterator[None]:
     try:
         yield
     finally:
-        pass  # moved
-
         with TemporaryScene() as temporary:  # its frame 1 would stay in dependencies that are animated
             for obj in objects:
                 temporary.link(obj)

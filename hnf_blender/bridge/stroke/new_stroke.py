@@ -5,7 +5,7 @@ What a mouse or pen drew over the scene → a stroke object on the surface it ra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,6 @@ from hnf_core.units import m_to_mm
 from ... import compat
 from ...props.object_cache import CHANGES
 from ..scene.bounding_boxes import filter_rendered
-from ..splats.splat_cloud import is_cloud
 
 Float = NDArray[np.float64]
 
@@ -122,86 +121,12 @@ def insert_keys(stroke: Any, name: str, keys: Keyframes, start: float, per_secon
     fcurve.update()
 
 
-SEE_THROUGH_DISPLAY_TYPES = ("WIRE", "BOUNDS")
-"""Display types that a person sees through, so that a pen draws through them too."""
-MAX_RAY_HITS = 64
-RAY_STEP_FRACTION = 1e-5
-"""By how much of the way so far a ray goes on behind something it passes through."""
-
-
-@dataclass(frozen=True)
-class Hit:
-    """obj: what the ray met. local: (3,) in its coordinates. world, normal: (3,). face: polygon of its evaluated
-    mesh."""
-
-    obj: Any
-    local: Float
-    world: Float
-    normal: Float
-    face: int
-
-
 @dataclass(frozen=True)
 class DrawnStroke:
     """obj: the new stroke object. drawn: what it was made of."""
 
     obj: Any
     pen_stroke: PenStroke
-
-
-def cast_on_surface(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
-    """The first mesh that a person sees along a ray of the viewport (SpaceView3D, None: the view layer decides), in
-    Blender units. Instances, and what the viewport hides or shows as wires, are passed through."""
-    from mathutils import Vector
-
-    if any(is_cloud(obj) for obj in scene.objects):
-        return _cast_per_object(scene, depsgraph, viewport, Vector(origin), Vector(direction))
-    for world, normal, face, obj, matrix in iter_ray_hits(scene, depsgraph, origin, direction):
-        if _is_surface(obj, matrix, scene, depsgraph, viewport):
-            return Hit(obj, np.array(matrix.inverted_safe() @ world), np.array(world), np.array(normal), int(face))
-    return None
-
-
-def iter_ray_hits(scene: Any, depsgraph: Any, origin: Any, direction: Any) -> Iterator[tuple[Any, Any, int, Any, Any]]:
-    """(place, normal, face, object, its matrix there) of what Blender's own ray meets, the nearest first, LAYERS of
-    them at most; instances and whatever else it stops at."""
-    from mathutils import Vector
-
-    start, direction = Vector(origin), Vector(direction)
-    for _ in range(MAX_RAY_HITS):
-        found, world, normal, face, met, matrix = scene.ray_cast(depsgraph, start, direction)
-        if not found:
-            return
-        yield world, normal, face, met.original, matrix
-        start = world + direction * max((world - Vector(origin)).length * RAY_STEP_FRACTION, 1e-7)
-
-
-def _cast_per_object(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
-    """The same, object by object: Blender's own ray would walk over a hundred thousand ellipsoids first."""
-    nearest: Hit | None = None
-    for obj in scene.objects:
-        if obj.type != "MESH" or is_cloud(obj) or not obj.visible_get(view_layer=depsgraph.view_layer):
-            continue
-        evaluated = obj.evaluated_get(depsgraph)
-        matrix = evaluated.matrix_world
-        if len(evaluated.data.polygons) == 0 or not _is_surface(obj, matrix, scene, depsgraph, viewport):
-            continue
-        back = matrix.inverted_safe()
-        found, local, normal, face = evaluated.ray_cast(back @ origin, back.to_3x3() @ direction)
-        world = matrix @ local
-        if found and (nearest is None or (world - origin).length < np.linalg.norm(nearest.world - np.array(origin))):
-            up = back.to_3x3().transposed() @ normal
-            nearest = Hit(obj, np.array(local), np.array(world), np.array(up.normalized()), int(face))
-    return nearest
-
-
-def _is_surface(obj: Any, matrix: Any, scene: Any, depsgraph: Any, viewport: Any) -> bool:
-    if obj.type != "MESH" or obj.display_type in SEE_THROUGH_DISPLAY_TYPES or scene.objects.get(obj.name) != obj:
-        return False
-    if not obj.visible_get(view_layer=depsgraph.view_layer, viewport=viewport):
-        return False
-    own = np.array(obj.evaluated_get(depsgraph).matrix_world)
-    return bool(np.allclose(own, np.array(matrix), rtol=1e-5, atol=1e-6))
 
 
 def create_drawn_stroke(
@@ -261,7 +186,7 @@ def _make_surface_projector(
 ) -> Callable[[Float], Float]:
     """World points [m] → the nearest points of the evaluated object, as it is looked for in its own coordinates."""
 
-    def nearest(points: Float) -> Float:
+    def project(points: Float) -> Float:
         local = points / metres @ from_world[:3, :3].T + from_world[:3, 3]
         found = np.empty_like(local)
         for k, point in enumerate(local):
@@ -269,7 +194,7 @@ def _make_surface_projector(
             found[k] = place if hit else point
         return np.asarray((found @ to_world[:3, :3].T + to_world[:3, 3]) * metres)
 
-    return nearest
+    return project
 
 
 def mask_points_near_surface(

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..limits import FULL_SCALE_COUNTS
 from ..serial_protocol import (
+    FRAME_TIMEOUT_S,
     FROM_HOST,
     LARGEST_PAYLOAD,
     RAMP_MS,
@@ -128,17 +129,6 @@ class Playout:
                 at += self._wait_ticks(frames - at)
         return out
 
-    def advance_reference(self, frames: int) -> Counts:
-        """The reference of advance(): tick by tick."""
-        out: Counts = np.zeros((frames, self.form.channels), dtype=np.int16)
-        for at in range(frames):
-            self._update_phase()
-            if self.phase is PlayoutPhase.SOUNDING:
-                self._play(out[at : at + 1])
-            elif self.phase is PlayoutPhase.FADING:
-                self._fade(out[at : at + 1])
-        return out
-
     def _update_phase(self) -> None:
         """At the beginning of a tick: what the phase is in it."""
         if self.command in (PlayoutCommand.DROP, PlayoutCommand.OFF):
@@ -218,9 +208,6 @@ CREDIT_HZ = 1000
 STATUS_HZ = 10
 ERROR_HZ = 10
 """How often the same ERROR is told at most."""
-
-FRAME_TIMEOUT_S = 0.02
-"""Without a byte, and a frame that was begun is given up."""
 
 OutputCallback = Callable[[int, float, Counts], None]
 

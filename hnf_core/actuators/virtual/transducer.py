@@ -48,13 +48,6 @@ class StateSpace:
             states[at + 1 : at + 1 + count] = moved + np.tensordot(forced[:count, :, :count], block, axes=1)
         return states
 
-    def simulate_reference(self, start: Floats, inputs: Floats) -> Floats:
-        """The reference of run(): one sample after the other."""
-        states = [start]
-        for value in inputs:
-            states.append(self.transition @ states[-1] + np.outer(self.input_vector, value))
-        return np.asarray(states)
-
     @cached_property
     def _block_matrices(self) -> tuple[Floats, Floats]:
         """(N, S, S): A^(n+1). (N, S, N): what the input at sample j has become in the state after sample n."""
@@ -161,22 +154,11 @@ def simulate_motion(
         piece = force[at : at + CHUNK_SAMPLES]
         moved = mechanics.simulate(states[at], piece)
         if np.abs(moved[:, 0]).max() > transducer.stroke_m:
-            moved = _simulate_with_stops(mechanics, states[at], piece, transducer.stroke_m)
+            moved = simulate_with_stops(mechanics, states[at], piece, transducer.stroke_m)
         states[at : at + len(moved)] = moved
-    return _make_motion(transducer, states, force, simulate_temperature(transducer, drive, rate_hz, start.temperature))
+    return make_motion(transducer, states, force, simulate_temperature(transducer, drive, rate_hz, start.temperature))
 
 
-def simulate_motion_reference(
-    transducer: Transducer, drive: Floats, rate_hz: float, start: TransducerState | None = None
-) -> Motion:
-    """The reference of move(): one sample after the other, the stops always watched."""
-    start = make_rest_state(transducer, drive.shape[1]) if start is None else start
-    force = transducer.compute_force(drive)
-    first = np.stack([start.position, start.velocity])
-    states = _simulate_with_stops(make_mechanical_system(transducer, rate_hz), first, force, transducer.stroke_m)
-    warmth = (start.temperature - transducer.ambient_c)[None]
-    warmths = make_thermal_system(transducer, rate_hz).simulate_reference(warmth, transducer.compute_power(drive))[:, 0]
-    return _make_motion(transducer, states, force, warmths + transducer.ambient_c)
 
 
 def simulate_temperature(transducer: Transducer, drive: Floats, rate_hz: float, start_c: Floats) -> Floats:
@@ -222,7 +204,7 @@ def _compute_transition_matrix(stiffness: float, damping: float, seconds: float)
     return np.array([[even + decay * odd, odd], [-stiffness * odd, even - decay * odd]])
 
 
-def _simulate_with_stops(mechanics: StateSpace, start: Floats, force: Floats, stroke_m: float) -> Floats:
+def simulate_with_stops(mechanics: StateSpace, start: Floats, force: Floats, stroke_m: float) -> Floats:
     """Sample by sample; what would be past a stop rests at it."""
     states = [start]
     for value in force:
@@ -232,7 +214,7 @@ def _simulate_with_stops(mechanics: StateSpace, start: Floats, force: Floats, st
     return np.asarray(states)
 
 
-def _make_motion(transducer: Transducer, states: Floats, force: Floats, temperature: Floats) -> Motion:
+def make_motion(transducer: Transducer, states: Floats, force: Floats, temperature: Floats) -> Motion:
     position, velocity = states[:-1, 0], states[:-1, 1]
     pull = force - transducer.stiffness_n_m * position - transducer.damping_n_s_m * velocity
     return Motion(

@@ -26,10 +26,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FileError, UsageError
-from ...files import write_atomically
+from ...errors import FileError
 from ..ply import PlyHeader, Rows, count_complete_rows, iter_rows, make_truncated_error, read_ply_header
-from .gaussians import Box, Single, Splats
+from .gaussians import C0, Box, Single, Splats
 
 Real = NDArray[np.floating[Any]]
 
@@ -101,8 +100,6 @@ def _count_true(mask: NDArray[np.bool_]) -> int:
     return int(np.count_nonzero(mask))
 
 
-# Y_00 = 1 / (2 √π): colour = 0.5 + Y_00 · c.
-Y_00 = 0.5 / np.sqrt(np.pi)
 # Properties f_rest_* of degree 0 … 3: three channels of (L + 1)² − 1.
 REST_COUNTS = (0, 9, 24, 45)
 CENTRE_PROPERTIES, ROTATION_PROPERTIES = ("x", "y", "z"), ("rot_0", "rot_1", "rot_2", "rot_3")
@@ -111,9 +108,6 @@ SCALE_PROPERTIES, DC_PROPERTIES, RGB_PROPERTIES = (
     ("f_dc_0", "f_dc_1", "f_dc_2"),
     ("red", "green", "blue"),
 )
-# Beyond it the logistic function is 0 or 1 in float32.
-MAX_LOGIT = 104.0
-SPLATS_PER_WRITE = 1 << 14
 
 
 def check_inria(path: Path, header: PlyHeader) -> None:
@@ -185,51 +179,8 @@ def sigmoid(logits: Real) -> NDArray[np.float64]:
     return np.asarray(np.where(logits >= 0.0, 1.0, small) / (1.0 + small))
 
 
-def write_inria(path: Path, splats: Splats, *, comments: Sequence[str] = ()) -> None:
-    """Little-endian binary as the reference code writes it, with normals of 0. An earlier file is replaced in one step.
-
-    An opacity of 0 or 1 gets the logit −104 or 104, which reads back as itself and not as a number that other
-    readers cannot draw. comments: of one line each, for the header. Raises FileError where it cannot be written,
-    UsageError for a comment of several lines.
-    """
-    if any("\n" in comment or "\r" in comment for comment in comments):
-        raise UsageError("A comment of a .ply is one line.", where=str(path))
-    rest = [f"f_rest_{number}" for number in range(3 * (splats.harmonics.shape[1] - 1))]
-    names = [
-        *CENTRE_PROPERTIES,
-        "nx",
-        "ny",
-        "nz",
-        *DC_PROPERTIES,
-        *rest,
-        "opacity",
-        *SCALE_PROPERTIES,
-        *ROTATION_PROPERTIES,
-    ]
-    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
-    lines += [f"element vertex {len(splats)}", *(f"property float {name}" for name in names), "end_header", ""]
-
-    def write(temporary: Path) -> None:
-        with temporary.open("wb") as stream:
-            stream.write("\n".join(lines).encode())
-            for first in range(0, len(splats), SPLATS_PER_WRITE):
-                stream.write(
-                    _encode_rows(splats.take(np.arange(first, min(first + SPLATS_PER_WRITE, len(splats))))).tobytes()
-                )
-
-    write_atomically(path, write)
 
 
-def _encode_rows(splats: Splats) -> NDArray[np.float32]:
-    """(N, 14 + 3 K) as the file holds it."""
-    count = len(splats)
-    opacities = splats.opacities.astype(np.float64)
-    with np.errstate(divide="ignore"):
-        logits = np.clip(np.log(opacities) - np.log1p(-opacities), -MAX_LOGIT, MAX_LOGIT)
-        logs = np.log(splats.scales.astype(np.float64))
-    rest = splats.harmonics[:, 1:].transpose(0, 2, 1).reshape(count, -1)
-    parts = [splats.means, np.zeros((count, 3)), splats.harmonics[:, 0], rest, logits[:, None], logs, splats.rotations]
-    return np.asarray(np.concatenate(parts, axis=1), dtype="<f4")
 
 
 def _read_log_scales(rows: Rows) -> Real:
@@ -241,7 +192,7 @@ def _read_log_scales(rows: Rows) -> Real:
 def _read_dc_coefficients(rows: Rows) -> Real:
     if DC_PROPERTIES[0] in (rows.dtype.names or ()):
         return stack_columns(rows, DC_PROPERTIES)
-    return np.asarray((stack_columns(rows, RGB_PROPERTIES) / 255.0 - 0.5) / Y_00)
+    return np.asarray((stack_columns(rows, RGB_PROPERTIES) / 255.0 - 0.5) / C0)
 
 
 _EXPORT_REMEDY = "Export it again as Gaussian splats (INRIA's .ply layout)."
@@ -316,7 +267,7 @@ def _unpack_splats(rows: Rows, bounds: Rows, rest: Float) -> RawSplats:
         log_scales=_interpolate_bounds(bounds, SCALE_BOUNDS, _unpack_fractions(rows["packed_scale"], VECTOR_BITS)),
         rotations=_unpack_rotations(rows["packed_rotation"]),
         opacities=colour[:, 3],
-        harmonics=join_harmonics((painted - 0.5) / Y_00, rest),
+        harmonics=join_harmonics((painted - 0.5) / C0, rest),
     )
 
 
@@ -381,22 +332,12 @@ def read_validated_splats(path: Path, *, within: Box | None = None) -> Validated
     kept = _SplatAccumulator(header.count("vertex") if within is None and header.format != "ascii" else None)
     total, thickened = 0, 0
     dropped: Counter[str] = Counter()
-    for reading in _iter_blocks(path, header, ROWS_PER_BLOCK):
+    for reading in iter_validated_splats(path, header, ROWS_PER_BLOCK):
         splats = reading.splats
         kept.add(splats if within is None else splats.take(within.contains(splats.means)))
         total, thickened = total + reading.total, thickened + reading.thickened
         dropped.update(reading.dropped)
     return ValidatedSplats(kept.to_splats(), total, dict(dropped), thickened)
-
-
-def iter_validated_splats(path: Path, chunk: int = ROWS_PER_BLOCK) -> Iterator[ValidatedSplats]:
-    """One Reading for each chunk of rows; memory follows chunk, not the file.
-
-    Raises FileError as read_whole does: at the call for whatever the head and the length of the file tell, and while
-    reading for what only the numbers tell (at the end, for too many unusable splats; an ascii file's end).
-    """
-    path = Path(path)
-    return _iter_blocks(path, check_splat_file(path), chunk)
 
 
 def check_splat_file(path: Path) -> PlyHeader:
@@ -423,7 +364,11 @@ def check_splat_file(path: Path) -> PlyHeader:
     return header
 
 
-def _iter_blocks(path: Path, header: PlyHeader, chunk: int) -> Iterator[ValidatedSplats]:
+def iter_validated_splats(path: Path, header: PlyHeader, chunk: int) -> Iterator[ValidatedSplats]:
+    """Read splats, chunk rows of the file at a time. header: of check_splat_file.
+
+    Raises FileError for what only the numbers show: too many unusable splats (at the end), or an ascii file's end.
+    """
     blocks: Iterator[RawSplats] = (iter_compressed if header.is_compressed else iter_inria)(path, header, chunk)
     dropped = 0
     for raw in blocks:

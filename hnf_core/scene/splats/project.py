@@ -84,13 +84,6 @@ def evaluate_quadratic_form(prints: Footprints, which: Int, y: Int | Float) -> t
     return along * along / prints.var_y[which], prints.u[which] + prints.shear[which] * along, along
 
 
-def project_splats(splats: Splats, camera: Camera, low_pass: float = LOW_PASS_PX2) -> Footprints:
-    """What of a cloud meets the picture, front to back. Raises UsageError where low_pass, pixels², is negative or not
-    finite."""
-    found = concatenate_footprints(
-        [project_chunk(splats, camera, low_pass, chunk) for chunk in split_into_chunks(len(splats))]
-    )
-    return found.take(sort_front_to_back(found))
 
 
 def split_into_chunks(count: int) -> list[slice]:

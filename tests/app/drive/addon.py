@@ -14,13 +14,13 @@ MODULE = "bl_ext.user_default.hnf"
 
 
 def ours(name: str):
-    """A module of the add-on, such as ours("state.session")."""
+    """A module of the add-on, such as ours("state.session_state")."""
     return importlib.import_module(f"{MODULE}.{name}")
 
 
 def state():
     """The run-time state that panels read."""
-    return ours("state.session").STATE
+    return ours("state.session_state").STATE
 
 
 def strokes() -> list:
@@ -30,7 +30,7 @@ def strokes() -> list:
 
 def freshness(name: str) -> str:
     """ "fresh", "force", "stale" … as the panel shows it; "" where the state knows nothing of the stroke."""
-    status = state().strokes_in(bpy.context.scene).get(name)
+    status = state().get_statuses(bpy.context.scene).get(name)
     return "" if status is None else status.freshness.value
 
 
@@ -121,7 +121,7 @@ def job_folders() -> list[Path]:
 
 def heard(name: str):
     """The newest signal of a stroke as the preview has it, or None."""
-    return ours("preview.facts").PREVIEW.heard.get(name)
+    return ours("preview.preview_state").PREVIEW.results.get(name)
 
 
 def start_bake(stage, **properties) -> None:

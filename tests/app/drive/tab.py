@@ -12,7 +12,7 @@ CLOSED = "DEFAULT_CLOSED"
 @contextmanager
 def all_open():
     """Inside, panels that begin closed stand open at their places; afterwards the tab is what it was."""
-    panels = [each for each in ours("ui")._on if issubclass(each, bpy.types.Panel)]
+    panels = [each for each in ours("ui")._registered_classes if issubclass(each, bpy.types.Panel)]
     closed = [each for each in panels if CLOSED in getattr(each, "bl_options", ())]
     replaced(panels, dict.fromkeys(closed, (set(), "_open")))
     try:

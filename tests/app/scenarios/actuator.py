@@ -18,11 +18,11 @@ SOON_S = 30.0
 
 
 def link():
-    return ours("actuator.link").LINK
+    return ours("actuator.player_client").PLAYER_CLIENT
 
 
 def facts():
-    return ours("actuator.state").ACTUATOR.facts
+    return ours("actuator.actuator_state").ACTUATOR.facts
 
 
 def phase() -> str:
@@ -57,11 +57,11 @@ def check_a_baked_scene(stage):
 
 
 def check_devices_are_looked_for(stage):
-    state = ours("actuator.state").ACTUATOR
+    state = ours("actuator.actuator_state").ACTUATOR
     with stage.over():
         bpy.ops.hnf.actuator_find()
-    yield from stage.until("they were looked for", lambda: not state.seeking, SOON_S)
-    stage.expect("without a fault", state.looked, state.missing)
+    yield from stage.until("they were looked for", lambda: not state.is_scanning, SOON_S)
+    stage.expect("without a fault", state.is_scanned, state.scan_notes)
     yield from stage.picture("found")
 
 
@@ -88,7 +88,7 @@ def check_play_and_a_changed_force(stage):
         stage.expect("pressed", bpy.ops.hnf.preview_play() == {"FINISHED"})
     yield from stage.until("it plays", lambda: phase() == "playing", SOON_S)
     began, before = link().began, heard("Along")
-    yield from stage.until("what a skin would get is told", lambda: ours("actuator.state").ACTUATOR.skin, SOON_S)
+    yield from stage.until("what a skin would get is told", lambda: ours("actuator.actuator_state").ACTUATOR.skin_lines, SOON_S)
     yield from stage.picture("playing", settle=1.5)
     curve = next(each for each in ours("compat").fcurves_of(strokes()[0]) if each.data_path == "hnf_stroke.force")
     curve.keyframe_points[-1].co[1] = 4.0
@@ -107,7 +107,7 @@ def check_play_and_a_changed_force(stage):
 def check_the_timeline(stage):
     bpy.context.scene.frame_set(1)
     yield 0.3
-    before = link().newest.status.play
+    before = link().current_status.status.play
     with stage.over():
         bpy.ops.screen.animation_play()
     try:
@@ -123,7 +123,7 @@ def check_the_timeline(stage):
 
 def felt_since(play: int) -> bool:
     """A later play than this one has left for the device."""
-    newest = link().newest
+    newest = link().current_status
     return newest is not None and newest.status.play > play and newest.status.peak > 0.0
 
 
@@ -136,14 +136,14 @@ def check_the_playhead_is_dragged(stage):
     bpy.context.scene.frame_set(1)
     header = region.y + region.height - 10
     at = [(region.x + region.width // 4 + 12 * k, header) for k in range(20)]
-    numbers = {link().newest.status.play}
+    numbers = {link().current_status.status.play}
     yield from stage.move(at[0])
     stage.event("LEFTMOUSE", "PRESS", at[0])
     for place in at[1:]:
         yield 0.08
         stage.event("MOUSEMOVE", "NOTHING", place)
-        if link().newest is not None:
-            numbers.add(link().newest.status.play)
+        if link().current_status is not None:
+            numbers.add(link().current_status.status.play)
     stage.event("LEFTMOUSE", "RELEASE", at[-1])
     yield 0.3
     stage.expect("the playhead went along", bpy.context.scene.frame_current > 1, bpy.context.scene.frame_current)
@@ -196,9 +196,9 @@ def check_a_player_that_dies(stage):
 def check_a_sound_output_without_its_library(stage):
     """This machine has no PortAudio: Blender's own sound plays instead, within the limits."""
     stage.require("a sound device, one that plays to nowhere", stage.take_sound_device() != "None")
-    stage.require("no PortAudio", "sounddevice" in ours("actuator.state").ACTUATOR.without)
+    stage.require("no PortAudio", "sounddevice" in ours("actuator.actuator_state").ACTUATOR.missing_packages)
     yield from choose(stage, "audio")
-    player = ours("preview.current").PLAYER
+    player = ours("preview.controller").PLAYER
     with stage.over():
         stage.expect("pressed", bpy.ops.hnf.preview_play() == {"FINISHED"})
     yield from stage.until("it sounds", lambda: player.is_playing, SOON_S)
@@ -219,7 +219,7 @@ def change_the_seed():
 def is_held_and_goes_on(stage):
     """Played over and over, paused, changed while it is, let go: all at one place of the stroke. It is stopped in the
     end."""
-    player, name = ours("preview.current").PLAYER, strokes()[0].name
+    player, name = ours("preview.controller").PLAYER, strokes()[0].name
     bpy.context.scene.hnf.loop = True
     with stage.over():
         bpy.ops.hnf.preview_play()
@@ -272,7 +272,7 @@ def check_a_measured_actuator(stage):
     settings.actuator, settings.actuator_file = "file", str(path)
 
     def told() -> str:
-        return " ".join(ours("actuator.state").ACTUATOR.skin)
+        return " ".join(ours("actuator.actuator_state").ACTUATOR.skin_lines)
 
     yield from stage.until("how far its bands are off is told", lambda: "uncorrected" in told(), SOON_S)
     yield from stage.picture("measured", settle=0.8)
@@ -290,4 +290,4 @@ def check_another_file_is_silence(stage):
     yield from stage.until("its process is gone", lambda: pid not in children(), 5.0)
     yield from stage.until("the panel says so", lambda: phase() == "off", 5.0)
     yield from choose(stage, "")
-    stage.expect("speakers again", ours("actuator.choice").chosen_output() == "")
+    stage.expect("speakers again", ours("actuator.actuator_state").get_selected_output() == "")

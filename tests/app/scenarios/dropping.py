@@ -24,7 +24,7 @@ def dropped(stage, path, at):
 
 def write_material(path, name):
     files = ours("hnf_core.material.hnf_file")
-    files.write_hnf(path, files.from_library(ours("hnf_core.material.library").find(name)))
+    files.write_hnf(path, files.from_library(ours("hnf_core.material.library").get_material(name)))
 
 
 def check_the_zip_is_dropped(stage):
@@ -54,7 +54,7 @@ def check_a_material_goes_where_the_mouse_is(stage):
     write_material(material, "wool-knit")
     bpy.context.view_layer.objects.active = left
     yield from dropped(stage, material, stage.seen_at((0.1, 0.0, 0.0)))
-    carried = ours("bridge.own_material").carried
+    carried = ours("bridge.scene.material_definition").get_definition
     stage.expect("the plate under the mouse has it", carried(right.active_material) is not None)
     stage.expect("the active one has not", left.active_material == right.active_material
                  or carried(left.active_material) is None)  # fmt: skip

@@ -101,7 +101,7 @@ def check_it_is_played(stage):
     stage.require("a sound device, one that plays to nowhere", stage.take_sound_device() != "None")
     with stage.over():
         bpy.ops.hnf.preview_play()
-    player = ours("preview.current").PLAYER
+    player = ours("preview.controller").PLAYER
     yield from stage.until("it sounds", lambda: player.is_playing, 5.0)
     before = player.position_s
     yield 0.3
@@ -228,8 +228,8 @@ def keyed_seconds():
 
 
 def facts():
-    return ours("preview").preview_facts(stroke())
+    return ours("preview").get_preview_facts(stroke())
 
 
 def icon_of(obj):
-    return ours("preview").preview_icon(obj)
+    return ours("preview").get_preview_icon(obj)

@@ -31,11 +31,11 @@ def record():
 def slot():
     """Everything the active slot's material says of its feel."""
     material = bpy.context.object.active_material
-    return material.name, material.hnf_touch.library, ours("bridge.own_material").own_word(material)
+    return material.name, material.hnf_touch.library, ours("bridge.scene.material_definition").get_artist_choice(material)
 
 
 def learned():
-    return sorted(path.name for path in ours("state.folders").learned_folder().iterdir())
+    return sorted(path.name for path in ours("state.addon_settings").get_learned_folder().iterdir())
 
 
 def pasted(stage, at, text):
@@ -86,8 +86,8 @@ def check_a_python_is_named_and_checked(stage):
     named = bpy.context.preferences.addons[MODULE].preferences.external_python
     stage.require("it is named", named == PYTHON, named)
     yield from stage.click(check)
-    yield from stage.until("it has answered", lambda: state().outside is not None, 60.0)
-    found = state().outside
+    yield from stage.until("it has answered", lambda: state().external_python is not None, 60.0)
+    found = state().external_python
     stage.require("it can learn", not found.problem, found)
     yield from stage.picture("python-found")
     stage.area("PREFERENCES").type = "VIEW_3D"

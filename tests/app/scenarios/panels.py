@@ -91,8 +91,8 @@ def check_light_theme(stage):
 
 def heard_in(stage, theme):
     """Until the preview's picture is of this theme; nothing but the theme changed."""
-    wanted = getattr(ours("preview.pictures"), theme)
-    yield from stage.until(f"its picture is {theme}", lambda: heard("Stroke").look.theme == wanted, 20.0)
+    wanted = getattr(ours("preview.stroke_image"), theme)
+    yield from stage.until(f"its picture is {theme}", lambda: heard("Stroke").style.theme == wanted, 20.0)
 
 
 def check_every_panel_open(stage):
@@ -114,7 +114,7 @@ def used(stage):
     with stage.over():
         stage.expect("exported", bpy.ops.hnf.export(all=True) == {"FINISHED"})
         stage.expect("looked closer", bpy.ops.hnf.diagnose() == {"FINISHED"})
-    stage.expect("of each stroke is told what was lost", len(ours("preview.facts").PREVIEW.exported) == 4)
+    stage.expect("of each stroke is told what was lost", len(ours("preview.preview_state").PREVIEW.exported) == 4)
     bpy.data.objects["Stroke 2"].hnf_stroke.mute = True
     bpy.data.objects["Stroke 4"].hnf_stroke.duration_s = 0.8
     yield 1.0

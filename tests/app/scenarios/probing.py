@@ -27,7 +27,7 @@ def check_a_click_is_answered(stage):
     yield from stage.until("the job runs", lambda: state().job is not None, 10.0)
     yield from stage.until("it ends", lambda: state().job is None, LIMIT_S)
     stage.measured("from the click to the answer", time.monotonic() - pressed, "s")
-    view = state().probe
+    view = state().query_view
     stage.require("a place was examined", view is not None, state().last_job)
     stage.expect("it is the plate", view.object_name == "Plate", view)
     stage.expect("its relief was seen", view.seen_m is not None and 1e-6 < view.seen_m < 1e-4, view.seen_m)
@@ -52,7 +52,7 @@ def check_a_click_beside_everything_goes_on_waiting(stage):
 
 
 def check_esc_gives_a_look_up(stage):
-    state().probe = None
+    state().query_view = None
     with stage.over():
         bpy.ops.hnf.probe("INVOKE_DEFAULT")
     yield 0.2
@@ -60,5 +60,5 @@ def check_esc_gives_a_look_up(stage):
     yield from stage.until("the job runs", lambda: state().job is not None, 10.0)
     yield from stage.key("ESC")
     yield from stage.until("it is gone", lambda: state().job is None and not children(), 20.0)
-    stage.expect("nothing was examined", state().probe is None)
+    stage.expect("nothing was examined", state().query_view is None)
     stage.expect("no folder is left", job_folders() == [], job_folders())

@@ -163,7 +163,7 @@ def delete_a_stroke(dice):
 
 def choose_a_material(dice):
     material = bpy.data.objects["Plate"].active_material
-    library = [item[0] for item in ours("ops.materials").library_items()]
+    library = [item[0] for item in ours("ops.material_ops").list_library_items()]
     material.hnf_touch.library = dice.choice([*library[:5], ""])
 
 

@@ -88,7 +88,7 @@ def check_one_force_key_is_heard_at_once(stage):
 
 
 def check_playback_sounds_and_moves_on(stage):
-    player, follower = ours("preview.current").PLAYER, ours("preview.timeline").FOLLOWER
+    player, follower = ours("preview.controller").PLAYER, ours("preview.timeline_playback").FOLLOWER
     scene, unbroken = bpy.context.scene, 0
     for _device in range(2):  # another one: what was open is gone
         bpy.context.preferences.system.audio_device = "None"
@@ -100,9 +100,9 @@ def check_playback_sounds_and_moves_on(stage):
                 bpy.ops.screen.animation_play()
             yield from stage.until("the stroke sounds with the timeline", lambda: player.is_playing, 10.0)
             yield from stage.until("the playhead moves on", lambda: scene.frame_current >= 10, 10.0)
-            begun = {follower.begun_at}
+            begun = {follower.start_frame}
             while scene.frame_current >= 10 and player.is_playing:
-                begun.add(follower.begun_at)
+                begun.add(follower.start_frame)
                 yield 0.05
             with stage.over():
                 bpy.ops.screen.animation_play()

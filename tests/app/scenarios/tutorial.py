@@ -104,7 +104,7 @@ def check_play_is_pressed(stage):
     with stage.over():
         bpy.ops.hnf.preview_play()
     yield 2.0
-    stage.expect("the three steps are done", state().heard)
+    stage.expect("the three steps are done", state().has_played)
     with stage.over():
         bpy.ops.hnf.preview_stop()
     yield from stage.picture("heard", settle=1.0)

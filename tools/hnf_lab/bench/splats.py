@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.splats.gaussians import Splats, compute_view_directions, evaluate_sh_colours
-from hnf_core.scene.splats.project import MAX_ALPHA, MIN_ALPHA, project_splats
+from hnf_core.scene.splats.project import MAX_ALPHA, MIN_ALPHA
 from hnf_core.scene.splats.rasterize import SplatView, render_splats
-from reference.splat_rendering import render_reference
+from reference.splat_rendering import project_splats, render_reference
 
 from .harness import BenchOptions, Row, Spread, Times, measure_peak_mb
 

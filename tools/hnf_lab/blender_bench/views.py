@@ -28,8 +28,9 @@ from hnf_core.material.token import LEVELS, Token
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.patch import PATCH_SIZE_M, Patch
-from hnf_core.scene.raycast import ReferenceGeometry, cast_view, make_embree_caster
+from hnf_core.scene.raycast import cast_view, make_embree_caster
 from hnf_core.units import linear_to_srgb
+from reference.geometry import ReferenceGeometry
 
 from ..bench.harness import BenchOptions, Row, Spread, run_with_peak
 from .scenes import require_bpy
@@ -300,7 +301,8 @@ def _find_readable_patch(obj: Any) -> Callable[[int], Any]:
 
     def sampled(place: Patch, samples: int) -> Any:
         with patched.object(closeup, "configure_cycles", lambda scene, **_: configure_cycles(scene, samples)):
-            return closeup.render_closeup(obj, place, surface=surface, caster=caster)
+            (found,) = closeup.iter_closeups(obj, [place], surface=surface, caster=caster)
+            return found
 
     corners = surface.mesh.corner_positions()
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -308,7 +310,7 @@ def _find_readable_patch(obj: Any) -> Callable[[int], Any]:
     for chosen in np.random.default_rng(0).choice(len(area), MAX_TRIES, p=area / area.sum()):
         place = _make_patch(corners[chosen], normal[chosen] / area[chosen], int(surface.mesh.slot[chosen]))
         seen = sampled(place, 1)
-        if seen.look is not None and seeing.make_views(seen.look, seen.mask, seen.metres_per_pixel):
+        if seen.unlit is not None and seeing.make_views(seen.unlit, seen.mask, seen.metres_per_pixel):
             return partial(sampled, place)
     raise HnfError(f"no place of '{obj.name}' has a picture that can be read.", where="views")
 
@@ -323,8 +325,8 @@ def _predict_token(closeup: Any) -> Token:
     from hnf_blender.touch.bake_patches import ReliefPredictor
 
     seeing = ReliefPredictor()
-    views = seeing.make_views(closeup.look, closeup.mask, closeup.metres_per_pixel)
-    return seeing.predict(closeup.look, views, seed=1).token
+    views = seeing.make_views(closeup.unlit, closeup.mask, closeup.metres_per_pixel)
+    return seeing.predict(closeup.unlit, views, seed=1).token
 
 
 def make_printed_plate() -> Any:

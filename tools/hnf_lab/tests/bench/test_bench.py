@@ -300,7 +300,7 @@ def test_splats_have_a_picture_beside_the_reference_and_crops_cost_less_work(cap
 
 
 def test_splats_are_measured_on_a_file_too_and_a_broken_one_is_refused(tmp_path, capsys):
-    from hnf_core.scene.splats.io_ply import write_inria
+    from data_tools.write_splats import write_inria
     from hnf_lab.bench.splats import make_ball
 
     path = tmp_path / "ball.ply"

@@ -1,0 +1,815 @@
+"""The functions and classes that `import hnf_core as hnf` offers: from a material and an action to a signal and back.
+
+Every function takes lists, numpy arrays and plain path strings, and refuses a wrong shape, unit or rate in words.
+Packages that a call does not need are not imported: torch only by `train`, bpy only by `touch`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike, fspath
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .action.action import Action as GridAction
+from .action.action import action_from_table, read_action_csv
+from .action.primitives import Primitive
+from .errors import FileError, HnfError, UsageError
+from .field.field import Field
+from .field.stroke import Synthesis
+from .material.contact_model import Mechanics
+from .material.probe import PROBES
+from .signal import Signal
+
+if TYPE_CHECKING:
+    from .actuators.stream import StreamReport
+    from .actuators.stream_targets import Device
+    from .export.convert import ExportResult
+
+PathText = str | PathLike[str]
+
+DEFAULT_RATE_HZ = 10_000.0
+"""Sample rate of the model and of every signal that does not ask for another [Hz]."""
+MIN_TRAINING_S = 1.0
+"""Shortest recording that a field can be trained on [s]."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material that can be touched.
+
+    Attributes
+    ----------
+    name : str
+        Its name in the library, or in the file it was read from.
+    token : ndarray of float32, shape (D,)
+        Description of its micro-geometry by the encoder E.
+    mechanics : Mechanics
+        Stiffness, damping and friction; unknown values are None.
+    field : Field or None
+        A field trained for this material alone; None means the shared field.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> hnf.material("oak-wood").name
+    'oak-wood'
+    """
+
+    name: str
+    token: NDArray[np.float32]
+    mechanics: Mechanics
+    field: Field | None = None
+
+
+@dataclass(frozen=True)
+class Action:
+    """What the hand does: u(t) = [direction, speed, normal force] on any rising time grid.
+
+    Parameters
+    ----------
+    time_s : array_like, shape (n,)
+        Times, rising [s].
+    direction_rad : array_like, shape (n,), or float
+        Direction of motion in the surface's tangent frame [rad]; a number stands for all times.
+    speed_m_s : array_like, shape (n,), or float
+        Speed along the path, not negative [m/s].
+    force_n : array_like, shape (n,), or float
+        Normal force, not negative; 0 is no contact [N].
+    probe : str
+        The contacting tip, ``"pen"`` or ``"finger"``.
+
+    Raises
+    ------
+    StrokeError
+        For columns of different lengths, times that do not rise, values that are not finite, negative speed or force.
+    UsageError
+        For a probe that is not known.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> action = hnf.Action([0.0, 1.0], 0.0, [0.05, 0.1], 1.0)
+    >>> action.duration_s
+    1.0
+    """
+
+    time_s: ArrayLike
+    direction_rad: ArrayLike
+    speed_m_s: ArrayLike
+    force_n: ArrayLike
+    probe: str = "pen"
+
+    def __post_init__(self) -> None:
+        if self.probe not in PROBES:
+            raise UsageError(f"there is no probe {self.probe!r}.", remedy=f"There are: {', '.join(PROBES)}.")
+        time = _to_vector(self.time_s, "time_s")
+        object.__setattr__(self, "time_s", time)
+        for name in ("direction_rad", "speed_m_s", "force_n"):
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            column = np.full(len(time), float(values)) if values.ndim == 0 else _to_vector(values, name)
+            object.__setattr__(self, name, column)
+        self.to_grid()  # refuses what no action can be made of
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first row to the last [s]."""
+        time = np.asarray(self.time_s)
+        return float(time[-1] - time[0])
+
+    def to_grid(self) -> GridAction:
+        """Return the action on the even grid of 200 Hz on which the field is evaluated."""
+        columns = (
+            np.asarray(each, dtype=np.float64)
+            for each in (self.time_s, self.direction_rad, self.speed_m_s, self.force_n)
+        )
+        return action_from_table(*columns, probe=self.probe)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recorded stroke: what was felt, and what the hand did meanwhile.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (n,) or (n, 3)
+        Acceleration [m/s²]. Three axes are fused by DFT321 over the whole recording.
+    rate_hz : float
+        Sample rate of the acceleration [Hz].
+    action : Action
+        The action, as long as the acceleration.
+    material : str
+        Name of the recorded material.
+
+    Raises
+    ------
+    UsageError
+        For another shape, or samples that are not finite.
+    FileError
+        Where acceleration and action are not equally long.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import hnf_core as hnf
+    >>> action = hnf.Action([0.0, 2.0], 0.0, 0.1, 1.0)
+    >>> hnf.Recording(np.zeros(20_000), rate_hz=10_000, action=action).duration_s
+    2.0
+    """
+
+    acceleration: ArrayLike
+    rate_hz: float
+    action: Action
+    material: str = "recorded"
+
+    def __post_init__(self) -> None:
+        from .simulation.dft321 import dft321
+
+        samples = np.asarray(self.acceleration, dtype=np.float64)
+        if not (samples.ndim == 1 or (samples.ndim == 2 and samples.shape[1] == 3)):
+            raise UsageError(
+                f"an acceleration of shape {samples.shape} is neither (n,) nor (n, 3).",
+                remedy="Give one axis, or three as columns.",
+            )
+        if not np.isfinite(samples).all():
+            raise UsageError("the acceleration holds values that are not finite.", remedy="Cut the recording there.")
+        _check_rate(self.rate_hz)
+        object.__setattr__(
+            self, "acceleration", dft321(samples - samples.mean(axis=0)) if samples.ndim == 2 else samples
+        )
+        self._to_dataset_recording()  # refuses samples and an action of different lengths
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the samples [s]."""
+        return len(np.asarray(self.acceleration)) / self.rate_hz
+
+    def _to_dataset_recording(self) -> Any:
+        from .datasets.recording import Recording as DatasetRecording
+
+        return DatasetRecording(
+            self.action.to_grid(),
+            np.asarray(self.acceleration, dtype=np.float64),
+            self.rate_hz,
+            self.material,
+            "a recording",
+        )
+
+
+def list_materials() -> tuple[str, ...]:
+    """Return the names of the library's materials.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> "cork" in hnf.list_materials()
+    True
+    """
+    from .material.library import load_library
+
+    return tuple(each.name for each in load_library())
+
+
+def material(name: str) -> Material:
+    """Return a material of the library by its name.
+
+    Parameters
+    ----------
+    name : str
+        As `list_materials` gives it; case, blanks and underscores do not count.
+
+    Returns
+    -------
+    Material
+
+    Raises
+    ------
+    MaterialError
+        For an unknown name; the message lists close ones.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> hnf.material("Oak wood").token.dtype
+    dtype('float32')
+    """
+    return _get_library_material(name)
+
+
+def load_material(path: PathText) -> Material:
+    """Read a material from a file.
+
+    Parameters
+    ----------
+    path : str or path
+        A ``.hnf`` file, or the ``.safetensors`` weights of a field trained for one material.
+
+    Returns
+    -------
+    Material
+
+    Raises
+    ------
+    FileError, WeightsError
+        Where the file is missing, damaged or holds no material.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> hnf.load_material("mine.hnf")  # doctest: +SKIP
+    """
+    from .field.weights import load_field, load_field_for_encoders, load_material_field, read_trained_material
+    from .material.hnf_file import HNF_SUFFIX, read_hnf, with_library_defaults
+    from .material.token import split_encoders
+
+    file = Path(fspath(path))
+    field: Field | None
+    if file.suffix.lower() != HNF_SUFFIX:
+        field = load_field(file)
+        found = read_trained_material(field, str(file))
+    else:
+        described = read_hnf(file)
+        field = load_material_field(described)
+        if field is not None:
+            found = read_trained_material(field, str(file))
+        else:
+            field, found = load_field_for_encoders(split_encoders(described.encoder)), with_library_defaults(described)
+    return Material(found.name, found.token, found.mechanics, field)
+
+
+def parse_stroke(text: str) -> Primitive:
+    """Read a stroke from words, or by the name of one of the eight primitives.
+
+    Parameters
+    ----------
+    text : str
+        For example ``"rub-slow"`` or ``"scrape left to right, 1.5 N, 80 mm/s"``.
+
+    Returns
+    -------
+    Primitive
+
+    Raises
+    ------
+    UsageError
+        For words that are not understood.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> hnf.parse_stroke("scrape left to right, 1.5 N, 80 mm/s").speed
+    0.08
+    """
+    from .action.parse_stroke import parse_stroke as parse
+
+    return parse(text)
+
+
+def read_action(path: PathText, probe: str = "pen") -> Action:
+    """Read an action from a CSV table with the columns time_s, direction_rad, speed_m_s and force_n.
+
+    Parameters
+    ----------
+    path : str or path
+        The table; any order of columns, any rising time grid.
+    probe : str
+        The contacting tip, ``"pen"`` or ``"finger"``.
+
+    Returns
+    -------
+    Action
+
+    Raises
+    ------
+    FileError
+        Where it cannot be read or is no such table.
+    StrokeError
+        Where its values make no action.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> hnf.read_action("stroke.csv")  # doctest: +SKIP
+    """
+    grid = read_action_csv(Path(fspath(path)), probe)
+    return Action(grid.time, np.arctan2(grid.direction[:, 1], grid.direction[:, 0]), grid.speed, grid.force, probe)
+
+
+def synthesise(
+    material: Material | Field | str,
+    action: Action | Primitive | str,
+    *,
+    seed: int = 0,
+    probe: str | None = None,
+    rate_hz: float = DEFAULT_RATE_HZ,
+) -> Synthesis:
+    """Synthesise what a stroke on a material feels like.
+
+    Parameters
+    ----------
+    material : Material, Field or str
+        The material, a field that `train` returned, or a name in the library.
+    action : Action, Primitive or str
+        The action, a stroke from `parse_stroke`, or its words.
+    seed : int
+        Draw of the carriers: the same seed gives the same samples.
+    probe : str, optional
+        The contacting tip; by default that of the action, which is the pen for a primitive.
+    rate_hz : float
+        Sample rate of the signal [Hz].
+
+    Returns
+    -------
+    Synthesis
+        ``signal`` (acceleration in m/s²), ``confidence`` (0 to 1) and ``warnings``.
+
+    Raises
+    ------
+    MaterialError, StrokeError, UsageError
+        For a material, stroke, probe or rate that cannot be used.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> touch = hnf.synthesise("oak-wood", "rub-slow", seed=1)
+    >>> touch.signal.sample_rate, touch.signal.samples.ndim
+    (10000.0, 1)
+    """
+    from .field.stroke import uniform_stroke
+    from .field.synthesis import synthesise as synthesise_stroke
+    from .field.weights import load_field, read_trained_material
+
+    if isinstance(material, str):
+        material = _get_library_material(material)
+    if isinstance(material, Field):
+        found = read_trained_material(material, "the field")
+        material = Material(found.name, found.token, found.mechanics, material)
+    if not isinstance(material, Material):
+        raise UsageError(f"{type(material).__name__} is no material.", remedy="Give hnf.material(NAME) or a field.")
+    grid, stroke_name = _to_grid(action, seed)
+    if probe is not None:
+        if probe not in PROBES:
+            raise UsageError(f"there is no probe {probe!r}.", remedy=f"There are: {', '.join(PROBES)}.")
+        grid = replace(grid, probe=probe)
+    _check_rate(rate_hz)
+    stroke = uniform_stroke(grid, material.token, material.mechanics)
+    field = load_field() if material.field is None else material.field
+    result = synthesise_stroke(field, stroke, seed=seed, sample_rate=float(rate_hz))
+    provenance = {**result.signal.provenance, "stroke": stroke_name, "material": material.name}
+    return replace(result, signal=replace(result.signal, provenance=provenance))
+
+
+def write_wav(path: PathText, signal: Signal | ArrayLike, rate_hz: float | None = None) -> None:
+    """Write a signal as a float32 WAV in m/s², atomically.
+
+    Parameters
+    ----------
+    path : str or path
+        The file to write.
+    signal : Signal or array_like, shape (n,)
+        The signal; an array is acceleration in m/s² and needs `rate_hz`.
+    rate_hz : float, optional
+        Sample rate of an array [Hz].
+
+    Raises
+    ------
+    FileError
+        For samples that are not finite, a rate that is no whole number of Hz, or a full disk.
+    UsageError
+        For an array without a rate.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> touch = hnf.synthesise("cork", "left-right-soft")
+    >>> hnf.write_wav("cork.wav", touch.signal)
+    """
+    from .export.wav import write_wav as write
+
+    write(Path(fspath(path)), to_signal(signal, rate_hz))
+
+
+def read_signal(path: PathText, full_scale: float | None = None) -> Signal:
+    """Read a signal in m/s² from a WAV or from any format that `export` writes.
+
+    Parameters
+    ----------
+    path : str or path
+        The file; its suffix says what it is.
+    full_scale : float, optional
+        Acceleration that 1.0 stands for in a file that does not state it [m/s²].
+
+    Returns
+    -------
+    Signal
+
+    Raises
+    ------
+    FileError
+        Where the file is missing, damaged or states no unit.
+    UsageError
+        For a suffix that is not known.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> hnf.write_wav("tone.wav", [0.0, 1.0, 0.0, -1.0], rate_hz=1000)
+    >>> len(hnf.read_signal("tone.wav").samples)
+    4
+    """
+    from .export.convert import import_signal
+    from .export.options import ImportOptions
+
+    return import_signal(Path(fspath(path)), ImportOptions(full_scale_m_s2=full_scale))
+
+
+def export(
+    path: PathText,
+    signal: Signal | ArrayLike,
+    *,
+    rate_hz: float | None = None,
+    format: str | None = None,
+    full_scale: float | None = None,
+) -> ExportResult:
+    """Write a signal in the format of another program, and measure what the format loses.
+
+    Parameters
+    ----------
+    path : str or path
+        The file to write.
+    signal : Signal or array_like, shape (n,)
+        The signal; an array is acceleration in m/s² and needs `rate_hz`.
+    rate_hz : float, optional
+        Sample rate of an array [Hz].
+    format : str, optional
+        A format's name, as ``hnf export --help`` lists them; by default the one of the suffix.
+    full_scale : float, optional
+        Acceleration that the largest value of the format stands for [m/s²].
+
+    Returns
+    -------
+    ExportResult
+        ``loss`` (measured on the file, read again) and ``dropped`` (what the format has no place for).
+
+    Raises
+    ------
+    FileError, UsageError
+        Where the format cannot hold the signal, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> touch = hnf.synthesise("cork", "left-right-soft")
+    >>> hnf.export("cork.haptic", touch.signal, full_scale=20.0).form.word
+    'haptic'
+    """
+    from .export.convert import export_signal
+    from .export.formats import format_of, format_of_file
+    from .export.options import DEFAULT_FULL_SCALE_M_S2, ExportOptions
+
+    file = Path(fspath(path))
+    form = format_of_file(file) if format is None else format_of(format)
+    options = ExportOptions(
+        DEFAULT_FULL_SCALE_M_S2 if full_scale is None else full_scale,
+        full_scale_assumed=form.scaled and full_scale is None,
+    )
+    return export_signal(to_signal(signal, rate_hz), form, file, options)
+
+
+def train(recordings: Recording | Iterable[Recording], *, seed: int = 0, epochs: int | None = None) -> Field:
+    """Train a field on recordings of one material.
+
+    Parameters
+    ----------
+    recordings : Recording or iterable of Recording
+        Strokes over one material, 10 s or more in all for a usable field.
+    seed : int
+        Seed of initial weights and noise.
+    epochs : int, optional
+        At most so many epochs; by default as many as the recipe of ``hnf train field``.
+
+    Returns
+    -------
+    Field
+        For `synthesise` and `save_field`.
+
+    Raises
+    ------
+    HnfError
+        Where torch is missing (``pip install`` the extra ``train``).
+    UsageError
+        For no recordings, or recordings that are too short.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> field = hnf.train(recordings, seed=0)  # doctest: +SKIP
+    """
+    chosen = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
+    if not chosen or sum(each.duration_s for each in chosen) < MIN_TRAINING_S:
+        raise UsageError(f"less than {MIN_TRAINING_S:g} s of recordings.", remedy="Give more, or longer ones.")
+    if len({each.material for each in chosen}) > 1:
+        raise UsageError("the recordings are of several materials.", remedy="Train one field for each.")
+    try:
+        from .training.from_recordings import TrainingOverrides, train_from_recordings
+    except ImportError as error:
+        raise HnfError(f"training needs torch ({error}).", remedy="Install it: pip install torch scipy.") from error
+    prepared = [each._to_dataset_recording() for each in chosen]
+    trained, _ = train_from_recordings(prepared, "own", "", seed, TrainingOverrides(epochs=epochs))
+    return trained.field
+
+
+def load_field(path: PathText | None = None) -> Field:
+    """Read a field from its weights; without a path, the shared field that the package ships.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> hnf.load_field().config.states
+    5
+    """
+    from .field.weights import load_field as load
+
+    return load(None if path is None else Path(fspath(path)))
+
+
+def save_field(path: PathText, field: Field) -> None:
+    """Write a field's weights as safetensors, atomically.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> hnf.save_field("shared.safetensors", hnf.load_field())
+    """
+    from .field.weights import save_field as save
+
+    save(Path(fspath(path)), field)
+
+
+def list_devices() -> tuple[Device, ...]:
+    """Return the serial ports and sound outputs that `open_stream` can play on.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> isinstance(hnf.list_devices(), tuple)
+    True
+    """
+    from .actuators.stream_targets import list_devices as list_found
+
+    return list_found().all
+
+
+class OutputStream:
+    """An actuator that signals are played on; made by `open_stream`."""
+
+    def __init__(self, target: str, profile: str, gain_db: float) -> None:
+        from .actuators.profile_json import load_profile
+        from .actuators.sources import db_to_gain
+        from .actuators.stream_targets import parse_target
+
+        self._target, self._profile, self._gain = parse_target(target), load_profile(profile), db_to_gain(gain_db)
+        self.report: StreamReport | None = None
+
+    def play(self, signal: Signal | ArrayLike, rate_hz: float | None = None) -> StreamReport:
+        """Play a signal to its end, within the limits of the actuator's profile.
+
+        Parameters
+        ----------
+        signal : Signal or array_like, shape (n,)
+            The signal; an array is acceleration in m/s² and needs `rate_hz`.
+        rate_hz : float, optional
+            Sample rate of an array [Hz].
+
+        Returns
+        -------
+        StreamReport
+            What left for the device: limited samples, underruns, peak, time played.
+
+        Raises
+        ------
+        DeviceError
+            Where the device is missing, busy or gone.
+        """
+        from .actuators.measure.inverse_filter import make_compensation
+        from .actuators.sources import BufferSource
+        from .actuators.stream import Stream
+        from .actuators.stream_targets import make_sink
+
+        played = to_signal(signal, rate_hz)
+        limits = self._profile.limits
+        source = BufferSource(played.samples[:, None] * np.float32(self._gain), played.sample_rate)
+        sink = make_sink(self._target, played.sample_rate, limits, source.channels)
+        processors = make_compensation(self._profile, played.sample_rate, source.channels)
+        stream = Stream(source, sink, limits, processors=processors, low_latency=False)
+        try:
+            stream.start()
+            stream.wait()
+        finally:
+            stream.stop()
+            self.report = stream.report
+        return self.report
+
+    def __enter__(self) -> OutputStream:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return None
+
+
+def open_stream(target: str = "virtual", *, profile: str = "generic-voice-coil", gain_db: float = 0.0) -> OutputStream:
+    """Open an actuator to play signals on.
+
+    Parameters
+    ----------
+    target : str
+        ``"virtual"``, ``"audio[:DEVICE]"``, ``"serial:PORT[@BAUD]"``, ``"osc:HOST:PORT"`` or ``"file:PATH"``.
+    profile : str
+        Name or JSON file of the actuator's profile, as ``hnf actuators`` lists them.
+    gain_db : float
+        Louder (+) or softer (−) [dB].
+
+    Returns
+    -------
+    OutputStream
+        A context manager with a method ``play(signal)``.
+
+    Raises
+    ------
+    UsageError
+        For a target or profile that is not known.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> touch = hnf.synthesise("cork", "left-right-soft")
+    >>> with hnf.open_stream("file:played.wav") as out:
+    ...     report = out.play(touch.signal)
+    >>> report.underruns
+    0
+    """
+    return OutputStream(target, profile, gain_db)
+
+
+def touch(
+    scene: PathText,
+    out: PathText,
+    *,
+    strokes: Sequence[tuple[str, str]] = (),
+    materials: Mapping[str, str] | None = None,
+    metres_per_unit: float | None = None,
+    seed: int | None = None,
+) -> dict[str, Any]:
+    """Touch a scene: what every stroke in it feels like, as WAV files, pictures and a report. Needs bpy.
+
+    Parameters
+    ----------
+    scene : str or path
+        A scene that Blender opens or imports.
+    out : str or path
+        Folder of the results.
+    strokes : sequence of (words, object)
+        Strokes to place beside those drawn in the scene, each on an object or ``"OBJECT:SLOT"``.
+    materials : mapping, optional
+        Library materials to use, by ``"OBJECT[:SLOT]"``.
+    metres_per_unit : float, optional
+        Length of one scene unit [m]; by default the scene's own.
+    seed : int, optional
+        Seed of all strokes; by default each stroke's own.
+
+    Returns
+    -------
+    dict
+        The report, as in ``report.json``.
+
+    Raises
+    ------
+    HnfError
+        Where bpy is missing, or the scene cannot be touched.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> report = hnf.touch("scene.blend", out="result")  # doctest: +SKIP
+    """
+    from importlib import import_module
+
+    words = ["touch", fspath(scene), "--out", fspath(out)]
+    for text, target in strokes:
+        words += ["--stroke", text, "--on", target]
+    for target, name in (materials or {}).items():
+        words += ["--material", f"{target}={name}"]
+    if metres_per_unit is not None:
+        words += ["--scale", f"{metres_per_unit:.9g}"]
+    if seed is not None:
+        words += ["--seed", str(seed)]
+    # The add-on stands above this package, which may not import it: it is called by its name, as a shell would.
+    program = import_module("hnf_blender" + ".cli")
+    report = Path(fspath(out)) / "report.json"
+    if program.main(words) != 0:
+        raise HnfError("the scene could not be touched; the lines above say why.", where=str(fspath(scene)))
+    try:
+        found: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FileError(f"the report cannot be read ({error}).", where=str(report)) from error
+    return found
+
+
+def to_signal(signal: Signal | ArrayLike, rate_hz: float | None = None) -> Signal:
+    """Return a `Signal`; of an array (n,) in m/s² with its rate [Hz]. Raises UsageError for anything else."""
+    if isinstance(signal, Signal):
+        if rate_hz is not None and rate_hz != signal.sample_rate:
+            raise UsageError(
+                f"the signal has {signal.sample_rate:g} Hz, not {rate_hz:g} Hz.", remedy="Leave rate_hz out."
+            )
+        return signal
+    if rate_hz is None:
+        raise UsageError("samples without a rate are no signal.", remedy="Give rate_hz, for example 10000.")
+    _check_rate(rate_hz)
+    return Signal(_to_vector(signal, "signal").astype(np.float32), float(rate_hz), 0)
+
+
+def _get_library_material(name: str) -> Material:
+    from .material.library import get_material
+
+    found = get_material(name)
+    return Material(found.name, found.token, found.mechanics)
+
+
+def _to_grid(action: Action | Primitive | str, seed: int) -> tuple[GridAction, str]:
+    from .action.primitive_path import make_primitive_action
+
+    if isinstance(action, Action):
+        return action.to_grid(), "action"
+    if isinstance(action, str):
+        action = parse_stroke(action)
+    if not isinstance(action, Primitive):
+        raise UsageError(f"{type(action).__name__} is no action.", remedy="Give hnf.Action(…) or hnf.parse_stroke(…).")
+    return make_primitive_action(action, seed=seed), action.name
+
+
+def _to_vector(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    try:
+        vector = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{name} is not made of numbers ({error}).") from error
+    if vector.ndim != 1 or len(vector) == 0:
+        raise UsageError(f"{name} has shape {vector.shape}, not (n,).", remedy="Give one row of numbers.")
+    return vector
+
+
+def _check_rate(rate_hz: float) -> None:
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise UsageError(f"{rate_hz} Hz is no sample rate.", remedy="Give it in Hz, for example 10000.")
+    if rate_hz < 100.0:
+        raise UsageError(
+            f"{rate_hz:g} Hz cannot hold touch, which reaches to 1000 Hz.", remedy="Was it meant in kHz? Give it in Hz."
+        )

@@ -1,0 +1,152 @@
+"""`import hnf_core as hnf`: what it loads, that every name is documented and runs, and that bad input is refused."""
+
+from __future__ import annotations
+
+import doctest
+import inspect
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hnf_core as hnf
+from hnf_core import api, metrics
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "examples"
+WITH_TORCH = {"own_recordings.py", "train_a_field.ipynb"}
+SIGNAL = hnf.synthesise("cork", "left-right-soft").signal
+CALLABLES = [name for name in hnf.__all__ if callable(getattr(hnf, name)) and name not in ("HnfError", "Signal")]
+
+
+def run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
+    return subprocess.run(
+        [sys.executable, *words], cwd=cwd, env=environment, capture_output=True, text=True, timeout=280
+    )
+
+
+def test_importing_loads_nothing_and_using_it_nothing_heavy(tmp_path: Path) -> None:
+    code = (
+        "import sys, hnf_core as hnf\n"
+        "first = sorted({'numpy', 'torch', 'scipy', 'bpy'} & set(sys.modules))\n"
+        "hnf.write_wav('x.wav', hnf.synthesise('cork', 'rub-slow').signal)\n"
+        "print(first, sorted({'torch', 'scipy', 'bpy', 'matplotlib'} & set(sys.modules)))"
+    )
+    done = run("-c", code, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[] []"
+
+
+def test_a_name_that_is_not_there_is_refused() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'syntesise'"):
+        _ = hnf.syntesise
+    assert set(dir(hnf)) >= set(hnf.__all__)
+
+
+@pytest.mark.parametrize("name", CALLABLES)
+def test_every_name_has_a_full_docstring(name: str) -> None:
+    """A first line that stands alone, every parameter, and an example."""
+    text = inspect.getdoc(getattr(hnf, name)) or ""
+    first = text.split("\n")[0]
+    assert first.endswith(".")
+    if name != "OutputStream":
+        assert "Examples\n--------" in text
+    if inspect.isfunction(getattr(hnf, name)) and name not in ("load_field", "save_field"):
+        parameters = list(inspect.signature(getattr(hnf, name)).parameters)
+        assert [each for each in parameters if not re.search(rf"^{each}\b.* : ", text, re.MULTILINE)] == []
+
+
+@pytest.mark.parametrize("module", [api, metrics])
+def test_the_examples_in_docstrings_run(module, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    failed, attempted = doctest.testmod(module)
+    assert attempted > 10
+    assert failed == 0
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
+def test_an_example_runs(path: Path, tmp_path: Path) -> None:
+    if path.name in WITH_TORCH:
+        pytest.importorskip("torch", reason="the example trains")
+    if path.name == "touch_scene.py":
+        pytest.skip("needs Blender: tests/blender runs it")
+    done = run(str(path), *([str(tmp_path)] if "[FOLDER]" in path.read_text("utf-8") else []), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.ipynb")), ids=lambda path: path.name)
+def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="the notebook plots")
+    if path.name in WITH_TORCH:
+        pytest.importorskip("torch", reason="the notebook trains")
+    cells = json.loads(path.read_text("utf-8"))["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    assert all(not cell.get("outputs") for cell in cells)
+    (tmp_path / "notebook.py").write_text(code, encoding="utf-8")
+    done = run("notebook.py", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda path: hnf.write_wav(path, [1.0, 2.0]), "rate"),
+        (lambda path: hnf.write_wav(path, [[1.0, 2.0]], 10_000), r"shape \(1, 2\)"),
+        (lambda path: hnf.write_wav(path, [1.0, 2.0], 10), "kHz"),
+        (lambda path: hnf.write_wav(path, ["loud"], 10_000), "not made of numbers"),
+        (lambda path: hnf.write_wav(path, SIGNAL, 8000), "10000 Hz, not 8000 Hz"),
+        (lambda path: hnf.synthesise("oakwod", "rub-slow"), "oak-wood"),
+        (lambda path: hnf.synthesise(3, "rub-slow"), "no material"),
+        (lambda path: hnf.synthesise("cork", 3), "no action"),
+        (lambda path: hnf.synthesise("cork", "rub-slow", probe="nose"), "no probe"),
+        (lambda path: hnf.Action([0.0, 1.0], 0.0, [0.1, 0.1, 0.1], 1.0), "shapes"),
+        (lambda path: hnf.Action([0.0, 1.0], 0.0, -0.1, 1.0), "negative"),
+        (lambda path: hnf.Action([1.0, 0.0], 0.0, 0.1, 1.0), "does not rise"),
+        (lambda path: hnf.Recording(np.zeros((9, 2)), 10_000, hnf.Action([0.0, 1.0], 0.0, 0.1, 1.0)), "neither"),
+        (lambda path: hnf.Recording(np.zeros(9), 10_000, hnf.Action([0.0, 1.0], 0.0, 0.1, 1.0)), "action"),
+        (lambda path: hnf.Recording([np.nan] * 9, 10_000, hnf.Action([0.0, 1.0], 0.0, 0.1, 1.0)), "not finite"),
+        (lambda path: hnf.train([]), "recordings"),
+        (lambda path: hnf.open_stream("moon"), "moon"),
+        (lambda path: hnf.load_material("nowhere.hnf"), "nowhere.hnf"),
+        (lambda path: hnf.read_signal("nowhere.wav"), "nowhere.wav"),
+        (lambda path: hnf.export(path.with_suffix(".xyz"), SIGNAL), "xyz"),
+        (lambda path: hnf.metrics.welch([1.0, 2.0]), "rate"),
+        (lambda path: hnf.metrics.welch([1.0, 2.0], 10_000), "less than one window"),
+        (lambda path: hnf.metrics.st_sim(SIGNAL, SIGNAL.samples, 8000), "two rates"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_refused_in_words(call, words: str, tmp_path: Path) -> None:
+    with pytest.raises(hnf.HnfError, match=words):
+        call(tmp_path / "x.wav")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lists_and_arrays_give_the_same(tmp_path: Path) -> None:
+    hnf.write_wav(tmp_path / "list.wav", [0.0, 1.0, -1.0], 1000)
+    hnf.write_wav(str(tmp_path / "array.wav"), np.array([0.0, 1.0, -1.0], np.float32), rate_hz=1000.0)
+    assert (tmp_path / "list.wav").read_bytes() == (tmp_path / "array.wav").read_bytes()
+    assert hnf.read_signal(tmp_path / "list.wav").samples.tolist() == [0.0, 1.0, -1.0]
+
+
+def test_three_axes_are_fused_with_their_power() -> None:
+    rng = np.random.default_rng(0)
+    axes = rng.normal(size=(10_000, 3))
+    axes -= axes.mean(axis=0)
+    recording = hnf.Recording(axes, 10_000, hnf.Action([0.0, 1.0], 0.0, 0.1, 1.0))
+    assert np.sum(np.square(recording.acceleration)) == pytest.approx(np.sum(np.square(axes)))
+
+
+def test_it_is_what_the_command_line_gives(tmp_path: Path) -> None:
+    from hnf_blender.cli import main
+
+    words = ["synth", "--material", "cork", "--stroke", "rub-slow", "--seed", "3"]
+    assert main([*words, "--out", str(tmp_path / "cli.wav")]) == 0
+    hnf.write_wav(tmp_path / "api.wav", hnf.synthesise("cork", "rub-slow", seed=3).signal)
+    assert (tmp_path / "api.wav").read_bytes() == (tmp_path / "cli.wav").read_bytes()

@@ -1,0 +1,177 @@
+"""Names and files keep to docs/glossary.md: the field's words, one file name a meaning, no crowded folder, few crumbs.
+
+Every rule is a function that returns what breaks it, and is first shown to catch a breach.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PRODUCT = (ROOT / "hnf_core", ROOT / "hnf_blender")
+LABORATORY = ROOT / "tools" / "hnf_lab"
+
+PRIVATE_WORDS = frozenset(
+    re.findall(
+        r"\w+",
+        """tell tells told say says said ask asks asked answer answers answered keep keeps kept hold holds hear hears
+        heard feel feels felt meet meeting met seen sight glance witness beside plainly foretell foretold room rooms
+        twin crumb guest rescue thing things""",
+    )
+)
+"""Verbs of speech and of the senses, and metaphors: the glossary has a standard word for each of their meanings."""
+STORED_NAMES = frozenset(
+    {
+        "HnfStroke.kept",  # a property in .blend files
+        "InputHashes.sight",  # a field of the stored inputs of a bake
+        "QueryView.seen_m",  # a field of a stored query
+        "PreviewFacts.has_kept",
+        "compat.beside_the_file",  # one of Blender's own words for its relative paths
+        "HNF_OT_rescue_copy",  # names of operators and panels are Blender's identifiers
+        "HNF_PT_rescue",
+    }
+)
+"""Names that files, or Blender, know: they stay."""
+SAME_MEANING = frozenset({"carriers", "contact_filter", "stream", "synthesis", "weights", "registry"})
+"""File names that recur because both mean the same of two parents: offline and live, of a field and of a map."""
+CROWDED = 20
+SMALL_LINES, SMALL_SHARE = 60, 0.1
+DIALECT_STARTS = re.compile(r"(What|Of|Where|Those|That|Whether|How|Which|Whatever|Whoever)\b")
+
+
+def python_files(*folders: Path) -> list[Path]:
+    return sorted(path for folder in folders for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
+
+
+def split_name(name: str) -> list[str]:
+    """Lower-case words of an identifier: `HTTPServer_name` → http, server, name."""
+    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
+
+
+def defined_names(tree: ast.Module, module: str) -> Iterator[tuple[int, str, str]]:
+    """(line, qualified name, last part) of every function, class, constant and field."""
+
+    def walk(body: list[ast.stmt], owner: str) -> Iterator[tuple[int, str, str]]:
+        for node in body:
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+                qualified = f"{owner}.{node.name}" if owner else node.name
+                yield node.lineno, qualified, node.name
+                if isinstance(node, ast.ClassDef):
+                    yield from walk(node.body, node.name)
+            elif isinstance(node, ast.Assign | ast.AnnAssign):
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                for target in targets:
+                    if isinstance(target, ast.Name):
+                        yield node.lineno, f"{owner or module}.{target.id}", target.id
+
+    yield from walk(tree.body, "")
+
+
+def private_words(tree: ast.Module, module: str) -> list[str]:
+    found = []
+    for line, qualified, name in defined_names(tree, module):
+        words = set(split_name(name)) & PRIVATE_WORDS
+        if words and not {qualified, name, f"{module}.{name}"} & STORED_NAMES:
+            found.append(f"line {line}: {qualified} ({', '.join(sorted(words))})")
+    if set(split_name(module)) & PRIVATE_WORDS:
+        found.append(f"the file's own name: {module}")
+    return found
+
+
+def dialect_docstrings(tree: ast.Module, module: str) -> list[str]:
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            text = ast.get_docstring(node)
+            if text and DIALECT_STARTS.match(text):
+                found.append(f"line {getattr(node, 'lineno', 1)}: {text.splitlines()[0][:60]}")
+    return found
+
+
+def recurring_names(paths: list[Path]) -> list[str]:
+    seen: dict[str, Path] = {}
+    found = []
+    for path in paths:
+        if path.stem.startswith("__") or path.stem in SAME_MEANING:
+            continue
+        if path.stem in seen:
+            found.append(f"{path.stem}: {seen[path.stem]} and {path}")
+        seen.setdefault(path.stem, path)
+    return found
+
+
+def crowded_folders(paths: list[Path]) -> list[str]:
+    counts: dict[Path, int] = {}
+    for path in paths:
+        counts[path.parent] = counts.get(path.parent, 0) + (path.name != "__init__.py")
+    return [f"{folder}: {count}" for folder, count in counts.items() if count > CROWDED]
+
+
+def too_many_small_files(lines: dict[str, int]) -> list[str]:
+    small = sorted(name for name, count in lines.items() if count < SMALL_LINES)
+    return small if len(small) >= SMALL_SHARE * len(lines) else []
+
+
+@pytest.mark.parametrize("rule", [private_words, dialect_docstrings])
+def test_names_and_docstrings_are_in_the_fields_words(rule) -> None:
+    files = python_files(*PRODUCT, LABORATORY)
+    assert len(files) > 300
+    found = [
+        f"{path.relative_to(ROOT)} {breach}"
+        for path in files
+        if "tests" not in path.relative_to(ROOT).parts
+        for breach in rule(ast.parse(path.read_text("utf-8")), path.stem)
+    ]
+    assert found == []
+
+
+def test_no_file_name_has_two_meanings() -> None:
+    assert recurring_names(python_files(*PRODUCT)) == []
+
+
+def test_no_folder_is_crowded() -> None:
+    assert crowded_folders(python_files(*PRODUCT, LABORATORY)) == []
+
+
+def test_few_files_are_small() -> None:
+    files = [path for path in python_files(*PRODUCT) if path.name != "__init__.py"]
+    assert too_many_small_files({str(path): len(path.read_text("utf-8").splitlines()) for path in files}) == []
+
+
+@pytest.mark.parametrize(
+    ("rule", "source"),
+    [
+        (private_words, "def answered(question): ..."),
+        (private_words, "KEPT_S = 1.0"),
+        (private_words, "class Heard: ..."),
+        (private_words, "class Device:\n    def tell(self): ..."),
+        (private_words, "class Device:\n    beside: int = 0"),
+        (dialect_docstrings, 'def f():\n    """What is there."""'),
+        (dialect_docstrings, '"""Of files."""'),
+        (dialect_docstrings, 'class A:\n    """Where it stands."""'),
+    ],
+)
+def test_a_breach_of_words_is_caught(rule, source) -> None:
+    assert rule(ast.parse(source), "module") != []
+
+
+def test_a_private_file_name_is_caught() -> None:
+    assert private_words(ast.parse(""), "foretold") != []
+
+
+def test_a_stored_name_stays() -> None:
+    assert private_words(ast.parse("class HnfStroke:\n    kept: bool = False"), "stroke_settings") == []
+
+
+def test_breaches_of_the_layout_are_caught() -> None:
+    assert recurring_names([Path("a/report.py"), Path("b/report.py")]) != []
+    assert recurring_names([Path("a/carriers.py"), Path("b/carriers.py"), Path("a/__init__.py")]) == []
+    assert crowded_folders([Path(f"a/m{number}.py") for number in range(CROWDED + 1)]) != []
+    assert crowded_folders([Path(f"a/m{number}.py") for number in range(CROWDED)]) == []
+    assert too_many_small_files({"a": 59, **{str(number): 60 for number in range(9)}}) != []
+    assert too_many_small_files({"a": 59, **{str(number): 60 for number in range(10)}}) == []
