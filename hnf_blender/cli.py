@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; argv without the program's name. Returns the exit code."""
-    return run_command_line(sys.argv[1:] if argv is None else argv, run_touch, run_bench, run_export)
+    return run_command_line(sys.argv[1:] if argv is None else argv, run_touch, run_export)
 
 
 def run_touch(arguments: argparse.Namespace) -> int:
@@ -41,16 +41,6 @@ def run_touch(arguments: argparse.Namespace) -> int:
     from .touch.run import run
 
     return run(request)
-
-
-def run_bench(arguments: argparse.Namespace) -> int:
-    from hnf_lab.cli.bench import make_unavailable_error, run_benches
-
-    try:
-        from hnf_lab.cli.bench_catalogue import BENCHES
-    except ImportError as error:
-        raise make_unavailable_error(error) from error
-    return run_benches(arguments, BENCHES)
 
 
 def run_export(arguments: argparse.Namespace) -> int:

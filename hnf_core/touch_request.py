@@ -1,6 +1,6 @@
-"""TODO.
+"""What a run of `hnf touch` is asked for: scene, strokes, material choices, and queries of single places.
 
-A place to look at, in words: OBJECT:u,v or OBJECT:x,y,z.
+The command line makes a `TouchRequest` of its words; the add-on runs it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def parse_touch_query(text: str) -> TouchQuery:
         at = ()
     if not colon or not target or len(at) not in (2, 3) or not all(math.isfinite(value) for value in at):
         raise ArgumentTypeError(
-            f"{text!r} is not {QUERY_FORMAT} (or OBJECT:x,y,z in the object's own coordinates). Example: --probe Cup:0.5,0.25"
+            f"{text!r} is not {QUERY_FORMAT} (or OBJECT:x,y,z in the object's own coordinates). Example: --at "
+            f"Cup:0.5,0.25"
         )
     return TouchQuery(target, at)
 

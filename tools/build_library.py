@@ -1,4 +1,5 @@
-"""Build hnf_core/data/library.json from hnf_core/simulation/material_classes.py and print how it feels through the simulator.
+"""Build hnf_core/data/library.json from hnf_core/simulation/material_classes.py and print how it feels through the
+simulator.
 
 Usage: python tools/build_library.py [--check] [NAME …]    --check writes nothing; names restrict the table printed.
 Exit code 1 where an entry breaks a MUST.

@@ -43,6 +43,7 @@ def compute_fingerprint(name: str) -> str:
     parts = [
         (REQUIREMENTS / f"{name}.txt").read_text(encoding="utf-8"),
         (REQUIREMENTS / "constraints.txt").read_text(encoding="utf-8"),
+        (ROOT / "tools" / "pyproject.toml").read_text(encoding="utf-8"),
         repr((project["project"], project["build-system"])),
         repr((sys.version_info[:2], str(ROOT))),
     ]

@@ -46,7 +46,8 @@ def main() -> int:
     objective = arguments.objective
     out = arguments.out or BUILD / "tactile-map" / f"{objective}.safetensors"
     rate = LEARNING_RATES[objective] if arguments.rate is None else arguments.rate
-    plan = MapTrainingPlan(steps=arguments.steps, minutes=arguments.minutes, seed=arguments.seed, threads=arguments.threads,
+    plan = MapTrainingPlan(steps=arguments.steps, minutes=arguments.minutes, seed=arguments.seed,
+    threads=arguments.threads,
                 rate=rate, batch=arguments.batch)  # fmt: skip
     began = time.monotonic()
 

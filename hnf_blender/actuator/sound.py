@@ -89,9 +89,9 @@ def make_test_sweep(profile: ActuatorProfile) -> Sound:
     count = round(SWEEP_DURATION_S * SWEEP_RATE_HZ)
     time = np.arange(count) / SWEEP_RATE_HZ
     octaves = np.log(high / low)
-    phase = 2.0 * np.pi * low * SWEEP_DURATION_S / octaves * np.expm1(time / SWEEP_DURATION_S * octaves) if octaves else (
-        2.0 * np.pi * low * time
-    )  # fmt: skip
+    phase = 2.0 * np.pi * low * time
+    if octaves:
+        phase = 2.0 * np.pi * low * SWEEP_DURATION_S / octaves * np.expm1(time / SWEEP_DURATION_S * octaves)
     level = SWEEP_LEVEL_SHARE * profile.limits.full_scale_m_s2 * profile.limits.peak
     samples = level * np.sin(phase) * np.sin(np.pi * time / SWEEP_DURATION_S) ** 2
     return Sound(samples.astype(np.float32), SWEEP_RATE_HZ, profile)

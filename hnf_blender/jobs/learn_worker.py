@@ -1,6 +1,7 @@
 """The child that learns a material, under a Python outside Blender: `PYTHON learn_worker.py CORE REQUEST OUT`. It loads
 the add-on's own hnf_core by its folder, CORE: nothing of the project is installed there, and no bpy. REQUEST is
-hnf_core.training.learn.LearnRequest as JSON, OUT the weights to write. It tells its steps as child_job.py reads them."""
+hnf_core.training.learn.LearnRequest as JSON, OUT the weights to write. It tells its steps as child_job.py reads
+them."""
 
 import importlib
 import importlib.util

@@ -148,7 +148,8 @@ def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: boo
         actuator.tick(context, shown_now.stamp, shown_now.signal)
     settings = scene.hnf
     seen = (
-        STATE.changes, active and active.name, active and controller.get_image_style(context), get_actuator_profile(scene),
+        STATE.changes, active and active.name, active and controller.get_image_style(context),
+        get_actuator_profile(scene),
         settings.monitor_gain_db,
         tuple((name, status.freshness, status.why) for name, status in STATE.get_statuses(scene).items()),
     )  # fmt: skip

@@ -255,7 +255,8 @@ def update_facts(name: str, scene: Any) -> PreviewFacts:
         levels = compute_levels(shown, profile)
         facts = PreviewFacts(
             name, shown.signal.duration_s, levels.peak, levels.rms, levels.headroom_db, shown.confidence,
-            lines=(*describe_signal(shown, profile, scene.hnf.monitor_gain_db), *describe_outdated_strips(name)), **common,  # type: ignore[arg-type]
+            lines=(*describe_signal(shown, profile, scene.hnf.monitor_gain_db), *describe_outdated_strips(name)),
+            **common,  # type: ignore[arg-type]
         )  # fmt: skip
     PREVIEW.facts[name] = facts
     return facts

@@ -151,7 +151,8 @@ def synthesise_preview(
     action = bake.stroke.action
     picture = draw_stroke_image(signal, action, style)
     return PreviewResult(
-        now.name, now.stamp, signal, action, confidence, whole.warnings, sum(each.rendered_count for each in made), picture,
+        now.name, now.stamp, signal, action, confidence, whole.warnings, sum(each.rendered_count for each in made),
+        picture,
         style,
     )  # fmt: skip
 

@@ -141,7 +141,8 @@ class BakedStroke:
             tallest[shader] = max(tallest.get(shader, 0.0), record.height_peak_to_peak_m)
         return [
             f"material '{shader}': its relief is {height * 1e3:.3g} mm from top to bottom; "
-            f"{USUAL_HEIGHT_RANGE_M[0] * 1e3:g}–{USUAL_HEIGHT_RANGE_M[1] * 1e3:g} mm is usual. Check the Distance, Strength or "
+            f"{USUAL_HEIGHT_RANGE_M[0] * 1e3:g}–{USUAL_HEIGHT_RANGE_M[1] * 1e3:g} mm is usual. Check the Distance, "
+            f"Strength or "
             "Scale of its bump, and the scene's unit scale."
             for shader, height in tallest.items()
             if height > 0.0 and not USUAL_HEIGHT_RANGE_M[0] <= height <= USUAL_HEIGHT_RANGE_M[1]

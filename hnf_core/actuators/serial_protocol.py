@@ -33,8 +33,6 @@ def crc16(data: bytes) -> int:
     return binascii.crc_hqx(data, CRC_START)
 
 
-
-
 VERSION = 1
 LARGEST_PAYLOAD = 2048
 LARGEST_NAME = 64

@@ -302,7 +302,8 @@ def explain_unsuitable_worker(folder: str, run: str, required_version: str, path
     missing += [path for path in paths if not Path(path).exists()]
     if missing:
         return (
-            f"{get_worker_name()} cannot see {missing[0]}. Put the files where every machine has them under the same path, "
+            f"{get_worker_name()} cannot see {missing[0]}. Put the files where every machine has them under the same "
+            f"path, "
             "on a shared file system."
         )
     if compute_version() != required_version:

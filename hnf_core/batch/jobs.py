@@ -98,7 +98,8 @@ def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name) or name.endswith((FAILED_SUFFIX, ".")) or name == RECORD_NAME:
         raise UsageError(
             f"{name[:MAX_NAME_LENGTH]!r} cannot be the name of a job, which becomes a folder.",
-            remedy=f"Use letters, digits, _ - + and . inside, at most {MAX_NAME_LENGTH}; not ending in {FAILED_SUFFIX}.",
+            remedy=f"Use letters, digits, _ - + and . inside, at most {MAX_NAME_LENGTH}; not ending in "
+            f"{FAILED_SUFFIX}.",
         )
 
 

@@ -419,7 +419,8 @@ def _make_empty_signal_error(found: Acceleration, profile: ActuatorProfile, wher
         return FileError("is silent: there is nothing to report.", where=where, remedy="Give a file with a vibration.")
     low, high = profile.range_hz or DEFAULT_RANGE_HZ
     return FileError(
-        f"has nothing from {low:g} to {high:g} Hz, or is too short ({pluralize(len(found.samples), 'sample')}): there is "
+        f"has nothing from {low:g} to {high:g} Hz, or is too short ({pluralize(len(found.samples), 'sample')}): there "
+        f"is "
         "nothing to report.",
         where=where,
         remedy="Give a longer file, or the profile of an actuator that it is made for.",

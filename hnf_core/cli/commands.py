@@ -18,20 +18,22 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 from ..errors import HnfError, UsageError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 COMMAND_MODULES = {
     "touch": "touch",
     "synth": "synth",
     "train": "train",
-    "eval": "eval",
     "materials": "materials",
     "export": "export",
     "import": "import_file",
     "actuators": "actuators",
     "stream": "stream",
-    "bench": "bench",
     "batch": "batch",
     "doctor": "doctor",
 }
@@ -41,29 +43,58 @@ HELP = {
     "touch": "bake a scene and write what each stroke feels like as WAV files",
     "synth": "write what one stroke on one material feels like as a WAV file",
     "train": "train a field on recordings of one material, or another of the networks",
-    "eval": "measure fields and rivals by every metric, with the limits beside them",
     "materials": "list the library's materials",
     "export": "write a WAV in another format, and say what was lost",
     "import": "turn a haptic file of another program into a WAV in m/s²",
     "actuators": "list devices and profiles; measure an actuator",
     "stream": "play a WAV on an actuator",
-    "bench": "measure time, memory and error, as a table",
     "batch": "run many of these commands on many workers; what is finished is not run again",
     "doctor": "say what is installed and at work, and what a missing part costs",
 }
+
+LABORATORY_HELP = {
+    "eval": "measure fields and rivals by every metric, with the limits beside them",
+    "bench": "measure time, memory and error, as a table",
+}
+"""Verbs of the laboratory (tools/hnf_lab), which registers them in COMMAND_GROUP, and what each is for."""
+LABORATORY_SUBJECTS = {
+    "encoder": "the network that turns views of a touch sensor into tokens",
+    "alignment": "one space for looks and the touch of two sensors",
+}
+"""What `hnf train` can train in a checkout alone: registered in SUBJECT_GROUP."""
+COMMAND_GROUP, SUBJECT_GROUP = "hnf.commands", "hnf.train_subjects"
+"""Entry-point groups: a verb's module with add_parser and run; an add_parser of a subject of `hnf train`."""
 
 EXAMPLES = """examples:
   hnf touch scene.blend --plan                          what can be touched, and what it would take
   hnf touch scene.blend --out result                    a WAV and a picture for every stroke
   hnf synth --material oak-wood --stroke rub-slow --out rub.wav"""
 
-COMMAND_HINTS = {"probe": "To ask about one place: hnf touch SCENE --out DIR --probe OBJECT:u,v"}
+COMMAND_HINTS = {"probe": "To ask about one place: hnf touch SCENE --out DIR --at OBJECT:u,v"}
 """What people look for as a command of its own → what does it."""
 
 
 def import_command(verb: str) -> ModuleType:
-    """Where a verb's words stand."""
-    return import_module(f".{COMMAND_MODULES[verb]}", __package__)
+    """Import the module of a verb of this package, or of one that another package has registered."""
+    if verb in COMMAND_MODULES:
+        return import_module(f".{COMMAND_MODULES[verb]}", __package__)
+    module: ModuleType = find_plugins(COMMAND_GROUP)[verb].load()
+    return module
+
+
+def find_plugins(group: str) -> dict[str, EntryPoint]:
+    """Return the entry points that installed packages register in a group, by name."""
+    from importlib.metadata import entry_points  # some milliseconds: only `--help` and unknown verbs pay for it
+
+    return {point.name: point for point in entry_points(group=group)}
+
+
+def make_laboratory_error(words: str) -> UsageError:
+    """Return the error for a command that only a source checkout has."""
+    return UsageError(
+        f"hnf {words} belongs to the laboratory, which comes with a source checkout alone.",
+        remedy=f"In a checkout: make env-test, then .venv/bin/hnf {words}",
+    )
 
 
 SEED_LIMIT = 2**63

@@ -13,16 +13,29 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import HnfError, UsageError
-from .commands import COMMAND_HINTS, COMMAND_MODULES, EXAMPLES, HELP, import_command
+from .commands import (
+    COMMAND_GROUP,
+    COMMAND_HINTS,
+    COMMAND_MODULES,
+    EXAMPLES,
+    HELP,
+    LABORATORY_HELP,
+    find_plugins,
+    import_command,
+    make_laboratory_error,
+)
 
 Runner = Callable[[argparse.Namespace], int]
 
 
 def build_parser(
-    run_touch: Runner, run_bench: Runner | None = None, run_export: Runner | None = None, only: str | None = None
+    run_touch: Runner, run_export: Runner | None = None, only: str | None = None
 ) -> argparse.ArgumentParser:
-    """The command line. The runners given do the Blender part, which this package may not know. only: the one verb to
-    know with its options, of the others no more than what they are for; None = all."""
+    """Build the command line.
+
+    The runners do the Blender part, which this package may not import. only: the one verb whose options are needed, ""
+    for none; of the others the parser holds no more than their help. None means all verbs of this package.
+    """
     parser = argparse.ArgumentParser(
         prog="hnf",
         description="Haptic Neural Fields: strokes on 3-D scenes become vibrotactile acceleration.",
@@ -31,10 +44,11 @@ def build_parser(
     )
     parser.add_argument("--version", action="version", version=f"hnf {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
-    given = {"touch": run_touch, "bench": run_bench, "export": run_export}
-    for verb in COMMAND_MODULES:
+    given = {"touch": run_touch, "export": run_export}
+    registered = [] if only in COMMAND_MODULES or only is None else list(find_plugins(COMMAND_GROUP))
+    for verb in (*COMMAND_MODULES, *registered):
         if only not in (None, verb):
-            verbs.add_parser(verb, help=HELP[verb])
+            verbs.add_parser(verb, help=HELP.get(verb) or LABORATORY_HELP.get(verb))
             continue
         module = import_command(verb)
         added = module.add_parser(verbs)
@@ -44,22 +58,23 @@ def build_parser(
     return parser
 
 
-def main(
-    argv: Sequence[str], run_touch: Runner, run_bench: Runner | None = None, run_export: Runner | None = None
-) -> int:
+def main(argv: Sequence[str], run_touch: Runner, run_export: Runner | None = None) -> int:
     """Parse argv (without the program's name), run the verb, and turn every outcome into an exit code."""
     for out in (sys.stdout, sys.stderr):
         if isinstance(out, io.TextIOWrapper):  # not every terminal or file knows "²"
             out.reconfigure(errors="backslashreplace")
     try:
         verb = next((word for word in argv if not word.startswith("-")), "")
-        parser = build_parser(run_touch, run_bench, run_export, verb)
+        parser = build_parser(run_touch, run_export, verb)
         if not argv:
             parser.print_help()
             return 2
-        if argv[0] not in COMMAND_MODULES and not argv[0].startswith(
-            "-"
-        ):  # after an option, argparse judges: --help helps
+        # After an option, argparse judges: --help helps.
+        if (
+            argv[0] not in COMMAND_MODULES
+            and not argv[0].startswith("-")
+            and argv[0] not in find_plugins(COMMAND_GROUP)
+        ):
             raise _make_unknown_command_error(argv[0])
         arguments = parser.parse_args(list(argv))
         code = int(arguments.run(arguments))
@@ -82,6 +97,8 @@ def main(
 
 
 def _make_unknown_command_error(word: str) -> UsageError:
+    if word in LABORATORY_HELP:
+        return make_laboratory_error(word)
     from ..text import close_matches  # here: who makes no mistake needs no guesses
 
     near = close_matches(word, COMMAND_MODULES)

@@ -270,7 +270,8 @@ def _report_result(
     else:
         print(
             f"{report.played_s:.2f} s played: {pluralize(report.blocks, 'block')}, 99 % of them computed within "
-            f"{report.compute_p99_ms:.2f} ms, {pluralize(report.underruns, 'underrun')}; peak {report.peak:.0%} of full "
+            f"{report.compute_p99_ms:.2f} ms, {pluralize(report.underruns, 'underrun')}; peak {report.peak:.0%} of "
+            f"full "
             f"scale, {pluralize(report.limited_samples, 'sample')} limited"
         )
     if report.device_limited_samples:

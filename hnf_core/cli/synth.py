@@ -146,7 +146,8 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=MODEL_RATE_HZ, metavar="HZ", help="sample rate (default 10000)")
     parser.add_argument(
         "--tolerance", type=float, metavar="DB",
-        help=f"evaluate the field where the stroke asks for it, to within {MAX_TOLERANCE_DB:g} to {MIN_TOLERANCE_DB:g} dB of the "
+        help=f"evaluate the field where the stroke asks for it, to within {MAX_TOLERANCE_DB:g} to "
+        f"{MIN_TOLERANCE_DB:g} dB of the "
         "model taken literally (default: 200 times a second, whatever that gives)",
     )  # fmt: skip
     parser._negative_number_matcher = _NEGATIVE_NUMBER

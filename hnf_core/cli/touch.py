@@ -48,10 +48,11 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help="use this library material there (see: hnf materials)",
     )  # fmt: skip
     parser.add_argument(
-        "--probe", action="append", default=[], metavar="OBJECT:u,v", type=parse_touch_query, dest="probes",
+        "--at", action="append", default=[], metavar="OBJECT:u,v", type=parse_touch_query, dest="queries",
         help="say what is felt at this place of the surface: tactile map, roughness, friction, nearest materials; "
         "without --stroke nothing else is done. Or OBJECT:x,y,z in the object's own coordinates",
     )  # fmt: skip
+    parser.add_argument("--probe", type=_refuse_former_query, help=argparse.SUPPRESS)
     parser.add_argument(
         "--encoder", default="", metavar="NAME|FILE",
         help="the encoder that describes tactile maps: band-descriptor-1, alexnet-bands-1, or a file written by "
@@ -84,12 +85,20 @@ def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
         seed=arguments.seed,
         plan_only=arguments.plan,
         as_json=arguments.json,
-        queries=tuple(arguments.probes),
+        queries=tuple(arguments.queries),
         encoder=arguments.encoder,
     )
     if not request.plan_only:
         request.folder  # refused here, before Blender starts  # noqa: B018
     return request
+
+
+def _refuse_former_query(text: str) -> None:
+    """Answer the former name of --at by naming the new one."""
+    raise UsageError(
+        "--probe names the tip that touches, and a scene's strokes have their own.",
+        remedy=f"To ask about one place: --at {text if ':' in text else 'OBJECT:u,v'}",
+    )
 
 
 def _parse_material_choice(text: str) -> MaterialChoice:

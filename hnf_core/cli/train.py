@@ -9,18 +9,23 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from hnf_lab.cli.train_alignment import add_parser as _add_alignment
-from hnf_lab.cli.train_encoder import add_parser as _add_encoder
 
 from ..errors import UsageError
 from ..field.weights import save_field
 from ..progress import Progress, ProgressBar
 from ..tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
-from .commands import HELP, check_seed_and_weights, require_torch
+from .commands import (
+    HELP,
+    LABORATORY_SUBJECTS,
+    SUBJECT_GROUP,
+    check_seed_and_weights,
+    find_plugins,
+    make_laboratory_error,
+    require_torch,
+)
 
 if TYPE_CHECKING:
     from ..datasets.recording import DataSet, Recording
@@ -105,10 +110,6 @@ def _find_pairs(arguments: argparse.Namespace, bar: ProgressBar) -> Path:
     return Path(folder)
 
 
-SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_tactile_map, _add_encoder, _add_alignment)
-"""What else can be trained: each adds a parser that names its own runner as the default of `run`."""
-
-
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "train",
@@ -117,9 +118,19 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     )
     subjects = parser.add_subparsers(dest="what", metavar="WHAT", required=True)
     _add_field(subjects)
-    for add_subject in SUBJECTS:
-        add_subject(subjects)
+    _add_tactile_map(subjects)
+    registered = find_plugins(SUBJECT_GROUP)
+    for plugin in registered.values():
+        plugin.load()(subjects)
+    for subject in LABORATORY_SUBJECTS.keys() - registered.keys():
+        missing = subjects.add_parser(subject)  # not in --help: it would only say where it is
+        missing.add_argument("words", nargs=argparse.REMAINDER)
+        missing.set_defaults(run=_refuse_laboratory_subject)
     return parser
+
+
+def _refuse_laboratory_subject(arguments: argparse.Namespace) -> int:
+    raise make_laboratory_error(f"train {arguments.what}")
 
 
 def _add_field(subjects: Any) -> None:
@@ -203,7 +214,8 @@ def _train_field(
     try:
         return train_from_recordings(
             recordings, kind, LICENCES[kind], arguments.seed,
-            TrainingOverrides(arguments.hidden, arguments.layers, arguments.states, arguments.accumulation, arguments.epochs),
+            TrainingOverrides(arguments.hidden, arguments.layers, arguments.states, arguments.accumulation,
+            arguments.epochs),
             checkpoint, watch,
         )  # fmt: skip
     finally:

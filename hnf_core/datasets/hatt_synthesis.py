@@ -113,8 +113,6 @@ def _evaluate_polynomial(coefficients: Float, turn: NDArray[np.complex128]) -> N
     return value
 
 
-
-
 @dataclass(frozen=True)
 class HattProcess:
     """A texture model as a Process: isotropic, one axis, 10 kHz (models of another rate are resampled, and say so)."""
@@ -243,5 +241,3 @@ def _filter_moving_average(states: FilterStates, noise: Float) -> Float:
 
 def get_block_index(states: FilterStates, sample: int) -> int:
     return max(sample - states.warm_up, 0) // states.block_samples
-
-

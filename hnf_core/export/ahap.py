@@ -250,7 +250,8 @@ def _list_assumptions(pattern: list[Any]) -> tuple[str, ...]:
     given = [{str(each.get("ParameterID")) for each in event.get("EventParameters", ())} for event in events]
     missing = {name: sum(name not in each for each in given) for name in ASSUMED_PARAMETERS}
     return tuple(
-        f"{'an intensity' if name == 'HapticIntensity' else 'a sharpness'} of {ASSUMED_PARAMETERS[name]:g} for {count} of "
+        f"{'an intensity' if name == 'HapticIntensity' else 'a sharpness'} of {ASSUMED_PARAMETERS[name]:g} for "
+        f"{count} of "
         f"{len(events)} events"
         for name, count in missing.items()
         if count

@@ -225,7 +225,8 @@ def render_carrier_hops(knots: Knots, carriers: Carriers, seed: int, position: F
     near = knots.select_range(begin, begin + len(position))
     sounds = _find_active_hops(near, near.amplitude[:, carriers.time_slice].any(axis=1), hops)
     return kernel_hop.render_hops(
-        compiled, build_hop_tables(carriers), near.at, near.amplitude, hops.start * HOP_SIZE, np.ascontiguousarray(position),
+        compiled, build_hop_tables(carriers), near.at, near.amplitude, hops.start * HOP_SIZE,
+        np.ascontiguousarray(position),
         [get_time_hop(carriers, seed, hop) if each else None for hop, each in zip(hops, sounds, strict=True)],
         lambda octave, number: get_arc_hop(carriers, seed, octave, number),
     )  # fmt: skip
@@ -395,8 +396,9 @@ def build_hop_tables(carriers: Carriers) -> CarrierTables:
     return CarrierTables(
         margin=np.array(LEVEL_MARGINS), time_band=np.array([each.start for each in levels]),
         time_bands=np.array([each.stop - each.start for each in levels]),
-        cells_per_m=np.array([1.0 / (CELL_SAMPLES * carriers.arc_step_m(each)) for each in range(carriers.arc_octaves)]),
-        half_band=_half_band_filter(), cubic=np.array(_cubic_coefficients()), hop=HOP_SIZE, reach=REACH_SAMPLES, time_first=carriers.time_slice.start,
+        cells_per_m=np.array([1.0 / (CELL_SAMPLES * carriers.arc_step_m(k)) for k in range(carriers.arc_octaves)]),
+        half_band=_half_band_filter(), cubic=np.array(_cubic_coefficients()), hop=HOP_SIZE, reach=REACH_SAMPLES,
+        time_first=carriers.time_slice.start,
         arc_first=carriers.arc_slice.start, bands=ARC_PER_OCTAVE, piece_cells=ARC_HOP_CELLS, rate=MODEL_RATE_HZ,
         highest=MAX_RELATIVE_FREQUENCY, band_end=BAND_END_HZ, lowest=carriers.arc_start_per_m,
         turns=DEMODULATION_CYCLES / ARC_BLOCK_CELLS,

@@ -388,10 +388,12 @@ def get_emitter(config: FieldConfig, skip: bytes, probe: str, ceiling: float) ->
         time_edge=time_edges_in_arc_bands(carriers),
         skip=np.frombuffer(skip, dtype=np.float32).astype(np.float64), knot=knot, knot_share=place - knot,
         harmonic_shift=np.array(HARMONIC_SHIFTS), harmonic_start=np.array(HARMONIC_START_LOG),
-        inputs=input_size(carriers, config.physics), fixed_at=MECHANICS_COLUMN, fixed=DIRECTION_COLUMN - MECHANICS_COLUMN,
+        inputs=input_size(carriers, config.physics), fixed_at=MECHANICS_COLUMN,
+        fixed=DIRECTION_COLUMN - MECHANICS_COLUMN,
         direction_at=DIRECTION_COLUMN, outputs=config.alpha_outputs, stroke_frame=config.stroke_frame,
         directed=config.directed, line_gains=config.line_gains, quiet_power=AMPLITUDE_FLOOR_M_S2**2,
-        quiet_line_power=LINE_FLOOR_M_S2**2, time_share=10.0 ** (TIME_SHARE_DB / 10.0), ceiling=ceiling, pace=REFERENCE_SPEED_M_S,
+        quiet_line_power=LINE_FLOOR_M_S2**2, time_share=10.0 ** (TIME_SHARE_DB / 10.0), ceiling=ceiling,
+        pace=REFERENCE_SPEED_M_S,
         pitch=REFERENCE_RESONANCE_HZ,
     )  # fmt: skip
 

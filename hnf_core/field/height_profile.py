@@ -12,17 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import StrokeError
-from ..scene.patch import Patch
-from ..tactile.height import sample_height
-from ..tactile.tactile_map import HeightMap
 from .carriers import ARC_PER_OCTAVE, Carriers
 from .linear_contact import SPEED_FLOOR_M_S, Condition, profile_band_power
 from .stroke import HeightProfile, interpolate_cubic
+
+if TYPE_CHECKING:
+    from ..scene.patch import Patch
+    from ..tactile.tactile_map import HeightMap
 
 Float = NDArray[np.float64]
 
@@ -200,6 +202,9 @@ def build_stroke_profile(
     height or resolves no finite wavelength, nothing was measured (flat there). The profile resolves what the coarsest
     measured map resolves. Raises StrokeError for a path that takes more than MOST_SAMPLES.
     """
+    # Every synthesis imports this module; only a stroke over relief needs maps.
+    from ..tactile.height import sample_height
+
     measured = [
         tactile.resolved_wavelength_m for tactile in maps if tactile is not None and _has_resolved_height(tactile)
     ]

@@ -3,7 +3,8 @@
 F_Θ for whoever has to know it: of one stroke, or of several in common batches.
 
 A short stroke has too few states to keep a processor busy, and every batch has a price of its own. What a state gives
-does not depend on those beside it (kernel/compiled_field.py), so a stroke is the same to the last bit alone and among others.
+does not depend on those beside it (kernel/compiled_field.py), so a stroke is the same to the last bit alone and among
+others.
 
 A stroke with F_Θ evaluated: all at the action rate that a block of samples is rendered from.
 """
@@ -305,7 +306,8 @@ def request_prepared_stroke(
     else:
         audible = compute_audible_gain(action.contact, sample_count(action))
     return PreparedStroke(
-        carriers, seed, action, amplitude, build_filter_bank(stroke.mechanics, token_index, pressed, action.probe), pressed,
+        carriers, seed, action, amplitude, build_filter_bank(stroke.mechanics, token_index, pressed, action.probe),
+        pressed,
         audible, bands, profile_amplitude, loudest, unheld,
     )  # fmt: skip
 

@@ -115,8 +115,8 @@ def _check_speed_force_pair(speed: Float, force: Float, ranges: TrainingRanges) 
     if excess[at] > HULL_SLACK_OCTAVES:
         (v, f), (trained_v, trained_f) = np.exp2(pairs[at]), np.exp2(near[at])
         nearest = f"{_format_number(trained_v * 1e3)} mm/s with {_format_number(trained_f)} N"
-        text = f"{_format_number(v * 1e3)} mm/s together with {_format_number(f)} N was never trained; the nearest is {nearest}."
-        yield float(excess[at]), text
+        pair = f"{_format_number(v * 1e3)} mm/s together with {_format_number(f)} N"
+        yield float(excess[at]), f"{pair} was never trained; the nearest is {nearest}."
 
 
 def _check_direction(direction: Float, speed: Float, field: Field, tokens: NDArray[np.float32]) -> Iterator[Remark]:

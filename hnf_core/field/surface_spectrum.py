@@ -119,7 +119,8 @@ def build_kernel_tables(carriers: Carriers, hand: float, hand_damping: float) ->
     below, angle = np.clip(np.floor(position).astype(int), 0, bands - 2), GRID_ANGLES[: ANGLES // 2]
     return ContactTables(
         features=BAND_FEATURES, kappa=carriers.arc_centres(), below=below, share=np.clip(position - below, 0.0, 1.0),
-        nearest_end=np.searchsorted(_nearest_band(position), np.arange(bands), side="right"), shift=_projection_shifts(),
+        nearest_end=np.searchsorted(_nearest_band(position), np.arange(bands), side="right"),
+        shift=_projection_shifts(),
         wavelength=np.asarray(BAND_WAVELENGTHS_M, dtype=np.float64),
         turn=np.stack([np.cos(2 * angle), np.sin(2 * angle), np.cos(4 * angle), np.sin(4 * angle)], axis=1),
         per_octave=ARC_PER_OCTAVE, concentration=LINE_CONCENTRATION, bump_mean=float(ORIENTED_DENSITY_MEAN),

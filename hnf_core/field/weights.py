@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from ..errors import WeightsError
 from ..files import write_bytes
 from ..material.contact_model import MECHANICS_NAMES, Mechanics, describe_limit_violation
-from ..material.hnf_file import MAX_NAME_BYTES, MaterialFile
 from ..material.library import Appearance, LibraryMaterial
 from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM, Token
 from ..safetensors_io import WeightsFile, WeightsKind, dump_tensors, parse_weights, read_weights
 from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers, find_first_bins
 from .field import Field, FieldConfig
 from .training_ranges import SECTORS, PropertyRange, TrainingRanges
+
+if TYPE_CHECKING:
+    from ..material.hnf_file import MaterialFile
 
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
 HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")
@@ -293,6 +295,8 @@ def build_learned_material(weights: bytes, where: str) -> MaterialFile:
 
     where: names the source in messages. Raises WeightsError where the weights are damaged or of no one material.
     """
+    from ..material.hnf_file import MAX_NAME_BYTES, MaterialFile
+
     field = parse_field(weights, where)
     trained = read_trained_material(field, where)
     token = Token(trained.token, np.full(trained.token.shape, bool(trained.token.any())))

@@ -1,4 +1,5 @@
-"""Compiled: hops of the carriers, modulated (their twin in numpy is texture_hops in field/carrier_rendering.py), what a live hand
+"""Compiled: hops of the carriers, modulated (their twin in numpy is texture_hops in field/carrier_rendering.py), what a
+live hand
 reads of them between two states (field/live/carriers.py), and where the hand is between states (field/stroke.py).
 
 Compiled: noise bands as waves (the twins in numpy are in field/carriers.py and field/carriers.py).
@@ -312,8 +313,10 @@ def render_real_waves(
     size = out.shape[1]
     _check_waves(out, slow, turns, window, which, bins, starts)
     kernel.hnf_real_waves(
-        get_address(bins, np.complex128), get_address(starts, np.int64), get_address(which, np.int64), len(which), len(slow) // 2,
-        size, get_address(slow, np.float32), *(get_address(turn, np.float32) for turn in turns), get_address(window, np.float32),
+        get_address(bins, np.complex128), get_address(starts, np.int64), get_address(which, np.int64), len(which),
+        len(slow) // 2,
+        size, get_address(slow, np.float32), *(get_address(turn, np.float32) for turn in turns), get_address(window,
+        np.float32),
         get_address(out, np.float32, writable=True),
     )  # fmt: skip
 
@@ -328,7 +331,8 @@ def render_complex_waves(
     _check_waves(out, slow, turns, window, np.arange(bands), bins, starts)
     kernel.hnf_complex_waves(
         get_address(bins, np.complex128), get_address(starts, np.int64), bands, len(slow) // 2, size,
-        get_address(slow, np.float32), *(get_address(turn, np.float32) for turn in turns), get_address(window, np.float32),
+        get_address(slow, np.float32), *(get_address(turn, np.float32) for turn in turns), get_address(window,
+        np.float32),
         get_address(out, np.complex64, writable=True),
     )  # fmt: skip
 
@@ -378,8 +382,10 @@ class StateResponses:
             raise ValueError(f"{weight.shape} weights of {len(self.tables)} contacts at {len(force)} states")
         out = np.empty(count * self.samples)
         kernel.hnf_press(
-            get_address(force, np.float64), len(force), get_address(weight, np.float64), len(self.tables), self._table_pointers,
-            get_address(self._row_counts, np.int64), self.ahead, self.samples, first, count, get_address(out, np.float64),
+            get_address(force, np.float64), len(force), get_address(weight, np.float64), len(self.tables),
+            self._table_pointers,
+            get_address(self._row_counts, np.int64), self.ahead, self.samples, first, count, get_address(out,
+            np.float64),
         )  # fmt: skip
         return out
 

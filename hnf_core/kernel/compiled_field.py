@@ -76,8 +76,10 @@ class ContactTables:
             for array in (kappa, below, share, nearest_end, wavelength, turn, shift)
         ]
         self.struct = _TablesStruct(
-            self.bands, self.token_bands, len(features), self.angles, *(list(features).index(n) for n in TOKEN_FEATURES),
-            *(each.__array_interface__["data"][0] for each in self._arrays), *(numbers[name] for name in _TABLE_NUMBERS),
+            self.bands, self.token_bands, len(features), self.angles,
+            *(list(features).index(n) for n in TOKEN_FEATURES),
+            *(each.__array_interface__["data"][0] for each in self._arrays),
+            *(numbers[name] for name in _TABLE_NUMBERS),
         )  # fmt: skip
 
 
@@ -103,7 +105,8 @@ def compute_linear_contact(kernel: ctypes.CDLL, tables: ContactTables, tokens: F
     scratch = np.empty(tables.scratch_size)
     out = pack_pointers([each.__array_interface__["data"][0] for each in found])
     kernel.hnf_linear_contact(
-        ctypes.byref(tables.struct), get_address(tokens, np.float64), tokens.shape[1], get_address(touch, np.float64), states,
+        ctypes.byref(tables.struct), get_address(tokens, np.float64), tokens.shape[1], get_address(touch, np.float64),
+        states,
         get_address(scratch, np.float64), out,
     )  # fmt: skip
     return found
@@ -233,7 +236,8 @@ class EmissionTables:
     """
 
     def __init__(
-        self, tables: ContactTables, *, token_shift: Float, token_scale: Float, time_edge: Float, skip: Float, knot: Integers,
+        self, tables: ContactTables, *, token_shift: Float, token_scale: Float, time_edge: Float, skip: Float,
+        knot: Integers,
         knot_share: Float, harmonic_shift: Integers, harmonic_start: Float, **numbers: float,
     ) -> None:  # fmt: skip
         arrays = (token_shift, token_scale, time_edge, skip, knot, knot_share, harmonic_shift, harmonic_start)
@@ -311,7 +315,8 @@ def compute_inputs(
         kernel.hnf_inputs(
             ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), get_address(tokens[rows], np.float64),
             tokens.shape[1], get_address(fixed[rows], np.float64), get_address(motion[rows], np.float64),
-            get_address(touch[rows], np.float64), high - low, get_address(scratch, np.float64), get_address(x[rows], np.float32),
+            get_address(touch[rows], np.float64), high - low, get_address(scratch, np.float64), get_address(x[rows],
+            np.float32),
             ctypes.byref(expected.select(rows).to_struct(high - low, emitter)),
         )  # fmt: skip
 
@@ -332,7 +337,8 @@ def decode_head(
         rows, scratch = slice(low, high), np.empty(emitter.decode_scratch_size)
         kernel.hnf_emitted(
             ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), get_address(head[rows], np.float32),
-            get_address(motion[rows], np.float64), ctypes.byref(prior.select(rows).to_struct(high - low, emitter)), high - low,
+            get_address(motion[rows], np.float64), ctypes.byref(prior.select(rows).to_struct(high - low, emitter)),
+            high - low,
             get_address(scratch, np.float64), get_address(alpha[rows], np.float64),
         )  # fmt: skip
 
@@ -358,8 +364,10 @@ def decode_known_head(
         )
         tables, own = ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct)
         kernel.hnf_inputs(
-            tables, own, get_address(tokens[rows], np.float64), tokens.shape[1], None, get_address(motion[rows], np.float64),
-            get_address(touch[rows], np.float64), high - low, get_address(scratch, np.float64), None, ctypes.byref(told),
+            tables, own, get_address(tokens[rows], np.float64), tokens.shape[1], None, get_address(motion[rows],
+            np.float64),
+            get_address(touch[rows], np.float64), high - low, get_address(scratch, np.float64), None,
+            ctypes.byref(told),
         )  # fmt: skip
         kernel.hnf_emitted(
             tables, own, get_address(head[rows], np.float32), get_address(motion[rows], np.float64), ctypes.byref(told),

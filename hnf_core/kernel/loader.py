@@ -64,7 +64,7 @@ _thread_override = threading.local()
 
 def load_kernel() -> ctypes.CDLL | None:
     """The compiled functions, or None where numpy does their work."""
-    return None if getattr(_thread_override, "asked", False) else _find_library()[0]
+    return None if getattr(_thread_override, "disabled", False) else _find_library()[0]
 
 
 def why_unavailable() -> str:
@@ -88,11 +88,11 @@ def get_build_id() -> str:
 @contextmanager
 def without_kernel() -> Iterator[None]:
     """Numpy alone, in this thread: what the kernel is measured and tested against."""
-    before, _thread_override.asked = getattr(_thread_override, "asked", False), True
+    before, _thread_override.disabled = getattr(_thread_override, "disabled", False), True
     try:
         yield
     finally:
-        _thread_override.asked = before
+        _thread_override.disabled = before
 
 
 def single_blas_thread_without_kernel() -> AbstractContextManager[None]:

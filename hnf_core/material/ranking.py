@@ -2,7 +2,8 @@
 
 Compared are what no turn of the surface changes: of each band its level, the strengths of two- and four-fold
 direction, peak and offset; skewness and kurtosis. Under a material they scatter as pieces of one class do
-(WITHIN, measured on generated instances by tools/hnf_lab/experiments/suggestions.py), all levels also together by SCALE, since
+(WITHIN, measured on generated instances by tools/hnf_lab/experiments/suggestions.py), all levels also together by
+SCALE, since
 artists give a relief any height they like. Against that stands any relief at all: normal around the library's mean.
 
 The prior route: from shading values and names to a ranked list of library materials.

@@ -1,6 +1,7 @@
 """Metrics of vibrotactile signals: spectra, distances between them, and published similarity scores.
 
-The functions here take signals and their rate; the modules beside this file hold the same measures of arrays of windows.
+The functions here take signals and their rate; the modules beside this file hold the same measures of arrays of
+windows.
 Start reading at `spectra.py`.
 """
 
@@ -201,7 +202,9 @@ def _get_pair(
     """Return both signals, cut to one length, and their common rate [Hz]."""
     (first, rate), (second, other) = _get_samples(signal, rate_hz), _get_samples(reference, rate_hz)
     if rate != other:
-        raise UsageError(f"the signals have two rates, {rate:g} and {other:g} Hz.", remedy="Resample one of them first.")
+        raise UsageError(
+            f"the signals have two rates, {rate:g} and {other:g} Hz.", remedy="Resample one of them first."
+        )
     count = min(len(first), len(second))
     return first[:count], second[:count], rate
 
@@ -209,7 +212,9 @@ def _get_pair(
 def _get_window(samples: Float, rate: float) -> int:
     window = round(WINDOW_S * rate)
     if len(samples) < window:
-        raise UsageError(f"{len(samples) / rate:.3g} s are less than one window.", remedy=f"Give {WINDOW_S:g} s or more.")
+        raise UsageError(
+            f"{len(samples) / rate:.3g} s are less than one window.", remedy=f"Give {WINDOW_S:g} s or more."
+        )
     return window
 
 

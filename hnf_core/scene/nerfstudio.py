@@ -85,8 +85,6 @@ def read_model_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
     )
 
 
-
-
 def _parse_frame(path: Path, document: Mapping[str, Any], entry: Any, index: int) -> NerfstudioFrame:
     where = f"frame {index}"
     if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str) or not entry["file_path"]:
@@ -100,7 +98,8 @@ def _parse_frame(path: Path, document: Mapping[str, Any], entry: Any, index: int
         )
     for key in DISTORTION_KEYS:
         if key in settings and _read_number(path, settings, key, where) != 0.0:
-            raise _unusable_error(path, f"{where}: its lens distorts ({key} = {settings[key]:g}), and only pinholes are read",
+            raise _unusable_error(path,
+            f"{where}: its lens distorts ({key} = {settings[key]:g}), and only pinholes are read",
                          UNDISTORT_REMEDY)  # fmt: skip
     fl_x, fl_y, cx, cy, width, height = (_read_number(path, settings, key, where) for key in LENS_KEYS)
     if not (fl_x > 0.0 and fl_y > 0.0):
@@ -130,8 +129,6 @@ def _transform_camera(camera: Camera, axes: Float, applied: float, to_model: Flo
     pose = to_model @ np.linalg.inv(axes) @ pose
     pose[:3, 3] *= scale
     return replace(camera, pose=pose)
-
-
 
 
 def _read_document(path: Path) -> dict[str, Any]:

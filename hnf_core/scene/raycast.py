@@ -94,8 +94,6 @@ def make_embree_caster(mesh: TriangleMesh) -> EmbreeCaster:
     return EmbreeCaster(mesh)
 
 
-
-
 def cast_view(caster: RayCaster, mesh: TriangleMesh, camera: Camera) -> CastView:
     """Depth, ids, barycentrics and smooth normals at every pixel centre; only what lies in the clip range is seen.
 

@@ -85,7 +85,7 @@ class LuGre:
         pace = np.hypot(*velocity)
         level = bristles.friction * (1.0 + (STATIC_OVER_KINETIC - 1.0) * np.exp(-np.square(pace / STRIBECK_SPEED_M_S)))
         self.force = level * velocity / np.maximum(pace, 1e-9)
-        self._damped, self._share = np.zeros_like(pace), np.ones_like(pace)
+        self._damped, self._velocity_gain = np.zeros_like(pace), np.ones_like(pace)
 
     def linearise(
         self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
@@ -112,16 +112,16 @@ class LuGre:
         level += flank
         np.maximum(level, 1e-6, out=level)
         self.force *= touching
-        self._share = self._step / (1.0 + self._step * pace / level)
+        self._velocity_gain = self._step / (1.0 + self._step * pace / level)
         # (w + σ0 dt v) / D, D = 1 + σ0 dt |v| / g
-        self._held = self.force * (self._share / self._step)
+        self._predicted_force = self.force * (self._velocity_gain / self._step)
         self._damped = self._damping * stribeck
         gain = 1.0 + self._damped
-        return gain * self._held - self._damped * self.force, gain * self._share
+        return gain * self._predicted_force - self._damped * self.force, gain * self._velocity_gain
 
     def update(self, sliding: Float) -> None:
         """Bend the bristles by the velocity (2, B) that the step has led to."""
-        self.force = self._held + self._share * sliding
+        self.force = self._predicted_force + self._velocity_gain * sliding
 
 
 class Coulomb:

@@ -24,9 +24,6 @@ from ..material.contact_model import Mechanics, contact_radius
 from ..material.probe import PROBES, Probe
 from .contact_dynamics import (
     DRIVE_COUNT,
-    HAND_DAMPING_RATIO,
-    HAND_DRAG_PER_S,
-    HAND_STIFFNESS_N_M,
     ContactMotion,
     Physics,
     integrate_contact,
@@ -34,79 +31,8 @@ from .contact_dynamics import (
 from .height_sampling import SmoothedMaps
 
 Float = NDArray[np.float64]
-
 BLOCK_SAMPLES = 128
 """Samples handled together: large batches stay within the processor's cache."""
-
-
-def oversample_blocks(drives: Float, factor: int) -> Iterator[Float]:
-    """(D, n, B) → blocks (D, ≤ BLOCK·factor + 2, B), one fine step of overlap at either side of each.
-
-    Cubic (Catmull–Rom) interpolation, both ends extrapolated linearly.
-    """
-    first, last = drives[:, :1], drives[:, -1:]
-    rise, fall = drives[:, 1:2] - first, last - drives[:, -2:-1]
-    padded = np.concatenate([first - 2 * rise, first - rise, drives, last + fall, last + 2 * fall, last + 3 * fall], 1)
-    n = drives.shape[1]
-    for start in range(0, n, BLOCK_SAMPLES):
-        stop = min(start + BLOCK_SAMPLES, n)
-        fine = _interpolate_cubic(padded[:, start : stop + 5], factor)
-        yield fine[:, factor - 1 : fine.shape[1] - factor + 1]
-
-
-def _interpolate_cubic(values: Float, factor: int) -> Float:
-    """(D, m + 3, B) → (D, m·factor, B): from the second value on, towards the next."""
-    a, b, c, d = values[:, :-3], values[:, 1:-2], values[:, 2:-1], values[:, 3:]
-    out = np.empty((b.shape[0], b.shape[1], factor, b.shape[2]))
-    out[:, :, 0] = b
-    for k in range(1, factor):
-        t = k / factor
-        out[:, :, k] = 0.5 * (2 * t**2 - t - t**3) * a
-        out[:, :, k] += (1.0 - 2.5 * t**2 + 1.5 * t**3) * b
-        out[:, :, k] += 0.5 * (t + 4 * t**2 - 3 * t**3) * c
-        out[:, :, k] += 0.5 * (t**3 - t**2) * d
-    return out.reshape(b.shape[0], -1, b.shape[2])
-
-
-def decimate(fine: Float, factor: int) -> Float:
-    """(n·factor, C, B) → (B, n, C) through a zero-phase windowed-sinc low-pass, so that impacts do not alias."""
-    steps, channels, rows = fine.shape
-    n = steps // factor
-    out = np.empty((rows, n, channels))
-    if factor == 1:
-        out[:] = fine.transpose(2, 0, 1)
-        return out
-    half = 16 * factor
-    taps = np.sinc(np.arange(-half, half + 1) / factor) * np.kaiser(2 * half + 1, 6.0)
-    taps /= taps.sum()
-    band = np.zeros((BLOCK_SAMPLES, BLOCK_SAMPLES * factor + 2 * half))
-    for row in range(BLOCK_SAMPLES):
-        band[row, row * factor : row * factor + len(taps)] = taps
-    fine = fine.reshape(steps, -1)
-    for start in range(0, n, BLOCK_SAMPLES):
-        stop = min(start + BLOCK_SAMPLES, n)
-        around = np.clip(np.arange(start * factor - half, (stop - 1) * factor + half + 1), 0, steps - 1)
-        part = band[: stop - start, : len(around)] @ fine[around]
-        out[:, start:stop] = part.reshape(-1, channels, rows).transpose(2, 0, 1)
-    return out
-
-
-__all__ = [
-    "ASPERITY_SHARE",
-    "FLANK_FRICTION",
-    "HAND_DAMPING_RATIO",
-    "HAND_DRAG_PER_S",
-    "HAND_STIFFNESS_N_M",
-    "SAMPLE_RATE_HZ",
-    "Physics",
-    "Stroke",
-    "simulate",
-    "simulate_batch",
-    "simulate_motion",
-    "straight_stroke",
-]
-
-
 SAMPLE_RATE_HZ = 10_000.0
 ASPERITY_SHARE = 0.5
 """Radius of the spots that really carry the load and meet the slopes, over the Hertz radius: the real area of contact
@@ -116,8 +42,6 @@ FLANK_FRICTION = 3.0
 (Bowden & Tabor's interlocking), the less the more its contact of radius a conforms: times (1 − a/R)². Fitted, with
 the form of that factor, ASPERITY_SHARE and the pen's tip radius: with them speed and force tell about as much as they
 do in recorded textures (HaTT). They are one choice for all materials, and were not checked on held-out ones."""
-
-
 FULL_PHYSICS = Physics()
 
 
@@ -182,6 +106,21 @@ def simulate_motion(
     )
 
 
+def simulate(
+    surface: SmoothedMaps,
+    stroke: Stroke,
+    mechanics: Mechanics,
+    probe: Probe = PROBES["pen"],
+    *,
+    oversample: int = 2,
+    physics: Physics = FULL_PHYSICS,
+) -> Float:
+    """One stroke: (n, 3); see simulate_batch."""
+    return np.asarray(
+        simulate_batch([surface], [stroke], [mechanics], probe, oversample=oversample, physics=physics)[0]
+    )
+
+
 def _integrate_strokes(
     maps: Sequence[SmoothedMaps],
     strokes: Sequence[Stroke],
@@ -196,21 +135,6 @@ def _integrate_strokes(
         drives[:, :, index] = _compute_drives(*row, probe)
     dt = 1.0 / (SAMPLE_RATE_HZ * oversample)
     return integrate_contact(oversample_blocks(drives, oversample), mechanics, probe, dt, physics)
-
-
-def simulate(
-    surface: SmoothedMaps,
-    stroke: Stroke,
-    mechanics: Mechanics,
-    probe: Probe = PROBES["pen"],
-    *,
-    oversample: int = 2,
-    physics: Physics = FULL_PHYSICS,
-) -> Float:
-    """One stroke: (n, 3); see simulate_batch."""
-    return np.asarray(
-        simulate_batch([surface], [stroke], [mechanics], probe, oversample=oversample, physics=physics)[0]
-    )
 
 
 def _validate_batch(
@@ -252,3 +176,55 @@ def _sample_at_radius(surface: SmoothedMaps, position: Float, radius: Float) -> 
     place = np.clip(np.log(np.maximum(radius, smallest) / smallest) / np.log(nodes[1] / smallest), 0.0, 2.0)
     weights = np.maximum(1.0 - np.abs(place - np.arange(3)[:, None]), 0.0)
     return np.asarray(np.einsum("kcn,kn->cn", sampled, weights))
+
+
+def oversample_blocks(drives: Float, factor: int) -> Iterator[Float]:
+    """(D, n, B) → blocks (D, ≤ BLOCK·factor + 2, B), one fine step of overlap at either side of each.
+
+    Cubic (Catmull–Rom) interpolation, both ends extrapolated linearly.
+    """
+    first, last = drives[:, :1], drives[:, -1:]
+    rise, fall = drives[:, 1:2] - first, last - drives[:, -2:-1]
+    padded = np.concatenate([first - 2 * rise, first - rise, drives, last + fall, last + 2 * fall, last + 3 * fall], 1)
+    n = drives.shape[1]
+    for start in range(0, n, BLOCK_SAMPLES):
+        stop = min(start + BLOCK_SAMPLES, n)
+        fine = _interpolate_cubic(padded[:, start : stop + 5], factor)
+        yield fine[:, factor - 1 : fine.shape[1] - factor + 1]
+
+
+def _interpolate_cubic(values: Float, factor: int) -> Float:
+    """(D, m + 3, B) → (D, m·factor, B): from the second value on, towards the next."""
+    a, b, c, d = values[:, :-3], values[:, 1:-2], values[:, 2:-1], values[:, 3:]
+    out = np.empty((b.shape[0], b.shape[1], factor, b.shape[2]))
+    out[:, :, 0] = b
+    for k in range(1, factor):
+        t = k / factor
+        out[:, :, k] = 0.5 * (2 * t**2 - t - t**3) * a
+        out[:, :, k] += (1.0 - 2.5 * t**2 + 1.5 * t**3) * b
+        out[:, :, k] += 0.5 * (t + 4 * t**2 - 3 * t**3) * c
+        out[:, :, k] += 0.5 * (t**3 - t**2) * d
+    return out.reshape(b.shape[0], -1, b.shape[2])
+
+
+def decimate(fine: Float, factor: int) -> Float:
+    """(n·factor, C, B) → (B, n, C) through a zero-phase windowed-sinc low-pass, so that impacts do not alias."""
+    steps, channels, rows = fine.shape
+    n = steps // factor
+    out = np.empty((rows, n, channels))
+    if factor == 1:
+        out[:] = fine.transpose(2, 0, 1)
+        return out
+    half = 16 * factor
+    taps = np.sinc(np.arange(-half, half + 1) / factor) * np.kaiser(2 * half + 1, 6.0)
+    taps /= taps.sum()
+    band = np.zeros((BLOCK_SAMPLES, BLOCK_SAMPLES * factor + 2 * half))
+    for row in range(BLOCK_SAMPLES):
+        band[row, row * factor : row * factor + len(taps)] = taps
+    fine = fine.reshape(steps, -1)
+    for start in range(0, n, BLOCK_SAMPLES):
+        stop = min(start + BLOCK_SAMPLES, n)
+        around = np.clip(np.arange(start * factor - half, (stop - 1) * factor + half + 1), 0, steps - 1)
+        part = band[: stop - start, : len(around)] @ fine[around]
+        out[:, start:stop] = part.reshape(-1, channels, rows).transpose(2, 0, 1)
+    return out

@@ -48,6 +48,7 @@ def learn_material(request: LearnRequest, out: Path, report_progress: Callable[[
     report_progress(Progress(STAGE_TRAINING, 0, steps))
     trained, _ = train_from_recordings(
         recordings, request.kind, LICENCES[request.kind], 0, TrainingOverrides(epochs=request.epochs),
-        out.with_name(f"{out.name}.checkpoint"), lambda done, _total, _loss: report_progress(Progress(STAGE_TRAINING, done, steps)),
+        out.with_name(f"{out.name}.checkpoint"), lambda done, _total, _loss: report_progress(Progress(STAGE_TRAINING,
+        done, steps)),
     )  # fmt: skip
     save_field(out, trained.field)

@@ -174,7 +174,8 @@ def test_the_artists_choice_then_a_definition_then_the_looks_decide() -> None:
     felt = find_touched_material(plane, depsgraph(), 0, -1)
     assert felt.name in {material.name for material in load_library()}
     plane.data.materials.append(bpy.data.materials.new("Rusty steel sheet"))
-    set_definition(plane.data.materials[0], from_library(get_material("cork") if any(m.name == "cork" for m in load_library()) else get_material(
+    set_definition(plane.data.materials[0],
+    from_library(get_material("cork") if any(m.name == "cork" for m in load_library()) else get_material(
         "denim")))  # fmt: skip
     bpy.context.view_layer.update()
     carried = find_touched_material(plane, depsgraph(), 0, -1)

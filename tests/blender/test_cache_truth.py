@@ -309,7 +309,7 @@ def test_a_changed_library_is_noticed_when_the_file_is_opened(job, tmp_path) -> 
 
 def touched_patches(scene: Path, out: Path) -> dict:
     """Counts of a look at one place, by the command line."""
-    code, report = touch(scene, out, "--probe", "Plate:0.001,0.001")
+    code, report = touch(scene, out, "--at", "Plate:0.001,0.001")
     assert code == 0
     return report["counts"]
 

@@ -150,7 +150,8 @@ def test_asked_for_what_the_zip_leaves_out_it_says_what_to_do(profile: Profile) 
         except family.HnfError as error:
             said = [type(error).__name__, str(error)]
         usual = seeing()
-        print('RESULT', json.dumps([said, usual.measured_encoder.name, usual.predicted_encoder.name, usual.missing_reason]))
+        print('RESULT', json.dumps([said, usual.measured_encoder.name, usual.predicted_encoder.name,
+        usual.missing_reason]))
     """
     run = profile.run(code)
     assert run.returncode == 0, run.stdout + run.stderr

@@ -59,7 +59,7 @@ def test_a_place_is_told_in_files_and_report(tmp_path) -> None:
     ridge_plate()
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
     before = scene.read_bytes()
-    code, report = touch(scene, out, "--probe", f"{PLATE}:0.01,0.02")
+    code, report = touch(scene, out, "--at", f"{PLATE}:0.01,0.02")
     assert code == 0
     (entry,) = report["probes"]
     assert entry["place"]["world"] == pytest.approx([0.01, 0.02, 0.0], abs=1e-6)
@@ -146,7 +146,7 @@ def test_places_that_are_not_there_are_named_and_cost_the_others_nothing(tmp_pat
     add_mesh("Bare", [(0, 0, 0.2), (0.1, 0, 0.2), (0, 0.1, 0.2)], [(0, 1, 2)])
     scene = save_scene(tmp_path / "scene.blend")
     words = ("Plat:0.5,0.5", f"{PLATE}:5,5", "Bare:0.5,0.5", f"{PLATE}:0.01,0.02,0.5", f"{PLATE}:0.01,0.02")
-    code, report = touch(scene, tmp_path / "out", *(word for place in words for word in ("--probe", place)))
+    code, report = touch(scene, tmp_path / "out", *(word for place in words for word in ("--at", place)))
     assert code == 1
     assert [entry["object"] for entry in report["probes"]] == [PLATE]
     why = [failure["why"] for failure in report["failed"]]
@@ -183,7 +183,7 @@ def test_probes_leave_strokes_and_what_is_known_of_them_alone(tmp_path) -> None:
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
     _, first = touch(scene, out)
     wav = (out / first["strokes"][0]["wav"]).read_bytes()
-    code, report = touch(scene, out, "--probe", f"{PLATE}:0.01,0.02")
+    code, report = touch(scene, out, "--at", f"{PLATE}:0.01,0.02")
     assert code == 0
     assert [stroke["name"] for stroke in report["strokes"]] == ["Along"]
     assert report["skipped"][0]["why"] == "only probes are asked for"
@@ -198,7 +198,7 @@ def test_probes_leave_strokes_and_what_is_known_of_them_alone(tmp_path) -> None:
 def test_a_second_look_costs_nothing_and_the_plan_says_so(tmp_path, capsys) -> None:
     ridge_plate()
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
-    words = ("--probe", f"{PLATE}:0.01,0.02")
+    words = ("--at", f"{PLATE}:0.01,0.02")
     capsys.readouterr()
     touch(scene, out, *words, "--plan", "--json")
     assert json.loads(capsys.readouterr().out)["probes"][0]["close_ups"] == 1
@@ -221,7 +221,7 @@ def test_a_second_look_costs_nothing_and_the_plan_says_so(tmp_path, capsys) -> N
 def test_a_chosen_material_is_what_friction_is_told_of(tmp_path) -> None:
     ridge_plate()
     scene = save_scene(tmp_path / "scene.blend")
-    _, report = touch(scene, tmp_path / "out", "--probe", f"{PLATE}:0.01,0.02", "--material", f"{PLATE}=granite")
+    _, report = touch(scene, tmp_path / "out", "--at", f"{PLATE}:0.01,0.02", "--material", f"{PLATE}=granite")
     (entry,) = report["probes"]
     assert entry["library_material"] == "granite"
     assert entry["reason"] == "chosen by the artist"

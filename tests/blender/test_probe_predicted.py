@@ -9,7 +9,7 @@ from touch_scene import save_scene, touch
 
 from hnf_blender.touch import bake_patches
 
-WORDS = ("--probe", f"{PHOTO_PLATE}:0.01,0.02")
+WORDS = ("--at", f"{PHOTO_PLATE}:0.01,0.02")
 
 
 @pytest.fixture(autouse=True)

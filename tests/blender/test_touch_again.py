@@ -270,7 +270,7 @@ def test_strokes_that_an_older_version_let_share_files_are_parted(scene, tmp_pat
 def test_a_probe_between_two_runs_costs_the_second_one_nothing(scene, tmp_path) -> None:
     out = tmp_path / "out"
     touch(scene, out)
-    touch(scene, out, "--probe", f"{PLATE}:0.001,0.001")
+    touch(scene, out, "--at", f"{PLATE}:0.001,0.001")
     assert touch(scene, out)[1]["counts"] == NOTHING
 
 

@@ -13,7 +13,7 @@ from hnf_blender.cli import main
     [
         ("--material", f"{PLATE}=oak-wood"),
         ("--stroke", "rub-slow", "--on", PLATE),
-        ("--probe", f"{PLATE}:0.01,0.02"),
+        ("--at", f"{PLATE}:0.01,0.02"),
         ("--stroke", "rub-slow", "--on", "nobody"),
     ],
     ids=lambda words: words[0] + words[-1][:4],

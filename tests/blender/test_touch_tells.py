@@ -61,7 +61,7 @@ def test_a_run_that_made_nothing_says_only_why(tmp_path, capsys) -> None:
 def test_a_probe_is_one_place(tmp_path, capsys) -> None:
     ridge_plate()
     scene = save_scene(tmp_path / "scene.blend")
-    assert touch(scene, tmp_path / "out", "--probe", f"{PLATE}:0.01,0.02")[0] == 0
+    assert touch(scene, tmp_path / "out", "--at", f"{PLATE}:0.01,0.02")[0] == 0
     said = capsys.readouterr().out
     assert f"Done: 1 place in {tmp_path / 'out'}. It took 1 rendered image." in said
     assert "Listen" not in said

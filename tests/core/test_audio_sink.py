@@ -188,7 +188,7 @@ import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
 import numpy as np
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.sinks.audio import AudioSink
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 stream = Stream(BufferSource(np.ones((500, 1)), 10000.0, loop=True), AudioSink(queue_s={CALM_S}), Limits(10.0))
 stream.start()
@@ -211,7 +211,7 @@ import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
 import numpy as np
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.sinks.audio import AudioSink
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 stream = Stream(BufferSource(np.ones((20000, 1)), 10000.0), AudioSink(queue_s={CALM_S}), Limits(10.0))
 stream.start()

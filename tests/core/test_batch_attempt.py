@@ -362,7 +362,7 @@ def test_only_what_a_batch_made_is_replaced(folder: Path) -> None:
 
 MODES = """import sys
 from pathlib import Path
-from hnf_core.batch.workplace import StagingMarker, make_staging_folder
+from hnf_core.batch.staging import StagingMarker, make_staging_folder
 from hnf_core.files import write_text
 with make_staging_folder(Path(sys.argv[1]), "a", StagingMarker("r", "w", ())) as (part, _):
     write_text(part / "new", "")

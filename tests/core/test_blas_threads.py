@@ -7,12 +7,12 @@ import threading
 import numpy as np
 import pytest
 
+from data_tools.bench_strokes import clear_carrier_caches, make_keyed_stroke
 from hnf_core.field import field
 from hnf_core.field.field import FieldConfig, initial_parameters
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 from hnf_core.threads import find_openblas_threads, single_blas_thread
-from hnf_lab.bench.synth import clear_carrier_caches, make_keyed_stroke
 
 
 @pytest.fixture

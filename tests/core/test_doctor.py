@@ -61,7 +61,7 @@ def test_alone_it_shows_what_there_is_and_how_to_begin(capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("word", "said"),
     [
-        ("probe", "hnf touch SCENE --out DIR --probe OBJECT:u,v"),
+        ("probe", "hnf touch SCENE --out DIR --at OBJECT:u,v"),
         ("toch", "Did you mean 'touch'?"),
         ("xyzzy", "Commands: touch, synth, "),
     ],
@@ -85,3 +85,10 @@ def test_help_and_version_are_told_whatever_follows(
     told = capsys.readouterr()
     assert told.out.startswith(said)
     assert told.err == ""
+
+
+def test_the_former_name_of_a_query_is_answered_with_the_new_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hnf("touch", "scene.blend", "--out", "result", "--probe", "Cup:0.5,0.25") == 2
+    said = capsys.readouterr().err
+    assert "--probe names the tip that touches" in said
+    assert "--at Cup:0.5,0.25" in said

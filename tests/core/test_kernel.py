@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_tools.bench_strokes import clear_carrier_caches, make_keyed_stroke
 from hnf_core import threads as both_cores
 from hnf_core.field import carrier_rendering
 from hnf_core.field.adaptive_sampling import SampledEmission, accumulate_samples
@@ -42,7 +43,6 @@ from hnf_core.kernel.compiled_field import CONTACT_COLUMNS, TOKEN_FEATURES, Cont
 from hnf_core.kernel.compiled_field import compute_linear_contact as compiled_contact
 from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.library import get_material
-from hnf_lab.bench.synth import clear_carrier_caches, make_keyed_stroke
 
 CARRIERS = Carriers()
 HOP = carrier_rendering.HOP_SIZE
@@ -347,12 +347,18 @@ def test_a_hand_that_jumps_asks_for_no_more_cells_than_it_can_sound():
 
 def test_switched_off_numpy_does_the_work():
     code = (
-        "from hnf_core.kernel.loader import load_kernel, why_unavailable; from hnf_lab.bench.synth import make_keyed_stroke;"
+        "from hnf_core.kernel.loader import load_kernel, why_unavailable; from data_tools.bench_strokes import "
+        "make_keyed_stroke;"
         "from hnf_core.field.synthesis import synthesise; from hnf_core.field.weights import load_field;"
-        "s = synthesise(load_field(), make_keyed_stroke(0.3), seed=1).signal.samples; print(load_kernel(), why_unavailable(), s.std() > 0)"
+        "s = synthesise(load_field(), make_keyed_stroke(0.3), seed=1).signal.samples; print(load_kernel(), "
+        "why_unavailable(), s.std() > 0)"
     )
     run = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | {"HNF_KERNEL": "off"}, capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", code],
+        env=os.environ | {"HNF_KERNEL": "off", "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert run.stdout.strip() == "None switched off by HNF_KERNEL True", run.stderr
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data_tools.bench_strokes import count_states, make_scrape
 from hnf_core.action.action import ACTION_RATE_HZ
 from hnf_core.field import prepare as prepared
 from hnf_core.field import render, synthesis
@@ -20,7 +21,6 @@ from hnf_core.field.render import render_chunks
 from hnf_core.field.stroke import SAMPLES_PER_STATE, HeightProfile
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
-from hnf_lab.bench.strokes import count_states, make_scrape
 
 SEED = 3
 SECONDS = 8

@@ -92,7 +92,7 @@ def test_a_check_that_crashes_hangs_or_finds_nothing_is_an_error(
     body: str, timeout_s: float, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_tests, "RESULTS", tmp_path)
-    monkeypatch.setattr(run_tests, "command_of", lambda check: [
+    monkeypatch.setattr(run_tests, "build_command", lambda check: [
         sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(tmp_path),
         str(tmp_path / "test_it.py"), f"--junitxml={tmp_path / 'it.xml'}",
     ])  # fmt: skip

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_tools.bench_strokes import count_states
 from hnf_core.action.action import Action
 from hnf_core.errors import UsageError
 from hnf_core.field import prepare as module
@@ -19,7 +20,6 @@ from hnf_core.field.weights import load_field
 from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.library import load_library
 from hnf_core.material.probe import PROBES
-from hnf_lab.bench.strokes import count_states
 
 FIELD, LIBRARY = load_field(), load_library()
 needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")

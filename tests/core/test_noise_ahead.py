@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data_tools.bench_strokes import clear_carrier_caches, make_keyed_stroke
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.field import noise_cache as ahead
@@ -29,7 +30,6 @@ from hnf_core.field.synthesis import render_stroke
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.library import get_material
-from hnf_lab.bench.synth import clear_carrier_caches, make_keyed_stroke
 
 needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 FIELD = load_field()

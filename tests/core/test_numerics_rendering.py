@@ -1,4 +1,5 @@
-"""Temporal rendering against mpmath, over all that each number type holds. The figures: tools/hnf_lab/experiments/numerics.py."""
+"""Temporal rendering against mpmath,
+over all that each number type holds. The figures: tools/hnf_lab/experiments/numerics.py."""
 
 import numpy as np
 import pytest

@@ -71,9 +71,8 @@ def test_bytes_do_not_depend_on_workers(made: Path, tmp_path: Path) -> None:
 def test_a_killed_run_leaves_whole_shards_and_goes_on(made: Path, tmp_path: Path) -> None:
     code = (
         "from pathlib import Path; import sys\n"
-        "from hnf_core.datasets.pair_generation import write_pairs\n"
-        "from hnf_core.datasets.pair_generation import PairSizes\n"
-        "make_pairs(Path(sys.argv[1]), PairSizes(3, 0, 0), 3, tiles_per_shard=1)"
+        "from hnf_core.datasets.pair_generation import PairSizes, write_pairs\n"
+        "write_pairs(Path(sys.argv[1]), PairSizes(3, 0, 0), 3, tiles_per_shard=1)"
     )
     run = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT)
     deadline = time.monotonic() + 60.0

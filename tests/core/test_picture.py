@@ -258,7 +258,7 @@ def test_no_display_no_pyplot_and_the_style_is_put_back(tmp_path: Path) -> None:
         "from hnf_core.export.plots.stroke_figure import write_stroke_figure\n"
         "style = lambda: {k: matplotlib.rcParams[k] for k in matplotlib.rcParams if k != 'backend'}\n"
         "before = style()\n"
-        "stroke_picture(Path(sys.argv[1]), title='A', action=action(), signal=signal(), view=view())\n"
+        "write_stroke_figure(Path(sys.argv[1]), title='A', action=action(), signal=signal(), view=view())\n"
         "assert style() == before\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )

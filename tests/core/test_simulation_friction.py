@@ -10,15 +10,17 @@ from hypothesis import strategies as st
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.probe import PROBES
 from hnf_core.simulation.contact_dynamics import (
+    HAND_STIFFNESS_N_M,
     STATIC_OVER_KINETIC,
     STRIBECK_SPEED_M_S,
     Bristles,
     LuGre,
+    Physics,
     compute_contact_force,
     derive_bristles,
 )
 from hnf_core.simulation.height_sampling import SmoothedMaps
-from hnf_core.simulation.simulate import HAND_STIFFNESS_N_M, Physics, Stroke, simulate, simulate_motion, straight_stroke
+from hnf_core.simulation.simulate import Stroke, simulate, simulate_motion, straight_stroke
 
 WOOD = Mechanics(1.0e5, 0.2, 0.3)
 FLAT = SmoothedMaps(np.zeros((64, 64), np.float32))

@@ -182,7 +182,9 @@ CLIPPED = (-0.5 / C0, 0.5 / C0)
 @given(chunk=st.integers(1, 700))
 def test_blocks_of_any_size_are_the_whole(files: dict[str, Path], layout: str, chunk: int) -> None:
     chunk = max(chunk, 10 if layout == "ascii" else 3)
-    pieces = [reading.splats for reading in iter_validated_splats(files[layout], check_splat_file(files[layout]), chunk)]
+    pieces = [
+        reading.splats for reading in iter_validated_splats(files[layout], check_splat_file(files[layout]), chunk)
+    ]
     assert [len(piece) for piece in pieces[:-1]] == [chunk] * (len(pieces) - 1)
     same(joined(pieces), read_splats(files[layout]))
 

@@ -199,7 +199,7 @@ from pathlib import Path
 import numpy as np
 from stream_sink import ClockSink
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.sources.recorded import BufferSource
+from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 class Telling(ClockSink):
     def close(self):
@@ -221,8 +221,8 @@ import numpy as np
 from stream_sink import ClockSink
 from hnf_core.actuators import stream
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.sources.recorded import BufferSource
-stream._JOIN_S = 30.0
+from hnf_core.actuators.sources import BufferSource
+stream._JOIN_TIMEOUT_S = 30.0
 playing = stream.Stream(BufferSource(np.ones((500, 1)), 10000.0, loop=True), ClockSink(), Limits(30.0))
 playing.start()
 child = os.fork()

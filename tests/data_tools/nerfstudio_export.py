@@ -6,7 +6,8 @@ A nerfstudio-style export of a Blender scene: pictures, their cameras and depths
         [--samples N] [--spacing M] [--fine M] [--touched] [--without-mesh] [--seed N]
 
 DIR gets transforms.json, images/, depths/ (millimetres in 16 bits, planar), splat.ply, point_cloud.ply, mesh.obj and
-poisson_mesh.ply, all in world metres with z up. Nothing is trained: the splats are those of tests/data_tools/splats_from_scene.py.
+poisson_mesh.ply, all in world metres with z up. Nothing is trained: the splats are those of
+tests/data_tools/splats_from_scene.py.
 """
 
 from __future__ import annotations

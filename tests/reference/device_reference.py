@@ -1,4 +1,5 @@
-"""The virtual serial device by the plainest code: checksum bit by bit, playout tick by tick, transducer sample by sample.
+"""The virtual serial device by the plainest code: checksum bit by bit, playout tick by tick, transducer sample by
+sample.
 
 hnf_core.actuators.serial_protocol, virtual.serial_device and virtual.transducer must equal it.
 """

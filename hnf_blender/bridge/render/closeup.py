@@ -331,7 +331,8 @@ def _build_unlit_image(
     if rendered.slot.colour is None or not rendered.passes:
         return None
     return make_unlit_image(
-        rendered.slot.colour, albedo, rendered.cast.depth, mask, passes=rendered.passes, pixel_m=rendered.pixel_m, mesh=surface.mesh,
+        rendered.slot.colour, albedo, rendered.cast.depth, mask, passes=rendered.passes, pixel_m=rendered.pixel_m,
+        mesh=surface.mesh,
         triangle=rendered.cast.triangle,
     )  # fmt: skip
 

@@ -260,7 +260,8 @@ def describe_shown_splats(reconstruction: Reconstruction) -> str:
     every = get_display_stride(len(reconstruction.splats))
     if every == 1:
         return ""
-    return f"the viewport shows one in {every} of its {len(reconstruction.splats)} splats ({MAX_SHOWN_SPLATS} at most); all are felt."
+    shown = f"one in {every} of its {len(reconstruction.splats)} splats ({MAX_SHOWN_SPLATS} at most)"
+    return f"the viewport shows {shown}; all are felt."
 
 
 def _create_mesh(name: str, surface: TouchSurface) -> Any:

@@ -159,8 +159,6 @@ def simulate_motion(
     return make_motion(transducer, states, force, simulate_temperature(transducer, drive, rate_hz, start.temperature))
 
 
-
-
 def simulate_temperature(transducer: Transducer, drive: Floats, rate_hz: float, start_c: Floats) -> Floats:
     """drive: (n, C). start_c: (C,). The coil's temperature in °C from start_c on, (n + 1, C)."""
     warmth = (start_c - transducer.ambient_c)[None]

@@ -179,10 +179,6 @@ def sigmoid(logits: Real) -> NDArray[np.float64]:
     return np.asarray(np.where(logits >= 0.0, 1.0, small) / (1.0 + small))
 
 
-
-
-
-
 def _read_log_scales(rows: Rows) -> Real:
     there = [name for name in SCALE_PROPERTIES if name in (rows.dtype.names or ())]
     logs = stack_columns(rows, there)

@@ -84,8 +84,6 @@ def evaluate_quadratic_form(prints: Footprints, which: Int, y: Int | Float) -> t
     return along * along / prints.var_y[which], prints.u[which] + prints.shear[which] * along, along
 
 
-
-
 def split_into_chunks(count: int) -> list[slice]:
     """At least one."""
     return [slice(start, min(start + SPLATS_PER_CHUNK, count)) for start in range(0, max(count, 1), SPLATS_PER_CHUNK)]

@@ -88,7 +88,9 @@ def check_play_and_a_changed_force(stage):
         stage.expect("pressed", bpy.ops.hnf.preview_play() == {"FINISHED"})
     yield from stage.until("it plays", lambda: phase() == "playing", SOON_S)
     began, before = link().began, heard("Along")
-    yield from stage.until("what a skin would get is told", lambda: ours("actuator.actuator_state").ACTUATOR.skin_lines, SOON_S)
+    yield from stage.until(
+        "what a skin would get is told", lambda: ours("actuator.actuator_state").ACTUATOR.skin_lines, SOON_S
+    )
     yield from stage.picture("playing", settle=1.5)
     curve = next(each for each in ours("compat").fcurves_of(strokes()[0]) if each.data_path == "hnf_stroke.force")
     curve.keyframe_points[-1].co[1] = 4.0

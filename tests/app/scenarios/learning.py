@@ -31,7 +31,11 @@ def record():
 def slot():
     """Everything the active slot's material says of its feel."""
     material = bpy.context.object.active_material
-    return material.name, material.hnf_touch.library, ours("bridge.scene.material_definition").get_artist_choice(material)
+    return (
+        material.name,
+        material.hnf_touch.library,
+        ours("bridge.scene.material_definition").get_artist_choice(material),
+    )
 
 
 def learned():

@@ -2,7 +2,7 @@
 
 import bpy
 import numpy as np
-from drive.addon import baked, freshness, ours
+from drive.addon import baked, freshness
 from drive.scenery import empty_room, look_at, stroke_on
 
 SCREEN = "1280x800"
@@ -30,9 +30,13 @@ def write_slab(path):
     light = 0.5 + 0.3 * np.sign(np.sin(2.0 * np.pi * means[:, 0] / 0.1))
     colour = (light[:, None] * [1.0, 0.8, 0.5] - 0.5) / 0.28209479177387814
     turned = np.tile([1.0, 0.0, 0.0, 0.0], (len(means), 1))
-    parts = (means, np.concatenate(sizes), turned, np.full(len(means), 0.97), colour[:, None, :])
-    splats = ours("hnf_core.scene.splats.gaussians").Splats(*(np.float32(part) for part in parts))
-    ours("hnf_core.scene.splats.io_ply").write_inria(path, splats, comments=("Vertical Axis: z",))
+    logit = np.full((len(means), 1), np.log(0.97 / 0.03))
+    rows = np.hstack([means, np.zeros_like(means), colour, logit, np.log(np.concatenate(sizes)), turned])
+    names = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), "opacity"]
+    names += [*(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    lines = ["ply", "format binary_little_endian 1.0", "comment Vertical Axis: z", f"element vertex {len(rows)}"]
+    lines += [*(f"property float {name}" for name in names), "end_header", ""]
+    path.write_bytes("\n".join(lines).encode() + rows.astype("<f4").tobytes())
 
 
 def check_a_drop_asks_and_makes_a_surface(stage):

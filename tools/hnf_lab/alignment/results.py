@@ -197,7 +197,8 @@ def evaluate_cross_sensor_retrieval(gelsight: ProbeInput, digit: ProbeInput) -> 
     sure = make_pseudo_triplets(gelsight.touch, digit.touch, mutual=True)
     return CrossSensorRetrieval(
         len(found.gelsight), compute_label_agreement(found, *label), compute_label_agreement(found, *group),
-        float(np.mean(label[0][:, None] == label[1][None, :])), len(sure.gelsight), compute_label_agreement(sure, *label),
+        float(np.mean(label[0][:, None] == label[1][None, :])), len(sure.gelsight), compute_label_agreement(sure,
+        *label),
     )  # fmt: skip
 
 
@@ -352,7 +353,8 @@ def format_report(report: Report) -> str:
             "|---|---|---|---|",
         ]
         lines += [
-            f"| {row.head} | {_get_sensor_name(row.trained_on)} | {_get_sensor_name(row.tested_on)} | {_format_percent(row.accuracy)} |"
+            f"| {row.head} | {_get_sensor_name(row.trained_on)} | {_get_sensor_name(row.tested_on)} | "
+            f"{_format_percent(row.accuracy)} |"
             for row in rows
         ]
         kept = [each for each in report.kept if each.data == data]
@@ -363,7 +365,8 @@ def format_report(report: Report) -> str:
                 "|---|---|---|",
             ]
             lines += [
-                f"| {_get_sensor_name(each.trained_on)} | {_get_sensor_name(each.tested_on)} | {_format_percent(each.ratio)} |" for each in kept
+                f"| {_get_sensor_name(each.trained_on)} | {_get_sensor_name(each.tested_on)} | "
+                f"{_format_percent(each.ratio)} |" for each in kept
             ]  # fmt: skip
         parts.append("\n".join(lines))
     parts.append(_format_retrieval(report.measured))
@@ -390,7 +393,8 @@ def _format_retrieval(measured: Sequence[Measurement]) -> str:
 
 def _format_bridging(measured: Sequence[Measurement]) -> str:
     lines = [
-        f"| {_get_sensor_name(each.trained_on)} | {found.triplets} | {100 * found.of_class:.1f} | {100 * found.of_piece:.1f} | "
+        f"| {_get_sensor_name(each.trained_on)} | {found.triplets} | {100 * found.of_class:.1f} | "
+        f"{100 * found.of_piece:.1f} | "
         f"{100 * found.by_chance:.1f} | {found.mutual} | {100 * found.mutual_of_class:.1f} |"
         for each in measured
         if (found := each.bridged) is not None

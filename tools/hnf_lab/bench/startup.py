@@ -69,7 +69,8 @@ def run_process(code: str, *arguments: str) -> ProcessRun:
         with out.open("wb") as stream:
             started = time.perf_counter()
             child = subprocess.Popen(
-                [sys.executable, "-c", REPORT_CODE + code, *arguments], env=environment, stdin=subprocess.DEVNULL, stdout=stream,
+                [sys.executable, "-c", REPORT_CODE + code, *arguments], env=environment, stdin=subprocess.DEVNULL,
+                stdout=stream,
                 stderr=subprocess.STDOUT,
             )  # fmt: skip
             _, status, usage = os.wait4(child.pid, 0)

@@ -8,24 +8,20 @@ A force key changes: until its new samples are there, from what is there against
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_tools.bench_strokes import count_states, make_scrape
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.field import field as field_module
 from hnf_core.field import synthesis
-from hnf_core.field.field import Field, run_network
+from hnf_core.field.field import Field
 from hnf_core.field.render import render_chunks
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import RenderedStroke, render_incremental, synthesise, synthesise_many
 from hnf_core.field.weights import load_field
-from hnf_core.kernel.compiled_field import Layers
 from hnf_core.material.library import get_material
 
 from .harness import BenchOptions, Cost, CostClock, Row, Sweep, Times, add_exponents, measure_peak_mb, run_sizes
@@ -72,37 +68,6 @@ def _synthesise_in_chunks(field: Field, contact_s: int | None, seconds: int) -> 
         for portion in render_chunks(field, stroke, seed=SEED):
             samples += len(portion.samples)
         return clock.read_cost({"samples": samples, "F_Θ states": sum(states)})
-
-
-def make_scrape(seconds: float, contact_s: float | None = None) -> StrokeInput:
-    """Back and forth over oak at up to 150 mm/s and 1 N; in the air after touching_s, None = never."""
-    count = round(seconds * ACTION_RATE_HZ) + 1
-    at: NDArray[np.float64] = np.arange(count) / ACTION_RATE_HZ
-    speed = 0.15 * np.abs(np.sin(np.pi * at))
-    touching = np.ones(count, dtype=bool) if contact_s is None else at <= contact_s
-    ahead = np.tile([1.0, 0.0], (count, 1))
-    position = np.concatenate([[0.0], np.cumsum(speed[:-1])]) / ACTION_RATE_HZ
-    action = Action(ACTION_RATE_HZ, ahead, speed, np.where(touching, 1.0, 0.0), position, touching)
-    material = get_material(MATERIAL_NAME)
-    return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)
-
-
-@contextmanager
-def count_states() -> Iterator[list[int]]:
-    """Grows by the number of states at every evaluation of F_Θ in a synthesis."""
-    counts: list[int] = []
-    asked = Layers.evaluate
-
-    def counted(parameters: Any, layers: int, x: Any) -> Any:
-        counts.append(len(x))
-        return run_network(parameters, layers, x)
-
-    def counted_in_kernel(self: Layers, compiled: Any, x: Any) -> Any:
-        counts.append(len(x))
-        return asked(self, compiled, x)
-
-    with patch.object(field_module, "run_network", counted), patch.object(Layers, "evaluate", counted_in_kernel):
-        yield counts
 
 
 STROKES_NAME = "strokes"
@@ -159,7 +124,8 @@ def _compare_modes(
             realtime_factor=seconds / base.seconds.median,
         ),
         Row(
-            STROKES_NAME, f"{name}: {together}", taken.seconds, ratio=taken.compute_ratio(base), ratio_to=f"{name}: {alone}", error=off,
+            STROKES_NAME, f"{name}: {together}", taken.seconds, ratio=taken.compute_ratio(base),
+            ratio_to=f"{name}: {alone}", error=off,
             error_unit="m/s²", note="ratio on the wall", peak_mb=peaks[together],
             realtime_factor=seconds / taken.seconds.median,
         ),

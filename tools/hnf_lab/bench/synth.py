@@ -31,11 +31,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from data_tools.bench_strokes import clear_carrier_caches, make_keyed_stroke
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.datasets.hatt_models import TextureModel
 from hnf_core.datasets.hatt_synthesis import HattProcess
 from hnf_core.errors import UsageError
-from hnf_core.field import noise_cache
 from hnf_core.field.adaptive_sampling import BATCH_SAMPLES, SampledEmission, SampleRequests, interpolate_rows
 from hnf_core.field.carrier_rendering import render_carriers_full_rate
 from hnf_core.field.carriers import MODEL_RATE_HZ
@@ -44,12 +44,11 @@ from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condit
 from hnf_core.field.noise_cache import prefetch_noise
 from hnf_core.field.prepare import evaluate_requests, prepare_adaptive, prepare_stroke
 from hnf_core.field.render import render_contact, render_samples
-from hnf_core.field.stroke import StrokeInput, resample_action, sample_count, uniform_stroke
+from hnf_core.field.stroke import StrokeInput, resample_action, sample_count
 from hnf_core.field.synthesis import render_stroke
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.loader import load_kernel, without_kernel
 from hnf_core.material.contact_model import Mechanics
-from hnf_core.material.library import get_material
 from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
 from reference.literal_synthesis import synthesise_reference
 
@@ -85,7 +84,8 @@ def make_texture_model() -> TextureModel:
     stray = np.sin(2.0 * np.arange(AR_ORDER) + _LSF_SHIFT_RAD * np.arange(len(speed))[:, None])
     return TextureModel(
         material="made up", source="hnf bench", sample_rate=10_000.0, speeds=speed, forces=force,
-        triangles=_make_triangles(), ar_lsf=even + _LSF_STRAY * np.pi / (AR_ORDER + 1) * stray, ma_lsf=np.zeros((len(speed), 0)),
+        triangles=_make_triangles(), ar_lsf=even + _LSF_STRAY * np.pi / (AR_ORDER + 1) * stray,
+        ma_lsf=np.zeros((len(speed), 0)),
         variances=AR_VARIANCE * (speed * force > 0.0), gains=np.ones(len(speed)), friction=None,
         max_speed=MAX_SPEED_M_S, max_force=MAX_FORCE_N,
     )  # fmt: skip
@@ -350,7 +350,8 @@ def _make_row(
     _prepare_caches(method, field, stroke)
     row = Row(
         SYNTH_NAME, method.name, taken.seconds, taken.cpu, error=error, error_unit="dB", note=method.note,
-        peak_mb=measure_peak_mb(partial(method.render, field, stroke, SEED)), realtime_factor=seconds / taken.seconds.median,
+        peak_mb=measure_peak_mb(partial(method.render, field, stroke, SEED)),
+        realtime_factor=seconds / taken.seconds.median,
     )  # fmt: skip
     if method.name == EVERY_STATE:
         return row
@@ -424,17 +425,6 @@ def _make_methods(field: Field, stroke: StrokeInput) -> list[SynthMethod]:
     ]
 
 
-def clear_carrier_caches() -> None:
-    """As in a process that has just begun."""
-    for kept in (
-        noise_cache.get_time_hop,
-        noise_cache.get_arc_hop,
-        noise_cache._draw_time_block,
-        noise_cache._get_arc_block,
-    ):
-        kept.cache_clear()
-
-
 def widen_field(field: Field, hidden: int) -> Field:
     """The same function from a network of `hidden` units: each unit in equal parts. hidden: a multiple of H."""
     parts, parameters = hidden // field.config.hidden, dict(field.parameters)
@@ -446,19 +436,3 @@ def widen_field(field: Field, hidden: int) -> Field:
         parameters[f"{head}.weight"] = np.repeat(parameters[f"{head}.weight"], parts, axis=1) / parts
     single = {name: value.astype(np.float32) for name, value in parameters.items()}
     return replace(field, config=replace(field.config, hidden=hidden), parameters=single)
-
-
-def make_keyed_stroke(seconds: float) -> StrokeInput:
-    """What an artist keys: a hand that lands, speeds up and down, presses more and less, wanders within ±25° and rests
-    once on its way."""
-    time: NDArray[np.float64] = np.arange(round(seconds * ACTION_RATE_HZ) + 1) / ACTION_RATE_HZ
-    ends = np.clip(time / 0.15, 0.0, 1.0) * np.clip((seconds - time) / 0.15, 0.0, 1.0)
-    speed = 0.09 + 0.05 * np.sin(0.8 * np.pi * time) + 0.02 * np.sin(2.2 * np.pi * time + 1.0)
-    speed = speed * ends * (1.0 - np.exp(-np.square((time - 0.5 * seconds) / 0.1)))
-    force = (1.0 + 0.6 * np.sin(0.6 * np.pi * time)) * np.minimum(3.0 * ends, 1.0)
-    angle = np.radians(25.0 * np.sin(0.3 * np.pi * time))
-    place = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) / ACTION_RATE_HZ)])
-    ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    material = get_material(MATERIAL_NAME)
-    action = Action(ACTION_RATE_HZ, ahead, speed, force, place, force > 0.0)
-    return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)

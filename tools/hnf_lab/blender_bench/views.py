@@ -454,7 +454,8 @@ def _measure_scene(name: str, opened: Callable[[], Any], truth: ReferenceViews, 
         camera.crop(each.left, each.top, each.width, each.height) for camera, each in zip(cameras, cut, strict=True)
     ]
     counts = (
-        (QUICK_BLENDERPROC_SAMPLES, QUICK_HNF_SAMPLES, QUICK_PATCH_SAMPLES) if options.quick else (BLENDERPROC_SAMPLES, HNF_SAMPLES, PATCH_SAMPLES)
+        (QUICK_BLENDERPROC_SAMPLES, QUICK_HNF_SAMPLES,
+        QUICK_PATCH_SAMPLES) if options.quick else (BLENDERPROC_SAMPLES, HNF_SAMPLES, PATCH_SAMPLES)
     )  # fmt: skip
     theirs, ours, on_patches = ({samples: TimedRenders() for samples in each} for each in counts)
     plain = TimedRenders()
@@ -511,7 +512,8 @@ def compute_ratio_at_equal_error(
 
 def _make_row(method: str, timed: TimedRenders, note: str, ratio: Spread | None = None) -> Row:
     return Row(
-        VIEWS_NAME, method, Spread.from_values(timed.walls), Spread.from_values(timed.cpus), ratio, AT_EQUAL_ERROR if ratio else "",
+        VIEWS_NAME, method, Spread.from_values(timed.walls), Spread.from_values(timed.cpus), ratio,
+        AT_EQUAL_ERROR if ratio else "",
         timed.error, "of sRGB", timed.peak_mb, note=note,
     )  # fmt: skip
 
@@ -520,7 +522,8 @@ def _make_patch_row(method: str, timed: TimedRenders, rivals: dict[int, TimedRen
     ratio = compute_ratio_at_equal_error(timed, rivals, lambda one: one.patch_error)
     least = min(each.patch_error for each in rivals.values())
     return Row(
-        VIEWS_NAME, method, Spread.from_values(timed.walls), Spread.from_values(timed.cpus), ratio, AT_EQUAL_ERROR if ratio else "",
+        VIEWS_NAME, method, Spread.from_values(timed.walls), Spread.from_values(timed.cpus), ratio,
+        AT_EQUAL_ERROR if ratio else "",
         timed.patch_error, "of sRGB, there", timed.peak_mb, note=f"{note}; BlenderProc's least error there {least:.3g}",
     )  # fmt: skip
 

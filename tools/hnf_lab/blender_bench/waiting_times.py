@@ -156,7 +156,7 @@ def measure_second_run(options: BenchOptions) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         scene, out = Path(folder) / "scene.blend", Path(folder) / "out"
         # Where quick, a look at one place instead of strokes and their pictures.
-        place = ("--probe", "Plate 0:0.1,0.1") if options.quick else ()
+        place = ("--at", "Plate 0:0.1,0.1") if options.quick else ()
         words = ("touch", str(scene), "--out", str(out), "--json", *place)
         options.watch(f"{STARTUP_NAME}: making a scene")
         run_process(MAKE_CODE, str(scene), "quick" if options.quick else "whole")

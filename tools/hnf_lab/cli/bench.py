@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hnf_core.cli.commands import HELP
-from hnf_core.errors import HnfError, UsageError
+from hnf_core.cli.commands import LABORATORY_HELP
+from hnf_core.errors import UsageError
 from hnf_core.progress import Progress, ProgressBar
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "bench",
-        help=HELP["bench"],
+        help=LABORATORY_HELP["bench"],
         description="Measure, and print a table in Markdown: medians and spread of repeated runs, ratios of runs in "
         "pairs, the error beside each faster way, and the machine. A busy machine gives other times and the same "
         "ratios.",
@@ -36,12 +37,10 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The benches that need no Blender. Raises HnfError; returns the exit code."""
-    try:
-        from .bench_catalogue import CORE_BENCHES
-    except ImportError as error:
-        raise make_unavailable_error(error) from error
-    return run_benches(arguments, CORE_BENCHES)
+    """Run the benches named, without Blender those that need none. Raises HnfError; returns the exit code."""
+    from .bench_catalogue import BENCHES, CORE_BENCHES
+
+    return run_benches(arguments, CORE_BENCHES if importlib.util.find_spec("bpy") is None else BENCHES)
 
 
 def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
@@ -80,11 +79,3 @@ def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
 
         write_plot(arguments.plot, rows)
     return 0
-
-
-def make_unavailable_error(error: ImportError) -> HnfError:
-    """The extension's zip holds no benches."""
-    return HnfError(
-        f"benches are no part of the extension ({error}).",
-        remedy="Run them from the source: pip install -e '.[scene]', then hnf bench.",
-    )

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hnf_core.cli.commands import HELP, require_torch
+from hnf_core.cli.commands import LABORATORY_HELP, require_torch
 from hnf_core.errors import UsageError
 from hnf_core.progress import Progress, ProgressBar
 
@@ -23,7 +23,7 @@ SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_tactile_ma
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "eval",
-        help=HELP["eval"],
+        help=LABORATORY_HELP["eval"],
         description="Train every method on simulated materials (and on your copy of HaTT), render strokes that none of "
         "them learned from, and write eval.md, eval.json and pictures. Takes minutes for each material; --quick "
         "proves that it runs and nothing else. Needs the extra [train].",

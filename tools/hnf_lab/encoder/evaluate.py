@@ -112,7 +112,8 @@ def format_errors(errors: TokenErrors) -> str:
     )
     return (
         f"level {errors.compute_overall_db():.2f} dB RMS (median {errors.median_level_db:.2f}; {bands}), two-fold "
-        f"{_compute_rms(errors.two_fold):.3f}, four-fold {_compute_rms(errors.four_fold):.3f}, peak {_compute_rms(errors.peak):.3f}, offset "
+        f"{_compute_rms(errors.two_fold):.3f}, four-fold {_compute_rms(errors.four_fold):.3f}, peak "
+        f"{_compute_rms(errors.peak):.3f}, offset "
         f"{_compute_rms(errors.offset):.3f} octaves"
     )
 

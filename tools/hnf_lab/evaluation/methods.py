@@ -220,7 +220,8 @@ class MethodEntry:
 def list_entries() -> tuple[MethodEntry, ...]:
     return (
         MethodEntry("field", "wandering", lambda budget: TrainedField(epochs=budget.epochs)),
-        MethodEntry("shared", "wandering", lambda budget: _make_shared(budget, "natural"), needs_recordings=False, needs_token=True),
+        MethodEntry("shared", "wandering", lambda budget: _make_shared(budget, "natural"), needs_recordings=False,
+        needs_token=True),
         MethodEntry("ar", "wandering", _make_piecewise_ar),
         MethodEntry("gacm", "wandering", lambda budget: _make_gacm(budget, False)),
         MethodEntry("gacm-improved", "wandering", lambda budget: _make_gacm(budget, True)),
@@ -243,7 +244,8 @@ def list_entries() -> tuple[MethodEntry, ...]:
             reuses="field",
         ),
         MethodEntry(
-            "shared-expected", "wandering", lambda budget: _make_shared(budget, "expected magnitude"), needs_recordings=False,
+            "shared-expected", "wandering", lambda budget: _make_shared(budget, "expected magnitude"),
+            needs_recordings=False,
             needs_token=True, reuses="shared",
         ),
     )  # fmt: skip

@@ -133,7 +133,8 @@ def _compute_legend_height(labels: Sequence[str], width_px: int) -> int:
 def _add_legend(figure: Figure, size: tuple[int, int]) -> None:
     found = {label: line for axes in figure.axes for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(
-        list(found.values()), list(found), loc="lower center", ncol=_count_legend_columns(list(found), size[0]), frameon=False,
+        list(found.values()), list(found), loc="lower center", ncol=_count_legend_columns(list(found), size[0]),
+        frameon=False,
         fontsize=9.5, borderaxespad=0.1, labelspacing=0.3,
     )  # fmt: skip
 

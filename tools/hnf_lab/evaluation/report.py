@@ -142,7 +142,8 @@ METRIC_LABELS = {
     "spqi": "SPQI",
     "repetition": "repetition",
 }
-NUMBER_FORMATS = {"power_bias_db": "+.2f", "mse": ".4g", "lsd_db": ".1f", "lsd_log10": ".2f", "gfc": ".3f", "st_sim_tum": ".3f",
+NUMBER_FORMATS = {"power_bias_db": "+.2f", "mse": ".4g", "lsd_db": ".1f", "lsd_log10": ".2f", "gfc": ".3f",
+"st_sim_tum": ".3f",
           "st_sim_cosine": ".3f", "spqi": ".3f"}  # fmt: skip
 NATURAL_ONLY = ("distance_db", "power_bias_db", "nine_band_db", "repetition")
 FORM_TITLES: tuple[tuple[Form, str], ...] = (

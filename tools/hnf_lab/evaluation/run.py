@@ -72,7 +72,8 @@ def make_direction_table(measured: DirectionSpectra, names: Mapping[str, str]) -
     return ExtraTable(
         "direction",
         f"By direction: {measured.material}",
-        f"Eight directions over half a circle, steady; {measured.compute_anisotropy_db():.1f} dB of anisotropy. RMS error of "
+        f"Eight directions over half a circle, steady; {measured.compute_anisotropy_db():.1f} dB of anisotropy. RMS "
+        f"error of "
         "the level ratio of each direction's spectrum to the first one's.",
         ("method", "ratio error [dB]"),
         tuple((names.get(key, key), f"{value:.2f}") for key, value in errors.items()),

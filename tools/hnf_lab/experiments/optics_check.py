@@ -431,7 +431,8 @@ def plot_response(path: Path, presses: BallPresses, published: PolynomialTable) 
         figure.text(0.02, 1.0 - 26 / size[1], "Colour of a real GelSight under a ball", fontsize=14, fontweight="bold")
         for channel, (name, lamp) in enumerate(zip(("red", "green", "blue"), get_lamps(ours.sensor), strict=True)):
             axes = figure.add_axes(((70 + channel * RESPONSE_PANEL_PX[0]) / size[0], 92 / size[1],
-                                    (RESPONSE_PANEL_PX[0] - 90) / size[0], (RESPONSE_PANEL_PX[1] - 100) / size[1]))  # fmt: skip
+                                    (RESPONSE_PANEL_PX[0] - 90) / size[0],
+                                    (RESPONSE_PANEL_PX[1] - 100) / size[1]))  # fmt: skip
             towards = np.array([np.cos(np.radians(lamp[0])), np.sin(np.radians(lamp[0]))])
             along = judge.normal[:, :2] @ towards
             near = np.abs(judge.normal[:, :2] @ [-towards[1], towards[0]]) < MAX_OFF_AXIS
@@ -519,7 +520,8 @@ def print_report(folder: Path, image_path: Path | None, response_path: Path | No
             if response_path is not None and published is not None:
                 plot_response(response_path, presses, published)
     print()
-    print(format_table_checks([check_table(SENSOR_KINDS[kind][0], table, SENSOR_KINDS[kind][1], SENSORS[SENSOR_KINDS[kind][2]])
+    print(format_table_checks([check_table(SENSOR_KINDS[kind][0], table, SENSOR_KINDS[kind][1],
+    SENSORS[SENSOR_KINDS[kind][2]])
                            for kind, table in sorted(tables.items())]))  # fmt: skip
 
 

@@ -251,10 +251,12 @@ def make_report(arguments: argparse.Namespace) -> tuple[list[tuple[str, ...]], l
                 )
                 for ours, before in ((each.samples, made[0].samples), (each.map_only, made[0].map_only))
             )
-            rows.append((shader, each.change, f"{compute_rms(each.samples):.3f}", f"{distance:.1f}", f"{compute_rms(each.map_only):.4f}",
+            rows.append((shader, each.change, f"{compute_rms(each.samples):.3f}", f"{distance:.1f}",
+            f"{compute_rms(each.map_only):.4f}",
                          f"{level:+.1f}", f"{alone:.1f}", f"{1e6 * each.profile_m:.1f}"))  # fmt: skip
             figures.append({"material": shader, "relief": each.change, "rms_m_s2": compute_rms(each.samples),
-                            "distance_db": distance, "alone_rms_m_s2": compute_rms(each.map_only), "alone_level_db": level,
+                            "distance_db": distance, "alone_rms_m_s2": compute_rms(each.map_only),
+                            "alone_level_db": level,
                             "alone_distance_db": alone, "profile_rms_m": each.profile_m})  # fmt: skip
         bare = measure_smooth(baked, job.seed)
         rows.append((shader, SMOOTH_SURFACE, "", "", f"{bare:.4f}", "", "", "0.0"))

@@ -4,7 +4,8 @@ docs/shared-field.md from what tools/hnf_lab/experiments/shared_field.py has mea
 
 Measure the shared field against its bars and print docs/shared-field.md.
 
-Usage: python tools/hnf_lab/experiments/shared_field.py [--weights FILE] [--seed N] [--workers N] [--cache DIR] [--parts LIST]
+Usage: python tools/hnf_lab/experiments/shared_field.py [--weights FILE] [--seed N] [--workers N] [--cache DIR] [--parts
+LIST]
        > docs/shared-field.md
 Uses what tools/train_default_field.py left in the cache. --parts: of own,long,curve,direction,unseen; results of a part
 stay in the cache as JSON, so that parts can be run one by one.
@@ -193,7 +194,8 @@ def measure_directions(references: References, expected: Float) -> list[Directio
                 anisotropy_db=float(np.ptp(whole[0])),
                 field_anisotropy_db=float(np.ptp(whole[1])),
                 ratio_db=_compute_masked_rms(error[others], both[others]),
-                third_db=_compute_masked_rms(_compute_ratio_error(third_field, third_true, loudest)[others], counts[others]),
+                third_db=_compute_masked_rms(_compute_ratio_error(third_field, third_true, loudest)[others],
+                counts[others]),
                 power_db=float(np.sqrt(np.mean(np.square(((whole[1] - whole[1][loudest]) -
                                                           (whole[0] - whole[0][loudest]))[others])))),
             )
@@ -241,7 +243,8 @@ def format_page(
     context: Any, results: dict[str, dict[str, Any]], hidden: int, size: Callable[[FieldConfig], int]
 ) -> str:
     names = context.gathered.names
-    parts = [_format_head(context), _format_gap(results["own"], context, hidden), _format_long(results["long"], results["own"], names),
+    parts = [_format_head(context), _format_gap(results["own"], context, hidden), _format_long(results["long"],
+    results["own"], names),
              _format_storage(results["own"], context, hidden),
              _format_curve(results["curve"], results["own"], context, size), _format_direction(results["direction"]),
              _format_unseen(results["unseen"])]  # fmt: skip
@@ -298,8 +301,10 @@ alone ({len(alone)} fields, the same seconds per material as the shared one).
 |---|---|---|---|---|---|
 {chr(10).join(lines)}
 
-Bars: median gap ≤ {GAP_TARGETS_DB[0]} dB: **{_format_result(np.median(new_gap) <= GAP_TARGETS_DB[0])}**; worst ≤ {GAP_TARGETS_DB[1]} dB: \
-**{_format_result(over == 0)}**{f" ({over} above)" if over else ""}; with training tokens, median ≤ {GAP_TARGETS_DB[2]} dB: \
+Bars: median gap ≤ {GAP_TARGETS_DB[0]} dB: **{_format_result(np.median(new_gap) <= GAP_TARGETS_DB[0])}**; worst ≤
+{GAP_TARGETS_DB[1]} dB: \
+**{_format_result(over == 0)}**{f" ({over} above)" if over else ""}; with training tokens, median ≤ {GAP_TARGETS_DB[2]}
+dB: \
 **{_format_result(np.median(seen_gap) <= GAP_TARGETS_DB[2])}**.
 Where the gap is widest: {widest}.
 Farthest off in absolute terms: {", ".join(f"{names[m]} {shared[m]:.2f}" for m in np.argsort(-shared)[:5])}."""
@@ -321,8 +326,10 @@ As much as one material may be given, all under its own mechanics. On every {som
 {np.median(alone[fair]):.2f} dB, worst {alone[fair].max():.2f} (from the shared field's seconds \
 {np.median(same[fair]):.2f} and {same[fair].max():.2f}); the shared field to {np.median(shared[fair]):.2f} and \
 {shared[fair].max():.2f}. Gap: median
-{np.median(gap[fair]):+.2f} dB (**{_format_result(np.median(gap[fair]) <= GAP_TARGETS_DB[0])}**), worst {gap[fair].max():+.2f} dB \
-(**{_format_result(gap[fair].max() <= GAP_TARGETS_DB[1])}**). On the {long["hard"]} others from which the shared field is farthest:
+{np.median(gap[fair]):+.2f} dB (**{_format_result(np.median(gap[fair]) <= GAP_TARGETS_DB[0])}**), worst
+{gap[fair].max():+.2f} dB \
+(**{_format_result(gap[fair].max() <= GAP_TARGETS_DB[1])}**). On the {long["hard"]} others from which the shared field
+is farthest:
 {each}. Worst: **{_format_result(gap.max() <= GAP_TARGETS_DB[1])}**."""
 
 
@@ -362,7 +369,8 @@ def _format_curve(
             f"{np.median(shared[kept] - distance):+.2f} | {size(SHARED_CONFIG) / 1e6:.2f} MB |"
         )
     rows.append(
-        f"| {len(shared)} (shipped) | {np.median(shared):.2f} | {shared.max():.2f} | 0 | {size(SHARED_CONFIG) / 1e6:.2f} MB |"
+        f"| {len(shared)} (shipped) | {np.median(shared):.2f} | {shared.max():.2f} | 0 | "
+        f"{size(SHARED_CONFIG) / 1e6:.2f} MB |"
     )
     return f"""## Number of materials
 
@@ -443,7 +451,8 @@ def _format_margin(name: str, interval: Sequence[float]) -> str:
     mean, low, high = interval
     return (
         f"Margin over {name}: {mean:.2f} dB, 95 % interval {low:.2f} … {high:.2f} (bootstrap over classes); "
-        f"bar ≥ {MARGIN_TARGET_DB:.0f} dB, interval above 0: **{_format_result(mean >= MARGIN_TARGET_DB and low > 0.0)}**."
+        f"bar ≥ {MARGIN_TARGET_DB:.0f} dB, interval above 0: "
+        f"**{_format_result(mean >= MARGIN_TARGET_DB and low > 0.0)}**."
     )
 
 

@@ -9,7 +9,8 @@ Used by tools/hnf_lab/experiments/simulator.py for docs/simulator.md, and by tes
 
 Hold the contact simulator against recorded textures; measure its ablations and its speed. Prints Markdown.
 
-Usage: python tools/hnf_lab/experiments/simulator.py [--instances N] [--first-seed S] [--only CATEGORY …] [--classes] [--speed]
+Usage: python tools/hnf_lab/experiments/simulator.py [--instances N] [--first-seed S] [--only CATEGORY …] [--classes]
+[--speed]
        [--write]
 
 --write puts what was measured into docs/simulator.md, between its markers; --classes shows every class as well.
@@ -34,11 +35,11 @@ from numpy.typing import NDArray
 from hnf_core.files import write_text
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.probe import PROBES, Probe
+from hnf_core.simulation.contact_dynamics import Physics
 from hnf_core.simulation.height_sampling import SmoothedMaps
 from hnf_core.simulation.material_classes import get_recorded_category, list_classes, sample_instance
 from hnf_core.simulation.simulate import (
     SAMPLE_RATE_HZ,
-    Physics,
     Stroke,
     simulate,
     simulate_batch,

@@ -2,10 +2,12 @@
 
 How near are splats to the true mesh? Depth, token and choice of material on patches that strokes touch.
 
-    python tools/hnf_lab/experiments/splats.py [SCENE]… [--most N] [--spacing M] [--fine M] [--seed N] [--json FILE] [--markdown FILE]
+    python tools/hnf_lab/experiments/splats.py [SCENE]… [--most N] [--spacing M] [--fine M] [--seed N] [--json FILE]
+    [--markdown FILE]
 
 Without a SCENE: the demo scene. Materials lose their relief first and keep their colour, as in a reconstruction; then
-every patch is looked at on the mesh and on splats of it (tests/data_tools/splats_from_scene.py), by the same predicted route.
+every patch is looked at on the mesh and on splats of it (tests/data_tools/splats_from_scene.py), by the same predicted
+route.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@ within each tolerance. Prints the Markdown table of docs/benchmarks.md.
 
 Usage: python tools/hnf_lab/experiments/tolerance.py [PRIMITIVE …]    all eight: some twenty minutes on one core
 
-The literal model is tests/reference/literal_synthesis.py's: F_Θ and every carrier at each sample, in float64. Its carriers are the same
+The literal model is tests/reference/literal_synthesis.py's: F_Θ and every carrier at each sample, in float64. Its
+carriers are the same
 for all materials under one stroke, so they are summed once. Errors are those of the whole signal, in dB of its power.
 """
 
@@ -92,7 +93,8 @@ def measure_primitive(primitive: str, field: Field) -> Iterator[ErrorResult]:
         if waves is None:
             sample = np.arange(sample_count(at_states))
             waves = np.concatenate([
-                carriers_at(field.config.carriers, SEED, at, interpolate_cubic(at_states.position, at / SAMPLES_PER_STATE))
+                carriers_at(field.config.carriers, SEED, at, interpolate_cubic(at_states.position,
+                at / SAMPLES_PER_STATE))
                 for at in split_samples(sample)
             ])  # fmt: skip
         every = prepare_stroke(field, stroke, seed=SEED)

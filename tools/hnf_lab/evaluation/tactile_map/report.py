@@ -351,7 +351,8 @@ def plot_excess(path: Path, measured: Measurement, networks: Sequence[NetworkEnt
             place, [each.mean for each in above], color=[_choose_colour(name, networks) for name in names], height=0.62
         )
         spread = np.array([[each.mean - each.low, each.high - each.mean] for each in above]).T
-        axes.errorbar([each.mean for each in above], place, xerr=np.maximum(spread, 0.0), fmt="none", ecolor=TRUTH_COLOUR,
+        axes.errorbar([each.mean for each in above], place, xerr=np.maximum(spread, 0.0), fmt="none",
+        ecolor=TRUTH_COLOUR,
                       lw=1.4, capsize=3)  # fmt: skip
         rivals = [
             each.mean for name, each in zip(names, above, strict=True) if name in (score.NEIGHBOUR, score.CLASS_MEAN)

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+from data_tools.bench_strokes import make_keyed_stroke, make_scrape
 from hnf_core.cli.main import build_parser, main
 from hnf_core.field import field as network
 from hnf_core.field.field import evaluate
@@ -26,8 +27,7 @@ from hnf_lab.bench.harness import (
     format_rows,
     measure_peak_mb,
 )
-from hnf_lab.bench.strokes import make_scrape
-from hnf_lab.bench.synth import make_keyed_stroke, make_texture_model, synthesise_autoregressive
+from hnf_lab.bench.synth import make_texture_model, synthesise_autoregressive
 from hnf_lab.cli.bench_catalogue import CORE_BENCHES
 
 SPREAD = Spread.from_values([0.3, 0.1, 0.2])

@@ -118,7 +118,8 @@ def test_similarity_is_what_the_published_formula_says() -> None:
 
 
 def test_pictures_that_cannot_be_compared_are_refused() -> None:
-    for call in (lambda: compute_psnr_db(np.zeros((3, 3)), np.zeros((3, 4)), 1.0), lambda: compute_ssim(np.zeros((5, 5)),
+    for call in (lambda: compute_psnr_db(np.zeros((3, 3)), np.zeros((3, 4)), 1.0), lambda: compute_ssim(np.zeros((5,
+    5)),
                  np.zeros((5, 5)), 1.0), lambda: compute_psnr_db(np.zeros((3, 3)), np.zeros((3, 3)), 0.0)):  # fmt: skip
         with pytest.raises(UsageError):
             call()
@@ -222,7 +223,8 @@ def test_the_nearest_neighbour_of_a_training_view_is_itself() -> None:
     pairs = synthetic_pairs(16, 3)
     rows = (5, 10)
     queries = [
-        AppearanceView(decode_rgb(pairs.rgb[row]), pairs.depth[row].astype(np.float32) * np.float32(pairs.pitch_m[row]), True,
+        AppearanceView(decode_rgb(pairs.rgb[row]),
+        pairs.depth[row].astype(np.float32) * np.float32(pairs.pitch_m[row]), True,
                  float(pairs.pitch_m[row]))
         for row in rows
     ]  # fmt: skip

@@ -1,0 +1,79 @@
+"""Strokes that the tests and the benches of the laboratory synthesise, and counters for both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.action import ACTION_RATE_HZ, Action
+from hnf_core.field import field as field_module
+from hnf_core.field import noise_cache
+from hnf_core.field.field import run_network
+from hnf_core.field.stroke import StrokeInput, uniform_stroke
+from hnf_core.kernel.compiled_field import Layers
+from hnf_core.material.library import get_material
+
+
+def clear_carrier_caches() -> None:
+    """Forget all drawn noise, so that a process is as at its start."""
+    for cached in (
+        noise_cache.get_time_hop,
+        noise_cache.get_arc_hop,
+        noise_cache._draw_time_block,
+        noise_cache._get_arc_block,
+    ):
+        cached.cache_clear()
+
+
+def make_keyed_stroke(seconds: float) -> StrokeInput:
+    """Make a stroke on leather as an artist keys it.
+
+    The hand lands, speeds up and down, presses more and less, wanders within ±25° and rests once on its way.
+    """
+    time: NDArray[np.float64] = np.arange(round(seconds * ACTION_RATE_HZ) + 1) / ACTION_RATE_HZ
+    ends = np.clip(time / 0.15, 0.0, 1.0) * np.clip((seconds - time) / 0.15, 0.0, 1.0)
+    speed = 0.09 + 0.05 * np.sin(0.8 * np.pi * time) + 0.02 * np.sin(2.2 * np.pi * time + 1.0)
+    speed = speed * ends * (1.0 - np.exp(-np.square((time - 0.5 * seconds) / 0.1)))
+    force = (1.0 + 0.6 * np.sin(0.6 * np.pi * time)) * np.minimum(3.0 * ends, 1.0)
+    angle = np.radians(25.0 * np.sin(0.3 * np.pi * time))
+    place = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) / ACTION_RATE_HZ)])
+    ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    material = get_material("leather")
+    action = Action(ACTION_RATE_HZ, ahead, speed, force, place, force > 0.0)
+    return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)
+
+
+def make_scrape(seconds: float, contact_s: float | None = None) -> StrokeInput:
+    """Make a stroke back and forth over oak at up to 150 mm/s and 1 N, in the air after contact_s (None: never)."""
+    count = round(seconds * ACTION_RATE_HZ) + 1
+    at: NDArray[np.float64] = np.arange(count) / ACTION_RATE_HZ
+    speed = 0.15 * np.abs(np.sin(np.pi * at))
+    touching = np.ones(count, dtype=bool) if contact_s is None else at <= contact_s
+    ahead = np.tile([1.0, 0.0], (count, 1))
+    position = np.concatenate([[0.0], np.cumsum(speed[:-1])]) / ACTION_RATE_HZ
+    action = Action(ACTION_RATE_HZ, ahead, speed, np.where(touching, 1.0, 0.0), position, touching)
+    material = get_material("oak-wood")
+    return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)
+
+
+@contextmanager
+def count_states() -> Iterator[list[int]]:
+    """Yield a list that grows by the number of states at every evaluation of F_Θ."""
+    counts: list[int] = []
+    evaluate = Layers.evaluate
+
+    def counted(parameters: Any, layers: int, x: Any) -> Any:
+        counts.append(len(x))
+        return run_network(parameters, layers, x)
+
+    def counted_in_kernel(self: Layers, kernel: Any, x: Any) -> Any:
+        counts.append(len(x))
+        return evaluate(self, kernel, x)
+
+    with patch.object(field_module, "run_network", counted), patch.object(Layers, "evaluate", counted_in_kernel):
+        yield counts
