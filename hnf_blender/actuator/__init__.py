@@ -1,4 +1,7 @@
-"""The actuator: where strokes are felt, the process that plays there, and a hand that touches live."""
+"""Play strokes on an actuator: from Blender's window to a child process that streams to the device.
+
+This file holds the timer's tick, the handlers and the registration; read `player_client.py` first.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,25 @@ if TYPE_CHECKING:
     from hnf_core.signal import Signal
 
 REDRAW_INTERVAL_S = 0.2
-"""Least time between two pictures of a level that moves."""
+"""Shortest time between two redraws of the panel while only the level changes [s]."""
 
 _redrawn_at = 0.0
 
 
 def tick(context: Any, stamp: str = "", signal: Signal | None = None) -> None:
-    """Called by the preview's timer: take in what the processes said, tell the panel. Some comparisons while none
-    runs. signal: that the preview shows, known by its stamp; None where it shows none."""
+    """Read the messages of the child processes and redraw the panel if they changed something.
+
+    The preview's timer calls it; without a child process it makes a few comparisons only.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+        Its scene gives the actuator profile.
+    stamp : str
+        Identifies `signal`; equal stamps mean equal signals.
+    signal : Signal or None
+        The signal that the preview shows; None if it shows none.
+    """
     global _redrawn_at
     from ..props.scene_settings import PROFILE_FROM_FILE, get_actuator_profile
     from ..state.interface import redraw_tab
@@ -30,32 +44,35 @@ def tick(context: Any, stamp: str = "", signal: Signal | None = None) -> None:
     from .skin_preview import SKIN_PREVIEW, describe_estimate
 
     profile = get_actuator_profile(context.scene)
-    found = DEVICE_SCANNER.tick()
-    told = PLAYER_CLIENT.tick()
-    virtual = get_selected_output(context) == VIRTUAL
-    worth = signal if virtual or context.scene.hnf.actuator == PROFILE_FROM_FILE else None
-    if SKIN_PREVIEW.update((stamp, profile, virtual), worth, profile, virtual=virtual):
-        ACTUATOR.skin_lines, found = describe_estimate(SKIN_PREVIEW.estimate), True
-    if told or (ACTUATOR.facts.phase, ACTUATOR.facts.problem) != (get_phase(PLAYER_CLIENT), PLAYER_CLIENT.problem):
+    redraw = DEVICE_SCANNER.tick()
+    has_reports = PLAYER_CLIENT.tick()
+    is_virtual = get_selected_output(context) == VIRTUAL
+    estimated_signal = signal if is_virtual or context.scene.hnf.actuator == PROFILE_FROM_FILE else None
+    if SKIN_PREVIEW.update((stamp, profile, is_virtual), estimated_signal, profile, virtual=is_virtual):
+        ACTUATOR.skin_lines, redraw = describe_estimate(SKIN_PREVIEW.estimate), True
+    if has_reports or (ACTUATOR.facts.phase, ACTUATOR.facts.problem) != (
+        get_phase(PLAYER_CLIENT),
+        PLAYER_CLIENT.problem,
+    ):
         facts = make_facts(PLAYER_CLIENT, profile)
-        at_once = (facts.phase, facts.problem) != (ACTUATOR.facts.phase, ACTUATOR.facts.problem)
+        is_urgent = (facts.phase, facts.problem) != (ACTUATOR.facts.phase, ACTUATOR.facts.problem)
         ACTUATOR.facts = facts
-        if at_once or time.monotonic() - _redrawn_at > REDRAW_INTERVAL_S:
-            found = True
-    if found:
+        if is_urgent or time.monotonic() - _redrawn_at > REDRAW_INTERVAL_S:
+            redraw = True
+    if redraw:
         _redrawn_at = time.monotonic()
         redraw_tab()
 
 
 def on_load_pre(*_: Any) -> None:
-    """load_pre: what is felt belongs to the file that is left."""
+    """Stop the player before another file is loaded (handler load_pre)."""
     from .player_client import PLAYER_CLIENT
 
     PLAYER_CLIENT.release()
 
 
 def _shut_down() -> None:
-    """End what was begun; what was never begun is not imported for it."""
+    """Stop the child processes that were started, without importing modules that were never used."""
     if f"{__name__}.player_client" in sys.modules:
         from .player_client import PLAYER_CLIENT
 

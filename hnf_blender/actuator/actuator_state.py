@@ -1,7 +1,7 @@
-"""What the panel shows of the actuator, and what is chosen where Blender keeps no preferences. Reading it computes
-nothing.
+"""State of the actuator that the panel shows: outputs, the selected output, the player's phase and level.
 
-Where strokes are played: kept in the preferences, since ports belong to a machine, never in the .blend.
+Reading it computes nothing. The selected output is stored in the preferences, never in the .blend, since ports
+belong to a machine; without preferences it is stored here.
 """
 
 from __future__ import annotations
@@ -15,13 +15,15 @@ from ..state.addon_settings import Settings, get_settings
 from ..translations import tr
 
 SPEAKERS = ""
-"""The output that is no actuator: Blender's own sound device."""
+"""Target of Blender's own sound device, which is no actuator."""
 VIRTUAL = "virtual"
 
 
 class Phase(Enum):
-    """OFF: no player runs. OPENING: it starts, or takes the device. READY: it runs and holds no device. PLAYING.
-    PAUSED. LIVE: it follows the pen."""
+    """Phase of the player.
+
+    OFF: no process. OPENING: it starts, or opens the device. READY: no device is open. LIVE: it follows the pen.
+    """
 
     OFF = "off"
     OPENING = "opening"
@@ -32,15 +34,28 @@ class Phase(Enum):
 
 
 class Output(NamedTuple):
-    """A way to a device. target: as `hnf stream --to` takes it. title: what it calls itself."""
+    """Target, as `hnf stream --to` takes it, and the title of an output."""
 
     target: str
     title: str
 
 
 class ActuatorFacts(NamedTuple):
-    """level_m_s2: RMS of the last moment. share: of it in what may leave at most, 0 to 1. lines: figures in words.
-    problem: why nothing sounds, one sentence, "" = none."""
+    """State of the player for the panel.
+
+    Attributes
+    ----------
+    phase : Phase
+        Phase of the player.
+    level_m_s2 : float
+        Recent RMS level [m/s²].
+    share : float
+        Level as a fraction of the largest allowed, 0 to 1.
+    lines : tuple of str
+        Figures as text.
+    problem : str
+        Why nothing plays, one sentence; "" if there is no problem.
+    """
 
     phase: Phase = Phase.OFF
     level_m_s2: float = 0.0
@@ -50,10 +65,25 @@ class ActuatorFacts(NamedTuple):
 
 
 class ActuatorState:
-    """chosen: target where there are no preferences to keep it. outputs: devices as last looked for; looked: whether
-    they were; seeking: they are looked for now. without: Python packages that are not there or cannot be loaded;
-    missing: the same in sentences. skin: what a skin would get of the shown stroke on the virtual actuator, and
-    on one that was measured, in words."""
+    """Selected output, known devices and player facts.
+
+    Attributes
+    ----------
+    selected : str
+        Selected target, used only without preferences.
+    outputs : tuple of Output
+        Devices found by the last search.
+    is_scanned, is_scanning : bool
+        Whether a search has been made, and whether one is running.
+    missing_packages : frozenset of str
+        Python packages that are missing or cannot be loaded.
+    scan_notes : tuple of str
+        Sentences about them.
+    facts : ActuatorFacts
+        State of the player.
+    skin_lines : tuple of str
+        Predicted motion of the skin for the shown stroke, as text.
+    """
 
     def __init__(self) -> None:
         self.selected = SPEAKERS
@@ -70,25 +100,25 @@ ACTUATOR = ActuatorState()
 
 
 def get_selected_output(context: Any = None) -> str:
-    """Target of the chosen output as `hnf stream --to` takes it; SPEAKERS for Blender's sound device."""
-    kept = get_settings(context)
-    return ACTUATOR.selected if isinstance(kept, Settings) else str(kept.output)
+    """Return the target of the selected output as `hnf stream --to` takes it; SPEAKERS for Blender's sound device."""
+    settings = get_settings(context)
+    return ACTUATOR.selected if isinstance(settings, Settings) else str(settings.output)
 
 
 def select_output(target: str) -> None:
-    """From now on strokes are played there."""
+    """Select the output that strokes are played on from now on."""
     import bpy
 
-    kept = get_settings()
-    if isinstance(kept, Settings):
+    settings = get_settings()
+    if isinstance(settings, Settings):
         ACTUATOR.selected = target
-    elif kept.output != target:
-        kept.output = target
+    elif settings.output != target:
+        settings.output = target
         bpy.context.preferences.is_dirty = True
 
 
 def needs_offline_player(target: str) -> bool:
-    """Is it a sound output that can only be reached through Blender's own sound, since sounddevice is missing?"""
+    """Return whether `target` is a sound output that only Blender's sound reaches, since sounddevice is missing."""
     return target.partition(":")[0] == "audio" and (
         "sounddevice" in ACTUATOR.missing_packages or not _is_sounddevice_installed()
     )
@@ -100,7 +130,7 @@ def _is_sounddevice_installed() -> bool:
 
 
 def list_builtin_outputs() -> tuple[Output, ...]:
-    """The outputs that need not be looked for."""
+    """Return the outputs that exist without a search for devices."""
     return (
         Output(SPEAKERS, tr("Speakers (Blender)")),
         Output(VIRTUAL, tr("Virtual actuator")),
@@ -109,13 +139,14 @@ def list_builtin_outputs() -> tuple[Output, ...]:
 
 
 def list_outputs(context: Any = None) -> tuple[Output, ...]:
-    """All that can be chosen now; the chosen one too where it was not found."""
-    chosen, listed = get_selected_output(context), list(list_builtin_outputs())
-    listed += [each for each in ACTUATOR.outputs if each.target not in {one.target for one in listed}]
-    if chosen not in {each.target for each in listed}:
-        listed.append(Output(chosen, chosen))
-    return tuple(listed)
+    """Return all selectable outputs, including the selected one if it was not found."""
+    selected, outputs = get_selected_output(context), list(list_builtin_outputs())
+    outputs += [output for output in ACTUATOR.outputs if output.target not in {builtin.target for builtin in outputs}]
+    if selected not in {output.target for output in outputs}:
+        outputs.append(Output(selected, selected))
+    return tuple(outputs)
 
 
 def find_output_title(target: str, context: Any = None) -> str:
-    return next((each.title for each in list_outputs(context) if each.target == target), target)
+    """Return the title of `target`, or `target` if it is unknown."""
+    return next((output.title for output in list_outputs(context) if output.target == target), target)

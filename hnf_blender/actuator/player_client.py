@@ -1,8 +1,7 @@
-"""The actuator as a Player: told command by command to the process that plays, listened to by the window's timer.
+"""Client of the player process: a `Player` and a `LivePlayer` that send commands and read reports.
 
-Nothing here waits, and no sample passes through Blender's own thread.
-
-What a Link was told → what the panel says of it.
+Sounds go to the child process as WAV files; the window's timer reads its reports. No call waits, and no sample is
+processed in Blender's main thread. `make_facts` turns the client's state into what the panel shows.
 """
 
 from __future__ import annotations
@@ -43,21 +42,20 @@ from .player_process import PlayerProcess
 from .sound import Sound
 
 SEEK_SETTLE_S = 0.2
-"""After a seek the positions that are told may still be those of before."""
+"""Time after a seek during which reported positions may still be old [s]."""
 RESTART_HINT = "Play again to restart it."
 
 
 @dataclass(frozen=True)
 class LastStatus:
-    """What the process told last. at: when, monotonic seconds."""
+    """Latest status report and the monotonic time of its arrival [s]."""
 
     status: Status
     received_s: float
 
 
 class PlayerClient:
-    """A Player. One process at a time: begun when something is to be played, ended with release() or by its own
-    fault."""
+    """Player that runs in a child process, started when needed and ended by `release` or by its own failure."""
 
     def __init__(self) -> None:
         self._process: PlayerProcess | None = None
@@ -65,10 +63,10 @@ class PlayerClient:
         self._reset()
 
     def _reset(self, problem: str = "") -> None:
-        """As with no process."""
+        """Forget the process and its state."""
         self._process = None
         self.problem = problem
-        """Why nothing plays any more, one sentence; "" = no reason but the end."""
+        """Why nothing plays any more, one sentence; "" if playback just ended."""
         self.began: Began | None = None
         self.last_status: LastStatus | None = None
         self._sound: Sound | None = None
@@ -76,7 +74,7 @@ class PlayerClient:
         self._clear_playback()
 
     def _clear_playback(self) -> None:
-        """Nothing plays, and nothing is to follow."""
+        """Mark playback as ended, with no sound pending."""
         self._playing = self.is_live = self.is_paused = self._swapped = False
         self._pending: Sound | None = None
         self._seek_time = float("-inf")
@@ -84,28 +82,28 @@ class PlayerClient:
     # ---- Player
 
     def play(self, sound: Sound) -> None:
-        where = make_output_spec(get_selected_output(), sound.profile)
-        if self._is_opening(where):
+        output_spec = make_output_spec(get_selected_output(), sound.profile)
+        if self._is_opening(output_spec):
             self._pending = sound
-        elif self._can_swap_to(sound, where):
+        elif self._can_swap_to(sound, output_spec):
             self._swap(sound)
             self._send(Seek(sound.start_s))
             self._seek_time = time.monotonic()
             self.resume()
         else:
-            self._start_playback(sound, where)
+            self._start_playback(sound, output_spec)
 
     def change(self, sound: Sound) -> None:
-        where = make_output_spec(get_selected_output(), sound.profile)
-        if self._is_opening(where):
+        output_spec = make_output_spec(get_selected_output(), sound.profile)
+        if self._is_opening(output_spec):
             self._pending = sound
-        elif self._can_swap_to(sound, where):
+        elif self._can_swap_to(sound, output_spec):
             self._swap(sound)
         else:
-            self._start_playback(replace(sound, start_s=min(self.position_s, sound.duration_s)), where)
+            self._start_playback(replace(sound, start_s=min(self.position_s, sound.duration_s)), output_spec)
 
     def stop(self) -> None:
-        """Silence, softly; the device is free for others."""
+        """Fade out and free the device."""
         if self._playing or self.is_live:
             self._send(Stop())
         self._clear_playback()
@@ -130,27 +128,27 @@ class PlayerClient:
 
     @property
     def position_s(self) -> float:
-        heard, sound = self.current_status, self._sound
-        if heard is None or sound is None:
+        latest, sound = self.current_status, self._sound
+        if latest is None or sound is None:
             return 0.0
         now = time.monotonic()
         if now - self._seek_time < SEEK_SETTLE_S:
-            place = sound.start_s + now - self._seek_time
+            position = sound.start_s + now - self._seek_time
         else:
-            place = heard.status.position_s + (now - heard.received_s if heard.status.state == "playing" else 0.0)
-        return place % sound.duration_s if sound.loop and sound.duration_s > 0.0 else min(place, sound.duration_s)
+            position = latest.status.position_s + (now - latest.received_s if latest.status.state == "playing" else 0.0)
+        return position % sound.duration_s if sound.loop and sound.duration_s > 0.0 else min(position, sound.duration_s)
 
     def release(self) -> None:
-        """Silence, and the process leaves; one that does not is killed a second later."""
-        channel = self._process
+        """Stop, and let the process exit; it is killed after a second if it does not."""
+        process = self._process
         self._reset()
-        if channel is not None:
-            channel.close()
+        if process is not None:
+            process.close()
 
     # ---- live
 
     def live_begin(self, target: str, profile: ActuatorProfile, probe: str, material: MaterialFile) -> None:
-        """A hand is about to touch. Raises HnfError where no process can be started."""
+        """Start a live session with `probe` on `material`. Raises HnfError if no process can be started."""
         self._clear_playback()
         self._output_spec, self._probe, self._first_live_number = (
             make_output_spec(target, profile),
@@ -161,7 +159,7 @@ class PlayerClient:
         self.is_live = True
 
     def live_material(self, material: MaterialFile) -> None:
-        """See live.Feeler."""
+        """See `live_touch.LivePlayer`."""
         if self._output_spec is None:
             raise UsageError("no live touch is running that could take this material.")
         path = self._new_file(".hnf")
@@ -171,7 +169,7 @@ class PlayerClient:
         self._send(command, partial(write_hnf, path, material))
 
     def live_move(self, time_s: float, position_m: tuple[float, float], force_n: float) -> None:
-        """See live.Feeler."""
+        """See `live_touch.LivePlayer`."""
         if self.is_live:
             self._send(Move(time_s, *position_m, force_n))
 
@@ -179,29 +177,29 @@ class PlayerClient:
         if self.is_live:
             self.stop()
 
-    # ---- what was told
+    # ---- reports
 
     def tick(self) -> bool:
-        """Take in what was said; True where there was something. Costs nothing while no process runs."""
-        channel = self._process
-        if channel is None:
+        """Process the reports since the last call; return True if there were any. Does nothing without a process."""
+        process = self._process
+        if process is None:
             return False
-        said, end = channel.poll()
-        for each in said:
-            if isinstance(each, str):
-                self._fail(each)
+        messages, end = process.poll()
+        for message in messages:
+            if isinstance(message, str):
+                self._fail(message)
             else:
-                self._on_report(each)
-        if end and self._process is channel:
+                self._on_report(message)
+        if end and self._process is process:
             self._reset(f"The player's process {end}. {RESTART_HINT}")
-            channel.close()
-        return bool(said or end)
+            process.close()
+        return bool(messages or end)
 
     @property
     def current_status(self) -> LastStatus | None:
-        """What was told of the newest play, None where nothing was yet. Under one hand all materials are one play."""
-        heard, first = self.last_status, self._first_live_number if self.is_live else self._play_number
-        return heard if heard is not None and heard.status.play >= first else None
+        """Latest status of the newest play, None before its first; a live session counts as one play."""
+        latest, first_play = self.last_status, self._first_live_number if self.is_live else self._play_number
+        return latest if latest is not None and latest.status.play >= first_play else None
 
     @property
     def is_running(self) -> bool:
@@ -213,7 +211,7 @@ class PlayerClient:
 
     @property
     def folder(self) -> Path | None:
-        """Where what it plays lies; None where no process runs."""
+        """Folder of the played files; None without a process."""
         return None if self._process is None else self._process.folder
 
     def _on_report(self, report: Report) -> None:
@@ -229,10 +227,10 @@ class PlayerClient:
                 self._on_status(report)
 
     def _on_status(self, status: Status) -> None:
-        """Of the newest play."""
+        """Handle a status report of the newest play."""
         waiting, self._pending = self._pending, None
         if status.state == "ended":
-            self._playing = self.is_live = False  # a swap may still be answered
+            self._playing = self.is_live = False  # A swap may still be refused.
             self.problem = status.problem
         if waiting is not None and not status.problem:
             self.play(waiting)
@@ -241,23 +239,27 @@ class PlayerClient:
         if report.play == self._play_number:
             self._fail(report.why)
         elif report.play < 0 and self._swapped and self._sound is not None and self._output_spec is not None:
-            # It ended in the very moment when it was to go on as another sound: that one is begun.
+            # Playback ended before the swap reached it, so the swapped sound is started anew.
             self._start_playback(self._sound, self._output_spec)
 
     def _fail(self, why: str) -> None:
         self._clear_playback()
         self.problem = why
 
-    # ---- what is told
+    # ---- commands
 
     def _can_swap_to(self, sound: Sound, where: OutputSpec) -> bool:
-        """Can what plays be exchanged for sound without opening the device anew?"""
-        now = self._sound
-        same = now is not None and (now.rate, now.loop) == (sound.rate, sound.loop) and self._output_spec == where
-        return same and self.is_sounding
+        """Return whether the playing sound can be replaced by `sound` without reopening the device."""
+        playing = self._sound
+        is_same_format = (
+            playing is not None
+            and (playing.rate, playing.loop) == (sound.rate, sound.loop)
+            and self._output_spec == where
+        )
+        return is_same_format and self.is_sounding
 
     def _is_opening(self, where: OutputSpec) -> bool:
-        """The device is being taken already: what is asked for meanwhile waits for it, the newest alone."""
+        """Return whether the device is being opened; the newest sound requested meanwhile waits for it."""
         return self._playing and not self.is_live and self.current_status is None and self._output_spec == where
 
     def _start_playback(self, sound: Sound, where: OutputSpec) -> None:
@@ -273,13 +275,15 @@ class PlayerClient:
         self._send(Swap(str(path)), write)
 
     def _prepare_wav(self, sound: Sound) -> tuple[Path, Callable[[], None]]:
-        """Where it will lie, and what writes it there."""
+        """Return a path for the sound's WAV file and a function that writes it."""
         path = self._new_file(".wav")
         return path, partial(write_wav, path, Signal(sound.samples, sound.rate, seed=0))
 
     def _new_file(self, suffix: str) -> Path:
-        """Of the process that runs, or is begun. Raises DeviceError where none can be started, FileError where the
-        disk refuses."""
+        """Return a new path in the process's folder, starting the process if needed.
+
+        Raises DeviceError if it cannot be started, FileError if the folder cannot be made.
+        """
         if self._process is None:
             self._process = PlayerProcess()
         return self._process.new_file(suffix)
@@ -290,7 +294,7 @@ class PlayerClient:
 
 
 def make_output_spec(target: str, profile: ActuatorProfile) -> OutputSpec:
-    """A target and the limits that hold there, as the process is told them."""
+    """Return a target and the limits that hold there, as the player process takes them."""
     if profile.name != USER_PROFILE_NAME:
         return OutputSpec(target, profile.name)
     low, high = profile.range_hz or (0.0, 0.0)
@@ -301,15 +305,15 @@ PLAYER_CLIENT = PlayerClient()
 
 
 def make_facts(client: PlayerClient, profile: ActuatorProfile) -> ActuatorFacts:
-    """profile: whose limits the level is shown in."""
+    """Return what the panel shows of the player; the level is a fraction of what `profile` allows."""
     phase = get_phase(client)
-    heard = client.current_status
-    if heard is None or phase is Phase.OFF:
+    latest = client.current_status
+    if latest is None or phase is Phase.OFF:
         return ActuatorFacts(phase, problem=client.problem)
-    status, limits = heard.status, profile.limits
-    most = limits.full_scale_m_s2 * limits.peak
+    status, limits = latest.status, profile.limits
+    max_level = limits.full_scale_m_s2 * limits.peak
     level = status.level_m_s2 if phase in (Phase.PLAYING, Phase.LIVE) else 0.0
-    return ActuatorFacts(phase, level, min(level / most, 1.0), describe_playback(client), client.problem)
+    return ActuatorFacts(phase, level, min(level / max_level, 1.0), describe_playback(client), client.problem)
 
 
 def get_phase(client: PlayerClient) -> Phase:
@@ -325,14 +329,14 @@ def get_phase(client: PlayerClient) -> Phase:
 
 
 def describe_playback(client: PlayerClient) -> tuple[str, ...]:
-    """What was told of the newest play, one thought a line; what is as it should be is not mentioned."""
-    heard, began = client.current_status, client.began
-    if heard is None:
+    """Return lines of text about the newest play; only notable values are mentioned."""
+    latest, began = client.current_status, client.began
+    if latest is None:
         return ()
-    status, lines = heard.status, []
+    status, lines = latest.status, []
     if began is not None and began.play == status.play:
-        said = tr("{device}: {rate} Hz, delay up to {queue} ms")
-        lines.append(said.format(device=began.device, rate=f"{began.rate_hz:g}", queue=f"{began.queue_ms:.0f}"))
+        template = tr("{device}: {rate} Hz, delay up to {queue} ms")
+        lines.append(template.format(device=began.device, rate=f"{began.rate_hz:g}", queue=f"{began.queue_ms:.0f}"))
     lines.append(tr("Highest so far: {share} of full scale").format(share=f"{status.peak:.0%}"))
     if status.temperature_c is not None:
         lines.append(tr("Coil at {temperature} °C").format(temperature=f"{status.temperature_c:.1f}"))

@@ -1,9 +1,8 @@
-"""A child process at the other end of two pipes: lines go in, lines come out, and nobody in Blender waits for it.
+"""Child processes that play signals or list devices, without blocking Blender.
 
-The player's process and the folder of what it plays, from its start to its end.
-
-Looking for devices, in a process of its own: sound systems take their time, print what they like, and see a device
-that was plugged in later only when they are started anew.
+A `LineProcess` exchanges text lines over pipes; `PlayerProcess` adds the player's commands, reports and temporary
+files. Devices are listed in a process of their own (`DeviceScanner`), since audio libraries are slow to load, print to
+standard output and see newly connected devices only after a restart.
 """
 
 from __future__ import annotations
@@ -34,22 +33,22 @@ from .player_worker import LIST_DEVICES, WRONG_PYTHON
 WORKER = Path(__file__).with_name("player_worker.py")
 ERROR_TAIL_LINES = 12
 EXIT_GRACE_S = 1.0
-"""What a child is given to fall silent and leave by itself, before it is killed."""
+"""Time that a child process has to fade out and exit before it is killed [s]."""
 
 
 class LineProcess:
-    """Lines sent are written by a thread, lines said are read by threads; every method returns at once."""
+    """Child process with line-based pipes; threads read and write, so every method returns at once."""
 
     def __init__(self, command: Sequence[str]) -> None:
-        """Raises DeviceError where it cannot be started."""
-        own_group: dict[str, Any] = (
+        """Start the process. Raises DeviceError if the system refuses."""
+        group_options: dict[str, Any] = (
             {"creationflags": CREATE_NEW_PROCESS_GROUP | CREATE_NO_WINDOW}
             if sys.platform == "win32"
             else {"start_new_session": True}
         )
         try:
             self._process: subprocess.Popen[bytes] = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **own_group
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **group_options
             )
         except OSError as error:
             raise DeviceError(
@@ -73,38 +72,43 @@ class LineProcess:
 
     @property
     def last_line(self) -> str:
-        """The last of what it printed as an error, "" = none."""
+        """Last line of its standard error; "" if there is none."""
         return next((line for line in reversed(self._error_tail) if line), "")
 
     def send(self, line: str, before_send: Callable[[], None] | None = None) -> None:
-        """Tell it a line. first: done before, by the thread that writes (a file to be there when it reads of it); where
-        that raises an HnfError the line is not told, and troubles() says why."""
+        """Send a line to the process.
+
+        `before_send` is called by the writing thread first, e.g. to write the file that the line names. If it raises an
+        HnfError, the line is not sent and `send_errors` yields the error's text.
+        """
         self._outgoing.put((line, before_send))
 
     def lines(self) -> Iterator[str]:
-        """What it said since the last call."""
+        """Yield the lines received since the last call."""
         return _drain(self._received)
 
     def send_errors(self) -> Iterator[str]:
-        """Why lines could not be told, since the last call."""
+        """Yield the errors that prevented lines from being sent since the last call."""
         return _drain(self._send_errors)
 
     def exit_code(self) -> int | None:
-        """None while it lives or its last words are still being read; below 0: the signal that killed it."""
+        """Return the exit code, negative for a signal; None while the process runs or its output is being read."""
         code = self._process.poll()
         return None if code is None or any(reader.is_alive() for reader in self._readers) else code
 
     def close(self, on_exit: Callable[[], None] = lambda: None) -> None:
-        """Nothing more will be told: its standard input ends, at which it falls silent and leaves. One that does not
-        is killed after GRACE_S. then: called when it is gone, in a thread."""
+        """Close the standard input, at which the process exits; kill it after EXIT_GRACE_S.
+
+        `on_exit` is called from a thread once the process has ended.
+        """
         self._outgoing.put(None)
         try:
             threading.Thread(target=self._wait_for_exit, args=(on_exit,), name="hnf player end").start()
-        except RuntimeError:  # Python is ending, and from 3.12 on begins no thread then
+        except RuntimeError:  # Python 3.12 and later start no thread during interpreter shutdown.
             self._wait_for_exit(on_exit)
 
     def kill(self) -> None:
-        """End it as a crash would."""
+        """Kill the process without a chance to clean up."""
         with contextlib.suppress(OSError):
             self._process.send_signal(signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL)
 
@@ -126,12 +130,13 @@ class LineProcess:
         stream = self._process.stdin
         if stream is None:
             return
-        with contextlib.suppress(OSError, ValueError), stream:  # it is gone: exit_code() tells
+        # A broken pipe means that the process has ended, which exit_code() reports.
+        with contextlib.suppress(OSError, ValueError), stream:
             while (item := self._outgoing.get()) is not None:
-                line, first = item
+                line, before_send = item
                 try:
-                    if first is not None:
-                        first()
+                    if before_send is not None:
+                        before_send()
                 except HnfError as error:
                     self._send_errors.put(str(error))
                     continue
@@ -154,34 +159,49 @@ def _drain(lines: queue.SimpleQueue[str]) -> Iterator[str]:
 
 
 def list_worker_commands(module: str, arguments: Sequence[str]) -> tuple[list[str], ...]:
-    """The ways to run main(words) of a module of hnf_core in a process of its own, the lightest first: Blender's own
-    Python, where it is one that can; else a second Blender in the background."""
+    """Return command lines that run `main(arguments)` of a module of hnf_core, the lightest first.
+
+    Blender's own Python interpreter comes first, if it has one; then a second Blender in the background.
+    """
     import bpy
 
     version = "{}.{}".format(*sys.version_info)
-    given = [CORE_FOLDER, json.dumps([entry for entry in sys.path if entry]), version, module, *arguments]
-    ways = []
+    worker_arguments = [CORE_FOLDER, json.dumps([entry for entry in sys.path if entry]), version, module, *arguments]
+    commands = []
     if sys.executable:
-        ways.append([sys.executable, "-I", str(WORKER), *given])
+        commands.append([sys.executable, "-I", str(WORKER), *worker_arguments])
     if bpy.app.binary_path:
-        ways.append([bpy.app.binary_path, "-b", "--factory-startup", "-noaudio", "--python", str(WORKER), "--", *given])
-    return tuple(ways)
+        commands.append(
+            [
+                bpy.app.binary_path,
+                "-b",
+                "--factory-startup",
+                "-noaudio",
+                "--python",
+                str(WORKER),
+                "--",
+                *worker_arguments,
+            ]
+        )
+    return tuple(commands)
 
 
 PLAYER_MODULE = "actuators.player"
 MAX_FILES = 32
-"""That may still be read; older ones are removed."""
+"""Number of files that the player may still read; older ones are removed."""
 
 ErrorText = str
-"""Why something could not be told or understood, in words."""
+"""Text of why a command could not be sent or a report not be read."""
 
 
 class PlayerProcess:
-    """Every method returns at once."""
+    """Player process and the folder of the files that it plays; every method returns at once."""
 
     def __init__(self) -> None:
-        """Raises DeviceError where no process can be started, FileError where the disk refuses; nothing is left
-        then."""
+        """Start the process. Raises DeviceError if none can be started, FileError if the folder cannot be made.
+
+        Nothing is left behind after an error.
+        """
         self._commands = list(list_worker_commands(PLAYER_MODULE, ()))
         self.folder = make_job_folder()
         self._files: list[Path] = []
@@ -198,7 +218,7 @@ class PlayerProcess:
         return self._process.pid
 
     def new_file(self, suffix: str) -> Path:
-        """Where the next thing to be played will lie."""
+        """Return a new path in the folder and remove the oldest file beyond MAX_FILES."""
         self._written += 1
         self._files.append(self.folder / f"{self._written}{suffix}")
         while len(self._files) > MAX_FILES:
@@ -206,34 +226,37 @@ class PlayerProcess:
         return self._files[-1]
 
     def send(self, command: Command, before_send: Callable[[], None] | None = None) -> None:
-        """first: done before, by the thread that writes."""
+        """Send a command; `before_send` is called first by the writing thread."""
         line = encode(command)
         self._unacknowledged.append((line, before_send))
         self._process.send(line, before_send)
 
     def poll(self) -> tuple[list[Report | ErrorText], str]:
-        """What was said since the last call, and how the process has ended, "" while it lives. After its end only the
-        folder is left; close() removes it."""
+        """Return the reports and errors since the last call, and how the process ended ("" while it runs).
+
+        After its end only the folder is left, which `close` removes.
+        """
         process = self._process
-        code = process.exit_code()  # before its lines are read: what it said last is among them
-        said: list[Report | ErrorText] = list(process.send_errors())
-        said += [
+        # The exit code is read before the lines, so that the last lines are among them.
+        code = process.exit_code()
+        messages: list[Report | ErrorText] = list(process.send_errors())
+        messages += [
             _parse_report(line) for line in process.lines() if line.startswith("{")
-        ]  # else a driver's, or Blender's
-        if said:
+        ]  # Other lines are printed by drivers or by Blender.
+        if messages:
             self._unacknowledged.clear()
         if code is None:
-            return said, ""
+            return messages, ""
         if code == WRONG_PYTHON and self._commands:
             self._process = LineProcess(self._commands.pop(0))
-            for line, first in self._unacknowledged:
-                self._process.send(line, first)
-            return said, ""
-        last = f" ({process.last_line})" if process.last_line else ""
-        return said, (f"was killed (signal {-code})" if code < 0 else f"ended with code {code}") + last
+            for line, before_send in self._unacknowledged:
+                self._process.send(line, before_send)
+            return messages, ""
+        last_error = f" ({process.last_line})" if process.last_line else ""
+        return messages, (f"was killed (signal {-code})" if code < 0 else f"ended with code {code}") + last_error
 
     def close(self) -> None:
-        """It is told to leave, and killed where it does not; then the folder goes too."""
+        """Ask the process to quit, kill it if it does not, then remove the folder."""
         self._process.send(encode(Quit()))
         self._process.close(on_exit=partial(remove_job_folder, self.folder))
 
@@ -246,11 +269,11 @@ def _parse_report(line: str) -> Report | ErrorText:
 
 
 SCAN_TIMEOUT_S = 20.0
-"""A driver that has not answered by then will not."""
+"""Time after which a search for devices is given up [s]."""
 
 
 class DeviceScanner:
-    """One search at a time."""
+    """Search for devices in a child process, one at a time."""
 
     def __init__(self) -> None:
         self._process: LineProcess | None = None
@@ -258,8 +281,10 @@ class DeviceScanner:
         self._deadline = 0.0
 
     def start(self) -> None:
-        """Begin to look; ACTUATOR has the outcome some ticks later. Raises DeviceError where no process can be
-        started."""
+        """Start a search; a later `tick` stores its result in ACTUATOR.
+
+        Raises DeviceError if no process can be started.
+        """
         if self._process is not None:
             return
         self._commands = list(list_worker_commands(LIST_DEVICES, ()))
@@ -268,7 +293,7 @@ class DeviceScanner:
         ACTUATOR.is_scanning = True
 
     def tick(self) -> bool:
-        """True where the search has ended."""
+        """Return True if a search has just ended."""
         process = self._process
         if process is None:
             return False
@@ -279,12 +304,12 @@ class DeviceScanner:
             self._process = LineProcess(self._commands.pop(0))
             return False
         self.stop()
-        said = [line for line in process.lines() if line.startswith("{")]
+        results = [line for line in process.lines() if line.startswith("{")]
         try:
-            store_scan_result(said[-1] if said else "")
+            store_scan_result(results[-1] if results else "")
         except FileError as error:
-            why = process.last_line or str(error)
-            ACTUATOR.scan_notes = (tr("Devices could not be looked for: {why}").format(why=why),)
+            reason = process.last_line or str(error)
+            ACTUATOR.scan_notes = (tr("Devices could not be looked for: {why}").format(why=reason),)
         return True
 
     def stop(self) -> None:
@@ -295,23 +320,26 @@ class DeviceScanner:
 
 
 def store_scan_result(line: str) -> None:
-    """ACTUATOR as the search says it is. Raises FileError where the line is none of worker.tell_devices()."""
+    """Store the search's result in ACTUATOR.
+
+    Raises FileError if `line` was not written by `player_worker.print_devices`.
+    """
     try:
-        found = json.loads(line)
-        outputs = tuple(Output(str(each["target"]), format_device_title(each)) for each in found["devices"])
-        without, missing = ([str(each) for each in found[name]] for name in ("without", "missing"))
+        result = json.loads(line)
+        outputs = tuple(Output(str(item["target"]), format_device_title(item)) for item in result["devices"])
+        missing_packages, notes = ([str(item) for item in result[name]] for name in ("without", "missing"))
     except (ValueError, KeyError, TypeError) as error:
         raise FileError("the search for devices gave no answer.", remedy="Look again.") from error
     ACTUATOR.outputs, ACTUATOR.is_scanned = outputs, True
-    ACTUATOR.missing_packages, ACTUATOR.scan_notes = frozenset(without), tuple(missing)
+    ACTUATOR.missing_packages, ACTUATOR.scan_notes = frozenset(missing_packages), tuple(notes)
 
 
 def format_device_title(device: Mapping[str, object]) -> str:
-    """What a device calls itself, and the port or the facts by which it is told from one of the same name."""
+    """Return a device's title, with its port or facts to tell it from devices of the same name."""
     kind, _, port = str(device["target"]).partition(":")
-    more = port if kind == "serial" else str(device["facts"])
+    detail = port if kind == "serial" else str(device["facts"])
     title = str(device["title"])
-    return f"{title} ({more})" if more and more != title else title
+    return f"{title} ({detail})" if detail and detail != title else title
 
 
 DEVICE_SCANNER = DeviceScanner()

@@ -1,6 +1,9 @@
-"""The child process that plays: `python player_worker.py CORE PATHS VERSION MODULE [WORD…]`, or under a background
-Blender, `blender -b --factory-startup --python player_worker.py -- …`. It loads the parent's own hnf_core by its
-folder, CORE, and calls main(WORDS) of MODULE; neither preferences nor an enabled add-on are needed."""
+"""Entry point of the child processes that play or list devices.
+
+Run as `python player_worker.py CORE PATHS VERSION MODULE [WORD…]`, or under a background Blender as
+`blender -b --factory-startup --python player_worker.py -- …`. It loads the parent's hnf_core from its folder CORE and
+calls `main([WORD…])` of MODULE; it needs neither preferences nor an enabled add-on.
+"""
 
 import importlib
 import importlib.util
@@ -10,14 +13,16 @@ from pathlib import Path
 from typing import Any
 
 LIST_DEVICES = "devices"
-"""In place of a module: say what there is to play on, one JSON object in one line, {"devices": [{"target", "title",
-"facts"}], "without": [package], "missing": [why a list is short]}."""
+"""Value of MODULE that prints the devices as one line of JSON.
+
+{"devices": [{"target", "title", "facts"}], "without": [missing package], "missing": [why a list is short]}
+"""
 WRONG_PYTHON = 4
-"""Exit code of a Python that cannot do it: another version than the parent's, or one without numpy."""
+"""Exit code if the Python version differs from the parent's or numpy is missing."""
 
 
 def load_child_process(core: str) -> Any:
-    """hnf_core/child_process.py, by its path: a script that is run has no package."""
+    """Load hnf_core/child_process.py by its path, since a script that is run has no package."""
     spec: Any = importlib.util.spec_from_file_location("child_process", Path(core) / "child_process.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -25,6 +30,7 @@ def load_child_process(core: str) -> Any:
 
 
 def main(child_process: Any, paths: str, version: str, module: str, *arguments: str) -> int:
+    """Import MODULE with the parent's paths and run it; return the exit code."""
     if version != "{}.{}".format(*sys.version_info):
         return WRONG_PYTHON
     sys.path += [entry for entry in json.loads(paths) if entry not in sys.path]
@@ -39,18 +45,19 @@ def main(child_process: Any, paths: str, version: str, module: str, *arguments: 
 
 
 def print_devices(core: str) -> int:
+    """Print the devices as one line of JSON; return the exit code 0."""
     runtime = importlib.import_module(f"{core}.actuators.runtime")
-    found = importlib.import_module(f"{core}.actuators.stream_targets").list_devices()
-    without, missing = [], list(found.missing)
+    listing = importlib.import_module(f"{core}.actuators.stream_targets").list_devices()
+    missing_packages, notes = [], list(listing.missing)
     for name, package in runtime.PIP_PACKAGES.items():
         try:
             runtime.import_optional(name)
         except Exception as error:
-            without.append(package)
-            if not any(package in line for line in missing):
-                missing.append(str(error))
-    devices = [{"target": each.target, "title": each.title, "facts": each.facts} for each in found.all]
-    print(json.dumps({"devices": devices, "without": without, "missing": missing}), flush=True)
+            missing_packages.append(package)
+            if not any(package in line for line in notes):
+                notes.append(str(error))
+    devices = [{"target": device.target, "title": device.title, "facts": device.facts} for device in listing.all]
+    print(json.dumps({"devices": devices, "without": missing_packages, "missing": notes}), flush=True)
     return 0
 
 

@@ -1,5 +1,8 @@
-"""What a skin would get of a stroke: on the virtual actuator, through the limits and the transducer; on a measured one,
-band by band. Worked out beside the window; the newest stroke wins."""
+"""Predict how a stroke reaches the skin through an actuator: signal and actuator profile → figures for the panel.
+
+On the virtual actuator the signal passes the limiter and the transducer model; on a measured actuator the prediction is
+a level error per band. A thread computes it; only the newest stroke counts.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,22 @@ if TYPE_CHECKING:
     from hnf_core.signal import Signal
 
 RING_OUT_S = 0.05
-"""Of silence after a stroke, in which what rings is still felt."""
+"""Silence appended after a stroke, in which the transducer still rings [s]."""
 
 
 @dataclass(frozen=True)
 class SkinEstimate:
-    """Acceleration of the skin, m/s²; warmest: of the coil, °C; held_back: samples that the limits changed."""
+    """Predicted acceleration of the skin.
+
+    Attributes
+    ----------
+    peak, rms : float
+        Acceleration [m/s²].
+    max_temperature_c : float
+        Highest coil temperature [°C].
+    limited_samples : int
+        Number of samples that the limiter changed.
+    """
 
     peak: float
     rms: float
@@ -31,8 +44,7 @@ class SkinEstimate:
 
 @dataclass(frozen=True)
 class BandError:
-    """How far the bands that an actuator gives are from what is asked for, dB: root of their mean square, and the
-    largest."""
+    """Deviation of an actuator's bands from the requested ones, as root mean square and largest magnitude [dB]."""
 
     rms_db: float
     max_db: float
@@ -40,8 +52,15 @@ class BandError:
 
 @dataclass(frozen=True)
 class OutputEstimate:
-    """felt: on the virtual actuator. without, made_up: of an actuator that was measured, without its inverse filter and
-    with it."""
+    """Predicted output of an actuator.
+
+    Attributes
+    ----------
+    skin : SkinEstimate or None
+        Motion of the skin on the virtual actuator.
+    uncompensated, compensated : BandError or None
+        Error of a measured actuator without and with its inverse filter.
+    """
 
     skin: SkinEstimate | None = None
     uncompensated: BandError | None = None
@@ -49,7 +68,7 @@ class OutputEstimate:
 
 
 def estimate_output(signal: Signal, profile: ActuatorProfile, *, virtual: bool) -> OutputEstimate:
-    """All that can be told of it."""
+    """Predict what can be known of a signal on an actuator; `virtual` includes the motion of the skin."""
     on_virtual = estimate_skin(signal, profile) if virtual else None
     if profile.response is None:
         return OutputEstimate(on_virtual)
@@ -59,19 +78,21 @@ def estimate_output(signal: Signal, profile: ActuatorProfile, *, virtual: bool) 
 
 
 def compute_band_error(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> BandError | None:
-    """As `hnf actuators report` has it; None where nothing was asked for within the actuator's range."""
+    """Compute the level error per band, as `hnf actuators report` does; None if the signal has no band in the range."""
     from hnf_core.actuators.measure.inverse_filter import compute_rms_db
     from hnf_core.actuators.output_prediction import compute_band_changes
-    from hnf_core.actuators.output_prediction import simulate_output as through
+    from hnf_core.actuators.output_prediction import simulate_output as simulate
 
-    got = through(signal, profile, compensate=compensate).signal
-    changes = [band.change_db for band in compute_band_changes(signal, got, profile) if band.change_db is not None]
+    output = simulate(signal, profile, compensate=compensate).signal
+    changes = [band.change_db for band in compute_band_changes(signal, output, profile) if band.change_db is not None]
     return BandError(compute_rms_db(changes), max(map(abs, changes))) if changes else None
 
 
 def estimate_skin(signal: Signal, profile: ActuatorProfile) -> SkinEstimate:
-    """Of a transducer that was at rest and cool, as the player plays on it: what profile's response would lose is made
-    up for."""
+    """Predict the skin's motion on the generic transducer, starting at rest and at room temperature.
+
+    As in the player, the inverse filter of the profile's response is applied first.
+    """
     from hnf_core.actuators.limiter import Limiter
     from hnf_core.actuators.measure.inverse_filter import make_compensation
     from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
@@ -90,30 +111,30 @@ def estimate_skin(signal: Signal, profile: ActuatorProfile) -> SkinEstimate:
 
 
 def describe_estimate(estimate: OutputEstimate | None) -> tuple[str, ...]:
-    """A thought a line."""
-    lines, found = [], None if estimate is None else estimate.skin
-    if found is not None:
-        said = tr("At the skin: peak {peak} m/s², RMS {rms} m/s²; coil up to {temperature} °C")
+    """Return lines of text for the panel."""
+    lines, skin = [], None if estimate is None else estimate.skin
+    if skin is not None:
+        template = tr("At the skin: peak {peak} m/s², RMS {rms} m/s²; coil up to {temperature} °C")
         lines += [
-            said.format(peak=f"{found.peak:.3g}", rms=f"{found.rms:.3g}", temperature=f"{found.max_temperature_c:.1f}")
+            template.format(peak=f"{skin.peak:.3g}", rms=f"{skin.rms:.3g}", temperature=f"{skin.max_temperature_c:.1f}")
         ]
-        if found.limited_samples:
-            lines.append(tr("{count} samples would be limited").format(count=found.limited_samples))
+        if skin.limited_samples:
+            lines.append(tr("{count} samples would be limited").format(count=skin.limited_samples))
     if estimate is not None and estimate.uncompensated is not None and estimate.compensated is not None:
-        said = tr(
+        template = tr(
             "On this actuator the stroke's bands are off by {rms} dB, at most {most} dB; uncorrected {plain} and "
             "{worst} dB"
         )
-        with_it, plain = (
-            {"rms": f"{one.rms_db:.1f}", "most": f"{one.max_db:.1f}"}
-            for one in (estimate.compensated, estimate.uncompensated)
+        compensated, uncompensated = (
+            {"rms": f"{error.rms_db:.1f}", "most": f"{error.max_db:.1f}"}
+            for error in (estimate.compensated, estimate.uncompensated)
         )
-        lines.append(said.format(**with_it, plain=plain["rms"], worst=plain["most"]))
+        lines.append(template.format(**compensated, plain=uncompensated["rms"], worst=uncompensated["most"]))
     return tuple(lines)
 
 
 class SkinPreview:
-    """One stroke at a time is worked out, in a thread."""
+    """Estimate for the newest stroke, computed by a thread, one stroke at a time."""
 
     def __init__(self) -> None:
         self._requested: object = None
@@ -122,9 +143,20 @@ class SkinPreview:
         self.estimate: OutputEstimate | None = None
 
     def update(self, key: object, signal: Signal | None, profile: ActuatorProfile, *, virtual: bool = True) -> bool:
-        """Make shown that of this signal on this actuator, some ticks later; True where it became another. key: equal
-        while all are. virtual: on the virtual one too."""
-        before = self.estimate
+        """Request the estimate of a signal on an actuator; return True if `estimate` changed since the last call.
+
+        Parameters
+        ----------
+        key : object
+            Equal as long as all other arguments are.
+        signal : Signal or None
+            The stroke's signal; None clears the estimate.
+        profile : ActuatorProfile
+            The selected actuator.
+        virtual : bool
+            Predict the motion on the virtual actuator too.
+        """
+        previous = self.estimate
         if self._thread is not None and not self._thread.is_alive():
             self._thread = None
         if signal is None:
@@ -135,21 +167,22 @@ class SkinPreview:
                 target=self._run, args=(key, signal, profile, virtual), name="hnf skin", daemon=True
             )
             self._thread.start()
-        found = self._result
-        if found is not None and found[0] == self._requested:
-            self.estimate = found[1]
-        return self.estimate is not before
+        result = self._result
+        if result is not None and result[0] == self._requested:
+            self.estimate = result[1]
+        return self.estimate is not previous
 
     def _run(self, key: object, signal: Signal, profile: ActuatorProfile, virtual: bool) -> None:
         from hnf_core.actuators.profile import USER_PROFILE_NAME
         from hnf_core.actuators.profile_json import load_profile
         from hnf_core.errors import HnfError
 
-        try:  # the panel's profile of a file comes without its response
-            whole = profile if profile.name == USER_PROFILE_NAME else load_profile(profile.name)
+        # The panel's copy of a profile has no response, so the file is read.
+        try:
+            complete_profile = profile if profile.name == USER_PROFILE_NAME else load_profile(profile.name)
         except HnfError:
-            return  # nothing is played either, and the player says why
-        self._result = key, estimate_output(signal, whole, virtual=virtual)
+            return  # The player reports the same error.
+        self._result = key, estimate_output(signal, complete_profile, virtual=virtual)
 
 
 SKIN_PREVIEW = SkinPreview()

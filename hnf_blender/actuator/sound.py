@@ -1,7 +1,4 @@
-"""What is to be felt or heard, and the one small interface of what plays it.
-
-The sound of the Test button.
-"""
+"""Sounds and the `Player` protocol that speakers and actuators implement, and the sweep of the Test button."""
 
 from __future__ import annotations
 
@@ -16,8 +13,23 @@ from hnf_core.actuators.profile import ActuatorProfile
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """samples: (n,) float32 m/s² at rate Hz. profile: of the actuator, whose limits hold on an actuator. loop: over and
-    over. gain_db: of the monitor; speakers alone follow it. start_s: where it begins."""
+    """Signal to be played.
+
+    Attributes
+    ----------
+    samples : (n,) float32 array
+        Acceleration [m/s²].
+    rate : float
+        Sample rate [Hz].
+    profile : ActuatorProfile
+        Limits that hold on an actuator.
+    loop : bool
+        Play repeatedly.
+    gain_db : float
+        Monitor gain [dB]; only speakers apply it.
+    start_s : float
+        Where to start in the sound [s].
+    """
 
     samples: NDArray[np.float32]
     rate: float
@@ -32,34 +44,37 @@ class Sound:
 
 
 class Player(Protocol):
-    """One sound at a time. Every call returns at once; what stops or pauses fades out."""
+    """Player of one sound at a time; every call returns at once, and stopping or pausing fades out."""
 
     def play(self, sound: Sound) -> None:
-        """Play from sound.start_s on, in place of what plays. Raises HnfError where there is no device."""
+        """Play from `sound.start_s` on, replacing the playing sound. Raises HnfError if there is no device."""
         ...
 
     def change(self, sound: Sound) -> None:
-        """What plays, or is paused, goes on as this sound at the same place. Raises as play() does."""
+        """Continue what plays or is paused as another sound at the same position.
+
+        Raises HnfError if there is no device.
+        """
         ...
 
     def stop(self) -> None: ...
 
     def pause(self) -> None:
-        """Hold it where it is; the device is kept. Nothing where none plays."""
+        """Pause at the current position, with the device still open; do nothing if no sound plays."""
         ...
 
     def resume(self) -> None:
-        """Go on from there."""
+        """Continue a paused sound."""
         ...
 
     @property
     def is_playing(self) -> bool:
-        """From play() on until it has ended, was stopped, or could not be played; paused too."""
+        """True from `play` until the sound ended, was stopped or failed; also while paused."""
         ...
 
     @property
     def is_sounding(self) -> bool:
-        """It plays, and samples leave for the device: position_s holds."""
+        """True while samples leave for the device, so that `position_s` is valid."""
         ...
 
     @property
@@ -67,24 +82,24 @@ class Player(Protocol):
 
     @property
     def position_s(self) -> float:
-        """Seconds into the sound, 0 where none plays."""
+        """Position in the sound [s]; 0 if none plays."""
         ...
 
     def release(self) -> None:
-        """Silence, and the device given back."""
+        """Stop and close the device."""
         ...
 
 
 SWEEP_DURATION_S = 1.0
 SWEEP_RATE_HZ = 10_000.0
 SWEEP_LEVEL_SHARE = 0.1
-"""Of the actuator's largest level: 20 dB below it."""
+"""Level of the sweep as a fraction of the actuator's largest level (−20 dB)."""
 DEFAULT_RANGE_HZ = (20.0, 1000.0)
-"""Where a profile states none."""
+"""Frequency range of an actuator whose profile has none [Hz]."""
 
 
 def make_test_sweep(profile: ActuatorProfile) -> Sound:
-    """A sine that rises through the profile's range by equal ratios in equal times, faded in and out (Hann)."""
+    """Make an exponential sine sweep through the profile's frequency range, faded in and out by a Hann window."""
     low, high = profile.range_hz or DEFAULT_RANGE_HZ
     count = round(SWEEP_DURATION_S * SWEEP_RATE_HZ)
     time = np.arange(count) / SWEEP_RATE_HZ

@@ -1,4 +1,7 @@
-"""The one bake that runs: copy, child process, comparison, commit; a tick at a time, none of them long."""
+"""Bake of a scene in a child process: copy of the .blend → child process → comparison → commit, in short ticks.
+
+`bake_blocking` and `query_blocking` run the same steps in this process.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ from .request import SCENE_NAME, JobRequest, JobResult, read_result, write_reque
 
 PACKAGE = __name__.rpartition(".jobs.")[0]
 TICK_S = 0.02
-"""No new comparison begins in a tick after this; one, of the shape of 100,000 faces, may take twice as long again."""
+"""Time in a tick after which no new comparison begins [s]; one of 100,000 faces may take twice as long again."""
 BAKE_KILLED_REMEDY = (
     "Nothing was changed. Bake again: close-ups that were finished are kept. If it happens again, close other "
 )
@@ -49,7 +52,7 @@ BAKE_KILLED_REMEDY += "programs (memory), or hide heavy objects."
 
 @dataclass(frozen=True)
 class PreparedJob:
-    """A folder with the order in it, and where the results will belong."""
+    """Folder with the request, and the scene that the results belong to."""
 
     folder: Path
     request: JobRequest
@@ -57,13 +60,13 @@ class PreparedJob:
 
 
 class BakeJob(ChildJob):
-    """A bake in a child process, or a look at one place (place)."""
+    """Bake in a child process, or a touch query at `point`."""
 
     process_name = "The bake's own process"
     killed_remedy = BAKE_KILLED_REMEDY
 
     def __init__(self, scene: Any, view_layer: Any, only: Sequence[str] = (), point: TouchQuery | None = None) -> None:
-        """Saves a copy of what is open and starts. Raises HnfError; nothing is left behind then."""
+        """Save a copy of the open file and start the process. Raises HnfError; nothing is left behind then."""
         self.started = time.monotonic()
         check_images_saved(_list_named_surfaces(scene, only, point))
         self._prepared = prepare_job(scene, view_layer, only, point)
@@ -84,14 +87,14 @@ class BakeJob(ChildJob):
 
     @property
     def is_committing(self) -> bool:
-        """The child has ended its work; what it made is compared and written."""
+        """True once the child process has ended and its results are compared and written."""
         return self._committing is not None
 
     def _advance(self) -> LastJob | None:
         return self._commit() if self._committing is not None else self._poll_messages()
 
     def cancel(self) -> LastJob:
-        """Stop now; nothing is left behind, nothing is changed."""
+        """Cancel the job; nothing is left behind or changed."""
         if self._prepared.request.probe_object:
             return self._finish(LastJob(True, tr("Nothing was examined.")))
         return self._finish(LastJob(True, tr("Bake cancelled. Nothing was changed; finished close-ups are kept.")))
@@ -102,7 +105,7 @@ class BakeJob(ChildJob):
 
     def clean_up(self) -> None:
         if self._child is not None:
-            self._child.kill(on_exit=partial(remove_job_folder, self.folder))  # once more, in case it was writing
+            self._child.kill(on_exit=partial(remove_job_folder, self.folder))  # The process may write until it ends.
             self._child = None
         if self._committing is not None:
             self._committing.close()
@@ -142,7 +145,7 @@ class BakeJob(ChildJob):
 
 
 def bake_blocking(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> LastJob:
-    """The blocking twin: the same steps in this very process, on the scene itself; equal bytes."""
+    """Bake in this process, on the scene itself, with the same steps and equal bytes."""
     started = time.monotonic()
     prepared = prepare_job(scene, view_layer, only)
     try:
@@ -158,7 +161,7 @@ def bake_blocking(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> Last
 
 
 def query_blocking(scene: Any, view_layer: Any, point: TouchQuery) -> LastJob:
-    """Look at a place in this very process. Raises HnfError."""
+    """Evaluate a touch query in this process. Raises HnfError."""
     prepared = prepare_job(scene, view_layer, point=point)
     try:
         _run_to_end(job_steps(prepared.request, prepared.folder))
@@ -169,8 +172,10 @@ def query_blocking(scene: Any, view_layer: Any, point: TouchQuery) -> LastJob:
 
 
 def prepare_job(scene: Any, view_layer: Any, only: Sequence[str] = (), point: TouchQuery | None = None) -> PreparedJob:
-    """place: to look at; None = a bake. Raises SceneError where there is nothing to bake, FileError where no folder can
-    be made."""
+    """Write the request of a bake, or of a touch query at `point`, to a new folder.
+
+    Raises SceneError if there is no stroke to bake, FileError if no folder can be made.
+    """
     import bpy
 
     if point is None:
@@ -198,7 +203,7 @@ def prepare_job(scene: Any, view_layer: Any, only: Sequence[str] = (), point: To
 
 
 def _list_named_surfaces(scene: Any, only: Sequence[str], point: TouchQuery | None) -> list[Any]:
-    """The objects that are known to be touched. What a stroke finds by itself is compared when the child has ended."""
+    """Return the objects known to be touched; surfaces that strokes find themselves are compared after the bake."""
     if point is None:
         surfaces = [curve.hnf_stroke.surface for curve in select_strokes(scene, only)]
     else:
@@ -207,13 +212,13 @@ def _list_named_surfaces(scene: Any, only: Sequence[str], point: TouchQuery | No
 
 
 def save_copy(path: Path) -> None:
-    """Save what is open, unsaved changes included, to path; the open file stays what it is. Raises FileError."""
+    """Save the open file with its unsaved changes to `path`, without changing the file. Raises FileError."""
     import bpy
 
     files = bpy.context.preferences.filepaths
     preview, was_dirty = files.file_preview_type, bpy.context.preferences.is_dirty
     try:
-        files.file_preview_type = "NONE"  # a thumbnail would be rendered first
+        files.file_preview_type = "NONE"  # A thumbnail would be rendered first.
         with suppress_output():
             bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, compress=False, relative_remap=True)
     except RuntimeError as error:
@@ -228,13 +233,13 @@ def save_copy(path: Path) -> None:
 
 
 def describe_query(view: QueryView) -> LastJob:
-    """A sentence about a place that was looked at."""
+    """Describe the result of a touch query."""
     said = tr("Examined '{surface}': {material}").format(surface=view.object_name, material=view.library_material)
     return LastJob(True, f"{said}.")
 
 
 def describe_result(result: JobResult, committed: CommitResult, seconds: float) -> LastJob:
-    """A sentence for the status bar, with the first problem if there is one; the others, and notes, as details."""
+    """Describe the result for the status bar, with the first problem; other problems and warnings are details."""
     problems = [*result.failed, *committed.refused]
     baked = tr("{strokes} baked in {seconds} s")
     parts = [baked.format(strokes=_format_stroke_count(len(committed.strokes)), seconds=f"{seconds:.0f}")]

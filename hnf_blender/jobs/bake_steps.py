@@ -1,6 +1,7 @@
-"""What a bake does, wherever it runs: the child process and the twin in line take these same steps.
+"""Steps of a bake or touch query: a request and an open scene → result files in the job's folder.
 
-The job as the child process does it: open the copy, work, tell.
+`job_steps` is a generator of messages, run in the child process (`run_request`) or in this process
+(`bake_job.bake_blocking`) with equal results.
 """
 
 from __future__ import annotations
@@ -44,10 +45,9 @@ Steps = Generator[Started | Step, None, JobResult]
 
 
 def job_steps(request: JobRequest, folder: Path) -> Steps:
-    """Bake what order asks for, of the file that is open, into folder; nothing in the file changes.
+    """Bake the request's strokes, or evaluate its touch query, into `folder`; yield messages and return the result.
 
-    Yields messages. Raises SceneError where the scene is gone, holds no stroke to bake, or has no such place to look
-    at.
+    The scene is not changed. Raises SceneError if the scene, its strokes or the point of the query do not exist.
     """
     yield Step("reading the strokes", 0, 1)
     session = make_scene_session(*_find_scene(request), folder)
@@ -82,7 +82,7 @@ def job_steps(request: JobRequest, folder: Path) -> Steps:
 
 
 def select_strokes(scene: Any, only: Sequence[str]) -> list[Any]:
-    """The strokes named in only, or all that are heard. Raises SceneError where there is none."""
+    """Return the strokes named in `only`, or all that are not muted. Raises SceneError if there are none."""
     if only:
         named = [find_object(scene, name) for name in only]
         curves = [obj for obj in named if obj is not None and obj.hnf_stroke.is_stroke]
@@ -96,7 +96,7 @@ def select_strokes(scene: Any, only: Sequence[str]) -> list[Any]:
 
 
 def is_up_to_date(session: Session, job: StrokeJob) -> bool:
-    """The stroke's bake is fresh, and its surface carries its tokens."""
+    """Return whether the stroke's bake is fresh and its surface has its tokens."""
     fresh = check_validity(find_object(session.scene, job.curve_name), job).freshness is Freshness.FRESH
     surface = find_object(session.scene, job.object_name)
     return fresh and has_tokens(session, surface)
@@ -132,14 +132,14 @@ def _write_tokens(session: Session, baked: Iterable[BakedStroke], folder: Path) 
 
 
 def run_request(folder: Path) -> int:
-    """Do the order in folder; returns the exit code. Never raises: what goes wrong is said."""
+    """Run the request in `folder` in the child process; return the exit code. Errors are sent as messages."""
     import bpy
 
-    # Our own copy of the stream: whatever is redirected or held back meanwhile, messages pass.
+    # Messages use a duplicate of the stream, since Blender's output may be redirected meanwhile.
     stream = os.dup(1)
 
     def say(message: Message) -> None:
-        # A new line first: Blender may have stopped in the middle of its own.
+        # Blender may have printed an incomplete line, so a line end comes first.
         os.write(stream, f"\n{encode_message(message)}\n".encode())
 
     try:

@@ -1,7 +1,4 @@
-"""What a bake of this scene would do, for the Scene panel: nothing is rendered and no ray is cast for it.
-
-Taking baked data out of the file again.
-"""
+"""Baked data of a scene: the plan of what a bake would do, estimated without rendering, and the data's removal."""
 
 from __future__ import annotations
 
@@ -33,46 +30,48 @@ from ..translations import tr
 from .bake_steps import is_up_to_date
 
 CHILD_START_SECONDS = 4.0
-"""For a second Blender to be there, with the copy open."""
+"""Time for a second Blender to start and open the copy [s]."""
 STROKE_BYTES, METRE_BYTES, SECOND_BYTES = 4_000, 130_000, 1_500
-"""A stored bake: what it takes at least, for the height under its path, for its action. Within a tenth, as measured."""
+"""Size of a stored bake, and its growth per metre of path and per second [bytes]; measured, within a tenth."""
 FACE_BYTES, PALETTE_BYTES = 12, 1_000
+"""Size of a mesh's tokens per face, and of its palette [bytes]."""
 
 
 def make_plan(scene: Any, view_layer: Any) -> PlanView:
-    """The plan of all strokes that are heard; fills STATE.strokes_in(scene) on the way."""
+    """Plan a bake of all strokes that are not muted, and update their statuses in STATE."""
     session = make_scene_session(scene, view_layer, Path())
-    found = gather_curve_jobs(session, list_strokes(scene))
-    add_scene_notes(session, found)
+    gathered = gather_curve_jobs(session, list_strokes(scene))
+    add_scene_notes(session, gathered)
     lines: list[PlanLine] = []
-    stroke, statuses = tr("stroke '{name}'"), STATE.get_statuses(scene)
+    stroke_label, statuses = tr("stroke '{name}'"), STATE.get_statuses(scene)
     seconds, needed = 0.0, []
-    estimated: dict[str, None] = {}
-    for job in found.jobs:
+    predicted_materials: dict[str, None] = {}
+    for job in gathered.jobs:
         status = statuses[job.curve_name] = check_validity(find_object(scene, job.curve_name), job)
         if status.freshness is Freshness.FORCE or is_up_to_date(session, job):
-            lines.append(PlanLine("fresh", stroke.format(name=job.name), status.why))
+            lines.append(PlanLine("fresh", stroke_label.format(name=job.name), status.why))
             continue
         patches = estimate_max_patches(0.0 if job.stroke is None else job.stroke.length_m)
         slots = plan_slots(session, job)
-        pictured = [slot for slot in slots if slot.route is Route.PREDICTED]
-        estimated.update(dict.fromkeys(slot.material for slot in pictured))
+        predicted_slots = [slot for slot in slots if slot.route is Route.PREDICTED]
+        predicted_materials.update(dict.fromkeys(slot.material for slot in predicted_slots))
         seconds += (
-            patches * (estimate_closeup_seconds(slots) + (PREDICTION_SECONDS if pictured else 0.0)) + SYNTHESIS_SECONDS
+            patches * (estimate_closeup_seconds(slots) + (PREDICTION_SECONDS if predicted_slots else 0.0))
+            + SYNTHESIS_SECONDS
         )
         needed.append(job)
-        what = tr("stroke '{name}' on '{surface}'").format(name=job.name, surface=job.object_name)
-        lines.append(PlanLine("needed", what, _explain_status(status)))
+        description = tr("stroke '{name}' on '{surface}'").format(name=job.name, surface=job.object_name)
+        lines.append(PlanLine("needed", description, _explain_status(status)))
     if needed:
         seconds += CHILD_START_SECONDS
-    for failure in found.failed:
+    for failure in gathered.failed:
         statuses[failure.stroke] = StrokeStatus(Freshness.BROKEN, failure.why)
-        lines.append(PlanLine("failed", stroke.format(name=failure.stroke), failure.why))
-    lines += [PlanLine("skipped", each.what, tr(each.why)) for each in found.skipped]
-    lines += [PlanLine("note", note, "") for note in found.notes]
-    said = tr("material '{name}': no relief in its shader; one is estimated from its picture.")
-    lines += [PlanLine("note", said.format(name=name), "") for name in estimated]
-    return PlanView(tuple(lines), seconds, _estimate_bytes(session, found, needed), scene.name)
+        lines.append(PlanLine("failed", stroke_label.format(name=failure.stroke), failure.why))
+    lines += [PlanLine("skipped", skipped.what, tr(skipped.why)) for skipped in gathered.skipped]
+    lines += [PlanLine("note", note, "") for note in gathered.notes]
+    template = tr("material '{name}': no relief in its shader; one is estimated from its picture.")
+    lines += [PlanLine("note", template.format(name=name), "") for name in predicted_materials]
+    return PlanView(tuple(lines), seconds, _estimate_bytes(session, gathered, needed), scene.name)
 
 
 def _explain_status(status: StrokeStatus) -> str:
@@ -82,7 +81,7 @@ def _explain_status(status: StrokeStatus) -> str:
 
 
 def _estimate_bytes(session: Session, found: GatheredJobs, needed: list[StrokeJob]) -> int:
-    """Bakes and tokens that the file will hold, of these strokes and what they touch."""
+    """Estimate the size of bakes and tokens that the file will contain for these strokes and their surfaces."""
     total = 0
     for job in found.jobs:
         stored = count_stored_bytes(find_object(session.scene, job.curve_name))
@@ -90,8 +89,8 @@ def _estimate_bytes(session: Session, found: GatheredJobs, needed: list[StrokeJo
             seconds = float(job.stroke.samples.time[-1])
             stored = int(STROKE_BYTES + METRE_BYTES * job.stroke.length_m + SECOND_BYTES * seconds)
         total += stored
-    touched = {job.object_name: find_object(session.scene, job.object_name) for job in found.jobs}
-    meshes = {obj.data.name_full: obj.data for obj in touched.values() if obj.type == "MESH"}
+    surfaces = {job.object_name: find_object(session.scene, job.object_name) for job in found.jobs}
+    meshes = {obj.data.name_full: obj.data for obj in surfaces.values() if obj.type == "MESH"}
     for mesh in meshes.values():
         total += count_token_bytes(mesh) or FACE_BYTES * len(mesh.polygons) + PALETTE_BYTES
     return total
@@ -99,30 +98,43 @@ def _estimate_bytes(session: Session, found: GatheredJobs, needed: list[StrokeJo
 
 @dataclass(frozen=True)
 class PurgeResult:
-    """bytes: what was removed. left: why something could not be."""
+    """Number of removed bytes, and sentences on what could not be removed."""
 
     bytes: int
     left: tuple[str, ...]
 
     @property
     def message(self) -> str:
+        """Sentence for the artist."""
         removed = tr("{size} of baked data removed.").format(size=format_bytes(self.bytes))
         done = removed if self.bytes else tr("There was nothing to remove.")
         return " ".join((done, *self.left))
 
 
 def purge(scene: Any, view_layer: Any, *, everything: bool) -> PurgeResult:
-    """Remove all bakes, tokens and palettes from the file; or, with everything False, those of this scene that its
-    strokes and surfaces have outgrown. Strokes, keys and choices stay. Linked data are left alone."""
+    """Remove baked data from the file; strokes, keys, choices and linked data are left alone.
+
+    Parameters
+    ----------
+    scene, view_layer : bpy.types.Scene, bpy.types.ViewLayer
+        Scene whose stale data is removed.
+    everything : bool
+        Remove all bakes, tokens and palettes of the file, not only stale ones of the scene.
+
+    Returns
+    -------
+    PurgeResult
+        Size of the removed data and remarks.
+    """
     import bpy
 
     session = None if everything else make_scene_session(scene, view_layer, Path())
-    freed, left = 0, []
-    STATE.plan = None  # it spoke of before
+    removed_bytes, remarks = 0, []
+    STATE.plan = None  # The plan is outdated.
     with suppress_change_tracking(view_layer):
         for obj in bpy.data.objects:
             if obj.library is None and count_stored_bytes(obj) and (session is None or _is_stale_bake(session, obj)):
-                freed += clear_bake(obj)
+                removed_bytes += clear_bake(obj)
                 for statuses in STATE.statuses.values():
                     if obj.name in statuses:
                         statuses[obj.name] = StrokeStatus(Freshness.UNBAKED, tr("Not baked yet."))
@@ -133,15 +145,15 @@ def purge(scene: Any, view_layer: Any, *, everything: bool) -> PurgeResult:
                 and (session is None or _has_stale_tokens(session, mesh))
             ):
                 try:
-                    freed += remove_tokens(mesh)
-                    freed += sum(remove_point_tokens(cloud) for cloud in _find_clouds(mesh))
+                    removed_bytes += remove_tokens(mesh)
+                    removed_bytes += sum(remove_point_tokens(cloud) for cloud in _find_clouds(mesh))
                 except HnfError as error:
-                    left.append(f"{error.where}: {error.what}")
-    return PurgeResult(freed, tuple(left))
+                    remarks.append(f"{error.where}: {error.what}")
+    return PurgeResult(removed_bytes, tuple(remarks))
 
 
 def _find_clouds(mesh: Any) -> list[Any]:
-    """The splats of the surfaces that have this mesh."""
+    """Return the writable splat clouds of the surfaces that use this mesh."""
     import bpy
 
     clouds = [get_cloud(obj) for obj in bpy.data.objects if obj.data == mesh]
@@ -149,7 +161,7 @@ def _find_clouds(mesh: Any) -> list[Any]:
 
 
 def _is_stale_bake(session: Session, obj: Any) -> bool:
-    """Does the bake on obj fit nothing any more? What other scenes hold is left to them."""
+    """Return whether the bake on `obj` matches no stroke any more; objects of other scenes are left alone."""
     if find_index(session.scene.objects, obj) < 0:
         return False
     if not obj.hnf_stroke.is_stroke:
@@ -157,7 +169,7 @@ def _is_stale_bake(session: Session, obj: Any) -> bool:
     try:
         return check_validity(obj, session.make_curve_job(obj)).freshness in {Freshness.STALE, Freshness.UNBAKED}
     except HnfError:
-        return False  # a stroke that cannot be read now may be again
+        return False  # The stroke may become readable again.
 
 
 def _has_stale_tokens(session: Session, mesh: Any) -> bool:

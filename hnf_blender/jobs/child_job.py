@@ -1,12 +1,7 @@
-"""The life of a job in a child process, whatever it does: a tick at a time until it has ended.
+"""Jobs in child processes: their folders, the process itself, its messages, and the base class that advances a job.
 
-Frozen dataclasses ↔ JSON, by their annotations: what is read back is of the declared types, or refused.
-
-What the child process says, one message a line. Blender prints on the same stream, so each line is marked.
-
-One folder a job, named after the process that owns it: what a crashed Blender leaves is found by the next.
-
-A child process: started, listened to by a thread, killed with everything it started.
+A message is one line of standard output, marked by a prefix since Blender prints there too, with a dataclass as JSON.
+A job's folder has the id of its owner in its name, so that folders of crashed processes are found and removed.
 """
 
 from __future__ import annotations
@@ -36,15 +31,35 @@ Record = TypeVar("Record")
 
 
 def to_json(record: Any) -> str:
-    """One line of JSON."""
+    """Encode a dataclass as one line of JSON."""
     return json.dumps(asdict(record), ensure_ascii=True, separators=(",", ":"))
 
 
 def from_json(kind: type[Record], text: str, *, where: str = "record") -> Record:
-    """What to_text wrote of a kind. Raises FileError where the text is anything else."""
+    """Decode a dataclass of type `kind` from JSON; values are checked against its annotations.
+
+    Parameters
+    ----------
+    kind : type
+        Frozen dataclass of str, int, float, bool, tuples and dataclasses.
+    text : str
+        Text written by `to_json`.
+    where : str
+        Name of the source, for the error.
+
+    Returns
+    -------
+    Record
+        Instance of `kind`.
+
+    Raises
+    ------
+    FileError
+        If the text has other fields or types.
+    """
     try:
-        made: Record = _convert_value(kind, json.loads(text))
-        return made
+        record: Record = _convert_value(kind, json.loads(text))
+        return record
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise FileError(f"it is no {kind.__name__} ({error}).", where=where, remedy="Bake again.") from error
 
@@ -59,7 +74,7 @@ def _convert_value(kind: Any, value: Any) -> Any:
     if get_origin(kind) is tuple:
         if not isinstance(value, list):
             raise ValueError(f"{value!r} is no list")
-        return tuple(_convert_value(get_args(kind)[0], each) for each in value)
+        return tuple(_convert_value(get_args(kind)[0], item) for item in value)
     if kind is float and type(value) is int:
         return float(value)
     if type(value) is not kind:
@@ -68,11 +83,12 @@ def _convert_value(kind: Any, value: Any) -> Any:
 
 
 MESSAGE_PREFIX = "@hnf "
+"""Marks a line of output as a message."""
 
 
 @dataclass(frozen=True)
 class Started:
-    """strokes: how many are baked; fresh: how many need nothing."""
+    """Message that a job has begun, with the number of strokes to bake and of fresh ones."""
 
     strokes: int
     fresh: int
@@ -80,7 +96,17 @@ class Started:
 
 @dataclass(frozen=True)
 class Step:
-    """stage: in words. done of total: steps finished. share: of the step being done, 0 … 1."""
+    """Message on a job's progress.
+
+    Attributes
+    ----------
+    stage : str
+        Name of the step, shown to the user.
+    done, total : int
+        Number of finished and of all steps.
+    share : float
+        Finished fraction of the current step, 0 to 1.
+    """
 
     stage: str
     done: int
@@ -90,12 +116,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Finished:
-    """The result lies in the job's folder."""
+    """Message that the result is in the job's folder."""
 
 
 @dataclass(frozen=True)
 class Failed:
-    """The job as a whole could not be done. why: what, where and what to do."""
+    """Message that the job failed as a whole; `why` has the problem, the location and the remedy."""
 
     why: str
 
@@ -105,12 +131,12 @@ MESSAGE_TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in (Star
 
 
 def encode_message(message: Message) -> str:
-    """A line, without its end."""
+    """Encode a message as a line without its line end."""
     return f"{MESSAGE_PREFIX}{type(message).__name__} {to_json(message)}"
 
 
 def decode_message(line: str) -> Message | None:
-    """The message in a line; None where the line is somebody else's. Raises FileError for a damaged message."""
+    """Return the message in a line, None if it is other output. Raises FileError for a damaged message."""
     if not line.startswith(MESSAGE_PREFIX):
         return None
     name, _, text = line[len(MESSAGE_PREFIX) :].strip().partition(" ")
@@ -123,24 +149,28 @@ JOB_FOLDER_PREFIX = "hnf-job-"
 
 
 def get_job_root() -> Path:
-    import tempfile  # brings shutil and four packers along: 3 ms that switching on need not take
+    """Return the folder of all job folders."""
+    import tempfile  # Imports shutil and compressors, 3 ms that enabling the add-on should not take.
 
     return Path(tempfile.gettempdir())
 
 
 def make_job_folder() -> Path:
-    """A fresh, private folder of this process; those of dead ones go. Raises FileError where the disk refuses."""
+    """Make a new private folder of this process, and remove those of ended processes.
+
+    Raises FileError if the folder cannot be made.
+    """
     import tempfile
 
-    where = ""
+    root = ""
     try:
-        where = str(get_job_root())
+        root = str(get_job_root())
         remove_abandoned_folders()
-        return Path(tempfile.mkdtemp(prefix=f"{JOB_FOLDER_PREFIX}{os.getpid()}-", dir=where))
+        return Path(tempfile.mkdtemp(prefix=f"{JOB_FOLDER_PREFIX}{os.getpid()}-", dir=root))
     except OSError as error:
         raise FileError(
             f"no temporary folder can be made ({error.strerror}).",
-            where=where or "the system's temporary folder",
+            where=root or "the system's temporary folder",
             remedy="Free some disk space, or set another temporary folder for the system.",
         ) from error
 
@@ -152,18 +182,18 @@ def remove_job_folder(folder: Path) -> None:
 
 
 def remove_abandoned_folders() -> list[Path]:
-    """Remove the folders of processes that are gone; returns them."""
-    gone = []
+    """Remove and return the folders of processes that have ended."""
+    removed = []
     for folder in get_job_root().glob(f"{JOB_FOLDER_PREFIX}*"):
         owner = re.match(rf"{JOB_FOLDER_PREFIX}(\d+)-", folder.name)
         if owner and not is_process_alive(int(owner.group(1))):
             remove_job_folder(folder)
-            gone.append(folder)
-    return gone
+            removed.append(folder)
+    return removed
 
 
 def is_process_alive(pid: int) -> bool:
-    """Does a process of this number run? A zombie does not."""
+    """Return whether a process with this id runs; False for a zombie."""
     if sys.platform == "win32":
         return _is_windows_process_alive(pid)
     try:
@@ -174,7 +204,7 @@ def is_process_alive(pid: int) -> bool:
         return True
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (OSError, IndexError):  # no /proc here
+    except (OSError, IndexError):  # This system has no /proc.
         return True
 
 
@@ -195,25 +225,36 @@ def _is_windows_process_alive(pid: int) -> bool:
 WORKER = Path(__file__).with_name("worker.py")
 OUTPUT_TAIL_LINES = 12
 KILL_TIMEOUT_S = 5.0
-"""How long is waited, beside the window, for a killed process to be gone; it can do nothing any more."""
+"""Time that a thread waits for a killed process to end [s]."""
 
 NICENESS = 5
-"""The person's own Blender comes first, from the child's first moment: while it starts, it is at its busiest."""
+"""Added niceness of a child process, which is busiest while it starts; the user's Blender takes precedence."""
 CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW, BELOW_NORMAL_PRIORITY_CLASS = 0x200, 0x08000000, 0x4000
-"""Windows: a process group of its own; no console window that flashes up; after the person's own Blender. subprocess
-names them there alone."""
+"""Creation flags of Windows, which `subprocess` defines only there.
+
+They give the process a group of its own, no console window, and a lower priority.
+"""
 PROCESS_GROUP_OPTIONS: dict[str, Any] = (
     {"creationflags": CREATE_NEW_PROCESS_GROUP | CREATE_NO_WINDOW | BELOW_NORMAL_PRIORITY_CLASS}
     if sys.platform == "win32"
     else {"start_new_session": True}
 )
-"""For Popen: end_group() then reaches all that the process starts."""
+"""Options of Popen by which `kill_process_group` reaches all that the process starts."""
 
 
 @dataclass(frozen=True)
 class ChildProgram:
-    """What a child is. words: that start it. name, remedy: for the message where they do not. environment: None =
-    Blender's own."""
+    """Program of a child process.
+
+    Attributes
+    ----------
+    command : sequence of str
+        Command line.
+    name, remedy : str
+        Text for the error if it cannot be started.
+    environment : mapping or None
+        Environment variables; None for those of Blender.
+    """
 
     command: Sequence[str]
     name: str
@@ -222,10 +263,10 @@ class ChildProgram:
 
 
 class ChildProcess:
-    """A process of its own at work on one job's folder."""
+    """Process that works in a job's folder; a thread reads its output, so no method blocks."""
 
     def __init__(self, folder: Path, program: ChildProgram) -> None:
-        """Raises FileError where it cannot be started."""
+        """Start the process. Raises FileError if that fails."""
         self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._output_tail: deque[str] = deque(maxlen=OUTPUT_TAIL_LINES)
         try:
@@ -254,11 +295,11 @@ class ChildProcess:
 
     @property
     def last_lines(self) -> tuple[str, ...]:
-        """The end of what it printed apart from messages."""
+        """Last lines of output that are no messages."""
         return tuple(self._output_tail)
 
     def messages(self) -> Iterator[Message]:
-        """Those that came since the last call; never waits."""
+        """Yield the messages received since the last call."""
         while True:
             try:
                 yield self._messages.get_nowait()
@@ -266,13 +307,15 @@ class ChildProcess:
                 return
 
     def exit_code(self) -> int | None:
-        """None while it lives or its last words are still being read; below 0: the signal that killed it."""
+        """Return the exit code, negative for a signal; None while the process runs or its output is being read."""
         code = self._process.poll()
         return None if code is None or self._reader.is_alive() else code
 
     def kill(self, on_exit: Callable[[], None]) -> None:
-        """End it and all that it started; waits for nothing. then: called when it is gone, in a thread, or at once
-        where it has ended before."""
+        """Kill the process and all that it started, without waiting.
+
+        `on_exit` is called from a thread once the process has ended, or at once if it had ended before.
+        """
         if self._process.poll() is not None:
             self._close_stdin()
             on_exit()
@@ -281,11 +324,11 @@ class ChildProcess:
             kill_process_group(self.pid)
         try:
             threading.Thread(target=self._reap, args=(on_exit,), name="hnf bake end").start()
-        except RuntimeError:  # Python is ending, and from 3.12 on begins no thread then
+        except RuntimeError:  # Python 3.12 and later start no thread during interpreter shutdown.
             self._reap(on_exit)
 
     def _reap(self, on_exit: Callable[[], None]) -> None:
-        """The thread: a killed process that was busy starting takes a while to be cleared away."""
+        """Wait in a thread for the killed process, which takes a while if it was starting."""
         if sys.platform == "win32":
             kill_process_group(self.pid)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -299,7 +342,7 @@ class ChildProcess:
                 self._process.stdin.close()
 
     def _read_output(self) -> None:
-        """The thread: until the stream ends, which is the process's end. It alone may close what it reads."""
+        """Read the output until it ends; only this thread closes the stream."""
         stream = self._process.stdout
         if stream is None:
             return
@@ -317,14 +360,14 @@ class ChildProcess:
 
 
 def lower_priority(pid: int) -> None:
-    """Let a process of our own come after this one. On Windows OWN_GROUP has done it."""
+    """Lower the priority of a child process; on Windows PROCESS_GROUP_OPTIONS does so."""
     if sys.platform != "win32":
-        with contextlib.suppress(OSError):  # it has ended already
+        with contextlib.suppress(OSError):  # The process may have ended.
             os.setpriority(os.PRIO_PROCESS, pid, os.getpriority(os.PRIO_PROCESS, 0) + NICENESS)
 
 
 def kill_process_group(pid: int) -> None:
-    """Kill a process that was started with OWN_GROUP, and all that it started. On Windows this takes a moment."""
+    """Kill a process started with PROCESS_GROUP_OPTIONS and all that it started; takes a moment on Windows."""
     if sys.platform != "win32":
         with contextlib.suppress(OSError):
             os.killpg(pid, signal.SIGKILL)
@@ -339,20 +382,38 @@ def kill_process_group(pid: int) -> None:
 
 
 def make_blender_program(folder: Path) -> ChildProgram:
-    """This very Blender, or this Python with the bpy module."""
+    """Return the program that runs `worker.py`: this Blender, or this Python with the bpy module."""
     import bpy
 
     binary = bpy.app.binary_path
-    words = [sys.executable, str(WORKER), CORE_FOLDER, str(folder)]
+    command = [sys.executable, str(WORKER), CORE_FOLDER, str(folder)]
     if binary:
-        words = [binary, "-b", "--factory-startup", "-noaudio", "--python", str(WORKER), "--", CORE_FOLDER, str(folder)]
+        command = [
+            binary,
+            "-b",
+            "--factory-startup",
+            "-noaudio",
+            "--python",
+            str(WORKER),
+            "--",
+            CORE_FOLDER,
+            str(folder),
+        ]
     return ChildProgram(
-        words, "a second Blender", "Bake in the background instead: blender -b FILE --command hnf touch --out DIR"
+        command, "a second Blender", "Bake in the background instead: blender -b FILE --command hnf touch --out DIR"
     )
 
 
 class ChildJob(ABC):
-    """Call tick() every 0.1 s until it says how it ended. what: whose end is told. killed: what to do after it died."""
+    """Job in a child process; call `tick` every 0.1 s until it returns the outcome.
+
+    Attributes
+    ----------
+    process_name : str
+        Name of the process, for the message if it dies.
+    killed_remedy : str
+        What the user should do then.
+    """
 
     process_name: str
     killed_remedy: str
@@ -360,32 +421,34 @@ class ChildJob(ABC):
 
     @property
     def pid(self) -> int | None:
-        """Of the child process, None when it is gone."""
+        """Id of the child process; None once it has ended."""
         return None if self._child is None else self._child.pid
 
     def tick(self) -> LastJob | None:
-        """Go on for a moment; STATE.job tells how far. None while it runs, else how it ended, told in STATE.last_job
-        too, and nothing of it is left."""
+        """Advance the job and update STATE.job; return its outcome once it has ended, else None.
+
+        The outcome is stored in STATE.last_job, and nothing of the job is left.
+        """
         try:
-            ended = self._advance()
+            outcome = self._advance()
         except HnfError as error:
-            ended = LastJob(False, str(error))
+            outcome = LastJob(False, str(error))
         except BaseException:
             self.cancel()
             raise
-        return None if ended is None else self._finish(ended)
+        return None if outcome is None else self._finish(outcome)
 
     @abstractmethod
     def cancel(self) -> LastJob:
-        """Stop now; nothing is changed."""
+        """Cancel the job; the scene is not changed."""
 
     @abstractmethod
     def clean_up(self) -> None:
-        """End the child, and leave nothing of it."""
+        """End the child process and remove its files."""
 
     @abstractmethod
     def _on_message(self, message: Message, child: ChildProcess) -> LastJob | None:
-        """How it ended, where the message says so. After Finished none is listened to."""
+        """Return the outcome if the message ends the job; no message is read after Finished."""
 
     def _advance(self) -> LastJob | None:
         return self._poll_messages()
@@ -399,12 +462,15 @@ class ChildJob(ABC):
         child = self._child
         if child is None:
             return LastJob(False, "It has ended already.")
-        code = child.exit_code()  # before its messages are read: what it said last is among them
+        # The exit code is read before the messages, so that the last messages are among them.
+        code = child.exit_code()
         for message in child.messages():
-            ended = self._on_message(message, child)
-            if ended is not None or isinstance(message, Finished):
-                return ended
+            outcome = self._on_message(message, child)
+            if outcome is not None or isinstance(message, Finished):
+                return outcome
         if code is None:
             return None
-        how = f"was killed (signal {-code})" if code < 0 else f"ended with code {code}"
-        return LastJob(False, f"{self.process_name} {how} before it was done. {self.killed_remedy}", child.last_lines)
+        reason = f"was killed (signal {-code})" if code < 0 else f"ended with code {code}"
+        return LastJob(
+            False, f"{self.process_name} {reason} before it was done. {self.killed_remedy}", child.last_lines
+        )

@@ -1,4 +1,4 @@
-"""The results of a job → the scene, where what they were made from is still so."""
+"""Commit of a job's results to the scene: results whose inputs have not changed are written, the others rejected."""
 
 from __future__ import annotations
 
@@ -21,16 +21,26 @@ from ..touch.stroke_bake import StrokeBake
 from .request import BakedFile, JobResult, Rejection, TokenFile, unpack_tokens
 
 MAX_ROUNDS = 3
-"""How often what changes while it is looked at is looked at again, bit by bit, before it is done in one go."""
+"""Number of attempts to compare while the scene may change, before it is done without yielding."""
 REBAKE_HINT = "It keeps what it had; bake it again."
+"""Remedy appended to rejections."""
 
 
 @dataclass(frozen=True)
 class CommitTarget:
-    """Where the results belong: what was renamed meanwhile is found, and what took its name is not taken for it.
+    """Scene that the results belong to, identified so that renamed data is found and new data of the same name is not.
 
-    scene, view_layer: names when the job began. scene_uid: session_uid. layer_index: of the view layer, which has no
-    such number. uids: name (name_in) → session_uid of the scene's objects."""
+    Attributes
+    ----------
+    scene, view_layer : str
+        Names when the job began.
+    scene_uid : int
+        session_uid of the scene.
+    layer_index : int
+        Index of the view layer, which has no session_uid.
+    uids : mapping
+        session_uid of the scene's objects by name.
+    """
 
     scene: str
     scene_uid: int
@@ -41,7 +51,7 @@ class CommitTarget:
 
 @dataclass
 class CommitResult:
-    """strokes, meshes: names of what was written. refused: what was not, and why."""
+    """Names of strokes and meshes that were written, and rejections with their reasons."""
 
     strokes: list[str] = field(default_factory=list)
     meshes: list[str] = field(default_factory=list)
@@ -50,8 +60,10 @@ class CommitResult:
 
 @dataclass
 class _Verified:
-    """What may be written, by session_uid: a reference would not live until then. names: of these strokes when the
-    job began; rechosen: of those for which another material was chosen meanwhile."""
+    """Results that may be written, by session_uid, since references would not survive until then.
+
+    `stroke_names` are names when the job began; `rechosen_strokes` had another material chosen meanwhile.
+    """
 
     strokes: list[tuple[int, StrokeBake, InputHashes]] = field(default_factory=list)
     meshes: list[tuple[int, FaceTokens]] = field(default_factory=list)
@@ -61,48 +73,66 @@ class _Verified:
 
 
 def make_commit_target(scene: Any, view_layer: Any) -> CommitTarget:
-    """As the scene is now."""
+    """Identify the scene and its objects as they are now."""
     uids = {name: obj.session_uid for name, obj in get_named_objects(scene).items()}
     return CommitTarget(scene.name, scene.session_uid, view_layer.name, scene.view_layers.find(view_layer.name), uids)
 
 
 def find_target_scene(target: CommitTarget) -> Any:
-    """Its scene, whatever that is called now; None where it is gone."""
+    """Return the target's scene under its current name, or None if it was deleted."""
     import bpy
 
     return next((scene for scene in bpy.data.scenes if scene.session_uid == target.scene_uid), None)
 
 
 def commit_steps(result: JobResult, folder: Path, target: CommitTarget) -> Generator[None, None, CommitResult]:
-    """Compare, stroke by stroke and mesh by mesh; then write all that is still true, at once.
+    """Compare the inputs of all strokes and meshes, then write all valid results at once.
 
-    Yields between comparisons: a window goes on meanwhile, and what changes there is compared anew. Whatever can fail
-    fails before the first write. The caller makes the undo step. Raises HnfError where the folder is damaged or the
-    scene is gone.
+    Yields between comparisons, so that the window stays responsive; what changes meanwhile is compared again.
+    Anything that
+    can fail does so before the first write. The caller makes the undo step.
+
+    Parameters
+    ----------
+    result : JobResult
+        Results of the job.
+    folder : Path
+        Folder of the job.
+    target : CommitTarget
+        Scene when the job began.
+
+    Returns
+    -------
+    CommitResult
+        What was written and what was rejected.
+
+    Raises
+    ------
+    HnfError
+        If the folder is damaged or the scene was deleted.
     """
     for attempt in range(MAX_ROUNDS + 1):
-        patient = attempt < MAX_ROUNDS
-        ready, seen = _Verified(), _count_changes(target)
+        may_yield = attempt < MAX_ROUNDS
+        verified, change_count = _Verified(), _count_changes(target)
         session = make_scene_session(*_require_target_scene(target), folder)
-        for compare in _list_comparisons(result, folder, target, session, ready):
-            session.scene, session.view_layer = _require_target_scene(
-                target
-            )  # an undo since the last step replaced them
+        for compare in _list_comparisons(result, folder, target, session, verified):
+            # An undo since the last step may have replaced the scene's data.
+            session.scene, session.view_layer = _require_target_scene(target)
             with suppress_change_tracking(session.view_layer):
                 compare()
-            if patient:
+            if may_yield:
                 yield
-                if _count_changes(target) != seen:
+                if _count_changes(target) != change_count:
                     break
-        if not patient or _count_changes(target) == seen:
+        if not may_yield or _count_changes(target) == change_count:
             break
     scene, view_layer = _require_target_scene(target)
     with suppress_change_tracking(view_layer):
-        return _write(ready, scene)
+        return _write(verified, scene)
 
 
 def _count_changes(target: CommitTarget) -> int:
-    """STATE.changes, what Blender has not told yet included."""
+    """Return STATE.changes after Blender has processed pending changes."""
     _require_target_scene(target)[1].update()
     return STATE.changes
 
@@ -114,15 +144,14 @@ def _require_target_scene(target: CommitTarget) -> tuple[Any, Any]:
             "the scene that was baked is gone.", where=f"scene '{target.scene}'", remedy="Undo that, and bake again."
         )
     layers = scene.view_layers
-    found = layers.get(target.view_layer)
-    return scene, layers[min(target.layer_index, len(layers) - 1)] if found is None else found
+    layer = layers.get(target.view_layer)
+    return scene, layers[min(target.layer_index, len(layers) - 1)] if layer is None else layer
 
 
 def _list_comparisons(
     result: JobResult, folder: Path, target: CommitTarget, session: Session, verified: _Verified
 ) -> Iterator[Callable[[], None]]:
-    """One stroke or mesh each; strokes first, since a mesh goes by what became of them."""
-
+    """Yield a comparison per stroke, then one per mesh, which depends on the outcome of its strokes."""
     for baked in result.strokes:
         yield partial(_compare_stroke, baked, folder, target, session, verified)
     for tokens in result.meshes:
@@ -144,63 +173,64 @@ def _compare_mesh(tokens: TokenFile, folder: Path, target: CommitTarget, session
 
 
 def _check_stroke(baked: BakedFile, folder: Path, target: CommitTarget, session: Session, verified: _Verified) -> str:
-    """Why it cannot be kept; "" where it is ready."""
-    where = f"stroke '{baked.stroke}'"
+    """Return why a stroke's bake is rejected, or "" after adding it to `verified`."""
+    label = f"stroke '{baked.stroke}'"
     obj = _find_object(session.scene, target, baked.stroke)
     if obj is None or not obj.hnf_stroke.is_stroke:
-        return f"{where}: it was deleted while it was baked; its bake is dropped."
+        return f"{label}: it was deleted while it was baked; its bake is dropped."
     if obj.library is not None:
         return (
-            f"{where}: it is linked from {obj.library.filepath} and cannot be written. Make it local to keep its bake."
+            f"{label}: it is linked from {obj.library.filepath} and cannot be written. Make it local to keep its bake."
         )
     try:
         job = session.make_curve_job(obj)
     except HnfError as error:
-        return f"{where}: it changed while it was baked, and now: {error}"
-    changed = job.inputs.describe_changes(baked.inputs)
+        return f"{label}: it changed while it was baked, and now: {error}"
+    changes = job.inputs.describe_changes(baked.inputs)
     if job.inputs.choices != baked.inputs.choices:
         verified.rechosen_strokes.add(baked.stroke)
-    if changed:
-        return f"{where}: {' and '.join(changed)} changed while it was baked. {REBAKE_HINT}"
-    bake = StrokeBake.from_bytes((folder / baked.file).read_bytes(), where=where)
+    if changes:
+        return f"{label}: {' and '.join(changes)} changed while it was baked. {REBAKE_HINT}"
+    bake = StrokeBake.from_bytes((folder / baked.file).read_bytes(), where=label)
     verified.strokes.append((obj.session_uid, bake, baked.inputs))
     verified.stroke_names.add(baked.stroke)
     return ""
 
 
 def _check_mesh(tokens: TokenFile, folder: Path, target: CommitTarget, session: Session, verified: _Verified) -> str:
-    where = f"object '{tokens.object_name}'"
+    """Return why a mesh's tokens are rejected, or "" after adding them to `verified`."""
+    label = f"object '{tokens.object_name}'"
     obj = _find_object(session.scene, target, tokens.object_name)
     if obj is None or obj.type != "MESH":
-        return f"{where}: it was deleted while it was baked; its tokens are dropped."
+        return f"{label}: it was deleted while it was baked; its tokens are dropped."
     if obj.data.library is not None:
         return (
-            f"{where}: its mesh is linked from {obj.data.library.filepath} and keeps no tokens; its strokes are heard "
+            f"{label}: its mesh is linked from {obj.data.library.filepath} and keeps no tokens; its strokes are heard "
             "all the same. Make it local to keep them."
         )
     if obj.data.is_editmode:
-        return f"{where}: its mesh is in Edit Mode and got no tokens. Leave Edit Mode and bake again."
+        return f"{label}: its mesh is in Edit Mode and got no tokens. Leave Edit Mode and bake again."
     if not any(name in verified.stroke_names for name in tokens.strokes):
-        return f"{where}: no stroke on it could keep its bake, so it got no tokens."
+        return f"{label}: no stroke on it could keep its bake, so it got no tokens."
     if verified.rechosen_strokes & set(tokens.strokes):
-        return f"{where}: a material choice changed while it was baked. {REBAKE_HINT}"
+        return f"{label}: a material choice changed while it was baked. {REBAKE_HINT}"
     try:
-        same = session.compute_surface_key(obj) == tokens.surface_key
+        is_unchanged = session.compute_surface_key(obj) == tokens.surface_key
         if (cloud := get_cloud(obj)) is not None:
             require_writable(cloud)
     except HnfError as error:
-        return f"{where}: it changed while it was baked, and now: {error}"
-    if not same:
-        return f"{where}: its shape or its materials changed while it was baked. {REBAKE_HINT}"
-    made = unpack_tokens((folder / tokens.file).read_bytes())
-    if len(made.index) != len(obj.data.polygons):
-        return f"{where}: its faces changed while it was baked. {REBAKE_HINT}"
-    verified.meshes.append((obj.session_uid, made))
+        return f"{label}: it changed while it was baked, and now: {error}"
+    if not is_unchanged:
+        return f"{label}: its shape or its materials changed while it was baked. {REBAKE_HINT}"
+    face_tokens = unpack_tokens((folder / tokens.file).read_bytes())
+    if len(face_tokens.index) != len(obj.data.polygons):
+        return f"{label}: its faces changed while it was baked. {REBAKE_HINT}"
+    verified.meshes.append((obj.session_uid, face_tokens))
     return ""
 
 
 def _find_object(scene: Any, target: CommitTarget, name: str) -> Any:
-    """The object that had this name when the job began, or None."""
+    """Return the object that had this name when the job began, or None."""
     return _index_by_uid(scene).get(target.uids.get(name, -1))
 
 
@@ -209,19 +239,20 @@ def _index_by_uid(scene: Any) -> dict[int, Any]:
 
 
 def _write(verified: _Verified, scene: Any) -> CommitResult:
-    STATE.plan = None  # it spoke of before
+    STATE.plan = None  # The plan is outdated.
     objects = _index_by_uid(scene)
-    done = CommitResult(refused=verified.refused)
+    result = CommitResult(refused=verified.refused)
     for uid, bake, inputs in verified.strokes:
         obj = objects[uid]
         save_bake(obj, bake, inputs)
         STATE.get_statuses(scene)[get_scene_name(scene, obj)] = make_status(bake, Freshness.FRESH)
         if len(STATE.statuses) > 1:
-            STATE.dirty_names.add(obj.name)  # where it stands in another scene too, it may be stale there
-        done.strokes.append(obj.name)
+            # The stroke may be stale in another scene.
+            STATE.dirty_names.add(obj.name)
+        result.strokes.append(obj.name)
     for uid, tokens in verified.meshes:
         write_tokens(objects[uid].data, tokens)
         if tokens.points is not None:
             write_point_tokens(get_cloud(objects[uid]), tokens.points)
-        done.meshes.append(objects[uid].data.name)
-    return done
+        result.meshes.append(objects[uid].data.name)
+    return result

@@ -1,6 +1,6 @@
-"""A Python outside Blender, named by the artist: whether it can train. It is asked; nothing is installed into it.
+"""Learning of materials: a training process in an external Python → a material file, assigned to a material slot.
 
-Learning a material: the trainer runs under a Python outside Blender, and what it learned is given to a slot.
+`check_python` finds out whether a Python can train; nothing is ever installed into it.
 """
 
 from __future__ import annotations
@@ -44,8 +44,9 @@ from .child_job import (
 )
 
 CHECK_TIMEOUT_S = 60.0
-"""A first import of torch reads a gigabyte."""
+"""Time limit of the check [s]; a first import of torch reads a gigabyte."""
 CHECK_PREFIX = "@hnf python "
+"""Marks the line of output with the result of the check."""
 CHECK_SCRIPT = f"""
 import importlib, json, sys
 found = {{}}
@@ -56,10 +57,11 @@ for name in sys.argv[1:]:
         found[name] = ""
 print({CHECK_PREFIX!r} + json.dumps({{"version": list(sys.version_info[:3]), "found": found}}))
 """
+"""Script that imports the packages and prints their versions as JSON."""
 
 
 def check_python(path: str, timeout_s: float = CHECK_TIMEOUT_S) -> ExternalPython:
-    """Run it and ask. Waits for the answer, timeout_s at most; never raises."""
+    """Run a Python and return its version and packages; waits for `timeout_s` seconds at most and never raises."""
     if not Path(path).is_file():
         return _make_unusable(path, tr("There is no such file"))
     try:
@@ -76,44 +78,46 @@ def check_python(path: str, timeout_s: float = CHECK_TIMEOUT_S) -> ExternalPytho
             path, tr("It cannot be started ({why})").format(why=getattr(error, "strerror", None) or error)
         )
     try:
-        said, _ = process.communicate(timeout=timeout_s)
+        output, _ = process.communicate(timeout=timeout_s)
     except subprocess.TimeoutExpired:
         kill_process_group(process.pid)
         process.communicate()
         return _make_unusable(path, tr("It gave no answer within {seconds} s").format(seconds=f"{timeout_s:g}"))
-    return _parse_output(path, said.decode("utf-8", "replace"))
+    return _parse_output(path, output.decode("utf-8", "replace"))
 
 
 def make_clean_environment() -> Mapping[str, str]:
-    """Without what Blender, or whoever started it, tells its own Python."""
+    """Return the environment without the variables that configure Blender's Python."""
     return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
 
 
 def _parse_output(path: str, output: str) -> ExternalPython:
-    line = next((each for each in output.splitlines() if each.startswith(CHECK_PREFIX)), "")
+    line = next((output_line for output_line in output.splitlines() if output_line.startswith(CHECK_PREFIX)), "")
     try:
-        answer = json.loads(line.removeprefix(CHECK_PREFIX))
-        version = tuple(int(part) for part in answer["version"])
-        versions = {name: str(answer["found"][name]) for name in TRAINING_PACKAGES}
+        result = json.loads(line.removeprefix(CHECK_PREFIX))
+        version = tuple(int(number) for number in result["version"])
+        versions = {name: str(result["found"][name]) for name in TRAINING_PACKAGES}
     except (ValueError, KeyError, TypeError):
         return _make_unusable(path, tr("It is not a Python"))
-    text = ".".join(map(str, version))
-    found = tuple((name, known) for name, known in versions.items() if known)
-    missing = tuple(name for name, known in versions.items() if not known)
+    version_text = ".".join(map(str, version))
+    available = tuple((name, package_version) for name, package_version in versions.items() if package_version)
+    lacking = tuple(name for name, package_version in versions.items() if not package_version)
     if version < MIN_TRAINING_PYTHON:
-        least = ".".join(map(str, MIN_TRAINING_PYTHON))
-        problem = tr("It is Python {version}, and {least} or newer is needed").format(version=text, least=least)
-        return ExternalPython(path, text, found, missing, problem)
-    if not missing:
-        return ExternalPython(path, text, found, missing, "")
+        minimum = ".".join(map(str, MIN_TRAINING_PYTHON))
+        problem = tr("It is Python {version}, and {least} or newer is needed").format(
+            version=version_text, least=minimum
+        )
+        return ExternalPython(path, version_text, available, lacking, problem)
+    if not lacking:
+        return ExternalPython(path, version_text, available, lacking, "")
     return ExternalPython(
-        path, text, found, missing, tr("It lacks {packages}").format(packages=", ".join(missing)),
-        format_install_command(path, missing),
+        path, version_text, available, lacking, tr("It lacks {packages}").format(packages=", ".join(lacking)),
+        format_install_command(path, lacking),
     )  # fmt: skip
 
 
 def format_install_command(path: str, missing: tuple[str, ...]) -> str:
-    """What a person types into a terminal; the add-on never does."""
+    """Return the command that installs missing packages, to be run by the user in a terminal."""
     return " ".join([f'"{path}" -m pip install', *(f'"{TRAINING_PACKAGES[name]}"' for name in missing)])
 
 
@@ -128,28 +132,38 @@ LEARNING_KILLED_REMEDY += "close other programs (memory)."
 
 @dataclass(frozen=True)
 class MaterialSlot:
-    """Where a learned material belongs. object_name: "" = nowhere yet. slot: counted from 0."""
+    """Material slot that the learned material is assigned to; object_name "" means none."""
 
     object_name: str = ""
     slot: int = 0
 
 
 class LearnJob(ChildJob):
-    """A material being learned in a child process."""
+    """Job that learns a material in an external Python."""
 
     process_name = "The process that learned"
     killed_remedy = LEARNING_KILLED_REMEDY
 
     def __init__(self, python: str, lesson: LearnRequest, slot: MaterialSlot) -> None:
-        """Starts. Raises HnfError; nothing is left behind then."""
+        """Start the process. Raises HnfError if that fails; nothing is left behind then.
+
+        Parameters
+        ----------
+        python : str
+            Path of the external Python.
+        lesson : LearnRequest
+            Data and settings of the training.
+        slot : MaterialSlot
+            Slot that gets the material.
+        """
         self.started = time.monotonic()
         self._lesson, self._slot = lesson, slot
         self._training_since: float | None = None
         self.out = make_weights_path(lesson)
         self.folder = make_job_folder()
-        words = [python, str(WORKER), CORE_FOLDER, to_json(lesson), str(self.out)]
+        command = [python, str(WORKER), CORE_FOLDER, to_json(lesson), str(self.out)]
         program = ChildProgram(
-            words, "the external Python", "Check it in the add-on's preferences.", make_clean_environment()
+            command, "the external Python", "Check it in the add-on's preferences.", make_clean_environment()
         )  # fmt: skip
         try:
             self._child = ChildProcess(self.folder, program)
@@ -159,12 +173,12 @@ class LearnJob(ChildJob):
         self._update_status(Step("starting", 0, 1))
 
     def cancel(self) -> LastJob:
-        """Stop now; nothing is changed, and what was learned so far waits for the same choices."""
-        said = tr("Learning cancelled. Nothing was changed; run it again with the same choices to resume.")
-        return self._finish(LastJob(True, said))
+        """Cancel the job; a checkpoint remains for another run with the same choices."""
+        message = tr("Learning cancelled. Nothing was changed; run it again with the same choices to resume.")
+        return self._finish(LastJob(True, message))
 
     def clean_up(self) -> None:
-        """Nothing half written is left: of training the checkpoint alone, which was renamed into place whole."""
+        """End the process and remove its partial files; only the checkpoint is left."""
         if self._child is not None:
             self._child.kill(on_exit=partial(_remove_leftovers, self.folder, self.out))
             self._child = None
@@ -187,60 +201,73 @@ class LearnJob(ChildJob):
             raise FileError(
                 f"cannot be read ({error.strerror}).", where=str(self.out), remedy="Learn it again."
             ) from error
-        kept = get_learned_folder() / f"{_sanitise_file_name(definition.name)} ({self._lesson.kind}){HNF_SUFFIX}"
-        write_hnf(kept, definition)
+        material_path = (
+            get_learned_folder() / f"{_sanitise_file_name(definition.name)} ({self._lesson.kind}){HNF_SUFFIX}"
+        )
+        write_hnf(material_path, definition)
         self.out.unlink(missing_ok=True)
-        learned = load_material_field(definition)
-        told = "" if learned is None else learned.metadata.get("training_data", "")
-        details = tuple(text for text in (LICENCES[self._lesson.kind], told) if text)
-        return LastJob(True, assign_to_slot(definition, self._slot, kept), details, written=1)
+        material_field = load_material_field(definition)
+        training_data = "" if material_field is None else material_field.metadata.get("training_data", "")
+        details = tuple(text for text in (LICENCES[self._lesson.kind], training_data) if text)
+        return LastJob(True, assign_to_slot(definition, self._slot, material_path), details, written=1)
 
     def _update_status(self, step: Step) -> None:
-        now, left = time.monotonic(), None
+        now, left_s = time.monotonic(), None
         if step.stage == STAGE_TRAINING:
             self._training_since = self._training_since or now
-            if step.done > 1:  # the first epoch's share of the time is not known before it is over
-                left = (now - self._training_since) / step.done * (step.total - 1 - step.done)
-        STATE.job = JobStatus(step.stage, step.done, step.total, now - self.started, left)
+            if step.done > 1:  # The first epoch's duration is unknown until it ends.
+                left_s = (now - self._training_since) / step.done * (step.total - 1 - step.done)
+        STATE.job = JobStatus(step.stage, step.done, step.total, now - self.started, left_s)
 
 
 def learn_blocking(python: str, lesson: LearnRequest, slot: MaterialSlot) -> LastJob:
-    """Wait for all of it. Raises HnfError where it cannot be begun or fails."""
-    learning = LearnJob(python, lesson, slot)
-    while (ended := learning.tick()) is None:
+    """Learn a material and wait for it. Raises HnfError if it cannot be started or fails."""
+    job = LearnJob(python, lesson, slot)
+    while (outcome := job.tick()) is None:
         time.sleep(0.05)
-    if not ended.ok:
-        raise HnfError(ended.message)
-    return ended
+    if not outcome.ok:
+        raise HnfError(outcome.message)
+    return outcome
 
 
 def make_weights_path(lesson: LearnRequest) -> Path:
-    """Where the weights of a lesson are written, the checkpoint beside them: equal choices, equal place."""
+    """Return the path of the weights, with the checkpoint in the same folder; equal requests give equal paths."""
     return get_learned_folder() / f"{content_hash(repr(sorted(asdict(lesson).items())))}.safetensors"
 
 
 def assign_to_slot(definition: MaterialFile, slot: MaterialSlot, material_path: Path) -> str:
-    """Make definition what the slot feels like, where nobody said anything else of it; a new Blender material that
-    looks like nothing yet where somebody did, or where there is no such slot. Returns a sentence."""
+    """Assign a learned material to a slot and return a sentence for the artist.
+
+    If the slot does not exist, or its feel was chosen by the artist, a new Blender material is created instead.
+
+    Parameters
+    ----------
+    definition : MaterialFile
+        Learned material.
+    slot : MaterialSlot
+        Slot to assign it to.
+    material_path : Path
+        File of the material, named in the sentence.
+    """
     from ..bridge.scene.material_definition import assign_definition, create_material
 
     obj = _find_assignable_object(slot)
     if obj is not None:
         material = assign_definition(obj, slot.slot, definition)
-        said = tr("{object}: material '{material}' now feels like {name}, as learned")
-        text = said.format(object=obj.name, material=material.name, name=definition.name)
+        template = tr("{object}: material '{material}' now feels like {name}, as learned")
+        sentence = template.format(object=obj.name, material=material.name, name=definition.name)
     else:
         material = create_material(definition)
-        material.use_fake_user = True  # it belongs to no slot yet, and is to outlive a save
-        text = tr("Learned: new material '{material}'. Put it in a slot, or open {file}").format(
+        material.use_fake_user = True  # No slot uses it yet, and it must survive saving.
+        sentence = tr("Learned: new material '{material}'. Put it in a slot, or open {file}").format(
             material=material.name, file=material_path
         )
     STATE.dirty_names.add(material.name)
-    return text
+    return sentence
 
 
 def _find_assignable_object(slot: MaterialSlot) -> Any:
-    """The object, where its slot can be given to; else None."""
+    """Return the slot's object if the slot can be assigned, else None."""
     import bpy
 
     from ..props.material_settings import DEFINITION_PROPERTY
@@ -251,18 +278,21 @@ def _find_assignable_object(slot: MaterialSlot) -> Any:
     slots = obj.material_slots
     if slot.slot > max(len(slots) - 1, 0):
         return None
-    held = slots[slot.slot].material if slot.slot < len(slots) else None
-    if held is None:
+    current = slots[slot.slot].material if slot.slot < len(slots) else None
+    if current is None:
         return obj
-    is_said = bool(held.hnf_touch.library) or DEFINITION_PROPERTY in held
-    return None if is_said or not held.is_editable or held.override_library is not None else obj
+    is_chosen = bool(current.hnf_touch.library) or DEFINITION_PROPERTY in current
+    return None if is_chosen or not current.is_editable or current.override_library is not None else obj
 
 
 def _remove_leftovers(folder: Path, out: Path) -> None:
     remove_job_folder(folder)
-    for half in out.parent.glob(f".{out.stem}*"):
-        half.unlink(missing_ok=True)
+    for leftover in out.parent.glob(f".{out.stem}*"):
+        leftover.unlink(missing_ok=True)
 
 
 def _sanitise_file_name(name: str) -> str:
-    return "".join(each if each.isalnum() or each in " -_." else "_" for each in name).strip(". ") or "material"
+    return (
+        "".join(character if character.isalnum() or character in " -_." else "_" for character in name).strip(". ")
+        or "material"
+    )

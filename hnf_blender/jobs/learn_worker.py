@@ -1,7 +1,9 @@
-"""The child that learns a material, under a Python outside Blender: `PYTHON learn_worker.py CORE REQUEST OUT`. It loads
-the add-on's own hnf_core by its folder, CORE: nothing of the project is installed there, and no bpy. REQUEST is
-hnf_core.training.learn.LearnRequest as JSON, OUT the weights to write. It tells its steps as child_job.py reads
-them."""
+"""Entry point of the child process that learns a material, run by a Python outside Blender.
+
+Run as `PYTHON learn_worker.py CORE REQUEST OUT`. It loads the add-on's hnf_core from its folder CORE; neither the
+project nor bpy is installed there. REQUEST is `hnf_core.training.learn.LearnRequest` as JSON, OUT the path of the
+weights. It prints messages that `child_job.py` decodes.
+"""
 
 import importlib
 import importlib.util
@@ -13,7 +15,7 @@ from typing import Any
 
 
 def load_child_process(core: str) -> Any:
-    """hnf_core/child_process.py, by its path: a script that is run has no package."""
+    """Load hnf_core/child_process.py by its path, since a script that is run has no package."""
     spec: Any = importlib.util.spec_from_file_location("child_process", Path(core) / "child_process.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -21,14 +23,16 @@ def load_child_process(core: str) -> Any:
 
 
 def send_message(kind: str, **values: object) -> None:
-    # A new line first: a library may have stopped in the middle of its own.
+    """Print a message; see `child_job.decode_message`."""
+    # A library may have printed an incomplete line, so a line end comes first.
     os.write(1, f"\n@hnf {kind} {json.dumps(values)}\n".encode())
 
 
 def main(child_process: Any, request: str, out: str) -> int:
+    """Learn the material of the request and write its weights; return the exit code."""
     child_process.exit_with_parent()
-    own = str(Path(__file__).resolve().parent)  # its modules are the add-on's, and no library is to meet them
-    sys.path[:] = [entry for entry in sys.path if os.path.realpath(entry) != own]
+    own_folder = str(Path(__file__).resolve().parent)  # Libraries must not import this folder's modules.
+    sys.path[:] = [entry for entry in sys.path if os.path.realpath(entry) != own_folder]
     try:
         child_process.load_core()
         learn = importlib.import_module(f"{child_process.CORE}.training.learn")

@@ -1,6 +1,6 @@
-"""Which job runs now: one at a time, outliving the operator that began it.
+"""Manager of the running job: one at a time, independent of the operator that started it.
 
-Loading what statuses are made with, beside the window: a third of a second of imports would be felt in it.
+Also loads, in a thread, the modules that statuses and jobs need: importing them takes a third of a second.
 """
 
 from __future__ import annotations
@@ -28,44 +28,59 @@ def is_running() -> bool:
 
 
 def start_bake(scene: Any, view_layer: Any, only: Sequence[str] = (), point: TouchQuery | None = None) -> BakeJob:
-    """A bake, or a look at one place. Raises HnfError where a job runs already, or this one cannot be begun."""
+    """Start a bake, or a touch query at `point`.
+
+    Parameters
+    ----------
+    scene, view_layer : bpy.types.Scene, bpy.types.ViewLayer
+        Scene to be baked.
+    only : sequence of str
+        Names of strokes; empty for all that are not muted.
+    point : TouchQuery or None
+        Point to be examined instead of a bake.
+
+    Raises
+    ------
+    HnfError
+        If a job is running already or this one cannot be started.
+    """
     from .bake_job import BakeJob
 
     return start_job(lambda: BakeJob(scene, view_layer, only, point))
 
 
 def start_job(create_job: Callable[[], AnyJob]) -> AnyJob:
-    """What make() begins is the job that runs. Raises HnfError where one runs already, and what make() raises."""
+    """Start the job that `create_job` returns. Raises HnfError if a job is running already."""
     global _current_job
     if _current_job is not None:
         raise HnfError("a job is running already.", remedy="Wait for it, or cancel it.")
-    made = create_job()
-    _current_job = made
-    return made
+    job = create_job()
+    _current_job = job
+    return job
 
 
 def tick() -> LastJob | None:
-    """Go on for a moment. None while it runs; how it ended, once. Where none runs: None."""
+    """Advance the running job; return its outcome once, when it ends, else None."""
     global _current_job
     if _current_job is None:
         return None
     try:
-        ended = _current_job.tick()
+        outcome = _current_job.tick()
     except BaseException:
         _current_job = None
         raise
-    if ended is not None:
+    if outcome is not None:
         _current_job = None
-    return ended
+    return outcome
 
 
 def cancel() -> bool:
-    """Stop the job that runs, if one does; nothing of it is left. True where there was one."""
+    """Cancel the running job; return False if there is none."""
     global _current_job
     if _current_job is None:
         return False
-    work, _current_job = _current_job, None
-    work.cancel()
+    job, _current_job = _current_job, None
+    job.cancel()
     return True
 
 
@@ -73,7 +88,7 @@ _preload_thread: threading.Thread | None = None
 
 
 def is_preloaded() -> bool:
-    """Is everything loaded? The first call begins to."""
+    """Return whether all modules are loaded; the first call starts loading."""
     global _preload_thread
     if _preload_thread is None:
         _preload_thread = threading.Thread(target=_preload, name="hnf loading", daemon=True)
@@ -86,8 +101,8 @@ def _preload() -> None:
     from hnf_core.material.library import load_library
 
     from ..touch.bake_patches import ReliefPredictor
-    from . import bake_job  # noqa: F401  # all that a look or a bake imports
+    from . import bake_job  # noqa: F401  # Imports all that a query or a bake needs.
 
     load_field()
     load_library()
-    _ = ReliefPredictor().weights_hash  # the file is read once for it
+    _ = ReliefPredictor().weights_hash  # Reads the weights once.

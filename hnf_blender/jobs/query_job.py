@@ -1,4 +1,7 @@
-"""A look at one place, in the child process of a job: nothing in the file changes, the answer comes back as a file."""
+"""Touch query in the child process of a job: a point on an object → a result file → the panel's view of it.
+
+The scene is not changed. `query_job_steps` runs in the child, `load_query_result` in the parent.
+"""
 
 from __future__ import annotations
 
@@ -34,34 +37,49 @@ if TYPE_CHECKING:
     from ..touch.session import Session
 
 QUERY_RESULT_NAME = "probe.npz"
+"""File name of the result in the job's folder."""
 QUERY_ICON = "probe"
-"""Name of the picture among the add-on's icons."""
+"""Name of the image among the add-on's icons."""
 
 
 def query_job_steps(
     session: Session, point: TouchQuery, cache: Path, folder: Path
 ) -> Generator[Started | Step, None, int]:
-    """Look at place; writes ANSWER_NAME to folder. Yields messages; returns how many close-ups were made.
+    """Evaluate a touch query and write its result to `folder`; yield messages and return the number of close-ups.
 
-    Raises HnfError where there is no such place.
+    Parameters
+    ----------
+    session : Session
+        Session of the opened scene.
+    point : TouchQuery
+        Point to be examined.
+    cache : Path
+        Folder of cached close-ups.
+    folder : Path
+        Folder of the job.
+
+    Raises
+    ------
+    HnfError
+        If there is no such point.
     """
     yield Started(1, 0)
     counts = Counts()
     yield Step("close-up", 0, 1)
-    probed = yield from map_steps(
+    query_result = yield from map_steps(
         query_steps(session, point, cache, counts), lambda share: Step("close-up", 0, 1, share)
     )
-    write_bytes(folder / QUERY_RESULT_NAME, pack_query_result(probed, session.scene.name))
+    write_bytes(folder / QUERY_RESULT_NAME, pack_query_result(query_result, session.scene.name))
     return counts.close_ups
 
 
 def pack_query_result(result: QueryResult, scene_name: str) -> bytes:
-    """What a panel shows of it, and the whole ranking; no pickle."""
-    touched, slot = result.touched, result.point.patch.slot
-    slots = touched.obj.material_slots
+    """Pack the facts for the panel and the complete ranking as NPZ bytes without pickle."""
+    surface_contact, slot = result.touched, result.point.patch.slot
+    slots = surface_contact.obj.material_slots
     material = slots[slot].material if slot < len(slots) else None
-    told = {
-        "object_name": touched.surface.object_name,
+    facts = {
+        "object_name": surface_contact.surface.object_name,
         "material": result.material.shader,
         "material_full": "" if material is None else material.name_full,
         "library_material": result.material.library.name,
@@ -79,45 +97,48 @@ def pack_query_result(result: QueryResult, scene_name: str) -> bytes:
         "scene": scene_name,
     }
     nearest = [
-        [near.suggestion.name, near.suggestion.confidence, near.distance, near.suggestion.reason]
-        for near in result.nearest
+        [match.suggestion.name, match.suggestion.confidence, match.distance, match.suggestion.reason]
+        for match in result.nearest
     ]
-    ranked = [[each.name, each.confidence, each.reason, each.probability] for each in result.ranked]
+    ranked = [
+        [suggestion.name, suggestion.confidence, suggestion.reason, suggestion.probability]
+        for suggestion in result.ranked
+    ]
     route = result.record.route.value
-    text = json.dumps({"told": told, "nearest": nearest, "ranked": ranked, "route": route})
+    text = json.dumps({"told": facts, "nearest": nearest, "ranked": ranked, "route": route})
     token = get_token(result.record)
     values, known = ((), ()) if token is None else (token.values, token.known)
-    picture = (
+    image = (
         np.zeros((0, 0, 3), dtype=np.uint8)
         if result.tactile is None
         else _to_srgb_bytes(stretch_contrast(result.tactile))
     )
-    packed = io.BytesIO()
+    buffer = io.BytesIO()
     np.savez_compressed(
-        packed,
+        buffer,
         text=np.frombuffer(text.encode(), np.uint8),
-        picture=picture,
+        picture=image,
         token=np.asarray(values, dtype=np.float32),
         known=np.asarray(known, dtype=bool),
     )
-    return packed.getvalue()
+    return buffer.getvalue()
 
 
 def load_query_result(folder: Path) -> QueryView:
-    """The answer in a job's folder → STATE.probe, and the suggestions of its material.
+    """Load the result from a job's folder into STATE.query_view and the suggestions of its material.
 
-    Raises FileError where it is damaged.
+    Raises FileError if it is damaged.
     """
     try:
         with np.load(folder / QUERY_RESULT_NAME, allow_pickle=False) as arrays:
             record: dict[str, Any] = json.loads(arrays["text"].tobytes())
-            picture, token = arrays["picture"], Token(arrays["token"], arrays["known"])
-        told = {**record["told"], "notes": tuple(record["told"]["notes"])}
-        nearest = tuple(NearestMaterial(*each) for each in record["nearest"])
-        ranked = tuple(Suggestion(*each) for each in record["ranked"])
+            image, token = arrays["picture"], Token(arrays["token"], arrays["known"])
+        facts = {**record["told"], "notes": tuple(record["told"]["notes"])}
+        nearest = tuple(NearestMaterial(*fields) for fields in record["nearest"])
+        ranked = tuple(Suggestion(*fields) for fields in record["ranked"])
         relief = Relief(token, Route(record["route"]))
         view = QueryView(
-            **told, nearest=nearest, icon=set_icon(QUERY_ICON, to_icon_pixels(picture)) if picture.size else 0
+            **facts, nearest=nearest, icon=set_icon(QUERY_ICON, to_icon_pixels(image)) if image.size else 0
         )
     except NPZ_ERRORS as error:
         raise FileError(f"the answer is damaged ({error}).", where=QUERY_RESULT_NAME, remedy="Look again.") from error
@@ -131,10 +152,10 @@ def load_query_result(folder: Path) -> QueryView:
 
 
 def to_icon_pixels(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """(H, W, 3) uint8 from the top → (H, W, 4) float32 0–1 from the bottom, as Blender's icons are."""
-    shown = np.ones((*image.shape[:2], 4), dtype=np.float32)
-    shown[..., :3] = image[::-1] / np.float32(255.0)
-    return shown
+    """Convert (H, W, 3) uint8, top row first, to (H, W, 4) float32 in 0–1, bottom row first, as Blender's icons are."""
+    pixels = np.ones((*image.shape[:2], 4), dtype=np.float32)
+    pixels[..., :3] = image[::-1] / np.float32(255.0)
+    return pixels
 
 
 def _to_srgb_bytes(image: NDArray[np.float64]) -> NDArray[np.uint8]:

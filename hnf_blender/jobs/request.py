@@ -1,4 +1,4 @@
-"""What a job is asked for, and what it leaves in its folder."""
+"""Request and result of a job: the dataclasses that its folder contains as JSON, and packed tokens of meshes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,30 @@ from ..touch.session import InputHashes
 from .child_job import from_json, to_json
 
 REQUEST_NAME, RESULT_NAME, SCENE_NAME = "order.json", "result.json", "scene.blend"
+"""File names in a job's folder."""
 
 
 @dataclass(frozen=True)
 class JobRequest:
-    """scene, view_layer: by name. only: names of the strokes to bake, empty = all that are not muted. cache: folder of
-    the patches' records. package, package_folder, sys_path: how the child finds this very code. use_scripts: may
-    scripts in the file run, as the person has set it. probe_object, probe_at: instead of a bake, look at this place of
-    this object (cli.probe.ProbePlace); "" = a bake."""
+    """Request of a bake or touch query.
+
+    Attributes
+    ----------
+    scene, view_layer : str
+        Names.
+    only : tuple of str
+        Names of the strokes to bake; empty for all that are not muted.
+    cache : str
+        Folder of cached close-ups.
+    package, package_folder, sys_path : str, str, tuple of str
+        Package of the add-on, as the child process imports it.
+    use_scripts : bool
+        Whether scripts in the file may run, as set by the user.
+    probe_object : str
+        Object of a touch query (`hnf_core.touch_request.TouchQuery`); "" for a bake.
+    probe_at : tuple of float
+        Point of the touch query on that object.
+    """
 
     scene: str
     view_layer: str
@@ -40,7 +56,7 @@ class JobRequest:
 
 @dataclass(frozen=True)
 class BakedFile:
-    """A stroke's bake as bytes in a file. stroke: its name when the job began. inputs: what it was made from."""
+    """File with a stroke's bake; `stroke` is its name when the job began, `inputs` are hashes of its inputs."""
 
     stroke: str
     file: str
@@ -49,8 +65,19 @@ class BakedFile:
 
 @dataclass(frozen=True)
 class TokenFile:
-    """Tokens of one mesh in a file. object_name: an object that has the mesh. surface_key: what they were made from.
-    strokes: that lead over it."""
+    """File with the tokens of a mesh.
+
+    Attributes
+    ----------
+    object_name : str
+        An object that has the mesh.
+    surface_key : str
+        Hash of what they were made from.
+    strokes : tuple of str
+        Strokes on the mesh.
+    file : str
+        File name.
+    """
 
     object_name: str
     surface_key: str
@@ -60,7 +87,7 @@ class TokenFile:
 
 @dataclass(frozen=True)
 class Rejection:
-    """what: stroke or mesh that got nothing. why: in words, with what to do."""
+    """Stroke or mesh that got no result, and the reason with a remedy."""
 
     what: str
     why: str
@@ -68,8 +95,25 @@ class Rejection:
 
 @dataclass(frozen=True)
 class JobResult:
-    """All that a job made. fresh: how many strokes needed nothing. close_ups: made. probed: a place was looked at
-    instead, and the answer lies in the folder (jobs.probe)."""
+    """Result of a job.
+
+    Attributes
+    ----------
+    strokes : tuple of BakedFile
+        Bakes.
+    meshes : tuple of TokenFile
+        Tokens.
+    failed : tuple of Rejection
+        Strokes that could not be baked.
+    warnings : tuple of str
+        Warnings.
+    fresh : int
+        Number of strokes that needed nothing.
+    close_ups : int
+        Number of rendered close-ups.
+    probed : bool
+        Whether the job was a touch query, whose result is a file of `query_job`.
+    """
 
     strokes: tuple[BakedFile, ...]
     meshes: tuple[TokenFile, ...]
@@ -89,7 +133,7 @@ def read_request(folder: Path) -> JobRequest:
 
 
 def write_result(folder: Path, result: JobResult) -> None:
-    """The last thing that a job does: where it lies, everything it names lies too."""
+    """Write the result, last of all files, so that it exists only if all files that it names do."""
     write_text(folder / RESULT_NAME, to_json(result))
 
 
@@ -98,11 +142,11 @@ def read_result(folder: Path) -> JobResult:
 
 
 def pack_tokens(tokens: FaceTokens) -> bytes:
-    """Equal tokens, equal bytes; no pickle."""
-    packed = io.BytesIO()
+    """Pack tokens as NPZ bytes without pickle; equal tokens give equal bytes."""
+    buffer = io.BytesIO()
     points = {} if tokens.points is None else asdict(tokens.points)
     np.savez(
-        packed,
+        buffer,
         palette=np.frombuffer(tokens.palette.to_bytes(), np.uint8),
         index=tokens.index,
         roughness=tokens.roughness,
@@ -110,11 +154,11 @@ def pack_tokens(tokens: FaceTokens) -> bytes:
         source=np.array(tokens.source),
         **{f"points_{name}": values for name, values in points.items()},
     )
-    return packed.getvalue()
+    return buffer.getvalue()
 
 
 def unpack_tokens(data: bytes) -> FaceTokens:
-    """Raises FileError where data are not what pack_tokens made."""
+    """Unpack tokens. Raises FileError if the data were not written by `pack_tokens`."""
     try:
         arrays = read_npz(data)
         return FaceTokens(

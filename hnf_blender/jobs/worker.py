@@ -1,6 +1,9 @@
-"""The child process of a bake: `blender -b --factory-startup --python worker.py -- CORE JOBFOLDER`, or with the bpy
-module `python worker.py CORE JOBFOLDER`. CORE is the folder of hnf_core. It loads the parent's own package, by path and
-under its own name, so that neither preferences nor an enabled add-on are needed."""
+"""Entry point of the child process of a bake or touch query.
+
+Run as `blender -b --factory-startup --python worker.py -- CORE JOBFOLDER`, or with the bpy module as `python worker.py
+CORE JOBFOLDER`. CORE is the folder of hnf_core. It loads the parent's package by its path and name, so neither
+preferences nor an enabled add-on are needed.
+"""
 
 import importlib
 import importlib.util
@@ -11,7 +14,7 @@ from typing import Any
 
 
 def load_child_process(core: str) -> Any:
-    """hnf_core/child_process.py, by its path: a script that is run has no package."""
+    """Load hnf_core/child_process.py by its path, since a script that is run has no package."""
     spec: Any = importlib.util.spec_from_file_location("child_process", Path(core) / "child_process.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -19,13 +22,14 @@ def load_child_process(core: str) -> Any:
 
 
 def main(child_process: Any, job_folder: str) -> int:
+    """Run the request in the job's folder; return the exit code."""
     child_process.exit_with_parent()
     folder = Path(job_folder)
-    order = json.loads((folder / "order.json").read_text(encoding="utf-8"))
-    importlib.import_module("bpy")  # before the parent's paths: among them is the inside of the bpy module
-    sys.path += [entry for entry in order["sys_path"] if entry not in sys.path]
-    child_process.load_package(order["package"], order["package_folder"])
-    bake_steps = importlib.import_module(order["package"] + ".jobs.bake_steps")
+    request = json.loads((folder / "order.json").read_text(encoding="utf-8"))
+    importlib.import_module("bpy")  # Imported before the parent's paths are added, as they contain bpy's own files.
+    sys.path += [entry for entry in request["sys_path"] if entry not in sys.path]
+    child_process.load_package(request["package"], request["package_folder"])
+    bake_steps = importlib.import_module(request["package"] + ".jobs.bake_steps")
     return int(bake_steps.run_request(folder))
 
 

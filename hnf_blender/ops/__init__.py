@@ -1,4 +1,7 @@
-"""Operators: what buttons, keys and menus call."""
+"""Operators of the buttons, keys and menus, one file per panel or task.
+
+`context.py` has what they share; read `stroke_ops.py` first.
+"""
 
 from __future__ import annotations
 

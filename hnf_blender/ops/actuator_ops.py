@@ -1,7 +1,4 @@
-"""Where strokes are played: choose it, look for devices, test it.
-
-Touch a surface by hand and feel it at once on the actuator.
-"""
+"""Operators of the Actuator panel: choose an output, search for devices, test it, and touch surfaces live."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -38,7 +35,7 @@ NO_ACTUATOR_REASON = "Strokes are played on speakers: choose an actuator in the 
 
 
 def poll_actuator(cls: Any, context: Any) -> bool:
-    """For poll(): True where an actuator is chosen, else says why greyed."""
+    """Return whether an actuator is selected; for poll(), with the reason if not."""
     if get_selected_output(context) == SPEAKERS:
         return fail_poll(cls, NO_ACTUATOR_REASON)
     return True
@@ -61,7 +58,7 @@ class HNF_OT_output_choose(bpy.types.Operator):  # type: ignore[misc]  # bpy has
             controller.stop()
             PLAYER_CLIENT.release()
             select_output(str(self.target))
-            ACTUATOR.scan_notes = ()  # what was not found is not wanted any more
+            ACTUATOR.scan_notes = ()  # The notes are about the previous choice.
         redraw_tab()
         return {"FINISHED"}
 
@@ -158,7 +155,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         return True
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
-        """Begin, or end where it runs already."""
+        """Start a live touch, or end the running one."""
         from ..actuator.player_client import PLAYER_CLIENT
 
         if ACTUATOR.facts.phase is Phase.LIVE:
@@ -181,7 +178,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
             raise
 
     def cancel(self, context: Any) -> None:
-        """Blender ends the operator itself: the file or the window is closed."""
+        """End the live touch; called by Blender if the file or window is closed."""
         self._end(context)
 
     def _start(self, context: Any) -> bool:
@@ -191,17 +188,17 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
 
         controller.stop()
         try:
-            likely = guess_first_material(context)
+            material = guess_first_material(context)
             PLAYER_CLIENT.live_begin(
                 get_selected_output(context),
                 get_actuator_profile(context.scene),
                 resolve_probe(context, DEFAULT_PROBE),
-                likely,
+                material,
             )
         except HnfError as error:
             self.report({"WARNING"}, format_error(error))
             return False
-        self._touch = LiveTouch(PLAYER_CLIENT, likely)
+        self._touch = LiveTouch(PLAYER_CLIENT, material)
         self._token_validity, self._reported = TokenValidity(), set[str]()
         self._check_likely_surface(context)
         self._region: Any = None
@@ -210,13 +207,13 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         return True
 
     def _check_likely_surface(self, context: Any) -> None:
-        """At what is likely to be touched first: hashing it would keep the pen waiting."""
+        """Check the tokens of the surface most likely touched first, since hashing it later would delay the pen."""
         from ..bridge.scene.mesh_attributes import TOKEN_ATTRIBUTE
         from .material_ops import find_material_object
 
-        likely = find_material_object(context)
-        if likely is not None and likely.type == "MESH" and TOKEN_ATTRIBUTE in likely.data.attributes:
-            self._token_validity.is_valid(likely, context.scene, context.view_layer)
+        surface = find_material_object(context)
+        if surface is not None and surface.type == "MESH" and TOKEN_ATTRIBUTE in surface.data.attributes:
+            self._token_validity.is_valid(surface, context.scene, context.view_layer)
 
     def _end(self, context: Any) -> None:
         from ..actuator.player_client import PLAYER_CLIENT
@@ -232,7 +229,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         from ..bridge.viewport_pick import find_region_under_mouse
         from .pen import is_cancel_event
 
-        if not PLAYER_CLIENT.is_live:  # ended by its button, another file, or the device
+        if not PLAYER_CLIENT.is_live:  # Ended by the button, another file or the device.
             if PLAYER_CLIENT.problem:
                 self.report({"WARNING"}, PLAYER_CLIENT.problem)
             self._end(context)
@@ -257,14 +254,15 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         return {"RUNNING_MODAL"}
 
     def _track_pen(self, context: Any, event: Any) -> None:
-        """The pen is down, or has moved."""
+        """Update the live touch after the pen was pressed or moved."""
         from ..bridge.viewport_pick import pick_surface
 
         areas = context.window.screen.areas
         area = next((area for area in areas if self._region in tuple(area.regions)), None)
-        at = (event.mouse_x - self._region.x, event.mouse_y - self._region.y)
-        hit = None if area is None else pick_surface(context, area, self._region, at)
-        if event.is_tablet:  # some drivers tell of the pen only after the press, or no longer at the release
+        position = (event.mouse_x - self._region.x, event.mouse_y - self._region.y)
+        hit = None if area is None else pick_surface(context, area, self._region, position)
+        # Some drivers report the pen only after the press, or no longer at the release.
+        if event.is_tablet:
             self._is_pen, self._pressure = True, float(event.pressure)
         settings = context.scene.hnf
         force = force_from_pressure(
@@ -275,33 +273,59 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         except HnfError as error:
             self.report({"WARNING"}, format_error(error))
         for name in self._token_validity.outdated.keys() - self._reported:
-            said = tr("{why}: it is felt by its look, not as baked")
-            self.report({"WARNING"}, said.format(why=self._token_validity.outdated[name].rstrip(".")))
+            template = tr("{why}: it is felt by its look, not as baked")
+            self.report({"WARNING"}, template.format(why=self._token_validity.outdated[name].rstrip(".")))
         self._reported |= self._token_validity.outdated.keys()
 
 
 def update_live_touch(
     touch: Any, context: Any, hit: Any, force_n: float, time_s: float, validity: "TokenValidity"
 ) -> None:
-    """Tell where the pen is: on what it met (a Hit), or lifted (None). What was baked of another state of its surface
-    is not felt. Raises HnfError where what it met cannot be felt."""
+    """Send the position of the pen to a live touch; tokens baked on an outdated surface are ignored.
+
+    Parameters
+    ----------
+    touch : LiveTouch
+        Live session.
+    context : bpy.types.Context
+        Gives the scene and the view layer.
+    hit : Hit or None
+        What is under the pen; None lifts it.
+    force_n : float
+        Normal force [N].
+    time_s : float
+        Time on the pen's clock [s].
+    validity : TokenValidity
+        Checks the tokens of surfaces.
+
+    Raises
+    ------
+    HnfError
+        If the material under the pen cannot be synthesised.
+    """
     from ..bridge.viewport_pick import find_contact_point, find_touched_material
 
     if hit is None or force_n <= 0.0:
         touch.lift(time_s)
         return
     depsgraph = context.evaluated_depsgraph_get()
-    met = find_contact_point(hit, depsgraph, get_metres_per_unit(context.scene))
-    if met.token >= 0 and not validity.is_valid(hit.obj, context.scene, context.view_layer):
-        met = replace(met, token=-1)
+    contact = find_contact_point(hit, depsgraph, get_metres_per_unit(context.scene))
+    if contact.token >= 0 and not validity.is_valid(hit.obj, context.scene, context.view_layer):
+        contact = replace(contact, token=-1)
     touch.touch(
-        time_s, hit.obj.name, met, force_n, partial(find_touched_material, hit.obj, depsgraph, met.slot, met.token)
+        time_s,
+        hit.obj.name,
+        contact,
+        force_n,
+        partial(find_touched_material, hit.obj, depsgraph, contact.slot, contact.token),
     )
 
 
 def guess_first_material(context: Any) -> Any:
-    """What will most likely be touched: the device is taken before the pen comes down. Raises HnfError where there is
-    no mesh, or its material cannot be felt."""
+    """Return the material most likely touched first, with which the device is opened.
+
+    Raises HnfError if there is no mesh, or its material cannot be synthesised.
+    """
     from ..bridge.viewport_pick import find_touched_material
     from .material_ops import find_material_object
 

@@ -1,4 +1,4 @@
-"""Plan, bake, cancel, purge: what the Scene panel's buttons do."""
+"""Operators of the Scene panel: plan, bake, cancel, and remove baked data."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -41,7 +41,7 @@ class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]
 
 
 class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]
-    """The bake, in a second Blender. No REGISTER: adjusting it afterwards would bake anew."""
+    """Bake in a child process. Without REGISTER, since redoing would bake again."""
 
     bl_idname = "hnf.bake"
     bl_label = "Bake Touch"
@@ -97,7 +97,7 @@ class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]
         context.window_manager.progress_end()
 
     def report_end(self, ended: LastJob) -> set[str]:
-        """An undo step where something was written."""
+        """Report the outcome; FINISHED makes an undo step if something was written."""
         if not (ended.ok or ended.written):
             self.report({"ERROR"}, ended.message)
             return {"CANCELLED"}
@@ -151,11 +151,11 @@ class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]
         from ..jobs.baked_data import purge
         from .diagnose_ops import refresh_diagnosis
 
-        freed = purge(context.scene, context.view_layer, everything=self.what == "ALL")
+        result = purge(context.scene, context.view_layer, everything=self.what == "ALL")
         refresh_diagnosis()
-        self.report({"INFO"}, freed.message)
+        self.report({"INFO"}, result.message)
         redraw_tab()
-        return {"FINISHED"} if freed.bytes else {"CANCELLED"}
+        return {"FINISHED"} if result.bytes else {"CANCELLED"}
 
 
 def _poll_strokes(operator: Any, context: Any) -> bool:

@@ -1,7 +1,4 @@
-"""Why a button is grey.
-
-Which stroke the artist works on, and what a new one is touched with.
-"""
+"""Context of operators: reasons for disabled buttons, the active stroke, its surface, and the default probe."""
 
 from __future__ import annotations
 
@@ -16,24 +13,23 @@ from ..translations import tr
 
 
 def fail_poll(operator: Any, reason: str) -> bool:
-    """For poll(): False, and why is said in the language of the interface. Blender shows what poll_message_set() is
-    given as it is, without looking it up."""
+    """Return False for poll(), with a translated reason: Blender shows the text of poll_message_set() as it is."""
     operator.poll_message_set(tr(reason))
     return False
 
 
 DEFAULT_PROBE = "AS_SET"
-"""Value of an operator's probe: the one of the preferences."""
+"""Value of an operator's probe that stands for the probe of the preferences."""
 LAYER_MEMBERSHIP = ChangeCache()
-"""(scene, view layer, object) → does it hold that?"""
+"""Cache of whether a view layer contains an object, by scene, view layer and object."""
 
 
 def make_active(context: Any, stroke: Any) -> None:
-    """Select this stroke alone, make it the active object and the one picked in the list."""
+    """Select this stroke alone and make it active, in the view layer and in the list."""
     layer = context.view_layer
-    layer.update()  # a collection made a moment ago is not in it yet
-    for other in tuple(layer.objects.selected):
-        other.select_set(False, view_layer=layer)
+    layer.update()  # A new collection is not in the view layer before an update.
+    for selected in tuple(layer.objects.selected):
+        selected.select_set(False, view_layer=layer)
     if find_index(layer.objects, stroke) >= 0:
         stroke.select_set(True, view_layer=layer)
         layer.objects.active = stroke
@@ -41,7 +37,7 @@ def make_active(context: Any, stroke: Any) -> None:
 
 
 def make_active_and_visible(context: Any, stroke: Any) -> str:
-    """make_active() a new stroke, its collection shown again where that was hidden; what is to be said of that."""
+    """Make a new stroke active and show its collection; return a remark if the collection was hidden."""
     from ..bridge.stroke.new_stroke import STROKE_COLLECTION, unhide_collection
 
     hidden = unhide_collection(stroke, context.view_layer)
@@ -52,22 +48,24 @@ def make_active_and_visible(context: Any, stroke: Any) -> str:
 
 
 def get_surface_in_layer(context: Any, stroke: Any) -> Any:
-    """The surface that was chosen for a stroke; None where there is none, or the view layer does not hold it: a deleted
-    object may live on in another scene, or in the stroke alone. Buttons ask it in each redraw, of as many objects as
-    there are."""
-    chosen, layer = stroke.hnf_stroke.surface, context.view_layer
-    if chosen is None:
+    """Return the surface chosen for a stroke, or None if there is none in the view layer.
+
+    A deleted object may survive in another scene or in the stroke's setting alone. The result is cached, since buttons
+    query it at each redraw.
+    """
+    surface, layer = stroke.hnf_stroke.surface, context.view_layer
+    if surface is None:
         return None
-    asked = context.scene.session_uid, layer.name, chosen.session_uid
-    return chosen if LAYER_MEMBERSHIP.get(asked, lambda: find_index(layer.objects, chosen) >= 0) else None
+    key = context.scene.session_uid, layer.name, surface.session_uid
+    return surface if LAYER_MEMBERSHIP.get(key, lambda: find_index(layer.objects, surface) >= 0) else None
 
 
 def resolve_probe(context: Any, choice: str) -> str:
-    """The probe of a new stroke: as chosen in the operator, or as in the preferences."""
+    """Return the probe of a new stroke: the operator's choice, or that of the preferences."""
     return str(get_settings(context).default_probe) if choice == DEFAULT_PROBE else choice
 
 
 def format_error(error: HnfError) -> str:
-    """An error as a report shows it."""
+    """Format an error for a report."""
     text = str(error)
     return text[:1].upper() + text[1:]

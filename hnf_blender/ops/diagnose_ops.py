@@ -1,6 +1,6 @@
-"""Everything that a person who helps from afar asks for first, in one text.
+"""Operators of the Diagnose panel: report of versions, paths and sizes, cache, and the add-on's asset library.
 
-The asset library that comes with the add-on: offered, never put into the preferences without being asked.
+The asset library is only added to the preferences on request.
 """
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
@@ -26,10 +26,11 @@ from ..translations import tr
 from .context import fail_poll
 
 REPORTED_PACKAGES = ("OpenEXR", "embreex", "safetensors", "matplotlib")
+"""Optional packages whose versions are reported."""
 
 
 def list_versions() -> tuple[tuple[str, str], ...]:
-    """What is known without looking anywhere: for the panel, at every draw."""
+    """Return names and versions that are known at once; the panel queries them at every draw."""
     return (
         ("Add-on", __version__),
         ("Blender", compat.version_text()),
@@ -39,7 +40,7 @@ def list_versions() -> tuple[tuple[str, str], ...]:
 
 
 def collect_diagnosis() -> tuple[tuple[str, str], ...]:
-    """Versions, identities, paths and the last error. Reads the weights and looks through folders; never raises."""
+    """Return versions, identities, paths, sizes and the last error; reads weights and folders, never raises."""
     from hnf_core.material.token import ENCODER_ID
 
     cache = get_cache_folder()
@@ -67,30 +68,30 @@ def collect_diagnosis() -> tuple[tuple[str, str], ...]:
 
 
 def refresh_diagnosis() -> None:
-    """After sizes changed: where they are shown, show those of now."""
+    """Update the shown diagnosis after sizes changed."""
     if STATE.diagnosis:
         STATE.diagnosis = collect_diagnosis()
 
 
 def format_rows(rows: tuple[tuple[str, str], ...]) -> str:
-    """The rows for the clipboard, aligned."""
+    """Format the rows for the clipboard, aligned."""
     width = max((len(name) for name, _ in rows), default=0)
     return "\n".join(f"{name:<{width}}  {value}" for name, value in rows) + "\n"
 
 
 def measure_folder(folder: Path) -> int:
-    """Bytes of all files below; 0 where there is no folder."""
+    """Return the size of all files in a folder [bytes]; 0 if it does not exist."""
     total = 0
     for path in folder.rglob("*"):
         try:
             total += path.stat().st_size if path.is_file() else 0
-        except OSError:  # removed meanwhile
+        except OSError:  # The file was removed meanwhile.
             continue
     return total
 
 
 def measure_baked_data() -> int:
-    """Bytes of bakes, tokens and palettes in the open file: what purging everything would take out."""
+    """Return the size of bakes, tokens and palettes in the open file [bytes]."""
     from ..bridge.scene.mesh_attributes import count_token_bytes
     from ..touch.bake_storage import count_stored_bytes
 
@@ -100,14 +101,14 @@ def measure_baked_data() -> int:
 
 
 def _describe_external_python() -> str:
-    """As last checked: it is not run for this."""
+    """Describe the external Python as last checked, without running it."""
     from .learn_ops import format_python_status, get_python_path
 
-    path, found = get_python_path(), STATE.external_python
+    path, python = get_python_path(), STATE.external_python
     if not path:
         return "none"
-    known = found is not None and bpy.path.abspath(found.path) == path
-    return f"{path}: {format_python_status(found) if known and found is not None else 'not checked'}"
+    is_checked = python is not None and bpy.path.abspath(python.path) == path
+    return f"{path}: {format_python_status(python) if is_checked and python is not None else 'not checked'}"
 
 
 def _describe_map_weights() -> str:
@@ -157,13 +158,13 @@ class HNF_OT_cache_clear(bpy.types.Operator):  # type: ignore[misc]
 
     def execute(self, _context: Any) -> set[str]:
         folder = get_cache_folder()
-        before = measure_folder(folder)
+        previous_size = measure_folder(folder)
         for path in folder.rglob("*"):
             if path.is_file():
-                with suppress(OSError):  # in use by another Blender: Windows keeps it
+                with suppress(OSError):  # Windows cannot delete files that another Blender uses.
                     path.unlink()
         refresh_diagnosis()
-        self.report({"INFO"}, tr("{size} freed").format(size=format_bytes(before - measure_folder(folder))))
+        self.report({"INFO"}, tr("{size} freed").format(size=format_bytes(previous_size - measure_folder(folder))))
         return {"FINISHED"}
 
 
@@ -172,7 +173,7 @@ ASSET_LIBRARY_NAME = "Haptic Neural Fields"
 
 
 def find_asset_library(context: Any) -> Any:
-    """The preferences' entry that points to the add-on's assets, or None."""
+    """Return the preferences' entry of the add-on's assets, or None."""
     libraries = context.preferences.filepaths.asset_libraries
     return next((library for library in libraries if _is_same_folder(library.path, ASSET_FOLDER)), None)
 
@@ -197,7 +198,7 @@ class HNF_OT_assets_add(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         library = context.preferences.filepaths.asset_libraries.new(
             name=ASSET_LIBRARY_NAME, directory=str(ASSET_FOLDER)
         )
-        library.import_method = "APPEND"  # strokes and choices are there to be edited
+        library.import_method = "APPEND"  # Appended strokes and choices can be edited.
         context.preferences.is_dirty = True
         self.report({"INFO"}, f"{library.name}: {ASSET_FOLDER}")
         return {"FINISHED"}

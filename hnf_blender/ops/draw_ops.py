@@ -1,7 +1,4 @@
-"""Draw a stroke on what is seen in the 3-D view, with a mouse or a pen.
-
-Take the stroke tool from the tab.
-"""
+"""Operators that draw strokes on surfaces in the 3-D view with a mouse or pen, and activate the stroke tool."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -30,7 +27,7 @@ TIMING_ITEMS = (
 
 
 class HnfPenSample(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
-    """One place of the pen. Python callers give every field, `name` too."""
+    """Sample of the pen; Python callers give every field, including `name`."""
 
     location: bpy.props.FloatVectorProperty(name="Location", description="In world coordinates", size=3)
     pressure: bpy.props.FloatProperty(name="Pressure", description="0 to 1; 1 throughout means a mouse", default=1.0)
@@ -117,16 +114,16 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
     def draw(self, _context: Any) -> None:
         layout = self.layout
         layout.use_property_split = True
-        with_pen = any(sample.pressure != 1.0 for sample in self.stroke)
-        draw_style(layout, self, pen=with_pen or not self.stroke, mouse=not with_pen)
+        has_pressure = any(sample.pressure != 1.0 for sample in self.stroke)
+        draw_style(layout, self, pen=has_pressure or not self.stroke, mouse=not has_pressure)
 
     def execute(self, context: Any) -> set[str]:
         try:
-            made = self._make_stroke(context)
+            message = self._make_stroke(context)
         except HnfError as error:
             self.report({"ERROR"}, format_error(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, made)
+        self.report({"INFO"}, message)
         return {"FINISHED"}
 
     def invoke(self, context: Any, event: Any) -> set[str]:
@@ -139,11 +136,11 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
 
         self._pen = Pen(context, self.force_at)
         try:
-            begun = self.wait_for_input or self._pen.press(context, event, context.region)
+            is_started = self.wait_for_input or self._pen.press(context, event, context.region)
         except Exception:
             self._pen.close(context)
             raise
-        if not begun:
+        if not is_started:
             self._pen.close(context)
             self.report({"WARNING"}, self._pen.reject_reason)
             return {"CANCELLED"}
@@ -182,7 +179,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
         return {"RUNNING_MODAL"}
 
     def cancel(self, context: Any) -> None:
-        """Blender ends the operator itself: the file or the window is closed."""
+        """Remove the line; called by Blender if the file or window is closed."""
         self._pen.close(context)
 
     def _finish(self, context: Any) -> set[str]:
@@ -196,20 +193,20 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
             item = self.stroke.add()
             item.location, item.pressure, item.time, item.touching = sample
         try:
-            made = self._make_stroke(context)
+            message = self._make_stroke(context)
         except HnfError as error:
             self.report({"WARNING"}, format_error(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, made)
+        self.report({"INFO"}, message)
         return {"FINISHED"}
 
     def force_at(self, pressure: float, is_pen: bool) -> float:
-        """Newtons at a pen pressure of 0 to 1, or of the mouse."""
+        """Return the force [N] at a pen pressure of 0 to 1, or of the mouse."""
         low, high = sorted((float(self.force_min_n), float(self.force_max_n)))
         return low + (high - low) * pressure if is_pen else float(self.force_n)
 
     def _make_stroke(self, context: Any) -> str:
-        """Make the stroke object and select it; what was made, in words. Raises HnfError where nothing was made."""
+        """Make the stroke object, select it and return a message. Raises HnfError if no stroke can be made."""
         from hnf_core.action.contacts import CONTACT_TOLERANCE_M
         from hnf_core.action.pen_stroke import PenSamples, PenStyle
 
@@ -226,7 +223,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
         touching[touching] = mask_points_near_surface(points[touching], surface, depsgraph, metres, CONTACT_TOLERANCE_M)
         low, high = sorted((float(self.force_min_n), float(self.force_max_n)))
         speed = mm_to_m(float(self.speed_mm_s)) if self.timing == "SPEED" else None
-        made = create_drawn_stroke(
+        drawn = create_drawn_stroke(
             scene,
             depsgraph,
             surface,
@@ -236,37 +233,41 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
             probe=resolve_probe(context, str(self.probe)),
             metres_per_unit=metres,
         )
-        shown = make_active_and_visible(context, made.obj)
-        lifted = tr("; silent where it left the surface") if made.pen_stroke.lifted else ""
-        said = tr("{name}: {length} mm in {time} s")
-        length, seconds = m_to_mm(made.pen_stroke.length_m), made.pen_stroke.duration_s
-        return said.format(name=made.obj.name, length=f"{length:.0f}", time=f"{seconds:.2f}") + lifted + shown
+        visibility_note = make_active_and_visible(context, drawn.obj)
+        lifted_note = tr("; silent where it left the surface") if drawn.pen_stroke.lifted else ""
+        template = tr("{name}: {length} mm in {time} s")
+        length, seconds = m_to_mm(drawn.pen_stroke.length_m), drawn.pen_stroke.duration_s
+        return (
+            template.format(name=drawn.obj.name, length=f"{length:.0f}", time=f"{seconds:.2f}")
+            + lifted_note
+            + visibility_note
+        )
 
     def _find_surface(self, context: Any, points: Any, depsgraph: Any, metres: float) -> Any:
         from ..bridge.scene.meshes import read_surface
         from ..bridge.stroke.read_stroke import find_nearest_surface
 
         if self.surface:
-            found = context.scene.objects.get(self.surface)
-            if found is None or found.type != "MESH":
+            surface = context.scene.objects.get(self.surface)
+            if surface is None or surface.type != "MESH":
                 raise SceneError(
                     "there is no such mesh in this scene.", where=f"object '{self.surface}'", remedy="Name another."
                 )
-            return found
+            return surface
         if len(points) == 0:
             raise SceneError("the stroke touches no surface.", remedy="Draw on a visible mesh.")
         return find_nearest_surface(
             points,
             context.scene,
             depsgraph,
-            lambda touched: read_surface(touched, depsgraph, metres),
+            lambda candidate: read_surface(candidate, depsgraph, metres),
             metres,
             where="the drawn stroke",
         )
 
 
 def draw_style(layout: Any, props: Any, *, pen: bool = True, mouse: bool = True) -> None:
-    """The settings of a drawn stroke, as the tool's header and the redo panel show them."""
+    """Draw the settings of a drawn stroke, in the tool's header and the redo panel."""
     if pen:
         row = layout.row(align=True)
         row.prop(props, "force_min_n", text="Pen (N)")
@@ -281,14 +282,14 @@ def draw_style(layout: Any, props: Any, *, pen: bool = True, mouse: bool = True)
 
 
 TOOL_ID = "hnf.stroke"
-"""bl_idname of the tool (tool/stroke_tool.py)."""
+"""Value of bl_idname of the tool (tool/stroke_tool.py)."""
 
 
 class HNF_OT_stroke_tool(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
     bl_idname = "hnf.stroke_tool"
     bl_label = "Stroke Tool"
     bl_description = "Switch to the tool that draws strokes: drag over a surface with a pen or the mouse"
-    bl_options = frozenset[str]()  # taking a tool is nothing to undo
+    bl_options = frozenset[str]()  # Switching tools needs no undo.
 
     @classmethod
     def poll(cls, context: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Signals leave Blender's scene, or enter its sequencer and its sound."""
+"""Operators of the Export panel: write files, add a sequencer strip, add a speaker."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -42,39 +42,39 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # bpy has no typ
         from ..preview.preview_state import PREVIEW
 
         active = get_active_stroke(context)
-        chosen = [active] if active is not None else []
+        strokes = [active] if active is not None else []
         if self.all:
-            chosen = [obj for obj in list_strokes(context.scene) if not obj.hnf_stroke.mute]
-        if not chosen:
+            strokes = [obj for obj in list_strokes(context.scene) if not obj.hnf_stroke.mute]
+        if not strokes:
             self.report({"ERROR"}, tr("No stroke to export: select one, or unmute one"))
             return {"CANCELLED"}
-        word = self.format if self.properties.is_property_set("format") else context.scene.hnf.export_format
+        format_name = self.format if self.properties.is_property_set("format") else context.scene.hnf.export_format
         written, refused = [], []
         try:
             get_export_folder(context.scene)
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        for obj in chosen:
+        for obj in strokes:
             try:
-                written.append(export_stroke(obj, context, word))
+                written.append(export_stroke(obj, context, format_name))
             except HnfError as error:
                 refused.append(str(error))
         redraw_tab()
         if not written:
             self.report({"ERROR"}, "\n".join(refused))
             return {"CANCELLED"}
-        PREVIEW.exported = tuple(describe_loss(each) for each in written)
-        PREVIEW.losses = "\n\n".join(each.report() for each in written) + "\n"
+        PREVIEW.exported = tuple(describe_loss(exported) for exported in written)
+        PREVIEW.losses = "\n\n".join(exported.report() for exported in written) + "\n"
         for text in refused:
             self.report({"WARNING"}, text)
-        for each, sentence in zip(written, PREVIEW.exported, strict=True):
+        for exported, sentence in zip(written, PREVIEW.exported, strict=True):
             self.report({"INFO"}, sentence)
-            if each.clipped:
-                self.report({"WARNING"}, f"{each.path.name}: {each.clipped}")
-        said = tr("{count} written to {folder}: {names}")
-        names = ", ".join(each.path.name for each in written)
-        self.report({"INFO"}, said.format(count=len(written), folder=written[0].path.parent, names=names))
+            if exported.clipped:
+                self.report({"WARNING"}, f"{exported.path.name}: {exported.clipped}")
+        template = tr("{count} written to {folder}: {names}")
+        names = ", ".join(exported.path.name for exported in written)
+        self.report({"INFO"}, template.format(count=len(written), folder=written[0].path.parent, names=names))
         return {"FINISHED"}
 
 
@@ -119,8 +119,8 @@ class HNF_OT_add_to_sequencer(bpy.types.Operator):  # type: ignore[misc]
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        said = tr("'{name}' in the sequencer, channel {channel}")
-        self.report({"INFO"}, said.format(name=strip.name, channel=strip.channel))
+        template = tr("'{name}' in the sequencer, channel {channel}")
+        self.report({"INFO"}, template.format(name=strip.name, channel=strip.channel))
         return {"FINISHED"}
 
 

@@ -1,7 +1,4 @@
-"""Force over time: key it, see its curve, copy it to other strokes, move it with its stroke.
-
-A Graph Editor that shows one F-curve.
-"""
+"""Operators on force over time: keyframes, Graph Editor, copies to other strokes, and moving a stroke in time."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -21,17 +18,29 @@ from .context import fail_poll, format_error
 from .stroke_ops import UNDOABLE, poll_active_stroke, poll_editable_stroke, require_local
 
 GRAPH_AREA_SHARE = 0.38
-"""Of the 3-D view's height, where an area must be split off for it."""
+"""Height of a new Graph Editor as a fraction of the 3-D view's."""
 FLAT_RANGE_N = 0.05
-"""A curve that varies by less is framed as a line without a scale..."""
+"""Range of force below which a curve counts as flat [N]."""
 FLAT_MARGIN_N = 1.5
-"""... and gets this much above and below."""
+"""Margin shown above and below a flat curve [N]."""
 LAYOUT_DELAY_S = 0.1
-"""A new area has no size before the next redraw; only then can its curve be fitted in."""
+"""Delay before a curve is framed, since a new area has no size before the next redraw [s]."""
 
 
 def show_curve(context: Any, obj: Any, data_path: str, area: Any) -> None:
-    """Show this F-curve of the active object alone, whole, in a Graph Editor of context's window: see graph_area()."""
+    """Show one F-curve of the active object, framed, in a Graph Editor of the context's window.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+        Gives the window and the view layer.
+    obj : bpy.types.Object
+        Object with the F-curve, which is selected.
+    data_path : str
+        Path of the animated property.
+    area : bpy.types.Area
+        Area of the Graph Editor; see `open_graph_editor`.
+    """
     import bpy
 
     window = context.window
@@ -51,8 +60,10 @@ def show_curve(context: Any, obj: Any, data_path: str, area: Any) -> None:
 
 
 def open_graph_editor(context: Any) -> Any:
-    """The Graph Editor of context's window: the one there is, or one split off the largest 3-D view. Raises HnfError
-    where there is none and none can be made; then every editor stays what it is."""
+    """Return a Graph Editor of the context's window, splitting the largest 3-D view if there is none.
+
+    Raises HnfError if none can be made; no editor is changed then.
+    """
     import bpy
 
     window = context.window
@@ -60,24 +71,24 @@ def open_graph_editor(context: Any) -> Any:
     for area in areas:
         if area.ui_type == "FCURVES":
             return area
-    if window.screen.show_fullscreen:  # Blender splits no area that fills its window
+    if window.screen.show_fullscreen:  # Blender cannot split a maximised area.
         raise HnfError(
             "the 3-D view fills the window, so there is no room for a Graph Editor.",
             remedy="Press Ctrl Space with the mouse over it (or Back to Previous at the top), then this button again.",
         )
     views = [area for area in areas if area.type == "VIEW_3D"] or list(areas)
     largest = max(views, key=lambda area: area.width * area.height)
-    before = {area.as_pointer() for area in areas}
+    previous_areas = {area.as_pointer() for area in areas}
     with context.temp_override(window=window, area=largest):
         split = bpy.ops.screen.area_split(direction="HORIZONTAL", factor=GRAPH_AREA_SHARE)
-    added = [area for area in window.screen.areas if area.as_pointer() not in before]
+    added = [area for area in window.screen.areas if area.as_pointer() not in previous_areas]
     if "FINISHED" not in split or not added:
         raise HnfError(
             "the 3-D view is too small to split a Graph Editor off it.", remedy="Open a Graph Editor, then press again."
         )
     area = min([*added, largest], key=lambda area: area.y)
     area.ui_type = "FCURVES"
-    area.spaces.active.show_region_ui = False  # small as it is, the curve needs the room
+    area.spaces.active.show_region_ui = False  # Leaves more width for the curve.
     return area
 
 
@@ -88,7 +99,7 @@ def _is_flat(obj: Any, data_path: str) -> bool:
 
 
 def _fit_view(screen_name: str, area_index: int, flat: bool) -> None:
-    """Timer, once: frame the whole curve, with room to drag a flat one."""
+    """Frame the complete curve, with a margin around a flat one; called once by a timer."""
     import bpy
 
     for window in bpy.context.window_manager.windows:
@@ -102,7 +113,7 @@ def _fit_view(screen_name: str, area_index: int, flat: bool) -> None:
 
 
 def _frame_all(flat: bool) -> None:
-    """At once, not smoothly: the second step starts where the first one ends."""
+    """Frame all without animation, since the second step starts from the end of the first."""
     import bpy
 
     preferences = bpy.context.preferences
@@ -117,10 +128,11 @@ def _frame_all(flat: bool) -> None:
 
 
 FORCE_PATH = "hnf_stroke.force"
+"""Data path of a stroke's force."""
 
 
 def list_other_selected_strokes(context: Any) -> list[Any]:
-    """The selected strokes apart from the active one."""
+    """Return the selected strokes except the active one."""
     stroke = get_active_stroke(context)
     selected = context.view_layer.objects.selected
     return [obj for obj in selected if obj != stroke and obj.hnf_stroke.is_stroke]
@@ -152,14 +164,14 @@ class HNF_OT_stroke_key_force(bpy.types.Operator):  # type: ignore[misc]  # bpy 
         if self.force_n >= 0.0:
             group.force = self.force_n
         if frame < group.start:
-            said = tr("Frame {frame} lies before the stroke's start at frame {start}")
-            self.report({"WARNING"}, said.format(frame=f"{frame:g}", start=f"{group.start:g}"))
+            template = tr("Frame {frame} lies before the stroke's start at frame {start}")
+            self.report({"WARNING"}, template.format(frame=f"{frame:g}", start=f"{group.start:g}"))
         if not stroke.keyframe_insert(FORCE_PATH, frame=frame):
-            said = tr("The force of '{name}' cannot be keyed: its animation is linked or locked")
-            self.report({"ERROR"}, said.format(name=stroke.name))
+            template = tr("The force of '{name}' cannot be keyed: its animation is linked or locked")
+            self.report({"ERROR"}, template.format(name=stroke.name))
             return {"CANCELLED"}
-        said = tr("{force} N at frame {frame}")
-        self.report({"INFO"}, said.format(force=f"{group.force:.2f}", frame=f"{frame:g}"))
+        template = tr("{force} N at frame {frame}")
+        self.report({"INFO"}, template.format(force=f"{group.force:.2f}", frame=f"{frame:g}"))
         return {"FINISHED"}
 
 
@@ -190,8 +202,8 @@ class HNF_OT_stroke_move(bpy.types.Operator):  # type: ignore[misc]
         except HnfError as error:
             self.report({"ERROR"}, format_error(error))
             return {"CANCELLED"}
-        said = tr("{name} begins at frame {frame}")
-        self.report({"INFO"}, said.format(name=stroke.name, frame=f"{self.frame:g}"))
+        template = tr("{name} begins at frame {frame}")
+        self.report({"INFO"}, template.format(name=stroke.name, frame=f"{self.frame:g}"))
         return {"FINISHED"}
 
 
@@ -218,19 +230,19 @@ class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]
     def execute(self, context: Any) -> set[str]:
         from ..bridge.stroke.edit_keyframes import copy_force
 
-        given, done = get_active_stroke(context), []
+        source, copied_names = get_active_stroke(context), []
         for stroke in list_other_selected_strokes(context):
             try:
                 require_local(stroke, "Make it local or override it (Object > Library Override).")
-                copy_force(given, stroke, context.scene, get_metres_per_unit(context.scene), fit_time=self.fit_time)
+                copy_force(source, stroke, context.scene, get_metres_per_unit(context.scene), fit_time=self.fit_time)
             except HnfError as error:
                 self.report({"WARNING"}, format_error(error))
                 continue
-            done.append(stroke.name)
-        if not done:
+            copied_names.append(stroke.name)
+        if not copied_names:
             return {"CANCELLED"}
-        said = tr("Force of {name} copied to {others}")
-        self.report({"INFO"}, said.format(name=given.name, others=", ".join(done)))
+        template = tr("Force of {name} copied to {others}")
+        self.report({"INFO"}, template.format(name=source.name, others=", ".join(copied_names)))
         return {"FINISHED"}
 
 

@@ -1,6 +1,6 @@
-"""Files dropped on the 3-D view: a `.hnf` material goes onto the surface under the mouse, a WAV becomes a Speaker.
+"""Operators and drop handlers that import files: `.hnf` materials, WAV files as speakers, Gaussian splats.
 
-Gaussian splats into the open scene, from a drop or from File > Import; a window does not wait for their surface.
+The surface of splats is reconstructed in a thread, so that the window stays responsive.
 """
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 SPEAKER_PEAK_SHARE = 0.9
-"""Share of full scale that a signal in m/s² is played at, at its loudest: Blender clips what lies above 1."""
+"""Peak of a signal in m/s² as a fraction of full scale, above which Blender clips."""
 
 
 class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
@@ -57,9 +57,9 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy h
             return {"RUNNING_MODAL"}
         from ..bridge.viewport_pick import pick_object
 
-        found = pick_object(context, event.mouse_region_x, event.mouse_region_y)
-        if found is not None and not self.target:
-            self.target, self.slot = get_scene_name(context.scene, found[0]), found[1]
+        picked = pick_object(context, event.mouse_region_x, event.mouse_region_y)
+        if picked is not None and not self.target:
+            self.target, self.slot = get_scene_name(context.scene, picked[0]), picked[1]
         return self.execute(context)
 
     def execute(self, context: Any) -> set[str]:
@@ -81,7 +81,7 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy h
         return {"FINISHED"}
 
     def _find_target(self, context: Any) -> Any:
-        """Raises SceneError where the target is not there."""
+        """Return the object that gets the material. Raises SceneError if the target does not exist."""
         if not self.target:
             return find_material_object(context)
         obj = find_object(context.scene, self.target)
@@ -94,7 +94,7 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy h
         return obj.hnf_stroke.surface or obj if obj.hnf_stroke.is_stroke else obj
 
     def _find_slot(self, obj: Any) -> int:
-        """Raises SceneError where the object has slots, and not this one."""
+        """Return the index of the material slot. Raises SceneError if the object has no such slot."""
         slot = obj.active_material_index if self.slot < 0 else self.slot
         if slot > max(len(obj.material_slots) - 1, 0):
             raise SceneError(
@@ -139,26 +139,25 @@ class HNF_OT_import_sound(bpy.types.Operator):  # type: ignore[misc]
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         stroke = _find_signal_stroke(signal, context)
-        place = context.scene.cursor.location if stroke is None else get_bounding_box_centre(stroke)
+        location = context.scene.cursor.location if stroke is None else get_bounding_box_centre(stroke)
         frame = context.scene.frame_current if stroke is None else stroke.hnf_stroke.start
-        speaker = add_speaker(sound, path.stem, place, frame, stroke)
+        speaker = add_speaker(sound, path.stem, location, frame, stroke)
         if signal is not None and signal.samples.size:
             speaker.data.volume = min(1.0, SPEAKER_PEAK_SHARE / max(float(abs(signal.samples).max()), 1e-9))
-        where = tr("at the 3-D cursor") if stroke is None else tr("at stroke '{name}'").format(name=stroke.name)
-        self.report({"INFO"}, f"{speaker.name}: {where}")
+        location_text = tr("at the 3-D cursor") if stroke is None else tr("at stroke '{name}'").format(name=stroke.name)
+        self.report({"INFO"}, f"{speaker.name}: {location_text}")
         return {"FINISHED"}
 
 
 def read_hnf_signal(path: Path) -> "Signal | None":
-    """The signal in a WAV of this project; None for any other sound that Blender may know. Raises FileError where
-    there is no file."""
+    """Return the signal of a WAV of this project; None for other sounds. Raises FileError if there is no file."""
     from hnf_core.export.wav import UNITS, read_wav
 
     if not path.is_file():
         raise FileError("there is no such file.", where=str(path), remedy="Check the file's path.")
     try:
         signal = read_wav(path)
-    except FileError:  # stereo, compressed: Blender's own reader has the last word
+    except FileError:  # Blender may still read it, e.g. stereo or compressed.
         return None
     return signal if signal.provenance.get("units", UNITS) == UNITS else None
 
@@ -171,10 +170,10 @@ def _load_sound(path: Path) -> Any:
 
 
 def _find_signal_stroke(signal: "Signal | None", context: Any) -> Any:
-    """The stroke that a signal was made of, where it is in the scene; else the active stroke; else None."""
+    """Return the scene's stroke that a signal was made of, else the active stroke, else None."""
     name = "" if signal is None else signal.provenance.get("stroke", "")
-    own = [stroke for stroke in list_strokes(context.scene) if stroke.name == name]
-    return own[0] if own else get_active_stroke(context)
+    matches = [stroke for stroke in list_strokes(context.scene) if stroke.name == name]
+    return matches[0] if matches else get_active_stroke(context)
 
 
 def _describe_assignment(definition: "MaterialFile", obj: Any, material: Any) -> str:
@@ -212,6 +211,7 @@ def _is_over_3d_view(context: Any) -> bool:
 
 
 TICK_S = 0.1
+"""Interval of the timer [s]."""
 
 
 class _StoppedError(Exception):
@@ -219,7 +219,7 @@ class _StoppedError(Exception):
 
 
 class SplatReader:
-    """A file being read and its surface being made in a thread, which knows nothing of Blender."""
+    """Thread that reads a splat file and reconstructs its surface, independent of Blender's data."""
 
     def __init__(self, path: Path, cache: Path) -> None:
         self.stage, self.share = "", 0.0
@@ -234,7 +234,7 @@ class SplatReader:
         return not self._thread.is_alive()
 
     def stop(self) -> None:
-        """It ends with its present stage; nothing comes of it."""
+        """Stop after the current stage and discard the result."""
         self._stopped.set()
 
     def _run(self, path: Path, cache: Path) -> None:
@@ -244,7 +244,7 @@ class SplatReader:
             self.error = error
         except _StoppedError:
             pass
-        except Exception as error:  # a fault of ours, which a thread would swallow
+        except Exception as error:  # A thread would not report an unexpected error.
             self.error = SceneError(f"internal error ({error!r}). Please report it.", where=str(path))
 
     def _on_progress(self, stage: str, share: float) -> None:
@@ -254,7 +254,27 @@ class SplatReader:
 
 
 def read_splat_file(path: Path, cache: Path, progress: Any = None) -> "Reconstruction":
-    """Raises HnfError where the file holds no splats or cannot be read, or no surface can be made of it."""
+    """Read a splat file and reconstruct its surface.
+
+    Parameters
+    ----------
+    path : Path
+        The .ply file.
+    cache : Path
+        Folder of cached reconstructions.
+    progress : callable or None
+        Called with the stage and its finished fraction.
+
+    Returns
+    -------
+    Reconstruction
+        Splats and surface.
+
+    Raises
+    ------
+    HnfError
+        If the file has no splats, cannot be read, or yields no surface.
+    """
     from hnf_core.scene.ply import read_ply_header
 
     from ..bridge.splats.reconstruction import read_reconstruction
@@ -269,8 +289,10 @@ def read_splat_file(path: Path, cache: Path, progress: Any = None) -> "Reconstru
 
 
 class _ImportState:
-    """What an import holds while its surface is made. asked: Blender's file browser was opened for it, and calls
-    execute()."""
+    """State of an import while its surface is reconstructed.
+
+    `_browser_opened` is set if Blender's file browser was opened, which then calls execute().
+    """
 
     _reader: SplatReader | None = None
     _timer: Any = None
@@ -310,37 +332,37 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
         if self._browser_opened and not bpy.app.background:
             return self._start(context)
         try:
-            made = read_splat_file(self._path, get_cache_folder())
+            reconstruction = read_splat_file(self._path, get_cache_folder())
         except HnfError as error:
             return self._report_error(error)
-        return self._add_to_scene(context, made)
+        return self._add_to_scene(context, reconstruction)
 
     def modal(self, context: Any, event: Any) -> set[str]:
         from ..bridge.viewport_pick import find_view_under_mouse
 
-        reading = self._reader
-        if reading is None:
+        reader = self._reader
+        if reader is None:
             return {"CANCELLED"}
         if event.type == "ESC" and event.value == "PRESS" and find_view_under_mouse(context, event) is not None:
             self.cancel(context)
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        if not reading.is_done:
-            said = tr("Reconstructing {file}: {percent} %.  Esc over the 3-D view: cancel")
-            text = said.format(file=self._path.name, percent=f"{100 * reading.share:.0f}")
+        if not reader.is_done:
+            template = tr("Reconstructing {file}: {percent} %.  Esc over the 3-D view: cancel")
+            text = template.format(file=self._path.name, percent=f"{100 * reader.share:.0f}")
             context.workspace.status_text_set(text)
             return {"PASS_THROUGH"}
         self._clean_up(context)
-        if reading.error is not None:
-            return self._report_error(reading.error)
-        if reading.result is None or context.mode != "OBJECT":
+        if reader.error is not None:
+            return self._report_error(reader.error)
+        if reader.result is None or context.mode != "OBJECT":
             self.report({"ERROR"}, tr("Leave Edit Mode first: splats are added in Object Mode"))
             return {"CANCELLED"}
-        return self._add_to_scene(context, reading.result)
+        return self._add_to_scene(context, reader.result)
 
     def cancel(self, context: Any) -> None:
-        """Blender's own word too: the window closes, or another file is opened."""
+        """Stop the import; also called by Blender if the window is closed or another file is opened."""
         if self._reader is not None:
             self._reader.stop()
         self._clean_up(context)
@@ -362,9 +384,9 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
 
         surface = add_reconstruction(context.scene, made)
         make_active(context, surface)
-        said = tr("{name}: {splats} splats, a surface of {faces} faces; Material Preview shows their colours")
+        template = tr("{name}: {splats} splats, a surface of {faces} faces; Material Preview shows their colours")
         count = len(made.surface.triangles)
-        self.report({"INFO"}, said.format(name=surface.name, splats=len(made.splats), faces=count))
+        self.report({"INFO"}, template.format(name=surface.name, splats=len(made.splats), faces=count))
         for note in (*made.surface.warnings, describe_shown_splats(made)):
             if note:
                 self.report({"WARNING"}, note[:1].upper() + note[1:])

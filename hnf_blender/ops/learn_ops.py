@@ -1,7 +1,4 @@
-"""Check the external Python that the preferences name, and copy the command that installs what it lacks.
-
-Learn a material from recordings of it, or from the simulator, in the external Python.
-"""
+"""Operators that check the external Python and learn materials in it, from recordings or the simulator."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -30,17 +27,17 @@ if TYPE_CHECKING:
 
 
 def get_python_path() -> str:
-    """Of the external Python, as a file's path; "" where none is named."""
-    named = get_settings().external_python
-    return bpy.path.abspath(named) if named else ""
+    """Return the path of the external Python; "" if none is set."""
+    setting = get_settings().external_python
+    return bpy.path.abspath(setting) if setting else ""
 
 
 def format_python_status(found: "ExternalPython") -> str:
-    """One line: what it is, or why it cannot learn."""
+    """Format version and packages of the external Python, with the problem if it cannot learn."""
     if not found.version:
         return found.problem
-    parts = ", ".join([f"Python {found.version}", *(f"{name} {version}" for name, version in found.found)])
-    return f"{found.problem} ({parts})" if found.problem else parts
+    versions = ", ".join([f"Python {found.version}", *(f"{name} {version}" for name, version in found.found)])
+    return f"{found.problem} ({versions})" if found.problem else versions
 
 
 class HNF_OT_python_check(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
@@ -60,14 +57,17 @@ class HNF_OT_python_check(bpy.types.Operator):  # type: ignore[misc]  # bpy has 
         return self._store_result(get_settings().external_python, check_python(get_python_path()))
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
-        """In a thread: a first import of torch takes many seconds."""
+        """Check in a thread, since a first import of torch takes many seconds."""
         if context.window is None:
             return self.execute(context)
         from ..jobs.learn_job import check_python
 
-        found: list[ExternalPython] = []  # all that the thread holds: Blender may free the operator before it ends
-        self._path_setting, self._found, path = get_settings().external_python, found, get_python_path()
-        threading.Thread(target=lambda: found.append(check_python(path)), name="hnf python check", daemon=True).start()
+        # The thread must not refer to the operator, which Blender may free first.
+        results: list[ExternalPython] = []
+        self._path_setting, self._found, path = get_settings().external_python, results, get_python_path()
+        threading.Thread(
+            target=lambda: results.append(check_python(path)), name="hnf python check", daemon=True
+        ).start()
         self._timer = context.window_manager.event_timer_add(TICK_S, window=context.window)
         context.workspace.status_text_set(tr("Asking the external Python…"))
         context.window_manager.modal_handler_add(self)
@@ -112,7 +112,7 @@ class HNF_OT_python_copy(bpy.types.Operator):  # type: ignore[misc]
 
 
 EFFORTS = {"QUICK": (60.0, 10), "STANDARD": (480.0, 40)}
-"""Effort → seconds of strokes where a data set holds models, and epochs at most."""
+"""Effort → seconds of strokes for data sets of models, and largest number of epochs."""
 RECORDING_ITEMS = [
     ("simulated", "Simulated", "The contact simulator on a material of the library: needs no recordings"),
     ("own", "Your Own", "A folder with a CSV table for each stroke: time, acceleration and preferably speed and force"),
@@ -121,12 +121,13 @@ RECORDING_ITEMS = [
     ("lmt", "LMT", "Your copy of an LMT haptic texture database. Speed and force were not recorded"),
 ]
 DIALOG_PX = 420
+"""Width of the dialog [px]."""
 LAST_CHOICES: dict[str, str] = {}
-"""What was asked for last in this session: a lesson that was cancelled goes on where the same is asked for again."""
+"""Last choices of this session; the same choices resume a cancelled training."""
 
 
 class LearnChoices:
-    """What both operators are asked."""
+    """Mixin with the choices of both operators."""
 
     kind: bpy.props.EnumProperty(name="Recordings", description="Where the strokes come from", items=RECORDING_ITEMS)
     folder: bpy.props.StringProperty(
@@ -159,13 +160,17 @@ class LearnChoices:
 
 
 def poll_can_learn(operator: Any) -> bool:
-    """For its poll(): whether a material could be learned now; where not, says why."""
+    """Return whether a material can be learned now; for poll(), with the reason if not."""
     if not poll_no_job(operator):
         return False
     if not get_python_path():
         return fail_poll(operator, "Set an external Python in the add-on's preferences first")
-    found = STATE.external_python
-    if found is not None and found.problem and bpy.path.abspath(found.path) == get_python_path():
+    external_python = STATE.external_python
+    if (
+        external_python is not None
+        and external_python.problem
+        and bpy.path.abspath(external_python.path) == get_python_path()
+    ):
         return fail_poll(
             operator, "The external Python lacks a package: the add-on's preferences show the command to install it"
         )
@@ -173,7 +178,7 @@ def poll_can_learn(operator: Any) -> bool:
 
 
 def make_lesson(choices: LearnChoices) -> "LearnRequest":
-    """What is to be learned. Raises HnfError where a choice is missing."""
+    """Return the request for a training. Raises HnfError if a choice is missing."""
     from hnf_core.training.learn import LearnRequest
 
     simulated = choices.kind == "simulated"
@@ -189,7 +194,7 @@ def make_lesson(choices: LearnChoices) -> "LearnRequest":
 
 
 class HNF_OT_learn(LearnChoices, bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
-    """Asks, and begins hnf.learn_run: what a dialog calls cannot go on beside the window itself."""
+    """Dialog that starts hnf.learn_run, since an operator called from a dialog cannot continue modally."""
 
     bl_idname = "hnf.learn"
     bl_label = "Learn a Material…"
@@ -225,28 +230,28 @@ class HNF_OT_learn(LearnChoices, bpy.types.Operator):  # type: ignore[misc]  # b
         text = tr("Licence: {licence}").format(licence=licence)
         column = layout.column(align=True)
         column.scale_y = 0.8
-        for place, line in enumerate(wrap_text(text, int((DIALOG_PX - MARGIN_PX) / CHARACTER_PX))):
-            column.label(text=line, icon="BLANK1" if place else "INFO", translate=False)
+        for index, line in enumerate(wrap_text(text, int((DIALOG_PX - MARGIN_PX) / CHARACTER_PX))):
+            column.label(text=line, icon="BLANK1" if index else "INFO", translate=False)
 
     def execute(self, _context: Any) -> set[str]:
-        how = "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT"
+        execution_context = "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT"
         choices = {name: getattr(self, name) for name in LearnChoices.__annotations__}
         LAST_CHOICES.update(choices)
         try:
-            make_lesson(self)  # a choice that is missing is no error of a program
-            done = set(bpy.ops.hnf.learn_run(how, **choices))
+            make_lesson(self)  # Reports a missing choice before the job starts.
+            status = set(bpy.ops.hnf.learn_run(execution_context, **choices))
         except HnfError as error:
             self.report({"ERROR"}, format_error(error))
             return {"CANCELLED"}
-        except RuntimeError as error:  # what the other one reported as an error
+        except RuntimeError as error:  # hnf.learn_run reported an error.
             self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
             return {"CANCELLED"}
-        # This operator has done its part: as one that goes on, Blender would never free it.
-        return {"FINISHED"} if done == {"RUNNING_MODAL"} else done
+        # With RUNNING_MODAL Blender would never free this operator.
+        return {"FINISHED"} if status == {"RUNNING_MODAL"} else status
 
 
 class HNF_OT_learn_run(LearnChoices, ModalJob, bpy.types.Operator):  # type: ignore[misc]
-    """No REGISTER: adjusting it afterwards would learn anew."""
+    """Learn a material. Without REGISTER, since redoing would learn again."""
 
     bl_idname = "hnf.learn_run"
     bl_label = "Learn Material"
@@ -271,7 +276,7 @@ class HNF_OT_learn_run(LearnChoices, ModalJob, bpy.types.Operator):  # type: ign
         return {"RUNNING_MODAL"}
 
     def _get_job_arguments(self, context: Any) -> tuple[Any, ...]:
-        """What Learning takes. Raises HnfError where a choice is missing."""
+        """Return the arguments of LearnJob. Raises HnfError if a choice is missing."""
         from ..jobs.learn_job import MaterialSlot
 
         obj = find_material_object(context)
@@ -282,7 +287,7 @@ class HNF_OT_learn_run(LearnChoices, ModalJob, bpy.types.Operator):  # type: ign
         return f"{tr('Learning a material')}: {format_job(job)}, {format_time_left(job)}"
 
     def report_end(self, ended: LastJob) -> set[str]:
-        """An undo step where a material was given."""
+        """Report the outcome; FINISHED makes an undo step if a material was assigned."""
         if not ended.ok:
             self.report({"ERROR"}, ended.message)
             return {"CANCELLED"}

@@ -1,7 +1,4 @@
-"""What a Blender material feels like: suggestions, the artist's own choice, and back to automatic.
-
-Look at one place of a surface: a click in the 3-D view, a close-up in a second Blender, the answer in the panel.
-"""
+"""Operators of the Materials panel: suggest and choose library materials, and examine a point by a touch query."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -27,17 +24,21 @@ if TYPE_CHECKING:
 
 
 ACRONYMS = {"Eva": "EVA"}
+"""Words of display names that are written in capitals."""
 
 
 @lru_cache(maxsize=1)
 def list_library_items() -> tuple[tuple[str, str, str], ...]:
-    """The library as a list to search, grouped by category: "Wood ▸ Oak wood". Kept, for Blender keeps no texts."""
-    from hnf_core.material.library import load_library  # here: switching the add-on on needs no library
+    """Return the library as menu items, grouped by category: "Wood ▸ Oak wood".
 
-    shown = sorted((material.category, material.name, material.words) for material in load_library())
+    Cached, because Blender keeps no reference to the strings of dynamic items.
+    """
+    from hnf_core.material.library import load_library  # Imported here, since enabling needs no library.
+
+    materials = sorted((material.category, material.name, material.words) for material in load_library())
     return tuple(
-        (name, f"{category.capitalize()} ▸ {format_display_name(name)}", "Also found as: " + ", ".join(words))
-        for category, name, words in shown
+        (name, f"{category.capitalize()} ▸ {format_display_name(name)}", "Also found as: " + ", ".join(search_words))
+        for category, name, search_words in materials
     )
 
 
@@ -46,12 +47,12 @@ def get_library_items(_properties: Any, _context: Any) -> tuple[tuple[str, str, 
 
 
 def format_display_name(name: str) -> str:
-    """A library name for people: "oak-wood" → "Oak wood", "eva-foam" → "EVA foam"."""
+    """Format a library name: "oak-wood" → "Oak wood", "eva-foam" → "EVA foam"."""
     return " ".join(ACRONYMS.get(word, word) for word in name.replace("-", " ").capitalize().split(" "))
 
 
 def find_material_object(context: Any) -> Any:
-    """The object whose materials are meant, or None: the active mesh, else the surface of the active stroke."""
+    """Return the object whose materials are shown, or None: the active mesh, else the surface of the active stroke."""
     active = context.view_layer.objects.active
     if active is not None and active.type == "MESH":
         return active
@@ -65,9 +66,9 @@ def find_material_object(context: Any) -> Any:
 
 
 def list_materials(obj: Any) -> list[Any]:
-    """The materials in the object's slots, each once."""
-    found = {slot.material.name_full: slot.material for slot in obj.material_slots if slot.material is not None}
-    return list(found.values())
+    """Return the materials in the object's slots, each once."""
+    materials = {slot.material.name_full: slot.material for slot in obj.material_slots if slot.material is not None}
+    return list(materials.values())
 
 
 class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
@@ -130,17 +131,17 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]
 
     @classmethod
     def description(cls, _context: Any, properties: Any) -> str:
-        """The tooltip: of a suggestion, why it was suggested."""
+        """Return the tooltip, for a suggestion with its reason."""
         ranked = STATE.suggestions.get(properties.material, ()) if properties.is_property_set("name") else ()
-        why = next((each.reason for each in ranked if each.name == properties.name), "")
+        reason = next((suggestion.reason for suggestion in ranked if suggestion.name == properties.name), "")
         text = tr(cls.bl_description)
-        return f"{format_display_name(properties.name)}: {why}. {text}" if why else text
+        return f"{format_display_name(properties.name)}: {reason}. {text}" if reason else text
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         if self.properties.is_property_set("name"):
             return self.execute(context)
         context.window_manager.invoke_search_popup(self)
-        return {"INTERFACE"}  # "RUNNING_MODAL", as in Blender's examples, would never free the operator
+        return {"INTERFACE"}  # With "RUNNING_MODAL", as in Blender's examples, the operator would never be freed.
 
     def execute(self, _context: Any) -> set[str]:
         return _assign_library_material(self, self.material, self.name)
@@ -177,7 +178,7 @@ class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         context.window_manager.invoke_search_popup(self)
-        return {"INTERFACE"}  # "RUNNING_MODAL", as in Blender's examples, would never free the operator
+        return {"INTERFACE"}  # With "RUNNING_MODAL", as in Blender's examples, the operator would never be freed.
 
     def execute(self, context: Any) -> set[str]:
         get_active_stroke(context).hnf_stroke.material = self.name
@@ -200,9 +201,13 @@ class HNF_OT_stroke_material_auto(bpy.types.Operator):  # type: ignore[misc]
 
 
 def _find_material(name: str) -> Any:
-    """The material of this full name, since a linked one may be called like one of this file; else of this name, as
-    scripts give it; else None."""
-    return next((each for each in bpy.data.materials if each.name_full == name), bpy.data.materials.get(name))
+    """Return the material with this full name, else with this name, else None.
+
+    A linked material may have the name of a local one; scripts give the plain name.
+    """
+    return next(
+        (material for material in bpy.data.materials if material.name_full == name), bpy.data.materials.get(name)
+    )
 
 
 def _assign_library_material(operator: Any, material_name: str, library_name: str) -> set[str]:
@@ -229,7 +234,7 @@ def _assign_library_material(operator: Any, material_name: str, library_name: st
 
 
 class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
-    """Modal: waits for a click, then ticks the job. No REGISTER: adjusting it afterwards would look anew."""
+    """Modal touch query: waits for a click, then runs the job. Without REGISTER, since redoing would run it again."""
 
     bl_idname = "hnf.probe"
     bl_label = "Examine a Place"
@@ -237,7 +242,7 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # bpy h
         "Click on a surface: its tactile map, roughness, friction and the closest materials are shown below. Nothing "
         "in the file changes; Esc cancels"
     )
-    bl_options = frozenset[str]()  # neither redone nor undone: it changes nothing
+    bl_options = frozenset[str]()  # Nothing changes, so there is nothing to redo or undo.
 
     surface: bpy.props.StringProperty(
         name="Surface", description="Object to examine; empty: click on one", options={"SKIP_SAVE"}
@@ -274,7 +279,7 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # bpy h
         return self._wait_for_click(context, event) if self._timer is None else super().modal(context, event)
 
     def _wait_for_click(self, context: Any, event: Any) -> set[str]:
-        """Wait for the click; the view can be turned meanwhile, and other editors used."""
+        """Wait for a click on a surface; the view can be turned and other editors used meanwhile."""
         from ..bridge.viewport_pick import explain_untouchable, find_region_under_mouse
         from .pen import is_cancel_event
 
@@ -283,13 +288,13 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # bpy h
         region = find_region_under_mouse(context, event)
         if event.type != "LEFTMOUSE" or event.value != "PRESS" or region is None:
             return {"PASS_THROUGH"}
-        place = find_clicked_point(context, event)
-        if place is None:
-            why = explain_untouchable(context, region, (event.mouse_x - region.x, event.mouse_y - region.y))
-            self.report({"INFO"}, why or tr("There is no surface under the mouse"))
+        point = find_clicked_point(context, event)
+        if point is None:
+            reason = explain_untouchable(context, region, (event.mouse_x - region.x, event.mouse_y - region.y))
+            self.report({"INFO"}, reason or tr("There is no surface under the mouse"))
             return {"RUNNING_MODAL"}
         context.window.cursor_modal_restore()
-        return {"RUNNING_MODAL"} if self._start(context, place) else self.finish(context, None)
+        return {"RUNNING_MODAL"} if self._start(context, point) else self.finish(context, None)
 
     def _start(self, context: Any, point: "TouchQuery") -> bool:
         return self.start_job(context, lambda: manager.start_bake(context.scene, context.view_layer, point=point))
@@ -315,7 +320,7 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # bpy h
 
 
 def find_clicked_point(context: Any, event: Any) -> "TouchQuery | None":
-    """What lies under the mouse in a 3-D view: the place on it in its own coordinates; None where there is nothing."""
+    """Return the point under the mouse in a 3-D view, in the coordinates of its object; None if there is no surface."""
     from hnf_core.touch_request import TouchQuery
 
     from ..bridge.viewport_pick import find_region_under_mouse, pick_surface
@@ -324,8 +329,8 @@ def find_clicked_point(context: Any, event: Any) -> "TouchQuery | None":
     if region is None:
         return None
     area = next((area for area in context.window.screen.areas if region in tuple(area.regions)), None)
-    at = (event.mouse_x - region.x, event.mouse_y - region.y)
-    hit = None if area is None else pick_surface(context, area, region, at)
+    position = (event.mouse_x - region.x, event.mouse_y - region.y)
+    hit = None if area is None else pick_surface(context, area, region, position)
     return (
         None
         if hit is None

@@ -1,4 +1,4 @@
-"""The life of an operator whose work is the job of jobs/manager.py: begun, ticked, given up with Esc, told."""
+"""Base of modal operators that run a job of `jobs.manager`: start, ticks by a timer, cancellation with Esc, report."""
 
 # No `from __future__ import annotations`: Blender reads the annotations of operators, of their bases too.
 
@@ -14,42 +14,45 @@ from ..translations import tr
 from .context import fail_poll, format_error
 
 TICK_S = 0.1
+"""Interval of the timer [s]."""
 
 
 def poll_no_job(operator: Any) -> bool:
-    """For its poll(): whether a job may begin; where not, says why."""
+    """Return whether no job is running; for poll(), with the reason if not."""
     if manager.is_running():
         return fail_poll(operator, "A job is running. Wait for it, or press Esc to cancel it.")
     return True
 
 
 class ModalJob:
-    """An operator of this kind says itself what the job does (job_line) and what its end means (tell_end); what else it
-    puts up, it takes down (take_down)."""
+    """Mixin of modal operators that run a job.
+
+    Subclasses implement `format_status` and `report_end`, and extend `clean_up` for what they add to the window.
+    """
 
     _timer: Any = None
-    """Of the ticks; None while there is no job."""
+    """Timer of the ticks; None without a job."""
 
     def format_status(self, job: JobStatus) -> str:
-        """The status bar's text, translated."""
+        """Return the translated text of the status bar."""
         raise NotImplementedError
 
     def report_end(self, ended: LastJob) -> set[str]:
-        """Report how it ended; Blender's word for that."""
+        """Report the outcome and return the operator's result."""
         raise NotImplementedError
 
     def run_blocking(self, run: Callable[[], LastJob]) -> set[str]:
-        """Without a window: all of it, now."""
+        """Run the job to its end in this process, without a window."""
         try:
-            ended = run()
+            outcome = run()
         except HnfError as error:
             self._report_error(error)
             return {"CANCELLED"}
         redraw_tab()
-        return self.report_end(ended)
+        return self.report_end(outcome)
 
     def start_job(self, context: Any, start: Callable[[], object]) -> bool:
-        """Start it in a second Blender and tick it from now on. False, and reported, where it cannot be begun."""
+        """Start the job and its timer; report an error and return False if it cannot be started."""
         try:
             start()
         except HnfError as error:
@@ -62,36 +65,36 @@ class ModalJob:
     def modal(self, context: Any, event: Any) -> set[str]:
         from ..bridge.viewport_pick import find_view_under_mouse
 
-        if not manager.is_running():  # cancelled from elsewhere
+        if not manager.is_running():  # The job was cancelled by another operator.
             return self.finish(context, STATE.last_job)
         if event.type == "ESC" and event.value == "PRESS" and find_view_under_mouse(context, event) is not None:
             manager.cancel()
             return self.finish(context, STATE.last_job)
         if event.type == "TIMER":
             try:
-                ended = manager.tick()
+                outcome = manager.tick()
             except BaseException:
                 self.finish(context, None)
                 raise
-            if ended is not None:
-                return self.finish(context, ended)
+            if outcome is not None:
+                return self.finish(context, outcome)
             self.update_status(context)
         return {"PASS_THROUGH"}
 
     def cancel(self, context: Any) -> None:
-        """Blender's own word: the window closes, or another file is opened."""
+        """Cancel the job; called by Blender if the window is closed or another file is opened."""
         manager.cancel()
         self.finish(context, None)
 
     def update_status(self, context: Any) -> None:
-        """How far it is: status bar and panels."""
+        """Show the progress in status bar and panels."""
         job = STATE.job
         if job is not None:
             context.workspace.status_text_set(f"{self.format_status(job)}.  {tr('Esc over the 3-D view: cancel')}")
             redraw_tab()
 
     def clean_up(self, context: Any) -> None:
-        """Everything that was put up."""
+        """Remove the timer and the text of the status bar."""
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
@@ -99,10 +102,10 @@ class ModalJob:
             context.workspace.status_text_set(None)
 
     def finish(self, context: Any, ended: LastJob | None) -> set[str]:
-        """Leave nothing on screen, and tell; None: there is nothing to tell."""
+        """Clean up and report the outcome; None means there is nothing to report."""
         self.clean_up(context)
         redraw_tab()
         return {"CANCELLED"} if ended is None else self.report_end(ended)
 
     def _report_error(self, error: HnfError) -> None:
-        self.report({"ERROR"}, format_error(error))  # type: ignore[attr-defined]  # Blender's, of the other base
+        self.report({"ERROR"}, format_error(error))  # type: ignore[attr-defined]  # Defined by bpy.types.Operator.

@@ -1,4 +1,4 @@
-"""The pen on the surface while a stroke is drawn: where it is, what it left behind, and a line that shows it."""
+"""Pen that draws a stroke on a surface: events of the window → samples of location, pressure and time, with a line."""
 
 from __future__ import annotations
 
@@ -18,19 +18,30 @@ from ..bridge.viewport_pick import explain_untouchable, find_region_under_mouse,
 from ..translations import tr
 
 STEP_PX = 4.0
-"""Between two places of the pen further apart than this, rays look for the surface in between."""
+"""Distance between two pen events above which rays are cast in between [px]."""
 MAX_STEPS = 64
+"""Largest number of rays per event."""
 CLICK_PX = 4.0
+"""Travel below which a drag counts as a click [px]."""
 LINE_PX = 4.0
+"""Width of the drawn line [px]."""
 EVENT_INTERVAL_S = 1.0 / 60.0
-"""How often a window system tells of a moving hand, at least."""
+"""Longest interval between two events of a moving pen [s]."""
 
 Sample = tuple[tuple[float, float, float], float, float, bool]
-"""Location in the world, pressure, seconds, touching."""
+"""World location, pressure, time [s], and whether the pen touches the surface."""
 
 
 class Pen:
-    """From the press to the release; close() whatever happens."""
+    """Recorder of one stroke from press to release; `close` must be called in any case.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+        Gives the scene and the workspace.
+    force_at : callable
+        Returns the force [N], given the pressure and whether it is a pen.
+    """
 
     def __init__(self, context: Any, force_at: Callable[[float, bool], float]) -> None:
         self.surface, self.reject_reason, self.is_down = "", "", False
@@ -55,7 +66,7 @@ class Pen:
         )
 
     def close(self, context: Any) -> None:
-        """Take the line and the text away again."""
+        """Remove the line and the text of the status bar."""
         import bpy
 
         if self._handle is not None:
@@ -70,11 +81,11 @@ class Pen:
 
     @property
     def is_click(self) -> bool:
-        """The pen did not move further than a hand trembles."""
+        """True if the pen moved less than a trembling hand does."""
         return self._travelled_px < CLICK_PX
 
     def press(self, context: Any, event: Any, region: Any) -> bool:
-        """Begin in a region of a 3-D view; False, with why_not, where there is nothing to touch."""
+        """Begin in a region of a 3-D view; return False, with `reject_reason`, if there is nothing to touch."""
         self.reject_reason = tr("No mesh under the pen: press on a surface that is visible here")
         if context.mode != "OBJECT":
             self.reject_reason = tr("Strokes are drawn in Object Mode: press Tab")
@@ -90,8 +101,8 @@ class Pen:
             self.reject_reason = explain_untouchable(context, self._region, (x, y)) or self.reject_reason
             return False
         if not filter_rendered([hit.obj], context.view_layer):
-            said = tr("'{name}' is hidden in renders: only what renders can be touched")
-            self.reject_reason = said.format(name=hit.obj.name)
+            template = tr("'{name}' is hidden in renders: only what renders can be touched")
+            self.reject_reason = template.format(name=hit.obj.name)
             return False
         self.surface, self.is_down, self._is_pen = str(hit.obj.name), True, bool(event.is_tablet)
         self._last = (x, y, self._read_pressure(event))
@@ -99,7 +110,10 @@ class Pen:
         return True
 
     def move(self, context: Any, event: Any) -> None:
-        """Take in an event. Those in between come together with the next whole one: their times are spread."""
+        """Process an event of the pen.
+
+        Intermediate events are processed with the next regular one, and their times spread evenly.
+        """
         x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
         self._pending.append((x, y, self._read_pressure(event)))
         if event.type == "INBETWEEN_MOUSEMOVE":
@@ -113,32 +127,32 @@ class Pen:
         self._update_status(context)
 
     def samples(self, context: Any) -> list[Sample]:
-        """All of them, from time 0, in the world as the surface lies now."""
+        """Return all samples from time 0, in world coordinates with the surface at its current location."""
         surface = context.scene.objects[self.surface]
         world = np.array(surface.evaluated_get(context.evaluated_depsgraph_get()).matrix_world)
         points = np.array(self._local) @ world[:3, :3].T + world[:3, 3]
         return [
-            (tuple(point), pressure, now - self._time[0], touching)
-            for point, pressure, now, touching in zip(
+            (tuple(point), pressure, seconds - self._time[0], touching)
+            for point, pressure, seconds, touching in zip(
                 points.tolist(), self._pressure, self._time, self._touching, strict=True
             )
         ]
 
     def _advance(self, context: Any, to: tuple[float, float, float], now: float) -> None:
-        start, before = np.array(self._last), self._time[-1]
-        way = np.array(to) - start
-        distance = float(np.hypot(way[0], way[1]))
-        if distance == 0.0 and way[2] == 0.0:
+        start, previous_time = np.array(self._last), self._time[-1]
+        displacement = np.array(to) - start
+        distance = float(np.hypot(displacement[0], displacement[1]))
+        if distance == 0.0 and displacement[2] == 0.0:
             return
         count = min(MAX_STEPS, max(1, int(np.ceil(distance / STEP_PX))))
         for k in range(1, count + 1):
-            x, y, pressure = (start + way * (k / count)).tolist()
-            self._add_sample(self._cast_ray(context, x, y), before + (now - before) * k / count, pressure)
+            x, y, pressure = (start + displacement * (k / count)).tolist()
+            self._add_sample(self._cast_ray(context, x, y), previous_time + (now - previous_time) * k / count, pressure)
         self._travelled_px += distance
         self._last = to
 
     def _add_rest(self, until: float) -> None:
-        """No event came for long: the hand stayed where it was, and moves only now."""
+        """Repeat the last sample at the end of a rest without events, since the pen did not move before."""
         self._local.append(self._local[-1])
         self._pressure.append(self._pressure[-1])
         self._touching.append(self._touching[-1])
@@ -157,7 +171,7 @@ class Pen:
         self._touching.append(touching)
 
     def _read_pressure(self, event: Any) -> float:
-        """Of an event; some drivers tell of the pen only after the press, or no longer at the release."""
+        """Return the pressure of an event; some drivers report the pen only after the press, or not at the release."""
         if not event.is_tablet:
             return self._last[2] if self._is_pen else 1.0
         if not self._is_pen:
@@ -173,12 +187,12 @@ class Pen:
         force = self._force_at(self._pressure[-1], self._is_pen)
         state = f"{force:.2f} N" if self._touching[-1] else tr("off the surface: silent")
         length = f"{m_to_mm(self._length * self._metres):.0f}"
-        said = tr("Stroke on {surface}: {length} mm, {state}.  Release: done.  Esc or right click: cancel")
-        context.workspace.status_text_set(said.format(surface=self.surface, length=length, state=state))
+        template = tr("Stroke on {surface}: {length} mm, {state}.  Release: done.  Esc or right click: cancel")
+        context.workspace.status_text_set(template.format(surface=self.surface, length=length, state=state))
         self._area.tag_redraw()
 
     def _draw(self) -> None:
-        """Blender calls this after the 3-D view is drawn: the line so far, by force."""
+        """Draw the line so far, coloured by force; called by Blender after drawing the 3-D view."""
         import bpy
         import gpu
         from gpu_extras.batch import batch_for_shader
@@ -203,8 +217,12 @@ class Pen:
 
 
 def is_cancel_event(context: Any, event: Any, *, pressed: bool = False) -> bool:
-    """Does the event end an operator that waits for the pen: Esc over a 3-D view, or a right click into one? Other
-    editors keep theirs. pressed: the pen is down, then it counts wherever it is."""
+    """Return whether an event cancels an operator that waits for the pen.
+
+    Esc over a 3-D view and a right click into one cancel, so other editors keep theirs; with the pen `pressed` they
+    cancel
+    anywhere.
+    """
     if event.value != "PRESS":
         return False
     if event.type == "RIGHTMOUSE":

@@ -1,4 +1,4 @@
-"""Hear a stroke: play, stop, compare."""
+"""Operators of the Preview panel: play, stop, pause, and compare with a reference."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -21,7 +21,7 @@ NOT_BAKED_REASON = "Not baked yet: press Bake in the Touch tab"
 
 
 def poll_playable(cls: Any, context: Any) -> bool:
-    """For poll(): True where the active stroke has a bake that holds, else says why greyed."""
+    """Return whether the active stroke has a valid bake; for poll(), with the reason if not."""
     from ..bridge.scene.id_properties import has_property
     from ..touch.stroke_bake import BAKE_PROPERTY
 
@@ -52,13 +52,13 @@ class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # bpy has 
         from ..preview import controller
 
         stroke = get_active_stroke(context)
-        heard = controller.refresh(stroke, context, wait=bpy.app.background)
+        result = controller.refresh(stroke, context, wait=bpy.app.background)
         problem = PREVIEW.problems.get(stroke.name, "")
         if problem:
             self.report({"WARNING"}, problem)
             return {"CANCELLED"}
         STATE.has_played = True
-        if heard is None and stroke.name not in PREVIEW.showing_reference:
+        if result is None and stroke.name not in PREVIEW.showing_reference:
             PREVIEW.play_when_ready = stroke.name
             return {"FINISHED"}
         try:
@@ -79,10 +79,10 @@ class HNF_OT_preview_stop(bpy.types.Operator):  # type: ignore[misc]
     def execute(self, context: Any) -> set[str]:
         from ..preview import controller
 
-        was = PREVIEW.sounding
+        stopped_stroke = PREVIEW.sounding
         controller.stop()
-        if was:
-            controller.update_facts(was, context.scene)
+        if stopped_stroke:
+            controller.update_facts(stopped_stroke, context.scene)
         redraw_tab()
         return {"FINISHED"}
 
@@ -141,12 +141,12 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]
         stroke = get_active_stroke(context)
         name = stroke.name
         if self.action == "KEEP":
-            heard = controller.refresh(stroke, context, wait=bpy.app.background)
-            if heard is None:
-                made = tr("The signal is still being computed: try again in a moment")
-                self.report({"WARNING"}, PREVIEW.problems.get(name, made))
+            result = controller.refresh(stroke, context, wait=bpy.app.background)
+            if result is None:
+                waiting_text = tr("The signal is still being computed: try again in a moment")
+                self.report({"WARNING"}, PREVIEW.problems.get(name, waiting_text))
                 return {"CANCELLED"}
-            PREVIEW.references[name] = heard
+            PREVIEW.references[name] = result
         elif name not in PREVIEW.references:
             self.report({"WARNING"}, tr("Nothing is kept as A yet: keep the current signal first"))
             return {"CANCELLED"}

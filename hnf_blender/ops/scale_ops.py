@@ -1,4 +1,4 @@
-"""The scale of a scene from one length that the artist knows: two points, and how far apart they really are."""
+"""Operator that sets the scale of a scene from one known length: two selected points and their real distance."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -63,22 +63,26 @@ class HNF_OT_set_real_length(bpy.types.Operator):  # type: ignore[misc]  # bpy h
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        said = tr("{units} units are {length} m: one unit is {metres} m")
+        template = tr("{units} units are {length} m: one unit is {metres} m")
         metres = context.scene.hnf.metres_per_unit
-        self.report({"INFO"}, said.format(units=f"{units:.4g}", length=f"{self.length_m:g}", metres=f"{metres:.4g}"))
+        self.report(
+            {"INFO"}, template.format(units=f"{units:.4g}", length=f"{self.length_m:g}", metres=f"{metres:.4g}")
+        )
         return {"FINISHED"}
 
 
 def count_selected(context: Any) -> int:
-    """Of vertices in Edit Mode, else of objects. No vertex is looked at: a button is greyed out at every redraw."""
+    """Return the number of selected vertices in Edit Mode, else of objects.
+
+    No vertex is read, since poll() is called at every redraw.
+    """
     if context.mode == "EDIT_MESH":
         return sum(int(obj.data.total_vert_sel) for obj in context.objects_in_mode_unique_data)
     return len(context.view_layer.objects.selected)
 
 
 def get_selected_points(context: Any) -> tuple[Any, Any] | None:
-    """The two points in the world that are selected, None where there are not exactly two: vertices of the meshes in
-    Edit Mode, else the origins of objects."""
+    """Return the world locations of the two selected vertices or object origins; None if not exactly two are."""
     if count_selected(context) != 2:
         return None
     if context.mode == "EDIT_MESH":

@@ -1,4 +1,4 @@
-"""Strokes as a whole: add, convert and back, duplicate, delete, select, solo."""
+"""Operators on complete strokes: add, convert from and to a curve, duplicate, delete, select, solo."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -26,12 +26,13 @@ from .context import (
 from .draw_ops import PROBE_ITEMS
 
 UNDOABLE = {"REGISTER", "UNDO"}
+"""Options of operators that can be redone and undone."""
 LINKED_REASON = "It is linked from another file: make it local or override it (Object > Library Override)"
 NOT_SELECTED_REASON = "No stroke is selected: click one in the Touch tab, or draw one with the stroke tool"
 
 
 def describe_primitive(primitive: Primitive) -> str:
-    """ "Scrape at 0.5 N and 100 mm/s": the tooltip of a primitive."""
+    """Describe a primitive for its tooltip: "Scrape at 0.5 N and 100 mm/s"."""
     return f"{primitive.kind.capitalize()} at {primitive.force:g} N and {primitive.speed * 1e3:g} mm/s"
 
 
@@ -41,8 +42,10 @@ PRIMITIVE_ITEMS = [
 
 
 def find_surface_for_new_stroke(context: Any) -> Any:
-    """The mesh that a new stroke goes on, or None: the active or selected one, else the active stroke's surface, else
-    the only visible one."""
+    """Return the mesh object for a new stroke, or None.
+
+    It is the active or a selected mesh, else the surface of the active stroke, else the only visible mesh.
+    """
     active = context.view_layer.objects.active
     selected = [obj for obj in context.view_layer.objects.selected if obj.type == "MESH"]
     if active is not None and active.type == "MESH" and (active in selected or not selected):
@@ -58,22 +61,24 @@ def find_surface_for_new_stroke(context: Any) -> Any:
 
 
 def poll_object_mode(cls: Any, context: Any) -> bool:
-    """For poll(): True in Object Mode, else says why greyed."""
+    """Return whether Blender is in Object Mode; for poll(), with the reason if not."""
     if context.mode != "OBJECT":
         return fail_poll(cls, "Strokes are made in Object Mode: press Tab")
     return True
 
 
 def poll_active_stroke(cls: Any, context: Any) -> bool:
-    """For poll(): True where there is an active stroke, else says why greyed."""
+    """Return whether there is an active stroke; for poll(), with the reason if not."""
     if get_active_stroke(context) is None:
         return fail_poll(cls, NOT_SELECTED_REASON)
     return True
 
 
 def poll_editable_stroke(cls: Any, context: Any) -> bool:
-    """For poll(): True where there is an active stroke that can be changed, else says why greyed. Blender takes a
-    change on a linked one and forgets it with the next load."""
+    """Return whether the active stroke can be changed; for poll(), with the reason if not.
+
+    Blender accepts a change to a linked stroke, but loses it when the file is loaded again.
+    """
     if not poll_active_stroke(cls, context):
         return False
     if not get_active_stroke(context).is_editable:
@@ -122,18 +127,18 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         from ..bridge.stroke.new_stroke import link_to_collection
         from ..bridge.stroke.place_primitive import place_primitive
 
-        scene, touched = context.scene, find_surface_for_new_stroke(context)
-        if self.slot >= max(1, len(touched.material_slots)):
-            said = tr("'{name}' has no material slot {slot}; the first is 0")
-            self.report({"ERROR"}, said.format(name=touched.name, slot=self.slot))
+        scene, surface = context.scene, find_surface_for_new_stroke(context)
+        if self.slot >= max(1, len(surface.material_slots)):
+            template = tr("'{name}' has no material slot {slot}; the first is 0")
+            self.report({"ERROR"}, template.format(name=surface.name, slot=self.slot))
             return {"CANCELLED"}
         window = context.window
         if window is not None:
-            window.cursor_modal_set("WAIT")  # rays look for a place; a second on a dense mesh
+            window.cursor_modal_set("WAIT")  # The search for a location takes a second on a dense mesh.
         try:
             placed = place_primitive(
                 scene,
-                touched,
+                surface,
                 None if self.slot < 0 else int(self.slot),
                 parse_stroke(self.words) if self.words.strip() else str(self.primitive),
                 get_metres_per_unit(scene),
@@ -149,8 +154,8 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
                 window.cursor_modal_restore()
         link_to_collection(placed.curve, scene)
         placed.curve.hnf_stroke.probe = resolve_probe(context, str(self.probe))
-        shown = make_active_and_visible(context, placed.curve)
-        self.report({"INFO"}, f"{placed.curve.name}: {placed.size_m * 1e3:.0f} mm{shown}")
+        visibility_note = make_active_and_visible(context, placed.curve)
+        self.report({"INFO"}, f"{placed.curve.name}: {placed.size_m * 1e3:.0f} mm{visibility_note}")
         return {"FINISHED"}
 
 
@@ -178,7 +183,7 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]
     def execute(self, context: Any) -> set[str]:
         from ..bridge.stroke.read_stroke import read_curve
 
-        made = []
+        strokes = []
         for obj in list_convertible_curves(context):
             try:
                 read_curve(obj)
@@ -189,25 +194,25 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]
             group.is_stroke, group.was_curve = True, True
             group.law, group.speed_mm_s = "SPEED", self.speed_mm_s
             group.start, group.probe = float(context.scene.frame_current_final), resolve_probe(context, DEFAULT_PROBE)
-            made.append(obj)
-        CHANGES.mark_changed()  # Blender tells of no object: there is no new one
-        if not made:
+            strokes.append(obj)
+        CHANGES.mark_changed()  # Blender reports no change, since no object is new.
+        if not strokes:
             return {"CANCELLED"}
         active = context.view_layer.objects.active
-        context.view_layer.objects.active = active if active in made else made[0]
+        context.view_layer.objects.active = active if active in strokes else strokes[0]
         context.scene.hnf.stroke_index = max(0, find_index(context.scene.objects, context.view_layer.objects.active))
-        self.report({"INFO"}, tr("Strokes: {names}").format(names=", ".join(obj.name for obj in made)))
+        self.report({"INFO"}, tr("Strokes: {names}").format(names=", ".join(obj.name for obj in strokes)))
         return {"FINISHED"}
 
 
 def list_convertible_curves(context: Any) -> list[Any]:
-    """The selected curve objects that are no strokes, and can become some."""
+    """Return the selected curve objects that can become strokes."""
     selected = context.view_layer.objects.selected
     return [obj for obj in selected if obj.type == "CURVE" and obj.is_editable and not obj.hnf_stroke.is_stroke]
 
 
 class StrokeOperator:
-    """Operators that work on the stroke that is named, or else on the active one."""
+    """Mixin of operators that work on the named stroke, or else on the active one."""
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -230,7 +235,7 @@ class StrokeOperator:
 
 
 class StrokeObjectOperator(StrokeOperator):
-    """Those that make or remove objects: in Edit Mode they would pull it from under the edit."""
+    """Mixin of stroke operators that add or remove objects, which would disturb Edit Mode."""
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -261,16 +266,16 @@ class HNF_OT_stroke_delete(StrokeObjectOperator, bpy.types.Operator):  # type: i
         if stroke.hnf_stroke.was_curve:
             return convert_to_curve(stroke)
         strokes = list_strokes(scene)
-        at = strokes.index(stroke)
-        rest = [other for other in strokes if other != stroke]
+        index = strokes.index(stroke)
+        remaining = [candidate for candidate in strokes if candidate != stroke]
         animation = stroke.animation_data
         action = None if animation is None else animation.action
         bpy.data.objects.remove(stroke)
-        for data, kept in ((curve, bpy.data.curves), (action, bpy.data.actions)):
+        for data, collection in ((curve, bpy.data.curves), (action, bpy.data.actions)):
             if data is not None and data.users == 0:
-                kept.remove(data)
-        if rest:
-            scene.hnf.stroke_index = max(0, find_index(scene.objects, rest[min(at, len(rest) - 1)]))
+                collection.remove(data)
+        if remaining:
+            scene.hnf.stroke_index = max(0, find_index(scene.objects, remaining[min(index, len(remaining) - 1)]))
         return tr("Deleted {name}").format(name=name)
 
 
@@ -288,13 +293,13 @@ class HNF_OT_stroke_to_curve(StrokeObjectOperator, bpy.types.Operator):  # type:
 
 
 def require_local(stroke: Any, remedy: str) -> None:
-    """Raises SceneError for a stroke of another file."""
+    """Raise SceneError if the stroke is linked from another file."""
     if stroke.library is not None:
         raise SceneError(f"it is linked from {stroke.library.name}.", where=f"stroke '{stroke.name}'", remedy=remedy)
 
 
 def convert_to_curve(stroke: Any) -> str:
-    """Make it a plain curve, and say so."""
+    """Turn a stroke into a plain curve and return a message."""
     from ..touch.bake_storage import clear_bake
 
     clear_bake(stroke)
@@ -352,9 +357,9 @@ class HNF_OT_stroke_select(bpy.types.Operator):  # type: ignore[misc]
         if find_index(context.view_layer.objects, stroke) < 0 or not stroke.visible_get():
             self.report({"WARNING"}, tr("'{name}' is hidden in this view layer").format(name=stroke.name))
         if self.extend:
-            others = [obj for obj in context.view_layer.objects.selected if obj != stroke]
+            previous_selection = [obj for obj in context.view_layer.objects.selected if obj != stroke]
         make_active(context, stroke)
-        for obj in others if self.extend else ():
+        for obj in previous_selection if self.extend else ():
             obj.select_set(True)
         return {"FINISHED"}
 
@@ -369,16 +374,20 @@ class HNF_OT_stroke_solo(StrokeOperator, bpy.types.Operator):  # type: ignore[mi
 
     def work(self, context: Any, stroke: Any) -> str:
         strokes = list_strokes(context.scene)
-        own = [other for other in strokes if other.is_editable]
-        others = [other.hnf_stroke.mute for other in own if other != stroke]
-        alone = not stroke.hnf_stroke.mute and bool(others) and all(others)
-        for other in own:
-            other.hnf_stroke.mute = other != stroke and not alone
-        said = tr("All strokes") if alone else tr("Only {name}").format(name=stroke.name)
-        held = [other.name for other in strokes if other.hnf_stroke.mute != (other != stroke and not alone)]
-        if not held:
-            return said
-        return f"{said}. {tr('Linked and not changed: {names}').format(names=', '.join(held))}"
+        editable_strokes = [candidate for candidate in strokes if candidate.is_editable]
+        other_mutes = [candidate.hnf_stroke.mute for candidate in editable_strokes if candidate != stroke]
+        was_solo = not stroke.hnf_stroke.mute and bool(other_mutes) and all(other_mutes)
+        for candidate in editable_strokes:
+            candidate.hnf_stroke.mute = candidate != stroke and not was_solo
+        message = tr("All strokes") if was_solo else tr("Only {name}").format(name=stroke.name)
+        unchanged = [
+            candidate.name
+            for candidate in strokes
+            if candidate.hnf_stroke.mute != (candidate != stroke and not was_solo)
+        ]
+        if not unchanged:
+            return message
+        return f"{message}. {tr('Linked and not changed: {names}').format(names=', '.join(unchanged))}"
 
 
 CLASSES = (

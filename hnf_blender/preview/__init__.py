@@ -1,4 +1,8 @@
-"""Hear and see a baked stroke: its stored bake, re-synthesis, playback, pictures."""
+"""Preview of strokes: a stroke object and its stored bake → signal, image and playback.
+
+A timer resynthesises strokes whose inputs changed and updates the panels. This file holds the handlers and the timer;
+read `controller.py` first, then `synthesis_thread.py`.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +18,32 @@ from .preview_state import PREVIEW, PreviewFacts, get_preview_facts, get_preview
 __all__ = ["PreviewFacts", "get_preview_facts", "get_preview_icon"]
 
 INTERVAL_S = 0.04
+"""Interval of the timer while nothing is being synthesised [s]."""
 BUSY_INTERVAL_S = 0.01
-"""While a signal is on its way."""
+"""Interval of the timer while a signal is being synthesised [s]."""
 TICK_BUDGET_S = 0.02
-"""Of looking at strokes that are not the active one, in one tick."""
+"""Time per tick for checking strokes other than the active one [s]."""
 BUSY_DELAY_S = 0.5
-"""From then on the panel says that a signal is on its way. To draw that at once would only keep it waiting: while
-Blender draws, nothing is collected."""
+"""Time after which the panel shows that a signal is being synthesised [s].
+
+Showing it at once would delay the signal: no results are collected while Blender draws.
+"""
 
 
 class SceneSnapshot:
-    """What is known of one scene that a window shows. seen: of which signals follow; drawn: what the panels show of the
-    active stroke and the actuator, busy_since when. waiting: names of strokes to be looked at yet."""
+    """State of a scene that a window shows, as of the last tick.
+
+    Attributes
+    ----------
+    inputs : object
+        Everything that the scene's signals depend on.
+    shown : object
+        What the panels show of the active stroke and the actuator.
+    busy_since : float
+        Monotonic time since which the active stroke is being synthesised [s]; infinite if it is not.
+    pending : list of str
+        Names of strokes that are still to be checked.
+    """
 
     def __init__(self) -> None:
         self.inputs: object = None
@@ -35,37 +53,36 @@ class SceneSnapshot:
 
 
 _snapshots: dict[str, SceneSnapshot] = {}
-"""By scene."""
+"""Snapshots by scene name."""
 
 
 def on_load_post(*_: Any) -> None:
-    """load_post: nothing that was heard belongs to this file."""
+    """Discard signals and results of the previous file (handler load_post)."""
     from .controller import stop
 
     stop()
     timeline_playback.on_playback_post()
     _snapshots.clear()
-    if PREVIEW.synthesis_thread is not None:  # with what it kept and is still making of the other file's strokes
+    if PREVIEW.synthesis_thread is not None:  # The thread's cache and results belong to the previous file.
         PREVIEW.synthesis_thread.stop(wait=False)
         PREVIEW.synthesis_thread = None
     PREVIEW.clear()
 
 
 def on_depsgraph_update(scene: Any, depsgraph: Any = None) -> None:
-    """depsgraph_update_post: Blender draws after it, and what is asked for now is heard meanwhile."""
+    """Request the active stroke's signal, which is synthesised while Blender draws (handler depsgraph_update_post)."""
     import bpy
 
     if PREVIEW.synthesis_thread is None or depsgraph is None:
         return
-    window = next((each for each in bpy.context.window_manager.windows if each.scene == scene), None)
+    window = next((candidate for candidate in bpy.context.window_manager.windows if candidate.scene == scene), None)
     if window is not None and not window.screen.is_animation_playing:
         with bpy.context.temp_override(window=window):
             _request_preview(bpy.context, depsgraph)
 
 
 def _request_preview(context: Any, depsgraph: Any) -> None:
-    """Only for the stroke that the panels speak of, and where that takes no evaluation of Blender's: the timer does
-    all else."""
+    """Request a signal for the active stroke if no evaluation by Blender is needed; the timer does all else."""
     from ..props.scene_settings import get_active_stroke
     from ..state.session_state import STATE
     from ..state.status_tracker import get_changed_names, get_stroke_data_names
@@ -83,6 +100,7 @@ def _request_preview(context: Any, depsgraph: Any) -> None:
 
 
 def _is_driven(stroke: Any, scene: Any) -> bool:
+    """Return whether the stroke's force is driven or cannot be read."""
     from hnf_core.errors import HnfError
 
     from ..bridge.stroke.animation import read_channel
@@ -90,11 +108,11 @@ def _is_driven(stroke: Any, scene: Any) -> bool:
     try:
         return read_channel(stroke, "force", scene).source == "driven"
     except HnfError:
-        return True  # or broken, which the timer says
+        return True  # A broken channel is reported by the timer.
 
 
 def tick() -> float:
-    """Timer: take what was heard, ask for what changed, tell the panels. Looks at a counter while nothing happens."""
+    """Collect results, request signals for changed strokes and update the panels; return the next interval [s]."""
     import bpy
 
     from ..jobs.manager import is_preloaded
@@ -103,34 +121,46 @@ def tick() -> float:
     if not windows or not hasattr(bpy.types.Object, "hnf_stroke") or not is_preloaded():
         return INTERVAL_S
     update_scenes(windows)
-    listening = PREVIEW.synthesis_thread is not None and PREVIEW.synthesis_thread.is_busy
-    return BUSY_INTERVAL_S if listening else INTERVAL_S
+    is_synthesising = PREVIEW.synthesis_thread is not None and PREVIEW.synthesis_thread.is_busy
+    return BUSY_INTERVAL_S if is_synthesising else INTERVAL_S
 
 
 def update_scenes(windows: Sequence[Any]) -> None:
-    """Every scene that one of them shows, once; the first one's is what an actuator plays."""
+    """Update every scene that the windows show, once each; an actuator plays the first window's scene."""
     import bpy
 
     from . import controller
 
     controller.PLAYER.update()
-    heard = controller.collect_results()
+    updated = controller.collect_results()
     ended = bool(PREVIEW.sounding) and not controller.PLAYER.is_playing
     if ended:
         PREVIEW.sounding = ""
-    shown = {window.scene.name_full: window for window in reversed(windows)}
-    first = windows[0].scene.name_full
-    for name in _snapshots.keys() - shown.keys():
+    scene_windows = {window.scene.name_full: window for window in reversed(windows)}
+    first_scene = windows[0].scene.name_full
+    for name in _snapshots.keys() - scene_windows.keys():
         del _snapshots[name]
-    for name in (first, *(shown.keys() - {first})):
-        own = {each for each in heard if each in shown[name].scene.objects}
-        heard -= own  # an object may stand in both
-        with bpy.context.temp_override(window=shown[name]):
-            _update_scene(bpy.context, own, ended, is_first=name == first)
+    for name in (first_scene, *(scene_windows.keys() - {first_scene})):
+        scene_updates = {stroke_name for stroke_name in updated if stroke_name in scene_windows[name].scene.objects}
+        updated -= scene_updates  # An object may be in both scenes.
+        with bpy.context.temp_override(window=scene_windows[name]):
+            _update_scene(bpy.context, scene_updates, ended, is_first=name == first_scene)
 
 
 def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: bool) -> None:
-    """The scene of context's window. heard: whose signals came, of its objects; ended: what sounded is over."""
+    """Update the scene of the context's window.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+        Overridden with the window.
+    updated : set of str
+        Names of the scene's strokes with a new signal.
+    ended : bool
+        Whether playback has just ended.
+    is_first : bool
+        Whether the scene is the first window's, which the actuator follows.
+    """
     import bpy
 
     from .. import actuator
@@ -140,44 +170,44 @@ def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: boo
     from . import controller
 
     scene, active = context.scene, get_active_stroke(context)
-    looked = _snapshots.setdefault(scene.name_full, SceneSnapshot())
+    snapshot = _snapshots.setdefault(scene.name_full, SceneSnapshot())
     shown_now = None if active is None else PREVIEW.get_shown(active.name)
     if is_first and shown_now is None:
         actuator.tick(context)
     elif is_first and shown_now is not None:
         actuator.tick(context, shown_now.stamp, shown_now.signal)
     settings = scene.hnf
-    seen = (
+    inputs = (
         STATE.changes, active and active.name, active and controller.get_image_style(context),
         get_actuator_profile(scene),
         settings.monitor_gain_db,
         tuple((name, status.freshness, status.why) for name, status in STATE.get_statuses(scene).items()),
     )  # fmt: skip
-    if seen != looked.inputs:
-        looked.inputs = seen
-        others = list_cached_strokes(scene) if settings.follow_timeline else []
+    if inputs != snapshot.inputs:
+        snapshot.inputs = inputs
+        cached_strokes = list_cached_strokes(scene) if settings.follow_timeline else []
         PREVIEW.discard_except({obj.name for obj in bpy.data.objects})
-        looked.pending[:] = [obj.name for obj in others if obj != active]
+        snapshot.pending[:] = [obj.name for obj in cached_strokes if obj != active]
         if active is not None:
             controller.refresh(active, context, wait=False)
             controller.update_outdated_strips(active, scene)
-    until = time.monotonic() + TICK_BUDGET_S
-    while looked.pending and time.monotonic() < until:
-        other = scene.objects.get(looked.pending.pop(0))
-        if other is not None:
-            controller.refresh(other, context, wait=False, first=False)
+    deadline = time.monotonic() + TICK_BUDGET_S
+    while snapshot.pending and time.monotonic() < deadline:
+        stroke = scene.objects.get(snapshot.pending.pop(0))
+        if stroke is not None:
+            controller.refresh(stroke, context, wait=False, first=False)
     shown = active.name if active is not None else ""
     for name in updated | {shown} - {""}:
         controller.update_facts(name, scene)
-    drawn = shown, _delay_busy(PREVIEW.facts.get(shown), looked), get_actuator_profile(scene)
-    if updated or ended or drawn != looked.shown:
-        looked.shown = drawn
+    panel_state = shown, _delay_busy(PREVIEW.facts.get(shown), snapshot), get_actuator_profile(scene)
+    if updated or ended or panel_state != snapshot.shown:
+        snapshot.shown = panel_state
         redraw_tab()
     _update_playback(context, updated, context.window.screen.is_animation_playing)
 
 
 def _delay_busy(facts: PreviewFacts | None, snapshot: SceneSnapshot) -> PreviewFacts | None:
-    """Facts as the panel is to show them: busy only after BUSY_S."""
+    """Return the facts that the panel shows: busy only after BUSY_DELAY_S."""
     if facts is None or not facts.busy:
         snapshot.busy_since = math.inf
         return facts
@@ -186,18 +216,18 @@ def _delay_busy(facts: PreviewFacts | None, snapshot: SceneSnapshot) -> PreviewF
 
 
 def _update_playback(context: Any, updated: set[str], timeline_plays: bool) -> None:
-    """What was waited for is played; what sounds goes on as it is now."""
+    """Play the stroke that waited for its signal, and continue playing strokes with their new signals."""
     from hnf_core.errors import HnfError
 
     from . import controller
 
     is_ready = PREVIEW.play_when_ready in updated
     if is_ready or PREVIEW.sounding in updated:
-        name, begin = PREVIEW.sounding, controller.continue_playback
+        name, start = PREVIEW.sounding, controller.continue_playback
         if is_ready:
-            name, begin, PREVIEW.play_when_ready = PREVIEW.play_when_ready, controller.play, ""
+            name, start, PREVIEW.play_when_ready = PREVIEW.play_when_ready, controller.play, ""
         try:
-            begin(name, context.scene)
+            start(name, context.scene)
         except HnfError as error:
             PREVIEW.problems[name] = str(error)
         controller.update_facts(name, context.scene)

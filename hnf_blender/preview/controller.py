@@ -1,7 +1,7 @@
-"""The player that the artist chose: speakers, an actuator, or a sound card with an actuator behind it where nothing but
-Blender's own sound is there.
+"""Controller of the preview: requests signals for changed strokes, stores results, plays them and updates the panels.
 
-The preview at work: asks for signals when strokes change, takes them when they are there, tells the panels.
+`OutputRouter` is the player of the selected output: speakers, an actuator's process, or Blender's sound with limits
+applied offline. `refresh` brings a stroke's signal up to date; `update_facts` turns it into text for the panels.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ if TYPE_CHECKING:
 
 
 class OutputRouter:
-    """A Player that asks at every play() which output is chosen. Only one of them sounds."""
+    """Player that plays on the output selected at each `play` call; only one output sounds at a time."""
 
     def __init__(self) -> None:
         self._speakers = Speakers()
         self._playing: Player = self._speakers
 
     def play(self, sound: Sound) -> None:
-        wanted = self._select_player()
-        if wanted is not self._playing:
+        player = self._select_player()
+        if player is not self._playing:
             self._playing.stop()
-            self._playing = wanted
-        wanted.play(sound)
+            self._playing = player
+        player.play(sound)
 
     def change(self, sound: Sound) -> None:
         if self._playing.is_playing and self._select_player() is self._playing:
@@ -58,7 +58,7 @@ class OutputRouter:
         self._playing.resume()
 
     def update(self) -> None:
-        """Called now and then: what has faded out ends, and what waited for that begins."""
+        """Stop handles that have faded out and start what waited for them; called by the timer."""
         self._speakers.update()
 
     @property
@@ -78,8 +78,7 @@ class OutputRouter:
         return self._playing.position_s
 
     def use_shared_device(self, shared: bool) -> bool:
-        """The timeline begins or ends to play: speakers sound on Blender's own device meanwhile. True where they are
-        what is chosen."""
+        """Share Blender's own sound device while the timeline plays; return True if speakers are selected."""
         from ..actuator.actuator_state import SPEAKERS, get_selected_output, needs_offline_player
 
         self._speakers.use_shared_device(shared)
@@ -107,67 +106,86 @@ class OutputRouter:
 
 PLAYER = OutputRouter()
 MAX_CACHED_LEVELS = 16
+"""Number of cached level results."""
 _levels: dict[tuple[str, ActuatorProfile], Levels] = {}
+"""Levels by the signal's stamp and actuator profile."""
 INVALID_STATES = (Freshness.STALE, Freshness.BROKEN)
+"""Freshness of bakes whose preview no longer holds."""
 
 
 def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> PreviewResult | None:
-    """Make sure that the signal of obj as it is now is there, or comes. wait: hear it here and now, and return it;
-    else it is asked for (first: before all others), and collect() takes it. None where there is none;
-    PREVIEW.problems then says why."""
+    """Bring the signal of a stroke object up to date, or request it.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Stroke object.
+    context : bpy.types.Context
+        Gives the scene and the image style.
+    wait : bool
+        Synthesise here and now; otherwise request it from the thread, and `collect_results` stores it.
+    first : bool
+        Synthesise it before all other requested strokes.
+
+    Returns
+    -------
+    PreviewResult or None
+        The signal; None if it is not there yet or cannot be made, for which `PREVIEW.problems` has the reason.
+    """
     from hnf_core.errors import HnfError
 
     from .synthesis_thread import RenderCache, SynthesisThread, read_current_bake, synthesise_preview
 
-    name, look = obj.name, get_image_style(context)
+    name, style = obj.name, get_image_style(context)
     try:
-        now = read_current_bake(obj, context.scene)
+        current = read_current_bake(obj, context.scene)
     except HnfError as error:
         _set_problem(name, str(error))
         return None
-    if now is None:
+    if current is None:
         _set_problem(name, "Not baked yet.")
         PREVIEW.results.pop(name, None)
         return None
     PREVIEW.problems.pop(name, None)
-    heard = PREVIEW.results.get(name)
-    if heard is not None and (heard.stamp, heard.style) == (now.stamp, look):
-        PREVIEW.requested[name] = now.stamp, look
-        return heard
+    result = PREVIEW.results.get(name)
+    if result is not None and (result.stamp, result.style) == (current.stamp, style):
+        PREVIEW.requested[name] = current.stamp, style
+        return result
     if wait:
         try:
-            heard = synthesise_preview(now, look, RenderCache())
+            result = synthesise_preview(current, style, RenderCache())
         except HnfError as error:
             _set_problem(name, str(error))
             return None
-        store_result(name, heard)
-        return heard
-    if PREVIEW.requested.get(name) != (now.stamp, look):
-        PREVIEW.requested[name] = now.stamp, look
+        store_result(name, result)
+        return result
+    if PREVIEW.requested.get(name) != (current.stamp, style):
+        PREVIEW.requested[name] = current.stamp, style
         if PREVIEW.synthesis_thread is None:
             PREVIEW.synthesis_thread = SynthesisThread()
-        PREVIEW.synthesis_thread.request(now, look, first=first)
+        PREVIEW.synthesis_thread.request(current, style, first=first)
     return None
 
 
 def store_result(name: str, result: PreviewResult) -> None:
-    """A signal is there."""
+    """Store a stroke's signal and update its icon."""
     PREVIEW.results[name] = result
     PREVIEW.requested[name] = result.stamp, result.style
     _update_icon(name)
 
 
 def _update_icon(name: str) -> None:
-    """The picture of what is heard of a stroke, as its icon."""
+    """Use the image of the shown signal as the stroke's icon."""
     from ..state.interface import set_icon
 
     shown = PREVIEW.get_shown(name)
     if shown is not None:
-        PREVIEW.icons[name] = set_icon(f"stroke {name}", shown.image)  # the probe's picture has a name there too
+        # The prefix distinguishes it from the image of a touch query.
+        PREVIEW.icons[name] = set_icon(f"stroke {name}", shown.image)
 
 
 def collect_results() -> set[str]:
-    """Take what the listener has heard; names of the strokes it was."""
+    """Store the results of the synthesis thread; return the names of their strokes."""
     if PREVIEW.synthesis_thread is None:
         return set()
     done = PREVIEW.synthesis_thread.pop_results()
@@ -180,12 +198,12 @@ def collect_results() -> set[str]:
 
 
 def play(name: str, scene: Any) -> None:
-    """Sound a stroke's shown signal from its start. Raises HnfError without a device."""
+    """Play a stroke's shown signal from its start. Raises HnfError without a device."""
     _start_sound(name, scene, PLAYER.play)
 
 
 def continue_playback(name: str, scene: Any) -> None:
-    """A stroke that sounds goes on as it is shown now. Raises as play() does."""
+    """Continue the playing stroke with its shown signal. Raises HnfError without a device."""
     _start_sound(name, scene, PLAYER.change)
 
 
@@ -199,12 +217,12 @@ def _start_sound(name: str, scene: Any, start: Callable[[Sound], None]) -> None:
 
 
 def make_sound(samples: NDArray[np.float32], rate: float, scene: Any, *, loop: bool = False) -> Sound:
-    """Samples (n,) m/s² as this scene plays them."""
+    """Make a sound from samples (n,) [m/s²] with the scene's actuator profile and monitor gain."""
     return Sound(samples, rate, get_actuator_profile(scene), loop, float(scene.hnf.monitor_gain_db))
 
 
 def toggle_pause() -> None:
-    """What sounds is held where it is, or what is held goes on."""
+    """Pause the playing sound, or resume the paused one."""
     if PLAYER.is_paused:
         PLAYER.resume()
     else:
@@ -217,7 +235,7 @@ def stop() -> None:
 
 
 def toggle_ab(name: str) -> bool:
-    """Change between A and the newest; False where there is no A."""
+    """Switch between reference A and the newest signal; return False if there is no reference."""
     if name not in PREVIEW.references:
         return False
     PREVIEW.showing_reference ^= {name}
@@ -226,7 +244,7 @@ def toggle_ab(name: str) -> bool:
 
 
 def get_problem(name: str, scene: Any) -> str:
-    """Why the preview of a scene's stroke is not true, "" where it is."""
+    """Return why a stroke's preview does not hold; "" if it does."""
     status = STATE.get_statuses(scene).get(name)
     if status is not None and status.freshness in INVALID_STATES:
         return status.why
@@ -234,12 +252,14 @@ def get_problem(name: str, scene: Any) -> str:
 
 
 def update_facts(name: str, scene: Any) -> PreviewFacts:
-    """Facts of a stroke for the panels, made anew."""
+    """Make and store the facts of a stroke that the panels show."""
     shown, profile = PREVIEW.get_shown(name), get_actuator_profile(scene)
-    asked = PREVIEW.requested.get(name)
+    requested = PREVIEW.requested.get(name)
     newest = PREVIEW.results.get(name)
     busy = (
-        asked is not None and (newest is None or (newest.stamp, newest.style) != asked) and not get_problem(name, scene)
+        requested is not None
+        and (newest is None or (newest.stamp, newest.style) != requested)
+        and not get_problem(name, scene)
     )
     common = {
         "shows": "A" if name in PREVIEW.showing_reference else "now",
@@ -263,48 +283,52 @@ def update_facts(name: str, scene: Any) -> PreviewFacts:
 
 
 def describe_signal(shown: PreviewResult, profile: ActuatorProfile, gain_db: float) -> list[str]:
-    """A signal's figures, one line a thought."""
+    """Return lines of text with a signal's level, headroom, bands outside the range, clipping and warnings."""
     levels = compute_levels(shown, profile)
-    said = tr("{seconds} s; peak {peak} m/s², RMS {rms} m/s²")
-    lines = [said.format(seconds=f"{shown.signal.duration_s:.2f}", peak=f"{levels.peak:.3g}", rms=f"{levels.rms:.3g}")]
+    template = tr("{seconds} s; peak {peak} m/s², RMS {rms} m/s²")
+    lines = [
+        template.format(seconds=f"{shown.signal.duration_s:.2f}", peak=f"{levels.peak:.3g}", rms=f"{levels.rms:.3g}")
+    ]
     title = tr(profile.title)
     if levels.headroom_db is not None and levels.peak > 0.0 and profile.peak_m_s2 is not None:
         limit = f"{title} ({profile.peak_m_s2:.3g} m/s²)"
-        room = levels.headroom_db
-        said = tr("{room} dB too strong for {limit}") if room < 0.0 else tr("{room} dB below the limit of {limit}")
-        lines.append(said.format(room=f"{abs(room):.1f}", limit=limit))
+        headroom_db = levels.headroom_db
+        template = (
+            tr("{room} dB too strong for {limit}") if headroom_db < 0.0 else tr("{room} dB below the limit of {limit}")
+        )
+        lines.append(template.format(room=f"{abs(headroom_db):.1f}", limit=limit))
     sides = (
         tr("{share} of its energy lies below {edge} Hz, outside the range of {actuator}"),
         tr("{share} of its energy lies above {edge} Hz, outside the range of {actuator}"),
     )
     outside = [
-        said.format(share=f"{share:.0%}", edge=f"{edge:g}", actuator=title)
-        for share, said, edge in zip(
+        template.format(share=f"{fraction:.0%}", edge=f"{edge:g}", actuator=title)
+        for fraction, template, edge in zip(
             (levels.below_share, levels.above_share), sides, profile.range_hz or (), strict=False
         )
-        if share is not None and share >= 0.01
+        if fraction is not None and fraction >= 0.01
     ]
     clipped = compute_clipping_db(levels.peak, gain_db)
-    said = tr("The preview clips by {over} dB: lower the monitor gain. The signal is not clipped")
-    loud = [said.format(over=f"{clipped:.1f}")] if clipped else []
-    return [*lines, *outside, *loud, *shown.warnings]
+    template = tr("The preview clips by {over} dB: lower the monitor gain. The signal is not clipped")
+    clipping_lines = [template.format(over=f"{clipped:.1f}")] if clipped else []
+    return [*lines, *outside, *clipping_lines, *shown.warnings]
 
 
 def update_outdated_strips(obj: Any, scene: Any) -> None:
-    """Keep the names of the stroke's strips and speakers that sound as it was."""
+    """Store the names of the stroke's strips and speakers that play an earlier signal."""
     from .linked_strips import find_outdated_strips
 
-    asked = PREVIEW.requested.get(obj.name)
-    PREVIEW.outdated[obj.name] = [] if asked is None else find_outdated_strips(obj, scene, asked[0])
+    requested = PREVIEW.requested.get(obj.name)
+    PREVIEW.outdated[obj.name] = [] if requested is None else find_outdated_strips(obj, scene, requested[0])
 
 
 def describe_outdated_strips(name: str) -> list[str]:
-    said = tr("'{name}' still plays the sound from before the last change: add it again (Export)")
-    return [said.format(name=each) for each in PREVIEW.outdated.get(name, ())]
+    template = tr("'{name}' still plays the sound from before the last change: add it again (Export)")
+    return [template.format(name=strip) for strip in PREVIEW.outdated.get(name, ())]
 
 
 def compute_levels(shown: PreviewResult, profile: ActuatorProfile) -> Levels:
-    """Computed once for a signal and an actuator: facts are told many times a second."""
+    """Return cached levels of a signal on an actuator; the panels ask for them many times a second."""
     from hnf_core.actuators.output_prediction import compute_levels
 
     key = (shown.stamp, profile)
@@ -322,7 +346,7 @@ def get_image_style(context: Any) -> ImageStyle:
 
 
 def _get_theme(context: Any) -> Theme:
-    """Dark or light, by the text of Blender's own buttons."""
+    """Return the dark or light theme, whichever fits the text colour of Blender's buttons."""
     from .stroke_image import DARK, LIGHT
 
     themes = context.preferences.themes

@@ -1,6 +1,6 @@
-"""What an export cost, in a sentence of the artist's language.
+"""Export of a stroke's signal: to files, sequencer strips and speakers, with a sentence on what each file lost.
 
-A stroke's signal on its way out: to files, to the sequencer, to a speaker. Only what is true leaves.
+Only signals whose bake is fresh are exported; `get_current_signal` checks that.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ if TYPE_CHECKING:
     from hnf_core.metrics.band_energy import BandChange
 
 NEGLIGIBLE_DB = 0.05
-"""Changes below it are told as none, in these very figures."""
+"""Level changes below this are reported as no change [dB]; the message states the figure."""
 QUIET_DB = 40.0
-"""Bands this far below the loudest are nothing to tell of."""
+"""Bands this far below the loudest are not reported [dB]."""
 
 
 def describe_loss(exported: ExportResult) -> str:
-    """Of one file: how its level, its most changed octave and its duration differ from the stroke's."""
+    """Describe how level, most changed octave and duration of an exported file differ from the stroke's."""
     name, loss = exported.path.name, exported.loss
     if loss.exact:
         return tr("{file}: nothing is lost").format(file=name)
-    level = _level_change_db(loss.before.rms, loss.after.rms)
+    level_db = _level_change_db(loss.before.rms, loss.after.rms)
     worst = _find_most_changed(loss.bands)
-    longer = 1000.0 * (loss.after.duration_s - loss.before.duration_s)
+    longer_ms = 1000.0 * (loss.after.duration_s - loss.before.duration_s)
     band_db = 0.0 if worst is None or worst.change_db is None else worst.change_db
-    if max(abs(level), abs(band_db)) < NEGLIGIBLE_DB and abs(longer) < 0.05:
+    if max(abs(level_db), abs(band_db)) < NEGLIGIBLE_DB and abs(longer_ms) < 0.05:
         return tr("{file}: no octave changed by 0.05 dB").format(file=name)
     if worst is None:
         return tr("{file}: no signal is left").format(file=name)
-    said = tr("{file}: level {level} dB, most changed {low:.0f}–{high:.0f} Hz {band} dB, duration {ms} ms")
+    template = tr("{file}: level {level} dB, most changed {low:.0f}–{high:.0f} Hz {band} dB, duration {ms} ms")
     high = min(worst.high_hz, loss.before.sample_rate_hz / 2.0)
-    change = {"level": _format_signed(level), "band": _format_signed(band_db), "ms": _format_signed(longer)}
-    return said.format(file=name, low=worst.low_hz, high=high, **change)
+    change = {"level": _format_signed(level_db), "band": _format_signed(band_db), "ms": _format_signed(longer_ms)}
+    return template.format(file=name, low=worst.low_hz, high=high, **change)
 
 
 def _format_signed(value: float) -> str:
@@ -62,10 +62,10 @@ def _format_signed(value: float) -> str:
 
 def _find_most_changed(bands: tuple[BandChange, ...]) -> BandChange | None:
     loudest = max((max(band.before, band.after) for band in bands), default=0.0)
-    heard = [
+    audible = [
         band for band in bands if band.before > loudest * 10.0 ** (-QUIET_DB / 10.0) and band.change_db is not None
     ]
-    return max(heard, key=lambda band: abs(band.change_db or 0.0), default=None)
+    return max(audible, key=lambda band: abs(band.change_db or 0.0), default=None)
 
 
 def _level_change_db(before: float, after: float) -> float:
@@ -73,10 +73,21 @@ def _level_change_db(before: float, after: float) -> float:
 
 
 def get_current_signal(obj: Any, context: Any) -> Signal:
-    """The signal of a stroke as `hnf touch` would write it now.
+    """Return the signal of a stroke as `hnf touch` would write it now.
 
-    Looks at the scene anew. Raises SceneError naming the stroke where its bake does not hold, StrokeError where it
-    cannot be read.
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Stroke object.
+    context : bpy.types.Context
+        The scene's status is refreshed first.
+
+    Raises
+    ------
+    SceneError
+        If the stroke's bake is missing or stale.
+    StrokeError
+        If the stroke cannot be read.
     """
     from ..state.status_tracker import refresh_status
     from .stroke_image import ImageStyle
@@ -84,33 +95,36 @@ def get_current_signal(obj: Any, context: Any) -> Signal:
 
     name = get_scene_name(context.scene, obj)
     refresh_status(context.scene, [name], context.view_layer)
-    status, where = STATE.get_status(context.scene, obj), f"stroke '{name}'"
+    status, location = STATE.get_status(context.scene, obj), f"stroke '{name}'"
     if status is None or status.freshness not in (Freshness.FRESH, Freshness.FORCE):
-        why = status.why if status is not None else "it is not in this scene."
-        # Other reasons say what to do.
+        reason = status.why if status is not None else "it is not in this scene."
+        # The other reasons contain a remedy already.
         remedies = {Freshness.UNKNOWN: "Leave Edit Mode first.", Freshness.UNBAKED: "Bake it first."}
         remedy = "" if status is None else remedies.get(status.freshness, "")
-        raise SceneError(why.removeprefix(f"{where}: "), where=where, remedy=remedy)
-    now = read_current_bake(obj, context.scene)
-    if now is None:
-        raise SceneError("it is not baked.", where=where, remedy="Bake it first.")
-    heard = PREVIEW.results.get(obj.name)
-    if heard is not None and (heard.stamp, heard.name) == (now.stamp, now.name):
-        return heard.signal
-    return synthesise_preview(now, ImageStyle(), RenderCache()).signal
+        raise SceneError(reason.removeprefix(f"{location}: "), where=location, remedy=remedy)
+    current = read_current_bake(obj, context.scene)
+    if current is None:
+        raise SceneError("it is not baked.", where=location, remedy="Bake it first.")
+    result = PREVIEW.results.get(obj.name)
+    if result is not None and (result.stamp, result.name) == (current.stamp, current.name):
+        return result.signal
+    return synthesise_preview(current, ImageStyle(), RenderCache()).signal
 
 
 def _mark_linked(strip: Any, obj: Any, scene: Any) -> None:
     from .controller import update_outdated_strips
     from .synthesis_thread import read_current_bake
 
-    now = read_current_bake(obj, scene)
-    mark_linked(strip, obj, scene, "" if now is None else now.stamp)
+    current = read_current_bake(obj, scene)
+    mark_linked(strip, obj, scene, "" if current is None else current.stamp)
     update_outdated_strips(obj, scene)
 
 
 def get_export_folder(scene: Any) -> Path:
-    """Where Scene.hnf says. Raises FileError where it is beside a file that is not saved yet."""
+    """Return the scene's export folder.
+
+    Raises FileError if none is set, or if it is relative to a .blend that is not saved yet.
+    """
     import bpy
 
     text = str(scene.hnf.export_folder)
@@ -126,11 +140,31 @@ def get_export_folder(scene: Any) -> Path:
 
 
 def export_stroke(obj: Any, context: Any, format_name: str) -> ExportResult:
-    """Write a stroke into the export folder in the format called word, in no other stroke's place; say what that cost.
+    """Write a stroke's signal into the export folder, never over another stroke's file.
 
-    1 stands for the largest acceleration of the scene's actuator. Formats that have a place for a surface get it with
-    what is baked on it. Raises SceneError and StrokeError as true_signal does, FileError where the format cannot hold
-    the signal.
+    Full scale is the largest acceleration of the scene's actuator. Formats that can contain a surface get the touched
+    surface with its baked result.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Stroke object.
+    context : bpy.types.Context
+        Gives the scene and its export settings.
+    format_name : str
+        Name of the format, as in `props.scene_settings.CHOICE_BY_NAME`.
+
+    Returns
+    -------
+    ExportResult
+        Path and loss.
+
+    Raises
+    ------
+    SceneError, StrokeError
+        See `get_current_signal`.
+    FileError
+        If the format cannot hold the signal.
     """
     from hnf_core.export.convert import export_signal
     from hnf_core.export.formats import format_of
@@ -145,22 +179,24 @@ def export_stroke(obj: Any, context: Any, format_name: str) -> ExportResult:
 
 
 def _get_blend_name(obj: Any) -> str:
-    """Name of the .blend that obj is in; "" where it is not saved yet."""
+    """Return the name of the .blend that `obj` is in; "" if it is not saved yet."""
     import bpy
 
     return Path(bpy.data.filepath if obj.library is None else bpy.path.abspath(obj.library.filepath)).name
 
 
 def _find_free_path(folder: Path, author: SourceStroke, ending: str) -> Path:
-    """The file of maker's stroke in folder. Where another's is in its place, that one stays: another .blend's by this
-    one's name put into ours, another stroke's by a number."""
+    """Return the path for the author's stroke in `folder`, without overwriting another stroke's file.
+
+    A file of another .blend adds this .blend's name to the path, a file of another stroke a number.
+    """
     from ..touch.output_files import iter_numbered_stems, make_file_stem
 
     stem = make_file_stem(author.stroke)
-    there = read_source_stroke(folder / f"{stem}{ending}")
-    if there is not None and there.blend and there.blend != author.blend:
+    existing = read_source_stroke(folder / f"{stem}{ending}")
+    if existing is not None and existing.blend and existing.blend != author.blend:
         stem = f"{stem}-{make_file_stem(Path(author.blend).stem) if author.blend else 'unsaved'}"
-    paths = (folder / f"{each}{ending}" for each in iter_numbered_stems(stem))
+    paths = (folder / f"{numbered_stem}{ending}" for numbered_stem in iter_numbered_stems(stem))
     return next(path for path in paths if read_source_stroke(path) in (None, author, SourceStroke(author.stroke, "")))
 
 
@@ -183,8 +219,10 @@ def _make_options(obj: Any, context: Any, form: Format) -> ExportOptions:
 
 
 def add_strip(obj: Any, context: Any) -> Any:
-    """A sound strip of the stroke at its start frame, its volume as the monitor's; in place of an earlier one of the
-    same stroke. Its file is the exported WAV."""
+    """Add a sound strip of the exported WAV at the stroke's start frame, replacing an earlier strip of the stroke.
+
+    Its volume is the monitor gain.
+    """
     import bpy
 
     from ..compat import sequencer_strips, show_in_sequencer
@@ -192,21 +230,21 @@ def add_strip(obj: Any, context: Any) -> Any:
     path, scene = export_stroke(obj, context, "wav").path, context.scene
     editor = scene.sequence_editor or scene.sequence_editor_create()
     strips = sequencer_strips(editor)
-    earlier = find_linked_strips(obj, scene, strips)
-    above = max((int(strip.channel) for strip in strips), default=0) + 1
+    previous_strips = find_linked_strips(obj, scene, strips)
+    top_channel = max((int(strip.channel) for strip in strips), default=0) + 1
     sound_path = bpy.path.relpath(str(path)) if scene.hnf.export_folder.startswith("//") else str(path)
     frame = round(float(obj.hnf_stroke.start))
     try:
-        strip = strips.new_sound(name=obj.name, filepath=sound_path, channel=above, frame_start=frame)
+        strip = strips.new_sound(name=obj.name, filepath=sound_path, channel=top_channel, frame_start=frame)
     except RuntimeError as error:
         raise SceneError(
             f"Blender made no sound strip ({str(error).strip()}).",
             where=f"stroke '{obj.name}'",
             remedy=f"Its WAV is written: {path}.",
         ) from error
-    channel = next((int(each.channel) for each in earlier), above)
-    for each in earlier:
-        strips.remove(each)
+    channel = next((int(previous.channel) for previous in previous_strips), top_channel)
+    for previous in previous_strips:
+        strips.remove(previous)
     strip.channel, strip.name = channel, obj.name
     _mark_linked(strip, obj, scene)
     strip.volume = compute_monitor_gain(scene.hnf.monitor_gain_db)
@@ -215,8 +253,10 @@ def add_strip(obj: Any, context: Any) -> Any:
 
 
 def add_stroke_speaker(obj: Any, context: Any) -> Any:
-    """A Speaker where the stroke begins, moving with its surface, its sound packed into the .blend; in place of an
-    earlier one of the same stroke. Object Mode only."""
+    """Add a speaker that moves with the touched surface at the stroke's start, replacing an earlier one.
+
+    Its sound is packed into the .blend. Works in Object Mode only.
+    """
     import bpy
 
     from ..bridge.scene.speakers import add_speaker
@@ -227,19 +267,21 @@ def add_stroke_speaker(obj: Any, context: Any) -> Any:
     signal, scene = get_current_signal(obj, context), context.scene
     scale = get_metres_per_unit(scene)
     timeline = sample_timeline(obj, scene, scale)
-    place = timeline.arc.point_at(timeline.position[:1])[0] / scale
+    position = timeline.arc.point_at(timeline.position[:1])[0] / scale
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{make_file_stem(obj.name)}.wav"
         write_bytes(path, encode_wav(signal, where=f"stroke '{obj.name}'"))
         sound = bpy.data.sounds.load(str(path), check_existing=False)
         sound.pack()
-    for other in find_linked_strips(obj, scene, [each for each in scene.objects if each.type == "SPEAKER"]):
-        data = other.data
-        bpy.data.objects.remove(other)
+    for previous in find_linked_strips(
+        obj, scene, [candidate for candidate in scene.objects if candidate.type == "SPEAKER"]
+    ):
+        data = previous.data
+        bpy.data.objects.remove(previous)
         if data.users == 0:
             bpy.data.speakers.remove(data)
     surface = find_object(scene, STATE.get_statuses(scene)[get_scene_name(scene, obj)].object_name)
-    speaker = add_speaker(sound, f"{obj.name} speaker", tuple(place), float(obj.hnf_stroke.start), surface)
+    speaker = add_speaker(sound, f"{obj.name} speaker", tuple(position), float(obj.hnf_stroke.start), surface)
     _mark_linked(speaker, obj, scene)
     speaker.data.volume = min(compute_monitor_gain(scene.hnf.monitor_gain_db), 1.0)
     return speaker

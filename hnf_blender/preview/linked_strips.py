@@ -1,4 +1,4 @@
-"""Strips and speakers that sound like a stroke, found again after it was renamed."""
+"""Links between a stroke and the strips and speakers that play it, by ID properties that survive renaming."""
 
 from __future__ import annotations
 
@@ -10,48 +10,58 @@ from ..bridge.scene.id_properties import get_property, set_property
 from ..props.scene_settings import list_strokes
 
 NAME_PROPERTY = "hnf_stroke_name"
+"""Name of the stroke that a strip or speaker plays."""
 ID_PROPERTY = "hnf_stroke_id"
-"""On strips and speakers: the stroke they sound like, so that adding again replaces. The second is on the stroke too,
-and a duplicate takes it along."""
+"""Identity of the stroke that a strip or speaker plays, so that adding it again replaces it.
+
+The stroke has the same property, and a duplicate of the stroke inherits it.
+"""
 STAMP_PROPERTY = "hnf_stroke_stamp"
-"""On strips and speakers: of the signal they were given (present.Present)."""
+"""Stamp of the signal that a strip or speaker plays (`synthesis_thread.CurrentBake.stamp`)."""
 
 
 def find_linked_strips(stroke: Any, scene: Any, candidates: Iterable[Any]) -> list[Any]:
-    """Those of candidates that were marked for the stroke: by its identity, or by its name where that tells nothing (a
-    file from before there were identities, or a duplicate has the same)."""
+    """Return the candidates that are linked to the stroke.
+
+    The identity decides; the name does if the identity is missing, as in old files, or shared with a duplicate.
+    """
     strokes = list_strokes(scene)
 
-    def is_of(candidate: Any) -> bool:
+    def is_linked(candidate: Any) -> bool:
         identity = candidate.get(ID_PROPERTY)
-        holders = [each for each in strokes if identity and get_property(each, ID_PROPERTY) == identity]
+        holders = [item for item in strokes if identity and get_property(item, ID_PROPERTY) == identity]
         if not holders or (len(holders) > 1 and stroke in holders):
             return bool(candidate.get(NAME_PROPERTY) == stroke.name)
         return holders == [stroke]
 
-    return [each for each in candidates if is_of(each)]
+    return [item for item in candidates if is_linked(item)]
 
 
 def find_outdated_strips(stroke: Any, scene: Any, stamp: str) -> list[str]:
-    """Names of the stroke's strips and speakers that were given another signal than that of stamp."""
+    """Return the names of the stroke's strips and speakers whose signal does not have `stamp`."""
     import bpy
 
     from ..compat import sequencer_strips
 
     strips = [] if scene.sequence_editor is None else sequencer_strips(scene.sequence_editor)
-    speakers = [each for each in scene.objects if each.type == "SPEAKER"] if bpy.data.speakers else []
-    marked = [each for each in (*strips, *speakers) if each.get(STAMP_PROPERTY, stamp) != stamp]
-    return [str(each.name) for each in find_linked_strips(stroke, scene, marked)] if marked else []
+    speakers = [candidate for candidate in scene.objects if candidate.type == "SPEAKER"] if bpy.data.speakers else []
+    marked = [candidate for candidate in (*strips, *speakers) if candidate.get(STAMP_PROPERTY, stamp) != stamp]
+    return [str(candidate.name) for candidate in find_linked_strips(stroke, scene, marked)] if marked else []
 
 
 def mark_linked(strip: Any, stroke: Any, scene: Any, stamp: str) -> None:
-    """Let companions() find it, for a stroke that is not linked whatever its name will be. stamp: of its signal."""
+    """Link a strip or speaker to a stroke and to the signal with `stamp`.
+
+    A stroke from a linked library keeps no identity, so its name alone links it.
+    """
     strip[NAME_PROPERTY], strip[STAMP_PROPERTY] = stroke.name, stamp
     if stroke.library is not None:
         return
     identity = get_property(stroke, ID_PROPERTY)
     if not identity or any(
-        get_property(each, ID_PROPERTY) == identity for each in list_strokes(scene) if each != stroke
+        get_property(stroke_object, ID_PROPERTY) == identity
+        for stroke_object in list_strokes(scene)
+        if stroke_object != stroke
     ):
         identity = uuid.uuid4().hex
         set_property(stroke, ID_PROPERTY, identity)

@@ -1,5 +1,7 @@
-"""A sound card with an actuator behind it, by Blender's own sound alone: the limits are kept beforehand, on the sound
-as a whole. For where `sounddevice` is missing; nothing can be played live so."""
+"""Playback on an actuator behind a sound card through Blender's own sound, for systems without `sounddevice`.
+
+Compensation and limits are applied to the complete sound beforehand; live touch is not possible this way.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,9 @@ from .sound_device import Speakers
 
 
 class OfflinePlayer:
-    """A Player through Speakers, whose device is Blender's. The monitor's gain is not heard.
+    """Player on Blender's sound device that applies the actuator's limits; the monitor gain is ignored.
 
-    However it goes on, it fades out, and begins anew within the limits: two sounds at once might leave them.
+    Changes of sound or position fade out and start again, since two overlapping sounds could exceed the limits.
     """
 
     def __init__(self, speakers: Speakers) -> None:
@@ -29,16 +31,16 @@ class OfflinePlayer:
         self._sound: Sound | None = None
 
     def play(self, sound: Sound) -> None:
-        """Raises SceneError without a sound device."""
-        to_hz = self._speakers.rate_hz()
-        first = round(sound.start_s * sound.rate)
-        begun = np.roll(sound.samples, -first) if sound.loop else sound.samples[first:]
-        samples = process_for_output(begun, sound.rate, to_hz, sound.profile, loop=sound.loop)
-        self._speakers.start(samples, to_hz, loop=sound.loop, after_fade=True)
+        """Play `sound` after what plays has faded out. Raises SceneError without a sound device."""
+        device_rate_hz = self._speakers.rate_hz()
+        first_sample = round(sound.start_s * sound.rate)
+        remaining = np.roll(sound.samples, -first_sample) if sound.loop else sound.samples[first_sample:]
+        samples = process_for_output(remaining, sound.rate, device_rate_hz, sound.profile, loop=sound.loop)
+        self._speakers.start(samples, device_rate_hz, loop=sound.loop, after_fade=True)
         self._sound = sound
 
     def change(self, sound: Sound) -> None:
-        """Raises as play() does."""
+        """Continue as another sound at the same position. Raises SceneError without a sound device."""
         was_paused = self.is_paused
         self.play(replace(sound, start_s=min(self.position_s, sound.duration_s)))
         if was_paused:
@@ -71,8 +73,8 @@ class OfflinePlayer:
         sound = self._sound
         if sound is None or not self.is_playing:
             return 0.0
-        place = sound.start_s + self._speakers.position_s
-        return place % sound.duration_s if sound.loop else min(place, sound.duration_s)
+        position = sound.start_s + self._speakers.position_s
+        return position % sound.duration_s if sound.loop else min(position, sound.duration_s)
 
     def release(self) -> None:
         self._speakers.release()
@@ -81,34 +83,46 @@ class OfflinePlayer:
 def process_for_output(
     samples: NDArray[np.float32], from_hz: float, to_hz: float, profile: ActuatorProfile, *, loop: bool = False
 ) -> NDArray[np.float32]:
-    """As limited(); an actuator whose response is known has it made up for first, as in a stream."""
-    made_up = np.where(np.isfinite(samples), samples, np.float32(0.0)).astype(np.float32)[:, None]
+    """Apply the inverse filter of the actuator's response, if known, then the limits; see `limit_offline`."""
+    compensated = np.where(np.isfinite(samples), samples, np.float32(0.0)).astype(np.float32)[:, None]
     for stage in make_compensation(profile, from_hz, 1):
-        made_up = stage.process(made_up)
-    return limit_offline(made_up[:, 0], from_hz, to_hz, profile.limits, loop=loop)
+        compensated = stage.process(compensated)
+    return limit_offline(compensated[:, 0], from_hz, to_hz, profile.limits, loop=loop)
 
 
 def limit_offline(
     samples: NDArray[np.float32], from_hz: float, to_hz: float, limits: Limits, *, loop: bool = False
 ) -> NDArray[np.float32]:
-    """(n,) m/s² → (m, 1) shares of full scale within limits, softly begun and ended, at the device's own rate: what
-    Blender's sound converts afterwards might overshoot.
+    """Limit samples (n,) [m/s²] and return fractions of full scale (m, 1) at the device's sample rate.
 
-    loop: over and over, so that in the end the coil's mean square is the sound's own: it is made softer as a whole
-    where that is more than the coil carries for ever.
+    The result begins and ends softly. It is resampled first, since a later conversion by Blender might overshoot.
+
+    Parameters
+    ----------
+    samples : (n,) array
+        Acceleration [m/s²]; non-finite samples count as 0.
+    from_hz, to_hz : float
+        Sample rate of `samples` and of the device [Hz].
+    limits : Limits
+        Limits of the actuator.
+    loop : bool
+        Played repeatedly, so the coil's mean square is that of the sound: the gain is lowered until it can be
+        sustained.
     """
     finite = np.where(np.isfinite(samples), samples, 0.0).astype(np.float32)[:, None]
-    converter = make_resampler(from_hz, to_hz, 1, low_latency=False)
-    given = np.concatenate([converter.process(finite), converter.finish()]).astype(np.float64)
-    most = limits.sustained * limits.full_scale_m_s2
-    rms = float(np.sqrt(np.mean(np.square(given)))) if len(given) else 0.0
-    if loop and rms > most:
-        given = given * (most / rms)
+    resampler = make_resampler(from_hz, to_hz, 1, low_latency=False)
+    resampled = np.concatenate([resampler.process(finite), resampler.finish()]).astype(np.float64)
+    max_rms = limits.sustained * limits.full_scale_m_s2
+    rms = float(np.sqrt(np.mean(np.square(resampled)))) if len(resampled) else 0.0
+    if loop and rms > max_rms:
+        resampled = resampled * (max_rms / rms)
     while True:
         limiter = Limiter(limits, to_hz, 1)
-        counts = np.concatenate([limiter.process(given), limiter.flush()])
-        shares = np.ascontiguousarray(counts.astype(np.float32) / np.float32(FULL_SCALE_COUNTS))
-        warmth = float(np.mean(np.square(shares, dtype=np.float64))) if len(shares) else 0.0
-        if not loop or warmth <= limits.sustained**2:
-            return shares
-        given = given * (0.999 * limits.sustained / np.sqrt(warmth))  # the fade at the end warms the coil too
+        counts = np.concatenate([limiter.process(resampled), limiter.flush()])
+        fractions = np.ascontiguousarray(counts.astype(np.float32) / np.float32(FULL_SCALE_COUNTS))
+        mean_square = float(np.mean(np.square(fractions, dtype=np.float64))) if len(fractions) else 0.0
+        if not loop or mean_square <= limits.sustained**2:
+            return fractions
+        resampled = resampled * (
+            0.999 * limits.sustained / np.sqrt(mean_square)
+        )  # The fade at the end heats the coil too.

@@ -1,4 +1,7 @@
-"""What the panels show of a preview. Reading it computes nothing."""
+"""State of the preview that the panels show: signals, references, problems and icons by stroke name.
+
+Reading it computes nothing.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,31 @@ if TYPE_CHECKING:
 
 
 class PreviewFacts(NamedTuple):
-    """A stroke's signal as it is shown. Figures in s, m/s² and dB; headroom_db: None where the actuator's largest is
-    not known. shows: "A" (kept) or "now". has_kept: is there an A. busy: a newer one is being made. paused: it plays,
-    and is held. problem: why what is shown is not true any more, or why there is nothing; "" = true. lines: all of it
-    in words."""
+    """Facts of a stroke's signal for the panels.
+
+    Attributes
+    ----------
+    stroke : str
+        Name of the stroke.
+    duration_s, peak_m_s2, rms_m_s2 : float
+        Duration [s] and levels [m/s²] of the signal.
+    headroom_db : float or None
+        Distance of the peak to the actuator's limit [dB]; None if the limit is unknown.
+    confidence : float
+        Confidence of the signal, 0 to 1.
+    shows : str
+        "A" if the reference is shown, "now" if the newest signal is.
+    has_kept : bool
+        Whether there is a reference A.
+    busy : bool
+        Whether a newer signal is being synthesised.
+    playing, paused : bool
+        Whether the stroke plays, and whether it is paused.
+    problem : str
+        Why the signal is missing or no longer holds; "" if it holds.
+    lines : tuple of str
+        All of it as text.
+    """
 
     stroke: str
     duration_s: float = 0.0
@@ -30,11 +54,35 @@ class PreviewFacts(NamedTuple):
 
 
 class PreviewState:
-    """All by stroke name. heard: the newest signal. kept: A of the comparison. on_kept: strokes of which A is heard.
-    asked: stamp and look of the newest request. behind: strips and speakers that sound as the stroke did before.
-    problems: why there is no true signal. facts, icons: what panels show.
-    play_when_ready: stroke to be played when its signal is there. sounding: stroke that plays, "" = none or the
-    timeline. exported: a sentence for each file of the last export, what it cost; losses: the whole report."""
+    """Preview of all strokes, by stroke name.
+
+    Attributes
+    ----------
+    results : dict
+        Newest signal.
+    references : dict
+        Reference A of the comparison.
+    showing_reference : set of str
+        Strokes whose reference is shown and played.
+    requested : dict
+        Stamp and image style of the newest request.
+    outdated : dict
+        Strips and speakers that play an earlier signal.
+    problems : dict
+        Why there is no valid signal.
+    facts, icons : dict
+        What the panels show.
+    play_when_ready : str
+        Stroke to be played when its signal arrives.
+    sounding : str
+        Playing stroke; "" for none or the timeline.
+    exported : tuple of str
+        A sentence for every file of the last export.
+    losses : str
+        Full report on the last export.
+    synthesis_thread : SynthesisThread or None
+        Thread that synthesises the requests.
+    """
 
     def __init__(self) -> None:
         self.results: dict[str, PreviewResult] = {}
@@ -52,7 +100,7 @@ class PreviewState:
         self.synthesis_thread: SynthesisThread | None = None
 
     def get_shown(self, name: str) -> PreviewResult | None:
-        """What is heard and seen of a stroke: A, or the newest."""
+        """Return the shown signal of a stroke: reference A, or the newest."""
         return self.references.get(name) if name in self.showing_reference else self.results.get(name)
 
     @property
@@ -60,17 +108,17 @@ class PreviewState:
         return self.results, self.references, self.requested, self.outdated, self.problems, self.facts, self.icons
 
     def discard_except(self, names: set[str]) -> None:
-        """Forget strokes that are no more, or are called otherwise now."""
+        """Discard strokes whose names do not exist any more."""
         self.showing_reference &= names
-        for each in self._by_name:
-            for name in each.keys() - names:
-                del each[name]
+        for entries in self._by_name:
+            for name in entries.keys() - names:
+                del entries[name]
 
     def clear(self) -> None:
-        """Another file is open."""
+        """Discard everything, since another file was opened."""
         self.showing_reference.clear()
-        for each in self._by_name:
-            each.clear()
+        for entries in self._by_name:
+            entries.clear()
         self.play_when_ready = self.sounding = self.losses = ""
         self.exported = ()
 
@@ -79,10 +127,10 @@ PREVIEW = PreviewState()
 
 
 def get_preview_facts(obj: Any) -> PreviewFacts | None:
-    """Of a stroke object; None where nothing is known of it yet."""
+    """Return the facts of a stroke object; None if there are none yet."""
     return None if obj is None else PREVIEW.facts.get(obj.name)
 
 
 def get_preview_icon(obj: Any) -> int:
-    """Icon of a stroke's picture for template_icon; 0 where there is none (yet, or without a window)."""
+    """Return the icon of a stroke's image for template_icon; 0 if there is none."""
     return 0 if obj is None else PREVIEW.icons.get(obj.name, 0)

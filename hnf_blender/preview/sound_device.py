@@ -1,6 +1,6 @@
-"""m/s² → loudness on headphones. The signal itself never changes.
+"""Playback on Blender's sound device (aud): acceleration [m/s²] → samples in −1 … 1 at the monitor's gain.
 
-Blender's sound device: play samples, stop, ask where it is. Where there is none, it says so.
+The signal itself never changes.
 """
 
 from __future__ import annotations
@@ -18,36 +18,39 @@ from hnf_core.errors import SceneError
 from ..actuator.sound import Sound
 
 FULL_SCALE_M_S2 = 10.0
-"""Acceleration that is full scale of the sound device at 0 dB of monitor gain. A fingertip's 1 m/s² is then 20 dB
-below full scale: well audible, and strokes keep their loudness among each other, before and after a change."""
+"""Acceleration at full scale of the sound device at 0 dB monitor gain [m/s²].
+
+A fingertip's 1 m/s² is then 20 dB below full scale: well audible, and strokes can be compared by loudness.
+"""
 
 
 def compute_monitor_gain(gain_db: float) -> float:
-    """Full scale per m/s² at a monitor gain in dB."""
+    """Return the full-scale fraction per m/s² at a monitor gain [dB]."""
     return float(10.0 ** (gain_db / 20.0) / FULL_SCALE_M_S2)
 
 
 def apply_monitor_gain(samples: NDArray[np.float32], gain_db: float) -> NDArray[np.float32]:
-    """(n,) m/s² → (n, 1) −1 … 1 for the sound device; louder than full scale is clipped there, see clips_by_db."""
+    """Scale samples (n,) [m/s²] to (n, 1) in −1 … 1 and clip them; see `compute_clipping_db`."""
     scaled = np.clip(samples * np.float32(compute_monitor_gain(gain_db)), -1.0, 1.0)
     return np.ascontiguousarray(scaled.astype(np.float32).reshape(-1, 1))
 
 
 def compute_clipping_db(peak_m_s2: float, gain_db: float) -> float:
-    """By how many dB a peak exceeds full scale; 0 where it fits."""
+    """Return how far a peak exceeds full scale [dB]; 0 if it does not."""
     loudest = peak_m_s2 * compute_monitor_gain(gain_db)
     return float(20.0 * np.log10(loudest)) if loudest > 1.0 else 0.0
 
 
 FADE_S = 0.06
-"""A volume takes a buffer of the device to change, along a line; longer than any usual one lasts."""
+"""Fade time [s]: aud ramps a volume change over one device buffer, which is shorter on usual devices."""
 
 
 class Speakers:
-    """A Player on the sound device that Blender's preferences name, at the monitor's gain.
+    """Player on the sound device of Blender's preferences, at the monitor's gain.
 
-    While the timeline plays it is the very device that Blender opens for it (share()): one clock for both. With some
-    drivers (OpenAL) a second one in the same program would also answer for the first, and stop it.
+    While the timeline plays it shares the device that Blender opens for it (`use_shared_device`), so both have one
+    clock.
+    With some drivers (OpenAL), closing a second device of the same process would also stop the first.
     """
 
     def __init__(self) -> None:
@@ -60,18 +63,18 @@ class Speakers:
         self._is_shared = False
 
     def play(self, sound: Sound) -> None:
-        """Raises SceneError without a sound device."""
+        """Play a sound. Raises SceneError without a sound device."""
         self.start(apply_monitor_gain(sound.samples, sound.gain_db), sound.rate, loop=sound.loop, start_s=sound.start_s)
 
     def change(self, sound: Sound) -> None:
         self.replace(apply_monitor_gain(sound.samples, sound.gain_db), sound.rate, loop=sound.loop)
 
     def replace(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
-        """As sound(), at the place where it is now; what is paused stays so."""
-        at, paused = self.position_s, self.is_paused
-        self.start(samples, rate, loop=loop, start_s=min(at, len(samples) / rate), paused=paused)
-        if paused:
-            self._paused_at = at
+        """Replace what plays at its current position; what is paused stays paused."""
+        position_s, was_paused = self.position_s, self.is_paused
+        self.start(samples, rate, loop=loop, start_s=min(position_s, len(samples) / rate), paused=was_paused)
+        if was_paused:
+            self._paused_at = position_s
 
     def start(
         self,
@@ -83,19 +86,38 @@ class Speakers:
         after_fade: bool = False,
         paused: bool = False,
     ) -> None:
-        """Sound samples (n, channels), −1 … 1, from start_s on, in place of what sounds: that fades out meanwhile, or
-        before where they are to be alone. held: not yet, resume() lets them go. Raises SceneError without a sound
-        device."""
+        """Start samples in place of what plays, which fades out.
+
+        Parameters
+        ----------
+        samples : (n, channels) array
+            Samples in −1 … 1.
+        rate : float
+            Sample rate [Hz].
+        loop : bool
+            Play repeatedly.
+        start_s : float
+            Where to start [s].
+        after_fade : bool
+            Start only after the previous sound has faded out.
+        paused : bool
+            Start paused; `resume` continues.
+
+        Raises
+        ------
+        SceneError
+            Without a sound device.
+        """
         self.stop()
         aud = import_aud()
         sound = aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate)
         was_open = self._device is not None
         try:
             self._handle = self._start_handle(aud, sound, later=paused or (after_fade and bool(self._fading)))
-        except Exception as error:  # aud.error, and what else a driver raises
+        except Exception as error:  # Drivers raise other errors than aud.error too.
             if not was_open:
                 raise SceneError(f"the sound device does not play ({error}).", remedy=NO_SOUND_REMEDY) from error
-            # The one that was open is gone: unplugged, or Blender took another.
+            # The open device is gone: unplugged, or Blender opened another.
             self.start(samples, rate, loop=loop, start_s=start_s, after_fade=after_fade, paused=paused)
             return
         if loop:
@@ -120,13 +142,13 @@ class Speakers:
             finally:
                 device.unlock()
         except Exception:
-            self._device, self._fading = None, []  # with it went what sounded there
+            self._device, self._fading = None, []  # Its sounds are gone with it.
             raise
         self._starts_at = time.monotonic() + FADE_S
         return handle
 
     def rate_hz(self) -> float:
-        """At which the device plays. Raises SceneError without one."""
+        """Return the sample rate of the device [Hz]. Raises SceneError without one."""
         try:
             return float(self._open_device(import_aud()).rate)
         except SceneError:
@@ -138,16 +160,16 @@ class Speakers:
         name = get_device_name()
         if self._name != name:
             self._device, self._name = None, name
-        # For "None" Blender opens nothing, and aud would open the system's usual one instead.
+        # For "None" Blender opens no device, but aud would open the system's default.
         if self._device is None and self._is_shared and name != NO_DEVICE:
-            with contextlib.suppress(aud.error):  # Blender has none open
+            with contextlib.suppress(aud.error):  # Blender has no device open.
                 self._device = aud.Device()
         if self._device is None:
             self._device = aud.Device(name)
         return self._device
 
     def use_shared_device(self, shared: bool) -> None:
-        """Play on the device that Blender itself has open, or again on one of our own. Silences what plays."""
+        """Stop, and play from now on on the device that Blender has open, or again on a separate one."""
         self.release()
         self._is_shared = shared
 
@@ -166,18 +188,18 @@ class Speakers:
         if self._paused_at is None:
             return
         if self.is_playing:
-            self._fading = [each for each in self._fading if each[1] is not self._handle]
+            self._fading = [entry for entry in self._fading if entry[1] is not self._handle]
             self._seek(self._paused_at)
             self._handle.volume = 1.0
             self._handle.resume()
         self._paused_at = None
 
     def update(self) -> None:
-        """End what has faded out, begin what waited for that. Called now and then."""
+        """Stop handles that have faded out and start what waited for them; called by the timer."""
         now = time.monotonic()
-        over = [handle for since, handle in self._fading if now - since >= FADE_S]
-        self._fading = [each for each in self._fading if now - each[0] < FADE_S]
-        for handle in over:
+        faded_handles = [handle for since, handle in self._fading if now - since >= FADE_S]
+        self._fading = [entry for entry in self._fading if now - entry[0] < FADE_S]
+        for handle in faded_handles:
             if handle is self._handle:
                 handle.pause()
             elif handle.status:
@@ -188,11 +210,11 @@ class Speakers:
                 self._handle.resume()
 
     def _seek(self, to_s: float) -> None:
-        with contextlib.suppress(import_aud().error):  # it ended in this very moment
+        with contextlib.suppress(import_aud().error):  # The sound may just have ended.
             self._handle.position = to_s
 
     def _fade_to_pause(self, at_s: float) -> None:
-        """Fade out, and stay at at_s."""
+        """Fade out and remember the position."""
         self._paused_at, self._handle.volume = at_s, 0.0
         self._fading.append((time.monotonic(), self._handle))
 
@@ -210,13 +232,13 @@ class Speakers:
 
     @property
     def position_s(self) -> float:
-        """Seconds into the sound."""
+        """Position in the sound [s]."""
         if not self.is_playing:
             return 0.0
         return float(self._handle.position) if self._paused_at is None else self._paused_at
 
     def release(self) -> None:
-        """Silence at once: whoever opens a device next must find this one closed."""
+        """Stop at once and close the device, so that another one can be opened."""
         for handle in [self._handle, *(handle for _, handle in self._fading)]:
             if handle is not None and handle.status:
                 handle.stop()
@@ -225,19 +247,19 @@ class Speakers:
 
 
 NO_DEVICE = "None"
-"""The device of the preferences that is none."""
+"""Name in the preferences for no sound device."""
 NO_SOUND_REMEDY = "Choose one in Preferences > System > Sound, or export the WAV and play it elsewhere."
 
 
 def get_device_name() -> str:
-    """The one of Preferences > System > Sound: aud's own default may be another, or none that works."""
+    """Return the device of Preferences > System > Sound; aud's own default may differ or not work."""
     import bpy
 
     return str(bpy.context.preferences.system.audio_device)
 
 
 def import_aud() -> Any:
-    """Blender's `aud` module. Raises SceneError where this Blender is built without it."""
+    """Return Blender's `aud` module. Raises SceneError if this Blender is built without it."""
     try:
         return importlib.import_module("aud")
     except ImportError as error:

@@ -1,6 +1,7 @@
-"""A stroke object as it is now → its stored bake, pressed as its force curve says now.
+"""Synthesis of previews in a thread: the current bake of a stroke → signal, confidence and image.
 
-A stroke as it is now → what is heard. No Blender in here: it runs beside the window.
+`read_current_bake` reads the stored bake with the force, probe and seed of now; `synthesise_preview` renders it
+incrementally; `SynthesisThread` does so outside Blender's main thread, the newest request of each stroke first.
 """
 
 from __future__ import annotations
@@ -34,12 +35,13 @@ from ..touch.synthesise import add_provenance, compute_mean_share
 from .stroke_image import ImageStyle, Rgba, draw_stroke_image
 
 MAX_CACHED_BAKES = 16
+"""Number of decoded bakes in the cache."""
 _bake_cache: OrderedDict[str, StrokeBake] = OrderedDict()
 
 
 @dataclass(frozen=True)
 class CurrentBake:
-    """bake: with force, probe and seed of now. stamp: hash of all that its signal follows from."""
+    """Bake of a stroke with its current force, probe and seed; `stamp` is a hash of all that its signal depends on."""
 
     name: str
     bake: StrokeBake
@@ -47,30 +49,43 @@ class CurrentBake:
 
 
 def read_current_bake(obj: Any, scene: Any) -> CurrentBake | None:
-    """What obj sounds like now, as far as its own properties tell; None where nothing is baked.
+    """Return the stored bake with the stroke's current force, probe and seed; None if nothing is baked.
 
-    Surface, path and timing are not looked at: whether the bake still holds for them is state.watch's to say.
-    Raises StrokeError where force presses on what the bake did not touch, FileError where the bake is damaged.
+    Surface, path and timing are not compared: `state.status_tracker` checks whether the bake still holds for them.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Stroke object.
+    scene : bpy.types.Scene
+        Scene whose frame rate and animation are read.
+
+    Raises
+    ------
+    StrokeError
+        If the force presses where the bake has no contact.
+    FileError
+        If the bake is damaged.
     """
     stored = get_property(obj, BAKE_PROPERTY)
     if stored is None:
         return None
-    where, group = f"stroke '{obj.name}'", obj.hnf_stroke
+    location, group = f"stroke '{obj.name}'", obj.hnf_stroke
     digest = content_hash(stored) if isinstance(stored, bytes) else ""
     baked = _load_bake(obj, digest)
     action = baked.stroke.action
     fps, base, start = float(scene.render.fps), float(scene.render.fps_base), float(group.start)
     frames = np.array([seconds_to_frame(float(t), start, fps, base) for t in action.time])
     channel = read_channel(obj, "force", scene)
-    # Drivers are evaluated in a scene made for it: that is no change of the artist's.
+    # Drivers are evaluated in a temporary scene, which must not count as a change by the artist.
     with suppress_change_tracking(bpy.context.view_layer) if channel.source == "driven" else contextlib.nullcontext():
         (keyed,) = sample_channels(obj, scene, (channel,), frames)
-    force = clamp_force(keyed, frames, where=where, max_force=FORCE_MAX_N)
+    force = clamp_force(keyed, frames, where=location, max_force=FORCE_MAX_N)
     try:
-        now = replace(baked.with_force(force, str(group.probe)), seed=int(group.seed))
+        bake = replace(baked.with_force(force, str(group.probe)), seed=int(group.seed))
     except StrokeError as error:
-        raise StrokeError(error.what, where=where, remedy=error.remedy) from None
-    return CurrentBake(obj.name, now, content_hash(digest, force.tobytes(), str(group.probe), str(group.seed)))
+        raise StrokeError(error.what, where=location, remedy=error.remedy) from None
+    return CurrentBake(obj.name, bake, content_hash(digest, force.tobytes(), str(group.probe), str(group.seed)))
 
 
 def clear_bake_cache() -> None:
@@ -78,7 +93,7 @@ def clear_bake_cache() -> None:
 
 
 def _load_bake(obj: Any, digest: str) -> StrokeBake:
-    """Decoding takes milliseconds, and a hand on a key asks many times a second."""
+    """Return a cached bake: decoding takes milliseconds, and a dragged value requests it many times a second."""
     if digest not in _bake_cache:
         bake = load_bake(obj)
         assert bake is not None
@@ -90,13 +105,34 @@ def _load_bake(obj: Any, digest: str) -> StrokeBake:
 
 
 CACHE_LIMIT_BYTES = 400_000_000
-"""Of strokes kept to start from; a minute of stroke takes 70 MB, its profile under the hand 300 MB more."""
+"""Memory limit of the cached renders [bytes]; one minute of stroke takes 70 MB, its height profile 300 MB more."""
 
 
 @dataclass(frozen=True)
 class PreviewResult:
-    """signal: in m/s², with the provenance that `hnf touch` writes. action: what the hand does. stamp: of the Present
-    it was made from. confidence, warnings: as `hnf touch` reports them. rendered: samples that had to be made."""
+    """Synthesised signal of a stroke with its image.
+
+    Attributes
+    ----------
+    name : str
+        Name of the stroke.
+    stamp : str
+        Stamp of the `CurrentBake` that it was made from.
+    signal : Signal
+        Acceleration [m/s²], with the provenance that `hnf touch` writes.
+    action : Action
+        Action over the stroke.
+    confidence : float
+        Confidence, 0 to 1, as `hnf touch` reports it.
+    warnings : tuple of str
+        Warnings, as `hnf touch` reports them.
+    rendered : int
+        Number of samples that had to be rendered.
+    image : (512, 512, 4) float32 array
+        Image for the panel.
+    style : ImageStyle
+        Style of the image.
+    """
 
     name: str
     stamp: str
@@ -111,7 +147,7 @@ class PreviewResult:
 
 @dataclass
 class RenderCache:
-    """The last synthesis of each path, the newest last, bounded by KEPT_BYTES."""
+    """Last render of every path, newest last, limited to CACHE_LIMIT_BYTES."""
 
     items: OrderedDict[str, RenderedStroke] = field(default_factory=OrderedDict)
 
@@ -128,42 +164,63 @@ class RenderCache:
 def synthesise_preview(
     now: CurrentBake, style: ImageStyle, cache: RenderCache, is_superseded: Callable[[], bool] = lambda: False
 ) -> PreviewResult:
-    """Synthesise and draw, from the last synthesis of the same path where there is one.
+    """Synthesise a stroke and draw its image, starting from the cached render of the same path if there is one.
 
-    Raises Superseded where superseded() says so, StrokeError as synthesise() does.
+    Parameters
+    ----------
+    now : CurrentBake
+        Bake to render.
+    style : ImageStyle
+        Style of the image.
+    cache : RenderCache
+        Earlier renders, updated.
+    is_superseded : callable
+        Called between blocks; returns True to cancel.
+
+    Raises
+    ------
+    Superseded
+        If `is_superseded` returns True.
+    StrokeError
+        If the stroke cannot be synthesised.
     """
     bake = now.bake
-    parts, made = split_by_field(load_field(), bake.stroke), []
-    for part in parts:
-        key = f"{bake.path_key} {part.field.identity}"
+    field_parts, renders = split_by_field(load_field(), bake.stroke), []
+    for field_part in field_parts:
+        key = f"{bake.path_key} {field_part.field.identity}"
         earlier = cache.get(key)
         if earlier is not None and earlier.prepared.seed != bake.seed:
             earlier = None
-        made.append(
-            render_incremental(part.field, part.stroke, seed=bake.seed, earlier=earlier, superseded=is_superseded)
+        renders.append(
+            render_incremental(
+                field_part.field, field_part.stroke, seed=bake.seed, earlier=earlier, superseded=is_superseded
+            )
         )
-        cache.put(key, made[-1])
-    whole = blend(parts, [each.synthesis for each in made])
-    # Pressed nowhere, there is nothing to be unsure of.
-    share = compute_mean_share(bake.shares, bake.patch_index) if (bake.patch_index >= 0).any() else 1.0
-    confidence = share * whole.confidence
-    signal = add_provenance(whole.signal, now.name, bake.facts, confidence)
+        cache.put(key, renders[-1])
+    blended = blend(field_parts, [render.synthesis for render in renders])
+    # Without contact the signal is zero, which is certain.
+    material_confidence = compute_mean_share(bake.shares, bake.patch_index) if (bake.patch_index >= 0).any() else 1.0
+    confidence = material_confidence * blended.confidence
+    signal = add_provenance(blended.signal, now.name, bake.facts, confidence)
     action = bake.stroke.action
-    picture = draw_stroke_image(signal, action, style)
+    image = draw_stroke_image(signal, action, style)
     return PreviewResult(
-        now.name, now.stamp, signal, action, confidence, whole.warnings, sum(each.rendered_count for each in made),
-        picture,
+        now.name, now.stamp, signal, action, confidence, blended.warnings,
+        sum(render.rendered_count for render in renders),
+        image,
         style,
     )  # fmt: skip
 
 
 Outcome = PreviewResult | str
-"""Or why nothing could be heard, in words."""
+"""Result, or text of why there is none."""
 
 
 class SynthesisThread:
-    """A thread that hears what is asked for; of each stroke the newest request wins. What was asked for first of all
-    does not wait for other strokes: they are begun again after it."""
+    """Thread that synthesises requested strokes; the newest request of each stroke replaces earlier ones.
+
+    A request with `first` interrupts the synthesis of other strokes, which are started again afterwards.
+    """
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
@@ -176,7 +233,7 @@ class SynthesisThread:
         self._thread: threading.Thread | None = None
 
     def request(self, now: CurrentBake, style: ImageStyle, *, first: bool = True) -> None:
-        """Begin to hear, before all others or after them; returns at once."""
+        """Request the signal of a stroke, before all others (`first`) or after them."""
         with self._condition:
             self._requests[now.name] = now, style
             if first:
@@ -190,7 +247,7 @@ class SynthesisThread:
             self._condition.notify()
 
     def pop_results(self) -> dict[str, Outcome]:
-        """What was heard since the last call, by stroke name."""
+        """Return the outcomes since the last call, by stroke name."""
         with self._condition:
             done, self._done = self._done, {}
             return done
@@ -201,7 +258,7 @@ class SynthesisThread:
             return bool(self._requests) or self._busy
 
     def stop(self, *, wait: bool = True) -> None:
-        """Stop the thread. wait: until it has ended; between two blocks it looks up, so not long."""
+        """Stop the thread; `wait` until it has ended, which takes one block at most."""
         with self._condition:
             self._is_stopping = True
             self._requests.clear()
@@ -216,24 +273,24 @@ class SynthesisThread:
                     self._condition.wait()
                 if self._is_stopping:
                     return
-                name, (now, look) = self._requests.popitem(last=False)
+                name, (current, style) = self._requests.popitem(last=False)
                 self._busy = True
             outcome: Outcome | None
             try:
-                outcome = synthesise_preview(now, look, self._cache, lambda name=name: self._is_superseded(name))  # type: ignore[misc]
+                outcome = synthesise_preview(current, style, self._cache, lambda name=name: self._is_superseded(name))  # type: ignore[misc]
             except Superseded:
                 outcome = None
             except HnfError as error:
                 outcome = str(error)
-            except Exception as error:  # a fault of ours must not end the thread
+            except Exception as error:  # An unexpected error must not end the thread.
                 traceback.print_exc()
                 outcome = f"internal error ({error!r}). Please report it."
             with self._condition:
                 self._busy = False
                 if outcome is not None:
-                    self._done[now.name] = outcome
+                    self._done[current.name] = outcome
                 elif not self._is_stopping:
-                    self._requests.setdefault(name, (now, look))
+                    self._requests.setdefault(name, (current, style))
 
     def _is_superseded(self, name: str) -> bool:
         with self._condition:
@@ -244,4 +301,4 @@ def _count_bytes(rendered: RenderedStroke) -> int:
     prepared = rendered.prepared
     arrays = (prepared.amplitude, prepared.profile_amplitude, prepared.unbridged, prepared.audible, rendered.samples)
     waves = () if prepared.bands is None else prepared.bands.waves
-    return sum(each.nbytes for each in (*arrays, *waves) if isinstance(each, np.ndarray))
+    return sum(array.nbytes for array in (*arrays, *waves) if isinstance(array, np.ndarray))

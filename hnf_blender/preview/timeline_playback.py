@@ -1,6 +1,6 @@
-"""Where strokes sound on the timeline: frames and seconds, and one track mixed from many strokes. Pure numpy.
+"""Playback of strokes with Blender's timeline: baked strokes at their start frames → one mixed, synchronised track.
 
-Strokes sound where they stand in time while the timeline plays.
+`mix_strokes` mixes the strokes from a frame on; `PlayheadFollower` plays the mix and follows jumps of the playhead.
 """
 
 from __future__ import annotations
@@ -23,71 +23,85 @@ if TYPE_CHECKING:
 Samples = NDArray[np.float32]
 
 MAX_DRIFT_S = 0.1
-"""Sound further than this from the picture is moved to it: Blender may drop or delay frames, sound does not."""
+"""Offset between sound and timeline above which the sound is restarted [s]: Blender may drop frames, sound does not."""
 
 
 class FrameClock(NamedTuple):
-    """Frames per second of a scene: fps / fps_base."""
+    """Frame rate of a scene: fps / fps_base frames per second."""
 
     fps: float
     fps_base: float = 1.0
 
     def seconds(self, frame: float, start: float) -> float:
-        """From start to frame; frames may be fractions."""
+        """Return the time from frame `start` to `frame` [s]; frames may be fractional."""
         return frame_to_seconds(frame, start, self.fps, self.fps_base)
 
 
 class PlacedSignal(NamedTuple):
-    """A stroke's samples at rate [Hz], the first of them at frame start."""
+    """Samples (n,) of a stroke at `rate` [Hz] that begin at frame `start`."""
 
     start: float
     samples: Samples
     rate: float
 
     def end(self, clock: FrameClock) -> float:
-        """Frame at which the last sample has sounded."""
+        """Return the frame at which the last sample has been played."""
         return self.start + len(self.samples) / self.rate * clock.fps / clock.fps_base
 
 
 def mix_strokes(strokes: Sequence[PlacedSignal], frame: float, last_frame: float, clock: FrameClock) -> Samples:
-    """What sounds from frame to the end of last_frame: the sum of the strokes, (n,) at their common rate.
+    """Return the sum of the strokes from `frame` to the end of `last_frame`, (n,) at their common rate.
 
-    A stroke that has begun before is joined midway; empty where nothing sounds any more. Raises ValueError for
+    Strokes that began earlier are joined midway; the result is empty if nothing plays any more. Raises ValueError for
     strokes of several rates.
     """
     if not strokes:
         return np.zeros(0, dtype=np.float32)
-    rates = {each.rate for each in strokes}
+    rates = {stroke.rate for stroke in strokes}
     if len(rates) > 1:
         raise ValueError(f"strokes of several sample rates: {sorted(rates)}")
     rate = rates.pop()
-    most = max(round(clock.seconds(last_frame + 1.0, frame) * rate), 0)
-    begins = [round(clock.seconds(each.start, frame) * rate) for each in strokes]
-    length = max(min(max(begin + len(each.samples) for begin, each in zip(begins, strokes, strict=True)), most), 0)
+    max_length = max(round(clock.seconds(last_frame + 1.0, frame) * rate), 0)
+    offsets = [round(clock.seconds(stroke.start, frame) * rate) for stroke in strokes]
+    length = max(
+        min(max(offset + len(stroke.samples) for offset, stroke in zip(offsets, strokes, strict=True)), max_length), 0
+    )
     out = np.zeros(length, dtype=np.float32)
-    for begin, each in zip(begins, strokes, strict=True):
-        low, high = max(begin, 0), min(begin + len(each.samples), length)
+    for offset, stroke in zip(offsets, strokes, strict=True):
+        low, high = max(offset, 0), min(offset + len(stroke.samples), length)
         if low < high:
-            out[low:high] += each.samples[low - begin : high - begin]
+            out[low:high] += stroke.samples[low - offset : high - offset]
     return out
 
 
 def has_jumped(frame: float, expected_s: float, start_frame: float, clock: FrameClock) -> bool:
-    """Is the timeline elsewhere than the sound? expected_s: how long the sound plays since frame begun_at."""
+    """Return whether the timeline differs from the sound, which has played for `expected_s` since `start_frame`."""
     return abs(clock.seconds(frame, start_frame) - expected_s) > MAX_DRIFT_S + clock.seconds(1.0, 0.0)
 
 
 SCRUB_S = 0.06
-"""Of a stroke that is felt where the playhead is dragged to, or a frame where that is longer."""
+"""Shortest excerpt of a stroke that is played when the playhead is dragged [s]; at least one frame."""
 
 TAIL_S = 1.0
-"""Of silence after what sounds. The device stays open when the playhead has moved: to take one takes longer than to
-move on. And a device that loses count of its last buffers (OpenAL, by up to a sixth of a second) does so in it."""
+"""Silence after the sound [s].
+
+The device stays open when the playhead moves, since opening it takes longer. And a device that loses its last buffers
+(OpenAL, up to a sixth of a second) loses silence only.
+"""
 
 
 class PlayheadFollower:
-    """What of the timeline sounds now. begun_at: frame at which it began; None while nothing plays. waits: it sounds
-    from the next frame on."""
+    """Playback of the timeline.
+
+    Attributes
+    ----------
+    start_frame : float or None
+        Frame at which playback began; None while nothing plays.
+    is_waiting : bool
+        Playback begins with the next frame.
+    scene : str
+        Name of the playing scene.
+    """
 
     def __init__(self) -> None:
         self.start_frame: float | None = None
@@ -98,11 +112,14 @@ class PlayheadFollower:
         return self.start_frame is not None and self.scene == scene.name
 
     def wait(self, scene: Any) -> None:
-        """Begin to sound with the next frame that is shown."""
+        """Start playback with the next shown frame."""
         self.start_frame, self.scene, self.is_waiting = float(scene.frame_current_final), scene.name, True
 
     def start(self, scene: Any) -> None:
-        """Sound what lies ahead of the present frame. Nothing where sound is missing: the timeline plays on."""
+        """Play the strokes from the current frame on.
+
+        Without a sound device nothing is played, and the timeline plays on.
+        """
         from hnf_core.errors import HnfError
 
         from .controller import PLAYER
@@ -110,15 +127,15 @@ class PlayheadFollower:
         self.start_frame, self.scene, self.is_waiting = None, scene.name, False
         if not scene.hnf.follow_timeline:
             return
-        last = scene.frame_preview_end if scene.use_preview_range else scene.frame_end
+        last_frame = scene.frame_preview_end if scene.use_preview_range else scene.frame_end
         PREVIEW.sounding = ""
         self.start_frame = float(scene.frame_current_final)
-        ahead = make_sound_ahead(scene, float(last))
-        if ahead is None:
+        sound = make_sound_ahead(scene, float(last_frame))
+        if sound is None:
             PLAYER.stop()
             return
         with contextlib.suppress(HnfError):
-            PLAYER.play(pad_with_silence(ahead))
+            PLAYER.play(pad_with_silence(sound))
 
     def stop(self) -> None:
         from .controller import PLAYER
@@ -128,7 +145,7 @@ class PlayheadFollower:
         self.start_frame, self.is_waiting = None, False
 
     def follow(self, scene: Any) -> None:
-        """Another frame is shown: where the timeline jumped, the sound jumps too."""
+        """Restart the sound if the timeline has jumped."""
         from .controller import PLAYER
 
         if self.start_frame is None or not self.is_playing(scene):
@@ -144,8 +161,10 @@ class PlayheadFollower:
             self.start(scene)
 
     def scrub(self, scene: Any) -> None:
-        """The playhead was dragged to another frame: feel the moment there, on an actuator alone. Speakers are left to
-        Blender's own scrubbing."""
+        """Play a short excerpt at the dragged playhead, on an actuator only.
+
+        Speakers are left to Blender's own scrubbing.
+        """
         from hnf_core.errors import HnfError
 
         from ..actuator.actuator_state import SPEAKERS, get_selected_output
@@ -154,19 +173,19 @@ class PlayheadFollower:
         if get_selected_output() == SPEAKERS or not scene.hnf.follow_timeline:
             return
         frames = max(1.0, SCRUB_S * scene.render.fps / scene.render.fps_base)
-        moment = make_sound_ahead(scene, float(scene.frame_current_final) + frames - 1.0)
-        if moment is None:
+        excerpt = make_sound_ahead(scene, float(scene.frame_current_final) + frames - 1.0)
+        if excerpt is None:
             return
         PREVIEW.sounding = ""
         with contextlib.suppress(HnfError):
-            PLAYER.play(pad_with_silence(moment))
+            PLAYER.play(pad_with_silence(excerpt))
 
 
 FOLLOWER = PlayheadFollower()
 
 
 def make_sound_ahead(scene: Any, last_frame: float) -> Sound | None:
-    """What sounds from the present frame to the end of last_frame; None where nothing does."""
+    """Return the sound from the current frame to the end of `last_frame`; None if there is none."""
     from .controller import make_sound
 
     clock = FrameClock(float(scene.render.fps), float(scene.render.fps_base))
@@ -176,13 +195,13 @@ def make_sound_ahead(scene: Any, last_frame: float) -> Sound | None:
 
 
 def pad_with_silence(sound: Sound) -> Sound:
-    """A sound and LINGER_S of silence after it."""
-    quiet = np.zeros(round(TAIL_S * sound.rate), dtype=np.float32)
-    return replace(sound, samples=np.concatenate([sound.samples, quiet]))
+    """Append TAIL_S of silence."""
+    silence = np.zeros(round(TAIL_S * sound.rate), dtype=np.float32)
+    return replace(sound, samples=np.concatenate([sound.samples, silence]))
 
 
 def list_placed_signals(scene: Any) -> list[Any]:
-    """Signals that are there and true, of strokes that are not muted, at their start frames."""
+    """Return the valid signals of strokes that are not muted, at their start frames."""
     from ..props.scene_settings import list_cached_strokes
     from .controller import get_problem
 
@@ -195,7 +214,7 @@ def list_placed_signals(scene: Any) -> list[Any]:
 
 
 def on_playback_pre(scene: Any, _depsgraph: Any = None) -> None:
-    """animation_playback_pre. Blender opens its sound device after it: speakers wait for the next frame."""
+    """Start playback, for speakers with the next frame: Blender opens its sound device after animation_playback_pre."""
     from .controller import PLAYER
 
     if PLAYER.use_shared_device(True):
@@ -205,7 +224,7 @@ def on_playback_pre(scene: Any, _depsgraph: Any = None) -> None:
 
 
 def on_playback_post(_scene: Any = None, _depsgraph: Any = None) -> None:
-    """animation_playback_post."""
+    """Stop playback (handler animation_playback_post)."""
     from .controller import PLAYER
 
     FOLLOWER.stop()
@@ -213,7 +232,7 @@ def on_playback_post(_scene: Any = None, _depsgraph: Any = None) -> None:
 
 
 def on_frame_change(scene: Any, _depsgraph: Any = None) -> None:
-    """frame_change_post."""
+    """Follow the timeline or the dragged playhead (handler frame_change_post)."""
     import bpy
 
     if FOLLOWER.start_frame is not None:

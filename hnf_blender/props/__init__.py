@@ -1,4 +1,7 @@
-"""What the project adds to Blender's own data."""
+"""Properties that the add-on registers on Blender's objects, materials and scenes.
+
+Read `stroke_settings.py` first: it defines what makes a curve object a stroke.
+"""
 
 from __future__ import annotations
 

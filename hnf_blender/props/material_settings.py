@@ -1,6 +1,7 @@
-"""All properties of the add-on may be overridden: a stroke linked from another file can be felt otherwise here.
+"""Property group Material.hnf_touch: the library material that the artist chose for a Blender material.
 
-Material.hnf_touch: the artist's own word on what a material feels like.
+Also here: registration of property groups, all of which allow library overrides, so that a linked stroke can be set
+differently in this file.
 """
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
@@ -10,11 +11,11 @@ from typing import Any
 import bpy
 
 OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
-"""For `override=`. Without it Blender takes a change on a library override and forgets it with the next load."""
+"""Value of `override=`; without it Blender loses a change to a library override when the file is loaded again."""
 
 
 def register_pointer(kind: Any, name: str, group: Any) -> None:
-    """Register a group of properties and give it to a kind of datablock under a name: both, or neither."""
+    """Register a property group and attach it to a datablock type as `name`; undo the first if the second fails."""
     bpy.utils.register_class(group)
     try:
         setattr(kind, name, bpy.props.PointerProperty(type=group, override=OVERRIDABLE))
@@ -24,15 +25,15 @@ def register_pointer(kind: Any, name: str, group: Any) -> None:
 
 
 def unregister_pointer(kind: Any, name: str, group: Any) -> None:
-    """What give() did."""
+    """Undo `register_pointer`."""
     delattr(kind, name)
     bpy.utils.unregister_class(group)
 
 
 DEFINITION_PROPERTY = "hnf_material"
-"""ID property: the bytes of a `.hnf` file that the material carries. hnf_touch.library goes before it."""
+"""ID property with the bytes of a `.hnf` file that the material carries; `hnf_touch.library` takes precedence."""
 DEFINITION_NAME_PROPERTY = "hnf_material_name"
-"""ID property: the name in those bytes, for panels, which open no file."""
+"""ID property with the name in those bytes, so that panels need not read them."""
 
 
 class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types

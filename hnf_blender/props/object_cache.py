@@ -1,5 +1,8 @@
-"""Which objects of a scene are strokes (or whatever else is asked for), remembered while nobody changes anything:
-panels ask dozens of times a redraw and a timer 25 times a second, and a scene may have ten thousand objects."""
+"""Caches of scene queries, valid until something changes.
+
+Panels query the strokes of a scene dozens of times per redraw and a timer 25 times per second, while a scene may have
+ten thousand objects.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +11,33 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 CACHE_LIFETIME_S = 1.0
-"""A list is made anew then at the latest: Blender does not tell of everything, such as a curve of which a script makes
-a stroke by its custom properties."""
+"""Longest lifetime of a cached result [s], since Blender does not report every change.
+
+For example, a script can turn a curve into a stroke by its custom properties.
+"""
 REDRAW_LIFETIME_S = 0.05
-"""All of one redraw is asked within it."""
+"""Time within which all queries of one redraw are made [s]."""
 FEW_OBJECTS = 4
-"""Objects that are fetched by their places one by one: Blender counts up to each. More: all of the scene's at once."""
+"""Number of objects up to which they are fetched by index, for which Blender counts up to each of them."""
 
 
 class ChangeCounter:
-    """is_told: handlers tell of changes, by forget(); without them nothing is remembered."""
+    """Counter of changes to Blender's data.
+
+    Attributes
+    ----------
+    is_notified : bool
+        Whether handlers report changes by `mark_changed`; if not, nothing is cached.
+    changes : int
+        Number of changes.
+    """
 
     def __init__(self) -> None:
         self.is_notified = False
         self.changes = 0
 
     def mark_changed(self) -> None:
-        """Something changed."""
+        """Count a change."""
         self.changes += 1
 
 
@@ -32,34 +45,41 @@ CHANGES = ChangeCounter()
 
 
 class CachedFilter:
-    """The objects of a scene of which is_one(object) holds. What is remembered are places among the scene's objects,
-    never references, and each is looked at before it is believed."""
+    """Cached list of a scene's objects that satisfy a predicate.
+
+    Indices are cached, never references, and the predicate is checked again for each of them.
+    """
 
     def __init__(self, predicate: Callable[[Any], bool]) -> None:
         self._predicate = predicate
         self._indices: dict[str, tuple[int, float, tuple[int, ...]]] = {}
 
     def list_indexed(self, scene: Any, lifetime_s: float | None = None) -> list[tuple[int, Any]]:
-        """(place, object), in the order of the scene's objects. holds_s: of what is remembered; None = HOLDS_S."""
+        """Return (index, object) pairs in the order of the scene's objects.
+
+        `lifetime_s` limits the age of the cached result; None means CACHE_LIFETIME_S.
+        """
         lifetime_s = CACHE_LIFETIME_S if lifetime_s is None else lifetime_s
-        changes, since, places = self._indices.get(scene.name_full, (-1, float("-inf"), ()))
-        if CHANGES.is_notified and changes == CHANGES.changes and time.monotonic() - since < lifetime_s:
-            found = [(at, obj) for at, obj in _fetch_objects(scene.objects, places) if self._predicate(obj)]
-            if len(found) == len(places):
-                return found
-        found = [(at, obj) for at, obj in enumerate(scene.objects) if self._predicate(obj)]
+        changes, cached_at, indices = self._indices.get(scene.name_full, (-1, float("-inf"), ()))
+        if CHANGES.is_notified and changes == CHANGES.changes and time.monotonic() - cached_at < lifetime_s:
+            matches = [(index, obj) for index, obj in _fetch_objects(scene.objects, indices) if self._predicate(obj)]
+            if len(matches) == len(indices):
+                return matches
+        matches = [(index, obj) for index, obj in enumerate(scene.objects) if self._predicate(obj)]
         if CHANGES.is_notified:
-            self._indices[scene.name_full] = CHANGES.changes, time.monotonic(), tuple(at for at, _ in found)
-        return found
+            self._indices[scene.name_full] = CHANGES.changes, time.monotonic(), tuple(index for index, _ in matches)
+        return matches
 
     def list_objects(self, scene: Any) -> list[Any]:
-        """In the order of the scene's objects."""
+        """Return the objects in the order of the scene's objects."""
         return [obj for _, obj in self.list_indexed(scene)]
 
 
 class ChangeCache:
-    """Answers that cost a look through all of a scene's objects, by what was asked: numbers and names, no references.
-    Remembered while nobody changes anything, HOLDS_S at most."""
+    """Cache of values computed from all of a scene's objects: numbers and names, no references.
+
+    Values are valid until something changes, CACHE_LIFETIME_S at most.
+    """
 
     def __init__(self) -> None:
         self._values: dict[Hashable, Any] = {}
@@ -77,7 +97,7 @@ class ChangeCache:
 
 
 def get_object_at(objects: Any, index: int) -> Any:
-    """objects[place], or None. Blender counts a scene's objects anew for each len()."""
+    """Return the object at an index, or None; avoids `len`, for which Blender counts all objects."""
     try:
         return objects[index]
     except IndexError:
@@ -85,10 +105,10 @@ def get_object_at(objects: Any, index: int) -> Any:
 
 
 def _fetch_objects(objects: Any, indices: tuple[int, ...]) -> list[tuple[int, Any]]:
-    """Those of the places that still are."""
-    held = objects[:] if len(indices) > FEW_OBJECTS else objects
-    fetched = ((at, get_object_at(held, at)) for at in indices)
-    return [(at, obj) for at, obj in fetched if obj is not None]
+    """Return (index, object) pairs of the indices that exist."""
+    sequence = objects[:] if len(indices) > FEW_OBJECTS else objects
+    fetched = ((index, get_object_at(sequence, index)) for index in indices)
+    return [(index, obj) for index, obj in fetched if obj is not None]
 
 
 STROKES = CachedFilter(lambda obj: bool(obj.hnf_stroke.is_stroke))

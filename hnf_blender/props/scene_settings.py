@@ -1,8 +1,7 @@
-"""Formats that strokes leave in, as artists choose them; what they do stands in hnf_core.export.formats.
+"""Property group Scene.hnf: settings of the Touch tab, with the export formats and actuator profiles to choose from.
 
-An actuator's profile in a file beside the scene, such as `hnf actuators measure` writes.
-
-Scene.hnf: what the Touch tab keeps with the scene.
+Also here: queries for a scene's strokes and its actuator profile. The formats are implemented in
+`hnf_core.export.formats`; a profile file is what `hnf actuators measure` writes.
 """
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
@@ -28,8 +27,19 @@ from .stroke_settings import FORCE_MAX_N
 
 
 class FormatChoice(NamedTuple):
-    """word: in hnf_core.export.formats.FORMATS. scaled: its numbers are shares of the actuator's full scale. stem: what
-    is added to the name of its files, where another format has the same suffix."""
+    """Export format as the artist chooses it.
+
+    Attributes
+    ----------
+    format_name : str
+        Key of `hnf_core.export.formats.FORMATS`.
+    label, description : str
+        Text of the menu item.
+    scaled : bool
+        Whether values are fractions of the actuator's full scale.
+    stem : str
+        Added to the file name if another format has the same suffix.
+    """
 
     format_name: str
     label: str
@@ -61,23 +71,25 @@ FORMAT_ITEMS = [(choice.format_name, choice.label, choice.description) for choic
 
 
 PROFILE_FROM_FILE = "file"
-"""Of Scene.hnf.actuator: the profile is in Scene.hnf.actuator_file."""
+"""Value of Scene.hnf.actuator for a profile read from Scene.hnf.actuator_file."""
 CHECK_INTERVAL_S = 2.0
-"""Timers ask many times a second; the disk is asked this often whether the file has changed."""
+"""Interval at which the profile file is checked for changes [s]; timers query it far more often."""
 
 _profiles: dict[str, ActuatorProfile] = {}
-"""By path."""
+"""Profiles by path."""
 
 
 def read_file_profile(path: str) -> ActuatorProfile:
-    """Its name is the path: by that it is read again, with its response, where it is played. Where it cannot be read
-    nothing is known of it, and source says why; playing on it is refused."""
+    """Read a profile file; its path becomes the profile's name, by which the player reads it again with its response.
+
+    If it cannot be read, the profile is empty, `source` is the reason, and the player refuses it.
+    """
     _profiles[path] = _read_profile(path, _read_mtime(path, int(time.monotonic() / CHECK_INTERVAL_S)))
     return _profiles[path]
 
 
 def get_cached_profile(path: str) -> ActuatorProfile:
-    """For panels, which ask no disk: as profile_in_file() found it last. A timer asks for what windows show."""
+    """Return the profile as `read_file_profile` last read it, without access to the disk; for panels."""
     return _profiles.get(path) or ActuatorProfile(path, _make_title(path), tr("Not read yet"))
 
 
@@ -224,7 +236,15 @@ def unregister() -> None:
 def get_actuator_profile(
     scene: Any, read_profile_file: Callable[[str], ActuatorProfile] = read_file_profile
 ) -> ActuatorProfile:
-    """The scene's actuator; the generic one where its name is not known. in_file: how a file's profile is found."""
+    """Return the actuator profile of a scene; the generic one if the name is unknown.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene with the setting.
+    read_profile_file : callable
+        Returns the profile of a file, given its path.
+    """
     settings = scene.hnf
     if settings.actuator == USER_PROFILE_NAME:
         return make_user_profile(settings.own_peak_m_s2, settings.own_lowest_hz, settings.own_highest_hz)
@@ -234,55 +254,59 @@ def get_actuator_profile(
 
 
 def get_shown_profile(scene: Any) -> ActuatorProfile:
-    """actuator_of() for panels: a file's profile as it was last read."""
+    """Return the scene's actuator profile without access to the disk; for panels."""
     return get_actuator_profile(scene, get_cached_profile)
 
 
 def list_strokes(scene: Any) -> list[Any]:
-    """The scene's stroke objects, muted ones too, in the order of its objects."""
+    """Return the scene's stroke objects, including muted ones, in the order of its objects."""
     return [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
 
 
 def list_cached_strokes(scene: Any) -> list[Any]:
-    """strokes_of(), remembered while Blender tells of no change: for panels and timers, which ask all the time. A
-    script may make a stroke of which Blender tells nothing, so operators look anew."""
+    """Return the scene's stroke objects from the cache; for panels and timers.
+
+    Operators use `list_strokes`, since a script can make a stroke without a notification by Blender.
+    """
     return STROKES.list_objects(scene)
 
 
 def has_strokes(scene: Any) -> bool:
-    """For poll(): cheap where there are some; that there are none is believed for the time of a redraw."""
+    """Return whether the scene has strokes; cheap enough for poll(). A negative result is cached for one redraw."""
     return bool(STROKES.list_indexed(scene) or STROKES.list_indexed(scene, REDRAW_LIFETIME_S))
 
 
 def find_stroke(scene: Any, name: str) -> Any:
-    """The scene's stroke of this full name, which for a linked one names its file too; else of this name; or None."""
+    """Return the scene's stroke with this full name (which includes a library's file), else with this name, or None."""
     strokes = list_strokes(scene)
-    full = next((obj for obj in strokes if obj.name_full == name), None)
-    return full if full is not None else next((obj for obj in strokes if obj.name == name), None)
+    match = next((obj for obj in strokes if obj.name_full == name), None)
+    return match if match is not None else next((obj for obj in strokes if obj.name == name), None)
 
 
 def find_namesake(scene: Any, stroke: Any) -> Any:
-    """Another stroke of the scene with this one's name, which one linked from another file may have; or None."""
+    """Return another stroke of the scene with the same name, as a linked one may have, or None."""
     return next((obj for obj in list_cached_strokes(scene) if obj.name == stroke.name and obj != stroke), None)
 
 
 def find_index(objects: Any, obj: Any) -> int:
-    """Where obj is in a collection of objects; -1: nowhere. Its name alone may find another one's, linked or local."""
-    at = int(objects.find(obj.name))
-    if at < 0 or objects[at] == obj:
-        return at
-    return next((index for index, each in enumerate(objects) if each == obj), -1)
+    """Return the index of `obj` in a collection of objects, or −1; a linked and a local object may share the name."""
+    position = int(objects.find(obj.name))
+    if position < 0 or objects[position] == obj:
+        return position
+    return next((index for index, candidate in enumerate(objects) if candidate == obj), -1)
 
 
 def get_active_stroke(context: Any) -> Any:
-    """The stroke that panels and operators speak of, or None: the active object where it is one, else the one picked
-    in the list, else the only one there is."""
+    """Return the stroke that panels and operators refer to, or None.
+
+    It is the active object if that is a stroke, else the stroke selected in the list, else the scene's only stroke.
+    """
     scene = context.scene
     active = context.view_layer.objects.active
     if active is not None and active.hnf_stroke.is_stroke:
         return active
-    picked = get_object_at(scene.objects, scene.hnf.stroke_index)
-    if picked is not None and picked.hnf_stroke.is_stroke:
-        return picked
+    listed = get_object_at(scene.objects, scene.hnf.stroke_index)
+    if listed is not None and listed.hnf_stroke.is_stroke:
+        return listed
     strokes = list_cached_strokes(scene)
     return strokes[0] if len(strokes) == 1 else None

@@ -1,5 +1,7 @@
-"""Object.hnf_stroke: what makes a curve object a stroke. Its force and progress are keyframed like any property, so
-the Graph Editor is the force editor."""
+"""Property group Object.hnf_stroke: what makes a curve object a stroke, with its timing, force and probe.
+
+Force and progress are animated like any property, so the Graph Editor edits them.
+"""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -10,6 +12,7 @@ from hnf_core.material.probe import PROBES
 from .material_settings import OVERRIDABLE, register_pointer, unregister_pointer
 
 FORCE_MAX_N = 20.0
+"""Largest normal force of a stroke [N]."""
 
 MOTION_PROFILE_ITEMS = (
     ("PROGRESS", "Progress keys", "The keys of Progress say where along the curve the hand is at each frame"),

@@ -1,1 +1,4 @@
-"""What the add-on remembers while Blender runs and a file does not keep: statuses, the running job, previews."""
+"""State of the session that no file stores: statuses of strokes, the running job, the last results.
+
+Read `session_state.py` first; `status_tracker.py` keeps the statuses up to date, `labels.py` turns them into text.
+"""

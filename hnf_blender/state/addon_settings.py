@@ -1,7 +1,4 @@
-"""What the preferences say, wherever it is asked.
-
-Where the add-on keeps what it can make again, and what it learned.
-"""
+"""Preferences of the add-on, with defaults where there are none, and the folders for caches and learned materials."""
 
 from __future__ import annotations
 
@@ -11,14 +8,22 @@ from typing import Any, NamedTuple
 import bpy
 
 ADDON_PACKAGE = __package__.rpartition(".")[0]
-"""The package that Blender keeps preferences for: the one that this room is in."""
+"""Name of the add-on's package, under which Blender stores its preferences."""
 
 
 class Settings(NamedTuple):
-    """What holds where the add-on was not switched on through the preferences (tests, the command line).
+    """Defaults used if the add-on was not enabled through the preferences (tests, command line).
 
-    overlay: draw strokes in the 3-D view. default_probe: of new strokes. output: where strokes are played.
-    external_python: the program that learns materials, "" = none.
+    Attributes
+    ----------
+    overlay : bool
+        Draw strokes in the 3-D view.
+    default_probe : str
+        Probe of new strokes.
+    output : str
+        Target that strokes are played on.
+    external_python : str
+        Python interpreter that learns materials; "" for none.
     """
 
     overlay: bool = True
@@ -31,23 +36,23 @@ DEFAULT_SETTINGS = Settings()
 
 
 def get_settings(context: Any = None) -> Any:
-    """The preferences, or DEFAULTS where Blender keeps none for this add-on; the names are the same."""
+    """Return the add-on's preferences, or DEFAULT_SETTINGS, which has the same attributes."""
     addon = (context or bpy.context).preferences.addons.get(ADDON_PACKAGE)
     return DEFAULT_SETTINGS if addon is None or addon.preferences is None else addon.preferences
 
 
 def get_cache_folder() -> Path:
-    """Close-ups of earlier bakes, named by content. Made where it is missing; survives upgrades of an extension."""
+    """Return the folder of cached close-ups, created if missing; it survives upgrades of an extension."""
     return _make_data_folder("cache")
 
 
 def get_learned_folder() -> Path:
-    """Learned materials, and what an unfinished lesson goes on from; likewise."""
+    """Return the folder of learned materials and unfinished training; created if missing."""
     return _make_data_folder("learned")
 
 
 def _make_data_folder(name: str) -> Path:
-    import tempfile  # brings shutil and four packers along: 3 ms that switching on need not take
+    import tempfile  # Imports shutil and compressors, 3 ms that enabling the add-on should not take.
 
     import bpy
 

@@ -1,9 +1,6 @@
-"""Drawing the Touch tab or the 3-D views anew, in every window.
+"""Interface state outside the panels: redraws of views and sidebars, images as icons, the stroke selected in the list.
 
-Pictures as icons: Blender shows what is in a preview image at any size.
-
-The stroke picked in the list stays picked. Blender's list counts all objects of the scene, so one that comes or goes
-elsewhere would make the panels speak of another stroke.
+Blender's list counts all objects of the scene, so the selection is corrected when an object comes or goes.
 """
 
 from __future__ import annotations
@@ -16,12 +13,12 @@ if TYPE_CHECKING:
 
 
 def redraw_tab() -> None:
-    """Mark the sidebars of all 3-D views to be drawn again; nothing without windows."""
+    """Redraw the sidebars of all 3-D views; do nothing without windows."""
     _tag_regions("UI")
 
 
 def redraw_views() -> None:
-    """Mark the 3-D views themselves, without their sidebars and headers."""
+    """Redraw the 3-D views without their sidebars and headers."""
     _tag_regions("WINDOW")
 
 
@@ -40,7 +37,7 @@ _previews: Any = None
 
 
 def set_icon(name: str, pixels: NDArray[np.float32]) -> int:
-    """Put a picture (h, w, 4), bottom row first, under name; its icon id, 0 without a window."""
+    """Store an image (h, w, 4), bottom row first, as icon `name`; return the icon id, 0 without a window."""
     global _previews
     import bpy.utils.previews
 
@@ -63,25 +60,24 @@ def release_icons() -> None:
 
 
 _active_strokes: dict[str, tuple[int, str]] = {}
-"""Scene → index as last seen, and the stroke there."""
+"""Last index and stroke name, by scene name."""
 
 
 def restore_active_stroke(scene: Any) -> bool:
-    """Called now and then. Where the index is what it was and another object stands there: move it to where the stroke
-    is now. True when it moved."""
+    """Correct the selected index if another object took the selected stroke's index; return True if it changed."""
     index, name = int(scene.hnf.stroke_index), _get_stroke_name(scene, int(scene.hnf.stroke_index))
-    before, was = _active_strokes.get(scene.name, (index, name))
-    moved = -1
-    if was and was != name and before == index:
-        moved = next((at for at, obj in enumerate(scene.objects) if obj.name_full == was), -1)
-    if moved >= 0:
-        scene.hnf.stroke_index, index, name = moved, moved, was
+    previous_index, previous_name = _active_strokes.get(scene.name, (index, name))
+    new_index = -1
+    if previous_name and previous_name != name and previous_index == index:
+        new_index = next((position for position, obj in enumerate(scene.objects) if obj.name_full == previous_name), -1)
+    if new_index >= 0:
+        scene.hnf.stroke_index, index, name = new_index, new_index, previous_name
     _active_strokes[scene.name] = index, name
-    return moved >= 0
+    return new_index >= 0
 
 
 def clear_active_strokes() -> None:
-    """Another file."""
+    """Forget the selection, since another file was opened."""
     _active_strokes.clear()
 
 

@@ -1,7 +1,4 @@
-"""What the last look at one place found, as the panel shows it.
-
-What is known of a Python outside Blender, in which a material can be learned.
-"""
+"""Results of jobs as the panels show them: touch queries, material rankings and the check of an external Python."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Relief:
-    """token: E of the tactile map at a place that was examined. route: how that map came to be known."""
+    """Relief of a material as a touch query found it: its token, and the route of the tactile map behind it."""
 
     token: Token
     route: Route
@@ -23,7 +20,7 @@ class Relief:
 
 @dataclass(frozen=True)
 class NearestMaterial:
-    """A library material and how sure the ranking is of it. distance: of its token, None where nothing was seen."""
+    """Library material and the confidence of its ranking; `distance` is that of its token, None without a relief."""
 
     name: str
     confidence: float
@@ -33,10 +30,37 @@ class NearestMaterial:
 
 @dataclass(frozen=True)
 class QueryView:
-    """object_name, material: by name; material_full: full name of the Blender material, "" = none. library_material,
-    confidence, reason: what is taken to be there. roughness_m: RMS of all bands; seen_m: of those that were seen, None
-    where none was. friction, stiffness_n_m with the factor of one standard deviation. routes: in words. source: where
-    the tactile map comes from. icon: of its picture, 0 = none. scene: by name."""
+    """Result of a touch query.
+
+    Attributes
+    ----------
+    object_name, material : str
+        Names of the object and its material.
+    material_full : str
+        Full name of the Blender material; "" for none.
+    library_material, confidence, reason : str, float, str
+        Library material assumed there, its confidence and the reason.
+    roughness_m : float
+        RMS height over all bands [m].
+    seen_m : float or None
+        RMS height over the measured or predicted bands [m]; None if there are none.
+    friction, friction_factor : float
+        Friction coefficient, and the factor of one standard deviation.
+    stiffness_n_m, stiffness_factor : float
+        Stiffness [N/m], and the factor of one standard deviation.
+    routes : str
+        Routes of the bands as text.
+    source : str
+        Source of the tactile map.
+    nearest : tuple of NearestMaterial
+        Library materials, best first.
+    notes : tuple of str
+        Remarks for the artist.
+    icon : int
+        Icon of the close-up; 0 for none.
+    scene : str
+        Name of the scene.
+    """
 
     object_name: str
     material: str
@@ -60,9 +84,23 @@ class QueryView:
 
 @dataclass(frozen=True)
 class ExternalPython:
-    """path: as the artist named it. version: "3.11.9", "" = it is no Python. found: (package, version) of what it can
-    import. missing: packages that it cannot. problem: why it cannot train, one sentence; "" = it can. command: what
-    installs the missing, "" = nothing would help."""
+    """Python interpreter outside Blender in which materials can be learned.
+
+    Attributes
+    ----------
+    path : str
+        Path as the artist entered it.
+    version : str
+        For example "3.11.9"; "" if it is no Python.
+    found : tuple of (str, str)
+        Packages that it can import, with their versions.
+    missing : tuple of str
+        Packages that it cannot import.
+    problem : str
+        Why it cannot train, one sentence; "" if it can.
+    command : str
+        Command that installs the missing packages; "" if none would help.
+    """
 
     path: str
     version: str

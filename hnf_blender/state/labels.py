@@ -1,4 +1,4 @@
-"""What panels say: plain functions from cached state to words and icons. Nothing here draws or looks anything up."""
+"""Text and icons of the panels: plain functions of cached state, which draw nothing and look nothing up."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ..translations import tr
 from .session_state import JobStatus, PlanLine, PlanView
 
 CHARACTER_PX = 6.6
-"""Mean width of a character of Blender's interface font at resolution scale 1."""
+"""Mean character width of Blender's interface font at resolution scale 1 [px]."""
 MARGIN_PX = 78
-"""What is no text in a line of a boxed label: borders, the icon, the column of tabs."""
+"""Width of a boxed label that holds no text: borders, icon, tabs [px]."""
 ELLIPSIS = "…"
 STATUS_LABELS = {
     Freshness.UNKNOWN: ("QUESTION", "Not checked yet"),
@@ -24,8 +24,9 @@ STATUS_LABELS = {
     Freshness.STALE: ("FILE_REFRESH", "Out of date: bake again"),
     Freshness.BROKEN: ("ERROR", "Cannot be used"),
 }
-"""Icon and words of every state of a stroke's bake."""
+"""Icon and text of every freshness of a stroke's bake."""
 PLAYABLE_STATES = (Freshness.FRESH, Freshness.FORCE)
+"""Freshness of bakes that can be played."""
 PLAN_LABELS = {
     "needed": ("FILE_REFRESH", "To bake"),
     "fresh": ("CHECKMARK", "Up to date"),
@@ -33,18 +34,19 @@ PLAN_LABELS = {
     "failed": ("ERROR", "Problems"),
     "note": ("INFO", "Notes"),
 }
-"""Icon and heading of every kind of plan line, in the order they are shown."""
+"""Icon and heading of every kind of plan line, in display order."""
 RELIEF_PREFIX = "its relief"
-"""How the part of a reason begins that speaks of a relief."""
+"""Beginning of a part of a ranking reason that is about relief."""
 ROUTE_LABELS = {
     "measured": "seen in the shader's relief",
     "predicted": "estimated from the picture",
     "prior": "taken from the library",
 }
+"""Plain text of the routes of a band."""
 
 
 class FirstStep(NamedTuple):
-    """One of the first steps. icon: done, current or still to come."""
+    """Step from an empty scene to the first sound; `icon` shows it as done, current or still to come."""
 
     text: str
     icon: str
@@ -52,53 +54,57 @@ class FirstStep(NamedTuple):
 
 
 def describe_status(status: StrokeStatus | None) -> tuple[str, str]:
-    """Icon and sentence of a stroke; a sentence of its own where the status brings one."""
+    """Return icon and sentence of a stroke's status; its own reason takes precedence."""
     freshness = Freshness.UNKNOWN if status is None else status.freshness
     icon, text = STATUS_LABELS[freshness]
     return icon, tr(status.why if status is not None and status.why else text)
 
 
 def list_first_steps(strokes: int, playable: int, has_played: bool) -> tuple[FirstStep, ...]:
-    """The way from an empty scene to the first sound; empty once that was heard."""
+    """Return the steps from an empty scene to the first sound; empty once a stroke has been played."""
     if playable and has_played:
         return ()
-    at = 2 if playable else 1 if strokes else 0
+    current_index = 2 if playable else 1 if strokes else 0
     texts = (tr("1  Draw a stroke on a surface"), tr("2  Bake"), tr("3  Play"))
     icons = ("CHECKMARK", "TRIA_RIGHT", "BLANK1")
     return tuple(
-        FirstStep(text, icons[0] if place < at else icons[1] if place == at else icons[2], place == at)
-        for place, text in enumerate(texts)
+        FirstStep(
+            text,
+            icons[0] if index < current_index else icons[1] if index == current_index else icons[2],
+            index == current_index,
+        )
+        for index, text in enumerate(texts)
     )
 
 
 def format_counts(statuses: Iterable[StrokeStatus | None]) -> str:
-    """ "2 up to date, 1 to bake" of the strokes given; "" of none."""
-    found = [Freshness.UNKNOWN if status is None else status.freshness for status in statuses]
-    parts = [
-        (tr("{count} up to date"), sum(each in PLAYABLE_STATES for each in found)),
-        (tr("{count} to bake"), sum(each in (Freshness.UNBAKED, Freshness.STALE) for each in found)),
-        (tr("{count} not checked"), found.count(Freshness.UNKNOWN)),
-        (tr("{count} broken"), found.count(Freshness.BROKEN)),
+    """Format the statuses of strokes as "2 up to date, 1 to bake"; "" for none."""
+    freshness = [Freshness.UNKNOWN if status is None else status.freshness for status in statuses]
+    counts = [
+        (tr("{count} up to date"), sum(state in PLAYABLE_STATES for state in freshness)),
+        (tr("{count} to bake"), sum(state in (Freshness.UNBAKED, Freshness.STALE) for state in freshness)),
+        (tr("{count} not checked"), freshness.count(Freshness.UNKNOWN)),
+        (tr("{count} broken"), freshness.count(Freshness.BROKEN)),
     ]
-    return ", ".join(text.format(count=count) for text, count in parts if count)
+    return ", ".join(text.format(count=count) for text, count in counts if count)
 
 
 def format_duration(seconds: float) -> str:
-    """Rounded as people say it: "under 1 s", "12 s", "3 min 20 s", "1 h 5 min"."""
+    """Format a duration [s] as "under 1 s", "12 s", "3 min 20 s" or "1 h 5 min"."""
     if seconds < 1.0:
         return tr("under 1 s")
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        minutes, rest = divmod(whole, 60)
-        return f"{minutes} min {rest} s" if rest else f"{minutes} min"
-    hours, rest = divmod(round(whole / 60), 60)
-    return f"{hours} h {rest} min" if rest else f"{hours} h"
+    total = round(seconds)
+    if total < 60:
+        return f"{total} s"
+    if total < 3600:
+        minutes, remainder = divmod(total, 60)
+        return f"{minutes} min {remainder} s" if remainder else f"{minutes} min"
+    hours, remainder = divmod(round(total / 60), 60)
+    return f"{hours} h {remainder} min" if remainder else f"{hours} h"
 
 
 def format_bytes(count: int) -> str:
-    """1234 → "1.2 kB"; decimal, as file managers write sizes."""
+    """Format a size [bytes] in decimal units: 1234 → "1.2 kB"."""
     if count < 1000:
         return f"{count} B"
     value, units = count / 1e3, ["kB", "MB", "GB", "TB"]
@@ -108,7 +114,10 @@ def format_bytes(count: int) -> str:
 
 
 def format_job(job: JobStatus) -> str:
-    """Stage and stroke of the running job: "Stroke 3, close-ups: 3 of 11". Its last step saves, and is no stroke."""
+    """Format stage and stroke of the running job: "Stroke 3, close-ups: 3 of 11".
+
+    The last step saves the results and is not counted as a stroke.
+    """
     stage, strokes = job.stage, job.total - 1
     if strokes < 1:
         return stage
@@ -122,12 +131,12 @@ def format_time_left(job: JobStatus) -> str:
 
 
 def compute_progress(job: JobStatus) -> float:
-    """0–1, for the progress bar."""
+    """Return the progress of a job, 0 to 1."""
     return min(max(job.done / job.total, 0.0), 1.0) if job.total else 0.0
 
 
 def format_estimate(plan: PlanView) -> str:
-    """What the plan costs; "" where nothing is needed."""
+    """Format time and size of a plan; "" if nothing is needed."""
     if not any(line.kind == "needed" for line in plan.lines):
         return ""
     return tr("Takes {time}; keeps {size} in the .blend").format(
@@ -136,7 +145,7 @@ def format_estimate(plan: PlanView) -> str:
 
 
 def group_plan_lines(plan: PlanView) -> tuple[tuple[str, str, tuple[PlanLine, ...]], ...]:
-    """Icon, heading with count, and lines of every kind that the plan holds."""
+    """Return icon, heading with count, and lines for every kind of line in the plan."""
     groups = []
     for kind, (icon, heading) in PLAN_LABELS.items():
         lines = tuple(line for line in plan.lines if line.kind == kind)
@@ -146,39 +155,44 @@ def group_plan_lines(plan: PlanView) -> tuple[tuple[str, str, tuple[PlanLine, ..
 
 
 def format_routes(routes: str) -> tuple[str, ...]:
-    """ "8–2 mm measured, 1–0.125 mm prior" → one line a group, in words an artist knows."""
+    """Format "8–2 mm measured, 1–0.125 mm prior" as one line per band, in an artist's words."""
     lines = []
-    for part in filter(None, routes.split(", ")):
-        match = re.fullmatch(r"(.* mm) (\w+)", part)
+    for band in filter(None, routes.split(", ")):
+        match = re.fullmatch(r"(.* mm) (\w+)", band)
         if match is None or match[2] not in ROUTE_LABELS:
-            lines.append(part)
+            lines.append(band)
         else:
             lines.append(f"{match[1]}: {tr(ROUTE_LABELS[match[2]])}")
     return tuple(lines)
 
 
 def format_reason(reason: str) -> str:
-    """ "'oak' in 'Old oak table'; roughness 0.60 fits" → "the name says oak; roughness 0.60 fits"."""
-    from hnf_core.material.name_matching import is_image_name  # here: switching on need not compile its patterns
+    """Format a ranking reason, e.g. "'oak' in 'Old oak table'; roughness 0.60 fits".
 
-    found = re.findall(r"'([^']+)' in '([^']*)'", reason)
-    named = ", ".join(word for word, name in found if not is_image_name(name))
-    pictured = ", ".join(word for word, name in found if is_image_name(name))
-    parts = reason.split("; ")
+    The example becomes "the name says oak; roughness 0.60 fits".
+    """
+    from hnf_core.material.name_matching import is_image_name  # Imported here, since it compiles patterns.
+
+    matches = re.findall(r"'([^']+)' in '([^']*)'", reason)
+    from_names = ", ".join(match for match, name in matches if not is_image_name(name))
+    from_images = ", ".join(match for match, name in matches if is_image_name(name))
+    clauses = reason.split("; ")
     values = [
-        part for part in parts if part.endswith((" fits", " does not fit")) and not part.startswith(RELIEF_PREFIX)
+        clause
+        for clause in clauses
+        if clause.endswith((" fits", " does not fit")) and not clause.startswith(RELIEF_PREFIX)
     ]
-    said = [tr("the name says {words}").format(words=named)] if named else []
-    said += [tr("a picture's name says {words}").format(words=pictured)] if pictured else []
-    like = [_format_likeness(part) for part in parts if part.startswith(f"{RELIEF_PREFIX} is like ")]
-    told = "; ".join(said + values + like)
-    if told and any(part.startswith(RELIEF_PREFIX) and part.endswith(" does not fit") for part in parts):
-        return tr("{reasons}, though its relief does not fit").format(reasons=told)
-    return told or tr(reason)
+    phrases = [tr("the name says {words}").format(words=from_names)] if from_names else []
+    phrases += [tr("a picture's name says {words}").format(words=from_images)] if from_images else []
+    likeness = [_format_likeness(clause) for clause in clauses if clause.startswith(f"{RELIEF_PREFIX} is like ")]
+    joined = "; ".join(phrases + values + likeness)
+    if joined and any(clause.startswith(RELIEF_PREFIX) and clause.endswith(" does not fit") for clause in clauses):
+        return tr("{reasons}, though its relief does not fit").format(reasons=joined)
+    return joined or tr(reason)
 
 
 def format_height(metres: float) -> str:
-    """A roughness as people say it: "850 nm", "12 µm", "0.35 mm"."""
+    """Format a height [m] as "850 nm", "12 µm" or "0.35 mm"."""
     for unit, scale in (("nm", 1e9), ("µm", 1e6), ("mm", 1e3)):
         value = metres * scale
         if value < 999.5 or unit == "mm":
@@ -187,12 +201,12 @@ def format_height(metres: float) -> str:
 
 
 def format_factor_range(value: float, factor: float, pattern: str) -> str:
-    """A spread as a span: 0.3 within a factor 1.2 → "0.25 – 0.36"."""
+    """Format the range that a factor spans: 0.3 with factor 1.2 → "0.25 – 0.36"."""
     return f"{pattern.format(value / factor)} – {pattern.format(value * factor)}"
 
 
 def format_stiffness(newton_per_metre: float, factor: float) -> str:
-    """In N/mm, as springs are sold: "Stiffness: about 60 N/mm (45 – 80)"."""
+    """Format a stiffness [N/m] in N/mm: "Stiffness: about 60 N/mm (45 – 80)"."""
     value = newton_per_metre / 1e3
     return tr("Stiffness: about {value} N/mm ({range})").format(
         value=f"{value:.3g}", range=format_factor_range(value, factor, "{:.2g}")
@@ -200,30 +214,30 @@ def format_stiffness(newton_per_metre: float, factor: float) -> str:
 
 
 def _format_likeness(reason: str) -> str:
-    """ "its relief is like denim's" in the interface's language."""
+    """Translate "its relief is like denim's"."""
     return tr("its relief is like {name}").format(
         name=reason.removeprefix(f"{RELIEF_PREFIX} is like ").removesuffix("'s")
     )
 
 
 def format_confidence(confidence: float) -> str:
-    """0.64 → "64 % sure"."""
+    """Format a confidence: 0.64 → "64 % sure"."""
     return tr("{percent} % sure").format(percent=round(100.0 * confidence))
 
 
 def shorten_text(text: str, max_characters: int) -> str:
-    """text in at most `most` characters, its middle left out: both ends of a long name tell it from others."""
+    """Shorten text to `max_characters` by omitting its middle, since both ends distinguish long names."""
     if len(text) <= max_characters:
         return text
-    keep = max(max_characters - len(ELLIPSIS), 2)
-    return text[: (keep + 1) // 2] + ELLIPSIS + text[len(text) - keep // 2 :]
+    length = max(max_characters - len(ELLIPSIS), 2)
+    return text[: (length + 1) // 2] + ELLIPSIS + text[len(text) - length // 2 :]
 
 
 def wrap_text(text: str, max_characters: int) -> Sequence[str]:
-    """Lines of at most `most` characters; a word longer than that (a path) is broken."""
+    """Wrap text to lines of at most `max_characters`; a longer word (a path) is broken."""
     lines = [
         line
-        for part in text.splitlines()
-        for line in textwrap.wrap(part, max(max_characters, 8), break_on_hyphens=False) or [""]
+        for paragraph in text.splitlines()
+        for line in textwrap.wrap(paragraph, max(max_characters, 8), break_on_hyphens=False) or [""]
     ]
     return lines or [""]

@@ -1,7 +1,7 @@
-"""The one place of run-time state. Panels read it, jobs and handlers write it; everything in it can be made again from
-the .blend. Blender data is named, never referenced: a reference dies with the next undo.
+"""Run-time state of the add-on: jobs and handlers write it, panels read it.
 
-What the add-on changes by itself is no news to its own handlers.
+All of it can be computed again from the .blend. Blender data is stored by name, never by reference, since an undo
+invalidates references.
 """
 
 from __future__ import annotations
@@ -21,7 +21,19 @@ if TYPE_CHECKING:
 
 
 class JobStatus(NamedTuple):
-    """stage, done of total, elapsed_s, left_s (None = not known yet): of the running job, for panels and status bar."""
+    """Progress of the running job.
+
+    Attributes
+    ----------
+    stage : str
+        Name of the current step.
+    done, total : int
+        Number of finished and of all strokes.
+    elapsed_s : float
+        Time since the start [s].
+    left_s : float or None
+        Estimated remaining time [s]; None if unknown.
+    """
 
     stage: str
     done: int
@@ -31,8 +43,21 @@ class JobStatus(NamedTuple):
 
 
 class LastJob(NamedTuple):
-    """How the last job ended. ok False: message says what went wrong and what to do. written: how many strokes and
-    meshes got something all the same. scene: whose strokes it was about, by name."""
+    """Outcome of the last job.
+
+    Attributes
+    ----------
+    ok : bool
+        Whether it succeeded; if not, `message` is the problem and its remedy.
+    message : str
+        One sentence for the artist.
+    details : tuple of str
+        Further lines.
+    written : int
+        Number of strokes and meshes that got a result, even if the job failed.
+    scene : str
+        Name of the scene.
+    """
 
     ok: bool
     message: str
@@ -42,7 +67,7 @@ class LastJob(NamedTuple):
 
 
 class PlanLine(NamedTuple):
-    """One line of the plan as the Scene panel shows it. kind: "needed", "fresh", "skipped", "failed" or "note"."""
+    """Line of the plan in the Scene panel; `kind` is "needed", "fresh", "skipped", "failed" or "note"."""
 
     kind: str
     what: str
@@ -50,8 +75,19 @@ class PlanLine(NamedTuple):
 
 
 class PlanView(NamedTuple):
-    """lines: of the plan. seconds: estimate for what is needed. bytes_after: what the bake will keep in the .blend.
-    scene: of which it speaks, by name."""
+    """Plan of a bake.
+
+    Attributes
+    ----------
+    lines : tuple of PlanLine
+        Lines of the plan.
+    seconds : float
+        Estimated time for what is needed [s].
+    bytes_after : int
+        Size of the baked data in the .blend [bytes].
+    scene : str
+        Name of the scene.
+    """
 
     lines: tuple[PlanLine, ...]
     seconds: float
@@ -63,20 +99,40 @@ NAME_CACHE = ChangeCache()
 
 
 def get_shown_name(scene: Any, obj: Any) -> str:
-    """See name_in: for panels, which ask it of every stroke in every redraw."""
+    """Return the cached name of a stroke in a scene, for panels; see `bridge.scene.scene_names.get_scene_name`."""
     if obj.library is None:
         return str(obj.name)
     return str(NAME_CACHE.get((scene.session_uid, obj.session_uid), lambda: get_scene_name(scene, obj)))
 
 
 class SessionState:
-    """statuses: by the session_uid of the scene, see strokes_in.
-    dirty: names of datablocks changed since their strokes were looked at.
-    suggestions: by the full name of the Blender material, the most apt first. reliefs: by that name too, as seen where
-    a place of it was examined. diagnosis: (name, value) as last collected. heard: something was played since Blender
-    started. probe: the last place that was looked at.
-    outside: the external Python as last checked; no file's matter.
-    changes: counts what people changed, undo and redo included. own: above 0 while the add-on itself changes things."""
+    """State of the session.
+
+    Attributes
+    ----------
+    statuses : dict
+        Statuses of strokes by the scene's session_uid; see `get_statuses`.
+    dirty_names : set of str
+        Datablocks that changed since their strokes were checked.
+    job, last_job, plan : JobStatus, LastJob, PlanView or None
+        Running job, last job and last plan.
+    suggestions : dict
+        Ranked library materials by the full name of the Blender material, best first.
+    reliefs : dict
+        Relief found by a touch query, by the full name of the Blender material.
+    diagnosis : tuple of (str, str)
+        Last diagnosis, as names and values.
+    has_played : bool
+        Whether a stroke was played since Blender started.
+    query_view : QueryView or None
+        Last touch query.
+    external_python : ExternalPython or None
+        Last check of the external Python; independent of the file.
+    changes : int
+        Counts changes by people, including undo and redo.
+    suppress_depth : int
+        Above 0 while the add-on itself changes data.
+    """
 
     def __init__(self) -> None:
         self.statuses: dict[int, dict[str, StrokeStatus]] = {}
@@ -94,16 +150,19 @@ class SessionState:
         self.suppress_depth = 0
 
     def get_statuses(self, scene: Any) -> dict[str, StrokeStatus]:
-        """Of a scene's strokes, by the names that it calls them (name_in). A stroke that stands in two scenes may be
-        fresh in one and stale in the other, whose frames are shorter or whose surface moves."""
+        """Return the statuses of a scene's strokes, by their names in that scene.
+
+        A stroke in two scenes may be fresh in one and stale in the other, which may have another frame rate or a moving
+        surface.
+        """
         return self.statuses.setdefault(scene.session_uid, {})
 
     def get_status(self, scene: Any, stroke: Any) -> StrokeStatus | None:
-        """Of a stroke as it stands in a scene; None where nothing is known of it yet."""
+        """Return the status of a stroke in a scene; None if it is not known yet."""
         return self.get_statuses(scene).get(get_shown_name(scene, stroke))
 
     def clear(self) -> None:
-        """Forget everything: another file is open."""
+        """Discard all that belongs to a file, since another one was opened."""
         self.statuses.clear()
         self.dirty_names.clear()
         self.suggestions.clear()
@@ -117,8 +176,9 @@ STATE = SessionState()
 
 @contextmanager
 def suppress_change_tracking(view_layer: Any) -> Iterator[None]:
-    """Changes made in this block do not make anything dirty; those that a person made just before do."""
-    view_layer.update()  # pending changes reach the handlers now, not in the block's own updates
+    """Ignore changes made in this block; earlier changes by people still count."""
+    # Pending changes must reach the handlers now, not with the block's own updates.
+    view_layer.update()
     STATE.suppress_depth += 1
     try:
         yield

@@ -1,8 +1,7 @@
-"""Which names Blender still knows: for each one alone it goes through all its datablocks.
+"""Statuses of strokes that follow the scene: reported changes → affected strokes → checks of their bakes.
 
-Statuses that follow the scene: which strokes a change may concern, and a look at them, a bit at a time.
-
-Whether what a mesh keeps of a bake is still true of it.
+`StatusTracker` checks the strokes of one scene, a few per tick; `TokenValidity` checks whether a mesh's baked tokens
+still hold.
 """
 
 from __future__ import annotations
@@ -21,41 +20,43 @@ if TYPE_CHECKING:
     from ..touch.session import Session
 
 FEW_NAMES = 8
-"""Names that are looked for one by one."""
+"""Number of names up to which they are looked up one by one; for each Blender searches all datablocks of the kind."""
 
 
 def find_absent_names(names: Set[str], kind: Any) -> set[str]:
-    """Those of the names that no datablock of a kind (bpy.data.objects, …) has."""
+    """Return the names that no datablock of a kind (bpy.data.objects, …) has."""
     if len(names) > FEW_NAMES:
         return set(names).difference(kind.keys())
     return {name for name in names if name not in kind}
 
 
 EVERYTHING = "*"
-"""In STATE.dirty: an undo, a redo or another file; nothing is known any more. No datablock is called so by Blender."""
+"""Entry of STATE.dirty_names after an undo, a redo or a new file: everything may have changed."""
 STROKE_DATA_KINDS = frozenset({"Object", "Curve", "Action"})
 """Kinds of datablocks that a stroke consists of."""
 STROKE_SETTINGS = ("start", "force", "progress", "law", "speed_mm_s", "duration_s", "seed", "probe", "material")
+"""Settings of a stroke that scripts may change without a notification."""
 SETTINGS_PER_CHECK = 8
+"""Number of strokes whose settings are compared per check."""
 TICK_BUDGET_S = 0.04
-"""No new look begins in a tick after this. One look, of the shape of 100,000 faces, may take as long again."""
+"""Time in a tick after which no new check begins [s]; one check of 100,000 faces may take as long again."""
 
 
 def get_changed_names(depsgraph: Any) -> set[str]:
-    """Of what a stroke may be part of, in a handler of changes."""
-    return {str(each.id.name) for each in depsgraph.updates if each.id.bl_rna.identifier in STROKE_DATA_KINDS}
+    """Return the names of changed datablocks that a stroke may consist of, in a depsgraph handler."""
+    return {str(update.id.name) for update in depsgraph.updates if update.id.bl_rna.identifier in STROKE_DATA_KINDS}
 
 
 def get_stroke_data_names(stroke: Any) -> set[str]:
-    """Names of the datablocks that a stroke consists of: object, curve, keys."""
+    """Return the names of the datablocks that a stroke consists of: object, curve and action."""
     action = None if stroke.animation_data is None else stroke.animation_data.action
     return {stroke.name, stroke.data.name, *([] if action is None else [action.name])}
 
 
 class StatusTracker:
-    """The strokes of one scene that must be looked at, and what is known of the surfaces they touch.
+    """Queue of a scene's strokes to be checked, with what is known of the surfaces they touch.
 
-    Holds names and hashes, no Blender data between two calls.
+    It stores names and hashes, but no Blender data between two calls.
     """
 
     def __init__(self, scene: Any, view_layer: Any) -> None:
@@ -72,7 +73,7 @@ class StatusTracker:
         return not self._pending
 
     def mark_changed(self, *changed: str) -> None:
-        """Names of datablocks changed: strokes they may concern are looked at again."""
+        """Queue the strokes that the changed datablocks may affect."""
         scene = _find_scene(self.scene)
         if scene is None:
             self._pending.clear()
@@ -83,59 +84,66 @@ class StatusTracker:
         if not names and stamp == self._stamp:
             return
         strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
-        calls = SceneNames(scene)
-        named = [calls.get_name(obj) for obj in strokes]
+        scene_names = SceneNames(scene)
+        stroke_names = [scene_names.get_name(obj) for obj in strokes]
         statuses = STATE.get_statuses(scene)
-        for name in statuses.keys() - set(named):
+        for name in statuses.keys() - set(stroke_names):
             del statuses[name]
         if EVERYTHING in names or stamp != self._stamp:
             self._session, self._stamp = None, stamp
-            self._pending.update(dict.fromkeys(named))
+            self._pending.update(dict.fromkeys(stroke_names))
             return
-        touched = [_get_surface_name(calls, obj, statuses.get(name)) for name, obj in zip(named, strokes, strict=True)]
-        surfaces = self._find_affected_surfaces(calls, touched, names)
+        touched = [
+            _get_surface_name(scene_names, obj, statuses.get(name))
+            for name, obj in zip(stroke_names, strokes, strict=True)
+        ]
+        surfaces = self._find_affected_surfaces(scene_names, touched, names)
         if self._session is not None:
             self._session.invalidate(surfaces)
-        for name, obj, surface in zip(named, strokes, touched, strict=True):
-            own = bool(get_stroke_data_names(obj) & names)
-            if own or surface in surfaces or obj.hnf_stroke.surface is None:
+        for name, obj, surface in zip(stroke_names, strokes, touched, strict=True):
+            has_own_change = bool(get_stroke_data_names(obj) & names)
+            if has_own_change or surface in surfaces or obj.hnf_stroke.surface is None:
                 self._pending[name] = None
 
     def _find_affected_surfaces(self, calls: SceneNames, touched: Iterable[str], names: set[str]) -> set[str]:
-        """Names of surfaces that may look or feel different, where datablocks of these names changed. touched: names of
-        those that strokes touch."""
+        """Return the names of surfaces that changed datablocks may affect; `touched` are those that strokes touch."""
         known = set(touched)
         known |= set() if self._session is None else self._session.known_names
         if _has_unknown_names(names):
             return known
-        found = {name: calls.get_object(name) for name in known}
-        return {name for name, obj in found.items() if obj is None or _is_affected(obj, names)}
+        objects = {name: calls.get_object(name) for name in known}
+        return {name for name, obj in objects.items() if obj is None or _is_affected(obj, names)}
 
     def _find_silent_changes(self, scene: Any) -> set[str]:
-        """Names of strokes and materials whose own settings changed: scripts do that without telling Blender. A few
-        strokes a time: finding them by name takes time where there are many objects."""
+        """Return the names of strokes and materials whose settings changed, which scripts do without a notification.
+
+        A few strokes are compared at a time, since looking them up by name is slow with many objects.
+        """
         import bpy
 
         changed = set()
         members = scene.objects[:] if self._settings else []
         for name in list(self._settings)[:SETTINGS_PER_CHECK]:
-            before = self._settings.pop(name)  # and to the end of the queue
+            # Popping and adding moves the name to the end of the queue.
+            previous = self._settings.pop(name)
             obj = find_object(scene, name, members)
             if obj is not None:
                 self._settings[name] = _read_stroke_settings(obj)
-            if obj is None or self._settings[name] != before:
+            if obj is None or self._settings[name] != previous:
                 changed.add(name if obj is None else obj.name)
-        choices = {each.name: each.hnf_touch.library for each in bpy.data.materials if each.hnf_touch.library}
-        changed |= {name for name, _ in choices.items() ^ self._choices.items()}
-        self._choices = choices
+        chosen_materials = {
+            material.name: material.hnf_touch.library for material in bpy.data.materials if material.hnf_touch.library
+        }
+        changed |= {name for name, _ in chosen_materials.items() ^ self._choices.items()}
+        self._choices = chosen_materials
         return changed
 
     def restrict(self, names: set[str]) -> None:
-        """Leave out whatever else is pending."""
+        """Drop queued strokes whose names are not in `names`."""
         self._pending = dict.fromkeys(name for name in self._pending if name in names)
 
     def check_next(self) -> bool:
-        """One look: at a surface, or at a stroke on a surface that is known. True when a status changed."""
+        """Check one surface, or one stroke on a known surface; return True if a status changed."""
         scene = _find_scene(self.scene)
         if scene is None or not self._pending:
             self._pending.clear()
@@ -170,22 +178,34 @@ class StatusTracker:
 
 
 _trackers: dict[str, StatusTracker] = {}
+"""Trackers by scene name."""
 
 
 def refresh_status(scene: Any, names: Iterable[str] | None = None, view_layer: Any = None) -> None:
-    """Fill STATE.strokes_in(scene) from the stored bakes and the scene as it is: of the strokes named, or of all. Takes
-    as long as hashing the surfaces takes."""
+    """Recompute the statuses of the named strokes, or of all; takes as long as hashing their surfaces.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene whose statuses in STATE are updated.
+    names : iterable of str or None
+        Names of strokes; None for all.
+    view_layer : bpy.types.ViewLayer or None
+        View layer to evaluate; None for the first.
+    """
     layer = view_layer or scene.view_layers[0]
-    watch = StatusTracker(scene, layer)
+    tracker = StatusTracker(scene, layer)
     if names is not None:
-        watch.restrict(set(names))
-    while not watch.is_idle:
-        watch.check_next()
+        tracker.restrict(set(names))
+    while not tracker.is_idle:
+        tracker.check_next()
 
 
 def process_changes(shown: Iterable[tuple[Any, Any]]) -> bool:
-    """Look at what STATE.dirty concerns in the (scene, view layer) pairs shown, for BUDGET_S at most, one look at
-    least. True when a status changed."""
+    """Process STATE.dirty_names for the shown (scene, view layer) pairs; return True if a status changed.
+
+    At least one check is made, and none begins after TICK_BUDGET_S.
+    """
     started, changed = time.monotonic(), False
     _remove_deleted_scenes()
     dirty = tuple(STATE.dirty_names)
@@ -205,7 +225,7 @@ def process_changes(shown: Iterable[tuple[Any, Any]]) -> bool:
 
 
 def _remove_deleted_scenes() -> None:
-    """Those that were removed: no material is felt in them, and no other scene need be told of what is baked."""
+    """Delete the statuses of scenes that do not exist any more."""
     import bpy
 
     for number in STATE.statuses.keys() - {scene.session_uid for scene in bpy.data.scenes}:
@@ -213,7 +233,7 @@ def _remove_deleted_scenes() -> None:
 
 
 def clear_trackers() -> None:
-    """Another file: nothing is known."""
+    """Discard all trackers, since another file was opened."""
     _trackers.clear()
     STATE.dirty_names.clear()
 
@@ -225,25 +245,25 @@ def _compute_status(session: Session, obj: Any) -> StrokeStatus:
 
     surface = obj.hnf_stroke.surface
     if surface is not None and surface.mode == "EDIT":
-        why = tr("'{name}' is in Edit Mode.").format(name=surface.name)
-        return StrokeStatus(Freshness.UNKNOWN, why, object_name=surface.name)
+        reason = tr("'{name}' is in Edit Mode.").format(name=surface.name)
+        return StrokeStatus(Freshness.UNKNOWN, reason, object_name=surface.name)
     try:
         return check_validity(obj, session.make_curve_job(obj))
     except HnfError as error:
-        why = str(error)
-    except Exception as error:  # a fault of ours must not end the timer, and with it all statuses
+        reason = str(error)
+    except Exception as error:  # An unexpected error must not end the timer.
         import traceback
 
         traceback.print_exc()
-        why = f"internal error ({error!r}). Please report it."
-    return StrokeStatus(Freshness.BROKEN, why, object_name="" if surface is None else surface.name)
+        reason = f"internal error ({error!r}). Please report it."
+    return StrokeStatus(Freshness.BROKEN, reason, object_name="" if surface is None else surface.name)
 
 
 def _get_surface_name(calls: SceneNames, obj: Any, known: StrokeStatus | None) -> str:
-    """Name of the surface of stroke obj; known: its status."""
-    chosen = obj.hnf_stroke.surface
-    if chosen is not None:
-        return calls.get_name(chosen)
+    """Return the name of the surface that a stroke touches, from its setting or its known status."""
+    surface = obj.hnf_stroke.surface
+    if surface is not None:
+        return calls.get_name(surface)
     return "" if known is None else known.object_name
 
 
@@ -251,7 +271,7 @@ def _try_reading_surface(session: Session, surface: Any) -> None:
     try:
         session.get_facts(surface)
     except Exception:
-        return  # the stroke's own look meets it again, and says it
+        return  # The check of the stroke raises it again and reports it.
 
 
 def _find_scene(name: str) -> Any:
@@ -266,18 +286,18 @@ def _get_unit_scale(scene: Any) -> tuple[object, ...]:
 
 
 def _is_affected(obj: Any, names: set[str]) -> bool:
-    """May the object's surface look or feel different where datablocks of these names changed?"""
+    """Return whether the object's surface may depend on one of the named datablocks."""
     from ..bridge.splats.splat_cloud import get_cloud
 
     cloud = get_cloud(obj)
-    parts = (obj, obj.data, cloud, None if cloud is None else cloud.data)
-    if any(part is not None and part.name in names for part in parts):
+    datablocks = (obj, obj.data, cloud, None if cloud is None else cloud.data)
+    if any(datablock is not None and datablock.name in names for datablock in datablocks):
         return True
     return any(slot.material is not None and slot.material.name in names for slot in obj.material_slots)
 
 
 def _clear_reliefs(names: set[str]) -> None:
-    """What was seen of a material where a place was examined holds until the material changes."""
+    """Discard reliefs and the touch query of materials that changed."""
     for material in list(STATE.reliefs):
         if EVERYTHING in names or material in names:
             del STATE.reliefs[material]
@@ -286,25 +306,28 @@ def _clear_reliefs(names: set[str]) -> None:
 
 
 def _read_stroke_settings(obj: Any) -> tuple[object, ...]:
-    """What a stroke is set to, apart from its keys."""
+    """Return the settings of a stroke, apart from its keyframes."""
     group, surface = obj.hnf_stroke, obj.hnf_stroke.surface
     return (*(getattr(group, name) for name in STROKE_SETTINGS), None if surface is None else surface.name)
 
 
 def _has_unknown_names(names: set[str]) -> bool:
-    """Is a name among them that says nothing of whom it concerns (an image, a node group)?"""
+    """Return whether a name belongs to a kind that may affect anything (an image, a node group)."""
     import bpy
 
-    left = names
+    remaining = names
     for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.curves, bpy.data.materials, bpy.data.actions):
-        left = find_absent_names(left, kind)
-    return bool(left)
+        remaining = find_absent_names(remaining, kind)
+    return bool(remaining)
 
 
 class TokenValidity:
-    """Looked at once a surface, as that takes as long as hashing it does, and anew after people changed anything; not
-    while the timeline plays, which changes something with every frame.
-    outdated: why what is kept is not felt, by the object's name."""
+    """Validity of the tokens baked on meshes, checked once per surface until people change something.
+
+    A check takes as long as hashing the surface. While the timeline plays, every frame changes something, so results
+    are
+    reused. `outdated` has the reason for each invalid object, by its name.
+    """
 
     def __init__(self) -> None:
         self.outdated: dict[str, str] = {}
@@ -313,13 +336,13 @@ class TokenValidity:
         self._changes = -1
 
     def is_valid(self, obj: Any, scene: Any, view_layer: Any) -> bool:
-        """False also where it cannot be told: in Edit Mode, of what is hidden."""
+        """Return whether an object's tokens hold; False if that cannot be checked, e.g. in Edit Mode."""
         import bpy
 
         from hnf_core.errors import HnfError
 
-        plays = any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
-        if self._changes != STATE.changes and not (plays and self._results):
+        is_animating = any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
+        if self._changes != STATE.changes and not (is_animating and self._results):
             self._session, self._changes = None, STATE.changes
             self._results.clear()
             self.outdated.clear()
@@ -327,11 +350,11 @@ class TokenValidity:
         if name not in self._results:
             try:
                 self._results[name] = self._check(obj, scene, view_layer)
-                why = "" if self._results[name] else tr("'{name}' changed since it was baked").format(name=name)
+                reason = "" if self._results[name] else tr("'{name}' changed since it was baked").format(name=name)
             except HnfError as error:
-                self._results[name], why = False, str(error)
-            if why:
-                self.outdated[name] = why
+                self._results[name], reason = False, str(error)
+            if reason:
+                self.outdated[name] = reason
         return self._results[name]
 
     def _check(self, obj: Any, scene: Any, view_layer: Any) -> bool:

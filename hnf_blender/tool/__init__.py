@@ -1,5 +1,7 @@
-"""The stroke tool of the 3-D view, the strokes shown in it, and the menus that lead to strokes. In a window only:
-tools, keymaps and menus belong to one."""
+"""Stroke tool of the 3-D view, overlay of strokes, and menu entries; registered only if Blender has a window.
+
+Read `stroke_tool.py` first.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from types import ModuleType
 from ..registration import register_modules, unregister_modules
 
 MODULES = (".stroke_tool", ".menus", ".overlay")
-"""Modules with register() and unregister(), in order."""
+"""Modules with register() and unregister(), in order of registration."""
 
 _registered: list[ModuleType] = []
 

@@ -1,4 +1,4 @@
-"""What is found without the sidebar: Add > Touch Stroke, the right click on a curve, File > Import."""
+"""Entries in Blender's own menus: Add > Touch Stroke, the context menu of objects, overlays, File > Import."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ..state.addon_settings import get_settings
 
 
 def draw_add_menu(self: Any, _context: Any) -> None:
-    """Blender calls this while it draws its Add menu."""
+    """Draw the entry of the Add menu."""
     self.layout.separator()
     self.layout.menu("HNF_MT_stroke_add", text="Touch Stroke", icon="CURVE_PATH")
 
 
 def draw_object_menu(self: Any, context: Any) -> None:
-    """Blender calls this while it draws the menu of the right click in Object Mode."""
+    """Draw the entries of the context menu in Object Mode."""
     active = context.view_layer.objects.active
     if active is None or active.type not in {"CURVE", "MESH"}:
         return
@@ -36,14 +36,14 @@ def draw_object_menu(self: Any, context: Any) -> None:
 
 
 def draw_overlay_switch(self: Any, context: Any) -> None:
-    """Blender calls this while it draws the popover of the viewport's overlays."""
-    held = get_settings(context)
-    if isinstance(held, bpy.types.AddonPreferences):
-        self.layout.prop(held, "overlay", text="Touch Strokes")
+    """Draw the switch in the popover of the viewport's overlays."""
+    settings = get_settings(context)
+    if isinstance(settings, bpy.types.AddonPreferences):
+        self.layout.prop(settings, "overlay", text="Touch Strokes")
 
 
 def draw_import_menu(self: Any, _context: Any) -> None:
-    """Blender calls this while it draws File > Import: what a drop on the 3-D view does, from a file browser."""
+    """Draw the entries of File > Import, which do what a drop on the 3-D view does."""
     self.layout.operator("hnf.import_material")
     self.layout.operator("hnf.import_sound")
     self.layout.operator("hnf.import_splats")
@@ -55,7 +55,7 @@ MENU_ENTRIES = (
     ("VIEW3D_PT_overlay", draw_overlay_switch),
     ("TOPBAR_MT_file_import", draw_import_menu),
 )
-"""Blender's own menus and panels, and what is added to the end of each."""
+"""Blender's menus and panels, and the function that draws at the end of each."""
 
 
 def register() -> None:

@@ -1,7 +1,7 @@
-"""Strokes drawn over the 3-D view: paths coloured by force, direction ticks, start, and the contact at the playhead.
+"""Overlay of strokes in the 3-D view: paths coloured by force, direction ticks, start, and the contact at the playhead.
 
-A few changed strokes are computed where Blender tells of the change, before it draws: then it draws once. Many are
-left to a timer, a part of them at a time. Drawing only draws.
+A few changed strokes are computed in the depsgraph handler, so that Blender draws only once; many are left to a timer.
+`overlay_drawing.py` computes and draws one path.
 """
 
 from __future__ import annotations
@@ -25,17 +25,30 @@ if TYPE_CHECKING:
     from .overlay_drawing import OverlayPath
 
 FEW_STROKES = 4
-"""Strokes that a redraw can wait for: 2 ms each."""
+"""Number of strokes computed within a handler; each takes 2 ms."""
 REFRESH_DELAY_S = 0.05
-"""For more of them: a drag makes many changes, and only the last within this time is computed."""
+"""Delay of the timer [s]: of the many changes of a drag only the last one is computed."""
 REFRESH_BUDGET_S = 0.04
-"""No other stroke is begun in a tick after this; after an undo all of them are computed."""
+"""Time in a tick after which no other stroke is begun [s]."""
 
 
 @dataclass
 class OverlayState:
-    """paths: by stroke object name; None: it cannot be read. dirty: names of strokes that changed. all_dirty:
-    nothing kept is known to hold. rates: what turns times into frames, by scene name. handle: of the draw handler."""
+    """Cached paths and pending changes.
+
+    Attributes
+    ----------
+    paths : dict
+        Paths by the name of the stroke object; None if it cannot be read.
+    dirty : set of str
+        Names of strokes that changed.
+    all_dirty : bool
+        Whether any path may be outdated.
+    rates : dict
+        Frame rate and unit scale by scene name.
+    handle : object
+        Blender's draw handler.
+    """
 
     paths: dict[str, OverlayPath | None] = field(default_factory=dict)
     dirty: set[str] = field(default_factory=set)
@@ -48,7 +61,7 @@ OVERLAY = OverlayState()
 
 
 def register() -> None:
-    """With a window only."""
+    """Add handlers and the draw handler; needs a window."""
     add_handlers(HANDLERS)
     OVERLAY.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
     _mark_all_dirty()
@@ -75,7 +88,7 @@ def _remove_path(name: str) -> None:
 
 
 def _on_depsgraph_update(scene: Any, depsgraph: Any) -> None:
-    """Strokes whose object, curve or keys changed."""
+    """Compute or schedule the strokes whose object, curve or action changed."""
     if STATE.suppress_depth or scene.name == TEMP_SCENE_NAME:
         return
     rate = _get_time_scale(scene)
@@ -94,18 +107,18 @@ def _on_depsgraph_update(scene: Any, depsgraph: Any) -> None:
 
 
 def _get_time_scale(scene: Any) -> tuple[object, ...]:
-    """What turns a speed into frames: a change of it tells of no object."""
+    """Return what converts a speed to frames; Blender reports a change of it for no object."""
     units = scene.unit_settings
     return scene.render.fps, scene.render.fps_base, scene.hnf.metres_per_unit, units.system, units.scale_length
 
 
 def _on_undo(*_arguments: Any) -> None:
-    """Undo or redo: nothing kept is known to hold; it is drawn until the timer has come to it."""
+    """Mark all paths as outdated after an undo or redo; they are drawn until they are recomputed."""
     _mark_all_dirty()
 
 
 def _on_load_post(*_arguments: Any) -> None:
-    """Another file."""
+    """Discard all paths of the previous file."""
     _remove_all_paths()
     _mark_all_dirty()
 
@@ -129,17 +142,17 @@ def _schedule_refresh() -> None:
 
 
 def _refresh() -> float | None:
-    """Timer: compute what has changed in the scenes that the windows show, until nothing is left or for BUDGET_S."""
+    """Compute changed paths of the shown scenes for REFRESH_BUDGET_S; return 0.0 to be called again, or None."""
     context = bpy.context
-    until = time.monotonic() + REFRESH_BUDGET_S
-    shown = {window.scene.name: window for window in context.window_manager.windows}
-    strokes = {name: list_strokes(window.scene) for name, window in shown.items()}
-    names = {obj.name for each in strokes.values() for obj in each}
+    deadline = time.monotonic() + REFRESH_BUDGET_S
+    scene_windows = {window.scene.name: window for window in context.window_manager.windows}
+    strokes = {name: list_strokes(window.scene) for name, window in scene_windows.items()}
+    names = {obj.name for scene_strokes in strokes.values() for obj in scene_strokes}
     for name in set(OVERLAY.paths) - names:
         _remove_path(name)
     OVERLAY.dirty = names if OVERLAY.all_dirty else names & OVERLAY.dirty | names - OVERLAY.paths.keys()
     OVERLAY.all_dirty = False
-    for name, window in shown.items():
+    for name, window in scene_windows.items():
         dirty = [obj for obj in strokes[name] if obj.name in OVERLAY.dirty]
         if dirty:
             with context.temp_override(window=window):
@@ -147,7 +160,7 @@ def _refresh() -> float | None:
                 for obj in dirty:
                     _compute_paths([obj], window.scene, depsgraph)
                     OVERLAY.dirty.discard(obj.name)
-                    if time.monotonic() > until:
+                    if time.monotonic() > deadline:
                         break
     redraw_views()
     return 0.0 if OVERLAY.dirty else None
@@ -164,7 +177,7 @@ def _compute_paths(strokes: Sequence[Any], scene: Any, depsgraph: Any) -> None:
 
 
 def _draw() -> None:
-    """Blender calls this for every 3-D view."""
+    """Draw the overlay; called by Blender for every 3-D view."""
     context = bpy.context
     space, scene = context.space_data, context.scene
     if not OVERLAY.paths or not space.overlay.show_overlays or not get_settings(context).overlay:
@@ -173,27 +186,31 @@ def _draw() -> None:
 
     from . import overlay_drawing
 
-    held = {obj.name: obj for obj in list_cached_strokes(scene)}
-    if find_absent_names(OVERLAY.paths.keys() - held.keys(), bpy.data.objects):
-        _mark_all_dirty()  # renamed or deleted
-    drawn = ((held.get(name), path) for name, path in OVERLAY.paths.items())
+    stroke_objects = {obj.name: obj for obj in list_cached_strokes(scene)}
+    if find_absent_names(OVERLAY.paths.keys() - stroke_objects.keys(), bpy.data.objects):
+        _mark_all_dirty()  # A stroke was renamed or deleted.
+    candidates = ((stroke_objects.get(name), path) for name, path in OVERLAY.paths.items())
     shown = [
-        (obj, path) for obj, path in drawn if obj is not None and path is not None and obj.visible_get(viewport=space)
+        (obj, path)
+        for obj, path in candidates
+        if obj is not None and path is not None and obj.visible_get(viewport=space)
     ]
     active = get_active_stroke(context)
     view = overlay_drawing.OverlayView(context.region_data, context.region)
     for obj, path in shown:
-        faint = bool(obj.hnf_stroke.mute)
-        overlay_drawing.draw_path(obj.name, path, obj.matrix_world, view, is_active=obj == active, is_muted=faint)
+        is_muted = bool(obj.hnf_stroke.mute)
+        overlay_drawing.draw_path(obj.name, path, obj.matrix_world, view, is_active=obj == active, is_muted=is_muted)
     frame = float(scene.frame_current_final)
     for obj, path in shown:
         world = np.array(obj.matrix_world)
         if obj == active:
             overlay_drawing.draw_start(world[:3, :3] @ path.points[0] + world[:3, 3], view)
         if path.frames[0] <= frame <= path.frames[-1] and not obj.hnf_stroke.mute:
-            place = [np.interp(frame, path.frames, path.contact_points[:, axis]) for axis in range(3)]
+            contact_point = [np.interp(frame, path.frames, path.contact_points[:, axis]) for axis in range(3)]
             force = float(np.interp(frame, path.frames, path.forces))
-            overlay_drawing.draw_contact(world[:3, :3] @ place + world[:3, 3], force, view, is_active=obj == active)
+            overlay_drawing.draw_contact(
+                world[:3, :3] @ contact_point + world[:3, 3], force, view, is_active=obj == active
+            )
 
 
 CLASSES = ()

@@ -1,6 +1,6 @@
-"""What the overlay draws of each stroke, computed when something has changed and kept until it changes again.
+"""Geometry and drawing of the stroke overlay: stroke → `OverlayPath` → lines and discs, by Blender's gpu module.
 
-Lines and discs of the stroke overlay, by the gpu module. Batches are kept until a path changes.
+Paths and batches are cached until a stroke changes.
 """
 
 from __future__ import annotations
@@ -22,21 +22,37 @@ Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 STEP_M = 1e-3
+"""Distance between the points of a path [m]."""
 MAX_POINTS = 1500
+"""Largest number of points of a path."""
 TICK_SPACING_M = 8e-3
-"""A direction tick every so many metres of path, but FEWEST to MOST_TICKS of them."""
+"""Distance between direction ticks along the path [m]."""
 MIN_TICKS, MAX_TICKS = 2, 10
+"""Smallest and largest number of ticks."""
 TICK_SHARE = 0.028
-"""A tick's arms as a share of the curve's length, within TICK_SIZE_M."""
+"""Length of a tick's arms as a fraction of the curve's length."""
 TICK_SIZE_M = (0.6e-3, 4e-3)
+"""Smallest and largest length of a tick's arms [m]."""
 
 
 @dataclass(frozen=True)
 class OverlayPath:
-    """In the stroke object's coordinates, so that moving it costs nothing.
+    """Path of a stroke in the coordinates of its object, so that moving the object costs nothing.
 
-    points: (k, 3) along the way the hand takes. colours: (k, 4). ticks: (4m, 3) pairs of ends.
-    frames: (n,) ascending. places: (n, 3) the contact point at these frames. forces: (n,) N.
+    Attributes
+    ----------
+    points : (k, 3) array
+        Points in the order of the motion.
+    colours : (k, 4) array
+        Colours of the points.
+    ticks : (4m, 3) array
+        Pairs of end points.
+    frames : (n,) array
+        Frames, ascending.
+    contact_points : (n, 3) array
+        Contact point at each frame.
+    forces : (n,) array
+        Normal force at each frame [N].
     """
 
     points: Float32
@@ -48,7 +64,19 @@ class OverlayPath:
 
 
 def compute_overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> OverlayPath | None:
-    """None where the stroke cannot be read: the Touch tab says why."""
+    """Compute the path of a stroke; None if it cannot be read, which the Touch tab reports.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Stroke object.
+    scene : bpy.types.Scene
+        Gives frame rate and animation.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph with the touched surface.
+    metres_per_unit : float
+        Length of a scene unit [m].
+    """
     from ..bridge.stroke.read_stroke import sample_timeline
 
     try:
@@ -60,10 +88,12 @@ def compute_overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: 
     if abs(np.linalg.det(world[:3, :3])) < 1e-30:
         return None
     local = np.linalg.inv(world)
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(timeline.position)))])
-    count = int(np.clip(np.ceil(way[-1] / STEP_M) + 1, 2, MAX_POINTS))
-    at = np.interp(np.linspace(0.0, way[-1], count), way, np.arange(len(way)))
-    position, force = (np.interp(at, np.arange(len(way)), each) for each in (timeline.position, timeline.force))
+    distance = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(timeline.position)))])
+    count = int(np.clip(np.ceil(distance[-1] / STEP_M) + 1, 2, MAX_POINTS))
+    sample_index = np.interp(np.linspace(0.0, distance[-1], count), distance, np.arange(len(distance)))
+    position, force = (
+        np.interp(sample_index, np.arange(len(distance)), values) for values in (timeline.position, timeline.force)
+    )
     arc = timeline.arc
     return OverlayPath(
         points=_transform_points(local, arc.point_at(position)),
@@ -76,49 +106,49 @@ def compute_overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: 
 
 
 def _compute_ticks(arc: ArcCurve, position: Float, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float:
-    """Chevrons that lie on the surface and point where the hand goes: (4m, 3) pairs of ends in metres."""
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
-    if way[-1] <= 0.0:
+    """Return chevrons on the surface that point in the direction of motion: (4m, 3) pairs of end points [m]."""
+    distance = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
+    if distance[-1] <= 0.0:
         return np.empty((0, 3))
-    count = int(np.clip(way[-1] / TICK_SPACING_M, MIN_TICKS, MAX_TICKS))
-    share = (np.arange(count) + 0.5) / count
-    index = np.clip(np.searchsorted(way, share * way[-1]), 1, len(way) - 1)
+    count = int(np.clip(distance[-1] / TICK_SPACING_M, MIN_TICKS, MAX_TICKS))
+    fraction = (np.arange(count) + 0.5) / count
+    index = np.clip(np.searchsorted(distance, fraction * distance[-1]), 1, len(distance) - 1)
     tip = arc.point_at(position[index])
     size = float(np.clip(TICK_SHARE * arc.length, *TICK_SIZE_M))
-    # Over as long a way as the arms: a tremble of the hand does not turn them.
+    # The direction is taken over the length of the arms, so that a trembling hand does not turn them.
     ahead = arc.point_at(position[index] + size) - arc.point_at(position[index] - size)
     ahead *= np.sign(position[index] - position[index - 1])[:, None]
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
     normal = _find_normals(tip, ahead, obj, depsgraph, metres_per_unit)
-    aside = np.cross(normal, ahead)
-    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
-    ends = [tip - size * (ahead + side * aside) for side in (-1.0, 1.0)]
+    sideways = np.cross(normal, ahead)
+    sideways /= np.maximum(np.linalg.norm(sideways, axis=1, keepdims=True), 1e-12)
+    ends = [tip - size * (ahead + side * sideways) for side in (-1.0, 1.0)]
     return np.asarray(np.stack([ends[0], tip, tip, ends[1]], axis=1).reshape(-1, 3))
 
 
 def _find_normals(points: Float, ahead: Float, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float:
-    """The touched surface's normals (m, 3) in the world at points [m]; without a surface, as level as can be."""
-    up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    up[np.abs(ahead[:, 2]) > 0.9] = (1.0, 0.0, 0.0)
+    """Return the normals (m, 3) of the touched surface at points [m]; without one, vectors as vertical as possible."""
+    normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    normals[np.abs(ahead[:, 2]) > 0.9] = (1.0, 0.0, 0.0)
     surface = obj.hnf_stroke.surface or obj.parent
     if surface is None or surface.type != "MESH":
-        return up
+        return normals
     evaluated = surface.evaluated_get(depsgraph)
     if evaluated.data is None or len(evaluated.data.polygons) == 0:
-        return up
+        return normals
     world = np.array(evaluated.matrix_world, dtype=np.float64)
     if abs(np.linalg.det(world[:3, :3])) < 1e-30:
-        return up
+        return normals
     inverse = np.linalg.inv(world)
     for k, point in enumerate(points / metres_per_unit @ inverse[:3, :3].T + inverse[:3, 3]):
         try:
-            found, _, normal, _ = evaluated.closest_point_on_mesh(point)
-        except RuntimeError:  # no mesh of it in this view layer: appended with its stroke, hidden or excluded
-            return up
-        turned = inverse[:3, :3].T @ np.array(normal)
-        if found and np.linalg.norm(turned) > 0.0:
-            up[k] = turned / np.linalg.norm(turned)
-    return up
+            is_found, _, normal, _ = evaluated.closest_point_on_mesh(point)
+        except RuntimeError:  # The surface has no mesh in this view layer, e.g. hidden or excluded.
+            return normals
+        world_normal = inverse[:3, :3].T @ np.array(normal)
+        if is_found and np.linalg.norm(world_normal) > 0.0:
+            normals[k] = world_normal / np.linalg.norm(world_normal)
+    return normals
 
 
 def _transform_points(matrix: Float, points: Float) -> Float32:
@@ -126,23 +156,28 @@ def _transform_points(matrix: Float, points: Float) -> Float32:
 
 
 def _compute_colours(force: Float) -> Float32:
-    return np.array([force_to_colour(float(each)) for each in force], dtype=np.float32).reshape(-1, 4)
+    return np.array([force_to_colour(float(value)) for value in force], dtype=np.float32).reshape(-1, 4)
 
 
 LINE_PX, ACTIVE_PX, HALO_PX = 2.0, 3.5, 3.0
+"""Line width of a path, of the active one, and added by the halo [px]."""
 HALO: Colour = (0.02, 0.02, 0.03, 0.75)
 WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 DEPTH_BIAS = 4e-3
-"""By this share of its distance a line is drawn nearer than it is, so that it does not sink into the surface."""
+"""Fraction of its distance by which a line is drawn nearer, so that it does not sink into the surface."""
 OCCLUDED_ALPHA = 0.35
+"""Opacity of lines behind objects."""
 MUTED_ALPHA = 0.3
+"""Opacity of muted strokes."""
 START_PX, CONTACT_PX, ACTIVE_CONTACT_PX = 5.0, 6.0, 8.0
+"""Radius of the start ring, of a contact, and of the active contact [px]."""
 
 _batches: dict[str, tuple[Any, Any, Any]] = {}
+"""Batches for path, halo and ticks by stroke name."""
 
 
 class OverlayView:
-    """Of one region: where the eye is, and how long a pixel is."""
+    """Projection of one region, with its pixel size."""
 
     def __init__(self, region_data: Any, region: Any) -> None:
         scale = float(_get_preferences().system.pixel_size or 1.0)
@@ -159,7 +194,7 @@ class OverlayView:
         )
 
     def disc(self, centre: Float, radius_px: float, segments: int = 20) -> Float:
-        """(segments, 3) corners of a disc in the world that faces the eye."""
+        """Return the corners (segments, 3) of a disc that faces the viewer, in world coordinates."""
         eye = self.view[:3, :3] @ centre + self.view[:3, 3]
         w = float(self.window[3, :3] @ eye + self.window[3, 3])
         radius = radius_px * self.pixel_size * 2.0 * abs(w) / (abs(self.window[1, 1]) * self.size[1])
@@ -169,12 +204,12 @@ class OverlayView:
 
 
 def remove_batches(name: str) -> None:
-    """Drop the batches of one stroke."""
+    """Remove the batches of a stroke."""
     _batches.pop(name, None)
 
 
 def draw_path(name: str, path: OverlayPath, world: Any, view: OverlayView, *, is_active: bool, is_muted: bool) -> None:
-    """A path with its halo; what lies behind something shows through a little."""
+    """Draw a path with its halo; hidden parts show through faintly."""
     if name not in _batches:
         _batches[name] = _make_batches(path)
     line, halo, ticks = _batches[name]
@@ -198,14 +233,14 @@ def draw_path(name: str, path: OverlayPath, world: Any, view: OverlayView, *, is
 
 
 def draw_start(point: Float, view: OverlayView) -> None:
-    """A white ring."""
+    """Draw a white ring at the start."""
     _draw_disc(view.disc(point, START_PX + 1.5), HALO)
     _draw_disc(view.disc(point, START_PX), WHITE)
     _draw_disc(view.disc(point, START_PX - 2.0), HALO)
 
 
 def draw_contact(point: Float, force_n: float, view: OverlayView, *, is_active: bool) -> None:
-    """A disc of the force's colour; grey where the hand is in the air."""
+    """Draw a disc in the force's colour; grey without contact."""
     radius = ACTIVE_CONTACT_PX if is_active else CONTACT_PX
     _draw_disc(view.disc(point, radius + 2.5), HALO)
     _draw_disc(view.disc(point, radius + 1.0), WHITE)
@@ -213,10 +248,12 @@ def draw_contact(point: Float, force_n: float, view: OverlayView, *, is_active: 
 
 
 def _make_batches(path: OverlayPath) -> tuple[Any, Any, Any]:
-    coloured, plain = (gpu.shader.from_builtin(f"POLYLINE_{kind}_COLOR") for kind in ("SMOOTH", "UNIFORM"))
-    line = batch_for_shader(coloured, "LINE_STRIP", {"pos": path.points, "color": path.colours})
-    halo = batch_for_shader(plain, "LINE_STRIP", {"pos": path.points})
-    ticks = batch_for_shader(plain, "LINES", {"pos": path.ticks}) if len(path.ticks) else None
+    colour_shader, uniform_shader = (
+        gpu.shader.from_builtin(f"POLYLINE_{kind}_COLOR") for kind in ("SMOOTH", "UNIFORM")
+    )
+    line = batch_for_shader(colour_shader, "LINE_STRIP", {"pos": path.points, "color": path.colours})
+    halo = batch_for_shader(uniform_shader, "LINE_STRIP", {"pos": path.points})
+    ticks = batch_for_shader(uniform_shader, "LINES", {"pos": path.ticks}) if len(path.ticks) else None
     return line, halo, ticks
 
 

@@ -1,4 +1,4 @@
-"""The stroke tool in the toolbar of the 3-D view."""
+"""Stroke tool in the toolbar of the 3-D view, with its icon and keymap."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ..actuator.actuator_state import SPEAKERS, get_selected_output
 from ..ops.draw_ops import draw_style
 
 ICON = Path(__file__).resolve().parent / "data" / "hnf.stroke"
-"""Without its ending .dat, as Blender asks for it; tools/make_tool_icon.py makes it."""
+"""Icon file without its suffix .dat, as Blender expects it; made by tools/make_tool_icon.py."""
 
 KEYMAP = "3D View Tool: Object, Touch Stroke"
-"""As Blender names the keymap of the tool below."""
+"""Name that Blender gives to the tool's keymap."""
 
 
 class HNF_TOOL_stroke(bpy.types.WorkSpaceTool):  # type: ignore[misc]  # bpy has no types
@@ -56,7 +56,7 @@ def register() -> None:
 
 def unregister() -> None:
     bpy.utils.unregister_tool(HNF_TOOL_stroke)
-    # Blender takes the tool's keymap out of its own and the add-ons' key configuration; the merged one keeps a copy.
+    # Blender removes the tool's keymap from its own and the add-ons' key configuration, but not from the merged one.
     merged = bpy.context.window_manager.keyconfigs.user
     for keymap in [keymap for keymap in merged.keymaps if keymap.name == KEYMAP]:
         merged.keymaps.remove(keymap)

@@ -1,4 +1,7 @@
-"""Panels, lists and overlays. They draw what is cached and compute nothing."""
+"""Panels and lists of the Touch tab, one file per panel; they draw cached state and compute nothing.
+
+Read `strokes_panel.py` first.
+"""
 
 from __future__ import annotations
 

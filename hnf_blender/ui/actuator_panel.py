@@ -1,4 +1,4 @@
-"""Actuator: the device strokes are made for, where they are played, and how it fares."""
+"""Actuator panel: the actuator that strokes are made for, the output that plays them, and its state."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ PHASE_LABELS = {
     Phase.PAUSED: ("PAUSE", "Paused; device kept"),
     Phase.LIVE: ("BRUSH_DATA", "Follows the pen"),
 }
+"""Icon and text of every phase of the player."""
 
 
 def describe_profile(profile: ActuatorProfile) -> tuple[str, ...]:
-    """The limits that are known, one a line."""
+    """Return a line of text per limit of the actuator."""
     lines = []
     if profile.range_hz is not None:
         low, high = profile.range_hz
@@ -69,7 +70,7 @@ class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy
 
 
 def draw_user_actuator(layout: Any, settings: Any) -> None:
-    """The artist's own figures, to be entered."""
+    """Draw the fields of an actuator described by the user."""
     column = layout.column(align=True)
     column.prop(settings, "own_peak_m_s2", text="Largest (m/s²)")
     column.prop(settings, "own_lowest_hz", text="Lowest (Hz)")
@@ -77,7 +78,7 @@ def draw_user_actuator(layout: Any, settings: Any) -> None:
 
 
 def draw_output(layout: Any, context: Any) -> None:
-    """Where strokes are played, and what can be done there."""
+    """Draw the selected output and its buttons."""
     target = get_selected_output(context)
     column = layout.column(align=True)
     column.label(text="Played on")
@@ -108,7 +109,7 @@ def draw_output(layout: Any, context: Any) -> None:
 
 
 def draw_status(layout: Any, context: Any, facts: ActuatorFacts) -> None:
-    """How it fares: state, level, figures, and what went wrong."""
+    """Draw the player's phase, level, figures and problem."""
     icon, text = PHASE_LABELS[facts.phase]
     column = layout.column(align=True)
     column.label(text=tr(text), icon=icon, translate=False)
@@ -124,15 +125,15 @@ def draw_status(layout: Any, context: Any, facts: ActuatorFacts) -> None:
 
 
 def draw_live(layout: Any, context: Any, facts: ActuatorFacts) -> None:
-    """Touching by hand, and how hard."""
+    """Draw the controls of live touch and its forces."""
     settings = context.scene.hnf
     column = layout.column(align=True)
-    live = facts.phase is Phase.LIVE
-    column.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA", depress=live)
+    is_live = facts.phase is Phase.LIVE
+    column.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA", depress=is_live)
     row = make_button_row(column, context)
     row.prop(settings, "live_pen_n", text="Pen (N)")
     row.prop(settings, "live_mouse_n", text="Mouse (N)")
-    if live:
+    if is_live:
         draw_paragraph(column, context, tr("Drag over a surface to feel it. Esc ends"), icon="INFO")
 
 
@@ -140,10 +141,10 @@ class HNF_MT_output(bpy.types.Menu):  # type: ignore[misc]
     bl_label = "Output"
 
     def draw(self, context: Any) -> None:
-        layout, chosen = self.layout, get_selected_output(context)
-        for each in list_outputs(context):
-            icon = "RADIOBUT_ON" if each.target == chosen else "RADIOBUT_OFF"
-            layout.operator("hnf.output_choose", text=each.title, icon=icon, translate=False).target = each.target
+        layout, selected = self.layout, get_selected_output(context)
+        for output in list_outputs(context):
+            icon = "RADIOBUT_ON" if output.target == selected else "RADIOBUT_OFF"
+            layout.operator("hnf.output_choose", text=output.title, icon=icon, translate=False).target = output.target
         layout.separator()
         layout.operator("hnf.actuator_find", text="Look for Devices", icon="FILE_REFRESH")
         layout.operator("hnf.output_other", text="Another Address…", icon="GREASEPENCIL")

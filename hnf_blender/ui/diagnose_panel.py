@@ -1,6 +1,6 @@
-"""Diagnose: versions, paths, sizes, the last error; and how to get rid of what is kept.
+"""Diagnose panel: versions, paths, sizes and the last error, with buttons that remove stored data.
 
-The external Python in the preferences: its path, what it was found to be, what to type where it lacks something.
+Also draws the external Python in the preferences: its path, its check, and the command that installs what is missing.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class HNF_PT_diagnose(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy
 
 
 def draw_cache(layout: Any, state: SessionState) -> None:
-    """The button that empties the cache, with what it frees where that was looked up."""
+    """Draw the button that clears the cache, with the cache's size if it is known."""
     size = dict(state.diagnosis).get("Cache size")
     if size:
         layout.operator(
@@ -55,23 +55,28 @@ CLASSES = (HNF_PT_diagnose,)
 
 
 CHECK_BUTTON_WIDTH = 4.5
-"""Of the button [interface units]."""
+"""Width of the Check button [interface units]."""
 
 
 def draw_external_python(layout: Any, preferences: Any) -> None:
+    """Draw the preferences of the external Python."""
     box = layout.box()
     row = box.row(align=True)
     row.prop(preferences, "external_python")
     button = row.row(align=True)
-    button.ui_units_x = CHECK_BUTTON_WIDTH  # the rest is the path's: half a row is too short for one
+    button.ui_units_x = CHECK_BUTTON_WIDTH  # Half a row would be too short for a path.
     button.operator("hnf.python_check", text="Check", icon="VIEWZOOM")
-    found = STATE.external_python
-    if found is None or found.path != preferences.external_python:
+    external_python = STATE.external_python
+    if external_python is None or external_python.path != preferences.external_python:
         box.label(text="Set its path, then press Check. Learn a Material… appears under Materials", icon="INFO")
         return
-    box.label(text=format_python_status(found), icon="ERROR" if found.problem else "CHECKMARK", translate=False)
-    if found.command:
+    box.label(
+        text=format_python_status(external_python),
+        icon="ERROR" if external_python.problem else "CHECKMARK",
+        translate=False,
+    )
+    if external_python.command:
         box.label(text="Type this into a terminal, then check again:", icon="BLANK1")
         row = box.row(align=True)
-        row.label(text=found.command, icon="BLANK1", translate=False)
+        row.label(text=external_python.command, icon="BLANK1", translate=False)
         row.operator("hnf.python_copy", text="Copy", icon="COPYDOWN")

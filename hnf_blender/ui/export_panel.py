@@ -1,4 +1,4 @@
-"""Export: to files, to the sequencer, to a speaker in the scene."""
+"""Export panel: files, sequencer strips and speakers of strokes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row
 
 MAX_LINES = 4
-"""Sentences shown of a large export; all of them are copied."""
+"""Number of sentences shown of a large export; copying includes all of them."""
 
 
 class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
@@ -29,19 +29,21 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy h
         if choice is not None and choice.scaled:
             profile = get_shown_profile(scene)
             if profile.assumes_full_scale and profile.peak_m_s2 is not None:
-                said = tr("1 means {peak:g} m/s², an assumption ({actuator}, chosen under Actuator)")
+                template = tr("1 means {peak:g} m/s², an assumption ({actuator}, chosen under Actuator)")
             elif profile.assumes_full_scale:
-                said = tr("1 means {peak:g} m/s², an assumption: {actuator} does not state its largest acceleration")
+                template = tr(
+                    "1 means {peak:g} m/s², an assumption: {actuator} does not state its largest acceleration"
+                )
             else:
-                said = tr("1 means {peak:g} m/s² ({actuator}, chosen under Actuator)")
-            text = said.format(peak=profile.limits.full_scale_m_s2, actuator=tr(profile.title))
+                template = tr("1 means {peak:g} m/s² ({actuator}, chosen under Actuator)")
+            text = template.format(peak=profile.limits.full_scale_m_s2, actuator=tr(profile.title))
             draw_paragraph(layout, context, text, icon="BLANK1")
         layout.prop(scene.hnf, "export_folder", text="")
         if not bpy.data.filepath and scene.hnf.export_folder.startswith("//"):
             draw_hint(
                 layout, context, tr("Save the .blend first, or choose a folder: // means the folder of the .blend")
             )
-        elif not PREVIEW.exported:  # Blender paints a folder red that is not there yet
+        elif not PREVIEW.exported:  # Blender shows a missing folder in red.
             draw_paragraph(layout, context, tr("Created on first export"), icon="BLANK1")
         row = make_button_row(layout, context)
         row.operator("hnf.export", text="This Stroke", icon="FILE_SOUND").all = False
@@ -51,8 +53,8 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy h
             for sentence in PREVIEW.exported[:MAX_LINES]:
                 draw_paragraph(box, context, sentence)
             if len(PREVIEW.exported) > MAX_LINES:
-                more = tr("and {count} more").format(count=len(PREVIEW.exported) - MAX_LINES)
-                box.label(text=more, translate=False)
+                more_text = tr("and {count} more").format(count=len(PREVIEW.exported) - MAX_LINES)
+                box.label(text=more_text, translate=False)
             box.operator("hnf.export_copy", icon="COPYDOWN")
         column = layout.column(align=True)
         column.operator("hnf.add_to_sequencer", text="Add to Sequencer", icon="SEQUENCE")

@@ -1,7 +1,4 @@
-"""Materials: what each slot feels like, who decided, and what else it could be.
-
-One place: what was found where the artist clicked.
-"""
+"""Materials panel: what each material slot feels like, who decided it, what else it could be, and the touch query."""
 
 from __future__ import annotations
 
@@ -31,10 +28,11 @@ if TYPE_CHECKING:
     from ..state.job_results import QueryView
 
 MAX_SUGGESTIONS, MAX_BAKES = 4, 5
+"""Number of suggestions, and of strokes listed as baked."""
 
 
 def describe_material(material: Any) -> tuple[str, str]:
-    """Icon and words of what a Blender material is taken to feel like."""
+    """Return icon and text of the library material that a Blender material is taken for."""
     if material.hnf_touch.library:
         return "LOCKED", format_display_name(material.hnf_touch.library)
     if DEFINITION_PROPERTY in material:
@@ -42,19 +40,19 @@ def describe_material(material: Any) -> tuple[str, str]:
     ranked = STATE.suggestions.get(material.name_full)
     if ranked:
         return "UNLOCKED", f"{format_display_name(ranked[0].name)} ({format_confidence(ranked[0].confidence)})"
-    baked = next((each for each in iterate_statuses() if each.shader == material.name), None)
+    baked = next((status for status in iterate_statuses() if status.shader == material.name), None)
     if baked is not None and baked.library_material:
         return "UNLOCKED", f"{format_display_name(baked.library_material)} ({tr('as baked')})"
     return "UNLOCKED", tr("Automatic at bake")
 
 
 def iterate_statuses() -> Iterator[StrokeStatus]:
-    """Of the strokes of all scenes: a material may be used in any."""
+    """Iterate over the statuses of the strokes of all scenes, since a material may be used in any."""
     return (status for statuses in STATE.statuses.values() for status in statuses.values())
 
 
 def list_bakes(scene: Any, obj: Any) -> list[tuple[str, StrokeStatus]]:
-    """A scene's strokes that are baked on an object, by name."""
+    """Return names and statuses of a scene's strokes baked on an object, sorted by name."""
     object_name = get_shown_name(scene, obj)
     return sorted(
         (name, status)
@@ -74,8 +72,8 @@ class HNF_UL_slots(bpy.types.UIList):  # type: ignore[misc]  # bpy has no types,
             return
         row = layout.row()
         row.label(text=shorten_name(context, slot.material.name, reserved=18), icon_value=icon, translate=False)
-        lock, felt = describe_material(slot.material)
-        row.label(text=felt, icon=lock, translate=False)
+        lock_icon, text = describe_material(slot.material)
+        row.label(text=text, icon=lock_icon, translate=False)
 
 
 class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
@@ -102,18 +100,18 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
 
 
 def draw_learn(layout: Any) -> None:
-    """The button that learns a material; not for those who named no Python for it, as it would only be grey."""
+    """Draw the button that learns a material; left out if no external Python is set."""
     if get_python_path():
         layout.operator("hnf.learn", icon="REC")
 
 
 def draw_material(layout: Any, context: Any, material: Any) -> None:
-    """One material: its word, the artist's lock, the suggestions."""
-    icon, felt = describe_material(material)
+    """Draw a material with its library material, the artist's choice and the suggestions."""
+    icon, text_label = describe_material(material)
     box = layout.box()
     box.label(text=shorten_name(context, material.name), icon="MATERIAL", translate=False)
     row = box.row(align=True)
-    row.label(text=felt, icon=icon, translate=False)
+    row.label(text=text_label, icon=icon, translate=False)
     if icon == "LOCKED":
         row.operator("hnf.material_auto", text="Automatic", icon="LOOP_BACK").material = material.name_full
     column = box.column(align=True)
@@ -134,13 +132,15 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
 
 
 def group_equal_bakes(bakes: list[tuple[str, StrokeStatus]]) -> list[tuple[list[str], StrokeStatus]]:
-    """Names of the strokes on one slot that were baked with one material by the same routes, and a status of theirs, in
-    the order of the first of each."""
-    found: dict[tuple[str, ...], tuple[list[str], StrokeStatus]] = {}
-    for name, status in bakes:  # alike is what reads alike: confidences differ from stroke to stroke
-        told = status.shader, status.library_material, format_confidence(status.confidence), status.routes
-        found.setdefault(told, ([], status))[0].append(name)
-    return list(found.values())
+    """Group strokes whose bakes read alike: the same slot, material, confidence and routes.
+
+    Returns the names of each group and one of its statuses, in the order of first appearance.
+    """
+    groups: dict[tuple[str, ...], tuple[list[str], StrokeStatus]] = {}
+    for name, status in bakes:  # Confidences are compared as shown, since they differ slightly.
+        shown_facts = status.shader, status.library_material, format_confidence(status.confidence), status.routes
+        groups.setdefault(shown_facts, ([], status))[0].append(name)
+    return list(groups.values())
 
 
 class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
@@ -159,18 +159,18 @@ class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
         for names, status in group_equal_bakes(bakes[:MAX_BAKES]):
             column = self.layout.column(align=True)
             draw_paragraph(column, context, ", ".join(shorten_name(context, name) for name in names), icon="CURVE_DATA")
-            felt = f"{format_display_name(status.library_material)}, {format_confidence(status.confidence)}"
+            description = f"{format_display_name(status.library_material)}, {format_confidence(status.confidence)}"
             shader = f"{shorten_name(context, status.shader, reserved=6)}: " if status.shader else ""
-            draw_paragraph(column, context, shader + felt, icon="BLANK1")
+            draw_paragraph(column, context, shader + description, icon="BLANK1")
             for line in format_routes(status.routes):
                 draw_paragraph(column, context, line, icon="BLANK1")
         if len(bakes) > MAX_BAKES:
-            more = tr("and {count} more").format(count=len(bakes) - MAX_BAKES)
-            self.layout.label(text=more, icon="BLANK1", translate=False)
+            more_text = tr("and {count} more").format(count=len(bakes) - MAX_BAKES)
+            self.layout.label(text=more_text, icon="BLANK1", translate=False)
 
 
 MAX_IMAGE_UNITS = 9.0
-"""Units of Blender's interface: the picture is looked at, not worked on."""
+"""Largest size of the image of a touch query [interface units]."""
 
 
 class HNF_PT_probe(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
@@ -185,7 +185,7 @@ class HNF_PT_probe(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy ha
 
 
 def draw_query_result(layout: Any, context: Any, view: QueryView) -> None:
-    """Everything that is known of the place."""
+    """Draw the result of a touch query."""
     layout.label(text=shorten_name(context, view.object_name), icon="OBJECT_DATA", translate=False)
     if view.icon:
         size = compute_image_size(context.region.width, float(context.preferences.system.ui_scale))
@@ -198,8 +198,8 @@ def draw_query_result(layout: Any, context: Any, view: QueryView) -> None:
         icon="MATERIAL",
     )
     draw_paragraph(column, context, tr("Why: {reason}").format(reason=format_reason(view.reason)), icon="BLANK1")
-    rough = tr("Roughness: {height} RMS").format(height=format_height(view.roughness_m))
-    draw_paragraph(column, context, rough, icon="RNDCURVE")
+    roughness = tr("Roughness: {height} RMS").format(height=format_height(view.roughness_m))
+    draw_paragraph(column, context, roughness, icon="RNDCURVE")
     friction = tr("Friction: about {value} ({range})").format(
         value=f"{view.friction:.2f}", range=format_factor_range(view.friction, view.friction_factor, "{:.2f}")
     )
@@ -214,21 +214,25 @@ def draw_query_result(layout: Any, context: Any, view: QueryView) -> None:
 
 
 def draw_nearest(layout: Any, context: Any, view: QueryView) -> None:
-    """The nearest library materials, to be chosen with a click; nothing is chosen unasked."""
+    """Draw the nearest library materials as buttons that choose them."""
     if not view.nearest:
         return
-    seen = view.seen_m is not None
+    has_relief = view.seen_m is not None
     column = layout.column(align=True)
-    said = (
-        tr("Closest materials by relief (0 = identical)") if seen else tr("Most likely materials (no relief was seen)")
+    title = (
+        tr("Closest materials by relief (0 = identical)")
+        if has_relief
+        else tr("Most likely materials (no relief was seen)")
     )
-    draw_paragraph(column, context, said, icon="INFO")
-    for near in view.nearest:
-        how = f"{round(100 * near.confidence)} %" if near.distance is None else f"{near.distance:.2f}"
-        text = f"{format_display_name(near.name)}  {how}"
+    draw_paragraph(column, context, title, icon="INFO")
+    for candidate in view.nearest:
+        measure = (
+            f"{round(100 * candidate.confidence)} %" if candidate.distance is None else f"{candidate.distance:.2f}"
+        )
+        text = f"{format_display_name(candidate.name)}  {measure}"
         if view.material_full:
             choose = column.operator("hnf.material_choose", text=text, translate=False)
-            choose.material, choose.name = view.material_full, near.name
+            choose.material, choose.name = view.material_full, candidate.name
         else:
             column.label(text=text, translate=False)
 

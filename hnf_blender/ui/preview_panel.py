@@ -1,4 +1,4 @@
-"""Preview: the signal seen, heard, and held against the actuator's limits."""
+"""Preview panel: image, playback, level and comparison of the active stroke's signal."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph
 
 UNIT_PX, IMAGE_SIZE_UNITS = 20.0, (5.0, 18.0)
-"""Of Blender's interface; smallest and largest picture."""
+"""Size of an interface unit [px], and smallest and largest size of the image [interface units]."""
 
 
 def compute_image_size(width_px: float, scale: float) -> float:
-    """Size of the square picture in interface units: as wide as the panel."""
-    least, most = IMAGE_SIZE_UNITS
-    return min(max((width_px / scale - 50.0) / UNIT_PX, least), most)
+    """Return the size of the square image [interface units], as wide as the panel."""
+    min_size, max_size = IMAGE_SIZE_UNITS
+    return min(max((width_px / scale - 50.0) / UNIT_PX, min_size), max_size)
 
 
 def has_bake(scene: Any, stroke: Any) -> bool:
-    """Is there a bake, even an old one? Where that is not known yet, it is taken for there."""
+    """Return whether there is a bake, even a stale one; True if that is not known yet."""
     status = STATE.get_status(scene, stroke)
     return status is None or status.freshness is not Freshness.UNBAKED
 
@@ -48,8 +48,8 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
         row.scale_y = 1.3
         if facts is not None and facts.playing:
             row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
-            hold = "PLAY" if facts.paused else "PAUSE"
-            row.operator("hnf.preview_pause", text="", icon=hold, depress=facts.paused)
+            pause_icon = "PLAY" if facts.paused else "PAUSE"
+            row.operator("hnf.preview_pause", text="", icon=pause_icon, depress=facts.paused)
         else:
             row.operator("hnf.preview_play", text="Play", icon="PLAY")
         row.prop(context.scene.hnf, "loop", text="", icon="FILE_REFRESH")
@@ -73,17 +73,17 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
 
 
 def draw_comparison(layout: Any, facts: PreviewFacts) -> None:
-    """A, kept; and what the stroke is now."""
+    """Draw the comparison of reference A with the current signal."""
     if not facts.has_kept:
         layout.operator("hnf.preview_ab", text="Keep as A to Compare", icon="PINNED").action = "KEEP"
         return
     row = layout.row(align=True)
-    on_kept = facts.shows == "A"
+    shows_reference = facts.shows == "A"
     switch = row.operator(
         "hnf.preview_ab",
-        text="Hearing A: Kept" if on_kept else "Hearing B: Current",
+        text="Hearing A: Kept" if shows_reference else "Hearing B: Current",
         icon="ARROW_LEFTRIGHT",
-        depress=on_kept,
+        depress=shows_reference,
     )
     switch.action = "SWITCH"
     row.operator("hnf.preview_ab", text="", icon="X").action = "FORGET"

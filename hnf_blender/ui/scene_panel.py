@@ -1,4 +1,4 @@
-"""Scene: what to do next, the bake and how it goes, the plan, the scale."""
+"""Scene panel: first steps, bake and its progress, plan, and unit scale."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shor
 SceneResult = TypeVar("SceneResult", LastJob, PlanView)
 
 MAX_LINES = 6
-"""Of one kind in the plan; the rest is counted."""
+"""Number of lines shown per kind in the plan."""
 
 
 class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
@@ -55,18 +55,18 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy ha
 
 
 def filter_by_scene(scene: Any, result: SceneResult | None) -> SceneResult | None:
-    """A plan or a job's end where it is about this scene; a window may show another one."""
+    """Return a plan or a job's outcome if it is about this scene, else None."""
     return result if result is not None and result.scene in ("", scene.name) else None
 
 
 def shows_first_step_tools(context: Any) -> bool:
-    """Whether the first step shows the stroke tool and the ready strokes; the Strokes panel then does not."""
+    """Return whether the first step shows the stroke tool and primitives, which the Strokes panel then omits."""
     scene = context.scene
     return STATE.job is None and not list_cached_strokes(scene) and any(obj.type == "MESH" for obj in scene.objects)
 
 
 def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
-    """1 Draw, 2 Bake, 3 Play, until the first stroke can be heard."""
+    """Draw the steps 1 Draw, 2 Bake, 3 Play until a stroke has been played."""
     statuses = (STATE.get_status(context.scene, obj) for obj in strokes)
     audible = sum(status is not None and status.freshness in PLAYABLE_STATES for status in statuses)
     todo = list_first_steps(len(strokes), audible, STATE.has_played)
@@ -88,7 +88,7 @@ def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
 
 
 def draw_job(layout: Any, context: Any) -> None:
-    """The running job: bar, what it does, time left, the way out."""
+    """Draw the running job: progress, stage, remaining time, cancel button."""
     job = STATE.job
     if job is None:
         return
@@ -100,14 +100,15 @@ def draw_job(layout: Any, context: Any) -> None:
 
 
 def draw_last_job(layout: Any, context: Any) -> None:
-    last = filter_by_scene(context.scene, STATE.last_job)
-    if last is None:
+    """Draw the outcome of the last job."""
+    outcome = filter_by_scene(context.scene, STATE.last_job)
+    if outcome is None:
         return
-    box = layout.box() if not last.ok else layout.column(align=True)
-    box.alert = not last.ok and not last.written  # half a success is no alarm
-    draw_paragraph(box, context, last.message, icon="CHECKMARK" if last.ok else "ERROR")
-    for detail in last.details[:MAX_LINES]:
-        draw_paragraph(box, context, detail, icon="DOT")  # each begins with one: several lines would run together
+    box = layout.box() if not outcome.ok else layout.column(align=True)
+    box.alert = not outcome.ok and not outcome.written  # A partial success is no alert.
+    draw_paragraph(box, context, outcome.message, icon="CHECKMARK" if outcome.ok else "ERROR")
+    for detail in outcome.details[:MAX_LINES]:
+        draw_paragraph(box, context, detail, icon="DOT")  # The icon separates details that span lines.
 
 
 class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
@@ -127,8 +128,8 @@ class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
             for line in lines[:MAX_LINES]:
                 draw_paragraph(column, context, f"{line.what}: {line.why}" if line.why else line.what, icon="BLANK1")
             if len(lines) > MAX_LINES:
-                more = tr("and {count} more").format(count=len(lines) - MAX_LINES)
-                column.label(text=more, icon="BLANK1", translate=False)
+                more_text = tr("and {count} more").format(count=len(lines) - MAX_LINES)
+                column.label(text=more_text, icon="BLANK1", translate=False)
 
 
 class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
@@ -153,8 +154,10 @@ class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
         draw_paragraph(layout, context, text.format(size=f"{metres:g} m"), icon="INFO")
         layout.operator("hnf.set_real_length", icon="DRIVER_DISTANCE")
         if not scene.hnf.metres_per_unit and TOUCHABLE_SURFACES.list_objects(scene):
-            said = tr("A reconstruction has no real-world size: select two points of it and say how far apart they are")
-            draw_paragraph(layout, context, said, icon="ERROR")
+            warning = tr(
+                "A reconstruction has no real-world size: select two points of it and say how far apart they are"
+            )
+            draw_paragraph(layout, context, warning, icon="ERROR")
 
 
 CLASSES = (HNF_PT_scene, HNF_PT_plan, HNF_PT_scale)

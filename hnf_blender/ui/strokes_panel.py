@@ -1,8 +1,6 @@
-"""Strokes: the list, and below it everything that one stroke is made of.
+"""Strokes panel: list of strokes, menu of primitives, and the settings of the active stroke.
 
-The list of strokes and the menu of ready ones.
-
-The list of strokes follows what is selected in the 3-D view.
+The selection in the list follows the active object of the 3-D view.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from .layout import TouchPanel, compute_line_width, count_line_characters, draw_
 from .scene_panel import shows_first_step_tools
 
 MIN_ROWS, MAX_ROWS = 2, 8
-"""Of the list; between them, as many as there are strokes."""
+"""Smallest and largest number of rows in the list."""
 
 
 class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
@@ -57,17 +55,17 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
         row = layout.row()
         rows = min(max(len(strokes), MIN_ROWS), MAX_ROWS)
         row.template_list("HNF_UL_strokes", "", scene, "objects", scene.hnf, "stroke_index", rows=rows)
-        side = row.column(align=True)
-        side.operator("hnf.stroke_duplicate", text="", icon="DUPLICATE")
-        side.operator("hnf.stroke_to_curve", text="", icon="OUTLINER_OB_CURVE")
-        side.operator("hnf.stroke_delete", text="", icon="REMOVE")
+        buttons = row.column(align=True)
+        buttons.operator("hnf.stroke_duplicate", text="", icon="DUPLICATE")
+        buttons.operator("hnf.stroke_to_curve", text="", icon="OUTLINER_OB_CURVE")
+        buttons.operator("hnf.stroke_delete", text="", icon="REMOVE")
         stroke = get_active_stroke(context)
         if stroke is None:
             draw_hint(layout, context, tr("Click a stroke to see what it is made of"))
 
 
 class ActiveStrokePanel(TouchPanel):
-    """Panels that speak of the active stroke."""
+    """Base of panels about the active stroke."""
 
     bl_parent_id = "HNF_PT_strokes"
 
@@ -90,10 +88,10 @@ class HNF_PT_stroke(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
                 tr("A linked stroke has the same name, and the other one may be shown instead. Rename yours"),
                 icon="ERROR",
             )
-        status, heard = STATE.get_status(context.scene, stroke), get_preview_facts(stroke)
+        status, preview = STATE.get_status(context.scene, stroke), get_preview_facts(stroke)
         icon, text = describe_status(status)
         draw_paragraph(layout, context, text, icon=icon)
-        if status is not None and (heard is None or not heard.lines):  # else the preview says it
+        if status is not None and (preview is None or not preview.lines):  # Otherwise the preview shows the warnings.
             for warning in status.warnings:
                 draw_paragraph(layout, context, warning, icon="ERROR")
         layout.use_property_split = True
@@ -104,8 +102,8 @@ class HNF_PT_stroke(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
             draw_paragraph(column, context, tr("Empty: the nearest visible mesh is touched"), icon="BLANK1")
         column.prop(group, "probe")
         row = make_labelled_row(column, "Feels")
-        felt = format_display_name(group.material) if group.material else tr("Surface material")
-        row.operator("hnf.stroke_material", text=felt, icon="MATERIAL", translate=False)
+        material_label = format_display_name(group.material) if group.material else tr("Surface material")
+        row.operator("hnf.stroke_material", text=material_label, icon="MATERIAL", translate=False)
         if group.material:
             row.operator("hnf.stroke_material_auto", text="", icon="X")
 
@@ -120,7 +118,7 @@ class HNF_PT_stroke_time(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[mi
         layout.use_property_split = True
         column = layout.column()
         column.use_property_decorate = False
-        if keyed or is_keyed(stroke, "force"):  # the bare number would leave the keys behind
+        if keyed or is_keyed(stroke, "force"):  # Editing the number alone would not move the keys.
             row = make_labelled_row(column, "Start")
             row.operator("hnf.stroke_move", text=tr("Frame {frame}…").format(frame=f"{group.start:g}"), translate=False)
         else:
@@ -166,7 +164,7 @@ class HNF_PT_stroke_variation(ActiveStrokePanel, bpy.types.Panel):  # type: igno
 
 
 def make_labelled_row(layout: Any, text: str) -> Any:
-    """A row for buttons behind a label that stands where those of properties stand."""
+    """Return a row for buttons behind a label aligned with those of properties."""
     split = layout.split(factor=0.4)
     label = split.row()
     label.alignment = "RIGHT"
@@ -175,20 +173,21 @@ def make_labelled_row(layout: Any, text: str) -> Any:
 
 
 def is_keyed(obj: Any, name: str) -> bool:
-    """Has the property of hnf_stroke keyframes of its own?"""
+    """Return whether a property of hnf_stroke has keyframes."""
     path = f"hnf_stroke.{name}"
     return any(fcurve.data_path == path and not fcurve.is_empty for fcurve in compat.fcurves_of(obj))
 
 
 NAME_SHARE, MIN_SHARE = 0.74, 0.3
-"""Of a row of the list, at the most and at the least; the rest is for solo and mute."""
+"""Largest and smallest fraction of a list row for the name; the rest is for solo and mute."""
 SWITCHES_PX = 46.0
-"""Solo and mute beside each other, at resolution scale 1; with less they are drawn over each other."""
+"""Width of the solo and mute buttons at resolution scale 1; below it they overlap [px]."""
 PRIMITIVE_ICONS = {"scrape": "IPO_LINEAR", "rub": "FORCE_VORTEX"}
+"""Icons of the kinds of primitives."""
 
 
 def format_primitive(name: str) -> str:
-    """ "left-right-soft" → "Left right soft  0.5 N, 100 mm/s"."""
+    """Format a primitive: "left-right-soft" → "Left right soft  0.5 N, 100 mm/s"."""
     primitive = PRIMITIVES[name]
     label = tr(name.replace("-", " ").capitalize())
     return f"{label}  {primitive.force:g} N, {primitive.speed * 1e3:g} mm/s"
@@ -214,14 +213,14 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]
         self, context: Any, layout: Any, _data: Any, obj: Any, _icon: int, _active_data: Any, _active: str, _index: int
     ) -> None:
         status = STATE.get_status(context.scene, obj)
-        share = compute_name_share(compute_line_width(context))
-        row = layout.split(factor=share)
+        name_fraction = compute_name_share(compute_line_width(context))
+        row = layout.split(factor=name_fraction)
         row.active = not obj.hnf_stroke.mute
         name = row.row(align=True)
         name.alignment = "LEFT"
         select = name.operator(
             "hnf.stroke_select",
-            text=shorten_text(obj.name, max(4, int(share * count_line_characters(context)) - 6)),
+            text=shorten_text(obj.name, max(4, int(name_fraction * count_line_characters(context)) - 6)),
             icon=describe_status(status)[0],
             emboss=False,
             translate=False,
@@ -236,46 +235,57 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]
 
     def filter_items(self, _context: Any, data: Any, name: str) -> tuple[list[int], list[int]]:
         """The scene's strokes, those whose name matches what is searched for, sorted by name."""
-        numbered, wanted = STROKES.list_indexed(data), self.filter_name.lower()
+        numbered, query = STROKES.list_indexed(data), self.filter_name.lower()
         shown = [0] * len(getattr(data, name))
-        for at, obj in numbered:
-            if wanted in obj.name.lower():
-                shown[at] = self.bitflag_filter_item
-        return shown, compute_order([obj.name.lower() for _, obj in numbered], [at for at, _ in numbered], len(shown))
+        for index, obj in numbered:
+            if query in obj.name.lower():
+                shown[index] = self.bitflag_filter_item
+        return shown, compute_order(
+            [obj.name.lower() for _, obj in numbered], [index for index, _ in numbered], len(shown)
+        )
 
 
 def compute_order(names: Sequence[str], indices: Sequence[int], count: int) -> list[int]:
-    """For each of count places its new one: the named ones sorted in front, all others behind as they were.
+    """Return the new index of each of `count` objects: the named ones sorted first, all others behind in their order.
 
-    names: of those at places, which ascend. Blender's own sorts every object of the scene by its name, at each redraw.
+    Blender's own sort would sort all objects of the scene at each redraw.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the objects at `indices`.
+    indices : sequence of int
+        Ascending indices of the named objects.
+    count : int
+        Number of all objects.
     """
-    order, begin, behind = [0] * count, 0, len(indices)
+    order, begin, next_index = [0] * count, 0, len(indices)
     for end in (*indices, count):
-        order[begin:end] = range(behind, behind + end - begin)
-        begin, behind = end + 1, behind + end - begin
+        order[begin:end] = range(next_index, next_index + end - begin)
+        begin, next_index = end + 1, next_index + end - begin
     for rank, index in enumerate(sorted(range(len(indices)), key=names.__getitem__)):
         order[indices[index]] = rank
     return order
 
 
 def compute_name_share(row_px: float) -> float:
-    """Of a row so wide: what the name gets, so that solo and mute have their room."""
+    """Return the fraction of a row of `row_px` pixels that the name gets."""
     return max(MIN_SHARE, min(NAME_SHARE, 1.0 - SWITCHES_PX / max(row_px, SWITCHES_PX)))
 
 
 def is_solo(scene: Any, stroke: Any) -> bool:
-    """Is it the only stroke of several that is not muted?"""
+    """Return whether this is the only stroke of several that is not muted."""
     if stroke.hnf_stroke.mute:
         return False
-    others = (obj.hnf_stroke.mute for obj in list_cached_strokes(scene) if obj != stroke)
-    return bool(next(others, False)) and all(others)
+    other_mutes = (obj.hnf_stroke.mute for obj in list_cached_strokes(scene) if obj != stroke)
+    return bool(next(other_mutes, False)) and all(other_mutes)
 
 
 _MSGBUS_OWNER = object()
 
 
 def sync_list_with_selection() -> None:
-    """Blender calls this after the active object of a view layer changed."""
+    """Select the active object in the list of strokes; called by Blender when the active object changes."""
     import bpy
 
     scene, active = bpy.context.scene, bpy.context.view_layer.objects.active
@@ -303,7 +313,7 @@ def unregister() -> None:
 
 
 def _subscribe(*_: Any) -> None:
-    """load_post too: Blender forgets who listens with every file it opens."""
+    """Subscribe to changes of the active object; needed again after load_post, since Blender forgets subscriptions."""
     import bpy
 
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)

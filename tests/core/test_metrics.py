@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from textures import RATE, Float, texture
 
 from hnf_core.metrics.spectra import (
     NINE_BANDS_HZ,
@@ -23,19 +21,6 @@ from hnf_core.metrics.spectra import (
     welch,
     window_magnitudes,
 )
-from hnf_lab.evaluation.bounds import compute_bounds, measure_repetition
-
-Float = NDArray[np.float64]
-RATE = 10_000.0
-
-
-def texture(seed: int, seconds: float = 8.0) -> Float:
-    """A Gaussian texture: a resonance at 220 Hz over a slope, AR(2) and AR(1), by its transfer function."""
-    count = round(seconds * RATE)
-    white = np.fft.rfft(np.random.default_rng(seed).standard_normal(count))
-    z = np.exp(-2j * np.pi * np.fft.rfftfreq(count))
-    pole = 0.96 * np.exp(2j * np.pi * 220.0 / RATE)
-    return np.fft.irfft(white / ((1.0 - pole * z) * (1.0 - np.conj(pole) * z) * (1.0 - 0.8 * z)), count)
 
 
 def long_run(seconds: float = 400.0) -> Float:
@@ -81,29 +66,6 @@ def test_bins_are_10_to_1000_hz_and_dc_is_left_out() -> None:
     assert window_magnitudes(np.zeros(2999)).shape == (2, 100)
 
 
-def test_a_gaussian_texture_scores_its_known_limits() -> None:
-    draws = [texture(seed) for seed in range(40)]
-    limits = compute_bounds([window_magnitudes(each) for each in draws])
-    assert limits.oracle_share == pytest.approx(2.0 - np.pi / 2.0, abs=0.01)
-    assert limits.best_share == pytest.approx(1.0 - np.pi / 4.0, abs=0.005)
-    measured = np.mean([spectral_mse(window_magnitudes(a), window_magnitudes(b)) for a, b in pairwise(draws)])
-    assert measured == pytest.approx(limits.oracle, rel=0.02)
-
-
-def test_the_expected_error_is_the_mean_over_recordings() -> None:
-    draws = [window_magnitudes(texture(seed, 2.0)) for seed in range(64)]
-    limits = compute_bounds(draws[:32])
-    for other in (np.zeros_like(draws[0]), 1.3 * draws[0][::-1], window_magnitudes(texture(500, 2.0))):
-        fresh = np.mean([spectral_mse(other, each) for each in draws[32:]])
-        assert limits.expected_mse(other) == pytest.approx(fresh, rel=0.03)
-    oracle = [limits.expected_mse(each) for each in draws[32:]]
-    assert np.mean(oracle) == pytest.approx(limits.oracle, rel=0.03)
-    assert limits.expected_mse(np.mean(draws[32:], axis=0)) == pytest.approx(limits.best * (1.0 + 1.0 / 32.0), rel=0.02)
-    for none in (draws[:1], [np.zeros_like(draws[0])] * 32):
-        with pytest.raises(ValueError, match="silent or single"):
-            compute_bounds(none)
-
-
 def test_the_true_process_scores_037_db_and_seven_and_a_half_in_single_windows() -> None:
     reference = long_run()
     draws = [texture(seed) for seed in range(8)]
@@ -147,18 +109,3 @@ def test_nine_bands_hold_every_bin_once() -> None:
         band = np.histogram(FREQUENCY[bin_index], NINE_BANDS_HZ)[0].argmax()
         expected = 10.0 * np.log10((inside[band] + 3.0) / inside[band]) / 3.0
         assert nine_band_error_db(louder, base, FREQUENCY) == pytest.approx(expected)
-
-
-def test_a_loop_repeats_and_noise_does_not() -> None:
-    once = texture(1, 0.5)
-    assert measure_repetition(np.tile(once, 8), RATE) == pytest.approx(1.0, abs=1e-6)
-    assert measure_repetition(-np.tile(once, 8), RATE) == pytest.approx(1.0, abs=1e-6)
-    fresh = measure_repetition(texture(2, 8.0), RATE)
-    assert fresh < 0.3
-    echo = texture(2, 8.0) + 0.7 * np.roll(texture(2, 8.0), 15_000)
-    assert measure_repetition(echo, RATE) > fresh + 0.2
-    assert measure_repetition(echo, RATE, max_lag_s=1.0) < 0.3
-    assert measure_repetition(3.0 * echo + 5.0, RATE) == pytest.approx(measure_repetition(echo, RATE))
-    assert measure_repetition(np.zeros(4000), RATE) == 0.0
-    with pytest.raises(ValueError, match="too short"):
-        measure_repetition(np.zeros(1500), RATE)

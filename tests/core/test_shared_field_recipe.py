@@ -9,15 +9,12 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from shared_field_builders import CONDITIONS, CONFIG, SIZES, gather_strokes, make_references, network, pick_specimens
+
 from hnf_core.errors import FileError
-from hnf_core.field.field import (
-    FieldConfig,
-    initial_parameters,
-)
 from hnf_core.material.library import LIBRARY_PATH
 from hnf_core.simulation.material_classes import list_classes
 from hnf_core.training.fit import Schedule, build_training_set
-from hnf_core.training.model import FieldNetwork
 from hnf_core.training.references import (
     compute_distances_db,
     compute_new_patch_distances_db,
@@ -25,9 +22,8 @@ from hnf_core.training.references import (
     predict_spectra,
     save_references,
     select_materials,
-    simulate_references,
 )
-from hnf_core.training.simulated_strokes import StrokeCondition, make_middle_conditions
+from hnf_core.training.simulated_strokes import make_middle_conditions
 from hnf_core.training.train_shared import TrainingPlan, collect_training_ranges, fit_shared_field
 from hnf_core.training.training_data import (
     Sizes,
@@ -37,38 +33,23 @@ from hnf_core.training.training_data import (
     save_training_data,
     select_classes,
 )
-from hnf_lab.experiments.shared_field import (
-    bootstrap_mean,
-    measure_directions,
-    measure_single_material_field_db,
-    measure_training_token_db,
-    measure_unseen_materials,
-)
 
-SIZES = Sizes(patches=2, described=1, strokes=4, random=2, random_strokes=2, seconds=0.15)
-CONFIG = FieldConfig(hidden=8, layers=1, line_gains=True)
 PLAN = TrainingPlan(SIZES, Schedule(epochs=2, batch=16))
-CONDITIONS = [StrokeCondition(30, 1.0, 0.2), StrokeCondition(40, 0.7, 1.7)]
 
 
 @pytest.fixture(scope="module")
 def specimens():
-    every = load_specimens(LIBRARY_PATH, SIZES)
-    return [next(each for each in every if each.name == name) for name in ("oak-wood", "denim", "oak-wood/1", "silk/1")]
+    return pick_specimens()
 
 
 @pytest.fixture(scope="module")
-def gathered(specimens):
-    return build_training_data(specimens, SIZES, 3, workers=1)
+def gathered():
+    return gather_strokes()
 
 
 @pytest.fixture(scope="module")
-def references(specimens):
-    return simulate_references(specimens, CONDITIONS, 5, workers=1, seconds=0.3)
-
-
-def network(config=CONFIG):
-    return FieldNetwork(config, initial_parameters(config, 0))
+def references():
+    return make_references()
 
 
 def test_materials_are_the_library_and_an_instance_of_every_class():
@@ -97,14 +78,16 @@ def test_gathered_strokes_come_back_from_disk(tmp_path, gathered):
 
 
 def test_another_patch_is_of_the_same_material(gathered):
-    for stroke, there in zip(gathered.strokes, gathered.other_patches(np.random.default_rng(0)), strict=True):
+    for stroke, there in zip(
+        gathered.strokes, gathered.draw_alternative_patches(np.random.default_rng(0)), strict=True
+    ):
         assert gathered.material[there] == gathered.material[stroke.surface]
         assert (there == stroke.surface) == (gathered.material[stroke.surface] < 0)
 
 
 def test_later_variants_are_described_by_another_patch(gathered):
     strokes = gathered.strokes[:4]
-    elsewhere = gathered.other_patches(np.random.default_rng(0))[:4]
+    elsewhere = gathered.draw_alternative_patches(np.random.default_rng(0))[:4]
     data = build_training_set(CONFIG, strokes, gathered.tokens, gathered.power[:4], 2, 0, [elsewhere, elsewhere])
     moved = [dataclasses.replace(s, surface=e) for s, e in zip(strokes, elsewhere, strict=True)]
     there = build_training_set(CONFIG, moved, gathered.tokens, gathered.power[:4], 1, 0)
@@ -158,39 +141,6 @@ def test_distances_come_material_by_material(references, gathered):
     assert compute_new_patch_distances_db(network(), select_materials(references, [2]))[0] == pytest.approx(
         whole[2], rel=1e-4
     )
-    assert np.isfinite(measure_training_token_db(network(), references, gathered)).all()
-
-
-def test_a_field_of_its_own_is_finite(references, gathered):
-    assert 0.0 < measure_single_material_field_db(gathered, references, 1, 4, 0) < 40.0
-
-
-def test_rivals_on_unseen_classes_see_only_the_others(references):
-    categories = {"oak-wood": "wood", "denim": "fabric", "silk": "fabric"}
-    (row,) = measure_unseen_materials(network(), references, ["silk"], categories)
-    assert row.name == "silk/1"
-    assert row.nearest != "silk/1"
-    denim = compute_distances_db(select_materials(references, [3]), references.spectra[[1]]).mean()
-    assert row.category_db == pytest.approx(float(denim))
-
-
-def test_exact_ratios_of_spectra_have_no_error_whatever_the_level(references):
-    spectra = np.repeat(references.spectra[:1], 4, axis=1)
-    eight = dataclasses.replace(references, spectra=spectra * np.arange(1.0, 9.0)[:, None])
-    (exact,) = measure_directions(dataclasses.replace(eight, specimens=references.specimens[:1]), 7.0 * eight.spectra)
-    assert (exact.ratio_db, exact.third_db, exact.power_db) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
-    assert exact.anisotropy_db > 6.0
-    flat = np.broadcast_to(eight.spectra[:, -1:], eight.spectra.shape)
-    (blind,) = measure_directions(dataclasses.replace(eight, specimens=references.specimens[:1]), flat)
-    assert blind.ratio_db > 1.0
-    assert blind.field_anisotropy_db == pytest.approx(0.0, abs=1e-9)
-
-
-def test_the_interval_holds_the_mean():
-    values = np.random.default_rng(0).normal(2.0, 1.0, 30)
-    mean, low, high = bootstrap_mean(values, 0)
-    assert low < mean < high
-    assert high - low == pytest.approx(2.0 * 1.96 / np.sqrt(30.0), rel=0.3)
 
 
 def test_expectation_hears_the_condition(references):

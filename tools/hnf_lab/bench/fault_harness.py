@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum
-from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -32,6 +31,7 @@ from hnf_core.actuators.stream import Stream
 from hnf_core.actuators.virtual.port import VirtualPort
 from hnf_core.actuators.virtual.serial_device import VirtualDevice
 from hnf_core.errors import HnfError
+from hnf_lab import CHILD_PATH, ROOT
 
 RATE_HZ = 8000
 LIMITS = Limits(30.0, peak=0.5, slew_per_s=2.0 * np.pi * 300.0, sustained=0.4)
@@ -226,13 +226,12 @@ class PlayerProcess:
     """A program that plays on a port. heard: all that it has told."""
 
     def __init__(self, port: str) -> None:
-        package = str(__package__)
-        root = Path(__file__).parents[package.count(".") + 1]
-        command = [sys.executable, "-m", f"{package}.faults_child", port]
+        command = [sys.executable, "-m", "hnf_lab.bench.fault_harness", port]
         # A session of its own: when a shell above us ends, the system continues what is stopped in ours.
         self.process = subprocess.Popen(
-            command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True
-        )
+            command, cwd=ROOT, env=os.environ | {"PYTHONPATH": CHILD_PATH}, stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
+        )  # fmt: skip
         self.messages: list[dict[str, object]] = []
         self._rest = b""
 

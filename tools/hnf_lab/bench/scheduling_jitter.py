@@ -16,8 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from hnf_core.actuators.runtime import REALTIME_PRIORITY
-
-from .startup import ROOT
+from hnf_lab import CHILD_PATH, ROOT
 
 MIN_STALL_S = 0.004
 """What is shorter counts for nothing: a stream has more than that in hand."""
@@ -58,6 +57,7 @@ def start_watcher(core: int) -> subprocess.Popen[str]:
     """A program that watches one core from now on, to be given to ended()."""
     child = subprocess.Popen(
         [sys.executable, "-m", __spec__.name, str(core)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONPATH": CHILD_PATH},
         cwd=ROOT,
     )  # fmt: skip
     assert child.stdout is not None

@@ -22,10 +22,10 @@ from hnf_core.errors import HnfError
 from hnf_core.files import write_text
 from hnf_core.material.hnf_file import from_library, write_hnf
 from hnf_core.material.library import get_material
+from hnf_lab import CHILD_PATH
 
 from .harness import BenchOptions, Row, Spread
 
-ROOT = Path(__file__).resolve().parents[2]
 HEAVY_PACKAGES = ("numpy", "scipy", "torch", "matplotlib", "bpy")
 """Packages whose loading is told."""
 # Written at the very end, whatever way the code takes out: argparse ends --help by SystemExit.
@@ -65,7 +65,7 @@ def run_process(code: str, *arguments: str) -> ProcessRun:
     with tempfile.TemporaryDirectory() as folder:
         told, out = Path(folder) / "told", Path(folder) / "out"
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-        environment |= {"PYTHONPATH": str(ROOT), "HNF_BENCH_TOLD": str(told)}
+        environment |= {"PYTHONPATH": CHILD_PATH, "HNF_BENCH_TOLD": str(told)}
         with out.open("wb") as stream:
             started = time.perf_counter()
             child = subprocess.Popen(

@@ -13,6 +13,7 @@ which it changed; it is played when all is played that the device still owed the
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -44,6 +45,7 @@ from hnf_core.field.live.hand_tracker import STATE_S, HandEvent, HandTracker, Li
 from hnf_core.field.live.synthesis import LiveSynthesis, create_live_synthesis
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import get_material
+from hnf_lab import CHILD_PATH, ROOT
 
 from .harness import BenchOptions, Row, Spread, Times, run_with_peak
 from .scheduling_jitter import watch_stalls
@@ -206,10 +208,12 @@ class _DeviceProcess:
 
 @contextmanager
 def run_virtual_device(record: Path) -> Iterator[_DeviceProcess]:
-    """A virtual device in a program of its own; record: where it writes down what it played, see stream_device."""
-    words = [sys.executable, "-m", f"{__package__}.stream_device", str(BAUDRATE), str(record)]
-    root = Path(__file__).resolve().parents[2]
-    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=root)
+    """A virtual device in a program of its own; record: where it writes down what it played, see virtual_device."""
+    words = [sys.executable, "-m", f"{__package__}.virtual_device", str(BAUDRATE), str(record)]
+    process = subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": CHILD_PATH},
+    )  # fmt: skip
     try:
         yield _DeviceProcess(process)
     finally:

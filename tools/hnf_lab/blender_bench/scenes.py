@@ -303,7 +303,7 @@ def draw_tab(scene: Any, layer: Any) -> int:
     context, layout = make_tab_context(scene, layer, SIDEBAR_PX), FakeLayout()
     panels = [
         each
-        for each in collect_classes(f"{__package__.rpartition('.')[0]}.ui", MODULES)
+        for each in collect_classes("hnf_blender.ui", MODULES)
         if issubclass(each, bpy.types.Panel) and (not hasattr(each, "poll") or each.poll(context))
     ]
     for each in panels:

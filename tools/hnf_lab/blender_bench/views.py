@@ -30,12 +30,13 @@ from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.patch import PATCH_SIZE_M, Patch
 from hnf_core.scene.raycast import cast_view, make_embree_caster
 from hnf_core.units import linear_to_srgb
+from hnf_lab import ROOT
 from reference.geometry import ReferenceGeometry
 
 from ..bench.harness import BenchOptions, Row, Spread, run_with_peak
 from .scenes import require_bpy
 
-SCENE_DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "scenes"
+SCENE_DATA = ROOT.parent / "shared" / "data" / "scenes"
 REAL_SCENES = (
     SCENE_DATA / "FlightHelmet" / "FlightHelmet.gltf",
     SCENE_DATA / "SheenChairScene" / "MixedLightingExample.gltf",

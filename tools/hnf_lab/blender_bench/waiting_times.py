@@ -31,6 +31,7 @@ import numpy as np
 from hnf_core.action.pen_stroke import PenSamples, PenStyle
 from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.errors import HnfError
+from hnf_lab import CHILD_PATH, ROOT
 
 from ..bench.harness import BenchOptions, Row, Spread, Times
 from ..bench.startup import STARTUP_NAME, measure_pairs, run_process
@@ -47,7 +48,6 @@ from .scenes import (
 )
 
 ENABLE_NAME = "enable"
-ROOT = Path(__file__).resolve().parents[2]
 MAX_ENABLE_S = 60.0
 HEAVY_PACKAGES = frozenset({"torch", "scipy", "matplotlib", "OpenEXR", "embreex", "safetensors", "PIL"})
 """What must not be loaded by it."""
@@ -118,7 +118,7 @@ def measure_enable(options: BenchOptions) -> list[Row]:
 def enable_in_process(*arguments: str) -> EnableRun:
     """In a fresh process; "memory" traces its peak. Raises HnfError where that fails."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    environment["PYTHONPATH"] = str(ROOT)
+    environment["PYTHONPATH"] = CHILD_PATH
     try:
         done = subprocess.run(
             [sys.executable, "-c", ENABLE_CODE, *arguments], cwd=ROOT, env=environment, timeout=MAX_ENABLE_S,
@@ -141,7 +141,7 @@ bpy.ops.wm.open_mainfile(filepath={scene!r}, load_ui=False, use_scripts=False)
 """
 TOUCH_CODE = "from hnf_blender.cli import main; sys.exit(main(sys.argv[1:]))"
 MAKE_CODE = (
-    "from hnf_lab.blender_bench.waiting_times import make_scene; make_scene(sys.argv[1], sys.argv[2] == 'quick')"
+    "from hnf_lab.blender_bench.waiting_times import write_scene; write_scene(sys.argv[1], sys.argv[2] == 'quick')"
 )
 FREE_COUNTS = ("renders", "rays", "network_calls", "diffusion_calls")
 PLATE_COUNT = 2

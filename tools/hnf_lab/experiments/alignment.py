@@ -15,11 +15,9 @@ import json
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
 from hnf_core.errors import FileError
 from hnf_core.files import write_text
+from hnf_lab import ROOT
 
 from ..alignment.inputs import (
     GeneratedSource,

@@ -25,8 +25,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "core")]
+from hnf_lab import ROOT
+
+sys.path.insert(0, str(ROOT / "tests" / "core"))
 
 from sound_server import RATE_HZ, SoundServer, sound_server, why_not
 
@@ -45,8 +46,8 @@ RECORDED_AFTER_S = 0.35
 MAX_WAIT_S = 30.0
 CHILD_CODE = f"""
 import sys; sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / "tools")!r}]
-from check_audio_silence import endless
-with endless() as stream:
+from hnf_lab.experiments.audio_silence import make_endless_stream
+with make_endless_stream() as stream:
     stream.start()
     print("plays", flush=True)
     stream.wait()

@@ -15,9 +15,6 @@ from typing import Any
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
 from hnf_core.action.synthetic_actions import make_random_smooth_action
 from hnf_core.datasets.tactile_pairs import (
     HELD_OUT_CLASSES,
@@ -36,6 +33,7 @@ from hnf_core.simulation.material_classes import list_classes
 from hnf_core.tactile.diffusion.predict import predict_tactile_maps
 from hnf_core.tactile.diffusion.weights import MapWeights, load_map_weights
 from hnf_core.tactile.views import AppearanceView
+from hnf_lab import ROOT
 
 from ..encoder.evaluate import (
     NEAR_VIEWS,

@@ -14,12 +14,8 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.datasets.registry import open_dataset

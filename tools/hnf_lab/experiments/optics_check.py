@@ -464,9 +464,6 @@ def plot_response(path: Path, presses: BallPresses, published: PolynomialTable) 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
 
 # Frames' width and height: basics/sensorParams.py of ObjectFolder, Basics/sensorParams.py and the DIGIT's
 # renderer/config_digit.py of Taxim, Isaac Lab's GELSIGHT_R15_CFG. The first word that a folder's name holds counts.

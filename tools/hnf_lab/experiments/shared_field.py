@@ -55,6 +55,7 @@ from hnf_core.training.train_shared import (
     load_or_simulate_references,
 )
 from hnf_core.training.training_data import Sizes, TrainingData, build_training_data, load_specimens, select_classes
+from hnf_lab import ROOT
 
 Float = NDArray[np.float64]
 
@@ -458,10 +459,6 @@ def _format_margin(name: str, interval: Sequence[float]) -> str:
 
 def _format_result(true: bool) -> str:
     return "met" if true else "missed"
-
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
 
 
 SINGLE_HIDDEN = 64

@@ -53,6 +53,7 @@ from hnf_core.simulation.texture_statistics import (
     compute_fused_spectra,
     simulate_strokes,
 )
+from hnf_lab import ROOT
 
 Range = tuple[float, float]
 
@@ -233,10 +234,6 @@ def measure_ablations() -> list[tuple[str, str, str, str]]:
         ("mass 17.5, 35, 70, 140 g", "ringing after a step of force", ", ".join(f"{r:.0f}" for r in rings) + " Hz",
          "∝ m^(−1/2) (contact resonance)"),
     ]  # fmt: skip
-
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 
 
 FIRST_SEED = 1000

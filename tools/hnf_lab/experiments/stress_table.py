@@ -9,7 +9,8 @@ import ast
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from hnf_lab import ROOT
+
 ARROW = " → "
 
 

@@ -17,12 +17,12 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "core")]
+from hnf_lab import ROOT
+
+sys.path.insert(0, str(ROOT / "tests" / "core"))
 
 from asset_names import HELD_BACK, TUNED
 from safetensors import safe_open

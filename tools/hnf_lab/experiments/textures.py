@@ -23,9 +23,6 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
 from hnf_core.action.synthetic_actions import make_steady_action
 from hnf_core.datasets.hatt_synthesis import compute_power_spectrum
 from hnf_core.datasets.registry import (
