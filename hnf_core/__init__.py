@@ -6,6 +6,8 @@ The names below are loaded when they are used: importing this package imports no
 
 from __future__ import annotations
 
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -74,6 +76,21 @@ __all__ = [
     "train",
     "write_wav",
 ]
+
+
+class _FrontDoor(ModuleType):
+    """This package, whose functions `export` and `material` are not replaced by the sub-packages of those names.
+
+    Python binds a sub-package to its parent when it is first imported; `from hnf_core.export.wav import …` needs no
+    such binding.
+    """
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _MODULES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _FrontDoor
 
 
 def __getattr__(name: str) -> Any:

@@ -25,7 +25,7 @@ from .field.field import Field
 from .field.stroke import Synthesis
 from .material.contact_model import Mechanics
 from .material.probe import PROBES
-from .signal import Signal
+from .signal import Signal, check_rate, to_signal, to_vector
 
 if TYPE_CHECKING:
     from .actuators.stream import StreamReport
@@ -109,11 +109,11 @@ class Action:
     def __post_init__(self) -> None:
         if self.probe not in PROBES:
             raise UsageError(f"there is no probe {self.probe!r}.", remedy=f"There are: {', '.join(PROBES)}.")
-        time = _to_vector(self.time_s, "time_s")
+        time = to_vector(self.time_s, "time_s")
         object.__setattr__(self, "time_s", time)
         for name in ("direction_rad", "speed_m_s", "force_n"):
             values = np.asarray(getattr(self, name), dtype=np.float64)
-            column = np.full(len(time), float(values)) if values.ndim == 0 else _to_vector(values, name)
+            column = np.full(len(time), float(values)) if values.ndim == 0 else to_vector(values, name)
             object.__setattr__(self, name, column)
         self.to_grid()  # refuses what no action can be made of
 
@@ -179,7 +179,7 @@ class Recording:
             )
         if not np.isfinite(samples).all():
             raise UsageError("the acceleration holds values that are not finite.", remedy="Cut the recording there.")
-        _check_rate(self.rate_hz)
+        check_rate(self.rate_hz)
         object.__setattr__(
             self, "acceleration", dft321(samples - samples.mean(axis=0)) if samples.ndim == 2 else samples
         )
@@ -397,7 +397,7 @@ def synthesise(
         if probe not in PROBES:
             raise UsageError(f"there is no probe {probe!r}.", remedy=f"There are: {', '.join(PROBES)}.")
         grid = replace(grid, probe=probe)
-    _check_rate(rate_hz)
+    check_rate(rate_hz)
     stroke = uniform_stroke(grid, material.token, material.mechanics)
     field = load_field() if material.field is None else material.field
     result = synthesise_stroke(field, stroke, seed=seed, sample_rate=float(rate_hz))
@@ -763,20 +763,6 @@ def touch(
     return found
 
 
-def to_signal(signal: Signal | ArrayLike, rate_hz: float | None = None) -> Signal:
-    """Return a `Signal`; of an array (n,) in m/s² with its rate [Hz]. Raises UsageError for anything else."""
-    if isinstance(signal, Signal):
-        if rate_hz is not None and rate_hz != signal.sample_rate:
-            raise UsageError(
-                f"the signal has {signal.sample_rate:g} Hz, not {rate_hz:g} Hz.", remedy="Leave rate_hz out."
-            )
-        return signal
-    if rate_hz is None:
-        raise UsageError("samples without a rate are no signal.", remedy="Give rate_hz, for example 10000.")
-    _check_rate(rate_hz)
-    return Signal(_to_vector(signal, "signal").astype(np.float32), float(rate_hz), 0)
-
-
 def _get_library_material(name: str) -> Material:
     from .material.library import get_material
 
@@ -794,22 +780,3 @@ def _to_grid(action: Action | Primitive | str, seed: int) -> tuple[GridAction, s
     if not isinstance(action, Primitive):
         raise UsageError(f"{type(action).__name__} is no action.", remedy="Give hnf.Action(…) or hnf.parse_stroke(…).")
     return make_primitive_action(action, seed=seed), action.name
-
-
-def _to_vector(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    try:
-        vector = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"{name} is not made of numbers ({error}).") from error
-    if vector.ndim != 1 or len(vector) == 0:
-        raise UsageError(f"{name} has shape {vector.shape}, not (n,).", remedy="Give one row of numbers.")
-    return vector
-
-
-def _check_rate(rate_hz: float) -> None:
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-        raise UsageError(f"{rate_hz} Hz is no sample rate.", remedy="Give it in Hz, for example 10000.")
-    if rate_hz < 100.0:
-        raise UsageError(
-            f"{rate_hz:g} Hz cannot hold touch, which reaches to 1000 Hz.", remedy="Was it meant in kHz? Give it in Hz."
-        )

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -32,3 +34,36 @@ class Signal:
         if len(self.samples) == 0:
             return 0.0
         return float(np.sqrt(np.mean(np.square(self.samples, dtype=np.float64))))
+
+
+def to_signal(signal: Signal | ArrayLike, rate_hz: float | None = None) -> Signal:
+    """Return a `Signal`; of an array (n,) in m/s² with its rate [Hz]. Raises UsageError for anything else."""
+    if isinstance(signal, Signal):
+        if rate_hz is not None and rate_hz != signal.sample_rate:
+            raise UsageError(
+                f"the signal has {signal.sample_rate:g} Hz, not {rate_hz:g} Hz.", remedy="Leave rate_hz out."
+            )
+        return signal
+    if rate_hz is None:
+        raise UsageError("samples without a rate are no signal.", remedy="Give rate_hz, for example 10000.")
+    check_rate(rate_hz)
+    return Signal(to_vector(signal, "signal").astype(np.float32), float(rate_hz), 0)
+
+
+def to_vector(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    try:
+        vector = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{name} is not made of numbers ({error}).") from error
+    if vector.ndim != 1 or len(vector) == 0:
+        raise UsageError(f"{name} has shape {vector.shape}, not (n,).", remedy="Give one row of numbers.")
+    return vector
+
+
+def check_rate(rate_hz: float) -> None:
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise UsageError(f"{rate_hz} Hz is no sample rate.", remedy="Give it in Hz, for example 10000.")
+    if rate_hz < 100.0:
+        raise UsageError(
+            f"{rate_hz:g} Hz cannot hold touch, which reaches to 1000 Hz.", remedy="Was it meant in kHz? Give it in Hz."
+        )

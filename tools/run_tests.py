@@ -55,13 +55,12 @@ def exclude_tests(folder: str, *names: str) -> tuple[str, ...]:
 
 # Words, other processes and counted work: nothing that another Blender could change.
 BLENDER_INDEPENDENT = (
-    "test_batch_touch", "test_bench_scale", "test_touch_words", "test_jobs_choices", "test_repository",
-    "test_second_run", "test_docs_reference",
+    "test_batch_touch", "test_touch_words", "test_jobs_choices", "test_repository", "test_docs_reference",
 )  # fmt: skip
 # Long ones about networks, counted work and numbers: the newest Blender is enough.
 NEWEST_ONLY = (
-    "test_predicted_route", "test_probe_predicted", "test_touch_predicted", "test_jobs_predicted", "test_bench_*",
-    "test_check_splats", "test_stress", "test_lazy", "test_learn", *BLENDER_INDEPENDENT,
+    "test_predicted_route", "test_probe_predicted", "test_touch_predicted", "test_jobs_predicted", "test_stress",
+    "test_lazy", "test_learn", *BLENDER_INDEPENDENT,
 )  # fmt: skip
 # Long ones; the oldest and the newest Blender agree on them. What calls Blender's API runs on every one of them, and
 # test_jobs runs the main job there.
@@ -73,18 +72,19 @@ NOT_ON_MIDDLE = (
 OLDEST_ARGUMENTS = (*exclude_tests("tests/blender", *NEWEST_ONLY), "-k", "not FlightHelmet")
 # Real time, other processes, compilers and words: nothing that another numpy could change.
 NUMPY_INDEPENDENT = (
-    "test_faults*", "test_audio_sink", "test_player", "test_serial_s*", "test_osc_sink", "test_firmware_*",
+    "test_audio_sink", "test_player", "test_serial_s*", "test_osc_sink", "test_firmware_*",
     "test_stream_cli", "test_measure_sound", "test_make_tools", "test_tree", "test_docs", "test_batch_*",
-    "test_bench*", "test_startup", "test_lazy", "test_near",
+    "test_startup", "test_lazy", "test_near", "test_names", "test_front_door", "test_no_circles",
 )  # fmt: skip
 # Numpy 1.24 is that of Blender 4.2, which never trains, simulates or judges; its own tests play and stream with it.
 NOT_USED_IN_BLENDER = (
-    "test_baselines_*", "test_live*", "test_limiter", "test_numerics_streaming", "test_stream*", "test_incremental",
+    "test_live*", "test_limiter", "test_numerics_streaming", "test_stream*", "test_incremental",
     "test_virtual_*", "test_protocol", "test_fading_queue",
-    "test_simulation*", "test_datasets_*", "test_eval*", "test_extrapolation", "test_contact_sheet",
-    "test_pair_shards", "test_tactile_pairs", "test_optics_check", "test_encoder_comparison", "test_train*",
+    "test_simulation*", "test_datasets_*", "test_extrapolation", "test_contact_sheet",
+    "test_pair_shards", "test_tactile_pairs", "test_train*",
 )  # fmt: skip
 
+LABORATORY_TESTS = "tools/hnf_lab/tests"
 OLD_NUMPY_ARGUMENTS = exclude_tests("tests/core", *NUMPY_INDEPENDENT, *NOT_USED_IN_BLENDER)
 
 # The longest first and one of them in two parts, so that two workers end at about the same time.
@@ -92,6 +92,8 @@ CHECKS = (
     Check("lint", ".venv", ("-m", "ruff", "check", "."), 120, is_pytest=False),
     Check("core", ".venv", ("tests/core",), 1300),
     Check("blender-5.0", ".venv", ("tests/blender",), 1200),
+    Check("lab", ".venv", (LABORATORY_TESTS, f"--ignore={LABORATORY_TESTS}/blender"), 900),
+    Check("lab-blender", ".venv", (f"{LABORATORY_TESTS}/blender",), 600),
     Check("blender-4.2", ".venv-4.2", OLDEST_ARGUMENTS, 1200, can_end=False),
     Check("blender-4.5", ".venv-4.5", exclude_tests("tests/blender", *NOT_ON_MIDDLE), 1200, can_end=False),
     Check("core-numpy-1.24-a-l", ".venv-4.2", (*OLD_NUMPY_ARGUMENTS, "--ignore-glob=*/test_[m-z]*.py"), 900),

@@ -34,7 +34,7 @@ def build_parser(
     """Build the command line.
 
     The runners do the Blender part, which this package may not import. only: the one verb whose options are needed, ""
-    for none; of the others the parser holds no more than their help. None means all verbs of this package.
+    for none; of the others the parser holds no more than their help. None means all verbs.
     """
     parser = argparse.ArgumentParser(
         prog="hnf",
@@ -45,7 +45,7 @@ def build_parser(
     parser.add_argument("--version", action="version", version=f"hnf {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
     given = {"touch": run_touch, "export": run_export}
-    registered = [] if only in COMMAND_MODULES or only is None else list(find_plugins(COMMAND_GROUP))
+    registered = () if only in COMMAND_MODULES else find_plugins(COMMAND_GROUP)
     for verb in (*COMMAND_MODULES, *registered):
         if only not in (None, verb):
             verbs.add_parser(verb, help=HELP.get(verb) or LABORATORY_HELP.get(verb))

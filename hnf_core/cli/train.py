@@ -123,8 +123,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     for plugin in registered.values():
         plugin.load()(subjects)
     for subject in LABORATORY_SUBJECTS.keys() - registered.keys():
-        missing = subjects.add_parser(subject)  # not in --help: it would only say where it is
-        missing.add_argument("words", nargs=argparse.REMAINDER)
+        # Whatever is behind it is taken as it is, options too: the message says where the subject is.
+        missing = subjects.add_parser(subject, add_help=False, prefix_chars="\0")
+        missing.add_argument("words", nargs="*")
         missing.set_defaults(run=_refuse_laboratory_subject)
     return parser
 

@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 
-from hnf_core.cli.commands import COMMAND_MODULES, HELP
+from hnf_core.cli.commands import COMMAND_GROUP, COMMAND_MODULES, HELP, find_plugins
 from hnf_core.cli.main import build_parser
 from hnf_lab.bench.startup import HNF_CODE, run_process
 
@@ -32,6 +32,33 @@ def test_a_verb_loads_nothing_heavy_but_numpy(words):
 def test_the_whole_command_line_is_what_its_verbs_say():
     """Asked for one verb, the parser knows the others by what they are for alone."""
     whole = build_parser(lambda _: 0).format_help()
-    for only in ("", *COMMAND_MODULES):
-        assert build_parser(lambda _: 0, only=only).format_help() == whole
+    assert build_parser(lambda _: 0, only="").format_help() == whole
+    lines = {build_parser(lambda _: 0, only=verb).format_help() for verb in COMMAND_MODULES}
+    assert len(lines) == 1
+    assert set(lines.pop().splitlines()) <= set(whole.splitlines())
     assert COMMAND_MODULES.keys() == HELP.keys()
+
+
+@pytest.mark.parametrize("words", [("bench",), ("eval",), ("train", "encoder", "--data", "x"), ("train", "alignment")])
+def test_a_plain_install_says_where_the_laboratorys_commands_are(words, monkeypatch, capsys) -> None:
+    """As where no package registers them."""
+    from hnf_core.cli import commands, main, train
+
+    for module in (commands, main, train):
+        monkeypatch.setattr(module, "find_plugins", lambda group: {})
+    assert main.main(list(words), lambda arguments: 1) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "source checkout" in said
+    assert f"hnf {' '.join(words[:2])}" in said
+
+
+def test_a_checkout_lists_them(capsys) -> None:
+    from hnf_core.cli.main import main
+
+    if not find_plugins(COMMAND_GROUP):
+        pytest.skip("the laboratory is not installed here")
+    assert main(["--help"], lambda arguments: 1) == 0
+    shown = capsys.readouterr().out
+    assert "bench" in shown
+    assert "eval" in shown

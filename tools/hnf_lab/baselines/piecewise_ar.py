@@ -92,7 +92,7 @@ GRIDS = ((2, 1), (3, 2), (5, 3), (7, 4), (10, 6), (14, 9), (18, 12), (22, 15))
 START_SEGMENTS = 100
 SEGMENTS_PER_MODEL = (8, 250)
 """Fewer cannot carry a model, with more a finer grid is better (both seen on HaTT): other grids are not tried."""
-HOLD_OUT_EVERY = 10
+TEST_SEGMENT_INTERVAL = 10
 ITERATIONS = 60
 TRIAL_ITERATIONS = 30
 SILENCE_RATIO = 1e-4
@@ -203,7 +203,7 @@ def fit_best_grid(segments: Segments, grids: Sequence[tuple[int, int]] = GRIDS) 
         raise FileError("every steady piece is silent.", where="recordings", remedy="Look at the sensor's channel.")
     torch.set_num_threads(1)
     covariance = torch.from_numpy(compute_covariances(segments))
-    held_out = np.arange(len(segments.speed)) % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
+    held_out = np.arange(len(segments.speed)) % TEST_SEGMENT_INTERVAL == TEST_SEGMENT_INTERVAL - 1
     tried: list[GridFit] = []
     fewest, most = (len(segments.speed) / share for share in reversed(SEGMENTS_PER_MODEL))
     suited = [grid for grid in grids if fewest <= grid[0] * grid[1] <= most]

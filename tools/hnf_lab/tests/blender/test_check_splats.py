@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import bpy
-import check_splats
 import numpy as np
 import pytest
 from builders import add_plane, bump_material
@@ -69,10 +68,10 @@ def test_splats_that_lie_too_high_are_found_out() -> None:
     found = pair_of(photo_plate(size=0.04), lift_m=0.7e-3)
     assert found.expected_m == pytest.approx(0.7e-3, rel=0.02)
     assert found.median_m == pytest.approx(0.7e-3, rel=0.02)
-    (row,) = check_splats.make_rows("scene", [found])
-    figures = check_splats.summarise([row])
+    (row,) = compare.make_rows("scene", [found])
+    figures = compare.summarise([row])
     assert row.expected == pytest.approx(0.035, rel=0.02)
-    assert not check_splats.meets_targets(figures)
+    assert not compare.meets_targets(figures)
 
 
 def told(level: float) -> PatchReading:
@@ -88,7 +87,7 @@ def pair(material: str, mesh: PatchReading, splats: PatchReading) -> PatchPair:
 def test_the_palette_entry_is_the_nearest_of_what_both_know() -> None:
     pairs = [pair("Rough", told(-4.0), told(-4.1)), pair("Smooth", told(-6.0), told(-5.8)),
              pair("Smooth", told(-6.0), told(-4.2))]  # fmt: skip
-    assert [row.palette for row in check_splats.make_rows("scene", pairs)] == [True, True, False]
+    assert [row.palette for row in compare.make_rows("scene", pairs)] == [True, True, False]
     palette = make_palette(pairs)
     assert [entry.name for entry in palette] == ["Thing: Rough", "Thing: Smooth"]
     assert find_nearest_entry(told(-4.9).token, palette, KNOWN) == "Thing: Rough"
@@ -96,16 +95,16 @@ def test_the_palette_entry_is_the_nearest_of_what_both_know() -> None:
 
 def test_a_picture_read_on_one_side_alone_is_a_difference() -> None:
     unread = PatchReading(None, (0.5, 0.4, 0.3), float("inf"))
-    first, second = check_splats.make_rows("scene", [pair("A", told(-5.0), unread), pair("A", unread, unread)])
+    first, second = compare.make_rows("scene", [pair("A", told(-5.0), unread), pair("A", unread, unread)])
     assert (first.palette, second.palette) == (False, None)
     assert (first.token, second.token) == (False, True)
-    figures = check_splats.summarise([first, second])
+    figures = compare.summarise([first, second])
     assert (figures["patches_read"], figures["same_token"]) == (1, 0.5)
-    assert not check_splats.meets_targets(figures)
+    assert not compare.meets_targets(figures)
     black, red = (replace(unread, colour=colour) for colour in ((0.01, 0.01, 0.01), (0.5, 0.1, 0.05)))
-    (other,) = check_splats.make_rows("scene", [pair("A", black, red)])
+    (other,) = compare.make_rows("scene", [pair("A", black, red)])
     assert (other.palette, other.token) == (None, False)  # the prior takes them for different materials
-    assert "0 of 1" in check_splats.format_rows([first, second])
+    assert "0 of 1" in compare.format_rows([first, second])
 
 
 def test_materials_lose_their_relief_and_keep_their_colour() -> None:
