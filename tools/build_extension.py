@@ -104,8 +104,8 @@ OMITTED_FILES = frozenset(
 )
 """Weights that only `hnf eval` asks, which needs torch and stays outside Blender; and E's network, whose tokens the
 shipped field refuses."""
-SOURCE_ONLY = ("bench", "batch")
-"""Folders of `hnf bench` and `hnf batch`, which run from the source."""
+SOURCE_ONLY = ("batch",)
+"""Folder of `hnf batch`, which runs from the source."""
 IGNORED = shutil.ignore_patterns(
     "__pycache__", "*.pyc", ".*", "*.blend1", *SOURCE_ONLY, *(Path(name).name for name in OMITTED_FILES)
 )

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import build_kernel
 from build_kernel import PLATFORMS, SOURCE_FOLDER
 
-CHECK_SOURCE = Path(__file__).resolve().parent / "kernel_check" / "check.c"
+CHECK_SOURCE = Path(__file__).with_suffix(".c")
 MAX_RUN_S = 120
 
 

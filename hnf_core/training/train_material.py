@@ -3,7 +3,7 @@
 One field for one material, from recordings of it: the expected-power likelihood, Adam, a cosine, early stopping.
 
 P. Whittle (1953): where S is expected and P recorded, Σ log S + P / S is least in expectation at S = E P. L_mag of the
-paper compares two random draws and learns up to 2 dB too quiet a signal; training.losses has it.
+paper compares two random draws and learns up to 2 dB too quiet a signal; the laboratory has it (published_hnf.py).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What is kept is true: whatever a close-up follows from is noticed, and what it does not follow from costs nothing.
 
-Each change goes through the job that a window's bake is (bake_in_line), in an open file. Work is counted.
+Each change goes through the job that a window's bake is (bake_blocking), in an open file. Work is counted.
 """
 
 from __future__ import annotations

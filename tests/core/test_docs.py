@@ -35,6 +35,13 @@ def commands(page: Path) -> Iterator[str]:
                 yield from (each.strip() for each in spoken.split("&&") if each.strip())
 
 
+def program_file(word: str) -> Path | None:
+    """Of a program of the repository, named as a file or as a module of the laboratory; None for another word."""
+    if word.startswith("hnf_lab."):
+        return ROOT / "tools" / f"{word.replace('.', '/')}.py"
+    return ROOT / word if word.startswith(("tools/", "tests/")) else None
+
+
 def anchors(page: Path) -> set[str]:
     """Of its headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
@@ -97,8 +104,8 @@ def test_commands_are_taken(page: Path) -> None:
             except SystemExit:
                 pytest.fail(f"{page.name}: hnf does not take: {line}")
         for word in words:
-            if word.startswith(("tools/", "tests/")):
-                source = ROOT / word
+            source = program_file(word)
+            if source is not None:
                 assert source.is_file(), line
                 text = source.read_text(encoding="utf-8")
                 assert [flag for flag in words if flag.startswith("--") and f'"{flag}"' not in text] == [], line
@@ -110,6 +117,8 @@ def test_words_in_the_text_are_words_of_the_programs(page: Path) -> None:
     targets = re.findall(r"^([a-z][a-z-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     for code in INLINE.findall(prose(page)):
         words = code.split()
+        sources = {word: program_file(word) for word in words if "*" not in word}
+        assert [word for word, source in sources.items() if source is not None and not source.exists()] == [], code
         if words[0] == "make" and len(words) > 1:
             assert words[1] in targets, code
         if words[0] == "hnf" and len(words) > 1 and words[1].isalpha() and words[1].islower():

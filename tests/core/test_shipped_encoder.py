@@ -44,7 +44,7 @@ def test_noise_in_views_moves_it_less_than_the_descriptor():
     moved = {
         name: np.median(
             [
-                compute_level_change_db(token(name, which, near=4), token(name, which, near=4, noise=0.02))
+                compute_level_change_db(token(name, which, near_views=4), token(name, which, near_views=4, noise=0.02))
                 for which in range(3)
             ]
         )

@@ -71,7 +71,7 @@ def test_any_random_recipe_survives_json_and_gives_finite_zero_mean_heights(seed
 def test_rms_height_is_what_the_recipe_says(recipe):
     height = height_map(recipe, 3, pixels=256)
     assert height.std() == pytest.approx(5e-6, rel=1e-4)
-    assert height_map(recipe.scaled(2.0), 3, pixels=256) == pytest.approx(2 * height, rel=1e-4, abs=1e-12)
+    assert height_map(recipe.scale_heights(2.0), 3, pixels=256) == pytest.approx(2 * height, rel=1e-4, abs=1e-12)
 
 
 def test_pits_are_skewed_down_and_grains_up():

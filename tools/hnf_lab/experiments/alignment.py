@@ -1,8 +1,7 @@
 """Train the encoders of docs/alignment.md and judge them: on GelSight tuples, on DIGIT tuples, on both.
 
-Usage: python tools/hnf_lab/experiments/alignment.py (--minutes N | --steps N) [--pixels N] [--batch N] [--rate R]
-[--data DIR]
-       [--out DIR] [--record FILE]
+Usage: python -m hnf_lab.experiments.alignment (--minutes N | --steps N) [--pixels N] [--batch N] [--rate R]
+       [--data DIR] [--out DIR] [--record FILE]
 Needs the extra "train" and the pairs of tools/make_tactile_pairs.py. Of the steps or minutes each sensor's training
 takes a quarter and that on both takes half, so that each sees a sensor's tuples equally often. What is finished is not
 done again. Weights stay in the folder; the record, with their checksums, is committed.

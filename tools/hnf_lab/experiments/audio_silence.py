@@ -1,8 +1,7 @@
 """How long a sound output still sounds after a stream on it is stopped, ends with its program, or is killed: through a
 real sound server (PulseAudio with a null sink, as the tests have), each way many times, at random moments.
 
-Usage: python tools/hnf_lab/experiments/audio_silence.py [TIMES]    100 of each by default; needs pulseaudio,
-pulseaudio-utils
+Usage: python -m hnf_lab.experiments.audio_silence [TIMES]    100 of each by default; needs pulseaudio, pulseaudio-utils
 
 The output's own clock is read off a recording of what it got: a frame cannot have sounded later than it was recorded,
 so the earliest that all pieces of a recording allow for its first frame is the latest that this frame sounded. What is

@@ -1,6 +1,6 @@
 """Measure both makes of E and print the tables of docs/encoder.md.
 
-Usage: python tools/hnf_lab/experiments/encoders.py [--pairs DIR] [--encoder NAME|FILE …] [--seed N] [--json FILE]
+Usage: python -m hnf_lab.experiments.encoders [--pairs DIR] [--encoder NAME|FILE …] [--seed N] [--json FILE]
 Needs the pairs of tools/make_tactile_pairs.py (splits held-out-instances and held-out-classes).
 """
 

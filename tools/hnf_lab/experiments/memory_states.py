@@ -1,8 +1,7 @@
 """N = 1, N = 5 heads of one state as published, and N = 5 past states: trained on the same strokes, judged on held-out
 windows. Prints the Markdown table of docs/field.md.
 
-Usage: python tools/hnf_lab/experiments/memory_states.py [--seconds S] [--seeds N] [MATERIAL …]    needs the extra
-"train".
+Usage: python -m hnf_lab.experiments.memory_states [--seconds S] [--seeds N] [MATERIAL …]    needs the extra "train"
 
 The strokes are the simulator's on library materials: a hand that rubs to and fro under a load that changes too. There
 memory could matter: at reversals, at the onset of sliding, and where friction sticks and slips. Landing and lifting are

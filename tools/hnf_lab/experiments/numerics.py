@@ -1,15 +1,11 @@
-"""How many digits each stage needs: the same numbers kept, or computed with, in narrower types against float64.
+"""The table of docs/numerics.md: worst errors of temporal rendering, of its gradients and of long synthesis.
 
-Rows for tools/hnf_lab/experiments/numerics.py. Nothing of the product is changed for it: what goes into a stage is
-rounded to the
-type and back, and F_Θ's layers are computed in the type by their torch twin.
+Usage: python -m hnf_lab.experiments.numerics    (about 3 minutes on one core; needs the extras "train" and "test")
 
-The table of docs/numerics.md: worst errors of temporal rendering, of its gradients and of long synthesis.
-
-Usage: .venv/bin/python tools/hnf_lab/experiments/numerics.py     (about 3 minutes on one core; needs the train and test
-extras)
-
-Every figure is computed here, against mpmath with 50 digits or against the same thing computed another way.
+Every figure is computed here, against mpmath with 50 digits or against the same thing computed another way. Further
+rows show how many digits each stage needs: the same numbers kept, or computed with, in narrower types against float64.
+Nothing of the product is changed for it: the inputs of a stage are rounded to the type and back, and F_Θ's layers are
+computed in the type by their torch twin.
 """
 
 from __future__ import annotations

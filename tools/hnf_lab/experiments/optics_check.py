@@ -3,14 +3,11 @@
 Real balls: fitted on every other press, judged on the rest, then the other way round. Published tables: their own
 response, judged where they were calibrated.
 
-Real balls beside what fitted optics make of them.
-
-The optics model against published calibrations of real touch sensors. Prints Markdown tables.
-
-Usage: python tools/hnf_lab/experiments/optics_check.py DIR [--picture PNG] [--response PNG]
+Usage: python -m hnf_lab.experiments.optics_check DIR [--picture PNG] [--response PNG]
 
 DIR holds ObjectFolder's dataPack.npz and polycalib.npz and Taxim's polycalib.npz files, in any arrangement whose folder
-names say which is which (objectfolder…, taxim…, digit, …r1.5).
+names say which is which (objectfolder…, taxim…, digit, …r1.5). Prints Markdown tables; --picture draws real balls
+beside what fitted optics make of them.
 """
 
 from __future__ import annotations
@@ -23,6 +20,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise, permutations, product
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
 
 import numpy as np
 from numpy.typing import NDArray
@@ -459,10 +459,6 @@ def plot_response(path: Path, presses: BallPresses, published: PolynomialTable) 
         figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncol=3, frameon=False, fontsize=9.5)
 
     write_figure(path, size, draw)
-
-
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
 
 
 # Frames' width and height: basics/sensorParams.py of ObjectFolder, Basics/sensorParams.py and the DIGIT's

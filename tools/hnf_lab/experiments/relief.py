@@ -1,6 +1,6 @@
 """Does the relief under a stroke matter? A real scene's measured relief, blurred, doubled, turned, flattened, and a(t).
 
-Usage: python tools/hnf_lab/experiments/relief.py SCENE [--out DIR] [--picture PNG] [--material NAME] [--json FILE]
+Usage: python -m hnf_lab.experiments.relief SCENE [--out DIR] [--picture PNG] [--material NAME] [--json FILE]
 
 Touches SCENE as `hnf touch` does (default strokes, Blender as a module), then changes the height map of every patch and
 goes on by the same path: tactile map, E, fusion with the library material, field, a(t) with the same seed. Beside that

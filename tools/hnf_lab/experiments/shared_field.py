@@ -1,11 +1,8 @@
 """The shared field against its bars: per-material fields, fewer materials, other directions, classes never met.
 
-docs/shared-field.md from what tools/hnf_lab/experiments/shared_field.py has measured.
+Measures it and prints docs/shared-field.md.
 
-Measure the shared field against its bars and print docs/shared-field.md.
-
-Usage: python tools/hnf_lab/experiments/shared_field.py [--weights FILE] [--seed N] [--workers N] [--cache DIR] [--parts
-LIST]
+Usage: python -m hnf_lab.experiments.shared_field [--weights FILE] [--seed N] [--workers N] [--cache DIR] [--parts LIST]
        > docs/shared-field.md
 Uses what tools/train_default_field.py left in the cache. --parts: of own,long,curve,direction,unseen; results of a part
 stay in the cache as JSON, so that parts can be run one by one.
@@ -263,7 +260,7 @@ One field for {len(gathered.names)} materials of {len(set(gathered.classes))} cl
 {plan.sizes.seconds:g} s per material
 ({per * plan.sizes.seconds:.0f} s), and {plan.sizes.random} surfaces of no material. Seed {context.seed}. Written by
 
-    python tools/train_default_field.py && python tools/hnf_lab/experiments/shared_field.py > docs/shared-field.md
+    python tools/train_default_field.py && python -m hnf_lab.experiments.shared_field > docs/shared-field.md
 
 *Distance* is the average-spectrum distance: RMS over 10 Hz bins in 10–1000 Hz within 30 dB of the reference's peak.
 *References* are long runs of the simulator, {seconds:.0f} s per condition ({PATCHES} patches never trained on, \

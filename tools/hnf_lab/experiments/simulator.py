@@ -1,19 +1,14 @@
-"""What recorded textures feel like: HaTT's ranges per category, from the published AR models of its 100 textures.
+"""Hold the contact simulator against recorded textures; measure its ablations and its speed. Prints Markdown.
 
-H. Culbertson et al. 2014, "One hundred data-driven haptic texture models and open-source methods for rendering on 3D
-objects", IEEE Haptics Symposium.
+Usage: python -m hnf_lab.experiments.simulator [--instances N] [--first-seed S] [--only CATEGORY …] [--classes]
+       [--speed] [--write]
 
-What each part of the contact model is for: take it away, and one named statistic moves as the cited model says.
+--write puts the results into docs/simulator.md, between its markers; --classes shows every class as well.
 
-Used by tools/hnf_lab/experiments/simulator.py for docs/simulator.md, and by tests/core/test_simulation_ablations.py.
-
-Hold the contact simulator against recorded textures; measure its ablations and its speed. Prints Markdown.
-
-Usage: python tools/hnf_lab/experiments/simulator.py [--instances N] [--first-seed S] [--only CATEGORY …] [--classes]
-[--speed]
-       [--write]
-
---write puts what was measured into docs/simulator.md, between its markers; --classes shows every class as well.
+The ranges of recorded textures are HaTT's per category, from the published AR models of its 100 textures (H. Culbertson
+et al. 2014, "One hundred data-driven haptic texture models and open-source methods for rendering on 3D objects", IEEE
+Haptics Symposium). An ablation takes one part of the contact model away, and one named statistic moves as the cited
+model says; tests/test_simulation_ablations.py of the laboratory asserts the same.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
-"""The same patches looked at twice, on the true mesh and on splats of it: depth, token, and what they are taken for.
+"""How near are splats to the true mesh? Depth, token and choice of material on patches that strokes touch.
 
-How near are splats to the true mesh? Depth, token and choice of material on patches that strokes touch.
-
-    python tools/hnf_lab/experiments/splats.py [SCENE]… [--most N] [--spacing M] [--fine M] [--seed N] [--json FILE]
-    [--markdown FILE]
+Usage: python -m hnf_lab.experiments.splats [SCENE]… [--most N] [--spacing M] [--fine M] [--seed N] [--json FILE]
+       [--markdown FILE]
 
 Without a SCENE: the demo scene. Materials lose their relief first and keep their colour, as in a reconstruction; then
 every patch is looked at on the mesh and on splats of it (tests/data_tools/splats_from_scene.py), by the same predicted
@@ -20,6 +18,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,12 +203,6 @@ def _to_matrix(values: Float) -> Any:
     from mathutils import Matrix
 
     return Matrix(values.tolist())
-
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
-sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
 
 
 DEPTH_TARGET, PALETTE_TARGET = 0.01, 0.9

@@ -1,6 +1,6 @@
 """The table of stress cases in docs/numerics.md, from the first lines of the tests that hold them.
 
-Usage: .venv/bin/python tools/hnf_lab/experiments/stress_table.py
+Usage: python -m hnf_lab.experiments.stress_table
 """
 
 from __future__ import annotations

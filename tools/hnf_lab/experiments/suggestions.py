@@ -1,6 +1,6 @@
 """How often the ranking of library materials is right: on generated pieces of every class, and on names as met.
 
-Usage: python tools/hnf_lab/experiments/suggestions.py [--calibrate] [--json]
+Usage: python -m hnf_lab.experiments.suggestions [--calibrate] [--json]
 
 Pieces of every class that nothing was fitted to: the held-out splits of tools/make_tactile_pairs.py, five a class,
 lying as they come. Evidence: the name of a picture (a word of the class, a word of its category, or nothing, a third

@@ -1,6 +1,6 @@
 """How close `hnf train field` comes to published textures, on a folder of your own copy. Prints a Markdown table.
 
-Usage: python tools/hnf_lab/experiments/textures.py DIR [--seconds 20 120 480] [--seeds N] [--workers N] [MATERIAL …]
+Usage: python -m hnf_lab.experiments.textures DIR [--seconds 20 120 480] [--seeds N] [--workers N] [MATERIAL …]
 
 Per texture: a field trained from so many seconds of strokes; then 8 s of signal at nine conditions (50, 100, 150 mm/s
 × 0.5, 1, 2 N, kept inside the model's data) and a few seeds, against the model's exact spectrum, beside the true

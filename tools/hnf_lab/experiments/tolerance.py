@@ -1,11 +1,11 @@
 """How far the fast paths are from the model taken literally, over the whole library: every state as scenes use it, and
 within each tolerance. Prints the Markdown table of docs/benchmarks.md.
 
-Usage: python tools/hnf_lab/experiments/tolerance.py [PRIMITIVE …]    all eight: some twenty minutes on one core
+Usage: python -m hnf_lab.experiments.tolerance [PRIMITIVE …]    all eight: some twenty minutes on one core
 
 The literal model is tests/reference/literal_synthesis.py's: F_Θ and every carrier at each sample, in float64. Its
-carriers are the same
-for all materials under one stroke, so they are summed once. Errors are those of the whole signal, in dB of its power.
+carriers are the same for all materials under one stroke, so they are summed once. Errors are those of the whole signal,
+in dB of its power.
 """
 
 from __future__ import annotations

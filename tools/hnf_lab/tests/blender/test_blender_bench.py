@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 
 import bpy
-import build_extension
 import pytest
 from job_scene import my_folders
 
@@ -80,10 +79,6 @@ def test_what_is_shipped_is_among_the_sizes():
 def test_the_command_line_knows_them(capsys):
     assert main(["bench", "enable", "--repeats", "1", "--json"]) == 0
     assert [row["bench"] for row in json.loads(capsys.readouterr().out)] == ["enable", "enable"]
-
-
-def test_the_extension_holds_no_bench():
-    assert build_extension.IGNORED("hnf_core", ["bench", "bench.py", "cli"]) == {"bench"}
 
 
 def test_a_stroke_is_drawn_and_placed():

@@ -22,6 +22,7 @@ from hnf_core.datasets.ball_calibration import (
 )
 from hnf_core.errors import FileError, UsageError
 from hnf_core.tactile.optics import SENSORS, Sensor, shade
+from hnf_lab import ROOT
 from hnf_lab.experiments import optics_models
 from hnf_lab.experiments.optics_check import (
     check_presses,
@@ -40,7 +41,7 @@ from hnf_lab.experiments.optics_models import (
     select_pixels_under,
 )
 
-CALIBRATIONS = Path(__file__).resolve().parents[3] / "shared" / "data" / "tactile_calibration"
+CALIBRATIONS = ROOT.parent / "shared" / "data" / "tactile_calibration"
 needs_calibrations = pytest.mark.skipif(
     not CALIBRATIONS.is_dir(), reason="the real calibrations (shared/data/tactile_calibration) are not here"
 )
