@@ -152,7 +152,8 @@ def _parse_job(job: Job) -> argparse.Namespace:
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            return build_parser(lambda _arguments: 0, only=job.words[0]).parse_args(list(job.command))
+            verb, subject = (*job.words, "")[:2]
+            return build_parser(lambda _arguments: 0, only=verb, subject=subject).parse_args(list(job.command))
     except SystemExit as refused:
         last = (said.getvalue().strip().splitlines() or ["it asks for nothing"])[-1]
         raise UsageError(

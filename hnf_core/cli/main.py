@@ -29,12 +29,13 @@ Runner = Callable[[argparse.Namespace], int]
 
 
 def build_parser(
-    run_touch: Runner, run_export: Runner | None = None, only: str | None = None
+    run_touch: Runner, run_export: Runner | None = None, only: str | None = None, subject: str = ""
 ) -> argparse.ArgumentParser:
     """Build the command line.
 
     The runners do the Blender part, which this package may not import. only: the one verb whose options are needed, ""
-    for none; of the others the parser holds no more than their help. None means all verbs.
+    for none; of the others the parser holds no more than their help. None means all verbs. subject: what `hnf train` is
+    to train, so that other packages' subjects are looked up only where it is none of this package's.
     """
     parser = argparse.ArgumentParser(
         prog="hnf",
@@ -51,7 +52,7 @@ def build_parser(
             verbs.add_parser(verb, help=HELP.get(verb) or LABORATORY_HELP.get(verb))
             continue
         module = import_command(verb)
-        added = module.add_parser(verbs)
+        added = module.add_parser(verbs, subject) if verb == "train" else module.add_parser(verbs)
         run = given.get(verb) or getattr(module, "run", None)
         if run is not None:
             added.set_defaults(run=run)
@@ -64,8 +65,8 @@ def main(argv: Sequence[str], run_touch: Runner, run_export: Runner | None = Non
         if isinstance(out, io.TextIOWrapper):  # not every terminal or file knows "²"
             out.reconfigure(errors="backslashreplace")
     try:
-        verb = next((word for word in argv if not word.startswith("-")), "")
-        parser = build_parser(run_touch, run_export, verb)
+        verb, subject = (*(word for word in argv if not word.startswith("-")), "", "")[:2]
+        parser = build_parser(run_touch, run_export, verb, subject)
         if not argv:
             parser.print_help()
             return 2
@@ -101,9 +102,10 @@ def _make_unknown_command_error(word: str) -> UsageError:
         return make_laboratory_error(word)
     from ..text import close_matches  # here: who makes no mistake needs no guesses
 
-    near = close_matches(word, COMMAND_MODULES)
+    verbs = (*COMMAND_MODULES, *find_plugins(COMMAND_GROUP))
+    near = close_matches(word, verbs)
     guess = f"Did you mean {' or '.join(repr(name) for name in near)}? " if near else ""
     return UsageError(
         f"there is no command '{word}'.",
-        remedy=COMMAND_HINTS.get(word) or f"{guess}Commands: {', '.join(COMMAND_MODULES)}. What each does: hnf --help",
+        remedy=COMMAND_HINTS.get(word) or f"{guess}Commands: {', '.join(verbs)}. What each does: hnf --help",
     )

@@ -110,7 +110,8 @@ def _find_pairs(arguments: argparse.Namespace, bar: ProgressBar) -> Path:
     return Path(folder)
 
 
-def add_parser(verbs: Any) -> argparse.ArgumentParser:
+def add_parser(verbs: Any, subject: str = "") -> argparse.ArgumentParser:
+    """Add the verb. subject: what is to be trained; other packages are asked only where this one does not know it."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "train",
         help=HELP["train"],
@@ -119,6 +120,12 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     subjects = parser.add_subparsers(dest="what", metavar="WHAT", required=True)
     _add_field(subjects)
     _add_tactile_map(subjects)
+    if subject not in subjects.choices:
+        _add_registered_subjects(subjects)
+    return parser
+
+
+def _add_registered_subjects(subjects: Any) -> None:
     registered = find_plugins(SUBJECT_GROUP)
     for plugin in registered.values():
         plugin.load()(subjects)
@@ -127,7 +134,6 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         missing = subjects.add_parser(subject, add_help=False, prefix_chars="\0")
         missing.add_argument("words", nargs="*")
         missing.set_defaults(run=_refuse_laboratory_subject)
-    return parser
 
 
 def _refuse_laboratory_subject(arguments: argparse.Namespace) -> int:

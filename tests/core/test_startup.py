@@ -29,6 +29,15 @@ def test_a_verb_loads_nothing_heavy_but_numpy(words):
     assert set(run_process(HNF_CODE, *shlex.split(words)).heavy_packages) <= {"numpy"}
 
 
+@pytest.mark.parametrize("words", ["materials --json", "synth --help", "train field --help"])
+def test_no_other_package_is_looked_up_for_a_command_of_this_one(words):
+    assert "importlib.metadata" not in run_process(HNF_CODE, *shlex.split(words)).modules
+
+
+def test_other_packages_are_looked_up_for_what_they_may_have():
+    assert "importlib.metadata" in run_process(HNF_CODE, "train", "--help").modules
+
+
 def test_the_whole_command_line_is_what_its_verbs_say():
     """Asked for one verb, the parser knows the others by what they are for alone."""
     whole = build_parser(lambda _: 0).format_help()
@@ -62,3 +71,9 @@ def test_a_checkout_lists_them(capsys) -> None:
     shown = capsys.readouterr().out
     assert "bench" in shown
     assert "eval" in shown
+    assert main(["train", "--help"], lambda arguments: 1) == 0
+    shown = capsys.readouterr().out
+    assert "alignment" in shown
+    assert "encoder" in shown
+    assert main(["benhc"], lambda arguments: 1) == 2
+    assert "Did you mean 'bench'?" in capsys.readouterr().err
