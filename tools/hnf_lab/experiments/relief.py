@@ -153,7 +153,7 @@ def bake_strokes(scene: Path, out: Path) -> Iterator[tuple[StrokeJob, BakedStrok
     cli._register_properties()
     session = touch_run._make_session(touch_run._open_request_scene(request), request)
     found = gather_jobs(session)
-    report = touch_run._new_report(session, found)
+    report = touch_run._new_report(session, found, [])
     kept: list[tuple[StrokeJob, BakedStroke]] = []
 
     def each(job: StrokeJob, described: BakedStroke) -> list[str]:
