@@ -1,13 +1,9 @@
-"""Compiled: hops of the carriers, modulated (their twin in numpy is texture_hops in field/carrier_rendering.py), what a
-live hand
-reads of them between two states (field/live/carriers.py), and where the hand is between states (field/stroke.py).
+"""Compiled rendering of carriers and of the filters around them.
 
-Compiled: noise bands as waves (the twins in numpy are in field/carriers.py and field/carriers.py).
-
-Compiled: what pressing harder or less hard makes felt (its twin in numpy is FilterBank.force_term in
-field/contact_filter.py).
-
-Compiled: where a course bends (its twin in numpy is in field/adaptive_sampling.py).
+Holds the C calls that draw noise bands and turn them into waves, render hops of modulated carriers, read arc-length
+carriers for a live hand, interpolate the hand's position, filter the pressing force, and find the bends of an action.
+The numpy implementations of the same are in field/carriers.py, field/carrier_rendering.py, field/live/carriers.py,
+field/stroke.py, field/contact_filter.py and field/adaptive_sampling.py.
 """
 
 from __future__ import annotations
@@ -33,36 +29,43 @@ _CARRIER_NUMBERS = ("rate", "highest", "band_end", "lowest", "turns")
 _CARRIER_ARRAYS = ("margin", "time_band", "time_bands", "cells_per_m", "half_band", "cubic")
 _MAX_LEVELS = 8
 _READING_SIZE = 8
-"""Numbers of an hnf_reading."""
+"""Integers in one hnf_reading."""
 _FIRST_CELL_COLUMN, _LAST_CELL_COLUMN, _ARC_HOP_COLUMN = 4, 5, 6
 MIN_HOPS_PER_THREAD = 2
-"""Hops that are worth a thread of their own."""
+"""Fewest hops for which another thread pays."""
 _MAX_CELL = 2.0**52
 _EXPECTED_READINGS_PER_HOP = 16
-"""Readings of a hop that are expected: one for each octave where a hand does not jump."""
+"""Readings of a hop that memory is reserved for: enough unless the hand jumps, which adds readings."""
 
 
 class ArcHop(NamedTuple):
-    """waves: (B, cells), contiguous. address: of its numbers, worked out once."""
+    """Arc-length carriers of one hop and octave.
+
+    waves: (B, cells), contiguous. address: of waves, computed once.
+    """
 
     waves: NDArray[np.complex64]
     address: int
 
     @staticmethod
     def from_waves(waves: NDArray[np.complex64]) -> ArcHop:
+        """Store waves (B, cells) together with their address."""
         return ArcHop(waves, get_address(waves, np.complex64))
 
 
 class TimeHop(NamedTuple):
-    """Carriers in time of one hop. waves: per level (bands, samples), contiguous. addresses: a table of where each
-    begins, worked out once."""
+    """Time carriers of one hop.
+
+    waves: per level (bands, samples), contiguous. addresses: the packed pointers to them, computed once.
+    """
 
     waves: tuple[Float32, ...]
     addresses: bytes
 
     @staticmethod
     def from_waves(waves: tuple[Float32, ...]) -> TimeHop:
-        return TimeHop(waves, pack_pointers([get_address(each, np.float32) for each in waves]))
+        """Store waves of every level together with their addresses."""
+        return TimeHop(waves, pack_pointers([get_address(level, np.float32) for level in waves]))
 
 
 class _CarrierStruct(ctypes.Structure):
@@ -80,10 +83,27 @@ class _KnotsStruct(ctypes.Structure):
 
 
 class CarrierTables:
-    """What no stroke changes, as hnf_carriers in hnf_kernel.h; its arrays stay where they are.
+    """Constants of a set of carriers, the hnf_carriers of hnf_kernel.h.
 
-    margin, time_band, time_bands: (levels,); cells_per_m: (octaves,); half_band: (2 taps,); cubic: (4, 4); scalars by
-    their names. Raises ValueError where they do not fit together.
+    The object owns the arrays that the C structure points to.
+
+    Parameters
+    ----------
+    margin, time_band, time_bands
+        (levels,) samples kept on either side of a hop, first band and number of bands of each level.
+    cells_per_m
+        (octaves,) spatial cells per metre.
+    half_band
+        (2 taps,) filter that reads halfway between two samples.
+    cubic
+        (4, 4) coefficients of the spatial interpolation.
+    **numbers
+        The scalars of hnf_carriers by their names.
+
+    Raises
+    ------
+    ValueError
+        If these do not fit together.
     """
 
     def __init__(
@@ -91,23 +111,24 @@ class CarrierTables:
         cubic: Float32, **numbers: float,
     ) -> None:  # fmt: skip
         arrays = (margin, time_band, time_bands, cells_per_m, half_band, cubic)
-        wanted: Sequence[Any] = (np.int64, np.int64, np.int64, np.float64, np.float32, np.float32)
-        self._arrays = [np.ascontiguousarray(each, dtype=kind) for each, kind in zip(arrays, wanted, strict=True)]
+        dtypes: Sequence[Any] = (np.int64, np.int64, np.int64, np.float64, np.float32, np.float32)
+        self._arrays = [np.ascontiguousarray(array, dtype=dtype) for array, dtype in zip(arrays, dtypes, strict=True)]
         self.levels, self.octaves, self.cells_per_m = len(margin), len(cells_per_m), cells_per_m.tolist()
-        given = {"levels": self.levels, "octaves": self.octaves, "taps": len(half_band) // 2, **numbers}
+        counts = {"levels": self.levels, "octaves": self.octaves, "taps": len(half_band) // 2, **numbers}
         self.hop, self.reach = int(numbers["hop"]), int(numbers["reach"])
         self.bands, self.piece_cells = int(numbers["bands"]), int(numbers["piece_cells"])
         self.time_bands = time_bands.tolist()
-        self.samples_per_level = [(self.hop >> level) + 2 * int(each) for level, each in enumerate(margin)]
-        fits = 0 < self.levels <= _MAX_LEVELS and len(time_band) == len(time_bands) == self.levels
-        # The filter that doubles a rate looks this far beyond what the next one keeps; the hop halves evenly.
-        fits &= self.hop % (1 << self.levels) == 0 and cubic.shape == (4, 4) and len(half_band) % 2 == 0
-        fits &= all(
+        self.samples_per_level = [(self.hop >> level) + 2 * int(array) for level, array in enumerate(margin)]
+        is_valid = 0 < self.levels <= _MAX_LEVELS and len(time_band) == len(time_bands) == self.levels
+        # Doubling a rate reads half the filter beyond the next level's margin, and each level must halve the hop
+        # evenly.
+        is_valid &= self.hop % (1 << self.levels) == 0 and cubic.shape == (4, 4) and len(half_band) % 2 == 0
+        is_valid &= all(
             low >= high // 2 + len(half_band) // 2 and high % 2 == 0
             for high, low in zip(margin[:-1].tolist(), margin[1:].tolist(), strict=True)
         )
-        fits &= all(int(each) << level <= self.reach for level, each in enumerate(margin))
-        if not fits:
+        is_valid &= all(int(array) << level <= self.reach for level, array in enumerate(margin))
+        if not is_valid:
             raise ValueError(f"a hop of {self.hop} samples at {self.levels} rates with margins {margin.tolist()}")
         self.time_shapes = list(zip(self.time_bands, self.samples_per_level, strict=True))
         self.columns = max(
@@ -115,8 +136,8 @@ class CarrierTables:
             int(numbers["time_first"]) + int((time_band + time_bands).max(initial=0)),
         )
         self.struct = _CarrierStruct(
-            *(int(given[name]) for name in _CARRIER_COUNTS), *(given[name] for name in _CARRIER_NUMBERS),
-            *(each.__array_interface__["data"][0] for each in self._arrays),
+            *(int(counts[name]) for name in _CARRIER_COUNTS), *(counts[name] for name in _CARRIER_NUMBERS),
+            *(array.__array_interface__["data"][0] for array in self._arrays),
         )  # fmt: skip
 
 
@@ -124,11 +145,34 @@ def render_hops(
     kernel: ctypes.CDLL, tables: CarrierTables, at: Integers, amplitude: Float32, first: int, position: Float,
     waves: Sequence[TimeHop | None], get_arc_hop: Callable[[int, int], ArcHop],
 ) -> Float:  # fmt: skip
-    """(n · hop,) Σ_k A_k c_k from sample `first` on, in n hops, each as it is alone.
+    """Render n hops of all carriers, Σ_k A_k c_k, from sample `first` on; each hop is independent of the others.
 
-    at: (m,) ascending; amplitude: (m, K) there. place: (reach + n · hop + reach,) s [m]. waves: the carriers in time of
-    each hop; None where they are silent. piece: (octave, number) → its cells. Raises ValueError where these do not fit,
-    or a place is not finite.
+    Parameters
+    ----------
+    kernel
+        Library of `load_kernel`.
+    tables
+        Constants of the carriers.
+    at, amplitude
+        (m,) ascending knots [samples] and (m, K) amplitudes there.
+    first
+        First sample of the first hop.
+    position
+        (reach + n · hop + reach,) path position s [m] at the samples.
+    waves
+        Time carriers of each hop; None where their amplitudes are zero.
+    get_arc_hop
+        Function (octave, hop number) → arc-length carriers.
+
+    Returns
+    -------
+    ndarray
+        (n · hop,) samples.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, or a position is not finite.
     """
     _find_extent(tables, position)
     count = len(waves)
@@ -139,28 +183,34 @@ def render_hops(
     knots = _KnotsStruct(get_address(at, np.int64), *_get_knot_layout(amplitude))
     shared = ctypes.byref(tables.struct), ctypes.byref(knots)
     readings, counts = _plan_readings(kernel, shared, first, count, position)
-    table = _collect_arc_hops(tables, readings, get_arc_hop)
-    in_time = b"".join(_pack_time_hop(tables, each) for each in waves)
-    pieces = pack_pointers([each.address for each in table])
+    arc_hops = _collect_arc_hops(tables, readings, get_arc_hop)
+    time_pointers = b"".join(_pack_time_hop(tables, hop_waves) for hop_waves in waves)
+    arc_pointers = pack_pointers([hop_waves.address for hop_waves in arc_hops])
     cells = int((readings[:, _LAST_CELL_COLUMN] - readings[:, _FIRST_CELL_COLUMN]).max(initial=0)) + 1
-    begun, out = np.concatenate([[0], np.cumsum(counts)]), np.empty((count, tables.hop))
-    waves_each = len(in_time) // max(count, 1)
+    first_reading, out = np.concatenate([[0], np.cumsum(counts)]), np.empty((count, tables.hop))
+    bytes_per_hop = len(time_pointers) // max(count, 1)
 
-    def part(low: int, high: int) -> None:
+    def render_part(low: int, high: int) -> None:
         scratch = np.empty(3 * sum(tables.samples_per_level) + 2 * cells)
         kernel.hnf_hops(
             *shared, first + low * tables.hop, high - low, get_address(position[low * tables.hop :], np.float64),
-            in_time[low * waves_each :], pieces, get_address(readings[begun[low] :], np.int64),
+            time_pointers[low * bytes_per_hop :], arc_pointers, get_address(readings[first_reading[low] :], np.int64),
             get_address(counts[low:], np.int64), get_address(scratch, np.float64), get_address(out[low:], np.float64),
         )  # fmt: skip
 
-    parallel_for(part, count, MIN_HOPS_PER_THREAD)
+    parallel_for(render_part, count, MIN_HOPS_PER_THREAD)
     return out.reshape(-1)
 
 
 class ArcReader:
-    """Σ_k A_k c_k(s) of octaves at `count` places between two knots, read again and again: what it is worked out in is
-    set up once. share: (count,) of the way from one knot to the other.
+    """Reader of Σ_k A_k c_k(s) between two knots; its buffers are allocated once and reused.
+
+    Parameters
+    ----------
+    tables
+        Constants of the carriers.
+    share
+        (count,) fraction of the way from the first knot to the second.
     """
 
     def __init__(self, tables: CarrierTables, share: Float32) -> None:
@@ -175,26 +225,28 @@ class ArcReader:
     def read(
         self, kernel: ctypes.CDLL, octaves: Sequence[int], position: Float, get_arc_hop: Callable[[int, int], ArcHop]
     ) -> Float32:
-        """(count,) at place (count,) [m], of the amplitudes (2, octaves · bands) that were put into self.amplitude. The
-        next call overwrites it. piece: as of hop(). Raises ValueError where these do not fit, or a place is not
-        finite."""
+        """Sum the carriers of octaves at position (count,) [m], for the amplitudes in self.amplitude.
+
+        Set self.amplitude (2, octaves · bands) first. The next call overwrites the result. get_arc_hop: as of
+        render_hops. Raises ValueError if shapes do not fit or a position is not finite.
+        """
         tables, cells = self._tables, self._tables.piece_cells
-        least, most = _find_extent(tables, position)
+        lowest, highest = _find_extent(tables, position)
         if len(position) != self._count or not all(0 <= octave < tables.octaves for octave in octaves):
             raise ValueError(f"octaves {list(octaves)} at {len(position)} places")
-        readings, pieces, longest = list[int](), list[int](), 0
+        readings, arc_pointers, longest = list[int](), list[int](), 0
         for octave in octaves:
-            per_m = tables.cells_per_m[octave]
-            first, last = math.floor(least * per_m) - 1, math.floor(most * per_m) + 2
-            begin = first // cells
-            readings += (octave, 0, 0, self._count, first, last, len(pieces), begin * cells)
-            for number in range(begin, last // cells + 1):
-                pieces.append(_check_arc_hop(tables, get_arc_hop(octave, number)).address)
+            cells_per_m = tables.cells_per_m[octave]
+            first, last = math.floor(lowest * cells_per_m) - 1, math.floor(highest * cells_per_m) + 2
+            first_hop = first // cells
+            readings += (octave, 0, 0, self._count, first, last, len(arc_pointers), first_hop * cells)
+            for number in range(first_hop, last // cells + 1):
+                arc_pointers.append(_check_arc_hop(tables, get_arc_hop(octave, number)).address)
             longest = max(longest, last - first + 1)
         if len(self._scratch) < 2 * longest:
             self._scratch = np.empty(2 * longest)
         kernel.hnf_read_arcs(
-            *self._before, pack_pointers(pieces), struct.pack(f"{len(readings)}q", *readings), len(octaves),
+            *self._before, pack_pointers(arc_pointers), struct.pack(f"{len(readings)}q", *readings), len(octaves),
             get_address(position, np.float64), *self._between, get_address(self._scratch, np.float64),
             get_address(self._out, np.float32),
         )  # fmt: skip
@@ -202,76 +254,85 @@ class ArcReader:
 
 
 def _find_extent(tables: CarrierTables, position: Float) -> tuple[float, float]:
-    """Raises ValueError where a place is not finite, or so far that cells there are no whole numbers."""
-    least, most = float(position.min()), float(position.max())
-    if not max(-least, most) * max(tables.cells_per_m, default=1.0) < _MAX_CELL:
-        raise ValueError(f"places from {least} to {most} m")
-    return least, most
+    """Return the smallest and largest position [m].
+
+    Raises ValueError if one is not finite, or so large that its cell is no exact integer.
+    """
+    lowest, highest = float(position.min()), float(position.max())
+    if not max(-lowest, highest) * max(tables.cells_per_m, default=1.0) < _MAX_CELL:
+        raise ValueError(f"places from {lowest} to {highest} m")
+    return lowest, highest
 
 
 def _plan_readings(
     kernel: ctypes.CDLL, shared: tuple[Any, Any], first: int, count: int, position: Float
 ) -> tuple[Integers, Integers]:
-    """Readings of all hops, and how many each has."""
-    room, counts = _EXPECTED_READINGS_PER_HOP * count, np.empty(count, dtype=np.int64)
+    """Return the readings of all hops, and the number of readings of each hop."""
+    capacity, counts = _EXPECTED_READINGS_PER_HOP * count, np.empty(count, dtype=np.int64)
     while True:
-        readings = np.empty((room, _READING_SIZE), dtype=np.int64)
-        found = int(
+        readings = np.empty((capacity, _READING_SIZE), dtype=np.int64)
+        needed = int(
             kernel.hnf_plan_hops(
-                *shared, first, count, get_address(position, np.float64), room, get_address(readings, np.int64),
+                *shared, first, count, get_address(position, np.float64), capacity, get_address(readings, np.int64),
                 get_address(counts, np.int64),
             )
         )  # fmt: skip
-        if found <= room:
-            return readings[:found], counts
-        room = found
+        if needed <= capacity:
+            return readings[:needed], counts
+        capacity = needed
 
 
 def _collect_arc_hops(
     tables: CarrierTables, readings: Integers, get_arc_hop: Callable[[int, int], ArcHop]
 ) -> list[ArcHop]:
-    """The pieces of all readings, which are told where theirs begin."""
-    table: list[ArcHop] = []
-    begun: list[int] = []
-    met: dict[tuple[int, int], ArcHop] = {}
+    """Return the arc hops that the readings need, and store in each reading where its hops begin."""
+    arc_hops: list[ArcHop] = []
+    starts: list[int] = []
+    by_number: dict[tuple[int, int], ArcHop] = {}
     cells = tables.piece_cells
     for octave, first, last in readings[:, [0, _FIRST_CELL_COLUMN, _LAST_CELL_COLUMN]].tolist():
-        begun.append(len(table))
+        starts.append(len(arc_hops))
         for number in range(first // cells, last // cells + 1):
-            found = met.get((octave, number))
-            if found is None:
-                found = met[octave, number] = _check_arc_hop(tables, get_arc_hop(octave, number))
-            table.append(found)
+            arc_hop = by_number.get((octave, number))
+            if arc_hop is None:
+                arc_hop = by_number[octave, number] = _check_arc_hop(tables, get_arc_hop(octave, number))
+            arc_hops.append(arc_hop)
     readings[:, _ARC_HOP_COLUMN], readings[:, _ARC_HOP_COLUMN + 1] = (
-        begun,
+        starts,
         readings[:, _FIRST_CELL_COLUMN] // cells * cells,
     )
-    return table
+    return arc_hops
 
 
 def _check_arc_hop(tables: CarrierTables, arc_hop: ArcHop) -> ArcHop:
+    """Return the hop if its shape fits; raise ValueError otherwise."""
     if arc_hop.waves.shape != (tables.bands, tables.piece_cells):
-        wanted = f"{tables.bands} bands of {tables.piece_cells} cells"
-        raise ValueError(f"a piece of {arc_hop.waves.shape} where {wanted} are read")
+        expected = f"{tables.bands} bands of {tables.piece_cells} cells"
+        raise ValueError(f"a piece of {arc_hop.waves.shape} where {expected} are read")
     return arc_hop
 
 
 def _pack_time_hop(tables: CarrierTables, waves: TimeHop | None) -> bytes:
+    """Return the packed pointers of a hop's levels, null pointers for None."""
     if waves is None:
         return bytes(tables.levels * struct.calcsize("P"))
-    shapes = [each.shape for each in waves.waves]
+    shapes = [level_waves.shape for level_waves in waves.waves]
     if shapes != tables.time_shapes:
         raise ValueError(f"carriers in time of {shapes}")
     return waves.addresses
 
 
 def _get_knot_layout(amplitude: Float32) -> tuple[int, int, int]:
+    """Return address, number and stride of the knots' amplitudes."""
     begin, stride = get_row_layout(amplitude)
     return begin, len(amplitude), stride
 
 
 def interpolate_position(kernel: ctypes.CDLL, position: Float, samples_per_state: int, start: int, count: int) -> Float:
-    """s(t) [m] (count,) from sample start on, of position (n,) at states. Raises ValueError for fewer than two."""
+    """Interpolate position s(t) [m] at `count` samples from `start` on, from position (n,) at the states.
+
+    Raises ValueError for fewer than two states.
+    """
     if len(position) < 2:
         raise ValueError(f"a path of {len(position)} states")
     out = np.empty(count)
@@ -285,13 +346,14 @@ Complex = NDArray[np.complex128]
 Starts = NDArray[np.int64]
 
 TILE_SAMPLES = 32
-"""Samples that are made at once, half of them mirrored: what is made is a multiple."""
+"""Samples computed at once, half of them by mirroring; lengths must be multiples of it."""
 
 
 def draw_bins(kernel: ctypes.CDLL, key: tuple[int, int, int], pairs: int, first: int, level: Float) -> Complex:
-    """(n,) level · sqrt(−2 log u) · e^{2πiv} (Box & Muller 1958): bins from `first` on, of so many pairs of words.
+    """Draw (n,) complex normal bins, level · sqrt(−2 log u) · e^{2πiv} (Box & Muller 1958), from bin `first` on.
 
-    key: seed, stream and block, as words. Raises ValueError where there are no such words.
+    key: seed, stream and block, as unsigned words. pairs: pairs of words in the block. Raises ValueError if the bins
+    exceed the block.
     """
     if not 0 <= first <= first + len(level) <= pairs:
         raise ValueError(f"words {first} to {first + len(level) - 1} of {pairs} pairs")
@@ -304,20 +366,38 @@ def render_real_waves(
     kernel: ctypes.CDLL, bins: Complex, starts: Starts, which: Starts, slow: Float32, turns: tuple[Float32, Float32],
     window: Float32, out: Float32,
 ) -> None:  # fmt: skip
-    """Rows `which` of out (B, size): 2 Re Σ_k X_k e^{2πikn/size}, times window (size,).
+    """Compute the rows `which` of out (B, size): 2 Re Σ_k X_k e^{2πikn/size}, times window (size,).
 
-    bins, starts: as in band_waves.WavePlan. slow: (2W, size / 2 + 1) cosines of 0 … W − 1 turns, then sines; W at least
-    the widest band. turns: cosine and sine (bands, size / 2 + 1) of each band's first bin. Raises ValueError where
-    these do not fit together, TypeError where out is read-only.
+    Parameters
+    ----------
+    kernel
+        Library of `load_kernel`.
+    bins, starts
+        As in field.carriers.WavePlan.
+    which
+        (rows,) indices of the bands to compute.
+    slow
+        (2W, size / 2 + 1) cosines of 0 … W − 1 turns, then their sines; W at least the widest band.
+    turns
+        Cosine and sine (rows, size / 2 + 1) of each band's first bin.
+    window
+        (size,).
+    out
+        (B, size) result.
+
+    Raises
+    ------
+    ValueError
+        If these do not fit together.
+    TypeError
+        If out is read-only.
     """
     size = out.shape[1]
     _check_waves(out, slow, turns, window, which, bins, starts)
     kernel.hnf_real_waves(
         get_address(bins, np.complex128), get_address(starts, np.int64), get_address(which, np.int64), len(which),
-        len(slow) // 2,
-        size, get_address(slow, np.float32), *(get_address(turn, np.float32) for turn in turns), get_address(window,
-        np.float32),
-        get_address(out, np.float32, writable=True),
+        len(slow) // 2, size, get_address(slow, np.float32), *(get_address(turn, np.float32) for turn in turns),
+        get_address(window, np.float32), get_address(out, np.float32, writable=True),
     )  # fmt: skip
 
 
@@ -325,15 +405,16 @@ def render_complex_waves(
     kernel: ctypes.CDLL, bins: Complex, starts: Starts, slow: Float32, turns: tuple[Float32, Float32], window: Float32,
     out: NDArray[np.complex64],
 ) -> None:  # fmt: skip
-    """out (B, size): Σ_k X_k e^{2πi(k − middle)n/size}, complex; the turns are those of each first bin less the
-    middle. Raises as real_waves()."""
+    """Compute out (B, size): Σ_k X_k e^{2πi(k − middle)n/size}, times window (size,).
+
+    turns are those of each band's first bin minus the middle. Parameters and errors as of render_real_waves.
+    """
     bands, size = out.shape
     _check_waves(out, slow, turns, window, np.arange(bands), bins, starts)
     kernel.hnf_complex_waves(
         get_address(bins, np.complex128), get_address(starts, np.int64), bands, len(slow) // 2, size,
-        get_address(slow, np.float32), *(get_address(turn, np.float32) for turn in turns), get_address(window,
-        np.float32),
-        get_address(out, np.complex64, writable=True),
+        get_address(slow, np.float32), *(get_address(turn, np.float32) for turn in turns),
+        get_address(window, np.float32), get_address(out, np.complex64, writable=True),
     )  # fmt: skip
 
 
@@ -341,51 +422,63 @@ def _check_waves(
     out: NDArray[Any], slow: Float32, turns: tuple[Float32, Float32], window: Float32, which: Starts, bins: Complex,
     starts: Starts,
 ) -> None:  # fmt: skip
+    """Raise ValueError if bins, bands and tables do not fit together."""
     rows, size = out.shape
     half = size // 2 + 1
-    tables = (
+    tables_fit = (
         size % TILE_SAMPLES == 0 and slow.shape[1] == half and all(turn.shape == (len(which), half) for turn in turns)
     )
     widths = np.diff(starts)
-    fits = rows == len(widths) and len(bins) == starts[-1] - starts[0] and bool((widths >= 0).all())
-    fits = fits and (not len(which) or bool(0 <= which.min() <= which.max() < rows))
-    if not tables or len(window) != size or not fits or widths[which].max(initial=0) > len(slow) // 2:
+    bands_fit = rows == len(widths) and len(bins) == starts[-1] - starts[0] and bool((widths >= 0).all())
+    bands_fit = bands_fit and (not len(which) or bool(0 <= which.min() <= which.max() < rows))
+    if not tables_fit or len(window) != size or not bands_fit or widths[which].max(initial=0) > len(slow) // 2:
         raise ValueError(f"{len(bins)} bins as waves of {rows} × {size} samples, from tables of {slow.shape[1]}")
 
 
 MAX_SAMPLES_PER_STATE = 64
+"""Size of the C function's buffer [samples]."""
 
 
 class StateResponses:
-    """Response of a state's samples to 1 N at each neighbouring state, of each of B contacts.
+    """Response of a state's samples to 1 N at each neighbouring state, for each of B contacts.
 
-    tables: (rows, samples) each, the earliest state first; the last `ahead` rows are of states after the own one.
-    Raises ValueError where these do not fit together.
+    Parameters
+    ----------
+    tables
+        Per contact (rows, samples), the earliest state first.
+    ahead
+        Number of last rows that belong to later states.
+
+    Raises
+    ------
+    ValueError
+        If the tables do not fit together.
     """
 
     def __init__(self, tables: Sequence[Float], ahead: int) -> None:
-        widths = {each.shape[1] for each in tables}
+        widths = {table.shape[1] for table in tables}
         if (
             len(widths) != 1
             or max(widths) > MAX_SAMPLES_PER_STATE
-            or not all(len(each) > ahead >= 0 for each in tables)
+            or not all(len(table) > ahead >= 0 for table in tables)
         ):
-            raise ValueError(f"what is given to states: {[each.shape for each in tables]}, {ahead} rows ahead")
+            raise ValueError(f"what is given to states: {[table.shape for table in tables]}, {ahead} rows ahead")
         self.tables, self.ahead, self.samples = tuple(tables), ahead, widths.pop()
-        self._row_counts = np.array([len(each) for each in tables], dtype=np.int64)
-        self._table_pointers = pack_pointers([get_address(each, np.float64) for each in tables])
+        self._row_counts = np.array([len(table) for table in tables], dtype=np.int64)
+        self._table_pointers = pack_pointers([get_address(table, np.float64) for table in tables])
 
     def compute_force_response(self, kernel: ctypes.CDLL, force: Float, weight: Float, first: int, count: int) -> Float:
-        """(count · samples,) from state `first` on; force (n,) is held beyond its ends, as weight (n, B) is. Raises
-        ValueError where these do not fit."""
+        """Return the acceleration (count · samples,) from state `first` on, of force (n,) [N] and weight (n, B).
+
+        Force and weight are constant beyond their ends. Raises ValueError if shapes do not fit.
+        """
         if weight.shape != (len(force), len(self.tables)) or not len(force):
             raise ValueError(f"{weight.shape} weights of {len(self.tables)} contacts at {len(force)} states")
         out = np.empty(count * self.samples)
         kernel.hnf_press(
             get_address(force, np.float64), len(force), get_address(weight, np.float64), len(self.tables),
-            self._table_pointers,
-            get_address(self._row_counts, np.int64), self.ahead, self.samples, first, count, get_address(out,
-            np.float64),
+            self._table_pointers, get_address(self._row_counts, np.int64), self.ahead, self.samples, first, count,
+            get_address(out, np.float64),
         )  # fmt: skip
         return out
 
@@ -393,8 +486,10 @@ class StateResponses:
 def find_bends(
     kernel: ctypes.CDLL, course: NDArray[np.float64], required: NDArray[np.int64], tolerance: float
 ) -> NDArray[np.int64]:
-    """The rows of a course (n, channels), ascending, between which no channel is off a straight line by more than bent;
-    kept are among them. Raises ValueError where the first and the last are not."""
+    """Return the rows of a course (n, channels) between which every channel is straight within `tolerance`, ascending.
+
+    required: rows that are always included, the first and the last among them. Raises ValueError if they are not.
+    """
     if not len(required) or required[0] != 0 or required[-1] != len(course) - 1:
         raise ValueError(f"a course of {len(course)} states from {required[:1]} to {required[-1:]}")
     marked = np.zeros(len(course), dtype=np.uint8)

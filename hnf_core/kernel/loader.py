@@ -1,7 +1,8 @@
-"""Finds and loads the compiled kernel (package hnf_kernel, which tools/build_kernel.py makes from source/).
+"""Find and load the compiled kernel, the package `hnf_kernel` that tools/build_kernel.py builds from source/.
 
-Everything it does has a twin in numpy that takes over where there is no kernel, or where HNF_KERNEL=off asks for it.
-`hnf bench` says which of the two was at work.
+`load_kernel` returns the ctypes library, or None where none is installed, it has another version, or HNF_KERNEL=off
+disables it; the callers then compute the same in numpy. The other functions turn numpy arrays into the addresses that C
+functions take. `hnf bench` reports which implementation ran.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from ..threads import single_blas_thread
 
 ABI = 7
-"""hnf_kernel.h's HNF_ABI: another one has other functions."""
+"""HNF_ABI of hnf_kernel.h; a library of another version has other functions."""
 SWITCH_VARIABLE = "HNF_KERNEL"
 LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
@@ -63,31 +64,33 @@ _thread_override = threading.local()
 
 
 def load_kernel() -> ctypes.CDLL | None:
-    """The compiled functions, or None where numpy does their work."""
+    """Return the compiled library, or None where numpy is used instead."""
     return None if getattr(_thread_override, "disabled", False) else _find_library()[0]
 
 
 def why_unavailable() -> str:
-    """Why there is no kernel; empty where there is one."""
+    """Return the reason why there is no kernel; empty if there is one."""
     return _find_library()[1]
 
 
 def get_build_id() -> str:
-    """Which build of it is at work: its version, which holds the hash of the sources it was made from, whatever machine
-    it was made for; "" where numpy does its work."""
-    from importlib.metadata import PackageNotFoundError, version  # 20 ms that no synthesis needs
+    """Return the version of the kernel in use, "" for numpy.
+
+    The version contains the hash of the sources that the kernel was built from, and is the same on every platform.
+    """
+    from importlib.metadata import PackageNotFoundError, version  # Takes 20 ms, which synthesis does not need.
 
     if why_unavailable():
         return ""
     try:
         return version("hnf-kernel")
-    except PackageNotFoundError:  # only its folder was put there
+    except PackageNotFoundError:  # The folder is importable, but was not installed as a distribution.
         return f"of version {ABI}"
 
 
 @contextmanager
 def without_kernel() -> Iterator[None]:
-    """Numpy alone, in this thread: what the kernel is measured and tested against."""
+    """Disable the kernel in this thread, for comparisons of the kernel with numpy."""
     before, _thread_override.disabled = getattr(_thread_override, "disabled", False), True
     try:
         yield
@@ -96,13 +99,27 @@ def without_kernel() -> Iterator[None]:
 
 
 def single_blas_thread_without_kernel() -> AbstractContextManager[None]:
-    """one_blas_thread() where numpy does the kernel's work; the kernel asks no BLAS."""
+    """Limit BLAS to one thread where numpy replaces the kernel; do nothing otherwise, since the kernel uses no BLAS."""
     return single_blas_thread() if load_kernel() is None else nullcontext()
 
 
 def get_address(array: NDArray[Any], dtype: Any, *, writable: bool = False) -> int:
-    """Where an array's numbers begin. Raises TypeError where they are of another type or not one piece of memory: C
-    would read something else; and where C is to write and nobody may."""
+    """Return the address of an array's first element.
+
+    Parameters
+    ----------
+    array
+        C-contiguous array.
+    dtype
+        The type that the C function reads or writes.
+    writable
+        True if the C function writes into the array.
+
+    Raises
+    ------
+    TypeError
+        If the array has another type, is not contiguous, or is read-only where C would write.
+    """
     if writable and not array.flags.writeable:
         raise TypeError("the kernel would write into an array that is read-only")
     if array.dtype != dtype or not array.flags.c_contiguous:
@@ -111,13 +128,18 @@ def get_address(array: NDArray[Any], dtype: Any, *, writable: bool = False) -> i
 
 
 def pack_pointers(addresses: Sequence[int]) -> bytes:
-    """A table of them, for as long as the call that it is given to takes. (A ctypes array has a class of its own for
-    every length, which waits for the garbage collector.)"""
+    """Pack addresses into a table of C pointers, valid as long as the returned bytes live.
+
+    A ctypes array would create a class for every length, which only the garbage collector frees.
+    """
     return struct.pack(f"{len(addresses)}P", *addresses)
 
 
 def get_row_layout(array: NDArray[np.float32]) -> tuple[int, int]:
-    """Where a table (m, K) of float32 begins, and the numbers between its rows; each row is one piece."""
+    """Return the address and row stride (in elements) of a float32 table (m, K) with contiguous rows.
+
+    Raises TypeError for another type or for rows that are not contiguous.
+    """
     if array.dtype != np.float32 or array.strides[1] != array.itemsize:
         raise TypeError(f"the kernel takes rows of float32, not {array.dtype} of strides {array.strides}")
     return int(array.__array_interface__["data"][0]), array.strides[0] // array.itemsize
@@ -125,6 +147,7 @@ def get_row_layout(array: NDArray[np.float32]) -> tuple[int, int]:
 
 @lru_cache(maxsize=1)
 def _find_library() -> tuple[ctypes.CDLL | None, str]:
+    """Load the library once; return it, or None and the reason."""
     if os.environ.get(SWITCH_VARIABLE, "").lower() in ("off", "0"):
         return None, f"switched off by {SWITCH_VARIABLE}"
     try:
@@ -137,13 +160,13 @@ def _find_library() -> tuple[ctypes.CDLL | None, str]:
         wide = folder / f"hnf_kernel_wide{LIBRARY_SUFFIX}"
         if library.hnf_has_wide_vectors() and wide.is_file():
             library = _load_library(wide)
-    except (OSError, AttributeError) as error:  # not a library, or one without our functions
+    except (OSError, AttributeError) as error:  # It is no library, or lacks one of the functions.
         return None, str(error)
     return library, ""
 
 
 def _load_library(path: Path) -> ctypes.CDLL:
-    """Raises OSError where it cannot be loaded or is another version."""
+    """Load one library and declare its functions. Raises OSError if it cannot be loaded or has another version."""
     library = ctypes.CDLL(str(path))
     for name in ("hnf_abi", "hnf_has_wide_vectors"):
         function = getattr(library, name)

@@ -87,18 +87,6 @@ def backward_with_gradient_cache(
     return value.detach()
 
 
-def backward_reference(encoders: Sequence[nn.Module], inputs: Sequence[Tensor], loss: Loss, chunk: int) -> Tensor:
-    """What cached_backward computes, the plain way: one graph over all chunks."""
-    value = loss(
-        *(
-            torch.cat([encoder(part) for part in torch.split(batch, chunk)])
-            for encoder, batch in zip(encoders, inputs, strict=True)
-        )
-    )
-    value.backward()  # type: ignore[no-untyped-call]
-    return value.detach()
-
-
 @contextmanager
 def freeze_running_statistics(network: nn.Module) -> Iterator[None]:
     """Batch normalisation as in training, but its running statistics stay as they are."""

@@ -252,7 +252,7 @@ def format_page(
 def _format_head(context: Any) -> str:
     plan, gathered, references = context.plan, context.gathered, context.references
     seconds = PATCHES * STARTS * SECONDS
-    per = len(gathered.only(gathered.material_of_strokes() == 0).strokes)
+    per = len(gathered.select_strokes(gathered.get_stroke_materials() == 0).strokes)
     return f"""# The shared field
 
 One field for {len(gathered.names)} materials of {len(set(gathered.classes))} classes: every library material and

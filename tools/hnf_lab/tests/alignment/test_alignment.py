@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from hnf_core.errors import WeightsError
 from hnf_lab.alignment.encoders import RESNET50, Architecture, ResNetEncoder, load_backbone
 from hnf_lab.alignment.train import (
     TEMPERATURE,
-    backward_reference,
+    Loss,
     backward_with_gradient_cache,
     compute_info_nce,
     freeze_running_statistics,
@@ -166,6 +167,20 @@ def assert_equal_gradients(one: list[torch.Tensor], other: list[torch.Tensor], r
     assert size > 0
     for left, right in zip(one, other, strict=True):
         assert float((left - right).abs().max()) <= relative * size
+
+
+def backward_reference(
+    encoders: Sequence[torch.nn.Module], inputs: Sequence[torch.Tensor], loss: Loss, chunk: int
+) -> torch.Tensor:
+    """Compute what backward_with_gradient_cache does, the plain way: one graph over all chunks."""
+    value = loss(
+        *(
+            torch.cat([encoder(part) for part in torch.split(batch, chunk)])
+            for encoder, batch in zip(encoders, inputs, strict=True)
+        )
+    )
+    value.backward()
+    return value.detach()
 
 
 def inputs_of(n: int, side: int, dtype: torch.dtype) -> list[torch.Tensor]:
