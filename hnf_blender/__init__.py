@@ -1,6 +1,8 @@
-"""Haptic Neural Fields in Blender.
+"""Haptic Neural Fields as a Blender add-on: strokes drawn over a scene become vibration signals.
 
-Importing this package needs no bpy: the command line and the tests of the core load it outside Blender too.
+Importing this package needs no bpy, because the command line and the tests of the core load it outside Blender too.
+`bridge` reads and writes Blender data, `touch` computes signals from it, and `ops`, `ui` and `tool` are what a person
+uses. Read `touch/session.py` first.
 """
 
 from __future__ import annotations
@@ -12,15 +14,19 @@ from typing import Any
 from .registration import register_modules, unregister_modules
 
 SUBMODULES = ("translations", "props", "prefs", "handlers", "jobs", "actuator", "preview", "ops", "tool", "ui")
-"""Sub-modules with register() and unregister(), in order; each may use those before it. What handlers note, later ones
-hear of in the same change."""
+"""Sub-modules with register() and unregister(), in order of registration. Each may use the ones before it, and handlers
+run in this order for one change."""
 
 _commands: list[Any] = []
 _registered: list[ModuleType] = []
 
 
 def register() -> None:
-    """Called by Blender when the add-on is switched on. Where a part cannot be loaded, a panel says why instead."""
+    """Register the add-on; called by Blender when it is switched on.
+
+    If a part cannot be loaded, a panel that shows the error is registered instead. In background mode the error is
+    raised.
+    """
     import bpy
 
     from . import error_panel
@@ -36,14 +42,17 @@ def register() -> None:
 
 
 def _command(argv: list[str]) -> int:
-    """`blender --command hnf …`: the command line is loaded when it is called, not with every Blender."""
+    """Run `blender --command hnf …`.
+
+    The command line is imported here, so that starting Blender does not load it.
+    """
     from .cli import main
 
     return main(argv)
 
 
 def unregister() -> None:
-    """Called by Blender when the add-on is switched off."""
+    """Unregister everything; called by Blender when the add-on is switched off."""
     import bpy
 
     from . import error_panel

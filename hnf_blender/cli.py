@@ -1,6 +1,7 @@
-"""`hnf VERB` at a shell and `blender -b FILE --command hnf VERB`: the same words, the same behaviour.
+"""Command line of the add-on: `hnf VERB` at a shell and `blender -b FILE --command hnf VERB` behave alike.
 
-What a verb needs is imported when it is asked for, so that `hnf --help` loads nothing.
+The verbs that need Blender, touch and export, are added to those of `hnf_core.cli`. Each verb imports what it needs
+when it runs, so that `hnf --help` loads nothing.
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ if TYPE_CHECKING:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; argv without the program's name. Returns the exit code."""
+    """Run one command and return its exit code; `argv` excludes the program's name."""
     return run_command_line(sys.argv[1:] if argv is None else argv, run_touch, run_export)
 
 
 def run_touch(arguments: argparse.Namespace) -> int:
+    """Run `hnf touch`: synthesise the strokes of a scene and write them to files."""
     from hnf_core.cli.touch import make_touch_request
 
     request = make_touch_request(arguments)
@@ -36,7 +38,7 @@ def run_touch(arguments: argparse.Namespace) -> int:
     if request.scene is not None:
         from .bridge.importers import check_scene_file
 
-        check_scene_file(request.scene)  # before Blender starts: a slip in a name is told at once
+        check_scene_file(request.scene)  # a mistyped path fails before Blender starts
     _register_properties()
     from .touch.run import run
 
@@ -44,6 +46,7 @@ def run_touch(arguments: argparse.Namespace) -> int:
 
 
 def run_export(arguments: argparse.Namespace) -> int:
+    """Run `hnf export`; without bpy, formats that need the scene's geometry are not available."""
     from hnf_core.cli import export
 
     without_blender = importlib.util.find_spec("bpy") is None
@@ -51,7 +54,26 @@ def run_export(arguments: argparse.Namespace) -> int:
 
 
 def read_scene_surface(path: Path, provenance: Mapping[str, str], object_name: str | None) -> TouchedSurface:
-    """What a signal was felt on, in a scene file. Raises HnfError."""
+    """Open a scene file and return the surface that a signal was recorded on.
+
+    Parameters
+    ----------
+    path : Path
+        Scene file.
+    provenance : Mapping[str, str]
+        Provenance of the signal; its stroke and object are looked up in the scene.
+    object_name : str or None
+        Object to use instead of the one in the provenance.
+
+    Returns
+    -------
+    TouchedSurface
+
+    Raises
+    ------
+    HnfError
+        If the scene cannot be opened or has no such object.
+    """
     _register_properties()
     import bpy
 
@@ -65,7 +87,7 @@ def read_scene_surface(path: Path, provenance: Mapping[str, str], object_name: s
 
 
 def _register_properties() -> None:
-    """At a shell no add-on is switched on."""
+    """Register the add-on's properties, since no add-on is enabled at a shell."""
     import bpy
 
     if not hasattr(bpy.types.Object, "hnf_stroke"):

@@ -1,4 +1,4 @@
-"""The only file that knows Blender versions: 4.2 LTS, 4.5 LTS, 5.0 and later."""
+"""Differences between Blender versions: 4.2 LTS, 4.5 LTS, 5.0 and later. No other file checks the version."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 
 def version() -> tuple[int, int, int]:
+    """Return Blender's version as (major, minor, patch)."""
     import bpy
 
     major, minor, patch = bpy.app.version
@@ -14,22 +15,24 @@ def version() -> tuple[int, int, int]:
 
 
 def version_text() -> str:
-    """For a person: "5.2.2 LTS"."""
+    """Return Blender's version as shown to a person, e.g. "5.2.2 LTS"."""
     import bpy
 
     return str(bpy.app.version_string)
 
 
 def beside_the_file() -> set[str]:
-    """options= of a path property that may begin with "//": without it Blender warns from 4.5 on, before it is not
-    known."""
+    """Return the `options` of a path property whose value may begin with "//".
+
+    Blender 4.5 and later warn if the option is missing; earlier versions do not know it.
+    """
     return {"PATH_SUPPORTS_BLEND_RELATIVE"} if version() >= (4, 5, 0) else set()
 
 
 def use_multilayer_exr(render: Any) -> None:
-    """Make the render output itself a float32 multilayer EXR; no compositor is then needed for the passes.
+    """Set the render output to a float32 multilayer EXR, so that no compositor is needed for the passes.
 
-    Not compressed: it is read once and thrown away, and ZIP cost a close-up a sixth of its time.
+    It is not compressed: the file is read once and deleted, and ZIP took a sixth of a close-up's time.
     """
     settings = render.image_settings
     if hasattr(settings, "media_type"):  # 5.0: the file format enum depends on it
@@ -40,20 +43,26 @@ def use_multilayer_exr(render: Any) -> None:
 
 
 def use_nodes(material: Any) -> bool:
-    """Does Blender shade the material by its nodes? Always so from 5.0 on."""
+    """Return True if Blender shades the material by its nodes; always true from 5.0 on."""
     if material.node_tree is None:
         return False
     return True if version() >= (5, 0, 0) else bool(material.use_nodes)
 
 
 def switch_nodes_on(datablock: Any) -> None:
-    """Give a material or world a node tree; from 5.0 on every new one has it and asking is deprecated."""
+    """Give a material or world a node tree.
+
+    From 5.0 on every new one has a node tree, and setting `use_nodes` is deprecated.
+    """
     if datablock.node_tree is None or version() < (5, 0, 0):
         datablock.use_nodes = True
 
 
 def fcurves_of(id_data: Any) -> list[Any]:
-    """The F-curves that animate this very datablock (object and data may share one action in two slots)."""
+    """Return the F-curves that animate this very datablock.
+
+    An object and its data may share one action in two slots; only the datablock's own slot is read.
+    """
     animation = getattr(id_data, "animation_data", None)
     action = None if animation is None else animation.action
     if action is None:
@@ -70,7 +79,10 @@ def fcurves_of(id_data: Any) -> list[Any]:
 
 
 def _channelbag(action: Any, slot: Any) -> Any:
-    """The channels of one slot: one layer with one keyframe strip is all that Blender supports so far."""
+    """Return the channel bag of a slot, or None.
+
+    Blender so far supports only one layer with one keyframe strip.
+    """
     for layer in action.layers:
         for strip in layer.strips:
             bag = strip.channelbag(slot)
@@ -80,7 +92,10 @@ def _channelbag(action: Any, slot: Any) -> Any:
 
 
 def working_space() -> str:
-    """The colour space that shaders compute in; "" for Linear Rec.709, the only one before 5.0."""
+    """Return the colour space in which shaders compute, "" for Linear Rec.709.
+
+    Linear Rec.709 is the only one before 5.0.
+    """
     import bpy
 
     spaces = getattr(bpy.data, "colorspace", None)
@@ -89,7 +104,10 @@ def working_space() -> str:
 
 
 def has_denoiser() -> bool:
-    """Does this build come with Open Image Denoise? Distribution builds may not: they fail, or silently skip it."""
+    """Return True if this build includes Open Image Denoise.
+
+    Builds of Linux distributions may lack it; they then fail, or skip denoising silently.
+    """
     try:
         cycles = importlib.import_module("_cycles")
     except ImportError:
@@ -98,7 +116,7 @@ def has_denoiser() -> bool:
 
 
 def fcurves_of_slot(action: Any, strip: Any) -> list[Any]:
-    """The F-curves of the action that an NLA strip plays."""
+    """Return the F-curves of the action that an NLA strip plays."""
     slot = getattr(strip, "action_slot", None)
     if not hasattr(strip, "action_slot") or (version() < (5, 0, 0) and not getattr(action, "is_action_layered", False)):
         return list(action.fcurves)
@@ -109,7 +127,7 @@ def fcurves_of_slot(action: Any, strip: Any) -> list[Any]:
 
 
 def own_action(animated: Any) -> None:
-    """Give a datablock that shares its action (a copy of another) an action of its own, in the same slot."""
+    """Give a datablock that shares its action, such as a copy of another, a copy of it in the same slot."""
     animation = getattr(animated, "animation_data", None)
     if animation is None or animation.action is None:
         return
@@ -121,18 +139,21 @@ def own_action(animated: Any) -> None:
 
 
 def show_in_sequencer(workspace: Any, scene: Any) -> None:
-    """Let the workspace's sequencers show a scene where they show none yet; up to 4.5 they show the window's."""
+    """Show a scene in the workspace's sequencers if they show none yet.
+
+    Up to 4.5 they show the window's scene, and nothing is done.
+    """
     if workspace is not None and hasattr(workspace, "sequencer_scene") and workspace.sequencer_scene is None:
         workspace.sequencer_scene = scene
 
 
 def sequencer_strips(editor: Any) -> Any:
-    """The strips of a sequence editor; called sequences up to 4.3."""
+    """Return the strips of a sequence editor, which are called sequences up to 4.3."""
     return editor.strips if hasattr(editor, "strips") else editor.sequences
 
 
 def new_compositor(scene: Any) -> tuple[Any, Any]:
-    """An empty compositor tree for scene, and the input socket that its picture is to be linked to."""
+    """Create an empty compositor tree for a scene; return the tree and the input socket for its image."""
     if hasattr(scene, "compositing_node_group"):  # 5.0: a node group like any other
         import bpy
 
@@ -147,7 +168,7 @@ def new_compositor(scene: Any) -> tuple[Any, Any]:
 
 
 def write_exr_from(tree: Any, socket: Any, folder: str, stem: str) -> None:
-    """A node in a compositor tree that writes a float32 socket to folder/STEM*FRAME.exr."""
+    """Add a compositor node that writes a float32 socket to folder/STEM*FRAME.exr."""
     node = tree.nodes.new("CompositorNodeOutputFile")
     use_exr(node.format)
     if hasattr(node, "file_output_items"):  # 5.0
@@ -160,7 +181,7 @@ def write_exr_from(tree: Any, socket: Any, folder: str, stem: str) -> None:
 
 
 def use_exr(settings: Any) -> None:
-    """A plain float32 EXR in image settings."""
+    """Set image settings to a plain float32 EXR."""
     if hasattr(settings, "media_type"):
         settings.media_type = "IMAGE"
     settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"

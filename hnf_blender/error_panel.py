@@ -1,6 +1,6 @@
-"""What is shown where the add-on itself cannot be loaded: what went wrong, the versions, a text to copy.
+"""A panel shown if the add-on itself cannot be loaded: the error, the versions, and a report to copy.
 
-It leans on nothing but Blender and Python: any other part may be the one that is broken.
+It imports nothing but Blender and Python, since any other part of the add-on may be the broken one.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 LINE_CHARACTERS = 32
-"""Characters of a line in a sidebar of usual width."""
+"""Line length in a sidebar of usual width [characters]."""
 
 _registered: list[Any] = []
 
 
 def explain_error(error: Exception) -> str:
-    """What happened and what to do, for somebody who reads no tracebacks."""
+    """Explain an error and its remedy in plain words."""
     if isinstance(error, ImportError):
         missing = error.name or str(error)
         return (
@@ -35,7 +35,7 @@ def explain_error(error: Exception) -> str:
 
 
 def format_report(error: Exception) -> str:
-    """Versions, place and traceback, for whoever helps."""
+    """Format versions, folder and traceback of an error as a report for support."""
     import traceback
 
     from .compat import version_text
@@ -47,16 +47,16 @@ def format_report(error: Exception) -> str:
         ("Add-on folder", str(Path(__file__).resolve().parent)),
         ("numpy", str(getattr(sys.modules.get("numpy"), "__version__", "not loaded"))),
     )
-    said = "".join(traceback.format_exception(type(error), error, error.__traceback__))
-    return "\n".join(f"{name:<14} {value}" for name, value in rows) + "\n\n" + said
+    traceback_text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+    return "\n".join(f"{name:<14} {value}" for name, value in rows) + "\n\n" + traceback_text
 
 
 def register(error: Exception) -> None:
-    """Show the Touch tab with nothing in it but what went wrong."""
+    """Register a panel in the Touch tab that shows only the error."""
     import bpy
 
-    words, text = explain_error(error), format_report(error)
-    print(text, file=sys.stderr)
+    explanation, report = explain_error(error), format_report(error)
+    print(report, file=sys.stderr)
 
     class HNF_OT_rescue_copy(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
         bl_idname = "hnf.rescue_copy"
@@ -64,7 +64,7 @@ def register(error: Exception) -> None:
         bl_description = "Put versions and the error on the clipboard"
 
         def execute(self, context: Any) -> set[str]:
-            context.window_manager.clipboard = text
+            context.window_manager.clipboard = report
             return {"FINISHED"}
 
     class HNF_PT_rescue(bpy.types.Panel):  # type: ignore[misc]
@@ -75,20 +75,20 @@ def register(error: Exception) -> None:
 
         def draw(self, _context: Any) -> None:
             column = self.layout.column(align=True)
-            for number, line in enumerate(textwrap.wrap(words, LINE_CHARACTERS)):
+            for number, line in enumerate(textwrap.wrap(explanation, LINE_CHARACTERS)):
                 column.label(text=line, icon="ERROR" if number == 0 else "BLANK1")
             column = self.layout.column(align=True)
-            for line in text.split("\n\n")[0].splitlines()[:3]:
+            for line in report.split("\n\n")[0].splitlines()[:3]:
                 column.label(text=" ".join(line.split()))
             self.layout.operator("hnf.rescue_copy", icon="COPYDOWN")
 
-    for each in (HNF_OT_rescue_copy, HNF_PT_rescue):
-        bpy.utils.register_class(each)
-        _registered.append(each)
+    for cls in (HNF_OT_rescue_copy, HNF_PT_rescue):
+        bpy.utils.register_class(cls)
+        _registered.append(cls)
 
 
 def unregister() -> None:
-    """Take the panel away, if it is there."""
+    """Unregister the panel, if it is registered."""
     import bpy
 
     while _registered:

@@ -1,5 +1,7 @@
-"""Application handlers: they note what changed, and nothing else. A timer looks at it later; only where there is a
-window."""
+"""Application handlers that record changes to the file; a timer then updates the statuses of strokes.
+
+Handlers themselves only note what changed. Nothing is registered in background mode, where there is no window.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,14 @@ from .state.session_state import STATE
 from .state.status_tracker import EVERYTHING, clear_trackers, process_changes
 
 INTERVAL_S = 0.25
+"""Interval of the timer [s]."""
 TRACKED_TYPES = frozenset({"Object", "Mesh", "Curve", "Material", "Image", "Action", "Key"})
-"""Kinds of datablocks that a signal may follow from; node trees besides. A scene changes with everything."""
+"""Types of datablocks that a signal may depend on, besides node trees. Scenes are left out, since every change updates
+them."""
 
 
 def on_depsgraph_update(scene: Any, depsgraph: Any = None) -> None:
-    """depsgraph_update_post."""
+    """Record changed datablocks (depsgraph_update_post)."""
     if STATE.suppress_depth or depsgraph is None or scene.name == TEMP_SCENE_NAME:
         return
     for update in depsgraph.updates:
@@ -31,21 +35,24 @@ def on_depsgraph_update(scene: Any, depsgraph: Any = None) -> None:
 
 
 def on_undo_redo(*_: Any) -> None:
-    """undo_post, redo_post: references are dead, and anything may be another."""
+    """Mark everything as changed (undo_post, redo_post).
+
+    References to datablocks are invalid after an undo, and any of them may have changed.
+    """
     STATE.dirty_names.add(EVERYTHING)
     STATE.changes += 1
     CHANGES.mark_changed()
 
 
 def on_load_pre(*_: Any) -> None:
-    """load_pre: a job belongs to the file that is left."""
+    """Cancel the running job, which belongs to the file being closed (load_pre)."""
     from .jobs import manager
 
     manager.cancel()
 
 
 def on_load_post(*_: Any) -> None:
-    """load_post."""
+    """Reset all state for the new file (load_post)."""
     clear_trackers()
     interface.clear_active_strokes()
     STATE.clear()
@@ -55,7 +62,7 @@ def on_load_post(*_: Any) -> None:
 
 
 def tick() -> float:
-    """Timer: look at what changed, unless the timeline plays."""
+    """Process recorded changes, unless an animation is playing; timer callback, returns its interval [s]."""
     import bpy
 
     from .jobs.manager import is_preloaded
@@ -88,6 +95,7 @@ HANDLERS = (
 
 
 def register() -> None:
+    """Register the handlers and the timer."""
     import bpy
 
     if bpy.app.background:
@@ -98,6 +106,7 @@ def register() -> None:
 
 
 def unregister() -> None:
+    """Remove the handlers and the timer, and reset all state."""
     remove_handlers(HANDLERS, tick)
     CHANGES.is_notified = False
     CHANGES.mark_changed()

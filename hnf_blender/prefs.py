@@ -1,4 +1,4 @@
-"""Preferences of the add-on; state/addon_settings.py is how the rest of it reads them."""
+"""Preferences of the add-on; the rest of the add-on reads them through `state/addon_settings.py`."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -14,6 +14,8 @@ from .translations import tr
 
 
 class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy has no types
+    """Preferences shown under Edit > Preferences > Add-ons."""
+
     bl_idname = __package__
 
     overlay: bpy.props.BoolProperty(

@@ -1,4 +1,7 @@
-"""Switching rooms, and the classes of a room, on and off: all of them, or none; and what Blender is to call."""
+"""Register and unregister modules, classes and handlers with Blender.
+
+Registration is all or nothing: if one item fails, those before it are unregistered and the error is raised.
+"""
 
 from __future__ import annotations
 
@@ -7,56 +10,68 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 Handlers = Sequence[tuple[str, Callable[..., None]]]
-"""Kinds of events as bpy.app.handlers names them, and what is called at each."""
+"""Pairs of the name of a list in bpy.app.handlers and the function to add to it."""
 
 
 def register_modules(modules: Iterable[Any], registered: list[Any]) -> None:
-    """register() of each, in order; done grows with those that are on. Where one fails, those before it are taken back
-    and the error is raised."""
+    """Call `register()` of each module, in order, and append it to `registered`.
+
+    If one fails, those before it are unregistered and the error is raised.
+    """
     try:
-        for room in modules:
-            room.register()
-            registered.append(room)
+        for module in modules:
+            module.register()
+            registered.append(module)
     except Exception:
         unregister_modules(registered)
         raise
 
 
 def unregister_modules(registered: list[Any]) -> None:
-    """unregister() of each, the last one first; done is empty then."""
+    """Call `unregister()` of each module, the last first, and empty the list."""
     while registered:
         registered.pop().unregister()
 
 
 def collect_classes(package: str, modules: Iterable[str]) -> tuple[Any, ...]:
-    """CLASSES of the sub-modules, in order. All are imported before any is registered."""
-    return tuple(each for name in modules for each in importlib.import_module(f".{name}", package).CLASSES)
+    """Return the CLASSES of a package's sub-modules, in order; all are imported before any is registered."""
+    return tuple(cls for name in modules for cls in importlib.import_module(f".{name}", package).CLASSES)
 
 
 def register_classes(classes: Sequence[Any]) -> None:
-    """Register the classes. Where one is refused, those before it are taken back and the error is raised."""
+    """Register classes with Blender; if one is refused, unregister those before it and raise the error."""
     import bpy
 
     done: list[Any] = []
     try:
-        for each in classes:
-            bpy.utils.register_class(each)
-            done.append(each)
+        for cls in classes:
+            bpy.utils.register_class(cls)
+            done.append(cls)
     except Exception:
         unregister_classes(done)
         raise
 
 
 def unregister_classes(classes: Sequence[Any]) -> None:
-    """Unregister the classes, the last one first."""
+    """Unregister classes, the last first."""
     import bpy
 
-    for each in reversed(classes):
-        bpy.utils.unregister_class(each)
+    for cls in reversed(classes):
+        bpy.utils.unregister_class(cls)
 
 
 def add_handlers(handlers: Handlers, tick: Callable[[], float] | None = None, first_interval_s: float = 0.0) -> None:
-    """Have Blender call the handlers, and tick for the first time in first_s, whatever file is opened later."""
+    """Add application handlers, and optionally a timer, that persist when another file is loaded.
+
+    Parameters
+    ----------
+    handlers : Handlers
+        Pairs of a list of bpy.app.handlers and a function.
+    tick : callable, optional
+        Timer function; it returns the delay to its next call [s].
+    first_interval_s : float, optional
+        Delay to the first call of `tick` [s].
+    """
     import bpy
 
     for name, handler in handlers:
@@ -66,7 +81,7 @@ def add_handlers(handlers: Handlers, tick: Callable[[], float] | None = None, fi
 
 
 def remove_handlers(handlers: Handlers, tick: Callable[[], Any] | None = None) -> None:
-    """Have Blender call none of them any more; also where it never did."""
+    """Remove application handlers and a timer, if they are registered."""
     import bpy
 
     for name, handler in handlers:

@@ -1,7 +1,7 @@
-"""The functions and classes that `import hnf_core as hnf` offers: from a material and an action to a signal and back.
+"""Functions and classes of `import hnf_core as hnf`: from a material and an action to a signal, a file or an actuator.
 
-Every function takes lists, numpy arrays and plain path strings, and refuses a wrong shape, unit or rate in words.
-Packages that a call does not need are not imported: torch only by `train`, bpy only by `touch`.
+Every function takes lists, numpy arrays and plain path strings, and raises an `HnfError` with a remedy for a wrong
+shape, unit or rate. Packages that a call does not need are not imported: torch only by `train`, bpy only by `touch`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 PathText = str | PathLike[str]
 
 DEFAULT_RATE_HZ = 10_000.0
-"""Sample rate of the model and of every signal that does not ask for another [Hz]."""
+"""Sample rate of the model, and default sample rate of a signal [Hz]."""
 MIN_TRAINING_S = 1.0
 """Shortest recording that a field can be trained on [s]."""
 
@@ -51,7 +51,7 @@ class Material:
     token : ndarray of float32, shape (D,)
         Description of its micro-geometry by the encoder E.
     mechanics : Mechanics
-        Stiffness, damping and friction; unknown values are None.
+        Stiffness [N/m], damping ratio and friction; unknown values are None.
     field : Field or None
         A field trained for this material alone; None means the shared field.
 
@@ -70,7 +70,7 @@ class Material:
 
 @dataclass(frozen=True)
 class Action:
-    """What the hand does: u(t) = [direction, speed, normal force] on any rising time grid.
+    """Motion and force of the hand, u(t) = [direction, speed, normal force], on any rising time grid.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class Action:
             values = np.asarray(getattr(self, name), dtype=np.float64)
             column = np.full(len(time), float(values)) if values.ndim == 0 else to_vector(values, name)
             object.__setattr__(self, name, column)
-        self.to_grid()  # refuses what no action can be made of
+        self.to_grid()  # raises StrokeError for values that make no action
 
     @property
     def duration_s(self) -> float:
@@ -126,20 +126,20 @@ class Action:
     def to_grid(self) -> GridAction:
         """Return the action on the even grid of 200 Hz on which the field is evaluated."""
         columns = (
-            np.asarray(each, dtype=np.float64)
-            for each in (self.time_s, self.direction_rad, self.speed_m_s, self.force_n)
+            np.asarray(column, dtype=np.float64)
+            for column in (self.time_s, self.direction_rad, self.speed_m_s, self.force_n)
         )
         return action_from_table(*columns, probe=self.probe)
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded stroke: what was felt, and what the hand did meanwhile.
+    """A recorded stroke: the acceleration, and the action of the hand meanwhile.
 
     Parameters
     ----------
     acceleration : array_like, shape (n,) or (n, 3)
-        Acceleration [m/s²]. Three axes are fused by DFT321 over the whole recording.
+        Acceleration [m/s²]. Three axes are fused into one by DFT321.
     rate_hz : float
         Sample rate of the acceleration [Hz].
     action : Action
@@ -152,7 +152,7 @@ class Recording:
     UsageError
         For another shape, or samples that are not finite.
     FileError
-        Where acceleration and action are not equally long.
+        If acceleration and action are not equally long.
 
     Examples
     --------
@@ -183,7 +183,7 @@ class Recording:
         object.__setattr__(
             self, "acceleration", dft321(samples - samples.mean(axis=0)) if samples.ndim == 2 else samples
         )
-        self._to_dataset_recording()  # refuses samples and an action of different lengths
+        self._to_dataset_recording()  # raises FileError for samples and an action of different lengths
 
     @property
     def duration_s(self) -> float:
@@ -213,7 +213,7 @@ def list_materials() -> tuple[str, ...]:
     """
     from .material.library import load_library
 
-    return tuple(each.name for each in load_library())
+    return tuple(entry.name for entry in load_library())
 
 
 def material(name: str) -> Material:
@@ -257,7 +257,7 @@ def load_material(path: PathText) -> Material:
     Raises
     ------
     FileError, WeightsError
-        Where the file is missing, damaged or holds no material.
+        If the file is missing, damaged or holds no material.
 
     Examples
     --------
@@ -272,15 +272,18 @@ def load_material(path: PathText) -> Material:
     field: Field | None
     if file.suffix.lower() != HNF_SUFFIX:
         field = load_field(file)
-        found = read_trained_material(field, str(file))
+        entry = read_trained_material(field, str(file))
     else:
-        described = read_hnf(file)
-        field = load_material_field(described)
+        description = read_hnf(file)
+        field = load_material_field(description)
         if field is not None:
-            found = read_trained_material(field, str(file))
+            entry = read_trained_material(field, str(file))
         else:
-            field, found = load_field_for_encoders(split_encoders(described.encoder)), with_library_defaults(described)
-    return Material(found.name, found.token, found.mechanics, field)
+            field, entry = (
+                load_field_for_encoders(split_encoders(description.encoder)),
+                with_library_defaults(description),
+            )
+    return Material(entry.name, entry.token, entry.mechanics, field)
 
 
 def parse_stroke(text: str) -> Primitive:
@@ -328,9 +331,9 @@ def read_action(path: PathText, probe: str = "pen") -> Action:
     Raises
     ------
     FileError
-        Where it cannot be read or is no such table.
+        If it cannot be read or is no such table.
     StrokeError
-        Where its values make no action.
+        If its values make no action.
 
     Examples
     --------
@@ -349,7 +352,7 @@ def synthesise(
     probe: str | None = None,
     rate_hz: float = DEFAULT_RATE_HZ,
 ) -> Synthesis:
-    """Synthesise what a stroke on a material feels like.
+    """Synthesise the acceleration of a stroke on a material.
 
     Parameters
     ----------
@@ -388,8 +391,8 @@ def synthesise(
     if isinstance(material, str):
         material = _get_library_material(material)
     if isinstance(material, Field):
-        found = read_trained_material(material, "the field")
-        material = Material(found.name, found.token, found.mechanics, material)
+        trained = read_trained_material(material, "the field")
+        material = Material(trained.name, trained.token, trained.mechanics, material)
     if not isinstance(material, Material):
         raise UsageError(f"{type(material).__name__} is no material.", remedy="Give hnf.material(NAME) or a field.")
     grid, stroke_name = _to_grid(action, seed)
@@ -441,9 +444,9 @@ def read_signal(path: PathText, full_scale: float | None = None) -> Signal:
     Parameters
     ----------
     path : str or path
-        The file; its suffix says what it is.
+        The file; its suffix decides the format.
     full_scale : float, optional
-        Acceleration that 1.0 stands for in a file that does not state it [m/s²].
+        Acceleration of a sample of 1.0 in a file that does not state it [m/s²].
 
     Returns
     -------
@@ -452,7 +455,7 @@ def read_signal(path: PathText, full_scale: float | None = None) -> Signal:
     Raises
     ------
     FileError
-        Where the file is missing, damaged or states no unit.
+        If the file is missing, damaged or states no unit.
     UsageError
         For a suffix that is not known.
 
@@ -490,7 +493,7 @@ def export(
     format : str, optional
         A format's name, as ``hnf export --help`` lists them; by default the one of the suffix.
     full_scale : float, optional
-        Acceleration that the largest value of the format stands for [m/s²].
+        Acceleration of the largest value of the format [m/s²].
 
     Returns
     -------
@@ -500,7 +503,7 @@ def export(
     Raises
     ------
     FileError, UsageError
-        Where the format cannot hold the signal, or the file cannot be written.
+        If the format cannot hold the signal, or the file cannot be written.
 
     Examples
     --------
@@ -532,7 +535,7 @@ def train(recordings: Recording | Iterable[Recording], *, seed: int = 0, epochs:
     seed : int
         Seed of initial weights and noise.
     epochs : int, optional
-        At most so many epochs; by default as many as the recipe of ``hnf train field``.
+        Maximum number of epochs; by default that of ``hnf train field``.
 
     Returns
     -------
@@ -542,7 +545,7 @@ def train(recordings: Recording | Iterable[Recording], *, seed: int = 0, epochs:
     Raises
     ------
     HnfError
-        Where torch is missing (``pip install`` the extra ``train``).
+        If torch is missing (``pip install`` the extra ``train``).
     UsageError
         For no recordings, or recordings that are too short.
 
@@ -551,16 +554,16 @@ def train(recordings: Recording | Iterable[Recording], *, seed: int = 0, epochs:
     >>> import hnf_core as hnf
     >>> field = hnf.train(recordings, seed=0)  # doctest: +SKIP
     """
-    chosen = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
-    if not chosen or sum(each.duration_s for each in chosen) < MIN_TRAINING_S:
+    strokes = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
+    if not strokes or sum(recording.duration_s for recording in strokes) < MIN_TRAINING_S:
         raise UsageError(f"less than {MIN_TRAINING_S:g} s of recordings.", remedy="Give more, or longer ones.")
-    if len({each.material for each in chosen}) > 1:
+    if len({recording.material for recording in strokes}) > 1:
         raise UsageError("the recordings are of several materials.", remedy="Train one field for each.")
     try:
         from .training.from_recordings import TrainingOverrides, train_from_recordings
     except ImportError as error:
         raise HnfError(f"training needs torch ({error}).", remedy="Install it: pip install torch scipy.") from error
-    prepared = [each._to_dataset_recording() for each in chosen]
+    prepared = [recording._to_dataset_recording() for recording in strokes]
     trained, _ = train_from_recordings(prepared, "own", "", seed, TrainingOverrides(epochs=epochs))
     return trained.field
 
@@ -630,12 +633,12 @@ class OutputStream:
         Returns
         -------
         StreamReport
-            What left for the device: limited samples, underruns, peak, time played.
+            Samples sent to the device: how many were limited, underruns, peak, time played.
 
         Raises
         ------
         DeviceError
-            Where the device is missing, busy or gone.
+            If the device is missing, busy or gone.
         """
         from .actuators.measure.inverse_filter import make_compensation
         from .actuators.sources import BufferSource
@@ -675,7 +678,7 @@ def open_stream(target: str = "virtual", *, profile: str = "generic-voice-coil",
     profile : str
         Name or JSON file of the actuator's profile, as ``hnf actuators`` lists them.
     gain_db : float
-        Louder (+) or softer (−) [dB].
+        Gain applied to every signal [dB].
 
     Returns
     -------
@@ -708,7 +711,7 @@ def touch(
     metres_per_unit: float | None = None,
     seed: int | None = None,
 ) -> dict[str, Any]:
-    """Touch a scene: what every stroke in it feels like, as WAV files, pictures and a report. Needs bpy.
+    """Synthesise every stroke of a Blender scene to WAV files, plots and a report; needs bpy.
 
     Parameters
     ----------
@@ -717,7 +720,7 @@ def touch(
     out : str or path
         Folder of the results.
     strokes : sequence of (words, object)
-        Strokes to place beside those drawn in the scene, each on an object or ``"OBJECT:SLOT"``.
+        Strokes to add to those drawn in the scene, each on an object or ``"OBJECT:SLOT"``.
     materials : mapping, optional
         Library materials to use, by ``"OBJECT[:SLOT]"``.
     metres_per_unit : float, optional
@@ -733,7 +736,7 @@ def touch(
     Raises
     ------
     HnfError
-        Where bpy is missing, or the scene cannot be touched.
+        If bpy is missing, or the scene cannot be touched.
 
     Examples
     --------
@@ -742,32 +745,32 @@ def touch(
     """
     from importlib import import_module
 
-    words = ["touch", fspath(scene), "--out", fspath(out)]
+    arguments = ["touch", fspath(scene), "--out", fspath(out)]
     for text, target in strokes:
-        words += ["--stroke", text, "--on", target]
+        arguments += ["--stroke", text, "--on", target]
     for target, name in (materials or {}).items():
-        words += ["--material", f"{target}={name}"]
+        arguments += ["--material", f"{target}={name}"]
     if metres_per_unit is not None:
-        words += ["--scale", f"{metres_per_unit:.9g}"]
+        arguments += ["--scale", f"{metres_per_unit:.9g}"]
     if seed is not None:
-        words += ["--seed", str(seed)]
-    # The add-on stands above this package, which may not import it: it is called by its name, as a shell would.
+        arguments += ["--seed", str(seed)]
+    # This package may not import the add-on, which depends on it: the command is looked up by name, as by a shell.
     program = import_module("hnf_blender" + ".cli")
     report = Path(fspath(out)) / "report.json"
-    if program.main(words) != 0:
+    if program.main(arguments) != 0:
         raise HnfError("the scene could not be touched; the lines above say why.", where=str(fspath(scene)))
     try:
-        found: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
+        content: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FileError(f"the report cannot be read ({error}).", where=str(report)) from error
-    return found
+    return content
 
 
 def _get_library_material(name: str) -> Material:
     from .material.library import get_material
 
-    found = get_material(name)
-    return Material(found.name, found.token, found.mechanics)
+    entry = get_material(name)
+    return Material(entry.name, entry.token, entry.mechanics)
 
 
 def _to_grid(action: Action | Primitive | str, seed: int) -> tuple[GridAction, str]:

@@ -1,8 +1,7 @@
-"""What the child processes of this project have in common: they leave with their parent, load a package from its
-folder, and end at once.
+"""Start and end of this project's child processes: load a package from its folder, run, end with the parent.
 
-The standard library alone and no relative import: scripts that belong to no package run this file by its path, under
-Blender's Python or another version's.
+Only the standard library and no relative imports: scripts outside any package run this file by its path, under
+Blender's Python or another version.
 """
 
 import importlib.util
@@ -21,9 +20,14 @@ EXIT_PARENT_GONE = 3
 
 
 def exit_with_parent(*, kill_group: bool = False) -> None:
-    """The parent holds the other end of standard input and never writes: its end is the parent's, however it died.
+    """End this process as soon as its parent ends.
 
-    kill_group: what this process started ends too, where it leads a process group of its own.
+    The parent holds the other end of standard input and never writes to it, so end of file means that it has ended.
+
+    Parameters
+    ----------
+    kill_group : bool
+        Also kill the processes that this one started, if it leads a process group.
     """
 
     def watch() -> None:
@@ -41,11 +45,25 @@ def exit_with_parent(*, kill_group: bool = False) -> None:
 
 
 def load_package(name: str, folder: str) -> None:
-    """Import the package in folder as name, and put nothing beside it on the path. Packages above it that nothing
-    provides are made up, empty."""
-    above = name.split(".")[:-1]
-    for depth in range(1, len(above) + 1):
-        parent = types.ModuleType(".".join(above[:depth]))
+    """Import the package in `folder` under `name`, without adding its parent folder to `sys.path`.
+
+    Parent packages that do not exist are created empty.
+
+    Parameters
+    ----------
+    name : str
+        Dotted name to import the package as.
+    folder : str
+        Folder that holds the package's ``__init__.py``.
+
+    Raises
+    ------
+    ImportError
+        If the folder holds no package.
+    """
+    parents = name.split(".")[:-1]
+    for depth in range(1, len(parents) + 1):
+        parent = types.ModuleType(".".join(parents[:depth]))
         parent.__path__ = []
         sys.modules.setdefault(parent.__name__, parent)
     spec = importlib.util.spec_from_file_location(
@@ -59,15 +77,15 @@ def load_package(name: str, folder: str) -> None:
 
 
 def load_core() -> None:
-    """Import the hnf_core that this file is in, under that name."""
+    """Import the `hnf_core` that this file belongs to, under that name."""
     load_package(CORE, CORE_FOLDER)
 
 
 def run_main(main: Any, *arguments: object) -> NoReturn:
-    """End this process with the code that main(*arguments) returns; 1 where it raises, and standard error says why.
+    """End this process with the exit code of ``main(*arguments)``, or 1 with a traceback if it raises.
 
-    Nothing is waited for: to leave Blender in order costs time, and hangs some versions of its module; a device's
-    driver must not keep a process whose parent is gone.
+    Interpreter shutdown is skipped: leaving Blender in order costs time and hangs some versions of its module, and a
+    device driver must not keep a process alive whose parent is gone.
     """
     code = 1
     try:

@@ -1,4 +1,4 @@
-"""What is at work here and what is missing: for `hnf doctor`, and for the panel that says the same of a Blender."""
+"""State of this installation, for `hnf doctor` and the add-on: versions, optional packages, kernel, data files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,17 @@ from .errors import HnfError
 
 @dataclass(frozen=True)
 class Fact:
-    """key: its name for programs, which stays when the label is worded anew. label: its name for people."""
+    """One line of the diagnosis.
+
+    Attributes
+    ----------
+    key : str
+        Stable name for programs; stays when the label is reworded.
+    label : str
+        Name for people.
+    value : str
+        Version, hash or message.
+    """
 
     key: str
     label: str
@@ -21,7 +31,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Package:
-    """name: as pip knows it. without: what cannot be done where it is missing."""
+    """An optional package: its name in pip, and the consequence if it is missing."""
 
     name: str
     without: str
@@ -41,7 +51,7 @@ OPTIONAL_PACKAGES = (
 
 
 def get_base_versions() -> tuple[Fact, ...]:
-    """Of the program, of Python and of what it cannot run without."""
+    """Return the versions of this program, Python, numpy and the operating system."""
     return (
         Fact("hnf", "hnf", __version__),
         Fact("python", "Python", platform.python_version()),
@@ -51,7 +61,7 @@ def get_base_versions() -> tuple[Fact, ...]:
 
 
 def get_version(package: str) -> str:
-    """ "" where it is not installed."""
+    """Return the installed version of a package, or "" if it is not installed."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -61,14 +71,14 @@ def get_version(package: str) -> str:
 
 
 def describe_kernel() -> str:
-    """Whether the inner loops of synthesis are compiled: numpy does the same in about twice the time."""
+    """Return the state of the compiled kernel; without it numpy does the same in about twice the time."""
     from .kernel.loader import load_kernel, why_unavailable
 
     return "at work" if load_kernel() is not None else f"using slower numpy version ({why_unavailable()})"
 
 
 def describe_field() -> str:
-    """Of the shipped field, or what is wrong with it."""
+    """Return the identity of the shipped field, or the error message if it cannot be loaded."""
     from .field.weights import load_field
 
     try:
@@ -78,7 +88,7 @@ def describe_field() -> str:
 
 
 def hash_data_files() -> tuple[Fact, ...]:
-    """Content hashes of the material library and of the network that reads pictures; "not there" without the file."""
+    """Return content hashes of the material library and the diffusion weights; "not there" if a file is missing."""
     from .files import content_hash
     from .material.library import LIBRARY_PATH
     from .tactile.diffusion.weights import DEFAULT_WEIGHTS
@@ -96,7 +106,8 @@ def hash_data_files() -> tuple[Fact, ...]:
 
 
 MIN_TRAINING_PYTHON = (3, 11)
+"""Oldest Python version that training runs on."""
 
 
 TRAINING_PACKAGES = {"numpy": "numpy>=1.24", "safetensors": "safetensors==0.8.0", "torch": "torch==2.13.0"}
-"""What `hnf train field` imports → what pip is asked for, as pyproject.toml pins it."""
+"""Packages that `hnf train field` imports, with pip's requirement as pinned in pyproject.toml."""

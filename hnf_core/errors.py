@@ -1,12 +1,19 @@
-"""One exception family. Each message says what is wrong, where, and what to do about it."""
+"""Exceptions of this project, one family: every message names the problem, its location and the remedy."""
 
 from __future__ import annotations
 
 
 class HnfError(Exception):
-    """A problem that a person can act on.
+    """A problem that a person can solve.
 
-    what: the problem, one sentence. where: the object, stroke or file. remedy: the next step.
+    Parameters
+    ----------
+    what : str
+        The problem, one sentence.
+    where : str
+        The object, stroke or file concerned.
+    remedy : str
+        The next step for the person.
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
@@ -16,7 +23,7 @@ class HnfError(Exception):
 
 
 class UsageError(HnfError):
-    """The command line or a call's arguments do not fit together (exit code 2)."""
+    """Arguments of a command or call do not fit together (exit code 2)."""
 
 
 class FileError(HnfError):

@@ -1,8 +1,7 @@
-"""Writing that never costs what is already saved: a temporary file beside the target, then one rename.
+"""Safe file access: atomic writes, folder locks, content hashes, and .npz archives that may be damaged.
 
-Two runs on one folder would tear each other's results: the second is told so and leaves.
-
-Archives of arrays (.npz) that may be damaged: which error that raises depends on the byte that was hit.
+A write goes to a temporary file in the target's folder, which is then renamed, so that a failure never costs the
+earlier file.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from .errors import FileError
 
 
 def _read_umask() -> int:
-    # It can only be read by setting it; what another thread makes meanwhile is its owner's alone.
+    # The mask can only be read by setting it; files that other threads create meanwhile are private to their owner.
     mask = os.umask(0o077)
     os.umask(mask)
     return mask
@@ -36,13 +35,24 @@ def _read_umask() -> int:
 
 _UMASK = _read_umask()
 FILE_MODE, FOLDER_MODE = 0o666 & ~_UMASK, 0o777 & ~_UMASK
-"""Of new files and folders, as the person's umask was at start: what is made under a temporary name is private."""
+"""Modes of new files and folders, from the umask at start; temporary files alone would stay private."""
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Call write(temporary) and rename the result onto path, whose mode stays; on any failure path stays as it was.
+    """Call ``write(temporary)`` and rename the result to `path`, which stays as it was on any failure.
 
-    Raises FileError when the folder or the disk refuses, or path is a folder.
+    Parameters
+    ----------
+    path : Path
+        Target file; its folder is created, and an existing file's mode is preserved. A device or pipe is written to
+        directly.
+    write : callable
+        Function that writes the content to the path that it is given.
+
+    Raises
+    ------
+    FileError
+        If the folder or the disk refuses, or `path` is a folder.
     """
     if path.is_dir():
         raise FileError("is a folder, and no file.", where=str(path), remedy=suggest_other_path(path))
@@ -67,8 +77,10 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Before a long time is spent on what is to be written there: make its folder, and a file in it that does not
-    stay. Raises FileError as write_atomically would."""
+    """Check that `path` can be written, before a long computation whose result goes there.
+
+    Creates its folder. Raises FileError as `write_atomically` would.
+    """
     if path.is_dir():
         raise FileError("is a folder, and no file.", where=str(path), remedy=suggest_other_path(path))
     if not path.exists() or path.is_file():
@@ -76,7 +88,7 @@ def check_writable(path: Path) -> None:
 
 
 def _create_temporary(path: Path) -> Path:
-    """An empty file in path's folder, which is made where there is none. Raises FileError."""
+    """Create an empty file in the folder of `path`; raise FileError if that fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
@@ -89,12 +101,12 @@ def _create_temporary(path: Path) -> Path:
 
 
 def suggest_other_path(path: Path) -> str:
-    """What to do where something else is in path's place."""
+    """Return the remedy for a target path that is taken by something else."""
     return f"Give another name, or move {path.name} away."
 
 
 def _write_to_device(path: Path, write: Callable[[Path], None]) -> None:
-    """A device or pipe keeps nothing to harm, and a rename would put a file in its place."""
+    """Write to a device or pipe in place: a rename would replace it by a file."""
     try:
         with tempfile.TemporaryDirectory() as folder:
             temporary = Path(folder) / f"out{path.suffix}"
@@ -108,10 +120,12 @@ def _write_to_device(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
+    """Write bytes to a file, atomically."""
     write_atomically(path, lambda temporary: _write_bytes_plain(temporary, data))
 
 
 def write_text(path: Path, text: str) -> None:
+    """Write text to a file as UTF-8, atomically."""
     write_bytes(path, text.encode("utf-8"))
 
 
@@ -120,7 +134,7 @@ def _write_bytes_plain(path: Path, data: bytes) -> None:
 
 
 def content_hash(*parts: bytes | str) -> str:
-    """Hex digest (128 bits) of the parts; each part's length is hashed too, so that borders count."""
+    """Return a hex digest (128 bits, BLAKE2b) of the parts, including each part's length."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         data = part.encode("utf-8") if isinstance(part, str) else bytes(part)
@@ -134,11 +148,21 @@ LOCK_NAME = ".hnf-lock"
 
 @contextmanager
 def folder_lock(folder: Path, kind: str = "run", name: str = LOCK_NAME) -> Iterator[None]:
-    """Hold folder for this process; the operating system lets go of it if the process dies.
+    """Lock a folder for this process while the context lasts; the operating system unlocks it if the process dies.
 
-    kind: what holds it, for the refusal to name. name: of the file in it that is locked.
+    Parameters
+    ----------
+    folder : Path
+        Folder to lock; created if missing.
+    kind : str
+        Name of the process that locks, for the error message.
+    name : str
+        Name of the lock file in the folder.
 
-    Raises FileError when the folder cannot be made or another run holds it.
+    Raises
+    ------
+    FileError
+        If the folder cannot be created, or another process has locked it.
     """
     if folder.is_file():
         raise FileError(
@@ -162,7 +186,7 @@ def folder_lock(folder: Path, kind: str = "run", name: str = LOCK_NAME) -> Itera
                 where=str(folder),
                 remedy="Wait for it, or give another --out.",
             )
-        yield  # the file stays: removing it would let a third run lock a new one beside a waiting second
+        yield  # The file stays: removing it would let a third run lock a new file while a second waits for this one.
 
 
 def _try_lock(stream: IO[str]) -> bool:
@@ -190,22 +214,23 @@ NPZ_ERRORS: tuple[type[Exception], ...] = (
     MemoryError,
     NotImplementedError,
     RuntimeError,
-    SyntaxError,  # of an array's header, which is a literal of Python; or, where that is not even words,
-    tokenize.TokenError,
+    SyntaxError,  # an array's header is a Python literal
+    tokenize.TokenError,  # raised if that header cannot even be split into tokens
     struct.error,
     zlib.error,
     zipfile.BadZipFile,
 )
+"""Exceptions that reading a damaged .npz can raise; which one depends on the byte that was hit."""
 
 
 def read_npz(data: bytes) -> dict[str, NDArray[Any]]:
-    """All arrays of an archive by name, without pickle. Raises one of DAMAGED.
+    """Read all arrays of an .npz archive by name, without pickle.
 
-    Its last record counts the entries: a damaged length in the list of them swallows the next one, and zipfile does
-    not miss it.
+    Raises one of `NPZ_ERRORS` if it is damaged. The end record's number of entries is compared, because zipfile does
+    not notice an entry that a damaged length in the central directory swallows.
     """
     with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        found = {name: arrays[name] for name in arrays.files}
-    if len(found) != int.from_bytes(data[-12:-10], "little"):
-        raise zipfile.BadZipFile(f"it lists {len(found)} arrays of {int.from_bytes(data[-12:-10], 'little')}")
-    return found
+        content = {name: arrays[name] for name in arrays.files}
+    if len(content) != int.from_bytes(data[-12:-10], "little"):
+        raise zipfile.BadZipFile(f"it lists {len(content)} arrays of {int.from_bytes(data[-12:-10], 'little')}")
+    return content

@@ -1,4 +1,4 @@
-"""One line on a terminal that says what is being done, how far it is, and how long it will take."""
+"""Progress of a long run, and the terminal line that shows the current stage, the fraction done and the time left."""
 
 from __future__ import annotations
 
@@ -10,7 +10,17 @@ from typing import TextIO
 
 @dataclass(frozen=True)
 class Progress:
-    """stage: what is being done now. done of total: steps finished. share: of the step being done, 0 … 1."""
+    """State of a run.
+
+    Attributes
+    ----------
+    stage : str
+        Name of the current stage.
+    done, total : int
+        Finished steps, and all steps.
+    share : float
+        Finished fraction of the current step, 0 to 1.
+    """
 
     stage: str
     done: int
@@ -19,7 +29,7 @@ class Progress:
 
 
 class ProgressBar:
-    """Draws Progress on a terminal, and nothing where the stream is none."""
+    """A progress bar on a terminal; shows nothing if the stream is no terminal."""
 
     WIDTH = 24
 
@@ -31,11 +41,11 @@ class ProgressBar:
     def show(self, progress: Progress) -> None:
         if not self._active:
             return
-        share = (progress.done + progress.share) / max(1, progress.total)
-        filled = round(self.WIDTH * share)
+        fraction = (progress.done + progress.share) / max(1, progress.total)
+        filled = round(self.WIDTH * fraction)
         elapsed = time.monotonic() - self._start
-        left = f", {elapsed / share - elapsed:.0f} s left" if 0 < share < 1 else ""
-        line = f"[{'█' * filled}{'·' * (self.WIDTH - filled)}] {progress.done}/{progress.total} {progress.stage}{left}"
+        eta = f", {elapsed / fraction - elapsed:.0f} s left" if 0 < fraction < 1 else ""
+        line = f"[{'█' * filled}{'·' * (self.WIDTH - filled)}] {progress.done}/{progress.total} {progress.stage}{eta}"
         self._stream.write(f"\r\x1b[K{line[:110]}")
         self._stream.flush()
 

@@ -1,7 +1,4 @@
-"""Arrays by name ↔ the bytes of a safetensors file: data alone, nothing that runs when it is read.
-
-Weights from a file, checked on the way in: its size, its format, and that every number can be used.
-"""
+"""Reading and writing of safetensors files, with checks of weights: file size, format, shapes, finite numbers."""
 
 from __future__ import annotations
 
@@ -19,17 +16,17 @@ from .files import content_hash
 
 
 def dump_tensors(tensors: Mapping[str, NDArray[Any]], metadata: Mapping[str, str] | None = None) -> bytes:
-    """A whole file. Equal content gives equal bytes."""
+    """Serialise arrays and metadata as a complete safetensors file; equal content gives equal bytes."""
     from safetensors.numpy import save
 
-    # The library's header is no JSON where it is given empty metadata beside no tensors.
+    # With empty metadata and no tensors, the library writes a header that is no JSON.
     return _sort_header(save(dict(tensors), metadata=dict(metadata) if metadata else None))
 
 
 def load_tensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Arrays (not to be written into) and metadata of a whole file.
+    """Return the arrays (read-only) and the metadata of a safetensors file's bytes.
 
-    Raises ValueError where it is damaged, something else, or holds numbers that numpy does not know.
+    Raises ValueError if the bytes are damaged, of another format, or of a number type that numpy does not have.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load
@@ -43,14 +40,17 @@ def load_tensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
 
 
 def pack_header(header: Mapping[str, Any], separators: tuple[str, str] = (", ", ": ")) -> bytes:
-    """What a file begins with: the length of its header, and the header as JSON, sorted. Its arrays follow."""
+    """Return the start of a safetensors file: the header's length, and the header as sorted JSON."""
     text = json.dumps(header, sort_keys=True, separators=separators).encode("utf-8")
     text += b" " * (-len(text) % 8)
     return len(text).to_bytes(8, "little") + text
 
 
 def split_header(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """A file's header and its arrays' bytes. Raises ValueError where it ends early or the header is no JSON object."""
+    """Return a file's header and the bytes of its arrays.
+
+    Raises ValueError if the file is cut short or its header is no JSON object.
+    """
     size = int.from_bytes(data[:8], "little")
     if len(data) < 8 or size > len(data) - 8:
         raise ValueError("it ends early")
@@ -61,7 +61,7 @@ def split_header(data: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def _sort_header(data: bytes) -> bytes:
-    # The library writes metadata in random order.
+    # The library writes metadata in random order; sorted, equal content gives equal bytes.
     header, body = split_header(data)
     return pack_header(header, (",", ":")) + body
 
@@ -69,13 +69,24 @@ def _sort_header(data: bytes) -> bytes:
 T = TypeVar("T")
 
 MAX_FILE_BYTES = 1 << 30
-"""Bytes of a file: ten times the largest network that is read here, a ResNet-50."""
+"""Largest accepted file, ten times the largest network read here, a ResNet-50 [bytes]."""
 
 
 @dataclass(frozen=True)
 class WeightsKind:
-    """One sort of weights. name: as in "cannot read the encoder". format: what metadata["format"] must say. foreign:
-    what is said of a file of another format. again: how a good file is come by."""
+    """One kind of weights file.
+
+    Attributes
+    ----------
+    name : str
+        Its name in "cannot read …".
+    format : str
+        Required value of ``metadata["format"]``.
+    wrong_format : str
+        Message for a file of another format.
+    remedy : str
+        How to get a good file.
+    """
 
     name: str
     format: str
@@ -85,8 +96,21 @@ class WeightsKind:
 
 @dataclass(frozen=True)
 class WeightsFile:
-    """where: it lies, for messages. tensors: as they are stored, unchecked. metadata: all text. content_id: of the
-    file's bytes."""
+    """Content of a weights file, not yet checked.
+
+    Attributes
+    ----------
+    where : str
+        Path for messages.
+    kind : WeightsKind
+        Kind of weights that was read.
+    tensors : mapping of str to ndarray
+        Arrays as stored.
+    metadata : mapping of str to str
+        Metadata as stored.
+    content_id : str
+        Hash of the file's bytes.
+    """
 
     where: str
     kind: WeightsKind
@@ -95,12 +119,11 @@ class WeightsFile:
     content_id: str
 
     def make_error(self, what: str) -> WeightsError:
-        """To raise where the file cannot be used."""
+        """Return the error to raise if the file cannot be used."""
         return WeightsError(what, where=self.where, remedy=self.kind.remedy)
 
     def parse_metadata(self, parse: Callable[[Mapping[str, str]], T]) -> T:
-        """What read makes of the metadata. Raises WeightsError where it raises for what is not as it should
-        be: KeyError, TypeError, ValueError, or a number or a nesting beyond all measure."""
+        """Return ``parse(metadata)``; raise WeightsError if it fails on a missing, wrong or oversized value."""
         try:
             return parse(self.metadata)
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -109,44 +132,83 @@ class WeightsFile:
     def check_parameters(
         self, shapes: Mapping[str, tuple[int, ...]], dtype: type[np.floating[Any]] = np.floating
     ) -> dict[str, NDArray[np.float32]]:
-        """All tensors, in float32. Raises WeightsError unless names and shapes are exactly these, and all numbers of
-        type stored and finite in float32."""
-        found = {name: tuple(value.shape) for name, value in self.tensors.items()}
-        wrong = sorted(set(found.items()) ^ set(shapes.items()))
+        """Return all tensors as float32, after comparing them with an architecture.
+
+        Parameters
+        ----------
+        shapes : mapping of str to tuple of int
+            Names and shapes that the architecture has.
+        dtype : type
+            Number type that every stored tensor must be of.
+
+        Returns
+        -------
+        dict of str to ndarray of float32
+            The parameters by name.
+
+        Raises
+        ------
+        WeightsError
+            If names or shapes differ, a tensor is of another type, or a number is not finite in float32.
+        """
+        stored = {name: tuple(value.shape) for name, value in self.tensors.items()}
+        wrong = sorted(set(stored.items()) ^ set(shapes.items()))
         if wrong:
             raise self.make_error(f"parameters do not fit the architecture: {wrong[:3]}.")
-        out = {}
+        parameters = {}
         for name, value in self.tensors.items():
             if not np.issubdtype(value.dtype, dtype):
                 raise self.make_error(f"{name} is {value.dtype}, not {dtype.__name__}.")
             with np.errstate(over="ignore"):
-                out[name] = value.astype(np.float32)
-            if not np.isfinite(out[name]).all():
+                parameters[name] = value.astype(np.float32)
+            if not np.isfinite(parameters[name]).all():
                 raise self.make_error(f"{name} is not all finite.")
-        return out
+        return parameters
 
 
 def read_weights(path: Path, kind: WeightsKind) -> WeightsFile:
-    """Raises FileError where there is no file, WeightsError where it is damaged, too large, or of another format."""
+    """Read a file of weights, and check its size and format.
+
+    Raises FileError if there is no file, WeightsError if it is damaged, too large, or of another format.
+    """
     return parse_weights(read_weights_bytes(path, kind.name, "Check the path."), kind, str(path))
 
 
 def parse_weights(data: bytes, kind: WeightsKind, where: str) -> WeightsFile:
-    """The same of a file's bytes. Raises WeightsError where they are damaged or of another format."""
+    """Parse the bytes of a weights file, and check its format.
+
+    Raises WeightsError if they are damaged or of another format.
+    """
     try:
         tensors, metadata = load_tensors(data)
     except ValueError as error:
         raise WeightsError(f"{error}.", where=where, remedy="Get the file again.") from error
     file = WeightsFile(where, kind, tensors, metadata, content_hash(data))
     if metadata.get("format") != kind.format:
-        found = metadata.get("format", "no format")
-        raise file.make_error(f"{kind.wrong_format} ({found}, not {kind.format}).")
+        stated = metadata.get("format", "no format")
+        raise file.make_error(f"{kind.wrong_format} ({stated}, not {kind.format}).")
     return file
 
 
 def read_weights_bytes(path: Path, name: str, remedy: str) -> bytes:
-    """A file of weights whole. name: what it is, for the message. Raises FileError where it cannot be read,
-    WeightsError where it is larger than LARGEST: of that nothing is read."""
+    """Read the bytes of a weights file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        Its name in "cannot read …".
+    remedy : str
+        Remedy in the error message.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    WeightsError
+        If it is larger than `MAX_FILE_BYTES`; nothing is read then.
+    """
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise WeightsError(f"larger than any weights ({MAX_FILE_BYTES >> 20} MiB).", where=str(path), remedy=remedy)

@@ -1,4 +1,4 @@
-"""The product of the pipeline: a vibrotactile acceleration with its origin written on it."""
+"""The output of synthesis: a vibrotactile acceleration in m/s² with its sample rate, seed and provenance."""
 
 from __future__ import annotations
 
@@ -13,10 +13,18 @@ from .errors import UsageError
 
 @dataclass(frozen=True)
 class Signal:
-    """Acceleration a(t) in m/s², never normalised.
+    """A vibrotactile acceleration a(t) in m/s², never normalised.
 
-    samples: (n,) float32. sample_rate: Hz. seed: the carriers' seed.
-    provenance: text facts (stroke, material, probe, model hash, routes) that exports carry along.
+    Attributes
+    ----------
+    samples : ndarray of float32, shape (n,)
+        Acceleration [m/s²].
+    sample_rate : float
+        Sample rate [Hz].
+    seed : int
+        Seed of the carriers.
+    provenance : mapping of str to str
+        Text facts (stroke, material, probe, model hash, routes) that exports write along.
     """
 
     samples: NDArray[np.float32]
@@ -26,18 +34,22 @@ class Signal:
 
     @property
     def duration_s(self) -> float:
+        """Duration [s]."""
         return len(self.samples) / self.sample_rate
 
     @property
     def rms(self) -> float:
-        """Root mean square in m/s²; 0 for an empty signal."""
+        """Root mean square [m/s²]; 0 for an empty signal."""
         if len(self.samples) == 0:
             return 0.0
         return float(np.sqrt(np.mean(np.square(self.samples, dtype=np.float64))))
 
 
 def to_signal(signal: Signal | ArrayLike, rate_hz: float | None = None) -> Signal:
-    """Return a `Signal`; of an array (n,) in m/s² with its rate [Hz]. Raises UsageError for anything else."""
+    """Convert an array (n,) in m/s² with its rate [Hz] to a `Signal`; a `Signal` is returned as it is.
+
+    Raises UsageError for anything else, or if `rate_hz` differs from the signal's rate.
+    """
     if isinstance(signal, Signal):
         if rate_hz is not None and rate_hz != signal.sample_rate:
             raise UsageError(
@@ -51,6 +63,7 @@ def to_signal(signal: Signal | ArrayLike, rate_hz: float | None = None) -> Signa
 
 
 def to_vector(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Convert values to a non-empty float64 array (n,); raise UsageError, naming them `name`, if that fails."""
     try:
         vector = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -61,6 +74,7 @@ def to_vector(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def check_rate(rate_hz: float) -> None:
+    """Raise UsageError if a sample rate [Hz] is not finite or below 100 Hz."""
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise UsageError(f"{rate_hz} Hz is no sample rate.", remedy="Give it in Hz, for example 10000.")
     if rate_hz < 100.0:

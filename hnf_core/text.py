@@ -1,7 +1,4 @@
-"""What a person probably meant: names that are near to a word.
-
-How many of a thing, for people.
-"""
+"""Text for messages: close matches of a mistyped name, lists of choices, plurals."""
 
 from __future__ import annotations
 
@@ -9,22 +6,22 @@ import re
 from collections.abc import Iterable
 
 MIN_SIMILARITY = 0.7
-"""Share of equal letters, in order, below which two words have nothing to do with each other."""
+"""Least fraction of equal letters, in order, between a word and a suggested name."""
 PREFIX_SIMILARITY = 0.9
-"""What a name is worth that begins with the word, or holds it as a word of its own: less than a slip of one letter."""
+"""Similarity of a name that begins with the word or contains it as a separate word; below that of a one-letter slip."""
 MIN_PREFIX_LETTERS = 3
-"""A shorter word begins too many names."""
+"""Shortest word that counts as a prefix."""
 
 
 def close_matches(word: str, names: Iterable[str], limit: int = 3) -> list[str]:
-    """At most so many of the names, the nearest first; case does not count. Empty where none is near."""
-    ranked = sorted(((-_similarity(word.lower(), name.lower()), name) for name in names), key=lambda each: each[0])
-    return [name for nearness, name in ranked[:limit] if -nearness >= MIN_SIMILARITY]
+    """Return at most `limit` of the names that resemble a word, the closest first; case does not count."""
+    ranked = sorted(((-_similarity(word.lower(), name.lower()), name) for name in names), key=lambda scored: scored[0])
+    return [name for negative_score, name in ranked[:limit] if -negative_score >= MIN_SIMILARITY]
 
 
 def _similarity(word: str, name: str) -> float:
-    """0–1."""
-    from difflib import SequenceMatcher  # here: who makes no mistake needs no guesses
+    """Return the similarity of a word and a name, 0 to 1."""
+    from difflib import SequenceMatcher  # imported here because only a mistyped name needs it
 
     parts = re.split(r"[^a-z0-9]+", name)
     if len(word) >= MIN_PREFIX_LETTERS and (word in parts or name.startswith(word)):
@@ -33,12 +30,12 @@ def _similarity(word: str, name: str) -> float:
 
 
 def format_choices(names: Iterable[str], limit: int = 12) -> str:
-    """'a', 'b', 'c' …: so many of them, and how many more there are; "" for none."""
-    known = list(names)
-    more = f" and {len(known) - limit} more" if len(known) > limit else ""
-    return ", ".join(f"'{name}'" for name in known[:limit]) + more
+    """Format at most `limit` names as "'a', 'b' and 3 more"; "" for none."""
+    choices = list(names)
+    more = f" and {len(choices) - limit} more" if len(choices) > limit else ""
+    return ", ".join(f"'{name}'" for name in choices[:limit]) + more
 
 
 def pluralize(count: int, singular: str) -> str:
-    """one: the thing in the singular, whose plural ends in s: 1 block, 2 blocks."""
+    """Format a count with its noun, whose plural ends in s: "1 block", "2 blocks"."""
     return f"{count} {singular}" if count == 1 else f"{count} {singular}s"

@@ -1,6 +1,6 @@
-"""What a run of `hnf touch` is asked for: scene, strokes, material choices, and queries of single places.
+"""Request of one run of `hnf touch`: scene, strokes, material choices and touch queries.
 
-The command line makes a `TouchRequest` of its words; the add-on runs it.
+The command line builds a `TouchRequest` from its arguments; the add-on runs it.
 """
 
 from __future__ import annotations
@@ -17,21 +17,31 @@ QUERY_FORMAT = "OBJECT:u,v"
 
 @dataclass(frozen=True)
 class TouchQuery:
-    """target: name of an object, and after a colon of a material slot where only that is meant. at: its UV (2 numbers),
-    or a point in its own coordinates, Blender units (3)."""
+    """A point of an object at which the touch is queried.
+
+    Attributes
+    ----------
+    target : str
+        Name of an object, optionally with ":SLOT" for one material slot.
+    at : tuple of float
+        UV (2 numbers), or a point in the object's own coordinates in Blender units (3 numbers).
+    """
 
     target: str
     at: tuple[float, ...]
 
     @property
     def name(self) -> str:
-        """As it is asked for; the numbers are told again exactly."""
+        """The query as text, with the numbers in full precision."""
         return f"{self.target}:{','.join(f'{value:.9g}' for value in self.at)}"
 
 
 def parse_touch_query(text: str) -> TouchQuery:
-    """ "Cup:0.5,0.25" → a place. Object names may hold colons: the last one counts. Raises ArgumentTypeError."""
-    from argparse import ArgumentTypeError  # here: switching the add-on on knows places, and no command line
+    """Parse "Cup:0.5,0.25"; the last colon counts, since object names may contain colons.
+
+    Raises ArgumentTypeError for anything else.
+    """
+    from argparse import ArgumentTypeError  # imported here because the add-on uses queries without a command line
 
     target, colon, numbers = text.rpartition(":")
     try:
@@ -48,7 +58,7 @@ def parse_touch_query(text: str) -> TouchQuery:
 
 @dataclass(frozen=True)
 class StrokeRequest:
-    """A primitive to be placed: --stroke WORDS --on OBJECT[:SLOT]."""
+    """A primitive to place on a target: ``--stroke WORDS --on OBJECT[:SLOT]``."""
 
     primitive: Primitive
     target: str
@@ -56,7 +66,7 @@ class StrokeRequest:
 
 @dataclass(frozen=True)
 class MaterialChoice:
-    """The artist's own choice: --material OBJECT[:SLOT]=NAME."""
+    """A library material chosen for a target: ``--material OBJECT[:SLOT]=NAME``."""
 
     target: str
     material: str
@@ -64,13 +74,30 @@ class MaterialChoice:
 
 @dataclass(frozen=True)
 class TouchRequest:
-    """What a run of `touch` was asked for.
+    """Arguments of one run of `touch`.
 
-    scene: file to open, or None for the file already open in Blender. out: folder of the results; None where only a
-    plan is asked for and no earlier results are to be read. metres_per_unit: None = the scene's own.
-    seed: None = each stroke's own. plan_only: print the plan and stop. probes: places to look at; with them, the
-    scene's own strokes are left alone unless placements ask for strokes too. encoder: name or file of the E that
-    describes tactile maps, "" = the default of each route.
+    Attributes
+    ----------
+    scene : Path or None
+        File to open; None for the file already open in Blender.
+    out : Path or None
+        Folder of the results; None if only a plan is wanted and no earlier results are read.
+    strokes : tuple of StrokeRequest
+        Strokes to place.
+    choices : tuple of MaterialChoice
+        Materials to use.
+    metres_per_unit : float or None
+        Length of a scene unit [m]; None for the scene's own.
+    seed : int or None
+        Seed of all strokes; None for each stroke's own.
+    plan_only : bool
+        Print the plan and stop.
+    as_json : bool
+        Print JSON.
+    queries : tuple of TouchQuery
+        Points to query; with them, strokes of the scene are skipped unless `strokes` are given too.
+    encoder : str
+        Name or file of the encoder E that describes tactile maps; "" for the default of each route.
     """
 
     scene: Path | None
@@ -86,12 +113,12 @@ class TouchRequest:
 
     @property
     def folder(self) -> Path:
-        """Where the results go. Raises UsageError where none is named."""
+        """Folder of the results; raises UsageError if none is given."""
         if self.out is None:
             raise UsageError("--out is missing.", remedy="Say where the results go: --out DIR. (--plan needs none.)")
         return self.out
 
     @property
     def has_only_queries(self) -> bool:
-        """Look at places, and do nothing else."""
+        """True if there are queries and no strokes."""
         return bool(self.queries) and not self.strokes

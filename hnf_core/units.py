@@ -1,7 +1,4 @@
-"""Every unit conversion of the project. Inside: m, s, N, m/s², Hz, rad. mm/s and g live at the edges.
-
-Linear values as a screen shows them.
-"""
+"""All unit conversions of the project, which works in m, s, N, m/s², Hz and rad, and the sRGB transfer function."""
 
 from __future__ import annotations
 
@@ -13,11 +10,11 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 STANDARD_GRAVITY = 9.80665
-"""m/s² in one g."""
+"""Standard gravity [m/s²]."""
 
 
 def srgb_to_linear(code: ArrayLike) -> NDArray[np.float64]:
-    """IEC 61966-2-1, of values from 0 to 1."""
+    """Convert sRGB values (0 to 1) to linear ones (IEC 61966-2-1)."""
     code = np.asarray(code, dtype=np.float64)
     return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
 
@@ -31,13 +28,13 @@ def m_to_mm(value: float) -> float:
 
 
 def power_to_db(power: ArrayLike) -> NDArray[np.float64]:
-    """10 log10 of a power ratio; zero power gives -inf without a warning."""
+    """Convert a power ratio to dB, 10 log10; zero power gives -inf without a warning."""
     with np.errstate(divide="ignore"):
         return np.asarray(10.0 * np.log10(np.asarray(power, dtype=np.float64)))
 
 
 def frame_to_seconds(frame: float, start: float, fps: float, fps_base: float) -> float:
-    """Time of a (fractional) frame after the stroke's start frame, as Blender counts it."""
+    """Return the time of a (fractional) Blender frame since the stroke's start frame [s]."""
     return (frame - start) * fps_base / fps
 
 
@@ -46,6 +43,6 @@ def seconds_to_frame(seconds: float, start: float, fps: float, fps_base: float) 
 
 
 def linear_to_srgb(rgb: NDArray[Any]) -> NDArray[np.float64]:
-    """IEC 61966-2-1 transfer of linear values; out of range is clipped, not-a-number is black."""
+    """Convert linear values to sRGB (IEC 61966-2-1); values out of range are clipped, NaN becomes 0."""
     linear = np.clip(np.nan_to_num(np.asarray(rgb, dtype=np.float64), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -17,13 +17,12 @@ sys.path.insert(0, str(ROOT))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from contact_sheet import make_contact_sheet
+from PIL import Image
 
 from hnf_core.datasets.pair_generation import (
     PairSizes,
     write_pairs,
 )
-from hnf_core.export.png import encode_colour_png
-from hnf_core.files import write_bytes
 
 
 def main() -> int:
@@ -43,7 +42,8 @@ def main() -> int:
 
         write_pairs(arguments.out, PairSizes(train=arguments.tiles), arguments.seed, arguments.workers, told)
     sheet = arguments.sheet or arguments.out / "contact-sheet.png"
-    write_bytes(sheet, encode_colour_png(make_contact_sheet(arguments.seed)))
+    sheet.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(make_contact_sheet(arguments.seed)).save(sheet)
     print(sheet)
     return 0
 

@@ -1,1 +1,4 @@
-"""Blender on one side, numpy and hnf_core on the other."""
+"""Everything that reads or writes Blender data: bpy objects on one side, numpy arrays and hnf_core types on the other.
+
+Read `scene/meshes.py` first (objects to triangle meshes), then `stroke/read_stroke.py` (stroke objects to samples).
+"""

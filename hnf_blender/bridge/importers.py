@@ -1,6 +1,7 @@
-"""Scene files → the open Blender scene, or one clear line why not.
+"""Open scene files of every supported format in Blender, or raise one clear error.
 
-A nerfstudio export → a scene: the geometry beside transforms.json, and a camera for every picture.
+A .blend is opened as it is. Meshes, Gaussian splats and nerfstudio exports (geometry next to a transforms.json, which
+also gives a camera per image) are imported into an empty scene.
 """
 
 from __future__ import annotations
@@ -26,25 +27,42 @@ from .scene.suppress_output import suppress_output
 EXPORT_MESHES = ("mesh.obj", "poisson_mesh.ply", "tsdf_mesh.ply", "sdf_marching_cubes_mesh.ply")
 EXPORT_SPLATS = "splat.ply"
 EXPORT_POINTS = "point_cloud.ply"
-"""What ns-export calls its files."""
+"""File names that ns-export writes."""
 CAMERA_COLLECTION = "Cameras"
 SENSOR_MM = 36.0
+"""Sensor width of the cameras [mm]."""
 CLIP_RANGE = (1e-3, 1e4)
+"""Near and far clipping distance of the cameras [Blender units]."""
 CAMERA_SYMBOL_FRACTION = 0.05
-"""Size of a camera's symbol in the viewport, of the distance between the two cameras farthest apart along an axis."""
+"""Size of a camera's symbol in the viewport, as a fraction of the cameras' largest extent along an axis."""
 
 
 def open_nerfstudio_export(path: Path, open_geometry: Callable[[Path], Any]) -> Any:
-    """The scene of an export: its geometry, opened by open_geometry, in the export's own frame (z up), and its cameras.
+    """Open the geometry of a nerfstudio export in the export's frame (z up), and add its cameras.
 
-    Raises FileError where transforms.json cannot be used or no geometry stands beside it, and what open_geometry
-    raises. Nothing that is open is given up before both files are read.
+    Both files are checked before the current scene is replaced.
+
+    Parameters
+    ----------
+    path : Path
+        The export's transforms.json.
+    open_geometry : callable
+        Opens a geometry file and returns its scene; its errors are passed on.
+
+    Returns
+    -------
+    bpy.types.Scene
+
+    Raises
+    ------
+    FileError
+        If transforms.json cannot be used or there is no geometry next to it.
     """
     frames = read_model_transforms(path)
     geometry = find_geometry(path)
     scene = open_geometry(geometry)
     for obj in scene.objects:
-        if obj.parent is None:  # importers turn what does not say which way is up
+        if obj.parent is None:  # undo the rotation that importers apply to files without an up axis
             obj.rotation_mode = "QUATERNION"
             obj.rotation_quaternion = (1.0, 0.0, 0.0, 0.0)
     add_cameras(scene, frames)
@@ -53,24 +71,27 @@ def open_nerfstudio_export(path: Path, open_geometry: Callable[[Path], Any]) -> 
 
 
 def find_geometry(path: Path) -> Path:
-    """What to touch of the export around transforms.json: a mesh with colours, else splats, else a bare mesh, else the
-    cloud of points, which is refused when it is opened. Raises FileError where there is nothing of these."""
-    there = [path.with_name(name) for name in (*EXPORT_MESHES, EXPORT_SPLATS, EXPORT_POINTS)]
-    there = [file for file in there if file.is_file()]
-    coloured = [file for file in there if file.name in EXPORT_MESHES and has_colours(file)]
-    splats = [file for file in there if file.name == EXPORT_SPLATS]
-    found = [*coloured, *splats, *there]
-    if not found:
+    """Return the geometry file to touch, next to a transforms.json.
+
+    In order of preference: a mesh with colours, splats, a mesh without colours, a point cloud (which is refused when it
+    is opened). Raises FileError if there is none of these.
+    """
+    existing = [path.with_name(name) for name in (*EXPORT_MESHES, EXPORT_SPLATS, EXPORT_POINTS)]
+    existing = [file for file in existing if file.is_file()]
+    coloured = [file for file in existing if file.name in EXPORT_MESHES and has_colours(file)]
+    splats = [file for file in existing if file.name == EXPORT_SPLATS]
+    candidates = [*coloured, *splats, *existing]
+    if not candidates:
         raise FileError(
             f"there is no geometry next to it (looked for {', '.join((*EXPORT_MESHES, EXPORT_SPLATS))}).",
             where=str(path),
             remedy="Export it with ns-export gaussian-splat or ns-export poisson into the same folder.",
         )
-    return found[0]
+    return candidates[0]
 
 
 def has_colours(mesh: Path) -> bool:
-    """Does a mesh file say what colour it is: on its points or, an .obj, by a material with a picture?"""
+    """Return True if a mesh file has vertex colours or, for an .obj, a material with an image."""
     if mesh.suffix == ".ply":
         header = read_ply_header(mesh)
         return header.count("face") > 0 and {"red", "green", "blue"} <= set(header.names("vertex"))
@@ -84,6 +105,7 @@ def has_colours(mesh: Path) -> bool:
 
 
 def _has_texture(mesh: Path, name: str) -> bool:
+    """Return True if the .mtl file `name`, inside the mesh's folder, refers to an image."""
     library = mesh.parent / name
     if not library.resolve().is_relative_to(mesh.parent.resolve()) or not library.is_file():
         return False
@@ -91,32 +113,33 @@ def _has_texture(mesh: Path, name: str) -> bool:
 
 
 def add_cameras(scene: Any, frames: Sequence[NerfstudioFrame]) -> None:
-    """A camera a frame, named after its picture, in a collection of their own; the first is the scene's, with its size.
+    """Add one camera per frame, named after its image, in a collection of their own.
 
-    A scene renders all cameras at one size: the others show their own width, and more or less of their height where
-    their pictures have another shape.
+    The first becomes the scene's camera and sets the render size. A scene renders all cameras at one size: the others
+    show their own width, and more or less of their height if their images have another aspect ratio.
     """
     import bpy
 
     collection = bpy.data.collections.new(CAMERA_COLLECTION)
     scene.collection.children.link(collection)
-    places = np.array([frame.camera.pose[:3, 3] for frame in frames])
-    symbol = CAMERA_SYMBOL_FRACTION * float(np.ptp(places, axis=0).max())
+    positions = np.array([frame.camera.pose[:3, 3] for frame in frames])
+    symbol_size = CAMERA_SYMBOL_FRACTION * float(np.ptp(positions, axis=0).max())
     for frame in frames:
         camera = bpy.data.objects.new(frame.name, _make_camera_data(frame))
         camera.matrix_world = _make_camera_matrix(frame.camera)
-        camera.data.display_size = symbol if symbol > 0.0 else CAMERA_SYMBOL_FRACTION
+        camera.data.display_size = symbol_size if symbol_size > 0.0 else CAMERA_SYMBOL_FRACTION
         collection.objects.link(camera)
         if scene.camera is None:
             scene.camera = camera
     first, render = frames[0].camera, scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = first.width, first.height, 100
-    # Blender takes no aspect below 1.
+    # Blender accepts no pixel aspect below 1.
     ratio = first.intrinsics[0, 0] / first.intrinsics[1, 1]
     render.pixel_aspect_x, render.pixel_aspect_y = max(1.0 / ratio, 1.0), max(ratio, 1.0)
 
 
 def _make_camera_data(frame: NerfstudioFrame) -> Any:
+    """Create Blender camera data with the frame's focal length and principal point."""
     import bpy
 
     camera, data = frame.camera, bpy.data.cameras.new(frame.name)
@@ -124,7 +147,7 @@ def _make_camera_data(frame: NerfstudioFrame) -> Any:
     data.type, data.sensor_fit, data.sensor_width = "PERSP", "HORIZONTAL", SENSOR_MM
     data.lens = focal_x / camera.width * SENSOR_MM
     data.shift_x = (camera.width / 2.0 - camera.intrinsics[0, 2]) / camera.width
-    # Shifts count in widths of the picture; a pixel is focal_x / focal_y as high as it is wide.
+    # Shifts are in image widths; a pixel's height is focal_x / focal_y times its width.
     data.shift_y = (camera.intrinsics[1, 2] - camera.height / 2.0) / camera.width * focal_x / focal_y
     data.clip_start, data.clip_end = CLIP_RANGE
     return data
@@ -138,9 +161,9 @@ def _make_camera_matrix(camera: Camera) -> Any:
 
 SCENE_SUFFIXES = (".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".json")
 SPLAT_SUFFIXES = (".splat", ".ksplat", ".spz", ".sog")
-# A curve may be a stroke, a light or camera is nothing to touch; an empty may stand for a collection of meshes.
+# A curve may be a stroke, and an empty may instance a collection of meshes; lights and cameras cannot be touched.
 TOUCHABLE_TYPES = ("MESH", "SURFACE", "META", "FONT", "CURVE", "CURVES", "EMPTY")
-# ZStandard (3.0 and later) and gzip (before) are how Blender compresses.
+# Blender compresses files with ZStandard (3.0 and later) or gzip (before).
 BLEND_MAGIC = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
 USD_MAGIC = (b"#usda", b"PXR-USDC", b"PK\x03\x04")
 
@@ -152,14 +175,32 @@ def open_scene(
     *,
     write_cache: bool = True,
 ) -> Any:
-    """Open a scene file and return its bpy Scene, which is then Blender's active one.
+    """Open a scene file and return its scene, which becomes Blender's active one.
 
-    A .blend is opened as it is (its user interface and its Python scripts are left alone); every other format is
-    imported into an empty scene, never into the start-up one. cache: folder where the surfaces of reconstructions are
-    kept, None = they are made every time; keep: False = those that are there are read, and none is written; progress:
-    told what is done of one, and which share of it. Raises FileError where the file is missing, damaged, of an
-    unsupported kind or refers to a missing part, and SceneError where it holds nothing to touch. What was open before
-    stays open when the file is refused by its head, and when no surface can be made of its splats.
+    A .blend is opened without its user interface and its Python scripts; every other format is imported into an empty
+    scene. The current scene is kept if the file's header is refused, or if no surface can be made of its splats.
+
+    Parameters
+    ----------
+    path : Path
+        Scene file.
+    cache : Path, optional
+        Folder of cached reconstructions; None reconstructs splats every time.
+    progress : callable, optional
+        Called with a message and the completed fraction of a reconstruction.
+    write_cache : bool, default True
+        If False, the cache is only read.
+
+    Returns
+    -------
+    bpy.types.Scene
+
+    Raises
+    ------
+    FileError
+        If the file is missing, damaged, of an unsupported format, or refers to a missing file.
+    SceneError
+        If there is nothing to touch in it.
     """
     import bpy
 
@@ -196,27 +237,30 @@ def open_scene(
 def _open_splats(
     path: Path, cache: Path | None, progress: Callable[[str, float], None] | None, write_cache: bool
 ) -> Any:
+    """Import a splat file: its reconstructed surface and its splats."""
     import bpy
 
     from .splats.reconstruction import add_reconstruction, read_reconstruction
 
-    made = read_reconstruction(path, cache, write_cache=write_cache, progress=progress)
+    reconstruction = read_reconstruction(path, cache, write_cache=write_cache, progress=progress)
     open_empty_scene()
     scene = bpy.context.scene
-    add_reconstruction(scene, made)
+    add_reconstruction(scene, reconstruction)
     return scene
 
 
 def open_empty_scene() -> None:
-    """Replace what is open by a scene without any object; preferences and add-ons stay as they are."""
+    """Replace the current file with a scene without objects; preferences and add-ons stay as they are."""
     import bpy
 
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True, load_ui=False)
 
 
 def check_scene_file(path: Path) -> None:
-    """Refuse by name, size and first bytes whatever Blender would not open, before anything open is given up. Needs no
-    Blender. Raises FileError and SceneError as open_scene does."""
+    """Refuse a file that Blender could not open, by its name, size and first bytes.
+
+    This needs no Blender and changes nothing. Raises FileError and SceneError like `open_scene`.
+    """
     path = Path(path).absolute()
     where, suffix = str(path), path.suffix.lower()
     if not path.exists():
@@ -257,6 +301,7 @@ def check_scene_file(path: Path) -> None:
 
 
 def _check_ply(path: Path) -> None:
+    """Raise SceneError for a point cloud, and the errors of `check_splat_file` for splats."""
     header = read_ply_header(path)
     if header.is_splat:
         check_splat_file(path)
@@ -270,7 +315,7 @@ def _check_ply(path: Path) -> None:
 
 
 def _check_gltf(path: Path) -> None:
-    """A .gltf is JSON that names its buffers; name the missing one instead of a traceback."""
+    """Raise FileError naming the first missing buffer of a .gltf, which Blender would report as a traceback."""
     try:
         document = json.loads(path.read_bytes())
         buffers = [str(buffer.get("uri", "")) for buffer in document.get("buffers", [])]
@@ -284,7 +329,7 @@ def _check_gltf(path: Path) -> None:
 
 
 def _find_importer(suffix: str, path: Path) -> Callable[..., Any]:
-    """The operator of this Blender version; a bundled importer that is switched off is switched on for this session."""
+    """Return this Blender version's import operator; a disabled bundled importer is enabled for the session."""
     import bpy
 
     if suffix == ".obj":
@@ -303,6 +348,7 @@ def _find_importer(suffix: str, path: Path) -> Callable[..., Any]:
 
 
 def _enable_addon(module: str, path: Path) -> None:
+    """Enable a bundled importer for this session."""
     import addon_utils
 
     if not addon_utils.check(module)[1] and addon_utils.enable(module, default_set=False) is None:
@@ -314,6 +360,7 @@ def _enable_addon(module: str, path: Path) -> None:
 
 
 def _run_operator(path: Path, operator: Callable[[], Any]) -> None:
+    """Run an import operator silently; raise FileError with its reason if it fails."""
     try:
         with suppress_output():
             result = operator()
@@ -326,21 +373,21 @@ def _run_operator(path: Path, operator: Callable[[], Any]) -> None:
 
 
 def _check_import(scene: Any, path: Path) -> None:
-    """Importers report success with nothing imported."""
+    """Raise SceneError if nothing touchable was imported, since importers report success even then."""
     meshes = [obj for obj in scene.objects if obj.type == "MESH"]
     if any(len(obj.data.polygons) for obj in meshes):
         return
     if any(len(obj.data.vertices) for obj in meshes):
-        what, remedy = "holds points or lines but no faces.", "Convert it to a mesh with faces first."
+        problem, remedy = "holds points or lines but no faces.", "Convert it to a mesh with faces first."
     elif len(scene.objects):
-        what, remedy = "holds no mesh: there is no surface to touch.", "Export the meshes too."
+        problem, remedy = "holds no mesh: there is no surface to touch.", "Export the meshes too."
     else:
-        what, remedy = "nothing could be imported from it.", "The file is empty or damaged; export it again."
-    raise SceneError(what, where=str(path), remedy=remedy)
+        problem, remedy = "nothing could be imported from it.", "The file is empty or damaged; export it again."
+    raise SceneError(problem, where=str(path), remedy=remedy)
 
 
 def _extract_reason(message: str) -> str:
-    """The reason in an operator's error text, which may be a whole Python traceback."""
+    """Return the reason from an operator's error text, which may be a complete Python traceback."""
     lines = [line.strip() for line in message.splitlines() if line.strip() and not line.startswith("Location:")]
     raised = [
         line for line in lines if re.match(r"[\w.]*(Error|Exception|Interrupt)\b", line) and "Error: Python" not in line

@@ -1,10 +1,7 @@
-"""What lies under the mouse in a 3-D view.
+"""Find the surface, object and material under the mouse or pen in a 3-D view.
 
-What a person sees and presses on, and no stroke can touch as it is: instances, texts, curves.
-
-What a pen meets on a surface: where it is in the surface's own frame, which way its axes lie, what is felt there.
-
-Looked up face by face in the evaluated mesh as it is, without a copy: a hand moves a hundred times a second.
+Rays are cast on evaluated meshes as they are, without copying them, because a pen moves a hundred times a second.
+Objects that are visible but cannot be touched (instances, texts, curves) are reported with the remedy.
 """
 
 from __future__ import annotations
@@ -31,16 +28,27 @@ from .splats.splat_cloud import is_cloud
 Float = NDArray[np.float64]
 
 SEE_THROUGH_DISPLAY_TYPES = ("WIRE", "BOUNDS")
-"""Display types that a person sees through, so that a pen draws through them too."""
+"""Display types that can be seen, and therefore drawn, through."""
 MAX_RAY_HITS = 64
+"""Maximum number of hits along one ray."""
 RAY_STEP_FRACTION = 1e-5
-"""By how much of the way so far a ray goes on behind something it passes through."""
+"""Offset behind a hit at which a ray continues, as a fraction of the distance to it."""
 
 
 @dataclass(frozen=True)
 class Hit:
-    """obj: what the ray met. local: (3,) in its coordinates. world, normal: (3,). face: polygon of its evaluated
-    mesh."""
+    """First surface hit by a viewport ray.
+
+    Attributes
+    ----------
+    obj : bpy.types.Object
+    local : (3,) array
+        Hit point in the object's coordinates.
+    world, normal : (3,) array
+        Hit point [Blender units] and normal in the world frame.
+    face : int
+        Polygon of the evaluated mesh.
+    """
 
     obj: Any
     local: Float
@@ -51,15 +59,36 @@ class Hit:
 
 @dataclass(frozen=True)
 class UntouchableObject:
-    """name: of the object to select. is_instance: it shows other objects or geometry; else it is no mesh yet."""
+    """A visible object that cannot be touched as it is.
+
+    `name` is the object to select. `is_instance` is true if it shows other objects or geometry; otherwise it is not a
+    mesh.
+    """
 
     name: str
     is_instance: bool
 
 
 def cast_on_surface(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
-    """The first mesh that a person sees along a ray of the viewport (SpaceView3D, None: the view layer decides), in
-    Blender units. Instances, and what the viewport hides or shows as wires, are passed through."""
+    """Return the first visible mesh along a ray of the viewport, or None.
+
+    Instances, and objects that the viewport hides or draws as wires, are passed through.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene that contains the objects.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    viewport : bpy.types.SpaceView3D or None
+        Viewport whose local visibility applies; None uses the view layer's.
+    origin, direction : (3,) vector
+        Ray in world coordinates [Blender units].
+
+    Returns
+    -------
+    Hit or None
+    """
     from mathutils import Vector
 
     if any(is_cloud(obj) for obj in scene.objects):
@@ -71,21 +100,26 @@ def cast_on_surface(scene: Any, depsgraph: Any, viewport: Any, origin: Any, dire
 
 
 def iter_ray_hits(scene: Any, depsgraph: Any, origin: Any, direction: Any) -> Iterator[tuple[Any, Any, int, Any, Any]]:
-    """(place, normal, face, object, its matrix there) of what Blender's own ray meets, the nearest first, LAYERS of
-    them at most; instances and whatever else it stops at."""
+    """Yield (point, normal, face, object, its world matrix) of everything along a ray, the nearest first.
+
+    Instances are included. At most MAX_RAY_HITS hits are returned.
+    """
     from mathutils import Vector
 
     start, direction = Vector(origin), Vector(direction)
     for _ in range(MAX_RAY_HITS):
-        found, world, normal, face, met, matrix = scene.ray_cast(depsgraph, start, direction)
-        if not found:
+        is_hit, world, normal, face, obj, matrix = scene.ray_cast(depsgraph, start, direction)
+        if not is_hit:
             return
-        yield world, normal, face, met.original, matrix
+        yield world, normal, face, obj.original, matrix
         start = world + direction * max((world - Vector(origin)).length * RAY_STEP_FRACTION, 1e-7)
 
 
 def _cast_per_object(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
-    """The same, object by object: Blender's own ray would walk over a hundred thousand ellipsoids first."""
+    """Cast the ray of `cast_on_surface` object by object.
+
+    Used in scenes with splat clouds: Blender's scene ray would visit a hundred thousand ellipsoids first.
+    """
     nearest: Hit | None = None
     for obj in scene.objects:
         if obj.type != "MESH" or is_cloud(obj) or not obj.visible_get(view_layer=depsgraph.view_layer):
@@ -94,51 +128,55 @@ def _cast_per_object(scene: Any, depsgraph: Any, viewport: Any, origin: Any, dir
         matrix = evaluated.matrix_world
         if len(evaluated.data.polygons) == 0 or not _is_surface(obj, matrix, scene, depsgraph, viewport):
             continue
-        back = matrix.inverted_safe()
-        found, local, normal, face = evaluated.ray_cast(back @ origin, back.to_3x3() @ direction)
+        to_local = matrix.inverted_safe()
+        found, local, normal, face = evaluated.ray_cast(to_local @ origin, to_local.to_3x3() @ direction)
         world = matrix @ local
         if found and (nearest is None or (world - origin).length < np.linalg.norm(nearest.world - np.array(origin))):
-            up = back.to_3x3().transposed() @ normal
-            nearest = Hit(obj, np.array(local), np.array(world), np.array(up.normalized()), int(face))
+            world_normal = to_local.to_3x3().transposed() @ normal
+            nearest = Hit(obj, np.array(local), np.array(world), np.array(world_normal.normalized()), int(face))
     return nearest
 
 
 def _is_surface(obj: Any, matrix: Any, scene: Any, depsgraph: Any, viewport: Any) -> bool:
+    """Return True if a hit object is a visible, solid mesh of the scene itself, not an instance of one."""
     if obj.type != "MESH" or obj.display_type in SEE_THROUGH_DISPLAY_TYPES or scene.objects.get(obj.name) != obj:
         return False
     if not obj.visible_get(view_layer=depsgraph.view_layer, viewport=viewport):
         return False
-    own = np.array(obj.evaluated_get(depsgraph).matrix_world)
-    return bool(np.allclose(own, np.array(matrix), rtol=1e-5, atol=1e-6))
+    object_matrix = np.array(obj.evaluated_get(depsgraph).matrix_world)
+    return bool(np.allclose(object_matrix, np.array(matrix), rtol=1e-5, atol=1e-6))
 
 
 def find_untouchable(scene: Any, depsgraph: Any, origin: Any, direction: Any) -> UntouchableObject | None:
-    """The first such thing along a ray (Blender units); None where there is none, or where splats make a ray dear."""
+    """Return the first object along a ray that is visible but cannot be touched, or None.
+
+    Also None in scenes with splat clouds, where a ray is too slow.
+    """
     if any(is_cloud(obj) for obj in scene.objects):
         return None
     for _, _, _, obj, matrix in iter_ray_hits(scene, depsgraph, origin, direction):
         if obj.display_type in SEE_THROUGH_DISPLAY_TYPES:
             continue
-        shown_by = _find_instancer(obj, matrix, depsgraph)
-        if shown_by is not None and (shown_by != obj or obj.type == "MESH"):
-            return UntouchableObject(str(shown_by.name), is_instance=True)
-        if obj.type != "MESH":  # Blender calls the mesh of a text an instance that the text itself shows
+        instancer = _find_instancer(obj, matrix, depsgraph)
+        if instancer is not None and (instancer != obj or obj.type == "MESH"):
+            return UntouchableObject(str(instancer.name), is_instance=True)
+        if obj.type != "MESH":  # Blender treats a text's mesh as an instance shown by the text itself
             return UntouchableObject(str(obj.name), is_instance=False)
     return None
 
 
 def _find_instancer(obj: Any, matrix: Any, depsgraph: Any) -> Any:
-    """What makes the instance of obj that stands there; None: obj itself does."""
-    for each in depsgraph.object_instances:
-        if not each.is_instance or each.object.original != obj:
+    """Return the object that creates the instance of `obj` at `matrix`, or None if it is `obj` itself."""
+    for instance in depsgraph.object_instances:
+        if not instance.is_instance or instance.object.original != obj:
             continue
-        if np.allclose(np.array(each.matrix_world), np.array(matrix), rtol=1e-5, atol=1e-6):
-            return each.parent.original
+        if np.allclose(np.array(instance.matrix_world), np.array(matrix), rtol=1e-5, atol=1e-6):
+            return instance.parent.original
     return None
 
 
 def find_view_under_mouse(context: Any, event: Any) -> Any:
-    """The 3-D view under the mouse, with its bars, or None."""
+    """Return the 3-D view area under the mouse, including its headers and sidebars, or None."""
     for area in context.window.screen.areas if context.window is not None else ():
         inside = area.x <= event.mouse_x < area.x + area.width and area.y <= event.mouse_y < area.y + area.height
         if inside and area.type == "VIEW_3D":
@@ -147,8 +185,8 @@ def find_view_under_mouse(context: Any, event: Any) -> Any:
 
 
 def find_region_under_mouse(context: Any, event: Any) -> Any:
-    """The main region of the 3-D view under the pen, or None; not where a sidebar or header lies over it."""
-    found = None
+    """Return the main region of the 3-D view under the mouse; None if a sidebar or header covers it."""
+    main_region = None
     for area in context.window.screen.areas if context.window is not None else ():
         for region in area.regions if area.type == "VIEW_3D" else ():
             inside = (
@@ -156,15 +194,14 @@ def find_region_under_mouse(context: Any, event: Any) -> Any:
                 and region.y <= event.mouse_y < region.y + region.height
             )
             if inside and region.type == "WINDOW":
-                found = region
+                main_region = region
             elif inside and region.width > 1 and region.height > 1:
                 return None
-    return found
+    return main_region
 
 
 def pick_object(context: Any, x: int, y: int) -> tuple[Any, int] | None:
-    """(object, material slot) of the surface that the pen would meet at pixel (x, y) of context's 3-D region, or
-    None."""
+    """Return (object, material slot) of the surface at pixel (x, y) of the context's 3-D region, or None."""
     from bpy_extras import view3d_utils
 
     region, view = context.region, context.region_data
@@ -180,17 +217,17 @@ def pick_object(context: Any, x: int, y: int) -> tuple[Any, int] | None:
 def pick_object_along_ray(
     scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any
 ) -> tuple[Any, int] | None:
-    """(object, material slot) of the first surface that a person sees along a ray (cast_on_surface), or None."""
-    met = cast_on_surface(scene, depsgraph, viewport, origin, direction)
-    if met is None:
+    """Return (object, material slot) of the first surface along a ray, or None; see `cast_on_surface`."""
+    hit = cast_on_surface(scene, depsgraph, viewport, origin, direction)
+    if hit is None:
         return None
-    mesh = met.obj.evaluated_get(depsgraph).data
-    slot = mesh.polygons[met.face].material_index if 0 <= met.face < len(mesh.polygons) else 0
-    return met.obj, min(slot, max(len(met.obj.material_slots) - 1, 0))
+    mesh = hit.obj.evaluated_get(depsgraph).data
+    slot = mesh.polygons[hit.face].material_index if 0 <= hit.face < len(mesh.polygons) else 0
+    return hit.obj, min(slot, max(len(hit.obj.material_slots) - 1, 0))
 
 
 def pick_surface(context: Any, area: Any, region: Any, at: tuple[float, float]) -> Any:
-    """What the pen meets at a place of a region of a 3-D view, in its pixels: a Hit, or None."""
+    """Return the Hit at a point `at` (x, y) [pixels] of a 3-D view's region, or None."""
     from bpy_extras import view3d_utils
 
     return cast_on_surface(
@@ -203,30 +240,43 @@ def pick_surface(context: Any, area: Any, region: Any, at: tuple[float, float]) 
 
 
 def explain_untouchable(context: Any, region: Any, at: tuple[float, float]) -> str:
-    """Why what is seen at a place of a region of a 3-D view, in its pixels, is no surface, and what to do; "" where
-    nothing is seen there."""
+    """Explain why the object at a point `at` (x, y) [pixels] of a region cannot be touched, and the remedy.
+
+    Returns "" if nothing is visible there.
+    """
     from bpy_extras import view3d_utils
 
-    seen = find_untouchable(
+    untouchable = find_untouchable(
         context.scene,
         context.evaluated_depsgraph_get(),
         view3d_utils.region_2d_to_origin_3d(region, region.data, at),
         view3d_utils.region_2d_to_vector_3d(region, region.data, at),
     )
-    if seen is None:
+    if untouchable is None:
         return ""
-    if seen.is_instance:
-        said = tr("'{name}' shows instances: select it, Object > Apply > Make Instances Real, then press again")
+    if untouchable.is_instance:
+        message = tr("'{name}' shows instances: select it, Object > Apply > Make Instances Real, then press again")
     else:
-        said = tr("'{name}' is not a mesh: select it, Object > Convert > Mesh, then press again")
-    return said.format(name=seen.name)
+        message = tr("'{name}' is not a mesh: select it, Object > Convert > Mesh, then press again")
+    return message.format(name=untouchable.name)
 
 
 @dataclass(frozen=True)
 class ContactPoint:
-    """point: (3,) m in the surface frame. axes: (2, 3) unit, ∂p/∂u laid on the face and the normal × it: the frame that
-    stroke directions and tactile maps have there. slot, token: material slot, and palette index of the bake (−1: not
-    baked)."""
+    """Point of contact on a surface.
+
+    Attributes
+    ----------
+    point : (3,) array
+        Position in the surface frame [m].
+    axes : (2, 3) array
+        Unit tangents: ∂p/∂u projected onto the face, and normal × that. Stroke directions and tactile maps use this
+        frame.
+    slot : int
+        Material slot.
+    token : int
+        Palette index of the baked token, −1 if not baked.
+    """
 
     point: Float
     axes: Float
@@ -235,7 +285,7 @@ class ContactPoint:
 
 
 def find_contact_point(hit: Hit, depsgraph: Any, metres_per_unit: float) -> ContactPoint:
-    """The place that a ray met. Raises SceneError where its object is scaled to nothing."""
+    """Return the contact point of a hit. Raises SceneError if its object is scaled to nothing."""
     evaluated = hit.obj.evaluated_get(depsgraph)
     mesh = evaluated.data
     rigid, stretch = compute_surface_frame(evaluated.matrix_world, metres_per_unit, f"object '{hit.obj.name}'")
@@ -243,7 +293,7 @@ def find_contact_point(hit: Hit, depsgraph: Any, metres_per_unit: float) -> Cont
     length = float(np.linalg.norm(normal))
     normal = normal / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
     corners, uv, slot, token = np.zeros((3, 3)), None, 0, -1
-    if hit.face < len(mesh.polygons):  # not so where a graphics card subdivides
+    if hit.face < len(mesh.polygons):  # a mesh subdivided on the GPU has more faces than this one
         face = mesh.polygons[hit.face]
         loops = list(face.loop_indices)[:3]
         corners = np.array([mesh.vertices[mesh.loops[loop].vertex_index].co for loop in loops]) @ stretch.T
@@ -255,23 +305,48 @@ def find_contact_point(hit: Hit, depsgraph: Any, metres_per_unit: float) -> Cont
 
 
 def _read_face_token(mesh: Any, face: int) -> int:
-    kept = mesh.attributes.get(TOKEN_ATTRIBUTE)
-    is_kept = kept is not None and kept.domain == "FACE" and kept.data_type == "INT"
-    return int(kept.data[face].value) if is_kept else -1
+    """Return the palette index baked on a face, −1 if there is none."""
+    attribute = mesh.attributes.get(TOKEN_ATTRIBUTE)
+    is_baked = attribute is not None and attribute.domain == "FACE" and attribute.data_type == "INT"
+    return int(attribute.data[face].value) if is_baked else -1
 
 
 def find_touched_material(obj: Any, depsgraph: Any, slot: int, token: int) -> MaterialFile:
-    """What a slot of obj feels like, complete: what was baked there, unless another material was chosen since; else
-    the artist's choice; else what the slot's shader looks like most.
+    """Return the complete material that a slot of an object is felt with.
 
-    Raises MaterialError for a choice that the library does not know, FileError for a damaged definition.
+    This is the baked material, unless another was chosen since; otherwise the artist's choice; otherwise the library
+    material that the slot's shader resembles most.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Object to read.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    slot : int
+        Material slot.
+    token : int
+        Palette index baked there, −1 if not baked.
+
+    Returns
+    -------
+    MaterialFile
+
+    Raises
+    ------
+    MaterialError
+        If the chosen material is not in the library.
+    FileError
+        If the material's definition is damaged.
     """
     materials = get_materials(obj.evaluated_get(depsgraph), obj.evaluated_get(depsgraph).data)
     shader = materials[slot] if slot < len(materials) else None
-    word = get_artist_choice(shader) if shader is not None else ""
-    if isinstance(word, MaterialFile) and word.field:
-        return word  # what was baked of it is its token alone
-    chosen = with_library_defaults(word) if isinstance(word, MaterialFile) else get_material(word) if word else None
+    choice = get_artist_choice(shader) if shader is not None else ""
+    if isinstance(choice, MaterialFile) and choice.field:
+        return choice  # the bake stores only its token, not its field
+    chosen = (
+        with_library_defaults(choice) if isinstance(choice, MaterialFile) else get_material(choice) if choice else None
+    )
     baked = _get_baked_material(obj, token)
     if baked is not None and (chosen is None or chosen.name == baked.name):
         return baked
@@ -279,10 +354,11 @@ def find_touched_material(obj: Any, depsgraph: Any, slot: int, token: int) -> Ma
 
 
 def _get_baked_material(obj: Any, token: int) -> MaterialFile | None:
-    kept = read_tokens(obj.data) if token >= 0 else None
-    if kept is None or token >= len(kept.palette):
+    """Return the material of a palette index of the bake, or None if it is not baked."""
+    tokens = read_tokens(obj.data) if token >= 0 else None
+    if tokens is None or token >= len(tokens.palette):
         return None
-    palette = kept.palette
+    palette = tokens.palette
     known = np.ones(TOKEN_DIM, dtype=bool)
     return MaterialFile(
         palette.names[token],
@@ -293,9 +369,10 @@ def _get_baked_material(obj: Any, token: int) -> MaterialFile | None:
 
 
 def _guess_material(obj: Any, shader: Any) -> LibraryMaterial:
+    """Return the library material that ranks first for the shader's values, names and textures."""
     from .shader.closures import read_stated_appearance
     from .shader.images import list_texture_names
 
-    looks = Appearance() if shader is None else read_stated_appearance(shader)
+    appearance = Appearance() if shader is None else read_stated_appearance(shader)
     names = ["" if shader is None else shader.name, obj.name, obj.data.name]
-    return get_material(rank(load_library(), looks, names, image_names=list_texture_names(shader))[0].name)
+    return get_material(rank(load_library(), appearance, names, image_names=list_texture_names(shader))[0].name)

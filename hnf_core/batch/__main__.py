@@ -1,5 +1,8 @@
-"""The child process of a job: `python -P -m hnf_core.batch.__main__ WORDS…` is `hnf WORDS…`, but leaves when its parent
-does, and tells its own refusals (exit codes 1 and 2) from what should not have happened."""
+"""The child process of a job: `python -P -m hnf_core.batch WORDS…` runs `hnf WORDS…`.
+
+It exits when its parent does. Its exit code is that of the command (1 and 2 are refusals), or EXIT_BROKEN after an
+exception that nothing caught.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,13 @@ import traceback
 from ..child_process import exit_with_parent, run_main
 
 PROGRAM = "hnf_blender.cli"
-"""The `hnf` command, by its name as a shell would: this package may not know it."""
+"""Module of the `hnf` command, imported by name because this package may not depend on it."""
 EXIT_BROKEN = 70
-"""Exit code where an exception came through (EX_SOFTWARE of sysexits.h)."""
+"""Exit code after an unexpected exception (EX_SOFTWARE of sysexits.h)."""
 
 
 def main(arguments: list[str]) -> int:
-    """The command's exit code, or EXIT_BROKEN. Never raises."""
+    """Run the command and return its exit code, or EXIT_BROKEN. Never raises."""
     exit_with_parent(kill_group=True)
     try:
         return int(importlib.import_module(PROGRAM).main(arguments))

@@ -1,8 +1,7 @@
-"""One attempt at a job, on whatever worker: look, run, publish. JSON text in, JSON text out; it never raises.
+"""One attempt at a job on a worker: check, run the command in a child process, publish its result.
 
-What crosses the wire: JSON text alone, an Order one way and an Outcome the other.
-
-One `hnf` command in a process of its own: begun, watched, ended with all that it started.
+A Request comes in and an Outcome goes out, both as JSON text, the only content of messages between the batch and its
+workers. `run_attempt` is the function that dask calls; it never raises.
 """
 
 from __future__ import annotations
@@ -47,8 +46,11 @@ from .staging import (
 
 
 class State(Enum):
-    """How an attempt ended. FAILED: by the command's own word, which another attempt would only repeat. ACCIDENT: the
-    process died. UNSEEN: this worker lacks a file or has another version. STOPPED: the batch was."""
+    """End of an attempt.
+
+    FAILED: the command refused, which another attempt would only repeat. ACCIDENT: the process died. UNSEEN: this
+    worker lacks a file or has another version. STOPPED: the batch was stopped.
+    """
 
     DONE = "done"
     FAILED = "failed"
@@ -59,8 +61,25 @@ class State(Enum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one attempt ended. why: one line for a person, "" where it is done. earlier: why those before it ended.
-    was_fresh: the result had been there, nothing was run."""
+    """Result of one attempt.
+
+    Attributes
+    ----------
+    name
+        Name of the job.
+    state
+        How the attempt ended.
+    why
+        The reason in one line, "" if it succeeded.
+    seconds
+        Duration of the command.
+    earlier
+        Reasons why the attempts before it ended.
+    worker
+        HOST:PID of the worker.
+    was_fresh
+        True if the result was there already and nothing was run.
+    """
 
     name: str
     state: State
@@ -73,11 +92,26 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Request:
-    """One attempt at a job.
+    """One attempt at a job, as sent to a worker.
 
-    words, out: as in Job. inputs: path → digest when it was planned. base: where the command runs. folder: of the whole
-    batch. version: of the program. run: of this batch, as its folder says it while it may go on. retries: after so many
-    lost attempts no other is made. earlier: why each attempt before ended.
+    Attributes
+    ----------
+    name, words, out
+        As in Job.
+    inputs
+        Path → digest when the batch was planned.
+    base
+        Folder in which the command runs.
+    folder
+        Folder of the whole batch.
+    version
+        Version of the program.
+    run
+        Identity of this run of the batch, as the folder names it while the run may go on.
+    retries
+        Number of accidents after which no further attempt is made.
+    earlier
+        Reasons why the attempts before it ended.
     """
 
     name: str
@@ -93,32 +127,33 @@ class Request:
 
     @property
     def key(self) -> str:
-        """Of all that the result follows from, as far as the command names it."""
+        """Hash of everything that the result depends on, as far as the command names it."""
         parts = (part for pair in sorted(self.inputs.items()) for part in pair)
         return content_hash(self.version, self.out, str(len(self.words)), *self.words, *parts)
 
     @property
     def result_folder(self) -> Path:
-        """The job's own folder, there when it is finished."""
+        """The job's own folder; it exists once the job is finished."""
         return Path(self.folder) / self.name
 
     def should_retry(self, outcome: Outcome) -> bool:
-        """After this end of an attempt another one is made."""
+        """Return True if another attempt follows this outcome."""
         return outcome.state is State.ACCIDENT and len(outcome.earlier) < self.retries
 
 
 def encode_message(message: Request | Outcome) -> str:
+    """Encode a request or an outcome as JSON text."""
     return json.dumps(asdict(message) | ({"state": message.state.value} if isinstance(message, Outcome) else {}))
 
 
 def parse_request(text: str) -> Request:
-    """Raises FileError where the text is no order."""
+    """Decode a request. Raises FileError if the text is none."""
     record = _parse_record(text, Request)
     return Request(**(record | {name: tuple(record[name]) for name in ("words", "earlier")}))
 
 
 def parse_outcome(text: Any) -> Outcome:
-    """Raises FileError where it is no text of an outcome, whatever a worker sent."""
+    """Decode an outcome, whatever a worker sent. Raises FileError if it is none."""
     record = _parse_record(text, Outcome)
     try:
         return Outcome(**(record | {"state": State(record["state"]), "earlier": tuple(record["earlier"])}))
@@ -133,6 +168,7 @@ _KINDS: dict[str, type | tuple[type, ...]] = {
 
 
 def _parse_record(text: Any, kind: type[Request] | type[Outcome]) -> dict[str, Any]:
+    """Decode a JSON object and check that it has exactly the fields of `kind`, in their types."""
     try:
         record = json.loads(text)
     except (TypeError, ValueError, RecursionError) as error:
@@ -141,8 +177,8 @@ def _parse_record(text: Any, kind: type[Request] | type[Outcome]) -> dict[str, A
         raise _make_parse_error(kind.__name__.lower())
     for field in fields(kind):
         value = record[field.name]
-        inner = value if isinstance(value, list) else [*value, *value.values()] if isinstance(value, dict) else ()
-        if not isinstance(value, _KINDS[str(field.type)]) or not all(isinstance(each, str) for each in inner):
+        items = value if isinstance(value, list) else [*value, *value.values()] if isinstance(value, dict) else ()
+        if not isinstance(value, _KINDS[str(field.type)]) or not all(isinstance(item, str) for item in items):
             raise _make_parse_error(kind.__name__.lower())
     return record
 
@@ -160,7 +196,11 @@ POLL_S = 0.2
 
 @dataclass(frozen=True)
 class CommandResult:
-    """code: its exit code, below 0 the signal that killed it, None where it was stopped. stdout, stderr: last lines."""
+    """End of a command.
+
+    code: its exit code, negative for the signal that killed it, None if it was stopped. stdout, stderr: their last
+    lines.
+    """
 
     code: int | None
     seconds: float
@@ -171,10 +211,30 @@ class CommandResult:
 def run_child(
     arguments: Sequence[str], base: Path, lock_descriptor: int, should_continue: Callable[[], bool]
 ) -> CommandResult:
-    """Run `hnf words…` in folder base until it ends or may not go on.
+    """Run `hnf arguments…` in folder `base` until it ends or must not continue.
 
-    held: descriptor that the process holds too, whose lock tells that it lives. When this process dies, its child sees
-    the end of its standard input and leaves. Raises FileError where it cannot be started.
+    The child exits when this process dies, because it sees the end of its standard input.
+
+    Parameters
+    ----------
+    arguments
+        Words of the command.
+    base
+        Working directory.
+    lock_descriptor
+        File descriptor that the child inherits; its lock shows that the child lives.
+    should_continue
+        Called every POLL_S; False stops the command.
+
+    Returns
+    -------
+    CommandResult
+        How it ended, with the last lines of its output.
+
+    Raises
+    ------
+    FileError
+        If the process cannot be started.
     """
     began = time.monotonic()
     with (
@@ -185,7 +245,7 @@ def run_child(
         paths = os.pathsep.join(path for path in (str(ROOT), os.environ.get("PYTHONPATH", "")) if path)
         try:
             process = subprocess.Popen(
-                # -P: the folder it runs in is the person's own, and no place to import from.
+                # With -P the user's working directory is not on the import path.
                 [sys.executable, "-P", "-m", CHILD_MODULE, *arguments],
                 stdin=subprocess.PIPE,
                 stdout=out,
@@ -209,6 +269,7 @@ def run_child(
 
 
 def _wait(process: subprocess.Popen[bytes], should_continue: Callable[[], bool]) -> int | None:
+    """Wait for the process; return its exit code, or None if it must not continue."""
     while True:
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(POLL_S)
@@ -217,7 +278,7 @@ def _wait(process: subprocess.Popen[bytes], should_continue: Callable[[], bool])
 
 
 def _kill_process_group(process: subprocess.Popen[bytes]) -> None:
-    """The whole group, also what the command started and left."""
+    """Kill the process and everything that it started."""
     with contextlib.suppress(OSError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -226,69 +287,70 @@ def _kill_process_group(process: subprocess.Popen[bytes]) -> None:
 
 
 def _read_last_lines(stream: IO[bytes]) -> tuple[str, ...]:
+    """Return at most MAX_LINES lines from the last MAX_BYTES of a stream."""
     size = stream.seek(0, os.SEEK_END)
     stream.seek(max(0, size - MAX_BYTES))
     return tuple(stream.read().decode("utf-8", "replace").splitlines()[-MAX_LINES:])
 
 
 RUN_FILE_NAME = ".hnf-batch"
-"""In the batch's folder: which run may go on."""
+"""File in the batch's folder that names the run that may go on."""
 STOPPED_REASON = "the batch was stopped."
 MAX_UNREADABLE_S = 30.0
-"""How long a shared folder may be away in a row while a command runs."""
+"""Time for which a shared folder may be unreadable without a break while a command runs [s]."""
 FINAL_EXIT_CODES = (1, 2)
-"""Exit codes of hnf that say so in one line: the same command would fail again."""
+"""Exit codes with which hnf refuses in one line: the same command would fail again."""
 
 
 def run_attempt(request_text: str) -> str:
-    """What a worker runs: the text of an Order → the text of an Outcome."""
+    """Run the request encoded in a text and return the encoded outcome. Called by workers; never raises."""
     try:
-        order = parse_request(request_text)
+        request = parse_request(request_text)
     except HnfError as error:
         return encode_message(Outcome("", State.UNSEEN, str(error), worker=get_worker_name()))
     try:
-        outcome = run_request(order)
+        outcome = run_request(request)
     except HnfError as error:
-        outcome = Outcome(order.name, State.ACCIDENT, str(error), earlier=order.earlier)
-    except Exception as error:  # a worker's exception would cross the wire as another thing than text
-        outcome = Outcome(order.name, State.ACCIDENT, f"internal error ({error!r})", earlier=order.earlier)
+        outcome = Outcome(request.name, State.ACCIDENT, str(error), earlier=request.earlier)
+    except Exception as error:  # Only text may be sent back, and no exception.
+        outcome = Outcome(request.name, State.ACCIDENT, f"internal error ({error!r})", earlier=request.earlier)
     return encode_message(replace(outcome, worker=get_worker_name()))
 
 
 def get_worker_name() -> str:
-    """HOST:PID of this process."""
+    """Return HOST:PID of this process."""
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
 def run_request(request: Request) -> Outcome:
-    """Raises HnfError where a file refuses."""
+    """Check, run and publish one attempt. Raises HnfError if a file cannot be read or written."""
     folder = Path(request.folder)
     refusal = explain_unavailable(request)
     if refusal is not None:
         return refusal
-    dead = [part for part in find_staging_folders(folder, request.name) if is_abandoned(part)]
-    left = _publish_abandoned(request, dead)
-    earlier = collect_earlier_failures(request, dead)
-    if left or is_fresh(read_record(request.result_folder), request.key, request.result_folder):
-        _remove_folders(dead)
+    abandoned = [staging for staging in find_staging_folders(folder, request.name) if is_abandoned(staging)]
+    is_published = _publish_abandoned(request, abandoned)
+    earlier = collect_earlier_failures(request, abandoned)
+    if is_published or is_fresh(read_record(request.result_folder), request.key, request.result_folder):
+        _remove_folders(abandoned)
         return Outcome(request.name, State.DONE, earlier=earlier, was_fresh=True)
     if len(earlier) > request.retries:
         return Outcome(request.name, State.ACCIDENT, earlier[-1], earlier=earlier[:-1])
     with make_staging_folder(folder, request.name, StagingMarker(request.run, get_worker_name(), earlier)) as (
-        part,
+        staging,
         marker,
     ):
-        for source in (*dead, request.result_folder):
-            reuse_files(source, part)
-        _remove_folders(dead)
+        for source in (*abandoned, request.result_folder):
+            reuse_files(source, staging)
+        _remove_folders(abandoned)
         began = time.time()
-        words = (*request.words, "--out", str(part / request.out))
-        ended = run_child(words, Path(request.base), marker.fileno(), make_continue_check(request))
-        return _publish_outcome(request, part, ended, began, earlier)
+        words = (*request.words, "--out", str(staging / request.out))
+        result = run_child(words, Path(request.base), marker.fileno(), make_continue_check(request))
+        return _publish_outcome(request, staging, result, began, earlier)
 
 
 def explain_unavailable(request: Request) -> Outcome | None:
-    """Why this worker cannot do the order, None where it can."""
+    """Return the outcome of a request that this worker cannot run, None if it can."""
     if read_run_id(Path(request.folder)) not in (None, request.run):
         return Outcome(request.name, State.STOPPED, STOPPED_REASON, earlier=request.earlier)
     why = explain_unsuitable_worker(request.folder, request.run, request.version, [request.base, *request.inputs])
@@ -296,8 +358,21 @@ def explain_unavailable(request: Request) -> Outcome | None:
 
 
 def explain_unsuitable_worker(folder: str, run: str, required_version: str, paths: list[str]) -> str:
-    """What this worker lacks for a batch, "" where nothing. folder: of the batch, which says run. wanted: version.
-    paths: files and folders that commands name. It takes and returns what JSON knows, and is sent to workers."""
+    """Return what this worker lacks for a batch, "" if nothing.
+
+    Arguments and result are plain JSON values, because this function is sent to every worker.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    run
+        Identity of the run that the folder must name.
+    required_version
+        Version of the program.
+    paths
+        Files and folders that the commands name.
+    """
     missing = [] if read_run_id(Path(folder)) == run else [folder]
     missing += [path for path in paths if not Path(path).exists()]
     if missing:
@@ -314,7 +389,7 @@ def explain_unsuitable_worker(folder: str, run: str, required_version: str, path
 
 
 def read_run_id(folder: Path) -> str | None:
-    """Which batch may go on in the folder; None where the folder is not to be seen."""
+    """Return the run that may go on in the folder; None if the folder cannot be read."""
     try:
         return (folder / RUN_FILE_NAME).read_text(encoding="utf-8")
     except OSError:
@@ -322,24 +397,29 @@ def read_run_id(folder: Path) -> str | None:
 
 
 def make_continue_check(request: Request, clock: Callable[[], float] = time.monotonic) -> Callable[[], bool]:
-    """A look at whether nobody has stopped the batch of this order. A folder that cannot be read says nothing, but no
-    longer than UNREADABLE_S in a row. clock: [s]."""
-    heard = clock()
+    """Return a function that is False once the batch of this request was stopped.
 
-    def look() -> bool:
-        nonlocal heard
-        said = read_run_id(Path(request.folder))
-        if said is None:
-            return clock() - heard < MAX_UNREADABLE_S
-        heard = clock()
-        return said == request.run
+    A folder that cannot be read does not stop it, unless for more than MAX_UNREADABLE_S without a break. clock: [s].
+    """
+    last_read = clock()
 
-    return look
+    def should_continue() -> bool:
+        nonlocal last_read
+        run_id = read_run_id(Path(request.folder))
+        if run_id is None:
+            return clock() - last_read < MAX_UNREADABLE_S
+        last_read = clock()
+        return run_id == request.run
+
+    return should_continue
 
 
 def collect_earlier_failures(request: Request, abandoned: list[Path]) -> tuple[str, ...]:
-    """Why each attempt before this one ended; a part folder of the same run that nobody told of had its worker lost."""
-    for marker in (read_marker(part) for part in abandoned):
+    """Return why each attempt before this one ended.
+
+    An abandoned staging folder of the same run adds the reason that its worker was lost.
+    """
+    for marker in (read_marker(staging) for staging in abandoned):
         if marker is not None and marker.run == request.run and len(marker.earlier) >= len(request.earlier):
             return (*marker.earlier, f"its worker {marker.worker} was lost")
     return request.earlier
@@ -348,7 +428,7 @@ def collect_earlier_failures(request: Request, abandoned: list[Path]) -> tuple[s
 def _publish_outcome(
     request: Request, staging: Path, result: CommandResult, began: float, earlier: tuple[str, ...]
 ) -> Outcome:
-    """Publish what a command has left: a result under the job's name, a failure beside it under NAME.failed."""
+    """Publish what a command has written: a result under the job's name, a final failure under NAME.failed."""
     state, why = summarise_outcome(result)
     is_last = state is State.FAILED or (state is State.ACCIDENT and len(earlier) >= request.retries)
     failed = request.result_folder.with_name(request.name + FAILED_SUFFIX)
@@ -378,32 +458,32 @@ def _publish_outcome(
 
 
 def _publish_abandoned(request: Request, abandoned: list[Path]) -> bool:
-    """A worker died between the end of the command and the renaming: do that for it."""
-    for part in abandoned:
-        if is_fresh(read_record(part), request.key, part):
-            (part / MARKER_NAME).touch()
-            publish(part, request.result_folder)
+    """Publish the finished result of a worker that died before it could; return whether there was one."""
+    for staging in abandoned:
+        if is_fresh(read_record(staging), request.key, staging):
+            (staging / MARKER_NAME).touch()
+            publish(staging, request.result_folder)
             return True
     return False
 
 
 def _remove_folders(folders: list[Path]) -> None:
-    for part in folders:
-        shutil.rmtree(part, ignore_errors=True)
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def summarise_outcome(result: CommandResult) -> tuple[State, str]:
-    """How a command ended, and one line that says why."""
-    said = next((line for line in reversed(result.stderr) if line.strip()), "it said nothing")
+    """Return how a command ended, and the reason in one line."""
+    last_line = next((line for line in reversed(result.stderr) if line.strip()), "it said nothing")
     if result.code is None:
         return State.STOPPED, STOPPED_REASON
     if result.code == 0:
         return State.DONE, ""
     if result.code in FINAL_EXIT_CODES:
-        return State.FAILED, said.removeprefix("hnf: ")
+        return State.FAILED, last_line.removeprefix("hnf: ")
     if result.code < 0:
         return State.ACCIDENT, f"it was killed by signal {-result.code}"
     return (
         State.ACCIDENT,
-        f"it broke: {said}" if result.code == EXIT_BROKEN else f"it ended with code {result.code}: {said}",
+        f"it broke: {last_line}" if result.code == EXIT_BROKEN else f"it ended with code {result.code}: {last_line}",
     )

@@ -1,15 +1,14 @@
-"""One job: a name, which is that of its folder, and one `hnf` command whose --out stays inside that folder.
+"""Jobs of a batch: a name, also that of the result's folder, and one `hnf` command whose --out stays in that folder.
 
-Jobs from the words of one command: a job for each scene, or for each combination of what is named several times.
+Jobs come from the words of one command (a job for each scene, or for each combination of option values) or from a jobs
+file in TOML or JSON:
 
-A list of jobs as TOML or JSON:
+    schema = 1
 
-schema = 1
-
-[[job]]
-name = "oak-rub"
-command = "synth --material oak-wood --stroke rub-slow --out rub.wav"    # or a list of words
-inputs = ["textures"]                                                    # optional
+    [[job]]
+    name = "oak-rub"
+    command = "synth --material oak-wood --stroke rub-slow --out rub.wav"    # or a list of words
+    inputs = ["textures"]                                                    # optional
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ from typing import Any
 from ..errors import FileError, UsageError
 
 VERBS = ("touch", "synth", "train", "export", "import")
-"""Whose results are what they write to --out, and nothing else."""
+"""Commands that write their results to --out and nowhere else."""
 FOLDER_COMMANDS = (("touch",), ("train", "alignment"))
-"""Whose --out is a folder: the job's own where none is named."""
+"""Commands whose --out is a folder: the job's own if none is given."""
 RECORD_NAME = "batch.json"
 FAILED_SUFFIX = ".failed"
 MAX_NAME_LENGTH, MAX_WORDS, MAX_WORD_LENGTH = 100, 1000, 4096
@@ -41,8 +40,19 @@ _SHORT_OUT = re.compile(r"--ou?(=.*)?", re.DOTALL)
 
 @dataclass(frozen=True)
 class Job:
-    """words: the command without `hnf` and without its --out. out: that, relative to the job's folder, "." = the folder
-    itself. inputs: further files and folders that the result follows from."""
+    """One `hnf` command of a batch.
+
+    Attributes
+    ----------
+    name
+        Name of the job and of its folder.
+    words
+        The command without `hnf` and without its --out.
+    out
+        Path of its output relative to the job's folder, "." for the folder itself.
+    inputs
+        Further files and folders that the result depends on.
+    """
 
     name: str
     words: tuple[str, ...]
@@ -51,12 +61,12 @@ class Job:
 
     @property
     def command(self) -> tuple[str, ...]:
-        """The words with --out as the job says it."""
+        """The words with the job's own --out."""
         return (*self.words, "--out", self.out)
 
 
 def make_job(name: str, command: Sequence[str], inputs: Iterable[str] = ()) -> Job:
-    """A job of these words, with or without a leading `hnf`. Raises UsageError where they are none."""
+    """Build a job from a command, with or without a leading `hnf`. Raises UsageError if it is not valid."""
     _check_name(name)
     words = list(command[1:] if command[:1] == ["hnf"] or command[:1] == ("hnf",) else command)
     inputs = tuple(inputs)
@@ -76,25 +86,26 @@ def make_job(name: str, command: Sequence[str], inputs: Iterable[str] = ()) -> J
 
 
 def reject_duplicates(jobs: Sequence[Job]) -> None:
-    """Raises UsageError where two jobs would write into one folder, on any file system."""
-    seen: dict[str, str] = {}
+    """Raise UsageError if two jobs would write into one folder on some file system."""
+    names: dict[str, str] = {}
     for job in jobs:
         folder = unicodedata.normalize("NFC", job.name).casefold()
-        if folder in seen:
+        if folder in names:
             raise UsageError(
-                f"two jobs would write into one folder, '{seen[folder]}' and '{job.name}'.",
+                f"two jobs would write into one folder, '{names[folder]}' and '{job.name}'.",
                 remedy="Give them different names, in a jobs file (docs/batch.md).",
             )
-        seen[folder] = job.name
+        names[folder] = job.name
 
 
 def make_folder_name(text: str) -> str:
-    """A name that a job may have, after any text; "" where nothing of it can stay."""
+    """Convert any text to a valid job name; "" if no character of it is allowed."""
     name = re.sub(r"[^\w.+-]+", "-", unicodedata.normalize("NFC", text)).strip("-.+")[:MAX_NAME_LENGTH]
     return name.removesuffix(FAILED_SUFFIX).rstrip(".")
 
 
 def _check_name(name: str) -> None:
+    """Raise UsageError if the name cannot be that of a folder."""
     if not _NAME.fullmatch(name) or name.endswith((FAILED_SUFFIX, ".")) or name == RECORD_NAME:
         raise UsageError(
             f"{name[:MAX_NAME_LENGTH]!r} cannot be the name of a job, which becomes a folder.",
@@ -104,11 +115,11 @@ def _check_name(name: str) -> None:
 
 
 def _split_out(words: list[str], name: str) -> tuple[tuple[str, ...], str]:
-    """The other words, and where the command writes."""
+    """Return the words without --out, and the value of --out."""
     if any(_SHORT_OUT.fullmatch(word) for word in words):
         raise UsageError("write --out in full.", where=name)
-    places = [place for place, word in enumerate(words) if _OUT.fullmatch(word)]
-    if not places:
+    positions = [position for position, word in enumerate(words) if _OUT.fullmatch(word)]
+    if not positions:
         if any(tuple(words[: len(head)]) == head for head in FOLDER_COMMANDS):
             return tuple(words), "."
         raise UsageError(
@@ -116,17 +127,18 @@ def _split_out(words: list[str], name: str) -> tuple[tuple[str, ...], str]:
             where=name,
             remedy="Add --out NAME, inside its own folder.",
         )
-    if len(places) > 1:
+    if len(positions) > 1:
         raise UsageError("it has more than one --out.", where=name, remedy="Make two jobs of it.")
-    place = places[0]
-    _, equals, value = words[place].partition("=")
-    after = place + 1
-    if not equals:
-        value, after = (words[after], after + 1) if after < len(words) else ("", after)
-    return (*words[:place], *words[after:]), _check_out(value, words, name)
+    position = positions[0]
+    _, separator, value = words[position].partition("=")
+    rest = position + 1
+    if not separator:
+        value, rest = (words[rest], rest + 1) if rest < len(words) else ("", rest)
+    return (*words[:position], *words[rest:]), _check_out(value, words, name)
 
 
 def _check_out(value: str, words: Sequence[str], name: str) -> str:
+    """Return the output path in normal form. Raises UsageError if it leaves the job's folder."""
     path = PurePosixPath(value)
     parts = path.parts
     is_folder = any(tuple(words[: len(head)]) == head for head in FOLDER_COMMANDS)
@@ -148,11 +160,14 @@ def _check_out(value: str, words: Sequence[str], name: str) -> str:
 
 FILE_OPTIONS = ("--weights", "--action")
 NUMBERED_OPTIONS = ("--seed",)
-"""Part of a name only where there are several, and with the option's own word."""
+"""Options that appear in a job's name only if they have several values, and then with the option's word."""
 
 
 def make_scene_jobs(scenes: Sequence[str], arguments: Sequence[str]) -> tuple[Job, ...]:
-    """`hnf touch SCENE rest…` for each scene, named after its file. Raises UsageError."""
+    """Build a job `hnf touch SCENE arguments…` for each scene, named after its file.
+
+    Raises UsageError if no scene is given, or if two have the same name.
+    """
     if not scenes:
         raise UsageError("no scene is named.", remedy="Example: hnf batch touch cup.blend bowl.gltf --out result")
     jobs = tuple(make_job(_make_job_name(Path(scene).stem, "scene"), ["touch", scene, *arguments]) for scene in scenes)
@@ -163,18 +178,36 @@ def make_scene_jobs(scenes: Sequence[str], arguments: Sequence[str]) -> tuple[Jo
 def make_combined_jobs(
     command: Sequence[str], varied: Mapping[str, Sequence[str]], arguments: Sequence[str], suffix: str
 ) -> tuple[Job, ...]:
-    """`hnf head… --option value… rest…` for each combination of the values, named after them.
+    """Build a job `hnf command… --option value… arguments…` for each combination of values, named after them.
 
-    varied: option → its values; those without any are left out. suffix: of the file that a job writes, under the job's
-    name; "" = it writes a folder. Raises UsageError.
+    Parameters
+    ----------
+    command
+        First words of every command.
+    varied
+        Option → its values; options without values are left out.
+    arguments
+        Last words of every command.
+    suffix
+        Suffix of the file that a job writes, under the job's name; "" if it writes a folder.
+
+    Returns
+    -------
+    tuple of Job
+        In the order of the combinations, the last option varying fastest.
+
+    Raises
+    ------
+    UsageError
+        If a command or a name is not valid, or two names are the same.
     """
     options = [option for option, values in varied.items() if values]
     jobs = []
     for values in itertools.product(*(varied[option] for option in options)):
         chosen = dict(zip(options, values, strict=True))
-        parts = [_format_name_token(option, value) for option, value in chosen.items()
+        name_parts = [_format_name_token(option, value) for option, value in chosen.items()
                  if option not in NUMBERED_OPTIONS or len(varied[option]) > 1]  # fmt: skip
-        name = _make_job_name("-".join(parts or command), "name")
+        name = _make_job_name("-".join(name_parts or command), "name")
         words = [*command, *(word for pair in chosen.items() for word in pair), *arguments]
         jobs.append(make_job(name, [*words, "--out", f"{name}{suffix}" if suffix else "."]))
     reject_duplicates(jobs)
@@ -188,6 +221,7 @@ def _format_name_token(option: str, value: str) -> str:
 
 
 def _make_job_name(text: str, what: str) -> str:
+    """Return the folder name for a text. Raises UsageError if there is none."""
     name = make_folder_name(text)
     if not name:
         raise UsageError(
@@ -203,7 +237,7 @@ _FIELDS = {"name", "command", "inputs"}
 
 
 def read_jobs(path: Path) -> tuple[Job, ...]:
-    """The jobs of a file. Raises FileError, which names the job and what is wrong with it."""
+    """Read the jobs of a TOML or JSON file. Raises FileError, which names the job and the problem."""
     try:
         if path.suffix.lower() not in SUFFIXES:
             raise ValueError(f"its name must end in {' or '.join(SUFFIXES)}")
@@ -223,7 +257,7 @@ def read_jobs(path: Path) -> tuple[Job, ...]:
 
 
 def parse_jobs(record: Any) -> tuple[Job, ...]:
-    """The jobs of what a file holds. Raises ValueError or UsageError, which name the job."""
+    """Parse the content of a jobs file. Raises ValueError or UsageError, which name the job."""
     if not isinstance(record, dict) or type(record.get("schema")) is not int or record["schema"] != SCHEMA:
         raise ValueError(f"no schema = {SCHEMA} at its top")
     unknown = set(record) - {"schema", "job"}
@@ -232,7 +266,7 @@ def parse_jobs(record: Any) -> tuple[Job, ...]:
     entries = record.get("job")
     if not isinstance(entries, list) or not entries:
         raise ValueError("job is no list with something in it")
-    jobs = tuple(_parse_job(entry, place) for place, entry in enumerate(entries, start=1))
+    jobs = tuple(_parse_job(entry, number) for number, entry in enumerate(entries, start=1))
     reject_duplicates(jobs)
     return jobs
 
@@ -261,6 +295,7 @@ def _parse_job(entry: Any, number: int) -> Job:
 
 
 def _check_texts(value: Any, message: str) -> list[str]:
-    if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
+    """Return the value if it is a list of texts; raise ValueError with the message otherwise."""
+    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
         raise ValueError(message)
     return value

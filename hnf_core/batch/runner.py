@@ -1,11 +1,8 @@
-"""Which jobs are finished as they are, and the order for each of the others.
+"""Run a whole batch: lock its folder, plan which jobs are not fresh, give them to dask workers, collect the outcomes.
 
-The workers, by dask.distributed, which is imported here and nowhere else.
-
-dask's own messages are pickled: whoever reaches a scheduler's port can run anything on its workers. A cluster made here
-listens to 127.0.0.1 alone. What the batch itself sends and takes is text.
-
-A whole batch: its folder held, its plan made, its orders given out, its end told.
+dask.distributed is imported here and nowhere else. Its own messages are pickled: whoever reaches a scheduler's port can
+run anything on its workers, so a cluster started here listens on 127.0.0.1 alone. The batch's own messages are JSON
+text (see attempt.py).
 """
 
 from __future__ import annotations
@@ -50,7 +47,10 @@ from .staging import (
 
 @dataclass(frozen=True)
 class Plan:
-    """needed: what has to be run. fresh: names of the jobs whose results are there and still true."""
+    """Work of a batch.
+
+    needed: requests that must be run. fresh: names of the jobs whose results are present and still valid.
+    """
 
     needed: tuple[Request, ...]
     fresh: tuple[str, ...]
@@ -59,21 +59,46 @@ class Plan:
 def make_plan(
     jobs: Sequence[Job], input_paths: Mapping[str, Sequence[str]], base: Path, folder: Path, run: str, retries: int
 ) -> Plan:
-    """Nothing is run for it. named: job → the files and folders that its command names. base: where commands run.
-    Raises FileError where a file cannot be read, or something that is no result of a batch is in a result's place."""
-    known: dict[str, str] = {}
+    """Find out which jobs must be run, without running anything.
+
+    Parameters
+    ----------
+    jobs
+        Jobs of the batch.
+    input_paths
+        Job name → the files and folders that its command names.
+    base
+        Folder in which commands run.
+    folder
+        Folder of the batch.
+    run
+        Identity of this run.
+    retries
+        Attempts after an accident.
+
+    Returns
+    -------
+    Plan
+        Requests to run and names of fresh results.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be read, or something that no batch has made is in the place of a result.
+    """
+    digests: dict[str, str] = {}
     needed, fresh = [], []
     for job in jobs:
-        inputs = {path: known[path] if path in known else known.setdefault(path, compute_digest(Path(path)))
+        inputs = {path: digests[path] if path in digests else digests.setdefault(path, compute_digest(Path(path)))
                   for path in input_paths[job.name]}  # fmt: skip
-        order = Request(job.name, job.words, job.out, inputs, str(base), str(folder), compute_version(), run, retries)
-        for place in (order.result_folder, order.result_folder.with_name(job.name + FAILED_SUFFIX)):
-            if not is_replaceable(place):
-                raise make_conflict_error(place)
-        if is_fresh(read_record(order.result_folder), order.key, order.result_folder):
+        request = Request(job.name, job.words, job.out, inputs, str(base), str(folder), compute_version(), run, retries)
+        for result_folder in (request.result_folder, request.result_folder.with_name(job.name + FAILED_SUFFIX)):
+            if not is_replaceable(result_folder):
+                raise make_conflict_error(result_folder)
+        if is_fresh(read_record(request.result_folder), request.key, request.result_folder):
             fresh.append(job.name)
         else:
-            needed.append(order)
+            needed.append(request)
     return Plan(tuple(needed), tuple(fresh))
 
 
@@ -83,7 +108,7 @@ ADDRESS_PATTERN = re.compile(r"(tcp|tls)://\S+:\d+")
 
 
 def check_address(address: str) -> None:
-    """Raises UsageError where it is no scheduler's."""
+    """Raise UsageError if the text is not the address of a scheduler."""
     if not ADDRESS_PATTERN.fullmatch(address):
         raise UsageError(
             f"--scheduler {address!r} is no address.", remedy="Example: --scheduler tcp://192.168.1.5:8786"
@@ -92,9 +117,9 @@ def check_address(address: str) -> None:
 
 @contextlib.contextmanager
 def connect_workers(address: str | None, worker_count: int, retries: int) -> Iterator[Any]:
-    """A distributed.Client: of the scheduler at address, or of count worker processes that live as long as this.
+    """Yield a distributed.Client of the scheduler at `address`, or of local workers that end with this context.
 
-    retries: how often a job may lose its worker. Raises HnfError where dask is not there or no scheduler answers.
+    retries: how often a job may lose its worker. Raises HnfError if dask is not installed or no scheduler answers.
     """
     dask, distributed = _import_dask()
     with contextlib.ExitStack() as stack:
@@ -108,7 +133,7 @@ def connect_workers(address: str | None, worker_count: int, retries: int) -> Ite
                 timeout=CONNECT_S,
                 set_as_default=False,
                 serializers=["msgpack", "pickle"],
-                deserializers=["msgpack"],  # whatever a worker answers with: text, or nothing
+                deserializers=["msgpack"],  # Workers may return plain values only, never pickles.
             )
         except (OSError, ValueError) as error:
             raise HnfError(
@@ -121,9 +146,10 @@ def connect_workers(address: str | None, worker_count: int, retries: int) -> Ite
 
 @contextlib.contextmanager
 def _start_local_cluster(dask: Any, distributed: Any, worker_count: int, retries: int) -> Iterator[Any]:
+    """Yield a LocalCluster of single-threaded worker processes that listens on 127.0.0.1."""
     settings = {
         "distributed.scheduler.allowed-failures": retries,
-        "distributed.scheduler.worker-saturation": 1.0,  # none waits on a worker: a dying one takes one job with it
+        "distributed.scheduler.worker-saturation": 1.0,  # No job queues on a worker, so a dying worker loses only one.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
     }
@@ -140,7 +166,7 @@ def _start_local_cluster(dask: Any, distributed: Any, worker_count: int, retries
                 dashboard_address=None,
                 worker_dashboard_address=None,
                 scheduler_kwargs={"dashboard_address": f"{HOST}:0"},
-                memory_limit=None,  # it would count the worker's memory, which is not that of its command
+                memory_limit=None,  # It would measure the worker process, not the command that it runs.
                 silence_logs=logging.CRITICAL,
                 local_directory=scratch,
             )
@@ -150,19 +176,23 @@ def _start_local_cluster(dask: Any, distributed: Any, worker_count: int, retries
 
 @contextlib.contextmanager
 def _block_interrupts() -> Iterator[None]:
-    """Ctrl-C waits, and what is started meanwhile never hears it, nor what that starts: a terminal sends it to every
-    process, and workers are ended by ours."""
-    resource_tracker.ensure_running()  # where multiprocessing starts it later, it lets interrupts through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Block SIGINT for this process and everything started meanwhile.
+
+    A terminal sends Ctrl-C to every process of the group, but workers must be stopped by the batch.
+    """
+    resource_tracker.ensure_running()  # Started later, multiprocessing would unblock the signal again.
+    previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
 
 
 def check_workers(client: Any, folder: str, run: str, version: str, paths: Sequence[str]) -> int:
-    """How many workers there are. Raises HnfError where there are none, or where one of them does not see the folder or
-    a file, or has another version of hnf."""
+    """Return the number of workers.
+
+    Raises HnfError if there is none, or if one cannot see the folder or a file, or has another version of hnf.
+    """
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
     except TimeoutError as error:
@@ -170,43 +200,44 @@ def check_workers(client: Any, folder: str, run: str, version: str, paths: Seque
             "the scheduler has no workers.", remedy="Start some, on machines that see the files: dask worker ADDRESS."
         ) from error
     try:
-        told = client.run(explain_unsuitable_worker, folder, run, version, list(paths))
-    except Exception as error:  # whatever it was there, it came over the wire
+        reasons = client.run(explain_unsuitable_worker, folder, run, version, list(paths))
+    except Exception as error:  # Any exception of a worker is raised here.
         raise HnfError(
             f"hnf does not run on every worker ({error!r}).",
             remedy="Install this version of hnf[batch] on each machine.",
         ) from error
-    for worker, why in told.items():
-        if why != "":
-            raise HnfError(str(why), where=f"worker {worker}")
-    return len(told)
+    for worker, reason in reasons.items():
+        if reason != "":
+            raise HnfError(str(reason), where=f"worker {worker}")
+    return len(reasons)
 
 
 def run_requests(client: Any, requests: Sequence[Request]) -> Iterator[Outcome]:
-    """Each attempt as it ends. One that met with an accident is given out again, as often as its order says: see
-    Order.is_tried_again."""
+    """Yield the outcome of each attempt as it ends; after an accident, submit it again (see Request.should_retry)."""
     _, distributed = _import_dask()
-    waiting = {_submit(client, order): order for order in requests}
-    ended = distributed.as_completed(list(waiting), loop=client.loop)
-    for future in ended:
-        order = waiting.pop(future)
-        outcome = _read_outcome(future, order)
+    waiting = {_submit(client, request): request for request in requests}
+    completed = distributed.as_completed(list(waiting), loop=client.loop)
+    for future in completed:
+        request = waiting.pop(future)
+        outcome = _read_outcome(future, request)
         future.release()
-        if order.should_retry(outcome):
-            again = replace(order, earlier=(*outcome.earlier, outcome.why))
-            future = _submit(client, again)
-            waiting[future] = again
-            ended.add(future)
+        if request.should_retry(outcome):
+            next_request = replace(request, earlier=(*outcome.earlier, outcome.why))
+            future = _submit(client, next_request)
+            waiting[future] = next_request
+            completed.add(future)
         yield outcome
 
 
 def _submit(client: Any, request: Request) -> Any:
+    """Submit an attempt to the workers and return its future."""
     return client.submit(
         run_attempt, encode_message(request), pure=False, key=f"hnf-{request.run}-{request.name}-{len(request.earlier)}"
     )
 
 
 def _read_outcome(future: Any, request: Request) -> Outcome:
+    """Return the outcome of a future, also if it failed or its worker was lost."""
     if future.status == "finished":
         try:
             return parse_outcome(future.result())
@@ -216,7 +247,7 @@ def _read_outcome(future: Any, request: Request) -> Outcome:
             )
     if future.status != "error":
         return Outcome(request.name, State.UNSEEN, "the scheduler was lost", earlier=request.earlier)
-    # The scheduler has given up: the job's workers died under it more often than it allows.
+    # The scheduler gives up on a job after its workers have died more often than it allows.
     lost = "its worker was lost"
     return Outcome(
         request.name, State.ACCIDENT, lost, earlier=(*request.earlier, *[lost] * request.retries)[: request.retries]
@@ -224,6 +255,7 @@ def _read_outcome(future: Any, request: Request) -> Outcome:
 
 
 def _import_dask() -> tuple[Any, Any]:
+    """Import dask and distributed, and silence their loggers. Raises HnfError if they are missing."""
     try:
         import dask
         import distributed
@@ -233,7 +265,7 @@ def _import_dask() -> tuple[Any, Any]:
             remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[batch]'.",
         ) from error
     for name in [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]:
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what becomes of a job is told by the batch
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # The batch reports outcomes itself.
     return dask, distributed
 
 
@@ -243,12 +275,16 @@ def _close_client(client: Any) -> None:
 
 
 STOP_TIMEOUT_S = 10.0
-"""How long commands are waited for that were told to stop."""
+"""Time that commands have to stop at the end of a batch [s]."""
 
 
 @dataclass(frozen=True)
 class BatchOptions:
-    """scheduler: address, None = workers of this process. workers: of those. retries: after an accident, per job."""
+    """Options of a batch.
+
+    scheduler: address, None for local workers. workers: number of local workers. retries: further attempts of a job
+    after an accident.
+    """
 
     scheduler: str | None
     workers: int
@@ -257,7 +293,25 @@ class BatchOptions:
 
 @dataclass
 class BatchSummary:
-    """What became of the jobs. failed: the last outcome of each that did. retried: attempts beyond the first ones."""
+    """Result of a batch, or its progress so far.
+
+    Attributes
+    ----------
+    jobs
+        Number of jobs.
+    skipped
+        Jobs whose results were fresh.
+    finished
+        Jobs that succeeded.
+    failed
+        Last outcome of each job that failed.
+    retried
+        Attempts beyond the first ones.
+    workers
+        Number of workers.
+    seconds
+        Duration.
+    """
 
     jobs: int
     skipped: int = 0
@@ -269,7 +323,7 @@ class BatchSummary:
 
 
 ProgressCallback = Callable[[Outcome, bool, BatchSummary], None]
-"""Called after each attempt: how it ended, whether another one follows, and how far the batch is."""
+"""Called after each attempt with its outcome, whether another attempt follows, and the summary so far."""
 
 
 def run_batch(
@@ -280,10 +334,34 @@ def run_batch(
     options: BatchOptions,
     on_progress: ProgressCallback,
 ) -> BatchSummary:
-    """Run what is not finished yet. named: job → the files and folders that it names. base: where commands run.
+    """Run the jobs whose results are not fresh.
 
-    Raises HnfError where nothing could be begun. Whatever ends it, the commands that run are ended, no half-written
-    result is left, and what was finished stays.
+    Whatever ends the batch, running commands are stopped, no half-written result is left, and finished results stay.
+
+    Parameters
+    ----------
+    jobs
+        Jobs of the batch.
+    input_paths
+        Job name → the files and folders that its command names.
+    base
+        Folder in which commands run.
+    folder
+        Folder of the results.
+    options
+        Workers and retries.
+    on_progress
+        Called after each attempt.
+
+    Returns
+    -------
+    BatchSummary
+        Numbers of jobs and the failures.
+
+    Raises
+    ------
+    HnfError
+        If the batch cannot start.
     """
     began = time.monotonic()
     summary = BatchSummary(len(jobs))
@@ -291,16 +369,16 @@ def run_batch(
         plan = make_plan(jobs, input_paths, base, folder, run, options.retries)
         summary.skipped = len(plan.fresh)
         if plan.needed:
-            orders = {order.name: order for order in plan.needed}
-            with connect_workers(options.scheduler, min(options.workers, len(orders)), options.retries) as client:
-                paths = sorted({path for order in plan.needed for path in order.inputs})
+            requests = {request.name: request for request in plan.needed}
+            with connect_workers(options.scheduler, min(options.workers, len(requests)), options.retries) as client:
+                paths = sorted({path for request in plan.needed for path in request.inputs})
                 summary.workers = check_workers(client, str(folder), run, compute_version(), [str(base), *paths])
                 try:
                     for outcome in run_requests(client, plan.needed):
-                        again = orders[outcome.name].should_retry(outcome)
-                        _count_outcome(summary, outcome, again)
+                        is_retried = requests[outcome.name].should_retry(outcome)
+                        _count_outcome(summary, outcome, is_retried)
                         summary.seconds = time.monotonic() - began
-                        on_progress(outcome, again, summary)
+                        on_progress(outcome, is_retried, summary)
                 finally:
                     _stop_run(folder)
     summary.seconds = time.monotonic() - began
@@ -309,8 +387,10 @@ def run_batch(
 
 @contextlib.contextmanager
 def lock_folder(folder: Path) -> Iterator[str]:
-    """Hold the folder for one batch, which is named in it while it may go on. Raises FileError where it cannot be made
-    or another batch holds it."""
+    """Lock the folder for one run and yield the run's identity, which the folder names while the run may go on.
+
+    Raises FileError if the folder cannot be created or another batch has locked it.
+    """
     run = f"{socket.gethostname()}-{os.getpid()}-{time.time_ns()}"
     with folder_lock(folder, "batch", RUN_FILE_NAME):
         _write_run_id(folder, run)
@@ -322,7 +402,7 @@ def lock_folder(folder: Path) -> Iterator[str]:
 
 
 def _stop_run(folder: Path) -> None:
-    """Nobody may go on; wait for those who did, and clear away what is half done."""
+    """Withdraw the run's permission to go on, wait for its commands, and clean up."""
     _write_run_id(folder, "")
     clean_up(folder, STOP_TIMEOUT_S)
 
@@ -332,6 +412,7 @@ def _write_run_id(folder: Path, run: str) -> None:
 
 
 def _count_outcome(summary: BatchSummary, outcome: Outcome, is_retried: bool) -> None:
+    """Add the last outcome of a job to the summary."""
     if is_retried:
         return
     summary.retried += len(outcome.earlier)

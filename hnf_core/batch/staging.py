@@ -1,11 +1,10 @@
-"""What a result follows from: hashes of files by content, of folders by their listing.
+"""Folders of results: digests of inputs, records of runs, and staging folders that become results by a rename.
 
-batch.json in a job's folder: what was run, from what, how it ended; and whether that still holds.
-
-Folders in the making: `.NAME~xxxxxxxx.part` beside the job's own, renamed onto it when the command has ended.
-
-While an attempt lives it holds a lock on the marker in it. What a dead one leaves is either a finished result that was
-not renamed any more, or what the next one can begin with: close-ups by content, a training's checkpoint.
+A result depends on files, hashed by content, and on folders, hashed by their listing. `batch.json` in a job's folder
+records what was run, on what and how it ended, so that `is_fresh` can check whether this still holds. A running attempt
+writes into `.NAME~xxxxxxxx.part` and locks the marker file in it; at the end the folder is renamed to the job's name.
+The staging folder of a dead attempt holds either a finished result or files that the next attempt reuses (the touch
+cache, training checkpoints).
 """
 
 from __future__ import annotations
@@ -35,8 +34,11 @@ DATA_FOLDER = PACKAGES[0] / "data"
 
 
 def compute_digest(path: Path) -> str:
-    """Of a file its content; of a folder, which may hold a data set, every file's path, size and time of change. ""
-    where there is neither. Raises FileError where it cannot be read."""
+    """Return the digest of a file's content or a folder's listing; "" if there is neither.
+
+    A listing holds paths, sizes and times of change; a folder may be a whole data set. Raises FileError if the path
+    cannot be read.
+    """
     try:
         if path.is_file():
             return f"file:{_hash_content(path)}"
@@ -48,41 +50,58 @@ def compute_digest(path: Path) -> str:
 
 
 def find_named_files(values: Iterable[object], base: Path, results_folder: Path | None = None) -> tuple[str, ...]:
-    """Absolute paths of those values, at any depth of lists, that name something there is; relative ones from base.
-    own: the folder of the results, which a material may be called like, and which is no input."""
-    found = {path for value in _flatten(values) if (path := _find_existing(value, base)) not in (None, results_folder)}
-    return tuple(sorted(map(str, found)))
+    """Return the absolute paths of the values (at any depth of lists) that name an existing file or folder.
+
+    Parameters
+    ----------
+    values
+        Values of a command's arguments.
+    base
+        Folder that relative paths start from.
+    results_folder
+        Folder of the results, which is left out: a material may have the same name, and it is no input.
+
+    Returns
+    -------
+    tuple of str
+        Sorted paths.
+    """
+    paths = {path for value in _flatten(values) if (path := _find_existing(value, base)) not in (None, results_folder)}
+    return tuple(sorted(map(str, paths)))
 
 
 @functools.cache
 def compute_version() -> str:
-    """Of the program, which is its own code and not a number alone, of the weights and the library that it ships with,
-    and of the compiled kernel. The same on every machine that has the same of them; looked at once in a process."""
+    """Return the version of the program: number, and hash of its code, its data files and the compiled kernel.
+
+    It is the same on every machine with the same files. Computed once per process.
+    """
     from ..kernel import loader
 
     shipped = [path for path in DATA_FOLDER.iterdir() if path.is_file() and not path.name.startswith(".")]
     code = [path for package in PACKAGES for path in package.rglob("*.py")]
-    parts = sorted(
+    digests = sorted(
         f"{path.relative_to(PACKAGES[0].parent).as_posix()}:{_hash_content(path)}" for path in shipped + code
     )
-    return f"{__version__}+{content_hash(*parts, loader.get_build_id())}"
+    return f"{__version__}+{content_hash(*digests, loader.get_build_id())}"
 
 
 def _hash_content(path: Path) -> str:
-    found = hashlib.blake2b(digest_size=16)
+    digest = hashlib.blake2b(digest_size=16)
     with path.open("rb") as stream:
         while block := stream.read(BLOCK_BYTES):
-            found.update(block)
-    return found.hexdigest()
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def _list_folder(folder: Path) -> Iterator[str]:
-    for place, folders, names in os.walk(folder):
+    """Yield path, size and time of change of every file, in a fixed order."""
+    for parent, folders, names in os.walk(folder):
         folders.sort()
         for name in sorted(names):
-            path = Path(place, name)
-            facts = path.lstat()
-            yield f"{path.relative_to(folder).as_posix()}\0{facts.st_size}\0{facts.st_mtime_ns}"
+            path = Path(parent, name)
+            status = path.lstat()
+            yield f"{path.relative_to(folder).as_posix()}\0{status.st_size}\0{status.st_mtime_ns}"
 
 
 def _flatten(values: Iterable[object]) -> Iterator[str]:
@@ -94,27 +113,51 @@ def _flatten(values: Iterable[object]) -> Iterator[str]:
 
 
 def _find_existing(text: str, base: Path) -> Path | None:
+    """Return the absolute path that the text names, None if nothing exists there."""
     if not text or "\0" in text:
         return None
     path = base / text
     try:
         return Path(os.path.abspath(path)) if path.exists() else None
-    except OSError:  # a name that no file system would take
+    except OSError:  # The file system does not accept such a name.
         return None
 
 
 SCHEMA = "hnf-batch-1"
 REPORT_NAME = "report.json"
 CACHE_NAME = "cache"
-"""What `hnf touch` keeps beside its results, by content: deleting it costs time only, so no result follows from it."""
+"""Folder of the cache that `hnf touch` keeps with its results, by content; results do not depend on it."""
 
 
 @dataclass(frozen=True)
 class JobRecord:
-    """job: its name. command: words, with --out as the job says it. key: of all that the command names. inputs: those
-    files and folders → digest. found: others that the scene referred to → digest, "" = changed while it was read.
-    outputs: path in the folder → digest. seconds: of the attempt that ended. attempts: with this one. stdout, stderr:
-    last lines."""
+    """Content of batch.json: what was run, from what, and how it ended.
+
+    Attributes
+    ----------
+    job
+        Name of the job.
+    command
+        Words of the command, with the job's own --out.
+    key
+        Hash of everything that the command names, see Request.key.
+    version
+        Version of the program.
+    inputs
+        Path → digest of the files and folders that the command names.
+    found
+        Path → digest of other files that the scene refers to, "" if one changed while it was read.
+    outputs
+        Path in the folder → digest.
+    exit_code, seconds
+        Of the last attempt.
+    attempts
+        Number of attempts, this one included.
+    worker
+        HOST:PID of the worker.
+    stdout, stderr
+        Last lines of the command's output.
+    """
 
     job: str
     command: tuple[str, ...]
@@ -132,13 +175,13 @@ class JobRecord:
 
 
 def write_record(folder: Path, record: JobRecord) -> None:
-    """Atomically. Raises FileError."""
+    """Write batch.json atomically. Raises FileError."""
     text = json.dumps({"schema": SCHEMA, **asdict(record)}, indent=1, ensure_ascii=False)
     write_text(folder / RECORD_NAME, text + "\n")
 
 
 def read_record(folder: Path) -> JobRecord | None:
-    """None where there is none, or none that this version understands."""
+    """Read batch.json; None if there is none that this version understands."""
     try:
         record = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
         if record.pop("schema") != SCHEMA:
@@ -151,30 +194,34 @@ def read_record(folder: Path) -> JobRecord | None:
 
 
 def is_replaceable(folder: Path) -> bool:
-    """There is nothing, or a folder that a batch has made and may replace."""
+    """Return True if nothing is there, or a folder that a batch has made."""
     return not (folder.exists() or folder.is_symlink()) or read_record(folder) is not None
 
 
 def is_fresh(record: JobRecord | None, key: str, folder: Path) -> bool:
-    """The record is of a success of this key, every file is as it was written, and nothing it was made from has
-    changed. Raises FileError where a file may not be read."""
+    """Return True if the record is of a success with this key, and neither outputs nor referenced files have changed.
+
+    Raises FileError if a file cannot be read.
+    """
     return (
         record is not None
         and record.key == key
         and record.exit_code == 0
-        and all(_is_inside(name) and compute_digest(folder / name) == was for name, was in record.outputs.items())
-        and all(was != "" and compute_digest(Path(path)) == was for path, was in record.found.items())
+        and all(_is_inside(name) and compute_digest(folder / name) == digest for name, digest in record.outputs.items())
+        and all(digest != "" and compute_digest(Path(path)) == digest for path, digest in record.found.items())
     )
 
 
 def hash_outputs(folder: Path) -> dict[str, str]:
-    """Path → digest of what a command has written into the folder, but for caches, locks and our own record."""
+    """Return path → digest of the files that a command has written, without caches, hidden files and batch.json."""
     return {path.relative_to(folder).as_posix(): compute_digest(path) for path in _list_results(folder)}
 
 
 def hash_referenced_files(folder: Path, since: float) -> dict[str, str]:
-    """Path → digest of the outside files that a touched scene refers to, as its report names them. since: when the
-    command began [s, as files count]; a file changed later was perhaps read before."""
+    """Return path → digest of the outside files that a touched scene refers to, as its report lists them.
+
+    since: start of the command [s, file time]. A file changed later may have been read before, and gets "".
+    """
     try:
         files = json.loads((folder / REPORT_NAME).read_text(encoding="utf-8"))["files"]
         paths = [Path(path) for path in files if isinstance(path, str) and "\0" not in path]
@@ -184,6 +231,7 @@ def hash_referenced_files(folder: Path, since: float) -> dict[str, str]:
 
 
 def _digest_unchanged_since(path: Path, since: float) -> str:
+    """Return the digest of a file, "" if it changed later than `since` or cannot be read."""
     try:
         return compute_digest(path) if path.stat().st_mtime < since else ""
     except (OSError, FileError):
@@ -191,10 +239,11 @@ def _digest_unchanged_since(path: Path, since: float) -> str:
 
 
 def _list_results(folder: Path) -> Iterator[Path]:
+    """Yield the files of a result, without caches, hidden files and batch.json."""
     for path in sorted(folder.rglob("*")):
-        parts = path.relative_to(folder).parts
-        hidden = any(part.startswith(".") for part in parts)
-        if path.is_file() and not hidden and parts[0] != CACHE_NAME and parts != (RECORD_NAME,):
+        names = path.relative_to(folder).parts
+        hidden = any(name.startswith(".") for name in names)
+        if path.is_file() and not hidden and names[0] != CACHE_NAME and names != (RECORD_NAME,):
             yield path
 
 
@@ -207,7 +256,7 @@ _KINDS: dict[str, type | tuple[type, ...]] = {"str": str, "int": int, "float": (
 
 
 def _parse_field(record: dict[str, Any], name: str, kind: str) -> Any:
-    """The value as a Record has it. Raises ValueError where it is of another kind."""
+    """Return the value of a field as JobRecord has it. Raises ValueError if it has another type."""
     value = record[name]
     if kind in _KINDS:
         if not isinstance(value, _KINDS[kind]) or isinstance(value, bool):
@@ -215,7 +264,7 @@ def _parse_field(record: dict[str, Any], name: str, kind: str) -> Any:
         return value
     texts = value if isinstance(value, list) else [*value, *value.values()]
     if not isinstance(value, dict if kind.startswith("Mapping") else list) or not all(
-        isinstance(each, str) for each in texts
+        isinstance(text, str) for text in texts
     ):
         raise ValueError(name)
     return value if isinstance(value, dict) else tuple(value)
@@ -225,12 +274,15 @@ MARKER_NAME = ".attempt"
 STAGING_SUFFIX, BACKUP_SUFFIX = ".part", ".old"
 CHECKPOINT_PATTERN = "*checkpoint"
 EXIT_GRACE_S = 5.0
-"""How long the child of a killed worker may take to see that it is alone."""
+"""Time in which the child of a killed worker notices that its parent is gone [s]."""
 
 
 @dataclass(frozen=True)
 class StagingMarker:
-    """Who works in a part folder. run: of which batch. earlier: why each attempt before ended."""
+    """Owner of a staging folder.
+
+    run: the run of the batch. worker: HOST:PID. earlier: why each attempt before ended.
+    """
 
     run: str
     worker: str
@@ -239,12 +291,14 @@ class StagingMarker:
 
 @contextlib.contextmanager
 def make_staging_folder(folder: Path, name: str, marker: StagingMarker) -> Iterator[tuple[Path, IO[str]]]:
-    """A new part folder and its locked marker. What is left of it at the end is reduced to what an attempt can begin
-    with, unless it is finished. Raises FileError where the disk refuses."""
+    """Create a staging folder and lock its marker; at the end keep only what a later attempt can use.
+
+    A finished result is kept as it is. Raises FileError if the folder cannot be written.
+    """
     try:
-        part = Path(tempfile.mkdtemp(prefix=f".{name}~", suffix=STAGING_SUFFIX, dir=folder))
-        part.chmod(FOLDER_MODE)
-        stream = (part / MARKER_NAME).open("w", encoding="utf-8")
+        staging = Path(tempfile.mkdtemp(prefix=f".{name}~", suffix=STAGING_SUFFIX, dir=folder))
+        staging.chmod(FOLDER_MODE)
+        stream = (staging / MARKER_NAME).open("w", encoding="utf-8")
     except OSError as error:
         raise _make_write_error(folder, error) from error
     with stream:
@@ -252,21 +306,21 @@ def make_staging_folder(folder: Path, name: str, marker: StagingMarker) -> Itera
         stream.write(json.dumps({"run": marker.run, "worker": marker.worker, "earlier": marker.earlier}))
         stream.flush()
         try:
-            yield part, stream
+            yield staging, stream
         finally:
-            _clean_up_attempt(part)
+            _clean_up_attempt(staging)
 
 
 def find_staging_folders(folder: Path, name: str = "") -> list[Path]:
-    """The part folders of a job, "" = of all, the latest first."""
-    found = [
+    """Return the staging folders of a job ("" for all jobs), the latest first."""
+    folders = [
         path for path in folder.glob(f".{name}~*{STAGING_SUFFIX}" if name else f".*~*{STAGING_SUFFIX}") if path.is_dir()
     ]
-    return sorted(found, key=_get_modified_time, reverse=True)
+    return sorted(folders, key=_get_modified_time, reverse=True)
 
 
 def read_marker(staging: Path) -> StagingMarker | None:
-    """None where it was not written to its end."""
+    """Read the marker of a staging folder; None if it is incomplete."""
     try:
         record = json.loads((staging / MARKER_NAME).read_text(encoding="utf-8"))
         return StagingMarker(str(record["run"]), str(record["worker"]), tuple(map(str, record["earlier"])))
@@ -275,8 +329,11 @@ def read_marker(staging: Path) -> StagingMarker | None:
 
 
 def is_abandoned(staging: Path, wait_s: float = EXIT_GRACE_S) -> bool:
-    """Nobody works in it any more, or within wait_s; a marker's lock ends with the last process that holds it."""
-    until = time.monotonic() + wait_s
+    """Return True if no process works in the staging folder, or none does within wait_s.
+
+    The lock of a marker ends with the last process that has it open.
+    """
+    deadline = time.monotonic() + wait_s
     while True:
         try:
             with (staging / MARKER_NAME).open("r+", encoding="utf-8") as stream:
@@ -285,29 +342,31 @@ def is_abandoned(staging: Path, wait_s: float = EXIT_GRACE_S) -> bool:
         except FileNotFoundError:
             return True
         except OSError:
-            if time.monotonic() >= until:
+            if time.monotonic() >= deadline:
                 return False
         time.sleep(0.05)
 
 
 def remove_unreusable(staging: Path) -> None:
-    """Delete all that a later attempt cannot begin with, and the folder itself where nothing is left."""
-    for place, folders, names in os.walk(staging, topdown=True):
-        folders[:] = [name for name in folders if not (Path(place) == staging and name == CACHE_NAME)]
-        for path in (Path(place, name) for name in names):
+    """Delete everything that a later attempt cannot reuse, and the folder itself if it is empty then."""
+    for parent, folders, names in os.walk(staging, topdown=True):
+        folders[:] = [name for name in folders if not (Path(parent) == staging and name == CACHE_NAME)]
+        for path in (Path(parent, name) for name in names):
             if not path.match(CHECKPOINT_PATTERN):
                 path.unlink(missing_ok=True)
-    for place, _, _ in os.walk(staging, topdown=False):
-        with contextlib.suppress(OSError):  # it holds something
-            Path(place).rmdir()
+    for parent, _, _ in os.walk(staging, topdown=False):
+        with contextlib.suppress(OSError):  # The folder is not empty.
+            Path(parent).rmdir()
 
 
 def reuse_files(source: Path, staging: Path) -> None:
-    """Give a new attempt the close-ups and checkpoints of an earlier one; those files are never written into again, so
-    a second name for them is enough where the file system has such."""
-    kept = [path for path in source.glob(f"{CACHE_NAME}/**/*") if path.is_file()]
-    kept += [path for path in source.rglob(CHECKPOINT_PATTERN) if path.is_file()]
-    for path in kept:
+    """Give a new attempt the cache and checkpoints of an earlier one.
+
+    These files are never written again, so hard links suffice where the file system has them.
+    """
+    paths = [path for path in source.glob(f"{CACHE_NAME}/**/*") if path.is_file()]
+    paths += [path for path in source.rglob(CHECKPOINT_PATTERN) if path.is_file()]
+    for path in paths:
         target = staging / path.relative_to(source)
         target.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(FileExistsError):
@@ -320,23 +379,26 @@ def reuse_files(source: Path, staging: Path) -> None:
 
 
 def publish(staging: Path, result_folder: Path) -> None:
-    """Rename part onto place, where an earlier result goes. Raises FileError, and the earlier result is back, where
-    something of another kind is in the way, another attempt has taken part away, or the disk refuses."""
+    """Rename the staging folder to the result folder, replacing an earlier result.
+
+    Raises FileError if something that no batch has made is in the way, if another attempt has taken over, or if the
+    rename fails; the earlier result is then restored.
+    """
     if not is_replaceable(result_folder):
         raise make_conflict_error(result_folder)
     try:
-        (staging / MARKER_NAME).unlink()  # it fails where this attempt was given up: another has taken over
+        (staging / MARKER_NAME).unlink()  # Fails if this attempt was given up and another has taken over.
         if result_folder.exists():
-            aside = Path(
+            backup = Path(
                 tempfile.mkdtemp(prefix=f".{result_folder.name}~", suffix=BACKUP_SUFFIX, dir=result_folder.parent)
             )
-            result_folder.rename(aside)
+            result_folder.rename(backup)
             try:
                 staging.rename(result_folder)
             except OSError:
-                _restore_backup(aside, result_folder)
+                _restore_backup(backup, result_folder)
                 raise
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(backup, ignore_errors=True)
         else:
             staging.rename(result_folder)
     except OSError as error:
@@ -344,7 +406,7 @@ def publish(staging: Path, result_folder: Path) -> None:
 
 
 def make_conflict_error(path: Path) -> FileError:
-    """The refusal to replace what no batch has made."""
+    """Return the error for a path that no batch has made and none may replace."""
     return FileError(
         "is in the way: it was not made by a batch.",
         where=str(path),
@@ -353,34 +415,34 @@ def make_conflict_error(path: Path) -> FileError:
 
 
 def clean_up(folder: Path, wait_s: float = EXIT_GRACE_S) -> list[Path]:
-    """Clear away what attempts have left, but for results and what others can begin with. Returns the parts that still
-    live."""
-    alive = []
-    for part in find_staging_folders(folder):
-        if is_abandoned(part, wait_s):
-            _clean_up_attempt(part)
+    """Remove what attempts have left, except results and reusable files; return the staging folders still in use."""
+    active = []
+    for staging in find_staging_folders(folder):
+        if is_abandoned(staging, wait_s):
+            _clean_up_attempt(staging)
         else:
-            alive.append(part)
-    for aside in folder.glob(f".*~*{BACKUP_SUFFIX}"):
-        place = folder / aside.name[1:].rpartition("~")[0]
-        if place.exists() or not (aside / RECORD_NAME).exists():
-            shutil.rmtree(aside, ignore_errors=True)
+            active.append(staging)
+    for backup in folder.glob(f".*~*{BACKUP_SUFFIX}"):
+        result_folder = folder / backup.name[1:].rpartition("~")[0]
+        if result_folder.exists() or not (backup / RECORD_NAME).exists():
+            shutil.rmtree(backup, ignore_errors=True)
         else:
-            _restore_backup(aside, place)
-    return alive
+            _restore_backup(backup, result_folder)
+    return active
 
 
 def _restore_backup(backup: Path, result_folder: Path) -> None:
-    with contextlib.suppress(OSError):  # the next sweep tries again
+    """Rename a backup to the result folder, if possible."""
+    with contextlib.suppress(OSError):  # The next clean-up tries again.
         backup.rename(result_folder)
 
 
 def _clean_up_attempt(staging: Path) -> None:
-    """A finished result stays, for the next attempt to rename; of another part what an attempt can begin with."""
+    """Keep a finished result for the next attempt to publish; reduce any other staging folder to its reusable files."""
     record = read_record(staging)
     try:
         is_finished = record is not None and is_fresh(record, record.key, staging)
-    except FileError:  # not to be read now is no reason to delete it
+    except FileError:  # A result that cannot be read now must not be deleted.
         return
     if not is_finished:
         remove_unreusable(staging)
@@ -394,6 +456,7 @@ def _get_modified_time(path: Path) -> float:
 
 
 def _make_write_error(path: Path, error: OSError) -> FileError:
+    """Return the error for a path that cannot be written."""
     return FileError(
         f"cannot be written ({error.strerror or error}).",
         where=str(path),

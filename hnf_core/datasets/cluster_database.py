@@ -1,6 +1,7 @@
-"""Cluster Haptic Texture Database (CC BY 4.0, doi 10.6084/m9.figshare.29438288): 118 materials, eight directions.
+"""Reader of the Cluster Haptic Texture Database: 118 materials, stroked in eight directions.
 
-sensor_data/{accel,force,position}/<id>/<id>_<direction>_<speed>_<force>_<repetition>.csv; pictures img<id>.jpg.
+CC BY 4.0, doi 10.6084/m9.figshare.29438288. Layout:
+sensor_data/{accel,force,position}/<id>/<id>_<direction>_<speed>_<force>_<repetition>.csv; photographs img<id>.jpg.
 """
 
 from __future__ import annotations
@@ -33,29 +34,33 @@ Float = NDArray[np.float64]
 
 FAMILIES = ((38, "wood"), (49, "stone"), (65, "polymer"), (74, "metal"), (79, "glass"), (82, "composite"),
             (87, "ceramic"), (102, "biodegradable"), (118, "cloth"))  # fmt: skip
-"""First identity beyond each family."""
+"""First identity after each family, and the family."""
 _NAME = re.compile(r"(\d+)_(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)_(\d+)")
 
 
 @dataclass(frozen=True)
 class ClusterFolder(DataSet):
-    """Materials are called "<family> <id>", for example "wood 12"; the number alone is understood too."""
+    """A folder of the database; materials are called "<family> <id>", as "wood 12"; the number alone is accepted."""
 
     folder: Path
 
     @cached_property
     def _strokes(self) -> dict[int, dict[str, dict[str, Path]]]:
-        """Identity → stroke → quantity → file."""
-        out: dict[int, dict[str, dict[str, Path]]] = {}
+        """Files by identity, stroke and quantity."""
+        strokes_by_identity: dict[int, dict[str, dict[str, Path]]] = {}
         for path in find_files(self.folder, (".csv",)):
             match = _NAME.fullmatch(path.stem)
-            above = [part.lower() for part in path.relative_to(self.folder).parts[:-1]] or [self.folder.name.lower()]
+            parents = [part.lower() for part in path.relative_to(self.folder).parts[:-1]] or [self.folder.name.lower()]
             quantity = next(
-                (name for name in ("accel", "force", "position") if any(name in part for part in above)), ""
+                (name for name in ("accel", "force", "position") if any(name in part for part in parents)), ""
             )
             if match and quantity:
-                out.setdefault(int(match[1]), {}).setdefault(path.stem, {})[quantity] = path
-        return {each: strokes for each, strokes in out.items() if any("accel" in files for files in strokes.values())}
+                strokes_by_identity.setdefault(int(match[1]), {}).setdefault(path.stem, {})[quantity] = path
+        return {
+            identity: strokes
+            for identity, strokes in strokes_by_identity.items()
+            if any("accel" in files for files in strokes.values())
+        }
 
     @cached_property
     def materials(self) -> tuple[str, ...]:
@@ -65,7 +70,7 @@ class ClusterFolder(DataSet):
                 where=str(self.folder),
                 remedy="Give the folder that holds sensor_data, or sensor_data itself.",
             )
-        return tuple(f"{get_family(each)} {each}" for each in sorted(self._strokes))
+        return tuple(f"{get_family(identity)} {identity}" for identity in sorted(self._strokes))
 
     def recordings(self, name: str) -> list[Recording]:
         known, identity = self._find_identity(name)
@@ -80,9 +85,9 @@ class ClusterFolder(DataSet):
 
     def image(self, name: str) -> Path | None:
         identity = self._find_identity(name)[1]
-        found = find_files(self.folder, (".jpg", ".jpeg", ".png"))
-        matching = [path for path in found if re.fullmatch(rf"(?i)img[ _]?0*{identity}", path.stem)]
-        # The picture of the scanned area is the one that the strokes ran over.
+        images = find_files(self.folder, (".jpg", ".jpeg", ".png"))
+        matching = [path for path in images if re.fullmatch(rf"(?i)img[ _]?0*{identity}", path.stem)]
+        # The image of the scanned area is preferred, because the strokes ran over it.
         return max(matching, key=lambda path: "scan" in str(path.parent).lower(), default=None)
 
     def _find_identity(self, name: str) -> tuple[str, int]:
@@ -92,61 +97,77 @@ class ClusterFolder(DataSet):
 
 
 def get_family(identity: int) -> str:
-    return next((name for beyond, name in FAMILIES if identity < beyond), "material")
+    """Return the family of an identity."""
+    return next((name for end, name in FAMILIES if identity < end), "material")
 
 
 def read_stroke(files: dict[str, Path], material: str) -> Recording:
-    """Files of one stroke by quantity (accel, force, position) → Recording.
+    """Read the files of one stroke.
 
-    Acceleration: about 6 kHz, irregular, in g with gravity → 10 kHz, m/s², mean removed, DFT321 over the whole stroke.
-    Direction and speed come from positions, force from its sensor, each below 20 Hz; where a file is missing, what the
-    stroke's name announces is assumed and said. Raises FileError for a file that cannot be used.
+    Parameters
+    ----------
+    files : dict of str to Path
+        Files by quantity (accel, force, position).
+    material : str
+        Name of the material.
+
+    Returns
+    -------
+    Recording
+        Acceleration at 10 kHz [m/s²], mean removed, fused by DFT321, from irregular samples of about 6 kHz in g.
+        Direction and speed come from positions, force from its sensor, each below 20 Hz; for a missing file the value
+        in the stroke's name is assumed and noted.
+
+    Raises
+    ------
+    FileError
+        For a file that cannot be used.
     """
     path = files["accel"]
     where = str(path)
     time, axes = _read_series(path, ("X", "Y", "Z"), "acceleration", "g")
-    rate, of_the_grid = measure_sampling_rate(time, where)
+    rate, grid_notes = measure_sampling_rate(time, where)
     force = _read_series(files["force"], ("force",), "force", "N") if "force" in files else None
-    place = _read_series(files["position"], ("X", "Y"), "position", "mm") if "position" in files else None
-    grids = [time, *(series[0] for series in (force, place) if series is not None)]
+    position = _read_series(files["position"], ("X", "Y"), "position", "mm") if "position" in files else None
+    grids = [time, *(series[0] for series in (force, position) if series is not None)]
     start, stop = max(grid[0] for grid in grids), min(grid[-1] for grid in grids)
     count = count_action_samples(stop - start, where)
-    at = start + np.arange(round((count - 1) / 200.0 * SIGNAL_RATE_HZ)) / SIGNAL_RATE_HZ
-    samples = interpolate_series(time, axes, at)
+    times = start + np.arange(round((count - 1) / 200.0 * SIGNAL_RATE_HZ)) / SIGNAL_RATE_HZ
+    samples = interpolate_series(time, axes, times)
     resampled_from = f"{rate:.0f} Hz resampled to 10 kHz; gravity removed"
-    known, notes = set(), [resampled_from, "the probe is taken as the pen", *of_the_grid]
+    known, notes = set(), [resampled_from, "the probe is taken as the pen", *grid_notes]
     angle, speed, newtons = _parse_stroke_name(path)
     if force is None:
-        pressed = np.full(count, newtons)
+        force_n = np.full(count, newtons)
         notes.append(f"no force file: {newtons:g} N assumed, as its name says")
     else:
-        pressed = resample_to_action_rate(*force, start, count)[:, 0]
+        force_n = resample_to_action_rate(*force, start, count)[:, 0]
         known.add("force")
-    if place is None:
-        direction, pace = constant_direction(count, angle), np.full(count, speed)
+    if position is None:
+        direction, speed_m_s = constant_direction(count, angle), np.full(count, speed)
         notes.append(f"no position file: {np.degrees(angle):g}° and {speed:g} m/s assumed, as its name says")
     else:
-        direction, pace = derive_motion(resample_to_action_rate(*place, start, count))
+        direction, speed_m_s = derive_motion(resample_to_action_rate(*position, start, count))
         known |= {"direction", "speed"}
     return Recording(
-        build_action(direction, pace, pressed), dft321(samples - samples.mean(axis=0)), SIGNAL_RATE_HZ, material, where,
-        frozenset(known), tuple(notes),
+        build_action(direction, speed_m_s, force_n), dft321(samples - samples.mean(axis=0)), SIGNAL_RATE_HZ, material,
+        where, frozenset(known), tuple(notes),
     )  # fmt: skip
 
 
 def _read_series(path: Path, columns: tuple[str, ...], quantity: str, unit: str) -> tuple[Float, Float]:
-    """Time (n,) s and values (n, k) in SI units."""
+    """Read time (n,) [s] and values (n, k) in SI units."""
     table, units = read_table(path, ("time", *columns))
     time = table[:, 0] * parse_unit_factor("time", units.get("time", "s"), str(path))
     check_time_grid(time, str(path))
-    written = {units.get(column, unit) for column in columns}
-    if len(written) != 1:
-        raise FileError(f"columns in different units, {sorted(written)}.", where=str(path), remedy="Use one unit.")
-    return time, table[:, 1:] * parse_unit_factor(quantity, written.pop(), str(path))
+    file_units = {units.get(column, unit) for column in columns}
+    if len(file_units) != 1:
+        raise FileError(f"columns in different units, {sorted(file_units)}.", where=str(path), remedy="Use one unit.")
+    return time, table[:, 1:] * parse_unit_factor(quantity, file_units.pop(), str(path))
 
 
 def _parse_stroke_name(path: Path) -> tuple[float, float, float]:
-    """Direction [rad], speed [m/s] and force [N] that the file's name gives."""
+    """Return direction [rad], speed [m/s] and force [N] from the file's name."""
     match = _NAME.fullmatch(path.stem)
     if match is None:
         raise FileError("its name does not give direction, speed and force.", where=str(path),

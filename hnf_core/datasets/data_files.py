@@ -1,14 +1,8 @@
-"""Files of a user's folder, whatever its sub-folders are called.
+"""Reading of untrusted data files: folder search, units, XML without DTDs, tables of numbers.
 
-Units as data files write them → factor into SI; and which numbers can be a measurement at all.
-
-XML of unknown origin → element tree, with nothing in it expanded.
-
-Any DTD is refused: entities, and with them every expansion and outside reference, can only be declared there, and no
-file of the data sets has one. That needs twenty lines on the standard library's expat, so no further package (such as
-defusedxml) has to travel into Blender.
-
-Text files of numbers: CSV tables with a header, and one number a line.
+XML with a DTD is refused: entities, and with them all expansion and external references, can only be declared there,
+and no file of the data sets has one. This takes a few lines on the standard library's expat, so that no further package
+(such as defusedxml) has to be shipped with Blender.
 """
 
 from __future__ import annotations
@@ -27,34 +21,57 @@ from ..errors import FileError
 from ..units import STANDARD_GRAVITY
 
 MAX_FOLDER_DEPTH = 8
+"""Largest depth of folders that are searched."""
 MAX_FILES = 500_000
+"""Largest number of files in a searched folder."""
 MAX_NAME_LENGTH = 200
+"""Longest accepted file name [characters]."""
 
 
 def find_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
-    """Sorted files with one of the suffixes (lower case, with dot), at most DEEPEST folders down; links to folders are
-    not followed, hidden ones are left out. Raises FileError where folder is none, or holds more than MOST_FILES files.
+    """Find the files with one of some suffixes, at most `MAX_FOLDER_DEPTH` folders deep, sorted.
+
+    Links to folders are not followed, hidden files and folders are left out.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to search.
+    suffixes : tuple of str
+        Lower-case suffixes with dot.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    FileError
+        If it is no folder, or holds more than `MAX_FILES` files.
     """
     if not folder.is_dir():
         raise FileError("this is no folder.", where=str(folder), remedy="Give the folder that holds the data set.")
-    found: list[Path] = []
-    seen = 0
-    for here, folders, names in os.walk(folder):
-        depth = len(Path(here).relative_to(folder).parts)
+    paths: list[Path] = []
+    count = 0
+    for current, folders, names in os.walk(folder):
+        depth = len(Path(current).relative_to(folder).parts)
         folders[:] = [] if depth >= MAX_FOLDER_DEPTH else [name for name in folders if not name.startswith(".")]
-        seen += len(names)
-        if seen > MAX_FILES:
+        count += len(names)
+        if count > MAX_FILES:
             raise FileError(
                 f"more than {MAX_FILES} files.", where=str(folder), remedy="Give the data set's own folder."
             )
-        wanted = (name for name in names if not name.startswith(".") and os.path.splitext(name)[1].lower() in suffixes)
-        # A pipe or device of such a name would be waited for.
-        found += [path for name in wanted if (path := Path(here) / name).is_file()]
-    return sorted(found)
+        matching = (
+            name for name in names if not name.startswith(".") and os.path.splitext(name)[1].lower() in suffixes
+        )
+        # Only regular files: opening a pipe or device would block.
+        paths += [path for name in matching if (path := Path(current) / name).is_file()]
+    return sorted(paths)
 
 
 def read_head(path: Path, size: int = 4096) -> bytes:
-    """The first bytes of a file; empty where it cannot be read (who needs the file will say so)."""
+    """Return the first bytes of a file; empty if it cannot be read, since its later reading reports that."""
     try:
         with path.open("rb") as stream:
             return stream.read(size)
@@ -63,13 +80,13 @@ def read_head(path: Path, size: int = 4096) -> bytes:
 
 
 def is_safe_name(name: str) -> bool:
-    """Whether a name written in a file is one file's or folder's own: on no system does it lead anywhere else."""
-    fits = len(name) <= MAX_NAME_LENGTH and re.fullmatch(r"\w[\w .,+()&'-]*", name) is not None
-    return fits and not name.endswith((" ", "."))
+    """Return True if a name found in a file is that of one file or folder, and leads nowhere else on any system."""
+    is_plain = len(name) <= MAX_NAME_LENGTH and re.fullmatch(r"\w[\w .,+()&'-]*", name) is not None
+    return is_plain and not name.endswith((" ", "."))
 
 
 def list_file_names(folder: Path) -> frozenset[str]:
-    """Names of the files that lie directly in a folder; empty where there is no such folder."""
+    """Return the names of the visible files directly in a folder; empty if there is no such folder."""
     try:
         with os.scandir(folder) as entries:
             return frozenset(entry.name for entry in entries if not entry.name.startswith(".") and entry.is_file())
@@ -92,33 +109,34 @@ _UNIT_FACTORS = {
 }  # fmt: skip
 
 MAX_MEASURABLE = 1e12
-"""No sensor of touch gives such a number, in whatever unit; its square would overflow."""
+"""Upper limit of plausible measurements in any unit; squares of larger numbers could overflow."""
 
 
 def is_measurable(values: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Finite and below BEYOND, element by element."""
-    return np.abs(values) < MAX_MEASURABLE  # False for NaN
+    """Return a mask of values that are finite and below `MAX_MEASURABLE`."""
+    return np.abs(values) < MAX_MEASURABLE  # also False for NaN
 
 
 def parse_unit_factor(quantity: str, written: str, where: str) -> float:
-    """What a number in the written unit is multiplied by to be SI; case, blanks, ^ and brackets do not count.
+    """Return the factor from a written unit to SI; case, blanks, ^ and brackets do not count.
 
-    quantity: acceleration, speed, force, position, time or rate. Raises FileError for a unit that is not one of these.
+    `quantity` is acceleration, speed, force, position, time or rate. Raises FileError for an unknown unit.
     """
-    known = _UNIT_FACTORS[quantity]
-    plain = re.sub(r"[\s^*\[\](){}·]", "", written.replace("²", "2").replace("µ", "u").replace("μ", "u")).lower()
-    if plain not in known:
+    factors = _UNIT_FACTORS[quantity]
+    unit = re.sub(r"[\s^*\[\](){}·]", "", written.replace("²", "2").replace("µ", "u").replace("μ", "u")).lower()
+    if unit not in factors:
         raise FileError(
             f"{written.strip()!r} is no unit of {quantity} known here.",
             where=where,
-            remedy=f"Known are {', '.join(known)}.",
+            remedy=f"Known are {', '.join(factors)}.",
         )
-    return known[plain]
+    return factors[unit]
 
 
 MAX_FILE_BYTES = 256 * 2**20
-"""A recording of 10 s at 10 kHz is some 30 MB; more than this is no file of a data set."""
+"""Largest accepted file [bytes]; a recording of 10 s at 10 kHz has some 30 MB."""
 MAX_XML_DEPTH = 64
+"""Largest accepted depth of XML elements."""
 _XML_REMEDY = "Get the file again from the data set."
 
 
@@ -131,10 +149,10 @@ class _DepthError(Exception):
 
 
 def read_xml(path: Path) -> Element:
-    """Root element of an XML file, namespaces and comments dropped.
+    """Read the root element of an XML file, without namespaces and comments.
 
-    Raises FileError where it cannot be read, is larger than LARGEST_BYTES, is not well-formed, declares a DTD, or nests
-    deeper than DEEPEST.
+    Raises FileError if it cannot be read, is larger than `MAX_FILE_BYTES`, is not well-formed, declares a DTD, or is
+    nested deeper than `MAX_XML_DEPTH`.
     """
     try:
         size = path.stat().st_size
@@ -147,7 +165,7 @@ def read_xml(path: Path) -> Element:
 
 
 def parse_xml(data: bytes, where: str) -> Element:
-    """As read_xml, from bytes."""
+    """Parse XML bytes as `read_xml`; `where` names the source in messages."""
     builder, depth = TreeBuilder(), 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -191,7 +209,7 @@ _TABLE_REMEDY = "Get the file again from the data set."
 
 
 def read_text(path: Path) -> str:
-    """Raises FileError where the file cannot be read, is too large, or is not text."""
+    """Read a UTF-8 text file; raise FileError if it cannot be read, is too large, or is no text."""
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise FileError("too large for a recording.", where=str(path), remedy=_TABLE_REMEDY)
@@ -206,39 +224,58 @@ def read_text(path: Path) -> str:
 
 
 def read_header(path: Path) -> list[str]:
-    """Names of a CSV's columns in lower case, without their units in brackets; "" for what is no name. Raises FileError
-    as read_table."""
+    """Return the column names of a CSV in lower case, without units; "" for a cell that is no name.
+
+    Raises FileError as `read_table`.
+    """
     return _parse_header(_read_numbered_lines(path))[0]
 
 
 def read_table(path: Path, wanted: tuple[str, ...]) -> tuple[Float, dict[str, str]]:
-    """CSV → (n, len(wanted)) numbers, and the unit in brackets behind a column's name where the header has one.
+    """Read columns of a CSV by name.
 
-    Case, order and further columns do not matter; comma, semicolon or tab separate, and where it is not the comma, that
-    may stand for the decimal point. Raises FileError for a column that
-    is missing, a cell that is no finite number, or no rows.
+    Parameters
+    ----------
+    path : Path
+        The file. Comma, semicolon or tab separate; unless it is the comma, a comma may be the decimal point.
+    wanted : tuple of str
+        Column names; case, order and further columns do not matter.
+
+    Returns
+    -------
+    table : ndarray, shape (n, len(wanted))
+        The numbers.
+    units : dict of str to str
+        Units in brackets behind the column names, if the header has any.
+
+    Raises
+    ------
+    FileError
+        For a missing column, a cell that is no finite number, or no rows.
     """
     where, numbered = str(path), _read_numbered_lines(path)
-    names, written, separator = _parse_header(numbered)
+    names, header_units, separator = _parse_header(numbered)
     missing = [name for name in wanted if name.lower() not in names]
     if missing:
         raise FileError(
             f"column {missing[0]} is missing.", where=where, remedy=f"A header {','.join(wanted)} is expected."
         )
-    places = [names.index(name.lower()) for name in wanted]
-    units = {name: written[place] for name, place in zip(wanted, places, strict=True) if written[place]}
+    column_indices = [names.index(name.lower()) for name in wanted]
+    units = {
+        name: header_units[index] for name, index in zip(wanted, column_indices, strict=True) if header_units[index]
+    }
     if len(numbered) < 2:
         raise FileError("it has no rows.", where=where, remedy=_TABLE_REMEDY)
-    return _parse_rows(numbered[1:], separator, places, where), units
+    return _parse_rows(numbered[1:], separator, column_indices, where), units
 
 
 def _read_numbered_lines(path: Path) -> list[tuple[int, str]]:
-    """Those that are not empty, each with its number."""
+    """Return the lines that are not empty, each with its number."""
     return [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
 
 
 def _parse_header(numbered: list[tuple[int, str]]) -> tuple[list[str], list[str], str]:
-    """Of each column the name in lower case and the unit in brackets, "" where there is none; and the separator."""
+    """Return name (lower case) and unit of each column, "" if there is none, and the separator."""
     first = numbered[0][1] if numbered else ""
     separator = max((",", ";", "\t"), key=first.count)
     cells = [
@@ -248,7 +285,7 @@ def _parse_header(numbered: list[tuple[int, str]]) -> tuple[list[str], list[str]
 
 
 def read_numbers(path: Path) -> Float:
-    """One number a line → (n,). Raises FileError for a line that is not one finite number, or for none."""
+    """Read one number per line (n,); raise FileError for no lines, or a line that is not one finite number."""
     numbered = _read_numbered_lines(path)
     if not numbered:
         raise FileError("it is empty.", where=str(path), remedy=_TABLE_REMEDY)
@@ -256,7 +293,7 @@ def read_numbers(path: Path) -> Float:
 
 
 def _parse_rows(numbered: list[tuple[int, str]], separator: str, column_indices: list[int], where: str) -> Float:
-    """Lines with their numbers → (n, len(places)); which line is at fault is only looked for where one is."""
+    """Parse numbered lines to (n, len(column_indices)); the faulty line is only searched for after a failure."""
     if separator != ",":
         numbered = [(number, line.replace(",", ".")) for number, line in numbered]
     try:
@@ -265,7 +302,7 @@ def _parse_rows(numbered: list[tuple[int, str]], separator: str, column_indices:
     except ValueError as error:
         for number, line in numbered:
             cells = line.split(separator)
-            if not all(place < len(cells) and _is_number(cells[place]) for place in column_indices):
+            if not all(index < len(cells) and _is_number(cells[index]) for index in column_indices):
                 raise FileError(
                     f"line {number}: a cell is missing or no number.", where=where, remedy=_TABLE_REMEDY
                 ) from error

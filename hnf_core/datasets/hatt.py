@@ -1,9 +1,8 @@
-"""A user's copy of the Penn Haptic Texture Toolkit: models, recordings and pictures, found in any arrangement.
+"""Reader of the Penn Haptic Texture Toolkit (HaTT): models, recordings and photographs, in any arrangement of folders.
 
-HaTT recordings: XML files of acceleration, force, position and speed, one quantity a file or all in one.
-
-Their tags differ from copy to copy, so the tree is walked: an element with many <value> children, or with many numbers
-in its text, is an array under its tag; SampleRate and …Units beside it are heeded.
+Recordings are XML files of acceleration, force, position and speed, one quantity per file or all in one. Their tags
+differ from copy to copy, so the tree is searched: an element with many <value> children, or many numbers in its text,
+is an array named by its tag; SampleRate and …Units elements apply to it.
 """
 
 from __future__ import annotations
@@ -28,40 +27,45 @@ from .time_series import SIGNAL_RATE_HZ, MeasuredSignal, assemble_recording
 Float = NDArray[np.float64]
 
 QUANTITIES = {"accel": "acceleration", "force": "force", "speed": "speed", "veloc": "speed", "position": "position"}
+"""Words in tags and names, and the quantities that they mean."""
 _DEFAULT_UNITS = {"acceleration": "m/s^2", "force": "N", "speed": "mm/s", "position": "mm"}
 MIN_ARRAY_LENGTH = 4
-"""Fewer numbers than this in one element are a setting, not a signal."""
+"""Least number of values of a signal; fewer are a setting."""
 _TOOLKIT_REMEDY = "Get the file again from the toolkit."
 
 
 def detect_quantity(text: str) -> str | None:
-    """acceleration, force, speed or position, where a word of one is in the text."""
+    """Return acceleration, force, speed or position if a word for it is in the text, else None."""
     lower = text.lower()
     return next((quantity for word, quantity in QUANTITIES.items() if word in lower), None)
 
 
 def read_signals(path: Path) -> list[MeasuredSignal]:
-    """All quantities of one file. Raises FileError where there is none, or its numbers are no signal."""
+    """Read all quantities of one file; raise FileError if there are none, or their numbers are no signal."""
     root, where = read_xml(path), str(path)
     settings = {e.tag.lower(): (e.text or "").strip() for e in root.iter() if len(e) == 0 and (e.text or "").strip()}
     rate, rate_note = _read_rate(settings, where)
-    found: dict[str, list[tuple[str, Float]]] = {}
+    values_by_quantity: dict[str, list[tuple[str, Float]]] = {}
     for names, element in _walk(root, ()):
         values = _read_array(element, f"{where}, {element.tag}")
         quantity = detect_quantity("/".join(names)) or detect_quantity(path.stem) or detect_quantity(path.parent.name)
         if values is None or quantity is None or "tangent" in element.tag.lower():
             continue
-        found.setdefault(quantity, []).append((_detect_axis(element.tag), values))
-    if not found:
+        values_by_quantity.setdefault(quantity, []).append((_detect_axis(element.tag), values))
+    if not values_by_quantity:
         raise FileError(
             "no signal of acceleration, force, speed or position is in it.",
             where=where,
             remedy="Expected elements such as Accel, ForceNormal or Speed with one value per sample.",
         )
-    return [_build_signal(quantity, parts, settings, rate, where, rate_note) for quantity, parts in found.items()]
+    return [
+        _build_signal(quantity, arrays, settings, rate, where, rate_note)
+        for quantity, arrays in values_by_quantity.items()
+    ]
 
 
 def _walk(element: Element, above: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Element]]:
+    """Yield every element below and including `element`, with the tags on the path to it."""
     names = (*above, element.tag)
     yield names, element
     for child in element:
@@ -70,21 +74,21 @@ def _walk(element: Element, above: tuple[str, ...]) -> Iterator[tuple[tuple[str,
 
 
 def _read_rate(settings: dict[str, str], where: str) -> tuple[float, tuple[str, ...]]:
-    written = settings.get("samplerate", "")
-    if not written:
+    text = settings.get("samplerate", "")
+    if not text:
         return SIGNAL_RATE_HZ, ("SampleRate is missing: taken as 10 kHz",)
-    match = re.fullmatch(r"([0-9.eE+]+)\s*([a-zA-Z]*)", written)
+    match = re.fullmatch(r"([0-9.eE+]+)\s*([a-zA-Z]*)", text)
     try:
         rate = float(match[1]) * parse_unit_factor("rate", match[2] or "Hz", where) if match else 0.0
     except ValueError:
         rate = 0.0
     if not 10.0 <= rate <= 1e6:
-        raise FileError(f"{written!r} is no sample rate.", where=f"{where}, SampleRate", remedy=_TOOLKIT_REMEDY)
+        raise FileError(f"{text!r} is no sample rate.", where=f"{where}, SampleRate", remedy=_TOOLKIT_REMEDY)
     return rate, ()
 
 
 def _read_array(element: Element, where: str) -> Float | None:
-    """(n,) or (n, k) where every value holds k numbers; None where the element is no array."""
+    """Return an element's array (n,), or (n, k) if every value has k numbers; None if it is no array."""
     children = [child.text for child in element if child.tag.lower() == "value"]
     rows = [(text or "").replace(",", " ").split() for text in children]
     if not rows and len(element) == 0:
@@ -118,8 +122,8 @@ def _is_number(word: str) -> bool:
 def _detect_axis(tag: str) -> str:
     if "normal" in tag.lower():
         return "normal"
-    last = re.search(r"(?:^|[a-z_])([XYZ])(?:$|_)|_([xyz])$|^([xyz])$", tag)
-    return next((group.lower() for group in last.groups() if group), "") if last else ""
+    match = re.search(r"(?:^|[a-z_])([XYZ])(?:$|_)|_([xyz])$|^([xyz])$", tag)
+    return next((group.lower() for group in match.groups() if group), "") if match else ""
 
 
 def _build_signal(
@@ -128,10 +132,10 @@ def _build_signal(
 ) -> MeasuredSignal:  # fmt: skip
     tags = {"acceleration": ("accelunits", "accelerationunits"), "force": ("forceunits",),
             "speed": ("speedunits", "velocityunits"), "position": ("positionunits",)}[quantity]  # fmt: skip
-    written = next((settings[tag] for tag in tags if tag in settings), "")
-    if not written:
+    unit = next((settings[tag] for tag in tags if tag in settings), "")
+    if not unit:
         notes = (*notes, f"units of {quantity} are missing: taken as {_DEFAULT_UNITS[quantity]}")
-    factor = parse_unit_factor(quantity, written or _DEFAULT_UNITS[quantity], f"{where}, {tags[0]}")
+    factor = parse_unit_factor(quantity, unit or _DEFAULT_UNITS[quantity], f"{where}, {tags[0]}")
     lengths = {len(values) for _, values in parts}
     if len(lengths) != 1:
         raise FileError(f"axes of {quantity} of {sorted(lengths)} samples.", where=where, remedy=_TOOLKIT_REMEDY)
@@ -148,44 +152,48 @@ IMAGE_SUFFIXES = (".bmp", ".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 @dataclass(frozen=True)
 class HattFolder(DataSet):
-    """Models are known by what they hold (a modelSet), not by their place; of several for one material, the one at
-    10 kHz counts. Other XML files are recordings where their name, their folder or their first lines name a quantity.
+    """A user's copy of the toolkit.
+
+    Models are recognised by their content (a modelSet); of several for one material, the one at 10 kHz counts. Other
+    XML files are recordings if their name, folder or first lines name a quantity.
     """
 
     folder: Path
 
     @cached_property
     def _files(self) -> tuple[dict[str, Path], list[Path]]:
-        """Material → model file; and every file that may be a recording."""
+        """Model file of each material, and all files that may be recordings."""
         models: dict[str, tuple[bool, Path]] = {}
-        others: list[Path] = []
+        recordings: list[Path] = []
         for path in find_files(self.folder, (".xml",)):
             start = read_head(path).lower()
             if b"<modelset" not in start and not path.stem.lower().startswith("models_"):
-                named = detect_quantity("/".join(path.relative_to(self.folder).parts))
-                if named or detect_quantity(start.decode("latin-1")):
-                    others.append(path)
+                quantity = detect_quantity("/".join(path.relative_to(self.folder).parts))
+                if quantity or detect_quantity(start.decode("latin-1")):
+                    recordings.append(path)
                 continue
             name = _normalise_spaces(re.sub(r"(?i)^models_", "", path.stem))
             rate = re.search(rb"<samplerate>\s*([0-9.]+)", start)
-            full = rate is None or float(rate[1]) == PROCESS_RATE_HZ
+            is_full_rate = rate is None or float(rate[1]) == PROCESS_RATE_HZ
             key = next((known for known in models if normalise_name(known) == normalise_name(name)), name)
-            if key not in models or (full and not models[key][0]):
-                models[key] = (full, path)
-        return {name: path for name, (_, path) in models.items()}, others
+            if key not in models or (is_full_rate and not models[key][0]):
+                models[key] = (is_full_rate, path)
+        return {name: path for name, (_, path) in models.items()}, recordings
 
     @cached_property
     def _strokes(self) -> dict[str, dict[str, list[Path]]]:
-        """Material → stroke → the files of its quantities."""
-        models, others = self._files
-        out: dict[str, dict[str, list[Path]]] = {}
-        for path in others:
+        """Files of the quantities of each stroke, by material."""
+        models, recordings = self._files
+        strokes_by_material: dict[str, dict[str, list[Path]]] = {}
+        for path in recordings:
             relative = path.relative_to(self.folder)
-            bare = re.sub(rf"(?i)({'|'.join(QUANTITIES)})\w*?(?=_|\b|[A-Z])", "", path.stem)
-            material = _match_material(bare, tuple(models))
-            above = [part for part in relative.parts[:-1] if detect_quantity(part) is None]
-            out.setdefault(material, {}).setdefault("/".join([*above, normalise_name(bare)]), []).append(path)
-        return out
+            base_name = re.sub(rf"(?i)({'|'.join(QUANTITIES)})\w*?(?=_|\b|[A-Z])", "", path.stem)
+            material = _match_material(base_name, tuple(models))
+            parents = [part for part in relative.parts[:-1] if detect_quantity(part) is None]
+            strokes_by_material.setdefault(material, {}).setdefault(
+                "/".join([*parents, normalise_name(base_name)]), []
+            ).append(path)
+        return strokes_by_material
 
     @cached_property
     def materials(self) -> tuple[str, ...]:
@@ -212,15 +220,18 @@ class HattFolder(DataSet):
         return None if path is None else HattProcess(replace(read_texture_model(path), material=known))
 
     def action_range(self, name: str) -> ActionRange:
-        """Of a model: from the least speed and force at which it sounds (axes and corners of its hull are the toolkit's
-        own additions) to the hull's largest. Without one: what its recordings cover."""
+        """Return the range of a model or, without one, of the recordings.
+
+        A model's range is from the least speed and force at which it is not silent (axes and corners of its hull are
+        additions of the toolkit) to the largest of its hull.
+        """
         process = self.process(name)
         return compute_action_range(self.recordings(name)) if process is None else _get_hull_range(process.model)
 
     def image(self, name: str) -> Path | None:
-        wanted = normalise_name(match_name(name, self.materials, str(self.folder)))
-        pictures = {normalise_name(path.stem): path for path in reversed(find_files(self.folder, IMAGE_SUFFIXES))}
-        return pictures.get(wanted + "square") or pictures.get(wanted)
+        key = normalise_name(match_name(name, self.materials, str(self.folder)))
+        images = {normalise_name(path.stem): path for path in reversed(find_files(self.folder, IMAGE_SUFFIXES))}
+        return images.get(key + "square") or images.get(key)
 
 
 def _get_hull_range(model: TextureModel) -> ActionRange:
@@ -238,12 +249,14 @@ def _normalise_spaces(name: str) -> str:
 
 
 def _match_material(stem: str, known: tuple[str, ...]) -> str:
-    """The known material that the stem ends with (a number of the take may follow); else what stands behind the prefix
-    and before _<number>, _train or _test."""
-    plain = re.sub(r"(?i)_(train|test)\w*$", "", stem)
-    for ending in (plain, re.sub(r"_\d+$", "", plain)):
-        fitting = [name for name in known if normalise_name(ending).endswith(normalise_name(name))]
-        if fitting:
-            return max(fitting, key=len)
-    rest = re.sub(r"_\d+$", "", plain)
-    return _normalise_spaces(rest.partition("_")[2] or rest) or stem
+    """Return the known material that a file's stem ends with, a take number aside.
+
+    Otherwise return the text between the prefix and _<number>, _train or _test.
+    """
+    base = re.sub(r"(?i)_(train|test)\w*$", "", stem)
+    for candidate in (base, re.sub(r"_\d+$", "", base)):
+        matches = [name for name in known if normalise_name(candidate).endswith(normalise_name(name))]
+        if matches:
+            return max(matches, key=len)
+    remainder = re.sub(r"_\d+$", "", base)
+    return _normalise_spaces(remainder.partition("_")[2] or remainder) or stem

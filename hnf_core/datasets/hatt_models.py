@@ -1,13 +1,10 @@
-"""Texture models of the Penn Haptic Texture Toolkit (HaTT): one XML file → one TextureModel.
+"""Texture models of the Penn Haptic Texture Toolkit (HaTT), read from XML, and line spectral frequencies.
 
 H. Culbertson, J. J. López Delgado & K. J. Kuchenbecker (2014), "One hundred data-driven haptic texture models and
-open-source methods for rendering on 3D objects", IEEE Haptics Symposium.
-
-Line spectral frequencies: the one form of an all-pole filter that can be interpolated and stays stable.
-
-F. Itakura (1975), "Line spectrum representation of linear predictive coefficients", JASA 57; F. Soong & B.-H. Juang
-(1984), ICASSP: a filter is minimum phase exactly when its LSFs rise strictly within (0, π). A mean of rising sequences
-rises, so any weighted mean of stable filters is stable.
+open-source methods for rendering on 3D objects", IEEE Haptics Symposium. Line spectral frequencies (LSFs) are the form
+of an all-pole filter that can be interpolated and stays stable: a filter is minimum phase exactly if its LSFs rise
+strictly within (0, π), and a weighted mean of rising sequences rises (F. Itakura 1975, "Line spectrum representation of
+linear predictive coefficients", JASA 57; F. Soong & B.-H. Juang 1984, ICASSP).
 """
 
 from __future__ import annotations
@@ -27,7 +24,7 @@ Float = NDArray[np.float64]
 
 
 def polynomial_from_lsf(lsf: ArrayLike) -> Float:
-    """(…, p) rising LSFs [rad] → (…, p + 1) coefficients of A(z) in powers of z⁻¹, the first 1.
+    """Convert rising LSFs (…, p) [rad] to coefficients (…, p + 1) of A(z) in powers of z⁻¹, the first 1.
 
     A = (P + Q) / 2; Q has its roots at the 1st, 3rd, … LSF, P at the 2nd, 4th, …. Even p: Q times (1 + z⁻¹) and P times
     (1 − z⁻¹); odd p: P times (1 − z⁻²).
@@ -44,58 +41,80 @@ def polynomial_from_lsf(lsf: ArrayLike) -> Float:
 
 
 def lsf_from_polynomial(coefficients: ArrayLike) -> Float:
-    """(p + 1,) coefficients of a minimum-phase A(z), the first 1 → (p,) LSFs.
+    """Convert coefficients (p + 1,) of a minimum-phase A(z), the first 1, to LSFs (p,).
 
-    Raises ValueError where the filter is not stable: its LSFs then do not rise within (0, π).
+    Raises ValueError if the filter is not stable: its LSFs then do not rise within (0, π).
     """
     a = np.asarray(coefficients, dtype=np.float64)
     order = len(a) - 1
     if order < 1 or not np.isfinite(a).all() or a[0] != 1.0:
         raise ValueError("a filter has finite coefficients, the first of them 1.")
-    longer = np.append(a, 0.0)
+    padded = np.append(a, 0.0)
     if np.max(np.abs(np.roots(a)), initial=0.0) >= 1.0:
         raise ValueError("the filter is not stable.")
-    angles = [np.angle(np.roots(longer + sign * longer[::-1])) for sign in (1.0, -1.0)]
-    kept = [np.sort(each[(each > 1e-9) & (each < np.pi - 1e-9)]) for each in angles]
-    lsf = np.sort(np.concatenate(kept))
+    angles = [np.angle(np.roots(padded + sign * padded[::-1])) for sign in (1.0, -1.0)]
+    roots_in_range = [np.sort(angle[(angle > 1e-9) & (angle < np.pi - 1e-9)]) for angle in angles]
+    lsf = np.sort(np.concatenate(roots_in_range))
     if len(lsf) != order or np.any(np.diff(lsf) <= 0.0):
         raise ValueError("the filter is too close to instability.")
     return lsf
 
 
 def _multiply_quadratics(cosines: Float) -> Float:
-    """(k, …) → (2k + 1, …): Π (1 − 2 cos ω z⁻¹ + z⁻²)."""
-    out = np.ones((1, *cosines.shape[1:]))
+    """Return Π (1 − 2 cos ω z⁻¹ + z⁻²), (2k + 1, …), of cosines (k, …)."""
+    product = np.ones((1, *cosines.shape[1:]))
     for cosine in cosines:
-        longer = np.zeros((len(out) + 2, *out.shape[1:]))
-        longer[: len(out)] = out
-        longer[1:-1] -= 2.0 * cosine * out
-        longer[2:] += out
-        out = longer
-    return out
+        extended = np.zeros((len(product) + 2, *product.shape[1:]))
+        extended[: len(product)] = product
+        extended[1:-1] -= 2.0 * cosine * product
+        extended[2:] += product
+        product = extended
+    return product
 
 
 def _multiply_polynomials(polynomial: Float, factor: tuple[float, ...]) -> Float:
-    out = np.zeros((len(polynomial) + len(factor) - 1, *polynomial.shape[1:]))
+    product = np.zeros((len(polynomial) + len(factor) - 1, *polynomial.shape[1:]))
     for shift, weight in enumerate(factor):
         if weight:
-            out[shift : shift + len(polynomial)] += weight * polynomial
-    return out
+            product[shift : shift + len(polynomial)] += weight * polynomial
+    return product
 
 
 MIN_FILTER_RATE_HZ, MAX_FILTER_RATE_HZ = 500.0, 1e5
-"""Slower filters hold nothing of touch; the toolkit has 1 and 10 kHz."""
+"""Accepted sample rates of filters [Hz]; the toolkit has 1 and 10 kHz."""
 _TOOLKIT_REMEDY = "Get the file again from the toolkit."
 
 
 @dataclass(frozen=True)
 class TextureModel:
-    """Filters at V points of the speed–force plane, and the triangles between them. SI units.
+    """A HaTT model: filters at V points of the speed–force plane, and a triangulation. SI units.
 
-    speeds (V,) m/s, forces (V,) N. triangles (T, 3) indices into them, counted from 0 (the file counts from 1).
-    ar_lsf (V, p), ma_lsf (V, q) line spectral frequencies in (0, π); q = 0 for a purely autoregressive model.
-    variances (V,) of the excitation, (m/s²)². gains (V,): 1 in autoregressive models. sample_rate: Hz of the filters.
-    friction: Coulomb μ, None where the file has none. max_speed m/s, max_force N. notes: what the reader assumed.
+    Attributes
+    ----------
+    material : str
+        Name of the material.
+    source : str
+        File, for messages.
+    sample_rate : float
+        Sample rate of the filters [Hz].
+    speeds, forces : ndarray, shape (V,)
+        Speed [m/s] and force [N] of each filter.
+    triangles : ndarray of int64, shape (T, 3)
+        Indices into them, from 0 (the file counts from 1).
+    ar_lsf : ndarray, shape (V, p)
+        Line spectral frequencies of the autoregressive part, in (0, π).
+    ma_lsf : ndarray, shape (V, q)
+        Line spectral frequencies of the moving average; q = 0 if there is none.
+    variances : ndarray, shape (V,)
+        Variance of the excitation [(m/s²)²].
+    gains : ndarray, shape (V,)
+        Gains; 1 in autoregressive models.
+    friction : float or None
+        Coulomb μ, if the file has it.
+    max_speed, max_force : float
+        Largest speed [m/s] and force [N].
+    notes : tuple of str
+        Assumptions of the reader.
     """
 
     material: str
@@ -115,13 +134,14 @@ class TextureModel:
 
 
 def read_texture_model(path: Path) -> TextureModel:
-    """Read a model file (10 kHz AR or 1 kHz ARMA). Case of tags and blanks do not matter; missing units, counts and
-    maxima are taken as the toolkit has them, and said in notes; LSFs that are missing follow from the coefficients.
+    """Read a model file (10 kHz AR or 1 kHz ARMA).
 
-    Raises FileError (what and where in the file) for everything that makes no usable model.
+    Case of tags and blanks do not matter. Missing units, counts and maxima are assumed as the toolkit has them, and
+    noted; missing LSFs are computed from the coefficients. Raises FileError, with the location in the file, for
+    everything that makes no usable model.
     """
     where = str(path)
-    root = next((e for e in read_xml(path).iter() if e.tag.lower() == "modelset"), None)
+    root = next((element for element in read_xml(path).iter() if element.tag.lower() == "modelset"), None)
     if root is None:
         raise FileError("there is no modelSet in it.", where=where, remedy="Give a HaTT model (Models_….xml).")
     notes: list[str] = []
@@ -166,14 +186,14 @@ def _read_text(parent: Element, tag: str) -> str:
 
 
 def _read_unit(root: Element, tag: str, quantity: str, default: str, where: str, notes: list[str]) -> float:
-    written = _read_text(root, tag)
-    if not written:
+    text = _read_text(root, tag)
+    if not text:
         notes.append(f"{tag} is missing: taken as {default}")
-    return parse_unit_factor(quantity, written or default, f"{where}, {tag}")
+    return parse_unit_factor(quantity, text or default, f"{where}, {tag}")
 
 
 def _read_numbers(element: Element | None, where: str) -> Float:
-    """<value> children, or numbers separated by blanks or commas; () where there is no element or it is empty."""
+    """Return the numbers of <value> children or of the text; empty if there is no element or no text."""
     if element is None:
         return np.zeros(0)
     texts: Iterable[str | None] = [child.text for child in element] if len(element) else (element.text or "").split()
@@ -220,20 +240,20 @@ def _read_friction(root: Element, where: str) -> float | None:
 
 
 def _check_count(root: Element, tag: str, found: int, things: str, where: str) -> int:
-    said = _read_number(root, tag, where)
-    if found == 0 or (said is not None and said != found):
-        announced = "" if said is None else f", {said:g} announced"
-        raise FileError(f"{found} {things}{announced}.", where=f"{where}, {tag}", remedy=_TOOLKIT_REMEDY)
+    announced_count = _read_number(root, tag, where)
+    if found == 0 or (announced_count is not None and announced_count != found):
+        suffix = "" if announced_count is None else f", {announced_count:g} announced"
+        raise FileError(f"{found} {things}{suffix}.", where=f"{where}, {tag}", remedy=_TOOLKIT_REMEDY)
     return found
 
 
 def _read_vertices(root: Element, models: list[Element], tag: str, model_tag: str, count: int, where: str) -> Float:
     values = _read_numbers(_find_child(root, tag), f"{where}, {tag}")
     if len(values) == 0:
-        each = [
+        per_model = [
             _read_number(model, model_tag, f"{where}, model {index}") for index, model in enumerate(models, start=1)
         ]
-        values = np.array([value for value in each if value is not None])
+        values = np.array([value for value in per_model if value is not None])
     if len(values) != count:
         raise FileError(f"{len(values)} values for {count} models.", where=f"{where}, {tag}", remedy=_TOOLKIT_REMEDY)
     if values.min() < 0.0 or values.max() == 0.0:
@@ -242,9 +262,9 @@ def _read_vertices(root: Element, models: list[Element], tag: str, model_tag: st
 
 
 def _read_triangles(root: Element, speeds: Float, forces: Float, where: str, notes: list[str]) -> NDArray[np.int64]:
-    found = [child for child in root if child.tag.lower() == "tri"]
-    _check_count(root, "numTri", len(found), "triangles", where)
-    rows = [_read_numbers(tri, f"{where}, tri {index}") for index, tri in enumerate(found, start=1)]
+    elements = [child for child in root if child.tag.lower() == "tri"]
+    _check_count(root, "numTri", len(elements), "triangles", where)
+    rows = [_read_numbers(tri, f"{where}, tri {index}") for index, tri in enumerate(elements, start=1)]
     for index, row in enumerate(rows, start=1):
         if len(row) != 3 or np.any(row != np.round(row)) or row.min() < 1 or row.max() > len(speeds):
             raise FileError(
@@ -255,23 +275,23 @@ def _read_triangles(root: Element, speeds: Float, forces: Float, where: str, not
     triangles = np.array(rows).astype(np.int64) - 1
     points = np.stack([speeds / speeds.max(), forces / forces.max()], axis=1)[triangles]
     (ax, ay), (bx, by) = (points[:, 1] - points[:, 0]).T, (points[:, 2] - points[:, 0]).T
-    flat = np.abs(ax * by - ay * bx) < 1e-9
-    if flat.all():
+    degenerate = np.abs(ax * by - ay * bx) < 1e-9
+    if degenerate.all():
         raise FileError("no triangle has an area.", where=f"{where}, tri", remedy=_TOOLKIT_REMEDY)
-    if flat.any():
-        notes.append(f"{int(flat.sum())} triangles without area left out")
-    return np.asarray(triangles[~flat])
+    if degenerate.any():
+        notes.append(f"{int(degenerate.sum())} triangles without area left out")
+    return np.asarray(triangles[~degenerate])
 
 
 def _read_filters(models: list[Element], where: str) -> tuple[Float, Float, Float, Float]:
     ar, ma, variances, gains = [], [], [], []
     for index, model in enumerate(models, start=1):
-        place = f"{where}, model {index}"
-        ar.append(_read_lsf(model, "AR", place))
-        ma.append(_read_lsf(model, "MA", place))
-        variance, gain = _read_number(model, "var", place), _read_number(model, "gain", place)
+        location = f"{where}, model {index}"
+        ar.append(_read_lsf(model, "AR", location))
+        ma.append(_read_lsf(model, "MA", location))
+        variance, gain = _read_number(model, "var", location), _read_number(model, "gain", location)
         if variance is None or variance < 0.0:
-            raise FileError("no variance of 0 or more.", where=f"{place}, var", remedy=_TOOLKIT_REMEDY)
+            raise FileError("no variance of 0 or more.", where=f"{location}, var", remedy=_TOOLKIT_REMEDY)
         variances.append(variance)
         gains.append(1.0 if gain is None else gain)
     for name, rows in (("AR", ar), ("MA", ma)):

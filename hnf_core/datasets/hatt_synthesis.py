@@ -1,10 +1,9 @@
-"""HaTT's own synthesis rule: which filter sounds at a speed and force, its exact spectrum, and its signal.
+"""HaTT's synthesis rule: the filter at a speed and force, its exact spectrum, and its signal.
 
-The Delaunay triangle that holds (speed, force) gives barycentric weights; line spectral frequencies, excitation
-variance and gain are interpolated with them (coefficients never: the filter might not be stable). Then
-y[n] = Σ_j b_j e[n − j] · gain − Σ_i a_i y[n − i], e ~ N(0, variance).
-H. Culbertson, J. Unwin & K. J. Kuchenbecker (2014), "Modeling and rendering realistic textures from unconstrained
-tool–surface interactions", IEEE Transactions on Haptics 7(3), sec. 4.
+The Delaunay triangle around (speed, force) gives barycentric weights; line spectral frequencies, excitation variance
+and gain are interpolated with them (never coefficients, since the filter might not be stable). Then y[n] = Σ_j b_j e[n
+− j] · gain − Σ_i a_i y[n − i], e ~ N(0, variance). H. Culbertson, J. Unwin & K. J. Kuchenbecker (2014), "Modeling and
+rendering realistic textures from unconstrained tool–surface interactions", IEEE Transactions on Haptics 7(3), sec. 4.
 """
 
 from __future__ import annotations
@@ -24,20 +23,39 @@ from .recording import Recording
 Float = NDArray[np.float64]
 
 PROCESS_RATE_HZ = 10_000.0
+"""Sample rate of recordings of a model [Hz]."""
 CLAMP_MARGIN = 0.01
-"""The toolkit's own clamp: to the maximum less 0.01 mm/s or 0.01 N."""
+"""Margin of the toolkit's own clamp: to the maximum less 0.01 mm/s or 0.01 N."""
 SILENCE_THRESHOLD, SILENCE_VALUE = 0.05, 1e-4
-"""… and below 0.05 mm/s or 0.05 N it takes 1e-4 of the unit: as good as silence."""
+"""Threshold of the toolkit, 0.05 mm/s or 0.05 N, below which it uses 1e-4 of the unit: practically silence."""
 WARM_UP_S = 0.4
-"""The slowest pole of the hundred models (0.9986 at 10 kHz) has decayed to 0.4 % by then."""
+"""Duration of the discarded start [s], in which the slowest pole of the hundred models (0.9986 at 10 kHz) decays to 0.4
+%."""
 _TOLERANCE = 1e-9
 _CHUNK_POINTS = 8192
 
 
 @dataclass(frozen=True)
 class LocalFilters:
-    """Filters at n points. triangle (n,) row of the model's triangles, weights (n, 3), ar_lsf (n, p), ma_lsf (n, q),
-    variance (n,) (m/s²)², gain (n,). clamped_speed, clamped_force (n,) bool: the point asked for lay outside."""
+    """Interpolated filters at n points.
+
+    Attributes
+    ----------
+    triangle : ndarray of int64, shape (n,)
+        Row of the model's triangles.
+    weights : ndarray, shape (n, 3)
+        Barycentric weights.
+    ar_lsf : ndarray, shape (n, p)
+        Line spectral frequencies of the autoregressive part.
+    ma_lsf : ndarray, shape (n, q)
+        Line spectral frequencies of the moving average.
+    variance : ndarray, shape (n,)
+        Variance of the excitation [(m/s²)²].
+    gain : ndarray, shape (n,)
+        Gain.
+    clamped_speed, clamped_force : ndarray of bool, shape (n,)
+        True if the requested point was outside the model.
+    """
 
     triangle: NDArray[np.int64]
     weights: Float
@@ -50,28 +68,28 @@ class LocalFilters:
 
 
 def interpolate_filters(model: TextureModel, speed_m_s: ArrayLike, force_n: ArrayLike) -> LocalFilters:
-    """Interpolate the model at (n,) speeds [m/s] and forces [N]; outside its hull at the nearest place of it."""
-    asked_speed, asked_force = np.broadcast_arrays(
+    """Interpolate a model at speeds (n,) [m/s] and forces (n,) [N]; outside its hull, at the nearest point of it."""
+    requested_speed, requested_force = np.broadcast_arrays(
         np.atleast_1d(np.asarray(speed_m_s, dtype=np.float64)), np.atleast_1d(np.asarray(force_n, dtype=np.float64))
     )
-    speed, high_speed = _clamp(asked_speed, model.max_speed, 1e-3)
-    force, high_force = _clamp(asked_force, model.max_force, 1.0)
+    speed, above_speed = _clamp(requested_speed, model.max_speed, 1e-3)
+    force, above_force = _clamp(requested_force, model.max_force, 1.0)
     triangle, weights = np.zeros(len(speed), np.int64), np.zeros((len(speed), 3))
-    for low in range(0, len(speed), _CHUNK_POINTS):
-        part = slice(low, low + _CHUNK_POINTS)
-        triangle[part], weights[part] = _find_triangles(model, speed[part], force[part])
-    # A hull need not fill its box: weights below 0 lie outside it, and are brought back to the triangle's rim.
-    beyond = weights.min(axis=1) < -_TOLERANCE
+    for start in range(0, len(speed), _CHUNK_POINTS):
+        chunk = slice(start, start + _CHUNK_POINTS)
+        triangle[chunk], weights[chunk] = _find_triangles(model, speed[chunk], force[chunk])
+    # A hull need not fill its box: points with a negative weight are outside, and are moved to the triangle's edge.
+    is_outside = weights.min(axis=1) < -_TOLERANCE
     weights = np.maximum(weights, 0.0)
     weights /= weights.sum(axis=1, keepdims=True)
     corners = model.triangles[triangle]
 
-    def mixed(values: Float) -> Float:
+    def interpolate(values: Float) -> Float:
         return np.asarray(np.einsum("nk,nk...->n...", weights, values[corners]))
 
     return LocalFilters(
-        triangle, weights, mixed(model.ar_lsf), mixed(model.ma_lsf), mixed(model.variances), mixed(model.gains),
-        high_speed | beyond, high_force | beyond,
+        triangle, weights, interpolate(model.ar_lsf), interpolate(model.ma_lsf), interpolate(model.variances),
+        interpolate(model.gains), above_speed | is_outside, above_force | is_outside,
     )  # fmt: skip
 
 
@@ -82,7 +100,7 @@ def _clamp(values: Float, largest: float, unit: float) -> tuple[Float, NDArray[n
 
 
 def _find_triangles(model: TextureModel, speed: Float, force: Float) -> tuple[NDArray[np.int64], Float]:
-    """The triangle each point lies deepest in, and its barycentric weights there."""
+    """Return the triangle that each point lies deepest in, and its barycentric weights there."""
     corner = np.stack([model.speeds / model.max_speed, model.forces / model.max_force], axis=1)[model.triangles]
     a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
@@ -95,12 +113,27 @@ def _find_triangles(model: TextureModel, speed: Float, force: Float) -> tuple[ND
 
 
 def compute_power_spectrum(model: TextureModel, speed_m_s: float, force_n: float, frequency_hz: ArrayLike) -> Float:
-    """One-sided power density [(m/s²)²/Hz] at frequencies from 0 to half the model's rate (zero above)."""
+    """Compute the exact one-sided power density [(m/s²)²/Hz] of a model.
+
+    Parameters
+    ----------
+    model : TextureModel
+        The model.
+    speed_m_s, force_n : float
+        Speed [m/s] and force [N].
+    frequency_hz : array_like
+        Frequencies [Hz]; the density is zero above half the model's rate.
+
+    Returns
+    -------
+    ndarray
+        The density.
+    """
     frequency = np.asarray(frequency_hz, dtype=np.float64)
     local = interpolate_filters(model, speed_m_s, force_n)
-    turn = np.exp(-2j * np.pi * frequency / model.sample_rate)
-    transfer = _evaluate_polynomial(polynomial_from_lsf(local.ma_lsf)[0], turn) / _evaluate_polynomial(
-        polynomial_from_lsf(local.ar_lsf)[0], turn
+    z_inverse = np.exp(-2j * np.pi * frequency / model.sample_rate)
+    transfer = _evaluate_polynomial(polynomial_from_lsf(local.ma_lsf)[0], z_inverse) / _evaluate_polynomial(
+        polynomial_from_lsf(local.ar_lsf)[0], z_inverse
     )
     density = 2.0 * local.variance[0] * np.square(local.gain[0] * np.abs(transfer)) / model.sample_rate
     return np.where(frequency <= 0.5 * model.sample_rate, density, 0.0)
@@ -115,7 +148,7 @@ def _evaluate_polynomial(coefficients: Float, turn: NDArray[np.complex128]) -> N
 
 @dataclass(frozen=True)
 class HattProcess:
-    """A texture model as a Process: isotropic, one axis, 10 kHz (models of another rate are resampled, and say so)."""
+    """A texture model as a process: isotropic, one axis, 10 kHz; models of another rate are resampled, and noted so."""
 
     model: TextureModel
 
@@ -124,10 +157,11 @@ class HattProcess:
         return self.model.material
 
     def record(self, actions: Sequence[Action], seed: int) -> list[Recording]:
-        """One recording per action; action i of a call depends on (seed, i) only. A model knows no direction.
+        """Synthesise one recording per action; action i depends on (seed, i) only.
 
-        The filter of every 5 ms is that of the action at its middle. Each signal starts as if the hand had already been
-        moving. No contact: no excitation. Raises UsageError where actions are not equally long.
+        A model has no direction. The filter of every 5 ms is that of the action at its middle. Signals start as if the
+        hand had already been moving; without contact there is no excitation. Raises UsageError if the actions are not
+        equally long.
         """
         rate = self.model.sample_rate
         states = _build_states(self.model, actions)
@@ -135,13 +169,13 @@ class HattProcess:
             [_draw_noise(seed, index, states.samples + states.warm_up) for index in range(len(actions))], 1
         )
         signals = synthesise_autoregressive(states, noise)
-        out = []
+        recordings = []
         for index, action in enumerate(actions):
             samples, notes = signals[:, index].copy(), list(states.notes[index])
             if rate != PROCESS_RATE_HZ:
                 samples = resample(samples, rate, PROCESS_RATE_HZ)[0]
                 notes.append(f"the model's {rate:g} Hz resampled to 10 kHz: nothing above {rate / 2:g} Hz")
-            out.append(
+            recordings.append(
                 Recording(
                     action=action,
                     samples=samples,
@@ -152,13 +186,30 @@ class HattProcess:
                     notes=tuple(notes),
                 )
             )
-        return out
+        return recordings
 
 
 @dataclass(frozen=True)
 class FilterStates:
-    """Filters of K blocks for B actions. ar (K, p, B) without the leading 1, ma (K, q + 1, B) times gain, deviation
-    (K, B) of the excitation. block: samples each is held for; the first warm_up samples of the noise come before."""
+    """Filters of K blocks for B actions.
+
+    Attributes
+    ----------
+    ar : ndarray, shape (K, p, B)
+        Autoregressive coefficients without the leading 1.
+    ma : ndarray, shape (K, q + 1, B)
+        Moving-average coefficients times gain.
+    deviation : ndarray, shape (K, B)
+        Standard deviation of the excitation.
+    block_samples : int
+        Length of a block [samples].
+    samples : int
+        Number of samples to synthesise.
+    warm_up : int
+        Number of samples before them.
+    notes : tuple of tuple of str
+        Notes of each action.
+    """
 
     ar: Float
     ma: Float
@@ -175,12 +226,12 @@ def _build_states(model: TextureModel, actions: Sequence[Action]) -> FilterState
         raise UsageError("the actions of one call must be equally long, and longer than nothing.")
     samples, block = lengths.pop(), round(model.sample_rate / ACTION_RATE_HZ)
     count = -(-samples // block)
-    middle = (np.arange(count) + 0.5) * block / model.sample_rate
+    block_centres = (np.arange(count) + 0.5) * block / model.sample_rate
     speed, force, touching = (np.zeros((count, len(actions))) for _ in range(3))
     for index, action in enumerate(actions):
-        speed[:, index] = np.interp(middle, action.time, action.speed)
-        force[:, index] = np.interp(middle, action.time, action.force)
-        nearest = np.minimum(np.round(middle * action.rate).astype(int), len(action.contact) - 1)
+        speed[:, index] = np.interp(block_centres, action.time, action.speed)
+        force[:, index] = np.interp(block_centres, action.time, action.force)
+        nearest = np.minimum(np.round(block_centres * action.rate).astype(int), len(action.contact) - 1)
         touching[:, index] = action.contact[nearest]
     local = interpolate_filters(model, speed.ravel(), force.ravel())
     shape = speed.shape
@@ -189,11 +240,11 @@ def _build_states(model: TextureModel, actions: Sequence[Action]) -> FilterState
     clamped = local.clamped_speed.reshape(shape), local.clamped_force.reshape(shape)
     notes = tuple(
         tuple(
-            f"{what} above {limit:.3g} {unit} taken as that, {100.0 * part[:, index].mean():.1f} % of the time"
-            for what, part, limit, unit in (
+            f"{quantity} above {limit:.3g} {unit} taken as that, {100.0 * mask[:, index].mean():.1f} % of the time"
+            for quantity, mask, limit, unit in (
                 ("speed", clamped[0], model.max_speed, "m/s"), ("force", clamped[1], model.max_force, "N"),
             )
-            if part[:, index].any()
+            if mask[:, index].any()
         )
         for index in range(len(actions))
     )  # fmt: skip
@@ -214,16 +265,16 @@ def _draw_noise(seed: int, index: int, count: int) -> Float:
 
 
 def synthesise_autoregressive(states: FilterStates, noise: Float) -> Float:
-    """(samples, B) m/s² from unit noise (warm_up + samples, B): a loop over time, all actions at once."""
+    """Synthesise (samples, B) [m/s²] from unit noise (warm_up + samples, B): a loop over time, all actions at once."""
     order, width = states.ar.shape[1], noise.shape[1]
     excitation = _filter_moving_average(states, noise)
     total = len(noise)
     signal = np.zeros((order + total, width))
     scratch, step = np.empty((order, width)), np.empty(width)
-    for low in range(0, total, states.block_samples):
-        # Latest sample last in the history, so the coefficients stand in reverse.
-        reverse = np.ascontiguousarray(states.ar[get_block_index(states, low), ::-1])
-        for n in range(low, min(low + states.block_samples, total)):
+    for start in range(0, total, states.block_samples):
+        # The latest sample is the last of the history, so the coefficients are reversed.
+        reverse = np.ascontiguousarray(states.ar[get_block_index(states, start), ::-1])
+        for n in range(start, min(start + states.block_samples, total)):
             np.multiply(reverse, signal[n : n + order], out=scratch)
             np.add.reduce(scratch, axis=0, out=step)
             np.subtract(excitation[n], step, out=signal[n + order])
@@ -232,12 +283,13 @@ def synthesise_autoregressive(states: FilterStates, noise: Float) -> Float:
 
 def _filter_moving_average(states: FilterStates, noise: Float) -> Float:
     rows = np.maximum(np.arange(len(noise)) - states.warm_up, 0) // states.block_samples
-    driven = noise * states.deviation[rows]
-    out = driven * states.ma[rows, 0]
+    excitation = noise * states.deviation[rows]
+    filtered = excitation * states.ma[rows, 0]
     for delay in range(1, states.ma.shape[1]):
-        out[delay:] += driven[:-delay] * states.ma[rows[delay:], delay]
-    return np.asarray(out)
+        filtered[delay:] += excitation[:-delay] * states.ma[rows[delay:], delay]
+    return np.asarray(filtered)
 
 
 def get_block_index(states: FilterStates, sample: int) -> int:
+    """Return the index of the block of a sample of the noise."""
     return max(sample - states.warm_up, 0) // states.block_samples

@@ -1,8 +1,8 @@
-"""HaTT's photographs beside GelSight images of the same textures, in whatever arrangement a user has them.
+"""Reader of HaTT photographs paired with GelSight images of the same textures, in any arrangement of folders.
 
 N. Heravi, W. Yuan, A. M. Okamura & J. Bohg (2020), "Learning an action-conditional model for haptic texture
-generation", ICRA, pressed a GelSight on the Penn Haptic Texture Toolkit's textures. No layout of such images is
-published: each is known by its folder's name or the beginning of its own, and notes say what was assumed.
+generation", ICRA, pressed a GelSight on the textures of the Penn Haptic Texture Toolkit. No layout of such images is
+published: each is identified by its folder's name or the start of its own, and notes list the assumptions.
 """
 
 from __future__ import annotations
@@ -30,17 +30,28 @@ from .vision_touch import (
 )
 
 PHOTO_SIDE_M = 1024 / 15e3
-"""A HaTT photograph is square, 1024 pixels at 15 a millimetre."""
+"""Side of a HaTT photograph [m]: 1024 pixels at 15 per millimetre."""
 IMAGE_SIDE = 256
+"""Default side of the touch images [pixels]."""
 BACKGROUND_NAMES = ("background", "bg", "blank", "flat", "reference", "nocontact", "notouch")
+"""Names of images of the untouched sensor."""
 _TAKE_SUFFIX = re.compile(r"(\d|gelsight|tactile|touch|img|image|frame|take|square|crop)*")
 
 
 @dataclass(frozen=True)
 class HattTouchFolder:
-    """photographs: the toolkit's TextureImages (or what holds it). touch: GelSight images, <material>/<any name> or
-    <material>_<take>; one called background, in the same folder or at the top, is the sensor untouched.
-    side: pixels of the touch images, a centred square. Photographs stay as they are: their scale is known."""
+    """Folders of photographs and of touch images.
+
+    Attributes
+    ----------
+    photographs : Path
+        The toolkit's TextureImages, or a folder around it.
+    touch : Path
+        GelSight images, <material>/<any name> or <material>_<take>. An image called background, in the same folder or
+        at the top, is the untouched sensor.
+    side : int
+        Side of the touch images, a centred square [pixels]; photographs keep their pixels, since their scale is known.
+    """
 
     photographs: Path
     touch: Path
@@ -48,28 +59,28 @@ class HattTouchFolder:
 
     @cached_property
     def pairs(self) -> FilePairs:
-        """One pair for every touch image whose material has a photograph, ordered by material and file.
+        """One pair for every touch image of a photographed material, ordered by material and file.
 
-        Notes say what was assumed, and count what was left out. Raises FileError where a folder is none, or nothing in
-        them goes together.
+        Notes list the assumptions and count what was left out. Raises FileError if a folder is missing, or nothing
+        matches.
         """
         photos = self._photographs_by_material
-        taken, named = set(photos.values()), {normalise_name(name): name for name in photos}
+        photo_paths, names_by_key = set(photos.values()), {normalise_name(name): name for name in photos}
         left_out: Counter[str] = Counter()
         touches, backgrounds = [], dict[Path, Path]()
         for path in find_files(self.touch, IMAGE_SUFFIXES):
-            if path in taken:
+            if path in photo_paths:
                 continue
             if normalise_name(re.sub(r"\d+$", "", path.stem)) in BACKGROUND_NAMES:
                 backgrounds.setdefault(path.parent, path)
                 continue
-            material = self._match_material(path, named)
+            material = self._match_material(path, names_by_key)
             if material is None:
                 left_out["touch images of no photographed material"] += 1
             else:
                 touches.append((material, path))
-        without = set(photos) - {material for material, _ in touches}
-        left_out["photographs without touch image"] += len(without)
+        unpaired = set(photos) - {material for material, _ in touches}
+        left_out["photographs without touch image"] += len(unpaired)
         entries = tuple(
             PairFiles(photos[material], path, material, material,
                       background=backgrounds.get(path.parent) or backgrounds.get(self.touch))
@@ -81,51 +92,58 @@ class HattTouchFolder:
                 where=str(self.touch),
                 remedy=f"Name folders or files after the materials, such as {', '.join(sorted(photos)[:3])}.",
             )
-        bare = sum(entry.background is None for entry in entries)
+        without_background = sum(entry.background is None for entry in entries)
         notes = (
             f"photographs are taken as {1e3 * PHOTO_SIDE_M:.1f} mm wide and sRGB, touch images as a GelSight's",
             "a touch image is of the material that its folder or the beginning of its name says; numbers are takes",
             "photograph and touch show the same texture, not the same place of it",
-            *((f"{bare} have no background",) if bare else ()),
+            *((f"{without_background} have no background",) if without_background else ()),
             *format_left_out(left_out),
         )
         return FilePairs(entries, partial(read_pair, side=self.side), notes)
 
     def split(self, name: str, seed: int = 0) -> FilePairs:
-        """train, val or test by texture (vision_touch.named_split). Raises FileError as pairs does, too."""
+        """Return the train, val or test split by texture (`vision_touch.get_split`); raise FileError as `pairs` too."""
         return get_split(self.pairs, name, seed, str(self.touch))
 
     @cached_property
     def _photographs_by_material(self) -> dict[str, Path]:
-        """Material → photograph. Where some are called <material>_square, as in the toolkit, only those count."""
-        found = [path for path in find_files(self.photographs, IMAGE_SUFFIXES) if not path.is_relative_to(self.touch)
-                 or self.photographs.is_relative_to(self.touch)]  # fmt: skip
-        square = [path for path in found if path.stem.lower().endswith("square")]
-        out: dict[str, Path] = {}
-        for path in square or found:
+        """Photograph of each material; if some are called <material>_square, as in the toolkit, only those count."""
+        candidates = [
+            path
+            for path in find_files(self.photographs, IMAGE_SUFFIXES)
+            if not path.is_relative_to(self.touch) or self.photographs.is_relative_to(self.touch)
+        ]
+        square = [path for path in candidates if path.stem.lower().endswith("square")]
+        photographs: dict[str, Path] = {}
+        for path in square or candidates:
             name = " ".join(re.sub(r"(?i)[_ ]*square$", "", path.stem).replace("_", " ").split())
-            if name and normalise_name(name) not in map(normalise_name, out):
-                out[name] = path
-        if not out:
+            if name and normalise_name(name) not in map(normalise_name, photographs):
+                photographs[name] = path
+        if not photographs:
             raise FileError(
                 "no photographs are in it.",
                 where=str(self.photographs),
                 remedy="Give the toolkit's TextureImages, with <material>_square.bmp.",
             )
-        return out
+        return photographs
 
     def _match_material(self, path: Path, named: dict[str, str]) -> str | None:
-        """By the nearest folder that is called as a material, else by how the file's own name begins: word by word, so
-        that Brick 1_2 is Brick 1 where there is a Brick 12; or with words run together."""
+        """Match a touch image by the nearest folder named as a material, else by the start of its own name.
+
+        Words are compared one by one, so that Brick 1_2 is Brick 1 even if there is a Brick 12, and then run together.
+        """
         for part in reversed(path.relative_to(self.touch).parts[:-1]):
             if normalise_name(part) in named:
                 return named[normalise_name(part)]
         words = _split_words(path.stem)
-        whole = [name for name in named.values() if words[: len(_split_words(name))] == _split_words(name)]
-        glued = [named[start] for count in range(1, len(words) + 1) if (start := "".join(words[:count])) in named]
-        for name in (*sorted(whole, key=len, reverse=True), *glued):
-            rest = "".join(words)[len(normalise_name(name)) :]
-            if _TAKE_SUFFIX.fullmatch(rest):
+        full_matches = [name for name in named.values() if words[: len(_split_words(name))] == _split_words(name)]
+        joined_matches = [
+            named[start] for count in range(1, len(words) + 1) if (start := "".join(words[:count])) in named
+        ]
+        for name in (*sorted(full_matches, key=len, reverse=True), *joined_matches):
+            remainder = "".join(words)[len(normalise_name(name)) :]
+            if _TAKE_SUFFIX.fullmatch(remainder):
                 return name
         return None
 
@@ -135,8 +153,10 @@ def _split_words(name: str) -> list[str]:
 
 
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
-    """The photograph as it is, touch and background at side × side pixels. Raises FileError where a file is damaged, or
-    touch and background differ in size."""
+    """Read one pair, touch and background resized to side × side pixels.
+
+    Raises FileError if a file is damaged, or touch and background differ in size.
+    """
     rgb, touch = read_photograph(files.rgb), read_touch_image(files.touch)
     background = None if files.background is None else read_touch_image(files.background)
     if background is not None and background.shape != touch.shape:

@@ -1,9 +1,9 @@
-"""LMT haptic texture databases with 69 and with 108 surfaces: accelerations without the hand's motion.
+"""Reader of the LMT haptic texture databases of 69 and of 108 surfaces: accelerations without the hand's motion.
 
 M. Strese, C. Schuwerk, A. Iepure & E. Steinbach (2017), "Multimodal feature-based surface material classification",
-IEEE Transactions on Haptics 10(2).
-69: Training/Accel/<label>_query<n>.txt, Testing/AccelScansDFT321/<label>_<person>.txt, already fused.
-108: AccelScansComponents/Movement/{Training,Testing}/G<digit><Name>…_{train|test}<n>.txt, with or without an axis.
+IEEE Transactions on Haptics 10(2). 69: Training/Accel/<label>_query<n>.txt,
+Testing/AccelScansDFT321/<label>_<person>.txt, already fused. 108:
+AccelScansComponents/Movement/{Training,Testing}/G<digit><Name>…_{train|test}<n>.txt, with or without an axis.
 """
 
 from __future__ import annotations
@@ -25,12 +25,15 @@ from .time_series import SIGNAL_RATE_HZ, build_action, constant_direction, count
 Float = NDArray[np.float64]
 
 ASSUMED_SPEED_M_S = 0.1
+"""Speed assumed for every scan [m/s]."""
 ASSUMED_FORCE_N = 1.0
+"""Force assumed for every scan [N]."""
 ASSUMPTIONS = (
     f"no action was recorded: direction +x, {ASSUMED_SPEED_M_S:g} m/s and {ASSUMED_FORCE_N:g} N are assumed",
     "the files have no units: 10 kHz and m/s² are assumed",
     "the probe is taken as the pen",
 )
+"""Notes of every recording."""
 _TAKE = r"(?P<take>(?:query|train|training|test|testing)_?\d+)"
 _NAME_PATTERNS = (
     re.compile(rf"(?i)(?P<name>G\d.*?)(?:_(?:Movement|Accel\w*?))*(?:_(?P<axis>[XYZ]))?_{_TAKE}(?:_(?P<last>[XYZ]))?"),
@@ -41,32 +44,35 @@ _NAME_PATTERNS = (
 
 @dataclass(frozen=True)
 class LmtFolder(DataSet):
-    """No action was recorded with these sets: a recording's `known` is empty and its notes say what is assumed."""
+    """A folder of one of the databases.
+
+    No action was recorded: a recording's `known` is empty and its notes list the assumptions.
+    """
 
     folder: Path
 
     @cached_property
     def _strokes(self) -> dict[str, dict[str, dict[str, Path]]]:
-        """Material → take → axis ("" for a fused file) → file."""
-        out: dict[str, dict[str, dict[str, Path]]] = {}
-        shown: dict[str, str] = {}
+        """Files of each axis ("" for a fused file), by material and take."""
+        strokes_by_material: dict[str, dict[str, dict[str, Path]]] = {}
+        spelling: dict[str, str] = {}
         for path in find_files(self.folder, (".txt",)):
             parts = path.relative_to(self.folder).parts[:-1]
             if any(word in part.lower() for part in parts for word in ("sound", "image", "audio", "tapping", "impact")):
                 continue
-            match = next((found for form in _NAME_PATTERNS if (found := form.fullmatch(path.stem))), None)
-            among_scans = any("accel" in part.lower() for part in (self.folder.name, *parts))
-            if match is None or not (among_scans or _is_dataset_name(path.stem)):
+            match = next((candidate for pattern in _NAME_PATTERNS if (candidate := pattern.fullmatch(path.stem))), None)
+            in_scan_folder = any("accel" in part.lower() for part in (self.folder.name, *parts))
+            if match is None or not (in_scan_folder or _is_dataset_name(path.stem)):
                 continue
             groups = match.groupdict()
-            name = shown.setdefault(normalise_name(groups["name"]), groups["name"])
+            name = spelling.setdefault(normalise_name(groups["name"]), groups["name"])
             axis = (groups.get("axis") or groups.get("last") or "").lower()
-            axes_apart = [part for part in parts if part.lower() not in ("x", "y", "z")]
-            if not axis and len(axes_apart) < len(parts):
+            parts_without_axis = [part for part in parts if part.lower() not in ("x", "y", "z")]
+            if not axis and len(parts_without_axis) < len(parts):
                 axis = next(part.lower() for part in parts if part.lower() in ("x", "y", "z"))
-            take = "/".join([*axes_apart, groups["take"]])
-            out.setdefault(name, {}).setdefault(take, {})[axis] = path
-        return out
+            take = "/".join([*parts_without_axis, groups["take"]])
+            strokes_by_material.setdefault(name, {}).setdefault(take, {})[axis] = path
+        return strokes_by_material
 
     @cached_property
     def materials(self) -> tuple[str, ...]:
@@ -86,25 +92,40 @@ class LmtFolder(DataSet):
         match_name(name, self.materials, str(self.folder))
 
     def action_range(self, name: str) -> ActionRange:
-        """The one assumed action."""
+        """Return the range that contains only the assumed action."""
         match_name(name, self.materials, str(self.folder))
         return ActionRange((ASSUMED_SPEED_M_S,) * 2, (ASSUMED_FORCE_N,) * 2)
 
     def image(self, name: str) -> Path | None:
-        wanted = normalise_name(match_name(name, self.materials, str(self.folder)))
-        found = find_files(self.folder, (".jpg", ".jpeg", ".png", ".bmp"))
-        return next((path for path in found if normalise_name(path.stem).startswith(wanted)), None)
+        key = normalise_name(match_name(name, self.materials, str(self.folder)))
+        images = find_files(self.folder, (".jpg", ".jpeg", ".png", ".bmp"))
+        return next((path for path in images if normalise_name(path.stem).startswith(key)), None)
 
 
 def _is_dataset_name(stem: str) -> bool:
-    """Whether a name is one of the sets' own, wherever the file lies; <label>_<person> alone is not."""
-    return any(form.fullmatch(stem) for form in _NAME_PATTERNS[:2])
+    """Return True if a name follows the sets' patterns in any folder; <label>_<person> alone does not."""
+    return any(pattern.fullmatch(stem) for pattern in _NAME_PATTERNS[:2])
 
 
 def read_scan(files: dict[str, Path], material: str) -> Recording:
-    """One take: a fused file (axis ""), or one per axis → Recording, mean removed, axes fused by DFT321.
+    """Read one take.
 
-    Raises FileError where a file cannot be used, or only some axes are there.
+    Parameters
+    ----------
+    files : dict of str to Path
+        A fused file (axis ""), or one per axis.
+    material : str
+        Name of the material.
+
+    Returns
+    -------
+    Recording
+        Samples with the mean removed, axes fused by DFT321.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be used, or some axes are missing.
     """
     where = str(next(iter(files.values())))
     if set(files) not in ({""}, {"x", "y", "z"}):

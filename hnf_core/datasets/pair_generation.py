@@ -1,9 +1,8 @@
-"""One tile, photographed and touched: a piece of a material under one light → its four paired views.
+"""Generation of tactile pairs: simulated tiles with photograph and touch, cut into views and written in shards.
 
-Everything random comes from two seeds: the piece's (colour, gloss, how it lies) and the tile's (heights, light,
-camera, object shape, where the views are cut), so that two patches of one piece are two photographs of one thing.
-
-Tactile pairs written in shards: in parallel, from a seed, taken up again where a run was stopped.
+Everything random comes from two seeds: that of the instance (colour, gloss, orientation) and that of the tile (heights,
+light, camera, object shape, positions of the views), so that two patches of one instance are two photographs of the
+same object. Shards are written in parallel, and a stopped run continues.
 """
 
 from __future__ import annotations
@@ -52,29 +51,33 @@ Single = NDArray[np.float32]
 Complex = NDArray[np.complex128]
 
 PITCH_M = TILE_SIZE_M / TILE_PIXELS
+"""Pixel size of a tile [m]."""
 FACTORS = tuple(round(pitch / PITCH_M) for pitch in PITCHES_M)
+"""Decimation factor of each pitch."""
 RANDOM_TILE_INTERVAL = 5
-"""Every fifth training tile is a random or fused surface with random looks."""
+"""Interval of random or spliced surfaces with random appearance among the training tiles."""
 FIRST_SEED = {TRAIN: 1_000_000, HELD_OUT_INSTANCES: 2_000_000}
+"""First instance seed of each split; they are disjoint, and above those that fields are trained and evaluated on."""
 HELD_OUT_CLASSES_FIRST_SEED = 3_000_000
-"""Instance seeds of the splits lie apart, and beyond those that fields are trained and judged on."""
+"""First instance seed of held-out classes."""
 PATCHES_PER_INSTANCE = 2
-"""Tiles of each held-out instance; the second is the floor of the first."""
+"""Number of tiles of each held-out instance; the second one gives the error floor of the first."""
 RANDOM_SCALE_DECADES = (-1.1, 0.3)
-"""By how much a random surface is scaled, uniformly: recipes are rough, silk is 0.2 µm."""
+"""Range of the scale of random surfaces [decades]: recipes are rough, silk has 0.2 µm."""
 CROSSOVER_WAVELENGTH_M = (0.2e-3, 6e-3)
-"""Every second random surface is fused of two, because tokens in use are: measured long waves of a bake with a library
-material's short waves."""
+"""Range of the wavelength at which two random surfaces are spliced [m]. Every second one is, because tokens in use are:
+long waves of a measured map with short waves of a library material."""
 BLUR_PIXELS = (0.0, 0.6)
+"""Range of the camera's blur, standard deviation [view pixels]."""
 NOISE = (0.0, 0.012)
-"""Of the camera, per view: standard deviations in view pixels, and of linear colour at white."""
+"""Range of the camera's noise, standard deviation of linear colour at white."""
 EXPOSURE, BALANCE = 0.25, 0.06
-"""Of a photograph under light: natural logarithms, half-widths."""
+"""Half-widths of exposure and white balance of a lit photograph, as natural logarithms."""
 
 
 @dataclass(frozen=True)
 class PairSizes:
-    """train: tiles. instances: of each known class held out. unseen_instances: of each unseen class."""
+    """Numbers of training tiles, of instances per known class held out, and of instances per unseen class."""
 
     train: int = 5000
     instances: int = 5
@@ -83,7 +86,7 @@ class PairSizes:
 
 @dataclass(frozen=True)
 class TileRequest:
-    """Which tile to make. class_name: "" for a random surface, instance_seed −1 then."""
+    """Request for one tile; a random surface has the class name "" and the instance seed −1."""
 
     class_name: str
     instance_seed: int
@@ -92,7 +95,7 @@ class TileRequest:
 
 
 def list_tile_requests(split: str, sizes: PairSizes, seed: int) -> tuple[TileRequest, ...]:
-    """All tiles of a split. No instance is in two splits, no class of held-out-classes in another."""
+    """List all tiles of a split; no instance is in two splits, no class of held-out-classes in another."""
     known = tuple(name for name in list_classes() if name not in UNSEEN_CLASSES)
     if split != TRAIN:
         names, count = (
@@ -105,15 +108,19 @@ def list_tile_requests(split: str, sizes: PairSizes, seed: int) -> tuple[TileReq
             for name in names
             for patch in range(PATCHES_PER_INSTANCE)
         )
-    made: list[TileRequest] = []
+    requests: list[TileRequest] = []
     for index in range(sizes.train):
-        number, rest = divmod(index, RANDOM_TILE_INTERVAL)
-        if rest == RANDOM_TILE_INTERVAL - 1:
-            made.append(TileRequest("", -1, derive_seed(f"{seed}/random/{number}")))
+        number, remainder = divmod(index, RANDOM_TILE_INTERVAL)
+        if remainder == RANDOM_TILE_INTERVAL - 1:
+            requests.append(TileRequest("", -1, derive_seed(f"{seed}/random/{number}")))
         else:
-            place = number * (RANDOM_TILE_INTERVAL - 1) + rest
-            made.append(_make_request(known[place % len(known)], FIRST_SEED[TRAIN] + place // len(known), seed, 0))
-    return tuple(made)
+            index_of_class = number * (RANDOM_TILE_INTERVAL - 1) + remainder
+            requests.append(
+                _make_request(
+                    known[index_of_class % len(known)], FIRST_SEED[TRAIN] + index_of_class // len(known), seed, 0
+                )
+            )
+    return tuple(requests)
 
 
 def _make_request(name: str, instance_seed: int, seed: int, patch: int) -> TileRequest:
@@ -122,11 +129,28 @@ def _make_request(name: str, instance_seed: int, seed: int, patch: int) -> TileR
 
 @dataclass(frozen=True)
 class RenderedTile:
-    """A whole tile under its light, before it is cut into views (native pitch PITCH_M, 512 × 512).
+    """A complete tile under its light, before it is cut into views (512 × 512 pixels of `PITCH_M`).
 
-    height: (H, W) metres. membranes: (sensor, 2, H, W) slopes in the order of PAIR_SENSORS. photograph: (3, H, W)
-    linear 0–1, without a camera's blur and noise. depth: (64, 64) macro depth in metres over the whole tile. rng: where
-    its random numbers stand.
+    Attributes
+    ----------
+    height : ndarray of float32, shape (H, W)
+        Heights [m].
+    membranes : ndarray of float32, shape (sensor, 2, H, W)
+        Membrane slopes, in the order of PAIR_SENSORS.
+    photograph : ndarray of float32, shape (3, H, W)
+        Linear colour, 0 to 1, without camera blur and noise.
+    depth : ndarray, shape (64, 64)
+        Macro depth of the tile [m].
+    token : ndarray of float32, shape (TOKEN_DIM,)
+        Token of the tile.
+    mechanics : Mechanics or None
+        Mechanics; None for a random surface.
+    turn : int
+        Orientation, as in `rotate_tile`.
+    unlit : bool
+        True for a base-colour texture.
+    rng : numpy.random.Generator
+        Generator in its current state.
     """
 
     height: Single
@@ -141,7 +165,7 @@ class RenderedTile:
 
 
 def make_tile(request: TileRequest) -> Pairs:
-    """The four views of one tile. The same order gives the same bytes on the same numpy."""
+    """Make the four views of one tile; the same request gives the same bytes on the same numpy."""
     tile = render_tile(request)
     periodic = np.concatenate([tile.height[None], tile.membranes.reshape(-1, *tile.height.shape)])
     views = [_cut_view(periodic, tile.photograph, tile.depth, factor, tile.rng) for factor in FACTORS]
@@ -164,40 +188,40 @@ def make_tile(request: TileRequest) -> Pairs:
 
 
 def render_tile(request: TileRequest) -> RenderedTile:
-    """One tile, made, lit and touched."""
-    recipe, mechanics, piece, turn = _sample_surface(request)
+    """Render one tile: surface, light and touch."""
+    recipe, mechanics, appearance, turn = _sample_surface(request)
     rng = np.random.default_rng([1, request.tile_seed])
     height = _sample_random_height(request, recipe) if not request.class_name else height_map(recipe, request.tile_seed)
     spectrum = np.fft.rfft2(height)
-    colour = rotate_tile(render_albedo(recipe, spectrum, piece, TILE_SIZE_M, rng), turn)
+    colour = rotate_tile(render_albedo(recipe, spectrum, appearance, TILE_SIZE_M, rng), turn)
     height = rotate_tile(height, turn)
     spectrum = np.fft.rfft2(height)
 
     light, shape = sample_light(rng), sample_shape(rng)
-    # Light meets the surface itself; only touch meets the gel.
-    bare = compute_slopes(spectrum, TILE_PIXELS, PITCH_M, 0.0)
-    bent = shape.slopes(*centred_grid(TILE_PIXELS, TILE_SIZE_M))
-    seen = shade_surface(
+    # Light is reflected by the bare surface; only touch is smoothed by the gel.
+    surface_slopes = compute_slopes(spectrum, TILE_PIXELS, PITCH_M, 0.0)
+    shape_slopes = shape.slopes(*centred_grid(TILE_PIXELS, TILE_SIZE_M))
+    image = shade_surface(
         colour,
-        bare[0] + bent[0],
-        bare[1] + bent[1],
+        surface_slopes[0] + shape_slopes[0],
+        surface_slopes[1] + shape_slopes[1],
         light,
-        roughness=piece.roughness,
-        metallic=piece.metallic,
+        roughness=appearance.roughness,
+        metallic=appearance.metallic,
         occlusion=compute_ambient_occlusion(
-            compute_cavity_depth(spectrum, TILE_PIXELS, TILE_SIZE_M, piece.reach_m), piece.reach_m
+            compute_cavity_depth(spectrum, TILE_PIXELS, TILE_SIZE_M, appearance.reach_m), appearance.reach_m
         ),
     )
     if not light.unlit:
-        seen = seen * _sample_exposure(seen, rng)
+        image = image * _sample_exposure(image, rng)
     membranes = [compute_membrane_slopes(spectrum, TILE_PIXELS, PITCH_M, SENSORS[name]) for name in PAIR_SENSORS]
     height = np.asarray(height, dtype=np.float32)
-    coarse = compute_decimation_matrix(FACTORS[0], True) @ height @ compute_decimation_matrix(FACTORS[0], True).T
+    coarse_height = compute_decimation_matrix(FACTORS[0], True) @ height @ compute_decimation_matrix(FACTORS[0], True).T
     return RenderedTile(
         height=height,
         membranes=np.stack([np.stack(pair) for pair in membranes]).astype(np.float32),
-        photograph=np.ascontiguousarray(np.moveaxis(np.clip(seen, 0.0, 1.0), -1, 0)),
-        depth=simulate_macro_depth(coarse.astype(np.float64), shape, TILE_SIZE_M, rng),
+        photograph=np.ascontiguousarray(np.moveaxis(np.clip(image, 0.0, 1.0), -1, 0)),
+        depth=simulate_macro_depth(coarse_height.astype(np.float64), shape, TILE_SIZE_M, rng),
         token=describe_tile(*membranes[0], SENSORS[PAIR_SENSORS[0]]),
         mechanics=mechanics,
         turn=turn,
@@ -207,15 +231,15 @@ def render_tile(request: TileRequest) -> RenderedTile:
 
 
 def _sample_exposure(image: Single, rng: np.random.Generator) -> Single:
-    """(3,) factors of exposure and white balance; no photographer lets the bulk of a picture burn out."""
+    """Return factors (3,) of exposure and white balance under which most of the image is not overexposed."""
     factors = np.exp(rng.uniform(-EXPOSURE, EXPOSURE) + rng.uniform(-BALANCE, BALANCE, 3))
     sample = image[::8, ::8]
-    bright = float(np.max((sample.mean(axis=(0, 1)) + 2.0 * sample.std(axis=(0, 1))) * factors))
-    return np.asarray(factors * min(1.0, 0.95 / max(bright, 1e-6)), dtype=np.float32)
+    highlight = float(np.max((sample.mean(axis=(0, 1)) + 2.0 * sample.std(axis=(0, 1))) * factors))
+    return np.asarray(factors * min(1.0, 0.95 / max(highlight, 1e-6)), dtype=np.float32)
 
 
 def _sample_surface(request: TileRequest) -> tuple[SurfaceRecipe, Mechanics | None, SurfaceAppearance, int]:
-    """What does not change between photographs of one piece."""
+    """Sample everything that photographs of one instance share: recipe, mechanics, appearance and orientation."""
     if request.class_name:
         rng = np.random.default_rng([2, derive_seed(request.class_name), request.instance_seed])
         recipe, mechanics = sample_instance(request.class_name, request.instance_seed)
@@ -230,34 +254,35 @@ def _sample_random_height(request: TileRequest, recipe: SurfaceRecipe) -> Single
     height = height_map(recipe, request.tile_seed) * np.float32(10.0 ** rng.uniform(*RANDOM_SCALE_DECADES))
     if rng.random() < 0.5:
         return height
-    other = height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(
+    second_height = height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(
         10.0 ** rng.uniform(*RANDOM_SCALE_DECADES)
     )
-    return splice_spectra(height, other, 1.0 / float(np.exp(rng.uniform(*np.log(CROSSOVER_WAVELENGTH_M)))))
+    return splice_spectra(height, second_height, 1.0 / float(np.exp(rng.uniform(*np.log(CROSSOVER_WAVELENGTH_M)))))
 
 
 def splice_spectra(low: Single, high: Single, crossover_per_m: float) -> Single:
-    """Waves longer than 1 / border from one tile, shorter ones from another."""
+    """Splice two tiles: wavelengths longer than 1 / `crossover_per_m` from `low`, shorter ones from `high`."""
     kx, ky = wavenumbers(low.shape[0], TILE_SIZE_M)
-    keep = np.hypot(kx, ky) < crossover_per_m
-    spectrum = np.where(keep, np.fft.rfft2(low), np.fft.rfft2(high))
+    is_long = np.hypot(kx, ky) < crossover_per_m
+    spectrum = np.where(is_long, np.fft.rfft2(low), np.fft.rfft2(high))
     return np.fft.irfft2(spectrum, low.shape).astype(np.float32)
 
 
 def rotate_tile(tile: Single, turn: int) -> Single:
-    """(H, W, …) mirrored left to right where turn ≥ 4, then turn % 4 quarter turns counter-clockwise as seen."""
+    """Mirror a tile (H, W, …) left to right if turn ≥ 4, then rotate it by turn % 4 quarter turns counter-clockwise."""
     mirrored = tile[:, ::-1] if turn >= 4 else tile
     return np.ascontiguousarray(np.rot90(mirrored, turn % 4))
 
 
 def compute_slopes(spectrum: Complex, pixels: int, metres_per_pixel: float, sigma_m: float) -> tuple[Float, Float]:
-    """∂h/∂x, ∂h/∂y (H, W) of a tile that repeats, under a Gaussian blur; spectrum: rfft2 of its height.
+    """Compute ∂h/∂x, ∂h/∂y (H, W) of a periodic tile under a Gaussian blur, from rfft2 of its height.
 
-    optics.gel_gradients without its padding: a tile has no edge."""
-    across, up = _compute_derivative_filters(pixels, metres_per_pixel, sigma_m)
+    As `optics.gel_gradients` without padding, since a tile has no edge.
+    """
+    filter_x, filter_y = _compute_derivative_filters(pixels, metres_per_pixel, sigma_m)
     return (
-        np.asarray(np.fft.irfft2(spectrum * across, s=(pixels, pixels))),
-        np.asarray(np.fft.irfft2(spectrum * up, s=(pixels, pixels))),
+        np.asarray(np.fft.irfft2(spectrum * filter_x, s=(pixels, pixels))),
+        np.asarray(np.fft.irfft2(spectrum * filter_y, s=(pixels, pixels))),
     )
 
 
@@ -273,7 +298,7 @@ def _compute_derivative_filters(pixels: int, metres_per_pixel: float, sigma_m: f
 def compute_membrane_slopes(
     spectrum: Complex, pixels: int, metres_per_pixel: float, sensor: Sensor
 ) -> tuple[Float, Float]:
-    """∂h/∂x, ∂h/∂y (H, W) of the sensor's membrane on a tile that repeats."""
+    """Compute ∂h/∂x, ∂h/∂y (H, W) of a sensor's membrane on a periodic tile."""
     gx, gy = compute_slopes(spectrum, pixels, metres_per_pixel, sensor.gel_sigma_m)
     if max(float(np.abs(gx).max()), float(np.abs(gy).max())) < 0.7 * sensor.max_slope:
         return gx, gy
@@ -281,32 +306,37 @@ def compute_membrane_slopes(
 
 
 def describe_tile(gx: Float, gy: Float, sensor: Sensor) -> Single:
-    """(TOKEN_DIM,) what the band descriptor says of the whole tile, from its membrane's slopes."""
-    seen = np.ones(gx.shape, dtype=bool)
+    """Compute the band descriptor's token (TOKEN_DIM,) of a complete tile, from its membrane's slopes."""
+    mask = np.ones(gx.shape, dtype=bool)
     return describe(
-        TactileMap(shade(gx, gy, sensor), None, seen, PITCH_M, sensor.name, 2 * PITCH_M, Route.MEASURED)
+        TactileMap(shade(gx, gy, sensor), None, mask, PITCH_M, sensor.name, 2 * PITCH_M, Route.MEASURED)
     ).values
 
 
 @lru_cache(maxsize=16)
 def compute_decimation_matrix(factor: int, periodic: bool) -> Single:
-    """(512/factor, 512) matrix D: D X Dᵀ is tactile.views.decimated_tile of X where the tile repeats; else X is
-    continued by reflection at its edges (what is lit on a bent object does not repeat)."""
+    """Return the decimation matrix D (512/factor, 512).
+
+    D X Dᵀ is `tactile.views.decimate_tile` of a periodic X; otherwise X is continued by reflection at its edges (a lit,
+    curved object is not periodic).
+    """
     size = TILE_PIXELS if periodic else 2 * TILE_PIXELS
     frequency = np.fft.rfftfreq(size)
-    place = np.clip((2.0 * factor * frequency - PASSBAND_SHARE) / (1.0 - PASSBAND_SHARE), 0.0, 1.0)
+    transition = np.clip((2.0 * factor * frequency - PASSBAND_SHARE) / (1.0 - PASSBAND_SHARE), 0.0, 1.0)
     shift = np.exp(2j * np.pi * frequency * (factor - 1) / 2.0)
-    response = (0.5 + 0.5 * np.cos(np.pi * place)) * shift if factor > 1 else np.ones_like(frequency)
-    full = np.fft.irfft(np.fft.rfft(np.eye(size), axis=0) * response[:, None], size, axis=0)
+    response = (0.5 + 0.5 * np.cos(np.pi * transition)) * shift if factor > 1 else np.ones_like(frequency)
+    unsampled = np.fft.irfft(np.fft.rfft(np.eye(size), axis=0) * response[:, None], size, axis=0)
     if not periodic:
-        full = full[:, :TILE_PIXELS] + full[:, : TILE_PIXELS - 1 : -1]
-    kept = np.ascontiguousarray(full[:TILE_PIXELS:factor], dtype=np.float32)
-    kept.flags.writeable = False
-    return kept
+        unsampled = unsampled[:, :TILE_PIXELS] + unsampled[:, : TILE_PIXELS - 1 : -1]
+    matrix = np.ascontiguousarray(unsampled[:TILE_PIXELS:factor], dtype=np.float32)
+    matrix.flags.writeable = False
+    return matrix
 
 
 @dataclass(frozen=True)
 class _View:
+    """One view, as stored in `Pairs`."""
+
     rgb: NDArray[np.uint8]
     depth: NDArray[np.float16]
     height: NDArray[np.float16]
@@ -314,19 +344,19 @@ class _View:
 
 
 def _cut_view(periodic: Single, photograph: Single, depth: Float, factor: int, rng: np.random.Generator) -> _View:
-    """One view at a random place (the widest is the whole tile), in units of its own pitch."""
+    """Cut one view at a random position (the widest is the complete tile), in units of its own pitch."""
     row, column = (int(start) for start in rng.integers(0, TILE_PIXELS // factor - VIEW_PIXELS + 1, 2))
     rows, columns = slice(row, row + VIEW_PIXELS), slice(column, column + VIEW_PIXELS)
     pitch = factor * PITCH_M
     height, *slopes = _decimate_window(periodic, factor, rows, columns, True)
     red_green_blue = _decimate_window(photograph, factor, rows, columns, False)
     centres = (np.arange(VIEW_PIXELS) + 0.5) * factor / FACTORS[0] - 0.5
-    first = factor / FACTORS[0]
-    near = interpolate_bilinear(depth, centres + row * first, centres + column * first) / pitch
+    step = factor / FACTORS[0]
+    view_depth = interpolate_bilinear(depth, centres + row * step, centres + column * step) / pitch
     level = height / np.float32(pitch)
     return _View(
         rgb=encode_rgb(simulate_camera(red_green_blue, rng)),
-        depth=(near - near.mean()).astype(np.float16),
+        depth=(view_depth - view_depth.mean()).astype(np.float16),
         height=(level - level.mean()).astype(np.float16),
         slopes=np.reshape(slopes, (len(PAIR_SENSORS), 2, VIEW_PIXELS, VIEW_PIXELS)).astype(np.float16),
     )
@@ -340,32 +370,33 @@ def _decimate_window(layers: Single, factor: int, rows: slice, columns: slice, p
 
 
 def simulate_camera(layers: Single, rng: np.random.Generator) -> Single:
-    """(3, n, n) light → (n, n, 3) picture: a little blur, and noise that grows with light as photons' does."""
+    """Convert light (3, n, n) to an image (n, n, 3), with slight blur and noise that grows like shot noise."""
     sigma, noise = rng.uniform(*BLUR_PIXELS), rng.uniform(*NOISE)
-    place = np.arange(layers.shape[-1])
-    kernel = np.exp(-0.5 * np.square((place[:, None] - place[None, :]) / max(sigma, 0.05)))
+    index = np.arange(layers.shape[-1])
+    kernel = np.exp(-0.5 * np.square((index[:, None] - index[None, :]) / max(sigma, 0.05)))
     blur = (kernel / kernel.sum(axis=1, keepdims=True)).astype(np.float32)
-    seen = np.clip(blur @ layers @ blur.T, 0.0, 1.0)
-    grain = rng.standard_normal(seen.shape, dtype=np.float32) * np.sqrt(0.1 + 0.9 * seen)
-    return np.moveaxis(seen + np.float32(noise) * grain, 0, -1)
+    blurred = np.clip(blur @ layers @ blur.T, 0.0, 1.0)
+    grain = rng.standard_normal(blurred.shape, dtype=np.float32) * np.sqrt(0.1 + 0.9 * blurred)
+    return np.moveaxis(blurred + np.float32(noise) * grain, 0, -1)
 
 
 def _pack_mechanics(mechanics: Mechanics | None) -> Single:
-    given = mechanics or Mechanics()
-    values = (given.stiffness_n_m, given.damping_ratio, given.friction)
+    known = mechanics or Mechanics()
+    values = (known.stiffness_n_m, known.damping_ratio, known.friction)
     return np.array([np.nan if value is None else value for value in values], dtype=np.float32)
 
 
 TILES_PER_SHARD = 50
+"""Number of tiles in a shard."""
 RECIPE_VERSION = 1
-"""Counts changes of what a tile's order makes; shards of another recipe are made again."""
+"""Version of the generation; shards of another version are made again."""
 WRITE_ORDER = (HELD_OUT_INSTANCES, HELD_OUT_CLASSES, TRAIN)
-"""What trainings check themselves against comes first: it is small."""
+"""Splits in the order of writing: the small ones that trainings are validated with come first."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """One file's work. shards: how many its split has."""
+    """The content of one file; `shard_count` is the number of shards in its split."""
 
     path: Path
     requests: tuple[TileRequest, ...]
@@ -374,25 +405,25 @@ class Shard:
 
 
 def compute_recipe_key(split: str, sizes: PairSizes, seed: int, tiles_per_shard: int = TILES_PER_SHARD) -> str:
-    """Equal for shards that belong together."""
+    """Return a key that is equal for shards that belong together."""
     return content_hash(repr((RECIPE_VERSION, split, sizes, seed, tiles_per_shard)))
 
 
 def list_shards(
     folder: Path, split: str, sizes: PairSizes, seed: int, tiles_per_shard: int = TILES_PER_SHARD
 ) -> tuple[Shard, ...]:
-    """The shards of a split, in order."""
-    wanted = list_tile_requests(split, sizes, seed)
-    starts = range(0, len(wanted), tiles_per_shard)
+    """List the shards of a split, in order."""
+    requests = list_tile_requests(split, sizes, seed)
+    starts = range(0, len(requests), tiles_per_shard)
     key = compute_recipe_key(split, sizes, seed, tiles_per_shard)
     return tuple(
-        Shard(get_shard_path(folder, split, index), wanted[start : start + tiles_per_shard], len(starts), key)
+        Shard(get_shard_path(folder, split, index), requests[start : start + tiles_per_shard], len(starts), key)
         for index, start in enumerate(starts)
     )
 
 
 def is_complete(shard: Shard) -> bool:
-    """Whether the file is there, whole, and of this recipe."""
+    """Return True if the file exists, is complete, and of this recipe."""
     if not shard.path.is_file():
         return False
     try:
@@ -403,9 +434,9 @@ def is_complete(shard: Shard) -> bool:
 
 
 def write_shard(shard: Shard) -> Path:
-    """Make the tiles and write the file atomically. The same shard gives the same bytes."""
-    for left in shard.path.parent.glob(f".{shard.path.stem}-*"):
-        left.unlink(missing_ok=True)  # of a run that was killed while it wrote
+    """Make the tiles of a shard and write its file atomically; the same shard gives the same bytes."""
+    for leftover in shard.path.parent.glob(f".{shard.path.stem}-*"):
+        leftover.unlink(missing_ok=True)  # of a run that was killed while writing
     save_shard(
         shard.path,
         concatenate_pairs([make_tile(order) for order in shard.requests]),
@@ -423,19 +454,43 @@ def write_pairs(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     tiles_per_shard: int = TILES_PER_SHARD,
 ) -> int:
-    """Write whatever of the three splits is not there yet; returns how many shards were written.
+    """Write the shards of all three splits that are not complete yet.
 
-    Bytes do not depend on workers, nor on how often the run was stopped. told(done, total): after every shard.
-    Raises UsageError where a split's folder holds shards beyond those of this recipe, FileError where the disk refuses.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the pairs.
+    sizes : PairSizes
+        Numbers of tiles.
+    seed : int
+        Seed of all tiles.
+    workers : int
+        Number of processes; the bytes do not depend on it, nor on interruptions.
+    on_progress : callable
+        Called with the finished and the total number of shards after every shard.
+    tiles_per_shard : int
+        Number of tiles in a shard.
+
+    Returns
+    -------
+    int
+        Number of shards written.
+
+    Raises
+    ------
+    UsageError
+        If a split's folder has shards that this recipe does not.
+    FileError
+        If the disk refuses.
     """
-    everything = [shard for split in WRITE_ORDER for shard in list_shards(folder, split, sizes, seed, tiles_per_shard)]
-    _reject_foreign_shards(everything)
-    missing = [shard for shard in everything if not is_complete(shard)]
-    done = len(everything) - len(missing)
-    on_progress(done, len(everything))
+    shards = [shard for split in WRITE_ORDER for shard in list_shards(folder, split, sizes, seed, tiles_per_shard)]
+    _reject_foreign_shards(shards)
+    missing = [shard for shard in shards if not is_complete(shard)]
+    done = len(shards) - len(missing)
+    on_progress(done, len(shards))
     for _ in _write_shards(missing, workers):
         done += 1
-        on_progress(done, len(everything))
+        on_progress(done, len(shards))
     return len(missing)
 
 
@@ -443,7 +498,7 @@ def _write_shards(shards: Sequence[Shard], workers: int) -> Iterator[Path]:
     if workers <= 1:
         yield from map(write_shard, shards)
         return
-    # One thread each: BLAS threads of several processes only get in each other's way.
+    # Each process gets one BLAS thread, because those of several processes would compete for the cores.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         for future in as_completed([pool.submit(write_shard, shard) for shard in shards]):
@@ -453,10 +508,10 @@ def _write_shards(shards: Sequence[Shard], workers: int) -> Iterator[Path]:
 def _reject_foreign_shards(shards: Sequence[Shard]) -> None:
     expected = {shard.path for shard in shards}
     for folder in sorted({shard.path.parent for shard in shards}):
-        strangers = sorted(set(folder.glob("[0-9]*.safetensors")) - expected)
-        if strangers:
+        foreign = sorted(set(folder.glob("[0-9]*.safetensors")) - expected)
+        if foreign:
             raise UsageError(
-                f"{len(strangers)} shards of another recipe ({strangers[0].name}).",
+                f"{len(foreign)} shards of another recipe ({foreign[0].name}).",
                 where=str(folder),
                 remedy="Empty the folder, or choose another one.",
             )

@@ -1,8 +1,6 @@
-"""What every data set is turned into: what a hand did, and what was felt.
+"""Recordings, and the interface of texture data sets: what a hand did, and the acceleration that it felt.
 
-What every data set can be asked.
-
-Finding a material by a name that a person types.
+Every reader of this package converts its data to `Recording`; `DataSet` is the interface of all of them.
 """
 
 from __future__ import annotations
@@ -25,11 +23,27 @@ from ..errors import FileError, MaterialError
 class Recording:
     """One stroke of one material.
 
-    action: u(t) from the same instant as the samples. samples: (n,) float64 a(t) in m/s², one axis, or three fused by
-    DFT321 over the whole recording. sample_rate: Hz. material: its name in the data set. source: file or process.
-    known: which of "direction", "speed", "force" were really recorded; the others hold a stated assumption.
-    notes: what the loader assumed, in words.
-    Raises FileError where samples are not finite or do not last as long as the action (to one action sample).
+    Attributes
+    ----------
+    action : Action
+        u(t), from the same instant as the samples.
+    samples : ndarray of float64, shape (n,)
+        Acceleration [m/s²], one axis or three fused by DFT321.
+    sample_rate : float
+        Sample rate [Hz].
+    material : str
+        Name in the data set.
+    source : str
+        File or process, for messages.
+    known : frozenset of str
+        Quantities of "direction", "speed", "force" that were recorded; others are assumed.
+    notes : tuple of str
+        Assumptions of the reader.
+
+    Raises
+    ------
+    FileError
+        If samples are not finite, or not as long as the action (to one action sample).
     """
 
     action: Action
@@ -41,40 +55,49 @@ class Recording:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        lasts = len(self.samples) / self.sample_rate if self.sample_rate > 0.0 else 0.0
+        duration = len(self.samples) / self.sample_rate if self.sample_rate > 0.0 else 0.0
         if self.samples.ndim != 1 or not np.isfinite(self.samples).all():
             raise FileError("its samples are not finite numbers.", where=self.source, remedy="Get the file again.")
-        if abs(lasts - self.action.duration_s) > 1.5 / self.action.rate:
+        if abs(duration - self.action.duration_s) > 1.5 / self.action.rate:
             raise FileError(
-                f"{lasts:.3f} s of samples beside {self.action.duration_s:.3f} s of action.",
+                f"{duration:.3f} s of samples beside {self.action.duration_s:.3f} s of action.",
                 where=self.source,
                 remedy="Its sample rate or length is not what the file says.",
             )
 
     @property
     def duration_s(self) -> float:
+        """Duration of the samples [s]."""
         return len(self.samples) / self.sample_rate
 
 
 class TextureProcess(Protocol):
-    """Something that can be stroked as often as one likes: a simulated surface, a published texture model.
+    """Interface of materials that can be stroked any number of times: a simulated surface, a published texture model.
 
-    A new seed is a new draw of the same process (noise, or another place on the surface): the oracle of evaluation.
+    A new seed is a new draw of the same process (noise, or another position on the surface), the upper bound in
+    evaluation.
     """
 
     @property
     def name(self) -> str: ...
 
     def record(self, actions: Sequence[Action], seed: int) -> list[Recording]:
-        """One recording at 10 kHz per action. All actions of one call must be equally long."""
+        """Return one recording at 10 kHz per action; all actions of a call must be equally long."""
         ...
 
 
 @dataclass(frozen=True)
 class ActionRange:
-    """Limits (low, high), all above 0, that wandering_action takes: where a texture's data really lie.
+    """Ranges (low, high), above 0, of the actions in a texture's data, as `make_random_smooth_action` takes them.
 
-    angle_rad: directions that differ in the data; a full circle where the data do not know direction.
+    Attributes
+    ----------
+    speed_m_s : tuple of float
+        Speed [m/s].
+    force_n : tuple of float
+        Normal force [N].
+    angle_rad : tuple of float
+        Directions [rad]; a full circle if the data are independent of direction.
     """
 
     speed_m_s: tuple[float, float]
@@ -83,32 +106,37 @@ class ActionRange:
 
 
 class DataSet(Protocol):
-    """Names are matched without case, blanks and underscores; an unknown one raises MaterialError with near ones."""
+    """Interface of texture data sets.
+
+    Names are compared without case, blanks and underscores; an unknown one raises MaterialError with close matches.
+    """
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Sorted names. Raises FileError where the folder holds nothing of the data set."""
+        """Sorted names of the materials; raises FileError if the folder holds nothing of the data set."""
         ...
 
     def recordings(self, name: str) -> list[Recording]:
-        """Everything recorded of a material, empty where the data set holds models only."""
+        """Return all recordings of a material, empty if the data set has models only."""
         ...
 
     def process(self, name: str) -> TextureProcess | None:
-        """What can be stroked anew; None where there are recordings only."""
+        """Return a process that can be stroked anew; None if there are recordings only."""
         ...
 
-    def action_range(self, name: str) -> ActionRange: ...
+    def action_range(self, name: str) -> ActionRange:
+        """Return the range of actions in a material's data."""
+        ...
 
     def image(self, name: str) -> Path | None:
-        """A photograph of the material, where there is one."""
+        """Return a photograph of the material, or None."""
         ...
 
 
 def compute_action_range(recordings: Sequence[Recording]) -> ActionRange:
-    """What recorded strokes cover: 5th to 95th percentile of speed and force while in contact and moving.
+    """Return the 5th to 95th percentile of speed and force while in contact and moving.
 
-    Raises FileError where there is no such moment.
+    Raises FileError if there is no such moment.
     """
     speed = np.concatenate([recording.action.speed for recording in recordings] or [np.zeros(0)])
     force = np.concatenate([recording.action.force for recording in recordings] or [np.zeros(0)])
@@ -116,25 +144,25 @@ def compute_action_range(recordings: Sequence[Recording]) -> ActionRange:
     if not touching.any():
         where = recordings[0].source if recordings else ""
         raise FileError("nothing is touched in it while moving.", where=where, remedy="Choose another material.")
-    speeds, forces = (np.percentile(each[touching], [5.0, 95.0]) for each in (speed, force))
+    speeds, forces = (np.percentile(values[touching], [5.0, 95.0]) for values in (speed, force))
     return ActionRange((float(speeds[0]), float(speeds[1])), (float(forces[0]), float(forces[1])))
 
 
 def normalise_name(name: str) -> str:
-    """Lower case, letters and digits only: "ABS_plastic" and "ABS Plastic" are one material."""
+    """Reduce a name to lower-case letters and digits: "ABS_plastic" and "ABS Plastic" are the same material."""
     return re.sub(r"[\W_]+", "", name.lower())
 
 
 def match_name(name: str, materials: Iterable[str], where: str) -> str:
-    """The material of that plain name. Raises MaterialError that lists near ones."""
+    """Return the material with the same normalised name; raise MaterialError with close matches if there is none."""
     by_plain = {normalise_name(material): material for material in materials}
-    found = by_plain.get(normalise_name(name))
-    if found is not None:
-        return found
-    close = get_close_matches(normalise_name(name), by_plain, 5, 0.5)
-    listed = [by_plain[each] for each in close] or sorted(by_plain.values())[:8]
+    matched = by_plain.get(normalise_name(name))
+    if matched is not None:
+        return matched
+    close_keys = get_close_matches(normalise_name(name), by_plain, 5, 0.5)
+    listed = [by_plain[key] for key in close_keys] or sorted(by_plain.values())[:8]
     raise MaterialError(
         f"no material is called {name!r}.",
         where=where,
-        remedy=f"{'Near ones' if close else 'There are'}: {', '.join(listed)}." if listed else "It has none.",
+        remedy=f"{'Near ones' if close_keys else 'There are'}: {', '.join(listed)}." if listed else "It has none.",
     )

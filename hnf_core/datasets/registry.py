@@ -1,7 +1,4 @@
-"""One door to all data sets.
-
-What one material is trained on: its recordings, or strokes made on its model.
-"""
+"""Opening of texture data sets by their kind, and the recordings that a field is trained on."""
 
 from __future__ import annotations
 
@@ -21,6 +18,7 @@ _FOLDER_TYPES: dict[str, Callable[[Path], DataSet]] = {
     "own": UserFolder, "hatt": HattFolder, "cluster": ClusterFolder, "lmt": LmtFolder,
 }  # fmt: skip
 DATASET_KINDS = (*_FOLDER_TYPES, "simulated")
+"""Kinds of data sets."""
 LICENCES = {
     "own": "trained on the user's own recordings",
     "hatt": "trained on the Penn Haptic Texture Toolkit: non-profit research only, not to be redistributed",
@@ -28,13 +26,28 @@ LICENCES = {
     "lmt": "trained on the LMT haptic texture database: its own terms apply",
     "simulated": "GPL-3.0-or-later",
 }
-"""What weights that were trained on a kind say of themselves."""
+"""Licence statement of weights trained on each kind."""
 
 
 def open_dataset(kind: str, folder: Path | None) -> DataSet:
-    """kind: one of KINDS. folder: the user's own copy; the simulator has none. Nothing is read yet.
+    """Open a data set, without reading anything yet.
 
-    Raises UsageError for an unknown kind, a missing folder, or one too many.
+    Parameters
+    ----------
+    kind : str
+        One of `DATASET_KINDS`.
+    folder : Path or None
+        The user's copy; None for the simulator.
+
+    Returns
+    -------
+    DataSet
+        The data set.
+
+    Raises
+    ------
+    UsageError
+        For an unknown kind, a missing folder, or an unnecessary one.
     """
     if kind not in DATASET_KINDS:
         raise UsageError(f"{kind!r} is no data set.", remedy=f"Known are {', '.join(DATASET_KINDS)}.")
@@ -48,19 +61,43 @@ def open_dataset(kind: str, folder: Path | None) -> DataSet:
 
 
 TRAINING_STROKE_S = 5.0
+"""Duration of a training stroke [s]."""
 LOW_END_FACTOR = 0.6
-"""How far below the least speed and force of a model's data strokes go: hands do, and the model fades there."""
+"""Factor below the least speed and force of a model's data that strokes go down to: hands do, and the model fades
+there."""
 TYPICAL_SPEED_M_S, TYPICAL_FORCE_N = (0.03, 0.2), (0.3, 3.0)
+"""Ranges of typical speeds [m/s] and forces [N]."""
 TYPICAL_SHARE = 0.7
-"""Share of strokes that keep to where hands mostly are; the others go wherever the data reach."""
+"""Fraction of strokes within the typical ranges; the others cover the complete range of the data."""
 
 
 def get_training_recordings(
     data: DataSet, name: str, seconds: float, seed: int, source: str | None = None
 ) -> list[Recording]:
-    """What to train on: `seconds` of wandering strokes on the material's model, or its recordings.
+    """Return the recordings to train a material on: strokes on its model, or recorded ones.
 
-    Raises UsageError where what was asked for does not exist.
+    Parameters
+    ----------
+    data : DataSet
+        The data set.
+    name : str
+        Name of the material.
+    seconds : float
+        Total duration of strokes on a model [s].
+    seed : int
+        Seed of the strokes and of the model.
+    source : str, optional
+        "recordings" to use recordings even if there is a model.
+
+    Returns
+    -------
+    list of Recording
+        The recordings.
+
+    Raises
+    ------
+    UsageError
+        If there are no recordings, or `seconds` is out of range.
     """
     process, recorded = data.process(name), []
     if process is None or source == "recordings":
@@ -88,6 +125,6 @@ def get_training_recordings(
 
 
 def _intersect_ranges(limits: tuple[float, float], typical: tuple[float, float]) -> tuple[float, float]:
-    """The part of both, or limits where they have none (at least a factor of 1.5) in common."""
+    """Return the intersection of two ranges, or `limits` if it spans less than a factor of 1.5."""
     low, high = max(limits[0], typical[0]), min(limits[1], typical[1])
     return (low, high) if high >= 1.5 * low else limits

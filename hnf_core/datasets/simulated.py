@@ -1,4 +1,4 @@
-"""The contact simulator as a data set: library materials that can be stroked as often as one likes."""
+"""The contact simulator as a data set: library materials that can be stroked any number of times."""
 
 from __future__ import annotations
 
@@ -23,44 +23,47 @@ from .recording import ActionRange, DataSet, Recording, match_name
 Float = NDArray[np.float64]
 
 PATCH_TILES = 2
-"""A patch is so many library tiles wide: its period of 40 mm puts the lines of a straight stroke closer together than a
+"""Side of a patch in library tiles: with a period of 40 mm, the spectral lines of a straight stroke are closer than a
 100 ms window resolves, up to 0.4 m/s."""
 ROTATION_RAD = (np.radians(1.0), np.radians(2.0))
-"""By how much the surface lies turned under a stroke, one way or the other. A straight stroke along the tile would else
-meet the same 40 mm again and again; so each time round it runs 0.7 to 1.4 mm beside."""
+"""Range of the surface's rotation under a stroke, either way [rad]. A straight stroke along the tile would repeat the
+same 40 mm; rotated, each repetition runs 0.7 to 1.4 mm beside the last."""
 PATCH_COUNT = 4
-"""Different patches in one call, so that no single one stands for the material."""
+"""Number of different patches in a call, so that no single one represents the material."""
 SETTLE_S = 0.06
-"""Simulated ahead of the recording, at the first speed and force: the start from rest is not part of it."""
+"""Time simulated before the recording at the first speed and force [s], since the start from rest is not part of it."""
 MAX_BATCH_SAMPLES = 5_000_000
-"""Rows times samples simulated at once: about 1.1 GB."""
+"""Largest number of rows times samples simulated at once; about 1.1 GB."""
 SPEED_RANGE_M_S = (0.03, 0.25)
+"""Range of typical speeds [m/s]; the simulator itself has no limit here."""
 FORCE_RANGE_N = (0.3, 3.0)
-"""Where strokes mostly are; the simulator itself has no limit here."""
+"""Range of typical forces [N]."""
 
 
 @dataclass(frozen=True)
 class SimulatedProcess:
-    """A recipe with mechanics, stroked with the probe that each action names. A seed draws the patches (the recipe's
-    random parts anew) and the place on them where each stroke starts."""
+    """A surface recipe with mechanics, stroked with each action's probe.
+
+    A seed draws the patches (the recipe's random parts) and the position on them where each stroke starts.
+    """
 
     name: str
     recipe: SurfaceRecipe
     mechanics: Mechanics
 
     def record(self, actions: Sequence[Action], seed: int) -> list[Recording]:
-        """One recording per action, DFT321 over the whole of it, mean removed; out of contact the axes are 0.
+        """Simulate one recording per action, mean removed, fused by DFT321; without contact the axes are 0.
 
-        What action i gets depends on (seed, i) and on the action, not on its company. Raises UsageError where actions
-        are not equally long.
+        The result for action i depends on (seed, i) and the action, not on the other actions. Raises UsageError if the
+        actions are not equally long.
         """
         if len({round(action.duration_s * SAMPLE_RATE_HZ) for action in actions}) != 1:
             raise UsageError("the actions of one call must be equally long.")
         patches = [self._make_patch(seed, index) for index in range(min(PATCH_COUNT, len(actions)))]
         starts = _make_generator(seed, 0).uniform(0.0, PATCH_TILES * TILE_SIZE_M, (len(actions), 2))
-        turns = _make_generator(seed, 2).uniform(*ROTATION_RAD, (len(actions), 2))
-        turns = turns[:, 0] * np.where(turns[:, 1] < np.mean(ROTATION_RAD), -1.0, 1.0)
-        # Side by side: one probe per batch, and rows that share what a patch has smoothed.
+        rotations = _make_generator(seed, 2).uniform(*ROTATION_RAD, (len(actions), 2))
+        rotations = rotations[:, 0] * np.where(rotations[:, 1] < np.mean(ROTATION_RAD), -1.0, 1.0)
+        # Rows are sorted so that a batch has one probe, and rows that share a smoothed patch are adjacent.
         order = sorted(
             range(len(actions)),
             key=lambda row: (actions[row].probe, row % PATCH_COUNT, float(actions[row].force.max())),
@@ -69,7 +72,7 @@ class SimulatedProcess:
         for rows in _group_batches(order, actions):
             acceleration = simulate_batch(
                 [patches[row % PATCH_COUNT] for row in rows],
-                [build_stroke(actions[row], starts[row], float(turns[row])) for row in rows],
+                [build_stroke(actions[row], starts[row], float(rotations[row])) for row in rows],
                 [self.mechanics] * len(rows),
                 PROBES[actions[rows[0]].probe],
             )[:, round(SETTLE_S * SAMPLE_RATE_HZ) :]
@@ -91,7 +94,7 @@ class SimulatedProcess:
 
 @dataclass(frozen=True)
 class SimulatedLibrary(DataSet):
-    """The library's materials. There are no recordings of them and no photographs."""
+    """The library's materials; there are no recordings and no photographs of them."""
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -119,19 +122,33 @@ class SimulatedLibrary(DataSet):
 
 
 def build_stroke(action: Action, start_m: Float, rotation_rad: float = 0.0) -> Stroke:
-    """The action's path from start_m (x, y), turned by turn_rad, at 10 kHz, with SETTLE_S of its first state ahead.
+    """Build the path of an action at 10 kHz, preceded by `SETTLE_S` of its first state.
 
-    Between action samples speed, direction and force are cubic (R. G. Keys 1981, IEEE Trans. ASSP 29): straight pieces
-    would ring the contact at every corner. Out of contact the force is 0.
+    Speed, direction and force are interpolated by cubics (R. G. Keys 1981, IEEE Trans. ASSP 29), since linear segments
+    would excite the contact at every corner. Without contact the force is 0.
+
+    Parameters
+    ----------
+    action : Action
+        The action.
+    start_m : ndarray, shape (2,)
+        Position of its start on the map [m].
+    rotation_rad : float
+        Rotation of its path [rad].
+
+    Returns
+    -------
+    Stroke
+        The stroke.
     """
-    count, ahead = round(action.duration_s * SAMPLE_RATE_HZ), round(SETTLE_S * SAMPLE_RATE_HZ)
-    place = np.maximum(np.arange(-ahead, count) / SAMPLE_RATE_HZ * action.rate, 0.0)
-    force = np.where(_is_touching(action, place), np.maximum(_interpolate_cubic(action.force, place), 0.0), 0.0)
-    velocity = np.stack([_interpolate_cubic(action.speed * axis, place) for axis in action.direction.T], axis=1)
+    count, settle_samples = round(action.duration_s * SAMPLE_RATE_HZ), round(SETTLE_S * SAMPLE_RATE_HZ)
+    position = np.maximum(np.arange(-settle_samples, count) / SAMPLE_RATE_HZ * action.rate, 0.0)
+    force = np.where(_is_touching(action, position), np.maximum(_interpolate_cubic(action.force, position), 0.0), 0.0)
+    velocity = np.stack([_interpolate_cubic(action.speed * axis, position) for axis in action.direction.T], axis=1)
     cosine, sine = np.cos(rotation_rad), np.sin(rotation_rad)
     velocity = velocity @ np.array([[cosine, sine], [-sine, cosine]])
-    travelled = np.cumsum(velocity, axis=0) / SAMPLE_RATE_HZ
-    return Stroke(np.asarray(start_m) + travelled - travelled[ahead], force)
+    path = np.cumsum(velocity, axis=0) / SAMPLE_RATE_HZ
+    return Stroke(np.asarray(start_m) + path - path[settle_samples], force)
 
 
 def _is_touching(action: Action, sample_index: Float) -> NDArray[np.bool_]:
@@ -147,8 +164,8 @@ def _interpolate_cubic(values: Float, position: Float) -> Float:
 
 
 def _fuse_axes(axes: Float, action: Action) -> Float:
-    place = np.arange(len(axes)) / SAMPLE_RATE_HZ * action.rate
-    touching = _is_touching(action, place)
+    sample_index = np.arange(len(axes)) / SAMPLE_RATE_HZ * action.rate
+    touching = _is_touching(action, sample_index)
     if touching.any():
         axes = np.where(touching[:, None], axes - axes[touching].mean(axis=0), 0.0)
     else:
@@ -157,24 +174,26 @@ def _fuse_axes(axes: Float, action: Action) -> Float:
 
 
 def _group_batches(row_order: Sequence[int], actions: Sequence[Action]) -> list[list[int]]:
-    most = max(1, int(MAX_BATCH_SAMPLES / (actions[0].duration_s * SAMPLE_RATE_HZ)))
-    out: list[list[int]] = []
+    max_rows = max(1, int(MAX_BATCH_SAMPLES / (actions[0].duration_s * SAMPLE_RATE_HZ)))
+    batches: list[list[int]] = []
     for row in row_order:
-        if out and len(out[-1]) < most and actions[out[-1][0]].probe == actions[row].probe:
-            out[-1].append(row)
+        if batches and len(batches[-1]) < max_rows and actions[batches[-1][0]].probe == actions[row].probe:
+            batches[-1].append(row)
         else:
-            out.append([row])
-    return out
+            batches.append([row])
+    return batches
 
 
 def _widen_recipe(recipe: SurfaceRecipe) -> SurfaceRecipe:
-    """The same surface on a tile TILES times as wide: lattices repeat so many times more often on it."""
+    """Return the recipe for a tile `PATCH_TILES` times as wide: lattices repeat that many times more often on it."""
     lattices = tuple(
         replace(
-            part,
-            waves=tuple((PATCH_TILES * x, PATCH_TILES * y, amplitude, phase) for x, y, amplitude, phase in part.waves),
+            lattice,
+            waves=tuple(
+                (PATCH_TILES * x, PATCH_TILES * y, amplitude, phase) for x, y, amplitude, phase in lattice.waves
+            ),
         )
-        for part in recipe.lattices
+        for lattice in recipe.lattices
     )
     return replace(recipe, lattices=lattices)
 

@@ -1,6 +1,6 @@
-"""Measured series on any time grid → a(t) at 10 kHz and an action at 200 Hz.
+"""Conversion of measured time series to a recording: acceleration at 10 kHz and an action at 200 Hz.
 
-What was measured of one stroke, quantity by quantity → a Recording.
+Series may have any rising time grid. Motion and force are low-passed at the bandwidth of a hand.
 """
 
 from __future__ import annotations
@@ -20,34 +20,36 @@ from .recording import Recording
 Float = NDArray[np.float64]
 
 SIGNAL_RATE_HZ = 10_000.0
+"""Sample rate of recordings [Hz]."""
 HAND_BANDWIDTH_HZ = 20.0
-"""A hand does not move faster; what a force or speed sensor shows above is the vibration itself, and an action that
-carries the answer would be learned from instead of the material."""
+"""Bandwidth of a hand's motion [Hz]. Above it a force or speed sensor shows the vibration itself, and a field would
+learn from an action that contains the signal."""
 REST_SPEED_M_S = 1e-3
-"""Slower than this, the last direction is kept: below it a tracked position is mostly noise."""
+"""Speed below which the last direction is kept [m/s], since a tracked position is mostly noise then."""
 MIN_DURATION_S = 0.1
+"""Shortest recording [s]."""
 MIN_SAMPLING_HZ = 2000.0
-"""Slower than this, an accelerometer does not hold the touch band."""
+"""Least sampling rate of an accelerometer [Hz]; a slower one does not cover the band of touch."""
 LONG_GAP_S = 5e-3
+"""Gap between samples that is noted [s]."""
 RATE_ROUNDING = 1e-5
-"""Of a rate: what rounded times make of a whole number."""
+"""Relative deviation of a rate from an integer that rounded times explain."""
 SMOOTHING_MARGIN_S = 0.2
-"""What smoothing may look at beyond the part that is kept."""
+"""Margin beyond the used part that smoothing includes [s]."""
 
 
 def check_time_grid(time: Float, where: str) -> None:
-    """Raises FileError unless time [s] (n ≥ 4,) rises from sample to sample, by a nanosecond or more."""
+    """Raise FileError unless times (n ≥ 4,) [s] rise by a nanosecond or more from sample to sample."""
     if len(time) < 4:
         raise FileError(f"only {len(time)} samples.", where=where, remedy="Get the file again.")
-    standing = np.diff(time) < 1e-9
-    if standing.any():
-        row = int(np.argmax(standing)) + 2
+    not_rising = np.diff(time) < 1e-9
+    if not_rising.any():
+        row = int(np.argmax(not_rising)) + 2
         raise FileError(f"time does not rise at sample {row}.", where=where, remedy="Get the file again.")
 
 
 def measure_sampling_rate(time: Float, where: str) -> tuple[float, tuple[str, ...]]:
-    """Mean rate [Hz] of a grid of accelerations, and a note of its longest gap where that is long. Raises FileError
-    where it is too slow."""
+    """Return the mean rate of an acceleration's grid [Hz], and a note on a long gap; raise FileError if too slow."""
     rate = (len(time) - 1) / float(time[-1] - time[0])
     if rate < MIN_SAMPLING_HZ:
         raise FileError(
@@ -62,9 +64,9 @@ def measure_sampling_rate(time: Float, where: str) -> tuple[float, tuple[str, ..
 
 
 def interpolate_series(time: Float, values: Float, new_time: Float) -> Float:
-    """values (n,) or (n, k) on a rising grid, at other times: cubic Hermite, slopes by parabolas through three samples.
+    """Interpolate values (n,) or (n, k) on a rising grid at new times, by cubic Hermite polynomials.
 
-    Beyond the ends the end values are kept.
+    Slopes are those of parabolas through three samples; beyond the ends, values are constant.
     """
     step = np.diff(time)
     step = step.reshape(-1, *[1] * (values.ndim - 1))
@@ -73,40 +75,58 @@ def interpolate_series(time: Float, values: Float, new_time: Float) -> Float:
         [secant[:1], (secant[:-1] * step[1:] + secant[1:] * step[:-1]) / (step[:-1] + step[1:]), secant[-1:]]
     )
     new_time = np.clip(new_time, time[0], time[-1])
-    low = np.clip(np.searchsorted(time, new_time, side="right") - 1, 0, len(time) - 2)
-    width = step[low]
-    t = ((new_time - time[low]).reshape(width.shape)) / width
-    rise = values[low + 1] - values[low]
-    bend = width * (slope[low] + slope[low + 1]) - 2.0 * rise
-    return np.asarray(values[low] + t * (width * slope[low] + t * (rise - width * slope[low] - bend * (1.0 - t))))
+    index = np.clip(np.searchsorted(time, new_time, side="right") - 1, 0, len(time) - 2)
+    width = step[index]
+    t = ((new_time - time[index]).reshape(width.shape)) / width
+    difference = values[index + 1] - values[index]
+    curvature = width * (slope[index] + slope[index + 1]) - 2.0 * difference
+    return np.asarray(
+        values[index] + t * (width * slope[index] + t * (difference - width * slope[index] - curvature * (1.0 - t)))
+    )
 
 
 def smooth_series(values: Float, rate: float, cutoff_hz: float = HAND_BANDWIDTH_HZ) -> Float:
-    """(n,) or (n, k) without what is faster than cutoff_hz (Gaussian, −3 dB there, no delay; ends point-mirrored)."""
+    """Low-pass values (n,) or (n, k): Gaussian, −3 dB at `cutoff_hz`, no delay, ends mirrored at a point."""
     sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * cutoff_hz)
     pad = min(len(values) - 1, int(np.ceil(6.0 * sigma * rate)))
     first, last = values[:1], values[-1:]
-    longer = np.concatenate([2 * first - values[pad:0:-1], values, 2 * last - values[-2 : -pad - 2 : -1]])
-    gain = np.exp(-0.5 * np.square(2.0 * np.pi * sigma * np.fft.rfftfreq(len(longer), 1.0 / rate)))
-    spectrum = np.fft.rfft(longer, axis=0) * gain.reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray(np.fft.irfft(spectrum, len(longer), axis=0)[pad : pad + len(values)])
+    extended = np.concatenate([2 * first - values[pad:0:-1], values, 2 * last - values[-2 : -pad - 2 : -1]])
+    gain = np.exp(-0.5 * np.square(2.0 * np.pi * sigma * np.fft.rfftfreq(len(extended), 1.0 / rate)))
+    spectrum = np.fft.rfft(extended, axis=0) * gain.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.fft.irfft(spectrum, len(extended), axis=0)[pad : pad + len(values)])
 
 
 def resample_to_action_rate(time: Float, values: Float, start: float, count: int) -> Float:
-    """A measured quantity at the action rate, count samples from start [s], without what is faster than a hand.
+    """Resample a measured quantity to the action rate, low-passed at `HAND_BANDWIDTH_HZ`.
 
-    Smoothed on a grid as fine as the measurement, so that its vibration does not alias.
+    It is smoothed on a grid as fine as the measurement, so that its vibration does not alias.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Times of the measurement [s].
+    values : ndarray, shape (n,) or (n, k)
+        The measurement.
+    start : float
+        Time of the first action sample [s].
+    count : int
+        Number of action samples.
+
+    Returns
+    -------
+    ndarray, shape (count,) or (count, k)
+        The quantity at 200 Hz.
     """
     rate = max(ACTION_RATE_HZ, (len(time) - 1) / float(time[-1] - time[0]))
     first = max(float(time[0]), start - SMOOTHING_MARGIN_S)
     last = min(float(time[-1]), start + count / ACTION_RATE_HZ + SMOOTHING_MARGIN_S)
-    even = first + np.arange(int((last - first) * rate + 1e-6) + 1) / rate
-    slow = smooth_series(interpolate_series(time, values, even), rate)
-    return interpolate_series(even, slow, start + np.arange(count) / ACTION_RATE_HZ)
+    grid = first + np.arange(int((last - first) * rate + 1e-6) + 1) / rate
+    smooth = smooth_series(interpolate_series(time, values, grid), rate)
+    return interpolate_series(grid, smooth, start + np.arange(count) / ACTION_RATE_HZ)
 
 
 def count_action_samples(duration_s: float, where: str) -> int:
-    """Action samples that fit into a duration. Raises FileError for less than SHORTEST_S."""
+    """Return the number of action samples in a duration; raise FileError below `MIN_DURATION_S`."""
     if not duration_s >= MIN_DURATION_S:
         raise FileError(
             f"all its signals together last {max(duration_s, 0.0):.3f} s only.",
@@ -117,15 +137,20 @@ def count_action_samples(duration_s: float, where: str) -> int:
 
 
 def build_action(direction: Float, speed: Float, force: Float, probe: str = "pen") -> Action:
-    """Series (n, 2), (n,) m/s, (n,) N at the action rate → Action; negative speed and force count as 0."""
+    """Build an action from direction (n, 2), speed (n,) [m/s] and force (n,) [N] at the action rate.
+
+    Negative speed and force count as 0.
+    """
     speed, force = np.maximum(speed, 0.0), np.maximum(force, 0.0)
     position = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) / ACTION_RATE_HZ
     return Action(ACTION_RATE_HZ, direction, speed, force, position, force > 0.0, probe)
 
 
 def derive_motion(position: Float) -> tuple[Float, Float]:
-    """(n, 2) m at the action rate → direction (n, 2), speed (n,). Where the hand rests, the last direction is kept
-    (before the first motion, the first; with no motion at all, +x)."""
+    """Derive direction (n, 2) and speed (n,) [m/s] from positions (n, 2) [m] at the action rate.
+
+    At rest the last direction is kept; before the first motion the first one, without any motion +x.
+    """
     velocity = np.gradient(position, 1.0 / ACTION_RATE_HZ, axis=0)
     speed = np.linalg.norm(velocity, axis=1)
     moving = np.flatnonzero(speed > REST_SPEED_M_S)
@@ -136,15 +161,33 @@ def derive_motion(position: Float) -> tuple[Float, Float]:
 
 
 def constant_direction(count: int, angle_rad: float) -> Float:
+    """Return one direction (count, 2) for all samples."""
     return np.tile([np.cos(angle_rad), np.sin(angle_rad)], (count, 1))
 
 
 DURATION_TOLERANCE = 0.02
+"""Largest relative difference of the signals' durations."""
 
 
 @dataclass(frozen=True)
 class MeasuredSignal:
-    """One quantity, (n, axes) in SI units, axes in the order x, y, z, or one."""
+    """One measured quantity.
+
+    Attributes
+    ----------
+    quantity : str
+        acceleration, force, speed or position.
+    axes : tuple of str
+        Names of the axes, in the order x, y, z, or one.
+    values : ndarray, shape (n, axes)
+        Values in SI units.
+    rate : float
+        Sample rate [Hz].
+    source : str
+        File, for messages.
+    notes : tuple of str
+        Assumptions of the reader.
+    """
 
     quantity: str
     axes: tuple[str, ...]
@@ -155,23 +198,43 @@ class MeasuredSignal:
 
     @property
     def time(self) -> Float:
+        """Times of the samples [s]."""
         return np.arange(len(self.values)) / self.rate
 
 
 def assemble_recording(signals: Sequence[MeasuredSignal], material: str, where: str) -> Recording:
-    """The signals of one stroke → Recording. What is not there is assumed and said: direction +x, 0.1 m/s, 1 N.
+    """Assemble the signals of one stroke to a recording.
 
-    Raises FileError without acceleration, with a quantity twice, or where they do not last equally long (to 2 %).
+    Missing quantities are assumed, and noted: direction +x, 0.1 m/s, 1 N.
+
+    Parameters
+    ----------
+    signals : sequence of MeasuredSignal
+        The signals.
+    material : str
+        Name of the material.
+    where : str
+        Source, for messages.
+
+    Returns
+    -------
+    Recording
+        The recording.
+
+    Raises
+    ------
+    FileError
+        Without acceleration, with a quantity twice, or if durations differ by more than 2 %.
     """
     by_name = {signal.quantity: signal for signal in signals}
     if len(by_name) != len(signals):
         raise FileError("a quantity stands in it twice.", where=where, remedy="Keep one file per quantity and stroke.")
     if "acceleration" not in by_name:
         raise FileError("there is no acceleration.", where=where, remedy="Give the Accel file of this stroke too.")
-    lasting = {name: len(signal.values) / signal.rate for name, signal in by_name.items()}
-    shortest, longest = min(lasting.values()), max(lasting.values())
+    durations = {name: len(signal.values) / signal.rate for name, signal in by_name.items()}
+    shortest, longest = min(durations.values()), max(durations.values())
     if longest - shortest > DURATION_TOLERANCE * longest:
-        listed = ", ".join(f"{name} {seconds:.3f} s" for name, seconds in sorted(lasting.items()))
+        listed = ", ".join(f"{name} {seconds:.3f} s" for name, seconds in sorted(durations.items()))
         raise FileError(f"its signals do not belong together: {listed}.", where=where, remedy="Get the file again.")
     count = count_action_samples(shortest, where)
     notes = [note for signal in signals for note in signal.notes]
@@ -190,7 +253,7 @@ def _resample_acceleration(acceleration: MeasuredSignal, count: int, where: str)
     if values.shape[1] not in (1, 3):
         raise FileError(f"acceleration has {values.shape[1]} axes.", where=where, remedy="One or three are expected.")
     fused = dft321(values) if values.shape[1] == 3 else values[:, 0]
-    if acceleration.rate > SIGNAL_RATE_HZ:  # what only the faster rate holds must not fold into the touch band
+    if acceleration.rate > SIGNAL_RATE_HZ:  # low-passes, so that nothing aliases into the touch band
         fused = resample(fused, acceleration.rate, SIGNAL_RATE_HZ)[0]
     elif acceleration.rate < SIGNAL_RATE_HZ:
         fused = interpolate_series(acceleration.time, fused, np.arange(count) / SIGNAL_RATE_HZ)
@@ -214,16 +277,18 @@ def _resample_motion(
     signals: dict[str, MeasuredSignal], count: int, notes: list[str], where: str
 ) -> tuple[Float, Float, list[str]]:
     position, speed = signals.get("position"), signals.get("speed")
-    direction, pace, known = constant_direction(count, 0.0), np.full(count, 0.1), []
+    direction, speed_m_s, known = constant_direction(count, 0.0), np.full(count, 0.1), []
     if position is not None and position.values.shape[1] >= 2:
-        direction, pace = derive_motion(resample_to_action_rate(position.time, position.values[:, :2], 0.0, count))
+        direction, speed_m_s = derive_motion(resample_to_action_rate(position.time, position.values[:, :2], 0.0, count))
         known = ["direction", "speed"]
     else:
         notes.append("no position in a plane was recorded: direction +x assumed")
     if speed is not None:
-        along = speed.values[:, 0] if speed.values.shape[1] == 1 else np.linalg.norm(speed.values[:, :2], axis=1)
-        pace = np.abs(resample_to_action_rate(speed.time, along, 0.0, count))
+        measured_speed = (
+            speed.values[:, 0] if speed.values.shape[1] == 1 else np.linalg.norm(speed.values[:, :2], axis=1)
+        )
+        speed_m_s = np.abs(resample_to_action_rate(speed.time, measured_speed, 0.0, count))
         known = [*known, "speed"]
     elif not known:
         notes.append("no speed was recorded: 0.1 m/s assumed")
-    return direction, pace, known
+    return direction, speed_m_s, known

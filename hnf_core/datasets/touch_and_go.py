@@ -1,10 +1,10 @@
-"""Touch and Go: a walk through buildings and parks with a camera and a GelSight, 20 classes of material.
+"""Reader of Touch and Go: walks through buildings and parks with a camera and a GelSight, 20 classes of material.
 
 F. Yang, C. Ma, J. Zhang, J. Zhu, W. Yuan & A. Owens (2022), "Touch and Go: learning from human-collected vision and
-touch", NeurIPS Datasets and Benchmarks.
-dataset/<YYYYMMDD_HHMMSS>/{video_frame,gelsight_frame}/<ten digits>.jpg, one number = one moment; label.txt with lines
-20220601_182052/0000033833.jpg,3; category_reference.txt with lines name:3. The published train and test lists draw
-single frames, so that one press is in both; here a recording is in one split only.
+touch", NeurIPS Datasets and Benchmarks. Layout: dataset/<YYYYMMDD_HHMMSS>/{video_frame,gelsight_frame}/<ten
+digits>.jpg, one number per moment; label.txt with lines 20220601_182052/0000033833.jpg,3; category_reference.txt with
+lines name:3. The published train and test lists draw single frames, so that one press is in both; here a recording is
+in one split only.
 """
 
 from __future__ import annotations
@@ -31,12 +31,15 @@ from .vision_touch import (
 )
 
 CLASS_COUNT = 20
+"""Number of classes."""
 UNDECIDED_LABEL = -1
-"""The label of frames whose material the annotators could not tell."""
+"""Label of frames whose material the annotators could not determine."""
 IMAGE_SIDE = 256
+"""Default side of the images [pixels]."""
 LABEL_FILE = "label.txt"
 CATEGORY_FILES = ("category_reference.txt", "category.txt", "categories.txt")
 MAX_TEXT_BYTES = 256 * 2**20
+"""Largest accepted text file [bytes]."""
 VIEW_FOLDER, TOUCH_FOLDER = "video_frame", "gelsight_frame"
 _LABEL_LINE = re.compile(r"([^/\\,]+)[/\\]([^/\\,]+)\.(?:jpe?g|png)\s*,\s*(-?\d{1,9})", re.IGNORECASE)
 _CATEGORY_LINE = re.compile(r"\s*(\S.*?)\s*:\s*(\d{1,9})\b.*")
@@ -44,20 +47,27 @@ _CATEGORY_LINE = re.compile(r"\s*(\S.*?)\s*:\s*(\d{1,9})\b.*")
 
 @dataclass(frozen=True)
 class TouchAndGoFolder:
-    """folder: the one with label.txt and dataset, or dataset itself (then there are no labels). side: pixels of every
-    picture, a centred square."""
+    """A folder of the data set.
+
+    Attributes
+    ----------
+    folder : Path
+        The folder with label.txt and dataset, or dataset itself (then there are no labels).
+    side : int
+        Side of every image, a centred square [pixels].
+    """
 
     folder: Path
     side: int = IMAGE_SIDE
 
     @cached_property
     def recordings(self) -> tuple[str, ...]:
-        """Sorted names of those with extracted frames. Raises FileError where there are none."""
+        """Sorted names of recordings with extracted frames; raises FileError if there are none."""
         names, videos = [], 0
-        for place in sorted(self._root.iterdir()) if self._root.is_dir() else []:
-            if (place / VIEW_FOLDER).is_dir() or (place / TOUCH_FOLDER).is_dir():
-                names.append(place.name)
-            elif any((place / video).is_file() for video in ("video.mp4", "gelsight.mp4")):
+        for child in sorted(self._root.iterdir()) if self._root.is_dir() else []:
+            if (child / VIEW_FOLDER).is_dir() or (child / TOUCH_FOLDER).is_dir():
+                names.append(child.name)
+            elif any((child / video).is_file() for video in ("video.mp4", "gelsight.mp4")):
                 videos += 1
         if not names:
             raise FileError(
@@ -71,9 +81,9 @@ class TouchAndGoFolder:
 
     @cached_property
     def pairs(self) -> FilePairs:
-        """Every moment with both frames, ordered by recording and moment; only labelled ones where there is label.txt.
+        """Pairs of all moments with both frames, ordered by recording and moment; only labelled ones if labels exist.
 
-        Notes count what was left out. Raises FileError where there is nothing, or label.txt is another kind of file.
+        Notes count what was left out. Raises FileError if there are none, or label.txt is another kind of file.
         """
         left_out: Counter[str] = Counter()
         labels = self._labels(left_out)
@@ -110,7 +120,7 @@ class TouchAndGoFolder:
         return FilePairs(tuple(entries), partial(read_pair, side=self.side), notes)
 
     def split(self, name: str, seed: int = 0) -> FilePairs:
-        """train, val or test by recording (vision_touch.named_split). Raises FileError as pairs does, too."""
+        """Return the train, val or test split by recording (`vision_touch.get_split`); raise FileError as `pairs`."""
         return get_split(self.pairs, name, seed, str(self.folder))
 
     @property
@@ -125,53 +135,54 @@ class TouchAndGoFolder:
         path = next((self.folder / name for name in CATEGORY_FILES if (self.folder / name).is_file()), None)
         if path is None:
             return {}
-        found = (match for line in _read_lines(path) if (match := _CATEGORY_LINE.fullmatch(line)))
-        return {int(match[2]): match[1] for match in found}
+        matches = (match for line in _read_lines(path) if (match := _CATEGORY_LINE.fullmatch(line)))
+        return {int(match[2]): match[1] for match in matches}
 
 
 def read_labels(path: Path, left_out: Counter[str]) -> dict[tuple[str, str], int]:
-    """(recording, moment) → class 0 to 19 or UNDECIDED. What cannot be used is counted in left_out, by reason.
+    """Read the class, 0 to 19 or `UNDECIDED_LABEL`, of each (recording, moment).
 
-    Raises FileError where the file cannot be read, a line leads out of the folder, or most lines are no labels.
+    Unusable lines are counted in `left_out`, by reason. Raises FileError if the file cannot be read, a line leads out
+    of the folder, or most lines are no labels.
     """
     labels: dict[tuple[str, str], int] = {}
-    twofold: set[tuple[str, str]] = set()
-    read = wrong = 0
+    ambiguous: set[tuple[str, str]] = set()
+    line_count = invalid_count = 0
     for number, line in enumerate(map(str.strip, _read_lines(path)), 1):
         if not line:
             continue
-        read += 1
+        line_count += 1
         match = _LABEL_LINE.fullmatch(line)
         if match is None or not is_safe_name(match[1]) or not is_safe_name(match[2]):
             if line.startswith(("/", "\\")) or ".." in re.split(r"[/\\]", line):
                 raise FileError(
                     f"line {number} leads out of the folder.", where=str(path), remedy="Get the file again."
                 )
-            wrong += 1
+            invalid_count += 1
             continue
         key, label = (match[1], match[2]), int(match[3])
         if not UNDECIDED_LABEL <= label < CLASS_COUNT:
             left_out[f"a class beyond 0 to {CLASS_COUNT - 1}"] += 1
-        elif key in twofold or labels.get(key, label) != label:
-            left_out["labelled as two classes"] += 1 + (key not in twofold)
-            twofold.add(key)
+        elif key in ambiguous or labels.get(key, label) != label:
+            left_out["labelled as two classes"] += 1 + (key not in ambiguous)
+            ambiguous.add(key)
             labels.pop(key, None)
         elif key in labels:
             left_out["named twice"] += 1
         else:
             labels[key] = label
-    if 2 * wrong >= read:
+    if 2 * invalid_count >= line_count:
         raise FileError(
-            f"{wrong} of its {read} lines are no labels.",
+            f"{invalid_count} of its {line_count} lines are no labels.",
             where=str(path),
             remedy="Expected lines such as 20220601_182052/0000033833.jpg,3.",
         )
-    left_out[f"lines of {path.name} that are no label"] += wrong
+    left_out[f"lines of {path.name} that are no label"] += invalid_count
     return labels
 
 
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
-    """One pair at side × side pixels. Raises FileError where a file is damaged."""
+    """Read one pair at side × side pixels; raise FileError if a file is damaged."""
     return VisionTouchPair(
         rgb=resize_by_area(crop_centre_square(read_photograph(files.rgb)), side),
         depth_m=None,
@@ -185,7 +196,7 @@ def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
 
 
 def _list_images_by_stem(folder: Path) -> dict[str, Path]:
-    """Pictures by name without ending; of two kinds of one name the .jpg counts, as in the published lists."""
+    """List images by stem; of two formats of one name the .jpg counts, as in the published lists."""
     names = sorted(
         list_file_names(folder), key=lambda name: (not name.lower().endswith((".jpg", ".jpeg")), name), reverse=True
     )

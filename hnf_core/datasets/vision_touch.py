@@ -1,8 +1,7 @@
-"""Pairs of one look and one touch of the same place, and what every set of them can be asked.
+"""Pairs of photograph and touch image of the same location: their interface, splits, and reading of image files.
 
-Photographs, touch images and depth arrays of unknown origin → arrays, nothing in them trusted.
-
-Pillow decodes; it comes with matplotlib, and is asked for only when a picture is read.
+Files are untrusted: nothing in them is executed or assumed valid. Pillow, which comes with matplotlib, decodes images
+and is imported only when one is read.
 """
 
 from __future__ import annotations
@@ -28,18 +27,31 @@ if TYPE_CHECKING:
 ImageArray = NDArray[np.float32]
 SensorName = Literal["gelsight", "digit"]
 SPLIT_SHARES: Mapping[str, float] = MappingProxyType({"train": 0.8, "val": 0.1, "test": 0.1})
+"""Fractions of the splits."""
 
 
 @dataclass(frozen=True, eq=False)
 class VisionTouchPair:
-    """What a camera and a touch sensor saw of one place.
+    """Images of a camera and a touch sensor of one location.
 
-    rgb: (H, W, 3) linear, 0 to 1. depth_m: (H, W) of the same pixels, None where it was not recorded.
-    touch: (h, w, 3), 0 to 1, the sensor's values as they are (photographs.read_touch). background: the sensor
-    untouched, as touch; None where it was not recorded.
-    sensor: whose optics the touch has. label: the material in the data set's own word, None where it has none.
-    where: scene, recording or texture. Pairs of one where look alike: a split keeps them together.
-    metres_per_pixel: of rgb, None where it is unknown.
+    Attributes
+    ----------
+    rgb : ndarray of float32, shape (H, W, 3)
+        Linear colour, 0 to 1.
+    depth_m : ndarray of float32, shape (H, W), or None
+        Depth of the same pixels [m]; None if not recorded.
+    touch : ndarray of float32, shape (h, w, 3)
+        Touch image, the sensor's values as they are, 0 to 1 (`read_touch_image`).
+    background : ndarray of float32, shape (h, w, 3), or None
+        Image of the untouched sensor; None if not recorded.
+    sensor : {"gelsight", "digit"}
+        Sensor of the touch image.
+    label : str or None
+        Material in the data set's own words.
+    where : str
+        Scene, recording or texture; a split keeps pairs of the same one together, since they look alike.
+    metres_per_pixel : float or None
+        Scale of `rgb` [m per pixel]; None if unknown.
     """
 
     rgb: ImageArray
@@ -52,12 +64,13 @@ class VisionTouchPair:
     metres_per_pixel: float | None
 
     def __post_init__(self) -> None:
-        for name, picture, depth in (("rgb", self.rgb, 3), ("touch", self.touch, 3), ("background", self.background, 3),
+        for name, image, channels in (("rgb", self.rgb, 3), ("touch", self.touch, 3), ("background", self.background,
+        3),
                                      ("depth_m", self.depth_m, None)):  # fmt: skip
-            if picture is not None and (
-                picture.dtype != np.float32 or picture.shape[2:] != ((depth,) if depth else ())
+            if image is not None and (
+                image.dtype != np.float32 or image.shape[2:] != ((channels,) if channels else ())
             ):
-                raise UsageError(f"{name} is {picture.dtype} {picture.shape}.", where=self.where, remedy="See above.")
+                raise UsageError(f"{name} is {image.dtype} {image.shape}.", where=self.where, remedy="See above.")
         if self.depth_m is not None and self.depth_m.shape != self.rgb.shape[:2]:
             raise UsageError("depth and picture have different pixels.", where=self.where, remedy="Resample one.")
         if self.background is not None and self.background.shape != self.touch.shape:
@@ -65,16 +78,18 @@ class VisionTouchPair:
 
 
 class VisionTouchPairs(Protocol):
-    """A lazy sequence: everything but an item is known without opening a picture."""
+    """Interface of lazy sequences of pairs: everything but an item is known without opening an image."""
 
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int, /) -> VisionTouchPair:
-        """Decodes one pair. Raises FileError where a file of it cannot be used."""
+        """Read one pair; raise FileError if one of its files cannot be used."""
         ...
 
     @property
-    def labels(self) -> tuple[str | None, ...]: ...
+    def labels(self) -> tuple[str | None, ...]:
+        """Label of each pair."""
+        ...
 
     @property
     def locations(self) -> tuple[str, ...]:
@@ -83,13 +98,13 @@ class VisionTouchPairs(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was assumed and what was left out, with counts."""
+        """Assumptions, and counts of what was left out."""
         ...
 
 
 @dataclass(frozen=True)
 class PairFiles:
-    """Where the parts of one pair lie; the meaning is VisionTouchPair's."""
+    """Files of one pair; fields as in `VisionTouchPair`."""
 
     rgb: Path
     touch: Path
@@ -101,7 +116,7 @@ class PairFiles:
 
 @dataclass(frozen=True)
 class FilePairs(Sequence[VisionTouchPair]):
-    """Pairs in files, each read when it is asked for and not kept. read: the data set's own way from files to pair."""
+    """Pairs in files, each read when it is accessed and not cached; `read` converts files to a pair."""
 
     entries: tuple[PairFiles, ...]
     read: Callable[[PairFiles], VisionTouchPair]
@@ -121,54 +136,81 @@ class FilePairs(Sequence[VisionTouchPair]):
 
     @property
     def labels(self) -> tuple[str | None, ...]:
+        """Label of each pair."""
         return tuple(entry.label for entry in self.entries)
 
     @property
     def locations(self) -> tuple[str, ...]:
+        """`where` of each pair."""
         return tuple(entry.where for entry in self.entries)
 
 
 def split_by_location(pairs: FilePairs, seed: int, shares: Mapping[str, float] = SPLIT_SHARES) -> dict[str, FilePairs]:
-    """Whole places (recordings, scenes, textures) dealt to named splits, so that no place is in two of them.
+    """Split pairs by location (recording, scene, texture), so that no location is in two splits.
 
-    Places come in an order drawn from their names and the seed; each goes to the split that lacks most of its share of
-    the pairs. Where there are few places, a small split may stay empty. Raises UsageError for shares that are not
-    positive.
+    Parameters
+    ----------
+    pairs : FilePairs
+        The pairs.
+    seed : int
+        Seed of the order in which locations are assigned.
+    shares : mapping of str to float
+        Fraction of each split.
+
+    Returns
+    -------
+    dict of str to FilePairs
+        The splits; a small one may be empty if there are few locations.
+
+    Raises
+    ------
+    UsageError
+        For fractions that are not positive.
+
+    Notes
+    -----
+    Locations come in an order derived from their names and the seed; each is assigned to the split that lacks the most
+    pairs.
     """
     if not shares or min(shares.values()) <= 0.0:
         raise UsageError(f"shares {dict(shares)} are not all above 0.", remedy="Leave out a split that is not wanted.")
     size = Counter(pairs.locations)
-    whole = sum(shares.values())
-    missing = {name: share / whole * len(pairs) for name, share in shares.items()}
-    home = {}
-    for place in sorted(size, key=lambda place: hashlib.sha256(f"{seed}\0{place}".encode()).digest()):
-        home[place] = max(missing, key=lambda name: missing[name])
-        missing[home[place]] -= size[place]
+    total = sum(shares.values())
+    deficit = {name: fraction / total * len(pairs) for name, fraction in shares.items()}
+    split_of = {}
+    for location in sorted(size, key=lambda location: hashlib.sha256(f"{seed}\0{location}".encode()).digest()):
+        split_of[location] = max(deficit, key=lambda name: deficit[name])
+        deficit[split_of[location]] -= size[location]
     return {
-        name: FilePairs(tuple(entry for entry in pairs.entries if home[entry.where] == name), pairs.read, pairs.notes)
+        name: FilePairs(
+            tuple(entry for entry in pairs.entries if split_of[entry.where] == name), pairs.read, pairs.notes
+        )
         for name in shares
     }
 
 
 def get_split(pairs: FilePairs, name: str, seed: int, where: str) -> FilePairs:
-    """One split of split_by_place with SHARES. Raises UsageError for a name that is none, FileError where there are too
-    few places for it. where: the folder, for the message."""
+    """Return one split of `split_by_location` with `SPLIT_SHARES`.
+
+    `where` names the folder in messages. Raises UsageError for an unknown split, FileError if there are too few
+    locations.
+    """
     if name not in SPLIT_SHARES:
         raise UsageError(f"{name!r} is no split.", remedy=f"There are {', '.join(SPLIT_SHARES)}.")
-    part = split_by_location(pairs, seed)[name]
-    if not part:
+    split = split_by_location(pairs, seed)[name]
+    if not split:
         raise FileError(
             f"{len(set(pairs.locations))} places are too few for a split {name!r}.",
             where=where,
             remedy="Get more of them, or split them yourself with split_by_place.",
         )
-    return part
+    return split
 
 
 def iterate_readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Iterator[VisionTouchPair]:
-    """The pairs whose files can be used, in order; the errors of the others are appended to skipped.
+    """Yield the pairs whose files can be used, in order; append the errors of the others to `skipped`.
 
-    One damaged picture among thousands must not end a training, nor go unnoticed.
+    One damaged image among thousands should neither end a training nor go unnoticed.
     """
     for index in range(len(pairs)):
         try:
@@ -180,7 +222,7 @@ def iterate_readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Itera
 
 
 def format_left_out(left_out: Counter[str]) -> tuple[str, ...]:
-    """Reasons with their counts as notes, the most frequent first: "3 left out: no touch image"."""
+    """Format reasons with their counts as notes, the most frequent first: "3 left out: no touch image"."""
     return tuple(f"{count} left out: {reason}" for reason, count in left_out.most_common() if count)
 
 
@@ -189,27 +231,30 @@ Float32 = NDArray[np.float32]
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp")
 IMAGE_FORMATS = ("JPEG", "PNG", "BMP")
 IMAGE_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "YCbCr")
-"""Pillow's names of what has 8 bits a channel; it would clip deeper ones without a word."""
+"""Pillow's modes with 8 bits a channel; it would clip deeper ones silently."""
 MAX_PIXELS = 50_000_000
+"""Largest accepted number of pixels of an image."""
 MIN_SIDE = 16
+"""Least side of an image [pixels]."""
 MAX_ARRAY_BYTES = 256 * 2**20
+"""Largest accepted array [bytes]."""
 _IMAGE_REMEDY = "Get the file again from the data set, or leave it out."
 
 
 def read_photograph(path: Path) -> Float32:
-    """(H, W, 3) linear, 0 to 1, of a photograph: a JPEG, PNG or BMP of 8 bits a channel in sRGB (IEC 61966-2-1).
+    """Read a photograph as linear colour (H, W, 3), 0 to 1: JPEG, PNG or BMP, 8 bits a channel in sRGB.
 
-    Grey becomes three equal channels, transparency is dropped. Raises FileError where it is no such picture, is cut
-    off, has more than MOST_PIXELS or a side below SMALLEST_SIDE, or Pillow is missing.
+    Grey becomes three equal channels, transparency is dropped. Raises FileError if it is no such image, cut short,
+    larger than `MAX_PIXELS` or smaller than `MIN_SIDE`, or if Pillow is missing.
     """
     return np.asarray(_SRGB_TO_LINEAR[_read_code_values(path)])
 
 
 def read_touch_image(path: Path) -> Float32:
-    """(H, W, 3) code values / 255 of a touch sensor's picture, in the files that read_picture takes.
+    """Read a touch sensor's image as code values / 255 (H, W, 3), in the formats of `read_photograph`.
 
-    Measured on a real GelSight (docs/optics.md), code values as they are come nearer to linear in the membrane's normal
-    than decoded ones do. Raises FileError as read_picture.
+    Measured on a real GelSight (docs/optics.md), code values are closer to linear in the membrane's normal than decoded
+    ones. Raises FileError as `read_photograph`.
     """
     return np.asarray(_read_code_values(path) / np.float32(255.0))
 
@@ -220,10 +265,10 @@ def _read_code_values(path: Path) -> NDArray[np.uint8]:
     except ImportError as error:
         raise FileError(f"pictures need Pillow ({error}).", where=str(path), remedy="Install it.") from error
     try:
-        with PIL.Image.open(path, formats=IMAGE_FORMATS) as picture:
-            _check_mode(picture, path)
-            return np.asarray(picture.convert("RGB"), dtype=np.uint8)
-    # A damaged file makes Pillow raise nearly anything: SyntaxError, struct.error, OverflowError, …
+        with PIL.Image.open(path, formats=IMAGE_FORMATS) as image:
+            _check_mode(image, path)
+            return np.asarray(image.convert("RGB"), dtype=np.uint8)
+    # A damaged file can make Pillow raise nearly anything: SyntaxError, struct.error, OverflowError, …
     except (OSError, ValueError, SyntaxError, EOFError, ArithmeticError, LookupError, TypeError, AttributeError,
             MemoryError, PIL.Image.DecompressionBombError) as error:  # fmt: skip
         raise FileError(f"cannot be read as a picture ({error}).", where=str(path), remedy=_IMAGE_REMEDY) from error
@@ -238,8 +283,10 @@ def _check_mode(image: Image, path: Path) -> None:
 
 
 def read_array(path: Path) -> NDArray[np.generic]:
-    """The array of a .npy file, in memory. Pickled objects are refused, and so is a header that promises more than the
-    file holds. Raises FileError."""
+    """Read the array of a .npy file into memory.
+
+    Pickled objects, and headers that promise more than the file holds, raise FileError.
+    """
     try:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(mapped, np.ndarray):
@@ -248,16 +295,16 @@ def read_array(path: Path) -> NDArray[np.generic]:
         if mapped.nbytes > MAX_ARRAY_BYTES:
             raise ValueError(f"{mapped.nbytes / 2**20:.0f} MB are too much")
         return np.array(mapped)
-    # numpy reads the header as Python's own literals, and lets its parser's errors through.
+    # numpy parses the header as Python literals and does not catch the parser's errors.
     except (OSError, ValueError, TypeError, EOFError, ArithmeticError, LookupError, MemoryError, RecursionError,
             SyntaxError, TokenError) as error:  # fmt: skip
         raise FileError(f"is no array of numbers ({error}).", where=str(path), remedy=_IMAGE_REMEDY) from error
 
 
 def read_depth(path: Path, max_m: float) -> Float32:
-    """(H, W) metres of a .npy file of (H, W) or (H, W, 1), clipped to [0, most_m].
+    """Read depth (H, W) [m] from a .npy file of (H, W) or (H, W, 1), clipped to [0, max_m].
 
-    Raises FileError where it has another shape or type, or not-a-number.
+    Raises FileError for another shape or type, or NaN.
     """
     values = read_array(path)
     if values.ndim == 3 and values.shape[2] == 1:
@@ -271,16 +318,16 @@ def read_depth(path: Path, max_m: float) -> Float32:
 
 
 def crop_centre_square(values: Float32) -> Float32:
-    """The largest centred square of (H, W[, C])."""
+    """Return the largest centred square of an image (H, W[, C])."""
     side = min(values.shape[:2])
     row, column = (values.shape[0] - side) // 2, (values.shape[1] - side) // 2
     return values[row : row + side, column : column + side]
 
 
 def resize_by_area(values: Float32, side: int) -> Float32:
-    """(H, W[, C]) → (side, side[, C]), each pixel the mean of the area it covers (larger: of its nearest ones).
+    """Resize (H, W[, C]) to (side, side[, C]); each pixel is the mean of the area it covers (enlarged: the nearest).
 
-    Means of linear light, so brightness stays what it was. Raises FileError where Pillow is missing.
+    Means of linear light preserve brightness. Raises FileError if Pillow is missing.
     """
     if values.shape[:2] == (side, side):
         return values
@@ -290,12 +337,12 @@ def resize_by_area(values: Float32, side: int) -> Float32:
         raise FileError(f"resizing needs Pillow ({error}).", remedy="Install it.") from error
     box = PIL.Image.Resampling.BOX
 
-    def one(channel: Float32) -> Float32:
+    def resize(channel: Float32) -> Float32:
         return np.asarray(PIL.Image.fromarray(np.ascontiguousarray(channel)).resize((side, side), box))
 
     if values.ndim == 2:
-        return one(values)
-    return np.stack([one(values[..., each]) for each in range(values.shape[2])], axis=-1)
+        return resize(values)
+    return np.stack([resize(values[..., channel_index]) for channel_index in range(values.shape[2])], axis=-1)
 
 
 _SRGB_TO_LINEAR = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)

@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import json
 import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,6 @@ from ..material.token import LEVELS, TOKEN_NAMES
 from ..signal import Signal
 from .json_reader import read_limited_bytes
 from .options import ExportOptions, ImportOptions
-from .png import encode_grey_png
 from .touched_surface import UNTOUCHED, TouchedSurface
 from .wav import decode_wav, encode_wav
 
@@ -317,6 +317,22 @@ def _encode_taxel_row(values: list[float | None], largest: float) -> bytes:
     pixels: NDArray[np.uint8] = np.zeros((1, compute_taxel_row_width(len(values))), dtype=np.uint8)
     pixels[0, 1 : len(values) + 1] = [round(255.0 * (value or 0.0) / largest) for value in values]
     return encode_grey_png(pixels)
+
+
+def encode_grey_png(pixels: NDArray[np.uint8]) -> bytes:
+    """Encode (H, W) values, row by row from the top, as a grey PNG (W3C, "Portable Network Graphics", 3rd edition).
+
+    Equal pixels give equal bytes with one version of zlib.
+    """
+    height, width = pixels.shape
+    rows = b"".join(b"\0" + row.tobytes() for row in np.ascontiguousarray(pixels))  # filter 0: as they are
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_encode_png_chunk(tag, body) for tag, body in chunks)
+
+
+def _encode_png_chunk(tag: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + tag + body + struct.pack(">I", zlib.crc32(tag + body))
 
 
 MAX_READ_BYTES = 512 * 2**20

@@ -1,14 +1,10 @@
-"""F_Θ evaluated where the action asks for it: as few states as keep the whole stroke within a tolerance.
+"""Evaluate F_Θ at as few samples of an action as keep the whole stroke within a tolerance.
 
-The amplitudes follow the action, which is slow most of the time and turns within milliseconds where a hand lands or
-reverses. So they are evaluated on a coarse grid of samples, then halfway between neighbours; and where halfway was not
-what the straight line says, further, the worst places first, until the power that is missed all over the stroke is
-within the tolerance. The reference evaluates every sample.
-
-Breakpoints of the action: samples that adaptive evaluation of F_Θ must not skip, since the hand bends there.
-
-An action is known at every state and costs nothing to read. A tap, a stop or a push shorter than the distance between
-two evaluations would otherwise never be asked for.
+Amplitudes follow the action, which is slow most of the time and turns within milliseconds where a hand lands or
+reverses. They are evaluated on a coarse grid of samples, then in the middle between neighbours; where the middle is off
+the straight line, further, the largest errors first, until the power that is missed over the whole stroke is within the
+tolerance. `find_breakpoints` adds the samples where the action itself bends, since a tap, a stop or a push shorter than
+the grid's interval would be missed otherwise. The reference evaluates every sample.
 """
 
 from __future__ import annotations
@@ -34,28 +30,36 @@ Float32 = NDArray[np.float32]
 Samples = NDArray[np.int64]
 
 MAX_INTERVAL, MIN_INTERVAL = 800, 2
-"""Samples between evaluations at most and at least: 80 ms, and 0.2 ms."""
+"""Largest and smallest interval between evaluations [samples]: 80 ms and 0.2 ms."""
 TOLERANCE_SAFETY = 0.42
-"""Share of the requested tolerance that is aimed at. What an interval misses is judged by its middle alone; and where
-the error is in few bands for a few milliseconds, one realisation of their noise may be far louder than the expected
-one. docs/benchmarks.md says how often the tolerance is then kept over the library."""
+"""Fraction of the requested tolerance that is aimed at.
+
+The error of an interval is judged by its middle alone; and where the error is in few bands for a few milliseconds, one
+realisation of their noise may be far louder than its expectation. docs/benchmarks.md has the results over the library.
+"""
 UNREFINED_ERROR_SHARE = 0.8
-"""Share of the error budget that is left to intervals which are not halved again, since halves miss something too. With
-all of it a ten-second stroke took five to eight rounds, the last of a few states each; with this, three or four."""
+"""Fraction of the error budget that is left to intervals which are not halved again, since halves have errors too.
+
+With all of it a ten-second stroke took five to eight rounds, the last of a few states each; with this, three or four.
+"""
 _PARABOLA_MEAN_SQUARE = 8.0 / 15.0
-"""Mean square of what a parabola misses of its chord, over the square in the middle."""
+"""Mean square of a parabola's distance from its chord, over the square in the middle."""
 BATCH_SAMPLES = 512
+"""Samples per request."""
 INITIAL_CAPACITY = 1024
-"""Evaluations that there is room for from the start: what is not used costs nothing."""
+"""Evaluations that memory is reserved for at the start; unused memory costs nothing."""
 MAX_EVALUATIONS = 40_000
-"""Cap on evaluations (0.8 GB on the way): nothing is gained from following a 200 Hz action further than that."""
+"""Largest number of evaluations (0.8 GB of intermediate results); a 200 Hz action needs no more."""
 
 
 @dataclass(frozen=True)
 class SampledEmission:
-    """Emissions of one head at samples at (m,), ascending: alpha (m, K), sigma_dt (m, N); straight lines between them.
-    missed: power left out, over that of all, as is to be expected of a signal at worst: what is seen of it in the
-    intervals' middles, over SAFETY². It is within the square of the tolerance unless the samples did not suffice."""
+    """Emissions of one head at samples at (m,), ascending, with straight lines between them.
+
+    alpha: (m, K). sigma_dt: (m, N). residual_power: expected power left out, over that of all, from the errors in the
+    intervals' middles over TOLERANCE_SAFETY². It is within the square of the tolerance unless the samples did not
+    suffice.
+    """
 
     at: Samples
     alpha: Float32
@@ -63,21 +67,23 @@ class SampledEmission:
     residual_power: float
 
     def locate(self, sample: Samples) -> tuple[Samples, Float]:
-        """The evaluation before each sample (…), and how far it is on the way to the next, 0 … 1."""
+        """Return the evaluation before each sample (…), and the fraction of the way to the next, 0 … 1."""
         row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
         begin = self.at[row]
         return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
 
 
 SampleRequests = Generator[Samples, Emission, SampledEmission]
-"""Yields samples of the model rate (m,), is sent what is emitted there, and returns all of it."""
+"""Generator that yields samples of the model rate (m,), is sent their emissions, and returns all of them."""
 Sampler = Callable[[int, float, Samples], SampleRequests]
-"""As sampling: the samples of the stroke, the tolerance, the breakpoints."""
+"""Function (number of samples, tolerance, breakpoints) → requests, as sample_adaptively."""
 
 
 def interpolate_rows(values: Float32, row: Samples, share: Float, factor: Float) -> Float32:
-    """(n, K) Σ over terms of factor times what lies share of the way from a row of values (m, K) to the next; row,
-    share, factor: (n, terms)."""
+    """Sum interpolated rows: (n, K) Σ_t factor · ((1 − share) · values[row] + share · values[row + 1]).
+
+    values: (m, K). row, share, factor: (n, terms).
+    """
     compiled = load_kernel()
     if compiled is not None:
         return blend_rows(compiled, np.ascontiguousarray(values), row, share, np.ascontiguousarray(factor))
@@ -89,17 +95,17 @@ def interpolate_rows(values: Float32, row: Samples, share: Float, factor: Float)
 
 
 def sample_adaptively(count: int, tolerance: float, breakpoints: Samples | None = None) -> SampleRequests:
-    """Emissions over samples 0 … count of a field with one head.
+    """Sample the emissions over 0 … count of a field with one head, as a generator of requests.
 
-    tolerance: root of the power that the straight lines miss over that of the stroke, 0 for as fine as FINEST.
-    breakpoints: samples that are asked for in any case, since something begins or ends there. At MOST samples it stops.
+    tolerance: root of the power that the straight lines miss over that of the stroke, 0 for the smallest intervals.
+    breakpoints: samples that are evaluated in any case. It stops at MAX_EVALUATIONS.
     """
     known = np.arange(0) if breakpoints is None else breakpoints[breakpoints < count]
     grid = np.unique(np.concatenate([np.arange(0, count, MAX_INTERVAL), known, [count]]))
     pending = np.stack([np.arange(len(grid) - 1), np.arange(1, len(grid))], axis=1)
     pending = pending[np.diff(grid) > MIN_INTERVAL]
     asked, before = _Samples(), np.zeros(len(pending))
-    # Every middle of the grid is asked for whatever is found there, so all of it at once.
+    # Every middle of the grid is needed in any case, so grid and middles are requested together.
     yield from asked.request(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
     middle = slice(len(grid), asked.count)
     settled, power, claimed = np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0)
@@ -128,7 +134,7 @@ def sample_adaptively(count: int, tolerance: float, breakpoints: Samples | None 
 
 
 class _Samples:
-    """Evaluations in the order in which they were asked for; an interval is the rows (p, 2) of its two ends."""
+    """Evaluations in the order of their requests; an interval is the rows (p, 2) of its two ends."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -137,38 +143,41 @@ class _Samples:
         self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros(0)
 
     def lengths(self, intervals: Samples) -> Samples:
-        """Samples (p,)."""
+        """Return the lengths (p,) [samples]."""
         return np.asarray(self._at[intervals[:, 1]] - self._at[intervals[:, 0]])
 
     def middles(self, intervals: Samples) -> Samples:
-        """Samples (p,)."""
+        """Return the samples (p,) in the middle."""
         return np.asarray(self._at[intervals].sum(axis=1) // 2)
 
     def bisect(self, intervals: Samples, rows: slice) -> tuple[Samples, Float]:
-        """Their halves (2p, 2), and what the straight line of each misses in its middle (p,), as power. rows: of the
-        middles, in the order of the intervals."""
+        """Return the halves (2p, 2), and the power (p,) by which each straight line misses its middle.
+
+        rows: of the middles, in the order of the intervals.
+        """
         low, high = intervals.T
         share = ((self._at[rows] - self._at[low]) / (self._at[high] - self._at[low])).astype(np.float32)[:, None]
         off, thinner = (
             each[rows] - (each[low] + share * (each[high] - each[low])) for each in (self._alpha, self._sigma_dt)
         )
-        # Weights answer to densities one to one at most, so a density's error is one of the whole amplitude.
+        # A weight changes at most as much as its density, so an error of density is one of the whole amplitude.
         missed = _sum_squares(off) + self._power[rows] * _sum_squares(thinner)
         between = np.arange(rows.start, rows.stop)
         return np.concatenate([np.stack([low, between], 1), np.stack([between, high], 1)]), missed
 
     def total_power(self) -> float:
-        """Power of the straight lines, times samples."""
+        """Return the power of the straight lines, times samples."""
         order = np.argsort(self._at[: self.count])
         power, at = self._power[order], self._at[order]
         return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(at)))
 
     def to_sampled_emission(self, residual_power: float) -> SampledEmission:
+        """Return the evaluations in the order of their samples."""
         order = np.argsort(self._at[: self.count])
         return SampledEmission(self._at[order], self._alpha[order], self._sigma_dt[order], residual_power)
 
     def request(self, at: Samples) -> Generator[Samples, Emission, slice]:
-        """The rows of what is emitted at these samples."""
+        """Request the emissions at these samples; return their rows."""
         begin = self.count
         for low in range(0, len(at), BATCH_SAMPLES):
             asked = at[low : low + BATCH_SAMPLES]
@@ -185,7 +194,7 @@ class _Samples:
 
 
 def _append_rows(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
-    """kept with new in these rows, which follow the last; where there is no room, in twice the memory."""
+    """Return the array with new values in these rows, which follow the last; a full array grows to twice its size."""
     if rows.stop > len(kept):
         grown = np.empty((max(2 * len(kept), rows.stop, INITIAL_CAPACITY), *new.shape[1:]), dtype=new.dtype)
         grown[: rows.start] = kept[: rows.start] if rows.start else 0.0
@@ -195,25 +204,28 @@ def _append_rows(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[
 
 
 def _sum_squares(values: NDArray[np.floating[Any]]) -> Float:
-    """(n,) sums of squares of (n, K)."""
+    """Return the sums of squares (n,) of (n, K)."""
     return np.asarray(np.einsum("nk,nk->n", values, values))
 
 
 def _predict_child_error(found: Float, before: Float) -> Float:
-    """Error expected in the middle of each half of an interval, as power (p,), from that in the interval's own middle,
-    found (p,), and in the middle of the interval it is a half of, before (p,), 0 where there was none.
+    """Predict the error in the middle of each half of an interval, as power (p,).
 
-    A parabola leaves a 16th to each half, a kink all of it to one half, a jump too: half of it each. Where the last
-    halving made it no less than half, that is taken for one of them; else a quarter is.
+    found: (p,) error in the interval's own middle. before: (p,) error in the middle of the interval it is a half of, 0
+    if there was none. A parabola leaves a 16th to each half, a kink or a jump all of it to one half, counted as half to
+    each. If the last halving left at least half, the error counts as one of these, otherwise a quarter is predicted.
     """
     share: Float = 0.5 * np.clip(found / np.maximum(before, 1e-300), 0.5, 1.0)
     return found * share
 
 
 def accumulate_samples(config: FieldConfig, sampled: SampledEmission, count: int) -> tuple[Samples, Float32]:
-    """Knots (m,) in 0 … count and the amplitudes (m, K) there, over the past states of each (field.accumulate)."""
+    """Return knots (m,) in 0 … count and the amplitudes (m, K) there, accumulated over past states.
+
+    As field.accumulate, of interpolated emissions.
+    """
     lag = config.stride * SAMPLES_PER_STATE
-    # What bends now bends again in the nearest memory; of what lies further back a hundredth is left.
+    # A bend occurs again one past state later; older states have only a hundredth of the weight.
     at = np.unique(np.concatenate([sampled.at, np.minimum(sampled.at + lag, count)]))
     row, share = sampled.locate(at[:, None] - lag * np.arange(config.states))
     density, state = sampled.sigma_dt, np.arange(config.states)
@@ -223,13 +235,18 @@ def accumulate_samples(config: FieldConfig, sampled: SampledEmission, count: int
 
 
 MAX_DEVIATION = 0.25
-"""Largest deviation of log speed, log force and direction (radians) from the straight line between two breakpoints.
-F_Θ answers to them about one to one, and what it makes of such a bend is seen in the middle between two of them."""
+"""Largest deviation of log speed, log force and direction (radians) from a straight line between breakpoints.
+
+F_Θ changes with them about one to one, and the effect of such a bend shows in the middle between two breakpoints.
+"""
 
 
 def find_breakpoints(action: Action, token_index: NDArray[np.int32]) -> Samples:
-    """Samples of the model rate, ascending, between which an action at ACTION_RATE_HZ is straight within BENT, on one
-    material, and in contact or in the air throughout: states, and places between two of them."""
+    """Return the breakpoints of an action at ACTION_RATE_HZ, as samples of the model rate, ascending.
+
+    Between two of them the action is straight within MAX_DEVIATION, on one material, and throughout in contact or in
+    the air.
+    """
     force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
     speed = np.maximum(action.speed, SPEED_FLOOR_M_S)
     course = np.column_stack([np.log(speed), np.log(force), action.direction])
@@ -245,7 +262,7 @@ def find_breakpoints(action: Action, token_index: NDArray[np.int32]) -> Samples:
 
 
 def _find_bends_numpy(course: Float, fixed: Samples) -> Samples:
-    """In numpy: what the kernel is tested against."""
+    """Find the bends in numpy; the reference of the kernel."""
     pending = list(zip(fixed[:-1].tolist(), fixed[1:].tolist(), strict=True))
     found = set(fixed.tolist())
     while pending:
@@ -262,8 +279,10 @@ def _find_bends_numpy(course: Float, fixed: Samples) -> Samples:
 
 
 def _find_bends_between_states(value: Float) -> Samples:
-    """Samples where a value > 0 that goes straight from state to state bends in its logarithm by more than BENT: a stop
-    or a start within one state. It bends most where it is the logarithmic mean of its ends."""
+    """Return samples where the logarithm of a value > 0, linear between states, bends by more than MAX_DEVIATION.
+
+    That is a stop or a start within one state. The bend is largest where the value is the logarithmic mean of its ends.
+    """
     rise, growth = np.diff(value), np.diff(np.log(value))
     row = np.flatnonzero(np.abs(growth) > 1.0)
     mean = rise[row] / growth[row]

@@ -1,20 +1,13 @@
-"""What is fast in a signal: unit-power noise bands in time and in arc length.
+"""Carriers: unit-power noise bands in time and in arc length, which F_Θ modulates.
 
-An artist's action has nothing above 20 Hz, so the published emission, a pointwise function of u(t), cannot vibrate.
-The field therefore modulates a fixed basis. Carriers in time do not follow the hand (contact noise); carriers in arc
-length c(s(t)) glide with its speed, as the tone of a weave or a grating does: f = κ v.
-
-Every carrier is a chain of half-overlapping noise blocks with power-complementary fades; block j is a pure function of
-(seed, family, j), so any stretch is computable alone and nothing repeats.
-
-Counter-based normal noise: any block of any stream is computable alone, and no stream repeats.
-
-Noise bands as waves: each is a few bins of a long period, so a product of matrices makes it for less than a
-transform that is mostly zeros.
-
-A band's bins k₀ … k₀ + W − 1 are an envelope, W slow turns that are the same for every band, on a turn at k₀. Turns at
-n and at −n have the same cosine and opposite sines: half of the samples say the rest. What is broad is left to the
-inverse FFT.
+An artist's action has nothing above 20 Hz, so the published emission, a pointwise function of u(t), cannot vibrate; the
+field therefore modulates a fixed basis. Carriers in time do not follow the hand (contact noise); carriers in arc length
+c(s(t)) shift with its speed, as the tone of a weave or a grating does: f = κ v. Every carrier is a chain of
+half-overlapping noise blocks with power-complementary fades. Block j is a pure function of (seed, family, j) by
+counter-based random numbers (Philox), so any range of samples is computable alone and nothing repeats. A band occupies
+few bins of a long period, so its wave is computed as a matrix product instead of an FFT that is mostly zeros: an
+envelope of W slow turns, the same for every band, times a turn at the band's first bin. Turns at n and at −n have the
+same cosine and opposite sines, so half of the samples give the rest. Broad bands use the inverse FFT.
 """
 
 from __future__ import annotations
@@ -37,11 +30,10 @@ _WORDS_PER_COUNT = 4
 
 
 def _draw_words(seed: int, stream: int, block: int, first: int, last: int) -> NDArray[np.uint64]:
-    """Words first … last − 1 of block `block` (any integer, also negative) of a stream; what lies before them is not
-    drawn.
+    """Draw the random words first … last − 1 of block `block` (any integer, also negative) of a stream.
 
-    Philox4x64-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") keyed by (seed, stream) at a
-    counter set by the block. Raw words, for numpy promises those across versions, but not its own normal sampler, and
+    Philox4x64-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"), keyed by (seed, stream) with a
+    counter set by the block. Raw words, because numpy promises those across versions but not its normal sampler, and
     the same seed must give the same bytes.
     """
     skipped = first // _WORDS_PER_COUNT
@@ -52,15 +44,14 @@ def _draw_words(seed: int, stream: int, block: int, first: int, last: int) -> ND
 
 
 def _to_uniform(words: NDArray[np.uint64]) -> NDArray[np.float64]:
-    """In 0 … 1, both ends left out."""
+    """Convert words to numbers between 0 and 1, both exclusive."""
     return np.asarray(((words >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53)
 
 
 def _draw_polar(
     seed: int, stream: int, block: int, pairs: int, rows: slice
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Radius and angle of those in rows of a block's pairs: their cosine and sine parts are normal (Box & Muller
-    1958)."""
+    """Draw radius and angle of some of a block's pairs; their cosine and sine parts are normal (Box & Muller 1958)."""
     radius = _to_uniform(_draw_words(seed, stream, block, rows.start, rows.stop))
     angle = _to_uniform(_draw_words(seed, stream, block, pairs + rows.start, pairs + rows.stop))
     return np.sqrt(-2.0 * np.log(radius)), 2.0 * np.pi * angle
@@ -68,34 +59,39 @@ def _draw_polar(
 
 @dataclass(frozen=True, eq=False)
 class Bins:
-    """The bins of a period of size samples that bands hold. starts: (B + 1,) the first of each, and of what follows the
-    last. level: (Σ W,) of each bin, so that every band is of unit expected power."""
+    """FFT bins of B adjacent bands in a period of `size` samples.
+
+    starts: (B + 1,) first bin of each band, and the end of the last. level: (Σ W,) level of each bin, which gives every
+    band unit expected power.
+    """
 
     starts: NDArray[np.intp]
     level: NDArray[np.float64]
     size: int
 
     def select_bands(self, low: int, high: int) -> Bins:
-        """Of bands low … high − 1 alone: drawn apart, their numbers are the same."""
+        """Return the bins of bands low … high − 1; drawn separately, their numbers are the same."""
         first, last = self.starts[[low, high]] - self.starts[0]
         return Bins(self.starts[low : high + 1], self.level[first:last], self.size)
 
 
 def make_bins(edges: NDArray[np.float64], size: int) -> Bins:
-    """edges: (B + 1,) ascending band edges in cycles per period; a bin belongs to the band that holds it, bins outside
-    to none. Raises ValueError where a band is narrower than the period resolves."""
+    """Assign bins to bands with edges (B + 1,) [cycles per period], ascending.
+
+    A bin belongs to the band that contains it. Raises ValueError if a band is narrower than the period resolves.
+    """
     starts = find_first_bins(edges, size)
     widths = np.diff(starts)
-    # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
+    # Each of n bins is complex normal of variance 2, and mirrored, so the period's mean power is 4 n / size².
     return Bins(starts, np.repeat(size / np.sqrt(4.0 * widths), widths), size)
 
 
 def draw_band_spectra(
     seed: int, stream: int, block: int, edges: NDArray[np.float64], size: int
 ) -> NDArray[np.complex128]:
-    """rfft spectra (B, size // 2 + 1) of B noise bands, each of unit expected power over a period of size samples.
+    """Draw rfft spectra (B, size // 2 + 1) of B noise bands, each of unit expected power over a period.
 
-    Disjoint bands take their numbers from one white spectrum, so they are independent. edges, errors: as in bins_of.
+    Disjoint bands take their numbers from one white spectrum, so they are independent. edges, errors: as of make_bins.
     """
     bins = make_bins(edges, size)
     drawn, starts = draw_band_bins(seed, stream, block, bins), bins.starts
@@ -106,13 +102,12 @@ def draw_band_spectra(
 
 
 def draw_band_bins(seed: int, stream: int, block: int, bins: Bins) -> NDArray[np.complex128]:
-    """(Σ W,) the bins of band_spectra that are not zero, one band after another. Numbers that no band holds are not
-    drawn."""
+    """Draw the bins (Σ W,) of draw_band_spectra that are not zero, band after band."""
     first, last, pairs = int(bins.starts[0]), int(bins.starts[-1]), bins.size // 2 + 1
-    compiled = load_kernel()
-    if compiled is not None:
+    kernel = load_kernel()
+    if kernel is not None:
         return kernel_noise.draw_bins(
-            compiled, (seed & WORD_MASK, stream & WORD_MASK, block & WORD_MASK), pairs, first, bins.level
+            kernel, (seed & WORD_MASK, stream & WORD_MASK, block & WORD_MASK), pairs, first, bins.level
         )
     radius, angle = _draw_polar(seed, stream, block, pairs, slice(first, last))
     out = np.empty(len(radius), dtype=np.complex128)
@@ -121,7 +116,7 @@ def draw_band_bins(seed: int, stream: int, block: int, bins: Bins) -> NDArray[np
 
 
 def find_first_bins(edges: NDArray[np.float64], size: int) -> NDArray[np.intp]:
-    """(B + 1,) first bin of each band and of what follows the last. Raises ValueError as bins_of does."""
+    """Return the first bin of each band, and the end of the last, (B + 1,). Raises ValueError as make_bins."""
     starts = np.clip(np.ceil(edges).astype(np.intp), 1, size // 2)
     empty = np.diff(starts) <= 0
     if empty.any():
@@ -130,7 +125,7 @@ def find_first_bins(edges: NDArray[np.float64], size: int) -> NDArray[np.intp]:
 
 
 def crossfade_window(size: int) -> NDArray[np.float64]:
-    """Power-complementary window (size,): w²(t) + w²(t + size/2) = 1, smooth at its ends (the Vorbis I window)."""
+    """Return the Vorbis I window (size,), power-complementary: w²(t) + w²(t + size/2) = 1."""
     t = (np.arange(size) + 0.5) / size
     return np.asarray(np.sin(0.5 * np.pi * np.square(np.sin(np.pi * t))))
 
@@ -138,7 +133,7 @@ def crossfade_window(size: int) -> NDArray[np.float64]:
 Float = NDArray[np.float64]
 
 MODEL_RATE_HZ = 10_000.0
-"""Rate of the model's own time axis; other output rates are resampled from it."""
+"""Sample rate of the model [Hz]; other output rates are resampled from it."""
 
 TIME_BLOCK = 8192
 """Samples in a block of time carriers (0.82 s: 16 bins in a band of 20 Hz)."""
@@ -147,13 +142,15 @@ ARC_BLOCK = 8192
 ARC_SAMPLES_PER_WAVE = 16
 """Spatial samples per shortest wavelength of an octave; cubic interpolation then errs below −60 dB."""
 ARC_PER_OCTAVE = 24
+"""Arc carriers per octave of spatial frequency."""
 CACHED_TIME_BLOCKS, CACHED_ARC_BLOCKS = 8, 32
-"""Noise blocks kept for the next render, 3.7 MB and 1.6 MB each: neighbouring renders meet the same ones again."""
+"""Noise blocks in the caches, 3.7 MB and 1.6 MB each; adjacent renders need the same ones."""
 ARC_STREAM = 1_000
+"""Random stream of the first octave of arc carriers; stream 0 is that of the time carriers."""
 
 
 def default_time_edges() -> Float:
-    """58 edges [Hz]: 20 Hz bands to 1 kHz (the first starts at 2 Hz), then 7 widening bands to 5 kHz."""
+    """Return 58 edges [Hz]: 20 Hz bands to 1 kHz (the first starts at 2 Hz), then 7 widening bands to 5 kHz."""
     low = np.arange(51) * 20.0
     low[0] = 2.0
     return np.concatenate([low, 1000.0 * 5.0 ** (np.arange(1, 8) / 7.0)])
@@ -161,10 +158,18 @@ def default_time_edges() -> Float:
 
 @dataclass(frozen=True)
 class Carriers:
-    """Which carriers a field modulates.
+    """Carriers that a field modulates, in the order constant, time, arc.
 
-    time_edges_hz: (Kt + 1,) band edges, empty for none. arc_octaves: octaves of spatial frequency, each of 24 bands,
-    upward from arc_start_per_m [cycles/m]. constant: also c ≡ 1, the published form. Order: constant, time, arc.
+    Attributes
+    ----------
+    time_edges_hz
+        (Kt + 1,) band edges [Hz], empty for none.
+    arc_start_per_m
+        Lowest spatial frequency of the arc carriers [cycles/m].
+    arc_octaves
+        Octaves of spatial frequency, each of 24 bands.
+    constant
+        Include c ≡ 1, the published form.
     """
 
     time_edges_hz: tuple[float, ...] = tuple(float(edge) for edge in default_time_edges())
@@ -177,82 +182,91 @@ class Carriers:
 
     @cached_property
     def _hash(self) -> int:
-        """Once: what is kept of carriers is looked up by them hundreds of times a stroke."""
+        """Hash, computed once: caches look carriers up hundreds of times a stroke."""
         return hash((self.time_edges_hz, self.arc_start_per_m, self.arc_octaves, self.constant))
 
     @property
     def time_count(self) -> int:
+        """Number of time carriers Kt."""
         return max(len(self.time_edges_hz) - 1, 0)
 
     @property
     def arc_count(self) -> int:
+        """Number of arc carriers Ka."""
         return self.arc_octaves * ARC_PER_OCTAVE
 
     @property
     def count(self) -> int:
+        """Number of all carriers K."""
         return int(self.constant) + self.time_count + self.arc_count
 
     @property
     def time_slice(self) -> slice:
+        """Columns of the time carriers."""
         return slice(int(self.constant), int(self.constant) + self.time_count)
 
     @property
     def arc_slice(self) -> slice:
+        """Columns of the arc carriers."""
         return slice(int(self.constant) + self.time_count, self.count)
 
     def time_edges(self) -> Float:
+        """Return the band edges (Kt + 1,) of the time carriers [Hz]."""
         return np.asarray(self.time_edges_hz, dtype=np.float64)
 
     def arc_edges(self) -> Float:
-        """(24 · octaves + 1,) band edges in cycles/m."""
+        """Return the band edges (24 · octaves + 1,) of the arc carriers [cycles/m]."""
         return np.asarray(self.arc_start_per_m * 2.0 ** (np.arange(self.arc_count + 1) / ARC_PER_OCTAVE))
 
     def arc_centres(self) -> Float:
+        """Return the geometric band centres (Ka,) of the arc carriers [cycles/m]."""
         edges = self.arc_edges()
         return np.asarray(np.sqrt(edges[1:] * edges[:-1]))
 
     def arc_step_m(self, octave: int) -> float:
-        """Sample spacing of an octave's blocks."""
+        """Return the sample spacing of an octave's blocks [m]."""
         return float(1.0 / (ARC_SAMPLES_PER_WAVE * self.arc_start_per_m * 2.0 ** (octave + 1)))
 
     def arc_block_spectra(self, seed: int, octave: int, block: int) -> NDArray[np.complex128]:
-        """rfft spectra (24, ARC_BLOCK // 2 + 1) of one block of one octave, before its fade."""
+        """Draw the rfft spectra (24, ARC_BLOCK // 2 + 1) of one block of one octave, before its fade."""
         first = octave * ARC_PER_OCTAVE
         edges = self.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (self.arc_step_m(octave) * ARC_BLOCK)
         return draw_band_spectra(seed, ARC_STREAM + octave, block, edges, ARC_BLOCK)
 
     def time_block_spectra(self, seed: int, block: int) -> NDArray[np.complex128]:
-        """rfft spectra (Kt, TIME_BLOCK // 2 + 1) of one block, before its fade."""
+        """Draw the rfft spectra (Kt, TIME_BLOCK // 2 + 1) of one block, before its fade."""
         return draw_band_spectra(seed, 0, block, self.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
 
     def time_samples(self, seed: int, start: int, count: int) -> Float:
-        """Time carriers (Kt, count) at samples start … start + count − 1 of the model rate."""
+        """Compute the time carriers (Kt, count) at samples start … start + count − 1 of the model rate."""
         return _overlap_add(lambda block: _time_wave(self, seed, block), TIME_BLOCK, self.time_count, start, count)
 
     def arc_samples(self, seed: int, octave: int, start: int, count: int) -> Float:
-        """One octave's carriers (24, count) at spatial samples start … (multiples of arc_step_m)."""
+        """Compute one octave's carriers (24, count) at spatial samples start …, in multiples of arc_step_m."""
         return _overlap_add(lambda block: _arc_wave(self, seed, octave, block), ARC_BLOCK, ARC_PER_OCTAVE, start, count)
 
 
 @lru_cache(maxsize=CACHED_TIME_BLOCKS)
 def _time_wave(carriers: Carriers, seed: int, block: int) -> Float:
+    """Return the windowed waves (Kt, TIME_BLOCK) of one block."""
     return _apply_window(carriers.time_block_spectra(seed, block), TIME_BLOCK)
 
 
 @lru_cache(maxsize=CACHED_ARC_BLOCKS)
 def _arc_wave(carriers: Carriers, seed: int, octave: int, block: int) -> Float:
+    """Return the windowed waves (24, ARC_BLOCK) of one block of one octave."""
     return _apply_window(carriers.arc_block_spectra(seed, octave, block), ARC_BLOCK)
 
 
 def _apply_window(spectra: NDArray[np.complex128], size: int) -> Float:
-    """(bands, size) one block's waves under its window."""
+    """Return a block's waves (bands, size) under its window."""
     waves = np.fft.irfft(spectra, size, axis=-1) * crossfade_window(size)
     waves.setflags(write=False)
     return np.asarray(waves)
 
 
 def _overlap_add(waves: Callable[[int], Float], size: int, bands: int, start: int, count: int) -> Float:
-    """Sum of the faded blocks that meet [start, start + count)."""
+    """Sum the faded blocks that overlap [start, start + count)."""
     out = np.zeros((bands, count))
     if count <= 0 or bands == 0:
         return out
@@ -269,16 +283,25 @@ Complex = NDArray[np.complex128]
 Starts = NDArray[np.intp]
 
 MAX_PRODUCT_BINS = 32
-"""Bins of a band up to which a product is the faster."""
+"""Widest band [bins] for which a matrix product is faster than an FFT."""
 
 
 @dataclass(frozen=True, eq=False)
 class WavePlan:
-    """What does not change from block to block.
+    """Tables for converting bins to waves, the same for every block.
 
-    starts: (B + 1,) first bin of each band, and of what follows the last. window: (size,). narrow, broad: bands that
-    are a product and those that are a transform. slow: (2W, size / 2 + 1) cosines of 0 … W − 1 turns, then sines.
-    turns: cosine and sine (narrow, size / 2 + 1) of first bins.
+    Attributes
+    ----------
+    starts
+        (B + 1,) first bin of each band, and the end of the last.
+    window
+        (size,).
+    narrow, broad
+        Bands computed by a product, and by an FFT.
+    slow
+        (2W, size / 2 + 1) cosines of 0 … W − 1 turns, then their sines.
+    turns
+        Cosine and sine (narrow, size / 2 + 1) of the first bins.
     """
 
     starts: Starts
@@ -290,10 +313,11 @@ class WavePlan:
 
     @property
     def size(self) -> int:
+        """Samples of a block."""
         return len(self.window)
 
     def select_bands(self, low: int, high: int) -> WavePlan:
-        """Of bands low … high − 1 alone."""
+        """Return the plan of bands low … high − 1."""
         narrow = slice(*np.searchsorted(self.narrow, (low, high)))
         broad = self.broad[slice(*np.searchsorted(self.broad, (low, high)))] - low
         cosine, sine = self.turns
@@ -304,7 +328,7 @@ class WavePlan:
 
 
 def make_wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
-    """Of bands that are turned back by `middle` turns a period; window: (size,)."""
+    """Build the plan of bands that are demodulated by `middle` turns per period. window: (size,)."""
     width, size = np.diff(starts), len(window)
     narrow, broad = np.flatnonzero(width <= MAX_PRODUCT_BINS), np.flatnonzero(width > MAX_PRODUCT_BINS)
     slow = _sinusoids(np.arange(int(width[narrow].max(initial=0))), size)
@@ -315,23 +339,30 @@ def make_wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
 
 
 def render_real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None) -> Float32:
-    """2 Re Σ_k X_k e^{2πikn/size} of each of B bands, times the window; (B, size).
+    """Compute 2 Re Σ_k X_k e^{2πikn/size} of each of B bands, times the window; (B, size).
 
-    bins: (Σ W,) X of the bands one after another; every bin lies between 0 and size / 2. out: where to put them.
+    Parameters
+    ----------
+    bins
+        (Σ W,) X of the bands, one after another; every bin lies between 0 and size / 2.
+    plan
+        Tables of the bands.
+    out
+        Array for the result; None to allocate it.
     """
     out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.float32) if out is None else out
-    compiled = load_kernel()
-    if len(plan.narrow) and compiled is not None and plan.size % TILE_SAMPLES == 0:
-        given = plan.starts, plan.narrow, plan.slow, plan.turns, plan.window
-        kernel_noise.render_real_waves(compiled, bins, *given, out)
+    kernel = load_kernel()
+    if len(plan.narrow) and kernel is not None and plan.size % TILE_SAMPLES == 0:
+        tables = plan.starts, plan.narrow, plan.slow, plan.turns, plan.window
+        kernel_noise.render_real_waves(kernel, bins, *tables, out)
     elif len(plan.narrow):
         cosine, sine = plan.turns
-        ahead, back = _envelopes(2.0 * _padded(bins, plan), plan.slow)
+        forward, backward = _envelopes(2.0 * _padded(bins, plan), plan.slow)
         out[plan.narrow] = plan.window * _mirror(
-            ahead.real * cosine - ahead.imag * sine, back.real * cosine + back.imag * sine
+            forward.real * cosine - forward.imag * sine, backward.real * cosine + backward.imag * sine
         )
     if len(plan.broad):
-        # As long as what comes out, though half is read: numpy 1 would copy it to that length.
+        # The spectra have the output's length though irfft reads half, because numpy 1 would copy them to that length.
         spectra = np.zeros((len(plan.broad), plan.size), dtype=np.complex128)
         for spectrum, band in zip(spectra, plan.broad, strict=True):
             low, high = plan.starts[band], plan.starts[band + 1]
@@ -345,20 +376,22 @@ def render_real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None)
 def render_complex_waves(
     bins: Complex, plan: WavePlan, out: NDArray[np.complex64] | None = None
 ) -> NDArray[np.complex64]:
-    """Σ_k X_k e^{2πi(k − middle)n/size} of each of B bands of at most WIDEST bins, times the window; (B, size). out:
-    where to put them."""
+    """Compute Σ_k X_k e^{2πi(k − middle)n/size} of each of B narrow bands, times the window; (B, size).
+
+    Bands may have at most MAX_PRODUCT_BINS bins. bins, out: as of render_real_waves.
+    """
     out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.complex64) if out is None else out
-    compiled = load_kernel()
-    if compiled is not None and plan.size % TILE_SAMPLES == 0:
-        kernel_noise.render_complex_waves(compiled, bins, plan.starts, plan.slow, plan.turns, plan.window, out)
+    kernel = load_kernel()
+    if kernel is not None and plan.size % TILE_SAMPLES == 0:
+        kernel_noise.render_complex_waves(kernel, bins, plan.starts, plan.slow, plan.turns, plan.window, out)
         return out
     turn = plan.turns[0] + 1j * plan.turns[1]
-    ahead, back = _envelopes(_padded(bins, plan), plan.slow)
-    return np.multiply(plan.window, _mirror(ahead * turn, back * turn.conj()), out=out, casting="same_kind")
+    forward, backward = _envelopes(_padded(bins, plan), plan.slow)
+    return np.multiply(plan.window, _mirror(forward * turn, backward * turn.conj()), out=out, casting="same_kind")
 
 
 def _padded(bins: Complex, plan: WavePlan) -> Complex:
-    """(narrow, W) their bins, then zeros; W: of the widest."""
+    """Return the bins of the narrow bands (narrow, W), padded with zeros to the widest."""
     width = np.diff(plan.starts)[plan.narrow, None]
     at = (plan.starts[:-1] - plan.starts[0])[plan.narrow, None] + np.arange(len(plan.slow) // 2)
     inside = np.arange(len(plan.slow) // 2) < width
@@ -366,7 +399,7 @@ def _padded(bins: Complex, plan: WavePlan) -> Complex:
 
 
 def _envelopes(bins: Complex, slow: Float32) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
-    """Σ_w bins (B, W) e^{±2πiwn/size} at n = 0 … size / 2, with either sign."""
+    """Compute Σ_w bins (B, W) e^{±2πiwn/size} at n = 0 … size / 2, for either sign."""
     cosine, sine = slow[: len(slow) // 2], slow[len(slow) // 2 :]
     both = np.concatenate([bins.real, bins.imag]).astype(np.float32)
     even, odd = both @ cosine, both @ sine
@@ -375,12 +408,12 @@ def _envelopes(bins: Complex, slow: Float32) -> tuple[NDArray[np.complex64], NDA
 
 
 def _mirror(ahead: NDArray[Any], back: NDArray[Any]) -> NDArray[Any]:
-    """(B, size) of samples n and −n, n = 0 … size / 2."""
+    """Join samples n and −n, n = 0 … size / 2, to (B, size)."""
     return np.concatenate([ahead, back[:, -2:0:-1]], axis=1)
 
 
 def _sinusoids(wavenumbers: Starts, size: int) -> tuple[Float32, Float32]:
-    """cos and sin of 2πkn/size, (B, size / 2 + 1), from one period of each."""
+    """Return cos and sin of 2πkn/size, (B, size / 2 + 1), looked up in one period."""
     angle = 2.0 * np.pi * np.arange(size) / size
     at = np.multiply.outer(wavenumbers, np.arange(size // 2 + 1)) % size
     return np.cos(angle).astype(np.float32)[at], np.sin(angle).astype(np.float32)[at]

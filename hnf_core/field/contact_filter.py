@@ -1,8 +1,8 @@
-"""The linear contact as a filter in time: profile height or pressing force in, acceleration out.
+"""Linear contact as a filter in time: profile height or pressing force in, acceleration out.
 
-Stiffness follows material and load, both slow; a small bank of impulse responses, one per material and half octave of
-force, is cross-faded at the action rate. Its loads are the same for every stroke, so that pressing harder in one place
-changes nothing in another.
+Stiffness follows material and load, both slow. A small bank of impulse responses, one per material and half octave of
+force, is cross-faded at the action rate. The loads of the bank are the same for every stroke, so that pressing harder
+at one point changes nothing elsewhere.
 """
 
 from __future__ import annotations
@@ -27,24 +27,29 @@ Float = NDArray[np.float64]
 Response = Callable[[ArrayLike, Mechanics, Probe, ArrayLike], NDArray[np.complex128]]
 
 LEAD_SAMPLES, TAIL_SAMPLES = 256, 3840
-"""Samples of an impulse response kept before and after t = 0 (0.38 s: a 50 Hz contact of 5 % damping is 50 dB down)."""
+"""Samples of an impulse response before and after t = 0 (0.38 s: a 50 Hz contact of 5 % damping has decayed by 50
+dB)."""
 RESPONSE_PERIOD = 8192
-"""Samples of the period in which a response is worked out."""
+"""FFT length in which a response is computed [samples]."""
 LOADS_PER_OCTAVE = 2
-"""Between two loads their responses are blended: over the library's materials 0.6 % of the response's energy norm off
-at worst, 0.02 % in the median (a test holds it)."""
+"""Loads of the bank per octave of force.
+
+Between two loads the responses are blended; over the library's materials the error is at most 0.6 % of the response's
+energy norm, 0.02 % in the median (checked by a test).
+"""
 MIN_FORCE_OCTAVE = -6
-"""2⁻⁶ N = 16 mN; what presses less answers alike."""
+"""Exponent of the lightest load, 2⁻⁶ N = 16 mN; lighter contacts have the same response."""
 RESIDUAL_ENERGY = 1e-12
-"""Of a response's energy: what comes after is left out. Half of the library's last 72 ms, the longest 0.26 s."""
+"""Fraction of a response's energy at which it is cut off. Half of the library's responses last 72 ms, the longest 0.26
+s."""
 CACHED_RESPONSES = 512
 LoadedContact = tuple[Mechanics, Probe, float]
-"""What is touched, with what, at which load [N]."""
+"""Material, probe and load [N]."""
 
 STATE_CURVE = np.concatenate([evaluate_bspline(unit, 1.0 + STATE_FRACTIONS) for unit in np.eye(4)[::-1]])
-"""What one state of 1 N makes of the force: the spline between the second and the third of four states, oldest last."""
+"""Force curve of one state of 1 N: the spline between the second and the third of four states, oldest last."""
 CURVE_LEAD = 2 * SAMPLES_PER_STATE
-"""Samples of it before the state's own."""
+"""Samples of STATE_CURVE before the state itself."""
 STATES_AHEAD = -(-(LEAD_SAMPLES + CURVE_LEAD) // SAMPLES_PER_STATE)
 STATES_BEHIND = (TAIL_SAMPLES + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
 """Past states that contribute to the 50 samples after a state."""
@@ -52,19 +57,24 @@ STATES_BEHIND = (TAIL_SAMPLES + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PE
 
 @dataclass(frozen=True)
 class FilterBank:
-    """contacts: B of them. weights: (n, B) of each at every state, sum 1."""
+    """Impulse responses of B contacts, and their weights at every state.
+
+    contacts: B of them. weights: (n, B), each row sums to 1.
+    """
 
     contacts: tuple[LoadedContact, ...]
     weights: Float
 
     def render_height(self, height: Float, start: int) -> Float:
-        """Acceleration (count,) [m/s²] of a profile height (TAIL + count + LEAD,) [m], which begins TAIL samples before
-        sample `start`."""
+        """Compute the acceleration (count,) [m/s²] of a profile height (TAIL_SAMPLES + count + LEAD_SAMPLES,) [m].
+
+        The height begins TAIL_SAMPLES before sample `start`.
+        """
         count = len(height) - LEAD_SAMPLES - TAIL_SAMPLES
-        # A circle as long as the signal is enough: what wraps round is in the samples before `start`.
+        # A period as long as the signal suffices, because only samples before `start` wrap around.
         size = 1 << (len(height) - 1).bit_length()
         used = self._find_active(find_states_read(len(self.weights), start, count))
-        kernels = np.stack([compute_impulse_response(height_response, *self.contacts[each]) for each in used])
+        kernels = np.stack([compute_impulse_response(height_response, *self.contacts[contact]) for contact in used])
         full = np.fft.irfft(np.fft.rfft(height, size) * np.fft.rfft(kernels, size), size)
         fades = interpolate_amplitudes(self.weights[:, used], start, count)
         return np.asarray(
@@ -72,110 +82,137 @@ class FilterBank:
         )
 
     def render_force(self, force: Float, start: int, count: int) -> Float:
-        """The same, of the force (n,) [N] that presses at each state, with the cubic B-spline through them.
+        """Compute the acceleration (count,) [m/s²] of the force (n,) [N] at the states, along a cubic B-spline.
 
-        Spline and response are linear, so each state adds the same curve, at its own place, to all samples about it:
-        a small sum for a state, where a transform would be of all its samples.
+        Spline and response are linear, so each state adds the same curve around itself: a small sum per state, where an
+        FFT would process all samples.
         """
         first, last = start // SAMPLES_PER_STATE, (start + count - 1) // SAMPLES_PER_STATE
-        states, compiled = last + 1 - first, load_kernel()
-        if compiled is not None:
+        states, kernel = last + 1 - first, load_kernel()
+        if kernel is not None:
             low = min(max(first - STATES_BEHIND, 0), len(force) - 1)
-            near = slice(low, max(first + states + STATES_AHEAD + 1, low + 1))
-            pressed, weights = np.ascontiguousarray(force[near]), np.ascontiguousarray(self.weights[near])
-            out = self._responses.compute_force_response(compiled, pressed, weights, first - low, states)
+            rows = slice(low, max(first + states + STATES_AHEAD + 1, low + 1))
+            nearby_force, nearby_weights = np.ascontiguousarray(force[rows]), np.ascontiguousarray(self.weights[rows])
+            acceleration = self._responses.compute_force_response(
+                kernel, nearby_force, nearby_weights, first - low, states
+            )
         else:
-            out = self._render_force_numpy(force, first, states)
-        return out[start - first * SAMPLES_PER_STATE :][:count]
+            acceleration = self._render_force_numpy(force, first, states)
+        return acceleration[start - first * SAMPLES_PER_STATE :][:count]
 
     def _render_force_numpy(self, force: Float, first: int, count: int) -> Float:
-        """In numpy: what the kernel is tested against."""
-        near = force[np.clip(np.arange(first - STATES_BEHIND, first + count + STATES_AHEAD), 0, len(force) - 1)]
+        """Render the force in numpy; the reference of the kernel."""
+        nearby_force = force[np.clip(np.arange(first - STATES_BEHIND, first + count + STATES_AHEAD), 0, len(force) - 1)]
         out = np.zeros((count, SAMPLES_PER_STATE))
-        around = sliding_window_view(near, STATES_BEHIND + 1 + STATES_AHEAD)
+        windows = sliding_window_view(nearby_force, STATES_BEHIND + 1 + STATES_AHEAD)
         states = np.clip(np.arange(first, first + count + 1), 0, len(force) - 1)
-        for each in self._find_active(slice(states[0], states[-1] + 1)):
-            table, weight = self._responses.tables[each], self.weights[states, each]
-            pressing = around[:, -len(table) :]
-            # The responses pass nothing constant on, and most hands press evenly for a while.
-            rows = np.flatnonzero(np.ptp(pressing, axis=1) > 0.0)
+        for contact in self._find_active(slice(states[0], states[-1] + 1)):
+            table, weight = self._responses.tables[contact], self.weights[states, contact]
+            forces = windows[:, -len(table) :]
+            # A constant force gives nothing, and most hands press evenly for a while, so such rows are skipped.
+            rows = np.flatnonzero(np.ptp(forces, axis=1) > 0.0)
             fade = weight[rows, None] * (1.0 - STATE_FRACTIONS) + weight[rows + 1, None] * STATE_FRACTIONS
-            out[rows] += fade * (pressing[rows] @ table)
+            out[rows] += fade * (forces[rows] @ table)
         return out.reshape(-1)
 
     @cached_property
     def _responses(self) -> StateResponses:
-        return StateResponses([_state_response_table(*each) for each in self.contacts], STATES_AHEAD)
+        """Response tables of all contacts."""
+        return StateResponses([_state_response_table(*contact) for contact in self.contacts], STATES_AHEAD)
 
     def _find_active(self, states: slice) -> NDArray[np.intp]:
+        """Return the contacts with a weight at any of the states."""
         return np.flatnonzero(np.any(self.weights[states] > 0.0, axis=0))
 
 
 def build_filter_bank(
     mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], force: Float, probe: str
 ) -> FilterBank:
-    """Every different mechanics that is touched, at the loads next to those it is pressed with.
+    """Build the bank of all mechanics that are touched, at the loads next to the occurring forces.
 
-    material: (n,) index into mechanics at each state; force: (n,) N.
+    Parameters
+    ----------
+    mechanics
+        One per material.
+    material
+        (n,) index into mechanics at each state.
+    force
+        (n,) [N].
+    probe
+        Name of the probe.
+
+    Returns
+    -------
+    FilterBank
+        Contacts and their weights at the n states.
     """
     floor = 2.0**MIN_FORCE_OCTAVE
-    place = LOADS_PER_OCTAVE * np.log2(np.maximum(force, floor) / floor)
-    kinds = list(dict.fromkeys(mechanics[index] for index in np.unique(material)))
-    kind = np.array([kinds.index(each) if each in kinds else -1 for each in mechanics])[material]
+    load_position = LOADS_PER_OCTAVE * np.log2(np.maximum(force, floor) / floor)
+    distinct = list(dict.fromkeys(mechanics[index] for index in np.unique(material)))
+    distinct_index = np.array([distinct.index(touched) if touched in distinct else -1 for touched in mechanics])[
+        material
+    ]
     contacts: list[LoadedContact] = []
     weights = []
-    for index, each in enumerate(kinds):
-        mine = kind == index
-        low = np.floor(place[mine]).astype(np.int64)
-        first, row = int(low.min()), np.flatnonzero(mine)
-        hats = np.zeros((len(force), int(low.max()) - first + 2))
-        hats[row, low - first + 1] = place[mine] - low
-        hats[row, low - first] = 1.0 - hats[row, low - first + 1]
-        used = np.flatnonzero(hats.any(axis=0))
-        contacts += [(each, PROBES[probe], floor * 2.0 ** (float(first + n) / LOADS_PER_OCTAVE)) for n in used]
-        weights.append(hats[:, used])
+    for index, touched in enumerate(distinct):
+        in_contact = distinct_index == index
+        low = np.floor(load_position[in_contact]).astype(np.int64)
+        first, row = int(low.min()), np.flatnonzero(in_contact)
+        load_weights = np.zeros((len(force), int(low.max()) - first + 2))
+        load_weights[row, low - first + 1] = load_position[in_contact] - low
+        load_weights[row, low - first] = 1.0 - load_weights[row, low - first + 1]
+        used = np.flatnonzero(load_weights.any(axis=0))
+        contacts += [(touched, PROBES[probe], floor * 2.0 ** (float(first + step) / LOADS_PER_OCTAVE)) for step in used]
+        weights.append(load_weights[:, used])
     return FilterBank(tuple(contacts), np.concatenate(weights, axis=1))
 
 
 @lru_cache(maxsize=CACHED_RESPONSES)
 def _state_response_table(mechanics: Mechanics, probe: Probe, force: float) -> Float:
-    """(states behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE): response of a state's samples to 1 N at each
-    neighbouring state, the earliest first; as many behind as the response lasts, STATES_BEHIND at most."""
+    """Compute the response of a state's samples to 1 N at each neighbouring state, the earliest first.
+
+    (states behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE), with as many states behind as the response lasts,
+    STATES_BEHIND at most.
+    """
     response = compute_impulse_response(force_response, mechanics, probe, force)
-    lasts = int(np.flatnonzero(response)[-1]) + 1 - LEAD_SAMPLES
+    duration = int(np.flatnonzero(response)[-1]) + 1 - LEAD_SAMPLES
     curve = np.fft.irfft(
         np.fft.rfft(response, RESPONSE_PERIOD) * np.fft.rfft(STATE_CURVE, RESPONSE_PERIOD), RESPONSE_PERIOD
     )
-    behind = (lasts + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
-    whole = np.zeros((behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE))
+    behind = (duration + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
+    padded = np.zeros((behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE))
     begin = STATES_AHEAD * SAMPLES_PER_STATE - LEAD_SAMPLES - CURVE_LEAD
-    length = LEAD_SAMPLES + lasts + len(STATE_CURVE) - 1
-    whole.reshape(-1)[begin : begin + length] = curve[:length]
-    table = np.ascontiguousarray(whole[::-1])
+    length = LEAD_SAMPLES + duration + len(STATE_CURVE) - 1
+    padded.reshape(-1)[begin : begin + length] = curve[:length]
+    table = np.ascontiguousarray(padded[::-1])
     table.setflags(write=False)
     return table
 
 
 @lru_cache(maxsize=CACHED_RESPONSES)
 def compute_impulse_response(response: Response, mechanics: Mechanics, probe: Probe, force: float) -> Float:
-    """(LEAD + TAIL,) samples at the model rate from −LEAD on; no DC, no slope, nothing above 4.8 kHz. Zero where less
-    than LASTS of its energy is left."""
+    """Compute an impulse response (LEAD_SAMPLES + TAIL_SAMPLES,) at the model rate, from −LEAD_SAMPLES on.
+
+    It has no DC, no slope and nothing above 4.8 kHz, and is 0 where less than RESIDUAL_ENERGY of its energy is left.
+    """
     frequency = np.fft.rfftfreq(RESPONSE_PERIOD, 1.0 / MODEL_RATE_HZ)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency - 4000.0) / 800.0, 0.0, 1.0))
-    whole = np.fft.irfft(response(frequency, mechanics, probe, force) * taper, RESPONSE_PERIOD)
-    kept = np.roll(whole, LEAD_SAMPLES)[: LEAD_SAMPLES + TAIL_SAMPLES]
+    periodic = np.fft.irfft(response(frequency, mechanics, probe, force) * taper, RESPONSE_PERIOD)
+    impulse = np.roll(periodic, LEAD_SAMPLES)[: LEAD_SAMPLES + TAIL_SAMPLES]
     window = np.ones(LEAD_SAMPLES + TAIL_SAMPLES)
     window[:LEAD_SAMPLES] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(LEAD_SAMPLES) + 0.5) / LEAD_SAMPLES)
     fade = TAIL_SAMPLES // 4
     window[-fade:] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
-    kept = kept * window
-    left = np.cumsum(np.square(kept[::-1]))[::-1]
-    window[left < RESIDUAL_ENERGY * left[0]] = 0.0
-    kept = kept * (window > 0.0)
-    # What is constant must give nothing, also after the cut, and what rises evenly too: the mass follows it at rest.
-    steady = np.stack(
+    impulse = impulse * window
+    energy_left = np.cumsum(np.square(impulse[::-1]))[::-1]
+    window[energy_left < RESIDUAL_ENERGY * energy_left[0]] = 0.0
+    impulse = impulse * (window > 0.0)
+    # After the cut too, a constant input and one that rises evenly must give nothing, because the mass follows at rest.
+    polynomials = np.stack(
         [np.ones(LEAD_SAMPLES + TAIL_SAMPLES), (np.arange(LEAD_SAMPLES + TAIL_SAMPLES) - LEAD_SAMPLES) / TAIL_SAMPLES]
     )
-    kept = kept - window * (np.linalg.solve((steady * window) @ steady.T, steady @ kept) @ steady)
-    kept.setflags(write=False)
-    return np.asarray(kept)
+    impulse = impulse - window * (
+        np.linalg.solve((polynomials * window) @ polynomials.T, polynomials @ impulse) @ polynomials
+    )
+    impulse.setflags(write=False)
+    return np.asarray(impulse)

@@ -1,16 +1,16 @@
-"""The steady stroke to first order: what linear contact makes of a texture. Physics-shaped input of the field.
+"""Linear contact: the vibration of a steady stroke to first order, from the token's spectrum. Physical prior of F_Θ.
 
-Three axes add in power, as DFT321 fuses them: the normal acceleration through contact.height_response; friction, which
-carries μ times the same force fluctuation sideways; and the load leaning on the slopes, F ∇h / m, more so against the
-motion, on a mass that the hand holds. A network fed with this has only hopping, creep and saturation left to learn; the
-bare token made it learn a shift of 200 bands with speed and direction, which a small ReLU net does badly.
+Three axes add in power, as DFT321 combines them: the normal acceleration through contact_model.height_response;
+friction, which carries μ times the same force fluctuation sideways; and the load leaning on the slopes, F ∇h / m, more
+so against the motion, on a mass that the hand holds. With this input the network has only hopping, creep and saturation
+left to learn; from the bare token it would have to learn a shift of 200 bands with speed and direction, which a small
+ReLU net does badly.
 
-The tones of a lattice, apart from the noise around them: what the linear contact expects, and a gain for each.
-
-A weave, knurl or grating rings at κ |cos δ| v. One smooth correction over log κ, which suits noise, cannot silence one
-such tone and keep its neighbour; a free value per arc carrier is learnt from the few strokes whose tone falls on it. So
-each tone (two per token band, see linear_texture) has an output of its own that moves with it, and so have its second
-and third harmonic, which hopping and friction make of a pure wave.
+The tones of a lattice are separated from the noise around them. A weave, knurl or grating sounds at κ |cos δ| v. One
+smooth correction over log κ, which suits noise, cannot silence one tone and preserve its neighbour; a free value per
+arc carrier is learned from the few strokes whose tone falls on it. So each tone (two per token band, see
+surface_spectrum) and its second and third harmonic, which hopping and friction add to a pure wave, have an output of
+their own that moves with the tone.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Float = NDArray[np.float64]
 LINE_COUNT = 2 * len(BAND_WAVELENGTHS_M)
 HARMONICS = (1, 2, 3)
 HARMONIC_START_DB = (0.0, -25.0, -30.0)
-"""Level of a harmonic beside the tone, before training."""
+"""Initial level of each harmonic relative to the tone [dB]."""
 HARMONIC_SHIFTS = tuple(round(ARC_PER_OCTAVE * float(np.log2(harmonic))) for harmonic in HARMONICS)
 HARMONIC_START_LOG = tuple(level * np.log(10.0) / 20.0 for level in HARMONIC_START_DB)
 LINE_GAIN_COUNT = LINE_COUNT * len(HARMONICS)
@@ -54,24 +54,30 @@ LINE_FLOOR_M_S2 = 1e-5
 
 @dataclass(frozen=True)
 class SpectralLines:
-    """power: (2, n, LINES) acceleration power [(m/s²)²] in the two arc carriers about each tone. low: (n, LINES) index
-    of the lower one; it may lie outside the carriers."""
+    """Tones of n states.
+
+    power: (2, n, LINE_COUNT) acceleration power [(m/s²)²] in the two arc carriers about each tone. low: (n, LINE_COUNT)
+    index of the lower one, which may lie outside the carriers.
+    """
 
     power: Float
     low: NDArray[np.intp]
 
 
 def encode_line_prior(lines: SpectralLines) -> Float:
-    """(n, 3 LINES) appended to the prior: log amplitude in the lower and in the upper of the two carriers about each
-    tone, then the lower one's index."""
+    """Return the columns (n, 3 LINE_COUNT) that follow the prior.
+
+    Log amplitude in the lower and in the upper of the two carriers about each tone, then the index of the lower one.
+    """
     level = 0.5 * np.log(lines.power + LINE_FLOOR_M_S2**2)
     return np.concatenate([level[0], level[1], lines.low.astype(np.float64)], axis=1)
 
 
 def compute_line_power(gains: Float, columns: Float, count: int, ceiling: float) -> Float:
-    """Power per arc carrier (n, count) of tones with log gains (n, GAINS) and prior_columns (n, 3 LINES).
+    """Compute the power of the tones per arc carrier, (n, count).
 
-    ceiling: of a log amplitude.
+    gains: (n, LINE_GAIN_COUNT) logarithmic. columns: (n, 3 LINE_COUNT) of encode_line_prior. ceiling: of a log
+    amplitude.
     """
     rows = np.broadcast_to(np.arange(len(gains))[:, None], (len(gains), LINE_COUNT))
     low = columns[:, 2 * LINE_COUNT :].astype(np.intp)
@@ -87,26 +93,43 @@ def compute_line_power(gains: Float, columns: Float, count: int, ceiling: float)
 
 
 SPEED_FLOOR_M_S = 1e-3
-"""Below it the input stops at the floor and the emission falls linearly, so that v → 0 is defined and silent."""
+"""Lowest speed of the inputs [m/s]; below it the emission falls linearly, so that v → 0 is defined and silent."""
 FORCE_FLOOR_N = 0.02
 BAND_END_HZ = 4800.0
-"""Nothing that moves with the hand sounds above it; the model rate holds 5 kHz."""
+"""Highest frequency of everything that follows the hand's speed [Hz]; the model rate holds 5 kHz."""
 HAND_STIFFNESS_N_M = 500.0
 HAND_DAMPING_RATIO = 0.4
 """Lateral impedance of a hand that holds a tool (A. Z. Hajian & R. D. Howe 1997, J. Biomech. Eng. 119)."""
 ASPERITY_SHARE = 0.5
-"""Radius of the spots that carry the load, over the Hertz radius (J. F. Archard 1957): they meet the slopes."""
+"""Radius of the spots that carry the load, relative to the Hertz radius (J. F. Archard 1957); the slopes act on
+them."""
 FLANK_FRICTION = 3.0
 """Rise of friction per unit of slope against the motion under a sharp tip, times (1 − a/R)² for a contact of radius a.
-These four are the simulator's own constants (a test holds them equal)."""
+
+This and the three constants above are equal to the simulator's (checked by a test).
+"""
 
 
 @dataclass(frozen=True)
 class Condition:
     """States at which the field is evaluated, n of them.
 
-    tokens: (n, TOKEN_DIM). mechanics: one per material; material: (n,) its index at each state. direction: (n, 2).
-    speed, force: (n,). contact: (n,) bool. probe: name.
+    Attributes
+    ----------
+    tokens
+        (n, TOKEN_DIM).
+    mechanics
+        One per material.
+    material
+        (n,) index of each state's material.
+    direction
+        (n, 2) unit vectors.
+    speed, force
+        (n,) [m/s] and [N].
+    contact
+        (n,) bool.
+    probe
+        Name of the probe.
     """
 
     tokens: Float
@@ -121,8 +144,21 @@ class Condition:
 
 @dataclass(frozen=True)
 class LinearContact:
-    """power: (n, Ka) acceleration power [(m/s²)²] per arc band, all axes; normal: (n,) of the normal axis alone.
-    resonance: (n,) Hz of probe on contact. noise: (n, Ka) power without the lattice's tones, which are lines."""
+    """Linear contact of n states.
+
+    Attributes
+    ----------
+    power
+        (n, Ka) acceleration power per arc band, of all axes [(m/s²)²].
+    normal
+        (n,) power of the normal axis alone [(m/s²)²].
+    resonance
+        (n,) of probe on contact [Hz].
+    noise
+        (n, Ka) power without the tones [(m/s²)²].
+    lines
+        The tones.
+    """
 
     power: Float
     normal: Float
@@ -132,45 +168,61 @@ class LinearContact:
 
 
 def arc_gain(wavenumber: Float, speed: Float) -> Float:
-    """Fade of an arc carrier at f = κ v: out below 8 → 4 Hz (no drift) and above 4 → 4.8 kHz (no aliasing).
+    """Compute the fade (n, K) of arc carriers at f = κ v: 0 below 4 Hz (no drift) and above 4.8 kHz (no aliasing).
 
-    wavenumber: (K,) cycles/m; speed: (n,) m/s. Returns (n, K).
+    wavenumber: (K,) [cycles/m]. speed: (n,) [m/s]. The gain is 1 between 8 Hz and 4 kHz.
     """
     frequency = speed[:, None] * wavenumber[None, :]
     return np.asarray(_smoothstep((frequency - 4.0) / 4.0) * upper_fade(frequency))
 
 
 def upper_fade(frequency: Float) -> Float:
-    """1 below 4 kHz, 0 from BAND_END_HZ on: no aliasing at the model rate."""
+    """Compute the fade that is 1 below 4 kHz and 0 from BAND_END_HZ on, which prevents aliasing at the model rate."""
     return np.asarray(1.0 - _smoothstep((frequency - 4000.0) / (BAND_END_HZ - 4000.0)))
 
 
 def compute_linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
-    """Expected power of each state, as if it lasted; out of contact as at the force floor."""
+    """Compute the expected power of each state as if it lasted.
+
+    Parameters
+    ----------
+    condition
+        The n states; states out of contact are computed at the force floor.
+    carriers
+        Carriers, whose arc bands are used.
+
+    Returns
+    -------
+    LinearContact
+        Powers per arc band, noise and tones apart.
+    """
     touch, resonance = compute_contact_columns(condition)
-    compiled = load_kernel()
-    if compiled is None:
+    kernel = load_kernel()
+    if kernel is None:
         return _linear_contact_numpy(condition, carriers, touch, resonance)
     tokens = np.ascontiguousarray(condition.tokens, dtype=np.float64)
     columns = np.stack([touch[name] for name in CONTACT_COLUMNS], axis=1)
     tables = build_kernel_tables(carriers, *lateral_hand_impedance(condition.probe))
-    found = kernel_contact.compute_linear_contact(compiled, tables, tokens, columns)
-    return LinearContact(found.power, found.normal, resonance, found.noise, SpectralLines(found.lines, found.low))
+    result = kernel_contact.compute_linear_contact(kernel, tables, tokens, columns)
+    return LinearContact(result.power, result.normal, resonance, result.noise, SpectralLines(result.lines, result.low))
 
 
 def compute_contact_columns(condition: Condition) -> tuple[dict[str, Float], Float]:
-    """Contact parameters (n,) of each state in SI units, by the names in TOUCH, and its resonance [Hz]."""
+    """Compute the contact parameters (n,) of each state, by the names in CONTACT_COLUMNS, and its resonance [Hz].
+
+    All are in SI units.
+    """
     probe, force = PROBES[condition.probe], np.maximum(condition.force, FORCE_FLOOR_N)
     radius, stiffness, damping, friction, resonance = np.zeros((5, len(force)))
     for index, mechanics in enumerate(condition.mechanics):
-        # One row per distinct load of a material would do; rows are few, so each is computed.
-        rows, known = np.flatnonzero(condition.material == index), with_defaults(mechanics)
+        # One row per distinct load of a material would suffice, but rows are few.
+        rows, properties = np.flatnonzero(condition.material == index), with_defaults(mechanics)
         radius[rows] = contact_radius(mechanics, probe, force[rows])
         stiffness[rows] = contact_stiffness(mechanics, probe, force[rows])
-        damping[rows] = 4.0 * known.damping_ratio**2 * stiffness[rows] * probe.mass_kg
-        friction[rows] = known.friction
+        damping[rows] = 4.0 * properties.damping_ratio**2 * stiffness[rows] * probe.mass_kg
+        friction[rows] = properties.friction
         resonance[rows] = resonance_hz(mechanics, probe, force[rows])
-    sharp = np.square(1.0 - radius / probe.tip_radius_m)
+    sharpness = np.square(1.0 - radius / probe.tip_radius_m)
     return {
         "angle": np.arctan2(condition.direction[:, 1], condition.direction[:, 0]),
         "speed": np.maximum(condition.speed, SPEED_FLOOR_M_S),
@@ -180,42 +232,47 @@ def compute_contact_columns(condition: Condition) -> tuple[dict[str, Float], Flo
         "mass": np.full(len(force), probe.mass_kg),
         "load_square": np.square(force / probe.mass_kg),
         "rubbed": 1.0 + np.square(friction),
-        "flank": np.square(1.0 + FLANK_FRICTION * sharp) - 1.0,
+        "flank": np.square(1.0 + FLANK_FRICTION * sharpness) - 1.0,
     }, resonance
 
 
 def lateral_hand_impedance(probe: str) -> tuple[float, float]:
-    """(k / m, 4 ζ² k / m) of the hand that holds the probe sideways, rad²/s²."""
-    hand = HAND_STIFFNESS_N_M / PROBES[probe].mass_kg
-    return hand, 4.0 * HAND_DAMPING_RATIO**2 * hand
+    """Return (k / m, 4 ζ² k / m) [rad²/s²] of the hand that holds the probe sideways."""
+    stiffness = HAND_STIFFNESS_N_M / PROBES[probe].mass_kg
+    return stiffness, 4.0 * HAND_DAMPING_RATIO**2 * stiffness
 
 
 def _linear_contact_numpy(
     condition: Condition, carriers: Carriers, touch: dict[str, Float], resonance: Float
 ) -> LinearContact:
-    """In numpy: what the kernel is tested against."""
-    kappa, wave = carriers.arc_centres(), np.square(2.0 * np.pi * carriers.arc_centres())
-    texture = compute_surface_spectrum(condition.tokens, condition.direction, carriers)
+    """Compute the linear contact in numpy; the reference of the kernel."""
+    kappa, wave_square = carriers.arc_centres(), np.square(2.0 * np.pi * carriers.arc_centres())
+    spectrum = compute_surface_spectrum(condition.tokens, condition.direction, carriers)
     speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (
         touch[name][:, None] for name in CONTACT_COLUMNS[1:]
     )
-    square = np.square(2.0 * np.pi * kappa * speed)
-    hand, hand_damping = lateral_hand_impedance(condition.probe)
-    lateral = np.square(square) / (np.square(hand - square) + hand_damping * square)
+    angular_square = np.square(2.0 * np.pi * kappa * speed)
+    hand_stiffness, hand_damping = lateral_hand_impedance(condition.probe)
+    lateral = np.square(angular_square) / (np.square(hand_stiffness - angular_square) + hand_damping * angular_square)
     fade = np.square(arc_gain(kappa, touch["speed"]))
-    up, aside = power_gain(square, stiffness, damping, mass) * fade, lateral * load_square * fade
-    passed, leaned = np.square(tip_gain(kappa, radius)), np.square(tip_gain(ASPERITY_SHARE * kappa, radius))
-    weights = np.stack([passed, leaned * wave, leaned])
-    height, slope, leaning = project_noise(texture, weights, carriers)
-    normal = height * up
-    noise = normal * rubbed + (slope + flank * wave * leaning) * aside
-    # The same for the tones, each where it sounds.
-    cut, low = project_lines(texture, weights, carriers)
-    met, leant, climbed = np.moveaxis(cut, 1, 0)
-    at = np.clip(low + np.arange(2)[:, None, None], 0, len(kappa) - 1)
+    normal_gain, lateral_gain = (
+        power_gain(angular_square, stiffness, damping, mass) * fade,
+        lateral * load_square * fade,
+    )
+    tip_power, spot_power = np.square(tip_gain(kappa, radius)), np.square(tip_gain(ASPERITY_SHARE * kappa, radius))
+    weights = np.stack([tip_power, spot_power * wave_square, spot_power])
+    height, slope, leaning = project_noise(spectrum, weights, carriers)
+    normal = height * normal_gain
+    noise = normal * rubbed + (slope + flank * wave_square * leaning) * lateral_gain
+    # The same sum for each tone, at its two carriers.
+    line_power, low = project_lines(spectrum, weights, carriers)
+    line_height, line_slope, line_leaning = np.moveaxis(line_power, 1, 0)
+    carrier = np.clip(low + np.arange(2)[:, None, None], 0, len(kappa) - 1)
     rows = np.arange(len(speed))[:, None]
-    tone = met * up[rows, at]
-    lines = SpectralLines(tone * rubbed + (leant + flank * climbed * wave[at]) * aside[rows, at], low)
+    tone = line_height * normal_gain[rows, carrier]
+    lines = SpectralLines(
+        tone * rubbed + (line_slope + flank * line_leaning * wave_square[carrier]) * lateral_gain[rows, carrier], low
+    )
     power = noise.copy()
     for tap in range(2):
         add_at(power, low + tap, lines.power[tap])
@@ -224,32 +281,35 @@ def _linear_contact_numpy(
 
 
 def profile_band_power(height_spectrum: Float, condition: Condition, carriers: Carriers) -> Float:
-    """Height power per arc band (Ka,) of a profile → acceleration power (n, Ka) along the normal; 0 out of contact."""
+    """Compute the acceleration power (n, Ka) along the normal that a profile's height power per arc band (Ka,) gives.
+
+    It is 0 out of contact.
+    """
     kappa, probe = carriers.arc_centres(), PROBES[condition.probe]
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
-    out = np.zeros((len(speed), len(kappa)))
+    power = np.zeros((len(speed), len(kappa)))
     for index, mechanics in enumerate(condition.mechanics):
         rows = np.flatnonzero((condition.material == index) & condition.contact & (condition.force > 0.0))
         load = np.maximum(condition.force[rows], FORCE_FLOOR_N)[:, None]
         tip = tip_response(kappa, mechanics, probe, load)
         response = height_power(kappa * speed[rows, None], mechanics, probe, load)
-        out[rows] = height_spectrum * response * np.square(tip * arc_gain(kappa, speed[rows]))
-    return out
+        power[rows] = height_spectrum * response * np.square(tip * arc_gain(kappa, speed[rows]))
+    return power
 
 
 def time_band_power(arc_power: Float, speed: Float, carriers: Carriers) -> Float:
-    """Power that falls into each time band when arc band k moves at speed v. (n, Ka), (n,) → (n, Kt)."""
+    """Compute the power (n, Kt) in each time band when arc bands of power (n, Ka) move at speed (n,)."""
     cumulative = np.concatenate([np.zeros((len(arc_power), 1)), np.cumsum(arc_power, axis=1)], axis=1)
-    octaves = np.log2(np.maximum(speed, SPEED_FLOOR_M_S))[:, None]
-    place = np.clip(time_edges_in_arc_bands(carriers) - ARC_PER_OCTAVE * octaves, 0.0, arc_power.shape[1])
-    low = np.minimum(place.astype(int), arc_power.shape[1] - 1)
+    log_speed = np.log2(np.maximum(speed, SPEED_FLOOR_M_S))[:, None]
+    position = np.clip(time_edges_in_arc_bands(carriers) - ARC_PER_OCTAVE * log_speed, 0.0, arc_power.shape[1])
+    low = np.minimum(position.astype(int), arc_power.shape[1] - 1)
     rows = np.arange(len(arc_power))[:, None]
-    at_edge = cumulative[rows, low] + (place - low) * (cumulative[rows, low + 1] - cumulative[rows, low])
-    return np.asarray(np.diff(at_edge, axis=1))
+    edge_power = cumulative[rows, low] + (position - low) * (cumulative[rows, low + 1] - cumulative[rows, low])
+    return np.asarray(np.diff(edge_power, axis=1))
 
 
 def time_edges_in_arc_bands(carriers: Carriers) -> Float:
-    """(Kt + 1,) arc bands from the first to the one that each edge in time meets at 1 m/s."""
+    """Return the positions (Kt + 1,) of the time bands' edges on the axis of arc bands, at 1 m/s."""
     return np.asarray(ARC_PER_OCTAVE * np.log2(carriers.time_edges() / carriers.arc_start_per_m))
 
 

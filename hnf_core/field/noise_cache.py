@@ -1,11 +1,10 @@
-"""The carriers in the form that costs least to use: as few samples as their bands need, kept for the next render.
+"""Cache of carriers in their cheapest form, with as few samples as their bands need.
 
-Carriers in time are kept at the model's rate, its half or its quarter. Those of an octave of arc length are kept as
-what is left of them when the middle of the octave is taken out, Re(c(s) e^{2πiκs}): complex, two values per shortest
-wave in place of sixteen samples. Hop h is where noise block h fades in over the second half of block h − 1; any hop is
-computable alone, and equal to the carriers' own waves (carriers.time_samples, carriers.arc_samples).
-
-Carriers are drawn while F_Θ is evaluated: neither waits for the other, and two cores do both at once.
+Carriers in time are stored at the model's rate, its half or its quarter. An octave of arc carriers is stored
+demodulated by the middle of the octave, Re(c(s) e^{2πiκs}): complex, two values per shortest wave in place of sixteen
+samples. Hop h is the half block in which noise block h fades in over the second half of block h − 1. Any hop is
+computable alone, and equals the carriers' own waves (Carriers.time_samples, Carriers.arc_samples). `prefetch_noise`
+draws hops in a thread while F_Θ is evaluated: neither waits for the other, and two cores do both at once.
 """
 
 from __future__ import annotations
@@ -49,8 +48,11 @@ HOP_SIZE = TIME_BLOCK // 2
 MAX_RELATIVE_FREQUENCY = 0.25
 """Highest frequency of a carrier over its stored sample rate: half of Nyquist's."""
 LEVEL_MARGINS = (0, 6, 10)
-"""Samples kept before and after a hop at the model's rate, its half and its quarter: half of the next one's, and the
-reach of the filter that doubles the rate. At an eighth, amplitudes that jump between states would lose 6 dB more."""
+"""Samples stored before and after a hop at the model's rate, its half and its quarter.
+
+Each is half of the previous rate's margin plus the reach of the filter that doubles the rate. With an eighth as well,
+amplitudes that jump between states would lose another 6 dB.
+"""
 LEVEL_COUNT = len(LEVEL_MARGINS)
 
 CELL_SAMPLES = 8
@@ -58,14 +60,16 @@ CELL_SAMPLES = 8
 ARC_BLOCK_CELLS = ARC_BLOCK // CELL_SAMPLES
 ARC_HOP_CELLS = ARC_BLOCK_CELLS // 2
 DEMODULATION_CYCLES = 3 * ARC_BLOCK // 64
-"""Heterodyne frequency of an octave, cycles per block: an octave has 2/64 to 4/64 of ARC_BLOCK. Even, so that blocks
-agree."""
+"""Demodulation frequency of an octave [cycles per block].
+
+An octave has 2/64 to 4/64 of ARC_BLOCK. The number is even, so that half-overlapping blocks are in phase.
+"""
 CACHED_TIME_HOPS, CACHED_ARC_HOPS = 48, 256
-"""0.45 MB and 98 kB each: 20 s of time, and half a metre or more of path."""
+"""Hops in the caches, 0.45 MB and 98 kB each: 20 s of time, and half a metre or more of path."""
 
 
 def find_level(frequency_hz: float) -> int:
-    """How often the model's rate may be halved for a carrier of this frequency."""
+    """Return how often the model's rate may be halved for a carrier of this frequency."""
     level = LEVEL_COUNT - 1
     while level and frequency_hz > MAX_RELATIVE_FREQUENCY * MODEL_RATE_HZ / 2**level:
         level -= 1
@@ -74,66 +78,71 @@ def find_level(frequency_hz: float) -> int:
 
 @lru_cache(maxsize=8)
 def group_time_levels(carriers: Carriers) -> tuple[slice, ...]:
-    """The time carriers that are kept at each level, which ascending bands make contiguous."""
+    """Return the time carriers stored at each level, as slices, which are contiguous because bands ascend."""
     levels = [find_level(float(edge)) for edge in carriers.time_edges()[1:]]
-    ends = [sum(each >= level for each in levels) for level in range(LEVEL_COUNT + 1)]
+    ends = [sum(band_level >= level for band_level in levels) for level in range(LEVEL_COUNT + 1)]
     return tuple(slice(ends[level + 1], ends[level]) for level in range(LEVEL_COUNT))
 
 
 @lru_cache(maxsize=CACHED_TIME_HOPS)
 def get_time_hop(carriers: Carriers, seed: int, hop: int) -> TimeHop:
-    """At each level its carriers, (bands, MARGINS[level] + HOP / 2^level + MARGINS[level])."""
-    one, two, three, four = (_draw_time_block(carriers, seed, hop + shift) for shift in (-2, -1, 0, 1))
-    levels = zip(one, two, three, four, LEVEL_MARGINS, strict=True)
-    return TimeHop.from_waves(tuple(_join_time_blocks(*each) for each in levels))
+    """Return the time carriers of a hop at each level, (bands, margin + HOP_SIZE / 2^level + margin)."""
+    first, second, third, fourth = (_draw_time_block(carriers, seed, hop + shift) for shift in (-2, -1, 0, 1))
+    levels = zip(first, second, third, fourth, LEVEL_MARGINS, strict=True)
+    return TimeHop.from_waves(tuple(_join_time_blocks(*blocks) for blocks in levels))
 
 
 def _join_time_blocks(first: Float32, second: Float32, third: Float32, fourth: Float32, margin: int) -> Float32:
-    """Where block three fades in over block two, and `margin` samples on either side."""
+    """Add the blocks in the hop where the third fades in over the second, with `margin` samples on either side."""
     half = second.shape[1] // 2
-    out = np.empty((len(second), half + 2 * margin), dtype=np.float32)
-    np.add(second[:, half:], third[:, :half], out=out[:, margin : margin + half])
+    hop = np.empty((len(second), half + 2 * margin), dtype=np.float32)
+    np.add(second[:, half:], third[:, :half], out=hop[:, margin : margin + half])
     if margin:
-        np.add(first[:, -margin:], second[:, half - margin : half], out=out[:, :margin])
-        np.add(third[:, half : half + margin], fourth[:, :margin], out=out[:, -margin:])
-    out.setflags(write=False)
-    return out
+        np.add(first[:, -margin:], second[:, half - margin : half], out=hop[:, :margin])
+        np.add(third[:, half : half + margin], fourth[:, :margin], out=hop[:, -margin:])
+    hop.setflags(write=False)
+    return hop
 
 
 @lru_cache(maxsize=CACHED_ARC_HOPS)
 def get_arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> ArcHop:
-    """(24, ARC_HOP) of one octave, at s = (hop · ARC_HOP + j) · CELL · arc_step_m(octave)."""
+    """Return one octave's carriers (24, ARC_HOP_CELLS) of a hop.
+
+    Cell j lies at s = (hop · ARC_HOP_CELLS + j) · CELL_SAMPLES · arc_step_m(octave).
+    """
     waves = join_arc_blocks(*(_get_arc_block(carriers, seed, octave, block) for block in (hop - 1, hop)))
     waves.setflags(write=False)
     return ArcHop.from_waves(waves)
 
 
 def join_arc_blocks(before: Waves, after: Waves, out: Waves | None = None) -> Waves:
-    """Where a block (24, ARC_CELLS) fades in over the one before it: (24, ARC_HOP)."""
+    """Add two blocks (24, ARC_BLOCK_CELLS) in the hop where the second fades in over the first; (24, ARC_HOP_CELLS)."""
     return np.add(before[:, ARC_HOP_CELLS:], after[:, :ARC_HOP_CELLS], out=out)
 
 
 def draw_arc_block(carriers: Carriers, seed: int, octave: int, block: int, out: Waves | None = None) -> Waves:
-    """(24, ARC_CELLS), to be joined to its neighbours."""
+    """Draw one block (24, ARC_BLOCK_CELLS) of an octave, to be joined to its neighbours."""
     bins, plan = _arc_plan(carriers, octave)
     return render_complex_waves(2.0 * draw_band_bins(seed, ARC_STREAM + octave, block, bins), plan, out)
 
 
 @lru_cache(maxsize=4)
 def _draw_time_block(carriers: Carriers, seed: int, block: int) -> tuple[Float32, ...]:
+    """Draw one block of the time carriers at each level."""
     bins, plans = _time_plans(carriers)
     drawn, begin = draw_band_bins(seed, 0, block, bins), bins.starts[0]
     return tuple(render_real_waves(drawn[plan.starts[0] - begin : plan.starts[-1] - begin], plan) for plan in plans)
 
 
-@lru_cache(maxsize=32)  # of eight octaves the two or three that a hop meets
+@lru_cache(maxsize=32)  # Enough for the two or three blocks that a hop needs of each of eight octaves.
 def _get_arc_block(carriers: Carriers, seed: int, octave: int, block: int) -> Waves:
+    """Draw one block of an octave, or return it from the cache."""
     return draw_arc_block(carriers, seed, octave, block)
 
 
 @lru_cache(maxsize=4)
 def _time_plans(carriers: Carriers) -> tuple[Bins, tuple[WavePlan, ...]]:
-    """Of each level."""
+    """Return the bins of the time carriers and the wave plan of each level."""
     bins = make_bins(carriers.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
     return bins, tuple(
         make_wave_plan(bins.starts[bands.start : bands.stop + 1], block_window(TIME_BLOCK, 1 << level))
@@ -143,6 +152,7 @@ def _time_plans(carriers: Carriers) -> tuple[Bins, tuple[WavePlan, ...]]:
 
 @lru_cache(maxsize=32)
 def _arc_plan(carriers: Carriers, octave: int) -> tuple[Bins, WavePlan]:
+    """Return the bins and the wave plan of one octave."""
     first = octave * ARC_PER_OCTAVE
     edges = carriers.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (carriers.arc_step_m(octave) * ARC_BLOCK)
     bins = make_bins(edges, ARC_BLOCK)
@@ -150,41 +160,55 @@ def _arc_plan(carriers: Carriers, octave: int) -> tuple[Bins, WavePlan]:
 
 
 def block_window(size: int, step: int) -> NDArray[np.float64]:
-    """Every step-th sample of the fade of a block, over the block's length."""
+    """Return every step-th sample of a block's fade over the block's length, (size / step,)."""
     return crossfade_window(size)[::step] / size
 
 
 Draw = Callable[[], object]
 
 MAX_PREFETCHED_TIME_HOPS, MAX_PREFETCHED_ARC_HOPS = CACHED_TIME_HOPS * 2 // 3, CACHED_ARC_HOPS * 2 // 3
-"""Of what is kept: a longer stroke draws the rest when it comes to it."""
+"""Hops to prefetch, a part of the cache; a longer stroke draws the others when it needs them."""
 MIN_CARRIER_HZ, MAX_CARRIER_HZ = 4.2, 4700.0
-"""Between them a carrier in arc length sounds (linear_contact.arc_gain): what is drawn is heard."""
+"""Frequencies between which an arc carrier is audible (linear_contact.arc_gain) [Hz]; only such ones are drawn."""
 CELLS_BEFORE, CELLS_AFTER = 1, 2
-"""That are read besides the one at a place."""
+"""Cells read before and after the one at a position."""
 
 
 @contextmanager
 def prefetch_noise(config: FieldConfig, seed: int, action: Action, origin: int = 0) -> Iterator[None]:
-    """Meanwhile a thread draws the carriers that a stroke will be rendered from, first those that are heard first; it
-    ends with the block. origin: as of prepared.Prepared.
+    """Draw the carriers of a stroke in a thread while the body of the `with` statement runs.
 
-    None is begun on a single core, nor without the kernel, since numpy's own way holds the interpreter, nor for a field
-    that is rendered plainly. action: at ACTION_RATE_HZ.
+    Hops are drawn in the order in which the stroke needs them, and the thread stops when the body ends.
+
+    Parameters
+    ----------
+    config
+        Architecture of the field.
+    seed
+        Seed of the carriers.
+    action
+        Action at ACTION_RATE_HZ.
+    origin
+        First sample on the carriers' clock, see prepare.PreparedStroke.
+
+    Notes
+    -----
+    No thread is started on a single core, without the kernel (numpy would hold the interpreter), or for a field whose
+    carriers are rendered at the full rate.
     """
-    carriers, plainly = config.carriers, config.alpha_heads > 1 or config.carriers.constant
-    if load_kernel() is None or available_cpus() < 2 or plainly or not carriers.time_count:
+    carriers, uses_full_rate = config.carriers, config.alpha_heads > 1 or config.carriers.constant
+    if load_kernel() is None or available_cpus() < 2 or uses_full_rate or not carriers.time_count:
         yield
         return
     stop = threading.Event()
 
     def draw() -> None:
-        # Who needs what cannot be drawn here meets the same error, and tells it.
+        # If drawing fails, the renderer meets the same error and reports it.
         with suppress(Exception):
-            for each in _plan_draws(carriers, seed, action, origin):
+            for draw_hop in _plan_draws(carriers, seed, action, origin):
                 if stop.is_set():
                     return
-                each()
+                draw_hop()
 
     wait = run_in_thread(draw)
     try:
@@ -195,27 +219,27 @@ def prefetch_noise(config: FieldConfig, seed: int, action: Action, origin: int =
 
 
 def _plan_draws(carriers: Carriers, seed: int, action: Action, origin: int) -> Iterator[Draw]:
-    """Nothing where the first is still kept: then the others mostly are."""
-    loud = action.contact & (action.speed > 0.0) & (action.force > 0.0)
-    if not loud.any():
+    """Yield the draws that a stroke needs, in order; nothing if the first hop is cached, since then most others are."""
+    audible = action.contact & (action.speed > 0.0) & (action.force > 0.0)
+    if not audible.any():
         return
-    sample = origin + SAMPLES_PER_STATE * np.flatnonzero(loud)
-    drawn = get_time_hop.cache_info().misses
+    sample = origin + SAMPLES_PER_STATE * np.flatnonzero(audible)
+    misses = get_time_hop.cache_info().misses
     yield partial(get_time_hop, carriers, seed, int(sample[0]) // HOP_SIZE)
-    if get_time_hop.cache_info().misses == drawn:
+    if get_time_hop.cache_info().misses == misses:
         return
     hops, first = np.unique(sample // HOP_SIZE, return_index=True)
-    order: list[tuple[int, Draw]] = []
-    for hop, at in zip(hops[1:MAX_PREFETCHED_TIME_HOPS].tolist(), first[1:].tolist(), strict=False):
-        order.append((at, partial(get_time_hop, carriers, seed, hop)))
-    place, pace, arcs = action.position[loud], find_peak_speed(action)[loud], list[tuple[int, Draw]]()
+    draws: list[tuple[int, Draw]] = []
+    for hop, row in zip(hops[1:MAX_PREFETCHED_TIME_HOPS].tolist(), first[1:].tolist(), strict=False):
+        draws.append((row, partial(get_time_hop, carriers, seed, hop)))
+    position, speed, arc_draws = action.position[audible], find_peak_speed(action)[audible], list[tuple[int, Draw]]()
     for octave in range(carriers.arc_octaves):
         lowest = carriers.arc_start_per_m * 2.0**octave
-        heard = np.flatnonzero((2.0 * lowest * pace > MIN_CARRIER_HZ) & (lowest * pace < MAX_CARRIER_HZ))
-        cells = np.floor(place[heard] / (CELL_SAMPLES * carriers.arc_step_m(octave)))
-        read = np.concatenate([cells - CELLS_BEFORE, cells + CELLS_AFTER])
-        which, at = np.unique((read // ARC_HOP_CELLS).astype(np.int64), return_index=True)
-        for hop, first_at in zip(which.tolist(), np.tile(heard, 2)[at].tolist(), strict=True):
-            arcs.append((first_at, partial(get_arc_hop, carriers, seed, octave, hop)))
-    order += sorted(arcs, key=lambda each: each[0])[:MAX_PREFETCHED_ARC_HOPS]
-    yield from (each for _, each in sorted(order, key=lambda each: each[0]))
+        rows = np.flatnonzero((2.0 * lowest * speed > MIN_CARRIER_HZ) & (lowest * speed < MAX_CARRIER_HZ))
+        cells = np.floor(position[rows] / (CELL_SAMPLES * carriers.arc_step_m(octave)))
+        cells_read = np.concatenate([cells - CELLS_BEFORE, cells + CELLS_AFTER])
+        hop_numbers, row = np.unique((cells_read // ARC_HOP_CELLS).astype(np.int64), return_index=True)
+        for hop, first_at in zip(hop_numbers.tolist(), np.tile(rows, 2)[row].tolist(), strict=True):
+            arc_draws.append((first_at, partial(get_arc_hop, carriers, seed, octave, hop)))
+    draws += sorted(arc_draws, key=lambda item: item[0])[:MAX_PREFETCHED_ARC_HOPS]
+    yield from (item for _, item in sorted(draws, key=lambda item: item[0]))

@@ -1,12 +1,10 @@
-"""Which samples of a stroke are heard, and the blocks in which they are rendered.
+"""Evaluate F_Θ for a stroke and prepare everything at the action rate that a block of samples is rendered from.
 
-F_Θ for whoever has to know it: of one stroke, or of several in common batches.
-
-A short stroke has too few states to keep a processor busy, and every batch has a price of its own. What a state gives
-does not depend on those beside it (kernel/compiled_field.py), so a stroke is the same to the last bit alone and among
-others.
-
-A stroke with F_Θ evaluated: all at the action rate that a block of samples is rendered from.
+`prepare_stroke` turns a StrokeInput into a PreparedStroke. F_Θ is requested through generators, which yield conditions
+and are sent emissions, so that several strokes can be evaluated in shared batches: a short stroke has too few states to
+keep a processor busy, and every batch has a cost of its own. With the kernel the result of a state does not depend on
+its batch, so a stroke is the same to the last bit alone and among others. The module also finds the audible spans of a
+stroke and splits them into blocks.
 """
 
 from __future__ import annotations
@@ -50,20 +48,23 @@ from .stroke import (
 Float = NDArray[np.float64]
 
 BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06
-"""Beyond these distances from contact the signal is exactly zero."""
+"""Times before and after contact beyond which the signal is exactly zero [s]."""
 BLOCK_SAMPLES = HOP_SIZE
-"""Samples of a block: how much a small change costs; the last bit of what a profile adds depends on it."""
+"""Samples of a block, the unit that a small change renders again; the last bit of the profile term depends on it."""
 MAX_JOINED_BLOCKS = 32
-"""Blocks that are rendered in one go where neighbours are heard: 13 s, whose carriers are held together."""
+"""Adjacent audible blocks that are rendered together: 13 s, whose carriers are in memory at once."""
 
 
 def compute_audible_gain(contact: NDArray[np.bool_], count: int) -> Float:
-    """(count,) 1 in contact (n,), fading to exactly 0 at BEFORE_CONTACT_S ahead of it and AFTER_CONTACT_S behind it."""
+    """Compute the gain (count,): 1 in contact (n,), with fades to exactly 0 before and after it.
+
+    The fades last BEFORE_CONTACT_S and AFTER_CONTACT_S.
+    """
     indices = np.flatnonzero(contact)
     if len(indices) == 0:
         return np.zeros(count)
     touched, out = contact.astype(bool), np.ones(count)
-    # 1 throughout between two states of which one touches; the rest is far from most of a stroke.
+    # The gain is 1 between two states if one of them touches; few samples of most strokes lie elsewhere.
     away = np.flatnonzero(~(touched[:-1] | touched[1:]))
     sample = (SAMPLES_PER_STATE * away[:, None] + np.arange(SAMPLES_PER_STATE)).ravel()
     state = sample / SAMPLES_PER_STATE
@@ -78,17 +79,17 @@ def compute_audible_gain(contact: NDArray[np.bool_], count: int) -> Float:
 
 
 def is_audible(audible: Float) -> bool:
-    """Whether any of audible (count,) is heard: its largest is found sooner than any()."""
+    """Return True if a gain (count,) is above 0 anywhere; the maximum is faster than any()."""
     return bool(audible.max(initial=0.0) > 0.0)
 
 
 def split_blocks(count: int) -> list[tuple[int, int]]:
-    """(start, length) of the blocks in which count samples are rendered."""
+    """Return (start, length) of the blocks in which count samples are rendered."""
     return [(start, min(BLOCK_SAMPLES, count - start)) for start in range(0, count, BLOCK_SAMPLES)]
 
 
 def find_audible_spans(audible: Float) -> Iterator[tuple[int, int]]:
-    """(start, length) of neighbouring blocks in which anything of audible (count,) is heard, BLOCKS_AT_ONCE at most."""
+    """Yield (start, length) of runs of audible blocks, MAX_JOINED_BLOCKS at most, for a gain (count,)."""
     begin, end = 0, 0
     for start, count in split_blocks(len(audible)):
         if not is_audible(audible[start : start + count]):
@@ -106,16 +107,16 @@ Request = TypeVar("Request")
 Response = TypeVar("Response")
 
 EvaluationRequests = Generator[Condition, Emission, T]
-"""Yields states, is sent what is emitted there, and returns what it makes of all that."""
+"""Generator that yields states, is sent their emissions, and returns its result."""
 Evaluate = Callable[[Field, Condition], Emission]
-"""evaluate, or what stands for it."""
+"""Function that evaluates a field, `field.evaluate` or a replacement."""
 
 BATCH_STATES = 512
-"""States in a batch: enough for every core, and 6 MB on the way."""
+"""States in a batch: enough for every core, with 6 MB of intermediate results."""
 
 
 def drive_requests(respond: Callable[[Request], Response], requests: Generator[Request, Response, T]) -> T:
-    """What asking returns, each of its questions answered by answer."""
+    """Run the generator `requests`, sending it `respond(request)` for every request it yields; return its result."""
     try:
         question = next(requests)
         while True:
@@ -126,12 +127,12 @@ def drive_requests(respond: Callable[[Request], Response], requests: Generator[R
 
 
 def evaluate_requests(field: Field, requests: EvaluationRequests[T], evaluator: Evaluate = evaluate) -> T:
-    """What asking returns, answered with F_Θ or what stands for it."""
+    """Run the generator `requests` with emissions of F_Θ, or of a replacement; return its result."""
     return drive_requests(lambda condition: evaluate_batched(field, [condition], evaluator)[0], requests)
 
 
 def evaluate_requests_together(field: Field, requests: Sequence[EvaluationRequests[T]]) -> list[T]:
-    """What each returns. They go on in step: whatever all of them ask for is evaluated together."""
+    """Run several generators in step, evaluating their requests in shared batches; return their results."""
     returned: dict[int, T] = {}
     given: dict[int, Emission | None] = dict.fromkeys(range(len(requests)))
     while given:
@@ -146,7 +147,7 @@ def evaluate_requests_together(field: Field, requests: Sequence[EvaluationReques
 
 
 def evaluate_batched(field: Field, conditions: Sequence[Condition], evaluator: Evaluate = evaluate) -> list[Emission]:
-    """What F_Θ gives at the states of each."""
+    """Evaluate F_Θ at the states of each condition, in shared batches."""
     parts: list[list[Emission]] = [[] for _ in conditions]
     for probe in dict.fromkeys(each.probe for each in conditions):
         alike = [index for index, each in enumerate(conditions) if each.probe == probe]
@@ -163,7 +164,7 @@ def evaluate_batched(field: Field, conditions: Sequence[Condition], evaluator: E
 
 
 def _split_batches(asked: Sequence[tuple[int, int]]) -> list[list[tuple[int, slice]]]:
-    """Who asks for how many states → batches of AT_ONCE at most, each with whose states are in it and which."""
+    """Split (index, number of states) of each request into batches of BATCH_STATES at most, each with its rows."""
     batches: list[list[tuple[int, slice]]] = []
     room = 0
     for index, count in asked:
@@ -178,7 +179,7 @@ def _split_batches(asked: Sequence[tuple[int, int]]) -> list[list[tuple[int, sli
 
 
 def _concatenate_conditions(parts: Sequence[tuple[Condition, slice]]) -> Condition:
-    """These states of conditions with one probe, one after another."""
+    """Concatenate some of the states of conditions with one probe."""
     if len(parts) == 1 and parts[0][1] == slice(0, len(parts[0][0].speed)):
         return parts[0][0]
     mechanics, of_row = find_distinct_mechanics([mechanics for each, _ in parts for mechanics in each.mechanics])
@@ -193,24 +194,41 @@ def _concatenate_conditions(parts: Sequence[tuple[Condition, slice]]) -> Conditi
 
 
 def concatenate_emissions(parts: Sequence[Emission]) -> Emission:
+    """Concatenate emissions along the states."""
     return Emission(np.concatenate([each.alpha for each in parts]), np.concatenate([each.sigma_dt for each in parts]))
 
 
 CHUNK_STATES = 128
-"""Action states in a portion: F_Θ is asked about one after the other. In numpy results depend on how many are asked for
-at once, so this is part of the byte-exact contract."""
+"""Action states in a chunk, the unit in which F_Θ is evaluated.
+
+In numpy results depend on how many states are evaluated at once, so this is part of the byte-exact contract.
+"""
 
 
 @dataclass(frozen=True)
 class PreparedStroke:
-    """A stroke with F_Θ already evaluated: all that a block of samples needs.
+    """Stroke with F_Θ evaluated: everything that a block of samples needs.
 
-    amplitude: (m, heads, K), what is left to the noise carriers, linear in time between knots. knots: (m,) samples of
-    the model rate; None for one at each of the n states. profile_amplitude: (n, Ka) factor on the profile's bands.
-    force: (n,) N as pressed. audible: (count,) 0 … 1, zero far from contact.
-    loudest: the field's largest amplitude in each portion of states, m/s². unheld: profile_amplitude as it is
-    evaluated, before hold_at_rest(). missed: share of the power that knots leave out, see Sampled.
-    origin: the sample of the carriers' clock at which this begins, where it is a piece of a longer stroke.
+    Attributes
+    ----------
+    amplitude
+        (m, heads, K) of the noise carriers, linear in time between knots.
+    force
+        (n,) pressing force [N].
+    audible
+        (count,) gain 0 … 1, zero far from contact.
+    profile_amplitude
+        (n, Ka) factor on the profile's bands.
+    loudest
+        The field's largest amplitude in each chunk of states [m/s²].
+    unbridged
+        profile_amplitude before bridge_rest_gaps().
+    knots
+        (m,) samples of the model rate; None for one at each of the n states.
+    residual_power
+        Power that the knots leave out, relative to all, see SampledEmission.
+    origin
+        Sample of the carriers' clock at which this begins, if it is a chunk of a longer stroke.
     """
 
     carriers: Carriers
@@ -230,6 +248,7 @@ class PreparedStroke:
 
     @property
     def count(self) -> int:
+        """Number of samples."""
         return len(self.audible)
 
 
@@ -242,7 +261,20 @@ def prepare_stroke(
     tolerance: float | None = None,
     evaluator: Evaluate = evaluate,
 ) -> PreparedStroke:
-    """preparing(), answered. emission: what stands for F_Θ, a table."""
+    """Evaluate F_Θ for a stroke and prepare it for rendering.
+
+    Parameters
+    ----------
+    field, stroke, seed, earlier, tolerance
+        As of request_prepared_stroke.
+    evaluator
+        Function that evaluates the field; a replacement may be a table.
+
+    Returns
+    -------
+    PreparedStroke
+        Everything that a block of samples needs.
+    """
     return evaluate_requests(
         field, request_prepared_stroke(field, stroke, seed=seed, earlier=earlier, tolerance=tolerance), evaluator
     )
@@ -256,12 +288,23 @@ def request_prepared_stroke(
     earlier: PreparedStroke | None = None,
     tolerance: float | None = None,
 ) -> EvaluationRequests[PreparedStroke]:
-    """Everything at the action rate: F_Θ, its accumulation over past states, and the profile's share.
+    """Prepare a stroke, as a generator that requests the emissions of F_Θ.
 
-    earlier: of a stroke that differs from this one in force and contact alone; only portions of states in which they
-    differ are evaluated, and the result is the same. tolerance: F_Θ is evaluated where the action asks for it, until
-    the amplitudes of the whole stroke are within it of their power (root; see adaptive), in place of at every state;
-    it has no say where a profile shares in the power or heads lag.
+    Parameters
+    ----------
+    field
+        The field.
+    stroke
+        The stroke.
+    seed
+        Seed of the carriers.
+    earlier
+        Prepared stroke that differs in force and contact alone; only chunks of states in which they differ are
+        evaluated, and the result is the same.
+    tolerance
+        Largest error of the amplitudes, as root of the power over the whole stroke. F_Θ is then evaluated at adaptive
+        samples instead of at every state. Ignored if the stroke has a height profile or the field accumulates over
+        heads.
     """
     action, token_index = resample_action(stroke)
     if tolerance is not None and supports_tolerance(field, stroke):
@@ -280,7 +323,7 @@ def request_prepared_stroke(
         amplitude, loudest = earlier.amplitude.copy(), earlier.loudest.copy()
         unheld = None if earlier.unbridged is None else earlier.unbridged.copy()
     known = None
-    if earlier is None and find_kernel(field) is not None:  # of any number of states what it is of a portion
+    if earlier is None and find_kernel(field) is not None:  # Results do not depend on the number of states in a batch.
         known = _StateCache(field, condition)
     for portion, (rows, felt) in enumerate(iterate_state_chunks(field, count)):
         if earlier is not None and not _inputs_differ(action, earlier.action, felt):
@@ -313,15 +356,18 @@ def request_prepared_stroke(
 
 
 def iterate_state_chunks(field: Field, count: int) -> Iterator[tuple[slice, slice]]:
-    """Of so many states: the rows of each portion, and those that it follows from, the same and its memory."""
+    """Yield the rows of each chunk of `count` states, and the rows it depends on (the chunk and its memory)."""
     for start in range(0, count, CHUNK_STATES):
         stop = min(start + CHUNK_STATES, count)
         yield slice(start, stop), slice(max(start - count_memory_states(field), 0), stop)
 
 
 class _StateCache:
-    """F_Θ at the states of one portion after another, each asked about once, together with those of the next portions;
-    not at those that nobody will use."""
+    """Cache of field outputs for consecutive chunks.
+
+    Evaluates states in batches that span several chunks, each state once, and skips states that no chunk in contact
+    uses.
+    """
 
     def __init__(self, field: Field, condition: Condition) -> None:
         self._field, self._condition = field, condition
@@ -332,6 +378,7 @@ class _StateCache:
         self._held = _zero_emission(field, 0)
 
     def rows(self, states: slice) -> EvaluationRequests[Emission]:
+        """Return the emissions of some states, requesting those that are missing."""
         if states.stop > self._end:
             left = self._held.rows(slice(max(states.start - self._begin, 0), None))
             begin = max(states.start, self._end)
@@ -356,12 +403,12 @@ def _zero_emission(field: Field, count: int) -> Emission:
 
 
 def has_no_contact(condition: Condition, states: slice) -> bool:
-    """Whether these touch nothing: then nothing is emitted, and nothing remembered."""
+    """Return True if none of the states touches; then nothing is emitted or remembered."""
     return not condition.contact[states].any()
 
 
 def supports_tolerance(field: Field, stroke: StrokeInput) -> bool:
-    """Whether a tolerance has a say: with past states, and no profile that shares in the power."""
+    """Return True if a tolerance applies: past states, and no profile that shares the power."""
     shared = stroke.profile is not None and field.config.carriers.arc_count > 0
     return field.config.accumulation == "past" and not shared
 
@@ -375,7 +422,7 @@ def prepare_adaptive(
     tolerance: float,
     sampler: Sampler = sample_adaptively,
 ) -> EvaluationRequests[PreparedStroke]:
-    """preparing() with a tolerance, of what adapts(). sampler: chooses where F_Θ is evaluated."""
+    """Prepare a stroke with a tolerance. sampler: chooses the samples at which F_Θ is evaluated."""
     carriers, count = field.config.carriers, sample_count(action)
     wanted = sampler(count, tolerance, find_breakpoints(action, token_index))
     sampled = yield from _evaluate_samples(field, stroke, action, token_index, wanted)
@@ -397,7 +444,7 @@ def prepare_adaptive(
 def _evaluate_samples(
     field: Field, stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], wanted: SampleRequests
 ) -> EvaluationRequests[SampledEmission]:
-    """Nothing in the air, but for what remembers the contact or interpolates towards it."""
+    """Request the emissions of samples in contact, or connected to one by memory or interpolation; others are 0."""
     felt = _reaches_contact(action.contact, count_memory_states(field))
     try:
         at = next(wanted)
@@ -416,7 +463,7 @@ def _evaluate_samples(
 
 
 def _reaches_contact(contact: NDArray[np.bool_], states: int) -> NDArray[np.bool_]:
-    """(n,) whether a state, the next one, or any of so many before it and one more touches."""
+    """Return (n,) whether a state, the next one, or any of `states` + 1 before it touches."""
     touched = np.concatenate([[0], np.cumsum(contact)])
     by_next = np.append(touched[2:], touched[-1])
     before = np.concatenate([np.zeros(states + 1, dtype=touched.dtype), touched])[: len(contact)]
@@ -433,12 +480,14 @@ def _inputs_differ(action: Action, other: Action, rows: slice) -> bool:
 def _compute_amplitudes(
     field: Field, condition: Condition, given: Emission, bands: ProfileBands | None, reading: Float, rows: slice
 ) -> tuple[Float, Float | None, float]:
-    """Amplitudes of a portion of states, of the noise (m, heads, K) and of the profile (m, Ka), and the largest that
-    the field gave. given: what it emits there and in its memory. reading: (m, Ka) Hz of the portion."""
+    """Return the noise amplitudes (m, heads, K) and profile amplitudes (m, Ka) of a chunk, and the field's largest.
+
+    given: emission of the chunk and its memory. reading: (m, Ka) frequencies of the chunk [Hz].
+    """
     carriers = field.config.carriers
     amplitude = accumulate(field.config, given, len(given.alpha) - (rows.stop - rows.start))
     loudest = float(np.max(np.abs(amplitude), initial=0.0))
-    # The field's own gate answers to the speed of each state, but its memory is read at the speed of now.
+    # The field's gate depends on the speed of each state, but past states are read at the present speed.
     amplitude[:, :, carriers.arc_slice] *= (reading < BAND_END_HZ)[:, None, :]
     if bands is None:
         return amplitude, None, loudest
@@ -450,24 +499,24 @@ def _compute_amplitudes(
 
 
 def count_memory_states(field: Field) -> int:
-    """States before its own that a state's amplitudes follow from."""
+    """Return the number of past states that a state's amplitudes depend on."""
     config = field.config
     return config.stride * (config.states - 1) if config.accumulation == "past" else 0
 
 
 def reading_frequency(action: Action, carriers: Carriers) -> Float:
-    """(n, Ka) Hz at which each arc band is read: κ · |ds/dt|, by the fastest motion within two states.
+    """Compute the frequency (n, Ka) [Hz] of each arc band, κ · |ds/dt|, by the fastest motion within two states.
 
-    Past BAND_END_HZ a band would alias, and a jump of the hand would ask for metres of micrometres.
+    Above BAND_END_HZ a band would alias, and a jump of the hand would need metres of cells.
     """
     return np.asarray(find_peak_speed(action)[:, None] * carriers.arc_centres())
 
 
 def bridge_rest_gaps(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
-    """(n, K) amplitudes with the states that do not slide filled in from their sliding neighbours, linearly.
+    """Replace the amplitudes (n, K) of states that do not slide by linear interpolation between sliding neighbours.
 
-    At rest, and before the touch, the height under the hand stands still and must give nothing. Fading it in or out
-    there instead would lift the hand by the height itself within some milliseconds: a blow that nobody dealt.
+    At rest and before the touch the height under the hand is constant and must give nothing. Fading it in or out there
+    would lift the hand by the height itself within milliseconds, which would be a blow.
     """
     rows = np.flatnonzero(sliding)
     if len(rows) == 0:
@@ -482,7 +531,7 @@ def bridge_rest_gaps(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
 
 
 def _tip_gain(condition: Condition, carriers: Carriers) -> Float:
-    """(n, Ka) share of each band's height that the finite contact passes on; 0 out of contact."""
+    """Compute the fraction (n, Ka) of each band's height that the finite contact transmits; 0 out of contact."""
     out = np.zeros((len(condition.force), carriers.arc_count))
     for index, mechanics in enumerate(condition.mechanics):
         rows = np.flatnonzero((condition.material == index) & condition.contact & (condition.force > 0.0))

@@ -1,8 +1,8 @@
-"""How far a stroke leaves what the field was trained on: said in words, never clamped.
+"""Compare a stroke with the field's training ranges: a confidence and warnings in words; nothing is clamped.
 
 Each quantity has an excess: 0 inside its range, growing with the distance outside it (octaves of speed, force and
-stiffness, an eighth of a turn of direction, widths of the token's range). It multiplies the confidence by
-1 / (1 + excess), so that every octave outside halves it, then thirds it, and so on.
+stiffness, an eighth of a turn of direction, widths of the token's range). It multiplies the confidence by 1 / (1 +
+excess), so that the first octave outside halves it, the second makes it a third, and so on.
 """
 
 from __future__ import annotations
@@ -21,28 +21,37 @@ from .training_ranges import SECTOR_RAD, TrainingRanges, compute_angle_to_sector
 
 Float = NDArray[np.float64]
 Remark = tuple[float, str]
-"""An excess above 0, and what to say of it."""
+"""An excess above 0, and its warning."""
 
 SLACK = 1.05
+"""Ratio to a range's end up to which a value counts as inside."""
 SLOW_SHARE = 0.25
-"""Every stroke starts and ends slowly and lightly; only more than this share of it is worth a word."""
+"""Fraction of the stroke that may be slower or lighter than trained, because every stroke starts and ends so."""
 PATH_SHARE = 0.1
-"""A pair of speed and force, or a direction, counts where more than this share of the path is further out: starts and
-ends cover little of it."""
+"""Fraction of the path that may lie further outside in speed and force together, or in direction.
+
+Starts and ends cover little of the path.
+"""
 HULL_SLACK_OCTAVES = 0.25
+"""Distance from the hull up to which a pair of speed and force counts as inside [octaves]."""
 DIRECTION_SLACK_RAD = SECTOR_RAD
-"""Directions between trained ones are interpolated: up to two sectors without training between two that had it."""
+"""Distance from a trained sector up to which a direction counts as inside [rad].
+
+Directions between trained ones are interpolated: up to two sectors without training between two with it.
+"""
 EIGHTH_TURN_RAD = np.pi / 4.0
 MIN_TOKEN_WIDTH = 0.5
-"""Range of a token feature trained on one material, or nearly: 10 dB of a level."""
+"""Smallest width of a token feature's range, for fields trained on one material or nearly: 10 dB of a level."""
 FAR_WIDTHS = 0.25
-"""Beyond this a surface is called unlike any in training."""
+"""Excess of a token feature beyond which the surface counts as unlike any in training."""
 MIN_ANISOTROPY = 0.3
-"""Share of the waves' power that runs one way from which a direction can be felt."""
+"""Fraction of the waves' power running one way from which a direction is perceptible."""
 CATEGORY_EXCESS = 1.0
-"""Excess of what has no distance: another probe, a value given that never was (or left open that never was)."""
+"""Excess of differences without a distance: another probe, or a property known here but never in training, or vice
+versa."""
 MIN_MOVING_SPEED_M_S = 1e-4
 CEILING_SHARE = 0.5
+"""Fraction of the output ceiling from which there is a warning."""
 UNTRAINED_CONFIDENCE = 0.2
 _UNITS = {
     "stiffness_n_m": ("Stiffness", " N/m"),
@@ -52,9 +61,23 @@ _UNITS = {
 
 
 def check_ranges(field: Field, stroke: StrokeInput, action: Action) -> tuple[float, tuple[str, ...]]:
-    """Confidence 0 … 1 and warnings, with values and units, from all that field.ranges has on record.
+    """Compare a stroke with everything that field.ranges has on record.
 
-    Inside every range it is exactly 1 and nothing is said. action: the stroke's own, at the rate it is felt at.
+    Parameters
+    ----------
+    field
+        The field.
+    stroke
+        The stroke.
+    action
+        The stroke's action at ACTION_RATE_HZ.
+
+    Returns
+    -------
+    confidence : float
+        0 … 1, exactly 1 inside every range.
+    warnings : tuple of str
+        With values and units.
     """
     ranges = field.ranges
     if ranges is None:
@@ -79,18 +102,19 @@ def check_ranges(field: Field, stroke: StrokeInput, action: Action) -> tuple[flo
 
 
 def check_ceiling(config: FieldConfig, loudest: float) -> tuple[str, ...]:
-    """A warning where the field's output nears its ceiling, LOG_AMPLITUDE_CEILING, or was held there.
+    """Return a warning if the field's output comes near LOG_AMPLITUDE_CEILING, or was limited by it.
 
-    loudest: its largest accumulated amplitude, m/s²; memory's weights may leave some of a ceiling off.
+    loudest: its largest accumulated amplitude [m/s²], which the memory's weights may take below the ceiling.
     """
     ceiling = float(np.exp(LOG_AMPLITUDE_CEILING))
     if config.emission != "log" or loudest < CEILING_SHARE * ceiling:
         return ()
-    held = f"its output is held at {_format_number(ceiling)} m/s²; no touch is so loud"
-    return (f"The field comes to {_format_number(loudest)} m/s² in one band, where {held}.",)
+    limited = f"its output is held at {_format_number(ceiling)} m/s²; no touch is so loud"
+    return (f"The field comes to {_format_number(loudest)} m/s² in one band, where {limited}.",)
 
 
 def _check_span(name: str, unit: str, scale: float, values: Float, limits: tuple[float, float]) -> Iterator[Remark]:
+    """Yield remarks on a quantity outside its range."""
     if len(values) == 0:
         return
     trained = f"trained on {_format_number(limits[0] * scale)}–{_format_number(limits[1] * scale)}{unit}"
@@ -103,54 +127,55 @@ def _check_span(name: str, unit: str, scale: float, values: Float, limits: tuple
 
 
 def _check_speed_force_pair(speed: Float, force: Float, ranges: TrainingRanges) -> Iterator[Remark]:
-    """Speed and force each in range, but never met together: a corner of the box without training."""
+    """Yield a remark if speed and force are each in range, but never occurred together in training."""
     if ranges.hull is None or len(speed) == 0:
         return
     box = np.log2(np.array([ranges.speed, ranges.force]))
-    # What lies outside the box was said already; inside it the nearest trained pair is what counts.
+    # Values outside the box have a remark of their own, so only the distance inside it counts here.
     pairs = np.clip(np.log2(np.stack([speed, force], axis=1)), box[:, 0], box[:, 1])
-    near = find_nearest_in_hull(np.log2(ranges.hull), pairs)
-    excess = np.linalg.norm(pairs - near, axis=1)
-    at = _find_path_quantile(excess, speed)
-    if excess[at] > HULL_SLACK_OCTAVES:
-        (v, f), (trained_v, trained_f) = np.exp2(pairs[at]), np.exp2(near[at])
+    nearest_pairs = find_nearest_in_hull(np.log2(ranges.hull), pairs)
+    excess = np.linalg.norm(pairs - nearest_pairs, axis=1)
+    state = _find_path_quantile(excess, speed)
+    if excess[state] > HULL_SLACK_OCTAVES:
+        (v, f), (trained_v, trained_f) = np.exp2(pairs[state]), np.exp2(nearest_pairs[state])
         nearest = f"{_format_number(trained_v * 1e3)} mm/s with {_format_number(trained_f)} N"
         pair = f"{_format_number(v * 1e3)} mm/s together with {_format_number(f)} N"
-        yield float(excess[at]), f"{pair} was never trained; the nearest is {nearest}."
+        yield float(excess[state]), f"{pair} was never trained; the nearest is {nearest}."
 
 
 def _check_direction(direction: Float, speed: Float, field: Field, tokens: NDArray[np.float32]) -> Iterator[Remark]:
+    """Yield a remark on a direction that was not trained, or on an oriented surface if no direction was."""
     sectors = None if field.ranges is None else field.ranges.sectors
     if sectors is None or len(speed) == 0:
         return
     if not sectors or not field.config.directed:
-        share = _measure_anisotropy(tokens)
-        if share > MIN_ANISOTROPY:
-            text = f"Training never told directions apart, but {share:.0%} of this surface's waves run one way"
-            yield share, f"{text}: it is felt alike in every direction."
+        anisotropy = _measure_anisotropy(tokens)
+        if anisotropy > MIN_ANISOTROPY:
+            text = f"Training never told directions apart, but {anisotropy:.0%} of this surface's waves run one way"
+            yield anisotropy, f"{text}: it is felt alike in every direction."
         return
     angle = np.arctan2(direction[:, 1], direction[:, 0])
-    apart, nearest = compute_angle_to_sectors(sectors, angle)
-    at = _find_path_quantile(apart, speed)
-    excess = float(apart[at]) - DIRECTION_SLACK_RAD
+    distance, nearest = compute_angle_to_sectors(sectors, angle)
+    state = _find_path_quantile(distance, speed)
+    excess = float(distance[state]) - DIRECTION_SLACK_RAD
     if excess > 1e-9:
-        trained = (np.degrees(nearest[at] * SECTOR_RAD) + 180.0) % 360.0 - 180.0
-        text = f"Direction {np.degrees(angle[at]):.0f}° (0° is left to right) was never trained; the nearest is"
+        trained = (np.degrees(nearest[state] * SECTOR_RAD) + 180.0) % 360.0 - 180.0
+        text = f"Direction {np.degrees(angle[state]):.0f}° (0° is left to right) was never trained; the nearest is"
         yield excess / EIGHTH_TURN_RAD, f"{text} {trained:.0f}°."
 
 
 def _check_token(tokens: NDArray[np.float32], ranges: TrainingRanges) -> Iterator[Remark]:
-    """The token feature furthest outside training among the touched materials, in widths of its range."""
+    """Yield a remark on the token feature furthest outside training, in widths of its range."""
     width = np.maximum(ranges.token_high - ranges.token_low, MIN_TOKEN_WIDTH)
     excess = np.maximum(ranges.token_low - tokens, tokens - ranges.token_high) / width
     excess = np.where(_informative_features(tokens), excess, 0.0)
     material, feature = np.unravel_index(np.argmax(excess), excess.shape)
     worst = float(excess[material, feature])
     if worst > SLACK - 1.0:
-        what, unit, value = _describe_feature(int(feature))
+        name, unit, value = _describe_feature(int(feature))
         low, high = sorted((value(float(ranges.token_low[feature])), value(float(ranges.token_high[feature]))))
-        found = _format_number(value(float(tokens[material, feature])))
-        text = f"{what} is {found}{unit}, trained on {_format_number(low)}–{_format_number(high)}{unit}"
+        shown = _format_number(value(float(tokens[material, feature])))
+        text = f"{name} is {shown}{unit}, trained on {_format_number(low)}–{_format_number(high)}{unit}"
         if worst > FAR_WIDTHS:
             yield (
                 worst,
@@ -161,58 +186,62 @@ def _check_token(tokens: NDArray[np.float32], ranges: TrainingRanges) -> Iterato
 
 
 def _check_mechanics(mechanics: list[Mechanics], ranges: TrainingRanges) -> Iterator[Remark]:
-    for name, given in (ranges.mechanics or {}).items():
-        what, unit = _UNITS[name]
-        values = [getattr(each, name) for each in mechanics]
+    """Yield remarks on mechanical properties outside their range, or known or unknown unlike in training."""
+    for name, trained_range in (ranges.mechanics or {}).items():
+        label, unit = _UNITS[name]
+        values = [getattr(properties, name) for properties in mechanics]
         known = [float(value) for value in values if value is not None]
-        if len(known) < len(values) and not given.unknown:
-            yield CATEGORY_EXCESS, f"{what} is unknown here; in training it was always given."
+        if len(known) < len(values) and not trained_range.unknown:
+            yield CATEGORY_EXCESS, f"{label} is unknown here; in training it was always given."
         if not known:
             continue
-        if given.span is None:
-            yield CATEGORY_EXCESS, f"{what} is {_format_number(known[0])}{unit}; training never gave it."
+        if trained_range.span is None:
+            yield CATEGORY_EXCESS, f"{label} is {_format_number(known[0])}{unit}; training never gave it."
             continue
-        (low, high), least, most = given.span, min(known), max(known)
+        (low, high), smallest, largest = trained_range.span, min(known), max(known)
         trained = f"trained on {_format_number(low)}–{_format_number(high)}{unit}"
-        if most > high * SLACK:
-            yield _octaves_between(most, high), f"{what} is {_format_number(most)}{unit}, {trained}."
-        if least < low / SLACK:
-            yield _octaves_between(low, least), f"{what} is {_format_number(least)}{unit}, {trained}."
+        if largest > high * SLACK:
+            yield _octaves_between(largest, high), f"{label} is {_format_number(largest)}{unit}, {trained}."
+        if smallest < low / SLACK:
+            yield _octaves_between(low, smallest), f"{label} is {_format_number(smallest)}{unit}, {trained}."
 
 
 def _check_probe(probe: str, ranges: TrainingRanges) -> Iterator[Remark]:
+    """Yield a remark on a probe that was not trained with."""
     if ranges.probes is not None and probe not in ranges.probes:
         yield CATEGORY_EXCESS, f"Touched with the {probe}; trained with the {' and the '.join(ranges.probes)}."
 
 
 def _find_path_quantile(excess: Float, speed: Float) -> int:
-    """The state beyond whose excess less than PATH_SHARE of the path lies."""
+    """Return the state such that larger excesses cover less than PATH_SHARE of the path."""
     order = np.argsort(-excess, kind="stable")
     path = np.cumsum(speed[order])
     return int(order[np.searchsorted(path, PATH_SHARE * path[-1])])
 
 
 def _format_number(value: float) -> str:
-    """Three significant digits, without an exponent where people write none (10000, not 1e+04)."""
+    """Format three significant digits without an exponent (10000, not 1e+04)."""
     return f"{float(f'{value:.3g}'):.12g}"
 
 
 def _octaves_between(above: float, below: float) -> float:
-    """log2 of the ratio; where one is 0, as if it were a thousandth of the other."""
+    """Return log2 of the ratio; a value of 0 counts as a thousandth of the other."""
     return float(np.log2(above / max(below, 1e-3 * above)))
 
 
 def _measure_anisotropy(tokens: NDArray[np.float32]) -> float:
-    """Two-fold anisotropy of the strongest band, of the material where it is largest: 0 … 1."""
+    """Return the two-fold anisotropy (0 … 1) of the strongest band, of the material where it is largest."""
     band = np.argmax(tokens[:, LEVELS], axis=1)
-    start = np.array([band_slice(int(each)).start for each in band])
+    start = np.array([band_slice(int(index)).start for index in band])
     rows = np.arange(len(tokens))
     return float(min(1.0, np.hypot(tokens[rows, start + 1], tokens[rows, start + 2]).max()))
 
 
 def _informative_features(tokens: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """(M, TOKEN_DIM) which features matter: how waves run says little in a band 20 dB below the strongest, where it
-    is mostly what leaks from the neighbours."""
+    """Return (M, TOKEN_DIM) which features count.
+
+    Directions in a band 20 dB below the strongest are mostly leakage from neighbouring bands.
+    """
     out = np.ones(tokens.shape, dtype=bool)
     levels = tokens[:, LEVELS]
     faint = levels < levels.max(axis=1, keepdims=True) - 1.0
@@ -223,7 +252,7 @@ def _informative_features(tokens: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def _describe_feature(feature: int) -> tuple[str, str, Callable[[float], float]]:
-    """What a token feature is called, its unit, and its value in that unit."""
+    """Return the name of a token feature in words, its unit, and a function to its value in that unit."""
     name, _, wave = TOKEN_NAMES[feature].partition("@")
     if name == "skewness":
         return "the skewness of its pits and grains", "", float

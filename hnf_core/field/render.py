@@ -1,11 +1,11 @@
-"""From a stroke whose F_Θ is evaluated to samples of the model rate, in blocks; any block is computable alone.
+"""Render samples of the model rate from a stroke whose F_Θ is evaluated, in blocks or in chunks.
 
-A stroke of any length in the memory of a minute: cut into portions that overlap by all they remember.
-
-A sample follows from the states around it: the contact's impulse response (TAIL, LEAD), F_Θ's memory, the fades at the
-ends of contact. Each portion is prepared with that much on either side and rendered without it. The carriers go by the
-stroke's own clock and place, so that no portion begins them anew. Portions and margins are whole numbers of the states
-that are evaluated at once, whose number F_Θ's float32 products follow.
+`render_block` computes any block alone. `render_chunks` renders a stroke of any length in the memory of a minute, by
+cutting it into chunks that overlap by their memory: a sample depends on the states around it through the contact's
+impulse response (TAIL_SAMPLES, LEAD_SAMPLES), F_Θ's past states and the fades at the ends of contact. Each chunk is
+prepared with that margin on either side and rendered without it. Carriers follow the clock and path of the whole
+stroke, so they continue across chunks. Chunks and margins are multiples of the states that are evaluated at once,
+because F_Θ's float32 products depend on that number.
 """
 
 from __future__ import annotations
@@ -49,88 +49,111 @@ from .stroke import (
 Float = NDArray[np.float64]
 
 MIN_THREADED_SAMPLES = 4 * BLOCK_SAMPLES
-"""From this many samples on, the contact term runs in a second thread."""
+"""Samples from which the contact term is rendered in a second thread."""
 
 
 def render_samples(prepared: PreparedStroke, start: int = 0, stop: int | None = None) -> Float:
-    """Samples start … stop − 1, all of them where nothing is said, (stop − start,)."""
+    """Render samples start … stop − 1, (stop − start,) [m/s²].
+
+    Parameters
+    ----------
+    prepared
+        Stroke with F_Θ evaluated.
+    start, stop
+        Range of samples of the model rate; by default all.
+
+    Returns
+    -------
+    ndarray
+        float64; exactly 0 where nothing is audible.
+    """
     stop = prepared.count if stop is None else stop
-    out = np.zeros(stop - start)
+    samples = np.zeros(stop - start)
     with single_blas_thread_without_kernel():
         for first, count in find_audible_spans(prepared.audible[start:stop]):
-            out[first : first + count] = render_block(prepared, start + first, count)
-    return out
+            samples[first : first + count] = render_block(prepared, start + first, count)
+    return samples
 
 
 def render_block(prepared: PreparedStroke, start: int, count: int) -> Float:
-    """Samples start … start + count − 1 of the model rate in m/s², (count,) float64; independent of other blocks."""
+    """Render samples start … start + count − 1 of the model rate, (count,) [m/s²]; independent of other blocks."""
     audible = prepared.audible[start : start + count]
     if not is_audible(audible):
         return np.zeros(count)
     if count < MIN_THREADED_SAMPLES or load_kernel() is None or available_cpus() < 2:
-        out = render_carriers(prepared, start, count)
-        out += render_contact(prepared, start, count)
+        samples = render_carriers(prepared, start, count)
+        samples += render_contact(prepared, start, count)
     else:
-        felt: list[Float] = []
-        # Numpy would only wait for the interpreter, which the other thread holds.
-        wait = run_in_thread(lambda: felt.append(render_contact(prepared, start, count)))
+        contact: list[Float] = []
+        # A thread pays only with the kernel, since numpy would hold the interpreter.
+        wait = run_in_thread(lambda: contact.append(render_contact(prepared, start, count)))
         try:
-            out = render_carriers(prepared, start, count)
+            samples = render_carriers(prepared, start, count)
         finally:
             wait()
-        out += felt[0]
-    out *= audible
-    return out
+        samples += contact[0]
+    samples *= audible
+    return samples
 
 
 def render_carriers(prepared: PreparedStroke, start: int, count: int) -> Float:
-    """The carriers, modulated: 0 at rest and out of contact (but for the 40 ms memory)."""
+    """Render the modulated carriers, (count,) [m/s²].
+
+    They are 0 at rest and out of contact, except for the field's 40 ms memory.
+    """
     carriers, seed, action, origin = prepared.carriers, prepared.seed, prepared.action, prepared.origin
     if prepared.amplitude.shape[1] > 1 or carriers.constant:
         return render_carriers_full_rate(prepared.amplitude, carriers, seed, action, start, count, origin)
-    at = prepared.knots
-    if at is None:
-        at = SAMPLES_PER_STATE * np.arange(len(prepared.amplitude))
-    knots, first = Knots(at + origin, prepared.amplitude[:, 0]), (origin + start) // HOP_SIZE
+    knot_samples = prepared.knots
+    if knot_samples is None:
+        knot_samples = SAMPLES_PER_STATE * np.arange(len(prepared.amplitude))
+    knots, first = Knots(knot_samples + origin, prepared.amplitude[:, 0]), (origin + start) // HOP_SIZE
     hops = range(first, (origin + start + count - 1) // HOP_SIZE + 1)
-    place = extrapolate_position(
+    position = extrapolate_position(
         action, first * HOP_SIZE - origin - REACH_SAMPLES, len(hops) * HOP_SIZE + 2 * REACH_SAMPLES
     )
     begin = origin + start - first * HOP_SIZE
-    return render_carrier_hops(knots, carriers, seed, place, hops)[begin : begin + count]
+    return render_carrier_hops(knots, carriers, seed, position, hops)[begin : begin + count]
 
 
 def render_contact(prepared: PreparedStroke, start: int, count: int) -> Float:
-    """Pressing: onset, release and dF/dt through the contact, also at v = 0; and the profile under the path."""
-    out = prepared.bank.render_force(prepared.force, start, count)
-    for at, many in split_blocks(count):
-        out[at : at + many] += _render_profile(prepared, start + at, many)
-    return out
+    """Render the contact term, (count,) [m/s²]: the pressing force, also at v = 0, and the profile under the path.
+
+    The force term holds onset, release and dF/dt.
+    """
+    samples = prepared.bank.render_force(prepared.force, start, count)
+    for begin, length in split_blocks(count):
+        samples[begin : begin + length] += _render_profile(prepared, start + begin, length)
+    return samples
 
 
 def _render_profile(prepared: PreparedStroke, start: int, count: int) -> Float | float:
+    """Render the height profile through the contact; 0 if there is none."""
     if prepared.bands is None or prepared.profile_amplitude is None:
         return 0.0
-    first, many = start - TAIL_SAMPLES, TAIL_SAMPLES + count + LEAD_SAMPLES
+    first, length = start - TAIL_SAMPLES, TAIL_SAMPLES + count + LEAD_SAMPLES
     height = sum_arc_carriers(
         prepared.profile_amplitude, prepared.carriers, prepared.bands.read_bands,
-        interpolate_position(prepared.action, first, many), first,
+        interpolate_position(prepared.action, first, length), first,
     )  # fmt: skip
     return prepared.bank.render_height(height, start)
 
 
 CHUNK_STEP = math.lcm(BLOCK_SAMPLES, HOP_SIZE, CHUNK_STATES * SAMPLES_PER_STATE)
-"""Samples: portions are cut where blocks and groups of states both begin."""
+"""Samples at which chunks may be cut: there blocks, hops and groups of states all begin."""
 CHUNK_SAMPLES = 6 * CHUNK_STEP
-"""61 s: F_Θ's amplitudes take 25 MB of it."""
+"""Samples of a chunk: 61 s, of which F_Θ's amplitudes take 25 MB."""
 _MARGIN_STATES = 4
-"""States to either side that splines and the reading of a band look at."""
+"""States on either side that splines and the band limit read."""
 
 
 @dataclass(frozen=True)
 class RenderedChunk:
-    """samples: (m,) float64 m/s² at the model rate, following those of the portion before. loudest: the field's largest
-    amplitude in it, m/s². missed: see Prepared."""
+    """Samples of one chunk.
+
+    samples: (m,) float64 [m/s²] at the model rate, following those of the chunk before. loudest: the field's largest
+    amplitude in it [m/s²]. residual_power: see PreparedStroke.
+    """
 
     samples: Float
     loudest: float
@@ -141,13 +164,34 @@ def render_chunks(
     field: Field, stroke: StrokeInput, *, seed: int, length: int = CHUNK_SAMPLES, begin: int = 0,
     tolerance: float | None = None,
 ) -> Iterator[RenderedChunk]:  # fmt: skip
-    """synthesise() at the model rate, portion by portion: together within 1e-6 of its RMS (places are counted from
-    another zero, and rounded to float32), in memory that does not grow with the stroke.
+    """Synthesise a stroke at the model rate, chunk by chunk, in memory that does not grow with its length.
 
-    length: samples of a portion. begin: the sample to begin at; what comes before it is not computed. Both whole
-    numbers of STEP. tolerance: as of prepare(), of the power of each portion: where one begins, amplitudes may step by
-    as much. Raises StrokeError for an action without duration, UsageError for another length, or for a stroke
-    with a height profile, which is one piece.
+    Parameters
+    ----------
+    field
+        The field.
+    stroke
+        Stroke without a height profile.
+    seed
+        Seed of the carriers.
+    length
+        Samples of a chunk, a multiple of CHUNK_STEP.
+    begin
+        First sample, a multiple of CHUNK_STEP; earlier ones are not computed.
+    tolerance
+        As of prepare_stroke, relative to the power of each chunk. Where a chunk begins, amplitudes may step by as much.
+
+    Yields
+    ------
+    RenderedChunk
+        Together within 1e-6 RMS of `synthesise`: positions are relative to another origin and rounded to float32.
+
+    Raises
+    ------
+    StrokeError
+        If the action has no duration.
+    UsageError
+        If length or begin are no multiples of CHUNK_STEP, or the stroke has a height profile, which cannot be cut.
     """
     if length <= 0 or length % CHUNK_STEP or begin < 0 or begin % CHUNK_STEP:
         raise UsageError(f"a portion of {length} samples from {begin} on: both must be whole numbers of {CHUNK_STEP}.")
@@ -161,15 +205,15 @@ def render_chunks(
         stop = min(start + length, count)
         rows = _find_chunk_states(field, start, stop, len(action.speed))
         origin = rows.start * SAMPLES_PER_STATE
-        piece = StrokeInput(_select_action_states(action, rows), stroke.tokens, stroke.mechanics, token_index[rows])
-        with prefetch_noise(field.config, seed, piece.action, origin):
-            prepared = replace(prepare_stroke(field, piece, seed=seed, tolerance=tolerance), origin=origin)
+        chunk = StrokeInput(_select_action_states(action, rows), stroke.tokens, stroke.mechanics, token_index[rows])
+        with prefetch_noise(field.config, seed, chunk.action, origin):
+            prepared = replace(prepare_stroke(field, chunk, seed=seed, tolerance=tolerance), origin=origin)
         samples = render_samples(prepared, start - origin, stop - origin)
         yield RenderedChunk(samples, float(prepared.loudest.max(initial=0.0)), prepared.residual_power)
 
 
 def _find_chunk_states(field: Field, start: int, stop: int, states: int) -> slice:
-    """The states that samples start … stop − 1 follow from."""
+    """Return the states that samples start … stop − 1 depend on."""
     before = max(
         math.ceil(TAIL_SAMPLES / SAMPLES_PER_STATE),
         count_memory_states(field),
@@ -185,5 +229,6 @@ def _find_chunk_states(field: Field, start: int, stop: int, states: int) -> slic
 
 
 def _select_action_states(action: Action, rows: slice) -> Action:
+    """Return some of the states of an action."""
     names = ("direction", "speed", "force", "position", "contact")
     return replace(action, **{name: getattr(action, name)[rows] for name in names})

@@ -1,8 +1,7 @@
-"""What synthesis is given and what it gives back.
+"""Input and output of synthesis, and the action on the field's clocks: states at 200 Hz and samples at 10 kHz.
 
-The action on the field's own clocks: states at 200 Hz, and what is read between them at 10 kHz.
-
-Where the hand is between the states of the action.
+`StrokeInput` holds the action and the materials, and is checked against LIMITS; `Synthesis` is the result. The other
+functions resample the action to the states, build F_Θ's conditions, and interpolate position and force between states.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ LIMITS = {
     "profile step [m]": (1e-9, 1e6),
     "resolved wavelength [m]": (0.0, 1e6),
 }
-"""What is refused beyond: far outside any touch, and well inside what float64 carries through the field's powers.
-A test holds that nothing within them gives NaN or infinity."""
+"""Accepted range of every quantity: far beyond any touch, and well within what float64 carries through the field. A
+test checks that nothing within them gives NaN or infinity."""
 
 _REMEDY = (
     "Check the scene's unit scale and the stroke's length, duration and force; from a program: give arrays of matching "
@@ -51,8 +50,16 @@ _REMEDY = (
 class HeightProfile:
     """Surface height under the path, along Action.position.
 
-    step_m: sample spacing. origin_m: position of the first sample. height: (k,) float64 metres. resolved_wavelength_m:
-    shorter waves than this are an artefact of the source (two texels) and are left to the carriers.
+    Attributes
+    ----------
+    step_m
+        Sample spacing.
+    origin_m
+        Position of the first sample.
+    height
+        (k,) float64 [m].
+    resolved_wavelength_m
+        Shorter waves are an artefact of the source (two texels), and are left to the carriers.
     """
 
     step_m: float
@@ -63,13 +70,28 @@ class HeightProfile:
 
 @dataclass(frozen=True)
 class StrokeInput:
-    """One stroke as the field needs it.
+    """One stroke, as the field needs it.
 
-    action: u(t). tokens: (M, TOKEN_DIM) the materials it meets. mechanics: (M,) of the same materials. token_index:
-    (n,) int32, which material at each action sample. profile: height under the path, or None where none is resolved.
-    fields: (M,) what was trained for each material alone, None = nothing; () = for none of them. It is parts.py that
-    asks for them.
-    Raises StrokeError where these do not fit together or leave LIMITS.
+    Attributes
+    ----------
+    action
+        u(t), n samples at any rate.
+    tokens
+        (M, TOKEN_DIM) of the materials.
+    mechanics
+        (M,) of the same materials.
+    token_index
+        (n,) int32, material at each action sample.
+    profile
+        Height under the path, or None if none is resolved.
+    fields
+        (M,) field of each material alone, None for the common field; () if no material has one. Only
+        synthesis.split_by_field reads it.
+
+    Raises
+    ------
+    StrokeError
+        If these do not fit together or leave LIMITS.
     """
 
     action: Action
@@ -87,7 +109,10 @@ class StrokeInput:
 
 @dataclass(frozen=True)
 class Synthesis:
-    """signal: the vibration. confidence: 0 … 1, lowered by every extrapolation. warnings: each in words."""
+    """Result of synthesis.
+
+    signal: the vibration. confidence: 0 … 1, lowered by every extrapolation. warnings: in words.
+    """
 
     signal: Signal
     confidence: float
@@ -95,16 +120,32 @@ class Synthesis:
 
 
 def uniform_stroke(action: Action, token: NDArray[np.float32], mechanics: Mechanics) -> StrokeInput:
-    """A stroke on one material."""
+    """Build a stroke on one material.
+
+    Parameters
+    ----------
+    action
+        u(t), n samples.
+    token
+        (TOKEN_DIM,) of the material.
+    mechanics
+        Of the same material.
+
+    Returns
+    -------
+    StrokeInput
+        Without height profile.
+    """
     return StrokeInput(action, token[None, :], (mechanics,), np.zeros(len(action.speed), dtype=np.int32))
 
 
 def _find_problem(stroke: StrokeInput) -> str:
+    """Return the first problem of a stroke in words, "" if there is none."""
     action, samples = stroke.action, len(stroke.action.speed)
     if action.speed.ndim != 1:
         return f"speed has shape {action.speed.shape}, not (n,)."
-    wanted = {"direction": (samples, 2), "force": (samples,), "position": (samples,), "contact": (samples,)}
-    for name, shape in wanted.items():
+    shapes = {"direction": (samples, 2), "force": (samples,), "position": (samples,), "contact": (samples,)}
+    for name, shape in shapes.items():
         if getattr(action, name).shape != shape:
             return f"{name} has shape {getattr(action, name).shape}, not {shape}."
     if action.probe not in PROBES:
@@ -129,7 +170,7 @@ def _find_problem(stroke: StrokeInput) -> str:
 
 
 def _bounded_values(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Everything that LIMITS bound, by its name there; unknown mechanics left out."""
+    """Yield all values that LIMITS bound, by their names there, without unknown mechanics."""
     action, profile = stroke.action, stroke.profile
     yield "action rate [Hz]", np.array([action.rate])
     yield "speed [m/s]", action.speed
@@ -138,9 +179,9 @@ def _bounded_values(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float
     yield "direction", action.direction
     yield "token", stroke.tokens.astype(np.float64)
     mechanics = stroke.mechanics
-    yield "stiffness [N/m]", _known_values(each.stiffness_n_m for each in mechanics)
-    yield "damping ratio", _known_values(each.damping_ratio for each in mechanics)
-    yield "friction", _known_values(each.friction for each in mechanics)
+    yield "stiffness [N/m]", _known_values(properties.stiffness_n_m for properties in mechanics)
+    yield "damping ratio", _known_values(properties.damping_ratio for properties in mechanics)
+    yield "friction", _known_values(properties.friction for properties in mechanics)
     if profile is not None:
         yield "profile step [m]", np.array([profile.step_m])
         yield "profile height [m]", profile.height
@@ -156,14 +197,31 @@ Float = NDArray[np.float64]
 
 SAMPLES_PER_STATE = round(MODEL_RATE_HZ / ACTION_RATE_HZ)
 STATE_FRACTIONS = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
-"""Of the way from a state to the next, at the samples between them."""
+"""Fractions of the way from a state to the next, at the samples between them."""
 
 
 def resample_action(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
-    """The action and token index at ACTION_RATE_HZ.
+    """Resample action and token index to ACTION_RATE_HZ.
 
-    Another rate is interpolated: direction as a vector (an angle would turn the long way round at ±180°), contact and
-    material by the nearest sample. Raises StrokeError for an action without duration.
+    Direction is interpolated as a vector, because an angle would turn the long way round at ±180°; contact and material
+    are those of the nearest sample.
+
+    Parameters
+    ----------
+    stroke
+        The stroke.
+
+    Returns
+    -------
+    action : Action
+        At ACTION_RATE_HZ.
+    token_index : ndarray
+        (n,) int32 at its states.
+
+    Raises
+    ------
+    StrokeError
+        If the action has no duration.
     """
     action = stroke.action
     if len(action.speed) < 2:
@@ -190,15 +248,15 @@ def resample_action(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
 
 
 def build_condition(stroke: StrokeInput, action: Action, token_index: NDArray[np.int32]) -> Condition:
-    """F_Θ's condition at every state."""
-    tokens, (mechanics, of_row) = (
+    """Build F_Θ's condition at every state of a resampled action."""
+    tokens, (mechanics, row_index) = (
         stroke.tokens.astype(np.float64)[token_index],
         find_distinct_mechanics(stroke.mechanics),
     )
     return Condition(
         tokens,
         mechanics,
-        of_row[token_index],
+        row_index[token_index],
         action.direction,
         action.speed,
         action.force,
@@ -208,51 +266,55 @@ def build_condition(stroke: StrokeInput, action: Action, token_index: NDArray[np
 
 
 def find_distinct_mechanics(mechanics: Sequence[Mechanics]) -> tuple[tuple[Mechanics, ...], NDArray[np.int32]]:
-    """Each once, in the order in which they are met, and (M,) which of them each is: the patches of a surface have a
-    token each and mostly one mechanics."""
+    """Return the distinct mechanics in order of first occurrence, and the index (M,) of each material's.
+
+    The patches of a surface have a token each, but mostly the same mechanics.
+    """
     index: dict[Mechanics, int] = {}
-    of_row = [index.setdefault(each, len(index)) for each in mechanics]
-    return tuple(index), np.array(of_row, dtype=np.int32)
+    row_index = [index.setdefault(item, len(index)) for item in mechanics]
+    return tuple(index), np.array(row_index, dtype=np.int32)
 
 
 def interpolate_condition(
     stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], sample: NDArray[np.int64]
 ) -> Condition:
-    """The same at samples of the model rate, clamped to the stroke: linear between states, direction as a vector,
-    contact and material those of the nearest. action: at ACTION_RATE_HZ."""
-    place = np.clip(sample / SAMPLES_PER_STATE, 0, len(action.speed) - 1)
-    states, nearest = np.arange(len(action.speed)), np.rint(place).astype(np.int64)
-    direction = np.empty((len(place), 2))
+    """Build F_Θ's condition at samples of the model rate, clamped to the stroke.
+
+    Linear between states, direction as a vector, contact and material of the nearest state. action: at ACTION_RATE_HZ.
+    """
+    position = np.clip(sample / SAMPLES_PER_STATE, 0, len(action.speed) - 1)
+    states, nearest = np.arange(len(action.speed)), np.rint(position).astype(np.int64)
+    direction = np.empty((len(position), 2))
     for axis in range(2):
-        direction[:, axis] = np.interp(place, states, action.direction[:, axis])
+        direction[:, axis] = np.interp(position, states, action.direction[:, axis])
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     direction = np.where(length > 1e-9, direction / np.maximum(length, 1e-9), action.direction[nearest])
     material = token_index[nearest]
-    speed, force = (np.interp(place, states, values) for values in (action.speed, action.force))
+    speed, force = (np.interp(position, states, values) for values in (action.speed, action.force))
     tokens, contact = stroke.tokens.astype(np.float64)[material], action.contact[nearest]
-    mechanics, of_row = find_distinct_mechanics(stroke.mechanics)
-    return Condition(tokens, mechanics, of_row[material], direction, speed, force, contact, action.probe)
+    mechanics, row_index = find_distinct_mechanics(stroke.mechanics)
+    return Condition(tokens, mechanics, row_index[material], direction, speed, force, contact, action.probe)
 
 
 def select_states(condition: Condition, rows: slice | NDArray[np.bool_]) -> Condition:
-    """The states in rows alone."""
+    """Return some of the states of a condition."""
     names = ("tokens", "material", "direction", "speed", "force", "contact")
     return replace(condition, **{name: getattr(condition, name)[rows] for name in names})
 
 
 def sample_count(action: Action) -> int:
-    """Samples at the model rate."""
+    """Return the number of samples of an action at the model rate."""
     return (len(action.speed) - 1) * SAMPLES_PER_STATE
 
 
 def find_peak_speed(action: Action) -> Float:
-    """(n,) m/s |ds/dt| within two states of each."""
-    around = np.pad(np.abs(np.diff(action.position)) * ACTION_RATE_HZ, 2)
-    return np.asarray(np.max([around[k : k + len(action.position)] for k in range(4)], axis=0))
+    """Return the largest |ds/dt| (n,) [m/s] within two states of each."""
+    padded = np.pad(np.abs(np.diff(action.position)) * ACTION_RATE_HZ, 2)
+    return np.asarray(np.max([padded[shift : shift + len(action.position)] for shift in range(4)], axis=0))
 
 
 def interpolate_cubic(values: Float, index: Float) -> Float:
-    """Catmull–Rom interpolation of values (n,) at fractional indices, held beyond the ends; C1."""
+    """Interpolate values (n,) at fractional indices by Catmull–Rom splines (C1), constant beyond the ends."""
     last = len(values) - 1
     index = np.clip(index, 0.0, last)
     low = np.minimum(np.floor(index).astype(int), max(last - 1, 0))
@@ -261,41 +323,41 @@ def interpolate_cubic(values: Float, index: Float) -> Float:
         [[2 * values[0] - values[min(1, last)]], values, [2 * values[-1] - values[max(last - 1, 0)]]]
     )
     weights = _catmull_rom_weights(t)
-    return np.asarray(sum(w * padded[np.minimum(low + k, last + 2)] for k, w in enumerate(weights)))
+    return np.asarray(sum(weight * padded[np.minimum(low + tap, last + 2)] for tap, weight in enumerate(weights)))
 
 
 def evaluate_bspline(values: Float, index: Float) -> Float:
-    """Cubic B-spline with values (n,) as control points, read at fractional indices, held beyond the ends; C2.
+    """Evaluate the cubic B-spline with control points values (n,) at fractional indices (C2), constant beyond the ends.
 
-    It smooths (−3 dB at about 60 Hz of 200 Hz samples) instead of interpolating: its images of a slow ramp lie 80 dB
-    down, so that action-rate steps do not hum through a contact that answers to F″.
+    It smooths (−3 dB at about 60 Hz of 200 Hz samples) instead of interpolating: the images of a slow ramp lie 80 dB
+    down, so that steps at the action rate do not hum through a contact that responds to F″.
     """
     last = len(values) - 1
     low = np.floor(index).astype(int)
     weights = _bspline_weights(index - low)
-    return np.asarray(sum(w * values[np.clip(low + k - 1, 0, last)] for k, w in enumerate(weights)))
+    return np.asarray(sum(weight * values[np.clip(low + tap - 1, 0, last)] for tap, weight in enumerate(weights)))
 
 
 def interpolate_cubic_samples(values: Float, start: int, count: int) -> Float:
-    """cubic() of states (n,) at samples start … start + count − 1 of the model rate, (count,).
+    """Interpolate states (n,) as interpolate_cubic, at samples start … start + count − 1 of the model rate, (count,).
 
-    A state's samples lie at the same shares of the way to the next: their weights are the same for every state.
+    Samples lie at the same fractions between any two states, so one table of weights serves all.
     """
     last = len(values) - 1
     ends = 2 * values[0] - values[min(1, last)], 2 * values[-1] - values[max(last - 1, 0)]
     padded = np.concatenate([ends[:1], values, ends[1:]])
     first = start // SAMPLES_PER_STATE
     state = np.arange(first, (start + max(count, 1) - 1) // SAMPLES_PER_STATE + 1)[:, None]
-    four = padded[np.clip(state + np.arange(4), 0, last + 2)]
-    four = np.where(state < 0, values[0], np.where(state >= last, values[-1], four))
-    out = four[:, :1] * _CATMULL_ROM_TABLE[0]
+    neighbours = padded[np.clip(state + np.arange(4), 0, last + 2)]
+    neighbours = np.where(state < 0, values[0], np.where(state >= last, values[-1], neighbours))
+    samples = neighbours[:, :1] * _CATMULL_ROM_TABLE[0]
     for tap in range(1, 4):
-        out += four[:, tap : tap + 1] * _CATMULL_ROM_TABLE[tap]
-    return np.asarray(out.reshape(-1)[start - first * SAMPLES_PER_STATE :][:count])
+        samples += neighbours[:, tap : tap + 1] * _CATMULL_ROM_TABLE[tap]
+    return np.asarray(samples.reshape(-1)[start - first * SAMPLES_PER_STATE :][:count])
 
 
 def _catmull_rom_weights(t: Float) -> tuple[Float, ...]:
-    """Catmull–Rom weights of the four values about a place, t on the way from the second to the third."""
+    """Return the Catmull–Rom weights of four values, at t on the way from the second to the third."""
     return (
         0.5 * t * (2.0 * t - 1.0 - t**2),
         1.0 + t**2 * (1.5 * t - 2.5),
@@ -305,7 +367,7 @@ def _catmull_rom_weights(t: Float) -> tuple[Float, ...]:
 
 
 def _bspline_weights(t: Float) -> tuple[Float, ...]:
-    """The same of the cubic B-spline."""
+    """Return the cubic B-spline weights of four values, at t on the way from the second to the third."""
     return (
         (1.0 - t) ** 3 / 6.0,
         (3.0 * t**3 - 6.0 * t**2 + 4.0) / 6.0,
@@ -318,16 +380,19 @@ _CATMULL_ROM_TABLE = _catmull_rom_weights(STATE_FRACTIONS)
 
 
 def interpolate_position(action: Action, start: int, count: int) -> Float:
-    """s(t) [m] at samples start … of the model rate, held beyond the stroke."""
+    """Interpolate s(t) [m] at samples start … of the model rate, constant beyond the stroke."""
     return interpolate_cubic_samples(action.position, start, count)
 
 
 def extrapolate_position(action: Action, start: int, count: int) -> Float:
-    """position() that goes on as fast as it began and ended, for filters that look beyond the stroke."""
-    compiled = load_kernel()
-    if compiled is not None:
+    """Interpolate s(t) [m] at samples start … of the model rate, continued at its first and last speed.
+
+    Filters read beyond the stroke's ends, where a position that stands still would differ from the motion.
+    """
+    kernel = load_kernel()
+    if kernel is not None:
         path = np.ascontiguousarray(action.position, dtype=np.float64)
-        return kernel_hop.interpolate_position(compiled, path, SAMPLES_PER_STATE, start, count)
+        return kernel_hop.interpolate_position(kernel, path, SAMPLES_PER_STATE, start, count)
     sample = start + np.arange(count)
     last = (len(action.position) - 1) * SAMPLES_PER_STATE
     ends = interpolate_cubic(action.position, np.array([0.0, 1.0, last - 1.0, last]) / SAMPLES_PER_STATE)

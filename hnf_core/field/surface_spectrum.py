@@ -1,8 +1,8 @@
-"""What a token says of the surface, and how a straight stroke cuts it.
+"""Height spectrum of a surface, from its token, and its projection onto a straight stroke.
 
-A stroke draws a line through the height spectrum P(κ, θ). A wave that stands at δ to the stroke is met at κ |cos δ|, so
-the cut's spectrum is the sum over δ of radial spectra moved along the log-κ axis. What the tip does, it does to the
-wave itself, at κ: hence the cut takes a weight per κ.
+A stroke is a line through the height spectrum P(κ, θ). A wave at angle δ to the stroke has the wavenumber κ |cos δ|
+along it, so the projected spectrum is the sum over δ of radial spectra shifted along the log-κ axis. The tip filters
+the wave itself, at κ; hence the projection takes a weight per κ.
 """
 
 from __future__ import annotations
@@ -20,23 +20,36 @@ from .carriers import ARC_PER_OCTAVE, Carriers
 Float = NDArray[np.float64]
 
 ANGLES = 24
-"""Wave-vector angles over 180°, as the angular density is sampled."""
+"""Wave-vector angles over 180° at which the angular density is sampled."""
 GRID_ANGLES = (np.arange(ANGLES) + 0.5) * np.pi / ANGLES
 MIN_NOISE_SHARE = 1e-9
-"""Of a band's power for noise beside its tones. Below it is rounding, and spreading it over log κ would tell 1e-16 from
-0 in the bands between."""
+"""Smallest fraction of a band's power that counts as noise beside its tones.
+
+Below it is rounding, and spreading it over log κ would distinguish 1e-16 from 0 in the bands between.
+"""
 LINE_CONCENTRATION = 20.0
-"""Of the angular density of strictly oriented waves: about ±10°."""
+"""Concentration of the angular density of strictly oriented waves: about ±10°."""
 ORIENTED_DENSITY_MEAN = np.mean(np.exp(LINE_CONCENTRATION * (np.cos(2.0 * GRID_ANGLES) - 1.0)))
 
 
 @dataclass(frozen=True)
 class SurfaceSpectrum:
-    """Tokens as spectra, seen from a stroke; n rows.
+    """Spectra of tokens in the frame of a stroke, n rows.
 
-    noise: (n, Ka) height power [m²] per band of |κ|. density: (ANGLES, n, bands) angular density over δ, mean 1.
-    band: (Ka,) token band nearest to each κ. line_power: (2, n, bands) m² of the tones along and across the lattice's
-    axis; line_wavenumber: (n, bands) cycles/m; line_cosine: (2, n, bands) |cos δ|.
+    Attributes
+    ----------
+    noise
+        (n, Ka) height power per band of |κ| [m²].
+    density
+        (ANGLES, n, bands) angular density over δ, mean 1.
+    band
+        (Ka,) token band nearest to each κ.
+    line_power
+        (2, n, bands) power of the tones along and across the lattice's axis [m²].
+    line_wavenumber
+        (n, bands) [cycles/m].
+    line_cosine
+        (2, n, bands) |cos δ|.
     """
 
     noise: Float
@@ -50,17 +63,17 @@ class SurfaceSpectrum:
 def compute_surface_spectrum(
     tokens: NDArray[np.float32] | Float, direction: Float, carriers: Carriers
 ) -> SurfaceSpectrum:
-    """tokens: (n, TOKEN_DIM). direction: (n, 2) unit vectors."""
+    """Compute the spectra of tokens (n, TOKEN_DIM) in the frame of unit vectors (n, 2)."""
     bands = len(BAND_WAVELENGTHS_M)
     values = np.asarray(tokens, dtype=np.float64)[:, : bands * len(BAND_FEATURES)]
     feature = dict(zip(BAND_FEATURES, np.moveaxis(values.reshape(-1, bands, len(BAND_FEATURES)), 2, 0), strict=True))
     power = 10.0 ** (2.0 * feature["level"])
     stroke_angle = np.arctan2(direction[:, 1], direction[:, 0])[:, None]
-    # Moments of the angular density, seen from the stroke.
+    # Moments of the angular density in the frame of the stroke.
     two = (feature["cos2"] + 1j * feature["sin2"]) * np.exp(-2j * stroke_angle)
     four = (feature["cos4"] + 1j * feature["sin4"]) * np.exp(-4j * stroke_angle)
     axis = 0.25 * np.angle(four)
-    # Waves stand along `axis` and across it (a grating has one of them, a plain weave both).
+    # Waves run along `axis` and across it (a grating has one of them, a plain weave both).
     along = np.clip(0.5 * (1.0 + np.real(two * np.exp(-2j * axis))), 0.0, 1.0)
     stronger = np.maximum(along, 1.0 - along)
     tones = np.stack([feature["peak"] * along / stronger, feature["peak"] * (1.0 - along) / stronger])
@@ -77,51 +90,59 @@ def compute_surface_spectrum(
 
 
 def noise_remainder(tones: Float) -> Float:
-    """(n, bands) of a band's power, what its two tones (2, n, bands) leave; the last digits of 1 are nothing."""
-    left = 1.0 - tones.sum(axis=0)
-    return np.where(left < MIN_NOISE_SHARE, 0.0, np.minimum(left, 1.0))
+    """Return the fraction (n, bands) of a band's power that its two tones (2, n, bands) leave for noise.
+
+    It is 0 below MIN_NOISE_SHARE, where only rounding is left.
+    """
+    rest = 1.0 - tones.sum(axis=0)
+    return np.where(rest < MIN_NOISE_SHARE, 0.0, np.minimum(rest, 1.0))
 
 
 def project_spectrum(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) -> Float:
-    """Power per arc-length band (n, Ka) of a straight cut through the surface filtered by weight (n, Ka) at |κ|."""
-    out = project_noise(spectrum, weight, carriers)
+    """Compute the power per arc band (n, Ka) of a straight cut through the surface, filtered by weight (n, Ka).
+
+    The weight applies at the wave's own |κ|.
+    """
+    total = project_noise(spectrum, weight, carriers)
     power, low = project_lines(spectrum, weight, carriers)
     for tap in range(2):
-        add_at(out, low + tap, power[tap])
-    return out
+        add_at(total, low + tap, power[tap])
+    return total
 
 
 def project_noise(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) -> Float:
-    """What noise, without the lattice's tones, gives to cut(): weight (..., n, Ka) → (..., n, Ka)."""
-    # Wavenumbers first, so that those beyond a shift are one piece of memory.
+    """Compute the noise part of project_spectrum: weight (..., n, Ka) → (..., n, Ka)."""
+    # Wavenumbers come first, so that those beyond a shift are contiguous.
     weighted = np.ascontiguousarray(np.moveaxis(spectrum.noise * weight, -1, -2))
-    out, part, count = np.zeros_like(weighted), np.empty_like(weighted), weighted.shape[-2]
-    # δ and 180° − δ move a wave alike, so their densities are one.
+    out, shifted, count = np.zeros_like(weighted), np.empty_like(weighted), weighted.shape[-2]
+    # δ and 180° − δ shift a wave by the same amount, so their densities are added.
     density = (spectrum.density[: ANGLES // 2] + spectrum.density[: ANGLES // 2 - 1 : -1]) / ANGLES
-    moved = np.take(np.swapaxes(density, 1, 2), spectrum.band, axis=1)
-    for shift, share in zip(_projection_shifts().tolist(), moved, strict=True):
+    band_density = np.take(np.swapaxes(density, 1, 2), spectrum.band, axis=1)
+    for shift, weight_at in zip(_projection_shifts().tolist(), band_density, strict=True):
         if shift < count:
-            np.multiply(weighted[..., shift:, :], share[shift:], out=part[..., shift:, :])
-            out[..., : count - shift, :] += part[..., shift:, :]
+            np.multiply(weighted[..., shift:, :], weight_at[shift:], out=shifted[..., shift:, :])
+            out[..., : count - shift, :] += shifted[..., shift:, :]
     return np.moveaxis(out, -1, -2)
 
 
 @lru_cache(maxsize=1)
 def _projection_shifts() -> NDArray[np.intp]:
-    """(ANGLES / 2,) bands by which a cut moves a wave at each angle downward."""
+    """Return the number of bands (ANGLES / 2,) by which the projection lowers a wave at each angle."""
     return np.asarray(np.rint(-ARC_PER_OCTAVE * np.log2(np.cos(GRID_ANGLES[: ANGLES // 2]))), dtype=np.intp)
 
 
 @lru_cache(maxsize=8)
 def build_kernel_tables(carriers: Carriers, hand: float, hand_damping: float) -> ContactTables:
-    """For kernel.contact.linear_contact. hand: stiffness over mass of the hand, sideways; hand_damping: 4 ζ² that."""
+    """Build the tables of compiled_field.compute_linear_contact.
+
+    hand: stiffness of the hand over mass, sideways [rad²/s²]. hand_damping: 4 ζ² times that.
+    """
     position, bands = np.log2(carriers.arc_centres() * BAND_WAVELENGTHS_M[0]), len(BAND_WAVELENGTHS_M)
     below, angle = np.clip(np.floor(position).astype(int), 0, bands - 2), GRID_ANGLES[: ANGLES // 2]
     return ContactTables(
         features=BAND_FEATURES, kappa=carriers.arc_centres(), below=below, share=np.clip(position - below, 0.0, 1.0),
         nearest_end=np.searchsorted(_nearest_band(position), np.arange(bands), side="right"),
-        shift=_projection_shifts(),
-        wavelength=np.asarray(BAND_WAVELENGTHS_M, dtype=np.float64),
+        shift=_projection_shifts(), wavelength=np.asarray(BAND_WAVELENGTHS_M, dtype=np.float64),
         turn=np.stack([np.cos(2 * angle), np.sin(2 * angle), np.cos(4 * angle), np.sin(4 * angle)], axis=1),
         per_octave=ARC_PER_OCTAVE, concentration=LINE_CONCENTRATION, bump_mean=float(ORIENTED_DENSITY_MEAN),
         least_left=MIN_NOISE_SHARE, hand=hand, hand_damping=hand_damping,
@@ -129,41 +150,61 @@ def build_kernel_tables(carriers: Carriers, hand: float, hand_damping: float) ->
 
 
 def _nearest_band(position: Float) -> NDArray[np.intp]:
+    """Return the token band nearest to each position."""
     return np.clip(np.rint(position).astype(np.intp), 0, len(BAND_WAVELENGTHS_M) - 1)
 
 
 def project_lines(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) -> tuple[Float, NDArray[np.intp]]:
-    """The tones of cut(), for weight (..., n, Ka): power (2, ..., n, 2 · bands) in the two arc bands about each, so
-    that their centroid is exact, and the index (n, 2 · bands) of the lower band, which may lie outside. First the tones
-    along the lattice's axis."""
+    """Compute the tones of project_spectrum.
+
+    Parameters
+    ----------
+    spectrum
+        Spectra of n rows.
+    weight
+        (..., n, Ka) filter at |κ|.
+    carriers
+        Carriers, whose arc bands are used.
+
+    Returns
+    -------
+    power : ndarray
+        (2, ..., n, 2 · bands) power in the two arc bands about each tone, with the exact centroid; first the tones
+        along the lattice's axis.
+    low : ndarray
+        (n, 2 · bands) index of the lower band, which may lie outside.
+    """
     start, count = carriers.arc_centres()[0], carriers.arc_count
-    place = np.clip(np.rint(ARC_PER_OCTAVE * np.log2(spectrum.line_wavenumber / start)).astype(int), 0, count - 1)
-    line_weight = weight[..., np.arange(len(place))[:, None], place]
-    power = np.concatenate([along * line_weight for along in spectrum.line_power], axis=-1)
+    band = np.clip(np.rint(ARC_PER_OCTAVE * np.log2(spectrum.line_wavenumber / start)).astype(int), 0, count - 1)
+    line_weight = weight[..., np.arange(len(band))[:, None], band]
+    power = np.concatenate([tone_power * line_weight for tone_power in spectrum.line_power], axis=-1)
     wavenumber = np.concatenate(list(spectrum.line_wavenumber * spectrum.line_cosine), axis=1)
     position = ARC_PER_OCTAVE * np.log2(np.maximum(wavenumber, 1e-9) / start)
     low = np.floor(position).astype(np.intp)
-    share = position - low
-    return np.stack([power * (1.0 - share), power * share]), low
+    fraction = position - low
+    return np.stack([power * (1.0 - fraction), power * fraction]), low
 
 
 def add_at(out: Float, index: NDArray[np.intp], power: Float) -> None:
-    """out (n, Ka) += power (n, m) at index (n, m), where that is inside."""
+    """Add power (n, m) to out (n, Ka) at index (n, m), where the index is inside."""
     rows = np.broadcast_to(np.arange(len(out))[:, None], index.shape)
     inside = (index >= 0) & (index < out.shape[1])
     np.add.at(out, (rows[inside], index[inside]), power[inside])
 
 
 def _spread_over_wavenumbers(power: Float, position: Float) -> Float:
-    """Octave-band powers (n, bands) spread over |κ| (n, Ka): straight between band centres on log–log axes."""
+    """Spread octave-band powers (n, bands) over |κ| (n, Ka), linearly between band centres on log–log axes."""
     level = np.log(np.maximum(power, 1e-30) / ARC_PER_OCTAVE)
     below = np.clip(np.floor(position).astype(int), 0, len(BAND_WAVELENGTHS_M) - 2)
-    share = np.clip(position - below, 0.0, 1.0)
-    return np.asarray(np.exp(level[:, below] * (1.0 - share) + level[:, below + 1] * share))
+    fraction = np.clip(position - below, 0.0, 1.0)
+    return np.asarray(np.exp(level[:, below] * (1.0 - fraction) + level[:, below + 1] * fraction))
 
 
 def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
-    """(ANGLES, n, bands), positive, mean about 1: a truncated series, and lines where the four-fold moment is big."""
+    """Compute the angular density (ANGLES, n, bands), positive, mean about 1.
+
+    A truncated series, blended with oriented lines where the four-fold moment is large.
+    """
     oriented = np.square(np.clip(np.abs(four), 0.0, 1.0))
     angle = GRID_ANGLES[:, None, None]
     # Fejér weights keep the truncated series positive.
@@ -174,10 +215,10 @@ def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], 
 
 
 def _rotate_moment(moment: NDArray[np.complex128], angle: Float) -> Float:
-    """Re(moment e^{−i angle})."""
+    """Return Re(moment · e^{−i angle})."""
     return np.asarray(moment.real * np.cos(angle) + moment.imag * np.sin(angle))
 
 
 def _oriented_density(facing: Float) -> Float:
-    """Angular density of oriented waves, mean 1 over ANGLES samples, by cos 2δ of the angle δ to them."""
+    """Return the angular density of oriented waves, mean 1 over ANGLES samples, by cos 2δ of the angle δ to them."""
     return np.asarray(np.exp(LINE_CONCENTRATION * (facing - 1.0)) / ORIENTED_DENSITY_MEAN)

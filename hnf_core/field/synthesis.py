@@ -1,20 +1,12 @@
-"""From a stroke to a(t): the fast path.
+"""Synthesise strokes: one, one again after a change of force, one over materials with their own fields, or many.
 
-The field is evaluated at the action rate, its carriers at 10 kHz, in blocks; any block is computable alone. Another
-output rate is a resampling of the same signal, never another model.
-
-A stroke over materials of which some bring a field of their own: each field hears the whole stroke, and at each
-moment the one speaks whose material is touched.
-
-At a border one fades into the other between two action samples (5 ms), with shares that sum to 1: what all of them
-hear alike, such as the press of the hand, passes unchanged.
-
-A stroke pressed otherwise: only the samples that the change reaches are rendered again.
-
-Equal, to the last bit, to rendering the whole stroke anew: states are evaluated and samples rendered in the same
-portions, and a portion is kept only where everything it is made from is unchanged.
-
-Many strokes of one field: F_Θ of all in common batches, and the carriers of each drawn while another is rendered.
+`synthesise` evaluates the field at the action rate and renders its carriers at 10 kHz in blocks, each computable alone;
+another output rate is a resampling of the same signal, never another model. `render_incremental` renders a stroke that
+differs in force or contact again, only where samples change, and equals a complete rendering to the last bit.
+`split_by_field` and `blend` combine the fields of several materials: each field synthesises the whole stroke, and
+signals are cross-faded within 5 ms where the material changes, with weights that sum to 1, so that what they have in
+common (the press of the hand) is unchanged. `synthesise_many` evaluates many strokes of one field in shared batches and
+draws the carriers of one while another is rendered.
 """
 
 from __future__ import annotations
@@ -60,10 +52,32 @@ def synthesise(
     sample_rate: float = MODEL_RATE_HZ,
     tolerance: float | None = None,
 ) -> Synthesis:
-    """The vibration of a stroke in m/s². The same seed gives the same bytes.
+    """Synthesise the vibration of a stroke; the same seed gives the same bytes.
 
-    tolerance: see prepare(). Raises StrokeError for an action without duration, UsageError for a sample rate that is
-    not positive. What lies outside the field's training ranges is synthesised as it is, and named in warnings.
+    Parameters
+    ----------
+    field
+        The field.
+    stroke
+        The stroke; values outside the training ranges are synthesised as they are, and named in the warnings.
+    seed
+        Seed of the carriers.
+    sample_rate
+        Of the output [Hz].
+    tolerance
+        Largest error of the amplitudes, see prepare.request_prepared_stroke; None for exact evaluation.
+
+    Returns
+    -------
+    Synthesis
+        Acceleration [m/s²], confidence and warnings.
+
+    Raises
+    ------
+    StrokeError
+        If the action has no duration.
+    UsageError
+        If the sample rate is not between 1 Hz and 10 MHz.
     """
     prepared, samples = render_stroke(field, stroke, seed, tolerance)
     return make_result_within_tolerance(field, stroke, prepared, samples, sample_rate, tolerance)
@@ -77,13 +91,13 @@ def make_result_within_tolerance(
     sample_rate: float,
     tolerance: float | None,
 ) -> Synthesis:
-    """to_synthesis(), and whether the tolerance was kept."""
+    """Build the result; add a warning if the requested tolerance was exceeded."""
     made = make_result(field, stroke, prepared, samples, sample_rate)
     return replace(made, warnings=(*made.warnings, *tolerance_warning(prepared.residual_power, tolerance)))
 
 
 def tolerance_warning(residual_power: float, tolerance: float | None) -> tuple[str, ...]:
-    """What there is to say of a stroke that was not followed as closely as was asked for. missed: see Prepared."""
+    """Return a warning if the residual power exceeds the tolerance. residual_power: see PreparedStroke."""
     if tolerance is None or residual_power <= tolerance**2 * (1.0 + 1e-9):
         return ()
     return (
@@ -95,7 +109,7 @@ def tolerance_warning(residual_power: float, tolerance: float | None) -> tuple[s
 def render_stroke(
     field: Field, stroke: StrokeInput, seed: int, tolerance: float | None = None, evaluator: Evaluate = evaluate
 ) -> tuple[PreparedStroke, Float]:
-    """prepare() and rendered(), with carriers drawn while F_Θ is evaluated."""
+    """Prepare and render a stroke, (count,) [m/s²], with its carriers drawn while F_Θ is evaluated."""
     with prefetch_noise(field.config, seed, resample_action(stroke)[0]):
         prepared = prepare_stroke(field, stroke, seed=seed, tolerance=tolerance, evaluator=evaluator)
     return prepared, render_samples(prepared)
@@ -104,7 +118,7 @@ def render_stroke(
 def make_result(
     field: Field, stroke: StrokeInput, prepared: PreparedStroke, samples: Float, sample_rate: float = MODEL_RATE_HZ
 ) -> Synthesis:
-    """Rendered samples (count,) as a signal, with what there is to say of it."""
+    """Build the result of rendered samples (count,), with confidence and warnings."""
     output, rate_warnings = resample(samples, MODEL_RATE_HZ, sample_rate)
     confidence, warnings = check_ranges(field, stroke, prepared.action)
     warnings += check_ceiling(field.config, float(prepared.loudest.max(initial=0.0)))
@@ -117,8 +131,10 @@ def make_result(
 
 @dataclass(frozen=True)
 class FieldStroke:
-    """What one field is given of a stroke. share: (n,) 0 or 1 at each action sample, whether its material is touched;
-    None = everywhere."""
+    """Stroke of one field.
+
+    mask: (n,) 1 at action samples on the field's materials, else 0; None if that is everywhere.
+    """
 
     field: Field
     stroke: StrokeInput
@@ -126,10 +142,10 @@ class FieldStroke:
 
 
 def split_by_field(field: Field, stroke: StrokeInput) -> tuple[FieldStroke, ...]:
-    """field, for all materials without one of their own, and each that a material brings, where they are touched.
+    """Split a stroke by the fields of its materials; `field` serves all materials without one.
 
-    A field of its own is asked as it was trained: with its own token and mechanics, and without a height under the
-    path, for the relief that was recorded is in what it learned. Raises WeightsError where it names no material.
+    A material's field gets the token and mechanics it was trained with, and no height profile, because the recorded
+    relief is part of what it learned. Raises WeightsError if such a field names no material.
     """
     own, of_row = _find_distinct_fields(stroke.fields)
     if not own:
@@ -147,7 +163,7 @@ def split_by_field(field: Field, stroke: StrokeInput) -> tuple[FieldStroke, ...]
 
 
 def blend(strokes: Sequence[FieldStroke], results: Sequence[Synthesis]) -> Synthesis:
-    """What the parts gave, each where its material is touched. made: of each part, at one seed and sample rate."""
+    """Combine the results of split_by_field, each where its material is touched; all with one seed and sample rate."""
     if len(strokes) == 1:
         return results[0]
     first = results[0].signal
@@ -169,13 +185,13 @@ def blend(strokes: Sequence[FieldStroke], results: Sequence[Synthesis]) -> Synth
 
 
 def synthesise_by_field(field: Field, stroke: StrokeInput, *, seed: int) -> Synthesis:
-    """synthesise(), with what the stroke's materials bring. Raises what that and parts_of() raise."""
+    """Synthesise a stroke with the fields of its materials. Raises the errors of synthesise and split_by_field."""
     parts = split_by_field(field, stroke)
     return blend(parts, [synthesise(part.field, part.stroke, seed=seed) for part in parts])
 
 
 def _find_distinct_fields(fields: Sequence[Field | None]) -> tuple[list[Field], NDArray[np.int32]]:
-    """Each field once, in the order in which they are met, and (M,) which of them each material brings, −1 = none."""
+    """Return the distinct fields in order of first occurrence, and the index (M,) of each material's, −1 for none."""
     own: list[Field] = []
     of_row = np.full(len(fields), -1, dtype=np.int32)
     for row, each in enumerate(fields):
@@ -189,6 +205,7 @@ def _find_distinct_fields(fields: Sequence[Field | None]) -> tuple[list[Field], 
 
 
 def _restore_training_inputs(field: Field, stroke: StrokeInput, rows: NDArray[np.bool_]) -> StrokeInput:
+    """Return the stroke with the token and mechanics that the field was trained with, on the given materials."""
     material = read_trained_material(field, "the field of a material")
     tokens = np.where(rows[:, None], material.token, stroke.tokens).astype(np.float32)
     mechanics = tuple(
@@ -198,17 +215,20 @@ def _restore_training_inputs(field: Field, stroke: StrokeInput, rows: NDArray[np
 
 
 _SPLINE_STATES = 2
-"""States to either side that a sample of the pressing force is made from."""
+"""States on either side that a sample of the pressing force depends on."""
 
 
-class Superseded(Exception):  # no error: something newer was asked for  # noqa: N818
-    """Raised out of a synthesis whose result nobody waits for any more."""
+class Superseded(Exception):  # Not named an error, because a newer request is none.  # noqa: N818
+    """Raised to abandon a synthesis whose result is no longer needed."""
 
 
 @dataclass(frozen=True)
 class RenderedStroke:
-    """A synthesised stroke, kept to start from. samples: (count,) float64 m/s² at the model rate. rendered: samples
-    that were rendered for it; the others were there."""
+    """Synthesised stroke that a later rendering can start from.
+
+    samples: (count,) float64 [m/s²] at the model rate. rendered_count: samples that were rendered for it; the others
+    were reused.
+    """
 
     field: Field
     stroke: StrokeInput
@@ -226,12 +246,12 @@ def render_incremental(
     earlier: RenderedStroke | None = None,
     superseded: Callable[[], bool] = lambda: False,
 ) -> RenderedStroke:
-    """Synthesise stroke, from earlier where that helps; the signal is that of synthesise(), byte for byte.
+    """Synthesise a stroke, reusing an earlier one where possible; the signal is that of synthesise, byte for byte.
 
-    superseded: asked between blocks. Raises Superseded when it says yes, and what synthesise() raises.
+    superseded: called between blocks; True raises Superseded. Also raises the errors of synthesise.
     """
     start = earlier if earlier is not None and is_same_path(earlier, field, stroke, seed) else None
-    # What is made from earlier has its carriers, and takes few of them anew.
+    # A stroke that reuses an earlier one needs few carriers that are not cached.
     with nullcontext() if start is not None else prefetch_noise(field.config, seed, resample_action(stroke)[0]):
         prepared = prepare_stroke(field, stroke, seed=seed, earlier=None if start is None else start.prepared)
     samples = np.empty(prepared.count) if start is None else start.samples.copy()
@@ -248,7 +268,7 @@ def render_incremental(
 
 
 def is_same_path(earlier: RenderedStroke, field: Field, stroke: StrokeInput, seed: int) -> bool:
-    """Do the two differ in force and contact alone?"""
+    """Return True if two strokes differ in force and contact alone."""
     mine, other = stroke, earlier.stroke
     if not is_same_field(earlier.field, field) or earlier.prepared.seed != seed or mine.mechanics != other.mechanics:
         return False
@@ -271,7 +291,7 @@ def is_same_path(earlier: RenderedStroke, field: Field, stroke: StrokeInput, see
 
 
 def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[int, int]]:
-    """(start, count) of the blocks in which a sample may differ; both of the same path."""
+    """Return (start, length) of the blocks in which a sample may differ; both strokes have the same path."""
     states = len(new.force)
     texture = _rows_differ(old.amplitude, new.amplitude)
     pressing = old.force != new.force
@@ -282,7 +302,7 @@ def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[
     blocks = []
     for start, count in split_blocks(new.count):
         near = find_states_read(states, start, count)
-        # The contact's memory: what was pressed TAIL samples ago, and the blend of its responses now.
+        # The contact's response reaches TAIL_SAMPLES back and LEAD_SAMPLES ahead, and its spline some states more.
         low = (start - TAIL_SAMPLES) // SAMPLES_PER_STATE - _SPLINE_STATES
         far = slice(max(low, 0), (start + count + LEAD_SAMPLES) // SAMPLES_PER_STATE + _SPLINE_STATES + 1)
         if audible[start : start + count].any() or (
@@ -298,7 +318,7 @@ def _rows_differ(old: Float, new: Float) -> NDArray[np.bool_]:
 
 
 GROUP_STATES = 4096
-"""Of the strokes that are asked about at once, where one alone does not have more: 10 MB on the way."""
+"""States of the strokes that are evaluated together, unless one alone has more: 10 MB of intermediate results."""
 
 
 def synthesise_many(
@@ -309,13 +329,13 @@ def synthesise_many(
     sample_rate: float = MODEL_RATE_HZ,
     tolerance: float | None = None,
 ) -> Iterator[Synthesis]:
-    """synthesise() of each stroke with its seed, in their order and to the last bit.
+    """Synthesise each stroke with its seed, in their order, equal to synthesise to the last bit.
 
-    Raises ValueError where there is not one seed a stroke, and what synthesise() raises.
+    Raises ValueError unless there is one seed per stroke, and the errors of synthesise.
     """
     if len(strokes) != len(seeds):
         raise ValueError(f"{len(strokes)} strokes with {len(seeds)} seeds")
-    if find_kernel(field) is None:  # numpy's bytes depend on what is asked for at once
+    if find_kernel(field) is None:  # In numpy the last bit depends on the states that are evaluated together.
         return (
             synthesise(field, stroke, seed=seed, sample_rate=sample_rate, tolerance=tolerance)
             for stroke, seed in zip(strokes, seeds, strict=True)
@@ -342,7 +362,7 @@ def _synthesise_in_batches(
 
 
 def _group_strokes(strokes: Sequence[StrokeInput]) -> Iterator[slice]:
-    """Neighbours, up to STATES_TOGETHER."""
+    """Yield slices of adjacent strokes with GROUP_STATES states at most."""
     begin = states = 0
     for at, stroke in enumerate(strokes):
         count = len(stroke.action.speed)

@@ -1,7 +1,7 @@
 """Temporal rendering: densities of a causal neighbourhood of N states become the weights of their emissions.
 
-Haptic Neural Fields (CVPR 2026): T_n = exp(−Σ_{j<n} σ_j Δt), w_n = T_n (1 − exp(−σ_n Δt)), â = Σ_n w_n α_n; the
-volume rendering of NeRF (Mildenhall et al. 2020, eq. 3) with time in place of depth.
+Haptic Neural Fields (CVPR 2026): T_n = exp(−Σ_{j<n} σ_j Δt), w_n = T_n (1 − exp(−σ_n Δt)), â = Σ_n w_n α_n; the volume
+rendering of NeRF (Mildenhall et al. 2020, eq. 3) with time in place of depth.
 """
 
 from __future__ import annotations
@@ -14,15 +14,31 @@ from numpy.typing import ArrayLike, NDArray
 Float = NDArray[np.float64]
 
 STEP_S = 1e-4
-"""Δt. Part of the model, not of the output: heads give σΔt, and no sample rate ever changes it."""
+"""Δt [s], part of the model and not of the output: heads give σΔt, and no sample rate ever changes it."""
 
 
 def render_weights(sigma_dt: ArrayLike) -> NDArray[Any]:
-    """w_n = exp(−Σ_{j<n} σ_jΔt) · (1 − exp(−σ_nΔt)).
+    """Compute the weights w_n = exp(−Σ_{j<n} σ_jΔt) · (1 − exp(−σ_nΔt)).
 
-    sigma_dt: (..., N) densities times step, each in [0, ∞]; the nearest state first. Returns the same shape and float
-    dtype; each weight is in [0, 1], their sum is 1 − exp(−Σ σΔt). float16 is accumulated in float32, float32 and
-    float64 in float64; integers become float64. Errors: docs/numerics.md. Raises ValueError where there is no axis.
+    Parameters
+    ----------
+    sigma_dt
+        (..., N) densities times step, each in [0, ∞]; the nearest state first.
+
+    Returns
+    -------
+    ndarray
+        Same shape and float dtype. Each weight is in [0, 1], their sum is 1 − exp(−Σ σΔt).
+
+    Raises
+    ------
+    ValueError
+        If there is no axis.
+
+    Notes
+    -----
+    float16 is accumulated in float32, float32 and float64 in float64; integers become float64. Errors:
+    docs/numerics.md.
     """
     density = np.asarray(sigma_dt)
     if density.ndim == 0:
@@ -33,9 +49,20 @@ def render_weights(sigma_dt: ArrayLike) -> NDArray[Any]:
 
 
 def render(sigma_dt: ArrayLike, emission: ArrayLike) -> NDArray[Any]:
-    """â = Σ_n w_n α_n. sigma_dt: (..., N); emission: (..., N) or (..., N, K), finite. Returns (...,) or (..., K).
+    """Compute â = Σ_n w_n α_n.
 
-    The result lies between the least and the greatest of 0 and α_n, up to the type's limits: finite where α is.
+    Parameters
+    ----------
+    sigma_dt
+        (..., N) as of render_weights.
+    emission
+        (..., N) or (..., N, K), finite.
+
+    Returns
+    -------
+    ndarray
+        (...,) or (..., K). The result lies between the least and the greatest of 0 and α_n, up to the type's limits:
+        finite where α is.
     """
     density, emission = np.asarray(sigma_dt), np.asarray(emission)
     dtype = np.result_type(density.dtype, emission.dtype, np.float16)
@@ -43,7 +70,7 @@ def render(sigma_dt: ArrayLike, emission: ArrayLike) -> NDArray[Any]:
     single = alpha.ndim == weights.ndim
     if single:
         alpha = alpha[..., None]
-    # Rounded weights may sum to a little over 1, and so the largest number there is to infinity.
+    # Rounded weights may sum to a little over 1, which would take the largest representable number to infinity.
     with np.errstate(over="ignore"):
         total = (weights[..., None, :] @ alpha)[..., 0, :]
     total = np.clip(total, alpha.min(axis=-2, initial=0.0), alpha.max(axis=-2, initial=0.0)).astype(dtype)
@@ -51,10 +78,10 @@ def render(sigma_dt: ArrayLike, emission: ArrayLike) -> NDArray[Any]:
 
 
 def prefix_sums(values: NDArray[Any]) -> NDArray[Any]:
-    """(..., N) → Σ_{j≤n}, in ⌈log2 N⌉ rounds of pairs (Hillis & Steele 1986, CACM 29).
+    """Compute Σ_{j≤n} of (..., N), in ⌈log2 N⌉ rounds of pairs (Hillis & Steele 1986, CACM 29).
 
-    A running sum rounds N times, always the same way where the terms are equal: at N = 4096 that cost 300 times more
-    of the transmittance's digits. Sums beyond the type are infinite.
+    A running sum rounds N times, always in the same direction if the terms are equal: at N = 4096 that cost 300 times
+    more of the transmittance's digits. Sums beyond the type are infinite.
     """
     step = 1
     with np.errstate(over="ignore"):
@@ -65,6 +92,7 @@ def prefix_sums(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _weights(density: NDArray[Any]) -> NDArray[Any]:
+    """Compute the weights in the type of `density`."""
     # Transmittance stays a sum of logarithms until the end: a running product would lose small densities to 1 − ε.
     before = np.zeros_like(density)
     before[..., 1:] = prefix_sums(density[..., :-1])
@@ -72,12 +100,15 @@ def _weights(density: NDArray[Any]) -> NDArray[Any]:
 
 
 def _wide(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """What a type is accumulated in. exp(−S) multiplies the error of S, so float32 would lose digits in float32."""
+    """Return the type in which another one is accumulated.
+
+    exp(−S) multiplies the error of S, so float32 would lose digits in float32.
+    """
     return np.dtype(np.float32) if dtype.itemsize == 2 else np.promote_types(dtype, np.float64)
 
 
 def render_weights_reference(sigma_dt: ArrayLike) -> Float:
-    """The published formula, term by term in float64: what render_weights is tested against. (..., N) → (..., N)."""
+    """Compute the published formula term by term in float64, (..., N) → (..., N); the reference of render_weights."""
     density = np.asarray(sigma_dt, dtype=np.float64)
     weights = np.zeros_like(density)
     for index in np.ndindex(density.shape[:-1]):

@@ -1,7 +1,7 @@
-"""Where training data lay: what a field may be asked about with confidence.
+"""Ranges of the training data, by which range_check judges whether a field may be trusted on a stroke.
 
 Recordings cover a region of speed and force, not a box (nobody presses hard and fast at once), so the convex hull of
-the pairs visited is kept beside the two ranges. Directions are kept as sectors of the circle.
+the visited pairs is stored beside the two ranges. Directions are stored as sectors of the circle.
 """
 
 from __future__ import annotations
@@ -21,19 +21,24 @@ Float = NDArray[np.float64]
 
 SECTORS = 16
 SECTOR_RAD = 2.0 * np.pi / SECTORS
-"""Sector k is centred on the direction k · 22.5°."""
+"""Width of a sector [rad]; sector k is centred on the direction k · 22.5°."""
 CELLS_PER_OCTAVE = 2.0
 OUTLIER_SHARE = 1e-4
-"""Cells of speed and force, and sectors, with less than this share of all states are outliers of a recording and do
-not count as trained. Of fewer than 10⁴ states (50 s) every one counts."""
+"""Smallest fraction of all states that makes a cell of speed and force, or a sector, count as trained.
+
+With fewer than 10⁴ states (50 s) every one counts.
+"""
 _BATCH_STATES = 2**14
 """States compared with all edges or sectors at a time: an hour has 720 000."""
 
 
 @dataclass(frozen=True)
 class PropertyRange:
-    """One mechanical property in training. span: (low, high) of the values given, None where none ever was. unknown:
-    whether it was left open, always or at times."""
+    """Range of one mechanical property in training.
+
+    span: (low, high) of the known values, None if none was ever known. unknown: True if it was unknown always or at
+    times.
+    """
 
     span: tuple[float, float] | None
     unknown: bool
@@ -41,12 +46,22 @@ class PropertyRange:
 
 @dataclass(frozen=True)
 class TrainingRanges:
-    """What a field has seen in training. None = not on record (older weights): nothing is said about it.
+    """Ranges that a field was trained on; None means not on record (older weights), and is not checked.
 
-    speed, force: (low, high), m/s and N, above the floors of the field's input. token_low, token_high: (TOKEN_DIM,).
-    hull: (k, 2) m/s and N, corners of the convex hull, in log speed and log force, of the pairs visited; anticlockwise.
-    sectors: SECTORS flags, True where that direction was trained; () where directions were never told apart.
-    mechanics: by field name of Mechanics. probes: names.
+    Attributes
+    ----------
+    speed, force
+        (low, high) [m/s] and [N], above the floors of the field's input.
+    token_low, token_high
+        (TOKEN_DIM,).
+    hull
+        (k, 2) [m/s, N] corners of the convex hull, in log speed and log force, of the visited pairs; anticlockwise.
+    sectors
+        SECTORS flags, True where that direction was trained; () if no directions were recorded.
+    mechanics
+        By field name of Mechanics.
+    probes
+        Names.
     """
 
     speed: tuple[float, float]
@@ -68,43 +83,68 @@ def compute_training_ranges(
     directed: Sequence[bool] | None = None,
     withheld: bool = False,
 ) -> TrainingRanges:
-    """Ranges of training data.
+    """Compute the ranges of training data.
 
-    actions: every stroke trained on; states out of contact, at rest or below the input's floors do not count.
-    tokens: (M, TOKEN_DIM) of every material. mechanics: as given with them. probes: None = those of the actions.
-    directed: for each action whether its direction was recorded (None: all were). withheld: whether known mechanics
-    were also dropped at random. Raises StrokeError where no state counts, or no token or mechanics are given.
+    Parameters
+    ----------
+    actions
+        All strokes; states out of contact, at rest or below the input's floors do not count.
+    tokens
+        (M, TOKEN_DIM) of all materials.
+    mechanics
+        Mechanics given with them.
+    probes
+        Names; None for those of the actions.
+    directed
+        For each action whether its direction was recorded; None if all were.
+    withheld
+        True if known mechanics were also withheld at random.
+
+    Returns
+    -------
+    TrainingRanges
+        Ranges, hull and sectors.
+
+    Raises
+    ------
+    StrokeError
+        If no state counts, or no token or mechanics are given.
     """
-    told = [True] * len(actions) if directed is None else list(directed)
-    if len(tokens) == 0 or len(mechanics) == 0 or len(told) != len(actions):
+    has_direction = [True] * len(actions) if directed is None else list(directed)
+    if len(tokens) == 0 or len(mechanics) == 0 or len(has_direction) != len(actions):
         raise _unusable_error("training needs tokens, mechanics, and for each action whether its direction is known.")
-    counted = [action.contact & (action.force >= FORCE_FLOOR_N) & (action.speed >= SPEED_FLOOR_M_S)
+    counted_states = [action.contact & (action.force >= FORCE_FLOOR_N) & (action.speed >= SPEED_FLOOR_M_S)
                for action in actions]  # fmt: skip
-    speed = np.concatenate([np.zeros(0), *(a.speed[rows] for a, rows in zip(actions, counted, strict=True))])
-    force = np.concatenate([np.zeros(0), *(a.force[rows] for a, rows in zip(actions, counted, strict=True))])
+    speed = np.concatenate([np.zeros(0), *(a.speed[rows] for a, rows in zip(actions, counted_states, strict=True))])
+    force = np.concatenate([np.zeros(0), *(a.force[rows] for a, rows in zip(actions, counted_states, strict=True))])
     if len(speed) == 0:
         raise _unusable_error("no training stroke ever moves in contact.")
     pairs = np.log2(np.stack([speed, force], axis=1))
     cell = np.unique(np.floor(CELLS_PER_OCTAVE * pairs), axis=0, return_inverse=True)[1].ravel()
-    kept = (np.bincount(cell) >= OUTLIER_SHARE * len(pairs))[cell]
-    directions = [a.direction[rows] for a, rows, known in zip(actions, counted, told, strict=True) if known]
+    is_counted = (np.bincount(cell) >= OUTLIER_SHARE * len(pairs))[cell]
+    directions = [
+        a.direction[rows] for a, rows, is_known in zip(actions, counted_states, has_direction, strict=True) if is_known
+    ]
     return TrainingRanges(
-        speed=(float(speed[kept].min()), float(speed[kept].max())),
-        force=(float(force[kept].min()), float(force[kept].max())),
+        speed=(float(speed[is_counted].min()), float(speed[is_counted].max())),
+        force=(float(force[is_counted].min()), float(force[is_counted].max())),
         token_low=np.min(tokens, axis=0),
         token_high=np.max(tokens, axis=0),
-        hull=np.exp2(compute_convex_hull(pairs[kept])),
+        hull=np.exp2(compute_convex_hull(pairs[is_counted])),
         sectors=_find_sectors(np.concatenate(directions)) if directions else (),
         mechanics={
-            name: _summarise_property([getattr(each, name) for each in mechanics], withheld) for name in MECHANICS_NAMES
+            name: _summarise_property([getattr(properties, name) for properties in mechanics], withheld)
+            for name in MECHANICS_NAMES
         },
         probes=tuple(sorted(set(probes if probes is not None else (action.probe for action in actions)))),
     )
 
 
 def compute_convex_hull(points: Float) -> Float:
-    """(n, 2) → (k, 2) corners anticlockwise without collinear ones (A. M. Andrew 1979, monotone chain); k = 1 or 2
-    where all points are one, or lie on a line."""
+    """Compute the convex hull (k, 2) of points (n, 2), anticlockwise without collinear corners.
+
+    Monotone chain (A. M. Andrew 1979). k is 1 or 2 if all points coincide or lie on a line.
+    """
     ordered = np.unique(points, axis=0)
     if len(ordered) < 3:
         return ordered
@@ -120,56 +160,62 @@ def compute_convex_hull(points: Float) -> Float:
 
 
 def find_nearest_in_hull(hull: Float, points: Float) -> Float:
-    """The point of a convex hull (k, 2) nearest to each of points (n, 2); itself where it lies inside."""
-    pieces = [
+    """Find the point of a convex hull (k, 2) nearest to each of points (n, 2); a point inside is its own nearest."""
+    batches = [
         _find_nearest_in_hull(hull, points[first : first + _BATCH_STATES])
         for first in range(0, len(points), _BATCH_STATES)
     ]
-    return np.concatenate(pieces) if pieces else np.zeros((0, 2))
+    return np.concatenate(batches) if batches else np.zeros((0, 2))
 
 
 def _find_nearest_in_hull(hull: Float, points: Float) -> Float:
+    """Find the nearest points for one batch of points."""
     start, edge = hull, np.roll(hull, -1, axis=0) - hull
     along = points[:, None, :] - start
-    place = (along * edge).sum(axis=2) / np.maximum((edge * edge).sum(axis=1), 1e-300)
-    foot = start + np.clip(place, 0.0, 1.0)[..., None] * edge
-    best = np.argmin(np.linalg.norm(points[:, None, :] - foot, axis=2), axis=1)
-    near = foot[np.arange(len(points)), best]
+    fraction = (along * edge).sum(axis=2) / np.maximum((edge * edge).sum(axis=1), 1e-300)
+    foot_points = start + np.clip(fraction, 0.0, 1.0)[..., None] * edge
+    best = np.argmin(np.linalg.norm(points[:, None, :] - foot_points, axis=2), axis=1)
+    nearest = foot_points[np.arange(len(points)), best]
     if len(hull) < 3:
-        return np.asarray(near)
+        return np.asarray(nearest)
     inside = (edge[:, 0] * along[..., 1] - edge[:, 1] * along[..., 0] >= 0.0).all(axis=1)
-    return np.where(inside[:, None], points, near)
+    return np.where(inside[:, None], points, nearest)
 
 
 def compute_angle_to_sectors(sectors: Sequence[bool], angle: Float) -> tuple[Float, NDArray[np.intp]]:
-    """How far (rad, 0 inside) each angle (n,) lies from the edge of the nearest trained sector, and which that is."""
+    """Compute the angle (n,) [rad] to the edge of the nearest trained sector, 0 inside, and that sector's index."""
     trained = np.flatnonzero(np.asarray(sectors))
-    pieces = [
+    batches = [
         _angle_to_nearest(trained, angle[first : first + _BATCH_STATES])
         for first in range(0, max(len(angle), 1), _BATCH_STATES)
     ]
-    return np.concatenate([apart for apart, _ in pieces]), np.concatenate([nearest for _, nearest in pieces])
+    return np.concatenate([distance for distance, _ in batches]), np.concatenate([nearest for _, nearest in batches])
 
 
 def _angle_to_nearest(trained: NDArray[np.intp], angle: Float) -> tuple[Float, NDArray[np.intp]]:
-    apart = np.abs((angle[:, None] - trained * SECTOR_RAD + np.pi) % (2.0 * np.pi) - np.pi)
-    return np.maximum(apart.min(axis=1) - SECTOR_RAD / 2.0, 0.0), trained[np.argmin(apart, axis=1)]
+    """Compute distance and index of the nearest sector for one batch of angles."""
+    distance = np.abs((angle[:, None] - trained * SECTOR_RAD + np.pi) % (2.0 * np.pi) - np.pi)
+    return np.maximum(distance.min(axis=1) - SECTOR_RAD / 2.0, 0.0), trained[np.argmin(distance, axis=1)]
 
 
 def _find_sectors(direction: Float) -> tuple[bool, ...]:
+    """Return for each sector whether directions (n, 2) cover it."""
     angle = np.arctan2(direction[:, 1], direction[:, 0])
     counts = np.bincount(np.rint(angle / SECTOR_RAD).astype(int) % SECTORS, minlength=SECTORS)
     return tuple(bool(count > 0 and count >= OUTLIER_SHARE * len(angle)) for count in counts)
 
 
 def _summarise_property(values: Sequence[float | None], withheld: bool) -> PropertyRange:
+    """Return the range of a property's values."""
     known = [float(value) for value in values if value is not None]
     return PropertyRange((min(known), max(known)) if known else None, withheld or len(known) < len(values))
 
 
 def _cross(a: Float, b: Float, c: Float) -> float:
+    """Return the cross product of a→b and a→c."""
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def _unusable_error(what: str) -> StrokeError:
+    """Return the error for unusable training data."""
     return StrokeError(what, where="training ranges", remedy="Give the data that the field was trained on.")

@@ -1,6 +1,7 @@
-"""Weights on disk: safetensors with JSON metadata, checked on the way in.
+"""Field weights on disk, as safetensors with JSON metadata that is validated on reading.
 
-A material that brings its own field: learned from recordings of it, kept and sent as one `.hnf` file.
+Covers the shipped weights, files of the user, and the field of a single material, which is stored inside its `.hnf`
+file.
 """
 
 from __future__ import annotations
@@ -30,13 +31,14 @@ if TYPE_CHECKING:
 
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
 HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")
-"""Trained without a class of every category (metadata held_out), for evaluation only."""
+"""Weights trained without a class of every category (metadata held_out), for evaluation only."""
 EVERY_ENCODER_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-encoders.safetensors")
-"""Trained on tokens of every make of E; a little worse than the default on those of the library's make."""
+"""Weights trained on tokens of every encoder; a little worse than the default on those of the library's."""
 FORMAT = "hnf-field-1"
 MAX_OCTAVES, MAX_LAYERS = 16, 100
+"""Largest accepted numbers of octaves and layers."""
 MIN_WAVENUMBER_PER_M, MAX_WAVENUMBER_PER_M = 1e-3, 1e9
-"""Of arc carriers [cycles/m]: waves of a kilometre and of a nanometre."""
+"""Accepted range of arc carriers [cycles/m]: waves of a kilometre to a nanometre."""
 _TOKEN_LOW, _TOKEN_HIGH = "ranges.token_low", "ranges.token_high"
 _KIND = WeightsKind(
     "weights", FORMAT, "these are not field weights", "Train it again with this version, or choose other weights."
@@ -44,14 +46,29 @@ _KIND = WeightsKind(
 
 
 def save_field(path: Path, field: Field) -> None:
-    """Write field_bytes atomically. Raises FileError."""
+    """Write a field atomically.
+
+    Parameters
+    ----------
+    path
+        Path of the weights.
+    field
+        The field; see serialise_field for what is written.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
     write_bytes(path, serialise_field(field))
 
 
 def serialise_field(field: Field) -> bytes:
-    """A file of parameters, ranges and metadata; of a field that was read, the bytes that it was read from.
-    field.metadata (training data, seed, metrics, licence, all text) is kept, with the encoders of the tokens it was
-    trained on (where it names none, the library's); format, architecture and ranges are added."""
+    """Serialise parameters, ranges and metadata of a field; the bytes of a field that was read are the file's own.
+
+    field.metadata (training data, seed, metrics, licence, all text) is preserved, with the encoders of the tokens it
+    was trained on (the library's if none is named). Format, architecture and ranges are added.
+    """
     tensors = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in field.parameters.items()}
     metadata = {
         "encoder": ENCODER_ID,
@@ -66,8 +83,7 @@ def serialise_field(field: Field) -> bytes:
 
 
 def read_encoders(metadata: Mapping[str, str]) -> tuple[str, ...]:
-    """Names of the encoders whose tokens a field was trained on, from its metadata["encoder"]: a JSON list of names,
-    or one plain name."""
+    """Return the encoders whose tokens a field was trained on, from metadata["encoder"]: a JSON list, or one name."""
     text = metadata.get("encoder", "")
     try:
         listed = json.loads(text)
@@ -77,38 +93,57 @@ def read_encoders(metadata: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def check_encoders(field: Field, names: Iterable[str], where: str = "") -> None:
-    """Raises WeightsError where a name is of no encoder whose tokens the field was trained on. A field that says
-    nothing of its encoders (made by hand, in memory) knows the library's."""
+    """Raise WeightsError if the field was not trained on tokens of one of the encoders.
+
+    A field without encoders in its metadata (made in memory) accepts the library's. where: source named in the message.
+    """
     known = read_encoders(field.metadata) or (ENCODER_ID,)
-    foreign = [name for name in names if name not in known]
-    if foreign:
+    unknown = [name for name in names if name not in known]
+    if unknown:
         raise WeightsError(
-            f"trained on tokens of encoder {' and '.join(map(repr, known))}, but tokens here come from {foreign[0]!r}.",
+            f"trained on tokens of encoder {' and '.join(map(repr, known))}, but tokens here come from {unknown[0]!r}.",
             where=where,
             remedy="Choose an encoder that the field knows, or weights trained on this one's tokens.",
         )
 
 
 def load_field(path: Path | str | None = None) -> Field:
-    """Read weights; without a path the shipped default (read once).
+    """Read field weights.
 
-    Raises FileError where there is no file, WeightsError where it is damaged, of another format or architecture, not
-    finite, or belongs to another encoder.
+    Parameters
+    ----------
+    path
+        Path of the weights; None for the shipped default, which is read once.
+
+    Returns
+    -------
+    Field
+        With its training ranges and metadata.
+
+    Raises
+    ------
+    FileError
+        If there is no file.
+    WeightsError
+        If it is damaged, of another format or architecture, not finite, or of another encoder.
     """
     return _load(DEFAULT_WEIGHTS) if path is None else _read_field(Path(path))
 
 
 def parse_field(data: bytes, where: str) -> Field:
-    """The field that field_bytes wrote; where names the source in messages. Raises WeightsError as load_field does."""
+    """Parse the bytes of serialise_field. where: source named in messages. Raises WeightsError as load_field."""
     return _build_field(parse_weights(data, _KIND, where))
 
 
 def load_field_for_encoders(encoders: Iterable[str]) -> Field:
-    """The shipped field for tokens of these makes of E: the default where it knows them all, else the one that was
-    trained on every make.
+    """Return the shipped field for tokens of these encoders.
 
-    Raises WeightsError where no shipped field knows one of them, or where that field is needed and missing, as in the
-    Blender extension.
+    The default field if it was trained on all of them, else the one that was trained on every encoder.
+
+    Raises
+    ------
+    WeightsError
+        If no shipped field was trained on one of them, or the field needed is missing, as in the Blender extension.
     """
     names = tuple(encoders)
     field = load_field()
@@ -126,9 +161,24 @@ def load_field_for_encoders(encoders: Iterable[str]) -> Field:
 
 
 def read_trained_material(field: Field, where: str) -> LibraryMaterial:
-    """The one material that weights were trained for, from their metadata["material"].
+    """Return the single material that weights were trained for, from metadata["material"].
 
-    Raises WeightsError where they were trained for many, or name none.
+    Parameters
+    ----------
+    field
+        The field.
+    where
+        Source named in messages.
+
+    Returns
+    -------
+    LibraryMaterial
+        With name, mechanics and token.
+
+    Raises
+    ------
+    WeightsError
+        If the weights were trained for many materials, or name none.
     """
     try:
         record = json.loads(field.metadata["material"])
@@ -150,6 +200,7 @@ def read_trained_material(field: Field, where: str) -> LibraryMaterial:
 
 @lru_cache(maxsize=1)
 def _load(path: Path) -> Field:
+    """Read weights, once per path."""
     return _read_field(path)
 
 
@@ -158,6 +209,7 @@ def _read_field(path: Path) -> Field:
 
 
 def _build_field(file: WeightsFile) -> Field:
+    """Validate a weights file and build its field."""
     if ENCODER_ID not in read_encoders(file.metadata):
         raise file.make_error(
             f"trained on tokens of encoder {file.metadata.get('encoder')!r}, but tokens here come from {ENCODER_ID!r}."
@@ -171,9 +223,10 @@ def _build_field(file: WeightsFile) -> Field:
 
 
 def _parse_config(record: Mapping[str, Any]) -> FieldConfig:
+    """Build the architecture of a metadata record. Raises TypeError or ValueError if it is not valid."""
     carriers = dict(record["carriers"])
     carriers["time_edges_hz"] = tuple(float(edge) for edge in carriers["time_edges_hz"])
-    # Before they are made of it: what is of another kind would fail there in words of Python's own.
+    # Types are checked first, because the constructors would fail with Python's own messages.
     _check_types(FieldConfig, record)
     _check_types(Carriers, carriers)
     config = FieldConfig(**{**record, "carriers": Carriers(**carriers)})
@@ -202,16 +255,18 @@ _NUMBERS: dict[str, type | tuple[type, ...]] = {"int": int, "float": (int, float
 
 
 def _check_types(made: type[FieldConfig | Carriers], record: Mapping[str, Any]) -> None:
-    """Raises TypeError where a number of the record is of another kind than what is made of it has there."""
-    kinds = {each.name: str(each.type) for each in dataclasses.fields(made)}
+    """Raise TypeError if a number of the record has another type than the field of the dataclass."""
+    type_names = {item.name: str(item.type) for item in dataclasses.fields(made)}
     for name, value in record.items():
-        kind = kinds.get(name, "")
-        if kind in _NUMBERS and (not isinstance(value, _NUMBERS[kind]) or isinstance(value, bool) != (kind == "bool")):
-            raise TypeError(f"{name} is {value!r:.40}, not of kind {kind}")
+        type_name = type_names.get(name, "")
+        if type_name in _NUMBERS and (
+            not isinstance(value, _NUMBERS[type_name]) or isinstance(value, bool) != (type_name == "bool")
+        ):
+            raise TypeError(f"{name} is {value!r:.40}, not of kind {type_name}")
 
 
 def _check_carriers(carriers: Carriers) -> None:
-    """Raises ValueError where no noise can be drawn for them."""
+    """Raise ValueError if no noise can be drawn for the carriers."""
     edges = carriers.time_edges()
     if not ((edges > 0.0) & (edges <= MODEL_RATE_HZ)).all():
         raise ValueError(f"time_edges_hz leave 0 to {MODEL_RATE_HZ:g} Hz")
@@ -226,21 +281,26 @@ def _check_carriers(carriers: Carriers) -> None:
 
 
 def _serialise_ranges(ranges: TrainingRanges) -> dict[str, Any]:
+    """Return the ranges as JSON values, without the token's."""
     record: dict[str, Any] = {"speed_m_s": ranges.speed, "force_n": ranges.force}
     if ranges.hull is not None:
         record["hull_m_s_n"] = ranges.hull.tolist()
     if ranges.sectors is not None:
         record["sectors"] = ranges.sectors
     if ranges.mechanics is not None:
-        record["mechanics"] = {name: dataclasses.asdict(given) for name, given in ranges.mechanics.items()}
+        record["mechanics"] = {
+            name: dataclasses.asdict(property_range) for name, property_range in ranges.mechanics.items()
+        }
     if ranges.probes is not None:
         record["probes"] = ranges.probes
     return record
 
 
 def _parse_ranges(metadata: Mapping[str, str], tensors: Mapping[str, NDArray[np.float32]]) -> TrainingRanges | None:
-    """What weights say of their training; keys that older files lack stay None. Raises KeyError, TypeError or
-    ValueError."""
+    """Return the training ranges of a file; entries that older files lack are None.
+
+    Raises KeyError, TypeError or ValueError.
+    """
     if "ranges" not in metadata:
         return None
     record = json.loads(metadata["ranges"])
@@ -266,6 +326,7 @@ def _parse_ranges(metadata: Mapping[str, str], tensors: Mapping[str, NDArray[np.
 
 
 def _parse_hull(record: Any) -> NDArray[np.float64]:
+    """Return the hull (k, 2) of speeds and forces. Raises ValueError if it is not valid."""
     hull = np.asarray(record, dtype=np.float64)
     if hull.ndim != 2 or hull.shape[0] < 1 or hull.shape[1] != 2 or not (np.isfinite(hull) & (hull > 0.0)).all():
         raise ValueError("the region of speeds and forces is not a polygon of positive numbers")
@@ -273,12 +334,14 @@ def _parse_hull(record: Any) -> NDArray[np.float64]:
 
 
 def _parse_property_range(record: Mapping[str, Any]) -> PropertyRange:
+    """Return the range of a mechanical property."""
     return PropertyRange(
         None if record["span"] is None else _parse_span(record["span"], zero=True), bool(record["unknown"])
     )
 
 
 def _parse_span(record: Any, *, zero: bool = False) -> tuple[float, float]:
+    """Return (low, high). Raises ValueError unless 0 < low ≤ high, or 0 ≤ low if `zero` is set."""
     low, high = (float(value) for value in record)
     if not 0.0 <= low <= high < float("inf") or (low == 0.0 and not zero):
         raise ValueError(f"{low:g} to {high:g} is not a range")
@@ -286,21 +349,38 @@ def _parse_span(record: Any, *, zero: bool = False) -> tuple[float, float]:
 
 
 CACHED_FIELDS = 16
-"""Fields that are read once: of the learned materials of a scene."""
+"""Parsed fields in the cache: those of the learned materials of a scene."""
 
 
 def build_learned_material(weights: bytes, where: str) -> MaterialFile:
-    """The material that weights (field.weights.field_bytes) were trained for, with the weights in it. Its token is
-    known where training knew one; else the library says what it is like wherever the field is not asked.
+    """Build the material that weights were trained for, with the weights in it.
 
-    where: names the source in messages. Raises WeightsError where the weights are damaged or of no one material.
+    Its token is marked as known if training knew one; otherwise library defaults describe it wherever the field is not
+    used.
+
+    Parameters
+    ----------
+    weights
+        Bytes of serialise_field.
+    where
+        Source named in messages.
+
+    Returns
+    -------
+    MaterialFile
+        Content of a `.hnf` file.
+
+    Raises
+    ------
+    WeightsError
+        If the weights are damaged or of more than one material.
     """
     from ..material.hnf_file import MAX_NAME_BYTES, MaterialFile
 
     field = parse_field(weights, where)
     trained = read_trained_material(field, where)
     token = Token(trained.token, np.full(trained.token.shape, bool(trained.token.any())))
-    name = "".join(each if each.isprintable() else " " for each in trained.name).strip() or "learned"
+    name = "".join(character if character.isprintable() else " " for character in trained.name).strip() or "learned"
     while len(name.encode()) > MAX_NAME_BYTES:
         name = name[:-1]
     licence = field.metadata.get("licence", "")
@@ -308,13 +388,16 @@ def build_learned_material(weights: bytes, where: str) -> MaterialFile:
 
 
 def load_material_field(material: MaterialFile) -> Field | None:
-    """The field that material brings, read once; None where it brings none. Raises WeightsError where it is damaged or
-    of no one material."""
+    """Return the field that a material contains, parsed once; None if it contains none.
+
+    Raises WeightsError if it is damaged or of more than one material.
+    """
     return _parse_material_field(material.field, material.name) if material.field else None
 
 
 @lru_cache(maxsize=CACHED_FIELDS)
 def _parse_material_field(weights: bytes, name: str) -> Field:
+    """Parse and check the field of a material, once per content."""
     where = f"material '{name}'"
     field = parse_field(weights, where)
     read_trained_material(field, where)

@@ -1,17 +1,11 @@
-"""AlexNet's convolutional trunk in numpy, with the names and shapes of torchvision.models.alexnet.
+"""Encoder E as a network in numpy: AlexNet's convolutional trunk and a small head, from tactile map to token.
 
-Krizhevsky, "One weird trick for parallelizing convolutional neural networks" (2014): the one-column network that
-torchvision ships. Its last max-pooling (features.12) is left out: positions are averaged instead.
-
-E as a network: 64-pixel views of a sensor image → the view's four token bands, in numpy.
-
-The view is divided by what the sensor shows of a flat surface, less its plane, and divided by its own contrast, which
-goes to the head as a logarithm. Lengths are counted in pixels, so that all pitches are one problem; a level in metres
-is the head's output plus log10 of the pitch and of the contrast.
-
-The encoder's weights on disk: safetensors in half precision with JSON metadata, checked on the way in.
-
-Tactile map → token by the network: cut into views, each described, merged band by band.
+A map is cut into 64-pixel views; each is divided by the sensor's background, less its plane, and by its own contrast,
+which goes to the head as a logarithm. Lengths are in pixels, so that all pitches are one problem; a level in metres is
+the head's output plus log10 of pitch and contrast. The tokens of the views are merged band by band. The trunk has the
+names and shapes of torchvision.models.alexnet (Krizhevsky 2014, One weird trick for parallelizing convolutional neural
+networks), with its last max-pooling (features.12) replaced by an average over positions. Weights are safetensors in
+half precision with JSON metadata.
 """
 
 from __future__ import annotations
@@ -54,7 +48,7 @@ Single = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Convolution:
-    """name: in torchvision's state dict. pool: whether ReLU is followed by 3 × 3 max-pooling of stride 2."""
+    """A convolution, its name in torchvision's state dict, and whether ReLU is followed by max-pooling."""
 
     name: str
     inputs: int
@@ -72,12 +66,14 @@ BACKBONE_LAYERS = (
     Convolution("features.8", 384, 256, 3, 1, 1, False),
     Convolution("features.10", 256, 256, 3, 1, 1, False),
 )
+"""Convolutions of AlexNet's trunk, in order."""
 BACKBONE_FEATURES = BACKBONE_LAYERS[-1].outputs
 POOL_SIZE, POOL_STRIDE = 3, 2
+"""Side and stride of max-pooling [pixels]."""
 
 
 def get_backbone_shapes() -> dict[str, tuple[int, ...]]:
-    """Shape of every tensor of the trunk, by torchvision's name."""
+    """Return the shape of every tensor of the trunk, by torchvision's name."""
     shapes: dict[str, tuple[int, ...]] = {}
     for layer in BACKBONE_LAYERS:
         shapes[f"{layer.name}.weight"] = (layer.outputs, layer.inputs, layer.kernel, layer.kernel)
@@ -86,7 +82,7 @@ def get_backbone_shapes() -> dict[str, tuple[int, ...]]:
 
 
 def compute_backbone_features(images: Single, weights: Mapping[str, Single]) -> Single:
-    """(n, FEATURES): the last convolution's rectified outputs for (n, H, W, 3) pictures, averaged over positions."""
+    """Return the last convolution's rectified outputs for images (n, H, W, 3), averaged over positions: (n, 256)."""
     x = images
     for layer in BACKBONE_LAYERS:
         x = convolve(x, weights[f"{layer.name}.weight"], weights[f"{layer.name}.bias"], layer.stride, layer.padding)
@@ -97,9 +93,25 @@ def compute_backbone_features(images: Single, weights: Mapping[str, Single]) -> 
 
 
 def convolve(x: Single, weight: Single, bias: Single, stride: int, padding: int) -> Single:
-    """(n, H, W, inputs) → (n, H', W', outputs), as torch.nn.functional.conv2d with weight (outputs, inputs, k, k).
+    """Convolve (n, H, W, inputs) to (n, H', W', outputs), as torch.nn.functional.conv2d.
 
     Windows become rows of one matrix, and the convolution one product (im2col; Chellapilla et al. 2006).
+
+    Parameters
+    ----------
+    x : ndarray of float32, shape (n, H, W, inputs)
+        Images, channels last.
+    weight : ndarray of float32, shape (outputs, inputs, k, k)
+        Kernel, in torch's order.
+    bias : ndarray of float32, shape (outputs,)
+        Bias.
+    stride, padding : int
+        Stride and zero padding along both axes [pixels].
+
+    Returns
+    -------
+    ndarray of float32, shape (n, H', W', outputs)
+        The result.
     """
     outputs, inputs, kernel, _ = weight.shape
     padded = np.pad(x, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
@@ -107,7 +119,7 @@ def convolve(x: Single, weight: Single, bias: Single, stride: int, padding: int)
         :, ::stride, ::stride
     ]
     count, rows, columns = windows.shape[:3]
-    # (n, H', W', inputs, k, k): the order of the weight's own axes, so that it is not copied.
+    # The axes (n, H', W', inputs, k, k) are in the weight's order, so that the weight need not be copied.
     matrix = windows.reshape(count * rows * columns, inputs * kernel * kernel)
     product = matrix @ weight.reshape(outputs, -1).T
     product += bias
@@ -115,35 +127,48 @@ def convolve(x: Single, weight: Single, bias: Single, stride: int, padding: int)
 
 
 def max_pool(x: Single) -> Single:
-    """(n, H, W, C) → 3 × 3 maxima, two pixels apart, as torch.nn.functional.max_pool2d(x, 3, 2)."""
+    """Return 3 × 3 maxima at stride 2 of (n, H, W, C), as torch.nn.functional.max_pool2d(x, 3, 2)."""
     rows, columns = ((side - POOL_SIZE) // POOL_STRIDE + 1 for side in x.shape[1:3])
     shifted = [
         x[:, i : i + POOL_STRIDE * rows : POOL_STRIDE, j : j + POOL_STRIDE * columns : POOL_STRIDE]
         for i in range(POOL_SIZE)
         for j in range(POOL_SIZE)
     ]
-    out = shifted[0].copy()
-    for part in shifted[1:]:
-        np.maximum(out, part, out=out)
-    return np.asarray(out)
+    maxima = shifted[0].copy()
+    for window in shifted[1:]:
+        np.maximum(maxima, window, out=maxima)
+    return np.asarray(maxima)
 
 
 Float = NDArray[np.float64]
 
 VIEW_BANDS = 4
+"""Number of bands that a view describes."""
 OUTPUT_COUNT = VIEW_BANDS * len(BAND_FEATURES) + len(SHAPE_FEATURES)
+"""Number of outputs of the head."""
 CONDITION_COUNT = 2 + 6
+"""Number of conditions that the head reads beside the features."""
 CONTRAST_FLOOR = 1e-5
-"""A view of less contrast than this is flat: nothing but rounding is left to divide by."""
+"""Contrast below which a view counts as flat: only rounding noise is left to divide by."""
 LEVEL_INDICES = tuple(band * len(BAND_FEATURES) for band in range(VIEW_BANDS))
+"""Indices of the bands' levels among the outputs."""
 INPUT_MEAN, INPUT_DEVIATION = 0.5, 0.225
-"""A view as a picture between 0 and 1: the grey of no slope, and its contrast (that of ImageNet's pictures)."""
+"""Grey of zero slope and contrast of a view scaled to an image between 0 and 1 (that of ImageNet's images)."""
 
 
 @dataclass(frozen=True)
 class AlexNetConfig:
-    """pixels: side to which a view is enlarged for the trunk. hidden: units of the head's layer. mean, deviation:
-    (3,) of the pictures that the trunk was trained on; each is taken off, and divided by, as it was there."""
+    """Architecture of the network.
+
+    Attributes
+    ----------
+    pixels : int
+        Side to which a view is enlarged for the trunk [pixels].
+    hidden : int
+        Units of the head's layer.
+    mean, deviation : tuple of 3 floats
+        Mean and standard deviation per channel of the images that the trunk was trained on.
+    """
 
     pixels: int = VIEW_PIXELS
     hidden: int = 256
@@ -151,7 +176,7 @@ class AlexNetConfig:
     deviation: tuple[float, float, float] = (INPUT_DEVIATION,) * 3
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of every tensor, by name."""
+        """Return the shape of every tensor, by name."""
         return {
             **get_backbone_shapes(),
             "head.0.weight": (self.hidden, BACKBONE_FEATURES + CONDITION_COUNT),
@@ -164,12 +189,25 @@ class AlexNetConfig:
 
 
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""What torchvision's trunks were trained with (torchvision.transforms._presets.ImageClassification)."""
+"""Mean and standard deviation per channel that torchvision's trunks were trained with
+(torchvision.transforms._presets.ImageClassification)."""
 
 
 @dataclass(frozen=True)
 class AlexNet:
-    """tensors: float32, as Design.shapes says. metadata: as in the file. content_id: hash of the file, "" if none."""
+    """A network with its weights.
+
+    Attributes
+    ----------
+    config : AlexNetConfig
+        Architecture.
+    tensors : mapping of str to ndarray of float32
+        Weights, with the shapes of `AlexNetConfig.shapes`.
+    metadata : mapping of str to str
+        Metadata of the file.
+    content_id : str
+        Hash of the file, "" if there is none.
+    """
 
     config: AlexNetConfig
     tensors: Mapping[str, Single] = field(repr=False)
@@ -178,9 +216,10 @@ class AlexNet:
 
 
 def normalise_view(image: NDArray[np.float32], sensor: Sensor) -> tuple[Single, float]:
-    """(64, 64, 3) of contrast 1, and the contrast itself, from a view (64, 64, 3) of a sensor image.
+    """Return a view's image (64, 64, 3) scaled to contrast 1, and its contrast.
 
-    image / background − 1, less its least-squares plane in each channel: slopes, in the sensor's own colours.
+    The image divided by the background, less 1 and less its least-squares plane in each channel: slopes, in the
+    sensor's colours.
     """
     relative = np.asarray(image, dtype=np.float64) / sensor.background - 1.0
     basis = plane_basis(*relative.shape[:2])
@@ -190,7 +229,7 @@ def normalise_view(image: NDArray[np.float32], sensor: Sensor) -> tuple[Single, 
 
 
 def plane_basis(rows: int, columns: int) -> Float:
-    """(rows, columns, 3): the constant and the two ramps, each of length 1 and orthogonal to the others."""
+    """Return the constant and the two ramps (rows, columns, 3), orthonormal."""
     down = np.linspace(-1.0, 1.0, rows)[:, None] * np.ones((1, columns))
     across = np.ones((rows, 1)) * np.linspace(-1.0, 1.0, columns)[None, :]
     basis = np.stack([np.ones_like(down), down, across], axis=-1)
@@ -198,7 +237,10 @@ def plane_basis(rows: int, columns: int) -> Float:
 
 
 def build_view_conditions(contrast: float, sensor: Sensor, pitch_m: float) -> Single:
-    """(CONDITIONS,) of order 1: log10 contrast, the gel's blur in pixels, the gain of each channel by each slope."""
+    """Return the conditions (CONDITION_COUNT,) of a view, each of order 1.
+
+    They are log10 of the contrast, the gel's blur in pixels, and the gain of each channel for each slope.
+    """
     gains = -sensor.shading[:, :2] / sensor.background[:, None]
     return np.concatenate(
         [[np.log10(max(contrast, CONTRAST_FLOOR)) + 1.5, 4.0 * sensor.gel_sigma_m / pitch_m - 0.5], gains.ravel()]
@@ -206,12 +248,15 @@ def build_view_conditions(contrast: float, sensor: Sensor, pitch_m: float) -> Si
 
 
 def cubic_resize_matrix(size: int, wanted: int) -> Single:
-    """(wanted, size): cubic convolution (Keys 1981, a = −1/2) from `size` to `wanted` pixels, edges held."""
-    place = np.clip((np.arange(wanted) + 0.5) * size / wanted - 0.5, 0.0, size - 1.0)
-    base = np.floor(place).astype(np.intp)
+    """Return the matrix (wanted, size) of cubic convolution from `size` to `wanted` pixels, edges repeated.
+
+    Kernel of Keys 1981 with a = −1/2.
+    """
+    position = np.clip((np.arange(wanted) + 0.5) * size / wanted - 0.5, 0.0, size - 1.0)
+    base = np.floor(position).astype(np.intp)
     weights = np.zeros((wanted, size))
     for step in (-1, 0, 1, 2):
-        distance = np.abs(place - (base + step))
+        distance = np.abs(position - (base + step))
         near = (1.5 * distance - 2.5) * distance**2 + 1.0
         far = ((-0.5 * distance + 2.5) * distance - 4.0) * distance + 2.0
         kernel = np.where(distance <= 1.0, near, np.where(distance < 2.0, far, 0.0))
@@ -220,29 +265,41 @@ def cubic_resize_matrix(size: int, wanted: int) -> Single:
 
 
 def forward(network: AlexNet, views: Single, conditions: Single) -> Single:
-    """(n, OUTPUTS) from views (n, 64, 64, 3) as view_input makes them and conditions (n, CONDITIONS).
+    """Compute the network's outputs of views.
 
-    Outputs: of every band, widest first, the features of a token with the level in units of pitch × contrast
-    (log10), then skewness and log kurtosis.
+    Parameters
+    ----------
+    network : AlexNet
+        The network.
+    views : ndarray of float32, shape (n, 64, 64, 3)
+        Views from `normalise_view`.
+    conditions : ndarray of float32, shape (n, CONDITION_COUNT)
+        Conditions from `build_view_conditions`.
+
+    Returns
+    -------
+    ndarray of float32, shape (n, OUTPUT_COUNT)
+        The features of every band, widest first, with the level as log10 in units of pitch × contrast; then skewness
+        and log kurtosis.
     """
-    design, tensors = network.config, network.tensors
-    picture = INPUT_MEAN + INPUT_DEVIATION * views
-    picture = (picture - np.asarray(design.mean, dtype=np.float32)) / np.asarray(design.deviation, dtype=np.float32)
-    if design.pixels != VIEW_PIXELS:
-        matrix = cubic_resize_matrix(VIEW_PIXELS, design.pixels)
-        picture = np.einsum("ih,nhwc->niwc", matrix, picture, optimize=True)
-        picture = np.einsum("jw,niwc->nijc", matrix, picture, optimize=True)
-    pooled = compute_backbone_features(picture.astype(np.float32), tensors)
+    config, tensors = network.config, network.tensors
+    image = INPUT_MEAN + INPUT_DEVIATION * views
+    image = (image - np.asarray(config.mean, dtype=np.float32)) / np.asarray(config.deviation, dtype=np.float32)
+    if config.pixels != VIEW_PIXELS:
+        matrix = cubic_resize_matrix(VIEW_PIXELS, config.pixels)
+        image = np.einsum("ih,nhwc->niwc", matrix, image, optimize=True)
+        image = np.einsum("jw,niwc->nijc", matrix, image, optimize=True)
+    pooled = compute_backbone_features(image.astype(np.float32), tensors)
     hidden = np.concatenate([pooled, conditions], axis=1) @ tensors["head.0.weight"].T + tensors["head.0.bias"]
-    out = np.maximum(hidden, 0.0) @ tensors["head.2.weight"].T + tensors["head.2.bias"]
-    return np.asarray(out * tensors["output.spread"] + tensors["output.mean"])
+    outputs = np.maximum(hidden, 0.0) @ tensors["head.2.weight"].T + tensors["head.2.bias"]
+    return np.asarray(outputs * tensors["output.spread"] + tensors["output.mean"])
 
 
 def decode_outputs(outputs: Single, contrast: float, pitch_m: float) -> tuple[Single, NDArray[np.bool_]]:
-    """(TOKEN_DIM,) values and which of them the view tells, from one view's outputs (OUTPUTS,).
+    """Return token values (TOKEN_DIM,) and a mask of the known ones, from one view's outputs (OUTPUT_COUNT,).
 
-    Features are held inside what they can be: shares within ±1 and 0 … 1, offsets within half an octave. A view
-    without contrast is perfectly smooth.
+    Features are clipped to their ranges: fractions to ±1 or 0 … 1, offsets to half an octave. A view without contrast
+    is perfectly smooth.
     """
     values, known = np.zeros(TOKEN_DIM, dtype=np.float32), np.zeros(TOKEN_DIM, dtype=bool)
     values[LEVELS] = SMOOTH_LEVEL
@@ -263,20 +320,20 @@ def decode_outputs(outputs: Single, contrast: float, pitch_m: float) -> tuple[Si
 
 
 def get_first_band(pitch_m: float) -> int:
-    """Index of the longest band that views of this pitch hold: 0 for the widest … 3 for the finest."""
+    """Return the index of the longest band in views of this pitch [m]: 0 for the widest … 3 for the finest."""
     return int(np.argmin(np.abs(np.log(np.asarray(PITCHES_M) / pitch_m))))
 
 
 def encode_targets(token: Single | Float, contrast: Float, pitch_index: NDArray[np.intp]) -> Float:
-    """Inverse of token_values for training: (n, OUTPUTS) from whole tokens (n, TOKEN_DIM), contrasts and pitches."""
+    """Return training targets (n, OUTPUT_COUNT) of complete tokens (n, TOKEN_DIM); inverse of `decode_outputs`."""
     width = len(BAND_FEATURES)
     bands = (pitch_index[:, None] * width + np.arange(VIEW_BANDS * width)[None, :]).astype(np.intp)
-    out = np.concatenate([np.take_along_axis(token, bands, axis=1), token[:, -len(SHAPE_FEATURES) :]], axis=1)
-    out = out.astype(np.float64)
-    out[:, LEVEL_INDICES] -= np.log10(np.asarray(PITCHES_M)[pitch_index] * np.maximum(contrast, CONTRAST_FLOOR))[
+    targets = np.concatenate([np.take_along_axis(token, bands, axis=1), token[:, -len(SHAPE_FEATURES) :]], axis=1)
+    targets = targets.astype(np.float64)
+    targets[:, LEVEL_INDICES] -= np.log10(np.asarray(PITCHES_M)[pitch_index] * np.maximum(contrast, CONTRAST_FLOOR))[
         :, None
     ]
-    return np.asarray(out)
+    return np.asarray(targets)
 
 
 DEFAULT_ENCODER = Path(__file__).parents[1] / "data" / "encoder.safetensors"
@@ -288,11 +345,15 @@ _ENCODER_KIND = WeightsKind(
     "Train it again with `hnf train encoder`, or choose another file.",
 )
 SUPPORTED_PIXELS = range(31, 513)
+"""Accepted sides of the trunk's input [pixels]."""
 
 
 def save_encoder(path: Path, network: AlexNet) -> None:
-    """Write in half precision, atomically; network.metadata (training data, seed, metrics, licence, all text) is
-    kept; format, encoder and architecture are added. Raises FileError."""
+    """Write a network in half precision, atomically; raise FileError if that fails.
+
+    Its metadata (training data, seed, metrics, licence, all text) is written along with format, encoder and
+    architecture.
+    """
     tensors = {name: np.ascontiguousarray(value, dtype=np.float16) for name, value in network.tensors.items()}
     metadata = {
         **network.metadata,
@@ -304,10 +365,26 @@ def save_encoder(path: Path, network: AlexNet) -> None:
 
 
 def load_encoder(path: Path | str | None = None) -> AlexNet:
-    """Read an encoder; without a path the project's own (read once), which the Blender extension leaves out.
+    """Load an encoder's weights.
 
-    Raises MaterialError where the project's own is left out, FileError where there is no file, WeightsError where it is
-    damaged, of another format, make or architecture, or not finite.
+    Parameters
+    ----------
+    path : Path or str, optional
+        The file; by default the project's own, which is read once and is missing in the Blender extension.
+
+    Returns
+    -------
+    AlexNet
+        The network.
+
+    Raises
+    ------
+    MaterialError
+        If the project's own weights are not installed.
+    FileError
+        If there is no such file.
+    WeightsError
+        If it is damaged, of another format, encoder or architecture, or not finite.
     """
     return _load_default(DEFAULT_ENCODER) if path is None else _read_encoder(Path(path))
 
@@ -324,35 +401,52 @@ def _load_default(path: Path) -> AlexNet:
 
 def _read_encoder(path: Path) -> AlexNet:
     file = read_weights(path, _ENCODER_KIND)
-    made = file.metadata.get("encoder")
-    if made != ALEXNET_ID:
-        raise file.make_error(f"{_ENCODER_KIND.wrong_format} ({made}, not {ALEXNET_ID}).")
-    design = file.parse_metadata(lambda metadata: _parse_config(json.loads(metadata["architecture"])))
-    return AlexNet(design, file.check_parameters(design.shapes()), file.metadata, file.content_id)
+    encoder = file.metadata.get("encoder")
+    if encoder != ALEXNET_ID:
+        raise file.make_error(f"{_ENCODER_KIND.wrong_format} ({encoder}, not {ALEXNET_ID}).")
+    config = file.parse_metadata(lambda metadata: _parse_config(json.loads(metadata["architecture"])))
+    return AlexNet(config, file.check_parameters(config.shapes()), file.metadata, file.content_id)
 
 
 def _parse_config(record: Mapping[str, Any]) -> AlexNetConfig:
     mean, deviation = (tuple(float(value) for value in record[name]) for name in ("mean", "deviation"))
-    design = AlexNetConfig(int(record["pixels"]), int(record["hidden"]), mean, deviation)  # type: ignore[arg-type]
+    config = AlexNetConfig(int(record["pixels"]), int(record["hidden"]), mean, deviation)  # type: ignore[arg-type]
     if len(mean) != 3 or len(deviation) != 3 or not all(0.0 < value < float("inf") for value in deviation):
         raise ValueError("three means and three positive deviations are needed")
-    if design.pixels not in SUPPORTED_PIXELS or not 1 <= design.hidden <= 4096:
-        raise ValueError(f"{design.pixels} pixels and {design.hidden} units are out of range")
-    return design
+    if config.pixels not in SUPPORTED_PIXELS or not 1 <= config.hidden <= 4096:
+        raise ValueError(f"{config.pixels} pixels and {config.hidden} units are out of range")
+    return config
 
 
 FINE_VIEWS = 16
-"""Finest views of a whole map, spread over it."""
+"""Number of finest views of a map, spread over it."""
 PITCH_TOLERANCE = 0.005
-"""Relative: a map of 64 pixels whose pitch is this near to one of the four is a view already."""
+"""Relative tolerance of the pitch of a 64-pixel map that is used as one view."""
 
 
 def describe_with_alexnet(network: AlexNet, tactile_map: TactileMap) -> Token:
-    """The token of a tactile map: of a 64-pixel map at one of the four pitches as it is, else of one widest view and
-    up to NEAR_VIEWS finest ones inside the mask, cut without aliasing.
+    """Describe a tactile map by the network.
 
-    Bands that the map does not resolve, or that no view holds, are unknown and hold the smooth floor, as with the
-    band descriptor. Raises UsageError where the image and mask do not fit.
+    A 64-pixel map at one of the four pitches is one view; another map is cut into one widest view and up to
+    `FINE_VIEWS` finest ones inside the mask. Bands that the map does not resolve, or that no view covers, are unknown
+    and hold the smooth floor, as with the band descriptor.
+
+    Parameters
+    ----------
+    network : AlexNet
+        The network.
+    tactile_map : TactileMap
+        The map.
+
+    Returns
+    -------
+    Token
+        The token.
+
+    Raises
+    ------
+    UsageError
+        If image and mask do not fit together.
     """
     image, mask = tactile_map.image, tactile_map.mask
     if image.ndim != 3 or image.shape[2] != 3 or mask.shape != image.shape[:2]:
@@ -363,10 +457,10 @@ def describe_with_alexnet(network: AlexNet, tactile_map: TactileMap) -> Token:
     sensor = get_sensor(tactile_map.sensor)
     inputs = [normalise_view(view.image, sensor) for view in views]
     pitches = [view.metres_per_pixel for view in views]
-    given = np.stack(
+    conditions = np.stack(
         [build_view_conditions(contrast, sensor, pitch) for (_, contrast), pitch in zip(inputs, pitches, strict=True)]
     )
-    outputs = forward(network, np.stack([view for view, _ in inputs]), given)
+    outputs = forward(network, np.stack([view for view, _ in inputs]), conditions)
     tokens = []
     for output, (_, contrast), pitch in zip(outputs, inputs, pitches, strict=True):
         values, known = decode_outputs(output, contrast, pitch)
@@ -377,45 +471,58 @@ def describe_with_alexnet(network: AlexNet, tactile_map: TactileMap) -> Token:
 def _mask_unresolved(
     values: NDArray[np.float32], known: NDArray[np.bool_], size_m: float, pitch_m: float, resolved_wavelength_m: float
 ) -> Token:
-    """The token without the bands that the source of the map does not resolve."""
+    """Return the token without the bands that the map's source does not resolve."""
     bands = find_resolved_bands(size_m, pitch_m, resolved_wavelength_m)
-    told = np.concatenate([np.repeat(bands, len(BAND_FEATURES)), np.full(len(SHAPE_FEATURES), bands.sum() > 2)])
-    kept = known & told
-    return Token(np.where(kept, values, get_smooth_token_values()), kept)
+    resolved_features = np.concatenate(
+        [np.repeat(bands, len(BAND_FEATURES)), np.full(len(SHAPE_FEATURES), bands.sum() > 2)]
+    )
+    known_features = known & resolved_features
+    return Token(np.where(known_features, values, get_smooth_token_values()), known_features)
 
 
 def cut_map_views(tactile_map: TactileMap, fine_count: int) -> tuple[TactileMap, ...]:
-    """64-pixel maps at the four pitches: the map itself where it is one, else one widest view and up to `near` finest
-    ones inside the mask. Empty where nothing is resolved or seen.
+    """Cut a map into 64-pixel maps at the four pitches; nothing if no pixel is resolved or in the mask.
 
-    A coarser view is what the sensor would show of the decimated slopes: averaging the picture instead would mix in
-    its curvature, which the network was not trained on.
+    A coarser view shows the decimated slopes: averaging the image instead would mix in its curvature, which the network
+    was not trained on.
+
+    Parameters
+    ----------
+    tactile_map : TactileMap
+        The map; it is returned unchanged if it is such a view.
+    fine_count : int
+        Largest number of finest views.
+
+    Returns
+    -------
+    tuple of TactileMap
+        One widest view and the finest ones inside the mask.
     """
     image, mask, pitch = tactile_map.image, tactile_map.mask, float(tactile_map.metres_per_pixel)
     if not mask.any() or not np.isfinite(tactile_map.resolved_wavelength_m):
         return ()
-    nearest = min(PITCHES_M, key=lambda each: abs(each / pitch - 1.0))
+    nearest = min(PITCHES_M, key=lambda candidate: abs(candidate / pitch - 1.0))
     if image.shape[:2] == (VIEW_PIXELS, VIEW_PIXELS) and abs(nearest / pitch - 1.0) < PITCH_TOLERANCE:
-        # There is nowhere else to look: what was not seen is as smooth as a filled map shows it.
+        # The map has no other view, so masked pixels count as they were filled.
         return (replace(tactile_map, metres_per_pixel=nearest),)
     sensor = get_sensor(tactile_map.sensor)
     gx, gy = (fill_masked(slope, mask) for slope in decode_gradients(image, sensor))
-    everywhere = np.ones((VIEW_PIXELS, VIEW_PIXELS), dtype=bool)
-    # The widest view always serves: what the map does not resolve is left out of the token afterwards.
+    full_mask = np.ones((VIEW_PIXELS, VIEW_PIXELS), dtype=bool)
+    # The widest view is always cut: bands that the map does not resolve are removed from the token afterwards.
     resolved = min(tactile_map.resolved_wavelength_m, 2.0 * PITCHES_M[0])
-    found = []
+    views = []
     for wanted, corners in find_view_corners(mask, pitch, resolved, fine_count):
         coarse_x, coarse_y = (antialias(slope, wanted / pitch) for slope in (gx, gy))
         for corner in corners:
-            along, up = (extract_view(slope, wanted / pitch, corner) for slope in (coarse_x, coarse_y))
-            found.append(
+            slope_x, slope_y = (extract_view(slope, wanted / pitch, corner) for slope in (coarse_x, coarse_y))
+            views.append(
                 replace(
                     tactile_map,
-                    image=shade(along, up, sensor),
+                    image=shade(slope_x, slope_y, sensor),
                     height=None,
-                    mask=everywhere,
+                    mask=full_mask,
                     metres_per_pixel=wanted,
                     resolved_wavelength_m=max(tactile_map.resolved_wavelength_m, 2.0 * wanted),
                 )
             )
-    return tuple(found)
+    return tuple(views)

@@ -1,8 +1,8 @@
-"""E: tactile map → material token, the first descriptor ("band-descriptor-1", layout in token.py).
+"""Encoder E as a band descriptor ("band-descriptor-1"): from tactile map to token, by spectra.
 
-It reads the sensor image itself: decoded to slopes, divided by the gel's transfer, so that any sensor of
-tactile.optics gives the same token. The height spectrum follows from the windowed slopes, P = |κ·G|² / κ⁴ (the
-curl-free part; Frankot & Chellappa 1988), band by band.
+The sensor image is decoded to slopes and divided by the gel's transfer function, so that any sensor of `tactile.optics`
+gives the same token. The height spectrum follows from the windowed slopes, P = |κ·G|² / κ⁴ (the curl-free part; Frankot
+& Chellappa 1988), band by band. `token.py` has the layout.
 """
 
 from __future__ import annotations
@@ -24,23 +24,41 @@ Complex = NDArray[np.complex128]
 
 BAND_COUNT = len(BAND_WAVELENGTHS_M)
 BAND_EDGE_RATIO = np.sqrt(2.0)
+"""Ratio of a band's edge to its centre."""
 MIN_PERIODS = 2.0
-"""A band is known where the patch holds at least this many of its centre's wavelengths."""
+"""Least number of periods of a band's centre wavelength in the patch."""
 MIN_SHAPE_BANDS = 3
-"""Skewness and kurtosis are known from this many known bands on: fewer octaves say little of pits and grains."""
+"""Least number of known bands from which skewness and kurtosis are known: fewer octaves do not show pits and grains."""
 FLOOR_M2 = (10.0**SMOOTH_LEVEL) ** 2
+"""Mean square height of a smooth band [m²]."""
 CLEAR_PEAK_SHARE = 0.3
-"""Share of its band from which on a peak's place is told in full."""
+"""Fraction of a band's power from which a peak's offset is reported in full."""
 FEATHER_M = 0.4e-3
-"""The window falls to zero over about this distance at the border of the unseen."""
+"""Distance over which the window falls to zero at the border of the mask [m]."""
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """What depends on the map's size only, for rfft2 bins of shape (H, W//2 + 1).
+    """Values that depend only on the map's size, for rfft2 bins (H, W//2 + 1).
 
-    square: f². fx, fy: cycles/m. weight: 2 for bins that stand for a mirror image too, else 1. lower, upper: band
-    indices (BANDS = none) and share of each bin in the lower one; theta harmonics per bin (4, n) on active bins.
+    `fx`, `fy` and `square` cover all bins, the others only the active ones.
+
+    Attributes
+    ----------
+    fx, fy, square : ndarray
+        Frequencies along both axes [cycles/m], and fx² + fy².
+    active : ndarray of int
+        Flat indices of the bins within the bands.
+    frequency : ndarray
+        Frequency [cycles/m].
+    mirror : ndarray
+        2 for bins that also stand for their mirror image, else 1.
+    lower, upper : ndarray of int
+        Bands that a bin belongs to, BAND_COUNT for none.
+    lower_share : ndarray
+        Fraction of a bin in the lower of them.
+    harmonics : ndarray, shape (4, n)
+        cos 2θ, sin 2θ, cos 4θ, sin 4θ.
     """
 
     fx: Float
@@ -65,9 +83,9 @@ def _grid(shape: tuple[int, int], metres_per_pixel: float) -> _Grid:
     flat = radius.ravel()
     active = np.flatnonzero((flat > edges[0] - bin_width) & (flat < edges[-1] + bin_width))
     frequency = flat[active]
-    # Bins near a band's edge are shared between both sides: hard edges on a square grid favour some directions.
-    shares = np.clip((frequency[None, :] - edges[:, None]) / bin_width + 0.5, 0.0, 1.0)
-    above = shares.sum(axis=0)
+    # Bins near a band's edge count partly on both sides, because hard edges on a square grid favour some directions.
+    fractions_above = np.clip((frequency[None, :] - edges[:, None]) / bin_width + 0.5, 0.0, 1.0)
+    above = fractions_above.sum(axis=0)
     band = np.minimum(np.floor(above).astype(np.intp), BAND_COUNT + 1)
     fraction = above - band
     lower, upper = np.where(band >= 1, np.minimum(band - 1, BAND_COUNT), BAND_COUNT), np.minimum(band, BAND_COUNT)
@@ -91,20 +109,23 @@ def _grid(shape: tuple[int, int], metres_per_pixel: float) -> _Grid:
 
 
 def band_edges_per_metre() -> Float:
-    """(BANDS + 1,) ascending band edges in cycles per metre."""
+    """Return the ascending band edges (BAND_COUNT + 1,) [cycles/m]."""
     centres = 1.0 / BAND_WAVELENGTHS_M
     return np.concatenate([centres / BAND_EDGE_RATIO, centres[-1:] * BAND_EDGE_RATIO])
 
 
 def find_resolved_bands(size_m: float, metres_per_pixel: float, resolved_wavelength_m: float) -> NDArray[np.bool_]:
-    """(BANDS,) bool: bands resolved to their shortest wavelength, of which the patch holds PERIODS_NEEDED periods."""
+    """Return a mask (BAND_COUNT,) of the bands that a patch resolves.
+
+    A band must be resolved down to its shortest wavelength, with `MIN_PERIODS` periods of its centre in the patch.
+    """
     shortest = BAND_WAVELENGTHS_M / BAND_EDGE_RATIO * (1.0 + 1e-6)
     finest = max(resolved_wavelength_m, 2.0 * metres_per_pixel)
     return np.asarray((finest <= shortest) & (size_m * (1.0 + 1e-6) >= MIN_PERIODS * BAND_WAVELENGTHS_M))
 
 
 def get_smooth_token_values() -> NDArray[np.float32]:
-    """(TOKEN_DIM,) token of a perfectly smooth, featureless surface: every level at the floor, everything else 0."""
+    """Return the token (TOKEN_DIM,) of a perfectly smooth surface: every level at the floor, everything else 0."""
     values = np.zeros(TOKEN_DIM, dtype=np.float32)
     for band in range(BAND_COUNT):
         values[band_slice(band)][0] = SMOOTH_LEVEL
@@ -112,12 +133,30 @@ def get_smooth_token_values() -> NDArray[np.float32]:
 
 
 def describe(tactile_map: TactileMap) -> Token:
-    """The token of a tactile map.
+    """Describe a tactile map by its spectrum in bands.
 
-    Bands that the map does not resolve, or of which the patch holds too few periods, are marked unknown and hold the
-    smooth floor. Unseen pixels (mask) do not count. In noise, peak and offset name a chance maximum; where one
-    wave holds the band, offset gives its wavelength within 0.1 % (2 % in a band of which the patch holds fewer than
-    four periods). Raises UsageError where the image and mask do not fit, or a seen pixel is not a number.
+    Bands that the map does not resolve, or with too few periods in the patch, are marked unknown and hold the smooth
+    floor. Pixels outside the mask do not count.
+
+    Parameters
+    ----------
+    tactile_map : TactileMap
+        The map.
+
+    Returns
+    -------
+    Token
+        The token.
+
+    Raises
+    ------
+    UsageError
+        If image and mask do not fit together, or a pixel inside the mask is not finite.
+
+    Notes
+    -----
+    In noise, peak and offset describe a chance maximum. If one wave dominates a band, offset gives its wavelength
+    within 0.1 % (2 % in a band with fewer than four periods in the patch).
     """
     image, mask = tactile_map.image, tactile_map.mask
     if image.ndim != 3 or image.shape[2] != 3 or mask.shape != image.shape[:2]:
@@ -155,7 +194,7 @@ def describe(tactile_map: TactileMap) -> Token:
 
 
 def compute_window(mask: NDArray[np.bool_], metres_per_pixel: float) -> Float:
-    """(H, W) analysis window: Hann along both axes, falling smoothly to zero at the border of the unseen."""
+    """Return the analysis window (H, W): Hann along both axes, falling smoothly to zero at the border of the mask."""
     rows, columns = mask.shape
     window = np.asarray(np.outer(_hann(rows), _hann(columns)))
     if mask.all():
@@ -165,8 +204,8 @@ def compute_window(mask: NDArray[np.bool_], metres_per_pixel: float) -> Float:
     smooth = np.fft.irfft2(
         np.fft.rfft2(mask.astype(np.float64)) * gaussian_mtf(np.hypot(fx, fy), blur), s=(rows, columns)
     )
-    share = np.clip(2.0 * smooth - 1.0, 0.0, 1.0)
-    return np.asarray(window * share**2 * (3.0 - 2.0 * share))
+    coverage = np.clip(2.0 * smooth - 1.0, 0.0, 1.0)
+    return np.asarray(window * coverage**2 * (3.0 - 2.0 * coverage))
 
 
 def _hann(size: int) -> Float:
@@ -174,7 +213,7 @@ def _hann(size: int) -> Float:
 
 
 def _detrend(g: Float, window: Float) -> Float:
-    """g less its window-weighted fit of 1, x, y: the tilt and curvature of the object are shape, not texture."""
+    """Return g less its window-weighted fit of 1, x, y: tilt and curvature of the object are shape, not texture."""
     rows = np.linspace(-1.0, 1.0, g.shape[0])
     columns = np.linspace(-1.0, 1.0, g.shape[1])
     wr, wc = window.sum(axis=1), window.sum(axis=0)
@@ -187,18 +226,20 @@ def _detrend(g: Float, window: Float) -> Float:
         ]
     )
     weighted = window * g
-    across, down = weighted.sum(axis=0), weighted.sum(axis=1)
-    a, b, c = np.linalg.lstsq(gram, np.array([across.sum(), across @ columns, down @ rows]), rcond=1e-9)[0]
+    column_sums, row_sums = weighted.sum(axis=0), weighted.sum(axis=1)
+    a, b, c = np.linalg.lstsq(gram, np.array([column_sums.sum(), column_sums @ columns, row_sums @ rows]), rcond=1e-9)[
+        0
+    ]
     return np.asarray(g - (a + b * columns[None, :] + c * rows[:, None]))
 
 
 def _compute_spectra(gx: Float, gy: Float, window: Float, pitch: float, gel_sigma_m: float) -> tuple[Complex, Float]:
-    """rfft2 of window × height, from the slopes, and |rfft2| of window × slopes; the gel's transfer divided out."""
+    """Return rfft2 of window × height and |rfft2| of window × slopes, both corrected for the gel's transfer."""
     shape = (gx.shape[0], gx.shape[1])
     grid = _grid(shape, pitch)
     weighted_x = np.fft.rfft2(window * _detrend(gx, window))
     weighted_y = np.fft.rfft2(window * _detrend(gy, window))
-    # Below exp(-3) the transfer is left as it is: nothing there but rounding noise to raise.
+    # The transfer is limited to exp(-3): dividing by less would only amplify rounding noise.
     mtf = np.maximum(gaussian_mtf(np.sqrt(grid.square), gel_sigma_m), np.exp(-3.0))
     inverse = 1.0 / (2.0 * np.pi * np.maximum(grid.square, 1e-300) * mtf)
     inverse[0, 0] = 0.0
@@ -210,7 +251,7 @@ def _compute_spectra(gx: Float, gy: Float, window: Float, pitch: float, gel_sigm
 def _compute_band_features(
     spectrum: Complex, slope: Float, window: Float, shape: tuple[int, int], pitch: float
 ) -> Float:
-    """(BANDS, 7) in the order of BAND_FEATURES."""
+    """Return the features (BAND_COUNT, 7) in the order of BAND_FEATURES."""
     grid = _grid(shape, pitch)
     active = spectrum.ravel()[grid.active]
     density = active.real**2 + active.imag**2
@@ -228,15 +269,15 @@ def _compute_band_features(
         inside = np.flatnonzero(nearest == band)
         if inside.size == 0 or total[band] <= 0.0:
             continue
-        top = int(grid.active[inside[np.argmax(density[inside])]])
-        frequency, wave_slope = _refine_peak(slope, top, shape, pitch)
-        wave = per_wave * (wave_slope / (2.0 * np.pi * frequency)) ** 2
-        solid = total[band] / (total[band] + FLOOR_M2)
-        share = min(wave / total[band], 1.0) * solid
-        features[band, 5] = share
-        # The place of a peak that hardly stands out is chance: it fades, so that equal surfaces stay equal.
+        peak_bin = int(grid.active[inside[np.argmax(density[inside])]])
+        frequency, wave_slope = _refine_peak(slope, peak_bin, shape, pitch)
+        wave_power = per_wave * (wave_slope / (2.0 * np.pi * frequency)) ** 2
+        certainty = total[band] / (total[band] + FLOOR_M2)
+        fraction = min(wave_power / total[band], 1.0) * certainty
+        features[band, 5] = fraction
+        # The offset of a weak peak is chance, so it is scaled down: similar surfaces keep similar tokens.
         octaves = np.clip(np.log2(frequency * BAND_WAVELENGTHS_M[band]), -0.5, 0.5)
-        features[band, 6] = octaves * min(share / CLEAR_PEAK_SHARE, 1.0)
+        features[band, 6] = octaves * min(fraction / CLEAR_PEAK_SHARE, 1.0)
     return features
 
 
@@ -247,27 +288,29 @@ def _sum_per_band(power: Float, grid: _Grid) -> Float:
 
 
 def _refine_peak(slope: Float, index: int, shape: tuple[int, int], pitch: float) -> tuple[float, float]:
-    """Frequency (cycles/m) and |rfft2| of window × slope of the wave behind a local maximum.
+    """Return the frequency [cycles/m] and |rfft2| of window × slope of the wave behind a local maximum.
 
-    On the slopes, where one wave is exactly one Hann lobe (in the height, 1/f tilts it). Per axis the two-bin ratio
-    a gives the offset (2a − 1)/(a + 1) (Grandke 1983), and the lobe's own shape the loss at the bin.
+    Evaluated on the slopes, where one wave is exactly one Hann lobe (in the height, 1/f tilts it). Per axis the two-bin
+    ratio a gives the offset (2a − 1)/(a + 1) (Grandke 1983), and the shape of the lobe gives the loss at the bin.
     """
     rows, columns = shape
-    last = slope.shape[1] - 1
+    last_column = slope.shape[1] - 1
     row, column = divmod(index, slope.shape[1])
-    here = float(slope[row, column])
-    row_shift, row_loss = _estimate_hann_offset(slope[(row - 1) % rows, column], here, slope[(row + 1) % rows, column])
-    # rfft2 stores half the plane: the neighbour across its border is the mirror image of a stored one.
+    centre = float(slope[row, column])
+    row_shift, row_loss = _estimate_hann_offset(
+        slope[(row - 1) % rows, column], centre, slope[(row + 1) % rows, column]
+    )
+    # rfft2 stores half the plane, so the neighbour across its border is the mirror image of a stored bin.
     left = slope[row, column - 1] if column > 0 else slope[-row % rows, 1]
-    right = slope[row, column + 1] if column < last else slope[-row % rows, (columns - column - 1) % columns]
-    column_shift, column_loss = _estimate_hann_offset(left, here, right)
+    right = slope[row, column + 1] if column < last_column else slope[-row % rows, (columns - column - 1) % columns]
+    column_shift, column_loss = _estimate_hann_offset(left, centre, right)
     signed_row = row - rows if row > rows // 2 else row
     frequency = np.hypot((column + column_shift) / columns, (signed_row + row_shift) / rows) / pitch
-    return float(frequency), here / (row_loss * column_loss)
+    return float(frequency), centre / (row_loss * column_loss)
 
 
 def _estimate_hann_offset(before: float, here: float, after: float) -> tuple[float, float]:
-    """Offset in bins (−1 … 1) of a wave from a bin of its lobe, and that bin's share of the wave's height."""
+    """Return a wave's offset from a bin of its lobe [bins, −1 … 1], and that bin's fraction of the wave's height."""
     neighbour, sign = (after, 1.0) if after >= before else (before, -1.0)
     ratio = neighbour / max(here, 1e-300)
     shift = float(np.clip((2.0 * ratio - 1.0) / (ratio + 1.0), 0.0, 0.99))
@@ -277,17 +320,17 @@ def _estimate_hann_offset(before: float, here: float, after: float) -> tuple[flo
 def _compute_shape_features(
     spectrum: Complex, window: Float, shape: tuple[int, int], pitch: float, lowest: float, highest: float
 ) -> NDArray[np.float32]:
-    """Skewness and log10(kurtosis / 3) of the height between two frequencies, window-weighted."""
+    """Return skewness and log10(kurtosis / 3) of the height between two frequencies, window-weighted."""
     square = _grid(shape, pitch).square
     height = np.fft.irfft2(np.where((square >= lowest**2) & (square <= highest**2), spectrum, 0.0), s=shape)
-    # height is window × h, so each moment is divided by the same power of the window.
+    # The height includes the window, so each moment is divided by the same power of the window.
     squared = height**2
     second = squared.sum() / np.sum(window**2)
     if second <= 0.0:
         return np.zeros(2, dtype=np.float32)
     third = np.vdot(squared, height) / np.sum(window**3)
     fourth = np.vdot(squared, squared) / np.sum(window**4)
-    solid = second / (second + FLOOR_M2)
+    certainty = second / (second + FLOOR_M2)
     skewness = third / second**1.5
     kurtosis = fourth / second**2
-    return np.asarray([skewness * solid, np.log10(max(kurtosis, 1e-3) / 3.0) * solid], dtype=np.float32)
+    return np.asarray([skewness * certainty, np.log10(max(kurtosis, 1e-3) / 3.0) * certainty], dtype=np.float32)

@@ -1,4 +1,7 @@
-"""The makes of E: each turns tactile maps into tokens of one layout (token.py), and each has a name that bakes keep."""
+"""Choice of the encoder E by name or by route: each encoder turns tactile maps into tokens of the layout in `token.py`.
+
+Bakes and fields store the name of the encoder.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +20,23 @@ from .fuse import merge_tokens
 from .token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, Token
 
 PREFERRED_ENCODERS = {Route.MEASURED: (ENCODER_ID,), Route.PREDICTED: (ALEXNET_ID, ENCODER_ID)}
-"""Which makes describe maps of which route, best first: the descriptor is exact on a whole map that has no noise; of a
-few views it takes chance for peaks, which the network does not (docs/encoder.md has the figures)."""
+"""Encoders for maps of each route, best first: the descriptor is exact on a complete map without noise; on a few views
+it mistakes chance for peaks, which the network does not (docs/encoder.md has the figures)."""
 
 
 @dataclass(frozen=True)
 class Encoder:
-    """name: of the make; fields name the makes whose tokens they were trained on. content_id: changes with anything
-    that changes a token, for keys of what is kept. describe: one tactile map → its token."""
+    """An encoder E.
+
+    Attributes
+    ----------
+    name : str
+        Its name; fields store the names of the encoders whose tokens they were trained on.
+    content_id : str
+        Hash that changes with anything that changes a token, for cache keys.
+    describe : callable
+        Function from a tactile map to its token.
+    """
 
     name: str
     content_id: str
@@ -32,10 +44,26 @@ class Encoder:
 
 
 def get_encoder(name: str) -> Encoder:
-    """The encoder of that name, or the one in the file of that name (.safetensors, see `hnf train encoder`).
+    """Return an encoder by its name, or from a file.
 
-    Raises UsageError for an unknown name, FileError and WeightsError where a file cannot be used, MaterialError where
-    the network was left out of the Blender extension.
+    Parameters
+    ----------
+    name : str
+        Name of an encoder, or path of a .safetensors file written by `hnf train encoder`.
+
+    Returns
+    -------
+    Encoder
+        The encoder.
+
+    Raises
+    ------
+    UsageError
+        For an unknown name.
+    FileError, WeightsError
+        If a file cannot be used.
+    MaterialError
+        If the network is not installed, as in the Blender extension.
     """
     if name == ENCODER_ID:
         return Encoder(ENCODER_ID, ENCODER_ID, describe)
@@ -53,25 +81,41 @@ def get_encoder(name: str) -> Encoder:
 
 
 def get_default_encoder(route: Route, known: Sequence[str] = (ENCODER_ID,)) -> Encoder:
-    """The make that describes maps of a route where nobody chose one: the best of those that the field knows.
+    """Return the default encoder of a route: the best of those that the field knows.
 
-    known: field.weights.encoders_of the field in use. Raises UsageError for the prior route, and where the field knows
-    none of the route's makes; MaterialError where the Blender extension leaves out the one that it knows best.
+    Parameters
+    ----------
+    route : Route
+        Route of the maps.
+    known : sequence of str
+        Names of the encoders whose tokens the field was trained on.
+
+    Returns
+    -------
+    Encoder
+        The encoder.
+
+    Raises
+    ------
+    UsageError
+        For the prior route, or if the field knows no encoder of this route.
+    MaterialError
+        If the best one is not installed, as in the Blender extension.
     """
-    found = next((name for name in PREFERRED_ENCODERS.get(route, ()) if name in known), None)
-    if found is None:
+    best = next((name for name in PREFERRED_ENCODERS.get(route, ()) if name in known), None)
+    if best is None:
         raise UsageError(
             f"there is no make of E for {route.value} maps among {', '.join(known)}.",
             remedy=f"Use a field that was trained on tokens of {ENCODER_ID}.",
         )
-    return get_encoder(found)
+    return get_encoder(best)
 
 
 def describe_views(encoder: Encoder, maps: Sequence[TactileMap]) -> Token:
-    """One token of a patch from its tactile map, or from several views of it (merged band by band, by the area that
-    each shows).
+    """Describe a patch by one token, from its tactile map or from several views of it.
 
-    Raises MaterialError where there is no map.
+    Tokens of several views are merged band by band, weighted by the area that each view shows. Raises MaterialError if
+    there is no map.
     """
-    sizes = [max(np.count_nonzero(each.mask), 1) * each.metres_per_pixel**2 for each in maps]
-    return merge_tokens([encoder.describe(each) for each in maps], sizes)
+    sizes = [max(np.count_nonzero(view.mask), 1) * view.metres_per_pixel**2 for view in maps]
+    return merge_tokens([encoder.describe(view) for view in maps], sizes)

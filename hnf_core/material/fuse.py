@@ -1,6 +1,7 @@
-"""One token from two sources: what the artist's map resolves, and below that what the material is known to be.
+"""Combination of tokens: a map's bands with the library's for the rest, and several views of one patch.
 
-One token from several views of one patch: each view resolves some bands, neighbours of them more than once.
+`fuse` takes a token and a library prior and gives a complete token with the route of every band; `merge_tokens`
+averages tokens of views.
 """
 
 from __future__ import annotations
@@ -18,19 +19,30 @@ from .token import BAND_FEATURES, BAND_WAVELENGTHS_M, LEVELS, SHAPE_FEATURES, SM
 
 BAND_COUNT = len(BAND_WAVELENGTHS_M)
 SIGNIFICANT_DECADES = 2.5
-"""A band 50 dB below the strongest holds what filters and windows leak, nothing that anyone drew."""
+"""Range below the strongest band [decades of height] within which a band counts: 50 dB below, filters and windows
+leak."""
 EMPTY_LEVEL = SMOOTH_LEVEL + 0.3
-"""2 nm RMS: the floor of the descriptor."""
+"""Level of a band without content, 2 nm RMS: the floor of the descriptor [log10 m]."""
 ROUTE_CONFIDENCE = {Route.MEASURED: 1.0, Route.PREDICTED: 0.5}
-"""What a band that a map told is worth. What was estimated from a picture is never worth what was read off a relief,
-and one picture fits many reliefs; docs/tactile-maps-evaluation.md has the errors."""
+"""Confidence of a band by the route of its map: an estimate from an image counts less than a measured relief, since one
+image fits many reliefs (docs/tactile-maps-evaluation.md has the errors)."""
 
 
 @dataclass(frozen=True)
 class FusedToken:
-    """values: (TOKEN_DIM,) float32, complete. routes: where each of the seven bands comes from, longest first.
-    shape_route: the same of skewness and kurtosis. confidence: 0–1, the mean over bands of the route's CERTAINTY where
-    a map told and of the prior's own confidence where it did not."""
+    """A complete token and the origin of its parts.
+
+    Attributes
+    ----------
+    values : ndarray of float32, shape (TOKEN_DIM,)
+        The token.
+    routes : tuple of Route
+        Route of each of the seven bands, longest wavelength first.
+    shape_route : Route
+        Route of skewness and kurtosis.
+    confidence : float
+        Mean over the bands of `ROUTE_CONFIDENCE`, or of the prior's confidence for bands of the prior; 0 to 1.
+    """
 
     values: NDArray[np.float32]
     routes: tuple[Route, ...]
@@ -41,13 +53,30 @@ class FusedToken:
 def fuse(
     measured: Token | None, prior: ArrayLike, prior_confidence: float, route: Route = Route.MEASURED
 ) -> FusedToken:
-    """Bands that a measured map tells stay as they are, those of a predicted one meet the prior (see weight_of), the
-    others come from the prior (TOKEN_DIM,), a library token.
+    """Complete a token: bands that the map knows stay or are blended, the others come from a library token.
 
-    told: of the patch's tactile map; None where there is none, then everything is prior. route: how that map came to be
-    known. Of a measured one the bands that are drawn in it count (see drawn_bands); of a predicted one all that it
-    knows: it stands for a whole surface, and an empty band in it says "smooth", whatever the prior.
-    prior_confidence: 0–1. Raises MaterialError on a prior of the wrong size or with values that are not finite.
+    Parameters
+    ----------
+    measured : Token or None
+        Token of the patch's tactile map; None if there is none, so that everything is prior.
+    prior : array_like, shape (TOKEN_DIM,)
+        Token of a library material.
+    prior_confidence : float
+        Confidence of the prior, 0 to 1.
+    route : Route
+        Route of the map. Of a measured one, significant bands count (`find_significant_bands`) and replace the prior.
+        Of a predicted one, all known bands count, since an empty band means that the surface is smooth, and are blended
+        with the prior (`get_map_weight`).
+
+    Returns
+    -------
+    FusedToken
+        The complete token.
+
+    Raises
+    ------
+    MaterialError
+        If the prior has the wrong size or is not finite.
     """
     library = np.asarray(prior, dtype=np.float32)
     if library.shape != (TOKEN_DIM,) or not np.isfinite(library).all():
@@ -55,25 +84,26 @@ def fuse(
     bands = [False] * BAND_COUNT
     if measured is not None:
         bands = find_significant_bands(measured) if route is Route.MEASURED else find_known_bands(measured)
-    shape_told = measured is not None and bool(measured.known[-len(SHAPE_FEATURES) :].all()) and any(bands)
-    guess = float(np.clip(prior_confidence, 0.0, 1.0))
+    shape_known = measured is not None and bool(measured.known[-len(SHAPE_FEATURES) :].all()) and any(bands)
+    confidence = float(np.clip(prior_confidence, 0.0, 1.0))
     values = library.copy()
     if measured is not None:
-        weight = get_map_weight(route, guess)
+        weight = get_map_weight(route, confidence)
         for band in range(BAND_COUNT):
             if bands[band]:
-                at = band_slice(band)
-                # The floor stands for "nothing"; halfway between something and nothing, in decades, is no estimate.
-                nothing = measured.values[at.start] <= EMPTY_LEVEL
-                values[at] = _blend(measured.values[at], values[at], 1.0 if nothing else weight)
-        if shape_told:
-            at = slice(-len(SHAPE_FEATURES), None)
-            values[at] = _blend(measured.values[at], values[at], weight)
+                features = band_slice(band)
+                # An empty band is at the floor, and the mean of a level and the floor in decades is no estimate.
+                is_empty = measured.values[features.start] <= EMPTY_LEVEL
+                values[features] = _blend(measured.values[features], values[features], 1.0 if is_empty else weight)
+        if shape_known:
+            features = slice(-len(SHAPE_FEATURES), None)
+            values[features] = _blend(measured.values[features], values[features], weight)
     return FusedToken(
         values=values,
-        routes=tuple(route if is_told else Route.PRIOR for is_told in bands),
-        shape_route=route if shape_told else Route.PRIOR,
-        confidence=(sum(bands) * ROUTE_CONFIDENCE.get(route, guess) + (BAND_COUNT - sum(bands)) * guess) / BAND_COUNT,
+        routes=tuple(route if is_known else Route.PRIOR for is_known in bands),
+        shape_route=route if shape_known else Route.PRIOR,
+        confidence=(sum(bands) * ROUTE_CONFIDENCE.get(route, confidence) + (BAND_COUNT - sum(bands)) * confidence)
+        / BAND_COUNT,
     )
 
 
@@ -82,11 +112,10 @@ def _blend(measured: NDArray[np.float32], prior: NDArray[np.float32], weight: fl
 
 
 def get_map_weight(route: Route, prior_confidence: float) -> float:
-    """How much of a band is what the map told, 0–1; the rest is the prior.
+    """Return the weight of the map's value in a blended band, 0 to 1; the rest is the prior's.
 
-    A relief that was read counts alone. A picture and a prior err independently of each other, and each speaks as loud
-    as it is sure: on classes never seen both together are nearer the truth than either alone (docs/
-    tactile-maps-evaluation.md).
+    A measured relief replaces the prior. The errors of a prediction and of a prior are independent, so each is weighted
+    by its confidence: on unseen classes both together are closer than either alone (docs/tactile-maps-evaluation.md).
     """
     if route is not Route.PREDICTED:
         return 1.0
@@ -94,38 +123,38 @@ def get_map_weight(route: Route, prior_confidence: float) -> float:
 
 
 def find_known_bands(token: Token) -> list[bool]:
-    """Which bands a token knows altogether."""
+    """Return for each band whether the token knows all of its features."""
     return [bool(token.known[band_slice(band)].all()) for band in range(BAND_COUNT)]
 
 
 def find_significant_bands(measured: Token) -> list[bool]:
-    """Which bands an artist's map really says something about: known, and not next to nothing beside its strongest.
+    """Return for each band whether it is known and not far below the strongest band of a measured map.
 
-    A sine bump has one band and leaves the others empty, but no surface is smooth to the nanometre below its ridges:
-    a drawn relief stands on the material's own roughness. Natural roughness falls by some 5 dB an octave, 35 dB over
-    all bands, and is kept whole.
+    A sine bump fills one band and leaves the others empty, but no real surface is smooth to the nanometre below its
+    ridges: a drawn relief keeps the material's own roughness. Natural roughness falls by some 5 dB an octave, 35 dB
+    over all bands, and passes completely.
     """
     levels = np.array([measured.values[band_slice(band).start] for band in range(BAND_COUNT)], dtype=np.float64)
     known = np.array(find_known_bands(measured))
     if not known.any():
         return [False] * BAND_COUNT
     least = max(float(levels[known].max()) - SIGNIFICANT_DECADES, EMPTY_LEVEL)
-    return [bool(each) for each in known & (levels > least)]
+    return [bool(is_significant) for is_significant in known & (levels > least)]
 
 
 def format_routes(routes: Sequence[Route]) -> str:
-    """For a person: "8–2 mm measured, 1–0.125 mm prior"."""
+    """Format the routes of the bands for a person: "8–2 mm measured, 1–0.125 mm prior"."""
     names = [f"{wavelength * 1e3:g}" for wavelength in BAND_WAVELENGTHS_M]
-    parts = []
+    spans = []
     for route, group in groupby(range(BAND_COUNT), key=lambda band: routes[band]):
         bands = list(group)
         span = names[bands[0]] if len(bands) == 1 else f"{names[bands[0]]}–{names[bands[-1]]}"
-        parts.append(f"{span} mm {route.value}")
-    return ", ".join(parts)
+        spans.append(f"{span} mm {route.value}")
+    return ", ".join(spans)
 
 
 def routes_by_band(routes: Sequence[Route]) -> dict[str, str]:
-    """For the report: {"8 mm": "measured", …}, longest wavelength first."""
+    """Return the routes by band for the report: {"8 mm": "measured", …}, longest wavelength first."""
     return {
         f"{wavelength * 1e3:g} mm": route.value for wavelength, route in zip(BAND_WAVELENGTHS_M, routes, strict=True)
     }
@@ -137,14 +166,31 @@ SHAPE_SLICE = slice(-len(SHAPE_FEATURES), None)
 
 
 def merge_tokens(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> Token:
-    """The token of the union of the views, band by band over the views that know the band.
+    """Merge tokens of several views of a patch, band by band over the views that know the band.
 
-    A band's level is the mean of its power (mean square height); every other feature of a band is a share of that
-    power, so that its mean is weighted by it. Skewness and kurtosis are weighted by all power that the view knows, and
-    by area alone where no view that knows them knows any power.
-    Known where any view knows; elsewhere the smooth floor. weights: one per token (the area a view shows), equal where
-    not given. The order does not matter, to the last bit. Raises MaterialError without tokens, on values of the wrong
-    size or not finite, and on weights that are not positive.
+    Parameters
+    ----------
+    tokens : sequence of Token
+        Tokens of the views.
+    weights : sequence of float, optional
+        Weight of each token, such as the area that its view shows; equal by default.
+
+    Returns
+    -------
+    Token
+        The merged token; known where any view knows, else the smooth floor.
+
+    Raises
+    ------
+    MaterialError
+        Without tokens, for values of the wrong size or not finite, and for weights that are not positive.
+
+    Notes
+    -----
+    A band's level is the mean of its power (mean square height). Every other feature of a band is a fraction of that
+    power, so its mean is weighted by it. Skewness and kurtosis are weighted by the total power that a view knows, or by
+    area alone if no view that knows them knows any power. The result does not depend on the order of the views, to the
+    last bit.
     """
     if not tokens:
         raise MaterialError("there is no token to merge.", remedy="Give at least one view of the patch.")
@@ -157,39 +203,39 @@ def merge_tokens(tokens: Sequence[Token], weights: Sequence[float] | None = None
         return Token(values[0].astype(np.float32), known[0])
     power = 10.0 ** (2.0 * values[:, LEVELS])
     level_known = known[:, LEVELS]
-    all_power = (power * level_known).sum(axis=1)
-    if not (known[:, SHAPE_SLICE] & (all_power > 0.0)[:, None]).any():
-        all_power = np.ones(len(tokens))
+    total_power = (power * level_known).sum(axis=1)
+    if not (known[:, SHAPE_SLICE] & (total_power > 0.0)[:, None]).any():
+        total_power = np.ones(len(tokens))
     weight = np.concatenate(
         [
             np.repeat(areas[:, None] * power, len(BAND_FEATURES), axis=1),
-            np.repeat((areas * all_power)[:, None], len(SHAPE_FEATURES), axis=1),
+            np.repeat((areas * total_power)[:, None], len(SHAPE_FEATURES), axis=1),
         ],
         axis=1,
     )
     merged = _weighted_mean(values, weight, known)
     merged[LEVELS] = _weighted_mean(power, np.broadcast_to(areas[:, None], power.shape), level_known)
-    told = known.any(axis=0)
-    merged[LEVELS] = 0.5 * np.log10(np.where(told[LEVELS], merged[LEVELS], 1.0))
-    unknown = np.zeros(TOKEN_DIM)
-    unknown[LEVELS] = SMOOTH_LEVEL
-    return Token(np.where(told, merged, unknown).astype(np.float32), told)
+    known_any = known.any(axis=0)
+    merged[LEVELS] = 0.5 * np.log10(np.where(known_any[LEVELS], merged[LEVELS], 1.0))
+    floor = np.zeros(TOKEN_DIM)
+    floor[LEVELS] = SMOOTH_LEVEL
+    return Token(np.where(known_any, merged, floor).astype(np.float32), known_any)
 
 
 def _weighted_mean(values: Float, weight: Float, known: NDArray[np.bool_]) -> Float:
-    """Weighted mean over the first axis of what is known, 0 where nothing is."""
-    share = np.where(known, weight, 0.0)
-    total = _sorted_sum(share)
-    return np.asarray(_sorted_sum(np.where(known, values, 0.0) * share) / np.where(total > 0.0, total, 1.0))
+    """Return the weighted mean over the first axis of the known values, 0 where none is known."""
+    weights = np.where(known, weight, 0.0)
+    total = _sorted_sum(weights)
+    return np.asarray(_sorted_sum(np.where(known, values, 0.0) * weights) / np.where(total > 0.0, total, 1.0))
 
 
 def _sorted_sum(terms: Float) -> Float:
-    # Sorted first: rounding then cannot tell in which order the views came.
+    # Terms are sorted first, so that rounding does not depend on the order of the views.
     return np.asarray(np.sort(terms, axis=0).sum(axis=0))
 
 
 def _validate_values(values: NDArray[np.float32]) -> Float:
-    wide = np.asarray(values, dtype=np.float64)
-    if wide.shape != (TOKEN_DIM,) or not np.isfinite(wide).all():
-        raise MaterialError(f"a token must hold {TOKEN_DIM} finite values, not {wide.shape}.")
-    return wide
+    checked = np.asarray(values, dtype=np.float64)
+    if checked.shape != (TOKEN_DIM,) or not np.isfinite(checked).all():
+        raise MaterialError(f"a token must hold {TOKEN_DIM} finite values, not {checked.shape}.")
+    return checked

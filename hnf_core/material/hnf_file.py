@@ -1,8 +1,8 @@
-"""`.hnf`: one material as a file, to keep, to send and to drop on a surface.
+"""The `.hnf` file: one material, its token, mechanics and appearance, and optionally a field trained for it.
 
-The safetensors layout (no pickle): "token" F32 and "known" BOOL, (TOKEN_DIM,) each, and text metadata: format, encoder,
-name, category, licence, and as JSON words, appearance and mechanics, null = not known. A file is a few kilobytes. Where
-a field was trained for the material, its weights lie in it whole: "field" U8, a megabyte or less.
+The layout is safetensors (no pickle): "token" F32 and "known" BOOL, (TOKEN_DIM,) each; text metadata format, encoder,
+name, category, licence, and as JSON words, appearance and mechanics, null = unknown. A file is a few kilobytes; the
+weights of a field, "field" U8, add a megabyte or less.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from .token import ENCODER_ID, ENCODER_NAMES, LARGEST_VALUE, TOKEN_DIM, Token
 HNF_SUFFIX = ".hnf"
 HNF_FORMAT = "hnf-material-1"
 MAX_FILE_BYTES = 1 << 24
-"""Bytes of a whole file, and more than any header needs: a file that claims more is not a material."""
+"""Largest accepted file, and more than any header needs [bytes]."""
 MAX_NAME_BYTES = 63
-"""Bytes of a name that Blender keeps whole."""
+"""Longest name that Blender stores without cutting [bytes]."""
 UNKNOWN_APPEARANCE = Appearance()
 _TENSORS = {"token": ("F32", 4), "known": ("BOOL", 1)}
 _FIELD = "field"
@@ -38,14 +38,32 @@ _REMEDY = "Get the file again, or write it with: hnf materials --export NAME --o
 
 @dataclass(frozen=True, eq=False)
 class MaterialFile:
-    """What a `.hnf` file says.
+    """Content of a `.hnf` file.
 
-    name: one line, for people. category: one of the library's, or "". words: what such a material is called.
-    token: m = E(I); what it does not know is left to the library (complete). licence: an SPDX expression or words.
-    encoder: makes of E that the token came from (token.joined_encoders). field: weights of a field that was trained for
-    this material alone (field.learned reads them), empty = there is none and the shared one knows it by its token.
-    Two are equal when their bytes are. Raises MaterialError where a value cannot be: an empty name, a token that is not
-    finite, a stiffness of zero, or more in all than a file may hold.
+    Two are equal if their bytes are. Raises MaterialError for a value that cannot be: an empty name, a token that is
+    not finite, a stiffness of zero, or more in total than a file may hold.
+
+    Attributes
+    ----------
+    name : str
+        Name for people, one line.
+    token : Token
+        Token m = E(I); unknown values are completed from the library (`complete`).
+    mechanics : Mechanics
+        Mechanics.
+    category : str
+        Category of the library, or "".
+    words : tuple of str
+        Words that name such a material.
+    appearance : Appearance
+        Typical shading values.
+    licence : str
+        SPDX expression or text.
+    encoder : str
+        Encoders that the token came from (`token.joined_encoders`).
+    field : bytes
+        Weights of a field trained for this material alone (read by `field.weights.load_material_field`); empty if the
+        shared field is used.
     """
 
     name: str
@@ -89,7 +107,7 @@ class MaterialFile:
         return hash(self.to_bytes())
 
     def to_bytes(self) -> bytes:
-        """The file. Equal materials give equal bytes."""
+        """Return the file's bytes; equal materials give equal bytes."""
         token, known = self.token.values.astype("<f4").tobytes(), self.token.known.tobytes()
         return self._header() + token + known + self.field
 
@@ -117,18 +135,16 @@ class MaterialFile:
         return pack_header(header)
 
     def complete(self, prior: LibraryMaterial) -> LibraryMaterial:
-        """This material with nothing left open: what its token does not know comes from prior, and so does each
-        mechanical property that it does not name."""
-        whole = bool(self.token.known.all())
-        token = self.token.values if whole else fuse(self.token, prior.token, 0.0).values
+        """Return this material without unknown values: tokens and mechanics are completed from `prior`."""
+        is_complete = bool(self.token.known.all())
+        token = self.token.values if is_complete else fuse(self.token, prior.token, 0.0).values
         given = {name: value for name, value in asdict(self.mechanics).items() if value is not None}
         mechanics = replace(prior.mechanics, **given)
         return LibraryMaterial(self.name, self.category, self.words, self.appearance, mechanics, token)
 
 
 def with_library_defaults(material: MaterialFile) -> LibraryMaterial:
-    """material with nothing left open; what it does not know comes from the library material that is most apt by its
-    name, category, words and looks."""
+    """Complete a material from the library material that best fits its name, category, words and appearance."""
     library = load_library()
     names = [material.name, material.category, *material.words]
     best = rank(library, material.appearance, names)[0].name
@@ -136,7 +152,7 @@ def with_library_defaults(material: MaterialFile) -> LibraryMaterial:
 
 
 def from_library(material: LibraryMaterial, licence: str = "") -> MaterialFile:
-    """A library material as a file of its own: everything but the recipe that it was simulated from."""
+    """Convert a library material to a material file: everything but the recipe that it was simulated from."""
     token = Token(material.token.astype(np.float32), np.ones(TOKEN_DIM, dtype=bool))
     return MaterialFile(
         material.name, token, material.mechanics, material.category, material.words, material.appearance, licence
@@ -144,12 +160,12 @@ def from_library(material: LibraryMaterial, licence: str = "") -> MaterialFile:
 
 
 def write_hnf(path: Path, material: MaterialFile) -> None:
-    """Write material atomically. Raises FileError where the disk refuses; an earlier file is then unharmed."""
+    """Write a material file atomically; raise FileError if the disk refuses, with an earlier file unharmed."""
     write_bytes(path, material.to_bytes())
 
 
 def read_hnf(path: Path) -> MaterialFile:
-    """Read a `.hnf` file. Raises FileError where it is missing or damaged (see parse_hnf)."""
+    """Read a `.hnf` file; raise FileError if it is missing or damaged (see `parse_hnf`)."""
     try:
         with path.open("rb") as stream:
             data = stream.read(MAX_FILE_BYTES + 1)
@@ -161,10 +177,25 @@ def read_hnf(path: Path) -> MaterialFile:
 
 
 def parse_hnf(data: bytes, where: str) -> MaterialFile:
-    """The material that to_bytes wrote; where names the source in messages.
+    """Parse the bytes of a `.hnf` file.
 
-    Raises FileError where the bytes are no such file, end early, claim a huge header, hold arrays of another shape or
-    values that cannot be, or belong to another encoder.
+    Parameters
+    ----------
+    data : bytes
+        Content of the file.
+    where : str
+        Name of the source in messages.
+
+    Returns
+    -------
+    MaterialFile
+        The material.
+
+    Raises
+    ------
+    FileError
+        If the bytes are no such file, cut short, claim a huge header, hold arrays of another shape or impossible
+        values, or belong to an unknown encoder.
     """
     try:
         metadata, arrays = _unpack(data)
@@ -195,7 +226,7 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
 
 
 def _unpack(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
-    """Metadata and the raw bytes of the two arrays. Raises ValueError, KeyError or TypeError on damage."""
+    """Return metadata and raw bytes of the arrays; raise ValueError, KeyError or TypeError if damaged."""
     if len(data) >= 8 and max(len(data), int.from_bytes(data[:8], "little")) > MAX_FILE_BYTES:
         raise ValueError("it is larger than any material, or something else")
     header, body = split_header(data)
@@ -232,7 +263,7 @@ def _parse_words(text: str) -> tuple[str, ...]:
 
 
 def _parse_numbers(record: Mapping[str, Any], kind: type) -> dict[str, float | None]:
-    """The fields of a dataclass of numbers; what is not there is unknown, what is too much is refused."""
+    """Parse the fields of a dataclass of numbers; missing ones are unknown, excess ones raise ValueError."""
     unknown = set(record) - {field.name for field in fields(kind)}
     if unknown:
         raise ValueError(f"{', '.join(sorted(unknown))} is not known here")

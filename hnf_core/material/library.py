@@ -1,9 +1,7 @@
-"""The material library: read from library.json (built by tools/build_library.py), looked up by name.
+"""The material library: entries read from library.json (built by tools/build_library.py), and look-up by name.
 
 Wood and brushed metal have x along the grain; corduroy and other ribs run along y, so that a stroke along x crosses
 them.
-
-What the library knows of a material, and what a shader says of one.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from .token import ENCODER_ID, TOKEN_DIM
 
 @dataclass(frozen=True)
 class Appearance:
-    """Physically based shading values, None = not known. base_color: linear RGB 0–1; the rest 0–1."""
+    """Physically based shading values, 0 to 1, None = unknown; `base_color` is linear RGB."""
 
     base_color: tuple[float, float, float] | None = None
     roughness: float | None = None
@@ -39,10 +37,24 @@ class Appearance:
 class LibraryMaterial:
     """One entry of the material library.
 
-    name: unique, kebab-case ("oak-wood"). category: wood, metal, stone, fabric, paper, plastic, foam, carpet, tile,
-    leather, rubber, glass. words: lower-case names and synonyms that artists give such a material.
-    appearance: its typical shading values. token: (TOKEN_DIM,) float32, E on its own micro-geometry, x along the
-    grain. recipe, seed: that micro-geometry, as simulation.surface reads it (SurfaceRecipe.from_dict, height_map).
+    Attributes
+    ----------
+    name : str
+        Unique name in kebab-case ("oak-wood").
+    category : str
+        One of wood, metal, stone, fabric, paper, plastic, foam, carpet, tile, leather, rubber, glass.
+    words : tuple of str
+        Lower-case names and synonyms that artists use.
+    appearance : Appearance
+        Typical shading values.
+    mechanics : Mechanics
+        Stiffness, damping and friction.
+    token : ndarray of float32, shape (TOKEN_DIM,)
+        Token of its micro-geometry, x along the grain.
+    recipe : mapping
+        Recipe of that micro-geometry, for `simulation.surface_recipe.SurfaceRecipe.from_dict`.
+    seed : int
+        Seed of that micro-geometry, for `simulation.surface_recipe.height_map`.
     """
 
     name: str
@@ -62,12 +74,12 @@ _REBUILD_REMEDY = "Reinstall the package, or run tools/build_library.py."
 
 @lru_cache(maxsize=1)
 def load_library() -> tuple[LibraryMaterial, ...]:
-    """Every material of the library, in its order; read once. Raises MaterialError where the file is not usable."""
+    """Load all materials of the library in order, once; raise MaterialError if the file cannot be used."""
     return read_library(LIBRARY_PATH)
 
 
 def read_library(path: Path) -> tuple[LibraryMaterial, ...]:
-    """A library file; see load_library. Raises MaterialError: missing, damaged, or tokens of another encoder."""
+    """Read a library file; raise MaterialError if it is missing, damaged, or made with another encoder."""
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         if record["schema"] != LIBRARY_SCHEMA or record["encoder"] != ENCODER_ID:
@@ -89,17 +101,17 @@ def read_library(path: Path) -> tuple[LibraryMaterial, ...]:
 
 
 def get_material(name: str) -> LibraryMaterial:
-    """The material of that name; case and separators do not count ("Oak wood" is oak-wood).
+    """Return the material of a name; case and separators do not count ("Oak wood" is oak-wood).
 
-    Raises MaterialError that names close matches.
+    Raises MaterialError with close matches for an unknown name.
     """
     wanted = _normalise_name(name)
     library = load_library()
     for material in library:
         if material.name == wanted:
             return material
-    by_word = [material.name for material in library if wanted in material.words]
-    close = list(dict.fromkeys(close_matches(wanted, [m.name for m in library]) + by_word))[:5]
+    word_matches = [material.name for material in library if wanted in material.words]
+    close = list(dict.fromkeys(close_matches(wanted, [entry.name for entry in library]) + word_matches))[:5]
     remedy = f"Did you mean {', '.join(close)}?" if close else "List them all with: hnf materials"
     raise MaterialError(f"no library material is called {name!r}.", remedy=remedy)
 
@@ -113,15 +125,15 @@ def _parse_material(entry: Mapping[str, Any]) -> LibraryMaterial:
     if token.shape != (TOKEN_DIM,) or not np.isfinite(token).all():
         raise ValueError(f"{entry['name']}: a token must be {TOKEN_DIM} finite numbers")
     token.setflags(write=False)
-    looks = dict(entry["appearance"])
-    if looks["base_color"] is not None:
-        red, green, blue = looks["base_color"]
-        looks["base_color"] = (float(red), float(green), float(blue))
+    shading = dict(entry["appearance"])
+    if shading["base_color"] is not None:
+        red, green, blue = shading["base_color"]
+        shading["base_color"] = (float(red), float(green), float(blue))
     return LibraryMaterial(
         name=str(entry["name"]),
         category=str(entry["category"]),
         words=tuple(entry["words"]),
-        appearance=Appearance(**looks),
+        appearance=Appearance(**shading),
         mechanics=Mechanics(**entry["mechanics"]),
         token=token,
         recipe=entry["recipe"],

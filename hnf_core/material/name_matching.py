@@ -1,6 +1,7 @@
-"""What names say of materials: splitting them into words, and the words that name a category.
+"""Evidence for materials in names: words of materials, objects, collections and image files, in several languages.
 
-Names as evidence of a material: which library materials the words of a name speak for, and how strongly.
+Names are split into words, compounds into halves, and each library material gets the words that match it with weights.
+`ranking.py` turns them into probabilities.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ STOP_WORDS = frozenset(
         *("low", "high", "lod", "geo", "geometry", "mesh", "obj", "object", "part", "parts"),
     }
 )
-"""Words that say "material" or "object" themselves: a mat in "HoseMat" is not a door mat."""
+"""Words that mean "material" or "object" in any name: the mat in "HoseMat" is no door mat."""
 
 CATEGORY_WORDS = MappingProxyType(
     {
@@ -74,7 +75,7 @@ CATEGORY_WORDS = MappingProxyType(
         "glass": "glass glas crystal verre vidrio vetro plexiglass vitre cristal vidro glazing windowpane",
     }
 )
-"""Materials of each category by name, in several languages."""
+"""Names of materials by category, in several languages."""
 
 OBJECT_WORDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -113,7 +114,7 @@ OBJECT_WORDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "mattress": ("foam", "fabric"),
     }
 )
-"""Things, and what they are mostly made of: a weaker hint."""
+"""Objects and the categories of material that they are mostly made of: weaker evidence."""
 
 COMPOUND_PARTS = frozenset(
     {
@@ -126,7 +127,7 @@ COMPOUND_PARTS = frozenset(
         *("schuh", "verkleidung", "oberfläche", "leiste", "rahmen", "kachel", "ziegel"),
     }
 )
-"""What stands before or behind a material in a word that is two: woodfloor, Glasscheibe."""
+"""Words that occur beside a material in a compound: woodfloor, Glasscheibe."""
 
 CHANNEL_WORDS = frozenset(
     {
@@ -152,28 +153,33 @@ CHANNEL_WORDS = frozenset(
         *("sheen", "anisotropy", "clearcoat", "thickness", "map", "jpg", "jpeg", "png", "k"),
     }
 )
-"""What a picture of a texture shows, said at the end of its name: no word of the material."""
+"""Words at the end of a texture's name that describe its channel or file, not the material."""
 METAL_CHANNEL_PREFIXES = frozenset({"rough", "roughness", "occlusion", "ao"})
-"""Before "metal" these say that it is a channel: OcclusionRoughMetal."""
+"""Words before "metal" that show that it is a channel: OcclusionRoughMetal."""
 IMAGE_SUFFIX = re.compile(r"\.(jpe?g|png|tga|exr|tiff?|webp|bmp|dds|ktx2?|hdr|psd|basis)$", re.IGNORECASE)
+"""File suffixes of images."""
 
 
 def split_words(name: str) -> list[str]:
-    """Lower-case words of a name: "GlassPlasticMat.001" → glass, plastic, mat. CamelCase, separators and digits
-    split; accents go, so that "métal" is "metal"."""
+    """Split a name into lower-case words: "GlassPlasticMat.001" → glass, plastic, mat.
+
+    CamelCase, separators and digits split; accents are removed, so that "métal" is "metal".
+    """
     plain = unicodedata.normalize("NFC", name)
     parts = [word for run in _WORD.findall(plain) for word in _CAMEL.split(run)]
     return [_normalise_word(word) for word in parts if word]
 
 
 def is_image_name(name: str) -> bool:
-    """Does it end like the name of a picture's file?"""
+    """Return True if a name ends like that of an image file."""
     return IMAGE_SUFFIX.search(name.strip()) is not None
 
 
 def split_image_name(name: str) -> list[str]:
-    """split_words of a texture's name without its file type and what channel it shows: "T_Oak_Planks_BaseColor.png" →
-    t, oak, planks; "SavonaTile_Metalness" → savona, tile."""
+    """Split a texture's name into words, without its file type and channel.
+
+    "T_Oak_Planks_BaseColor.png" → t, oak, planks; "SavonaTile_Metalness" → savona, tile.
+    """
     words = split_words(IMAGE_SUFFIX.sub("", name.strip()))
     while words and (
         len(words[-1]) == 1
@@ -185,7 +191,7 @@ def split_image_name(name: str) -> list[str]:
 
 
 def list_singulars(word: str) -> tuple[str, ...]:
-    """The word and what it may be the plural of, likeliest first."""
+    """Return the word and its possible singulars, likeliest first."""
     forms = [word]
     if len(word) > 3 and word.endswith("s") and not word.endswith("ss"):
         forms.append(word[:-1])
@@ -202,60 +208,77 @@ def _normalise_word(word: str) -> str:
 
 
 NAME_WEIGHTS = (1.0, 0.6, 0.35)
-"""For a word in the first name (the material's), the second (the object's), any other."""
+"""Weights of words in the first name (the material's), the second (the object's), and any other."""
 IMAGE_NAME_WEIGHT = 0.7
-"""For a word in the name of a picture that feeds the shader: it was chosen for this surface, the object's was not."""
+"""Weight of words in the name of an image that the shader uses: it was chosen for this surface, the object's was
+not."""
 OBJECT_WORD_WEIGHT = 0.55
-"""For words of things and finishes, not stuffs: a lens is mostly glass, satin is often metal."""
+"""Weight of words for objects and finishes: a lens is mostly glass, satin is often metal."""
 NAME_PART_WEIGHT = 0.4
-"""For parts of a library material's own name: "coarse" says something of coarse-carpet, not much."""
+"""Weight of the parts of a library material's name: "coarse" is weak evidence for coarse-carpet."""
 RELATED_WEIGHT = 0.7
-"""For the others of a category where one of them bears the very word: velvet is also a fabric, but not denim."""
+"""Weight of a category's word for materials that another of the category has as its own: velvet is fabric, but not
+denim."""
 MIN_HALF_LENGTH = 4
-"""Letters of each half of a compound: shorter ones are found in words that mean something else."""
+"""Least number of letters of each half of a compound; shorter words occur inside unrelated ones."""
 COMPOUND_LINKS = ("", "n", "s", "en", "es")
-"""What German puts between the halves: Eiche-n-tisch."""
+"""Linking letters between the halves of German compounds: Eiche-n-tisch."""
 
 Vocabulary = Mapping[str, Mapping[str, float]]
-"""Word or phrase (joined by spaces, and run together) → {material name: weight}."""
+"""Weight of each material by name, for each word or phrase (joined by spaces, or run together)."""
 Hits = dict[str, dict[str, tuple[float, str]]]
-"""Material name → {matched word: (weight, the name it stood in)}."""
+"""For each material's name the matched words, with their weight and the name that contains them."""
 
 
 def match_names(library: Sequence[LibraryMaterial], names: Sequence[str], image_names: Sequence[str] = ()) -> Hits:
-    """What the names tell; a word told twice counts once, in its most telling place.
+    """Match the words of names with library materials.
 
-    names: the material's, the object's, any others. pictures: of textures, whose channel ("_Metalness") is no word of
-    theirs. A word that belongs to several categories weighs less, one of all categories nothing.
+    Parameters
+    ----------
+    library : sequence of LibraryMaterial
+        The materials.
+    names : sequence of str
+        Name of the material first, then of the object, then any others.
+    image_names : sequence of str
+        Names of textures and of their files; words for their channel ("_Metalness") are ignored.
+
+    Returns
+    -------
+    Hits
+        Matched words of every material; a word that occurs twice counts once, with its larger weight.
+
+    Notes
+    -----
+    A word that belongs to several categories weighs less, one of all categories nothing.
     """
-    words = build_vocabulary(library)
+    vocabulary = build_vocabulary(library)
     category = {material.name: material.category for material in library}
     count = len(set(category.values()))
-    told = [
-        (name, split_words(name), NAME_WEIGHTS[min(place, len(NAME_WEIGHTS) - 1)]) for place, name in enumerate(names)
+    weighted_names = [
+        (name, split_words(name), NAME_WEIGHTS[min(rank, len(NAME_WEIGHTS) - 1)]) for rank, name in enumerate(names)
     ]
-    told += [(name, split_image_name(name), IMAGE_NAME_WEIGHT) for name in image_names]
+    weighted_names += [(name, split_image_name(name), IMAGE_NAME_WEIGHT) for name in image_names]
     hits: Hits = {material.name: {} for material in library}
-    for name, parts, telling in told:
-        for word in _find_matches(parts, words):
-            spread = len({category[material] for material in words[word]})
-            special = 1.0 if count < 2 else 1.0 - math.log(spread) / math.log(count)
-            for material, weight in words[word].items():
-                total = telling * special * weight
+    for name, parts, name_weight in weighted_names:
+        for word in _find_matches(parts, vocabulary):
+            spread = len({category[material] for material in vocabulary[word]})
+            specificity = 1.0 if count < 2 else 1.0 - math.log(spread) / math.log(count)
+            for material, weight in vocabulary[word].items():
+                total = name_weight * specificity * weight
                 if total > hits[material].get(word, (0.0, ""))[0]:
                     hits[material][word] = (total, name)
     return hits
 
 
 def build_vocabulary(library: Sequence[LibraryMaterial]) -> Vocabulary:
-    """Every word that speaks for a material of the library."""
+    """Return every word that is evidence for a material of the library."""
     return _cached_vocabulary(
         tuple(_MaterialWords(material.name, material.category, tuple(material.words)) for material in library)
     )
 
 
 class _MaterialWords(NamedTuple):
-    """What of a library material its words follow from."""
+    """The fields of a library material that its words depend on, hashable for the cache."""
 
     name: str
     category: str
@@ -264,13 +287,13 @@ class _MaterialWords(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _cached_vocabulary(library: tuple[_MaterialWords, ...]) -> Vocabulary:
-    """Made once for a library: it takes 13 ms, and every slot of every stroke asks."""
-    owned = {form for material in library for word in material.words for form in _get_word_forms(word)}
-    stuffs = {
+    """Build the vocabulary once per library: it takes 13 ms, and every slot of every stroke needs it."""
+    specific_words = {form for material in library for word in material.words for form in _get_word_forms(word)}
+    category_words = {
         category: {form for word in words.split() for form in _get_word_forms(word)}
         for category, words in CATEGORY_WORDS.items()
     }
-    found: dict[str, dict[str, float]] = {}
+    vocabulary: dict[str, dict[str, float]] = {}
     for material in library:
         weighted: dict[str, float] = {}
 
@@ -278,46 +301,52 @@ def _cached_vocabulary(library: tuple[_MaterialWords, ...]) -> Vocabulary:
             for form in (form for word in words for form in _get_word_forms(word)):
                 into[form] = max(into.get(form, 0.0), weight)
 
-        related = CATEGORY_WORDS.get(material.category, "").split()
-        own_stuffs = stuffs.get(material.category, set())
-        add((word for word in related if word not in owned), 1.0)
-        add(related, RELATED_WEIGHT)
-        add((thing for thing, made_of in OBJECT_WORDS.items() if material.category in made_of), OBJECT_WORD_WEIGHT)
+        related_words = CATEGORY_WORDS.get(material.category, "").split()
+        own_category_words = category_words.get(material.category, set())
+        add((word for word in related_words if word not in specific_words), 1.0)
+        add(related_words, RELATED_WEIGHT)
+        add(
+            (object_word for object_word, categories in OBJECT_WORDS.items() if material.category in categories),
+            OBJECT_WORD_WEIGHT,
+        )
         add(material.name.split("-"), NAME_PART_WEIGHT)
         add(material.words, OBJECT_WORD_WEIGHT)
-        add((word for word in material.words if _get_word_forms(word) & own_stuffs), 1.0)
+        add((word for word in material.words if _get_word_forms(word) & own_category_words), 1.0)
         add((material.category, material.name), 1.0)
         for form, weight in weighted.items():
-            found.setdefault(form, {})[material.name] = weight
-    return found
+            vocabulary.setdefault(form, {})[material.name] = weight
+    return vocabulary
 
 
 @lru_cache(maxsize=4096)
 def _get_word_forms(word: str) -> frozenset[str]:
+    """Return a word or phrase joined by spaces and run together, without stop words."""
     parts = split_words(word)
     return frozenset({" ".join(parts), "".join(parts)} - STOP_WORDS - {""})
 
 
 def _find_matches(parts: Sequence[str], vocabulary: Vocabulary) -> list[str]:
-    """Words, halves of compounds, and phrases of up to three words of the vocabulary among the words of a name."""
+    """Return words, halves of compounds, and phrases of up to three words of a name that the vocabulary contains."""
     words = [word for word in parts if word not in STOP_WORDS]
-    found: list[str] = []
+    matches: list[str] = []
     for length in (1, 2, 3):
         for start in range(len(words) - length + 1):
             head = " ".join(words[start : start + length - 1])
-            for last in list_singulars(words[start + length - 1]):
-                phrase = f"{head} {last}".strip()
+            for singular in list_singulars(words[start + length - 1]):
+                phrase = f"{head} {singular}".strip()
                 if phrase in vocabulary:
-                    found.append(phrase)
+                    matches.append(phrase)
                     break
             else:
-                found += split_compound(words[start], vocabulary) if length == 1 else []
-    return found
+                matches += split_compound(words[start], vocabulary) if length == 1 else []
+    return matches
 
 
 def split_compound(word: str, vocabulary: Vocabulary) -> list[str]:
-    """The parts of a compound that the vocabulary knows: "gummireifen" → gummi. Both halves must be words, one of
-    them a stuff, so that nothing is found inside a word that means something else; else []."""
+    """Return the halves of a compound that the vocabulary contains: "gummireifen" → gummi.
+
+    Both halves must be known words, one of them a material, so that nothing is found inside unrelated words; else [].
+    """
     for cut in range(MIN_HALF_LENGTH, len(word) - MIN_HALF_LENGTH + 1):
         last = next((form for form in list_singulars(word[cut:]) if _is_compound_half(form, vocabulary)), None)
         if last is None:
@@ -338,6 +367,7 @@ def split_compound(word: str, vocabulary: Vocabulary) -> list[str]:
 MATERIAL_WORDS = frozenset(
     form for words in CATEGORY_WORDS.values() for word in words.split() for form in _get_word_forms(word)
 )
+"""All words of `CATEGORY_WORDS`."""
 _COMPOUND_FORMS = frozenset(form for word in COMPOUND_PARTS for form in _get_word_forms(word))
 
 

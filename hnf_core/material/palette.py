@@ -1,4 +1,4 @@
-"""The palette: the few distinct materials of a mesh, once each, so that faces need to carry an index only."""
+"""The palette of a mesh: its distinct materials once each, so that faces store only an index."""
 
 from __future__ import annotations
 
@@ -17,17 +17,30 @@ from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, joined_encoders, split_
 
 PALETTE_SCHEMA = 1
 MERGE_TOLERANCE = 0.01
-"""Tokens merge where no feature differs by more: 0.01 of a level is 0.2 dB of height, well below what is felt."""
+"""Largest difference of any token feature at which materials merge: 0.01 of a level is 0.2 dB of height, well below
+what can be felt."""
 _KIND = "hnf-palette"
 _REMEDY = "Bake the object again."
 
 
 @dataclass(frozen=True, eq=False)
 class Palette:
-    """tokens: (P, TOKEN_DIM) float32. mechanics, names: P each. schema: of the stored form. encoder_id: the makes of E
-    that wrote the tokens (token.joined_encoders). Two palettes are equal when their contents are, bit for bit.
+    """Tokens and mechanics of the P materials of a mesh; equal if their contents are, bit for bit.
 
-    Raises MaterialError when the parts do not fit together or a token is not finite.
+    Raises MaterialError if the parts do not fit together or a token is not finite.
+
+    Attributes
+    ----------
+    tokens : ndarray of float32, shape (P, TOKEN_DIM)
+        Tokens.
+    mechanics : tuple of Mechanics
+        Mechanics of each material.
+    names : tuple of str
+        Names of the materials.
+    schema : int
+        Version of the stored form.
+    encoder_id : str
+        Encoders of the tokens (`token.joined_encoders`).
     """
 
     tokens: NDArray[np.float32]
@@ -56,12 +69,12 @@ class Palette:
 
     @property
     def content_hash(self) -> str:
-        """Hex digest of everything the palette says."""
+        """Hex digest of the palette's content."""
         facts, tokens, mechanics = self._serialise_parts()
         return content_hash(json.dumps(facts, sort_keys=True), tokens, mechanics)
 
     def to_bytes(self) -> bytes:
-        """The palette in the safetensors layout (no pickle), equal bytes for equal palettes, digest inside."""
+        """Serialise in the safetensors layout (no pickle), digest included; equal palettes give equal bytes."""
         facts, tokens, mechanics = self._serialise_parts()
         header = {
             "__metadata__": {**facts, "digest": self.content_hash},
@@ -80,15 +93,15 @@ class Palette:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Palette:
-        """The palette that to_bytes wrote. Raises FileError where the bytes are damaged, of another schema, or from
-        another encoder."""
+        """Parse the bytes of `to_bytes`; raise FileError if damaged, of another schema, or of an unknown encoder."""
         try:
             facts, tokens, table = _unpack_palette(data)
             schema, encoder = int(facts["schema"]), facts["encoder"]
             names = tuple(str(name) for name in json.loads(facts["names"]))
             mechanics = tuple(Mechanics(*(None if np.isnan(v) else float(v) for v in row)) for row in table)
             palette = cls(tokens, mechanics, names, schema, encoder)
-            # One palette has one form: what would be written back must be what was read, digest included.
+            # A palette has one serialised form, so writing it again must give the bytes that were read, digest
+            # included.
             if palette.to_bytes() != bytes(data):
                 raise ValueError("its digest does not match its contents")
         except (ValueError, KeyError, TypeError, RecursionError, MaterialError) as error:
@@ -126,28 +139,49 @@ def build_palette(
     tolerance: float = MERGE_TOLERANCE,
     encoders: Iterable[str] = (ENCODER_ID,),
 ) -> tuple[Palette, NDArray[np.int32]]:
-    """A palette of n materials with near-equal ones merged, and the index (n,) int32 of each in it.
+    """Build the palette of n materials, with near-equal ones merged.
 
-    Two merge when name and mechanics are equal and no feature differs by more than tolerance from the first of them,
-    which is the one kept. The order of first appearance is kept, so equal input gives equal palettes. encoders: names
-    of the makes of E that any of the tokens came from. Raises ValueError for a make that does not exist.
+    Parameters
+    ----------
+    tokens : sequence of ndarray
+        Tokens of the materials.
+    mechanics : sequence of Mechanics
+        Mechanics of the materials.
+    names : sequence of str
+        Names of the materials.
+    tolerance : float
+        Largest difference of any token feature for a merge; name and mechanics must be equal.
+    encoders : iterable of str
+        Names of the encoders that any of the tokens came from.
+
+    Returns
+    -------
+    palette : Palette
+        First material of each merged group, in order of first appearance.
+    index : ndarray of int32, shape (n,)
+        Position of each material in the palette.
+
+    Raises
+    ------
+    ValueError
+        For an unknown encoder.
     """
-    kept: list[int] = []
+    unique: list[int] = []
     index = np.empty(len(tokens), dtype=np.int32)
     for i, token in enumerate(tokens):
-        for place, k in enumerate(kept):
+        for position, k in enumerate(unique):
             same = names[k] == names[i] and mechanics[k] == mechanics[i]
             if same and float(np.max(np.abs(tokens[k].astype(np.float64) - token))) <= tolerance:
-                index[i] = place
+                index[i] = position
                 break
         else:
-            index[i] = len(kept)
-            kept.append(i)
-    table = np.array([tokens[k] for k in kept], dtype=np.float32).reshape(len(kept), TOKEN_DIM)
+            index[i] = len(unique)
+            unique.append(i)
+    table = np.array([tokens[k] for k in unique], dtype=np.float32).reshape(len(unique), TOKEN_DIM)
     palette = Palette(
         table,
-        tuple(mechanics[k] for k in kept),
-        tuple(names[k] for k in kept),
+        tuple(mechanics[k] for k in unique),
+        tuple(names[k] for k in unique),
         encoder_id=joined_encoders(encoders),
     )
     return palette, index
@@ -158,7 +192,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def _unpack_palette(data: bytes) -> tuple[dict[str, str], NDArray[np.float32], NDArray[np.float64]]:
-    """Metadata, tokens (P, TOKEN_DIM) and mechanics (P, 3). Raises ValueError, KeyError or TypeError on damage."""
+    """Return metadata, tokens (P, TOKEN_DIM), mechanics (P, 3); raise ValueError, KeyError or TypeError if damaged."""
     header, body = split_header(data)
     facts = dict(header["__metadata__"])
     if facts["kind"] != _KIND:

@@ -1,4 +1,4 @@
-"""The probes that touch a surface."""
+"""Probes: the contacting tips, pen and finger, with their mass, radius and stiffness."""
 
 from __future__ import annotations
 
@@ -6,9 +6,21 @@ from typing import NamedTuple
 
 
 class Probe(NamedTuple):
-    """What touches the surface. mass_kg: moving mass at the tip. tip_radius_m: radius of curvature.
-    stiffness_n_m: the probe's own compliance, in series with the surface's. soft_tip: that compliance sits at the
-    contact and widens it (a fingertip's pad); otherwise in the shaft, and only the surface gives way."""
+    """A contacting tip.
+
+    Attributes
+    ----------
+    name : str
+        "pen" or "finger".
+    mass_kg : float
+        Moving mass at the tip [kg].
+    tip_radius_m : float
+        Radius of curvature [m].
+    stiffness_n_m : float
+        Stiffness of the probe, in series with the surface's [N/m].
+    soft_tip : bool
+        True if the probe's compliance is at the contact and widens it (a fingertip's pad); else it is in the shaft.
+    """
 
     name: str
     mass_kg: float
@@ -21,3 +33,4 @@ PROBES = {
     "pen": Probe("pen", mass_kg=0.035, tip_radius_m=0.5e-3, stiffness_n_m=4.0e5),
     "finger": Probe("finger", mass_kg=0.006, tip_radius_m=8.0e-3, stiffness_n_m=1.2e3, soft_tip=True),
 }
+"""Probes by name."""

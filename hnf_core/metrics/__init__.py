@@ -1,8 +1,7 @@
 """Metrics of vibrotactile signals: spectra, distances between them, and published similarity scores.
 
-The functions here take signals and their rate; the modules beside this file hold the same measures of arrays of
-windows.
-Start reading at `spectra.py`.
+The functions here take signals and their rate; the modules of this package compute the same from arrays of windows.
+Start with `spectra.py`.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     Float = NDArray[np.float64]
 
 WINDOW_S = 0.1
-"""Analysis window: 1000 samples at 10 kHz, as published [s]."""
+"""Length of the analysis window [s]: 1000 samples at 10 kHz, as published."""
 
 __all__ = [
     "average_spectrum_distance",
@@ -79,7 +78,7 @@ def log_spectral_distance(
     Parameters
     ----------
     signal, reference : Signal or array_like, shape (n,)
-        Of one rate; the longer one is cut to the shorter.
+        Signals of the same rate; the longer one is cut to the shorter.
     rate_hz : float, optional
         Sample rate of arrays [Hz].
 
@@ -113,7 +112,7 @@ def log_spectral_distance(
 def spectral_mse(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None = None) -> float:
     """Compute the mean squared difference of Hann-window magnitudes, the paper's L_mag as a metric.
 
-    Takes and raises what `log_spectral_distance` does.
+    Parameters and errors are those of `log_spectral_distance`.
 
     Examples
     --------
@@ -132,7 +131,7 @@ def average_spectrum_distance(
 ) -> float:
     """Compute the RMS level difference of two average spectra, over 20 Hz to 1 kHz within 30 dB of the peak [dB].
 
-    Takes and raises what `log_spectral_distance` does. A single realisation of noise does not blur it.
+    Parameters and errors are those of `log_spectral_distance`. It depends little on the realisation of noise.
 
     Examples
     --------
@@ -151,9 +150,9 @@ def average_spectrum_distance(
 
 
 def spqi(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None = None) -> float:
-    """Compute the spectral perceptual quality index of a signal against a reference.
+    """Compute the spectral perceptual quality index (SPQI) of a signal against a reference, 0 to 1.
 
-    Takes and raises what `log_spectral_distance` does.
+    Parameters and errors are those of `log_spectral_distance`.
 
     Examples
     --------
@@ -170,7 +169,7 @@ def spqi(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: flo
 def st_sim(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None = None) -> float:
     """Compute the spectral–temporal similarity (ST-SIM) of a signal to a reference, at most 1.
 
-    Takes and raises what `log_spectral_distance` does.
+    Parameters and errors are those of `log_spectral_distance`.
 
     Examples
     --------
@@ -200,16 +199,17 @@ def _get_pair(
     signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None
 ) -> tuple[Float, Float, float]:
     """Return both signals, cut to one length, and their common rate [Hz]."""
-    (first, rate), (second, other) = _get_samples(signal, rate_hz), _get_samples(reference, rate_hz)
-    if rate != other:
+    (first, rate), (second, second_rate) = _get_samples(signal, rate_hz), _get_samples(reference, rate_hz)
+    if rate != second_rate:
         raise UsageError(
-            f"the signals have two rates, {rate:g} and {other:g} Hz.", remedy="Resample one of them first."
+            f"the signals have two rates, {rate:g} and {second_rate:g} Hz.", remedy="Resample one of them first."
         )
     count = min(len(first), len(second))
     return first[:count], second[:count], rate
 
 
 def _get_window(samples: Float, rate: float) -> int:
+    """Return the window length [samples]; raise UsageError if the signal is shorter."""
     window = round(WINDOW_S * rate)
     if len(samples) < window:
         raise UsageError(
@@ -221,6 +221,7 @@ def _get_window(samples: Float, rate: float) -> int:
 def _compute_magnitudes(
     signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None
 ) -> tuple[Float, Float]:
+    """Return the window magnitudes of both signals."""
     from .spectra import window_magnitudes
 
     first, second, rate = _get_pair(signal, reference, rate_hz)

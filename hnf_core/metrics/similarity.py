@@ -1,13 +1,9 @@
-"""The perceptual spectrum that TUM's two metrics share: blockwise DCT levels above a threshold of touch.
+"""Published similarity scores of vibrotactile signals: TUM's SPQI and ST-SIM, and ST-SIM as two cosines.
 
-A. Noll et al. (2022), "Automated quality assessment for compressed vibrotactile signals using multi-method assessment
-fusion", IEEE Haptics Symposium; formulas as in its authors' `vibromaf`.
-
-SPQI, TUM's spectral perceptual quality index.
-
-ST-SIM as TUM's `vibromaf` computes it. Not the variant of the paper's 0.85–0.88, which cannot be told.
-
-ST-SIM as two cosines: a second reading of the name, kept apart from TUM's.
+The first two compare perceptual spectra: blockwise DCT levels above a threshold of touch. A. Noll et al. (2022),
+"Automated quality assessment for compressed vibrotactile signals using multi-method assessment fusion", IEEE Haptics
+Symposium; formulas as in its authors' `vibromaf`. Which variant of ST-SIM gives the paper's 0.85–0.88 cannot be
+determined from it.
 """
 
 from __future__ import annotations
@@ -21,13 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 Float = NDArray[np.float64]
 
 TUM_RATE_HZ = 8000.0
-"""The threshold's frequencies are laid out for this rate and no other."""
+"""Sample rate that the threshold's frequencies are defined for [Hz]."""
 BLOCK_SAMPLES = 512
+"""Length of a block [samples]."""
 
 
 def resample_to_tum_rate(samples: ArrayLike, rate: float) -> Float:
-    """The signal at 8 kHz, by its Fourier series cut or padded; unchanged where it is. The last incomplete 8 kHz
-    sample is dropped, and length · 8000 / rate must be at least one block, else ValueError."""
+    """Resample a signal to 8 kHz by cutting or padding its Fourier series; a signal at 8 kHz is unchanged.
+
+    The last incomplete 8 kHz sample is dropped. Raises ValueError if the result is shorter than one block.
+    """
     x = np.asarray(samples, dtype=np.float64)
     count = math.floor(len(x) * TUM_RATE_HZ / rate + 1e-9)
     if count < BLOCK_SAMPLES:
@@ -38,24 +37,27 @@ def resample_to_tum_rate(samples: ArrayLike, rate: float) -> Float:
 
 
 def split_blocks(samples: ArrayLike) -> Float:
-    """(blocks, 512), whole ones side by side."""
+    """Split a signal into complete consecutive blocks (blocks, 512)."""
     x = np.asarray(samples, dtype=np.float64)
     return x[: len(x) // BLOCK_SAMPLES * BLOCK_SAMPLES].reshape(-1, BLOCK_SAMPLES)
 
 
 def dct(values: Float) -> Float:
-    """Orthonormal DCT-II over the last axis, by the FFT of the even extension."""
+    """Compute the orthonormal DCT-II over the last axis, by the FFT of the even extension."""
     size = values.shape[-1]
     spectrum = np.fft.rfft(np.concatenate([values, values[..., ::-1]], axis=-1), axis=-1)[..., :size]
-    turned = spectrum * np.exp(-0.5j * np.pi * np.arange(size) / size)
-    out = turned.real * np.sqrt(0.5 / size)
-    out[..., 0] *= np.sqrt(0.5)
-    return np.asarray(out)
+    rotated = spectrum * np.exp(-0.5j * np.pi * np.arange(size) / size)
+    coefficients = rotated.real * np.sqrt(0.5 / size)
+    coefficients[..., 0] *= np.sqrt(0.5)
+    return np.asarray(coefficients)
 
 
 def get_touch_threshold_db() -> Float:
-    """(512,) T(f) = |62 / log10²(6/11) · log10²(f/550 + 6/11)| − 77 at f = 8000 i / 1023 Hz, held from where it first
-    passes 0. (The grid is the authors': 2 · 512 points from 0 to 8000 inclusive, the first half kept.)"""
+    """Return the threshold of touch T (512,) [dB] at f = 8000 i / 1023 Hz.
+
+    T(f) = |62 / log10²(6/11) · log10²(f/550 + 6/11)| − 77, constant from its first positive value on. The grid is the
+    authors': the first half of 2 · 512 points from 0 to 8000 Hz inclusive.
+    """
     frequency = np.linspace(0.0, TUM_RATE_HZ, 2 * BLOCK_SAMPLES)[:BLOCK_SAMPLES]
     scale = 62.0 / math.log10(6.0 / 11.0) ** 2
     threshold = np.abs(scale * np.square(np.log10(frequency / 550.0 + 6.0 / 11.0))) - 77.0
@@ -65,44 +67,90 @@ def get_touch_threshold_db() -> Float:
 
 
 def compute_perceptual_levels_db(samples: ArrayLike) -> Float:
-    """(blocks, 512) 20 log10 |DCT-II| − T(f) of a signal at 8 kHz; an exact zero counts as 1e-15."""
+    """Return 20 log10 |DCT-II| − T(f) (blocks, 512) of a signal at 8 kHz; an exact zero counts as 1e-15."""
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(dct(split_blocks(samples))), 1e-15)) - get_touch_threshold_db())
 
 
 SPQI_SLOPE, SPQI_OFFSET = 0.3, 2.0
+"""Parameters of the SPQI's tanh."""
 
 
 def spqi(samples: ArrayLike, reference: ArrayLike, rate: float) -> float:
-    """mean over blocks of (1 − tanh(0.3 D + 2)) / 2, D = 10 log10(Σ |10^(Px/10) − 10^(Py/10)| / Σ 10^(Px/10)), x the
-    reference (A. Noll et al. 2022; `vibromaf`). 1 for the reference itself, 0.018 for silence; not symmetric.
+    """Compute the spectral perceptual quality index (SPQI).
 
-    Blocks of 512 samples at 8 kHz; another rate is resampled. Raises ValueError where the lengths differ or no block
-    is filled.
+    Parameters
+    ----------
+    samples : array_like, shape (n,)
+        The signal.
+    reference : array_like, shape (n,)
+        The reference.
+    rate : float
+        Sample rate [Hz]; signals at another rate than 8 kHz are resampled.
+
+    Returns
+    -------
+    float
+        1 for the reference itself, 0.018 for silence; not symmetric.
+
+    Raises
+    ------
+    ValueError
+        If the lengths differ or no block is filled.
+
+    Notes
+    -----
+    Mean over blocks of 512 samples of (1 − tanh(0.3 D + 2)) / 2, D = 10 log10(Σ |10^(Px/10) − 10^(Py/10)| / Σ
+    10^(Px/10)), x the reference (A. Noll et al. 2022; `vibromaf`).
     """
     x, y = np.asarray(reference, dtype=np.float64), np.asarray(samples, dtype=np.float64)
     if x.shape != y.shape:
         raise ValueError(f"signals {y.shape} and {x.shape} must be equally long.")
-    theirs, ours = (10.0 ** (compute_perceptual_levels_db(resample_to_tum_rate(each, rate)) / 10.0) for each in (x, y))
-    share = np.abs(theirs - ours).sum(axis=1) / (theirs.sum(axis=1) + np.finfo(float).eps)
-    # tanh(0.3 · 10 log10 0 + 2) is −1: a block without any difference scores 1
-    difference = 10.0 * np.log10(np.maximum(share, 1e-300))
-    return float(np.mean((1.0 - np.tanh(SPQI_SLOPE * difference + SPQI_OFFSET)) / 2.0))
+    reference_power, signal_power = (
+        10.0 ** (compute_perceptual_levels_db(resample_to_tum_rate(signal, rate)) / 10.0) for signal in (x, y)
+    )
+    difference_ratio = np.abs(reference_power - signal_power).sum(axis=1) / (
+        reference_power.sum(axis=1) + np.finfo(float).eps
+    )
+    # A block without any difference scores 1, since tanh(0.3 · 10 log10 0 + 2) is −1.
+    difference_db = 10.0 * np.log10(np.maximum(difference_ratio, 1e-300))
+    return float(np.mean((1.0 - np.tanh(SPQI_SLOPE * difference_db + SPQI_OFFSET)) / 2.0))
 
 
 TUM_SPREAD_DB = 12.0
+"""Standard deviation of the psychometric function [dB]."""
 TUM_ETA = 2.0 / 3.0
+"""Exponent of the temporal similarity."""
 _erf = np.frompyfunc(math.erf, 1, 1)
 
 
 def st_sim_tum(samples: ArrayLike, reference: ArrayLike, rate: float) -> float:
-    """Spectral-temporal similarity T^(2/3) S^(1/3) (R. Hassen & E. Steinbach 2018; `vibromaf`): 1 for the reference
-    itself.
+    """Compute the spectral–temporal similarity T^(2/3) S^(1/3) as in TUM's `vibromaf`.
 
-    S = mean ⟨s_x, s_y⟩ / ⟨s_x, s_x⟩ over blocks of 512 at 8 kHz, s = Φ(P / 12 dB) of the perceptual spectrum, x the
-    reference; T the same quotient of z-scored samples. Not symmetric. Signals at another rate are resampled.
-    T is a correlation of waveforms: the same process with a new seed gives |score| of some 0.02, and T < 0 (anti-phase)
-    has no real root. `vibromaf` then returns a complex number; here the score is −|T|^(2/3) S^(1/3), of that modulus.
-    Raises ValueError where the lengths differ or no block is filled.
+    Parameters
+    ----------
+    samples : array_like, shape (n,)
+        The signal.
+    reference : array_like, shape (n,)
+        The reference.
+    rate : float
+        Sample rate [Hz]; signals at another rate than 8 kHz are resampled.
+
+    Returns
+    -------
+    float
+        1 for the reference itself; not symmetric.
+
+    Raises
+    ------
+    ValueError
+        If the lengths differ or no block is filled.
+
+    Notes
+    -----
+    R. Hassen & E. Steinbach 2018. S = mean ⟨s_x, s_y⟩ / ⟨s_x, s_x⟩ over blocks of 512 at 8 kHz, s = Φ(P / 12 dB) of the
+    perceptual spectrum, x the reference; T is the same quotient of z-scored samples. T is a correlation of waveforms:
+    the same process with a new seed gives |score| of some 0.02. T < 0 (anti-phase) has no real root; `vibromaf` returns
+    a complex number then, and this function −|T|^(2/3) S^(1/3), of the same modulus.
     """
     x, y = _resample_pair(samples, reference, rate)
     if np.array_equal(x, y):
@@ -125,8 +173,10 @@ def _perceptual_support(samples: Float) -> Float:
 
 
 def _z_score_blocks(samples: Float) -> Float:
-    cut = split_blocks(samples)
-    return np.asarray((cut - cut.mean(axis=1, keepdims=True)) / (cut.std(axis=1, keepdims=True) + np.finfo(float).eps))
+    blocks = split_blocks(samples)
+    return np.asarray(
+        (blocks - blocks.mean(axis=1, keepdims=True)) / (blocks.std(axis=1, keepdims=True) + np.finfo(float).eps)
+    )
 
 
 def _projection_ratio(reference: Float, signal: Float) -> float:
@@ -134,14 +184,16 @@ def _projection_ratio(reference: Float, signal: Float) -> float:
 
 
 COSINE_ETA = 0.5
+"""Exponent of the spectral similarity."""
 MSCN_TAPS = 7
+"""Length of the Gaussian window of contrast normalisation [samples]."""
 MSCN_SIGMA = 7.0 / 6.0
-"""Gaussian of seven taps, as in A. Mittal, A. Moorthy & A. Bovik (2012), BRISQUE, along time."""
+"""Standard deviation of that window [samples], as in A. Mittal, A. Moorthy & A. Bovik (2012), BRISQUE, along time."""
 
 
 @dataclass(frozen=True)
 class CosineSimilarity:
-    """spectral, temporal: −1 … 1. combined: their geometric mean, with the sign of their product."""
+    """Spectral and temporal similarity, −1 to 1, and their geometric mean with the sign of their product."""
 
     spectral: float
     temporal: float
@@ -149,14 +201,34 @@ class CosineSimilarity:
 
 
 def st_sim_cosine(samples: ArrayLike, reference: ArrayLike) -> CosineSimilarity:
-    """S = cosine of the z-scored |FFT| of the whole signals; T = cosine of their mean-subtracted, contrast-normalised
-    samples (x − μ) / σ with local μ, σ; combined |S|^η |T|^(1−η), η = 0.5. Symmetric; blind to level; 1 for the
-    reference itself, and T = −1 in anti-phase. A constant signal scores 0. Raises ValueError where the lengths differ.
+    """Compute ST-SIM as two cosines, another reading of the name than TUM's.
+
+    Parameters
+    ----------
+    samples : array_like, shape (n,)
+        The signal.
+    reference : array_like, shape (n,)
+        The reference.
+
+    Returns
+    -------
+    CosineSimilarity
+        1 for the reference itself, T = −1 in anti-phase, 0 for a constant signal.
+
+    Raises
+    ------
+    ValueError
+        If the lengths differ or are below `MSCN_TAPS`.
+
+    Notes
+    -----
+    S is the cosine of the z-scored |FFT| of the signals; T is the cosine of their samples (x − μ) / σ with local μ, σ;
+    combined |S|^η |T|^(1−η), η = 0.5. Symmetric and independent of level.
     """
     x, y = np.asarray(samples, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if x.shape != y.shape or x.ndim != 1 or len(x) < MSCN_TAPS:
         raise ValueError(f"signals {x.shape} and {y.shape} must be equally long, at least {MSCN_TAPS} samples.")
-    spectral = _cosine_similarity(*(_z_score(np.abs(np.fft.rfft(each))) for each in (x, y)))
+    spectral = _cosine_similarity(*(_z_score(np.abs(np.fft.rfft(signal))) for signal in (x, y)))
     temporal = _cosine_similarity(_contrast_normalise(x), _contrast_normalise(y))
     size = abs(spectral) ** COSINE_ETA * abs(temporal) ** (1.0 - COSINE_ETA)
     return CosineSimilarity(spectral, temporal, math.copysign(size, spectral * temporal))
@@ -172,11 +244,12 @@ def _contrast_normalise(samples: Float) -> Float:
     taps = np.exp(-0.5 * np.square(offset / MSCN_SIGMA))
     taps /= taps.sum()
     padded = np.pad(samples - samples.mean(), MSCN_TAPS // 2, mode="reflect")
-    near = np.lib.stride_tricks.sliding_window_view(padded, MSCN_TAPS)
-    mean = near @ taps
-    spread = np.sqrt(np.square(near - mean[:, None]) @ taps)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, MSCN_TAPS)
+    mean = windows @ taps
+    spread = np.sqrt(np.square(windows - mean[:, None]) @ taps)
     level = float(np.sqrt(np.mean(np.square(spread))))
-    # Of the signal's own contrast, so that its level does not matter, and silence within it does not divide by zero.
+    # The floor is relative to the signal's contrast, so that its level does not matter and silence does not divide by
+    # 0.
     return np.asarray((padded[MSCN_TAPS // 2 : -(MSCN_TAPS // 2)] - mean) / (spread + max(1e-3 * level, 1e-300)))
 
 

@@ -1,10 +1,8 @@
-"""Power spectra and the distance between average spectra.
+"""Power spectra and magnitudes of windows, and distances between them and between average spectra.
 
-The paper's window spectra, and the squared difference of their magnitudes.
-
-LSD, in the two variants that papers print under one name.
-
-Distances between average spectra, which a single realisation does not blur.
+Welch spectra (P. D. Welch 1967), the paper's window magnitudes with L_mag and GFC, the log-spectral distance in the two
+variants that papers print under one name, and distances between average spectra, which depend little on the
+realisation.
 """
 
 from __future__ import annotations
@@ -17,28 +15,44 @@ from numpy.typing import ArrayLike, NDArray
 Float = NDArray[np.float64]
 
 WINDOW_SAMPLES = 1000
-"""Samples: at 10 kHz bins 1–100 are 10–1000 Hz, the paper's band."""
+"""Length of a window [samples]: at 10 kHz bins 1–100 are 10–1000 Hz, the paper's band."""
 
 
 def window_power(samples: ArrayLike, rate: float, window: int = WINDOW_SAMPLES, hop: int | None = None) -> Float:
-    """One-sided power density (W, window // 2 + 1) of every Hann window of samples (n,); hop defaults to window // 2.
+    """Compute the one-sided power density of every Hann window.
 
-    Scaled so that white noise of variance V has V / (rate / 2) in every bin. W is 0 for a signal shorter than one
-    window.
+    Parameters
+    ----------
+    samples : array_like, shape (n,)
+        The signal.
+    rate : float
+        Sample rate [Hz].
+    window : int
+        Length of a window [samples].
+    hop : int, optional
+        Step between windows [samples]; by default half a window.
+
+    Returns
+    -------
+    ndarray, shape (W, window // 2 + 1)
+        Density; white noise of variance V has V / (rate / 2) in every bin. W is 0 for a signal shorter than one window.
     """
     samples = np.asarray(samples, dtype=np.float64)
     hop = hop or window // 2
     if len(samples) < window:
         return np.zeros((0, window // 2 + 1))
     shape = hann_window(window)
-    cut = np.lib.stride_tricks.sliding_window_view(samples, window)[::hop]
-    power = np.square(np.abs(np.fft.rfft(cut * shape, axis=1))) / (rate * np.sum(np.square(shape)))
+    windows = np.lib.stride_tricks.sliding_window_view(samples, window)[::hop]
+    power = np.square(np.abs(np.fft.rfft(windows * shape, axis=1))) / (rate * np.sum(np.square(shape)))
     power[:, 1 : (window + 1) // 2] *= 2.0
     return np.asarray(power)
 
 
 def welch(samples: ArrayLike, rate: float, window: int = WINDOW_SAMPLES) -> tuple[Float, Float]:
-    """Frequencies [Hz] and mean one-sided density of half-overlapping Hann windows (P. D. Welch 1967)."""
+    """Return frequencies [Hz] and the mean one-sided density of half-overlapping Hann windows (P. D. Welch 1967).
+
+    Raises ValueError for a signal shorter than one window.
+    """
     power = window_power(samples, rate, window)
     if len(power) == 0:
         raise ValueError(f"a signal shorter than one window of {window} samples has no spectrum.")
@@ -46,9 +60,9 @@ def welch(samples: ArrayLike, rate: float, window: int = WINDOW_SAMPLES) -> tupl
 
 
 def spectrum_distance_db(a: ArrayLike, b: ArrayLike) -> float:
-    """RMS over the bins of the level difference between two average spectra [dB]; realisations do not blur it.
+    """Compute the RMS level difference of two average spectra over their bins [dB].
 
-    Densities below 1e-12 of their spectrum's peak count as that.
+    Densities below 1e-12 of the peak count as that.
     """
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     floor = 1e-12 * max(float(first.max()), float(second.max()), 1e-300)
@@ -56,42 +70,64 @@ def spectrum_distance_db(a: ArrayLike, b: ArrayLike) -> float:
 
 
 def hann_window(size: int) -> Float:
-    """Periodic Hann window."""
+    """Return the periodic Hann window (size,)."""
     return np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size))
 
 
 BIN_COUNT = 100
-"""K: bins 1–100 of 1000 samples at 10 kHz are 10–1000 Hz; DC is left out, and nothing is filtered inside the band."""
+"""Number K of bins: bins 1–100 of 1000 samples at 10 kHz are 10–1000 Hz; DC is left out."""
 
 
 def window_magnitudes(samples: ArrayLike, window: int = WINDOW_SAMPLES, bins: int = BIN_COUNT) -> Float:
-    """|X_k| (C, bins) for k = 1 … bins of every whole Hann window, windows side by side, DFT without a factor.
+    """Compute the DFT magnitudes |X_k| (C, bins), k = 1 … bins, of consecutive Hann windows.
 
-    The mean of the whole signal is removed first: a Hann window would leak half of it into bin 1.
-    Haptic Neural Fields (CVPR 2026), L_mag: 1000 samples at 10 kHz. Raises ValueError for less than one window.
+    Parameters
+    ----------
+    samples : array_like, shape (n,)
+        The signal; its mean is removed first, since a Hann window would leak half of it into bin 1.
+    window : int
+        Length of a window [samples].
+    bins : int
+        Number of bins.
+
+    Returns
+    -------
+    ndarray, shape (C, bins)
+        Magnitudes, without a factor.
+
+    Raises
+    ------
+    ValueError
+        For less than one window.
+
+    Notes
+    -----
+    As in L_mag of Haptic Neural Fields (CVPR 2026): 1000 samples at 10 kHz.
     """
     samples = np.asarray(samples, dtype=np.float64)
     count = len(samples) // window
     if count == 0:
         raise ValueError(f"{len(samples)} samples do not fill one window of {window}.")
-    cut = (samples - samples.mean())[: count * window].reshape(count, window) * hann_window(window)
-    return np.asarray(np.abs(np.fft.rfft(cut, axis=1))[:, 1 : bins + 1])
+    windows = (samples - samples.mean())[: count * window].reshape(count, window) * hann_window(window)
+    return np.asarray(np.abs(np.fft.rfft(windows, axis=1))[:, 1 : bins + 1])
 
 
 def spectral_mse(first: ArrayLike, second: ArrayLike) -> float:
-    """Mean over windows and bins of (|X_k| − |Y_k|)², from magnitudes (C, K): the paper's L_mag as a metric.
+    """Compute the mean of (|X_k| − |Y_k|)² over windows and bins (C, K): the paper's L_mag as a metric.
 
-    Symmetric; a realisation of a Gaussian texture scores 2 − π/2 = 0.429 of the mean power E|X_k|² against another
-    one, and the best that any prediction can score against it is 1 − π/4 = 0.215. Raises ValueError where the shapes
-    differ.
+    Symmetric. A realisation of a Gaussian texture scores 2 − π/2 = 0.429 of the mean power E|X_k|² against another one;
+    the best possible prediction scores 1 − π/4 = 0.215. Raises ValueError if the shapes differ.
     """
     a, b = _check_same_shape(first, second)
     return float(np.mean(np.square(a - b)))
 
 
 def gfc(first: ArrayLike, second: ArrayLike) -> float:
-    """Goodness-of-fit coefficient Σ A B / (‖A‖ ‖B‖) of the time-averaged Hann magnitudes A, B of (C, K): 1 where the
-    average spectra have one shape, whatever their level. 0 where one of them is silent. Raises ValueError."""
+    """Compute the goodness-of-fit coefficient Σ A B / (‖A‖ ‖B‖) of time-averaged magnitudes A, B of (C, K).
+
+    It is 1 if the average spectra have the same shape, whatever their level, and 0 if one of them is silent. Raises
+    ValueError if the shapes differ.
+    """
     a, b = (values.mean(axis=0) for values in _check_same_shape(first, second))
     sizes = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(a @ b) / sizes if sizes > 0.0 else 0.0
@@ -105,15 +141,34 @@ def _check_same_shape(first: ArrayLike, second: ArrayLike) -> tuple[Float, Float
 
 
 LSD_EPSILON = 1e-12
-"""Added to |X|², as a share of the reference's mean power: silence is finite, and sounding bins are left alone."""
+"""Added to |X|², as a fraction of the reference's mean power: it keeps silence finite and hardly changes other bins."""
 
 
 def lsd_power_db(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LSD_EPSILON) -> float:
-    """mean_t sqrt(mean_f (10 log10 (|X|² + e) / (|Y|² + e))²) in dB, e = epsilon · mean |Y|² (A. Gray & J. Markel
-    1976, "Distance measures for speech processing", with power spectra).
+    """Compute the log-spectral distance of window magnitudes [dB].
 
-    magnitude, reference: (C, K). A perfect stochastic texture scores some 7.5 dB against one recording of it, since
-    the logarithm of single windows' powers scatters by that much. Raises ValueError where the shapes differ.
+    Parameters
+    ----------
+    magnitude, reference : array_like, shape (C, K)
+        Magnitudes of the signal and of the reference.
+    epsilon : float
+        Floor e over the reference's mean power.
+
+    Returns
+    -------
+    float
+        The distance [dB].
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ.
+
+    Notes
+    -----
+    mean_t sqrt(mean_f (10 log10 (|X|² + e) / (|Y|² + e))²), e = epsilon · mean |Y|² (A. Gray & J. Markel 1976,
+    "Distance measures for speech processing", with power spectra). A perfect stochastic texture scores some 7.5 dB
+    against one recording, since the logarithm of single windows' powers scatters by that much.
     """
     x, y = np.asarray(magnitude, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if x.shape != y.shape or x.ndim != 2:
@@ -124,21 +179,25 @@ def lsd_power_db(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LS
 
 
 def lsd_log10_magnitude(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LSD_EPSILON) -> float:
-    """mean_t sqrt(mean_f (log10 |X| / |Y|)²), in decades of magnitude: what published values of 0.8–0.9 are. One
-    twentieth of lsd_power_db."""
+    """Compute mean_t sqrt(mean_f (log10 |X| / |Y|)²) in decades of magnitude, one twentieth of `lsd_power_db`.
+
+    Published values of 0.8–0.9 are in this unit.
+    """
     return lsd_power_db(magnitude, reference, epsilon) / 20.0
 
 
 MIN_COMPARED_HZ, MAX_COMPARED_HZ = 20.0, 1000.0
+"""Range of frequencies that are compared [Hz]."""
 MAX_BELOW_PEAK_DB = 30.0
+"""Level below the reference's peak down to which bins are compared [dB]."""
 
 NINE_BANDS_HZ = (10.0, 20.0, 30.0, 50.0, 80.0, 130.0, 220.0, 360.0, 600.0, 1000.0)
-"""Edges of the nine bands of nine_band_error_db: our own choice, about ⅔ octave wide and on whole 10 Hz bins (the study
-that found nine critical bands to predict realism does not print its edges where we could read them)."""
+"""Edges of the bands of `nine_band_error_db` [Hz]: chosen here, about ⅔ octave wide and on whole 10 Hz bins, since the
+study that found nine critical bands to predict realism does not print its edges legibly."""
 
 
 def select_compared_bins(reference: ArrayLike, frequency: ArrayLike) -> NDArray[np.bool_]:
-    """Bins in 20–1000 Hz that lie within 30 dB of the reference's peak in that range."""
+    """Return a mask of the bins in 20–1000 Hz that are within 30 dB of the reference's peak in that range."""
     density, hertz = np.asarray(reference, dtype=np.float64), np.asarray(frequency, dtype=np.float64)
     band = (hertz >= MIN_COMPARED_HZ - 1e-6) & (hertz <= MAX_COMPARED_HZ + 1e-6)
     peak = float(density[band].max(initial=0.0))
@@ -146,11 +205,27 @@ def select_compared_bins(reference: ArrayLike, frequency: ArrayLike) -> NDArray[
 
 
 def average_spectrum_distance_db(density: ArrayLike, reference: ArrayLike, frequency: ArrayLike) -> float:
-    """RMS level difference [dB] over the counted bins of two average densities on one grid of 10 Hz.
+    """Compute the RMS level difference of two average densities over the compared bins [dB].
 
-    density: Welch's average of 8 s. reference: exact, or the average of a long run. Not symmetric: the reference's peak
-    chooses the bins. 8 s of the true process score 0.37 dB. Silence scores its floor, 120 dB below the reference's
-    peak. Raises ValueError for a silent reference.
+    Parameters
+    ----------
+    density : array_like, shape (k,)
+        Welch's average of 8 s.
+    reference : array_like, shape (k,)
+        Exact density, or the average of a long run.
+    frequency : array_like, shape (k,)
+        Frequencies, 10 Hz apart [Hz].
+
+    Returns
+    -------
+    float
+        The distance [dB]; not symmetric, since the reference's peak selects the bins. 8 s of the true process score
+        0.37 dB; silence scores its floor, 120 dB below the reference's peak.
+
+    Raises
+    ------
+    ValueError
+        For a silent reference.
     """
     x, y = np.asarray(density, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     bins = select_compared_bins(y, frequency)
@@ -161,30 +236,32 @@ def average_spectrum_distance_db(density: ArrayLike, reference: ArrayLike, frequ
 
 
 def power_bias_db(density: ArrayLike, reference: ArrayLike, frequency: ArrayLike) -> float:
-    """Level of the whole power in 10–1000 Hz over the reference's [dB]; below 0 is too quiet, −120 dB the floor."""
-    ours, theirs = (_sum_band_power(each, frequency, 10.0, MAX_COMPARED_HZ, True) for each in (density, reference))
-    if theirs <= 0.0:
+    """Compute the level of the power in 10–1000 Hz relative to the reference's [dB], with a floor of −120 dB."""
+    power, reference_power = (
+        _sum_band_power(spectrum, frequency, 10.0, MAX_COMPARED_HZ, True) for spectrum in (density, reference)
+    )
+    if reference_power <= 0.0:
         raise ValueError("a silent reference has no power to be compared with.")
-    return float(10.0 * np.log10(max(ours / theirs, 1e-12)))
+    return float(10.0 * np.log10(max(power / reference_power, 1e-12)))
 
 
 def nine_band_error_db(density: ArrayLike, reference: ArrayLike, frequency: ArrayLike) -> float:
-    """RMS over nine bands of the level difference of the energy in each [dB]; edges NINE_BANDS_HZ.
+    """Compute the RMS over nine bands of the level difference of their energies [dB]; edges `NINE_BANDS_HZ`.
 
-    A bin belongs to the band that holds its centre, the last band its upper edge too. Bands where the reference lies
-    below 1e-6 of its whole power (60 dB) do not count: nothing is felt there.
+    A bin belongs to the band that contains its centre, the last band includes its upper edge. Bands in which the
+    reference is below 1e-6 of its power (60 dB) do not count, since nothing is felt there.
     """
     last = len(NINE_BANDS_HZ) - 2
     pairs = [
-        tuple(_sum_band_power(each, frequency, low, high, band == last) for each in (density, reference))
+        tuple(_sum_band_power(spectrum, frequency, low, high, band == last) for spectrum in (density, reference))
         for band, (low, high) in enumerate(pairwise(NINE_BANDS_HZ))
     ]
-    ours, theirs = np.array(pairs).T
-    total = float(theirs.sum())
+    power, reference_power = np.array(pairs).T
+    total = float(reference_power.sum())
     if total <= 0.0:
         raise ValueError("a silent reference has no bands to be compared with.")
-    heard = theirs >= 1e-6 * total
-    level = 10.0 * np.log10(np.maximum(ours[heard] / theirs[heard], 1e-12))
+    significant = reference_power >= 1e-6 * total
+    level = 10.0 * np.log10(np.maximum(power[significant] / reference_power[significant], 1e-12))
     return float(np.sqrt(np.mean(np.square(level))))
 
 

@@ -1,4 +1,4 @@
-"""Camera records: intrinsics, pose, projection and back. +x right, +y down, +z forward."""
+"""Pinhole and orthographic cameras: intrinsics, pose, projection and back. Axes: +x right, +y down, +z forward."""
 
 from __future__ import annotations
 
@@ -13,12 +13,23 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole or orthographic camera.
+    """A pinhole or orthographic camera; pixel centres lie at +0.5.
 
-    width, height: pixels. intrinsics: (3, 3) float64; a perspective camera divides by z, an orthographic one
-    does not (its focal entries are pixels per metre). pose: (4, 4) camera→world, rigid, metres.
-    clip_start, clip_end: metres along +z. Pixel centres lie at +0.5. whole: left, top, right and bottom of the picture
-    that this one was cropped from, in pixels of this one; None: it is whole.
+    Attributes
+    ----------
+    kind : {"perspective", "orthographic"}
+        Projection; a perspective camera divides by z, an orthographic one does not.
+    width, height : int
+        Size of the image [pixels].
+    intrinsics : ndarray of float64, shape (3, 3)
+        Focal lengths and principal point [pixels]; for an orthographic camera the focal entries are pixels per metre.
+    pose : ndarray of float64, shape (4, 4)
+        Rigid transform from camera to world [m].
+    clip_start, clip_end : float
+        Visible range along +z [m].
+    whole : tuple of 4 floats or None
+        Left, top, right and bottom of the image that this one was cropped from, in this one's pixels; None if it was
+        not cropped.
     """
 
     kind: Literal["perspective", "orthographic"]
@@ -32,11 +43,11 @@ class Camera:
 
     @property
     def frame(self) -> tuple[float, float, float, float]:
-        """Left, top, right and bottom of the whole picture, in pixels of this one."""
+        """Left, top, right and bottom of the uncropped image, in pixels of this one."""
         return self.whole or (0.0, 0.0, float(self.width), float(self.height))
 
     def project(self, points: ArrayLike) -> tuple[Float, Float]:
-        """World points (..., 3) → pixel coordinates (..., 2) and planar depth z (...,)."""
+        """Project world points (..., 3) to pixel coordinates (..., 2) and planar depth z (...,) [m]."""
         points = np.asarray(points, dtype=np.float64)
         local = (points - self.pose[:3, 3]) @ self.pose[:3, :3]
         z = local[..., 2]
@@ -45,7 +56,7 @@ class Camera:
         return uv, z
 
     def unproject(self, uv: ArrayLike, z: ArrayLike) -> Float:
-        """Pixel coordinates (..., 2) and planar depth (...,) → world points (..., 3)."""
+        """Return the world points (..., 3) of pixel coordinates (..., 2) at planar depth (...,) [m]."""
         uv, z = np.asarray(uv, dtype=np.float64), np.asarray(z, dtype=np.float64)
         flat = (uv - self.intrinsics[:2, 2]) @ np.linalg.inv(self.intrinsics[:2, :2]).T
         if self.kind == "perspective":
@@ -54,21 +65,25 @@ class Camera:
         return np.asarray(local @ self.pose[:3, :3].T + self.pose[:3, 3])
 
     def pixel_centres(self, rows: slice = slice(None)) -> Float:
-        """(H, W, 2) pixel coordinates of every pixel centre in rows."""
+        """Return the pixel coordinates (H, W, 2) of all pixel centres of some rows."""
         x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height)[rows] + 0.5)
         return np.stack([x, y], axis=-1)
 
     def pixel_rays(self, rows: slice = slice(None)) -> tuple[Float, Float]:
-        """Origins and directions (H, W, 3) in the world, of pixels in rows; directions have camera z = 1, so a hit's
-        ray parameter is its planar depth."""
+        """Return the ray origins and directions (H, W, 3) in the world, for the pixels of some rows.
+
+        Directions have camera z = 1, so that a hit's ray parameter is its planar depth.
+        """
         centres = self.pixel_centres(rows)
         origins = self.unproject(centres, np.zeros(centres.shape[:2]))
         directions = self.unproject(centres, np.ones(centres.shape[:2])) - origins
         return origins, directions
 
     def crop(self, left: int, top: int, width: int, height: int) -> Camera:
-        """The camera of a rectangle of this one's pixels: the same rays, fewer of them. Raises ValueError for a
-        rectangle that is empty or leaves the picture."""
+        """Return the camera of a rectangle of this one's pixels: the same rays, fewer of them.
+
+        Raises ValueError for a rectangle that is empty or leaves the image.
+        """
         if width < 1 or height < 1 or left < 0 or top < 0 or left + width > self.width or top + height > self.height:
             raise ValueError(f"{width} x {height} at {left}, {top} is no part of {self.width} x {self.height} pixels")
         intrinsics = self.intrinsics - np.array([[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]])
@@ -80,9 +95,27 @@ class Camera:
 def orthographic(
     centre: ArrayLike, x_axis: ArrayLike, normal: ArrayLike, size_m: float, pixels: int, distance_m: float
 ) -> Camera:
-    """A square close-up camera that looks along -normal at centre, image +x along x_axis.
+    """Make a square close-up camera that looks along -normal at `centre`.
 
-    size_m: side of the field of view; distance_m: camera height above centre (clip range: 0 … 2 × distance).
+    Parameters
+    ----------
+    centre : array_like, shape (3,)
+        Point in the middle of the image [m].
+    x_axis : array_like, shape (3,)
+        Direction of the image's +x; its part along `normal` is removed.
+    normal : array_like, shape (3,)
+        Direction towards the camera, of any length.
+    size_m : float
+        Side of the field of view [m].
+    pixels : int
+        Side of the image [pixels].
+    distance_m : float
+        Height of the camera above `centre` [m]; the clip range is 0 to twice that.
+
+    Returns
+    -------
+    Camera
+        The camera.
     """
     normal = np.asarray(normal, dtype=np.float64)
     forward = -normal / np.linalg.norm(normal)

@@ -1,7 +1,4 @@
-"""The geometry that rays and strokes meet.
-
-The part of a mesh that lies around some places, so that what is done there does not follow the size of the rest.
-"""
+"""Triangle meshes in metres, their frame for float32 ray tracing, and the part of a mesh around given points."""
 
 from __future__ import annotations
 
@@ -15,17 +12,30 @@ from ..errors import SceneError
 Float = NDArray[np.float64]
 
 MIN_EXTENT_M, MAX_EXTENT_M = 1e-60, 1e60
-"""Between them the fourth powers that barycentrics need are float64 numbers; far outside any scene."""
+"""Accepted distances of a mesh's farthest corner from its centre [m]: within them the fourth powers of barycentrics fit
+float64."""
 MIN_RELATIVE_WIDTH = 1e-9
+"""Width of a triangle over its longest side, below which it counts as degenerate."""
 
 
 @dataclass(frozen=True)
 class TriangleMesh:
     """A triangulated surface in metres.
 
-    vertices: (V, 3) float64. triangles: (T, 3) int32. face: (T,) int32 polygon each triangle came from.
-    slot: (T,) int32 material slot. normals: (T, 3, 3) float64 unit corner normals (smooth shading included).
-    uv: (T, 3, 2) float64 corner UVs, or None where the mesh has none.
+    Attributes
+    ----------
+    vertices : ndarray of float64, shape (V, 3)
+        Positions [m].
+    triangles : ndarray of int32, shape (T, 3)
+        Vertex indices.
+    face : ndarray of int32, shape (T,)
+        Polygon that each triangle came from.
+    slot : ndarray of int32, shape (T,)
+        Material slot of each triangle.
+    normals : ndarray of float64, shape (T, 3, 3)
+        Unit corner normals, smooth shading included.
+    uv : ndarray of float64, shape (T, 3, 2), or None
+        Corner UVs, if the mesh has any.
     """
 
     vertices: NDArray[np.float64]
@@ -36,13 +46,15 @@ class TriangleMesh:
     uv: NDArray[np.float64] | None = None
 
     def corner_positions(self) -> NDArray[np.float64]:
-        """(T, 3, 3)."""
+        """Return the corner positions (T, 3, 3) [m]."""
         return self.vertices[self.triangles]
 
 
 def has_area(corners: Float) -> NDArray[np.bool_]:
-    """(T,) which triangles (T, 3, 3) are wider than THINNEST of their length. A thinner one lets no ray through its
-    plane, but a float32 tree may choose it before the surface that it lies on."""
+    """Return a mask (T,) of the triangles (T, 3, 3) that are wider than `MIN_RELATIVE_WIDTH` times their longest side.
+
+    A thinner triangle stops no ray, but a float32 tree may choose it before the surface that it lies on.
+    """
     sides = corners - np.roll(corners, 1, axis=1)
     longest = np.einsum("tcx,tcx->tc", sides, sides).max(axis=1, initial=0.0)
     normal = np.cross(sides[:, 1], sides[:, 2])
@@ -51,11 +63,16 @@ def has_area(corners: Float) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Float32Frame:
-    """Where a tree of float32 numbers keeps a mesh: (x − centre) · scale.
+    """Coordinates in which a float32 tree stores a mesh: (x − centre) · scale.
 
-    centre: (3,) m, the median of the triangles' middles, so that a piece that lies 10 km off costs the rest no digits.
-    scale: a power of two, which rounds nothing, with which the farthest corner lies about 1 away: float32 has no
-    products of nanometres or light years. radius: m, of the sphere around centre that holds every triangle.
+    Attributes
+    ----------
+    centre : ndarray of float64, shape (3,)
+        Median of the triangles' centroids [m], so that a part 10 km away costs the rest no digits.
+    scale : float
+        Power of two that brings the farthest corner to a distance of about 1 [1/m]; it rounds nothing.
+    radius : float
+        Radius of the sphere around `centre` that contains every triangle [m].
     """
 
     centre: Float
@@ -63,15 +80,27 @@ class Float32Frame:
     radius: float
 
     def to_frame(self, points: ArrayLike) -> Float:
-        """Points (..., 3) in m, in this frame; still float64."""
+        """Transform points (..., 3) from metres to this frame; the result is still float64."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.centre) * self.scale)
 
 
 def compute_float32_frame(corners: Float) -> Float32Frame:
-    """The frame of triangles (T, 3, 3) in m.
+    """Compute the frame of triangles (T, 3, 3) [m].
 
-    Raises SceneError where there are none, where a corner is not a number, and where they are all in one point or
-    farther apart than numbers hold.
+    Parameters
+    ----------
+    corners : ndarray of float64, shape (T, 3, 3)
+        Corner positions [m].
+
+    Returns
+    -------
+    Float32Frame
+        The frame.
+
+    Raises
+    ------
+    SceneError
+        If there are no triangles, a corner is not finite, or the extent is outside `MIN_EXTENT_M` … `MAX_EXTENT_M`.
     """
     if len(corners) == 0:
         raise SceneError("the mesh has no faces to touch.", remedy="Give the object some faces, or choose another.")
@@ -91,35 +120,47 @@ def compute_float32_frame(corners: Float) -> Float32Frame:
 
 
 def crop_mesh(mesh: TriangleMesh, points: ArrayLike, reach_m: float) -> TriangleMesh:
-    """The triangles of mesh whose bounding box comes within reach_m, along each axis, of one of the places (n, 3), at
-    least one; in their order, with the vertices that they use.
+    """Return the part of a mesh around some points, so that later work does not depend on the size of the rest.
 
-    No ray that stays within reach_m of a place can meet another one.
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The mesh.
+    points : array_like, shape (n, 3)
+        Centres, at least one [m].
+    reach_m : float
+        Distance along each axis from a centre within which bounding boxes of triangles must come [m].
+
+    Returns
+    -------
+    TriangleMesh
+        Those triangles in their order, with the vertices that they use. A ray that stays within `reach_m` of a centre
+        hits no other triangle.
     """
-    middles = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    kept = _triangles_in_box(
-        mesh, np.arange(len(mesh.triangles)), middles.min(axis=0) - reach_m, middles.max(axis=0) + reach_m
+    centres = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    selected = _triangles_in_box(
+        mesh, np.arange(len(mesh.triangles)), centres.min(axis=0) - reach_m, centres.max(axis=0) + reach_m
     )
-    if len(middles) > 1:
+    if len(centres) > 1:
         inside = np.zeros(len(mesh.triangles), dtype=np.bool_)
-        for middle in middles:
-            inside[_triangles_in_box(mesh, kept, middle - reach_m, middle + reach_m)] = True
-        kept = np.flatnonzero(inside)
-    used, triangles = np.unique(mesh.triangles[kept], return_inverse=True)
+        for centre in centres:
+            inside[_triangles_in_box(mesh, selected, centre - reach_m, centre + reach_m)] = True
+        selected = np.flatnonzero(inside)
+    used, triangles = np.unique(mesh.triangles[selected], return_inverse=True)
     return TriangleMesh(
         vertices=mesh.vertices[used],
         triangles=triangles.reshape(-1, 3).astype(np.int32),
-        face=mesh.face[kept],
-        slot=mesh.slot[kept],
-        normals=mesh.normals[kept],
-        uv=None if mesh.uv is None else mesh.uv[kept],
+        face=mesh.face[selected],
+        slot=mesh.slot[selected],
+        normals=mesh.normals[selected],
+        uv=None if mesh.uv is None else mesh.uv[selected],
     )
 
 
 def _triangles_in_box(
     mesh: TriangleMesh, triangles: NDArray[np.intp], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.intp]:
-    """Those of the triangles whose box meets the box from low to high; axis by axis, the fewer the later."""
+    """Return the given triangles whose bounding boxes overlap a box; tests one axis after the other."""
     for axis in range(3):
         corners = mesh.vertices[:, axis][mesh.triangles[triangles]]
         triangles = triangles[(corners.min(axis=1) <= high[axis]) & (corners.max(axis=1) >= low[axis])]

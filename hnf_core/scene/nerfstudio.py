@@ -1,8 +1,8 @@
-"""nerfstudio's transforms.json: the cameras that a reconstruction was made from.
+"""Cameras of a nerfstudio reconstruction, read from its transforms.json.
 
-Its cameras look along −z with +y up (OpenGL, Blender); pixel centres lie at +0.5, as here. A trained model, and what is
-exported from it, lives in a frame of its own: dataparser_transforms.json says x_model = scale · (T x_original), and
-applied_transform and applied_scale of transforms.json say x_poses = applied_scale · (A x_original)
+nerfstudio's cameras look along −z with +y up (OpenGL, Blender); pixel centres lie at +0.5, as in `camera.py`. A trained
+model and its exports use another frame: x_model = scale · (T x_original) by dataparser_transforms.json, and x_poses =
+applied_scale · (A x_original) by applied_transform and applied_scale of transforms.json
 (https://docs.nerf.studio/quickstart/data_conventions.html; nerfstudio_dataparser.py).
 """
 
@@ -28,16 +28,24 @@ PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
 LENS_KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h")
 OPENGL_CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
-"""OpenGL's camera axes (+y up, −z forward) ↔ ours (+y down, +z forward)."""
+"""OpenGL's camera axes (+y up, −z forward) in ours (+y down, +z forward), and back."""
 RIGID_TOLERANCE = 1e-3
-"""How far R Rᵀ may be from 1: matrices are kept in float32, or typed."""
+"""Largest deviation of R Rᵀ from 1; files store float32 or typed numbers."""
 MAX_PIXELS = 1 << 16
+"""Largest accepted width or height of an image [pixels]."""
 
 
 @dataclass(frozen=True)
 class NerfstudioFrame:
-    """One picture. file_path, depth_file_path: below the file's folder, with '/'; "" = no depth. camera: in the frame
-    and unit of the poses or, by read_export, of the model."""
+    """One image of a reconstruction and its camera.
+
+    Attributes
+    ----------
+    file_path, depth_file_path : str
+        Paths below the folder of transforms.json, with '/'; "" if there is no depth image.
+    camera : Camera
+        Camera in the frame and unit of the poses, or of the model if read by `read_model_transforms`.
+    """
 
     file_path: str
     camera: Camera
@@ -45,15 +53,15 @@ class NerfstudioFrame:
 
     @property
     def name(self) -> str:
-        """The picture's name, for its camera."""
+        """Name of the image without folder and suffix."""
         return PurePosixPath(self.file_path).stem
 
 
 def read_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
-    """The frames in file order, in the frame of the poses.
+    """Read the frames of a transforms.json in file order, with cameras in the frame of the poses.
 
-    Raises FileError where the file is damaged, a key is missing or no number, a lens is not a plain pinhole, a matrix
-    is not rigid, or a path leaves the file's folder.
+    Raises FileError if the file is damaged, a key is missing or no number, a lens is no plain pinhole, a matrix is not
+    rigid, or a path leaves the file's folder.
     """
     document = _read_document(path)
     entries = document.get("frames")
@@ -63,25 +71,40 @@ def read_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
 
 
 def read_model_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
-    """read_transforms, in the frame of what was exported from the model: moved where MODEL_FRAME stands beside it.
+    """Read the frames of a transforms.json, with cameras in the frame of the exported model.
 
-    Raises FileError likewise, and where either transform cannot be undone.
+    Parameters
+    ----------
+    path : Path
+        The transforms.json. The transform to the model is read from dataparser_transforms.json in the same folder;
+        without that file the frame of the poses is returned.
+
+    Returns
+    -------
+    tuple of NerfstudioFrame
+        The frames in file order.
+
+    Raises
+    ------
+    FileError
+        As `read_transforms`, and if a transform is damaged or cannot be inverted.
     """
     frames = read_transforms(path)
-    beside = path.with_name(MODEL_TRANSFORM_FILE)
-    if not beside.is_file():
+    model_path = path.with_name(MODEL_TRANSFORM_FILE)
+    if not model_path.is_file():
         return frames
-    document, model = _read_document(path), _read_document(beside)
-    turn = np.eye(4)
+    document, model = _read_document(path), _read_document(model_path)
+    applied_axes = np.eye(4)
     if "applied_transform" in document:
-        turn = _read_rigid_matrix(path, document["applied_transform"], "applied_transform")
+        applied_axes = _read_rigid_matrix(path, document["applied_transform"], "applied_transform")
     applied = _read_number(path, document, "applied_scale", "") if "applied_scale" in document else 1.0
-    to_model = _read_rigid_matrix(beside, model.get("transform"), "transform")
-    scale = _read_number(beside, model, "scale", "")
+    to_model = _read_rigid_matrix(model_path, model.get("transform"), "transform")
+    scale = _read_number(model_path, model, "scale", "")
     if not applied > 0.0 or not scale > 0.0:
         raise _unusable_error(path, "a scale is not positive", "Export it again.")
     return tuple(
-        replace(frame, camera=_transform_camera(frame.camera, turn, applied, to_model, scale)) for frame in frames
+        replace(frame, camera=_transform_camera(frame.camera, applied_axes, applied, to_model, scale))
+        for frame in frames
     )
 
 
@@ -159,7 +182,7 @@ def _read_number(path: Path, settings: Mapping[str, Any], key: str, where: str) 
 
 
 def _read_rigid_matrix(path: Path, values: Any, name: str) -> Float:
-    """(4, 4) of three or four rows, its rotation exact. Raises FileError where it is more than a turn and a shift."""
+    """Return a rigid (4, 4) matrix from three or four rows, its rotation made exact; raise FileError for any other."""
     try:
         rows = np.array(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
@@ -168,19 +191,19 @@ def _read_rigid_matrix(path: Path, values: Any, name: str) -> Float:
         raise _unusable_error(path, f"{name} is no matrix of 3 × 4 or 4 × 4 numbers")
     if len(rows) == 4 and not np.allclose(rows[3], [0.0, 0.0, 0.0, 1.0], atol=RIGID_TOLERANCE):
         raise _unusable_error(path, f"{name} does not end with 0 0 0 1")
-    turn = rows[:3, :3]
-    if float(np.abs(turn).max()) > 2.0 or float(np.abs(turn @ turn.T - np.eye(3)).max()) > RIGID_TOLERANCE:
+    rotation = rows[:3, :3]
+    if float(np.abs(rotation).max()) > 2.0 or float(np.abs(rotation @ rotation.T - np.eye(3)).max()) > RIGID_TOLERANCE:
         raise _unusable_error(path, f"{name} does more than turn and move")
-    if np.linalg.det(turn) < 0.0:
+    if np.linalg.det(rotation) < 0.0:
         raise _unusable_error(path, f"{name} mirrors")
     matrix = np.eye(4)
-    left, _, right = np.linalg.svd(turn)
+    left, _, right = np.linalg.svd(rotation)
     matrix[:3, :3], matrix[:3, 3] = left @ right, rows[:3, 3]
     return matrix
 
 
 def check_relative_path(path: Path, name: str, where: str) -> str:
-    """A path below the file's folder, with '/'. Raises FileError for any other."""
+    """Return a path below the folder of `path`, with '/'; raise FileError for any other."""
     text = name.replace("\\", "/")
     parts = PurePosixPath(text).parts
     if not parts or ".." in parts or PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive or "\0" in text:

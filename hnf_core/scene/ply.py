@@ -1,7 +1,4 @@
-"""What a .ply says of itself before anything is imported.
-
-The rows of one element of a .ply, a block at a time, so that no file is too large.
-"""
+"""Reading of PLY files: the header before anything is imported, and the rows of an element block by block."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import FileError
 
 MAX_HEADER_BYTES = 1 << 16
-# No disk holds more rows; int() of a longer number is slow, then refused.
+# No disk holds more rows, and int() of a longer number is slow.
 MAX_COUNT_DIGITS = 18
 PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -30,9 +27,21 @@ END_OF_HEADER = re.compile(rb"[\r\n][ \t]*end_header[ \t]*(\r\n|\n|\r|\Z)")
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """elements: name → (count, property names) in file order. types: name → numpy's type code of each property
-    without byte order ("f4"), "" for a list or an unknown type. format: the second word of its line. comments: without
-    the word 'comment'. data_at: bytes before the data."""
+    """Header of a PLY file.
+
+    Attributes
+    ----------
+    elements : dict of str to (int, tuple of str)
+        Count and property names of each element, in file order.
+    types : dict of str to tuple of str
+        numpy type code of each property without byte order ("f4"); "" for a list or an unknown type.
+    format : str
+        "ascii", "binary_little_endian" or "binary_big_endian", as the file states it.
+    comments : tuple of str
+        Comments without the word 'comment'.
+    data_offset : int
+        Position of the data in the file [bytes].
+    """
 
     elements: dict[str, tuple[int, tuple[str, ...]]]
     types: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -41,27 +50,28 @@ class PlyHeader:
     data_offset: int = 0
 
     def count(self, element: str) -> int:
+        """Return the number of rows of an element, 0 if there is none of that name."""
         return self.elements.get(element, (0, ()))[0]
 
     def names(self, element: str) -> tuple[str, ...]:
+        """Return the property names of an element."""
         return self.elements.get(element, (0, ()))[1]
 
     @property
     def is_splat(self) -> bool:
-        """Gaussian splats: INRIA's vertex properties (nerfstudio may write a plain colour), or PlayCanvas's
-        compressed chunks."""
+        """True for Gaussian splats in INRIA's layout (nerfstudio may write plain colours) or PlayCanvas's."""
         names = set(self.names("vertex"))
         inria = {"opacity", "scale_0", "rot_0"} <= names and not names.isdisjoint({"f_dc_0", "red"})
         return inria or self.is_compressed
 
     @property
     def is_compressed(self) -> bool:
-        """PlayCanvas's compressed chunks."""
+        """True for PlayCanvas's compressed splats."""
         return "chunk" in self.elements and {"packed_position", "packed_scale"} <= set(self.names("vertex"))
 
 
 def read_ply_header(path: Path) -> PlyHeader:
-    """Raises FileError where the file cannot be read, is no PLY or its header is damaged."""
+    """Read the header of a PLY file; raise FileError if it cannot be read, is no PLY or is damaged."""
     try:
         with path.open("rb") as stream:
             head = stream.read(MAX_HEADER_BYTES)
@@ -73,22 +83,22 @@ def read_ply_header(path: Path) -> PlyHeader:
     lines = head[: end.start() if end else 0].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
     if end is None or lines[0].strip() != b"ply":
         raise _damaged_error(path, "it has no PLY header")
-    # A file of lone carriage returns may begin its data with a byte that looks like a line feed.
-    lone = head[3:].lstrip(b" \t").startswith(b"\r") and not head[3:].lstrip(b" \t").startswith(b"\r\n")
-    data_at = end.start(1) + 1 if lone and end[1] == b"\r\n" else end.end()
+    # If lines end with a carriage return alone, a data byte that looks like a line feed may follow the header.
+    cr_only = head[3:].lstrip(b" \t").startswith(b"\r") and not head[3:].lstrip(b" \t").startswith(b"\r\n")
+    data_offset = end.start(1) + 1 if cr_only and end[1] == b"\r\n" else end.end()
     elements: dict[str, tuple[int, tuple[str, ...]]] = {}
     types: dict[str, tuple[str, ...]] = {}
-    form, name = "", ""
+    format_name, name = "", ""
     comments = []
-    for line in (each.decode("latin-1") for each in lines[1:]):
+    for line in (raw.decode("latin-1") for raw in lines[1:]):
         words = line.split()
         if words[:1] == ["format"] and len(words) > 1:
-            form = words[1]
+            format_name = words[1]
         elif words[:1] == ["comment"]:
             comments.append(line.strip().removeprefix("comment").strip())
         elif words[:1] == ["element"]:
-            bad = len(words) != 3 or not words[2].isdecimal() or len(words[2]) > MAX_COUNT_DIGITS
-            if bad or words[1] in elements:
+            is_malformed = len(words) != 3 or not words[2].isdecimal() or len(words[2]) > MAX_COUNT_DIGITS
+            if is_malformed or words[1] in elements:
                 raise _damaged_error(path, f"its header line {' '.join(words)[:80]!r} cannot be read")
             name = words[1]
             elements[name], types[name] = (int(words[2]), ()), ()
@@ -96,7 +106,7 @@ def read_ply_header(path: Path) -> PlyHeader:
             count, names = elements[name]
             elements[name] = (count, (*names, words[-1]))
             types[name] = (*types[name], PLY_TYPES.get(words[1], "") if len(words) == 3 else "")
-    return PlyHeader(elements, types, form, tuple(comments), data_at)
+    return PlyHeader(elements, types, format_name, tuple(comments), data_offset)
 
 
 def _damaged_error(path: Path, why: str) -> FileError:
@@ -109,49 +119,49 @@ MAX_LINE_BYTES = 1 << 16
 
 
 def count_complete_rows(path: Path, header: PlyHeader, element: str) -> int:
-    """Rows of an element whose bytes are all in the file; its count for an ascii file, where only reading tells.
+    """Count the rows of an element whose bytes are all in the file; for an ascii file return the header's count.
 
-    Raises FileError where the element, or one before it, has rows of no fixed size.
+    Raises FileError if the element, or one before it, has rows of no fixed size.
     """
     count = header.count(element)
     if header.format == "ascii":
         return count
     size = _get_row_dtype(path, header, element).itemsize
     try:
-        there = path.stat().st_size - _find_element_offset(path, header, element)
+        available = path.stat().st_size - _find_element_offset(path, header, element)
     except OSError as error:
         raise _unreadable_error(path, error) from error
-    return min(count, max(there, 0) // size) if size else count
+    return min(count, max(available, 0) // size) if size else count
 
 
 def iter_rows(path: Path, header: PlyHeader, element: str, block: int) -> Iterator[Rows]:
-    """Structured arrays (up to block,) of an element's rows in the machine's byte order or the file's.
+    """Yield structured arrays of an element's rows, up to `block` rows each, in the machine's byte order or the file's.
 
-    Raises FileError where the file is cut short, holds no numbers, or has rows of no fixed size.
+    Raises FileError if the file is cut short, holds something other than numbers, or has rows of no fixed size.
     """
-    kind = _get_row_dtype(path, header, element)
+    dtype = _get_row_dtype(path, header, element)
     try:
         with path.open("rb") as stream:
             if header.format == "ascii":
-                yield from _iter_ascii_rows(path, stream, header, element, kind, block)
+                yield from _iter_ascii_rows(path, stream, header, element, dtype, block)
                 return
             stream.seek(_find_element_offset(path, header, element))
             count = header.count(element)
             for first in range(0, count, block):
                 rows = min(block, count - first)
-                data = stream.read(rows * kind.itemsize)
-                if len(data) < rows * kind.itemsize:
-                    raise make_truncated_error(path, element, first + len(data) // kind.itemsize, count)
-                yield np.frombuffer(data, dtype=kind)
+                data = stream.read(rows * dtype.itemsize)
+                if len(data) < rows * dtype.itemsize:
+                    raise make_truncated_error(path, element, first + len(data) // dtype.itemsize, count)
+                yield np.frombuffer(data, dtype=dtype)
     except OSError as error:
         raise _unreadable_error(path, error) from error
 
 
 def make_truncated_error(path: Path, element: str, present: int, count: int) -> FileError:
-    """The error for a file that ends too early."""
-    what = "splats" if element == "vertex" else f"rows of its element '{element}'"
+    """Return the error for a file that ends too early."""
+    noun = "splats" if element == "vertex" else f"rows of its element '{element}'"
     return FileError(
-        f"is cut short: {present} of its {count} {what} are there.",
+        f"is cut short: {present} of its {count} {noun} are there.",
         where=str(path),
         remedy="Export or download it again.",
     )
@@ -162,21 +172,21 @@ def _iter_ascii_rows(
 ) -> Iterator[Rows]:
     stream.seek(header.data_offset)
     lines = iter(lambda: stream.readline(MAX_LINE_BYTES).decode("latin-1"), "")
-    filled = (line for line in lines if line.strip())
+    nonblank = (line for line in lines if line.strip())
     for name, (rows, _) in header.elements.items():
         if name == element:
             break
-        for _ in islice(filled, rows):
+        for _ in islice(nonblank, rows):
             pass
     count, columns = header.count(element), len(kind.names or ())
     for first in range(0, count, block):
         rows = min(block, count - first)
-        text = list(islice(filled, rows))
-        # The very last line may do without an end of its own, but then has all its numbers.
+        text = list(islice(nonblank, rows))
+        # The last line may lack a line end if it has all its numbers.
         broken = bool(text) and not text[-1].endswith("\n") and (len(text) < rows or len(text[-1].split()) < columns)
-        whole = len(text) - broken
-        if whole < rows:
-            raise make_truncated_error(path, element, first + whole, count)
+        complete = len(text) - broken
+        if complete < rows:
+            raise make_truncated_error(path, element, first + complete, count)
         table = _parse_numbers(path, text, columns)
         structured = np.empty(rows, dtype=kind)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -196,13 +206,13 @@ def _parse_numbers(path: Path, text: list[str], columns: int) -> NDArray[np.floa
 
 
 def _find_element_offset(path: Path, header: PlyHeader, element: str) -> int:
-    """Where a binary element begins."""
-    at = header.data_offset
+    """Return the position of a binary element in the file [bytes]."""
+    offset = header.data_offset
     for name, (count, _) in header.elements.items():
         if name == element:
             break
-        at += count * _get_row_dtype(path, header, name).itemsize
-    return at
+        offset += count * _get_row_dtype(path, header, name).itemsize
+    return offset
 
 
 def _get_row_dtype(path: Path, header: PlyHeader, element: str) -> np.dtype[Any]:

@@ -1,4 +1,4 @@
-"""Rays and nearest points on a mesh: what Cycles would say of depth, faces and barycentrics, without rendering."""
+"""Ray casting and closest points on a triangle mesh: depth, faces, barycentrics and normals without rendering."""
 
 from __future__ import annotations
 
@@ -15,13 +15,22 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 
 RAYS_PER_BLOCK = 1 << 14
-"""Rays of a view that are worked out together."""
+"""Number of rays of a view that are computed together."""
 
 
 @dataclass(frozen=True)
 class Hits:
-    """triangle: (n,) int32, -1 = none. distance: (n,) float64 ray parameter (in lengths of the direction), inf =
-    none. barycentric: (n, 3) float64 weights of the triangle's corners, zero = none."""
+    """First hits of n rays.
+
+    Attributes
+    ----------
+    triangle : ndarray of int32, shape (n,)
+        Triangle index, -1 if the ray hits nothing.
+    distance : ndarray of float64, shape (n,)
+        Ray parameter in lengths of the direction, inf if none.
+    barycentric : ndarray of float64, shape (n, 3)
+        Weights of the triangle's corners, zero if none.
+    """
 
     triangle: Int
     distance: Float
@@ -30,7 +39,19 @@ class Hits:
 
 @dataclass(frozen=True)
 class ClosestPoints:
-    """triangle: (n,) int32. barycentric: (n, 3). position: (n, 3) on the surface. distance: (n,) metres."""
+    """Closest surface points of n points.
+
+    Attributes
+    ----------
+    triangle : ndarray of int32, shape (n,)
+        Triangle index.
+    barycentric : ndarray of float64, shape (n, 3)
+        Weights of the triangle's corners.
+    position : ndarray of float64, shape (n, 3)
+        Closest point on the surface [m].
+    distance : ndarray of float64, shape (n,)
+        Distance to it [m].
+    """
 
     triangle: Int
     barycentric: Float
@@ -39,15 +60,28 @@ class ClosestPoints:
 
 
 class RayCaster(Protocol):
+    """Interface of ray casters."""
+
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
-        """First hits of n rays, origins and directions (n, 3); directions need not be unit vectors."""
+        """Return the first hits of n rays, origins and directions (n, 3); directions need not be unit vectors."""
         ...
 
 
 @dataclass(frozen=True)
 class CastView:
-    """What cast_view sees. depth: (H, W) float64 planar metres, inf = none. triangle, face_id: (H, W) int32,
-    -1 = none. barycentric: (H, W, 3). normal: (H, W, 3) smooth shading normal, zero = none."""
+    """Result of `cast_view`: one value per pixel.
+
+    Attributes
+    ----------
+    depth : ndarray of float64, shape (H, W)
+        Planar depth [m], inf if nothing is hit.
+    triangle, face_id : ndarray of int32, shape (H, W)
+        Triangle and polygon, -1 if none.
+    barycentric : ndarray of float64, shape (H, W, 3)
+        Weights of the triangle's corners.
+    normal : ndarray of float64, shape (H, W, 3)
+        Smooth shading normal, zero if none.
+    """
 
     depth: Float
     triangle: Int
@@ -57,8 +91,11 @@ class CastView:
 
 
 class EmbreeCaster:
-    """Embree through embreex. Embree is float32: it only chooses the triangle, in the mesh's SingleFrame; distance and
-    barycentrics come from the triangle's plane in float64."""
+    """Ray caster on Embree, through embreex.
+
+    Embree computes in float32, so it only chooses the triangle, in the mesh's `Float32Frame`. Distance and barycentrics
+    come from the triangle's plane in float64.
+    """
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self._corners = mesh.corner_positions()
@@ -75,7 +112,7 @@ class EmbreeCaster:
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         origins, directions = as_ray_arrays(origins, directions)
-        # A far camera's origin would be rounded to float32: start each ray where it enters the bounding sphere.
+        # A far camera's origin would lose digits in float32, so each ray starts where it enters the bounding sphere.
         local = self._frame.to_frame(origins)
         length = np.sqrt(_dot(directions, directions))
         unit = directions / np.where(length > 0.0, length, 1.0)[:, None]
@@ -83,26 +120,41 @@ class EmbreeCaster:
         start = np.ascontiguousarray(local + skip[:, None] * unit, dtype=np.float32)
         if len(start) == 0 or len(self._triangle_ids) == 0:
             return _make_empty_hits(len(start))
-        found = self._scene.run(start, np.ascontiguousarray(unit, dtype=np.float32), output=True)
-        which = np.asarray(found["primID"], dtype=np.int32)
-        chosen = np.where(which >= 0, self._triangle_ids[which], -1).astype(np.int32)
+        result = self._scene.run(start, np.ascontiguousarray(unit, dtype=np.float32), output=True)
+        embree_ids = np.asarray(result["primID"], dtype=np.int32)
+        chosen = np.where(embree_ids >= 0, self._triangle_ids[embree_ids], -1).astype(np.int32)
         return refine_hits(self._corners, chosen, origins, directions)
 
 
 def make_embree_caster(mesh: TriangleMesh) -> EmbreeCaster:
-    """Raises SceneError for a mesh without triangles and ImportError where embreex is not installed."""
+    """Make an Embree ray caster; raise SceneError for a mesh without triangles, ImportError without embreex."""
     return EmbreeCaster(mesh)
 
 
 def cast_view(caster: RayCaster, mesh: TriangleMesh, camera: Camera) -> CastView:
-    """Depth, ids, barycentrics and smooth normals at every pixel centre; only what lies in the clip range is seen.
+    """Cast a ray through every pixel centre: depth, ids, barycentrics and smooth normals within the clip range.
 
-    Rays start at clip_start, so that nothing nearer occludes. Casts camera.width × camera.height rays, AT_ONCE or so: a
-    ray knows nothing of the others, and arrays of this size stay in a processor's cache.
+    Parameters
+    ----------
+    caster : RayCaster
+        Ray caster of `mesh`.
+    mesh : TriangleMesh
+        The mesh.
+    camera : Camera
+        The camera; rays start at its `clip_start`, so that nothing nearer occludes.
+
+    Returns
+    -------
+    CastView
+        One value per pixel.
+
+    Notes
+    -----
+    Rays are cast `RAYS_PER_BLOCK` at a time, so that the arrays stay in the processor's cache.
     """
     step = max(RAYS_PER_BLOCK // camera.width, 1)
     bands = [_cast_rows(caster, mesh, camera, slice(top, top + step)) for top in range(0, camera.height, step)]
-    return CastView(*(np.concatenate([getattr(band, each.name) for band in bands]) for each in fields(CastView)))
+    return CastView(*(np.concatenate([getattr(band, field.name) for band in bands]) for field in fields(CastView)))
 
 
 def _cast_rows(caster: RayCaster, mesh: TriangleMesh, camera: Camera, rows: slice) -> CastView:
@@ -111,22 +163,37 @@ def _cast_rows(caster: RayCaster, mesh: TriangleMesh, camera: Camera, rows: slic
     shape = origins.shape[:2]
     hits = caster.cast(origins.reshape(-1, 3), directions.reshape(-1, 3))
     depth = hits.distance + camera.clip_start
-    seen = (hits.triangle >= 0) & (depth <= camera.clip_end)
-    triangle = np.where(seen, hits.triangle, -1).astype(np.int32)
-    barycentric = np.where(seen[:, None], hits.barycentric, 0.0)
+    visible = (hits.triangle >= 0) & (depth <= camera.clip_end)
+    triangle = np.where(visible, hits.triangle, -1).astype(np.int32)
+    barycentric = np.where(visible[:, None], hits.barycentric, 0.0)
     normal = np.einsum("nc,ncx->nx", barycentric, mesh.normals[triangle])
     length = np.sqrt(_dot(normal, normal))[:, None]
     return CastView(
-        depth=np.where(seen, depth, np.inf).reshape(shape),
+        depth=np.where(visible, depth, np.inf).reshape(shape),
         triangle=triangle.reshape(shape),
-        face_id=np.where(seen, mesh.face[triangle], -1).astype(np.int32).reshape(shape),
+        face_id=np.where(visible, mesh.face[triangle], -1).astype(np.int32).reshape(shape),
         barycentric=barycentric.reshape(*shape, 3),
         normal=(normal / np.where(length > 0.0, length, 1.0)).reshape(*shape, 3),
     )
 
 
 def find_closest_points(corners: Float, triangle: Int, points: Float) -> ClosestPoints:
-    """The point of each given triangle that is nearest to each point. corners: (T, 3, 3); triangle: (n,)."""
+    """Return the closest point of one given triangle to each point.
+
+    Parameters
+    ----------
+    corners : ndarray of float64, shape (T, 3, 3)
+        Corner positions of all triangles [m].
+    triangle : ndarray of int32, shape (n,)
+        Triangle of each point.
+    points : ndarray of float64, shape (n, 3)
+        The points [m].
+
+    Returns
+    -------
+    ClosestPoints
+        Closest points and distances.
+    """
     chosen = corners[triangle]
     weights = find_closest_barycentric(chosen, points)
     position = np.einsum("nc,ncx->nx", weights, chosen)
@@ -134,40 +201,51 @@ def find_closest_points(corners: Float, triangle: Int, points: Float) -> Closest
 
 
 def find_closest_barycentric(corners: Float, points: Float) -> Float:
-    """Barycentric weights (n, 3) of the nearest point of triangle n (corners (n, 3, 3)) to point n (n, 3).
+    """Return barycentric weights (n, 3) of the point of triangle n (corners (n, 3, 3)) closest to point n (n, 3).
 
-    The nearest point is the foot on the plane where that lies inside, else the nearest of the three edges' feet.
+    The closest point is the projection onto the plane if that lies inside, else the nearest projection onto an edge.
     """
     origin = corners[:, 0]
-    _, normal, *towards = compute_triangle_planes(corners)
-    inside = _plane_barycentric((towards[0], towards[1]), points - origin)
+    _, normal, *axes = compute_triangle_planes(corners)
+    inside = _plane_barycentric((axes[0], axes[1]), points - origin)
     candidates = [_closest_on_edge(corners, points, start) for start in range(3)]
     feet = np.stack([np.einsum("nc,ncx->nx", weights, corners) for weights in candidates], axis=1)
     nearest = np.argmin(np.sum((feet - points[:, None]) ** 2, axis=-1), axis=1)
     edge = np.stack(candidates, axis=1)[np.arange(len(points)), nearest]
-    flat = _dot(normal, normal) <= 0.0
-    return np.where((inside >= 0.0).all(axis=-1)[:, None] & ~flat[:, None], inside, edge)
+    degenerate = _dot(normal, normal) <= 0.0
+    return np.where((inside >= 0.0).all(axis=-1)[:, None] & ~degenerate[:, None], inside, edge)
 
 
 def _closest_on_edge(corners: Float, points: Float, start: int) -> Float:
     end = (start + 1) % 3
-    along = corners[:, end] - corners[:, start]
-    square = np.sum(along * along, axis=-1)
-    reach = np.sum((points - corners[:, start]) * along, axis=-1) / np.where(square > 0.0, square, 1.0)
-    reach = np.clip(reach, 0.0, 1.0)
+    edge = corners[:, end] - corners[:, start]
+    squared_length = np.sum(edge * edge, axis=-1)
+    fraction = np.sum((points - corners[:, start]) * edge, axis=-1) / np.where(
+        squared_length > 0.0, squared_length, 1.0
+    )
+    fraction = np.clip(fraction, 0.0, 1.0)
     weights = np.zeros((len(points), 3))
-    weights[:, start], weights[:, end] = 1.0 - reach, reach
+    weights[:, start], weights[:, end] = 1.0 - fraction, fraction
     return weights
 
 
 def _dot(first: Float, second: Float) -> Float:
-    """(n,) products of rows (n, 3)."""
+    """Return the dot products (n,) of rows (n, 3)."""
     return np.asarray(np.einsum("nx,nx->n", first, second))
 
 
 def compute_triangle_planes(corners: Float) -> tuple[Float, Float, Float, Float]:
-    """Of each triangle (T, 3, 3): corner 0, normal (as long as twice its area), and the two vectors whose products with
-    an offset from corner 0 are its barycentric weights of corners 1 and 2; (T, 3) each."""
+    """Return plane and barycentric axes of triangles (T, 3, 3), each (T, 3).
+
+    Returns
+    -------
+    origin : ndarray
+        Corner 0.
+    normal : ndarray
+        Normal, as long as twice the area.
+    second, third : ndarray
+        Vectors whose dot products with an offset from corner 0 are the weights of corners 1 and 2.
+    """
     origin = corners[:, 0]
     first, second = corners[:, 1] - origin, corners[:, 2] - origin
     normal = np.cross(first, second)
@@ -177,7 +255,7 @@ def compute_triangle_planes(corners: Float) -> tuple[Float, Float, Float, Float]
 
 
 def _plane_barycentric(towards: tuple[Float, Float], offset: Float) -> Float:
-    """Barycentric weights (n, 3) of offsets from corner 0, projected on the triangles' planes. towards: of _planes."""
+    """Return weights (n, 3) of offsets from corner 0 in the planes of `compute_triangle_planes`."""
     v, w = _dot(offset, towards[0]), _dot(offset, towards[1])
     return np.stack([1.0 - v - w, v, w], axis=-1)
 
@@ -185,39 +263,54 @@ def _plane_barycentric(towards: tuple[Float, Float], offset: Float) -> Float:
 def intersect_planes(
     origin: Float, normal: Float, second: Float, third: Float, origins: Float, directions: Float
 ) -> tuple[Float, Float]:
-    """Ray parameter and barycentric weights on planes as of _planes, elementwise; inf where parallel."""
+    """Return ray parameters (inf if parallel) and barycentric weights on planes from `compute_triangle_planes`."""
     facing = _dot(directions, normal)
     parallel = facing == 0.0
     distance = np.where(parallel, np.inf, _dot(origin - origins, normal) / np.where(parallel, 1.0, facing))
-    reach = np.where(parallel, 0.0, distance)
-    weights = _plane_barycentric((second, third), origins + reach[:, None] * directions - origin)
+    finite_distance = np.where(parallel, 0.0, distance)
+    weights = _plane_barycentric((second, third), origins + finite_distance[:, None] * directions - origin)
     return distance, np.where(parallel[:, None], -1.0, weights)
 
 
 def refine_hits(corners: Float, triangle: Int, origins: Float, directions: Float) -> Hits:
-    """Distance and barycentrics in float64 for triangles already chosen."""
+    """Compute distance and barycentrics in float64 for triangles that are already chosen.
+
+    Parameters
+    ----------
+    corners : ndarray of float64, shape (T, 3, 3)
+        Corner positions of all triangles [m].
+    triangle : ndarray of int32, shape (n,)
+        Triangle of each ray, -1 if none.
+    origins, directions : ndarray of float64, shape (n, 3)
+        The rays.
+
+    Returns
+    -------
+    Hits
+        The hits; a ray in the plane of its triangle hits nothing.
+    """
     hits = _make_empty_hits(len(triangle))
-    met_any = triangle >= 0
-    hit = slice(None) if met_any.all() else np.flatnonzero(met_any)
-    # What a triangle is counts once, however many rays meet it.
-    met, which = _find_distinct_triangles(triangle[hit], len(corners))
-    origin, normal, second, third = np.stack(compute_triangle_planes(corners[met]), axis=1)[which].swapaxes(0, 1)
-    distance, weights = intersect_planes(origin, normal, second, third, origins[hit], directions[hit])
-    real = np.isfinite(distance)  # a ray in the plane of its triangle has no crossing
-    np.maximum(weights, 0.0, out=weights)  # rounding may leave an edge by 1e-7
+    has_triangle = triangle >= 0
+    rows = slice(None) if has_triangle.all() else np.flatnonzero(has_triangle)
+    # The plane of a triangle is computed once, however many rays hit it.
+    distinct, inverse = _find_distinct_triangles(triangle[rows], len(corners))
+    origin, normal, second, third = np.stack(compute_triangle_planes(corners[distinct]), axis=1)[inverse].swapaxes(0, 1)
+    distance, weights = intersect_planes(origin, normal, second, third, origins[rows], directions[rows])
+    crosses = np.isfinite(distance)  # a ray in the plane of its triangle does not cross it
+    np.maximum(weights, 0.0, out=weights)  # rounding may put a point outside an edge by 1e-7
     total = weights[:, 0] + weights[:, 1] + weights[:, 2]
-    hits.triangle[hit] = np.where(real, triangle[hit], -1)
-    hits.distance[hit] = np.where(real, distance, np.inf)
-    hits.barycentric[hit] = np.where(real[:, None], weights / np.where(real, total, 1.0)[:, None], 0.0)
+    hits.triangle[rows] = np.where(crosses, triangle[rows], -1)
+    hits.distance[rows] = np.where(crosses, distance, np.inf)
+    hits.barycentric[rows] = np.where(crosses[:, None], weights / np.where(crosses, total, 1.0)[:, None], 0.0)
     return hits
 
 
 def _find_distinct_triangles(triangle: Int, count: int) -> tuple[Any, NDArray[np.integer[Any]]]:
-    """Of count triangles those that occur, or all where they are few; and for each entry its place among them."""
+    """Return the distinct triangles, or all if there are few, and the index of each entry among them."""
     if count < len(triangle):
         return slice(None), triangle
-    met, which = np.unique(triangle, return_inverse=True)
-    return met, which.reshape(-1)
+    distinct, inverse = np.unique(triangle, return_inverse=True)
+    return distinct, inverse.reshape(-1)
 
 
 def _make_empty_hits(count: int) -> Hits:
@@ -225,6 +318,7 @@ def _make_empty_hits(count: int) -> Hits:
 
 
 def as_ray_arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[Float, Float]:
+    """Convert ray origins and directions to float64 arrays (n, 3)."""
     return (
         np.asarray(origins, dtype=np.float64).reshape(-1, 3),
         np.asarray(directions, dtype=np.float64).reshape(-1, 3),
@@ -232,7 +326,7 @@ def as_ray_arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[Float, Flo
 
 
 def _drop_unused_vertices(vertices: Float, triangles: Int) -> tuple[Float, Int]:
-    """Vertices that a triangle has, and the triangles among them: a stray one may lie beyond float32."""
+    """Return only the vertices that triangles use, and renumbered triangles: a stray vertex may exceed float32."""
     used = np.zeros(len(vertices), dtype=bool)
     used[triangles] = True
     if used.all():

@@ -1,7 +1,4 @@
-"""What a camera sees.
-
-Reading the passes of a rendered multilayer EXR, whichever Blender wrote it.
-"""
+"""A rendered RGB-D view, and the passes of a multilayer EXR as Blender writes them."""
 
 from __future__ import annotations
 
@@ -18,12 +15,22 @@ from .camera import Camera
 
 @dataclass(frozen=True)
 class RgbdView:
-    """One rendered view.
+    """One rendered view of a scene.
 
-    rgb: (H, W, 3) float32 linear. depth: (H, W) float32 planar z in metres, sky = inf.
-    face_id: (H, W) int32, -1 = none. normal: (H, W, 3) float32 world shading normal (micro-normals included),
-    zero where nothing is hit; None where the pass was not rendered. channels: further (H, W) or (H, W, 3) float32
-    passes by name.
+    Attributes
+    ----------
+    camera : Camera
+        Camera of the view.
+    rgb : ndarray of float32, shape (H, W, 3)
+        Linear colour.
+    depth : ndarray of float32, shape (H, W)
+        Planar depth [m], inf for the sky.
+    face_id : ndarray of int32, shape (H, W)
+        Polygon, -1 if none.
+    normal : ndarray of float32, shape (H, W, 3), or None
+        World shading normal with micro-normals, zero if nothing is hit; None if the pass was not rendered.
+    channels : mapping of str to ndarray of float32
+        Further passes (H, W) or (H, W, 3) by name.
     """
 
     camera: Camera
@@ -35,15 +42,28 @@ class RgbdView:
 
 
 def read_exr(path: str | Path) -> dict[str, NDArray[np.float32]]:
-    """Passes by name without the view layer's: (H, W) for one channel, (H, W, C) in file order for several.
+    """Read the passes of an EXR by name: (H, W) for one channel, (H, W, C) in file order for several.
 
-    Blender up to 4.5 writes one part with interleaved channels, 5.0 one part a pass; either way a channel is called
-    "<layer>.<pass>.<component>". Raises FileError when the file is missing, damaged, or no EXR.
+    Parameters
+    ----------
+    path : str or Path
+        The file. Blender up to 4.5 writes one part with interleaved channels, 5.0 one part per pass; both name a
+        channel "<layer>.<pass>.<component>".
+
+    Returns
+    -------
+    dict of str to ndarray of float32
+        Passes, without the name of the view layer.
+
+    Raises
+    ------
+    FileError
+        If the file is missing, damaged, or no EXR.
     """
     path = Path(path)
     if not path.is_file():
         raise FileError("there is no such file.", where=str(path), remedy="Render it again.")
-    import OpenEXR  # heavy, and needed only where something was rendered
+    import OpenEXR  # imported here because it is slow to load and only needed for rendered files
 
     try:
         parts = OpenEXR.File(str(path), separate_channels=True).parts
@@ -58,7 +78,7 @@ def read_exr(path: str | Path) -> dict[str, NDArray[np.float32]]:
 
 
 def group_channels(channels: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
-    """Channels named "<layer>.<pass>.<component>" → passes; components in the order x y z w, or r g b a."""
+    """Group channels named "<layer>.<pass>.<component>" to passes; components in the order x y z w, or r g b a."""
     passes: dict[str, dict[str, NDArray[np.float32]]] = {}
     for name, pixels in channels.items():
         pass_name, _, component = name.rpartition(".")

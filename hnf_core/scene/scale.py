@@ -1,4 +1,4 @@
-"""How long a unit of a reconstruction is: nothing in its pictures says so, but an artist knows one length in it."""
+"""Scale of a reconstruction in metres per unit, from one known length: images alone do not determine it."""
 
 from __future__ import annotations
 
@@ -8,20 +8,34 @@ import numpy as np
 
 from ..errors import UsageError
 
-if TYPE_CHECKING:  # the add-on is switched on without it
+if TYPE_CHECKING:  # keeps the add-on's registration fast
     from numpy.typing import ArrayLike
 
 MIN_LENGTH_M, MAX_LENGTH_M = 1e-4, 1e4
-"""Of a length that can be told: 0.1 mm to 10 km."""
+"""Accepted known lengths [m]."""
 MIN_METRES_PER_UNIT, MAX_METRES_PER_UNIT = 1e-6, 1e6
-"""Metres per unit that make sense."""
+"""Accepted scales [m per unit]."""
 
 
 def compute_metric_scale(point_a: ArrayLike, point_b: ArrayLike, length_m: float) -> float:
-    """Metres per unit, from two points in units and the metres that lie between them.
+    """Compute the metres per unit from two points and their distance.
 
-    Raises UsageError where a point has not three finite numbers, both points are the same, the length is not one from
-    SHORTEST_M to LONGEST_M, or the scale not one from SMALLEST to LARGEST.
+    Parameters
+    ----------
+    point_a, point_b : array_like, shape (3,)
+        Two points in units of the reconstruction.
+    length_m : float
+        Distance between them [m].
+
+    Returns
+    -------
+    float
+        Length of a unit [m].
+
+    Raises
+    ------
+    UsageError
+        If a point has not three finite numbers, the points coincide, or the length or the scale is out of range.
     """
     a, b = (np.asarray(point, dtype=np.float64) for point in (point_a, point_b))
     if a.shape != (3,) or b.shape != (3,) or not (np.isfinite(a).all() and np.isfinite(b).all()):

@@ -1,15 +1,12 @@
-"""Friction of the simulated contact: LuGre, with plain Coulomb beside it for comparison.
+"""Equations of motion of a probe on a surface, integrated for many contacts at once, with LuGre or Coulomb friction.
 
 LuGre (C. Canudas de Wit, H. Olsson, K. J. Åström & P. Lischinsky 1995, "A new model for control of systems with
-friction", IEEE Trans. Autom. Control 40): bristles that bend elastically and slip at the Stribeck curve,
-dw/dt = σ0 (v − |v| w / g(v)), force per load f = w + (σ1/σ0) dw/dt, g = μ (1 + (s − 1) exp(−(v/v_s)²)), where w = σ0 z
-is the bristles' share of the load. Scaled by the load N and in two dimensions as in tyres (C. Canudas de Wit et al.
-2003, Vehicle System Dynamics 39; E. Velenis, P. Tsiotras & C. Canudas de Wit 2005, ibid. 43). Bristles let go where
-contact is lost. Viscous σ2 is left out: the contacts are dry.
-
-No constant is fitted here: bristles are the contact's own tangential stiffness and damping.
-
-The contact's equations of motion, one step after another, for many contacts side by side.
+friction", IEEE Trans. Autom. Control 40): bristles that bend elastically and slip at the Stribeck curve, dw/dt = σ0 (v
+− |v| w / g(v)), force per load f = w + (σ1/σ0) dw/dt, g = μ (1 + (s − 1) exp(−(v/v_s)²)), where w = σ0 z is the
+bristles' force per load. Scaled by the load N and in two dimensions as in tyres (C. Canudas de Wit et al. 2003, Vehicle
+System Dynamics 39; E. Velenis, P. Tsiotras & C. Canudas de Wit 2005, ibid. 43). Bristles are released where contact is
+lost. Viscous σ2 is left out, since the contacts are dry. No constant is fitted: bristles have the contact's own
+tangential stiffness and damping.
 """
 
 from __future__ import annotations
@@ -28,20 +25,31 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STATIC_OVER_KINETIC = 1.5
-"""F_S / F_C of Canudas de Wit et al. 1995, table I (1.5 N over 1 N)."""
+"""Static over kinetic friction F_S / F_C, Canudas de Wit et al. 1995, table I (1.5 N over 1 N)."""
 STRIBECK_SPEED_M_S = 1e-3
-"""v_s, ibid. A stroke at 100 mm/s is a hundred times faster: it meets the kinetic μ of the material table."""
+"""Stribeck speed v_s, ibid. [m/s]. A stroke at 100 mm/s is a hundred times faster, so the kinetic μ of the material
+table applies."""
 TANGENTIAL_OVER_NORMAL = 2.0 * (1.0 - 0.3) / (2.0 - 0.3)
 """Tangential over normal stiffness of a Hertzian contact at ν = 0.3 (R. D. Mindlin 1949, J. Appl. Mech. 16)."""
 CREEP_SPEED_M_S = 2e-3
-"""Plain Coulomb: sliding speed at which friction reaches 1/√2 of its value (S. Andersson, A. Söderberg & S. Björklund
-2007, Tribology International 40)."""
+"""Sliding speed at which regularised Coulomb friction reaches 1/√2 of its value [m/s] (S. Andersson, A. Söderberg & S.
+Björklund 2007, Tribology International 40)."""
 
 
 @dataclass(frozen=True)
 class Bristles:
-    """Constants per row, each (B,). stiffness: σ0 [1/m], at 1 N. damping: σ1 [s/m] at rest, fading with the Stribeck
-    curve so that bristles never drive the probe (Olsson et al. 1998, Eur. J. Control 4)."""
+    """Bristle constants of B contacts, each (B,).
+
+    Attributes
+    ----------
+    friction : ndarray
+        Coulomb μ.
+    stiffness : ndarray
+        σ0 at 1 N [1/m].
+    damping : ndarray
+        σ1 at rest [s/m]; it fades with the Stribeck curve so that bristles never drive the probe (Olsson et al. 1998,
+        Eur. J. Control 4).
+    """
 
     friction: Float
     stiffness: Float
@@ -49,19 +57,19 @@ class Bristles:
 
 
 def derive_bristles(mechanics: Sequence[Mechanics], probe: Probe) -> Bristles:
-    """σ0 = Mindlin's share of the contact's normal stiffness at 1 N, σ1 its damping ratio ζ as along the normal."""
+    """Derive bristle constants: σ0 by Mindlin from the normal stiffness at 1 N, σ1 from the normal damping ratio ζ."""
     normal = [
-        float(contact_stiffness(each, probe, 1.0)) if probe.soft_tip else surface_stiffness_at_1n(each, probe)
-        for each in mechanics
+        float(contact_stiffness(entry, probe, 1.0)) if probe.soft_tip else surface_stiffness_at_1n(entry, probe)
+        for entry in mechanics
     ]
-    known = [with_defaults(each) for each in mechanics]
+    known = [with_defaults(entry) for entry in mechanics]
     stiffness = TANGENTIAL_OVER_NORMAL * np.array(normal)
-    damping = 2.0 * np.array([each.damping_ratio for each in known]) * np.sqrt(stiffness * probe.mass_kg)
-    return Bristles(np.array([each.friction for each in known]), stiffness, damping)
+    damping = 2.0 * np.array([entry.damping_ratio for entry in known]) * np.sqrt(stiffness * probe.mass_kg)
+    return Bristles(np.array([entry.friction for entry in known]), stiffness, damping)
 
 
 class FrictionLaw(Protocol):
-    """Friction of B contacts as the integrator asks for it; see LuGre for the arguments."""
+    """Interface of friction laws of B contacts, as the integrator uses it; `LuGre` documents the arguments."""
 
     force: Float
 
@@ -75,35 +83,53 @@ class FrictionLaw(Protocol):
 
 
 class LuGre:
-    """Bristles of B contacts: w (2, B) is their force per load."""
+    """LuGre friction of B contacts; `force` (2, B) is the bristles' force per load."""
 
     def __init__(self, bristles: Bristles, velocity: Float, dt: float) -> None:
-        """velocity: (2, B) of the first step, at which the bristles are taken as settled."""
+        """Start with bristles settled at the velocity (2, B) of the first step [m/s]."""
         self._friction, self._dt = bristles.friction, dt
         self._step = bristles.stiffness * dt
         self._damping = bristles.damping / self._step
-        pace = np.hypot(*velocity)
-        level = bristles.friction * (1.0 + (STATIC_OVER_KINETIC - 1.0) * np.exp(-np.square(pace / STRIBECK_SPEED_M_S)))
-        self.force = level * velocity / np.maximum(pace, 1e-9)
-        self._damped, self._velocity_gain = np.zeros_like(pace), np.ones_like(pace)
+        speed = np.hypot(*velocity)
+        level = bristles.friction * (1.0 + (STATIC_OVER_KINETIC - 1.0) * np.exp(-np.square(speed / STRIBECK_SPEED_M_S)))
+        self.force = level * velocity / np.maximum(speed, 1e-9)
+        self._damped, self._velocity_gain = np.zeros_like(speed), np.ones_like(speed)
 
     def linearise(
         self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
     ) -> tuple[Float, Float]:
-        """Friction of this step as a + b v_new per unit of load: a (2, B), b (B,) [s/m].
+        """Linearise the friction of this step as a + b v_new per unit of load.
 
-        sliding: (2, B) velocity over the surface before the step. leaning: (B,) rise of μ per unit of slope against
-        the motion. surface_slope: (2, B). touching: (B,) bool, in contact. Backward Euler in w and v; |v| and
-        g are those before the step. Call settle(v_new) afterwards.
+        Parameters
+        ----------
+        sliding : ndarray, shape (2, B)
+            Velocity over the surface before the step [m/s].
+        flank_friction : ndarray, shape (B,)
+            Rise of μ per unit of slope against the motion.
+        surface_slope : ndarray, shape (2, B)
+            Slope of the surface.
+        touching : ndarray of bool, shape (B,)
+            True in contact.
+
+        Returns
+        -------
+        a : ndarray, shape (2, B)
+            Constant part.
+        b : ndarray, shape (B,)
+            Linear part [s/m].
+
+        Notes
+        -----
+        Backward Euler in w and v; |v| and g are those before the step. Call `update` with v_new afterwards.
         """
         squared = sliding[0] * sliding[0]
         squared += sliding[1] * sliding[1]
         squared += 1e-14
-        pace = np.sqrt(squared)
+        speed = np.sqrt(squared)
         flank = surface_slope[0] * sliding[0]
         flank += surface_slope[1] * sliding[1]
         flank *= flank_friction
-        flank /= pace
+        flank /= speed
         squared *= -1.0 / STRIBECK_SPEED_M_S**2
         stribeck = np.exp(squared)
         level = (STATIC_OVER_KINETIC - 1.0) * stribeck
@@ -112,20 +138,20 @@ class LuGre:
         level += flank
         np.maximum(level, 1e-6, out=level)
         self.force *= touching
-        self._velocity_gain = self._step / (1.0 + self._step * pace / level)
-        # (w + σ0 dt v) / D, D = 1 + σ0 dt |v| / g
+        self._velocity_gain = self._step / (1.0 + self._step * speed / level)
+        # The new w is (w + σ0 dt v) / D with D = 1 + σ0 dt |v| / g.
         self._predicted_force = self.force * (self._velocity_gain / self._step)
         self._damped = self._damping * stribeck
         gain = 1.0 + self._damped
         return gain * self._predicted_force - self._damped * self.force, gain * self._velocity_gain
 
     def update(self, sliding: Float) -> None:
-        """Bend the bristles by the velocity (2, B) that the step has led to."""
+        """Update the bristles by the new velocity (2, B) [m/s]."""
         self.force = self._predicted_force + self._velocity_gain * sliding
 
 
 class Coulomb:
-    """Kinetic friction regularised at creep speed: no memory, no stiction."""
+    """Kinetic friction regularised at creep speed, without memory or stiction."""
 
     def __init__(self, bristles: Bristles, velocity: Float, dt: float) -> None:
         del dt
@@ -135,32 +161,37 @@ class Coulomb:
     def linearise(
         self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
     ) -> tuple[Float, Float]:
-        """As LuGre.slope, with a = 0."""
+        """Linearise as `LuGre.linearise`, with a = 0."""
         del touching
-        pace = np.sqrt(np.square(sliding).sum(axis=0) + CREEP_SPEED_M_S**2)
-        flank = (surface_slope * sliding).sum(axis=0) * flank_friction / pace
-        return np.zeros_like(sliding), np.maximum(self._friction + flank, 0.0) / pace
+        speed = np.sqrt(np.square(sliding).sum(axis=0) + CREEP_SPEED_M_S**2)
+        flank = (surface_slope * sliding).sum(axis=0) * flank_friction / speed
+        return np.zeros_like(sliding), np.maximum(self._friction + flank, 0.0) / speed
 
     def update(self, sliding: Float) -> None:
-        """Nothing is remembered."""
+        """Do nothing, since this law has no state."""
 
 
 FRICTION_LAWS: dict[str, type[FrictionLaw]] = {"lugre": LuGre, "coulomb": Coulomb}
 
 
 HAND_STIFFNESS_N_M = 500.0
+"""Lateral stiffness of a hand that holds a tool [N/m] (A. Z. Hajian & R. D. Howe 1997, J. Biomech. Eng. 119)."""
 HAND_DAMPING_RATIO = 0.4
-"""Lateral impedance of a hand that holds a tool (A. Z. Hajian & R. D. Howe 1997, J. Biomech. Eng. 119)."""
+"""Lateral damping ratio of the hand (ibid.)."""
 HAND_DRAG_PER_S = 10.0
-"""Along the normal the hand only bleeds off free flight (drag / mass); far below the contact's own damping."""
+"""Drag of the hand along the normal, per mass [1/s]: it only slows free flight, far below the contact's own damping."""
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What is modelled; the default is everything, the rest is for ablations.
+    """Modelled effects; the default is all of them, other values are for ablations.
 
-    friction: "lugre", or "coulomb" (no bristles, no Stribeck curve). unilateral: contact only pushes (N ≥ 0); without
-    it the spring also pulls and the probe never leaves the surface.
+    Attributes
+    ----------
+    friction : {"lugre", "coulomb"}
+        Friction law; Coulomb has no bristles and no Stribeck curve.
+    unilateral : bool
+        True if the contact only pushes (N ≥ 0); else the spring also pulls, and the probe never leaves the surface.
     """
 
     friction: str = "lugre"
@@ -173,8 +204,17 @@ class Physics:
 
 @dataclass(frozen=True)
 class ContactMotion:
-    """What happened at every integration step. acceleration: (steps, 3, B) m/s². normal_n: (steps, B) N, 0 = no
-    contact. sliding_m_s: (steps, 2, B) velocity of the tip over the surface."""
+    """Motion of B contacts at every integration step.
+
+    Attributes
+    ----------
+    acceleration : ndarray, shape (steps, 3, B)
+        Acceleration [m/s²].
+    normal_n : ndarray, shape (steps, B)
+        Normal force, 0 without contact [N].
+    sliding_m_s : ndarray, shape (steps, 2, B)
+        Velocity of the tip over the surface [m/s].
+    """
 
     acceleration: Float
     normal_n: Float
@@ -182,34 +222,58 @@ class ContactMotion:
 
 
 DRIVE_COUNT = 7
-"""Height [m], slopes along x and y, the hand's velocity x and y [m/s], force [N], rise of friction with slope."""
+"""Number of drives: height [m], slopes along x and y, the hand's velocity x and y [m/s], force [N], rise of friction
+with slope."""
 
 
 def integrate_contact(
     blocks: Iterable[Float], mechanics: Sequence[Mechanics], probe: Probe, dt: float, physics: Physics
 ) -> Iterator[ContactMotion]:
-    """Semi-implicit Euler from static equilibrium; one Motion per block of drives (DRIVES, steps + 2, B), the first and
-    last step of each being its neighbours'.
+    """Integrate the motion of B contacts by semi-implicit Euler from static equilibrium.
 
-    Friction is implicit, being stiff near rest; the contact is not, its resonance lying far below 1/dt.
+    Parameters
+    ----------
+    blocks : iterable of ndarray, shape (DRIVE_COUNT, steps + 2, B)
+        Drives; the first and last step of a block belong to its neighbours.
+    mechanics : sequence of Mechanics
+        Mechanics of each contact.
+    probe : Probe
+        The probe.
+    dt : float
+        Time step [s].
+    physics : Physics
+        Modelled effects.
+
+    Yields
+    ------
+    ContactMotion
+        Motion of one block.
+
+    Notes
+    -----
+    Friction is implicit, since it is stiff near rest; the normal contact is explicit, since its resonance is far below
+    1/dt.
     """
-    known = [with_defaults(each) for each in mechanics]
-    damping = 2.0 * np.array([each.damping_ratio for each in known]) * np.sqrt(probe.mass_kg)
-    # δ = b s² + s³/k_probe with s = N^(1/3): Hertz in series with the probe's own spring
-    b = 1.5 / np.array([surface_stiffness_at_1n(each, probe) for each in mechanics])
+    known = [with_defaults(entry) for entry in mechanics]
+    damping = 2.0 * np.array([entry.damping_ratio for entry in known]) * np.sqrt(probe.mass_kg)
+    # Hertz in series with the probe's own spring: δ = b s² + s³/k_probe with s = N^(1/3).
+    b = 1.5 / np.array([surface_stiffness_at_1n(entry, probe) for entry in mechanics])
     inverse_mass = 1.0 / probe.mass_kg
     hand_spring = HAND_STIFFNESS_N_M * inverse_mass
     hand_damper = 2.0 * HAND_DAMPING_RATIO * np.sqrt(hand_spring)
-    law: FrictionLaw | None = None
+    friction: FrictionLaw | None = None
     for drives in blocks:
         height, slope, velocity = drives[0, 1:-1], drives[1:3, 1:-1], drives[3:5, 1:-1]
-        force, leaning = np.maximum(drives[5, 1:-1], 0.0), drives[6, 1:-1]  # the cubic undershoots at a sudden lift
+        force, flank_friction = (
+            np.maximum(drives[5, 1:-1], 0.0),
+            drives[6, 1:-1],
+        )  # cubic interpolation undershoots at a sudden lift
         climb = (drives[0, 2:] - drives[0, :-2]) * (0.5 / dt)
-        if law is None:
+        if friction is None:
             load = np.cbrt(force[0])
             z, vz = height[0] - (b * load**2 + load**3 / probe.stiffness_n_m), climb[0].copy()
-            law = FRICTION_LAWS[physics.friction](derive_bristles(mechanics, probe), velocity[:, 0], dt)
-            lateral = -force[0] * law.force / HAND_STIFFNESS_N_M
+            friction = FRICTION_LAWS[physics.friction](derive_bristles(mechanics, probe), velocity[:, 0], dt)
+            lateral = -force[0] * friction.force / HAND_STIFFNESS_N_M
             v_lateral = np.zeros_like(lateral)
         steps, rows = height.shape
         acceleration = np.empty((steps, 3, rows))
@@ -234,22 +298,22 @@ def integrate_contact(
             vz += dt * az
             z += dt * vz
 
-            pushed = np.maximum(normal, 0.0)
-            touching = pushed > 0.0
-            pushed *= dt * inverse_mass
+            impulse = np.maximum(normal, 0.0)
+            touching = impulse > 0.0
+            impulse *= dt * inverse_mass
             sliding = velocity[:, i] + v_lateral
-            constant, linear = law.linearise(sliding, leaning[i], slope[:, i], touching)
+            constant, linear = friction.linearise(sliding, flank_friction[i], slope[:, i], touching)
             constant += slope[:, i]
-            constant *= pushed
-            linear *= pushed
+            constant *= impulse
+            linear *= impulse
             linear += 1.0
-            moved = np.subtract(sliding, constant, out=slidings[i])
-            moved -= (dt * hand_spring) * lateral
-            moved -= (dt * hand_damper) * v_lateral
-            moved /= linear
-            law.update(moved)
-            # seen from the hand, whose own velocity is not the probe's vibration
-            change = moved - sliding
+            new_sliding = np.subtract(sliding, constant, out=slidings[i])
+            new_sliding -= (dt * hand_spring) * lateral
+            new_sliding -= (dt * hand_damper) * v_lateral
+            new_sliding /= linear
+            friction.update(new_sliding)
+            # Acceleration is relative to the hand, whose own motion is no vibration of the probe.
+            change = new_sliding - sliding
             v_lateral += change
             lateral += dt * v_lateral
             np.multiply(change, 1.0 / dt, out=acceleration[i, :2])
@@ -257,10 +321,11 @@ def integrate_contact(
 
 
 def compute_contact_force(depth: Float, b: Float, probe_stiffness: float) -> tuple[Float, Float]:
-    """Elastic force [N] and tangent stiffness [N/m] at a penetration ≥ 0 [m]: root of δ = b s² + s³/k, F = s³.
+    """Return elastic force [N] and tangent stiffness [N/m] at a penetration ≥ 0 [m].
 
-    s = sqrt(δ/b) / y with y³ = y + β, β = sqrt(δ/b) / (b k): three fixed-point steps, then Newton. Leaves less than
-    1e-6 of F up to β = 30 (the pen), 2e-4 up to 3000, and 0.3 % where a fingertip strikes stone with 20 N.
+    Solves δ = b s² + s³/k, F = s³. With s = sqrt(δ/b) / y, y³ = y + β, β = sqrt(δ/b) / (b k): three fixed-point steps,
+    then Newton. The error of F is below 1e-6 up to β = 30 (the pen), 2e-4 up to 3000, and 0.3 % for a fingertip that
+    strikes stone with 20 N.
     """
     x = depth / b
     np.sqrt(x, out=x)

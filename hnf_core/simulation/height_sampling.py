@@ -1,4 +1,4 @@
-"""Heights and slopes of a periodic map under a path: cubic B-splines on a map that the tip has already smoothed."""
+"""Heights and slopes of a periodic map under a path, by cubic B-splines on maps smoothed by the tip's contact."""
 
 from __future__ import annotations
 
@@ -12,14 +12,21 @@ from .surface_recipe import TILE_SIZE_M, wavenumbers
 
 Float = NDArray[np.float64]
 RADIUS_STEP = 1.03
-"""Contact radii are rounded to powers of this: at q = 3 the tip's low-pass is off by 3 % at most."""
+"""Ratio of consecutive contact radii for which maps are smoothed; at q = 3 the low-pass is off by 3 % at most."""
 
 
 @dataclass
 class SmoothedMaps:
-    """Spline coefficients of one height map at several contact radii; the latest `keep` are remembered.
+    """Spline coefficients of one height map, smoothed for several contact radii; the latest `cache_size` are cached.
 
-    height: (H, W) metres, one period, column → +x, row → −y. size_m: (width, height) side of the tile, square.
+    Attributes
+    ----------
+    height : ndarray of float32, shape (H, W)
+        One period of the map [m], column → +x, row → −y.
+    size_m : float
+        Side of the square tile [m].
+    cache_size : int
+        Number of radii in the cache.
     """
 
     height: NDArray[np.float32]
@@ -29,7 +36,7 @@ class SmoothedMaps:
     _cache: OrderedDict[int, NDArray[np.float32]] = field(default_factory=OrderedDict)
 
     def coefficients(self, radius_m: float) -> NDArray[np.float32]:
-        """(H, W) B-spline coefficients of the map averaged by a contact of this radius (see contact.tip_response)."""
+        """Return B-spline coefficients (H, W) of the map smoothed by a contact of this radius [m]."""
         level = round(float(np.log(max(radius_m, 1e-7)) / np.log(RADIUS_STEP)))
         if level not in self._cache:
             self._cache[level] = self._compute_coefficients(RADIUS_STEP**level)
@@ -42,7 +49,7 @@ class SmoothedMaps:
         rows, columns = self.height.shape
         if self._spectrum is None:
             spectrum = np.fft.rfft2(self.height)
-            # B-spline interpolation is an exact division on a periodic grid (Unser 1999, IEEE Sig. Proc. Mag. 16)
+            # B-spline interpolation is an exact division on a periodic grid (Unser 1999, IEEE Sig. Proc. Mag. 16).
             spectrum /= _spline_gain(np.fft.fftfreq(rows))[:, None] * _spline_gain(np.fft.rfftfreq(columns))[None, :]
             self._spectrum = spectrum
         kx, ky = wavenumbers(rows, self.size_m)
@@ -51,7 +58,7 @@ class SmoothedMaps:
         return np.fft.irfft2(self._spectrum * gain, (rows, columns)).astype(np.float32)
 
     def sample(self, position: Float, radius_m: float) -> tuple[Float, Float, Float]:
-        """Height [m] and slopes ∂h/∂x, ∂h/∂y under position (n, 2) [m, +y up], each (n,)."""
+        """Return height [m] and slopes ∂h/∂x, ∂h/∂y, (n,) each, at positions (n, 2) [m, +y up]."""
         coefficients = self.coefficients(radius_m)
         rows, columns = coefficients.shape
         pixel = self.size_m / columns
@@ -72,12 +79,12 @@ class SmoothedMaps:
 
 
 def _spline_gain(frequency: Float) -> Float:
-    """Transfer of the cubic B-spline at the grid points, (4 + 2 cos 2πf) / 6."""
+    """Return the transfer of the cubic B-spline at the grid points, (4 + 2 cos 2πf) / 6."""
     return np.asarray((2.0 + np.cos(2.0 * np.pi * frequency)) / 3.0)
 
 
 def _spline_weights(t: Float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Weights (n, 4) of the four taps around t in 0 … 1, and their derivatives by t."""
+    """Return the weights (n, 4) of the four taps around t in 0 … 1, and their derivatives by t."""
     s = 1.0 - t
     weights = np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3], axis=-1) / 6.0
     slopes = np.stack([-(s**2), 3 * t**2 - 4 * t, -3 * s**2 + 4 * s, t**2], axis=-1) / 2.0

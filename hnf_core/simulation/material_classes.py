@@ -1,17 +1,15 @@
-"""The one table of physical constants: of the material library (tools/build_library.py turns it into library.json) and
-of the classes of surfaces that the simulator draws instances from (classes.py).
+"""Physical constants of materials: the rows of the material library, and the classes that instances are drawn from.
+
+tools/build_library.py turns the table into library.json. A class is one row ("denim"); an instance is one piece of it,
+drawn by a seed with physical scatter: another weaver, another board. Levels are constants of the surface (RMS height),
+never a gain on the output.
 
 Frame: x runs along the grain (wood, brushed metal); ribs and grooves (corduroy, ribbed plastic) run along y, so that a
-stroke along x crosses them. Stiffness, damping and friction describe the contact under the pen at 1 N, the backing
-included (a cloth lies on a board). Roughness is the RMS height of the whole surface; the parts' own rms_m are relative
-weights within it. Both are set so that the simulated acceleration lies where recorded textures of the category lie
-(H. Culbertson et al. 2014, "One hundred data-driven haptic texture models", IEEE Haptics Symposium): these are
-surfaces that feel right through the model, not profilometer readings.
-
-Classes of surfaces, each with as many instances as there are seeds: table.py's constants with physical scatter.
-
-A class is one row of the table ("denim"); an instance is one piece of it, drawn by a seed: another weaver, another
-board. Levels are constants of the surface (RMS height), never a gain on the output.
+stroke along x crosses them. Stiffness, damping and friction describe the contact under the pen at 1 N, backing included
+(a cloth lies on a board). Roughness is the RMS height of the complete surface; the parts' own rms_m are relative
+weights. Both are chosen so that simulated accelerations lie in the range of recorded textures of the category (H.
+Culbertson et al. 2014, "One hundred data-driven haptic texture models", IEEE Haptics Symposium): the values make the
+model feel right, they are no profilometer readings.
 """
 
 from __future__ import annotations
@@ -28,12 +26,30 @@ from ..material.library import Appearance
 from .surface_recipe import Grains, Lattice, Noise, SurfaceRecipe, grating, knurl, plain_weave, twill
 
 MM = 1e-3
+"""A millimetre [m]."""
 
 
 @dataclass(frozen=True)
 class MaterialEntry:
-    """One row. roughness_um: RMS height in µm. hatt: the recorded category it is held against, "" where there is
-    none. scatter: of its instances over that of other classes (classes.Scatter)."""
+    """One row of the table.
+
+    Attributes
+    ----------
+    name, category, words : str
+        As in `material.library.LibraryMaterial`; words in one string.
+    hatt : str
+        Recorded HaTT category that it is compared with, "" if there is none.
+    mechanics : Mechanics
+        Mechanics under the pen.
+    roughness_um : float
+        RMS height [µm].
+    parts : SurfaceRecipe
+        Parts of the surface, with relative heights.
+    appearance : Appearance
+        Typical shading values.
+    scatter : float
+        Factor of `Scatter` for its instances.
+    """
 
     name: str
     category: str
@@ -49,16 +65,19 @@ class MaterialEntry:
 def make_noise(
     slope: float, rolloff_mm: float, *, weight: float = 1.0, stretch: float = 1.0, cutoff_mm: float = 0.06
 ) -> Noise:
+    """Return a `Noise` part, with lengths in mm."""
     return Noise(weight, slope, rolloff_mm * MM, cutoff_mm * MM, stretch)
 
 
 def make_grains(
     diameter_mm: float, cover: float, *, sign: int = 1, weight: float = 1.0, stretch: float = 1.0
 ) -> Grains:
+    """Return a `Grains` part, with the diameter in mm."""
     return Grains(weight, diameter_mm * MM, cover, sign, stretch=stretch)
 
 
 def make_recipe(*parts: Noise | Lattice | Grains) -> SurfaceRecipe:
+    """Collect parts into a `SurfaceRecipe`."""
     return SurfaceRecipe(
         tuple(p for p in parts if isinstance(p, Noise)),
         tuple(p for p in parts if isinstance(p, Lattice)),
@@ -74,11 +93,12 @@ def make_appearance(
     sheen: float = 0.0,
     transmission: float = 0.0,
 ) -> Appearance:
+    """Return an `Appearance` without unknown values."""
     return Appearance(color, roughness, metallic, sheen, transmission)
 
 
 def build_recipe(entry: MaterialEntry) -> SurfaceRecipe:
-    """The entry's parts with their weights turned into RMS heights in metres."""
+    """Return the recipe of an entry, with weights converted to RMS heights in metres."""
     parts: tuple[Noise | Lattice | Grains, ...] = (*entry.parts.noise, *entry.parts.lattices, *entry.parts.grains)
     return entry.parts.scale_heights(entry.roughness_um * 1e-6 / float(np.sqrt(sum(part.rms_m**2 for part in parts))))
 
@@ -283,20 +303,35 @@ MATERIAL_TABLE: tuple[MaterialEntry, ...] = (
           make_recipe(make_noise(1.7, 0.8)),
           make_appearance((0.9, 0.92, 0.92), 0.6, transmission=0.9)),
 )  # fmt: skip
+"""All materials, by category."""
 
 
 CLASS_ENTRIES = {entry.name: entry for entry in MATERIAL_TABLE}
+"""Rows of the table by name."""
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Piece-to-piece scatter within a class, the same for all classes: standard deviations, cut at two of them; of the
-    natural logarithm where not said otherwise.
+    """Scatter of instances within a class, for all classes.
 
-    level: RMS height of the whole; makers hold Ra to about a third (ISO 1302 classes are a factor of two apart).
-    balance: height of one part against the others. slope: of the spectrum, in absolute terms. length: roll-off, cut-off
-    and grain size. pitch: threads and grooves per length. cover: of grains. stiffness, damping, friction: as data
-    sheets and tribometers scatter within one material.
+    Standard deviations of the natural logarithm (of `slope`: absolute), truncated at two of them.
+
+    Attributes
+    ----------
+    level : float
+        RMS height; makers control Ra to about a third (ISO 1302 classes are a factor of two apart).
+    balance : float
+        Height of one part against the others.
+    slope : float
+        Exponent of the spectrum.
+    length : float
+        Roll-off, cut-off and grain size.
+    pitch : float
+        Threads and grooves per length.
+    cover : float
+        Coverage of grains.
+    stiffness, damping, friction : float
+        Mechanics, as data sheets and tribometers scatter within one material.
     """
 
     level: float = 0.2
@@ -314,24 +349,43 @@ DEFAULT_SCATTER = Scatter()
 
 
 def list_classes() -> tuple[str, ...]:
-    """Names of all classes."""
+    """Return the names of all classes."""
     return tuple(CLASS_ENTRIES)
 
 
 def get_category(class_name: str) -> str:
-    """wood, metal, stone, fabric, paper, plastic, foam, carpet, tile, leather, rubber or glass."""
+    """Return the category of a class, for example "wood"."""
     return _get_entry(class_name).category
 
 
 def get_recorded_category(class_name: str) -> str:
-    """The HaTT category that the class is held against, "" where it recorded none."""
+    """Return the HaTT category that a class is compared with, "" if there is none."""
     return _get_entry(class_name).hatt
 
 
 def sample_instance(class_name: str, seed: int, scatter: Scatter = DEFAULT_SCATTER) -> tuple[SurfaceRecipe, Mechanics]:
-    """One piece of a class; the same name and seed give the same piece. Its heights: height_map(recipe, seed).
+    """Sample an instance of a class.
 
-    Raises MaterialError for a class that does not exist.
+    Parameters
+    ----------
+    class_name : str
+        Name of the class.
+    seed : int
+        Seed; the same name and seed give the same instance. Its heights are ``height_map(recipe, seed)``.
+    scatter : Scatter
+        Scatter within the class.
+
+    Returns
+    -------
+    recipe : SurfaceRecipe
+        Surface of the instance.
+    mechanics : Mechanics
+        Its mechanics.
+
+    Raises
+    ------
+    MaterialError
+        For an unknown class.
     """
     entry = _get_entry(class_name)
     rng = np.random.default_rng([derive_seed(class_name), seed])
@@ -369,7 +423,7 @@ def sample_instance(class_name: str, seed: int, scatter: Scatter = DEFAULT_SCATT
         )
         for part in entry.parts.grains
     )
-    piece = replace(entry, parts=SurfaceRecipe(noise, lattices, grains), roughness_um=entry.roughness_um * level)
+    instance = replace(entry, parts=SurfaceRecipe(noise, lattices, grains), roughness_um=entry.roughness_um * level)
     mean = entry.mechanics
     assert mean.stiffness_n_m is not None
     assert mean.damping_ratio is not None
@@ -379,11 +433,11 @@ def sample_instance(class_name: str, seed: int, scatter: Scatter = DEFAULT_SCATT
         mean.damping_ratio * factor(scatter.damping),
         mean.friction * factor(scatter.friction),
     )
-    return build_recipe(piece), mechanics
+    return build_recipe(instance), mechanics
 
 
 def derive_seed(name: str) -> int:
-    """A seed that belongs to a name, the same on every machine."""
+    """Derive a seed from a name, the same on every machine."""
     return int.from_bytes(blake2b(name.encode(), digest_size=4).digest(), "little")
 
 
@@ -396,10 +450,12 @@ def _get_entry(class_name: str) -> MaterialEntry:
 
 
 def _scale_pitch(lattice: Lattice, x: float, y: float) -> Lattice:
-    """The lattice with its pitch divided by x and y, to the nearest whole number of repeats on the tile."""
+    """Divide a lattice's pitch by `x` and `y`, to the nearest whole number of repeats on the tile."""
     repeats = [gcd(*(wave[0] for wave in lattice.waves)), gcd(*(wave[1] for wave in lattice.waves))]
     if repeats[0] == repeats[1]:
-        y = x  # a square lattice stays one
-    finer = [max(1, round(n * by)) / n if n else 1.0 for n, by in zip(repeats, (x, y), strict=True)]
-    waves = tuple((round(px * finer[0]), round(py * finer[1]), a, phase) for px, py, a, phase in lattice.waves)
+        y = x  # keeps a square lattice square
+    ratios = [
+        max(1, round(count * divisor)) / count if count else 1.0 for count, divisor in zip(repeats, (x, y), strict=True)
+    ]
+    waves = tuple((round(px * ratios[0]), round(py * ratios[1]), a, phase) for px, py, a, phase in lattice.waves)
     return replace(lattice, waves=waves)

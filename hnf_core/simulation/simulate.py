@@ -1,15 +1,13 @@
-"""The contact simulator: a probe pressed by the hand and dragged over a height map → three axes of acceleration.
+"""Contact simulator: a probe, pressed and dragged by a hand over a height map → three axes of acceleration.
 
 Along the normal: a mass on a Hertzian contact in series with the probe's own spring, a damper that grows with the
-tangent stiffness (Tsuji et al. 1992), and nothing that pulls: N ≥ 0, so a light stroke on a rough surface hops.
-Linearised about a constant load it is exactly material.contact. Tangentially: LuGre friction (friction.py) and the
-normal force's own slope component −N ∇h, on the same mass held by the hand's spring and damper (A. Z. Hajian & R. D.
-Howe 1997, J. Biomech. Eng. 119: some hundred N/m, a few N·s/m).
+tangent stiffness (Tsuji et al. 1992), and no pull, N ≥ 0, so that a light stroke on a rough surface hops. Linearised
+about a constant load it equals `material.contact_model`. Tangentially: friction (`contact_dynamics`) and the normal
+force's slope component −N ∇h, on the same mass held by the hand's spring and damper (A. Z. Hajian & R. D. Howe 1997, J.
+Biomech. Eng. 119: some hundred N/m, a few N·s/m).
 
-Left out in this version: the tip follows the hand's path (its lateral wobble does not move it over the texture), the
-sensor's noise, the hand's own macroscopic acceleration, and resonances of the probe's body.
-
-Between the sample rate and the finer steps of integration.
+Not modelled: lateral motion of the tip over the texture (it follows the hand's path), sensor noise, the hand's own
+macroscopic acceleration, and resonances of the probe's body.
 """
 
 from __future__ import annotations
@@ -32,22 +30,25 @@ from .height_sampling import SmoothedMaps
 
 Float = NDArray[np.float64]
 BLOCK_SAMPLES = 128
-"""Samples handled together: large batches stay within the processor's cache."""
+"""Number of samples integrated together: large batches stay within the processor's cache."""
 SAMPLE_RATE_HZ = 10_000.0
+"""Sample rate of strokes and accelerations [Hz]."""
 ASPERITY_SHARE = 0.5
-"""Radius of the spots that really carry the load and meet the slopes, over the Hertz radius: the real area of contact
-is a fraction of the nominal one (F. P. Bowden & D. Tabor 1950; J. F. Archard 1957)."""
+"""Radius of the load-bearing asperities, which follow the slopes, over the Hertz radius: the real area of contact is a
+fraction of the nominal one (F. P. Bowden & D. Tabor 1950; J. F. Archard 1957)."""
 FLANK_FRICTION = 3.0
-"""Rise of the friction coefficient per unit of slope against the motion: a sliding tip leans on the flanks it climbs
-(Bowden & Tabor's interlocking), the less the more its contact of radius a conforms: times (1 − a/R)². Fitted, with
-the form of that factor, ASPERITY_SHARE and the pen's tip radius: with them speed and force tell about as much as they
-do in recorded textures (HaTT). They are one choice for all materials, and were not checked on held-out ones."""
+"""Rise of the friction coefficient per unit of slope against the motion: a sliding tip leans on the flanks that it
+climbs (Bowden & Tabor's interlocking), less the more its contact of radius a conforms, by the factor (1 − a/R)². It was
+fitted together with the form of that factor, `ASPERITY_SHARE` and the pen's tip radius, so that speed and force have
+about the effect that they have in recorded textures (HaTT). All materials share one value, which was not checked on
+held-out ones."""
 FULL_PHYSICS = Physics()
+"""Physics with all effects."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """What the hand does, sampled at SAMPLE_RATE_HZ. position: (n, 2) m on the map. force: (n,) N ≥ 0."""
+    """Motion of the hand, sampled at `SAMPLE_RATE_HZ`: position (n, 2) on the map [m], force (n,) ≥ 0 [N]."""
 
     position: Float
     force: Float
@@ -61,7 +62,7 @@ def straight_stroke(
     angle_rad: float = 0.0,
     start_m: tuple[float, float] = (0.0, 0.0),
 ) -> Stroke:
-    """A stroke of constant direction, speed and force."""
+    """Make a stroke of constant direction, speed and force."""
     n = round(duration_s * SAMPLE_RATE_HZ)
     distance = np.arange(n) * (speed_m_s / SAMPLE_RATE_HZ)
     direction = np.array([np.cos(angle_rad), np.sin(angle_rad)])
@@ -77,15 +78,41 @@ def simulate_batch(
     oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
 ) -> Float:
-    """Acceleration (B, n, 3) [m/s²] of the probe at SAMPLE_RATE_HZ, axes x, y, normal of the maps' frame.
+    """Simulate a batch of strokes.
 
-    One map, stroke and mechanics per row; all strokes equally long. The same SmoothedMaps may stand in many rows (put
-    them side by side: what it has smoothed it remembers). oversample: integration steps per sample. The batch is
-    what makes it fast: a Python step costs the same for 1 row as for 50. Every row starts in static equilibrium.
-    Raises ValueError where lengths do not match.
+    Parameters
+    ----------
+    maps : sequence of SmoothedMaps
+        Height map of each row; one map may serve many rows, best adjacent ones, since it caches what it smoothed.
+    strokes : sequence of Stroke
+        Stroke of each row, all equally long.
+    mechanics : sequence of Mechanics
+        Mechanics of each row.
+    probe : Probe
+        The probe.
+    oversample : int
+        Integration steps per sample.
+    physics : Physics
+        Modelled effects.
+
+    Returns
+    -------
+    ndarray, shape (B, n, 3)
+        Acceleration of the probe at `SAMPLE_RATE_HZ` [m/s²], axes x, y, normal of the maps' frame.
+
+    Raises
+    ------
+    ValueError
+        If lengths do not match.
+
+    Notes
+    -----
+    A Python step costs the same for 1 row as for 50, so batches are fast. Every row starts in static equilibrium.
     """
-    parts = [each.acceleration for each in _integrate_strokes(maps, strokes, mechanics, probe, oversample, physics)]
-    return decimate(np.concatenate(parts), oversample)
+    blocks = [
+        motion.acceleration for motion in _integrate_strokes(maps, strokes, mechanics, probe, oversample, physics)
+    ]
+    return decimate(np.concatenate(blocks), oversample)
 
 
 def simulate_motion(
@@ -97,12 +124,12 @@ def simulate_motion(
     oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
 ) -> ContactMotion:
-    """As simulate_batch, but everything at every integration step: acceleration, normal force, sliding velocity."""
-    parts = list(_integrate_strokes(maps, strokes, mechanics, probe, oversample, physics))
+    """Simulate a batch as `simulate_batch`, but return the complete motion at every integration step."""
+    blocks = list(_integrate_strokes(maps, strokes, mechanics, probe, oversample, physics))
     return ContactMotion(
-        np.concatenate([each.acceleration for each in parts]),
-        np.concatenate([each.normal_n for each in parts]),
-        np.concatenate([each.sliding_m_s for each in parts]),
+        np.concatenate([block.acceleration for block in blocks]),
+        np.concatenate([block.normal_n for block in blocks]),
+        np.concatenate([block.sliding_m_s for block in blocks]),
     )
 
 
@@ -115,7 +142,7 @@ def simulate(
     oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
 ) -> Float:
-    """One stroke: (n, 3); see simulate_batch."""
+    """Simulate one stroke, (n, 3); see `simulate_batch`."""
     return np.asarray(
         simulate_batch([surface], [stroke], [mechanics], probe, oversample=oversample, physics=physics)[0]
     )
@@ -152,36 +179,35 @@ def _validate_batch(
 
 
 def _compute_drives(surface: SmoothedMaps, stroke: Stroke, mechanics: Mechanics, probe: Probe) -> Float:
-    """What the probe meets, (7, n): height [m], slopes along x and y, the hand's velocity x and y [m/s], force [N],
-    and how much friction rises with slope."""
+    """Compute the drives (DRIVE_COUNT, n) of one stroke, in the order of `contact_dynamics.DRIVE_COUNT`."""
     position = np.asarray(stroke.position, dtype=np.float64)
     force = np.maximum(np.asarray(stroke.force, dtype=np.float64), 0.0)
     velocity = np.gradient(position, 1.0 / SAMPLE_RATE_HZ, axis=0)
     radius = contact_radius(mechanics, probe, force)
     height = _sample_at_radius(surface, position, radius)[0]
     slopes = _sample_at_radius(surface, position, ASPERITY_SHARE * radius)[1:]
-    leaning = FLANK_FRICTION * np.square(1.0 - radius / probe.tip_radius_m)
-    return np.stack([height, *slopes, *velocity.T, force, leaning])
+    flank_friction = FLANK_FRICTION * np.square(1.0 - radius / probe.tip_radius_m)
+    return np.stack([height, *slopes, *velocity.T, force, flank_friction])
 
 
 def _sample_at_radius(surface: SmoothedMaps, position: Float, radius: Float) -> Float:
-    """(3, n) height and slopes under a contact of varying radius (n,): blended between smoothed maps."""
+    """Return height and slopes (3, n) under a contact of varying radius (n,), blended between smoothed maps."""
     largest = float(radius.max())
-    # a ∝ F^(1/3): an eightfold range of force is a twofold range of radius; lighter than that hardly sounds
+    # Since a ∝ F^(1/3), a twofold range of radius covers an eightfold range of force; lighter contact hardly sounds.
     smallest = max(float(radius.min()), 0.5 * largest)
     if smallest >= 0.9 * largest:
         return np.stack(surface.sample(position, largest))
     nodes = np.geomspace(smallest, largest, 3)
     sampled = np.array([surface.sample(position, float(node)) for node in nodes])  # (node, 3, n)
-    place = np.clip(np.log(np.maximum(radius, smallest) / smallest) / np.log(nodes[1] / smallest), 0.0, 2.0)
-    weights = np.maximum(1.0 - np.abs(place - np.arange(3)[:, None]), 0.0)
+    node_position = np.clip(np.log(np.maximum(radius, smallest) / smallest) / np.log(nodes[1] / smallest), 0.0, 2.0)
+    weights = np.maximum(1.0 - np.abs(node_position - np.arange(3)[:, None]), 0.0)
     return np.asarray(np.einsum("kcn,kn->cn", sampled, weights))
 
 
 def oversample_blocks(drives: Float, factor: int) -> Iterator[Float]:
-    """(D, n, B) → blocks (D, ≤ BLOCK·factor + 2, B), one fine step of overlap at either side of each.
+    """Interpolate drives (D, n, B) by `factor`; yield blocks (D, steps + 2, B) that overlap by one fine step per side.
 
-    Cubic (Catmull–Rom) interpolation, both ends extrapolated linearly.
+    Cubic (Catmull–Rom) interpolation; both ends are extrapolated linearly.
     """
     first, last = drives[:, :1], drives[:, -1:]
     rise, fall = drives[:, 1:2] - first, last - drives[:, -2:-1]
@@ -194,27 +220,27 @@ def oversample_blocks(drives: Float, factor: int) -> Iterator[Float]:
 
 
 def _interpolate_cubic(values: Float, factor: int) -> Float:
-    """(D, m + 3, B) → (D, m·factor, B): from the second value on, towards the next."""
+    """Interpolate (D, m + 3, B) to (D, m · factor, B), from the second value towards the next."""
     a, b, c, d = values[:, :-3], values[:, 1:-2], values[:, 2:-1], values[:, 3:]
-    out = np.empty((b.shape[0], b.shape[1], factor, b.shape[2]))
-    out[:, :, 0] = b
+    fine = np.empty((b.shape[0], b.shape[1], factor, b.shape[2]))
+    fine[:, :, 0] = b
     for k in range(1, factor):
         t = k / factor
-        out[:, :, k] = 0.5 * (2 * t**2 - t - t**3) * a
-        out[:, :, k] += (1.0 - 2.5 * t**2 + 1.5 * t**3) * b
-        out[:, :, k] += 0.5 * (t + 4 * t**2 - 3 * t**3) * c
-        out[:, :, k] += 0.5 * (t**3 - t**2) * d
-    return out.reshape(b.shape[0], -1, b.shape[2])
+        fine[:, :, k] = 0.5 * (2 * t**2 - t - t**3) * a
+        fine[:, :, k] += (1.0 - 2.5 * t**2 + 1.5 * t**3) * b
+        fine[:, :, k] += 0.5 * (t + 4 * t**2 - 3 * t**3) * c
+        fine[:, :, k] += 0.5 * (t**3 - t**2) * d
+    return fine.reshape(b.shape[0], -1, b.shape[2])
 
 
 def decimate(fine: Float, factor: int) -> Float:
-    """(n·factor, C, B) → (B, n, C) through a zero-phase windowed-sinc low-pass, so that impacts do not alias."""
+    """Decimate (n · factor, C, B) to (B, n, C) by a zero-phase windowed-sinc low-pass, so that impacts do not alias."""
     steps, channels, rows = fine.shape
     n = steps // factor
-    out = np.empty((rows, n, channels))
+    samples = np.empty((rows, n, channels))
     if factor == 1:
-        out[:] = fine.transpose(2, 0, 1)
-        return out
+        samples[:] = fine.transpose(2, 0, 1)
+        return samples
     half = 16 * factor
     taps = np.sinc(np.arange(-half, half + 1) / factor) * np.kaiser(2 * half + 1, 6.0)
     taps /= taps.sum()
@@ -225,6 +251,6 @@ def decimate(fine: Float, factor: int) -> Float:
     for start in range(0, n, BLOCK_SAMPLES):
         stop = min(start + BLOCK_SAMPLES, n)
         around = np.clip(np.arange(start * factor - half, (stop - 1) * factor + half + 1), 0, steps - 1)
-        part = band[: stop - start, : len(around)] @ fine[around]
-        out[:, start:stop] = part.reshape(-1, channels, rows).transpose(2, 0, 1)
-    return out
+        filtered = band[: stop - start, : len(around)] @ fine[around]
+        samples[:, start:stop] = filtered.reshape(-1, channels, rows).transpose(2, 0, 1)
+    return samples

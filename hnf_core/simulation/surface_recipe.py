@@ -1,12 +1,10 @@
-"""Procedural micro-geometry: a recipe in physical units → one period of a height map.
+"""Procedural micro-geometry: from a recipe in physical units and a seed to one period of a height map.
 
-A height map is (pixels, pixels) float32 in metres, mean 0, periodic on its tile; column → +x, row → −y (the patch
-frame of tactile maps), pixel (0, 0) at the origin. Angles are counted from +x towards +y.
-
-Self-affine noise with a roll-off: B. N. J. Persson et al. (2005), J. Phys.: Condens. Matter 17 R1, "On the nature of
-surface roughness". Skewness by grains and pits: K. J. Stout & L. Blunt (2000), Three-Dimensional Surface Topography.
-
-Ready-made surfaces: lattices by their everyday names, and random recipes to train on.
+A height map is (pixels, pixels) float32 in metres, mean 0, periodic on its tile; column → +x, row → −y (the patch frame
+of tactile maps), pixel (0, 0) at the origin. Angles are counted from +x towards +y. A recipe is a sum of self-affine
+noise with a roll-off (B. N. J. Persson et al. 2005, J. Phys.: Condens. Matter 17 R1, "On the nature of surface
+roughness"), lattices (weave, knurl, grating), and grains or pits, which give skewness (K. J. Stout & L. Blunt 2000,
+Three-Dimensional Surface Topography).
 """
 
 from __future__ import annotations
@@ -21,7 +19,9 @@ from numpy.typing import NDArray
 from ..errors import MaterialError
 
 TILE_SIZE_M = 20e-3
+"""Side of a tile [m]."""
 TILE_PIXELS = 512
+"""Side of a tile [pixels]."""
 
 Float = NDArray[np.float64]
 
@@ -30,9 +30,20 @@ Float = NDArray[np.float64]
 class Noise:
     """Self-affine Gaussian roughness.
 
-    rms_m: RMS height. slope: β of the profile's spectrum κ^−β (Hurst exponent (β − 1) / 2). rolloff_m: wavelength
-    above which the spectrum is flat. cutoff_m: wavelength below which it falls off as a Gaussian. stretch: how many
-    times longer features are along angle_rad (the grain) than across it.
+    Attributes
+    ----------
+    rms_m : float
+        RMS height [m].
+    slope : float
+        Exponent β of the profile's spectrum κ^−β (Hurst exponent (β − 1) / 2).
+    rolloff_m : float
+        Wavelength above which the spectrum is flat [m].
+    cutoff_m : float
+        Wavelength below which it falls off as a Gaussian [m].
+    stretch : float
+        Length of features along `angle_rad` (the grain) over that across it.
+    angle_rad : float
+        Direction of the grain [rad].
     """
 
     rms_m: float
@@ -45,11 +56,18 @@ class Noise:
 
 @dataclass(frozen=True)
 class Lattice:
-    """A sum of plane waves that repeat a whole number of times on the tile: weave, knurl, grating.
+    """A sum of plane waves with a whole number of periods on the tile: weave, knurl, grating.
 
-    rms_m: RMS height. waves: (periods along x, periods along y, amplitude, phase in rad); amplitudes are relative.
-    irregularity: RMS displacement of the lattice as a fraction of the shortest wave's pitch (threads are not
-    straight). irregularity_m: correlation length of that displacement.
+    Attributes
+    ----------
+    rms_m : float
+        RMS height [m].
+    waves : tuple of (int, int, float, float)
+        Periods along x and y, relative amplitude, phase [rad].
+    irregularity : float
+        RMS displacement of the lattice over the shortest wave's pitch (threads are not straight).
+    irregularity_m : float
+        Correlation length of that displacement [m].
     """
 
     rms_m: float
@@ -60,10 +78,22 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Grains:
-    """Rounded grains (sign > 0) or pits (sign < 0) thrown at random.
+    """Rounded grains (sign > 0) or pits (sign < 0) at random positions.
 
-    rms_m: RMS height. diameter_m: median diameter; spread: standard deviation of its logarithm. cover: summed area of
-    all grains over the area of the tile. stretch, angle_rad: as in Noise (pores of wood).
+    Attributes
+    ----------
+    rms_m : float
+        RMS height [m].
+    diameter_m : float
+        Median diameter [m].
+    cover : float
+        Summed area of all grains over the area of the tile.
+    sign : int
+        1 for grains, −1 for pits.
+    spread : float
+        Standard deviation of the logarithm of the diameter.
+    stretch, angle_rad : float
+        Elongation and its direction, as in `Noise` (pores of wood).
     """
 
     rms_m: float
@@ -77,19 +107,19 @@ class Grains:
 
 @dataclass(frozen=True)
 class SurfaceRecipe:
-    """The sum of its parts."""
+    """A surface as the sum of its parts."""
 
     noise: tuple[Noise, ...] = ()
     lattices: tuple[Lattice, ...] = ()
     grains: tuple[Grains, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able; from_dict reads it back."""
+        """Convert to a JSON-able dict, for `from_dict`."""
         return asdict(self)
 
     @staticmethod
     def from_dict(record: Mapping[str, Any]) -> SurfaceRecipe:
-        """Raises MaterialError where the record is not a recipe."""
+        """Read a dict of `to_dict`; raise MaterialError if it is no recipe."""
         try:
             lattices = [dict(part) for part in record.get("lattices", ())]
             for part in lattices:
@@ -105,7 +135,7 @@ class SurfaceRecipe:
             ) from error
 
     def scale_heights(self, factor: float) -> SurfaceRecipe:
-        """The same surface with all heights times factor."""
+        """Return the recipe with all heights times `factor`."""
         record = self.to_dict()
         for parts in record.values():
             for part in parts:
@@ -116,9 +146,28 @@ class SurfaceRecipe:
 def height_map(
     recipe: SurfaceRecipe, seed: int, *, pixels: int = TILE_PIXELS, size_m: float = TILE_SIZE_M
 ) -> NDArray[np.float32]:
-    """One period (pixels, pixels) of the surface in metres; the same seed gives the same bytes.
+    """Render one period of a surface.
 
-    Each part has exactly its rms_m on the tile. Raises MaterialError for a lattice finer than two pixels.
+    Parameters
+    ----------
+    recipe : SurfaceRecipe
+        The recipe; each part has exactly its rms_m on the tile.
+    seed : int
+        Seed; the same seed gives the same bytes.
+    pixels : int
+        Side of the map [pixels].
+    size_m : float
+        Side of the tile [m].
+
+    Returns
+    -------
+    ndarray of float32, shape (pixels, pixels)
+        Heights [m].
+
+    Raises
+    ------
+    MaterialError
+        For a lattice finer than two pixels.
     """
     rng = np.random.default_rng(seed)
     total = np.zeros((pixels, pixels))
@@ -132,7 +181,7 @@ def height_map(
 
 
 def wavenumbers(pixels: int, size_m: float) -> tuple[Float, Float]:
-    """κx (1, pixels//2 + 1) and κy (pixels, 1) in cycles/m of numpy's rfft2 of a map; κy points up (−row)."""
+    """Return κx (1, pixels//2 + 1) and κy (pixels, 1) of a map's rfft2 bins [cycles/m]; κy points up (−row)."""
     kx = np.fft.rfftfreq(pixels, size_m / pixels)[None, :]
     ky = -np.fft.fftfreq(pixels, size_m / pixels)[:, None]
     return kx, ky
@@ -153,7 +202,7 @@ def _render_noise(noise: Noise, rng: np.random.Generator, pixels: int, size_m: f
     along = kx * np.cos(noise.angle_rad) + ky * np.sin(noise.angle_rad)
     across = -kx * np.sin(noise.angle_rad) + ky * np.cos(noise.angle_rad)
     kappa2 = np.square(along * noise.stretch) + np.square(across)
-    # a profile's κ^−β is a surface's κ^−(β+1) in power; amplitude is its root
+    # A profile's κ^−β corresponds to a surface's κ^−(β+1) in power; the amplitude is its root.
     power = (1.0 + kappa2 * noise.rolloff_m**2) ** (-(noise.slope + 1.0) / 2.0)
     gain = np.sqrt(power) * np.exp(-0.5 * (np.square(kx) + np.square(ky)) * noise.cutoff_m**2)
     return _filtered_noise(rng, gain, pixels)
@@ -186,7 +235,7 @@ def _render_grains(grains: Grains, rng: np.random.Generator, pixels: int, size_m
     offset = (np.fft.fftfreq(pixels) * size_m)[None, :]
     along = offset * np.cos(grains.angle_rad) - offset.T * np.sin(grains.angle_rad)
     across = -offset * np.sin(grains.angle_rad) - offset.T * np.cos(grains.angle_rad)
-    # three sizes stand for the log-normal spread: nodes of its Gauss–Hermite quadrature, same area each
+    # Three sizes approximate the log-normal spread: nodes of its Gauss–Hermite quadrature, of equal area.
     for node in (-1.0, 0.0, 1.0):
         diameter = grains.diameter_m * float(np.exp(1.2247 * grains.spread * node))
         count = max(1, round(grains.cover / 3.0 * size_m**2 / (np.pi / 4.0 * diameter**2 * grains.stretch)))
@@ -200,32 +249,32 @@ def _render_grains(grains: Grains, rng: np.random.Generator, pixels: int, size_m
 
 
 def _round_periods(pitch_m: float, multiple: int = 1) -> int:
-    """Whole number of periods nearest to pitch_m on the tile, a multiple of `multiple`, at least one of them."""
+    """Return the number of periods nearest to a pitch on the tile, a positive multiple of `multiple`."""
     return multiple * max(1, round(TILE_SIZE_M / pitch_m / multiple))
 
 
 def grating(rms_m: float, pitch_m: float, *, harmonic: float = 0.3, irregularity: float = 0.0) -> Lattice:
-    """Grooves along y, so that a stroke along x crosses them; harmonic: amplitude of the second harmonic."""
+    """Make grooves along y, so that a stroke along x crosses them; `harmonic` is the second harmonic's amplitude."""
     n = _round_periods(pitch_m)
     return Lattice(rms_m, ((n, 0, 1.0, 0.0), (2 * n, 0, harmonic, 0.0)), irregularity)
 
 
 def plain_weave(rms_m: float, thread_m: float, *, weft_m: float | None = None, irregularity: float = 0.05) -> Lattice:
-    """Threads one over, one under: a checkerboard of crests of twice the thread pitch, and the threads themselves."""
+    """Make a plain weave: a checkerboard of crests of twice the thread pitch, and the threads themselves."""
     x, y = _round_periods(thread_m, 2), _round_periods(weft_m or thread_m, 2)
     waves = ((x // 2, y // 2, 1.0, 0.0), (x // 2, -y // 2, 1.0, 0.0), (x, 0, 0.5, 0.0), (0, y, 0.4, 0.0))
     return Lattice(rms_m, waves, irregularity)
 
 
 def twill(rms_m: float, thread_m: float, *, repeat: int = 3, irregularity: float = 0.05) -> Lattice:
-    """Diagonal ribs every `repeat` threads (denim: 3; carbon-fibre 2/2 twill: 4), and the threads themselves."""
+    """Make diagonal ribs every `repeat` threads (denim: 3; carbon-fibre 2/2 twill: 4), and the threads themselves."""
     n = _round_periods(thread_m, repeat)
     waves = ((n // repeat, n // repeat, 1.0, 0.0), (n, 0, 0.5, 0.0), (0, n, 0.35, 0.0), (n, n, 0.2, 0.0))
     return Lattice(rms_m, waves, irregularity)
 
 
 def knurl(rms_m: float, pitch_m: float, *, irregularity: float = 0.0) -> Lattice:
-    """Crossed grooves under ±45°, with the second harmonic of cut pyramids."""
+    """Make crossed grooves at ±45°, with the second harmonic of cut pyramids."""
     n = max(1, round(_round_periods(pitch_m) / np.sqrt(2.0)))
     waves = ((n, n, 1.0, 0.0), (n, -n, 1.0, 0.0), (2 * n, 2 * n, 0.25, 0.0), (2 * n, -2 * n, 0.25, 0.0))
     return Lattice(rms_m, waves, irregularity)
@@ -238,10 +287,11 @@ EXAMPLE_RECIPES = {
     "grating": SurfaceRecipe(noise=(Noise(1e-6),), lattices=(grating(8e-6, 0.5e-3),)),
     "pitted": SurfaceRecipe(noise=(Noise(3e-6),), grains=(Grains(6e-6, 0.4e-3, sign=-1),)),
 }
+"""Example recipes by name."""
 
 
 def random_recipe(rng: np.random.Generator) -> SurfaceRecipe:
-    """A surface drawn from the whole range of everyday materials: always noise, often grain, lattices, pits."""
+    """Draw a recipe from the range of everyday materials: always noise, often grain, lattices or pits."""
     rms = 10.0 ** rng.uniform(-6.2, -4.6)
     angle = rng.uniform(0.0, np.pi)
     stretch = 1.0 if rng.random() < 0.5 else float(np.exp(rng.uniform(0.3, 3.0)))
@@ -259,7 +309,7 @@ def random_recipe(rng: np.random.Generator) -> SurfaceRecipe:
         pitch = float(np.exp(rng.uniform(np.log(0.25e-3), np.log(2.5e-3))))
         irregularity = rng.uniform(0.0, 0.12)
         kind = rng.integers(0, 4)
-        part = (
+        lattice = (
             grating(level, pitch, harmonic=rng.uniform(0.0, 0.6), irregularity=irregularity)
             if kind == 0
             else plain_weave(level, pitch, weft_m=pitch * rng.uniform(0.7, 1.4), irregularity=irregularity)
@@ -268,7 +318,7 @@ def random_recipe(rng: np.random.Generator) -> SurfaceRecipe:
             if kind == 2
             else knurl(level, pitch, irregularity=irregularity)
         )
-        lattices = (_rotate_90(part) if rng.random() < 0.5 else part,)
+        lattices = (_rotate_90(lattice) if rng.random() < 0.5 else lattice,)
     grains: tuple[Grains, ...] = ()
     if rng.random() < 0.35:
         diameter = float(np.exp(rng.uniform(np.log(0.15e-3), np.log(1.5e-3))))
@@ -286,7 +336,7 @@ def random_recipe(rng: np.random.Generator) -> SurfaceRecipe:
 
 
 def _rotate_90(lattice: Lattice) -> Lattice:
-    """The lattice turned by 90°: the only turn that keeps whole periods and pitch."""
+    """Rotate a lattice by 90°, the only rotation that preserves whole periods and pitch."""
     return Lattice(
         lattice.rms_m,
         tuple((-y, x, a, p) for x, y, a, p in lattice.waves),

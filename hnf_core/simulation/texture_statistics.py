@@ -1,4 +1,7 @@
-"""What a surface feels like in five numbers: those that method and library are held against recorded textures with."""
+"""Statistics of a simulated texture: level, direction, centroid, band power, and exponents of speed and force.
+
+They are compared with those of recorded textures, for the method and for the library.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +21,34 @@ from .simulate import FULL_PHYSICS, SAMPLE_RATE_HZ, simulate_batch, straight_str
 Float = NDArray[np.float64]
 
 STROKE_CONDITIONS = ((0.1, 1.0), (0.05, 1.0), (0.15, 1.0), (0.1, 0.5), (0.1, 2.0))
-"""(m/s, N): the middle, then the ends of the speed and the force exponent."""
+"""Speed [m/s] and force [N]: the centre, then the ends of the speed and of the force exponent."""
 STROKE_ANGLES_RAD = (float(np.radians(8.0)), float(np.radians(98.0)))
-"""Almost along x and y: exactly along them, a stroke would meet the same line of the tile again and again."""
+"""Directions almost along x and y [rad]: exactly along them, a stroke would cross the same line of the tile
+repeatedly."""
 SETTLE_S = 0.1
+"""Start of a stroke that is discarded [s]."""
 LOWEST_HZ = 10.0
+"""Lowest frequency that counts [Hz]."""
 
 
 @dataclass(frozen=True)
 class TextureStatistics:
-    """Of one surface at 100 mm/s, 1 N, both directions in power; rms_along, rms_across of each alone [m/s²].
+    """Statistics of one surface at 100 mm/s and 1 N, averaged over both directions in power.
 
-    v_exponent: slope of log RMS over log speed from 50 to 150 mm/s at 1 N; f_exponent: over log force from 0.5 to 2 N
-    at 100 mm/s. below_1k: share of the power.
+    Attributes
+    ----------
+    rms : float
+        RMS acceleration [m/s²].
+    rms_along, rms_across : float
+        RMS acceleration of each direction [m/s²].
+    centroid_hz : float
+        Spectral centroid [Hz].
+    below_1k : float
+        Fraction of the power below 1 kHz.
+    v_exponent : float
+        Slope of log RMS over log speed, from 50 to 150 mm/s at 1 N.
+    f_exponent : float
+        Slope of log RMS over log force, from 0.5 to 2 N at 100 mm/s.
     """
 
     rms: float
@@ -50,9 +68,9 @@ def compute_texture_statistics(
     physics: Physics = FULL_PHYSICS,
     oversample: int = 2,
 ) -> list[TextureStatistics]:
-    """The five numbers of each surface; see stroked."""
+    """Compute the statistics of each surface; parameters as `simulate_strokes`."""
     power, frequency = simulate_strokes(surfaces, duration_s, probe=probe, physics=physics, oversample=oversample)
-    return [aggregate_strokes(each, frequency) for each in power]
+    return [aggregate_strokes(surface_power, frequency) for surface_power in power]
 
 
 def simulate_strokes(
@@ -63,9 +81,27 @@ def simulate_strokes(
     physics: Physics = FULL_PHYSICS,
     oversample: int = 2,
 ) -> tuple[Float, Float]:
-    """Simulate ten strokes of each surface: CONDITIONS × ANGLES, `duration_s` each after SETTLE_S.
+    """Simulate ten strokes of each surface: `STROKE_CONDITIONS` × `STROKE_ANGLES_RAD`.
 
-    Returns power per bin (surfaces, 10, bins) [(m/s²)²] and the bins' frequencies.
+    Parameters
+    ----------
+    surfaces : sequence of (SmoothedMaps, Mechanics)
+        The surfaces.
+    duration_s : float
+        Duration of a stroke after `SETTLE_S` [s].
+    probe : Probe
+        The probe.
+    physics : Physics
+        Modelled effects.
+    oversample : int
+        Integration steps per sample.
+
+    Returns
+    -------
+    power : ndarray, shape (surfaces, 10, bins)
+        Power per bin [(m/s²)²].
+    frequency : ndarray, shape (bins,)
+        Frequencies of the bins [Hz].
     """
     rows = [(v, f, angle) for v, f in STROKE_CONDITIONS for angle in STROKE_ANGLES_RAD]
     strokes = [straight_stroke(v, f, duration_s + SETTLE_S, angle_rad=angle) for v, f, angle in rows]
@@ -82,7 +118,7 @@ def simulate_strokes(
 
 
 def compute_fused_spectra(acceleration: Float) -> tuple[Float, Float]:
-    """Power per bin (rows, bins) of the fused signal from LOWEST_HZ on, and the bins' frequencies."""
+    """Return power per bin (rows, bins) of the DFT321 signal from `LOWEST_HZ` on, and the bins' frequencies [Hz]."""
     fused = dft321(acceleration - acceleration.mean(axis=1, keepdims=True))
     n = fused.shape[1]
     frequency = np.fft.rfftfreq(n, 1.0 / SAMPLE_RATE_HZ)
@@ -93,21 +129,34 @@ def compute_fused_spectra(acceleration: Float) -> tuple[Float, Float]:
 def aggregate_strokes(
     power: Float, frequency: Float, instrument: Callable[[Float], Float] | None = None
 ) -> TextureStatistics:
-    """The five numbers of one surface's ten strokes (10, bins).
+    """Compute the statistics of one surface from its ten strokes.
 
-    instrument: frequency [Hz] → power density [(m/s²)²/Hz] of the noise that a recording instrument adds.
+    Parameters
+    ----------
+    power : ndarray, shape (10, bins)
+        Power per bin [(m/s²)²].
+    frequency : ndarray, shape (bins,)
+        Frequencies [Hz].
+    instrument : callable, optional
+        Function from frequency [Hz] to the power density of a recording instrument's noise [(m/s²)²/Hz], which is
+        added.
+
+    Returns
+    -------
+    TextureStatistics
+        The statistics.
     """
     if instrument is not None:
         power = power + instrument(frequency) * (frequency[1] - frequency[0])
     rms = np.sqrt(power.sum(axis=1).reshape(len(STROKE_CONDITIONS), len(STROKE_ANGLES_RAD)))
-    both = np.sqrt(np.mean(np.square(rms), axis=1))
-    middle = power[: len(STROKE_ANGLES_RAD)].sum(axis=0)
+    mean_rms = np.sqrt(np.mean(np.square(rms), axis=1))
+    centre_power = power[: len(STROKE_ANGLES_RAD)].sum(axis=0)
     return TextureStatistics(
-        rms=float(both[0]),
+        rms=float(mean_rms[0]),
         rms_along=float(rms[0, 0]),
         rms_across=float(rms[0, 1]),
-        centroid_hz=float((middle * frequency).sum() / middle.sum()),
-        below_1k=float(middle[frequency < 1000.0].sum() / middle.sum()),
-        v_exponent=float(np.log(both[2] / both[1]) / np.log(3.0)),
-        f_exponent=float(np.log(both[4] / both[3]) / np.log(4.0)),
+        centroid_hz=float((centre_power * frequency).sum() / centre_power.sum()),
+        below_1k=float(centre_power[frequency < 1000.0].sum() / centre_power.sum()),
+        v_exponent=float(np.log(mean_rms[2] / mean_rms[1]) / np.log(3.0)),
+        f_exponent=float(np.log(mean_rms[4] / mean_rms[3]) / np.log(4.0)),
     )

@@ -1,4 +1,4 @@
-"""Filters on patches: Fourier-domain products on a map whose edges were made harmless first."""
+"""Fourier-domain filters for patches that do not repeat: plane removal, reflection and fading before the product."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ def _cached_frequencies(shape: tuple[int, int], metres_per_pixel: float) -> tupl
 
 
 def frequencies(shape: tuple[int, int], metres_per_pixel: float) -> tuple[Float, Float]:
-    """Cycles per metre of rfft2's bins: fx (1, W//2 + 1) along +x, fy (H, 1) along +y, which is up (−row)."""
+    """Return the frequencies of rfft2's bins [cycles/m]: fx (1, W//2 + 1) along +x, fy (H, 1) along +y, up (−row)."""
     return _cached_frequencies((int(shape[0]), int(shape[1])), float(metres_per_pixel))
 
 
 def gaussian_mtf(frequency: Float, sigma_m: float) -> Float:
-    """exp(−2π²σ²f²), the transfer of a Gaussian blur of standard deviation σ."""
+    """Return exp(−2π²σ²f²), the transfer function of a Gaussian blur with standard deviation σ [m] at f [cycles/m]."""
     return np.asarray(np.exp(-2.0 * (np.pi * sigma_m * frequency) ** 2))
 
 
 def fit_plane(height: Float, weight: Float | None = None) -> tuple[float, float, float]:
-    """Least-squares plane a + b·column + c·row, columns and rows counted from the middle, in pixels."""
+    """Fit the least-squares plane a + b · column + c · row, columns and rows counted from the centre [pixels]."""
     rows = np.arange(height.shape[0]) - (height.shape[0] - 1) / 2
     columns = np.arange(height.shape[1]) - (height.shape[1] - 1) / 2
     if weight is None:
-        across, down = float((columns**2).sum()), float((rows**2).sum())
-        b = float((height.sum(axis=0) @ columns) / max(across * len(rows), 1.0))
-        c = float((height.sum(axis=1) @ rows) / max(down * len(columns), 1.0))
+        column_square_sum, row_square_sum = float((columns**2).sum()), float((rows**2).sum())
+        b = float((height.sum(axis=0) @ columns) / max(column_square_sum * len(rows), 1.0))
+        c = float((height.sum(axis=1) @ rows) / max(row_square_sum * len(columns), 1.0))
         return float(height.mean()), b, c
     wc, wr = weight.sum(axis=0), weight.sum(axis=1)
     weighted = weight * height
@@ -57,7 +57,7 @@ def fit_plane(height: Float, weight: Float | None = None) -> tuple[float, float,
 
 
 def evaluate_plane(shape: tuple[int, int], plane: tuple[float, float, float]) -> Float:
-    """(H, W) values of a plane from plane_of."""
+    """Return the values (H, W) of a plane from `fit_plane`."""
     rows = np.arange(shape[0]) - (shape[0] - 1) / 2
     columns = np.arange(shape[1]) - (shape[1] - 1) / 2
     return np.asarray(plane[0] + plane[1] * columns[None, :] + plane[2] * rows[:, None])
@@ -70,13 +70,30 @@ def apply_filters(
     reflection: Literal["odd", "even"],
     kernel_length_m: float,
 ) -> tuple[list[Float], tuple[float, float]]:
-    """Applies Fourier-domain responses to a map that does not repeat.
+    """Apply Fourier-domain responses to a map that does not repeat.
 
-    The mean plane is set aside, the rest is continued past the edges by reflection and faded to zero, so that no step
-    rings back into the patch. Odd reflection keeps slopes continuous (for derivatives), even reflection keeps the
-    local mean (for low-pass filters). responses(shape) gives the factors for rfft2's bins of the padded shape;
-    reach_m is how far they look (the length of their kernel). Returns the filtered maps (H, W), without the plane,
-    and the plane's slopes (∂h/∂x, ∂h/∂y).
+    The mean plane is removed, the rest is continued beyond the edges by reflection and faded to zero, so that no step
+    rings back into the patch.
+
+    Parameters
+    ----------
+    height : ndarray, shape (H, W)
+        The map.
+    metres_per_pixel : float
+        Pixel size [m].
+    responses : callable
+        Function from the padded shape to factors for its rfft2 bins, one per result.
+    reflection : {"odd", "even"}
+        Odd reflection keeps slopes continuous (for derivatives), even keeps the local mean (for low-pass filters).
+    kernel_length_m : float
+        Length of the filters' kernel [m].
+
+    Returns
+    -------
+    maps : list of ndarray, shape (H, W)
+        Filtered maps, without the plane.
+    slopes : tuple of float
+        Slopes of the plane (∂h/∂x, ∂h/∂y).
     """
     rows, columns = height.shape
     plane = fit_plane(height)
@@ -93,9 +110,9 @@ def apply_filters(
 
 
 def _choose_padding(size: int, kernel_length: float) -> int:
-    # Whole sixteens keep the padded size a product of small primes, which the FFT likes.
-    wanted = 32 if kernel_length <= 16 else 16 * int(np.ceil(min(kernel_length, float(size)) / 16)) + 16
-    return min(wanted, size - 1)
+    # Multiples of sixteen keep the padded size a product of small primes, for which the FFT is fast.
+    padding = 32 if kernel_length <= 16 else 16 * int(np.ceil(min(kernel_length, float(size)) / 16)) + 16
+    return min(padding, size - 1)
 
 
 def _fade_window(size: int, pad: int) -> Float:

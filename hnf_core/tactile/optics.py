@@ -1,15 +1,13 @@
-"""The touch sensor's eye: a gel pressed on a height field, lit by coloured lamps, seen by a camera, and read back.
+"""Optics of a vision-based touch sensor: from height field to sensor image, and from image back to slopes.
 
 Photometric stereo (Woodham 1980) as in GelSight (Johnson & Adelson 2009): a matte membrane over the surface, three
 directional lamps, one colour each with some cross-talk. With n the unit normal of the membrane,
 
     I = ambient + S n,    S = crosstalk · diag(intensity) · lamp directions,
 
-so that three channels give n back by one linear solve, exact wherever every lamp reaches the membrane.
+so that three channels give n by one linear solve, exact wherever every lamp reaches the membrane.
 
 Frame: column → +x, row → −y; gradients are ∂h/∂x and ∂h/∂y with y up.
-
-Sensors of one make differ: the same gel under other lamps, so that no network learns one lamp's colours.
 """
 
 from __future__ import annotations
@@ -30,11 +28,25 @@ Float = NDArray[np.float64]
 class Sensor:
     """A vision-based touch sensor.
 
-    azimuth_deg: three lamps, the direction each shines from in the tangent plane (0 = +x, 90 = +y).
-    elevation_deg: of the lamps above the plane. intensity: of each lamp. crosstalk: (3, 3), row = camera channel,
-    column = lamp. ambient: (3,) light that does not depend on the normal. gel_sigma_m: the membrane follows the
-    surface with the Gaussian transfer exp(−2π²σ²f²). max_slope: the membrane tents over steeper walls: the length of
-    the gradient is limited to this, its direction kept. Every lamp must reach that slope: max_slope < tan(elevation).
+    Attributes
+    ----------
+    name : str
+        Name in `SENSORS`.
+    azimuth_deg : tuple of 3 floats
+        Direction of each lamp in the tangent plane [°]; 0 = +x, 90 = +y.
+    elevation_deg : float
+        Elevation of the lamps above the plane [°].
+    intensity : tuple of 3 floats
+        Intensity of each lamp.
+    crosstalk : tuple, shape (3, 3)
+        Response of each camera channel (row) to each lamp (column).
+    ambient : tuple of 3 floats
+        Light that does not depend on the normal.
+    gel_sigma_m : float
+        σ of the gel's Gaussian transfer exp(−2π²σ²f²) from surface to membrane [m].
+    max_slope : float
+        Limit of the membrane's slope, since it tents over steeper walls; the direction is preserved. Every lamp must
+        reach it: max_slope < tan(elevation).
     """
 
     name: str
@@ -48,7 +60,7 @@ class Sensor:
 
     @property
     def shading(self) -> Float:
-        """S: (3, 3), unit normal → channel values above ambient."""
+        """Matrix S (3, 3) from unit normal to channel values above ambient."""
         azimuth, elevation = np.radians(self.azimuth_deg), np.radians(self.elevation_deg)
         lamps = np.stack(
             [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.full(3, np.sin(elevation))],
@@ -58,13 +70,13 @@ class Sensor:
 
     @property
     def background(self) -> Float:
-        """(3,) colour of a flat surface."""
+        """Colour (3,) of a flat surface."""
         return np.asarray(np.asarray(self.ambient) + self.shading[:, 2])
 
 
 SENSORS = MappingProxyType(
     {
-        # Red from the top, green and blue from lower left and lower right: a mirrored surface swaps green and blue.
+        # Red shines from the top, green and blue from lower left and lower right; a mirrored surface swaps these two.
         "gelsight": Sensor(
             name="gelsight",
             azimuth_deg=(90.0, 210.0, 330.0),
@@ -75,7 +87,7 @@ SENSORS = MappingProxyType(
             gel_sigma_m=12e-6,
             max_slope=1.6,
         ),
-        # Lamps on three sides of a rectangular window, unequal, with stronger cross-talk; a stiffer gel.
+        # Unequal lamps on three sides of a rectangular window, with stronger cross-talk, and a stiffer gel.
         "digit": Sensor(
             name="digit",
             azimuth_deg=(180.0, 90.0, 0.0),
@@ -91,7 +103,7 @@ SENSORS = MappingProxyType(
 
 
 def get_sensor(name: str) -> Sensor:
-    """The sensor of that name. Raises UsageError for an unknown one."""
+    """Return a sensor by its name; raise UsageError for an unknown one."""
     try:
         return SENSORS[name]
     except KeyError:
@@ -101,10 +113,10 @@ def get_sensor(name: str) -> Sensor:
 
 
 def gel_gradients(height_m: ArrayLike, metres_per_pixel: float, sensor: Sensor) -> tuple[Float, Float]:
-    """Slopes (∂h/∂x, ∂h/∂y), (H, W) each, of the membrane lying on a height field.
+    """Return the slopes (∂h/∂x, ∂h/∂y), (H, W) each, of the membrane on a height field.
 
-    Gaussian-smoothed height, differentiated in the Fourier domain (exact up to the pixel grid's own limit), the
-    slope limited to sensor.max_slope.
+    The height is smoothed by a Gaussian and differentiated in the Fourier domain (exact up to the limit of the pixel
+    grid); slopes are limited to `sensor.max_slope`.
     """
     height = np.asarray(height_m, dtype=np.float64)
 
@@ -121,23 +133,39 @@ def gel_gradients(height_m: ArrayLike, metres_per_pixel: float, sensor: Sensor) 
 
 
 def limit_slope(gx: Float, gy: Float, max_slope: float) -> tuple[Float, Float]:
-    """Gradients no longer than max_slope, directions kept."""
+    """Limit the length of gradients to `max_slope`; directions are preserved."""
     scale = np.minimum(1.0, max_slope / np.maximum(np.hypot(gx, gy), 1e-30))
     return gx * scale, gy * scale
 
 
 def shade(gx: ArrayLike, gy: ArrayLike, sensor: Sensor) -> NDArray[np.float32]:
-    """(H, W, 3) float32 linear picture of a membrane with these slopes."""
+    """Return the linear image (H, W, 3) float32 of a membrane with slopes `gx`, `gy` (H, W)."""
     gx, gy = np.asarray(gx, dtype=np.float64), np.asarray(gy, dtype=np.float64)
     normal = np.stack([-gx, -gy, np.ones_like(gx)], axis=-1) / np.sqrt(1.0 + gx**2 + gy**2)[..., None]
     return np.asarray(normal @ sensor.shading.T + np.asarray(sensor.ambient), dtype=np.float32)
 
 
 def render_sensor_image(height_m: ArrayLike, metres_per_pixel: float, sensor: Sensor) -> NDArray[np.float32]:
-    """(H, W, 3) float32 linear sensor image of a height field (H, W) in metres.
+    """Render the linear sensor image of a height field.
 
-    A flat or evenly raised surface gives sensor.background; small slopes change the picture linearly.
-    Raises UsageError on a height field that is not a finite two-dimensional array.
+    Parameters
+    ----------
+    height_m : array_like, shape (H, W)
+        Heights [m].
+    metres_per_pixel : float
+        Pixel size [m].
+    sensor : Sensor
+        The sensor.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, 3)
+        The image. A flat surface gives `sensor.background`; small slopes change the image linearly.
+
+    Raises
+    ------
+    UsageError
+        For a height field that is not a finite two-dimensional array.
     """
     height = np.asarray(height_m, dtype=np.float64)
     if height.ndim != 2 or min(height.shape) < 2 or not np.isfinite(height).all():
@@ -149,29 +177,46 @@ def render_sensor_image(height_m: ArrayLike, metres_per_pixel: float, sensor: Se
 
 
 def decode_gradients(image: ArrayLike, sensor: Sensor) -> tuple[Float, Float]:
-    """Slopes (∂h/∂x, ∂h/∂y), (H, W) each, from a linear sensor image (H, W, 3).
+    """Decode slopes from a linear sensor image.
 
-    Exact (to the image's precision) for slopes up to sensor.max_slope. Steeper normals, which only a damaged or
-    foreign image holds, come back limited to that slope; overall brightness cancels out.
+    Parameters
+    ----------
+    image : array_like, shape (H, W, 3)
+        Linear sensor image.
+    sensor : Sensor
+        The sensor.
+
+    Returns
+    -------
+    tuple of ndarray, shape (H, W) each
+        Slopes ∂h/∂x and ∂h/∂y. Exact up to `sensor.max_slope`; steeper normals, which only a damaged or foreign image
+        has, are limited to it. Overall brightness cancels out.
     """
     pixels = np.asarray(image, dtype=np.float64)
     normal = (pixels - np.asarray(sensor.ambient)) @ np.linalg.inv(sensor.shading).T
-    # A normal on or below the horizon has no finite slope: hold it at a grazing one and let the limit act.
+    # A normal on or below the horizon has no finite slope, so it is clamped to a grazing one before the limit.
     upward = np.maximum(normal[..., 2], 1e-6)
     return limit_slope(-normal[..., 0] / upward, -normal[..., 1] / upward, sensor.max_slope)
 
 
 AZIMUTH_SCATTER_DEG = 8.0
+"""Half-width of the uniform scatter of a lamp's azimuth [°]."""
 ELEVATION_SCATTER_DEG = (-3.0, 6.0)
+"""Range of the scatter of elevation [°]; mostly upwards, since lower lamps would leave the steepest slopes dark."""
 INTENSITY_SCATTER = 0.15
+"""Half-width of the relative scatter of a lamp's intensity."""
 CROSSTALK_SCATTER = 0.05
+"""Half-width of the scatter of cross-talk."""
 AMBIENT_SCATTER = 0.03
-"""Half-widths of uniform scatter. Elevation leans upwards: lower lamps would leave the steepest slopes dark."""
+"""Half-width of the scatter of ambient light."""
 
 
 def perturb_sensor(sensor: Sensor, rng: np.random.Generator) -> Sensor:
-    """Another piece of the same sensor: lamps turned and lifted, brighter or darker, more or less cross-talk and
-    ambient light. Its gel (sigma, slope limit) and name stay, and every lamp reaches the slope limit still."""
+    """Draw another unit of a sensor: other lamp directions, intensities, cross-talk and ambient light.
+
+    It keeps networks from learning one unit's colours. Gel, slope limit and name stay, and every lamp reaches the slope
+    limit.
+    """
     lowest = float(np.degrees(np.arctan(sensor.max_slope))) + 0.5
     off_diagonal = 1.0 - np.eye(3)
     scatter = rng.uniform(-CROSSTALK_SCATTER, CROSSTALK_SCATTER, (3, 3)) * off_diagonal

@@ -1,4 +1,4 @@
-"""Tactile maps: what a vision-based touch sensor pressed on a patch would show, and how it is known."""
+"""The tactile map of a patch: the image that a vision-based touch sensor would give, its height and its route."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 class Route(str, Enum):
-    """How a property of a patch came to be known."""
+    """Origin of a property of a patch."""
 
     MEASURED = "measured"
     PREDICTED = "predicted"
@@ -19,7 +19,7 @@ class Route(str, Enum):
 
 
 class HeightMap(Protocol):
-    """What of a tactile map, or of any record of one, a path over it needs; fields as TactileMap has them."""
+    """Part of a tactile map, or of a stored one, that height sampling needs; fields as in `TactileMap`."""
 
     @property
     def height(self) -> NDArray[np.float32] | None: ...
@@ -31,13 +31,26 @@ class HeightMap(Protocol):
 
 @dataclass(frozen=True)
 class TactileMap:
-    """A sensor image in the patch's tangent frame (column → +x tangent, row → −y, i.e. +y points up).
+    """A sensor image in the patch's tangent frame (column → +x tangent, row → −y, so that +y points up).
 
-    image: (H, W, 3) float32 linear. height: (H, W) float32 metres above the mean plane, or None where unknown.
-    mask: (H, W) bool, True where the patch's own surface was seen. metres_per_pixel: m. sensor: name in
-    tactile.optics.SENSORS. resolved_wavelength_m: shortest wavelength the source resolves (two texels); inf where
-    nothing is resolved. height_source: where the metres come from, for the report ("bump node 'Bump', distance
-    0.001 m").
+    Attributes
+    ----------
+    image : ndarray of float32, shape (H, W, 3)
+        Linear sensor image.
+    height : ndarray of float32, shape (H, W), or None
+        Height above the mean plane [m]; None if unknown.
+    mask : ndarray of bool, shape (H, W)
+        True where the patch's own surface is visible.
+    metres_per_pixel : float
+        Pixel size [m].
+    sensor : str
+        Name in `optics.SENSORS`.
+    resolved_wavelength_m : float
+        Shortest wavelength that the source resolves, two texels [m]; inf if nothing is resolved.
+    route : Route
+        Origin of the map.
+    height_source : str
+        Origin of the metres, for the report ("bump node 'Bump', distance 0.001 m").
     """
 
     image: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""Training that survives a kill: everything the next epoch depends on, in one safetensors file."""
+"""Checkpoints of a training run: everything that the next epoch depends on, in one safetensors file."""
 
 from __future__ import annotations
 
@@ -17,8 +17,11 @@ FORMAT = "hnf-checkpoint-1"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """State after `epoch` epochs. tensors: network, optimiser, best weights, random state, by name. history: (epoch, 3)
-    epoch number, training and validation loss."""
+    """State of a run after `epoch` epochs.
+
+    tensors: network, optimiser, best weights and random state, by name. history: (epoch, 3) epoch number, training loss
+    and validation loss.
+    """
 
     epoch: int
     tensors: Mapping[str, NDArray[np.generic]]
@@ -26,7 +29,7 @@ class Checkpoint:
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, fingerprint: str) -> None:
-    """Atomically; fingerprint names the run that it belongs to. Raises FileError."""
+    """Write a checkpoint atomically, with the fingerprint of its run. Raises FileError."""
     tensors = {name: np.ascontiguousarray(value) for name, value in checkpoint.tensors.items()}
     tensors["history"] = checkpoint.history
     metadata = {"format": FORMAT, "fingerprint": fingerprint, "epoch": str(checkpoint.epoch)}
@@ -34,8 +37,11 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, fingerprint: str) -> Non
 
 
 def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
-    """The checkpoint of this very run, or None: there is none, it is damaged, or it belongs to other data, another
-    architecture or another seed (each is as good as starting anew)."""
+    """Read the checkpoint of the run with this fingerprint.
+
+    Returns None if there is none, if it is damaged, or if it belongs to other data, another architecture or another
+    seed; the run then starts from the beginning.
+    """
     try:
         tensors, metadata = load_tensors(path.read_bytes())
         if metadata["format"] != FORMAT or metadata["fingerprint"] != fingerprint:

@@ -1,4 +1,4 @@
-"""Fit F_Θ to recorded window powers: Adam, cosine annealing, everything in memory."""
+"""Fit F_Θ to the observed spectra of steady strokes by likelihood: AdamW with cosine annealing, all data in memory."""
 
 from __future__ import annotations
 
@@ -28,11 +28,23 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Schedule:
-    """epochs, batch rows, learning rate of Adam (annealed to 1 % by a cosine), decoupled weight decay.
+    """Hyperparameters of `fit_network`.
 
-    token_noise: standard deviation added to the network's view of the token (not to the linear contact's), so that
-    some hundred surfaces are not learnt by heart. ridge: penalty on the log-amplitude head, which is the correction to
-    the linear contact: where nothing was seen, that stands.
+    Attributes
+    ----------
+    epochs
+        Number of epochs.
+    batch
+        Strokes per step.
+    learning_rate
+        Of AdamW, annealed to 1 % by a cosine.
+    decay
+        Decoupled weight decay.
+    token_noise
+        Standard deviation of the noise added to the network's token (not to the linear contact's), so that a few
+        hundred surfaces are not memorised.
+    ridge
+        Penalty on the log-amplitude head, the correction to the linear contact: without data the linear contact stands.
     """
 
     epochs: int = 100
@@ -45,8 +57,11 @@ class Schedule:
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """x (V, n, D), prior (V, n, K), gate (n, K): inputs with all mechanics (first) and V − 1 draws of withheld ones.
-    speed: (n,) index. power: (n, 107)."""
+    """Network inputs and observations of n strokes, in V variants.
+
+    x: (V, n, D). prior: (V, n, K). gate: (n, K). speed: (n,) index into the speed grid. power: (n, 107). Variant 0 has
+    all mechanics, the others have some withheld or another patch's token.
+    """
 
     x: Tensor
     prior: Tensor
@@ -58,7 +73,10 @@ class TrainingSet:
 def make_condition(
     strokes: Sequence[SteadyStroke], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]
 ) -> Condition:
-    """tokens: (surfaces, TOKEN_DIM). All strokes must share one probe."""
+    """Build the Condition of steady strokes, which must share one probe.
+
+    tokens: (surfaces, TOKEN_DIM). mechanics: one per stroke.
+    """
     angle = np.array([stroke.angle for stroke in strokes])
     count = len(strokes)
     return Condition(
@@ -76,8 +94,11 @@ def make_condition(
 def build_network_inputs(
     config: FieldConfig, strokes: Sequence[SteadyStroke], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """x (n, D), prior (n, K …) and gate (n, K) of strokes with any probes; tokens by their surface."""
-    parts: list[NDArray[np.float32]] = []
+    """Compute x (n, D), prior (n, K …) and gate (n, K) of strokes with any probes.
+
+    tokens: (surfaces, TOKEN_DIM), indexed by the strokes. mechanics: one per stroke.
+    """
+    outputs: list[NDArray[np.float32]] = []
     for probe in sorted({stroke.probe for stroke in strokes}):
         rows = np.array([row for row, stroke in enumerate(strokes) if stroke.probe == probe])
         inputs = build_inputs(
@@ -89,11 +110,11 @@ def build_network_inputs(
             config.line_gains,
             config.stroke_frame,
         )
-        found = (inputs.x, inputs.prior, inputs.gate)
-        parts = parts or [np.zeros((len(strokes), part.shape[1]), dtype=np.float32) for part in found]
-        for whole, part in zip(parts, found, strict=True):
-            whole[rows] = part
-    return parts[0], parts[1], parts[2]
+        arrays = (inputs.x, inputs.prior, inputs.gate)
+        outputs = outputs or [np.zeros((len(strokes), array.shape[1]), dtype=np.float32) for array in arrays]
+        for output, array in zip(outputs, arrays, strict=True):
+            output[rows] = array
+    return outputs[0], outputs[1], outputs[2]
 
 
 def build_training_set(
@@ -105,26 +126,46 @@ def build_training_set(
     seed: int,
     alternative_surfaces: Sequence[Sequence[int]] = (),
 ) -> TrainingSet:
-    """Network inputs of every stroke: as they are, then variants − 1 draws of unknown mechanics.
+    """Build the network inputs of every stroke: as it is, then variants − 1 draws of unknown mechanics.
 
-    elsewhere: for each of as many more variants and every stroke, another surface of the same material, by whose token
-    the material is described; in every second of these some mechanics are unknown. What a token says beyond the
-    material is an accident of its patch, and the field is asked about patches that nobody stroked.
+    Parameters
+    ----------
+    config
+        Architecture.
+    strokes
+        The n strokes.
+    tokens
+        (surfaces, TOKEN_DIM).
+    power
+        (n, 107) observed.
+    variants
+        Number of variants with the stroke's own token.
+    seed
+        Of the draws.
+    alternative_surfaces
+        For each further variant a surface per stroke, of the same material, whose token replaces the stroke's own; in
+        every second of these some mechanics are withheld. Differences between patches of one material are accidental,
+        and the field is evaluated on patches that nobody stroked.
+
+    Returns
+    -------
+    TrainingSet
+        As torch tensors.
     """
     rng = np.random.default_rng(seed)
     known = [stroke.mechanics for stroke in strokes]
-    found = []
+    inputs = []
     for variant in range(variants):
         mechanics = known if variant == 0 else [withhold_mechanics(each, rng) for each in known]
-        found.append(build_network_inputs(config, strokes, tokens, mechanics))
+        inputs.append(build_network_inputs(config, strokes, tokens, mechanics))
     for variant, surfaces in enumerate(alternative_surfaces):
         mechanics = known if variant % 2 == 0 else [withhold_mechanics(each, rng) for each in known]
-        there = [replace(stroke, surface=surface) for stroke, surface in zip(strokes, surfaces, strict=True)]
-        found.append(build_network_inputs(config, there, tokens, mechanics))
+        moved_strokes = [replace(stroke, surface=surface) for stroke, surface in zip(strokes, surfaces, strict=True)]
+        inputs.append(build_network_inputs(config, moved_strokes, tokens, mechanics))
     return TrainingSet(
-        torch.tensor(np.stack([each[0] for each in found])),
-        torch.tensor(np.stack([each[1] for each in found])),
-        torch.tensor(found[0][2]),
+        torch.tensor(np.stack([each[0] for each in inputs])),
+        torch.tensor(np.stack([each[1] for each in inputs])),
+        torch.tensor(inputs[0][2]),
         torch.tensor([stroke.speed for stroke in strokes]),
         torch.tensor(power, dtype=torch.float32),
     )
@@ -137,7 +178,7 @@ def _load_expectation_matrices(carriers: Carriers) -> tuple[Tensor, Tensor]:
 
 
 class Likelihood:
-    """Expected power of steady strokes and its negative log-likelihood."""
+    """Negative log-likelihood of the observed power of steady strokes."""
 
     def __init__(self, config: FieldConfig) -> None:
         self.carriers = config.carriers
@@ -145,7 +186,7 @@ class Likelihood:
         self.likelihood = WindowLikelihood()
 
     def compute_expected_power(self, amplitude: Tensor, speed: Tensor) -> Tensor:
-        """(n, K) amplitudes, (n,) speed indices → (n, 107)."""
+        """Compute the expected density (n, 107) of amplitudes (n, K) at speed indices (n,)."""
         power = amplitude.square()
         time = power[:, self.carriers.time_slice] @ self.time
         return time + compute_arc_density(power[:, self.carriers.arc_slice], speed, self.arc) + DENSITY_FLOOR
@@ -155,9 +196,9 @@ class Likelihood:
 
 
 def fit_network(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -> FieldNetwork:
-    """Train from initial_parameters(config, seed); deterministic for one number of threads.
+    """Train from initial_parameters(config, seed); deterministic for a given number of threads.
 
-    σ stays as it is: a steady stroke tells nothing of memory, and a free σ would only be a second gain.
+    The σ head is not trained: a steady stroke does not depend on memory, and a free σ would only be a second gain.
     """
     network = FieldNetwork(config, initial_parameters(config, seed))
     for name in ("sigma_weight", "sigma_bias"):
@@ -195,7 +236,10 @@ def fit_network(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed
 
 
 def rotate_inputs(x: Tensor, angle: Tensor) -> Tensor:
-    """The same strokes on the same surfaces, both turned: nothing may depend on where a tangent frame points."""
+    """Turn surface and stroke of every input row together by angle (n,) [rad].
+
+    The training repeats strokes this way because nothing may depend on where a tangent frame points.
+    """
     width, bands = len(BAND_FEATURES), range(len(BAND_WAVELENGTHS_M))
     two = [band * width + BAND_FEATURES.index("cos2") for band in bands]
     four = [band * width + BAND_FEATURES.index("cos4") for band in bands]

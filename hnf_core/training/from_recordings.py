@@ -1,4 +1,4 @@
-"""From recordings of one material to a field that names what it is, what it was trained on and how well."""
+"""Train a field from recordings of one material: choose the architecture, fit it, and describe it in its metadata."""
 
 from __future__ import annotations
 
@@ -27,13 +27,15 @@ Float = NDArray[np.float64]
 FINE_BIN_HZ = 10.0
 PAST_STATE_COUNT = 5
 ARC_KINDS = ("own", "cluster", "simulated")
-"""Data in which tones glide with the speed, where that was recorded. HaTT's models hold none: each is a filter that
-changes with speed, and arc carriers would only be a second way to say the same."""
+"""Data sets with tones whose frequency follows the speed, if the speed was recorded.
+
+The models of HaTT hold none: each is a filter that changes with speed, and arc carriers would only duplicate it.
+"""
 
 
 @dataclass(frozen=True)
 class TrainingOverrides:
-    """What a user may set; None = as the data suggest."""
+    """Settings of the user; None for the value that suits the data."""
 
     hidden: int | None = None
     layers: int | None = None
@@ -43,16 +45,18 @@ class TrainingOverrides:
 
 
 def make_fine_carriers(arc_octaves: int = 0) -> Carriers:
-    """Time carriers centred on the bins 10, 20 … 1000 Hz, one bin wide, then seven widening bands to 5 kHz."""
+    """Build time carriers centred on 10, 20 … 1000 Hz, 10 Hz wide, then seven widening bands to 5 kHz."""
     fine = (np.arange(1, FINE_BINS + 1) + 0.5) * FINE_BIN_HZ
     edges = np.concatenate([[2.0], fine, fine[-1] * (5000.0 / fine[-1]) ** (np.arange(1, 8) / 7)])
     return Carriers(time_edges_hz=tuple(float(edge) for edge in edges), arc_octaves=arc_octaves)
 
 
 def choose_config(recordings: Sequence[Recording], *, arc: bool, token_known: bool) -> FieldConfig:
-    """The architecture that suits what is known: the linear contact where there is a token, arc carriers where asked
-    for, direction only where it was recorded, and N = 5 past states where hands stop or turn back. There accumulation
-    wins (docs/training.md); elsewhere strokes tell nothing of memory, and N = 1 is the same field for less work.
+    """Choose the architecture that suits the data.
+
+    The linear contact is used if the token is known, arc carriers if asked for, direction if it was recorded, and N = 5
+    past states if hands stop or turn back. There accumulation wins (docs/training.md); other strokes do not depend on
+    memory, and N = 1 gives the same field with less work.
     """
     directed = any("direction" in recording.known for recording in recordings)
     states = PAST_STATE_COUNT if any(_has_reversals(recording.action) for recording in recordings) else 1
@@ -65,7 +69,7 @@ def choose_config(recordings: Sequence[Recording], *, arc: bool, token_known: bo
 
 
 def _has_reversals(action: Action) -> bool:
-    """Whether the hand nearly stops (a tenth of its usual speed), lifts, or reverses within 50 ms."""
+    """Return True if the hand nearly stops (a tenth of its usual speed), lifts, or reverses within 50 ms."""
     moving = action.speed[action.contact & (action.speed > 0.0)]
     if len(moving) == 0:
         return False
@@ -84,24 +88,50 @@ def train_from_recordings(
     checkpoint: Path | None = None,
     watch: ProgressCallback | None = None,
 ) -> tuple[TrainingResult, dict[str, Any]]:
-    """Train on recordings of one material of a data set of that kind; also a record of it for people and programs.
+    """Train on recordings of one material, and describe the result.
 
-    The field carries in its metadata what `hnf synth --weights` needs. Raises UsageError, see train_material.
+    Parameters
+    ----------
+    recordings
+        Recordings of one material.
+    kind
+        Kind of the data set they come from.
+    licence
+        Licence of the data set.
+    seed
+        Seed of the training.
+    overrides
+        Settings of the user.
+    checkpoint
+        File from which a killed run continues.
+    watch
+        Called after every epoch.
+
+    Returns
+    -------
+    tuple
+        The result, whose field carries in its metadata what `hnf synth --weights` needs, and a record for users and
+        programs.
+
+    Raises
+    ------
+    UsageError
+        If the recordings are too short or of several probes.
     """
     name = recordings[0].material
     token, mechanics = _find_token_and_mechanics(kind, name)
-    paced = any("speed" in recording.known for recording in recordings)
-    config = choose_config(recordings, arc=paced and kind in ARC_KINDS, token_known=token is not None)
-    chosen = {key: value for key, value in dataclasses.asdict(overrides).items() if value is not None}
-    epochs = chosen.pop("epochs", Schedule().epochs)
+    has_speed = any("speed" in recording.known for recording in recordings)
+    config = choose_config(recordings, arc=has_speed and kind in ARC_KINDS, token_known=token is not None)
+    overridden = {key: value for key, value in dataclasses.asdict(overrides).items() if value is not None}
+    epochs = overridden.pop("epochs", Schedule().epochs)
     trained = train_material(
-        recordings, dataclasses.replace(config, **chosen), seed, schedule=Schedule(epochs=epochs), token=token,
+        recordings, dataclasses.replace(config, **overridden), seed, schedule=Schedule(epochs=epochs), token=token,
         mechanics=mechanics, checkpoint=checkpoint, watch=watch,
     )  # fmt: skip
     notes = sorted({note for recording in recordings for note in recording.notes})
     record = {
         "material": name,
-        "training_data": f"{sum(each.duration_s for each in recordings):.0f} s of {kind} strokes",
+        "training_data": f"{sum(recorded.duration_s for recorded in recordings):.0f} s of {kind} strokes",
         "seed": seed,
         "epochs": len(trained.history),
         "parameters": int(sum(np.prod(shape) for shape in trained.field.config.shapes().values())),
@@ -123,7 +153,7 @@ def _with_metadata(field: Field, metadata: Mapping[str, str]) -> Field:
 
 
 def _find_token_and_mechanics(kind: str, name: str) -> tuple[NDArray[np.float32] | None, Mechanics]:
-    """Token and mechanics where they are known: of library materials."""
+    """Return token and mechanics of a library material; None and unknown for other data."""
     if kind != "simulated":
         return None, UNKNOWN_MECHANICS
     material = get_material(name)

@@ -1,4 +1,4 @@
-"""Learning one material for another program: what `hnf train field` does, told step by step to a function."""
+"""Train a field on one material of a data set, with progress reports: `hnf train field` for other programs."""
 
 from __future__ import annotations
 
@@ -16,8 +16,21 @@ STAGE_GATHERING, STAGE_TRAINING = "gathering recordings", "epoch"
 
 @dataclass(frozen=True)
 class LearnRequest:
-    """kind, folder: of the data set (datasets.catalogue), "" = no folder. material: as the data set calls it. seconds:
-    of strokes to synthesise, where it holds models. epochs: at most so many."""
+    """Parameters of a training run.
+
+    Attributes
+    ----------
+    kind
+        Kind of data set, by its name in datasets.registry.
+    folder
+        Folder of the data set, "" for none.
+    material
+        Name of the material in the data set.
+    seconds
+        Duration of strokes to synthesise, if the data set holds models [s].
+    epochs
+        Largest number of epochs.
+    """
 
     kind: str
     folder: str
@@ -27,17 +40,31 @@ class LearnRequest:
 
 
 def learn_material(request: LearnRequest, out: Path, report_progress: Callable[[Progress], None]) -> None:
-    """Train, and write the weights at out. A killed run goes on from the checkpoint beside it when the same lesson is
-    asked for again. The last of the steps that show() is told of is the saving.
+    """Train on one material of a data set and write the weights.
 
-    Raises HnfError, also where a package is missing.
+    A killed run continues from the checkpoint beside `out` when the same request is made again. The last reported step
+    is the saving.
+
+    Parameters
+    ----------
+    request
+        What to train on.
+    out
+        Path of the weights.
+    report_progress
+        Called at the start and after every epoch.
+
+    Raises
+    ------
+    HnfError
+        If the data cannot be used, or a package is missing.
     """
     from ..datasets.registry import LICENCES, get_training_recordings, open_dataset
 
     steps = request.epochs + 1
     report_progress(Progress(STAGE_GATHERING, 0, 1))
     data = open_dataset(request.kind, Path(request.folder) if request.folder else None)
-    data.process(request.material)  # a wrong name is told before torch is loaded
+    data.process(request.material)  # Refuses a wrong name before torch is loaded.
     try:
         from .from_recordings import TrainingOverrides, train_from_recordings
     except ImportError as error:
@@ -48,7 +75,7 @@ def learn_material(request: LearnRequest, out: Path, report_progress: Callable[[
     report_progress(Progress(STAGE_TRAINING, 0, steps))
     trained, _ = train_from_recordings(
         recordings, request.kind, LICENCES[request.kind], 0, TrainingOverrides(epochs=request.epochs),
-        out.with_name(f"{out.name}.checkpoint"), lambda done, _total, _loss: report_progress(Progress(STAGE_TRAINING,
-        done, steps)),
+        out.with_name(f"{out.name}.checkpoint"), lambda done, _total,
+        _loss: report_progress(Progress(STAGE_TRAINING, done, steps)),
     )  # fmt: skip
     save_field(out, trained.field)

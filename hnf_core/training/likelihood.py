@@ -1,6 +1,6 @@
-"""How likely recorded window powers are, given the powers expected: what every field here is fitted by.
+"""Whittle likelihood of observed window spectra, and the matrices that give their expectation from carrier powers.
 
-Expected window powers of unit-power carriers: the matrices between amplitudes and the likelihood.
+A carrier of unit power contributes its band, convolved with the window's kernel, to the 107 observed densities.
 """
 
 from __future__ import annotations
@@ -15,18 +15,20 @@ from ..metrics.spectra import WINDOW_SAMPLES, hann_window
 from .simulated_strokes import FINE_BINS, compute_bin_widths, pool_bins
 
 DENSITY_FLOOR = 1e-9
-"""(m/s²)²/Hz: added to both sides, 1 mm/s² over the band; below it nothing is felt."""
+"""Density added to both sides [(m/s²)²/Hz]: 1 mm/s² over the band, below which nothing is perceptible."""
 COARSE_WEIGHT = 4.0
+"""Weight of a coarse band, relative to a fine bin."""
 TOTAL_WEIGHT = 15.0
-"""The total power is one more observation: a tone far too loud costs its few bins only a logarithm each."""
+"""Weight of the total power. Without it a tone far too loud costs only the logarithm of its few bins."""
 OUTLIER_RATIO = 20.0
-"""Recorded over expected power beyond which a bin pulls no harder: one hop off the surface would outweigh all else."""
+"""Ratio of observed to expected power beyond which the loss is logarithmic: one hop off the surface would outweigh all
+else."""
 
 
 class WindowLikelihood:
-    """Negative Whittle log-likelihood per observation: 100 fine bins, seven coarse bands, and the whole power.
+    """Negative Whittle log-likelihood per observation: 100 fine bins, seven coarse bands, and the total power.
 
-    heard: (107,) bool, observations that count; None = all.
+    counted_bins: (107,) bool, observations that count; None for all.
     """
 
     def __init__(self, counted_bins: NDArray[np.bool_] | None = None) -> None:
@@ -39,29 +41,33 @@ class WindowLikelihood:
         self.weight[:-1] *= torch.tensor(counted, dtype=torch.float32)
 
     def __call__(self, expected: Tensor, recorded: Tensor) -> Tensor:
-        """Mean over rows; both (n, 107) densities above 0, with DENSITY_FLOOR in them."""
-        first, second = (torch.cat([each, (each @ self.width)[:, None]], dim=1) for each in (expected, recorded))
+        """Return the mean over rows; both arguments are (n, 107) densities above 0 that contain DENSITY_FLOOR."""
+        first, second = (
+            torch.cat([density, (density @ self.width)[:, None]], dim=1) for density in (expected, recorded)
+        )
         return compute_whittle_loss(first, second, self.weight).mean() / self.weight.sum()
 
 
 def compute_arc_density(power: Tensor, speed: Tensor, table: Tensor) -> Tensor:
-    """(n, Ka) powers of arc carriers and (n,) indices of speeds in table (S, Ka, 107) → (n, 107) expected densities.
+    """Compute the expected density (n, 107) of arc carriers' powers (n, Ka).
 
-    Rows of one speed share one product.
+    speed: (n,) index of each row's speed in table (S, Ka, 107). Rows of one speed share one product.
     """
-    order = torch.argsort(speed)  # unstable: the order that the shipped weights were trained in
+    order = torch.argsort(speed)  # Not stable, because the shipped weights were trained in this order.
     values, counts = torch.unique_consecutive(speed[order], return_counts=True)
-    parts = power[order].split(counts.tolist())  # type: ignore[no-untyped-call]
-    density = torch.cat([part @ table[value] for part, value in zip(parts, values.tolist(), strict=True)])
+    groups = power[order].split(counts.tolist())  # type: ignore[no-untyped-call]
+    density = torch.cat([group @ table[value] for group, value in zip(groups, values.tolist(), strict=True)])
     return density[torch.argsort(order)]
 
 
 def compute_whittle_loss(expected: Tensor, recorded: Tensor, weight: Tensor) -> Tensor:
-    """Negative Whittle log-likelihood per row: Σ w (log S + P / S); minimal in expectation where S = E P.
+    """Compute the negative Whittle log-likelihood per row, Σ w (log S + P / S), with S expected and P recorded.
 
-    P. Whittle (1953), "Estimation and information in stationary time series". A loss on magnitudes of random draws
-    would learn too quiet a signal. Beyond OUTLIER_RATIO the ratio grows as its logarithm (continuous slope); a Gaussian
-    texture's mean of five windows never gets there.
+    Notes
+    -----
+    P. Whittle (1953), "Estimation and information in stationary time series". The expectation is minimal at S = E P; a
+    loss on magnitudes of random draws would learn too quiet a signal. Beyond OUTLIER_RATIO the ratio grows as its
+    logarithm, with a continuous slope; the mean of five windows of a Gaussian texture never reaches it.
     """
     ratio = recorded / expected
     soft = OUTLIER_RATIO * (1.0 + torch.log(torch.clamp(ratio, min=OUTLIER_RATIO) / OUTLIER_RATIO))
@@ -74,9 +80,9 @@ _ZERO_PADDING = 64
 
 
 def compute_band_expectation(edges: Float) -> Float:
-    """(B, 107): expected observed power density of a noise band of unit power between edges[b] and edges[b + 1] [Hz].
+    """Compute the expected density (B, 107) of noise bands of unit power between edges[b] and edges[b + 1] [Hz].
 
-    The window's kernel |W|² is integrated over the band, and over its mirror image at negative frequencies.
+    The window's kernel |W|² is integrated over the band and over its mirror image at negative frequencies.
     """
     kernel = np.square(np.abs(np.fft.fft(hann_window(WINDOW_SAMPLES), WINDOW_SAMPLES * _ZERO_PADDING)))
     kernel = np.fft.fftshift(kernel)
@@ -84,16 +90,16 @@ def compute_band_expectation(edges: Float) -> Float:
     cumulative = np.cumsum(kernel) / kernel.sum()
     bins = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / MODEL_RATE_HZ)
 
-    def reached(frequency: Float) -> Float:
+    def cumulative_power(frequency: Float) -> Float:
         return np.asarray(np.interp(frequency[:, None] - bins[None, :], offset, cumulative, left=0.0, right=1.0))
 
     low, high = edges[:-1], edges[1:]
-    share = reached(high) - reached(low) + reached(-low) - reached(-high)
-    return pool_bins(share / (high - low)[:, None])
+    fraction = cumulative_power(high) - cumulative_power(low) + cumulative_power(-low) - cumulative_power(-high)
+    return pool_bins(fraction / (high - low)[:, None])
 
 
 def compute_expectation_matrices(carriers: Carriers, speeds: Float) -> tuple[Float, Float]:
-    """Time carriers (Kt, 107) and arc carriers at each speed (S, Ka, 107)."""
+    """Compute the expected densities of time carriers (Kt, 107), and of arc carriers at each speed (S, Ka, 107)."""
     time = compute_band_expectation(carriers.time_edges()) if carriers.time_count else np.zeros((0, 107))
     arc = np.stack([compute_band_expectation(carriers.arc_edges() * speed) for speed in speeds])
     return time, arc

@@ -1,4 +1,4 @@
-"""The torch twin of hnf_core.field: the same parameters, names and arithmetic, with gradients."""
+"""F_Θ in torch, with gradients: the same parameters, names and arithmetic as hnf_core.field.field."""
 
 from __future__ import annotations
 
@@ -15,24 +15,33 @@ from ..field.linear_contact import HARMONIC_SHIFTS, HARMONIC_START_LOG, LINE_COU
 
 
 def render_weights(sigma_dt: Tensor) -> Tensor:
-    """Twin of field.rendering.render_weights: (..., N) → (..., N), gradients finite for σΔt in [0, ∞].
+    """Compute the weights (..., N) of σΔt (..., N), as field.temporal_rendering.render_weights.
 
-    float16 and bfloat16 are accumulated in float32, float32 and float64 in float64, gradients likewise.
+    Gradients are finite for σΔt in [0, ∞]. float16 and bfloat16 are accumulated in float32, float32 and float64 in
+    float64, gradients likewise.
     """
     narrow = sigma_dt.dtype in (torch.float16, torch.bfloat16)
     density = sigma_dt.to(torch.float32 if narrow else torch.float64)
     before = functional.pad(density[..., :-1], (1, 0))
     step = 1
-    while step < before.shape[-1]:  # as field.rendering.prefix_sums
+    while step < before.shape[-1]:  # As field.temporal_rendering.prefix_sums.
         before = torch.cat([before[..., :step], before[..., step:] + before[..., :-step]], dim=-1)
         step *= 2
-    # expm1's own gradient, expm1 + 1, has lost exp(−x) for large x; 1 − exp(−x) has lost x for small x.
+    # The gradient of expm1 is computed as expm1 + 1, which loses exp(−x) for large x; 1 − exp(−x) loses x for small x.
     absorbed = torch.where(density < 0.5, -torch.expm1(-density), 1.0 - torch.exp(-density))
     return (torch.exp(-before) * absorbed).to(sigma_dt.dtype)
 
 
 class FieldNetwork(nn.Module):
-    """F_Θ. forward: x (n, D), prior (n, K), gate (n, K) → alpha (n, heads, K), sigma_dt (n, N)."""
+    """F_Θ as a module: x (n, D), prior (n, K), gate (n, K) → alpha (n, heads, K), sigma_dt (n, N).
+
+    Parameters
+    ----------
+    config
+        Architecture.
+    parameters
+        float32 arrays by their names in FieldConfig.shapes.
+    """
 
     def __init__(self, config: FieldConfig, parameters: Mapping[str, NDArray[np.float32]]) -> None:
         super().__init__()
@@ -44,7 +53,7 @@ class FieldNetwork(nn.Module):
         )
 
     def evaluate_heads(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """What the layers make of x (n, D): the α head (n, heads, outputs), before prior and gate, and σΔt (n, N)."""
+        """Return the α head (n, heads, outputs), before prior and gate, and σΔt (n, N), for inputs x (n, D)."""
         config, weights = self.config, self.weights
         hidden = x
         for layer in range(config.layers):
@@ -56,7 +65,10 @@ class FieldNetwork(nn.Module):
         return head.reshape(len(head), config.alpha_heads, config.alpha_outputs), sigma_dt
 
     def compute_emission(self, head: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
-        """α (n, heads, K) from the α head, prior (n, K; more with line gains, see Inputs) and gate (n, K)."""
+        """Compute α (n, heads, K) from the α head, the prior (n, K) and the gate (n, K).
+
+        With line gains the prior has further columns, see field.features.Inputs.
+        """
         config, weights, alpha = self.config, self.weights, head
         count = config.carriers.count
         if config.line_gains:
@@ -75,21 +87,25 @@ class FieldNetwork(nn.Module):
         return alpha * gate[:, None, :]
 
     def forward(self, x: Tensor, prior: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
+        """Return alpha (n, heads, K) and sigma_dt (n, N)."""
         head, sigma_dt = self.evaluate_heads(x)
         return self.compute_emission(head, prior, gate), sigma_dt
 
     def compute_steady_amplitude(self, x: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
-        """(n, K) amplitudes of a long steady stroke ("past" accumulation)."""
+        """Compute the amplitudes (n, K) of a long steady stroke ("past" accumulation)."""
         alpha, sigma_dt = self(x, prior, gate)
         return accumulate_steady(alpha, sigma_dt)
 
     def to_numpy_parameters(self) -> dict[str, NDArray[np.float32]]:
-        """Parameters under their names in FieldConfig.shapes."""
+        """Return the parameters by their names in FieldConfig.shapes."""
         return {name: self.weights[name.replace(".", "_")].detach().numpy().copy() for name in self.config.shapes()}
 
 
 def compute_line_power(gains: Tensor, columns: Tensor, count: int) -> Tensor:
-    """Twin of field.lines.line_power: log gains (n, GAINS), prior columns (n, 3 LINES) → (n, count)."""
+    """Compute the power of tones (n, count), as field.linear_contact.compute_line_power.
+
+    gains: (n, LINE_GAIN_COUNT) logarithmic. columns: (n, 3 LINE_COUNT) prior columns.
+    """
     shift, start = (
         torch.tensor(HARMONIC_SHIFTS)[:, None],
         torch.tensor(HARMONIC_START_LOG, dtype=torch.float32)[:, None],
@@ -104,5 +120,5 @@ def compute_line_power(gains: Tensor, columns: Tensor, count: int) -> Tensor:
 
 
 def accumulate_steady(alpha: Tensor, sigma_dt: Tensor) -> Tensor:
-    """(n, 1, K), (n, N) → (n, K): a state that has lasted longer than the memory."""
+    """Accumulate α (n, 1, K) with σΔt (n, N) over a state that has lasted longer than the memory; (n, K)."""
     return render_weights(sigma_dt).sum(dim=-1)[:, None] * alpha[:, 0]

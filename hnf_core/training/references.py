@@ -1,6 +1,6 @@
-"""Long-run spectra of the simulator, and how far a field's expectation lies from them.
+"""Long-run spectra of the simulator, and the distance of a field's expectation from them.
 
-The distance is that of the benchmark: RMS over 10 Hz bins in 10–1000 Hz, within 30 dB of the reference's peak.
+The distance is that of the benchmark: RMS over the 10 Hz bins in 10–1000 Hz within 30 dB of the reference's peak.
 """
 
 from __future__ import annotations
@@ -25,16 +25,28 @@ from .simulated_strokes import FINE_BINS, Specimen, SteadyStroke, StrokeConditio
 Float = NDArray[np.float64]
 
 FIRST_REFERENCE_PATCH = 100
-"""Patches of references are never trained on."""
+"""Index of the first reference patch; no patch from here on is trained on."""
 PATCHES, STARTS, SECONDS = 3, 3, 1.0
-"""9 s per condition: their mean scatters by some 0.35 dB per bin."""
+"""Patches, starts and seconds per condition: 9 s in all, whose mean scatters by some 0.35 dB per bin."""
 WITHIN_DB = 30.0
+"""Range below the peak in which bins count [dB]."""
 
 
 @dataclass(frozen=True)
 class References:
-    """tokens: (M, PATCHES, TOKEN_DIM) of the patches referred to. spectra: (M, C, FINE_BINS) mean over all of them.
-    scatter_db: (M, C) standard error of a bin, RMS over the bins that count."""
+    """Mean spectra of M materials under C conditions.
+
+    Attributes
+    ----------
+    specimens, conditions
+        Materials and conditions, in the order of the arrays.
+    tokens
+        (M, PATCHES, TOKEN_DIM) of the simulated patches.
+    spectra
+        (M, C, FINE_BINS) mean over patches and starts.
+    scatter_db
+        (M, C) standard error of a bin, RMS over the bins that count.
+    """
 
     specimens: tuple[Specimen, ...]
     conditions: tuple[StrokeCondition, ...]
@@ -43,7 +55,7 @@ class References:
     scatter_db: Float
 
     def mask_counted_bins(self) -> NDArray[np.bool_]:
-        """(M, C, FINE_BINS) bins within WITHIN_DB of the peak."""
+        """Return the bins (M, C, FINE_BINS) within WITHIN_DB of the peak."""
         return np.asarray(self.spectra >= self.spectra.max(axis=-1, keepdims=True) * 10.0 ** (-WITHIN_DB / 10.0))
 
 
@@ -54,36 +66,39 @@ def simulate_references(
     workers: int = 2,
     seconds: float = SECONDS,
 ) -> References:
-    """Simulate every material under every condition, with its own mechanics. seconds: of each of its strokes."""
+    """Simulate every material under every condition, with its own mechanics. seconds: duration of each stroke."""
     surfaces: list[Surface] = make_patches(specimens, FIRST_REFERENCE_PATCH, PATCHES, workers)
     rng = np.random.default_rng(seed)
     strokes = [
-        SteadyStroke(m * PATCHES + patch, each.mechanics, "pen", c.speed, c.angle, c.force,
+        SteadyStroke(m * PATCHES + patch, specimen.mechanics, "pen", c.speed, c.angle, c.force,
                (float(rng.uniform(0.0, 0.02)), float(rng.uniform(0.0, 0.02))))
-        for m, each in enumerate(specimens) for c in conditions for _ in range(STARTS) for patch in range(PATCHES)
+        for m, specimen in enumerate(specimens) for c in conditions for _ in range(STARTS) for patch in range(PATCHES)
     ]  # fmt: skip
     shape = (len(specimens), len(conditions), STARTS, PATCHES, -1)
     power = record_strokes(surfaces, strokes, seconds, workers).reshape(shape)[..., :FINE_BINS]
-    thirds = power.mean(axis=3)
+    start_means = power.mean(axis=3)
     tokens = np.stack([surface.token for surface in surfaces]).reshape(len(specimens), PATCHES, -1)
-    whole = References(tuple(specimens), tuple(conditions), tokens, thirds.mean(axis=2), np.zeros(0))
-    error = (10.0 * np.log10(thirds)).std(axis=2, ddof=1) / np.sqrt(STARTS)
-    return replace(whole, scatter_db=_compute_rms(error, whole.mask_counted_bins()))
+    references = References(tuple(specimens), tuple(conditions), tokens, start_means.mean(axis=2), np.zeros(0))
+    error = (10.0 * np.log10(start_means)).std(axis=2, ddof=1) / np.sqrt(STARTS)
+    return replace(references, scatter_db=_compute_rms(error, references.mask_counted_bins()))
 
 
 def predict_spectra(
     network: FieldNetwork, references: References, tokens: NDArray[np.float32], mechanics_known: bool = True
 ) -> Float:
-    """(M, C, FINE_BINS) that a field expects under the references' conditions. tokens: (M, TOKEN_DIM)."""
+    """Compute the spectra (M, C, FINE_BINS) that a field expects under the references' conditions.
+
+    tokens: (M, TOKEN_DIM). mechanics_known: False leaves all mechanics unknown.
+    """
     strokes = [
-        SteadyStroke(m, each.mechanics, "pen", c.speed, c.angle, c.force, (0.0, 0.0))
-        for m, each in enumerate(references.specimens)
+        SteadyStroke(m, specimen.mechanics, "pen", c.speed, c.angle, c.force, (0.0, 0.0))
+        for m, specimen in enumerate(references.specimens)
         for c in references.conditions
     ]
     mechanics = [stroke.mechanics if mechanics_known else replace(stroke.mechanics, stiffness_n_m=None,
                  damping_ratio=None, friction=None) for stroke in strokes]  # fmt: skip
     config: FieldConfig = network.config
-    x, prior, gate = (torch.tensor(part) for part in build_network_inputs(config, strokes, tokens, mechanics))
+    x, prior, gate = (torch.tensor(array) for array in build_network_inputs(config, strokes, tokens, mechanics))
     with torch.no_grad():
         amplitude = network.compute_steady_amplitude(x, prior, gate)
         expected = Likelihood(config).compute_expected_power(
@@ -93,12 +108,12 @@ def predict_spectra(
 
 
 def compute_distances_db(references: References, expected: Float) -> Float:
-    """(M, C) average-spectrum distance. expected: (M, C, FINE_BINS)."""
+    """Compute the average-spectrum distance (M, C) [dB] of the expected spectra (M, C, FINE_BINS)."""
     return _compute_rms(10.0 * np.log10(expected / references.spectra), references.mask_counted_bins())
 
 
 def compute_new_patch_distances_db(network: FieldNetwork, references: References) -> Float:
-    """(M,) distance averaged over conditions and over the references' patches, each with its own token."""
+    """Compute the distance (M,) [dB], averaged over conditions and reference patches, each with its own token."""
     patches_db = [
         compute_distances_db(references, predict_spectra(network, references, references.tokens[:, patch]))
         for patch in range(references.tokens.shape[1])
@@ -107,11 +122,12 @@ def compute_new_patch_distances_db(network: FieldNetwork, references: References
 
 
 def _compute_rms(level: Float, inside: NDArray[np.bool_]) -> Float:
+    """Return the RMS of level over the last axis, where inside is True."""
     return np.asarray(np.sqrt(np.where(inside, np.square(level), 0.0).sum(axis=-1) / inside.sum(axis=-1)))
 
 
 def save_references(path: Path, references: References) -> None:
-    """Write as safetensors: what was simulated, not the specimens. Raises FileError."""
+    """Write the simulated arrays as safetensors, without specimens and conditions. Raises FileError."""
     tensors: dict[str, NDArray[Any]] = {
         "tokens": references.tokens,
         "spectra": references.spectra,
@@ -121,19 +137,19 @@ def save_references(path: Path, references: References) -> None:
 
 
 def load_references(path: Path, specimens: Sequence[Specimen], conditions: Sequence[StrokeCondition]) -> References:
-    """What save_references wrote for these specimens and conditions. Raises FileError where it does not fit."""
+    """Read the references of these specimens and conditions. Raises FileError if the file does not fit."""
     try:
         tensors, _ = load_tensors(path.read_bytes())
-        found = References(tuple(specimens), tuple(conditions), **tensors)
+        references = References(tuple(specimens), tuple(conditions), **tensors)
     except (OSError, ValueError, TypeError) as error:
         raise FileError(f"no references ({error}).", where=str(path), remedy="Delete it to simulate again.") from error
-    if found.spectra.shape[:2] != (len(specimens), len(conditions)):
+    if references.spectra.shape[:2] != (len(specimens), len(conditions)):
         raise FileError("references of other materials.", where=str(path), remedy="Delete it to simulate again.")
-    return found
+    return references
 
 
 def select_materials(references: References, materials: Sequence[int]) -> References:
-    """The references of some materials."""
+    """Return the references of some materials."""
     rows = list(materials)
     return replace(
         references,

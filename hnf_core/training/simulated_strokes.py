@@ -1,8 +1,8 @@
-"""Surfaces to train on: the library's and random ones, also with long waves of one and short waves of another.
+"""Simulated training strokes: surfaces with tokens, random conditions of speed, force and direction, and their spectra.
 
-Conditions to train on: who is stroked, with what, how fast, how hard, in which direction.
-
-Simulated strokes → window powers: what the likelihood is fitted to.
+Surfaces are patches of the library's materials, instances of material classes, and random ones, some of which combine
+the long waves of one with the short waves of another. The contact simulator gives the acceleration of each steady
+stroke, whose window powers are pooled into the 107 observations that the likelihood uses.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Surface:
-    """A height map with what E says of it. mechanics: of the material it comes from, None = any."""
+    """A height map and its token. mechanics: of the material it comes from, None for any."""
 
     name: str
     maps: SmoothedMaps
@@ -48,15 +48,18 @@ class Surface:
 def make_surface(
     name: str, height: NDArray[np.float32], mechanics: Mechanics | None = None, encoder: str = ENCODER_ID
 ) -> Surface:
-    """Describe a height map (one 20 mm tile) by the product's own path: sensor image, then E (a make, or its file)."""
+    """Build a surface from a height map (one 20 mm tile): tactile map, then token by the encoder (a name or file)."""
     pitch = TILE_SIZE_M / height.shape[0]
     token = get_encoder(encoder).describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch)).values
     return Surface(name, SmoothedMaps(height, cache_size=4), token, mechanics)
 
 
 def make_random_surfaces(count: int, seed: int, workers: int = 1, encoder: str = ENCODER_ID) -> list[Surface]:
-    """Random recipes; every second one fused from two, because tokens in use are: measured long waves of a bake with a
-    library material's short waves."""
+    """Build surfaces from random recipes, every second one spliced from two.
+
+    Splicing reproduces tokens in use, which combine measured long waves of a bake with a library material's short
+    waves.
+    """
     rng = np.random.default_rng(seed)
     heights = []
     for _ in range(count):
@@ -73,8 +76,10 @@ def make_random_surfaces(count: int, seed: int, workers: int = 1, encoder: str =
 
 @dataclass(frozen=True)
 class Specimen:
-    """One material: a surface process with its mechanics. name: unique. class_name: of simulation.classes. seed: of its
-    first patch; a later patch of the same material has a later one."""
+    """One material: a surface recipe with its mechanics.
+
+    name: unique. class_name: of simulation.material_classes. seed: of its first patch; later patches add their index.
+    """
 
     name: str
     class_name: str
@@ -84,7 +89,7 @@ class Specimen:
 
 
 def load_library_specimens(path: Path) -> list[Specimen]:
-    """The materials of a library file; each is named after its class."""
+    """Read the materials of a library file; each is named after its class."""
     return [
         Specimen(entry["name"], entry["name"], SurfaceRecipe.from_dict(entry["recipe"]),
                  Mechanics(**entry["mechanics"]), int(entry["seed"]))
@@ -93,7 +98,7 @@ def load_library_specimens(path: Path) -> list[Specimen]:
 
 
 def make_class_specimens(seeds: Sequence[int]) -> list[Specimen]:
-    """One instance of every class for each seed."""
+    """Return one instance of every class for each seed."""
     return [
         Specimen(f"{name}/{seed}", name, *sample_instance(name, seed), derive_seed(f"{name}/{seed}"))
         for seed in seeds
@@ -104,10 +109,10 @@ def make_class_specimens(seeds: Sequence[int]) -> list[Specimen]:
 def make_patches(
     specimens: Sequence[Specimen], first: int, count: int, workers: int = 1, encoder: str = ENCODER_ID
 ) -> list[Surface]:
-    """Patches first … first + count − 1 of every specimen, described; those of one specimen stand together."""
+    """Build patches first … first + count − 1 of every specimen; those of one specimen are adjacent."""
     jobs: list[SurfaceJob] = [
-        (each.name, height_map(each.recipe, each.seed + first + index), each.mechanics, encoder)
-        for each in specimens
+        (specimen.name, height_map(specimen.recipe, specimen.seed + first + index), specimen.mechanics, encoder)
+        for specimen in specimens
         for index in range(count)
     ]
     return _make_surfaces(jobs, workers)
@@ -130,26 +135,30 @@ def _make_from_job(job: SurfaceJob) -> Surface:
 SPEED_RANGE_M_S = (0.005, 0.4)
 FORCE_RANGE_N = (0.1, 5.0)
 SPEED_COUNT = 64
-"""Steady strokes use a grid of speeds: the expectation of a window needs one matrix per speed."""
+"""Speeds in the grid: the expectation of a window needs one matrix per speed."""
 FORCE_COUNT = 24
-"""And a grid of forces: a surface smoothed by one contact radius serves many strokes."""
+"""Forces in the grid: a surface smoothed by one contact radius serves many strokes."""
 STIFFNESS_RANGE_N_M = (8e2, 4e5)
 DAMPING_RANGE = (0.05, 0.8)
 FRICTION_RANGE = (0.1, 1.3)
 MIDDLE_SPEED_M_S = (0.03, 0.25)
 MIDDLE_FORCE_N = (0.3, 3.0)
-"""Where strokes mostly are, and where a material's own feel is checked."""
+"""Middle ranges of speed and force, where most strokes lie and where materials are evaluated."""
 MATERIAL_MECHANICS_SHARE = 0.6
+"""Probability that a stroke has the mechanics of its material."""
 WITHHELD_SHARE = 0.25
-"""Chance of each mechanical value to be withheld from the network."""
+"""Probability that each mechanical property is withheld from the network."""
 SPEEDS_AND_FORCES = ((0.05, 1.0), (0.1, 0.5), (0.1, 1.0), (0.1, 2.0), (0.2, 1.0), (0.15, 0.7))
 ANGLES_RAD = np.radians([10.0, 77.0, 33.0, 121.0, 154.0, 55.0])
-"""Of middle_conditions."""
+"""Directions of make_middle_conditions."""
 
 
 @dataclass(frozen=True)
 class SteadyStroke:
-    """One steady stroke. surface: index; speed: index into speed_grid(); angle: rad; force: N."""
+    """One steady stroke.
+
+    surface: index. speed: index into make_speed_grid(). angle: [rad]. force: [N]. start: (x, y) [m].
+    """
 
     surface: int
     mechanics: Mechanics
@@ -161,20 +170,22 @@ class SteadyStroke:
 
 
 def make_speed_grid() -> Float:
+    """Return the speeds (SPEED_COUNT,) [m/s] of steady strokes."""
     return np.geomspace(*SPEED_RANGE_M_S, SPEED_COUNT)
 
 
 def make_force_grid() -> Float:
+    """Return the forces (FORCE_COUNT,) [N] of steady strokes."""
     return np.geomspace(*FORCE_RANGE_N, FORCE_COUNT)
 
 
 def draw_steady_strokes(
     surfaces: Sequence[Surface], per_surface: int, seed: int, *, middle_share: float = 0.0
 ) -> list[SteadyStroke]:
-    """per_surface conditions on each surface, log-uniform in speed and force, two thirds with the pen.
+    """Draw per_surface conditions on each surface, log-uniform in speed and force, two thirds with the pen.
 
-    middle_share of them keep to the middle ranges, to the pen and to the surface's own mechanics. Directions are
-    uniform over the circle: any fixed one lies between those trained on.
+    A fraction middle_share keeps to the middle ranges, to the pen and to the surface's own mechanics. Directions are
+    uniform over the circle, so that every direction lies between trained ones.
     """
     rng = np.random.default_rng(seed)
     forces = make_force_grid()
@@ -184,11 +195,11 @@ def draw_steady_strokes(
     for index, surface in enumerate(surfaces):
         for draw in range(per_surface):
             middle = rng.random() < middle_share and surface.mechanics is not None
-            own = surface.mechanics if middle else None
+            own_mechanics = surface.mechanics if middle else None
             strokes.append(
                 SteadyStroke(
                     surface=index,
-                    mechanics=own or draw_mechanics(surface.mechanics, rng),
+                    mechanics=own_mechanics or draw_mechanics(surface.mechanics, rng),
                     probe="pen" if middle or draw % 3 else "finger",
                     speed=int(rng.integers(low, high)) if middle else int(rng.integers(SPEED_COUNT)),
                     angle=float(rng.uniform(0.0, 2.0 * np.pi)),
@@ -200,7 +211,7 @@ def draw_steady_strokes(
 
 
 def draw_mechanics(typical: Mechanics | None, rng: np.random.Generator) -> Mechanics:
-    """The material's own values (with 20 % of scatter) or any, so that the condition is not read off the token."""
+    """Draw the material's own mechanics (with 20 % scatter) or any, so that they cannot be inferred from the token."""
     if typical is not None and rng.random() < MATERIAL_MECHANICS_SHARE:
         scatter = np.exp(0.2 * rng.standard_normal(3))
         return Mechanics(
@@ -216,7 +227,7 @@ def draw_mechanics(typical: Mechanics | None, rng: np.random.Generator) -> Mecha
 
 
 def withhold_mechanics(mechanics: Mechanics, rng: np.random.Generator) -> Mechanics:
-    """Each value dropped to unknown with chance UNKNOWN_SHARE; one time in eight all of them."""
+    """Set each property to unknown with probability WITHHELD_SHARE; one time in eight all of them."""
     if rng.random() < 0.125:
         return Mechanics()
     keep = rng.random(3) >= WITHHELD_SHARE
@@ -229,7 +240,7 @@ def withhold_mechanics(mechanics: Mechanics, rng: np.random.Generator) -> Mechan
 
 @dataclass(frozen=True)
 class StrokeCondition:
-    """A steady stroke with the pen. speed: index into speed_grid(). force: N. angle: rad."""
+    """Condition of a steady stroke with the pen. speed: index into make_speed_grid(). force: [N]. angle: [rad]."""
 
     speed: int
     force: float
@@ -237,7 +248,7 @@ class StrokeCondition:
 
 
 def make_middle_conditions() -> list[StrokeCondition]:
-    """Six: speed and force about the middle, directions between the tile's axes."""
+    """Return six conditions in the middle ranges, with directions between the tile's axes."""
     grid = make_speed_grid()
     return [
         StrokeCondition(int(np.argmin(np.abs(np.log(grid / speed)))), force, float(angle))
@@ -246,15 +257,16 @@ def make_middle_conditions() -> list[StrokeCondition]:
 
 
 FINE_BINS = 100
-"""Bins 1–100 of a 1000-sample window: 10–1000 Hz, DC left out."""
+"""Bins 1–100 of a 1000-sample window: 10–1000 Hz, without DC."""
 COARSE_EDGES_HZ = 1000.0 * 5.0 ** (np.arange(8) / 7.0)
-"""Above, seven bands to 5 kHz, so that the total power is right too."""
+"""Edges of seven bands above, to 5 kHz, so that the total power is right too."""
 SETTLE_S = 0.06
+"""Start of a simulation that is discarded [s]."""
 STROKES_PER_BATCH = 512
 
 
 def pool_bins(power: Float) -> Float:
-    """Window powers (…, 501) → (…, 107): fine bins, then the mean density of each coarse band."""
+    """Pool window powers (…, 501) into (…, 107): fine bins, then the mean density of each coarse band."""
     frequency = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / SAMPLE_RATE_HZ)
     fine = power[..., 1 : FINE_BINS + 1]
     coarse = [
@@ -264,14 +276,14 @@ def pool_bins(power: Float) -> Float:
 
 
 def compute_bin_widths() -> Float:
-    """(107,) Hz that each observation stands for: density times width sums to power."""
+    """Return the width (107,) [Hz] of each observation; density times width sums to power."""
     return np.concatenate([np.full(FINE_BINS, SAMPLE_RATE_HZ / WINDOW_SAMPLES), np.diff(COARSE_EDGES_HZ)])
 
 
 def record_strokes(
     surfaces: Sequence[Surface], strokes: Sequence[SteadyStroke], seconds: float, workers: int = 2
 ) -> Float:
-    """Mean observed power (n, 107) of `seconds` of each steady stroke, DFT321 over the whole of it.
+    """Simulate steady strokes and return their mean window power (n, 107), after DFT321 over the whole stroke.
 
     The result does not depend on the number of workers.
     """
@@ -294,14 +306,17 @@ RecordingJob = tuple[list[Surface], list[SteadyStroke], float]
 
 
 def _make_job(surfaces: Sequence[Surface], strokes: list[SteadyStroke], seconds: float) -> RecordingJob:
-    """Only the surfaces that a batch needs travel to its process."""
+    """Return a batch with only the surfaces it needs, which are sent to its process."""
     used = sorted({stroke.surface for stroke in strokes})
-    place = {surface: index for index, surface in enumerate(used)}
-    local = [SteadyStroke(place[s.surface], s.mechanics, s.probe, s.speed, s.angle, s.force, s.start) for s in strokes]
-    return [surfaces[index] for index in used], local, seconds
+    index_of = {surface: index for index, surface in enumerate(used)}
+    local_strokes = [
+        SteadyStroke(index_of[s.surface], s.mechanics, s.probe, s.speed, s.angle, s.force, s.start) for s in strokes
+    ]
+    return [surfaces[index] for index in used], local_strokes, seconds
 
 
 def _record_batch(job: RecordingJob) -> Float:
+    """Simulate a batch and return its mean window powers."""
     surfaces, strokes, seconds = job
     speeds = make_speed_grid()
     acceleration = simulate_batch(
@@ -310,8 +325,8 @@ def _record_batch(job: RecordingJob) -> Float:
         [stroke.mechanics for stroke in strokes],
         PROBES[strokes[0].probe],
     )
-    kept = acceleration[:, round(SETTLE_S * SAMPLE_RATE_HZ) :]
-    fused = dft321(kept - kept.mean(axis=1, keepdims=True))
+    settled = acceleration[:, round(SETTLE_S * SAMPLE_RATE_HZ) :]
+    fused = dft321(settled - settled.mean(axis=1, keepdims=True))
     return np.stack([pool_bins(window_power(signal, SAMPLE_RATE_HZ)).mean(axis=0) for signal in fused])
 
 

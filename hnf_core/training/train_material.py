@@ -1,9 +1,8 @@
-"""What F_Θ, rendered over time, leads one to expect of a window: the torch side of the expected-power likelihood.
+"""Fit one field to recordings of one material: expected-power likelihood, AdamW with cosine annealing, early stopping.
 
-One field for one material, from recordings of it: the expected-power likelihood, Adam, a cosine, early stopping.
-
-P. Whittle (1953): where S is expected and P recorded, Σ log S + P / S is least in expectation at S = E P. L_mag of the
-paper compares two random draws and learns up to 2 dB too quiet a signal; the laboratory has it (published_hnf.py).
+Recordings become windows, F_Θ is rendered over the states of each window, and the expected power is fitted by the
+Whittle likelihood (P. Whittle 1953), Σ log S + P / S with S expected and P recorded, least in expectation at S = E P.
+The paper's L_mag compares two random draws and learns a signal up to 2 dB too quiet (evaluated in tools/hnf_lab).
 """
 
 from __future__ import annotations
@@ -36,18 +35,31 @@ from .windows import TEST, TRAIN, VALIDATION, States, Windows, cut_windows
 Float = NDArray[np.float64]
 
 SPEED_NODES = 96
-"""Speeds at which the arc carriers' expectation is tabulated, evenly in log: within a tenfold range their step is
-smaller than a carrier is wide."""
+"""Speeds at which the expectation of arc carriers is tabulated, log-spaced: over a tenfold range the step is narrower
+than a carrier."""
 STATES_PER_CHUNK = 4096
 
 
 @dataclass(frozen=True)
 class RenderedInputs:
-    """F_Θ's inputs at the states that windows need (s of them), and where each window finds its own.
+    """Inputs of F_Θ at the s states that n windows need, and the rows of each window.
 
-    x: (s, D). prior, gate: (s, K). phase: (s, K) radians by which a carrier turns in one Δt. speed: (s,) index into
-    the tabulated speeds. at: (n, Q, P) rows of the above: node by past state (P = 1 for "heads"). alive: (n, Q, P)
-    0 where that past lies before the recording. share: (Q,).
+    Attributes
+    ----------
+    x
+        (s, D) network inputs.
+    prior, gate
+        (s, K).
+    phase
+        (s, K) phase of a carrier over one Δt [rad].
+    speed
+        (s,) index into the tabulated speeds.
+    state_rows
+        (n, Q, P) rows of the above: node by past state (P = 1 for "heads").
+    alive
+        (n, Q, P) 0 if that past state lies before the recording, else 1.
+    share
+        (Q,) weight of each node.
     """
 
     x: Tensor
@@ -61,7 +73,7 @@ class RenderedInputs:
 
 
 def make_speed_table(states: States) -> Float:
-    """(SPEED_NODES,) m/s over the speeds that occur."""
+    """Return the speeds (SPEED_NODES,) [m/s] that cover the states."""
     moving = states.speed[states.speed > 1e-3]
     low, high = (float(moving.min()), float(moving.max())) if len(moving) else (0.01, 0.1)
     return np.geomspace(low, max(high, 1.01 * low), SPEED_NODES)
@@ -70,16 +82,16 @@ def make_speed_table(states: States) -> Float:
 def build_rendered_inputs(
     config: FieldConfig, states: States, windows: Windows, token: NDArray[np.float32], mechanics: Mechanics
 ) -> RenderedInputs:
-    """Everything that stays the same while the network learns."""
+    """Compute everything that does not change during training."""
     past = config.states if config.accumulation == "past" else 1
-    wanted = windows.node[:, :, None] - config.stride * np.arange(past)
-    alive = wanted >= windows.first[windows.node][:, :, None]
-    used, at = np.unique(np.where(alive, wanted, windows.node[:, :, None]), return_inverse=True)
-    parts = [
+    state_index = windows.node[:, :, None] - config.stride * np.arange(past)
+    alive = state_index >= windows.first[windows.node][:, :, None]
+    used, rows = np.unique(np.where(alive, state_index, windows.node[:, :, None]), return_inverse=True)
+    chunks = [
         _build_state_inputs(config, states, used[low : low + STATES_PER_CHUNK], token, mechanics)
         for low in range(0, len(used), STATES_PER_CHUNK)
     ]
-    x, prior, gate = (torch.tensor(np.concatenate(column)) for column in zip(*parts, strict=True))
+    x, prior, gate = (torch.tensor(np.concatenate(column)) for column in zip(*chunks, strict=True))
     speed = states.speed[used]
     carriers, phase = config.carriers, np.zeros((len(used), config.carriers.count), dtype=np.float32)
     if config.accumulation == "heads":
@@ -90,13 +102,13 @@ def build_rendered_inputs(
     nearest = np.rint((np.log(np.maximum(speed, 1e-6)) - table[0]) / (table[1] - table[0]))
     return RenderedInputs(
         x, prior, gate, torch.tensor(phase), torch.tensor(np.clip(nearest, 0, SPEED_NODES - 1).astype(np.int64)),
-        torch.tensor(at.reshape(wanted.shape)), torch.tensor(alive.astype(np.float32)),
+        torch.tensor(rows.reshape(state_index.shape)), torch.tensor(alive.astype(np.float32)),
         torch.tensor(windows.node_weight, dtype=torch.float32),
     )  # fmt: skip
 
 
 class RenderedPower:
-    """Expected power of windows, (rows, 107), given a network. speeds: from speed_table."""
+    """Expected power of windows (rows, 107) for a network. speeds: from make_speed_table."""
 
     def __init__(self, config: FieldConfig, speeds: Float) -> None:
         used = speeds if config.carriers.arc_count else speeds[:1]
@@ -106,24 +118,24 @@ class RenderedPower:
         self.arc = torch.tensor(arc, dtype=torch.float32)
 
     def __call__(self, network: FieldNetwork, inputs: RenderedInputs, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Also the α head's raw outputs of those rows, for regularisation."""
-        carriers, at = self.config.carriers, inputs.state_rows[rows]
-        flat = at.reshape(-1)
+        """Return the expected power of some windows (rows, 107), and the raw α head for regularisation."""
+        carriers, states = self.config.carriers, inputs.state_rows[rows]
+        flat = states.reshape(-1)
         head, sigma_dt = network.evaluate_heads(inputs.x[flat])
         alpha = network.compute_emission(head, inputs.prior[flat], inputs.gate[flat])
         if self.config.accumulation == "past":
-            memory = sigma_dt.reshape(*at.shape, -1).diagonal(dim1=-2, dim2=-1)
-            weight = render_weights(memory) * inputs.alive[rows]
-            amplitude = (weight[..., None] * alpha.reshape(*at.shape, -1)).sum(dim=-2)
+            density = sigma_dt.reshape(*states.shape, -1).diagonal(dim1=-2, dim2=-1)
+            weight = render_weights(density) * inputs.alive[rows]
+            amplitude = (weight[..., None] * alpha.reshape(*states.shape, -1)).sum(dim=-2)
             power = amplitude.square()
         else:
             lag = torch.arange(self.config.states, dtype=torch.float32)[None, :, None] * inputs.phase[flat][:, None, :]
             emitted = render_weights(sigma_dt)[..., None] * alpha
             real, imaginary = (emitted * torch.cos(lag)).sum(dim=1), (emitted * torch.sin(lag)).sum(dim=1)
-            power = (real.square() + imaginary.square()).reshape(*at.shape[:2], -1)
+            power = (real.square() + imaginary.square()).reshape(*states.shape[:2], -1)
         out = torch.einsum("q,rqk,kb->rb", inputs.share, power[..., carriers.time_slice], self.time)
         if carriers.arc_count:
-            speed = inputs.speed[at[..., 0]]
+            speed = inputs.speed[states[..., 0]]
             dense = compute_arc_density(power[..., carriers.arc_slice].flatten(0, 1), speed.flatten(), self.arc)
             out = out + torch.einsum("q,rqb->rb", inputs.share, dense.reshape(*speed.shape, -1))
         return out, head
@@ -132,6 +144,7 @@ class RenderedPower:
 def _build_state_inputs(
     config: FieldConfig, states: States, rows: NDArray[np.int64], token: NDArray[np.float32], mechanics: Mechanics
 ) -> tuple[NDArray[np.float32], ...]:
+    """Compute x, prior and gate of the states in rows."""
     condition = Condition(
         tokens=np.tile(token.astype(np.float64), (len(rows), 1)),
         mechanics=(mechanics,),
@@ -150,15 +163,30 @@ ProgressCallback = Callable[[int, int, float], None]
 """Called after every epoch with (epoch, epochs, validation loss)."""
 
 SILENT_LOG_AMPLITUDE = -12.0
-"""Log amplitude of bands above the recordings' rate: nothing is known there, and nothing is played."""
+"""Initial log amplitude of bands above the recordings' bandwidth, which stay silent because nothing is known of them.
+"""
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """batches: of `batch` windows in one epoch, at least (a short recording is gone through several times). patience:
-    epochs without a better validation loss before training stops; the best epoch is kept. smoothness: weight on the
-    squared second difference of log amplitude between neighbouring 10 Hz bands, per window: some ten seconds near one
-    speed and force cannot tell a hundred bands apart."""
+    """Hyperparameters of `train_material`.
+
+    Attributes
+    ----------
+    epochs
+        Largest number of epochs.
+    batches
+        Smallest number of batches in an epoch; a short recording is repeated within it.
+    batch
+        Windows per batch.
+    learning_rate, decay
+        Of AdamW.
+    smoothness
+        Weight on the squared second difference of log amplitude between neighbouring 10 Hz bands, per window: ten
+        seconds near one speed and force do not determine a hundred bands.
+    patience
+        Epochs without a better validation loss after which training stops; the best epoch is returned.
+    """
 
     epochs: int = 40
     batches: int = 32
@@ -171,11 +199,25 @@ class Schedule:
 
 @dataclass(frozen=True)
 class HeldOutMetrics:
-    """Over n held-out windows. loss: negative log-likelihood per bin. distance_db: RMS difference between expected and
-    recorded mean spectrum (bins heard in 20–1000 Hz within 30 dB of the peak). bias_db: of the whole power.
-    l_mag_share: the paper's L_mag of the magnitudes expected, √(π S) / 2, over the recorded power; 0.215 is the best
-    possible on Gaussian noise, 1 is silence.
-    scatter_db: what distance_db a perfect model would show on Gaussian noise, 4.34 / √n."""
+    """Metrics over the test windows.
+
+    Attributes
+    ----------
+    windows
+        Number of windows.
+    loss
+        Negative log-likelihood per bin.
+    distance_db
+        RMS difference between expected and recorded mean spectrum, over the bins in 20–1000 Hz within 30 dB of the
+        peak.
+    bias_db
+        Expected over recorded total power.
+    l_mag_share
+        The paper's L_mag of the expected magnitudes, √(π S) / 2, over the recorded power; 0.215 is the optimum on
+        Gaussian noise, 1 is silence.
+    scatter_db
+        distance_db of a perfect model on Gaussian noise, 4.34 / √n.
+    """
 
     windows: int
     loss: float
@@ -187,8 +229,11 @@ class HeldOutMetrics:
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """field: the best epoch's. history: (epochs, 3) number, training and validation loss. test: of the tenth that
-    training never saw, None where the recordings are too short to have one."""
+    """Result of a training.
+
+    field: of the best epoch. history: (epochs, 3) number, training loss and validation loss. test: metrics of the test
+    windows, None if the recordings are too short to have any.
+    """
 
     field: Field
     history: Float
@@ -208,9 +253,34 @@ def train_material(
 ) -> TrainingResult:
     """Fit F_Θ to recordings of one material with one probe.
 
-    token, mechanics: of the material, where known. checkpoint: file that a killed run is taken up from; it is removed
-    when training ends. Deterministic: equal arguments give equal weights on one machine, killed in between or not.
-    Raises UsageError where the recordings are too short or of several probes.
+    Equal arguments give equal weights on one machine, whether or not the run was killed in between.
+
+    Parameters
+    ----------
+    recordings
+        Recordings of one material with one probe.
+    config
+        Architecture.
+    seed
+        Seed of initialisation and batches.
+    schedule
+        Hyperparameters.
+    token, mechanics
+        Of the material, if known.
+    checkpoint
+        File from which a killed run continues; it is removed when training ends.
+    watch
+        Called after every epoch.
+
+    Returns
+    -------
+    TrainingResult
+        The field of the best epoch, the losses and the test metrics.
+
+    Raises
+    ------
+    UsageError
+        If the recordings are too short or of several probes.
     """
     torch.set_num_threads(1)
     states, windows = cut_windows(recordings)
@@ -229,7 +299,7 @@ def train_material(
 
 
 class _TrainingTask:
-    """What is to be learned: the loss over rows of windows."""
+    """Data and loss of a training, over rows of windows."""
 
     def __init__(
         self, config: FieldConfig, schedule: Schedule, inputs: RenderedInputs, windows: Windows, expected: RenderedPower
@@ -240,65 +310,70 @@ class _TrainingTask:
         self.likelihood = WindowLikelihood(windows.counted_bins)
 
     def select_rows(self, role: int) -> Tensor:
+        """Return the windows of a role."""
         return torch.tensor(np.flatnonzero(self.role == role))
 
     def compute_loss(self, network: FieldNetwork, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean negative log-likelihood of rows, and the α head's outputs."""
+        """Return the mean negative log-likelihood of rows, and the α head."""
         density, head = self.expected(network, self.inputs, rows)
         return self.likelihood(density + DENSITY_FLOOR, self.power[rows]), head
 
     def evaluate_loss(self, network: FieldNetwork, rows: Tensor) -> float:
+        """Return the mean loss of rows without gradients."""
         with torch.no_grad():
-            return float(np.mean([float(self.compute_loss(network, part)[0]) for part in rows.split(1024)]))  # type: ignore[no-untyped-call]
+            return float(np.mean([float(self.compute_loss(network, chunk)[0]) for chunk in rows.split(1024)]))  # type: ignore[no-untyped-call]
 
     def compute_roughness(self, head: Tensor) -> Tensor:
-        """Mean squared second difference of log amplitude over the fine time bands."""
+        """Return the mean squared second difference of log amplitude over the fine time bands."""
         fine = self.config.carriers.time_slice.start + 1
         bands = head[..., fine : fine + FINE_BINS - 1]
         return (bands[..., 2:] - 2.0 * bands[..., 1:-1] + bands[..., :-2]).square().mean()
 
 
 def _compute_test_metrics(task: _TrainingTask, network: FieldNetwork, windows: Windows) -> HeldOutMetrics | None:
+    """Compute the metrics of the test windows; None if there are none."""
     rows = task.select_rows(TEST)
     if len(rows) == 0:
         return None
     with torch.no_grad():
-        density = np.concatenate([task.expected(network, task.inputs, part)[0].numpy() for part in rows.split(1024)])  # type: ignore[no-untyped-call]
+        density = np.concatenate([task.expected(network, task.inputs, chunk)[0].numpy() for chunk in rows.split(1024)])  # type: ignore[no-untyped-call]
     power = windows.power[rows]
-    expected, recorded = (each.mean(axis=0, dtype=np.float64) + DENSITY_FLOOR for each in (density, power))
-    heard = np.flatnonzero(windows.counted_bins[:FINE_BINS])
-    missed = np.sqrt(0.25 * np.pi * density[:, heard]) - np.sqrt(power[:, heard])
-    fine = heard[1:]
-    loud = fine[recorded[fine] > 1e-3 * recorded[fine].max()]
+    expected, recorded = (power_rows.mean(axis=0, dtype=np.float64) + DENSITY_FLOOR for power_rows in (density, power))
+    counted = np.flatnonzero(windows.counted_bins[:FINE_BINS])
+    error_magnitude = np.sqrt(0.25 * np.pi * density[:, counted]) - np.sqrt(power[:, counted])
+    fine_bins = counted[1:]
+    loud = fine_bins[recorded[fine_bins] > 1e-3 * recorded[fine_bins].max()]
     error = 10.0 * np.log10(expected[loud] / recorded[loud])
     width = compute_bin_widths() * windows.counted_bins
     return HeldOutMetrics(
         len(rows), task.evaluate_loss(network, rows), float(np.sqrt(np.mean(np.square(error)))),
         float(10.0 * np.log10((expected @ width) / (recorded @ width))),
-        float(np.sum(np.square(missed)) / np.sum(power[:, heard])), 4.34 / math.sqrt(len(rows)),
+        float(np.sum(np.square(error_magnitude)) / np.sum(power[:, counted])), 4.34 / math.sqrt(len(rows)),
     )  # fmt: skip
 
 
 def _make_initial_parameters(config: FieldConfig, windows: Windows, seed: int) -> dict[str, NDArray[np.float32]]:
-    """Initial parameters; without physics every band starts at its mean over the training windows."""
+    """Return initial parameters; without physics every band starts at its mean over the training windows."""
     parameters = initial_parameters(config, seed)
     if config.physics or config.emission != "log":
         return parameters
     mean = windows.power[windows.role == TRAIN].mean(axis=0)
-    centre = np.concatenate([[0.0], np.cumsum(compute_bin_widths())])
+    bin_edges = np.concatenate([[0.0], np.cumsum(compute_bin_widths())])
     carriers, bias = config.carriers, parameters["alpha.bias"].copy()
     edges = carriers.time_edges()
-    density = np.interp(np.sqrt(edges[1:] * edges[:-1]), 0.5 * (centre[1:] + centre[:-1]), mean)
+    density = np.interp(np.sqrt(edges[1:] * edges[:-1]), 0.5 * (bin_edges[1:] + bin_edges[:-1]), mean)
     heads = config.alpha_heads
-    share = 0.5 if carriers.arc_count else 1.0
-    level = 0.5 * np.log(share * np.maximum(density, DENSITY_FLOOR) * np.diff(edges)) - np.log(heads)
-    heard = windows.counted_bins[
-        np.clip(np.searchsorted(centre, edges[:-1], side="right") - 1, 0, len(windows.counted_bins) - 1)
+    power_fraction = 0.5 if carriers.arc_count else 1.0
+    level = 0.5 * np.log(power_fraction * np.maximum(density, DENSITY_FLOOR) * np.diff(edges)) - np.log(heads)
+    counted = windows.counted_bins[
+        np.clip(np.searchsorted(bin_edges, edges[:-1], side="right") - 1, 0, len(windows.counted_bins) - 1)
     ]
     arc = np.full(config.alpha_outputs - carriers.time_count, 0.0)
     if carriers.arc_count:
-        arc += 0.5 * np.log(share * np.maximum(np.sum(mean * compute_bin_widths()), DENSITY_FLOOR) / carriers.arc_count)
-    bias[:] = np.tile(np.concatenate([np.where(heard, level, SILENT_LOG_AMPLITUDE), arc]), heads)
+        arc += 0.5 * np.log(
+            power_fraction * np.maximum(np.sum(mean * compute_bin_widths()), DENSITY_FLOOR) / carriers.arc_count
+        )
+    bias[:] = np.tile(np.concatenate([np.where(counted, level, SILENT_LOG_AMPLITUDE), arc]), heads)
     parameters["alpha.weight"] = 0.1 * parameters["alpha.weight"]
     parameters["alpha.bias"] = bias.astype(np.float32)
     return parameters
@@ -312,23 +387,28 @@ def _train_epochs(
     fingerprint: str,
     watch: ProgressCallback | None,
 ) -> tuple[FieldNetwork, Float]:
+    """Run the epochs from the start or the checkpoint; return the best network and the history."""
     schedule, train, validation = task.schedule, task.select_rows(TRAIN), task.select_rows(VALIDATION)
     network = FieldNetwork(task.config, start)
     optimiser = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=schedule.decay)
     generator = torch.Generator().manual_seed(seed)
-    passes = max(1, math.ceil(schedule.batches * schedule.batch / len(train)))
-    done = load_checkpoint(checkpoint, fingerprint) if checkpoint else None
-    history = np.zeros((0, 3)) if done is None else done.history
-    best = network.to_numpy_parameters() if done is None else _restore_checkpoint(done, network, optimiser, generator)
+    repeats = max(1, math.ceil(schedule.batches * schedule.batch / len(train)))
+    restored = load_checkpoint(checkpoint, fingerprint) if checkpoint else None
+    history = np.zeros((0, 3)) if restored is None else restored.history
+    best = (
+        network.to_numpy_parameters()
+        if restored is None
+        else _restore_checkpoint(restored, network, optimiser, generator)
+    )
     for epoch in range(len(history), schedule.epochs):
         if len(history) - _find_best_epoch(history) > schedule.patience:
             break
-        order = torch.cat([train[torch.randperm(len(train), generator=generator)] for _ in range(passes)])
-        parts = order.split(schedule.batch)  # type: ignore[no-untyped-call]
+        order = torch.cat([train[torch.randperm(len(train), generator=generator)] for _ in range(repeats)])
+        batches = order.split(schedule.batch)  # type: ignore[no-untyped-call]
         total = 0.0
-        for step, rows in enumerate(parts):
-            place = (epoch + step / len(parts)) / schedule.epochs
-            optimiser.param_groups[0]["lr"] = schedule.learning_rate * (0.505 + 0.495 * math.cos(math.pi * place))
+        for step, rows in enumerate(batches):
+            progress = (epoch + step / len(batches)) / schedule.epochs
+            optimiser.param_groups[0]["lr"] = schedule.learning_rate * (0.505 + 0.495 * math.cos(math.pi * progress))
             loss, head = task.compute_loss(network, rows)
             optimiser.zero_grad()
             (loss + schedule.smoothness * task.compute_roughness(head)).backward()  # type: ignore[no-untyped-call]
@@ -348,6 +428,7 @@ def _train_epochs(
 
 
 def _find_best_epoch(history: Float) -> int:
+    """Return the epoch number with the lowest validation loss, 0 before the first."""
     return int(np.argmin(history[:, 2])) + 1 if len(history) else 0
 
 
@@ -358,6 +439,7 @@ def _make_checkpoint(
     best: dict[str, NDArray[np.float32]],
     history: Float,
 ) -> Checkpoint:
+    """Collect weights, optimiser state, best weights and random state."""
     tensors: dict[str, NDArray[np.generic]] = {f"best.{name}": value for name, value in best.items()}
     for name, parameter in network.named_parameters():
         tensors[f"network.{name}"] = parameter.detach().numpy()
@@ -370,7 +452,7 @@ def _make_checkpoint(
 def _restore_checkpoint(
     checkpoint: Checkpoint, network: FieldNetwork, optimiser: torch.optim.Optimizer, generator: torch.Generator
 ) -> dict[str, NDArray[np.float32]]:
-    """Put everything back; returns the best weights so far."""
+    """Restore network, optimiser and random state; return the best weights so far."""
     stored = checkpoint.tensors
     with torch.no_grad():
         for name, parameter in network.named_parameters():
@@ -388,7 +470,7 @@ def _restore_checkpoint(
 
 
 def _compute_fingerprint(task: _TrainingTask, seed: int) -> str:
-    """What a checkpoint must agree in: data, architecture, schedule, seed, versions."""
+    """Hash data, architecture, schedule, seed and versions, which a checkpoint must agree in."""
     words = repr((task.config, task.schedule, seed, torch.__version__, np.__version__))
     arrays = (task.power, task.inputs.x, task.inputs.state_rows, task.likelihood.weight)
     return content_hash(words, *(array.numpy().tobytes() for array in arrays))

@@ -1,4 +1,4 @@
-"""How the shipped weights come about: simulated strokes on many materials, fitted by likelihood, held to long runs."""
+"""Train the shipped weights on simulated strokes over many materials, and compare them with long simulations."""
 
 from __future__ import annotations
 
@@ -53,8 +53,19 @@ SHARED_CONFIG = FieldConfig(hidden=256, line_gains=True, stroke_frame=True)
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """variants, elsewhere: of a stroke's input, by its own patch and by others of the material, see training_set.
-    encoders: further makes of E (names or files) whose tokens of those other patches the field learns as well."""
+    """Data and hyperparameters of a shared field.
+
+    Attributes
+    ----------
+    sizes, schedule
+        Amounts of data, and hyperparameters.
+    variants
+        Variants of a stroke's input with its own patch, see build_training_set.
+    alternative_patches
+        Variants with other patches of the same material.
+    encoders
+        Further encoders (names or files) whose tokens of those other patches the field is trained on as well.
+    """
 
     sizes: Sizes = field(default_factory=Sizes)
     schedule: Schedule = field(default_factory=lambda: Schedule(epochs=50, batch=64, token_noise=0.15, ridge=1e-4))
@@ -64,7 +75,7 @@ class TrainingPlan:
 
 
 HELD_OUT = UNSEEN_CLASSES
-"""The last class of every category in the table: what a field is asked about that was trained without them."""
+"""Classes for evaluating a field that was trained without them: the last of every category in the table."""
 
 
 def train_shared_field(
@@ -76,10 +87,31 @@ def train_shared_field(
     workers: int = 2,
     held_out: Sequence[str] = (),
 ) -> Field:
-    """The whole recipe. Deterministic: the same seed gives the same weights on the same machine and torch.
+    """Simulate, train and evaluate a shared field.
 
-    cache: folder where simulated strokes are kept for the next run. held_out: classes to leave out; the field names
-    them in its metadata.
+    The same seed gives the same weights on the same machine with the same torch.
+
+    Parameters
+    ----------
+    library
+        File of the library's materials.
+    plan
+        Amounts and hyperparameters.
+    config
+        Architecture.
+    seed
+        Seed of data and training.
+    cache
+        Folder that stores simulated strokes for the next run.
+    workers
+        Number of processes.
+    held_out
+        Classes to leave out; the field's metadata names them.
+
+    Returns
+    -------
+    Field
+        With metadata, training ranges and metrics.
     """
     began = time.monotonic()
     gathered = load_or_build_training_data(library, plan, seed, cache, workers)
@@ -105,8 +137,7 @@ def describe_field(
     plan: TrainingPlan,
     seed: int,
 ) -> Field:
-    """The field with what it was trained on (specimens, a row of references each), where that lay, and how far it is
-    from the references."""
+    """Build the field with its metadata, training ranges and distance from the references (one row a specimen)."""
     distance = compute_new_patch_distances_db(network, references)
     metrics = (
         f"average spectrum, {len(distance)} materials x {len(references.conditions)} conditions, tokens of patches not "
@@ -121,9 +152,9 @@ def describe_field(
         network.config, network.to_numpy_parameters(), collect_training_ranges(data, sizes.seconds),
         {
             "training_data": f"contact simulator of this project: {len(specimens)} materials of "
-            f"{len({each.class_name for each in specimens})} classes x {sizes.patches} patches, {sizes.random} random "
-            f"and fused surfaces, {len(data.strokes)} steady strokes of {sizes.seconds:g} s, pen and finger; no "
-            "recorded data",
+            f"{len({specimen.class_name for specimen in specimens})} classes x {sizes.patches} patches, "
+            f"{sizes.random} random and fused surfaces, {len(data.strokes)} steady strokes of "
+            f"{sizes.seconds:g} s, pen and finger; no recorded data",
             "seed": str(seed),
             "metrics": metrics,
             "licence": LICENCE,
@@ -139,20 +170,39 @@ def fit_shared_field(
     seed: int,
     extra_tokens: Sequence[NDArray[np.float32]] = (),
 ) -> FieldNetwork:
-    """One field for all strokes gathered. others: what further makes of E say of the same surfaces, (surfaces,
-    TOKEN_DIM) each; every one adds as many variants of every stroke as the library's make has elsewhere."""
+    """Fit one field to all strokes.
+
+    Parameters
+    ----------
+    training_data
+        Strokes and their spectra.
+    plan
+        Variants and hyperparameters.
+    config
+        Architecture.
+    seed
+        Seed of the training.
+    extra_tokens
+        Tokens (surfaces, TOKEN_DIM) of the same surfaces by further encoders; each adds alternative_patches variants of
+        every stroke.
+
+    Returns
+    -------
+    FieldNetwork
+        The trained network.
+    """
     torch.set_num_threads(1)
     rng = np.random.default_rng(seed)
-    elsewhere = [training_data.draw_alternative_patches(rng) for _ in range(plan.alternative_patches)]
-    for make in range(1, len(extra_tokens) + 1):
-        first = make * len(training_data.tokens)
-        elsewhere += [
+    alternatives = [training_data.draw_alternative_patches(rng) for _ in range(plan.alternative_patches)]
+    for encoder in range(1, len(extra_tokens) + 1):
+        first = encoder * len(training_data.tokens)
+        alternatives += [
             [first + row for row in training_data.draw_alternative_patches(rng)]
             for _ in range(plan.alternative_patches)
         ]
     tokens = np.concatenate([training_data.tokens, *extra_tokens])
     data = build_training_set(
-        config, training_data.strokes, tokens, training_data.power, plan.variants, seed, elsewhere
+        config, training_data.strokes, tokens, training_data.power, plan.variants, seed, alternatives
     )
     return fit_network(config, data, plan.schedule, seed)
 
@@ -160,21 +210,24 @@ def fit_shared_field(
 def load_or_build_training_data(
     library: Path, plan: TrainingPlan, seed: int, cache: Path, workers: int
 ) -> TrainingData:
-    """Simulate, or read what an earlier run with the same simulator, library, sizes and seed has left in the cache."""
+    """Read the training data from the cache, or simulate and store it.
+
+    The cache is valid for the same simulator, library, sizes and seed.
+    """
     path = cache / f"strokes-{_compute_cache_key(library.read_bytes(), plan.sizes, seed)}.safetensors"
     if path.exists():
         return load_training_data(path)
-    gathered = build_training_data(load_specimens(library, plan.sizes), plan.sizes, seed, workers)
-    save_training_data(path, gathered)
-    return gathered
+    data = build_training_data(load_specimens(library, plan.sizes), plan.sizes, seed, workers)
+    save_training_data(path, data)
+    return data
 
 
 def load_or_encode_tokens(
     encoder: str, specimens: Sequence[Specimen], plan: TrainingPlan, seed: int, cache: Path, workers: int
 ) -> NDArray[np.float32]:
-    """(surfaces, TOKEN_DIM) by another make of E, likewise kept in the cache."""
-    make = get_encoder(encoder).content_id
-    path = cache / f"tokens-{_compute_cache_key(make.encode(), (list(specimens), plan.sizes), seed)}.npy"
+    """Return tokens (surfaces, TOKEN_DIM) by another encoder, from the cache if possible."""
+    content_id = get_encoder(encoder).content_id
+    path = cache / f"tokens-{_compute_cache_key(content_id.encode(), (list(specimens), plan.sizes), seed)}.npy"
     if path.exists():
         return np.asarray(np.load(path, allow_pickle=False), dtype=np.float32)
     tokens = encode_surfaces(encoder, specimens, plan.sizes, seed, workers)
@@ -185,7 +238,7 @@ def load_or_encode_tokens(
 def load_or_simulate_references(
     specimens: Sequence[Specimen], conditions: Sequence[StrokeCondition], seed: int, cache: Path, workers: int
 ) -> References:
-    """Long runs, likewise kept in the cache."""
+    """Return the long-run references, from the cache if possible."""
     path = cache / f"references-{_compute_cache_key(b'', (list(specimens), list(conditions)), seed)}.safetensors"
     if path.exists():
         return load_references(path, specimens, conditions)
@@ -195,7 +248,7 @@ def load_or_simulate_references(
 
 
 def collect_training_ranges(data: TrainingData, seconds: float) -> TrainingRanges:
-    """Where the strokes lay, in the terms of field.ranges."""
+    """Return the ranges that the strokes cover."""
     speeds = make_speed_grid()
     actions = [
         make_steady_action(seconds, float(speeds[s.speed]), s.force, s.angle, s.probe)
@@ -209,6 +262,7 @@ def _find_encoder_name(encoder: str) -> str:
 
 
 def _compute_cache_key(content: bytes, sizes: object, seed: int) -> str:
+    """Return a hash of content, sizes, seed and the simulator's source code."""
     digest = blake2b(content, digest_size=8)
     digest.update(repr((sizes, seed)).encode())
     for source in (*sorted(Path(simulation_room.__path__[0]).glob("*.py")), Path(contact_model.__file__)):

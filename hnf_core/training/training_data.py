@@ -1,4 +1,4 @@
-"""What the shared field is trained on: surfaces, strokes over them, and what was felt. Kept on disk between runs."""
+"""Training data of the shared field: surfaces, simulated strokes over them and their spectra, stored between runs."""
 
 from __future__ import annotations
 
@@ -30,13 +30,32 @@ from .simulated_strokes import (
 Float = NDArray[np.float64]
 
 MATERIALS_PER_BATCH = 8
+"""Materials encoded together, which bounds the memory of their height maps."""
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """instances: of every class, beside the library's own. patches: stroked, per material; described: more, only looked
-    at. strokes: per patch, of `seconds`, middle_share of them where strokes mostly are. random: surfaces of no
-    material; random_strokes: on each."""
+    """Amounts of training data.
+
+    Attributes
+    ----------
+    instances
+        Of every class, besides the library's own.
+    patches
+        Stroked patches per material.
+    described
+        Further patches per material, with a token but without strokes.
+    strokes
+        Strokes per patch.
+    middle_share
+        Fraction of them in the middle ranges of speed and force.
+    random
+        Surfaces of no material.
+    random_strokes
+        Strokes on each of these.
+    seconds
+        Duration of a stroke [s].
+    """
 
     instances: int = 1
     patches: int = 2
@@ -50,8 +69,21 @@ class Sizes:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """names, classes: one per material, in words. material: (surfaces,) index, −1 for a surface of no material.
-    tokens: (surfaces, TOKEN_DIM). power: (strokes, 107) observed."""
+    """Surfaces, strokes over them and the observed spectra.
+
+    Attributes
+    ----------
+    names, classes
+        Of each material, in words.
+    material
+        (surfaces,) index of the material, −1 for a surface of no material.
+    tokens
+        (surfaces, TOKEN_DIM).
+    strokes
+        Steady strokes, each on one of the surfaces.
+    power
+        (strokes, 107) observed densities.
+    """
 
     names: tuple[str, ...]
     classes: tuple[str, ...]
@@ -61,50 +93,50 @@ class TrainingData:
     power: Float
 
     def get_stroke_materials(self) -> NDArray[np.int64]:
-        """(strokes,) index, −1 for none."""
+        """Return the material index (strokes,) of each stroke, −1 for none."""
         return self.material[[stroke.surface for stroke in self.strokes]]
 
     def select_strokes(self, rows: NDArray[np.bool_]) -> TrainingData:
-        """The same surfaces, some of the strokes."""
-        kept = tuple(stroke for stroke, row in zip(self.strokes, rows, strict=True) if row)
-        return replace(self, strokes=kept, power=self.power[rows])
+        """Return the same surfaces with some of the strokes."""
+        strokes = tuple(stroke for stroke, row in zip(self.strokes, rows, strict=True) if row)
+        return replace(self, strokes=strokes, power=self.power[rows])
 
     def draw_alternative_patches(self, rng: np.random.Generator) -> list[int]:
-        """For every stroke another surface of the same material at random; its own where there is no other."""
-        same = {m: np.flatnonzero(self.material == m) for m in range(len(self.names))}
-        found = []
+        """Draw for every stroke another surface of the same material; its own if there is no other."""
+        surfaces_by_material = {index: np.flatnonzero(self.material == index) for index in range(len(self.names))}
+        drawn = []
         for stroke in self.strokes:
-            patches_here = same.get(int(self.material[stroke.surface]), np.zeros(0, dtype=np.intp))
-            others = patches_here[patches_here != stroke.surface]
-            found.append(int(rng.choice(others)) if len(others) else stroke.surface)
-        return found
+            candidates = surfaces_by_material.get(int(self.material[stroke.surface]), np.zeros(0, dtype=np.intp))
+            others = candidates[candidates != stroke.surface]
+            drawn.append(int(rng.choice(others)) if len(others) else stroke.surface)
+        return drawn
 
 
 def load_specimens(library: Path, sizes: Sizes) -> list[Specimen]:
-    """The library's materials, then the instances of every class."""
+    """Return the library's materials, then the instances of every class."""
     return load_library_specimens(library) + make_class_specimens(range(1, sizes.instances + 1))
 
 
 def build_training_data(specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int = 2) -> TrainingData:
-    """Simulate everything. The result depends on the seed, not on the number of workers."""
+    """Simulate all surfaces and strokes; the result depends on the seed, not on the number of workers."""
     surfaces = make_patches(specimens, 0, sizes.patches, workers)
-    own = len(surfaces)
+    stroked_count = len(surfaces)
     surfaces += make_random_surfaces(sizes.random, seed, workers)
-    more = make_patches(specimens, sizes.patches, sizes.described, workers) if sizes.described else []
-    print(f"{len(surfaces) + len(more)} surfaces", file=sys.stderr)
-    strokes = draw_steady_strokes(surfaces[:own], sizes.strokes, seed + 1, middle_share=sizes.middle_share)
+    described_surfaces = make_patches(specimens, sizes.patches, sizes.described, workers) if sizes.described else []
+    print(f"{len(surfaces) + len(described_surfaces)} surfaces", file=sys.stderr)
+    strokes = draw_steady_strokes(surfaces[:stroked_count], sizes.strokes, seed + 1, middle_share=sizes.middle_share)
     strokes += [
-        replace(stroke, surface=stroke.surface + own)
-        for stroke in draw_steady_strokes(surfaces[own:], sizes.random_strokes, seed + 2)
+        replace(stroke, surface=stroke.surface + stroked_count)
+        for stroke in draw_steady_strokes(surfaces[stroked_count:], sizes.random_strokes, seed + 2)
     ]
     rows = np.arange(len(specimens))
-    nothing = np.full(len(surfaces) - own, -1)
-    material = np.concatenate([np.repeat(rows, sizes.patches), nothing, np.repeat(rows, sizes.described)])
+    no_material = np.full(len(surfaces) - stroked_count, -1)
+    material = np.concatenate([np.repeat(rows, sizes.patches), no_material, np.repeat(rows, sizes.described)])
     return TrainingData(
-        names=tuple(each.name for each in specimens),
-        classes=tuple(each.class_name for each in specimens),
+        names=tuple(specimen.name for specimen in specimens),
+        classes=tuple(specimen.class_name for specimen in specimens),
         material=material,
-        tokens=np.stack([surface.token for surface in surfaces + more]),
+        tokens=np.stack([surface.token for surface in surfaces + described_surfaces]),
         strokes=tuple(strokes),
         power=record_strokes(surfaces, strokes, sizes.seconds, workers),
     )
@@ -113,19 +145,19 @@ def build_training_data(specimens: Sequence[Specimen], sizes: Sizes, seed: int, 
 def encode_surfaces(
     encoder: str, specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int = 2
 ) -> NDArray[np.float32]:
-    """(surfaces, TOKEN_DIM): what another make of E (its name or file) says of the surfaces that gather describes."""
+    """Compute tokens (surfaces, TOKEN_DIM) of build_training_data's surfaces with another encoder (name or file)."""
 
-    def of_patches(first: int, count: int) -> list[NDArray[np.float32]]:
-        # A few materials at a time: only their tokens are kept, not their heights.
+    def encode_patches(first: int, count: int) -> list[NDArray[np.float32]]:
+        # Only the tokens stay in memory, not the heights of all materials.
         return [
             surface.token
             for start in range(0, len(specimens), MATERIALS_PER_BATCH)
             for surface in make_patches(specimens[start : start + MATERIALS_PER_BATCH], first, count, workers, encoder)
         ]
 
-    tokens = of_patches(0, sizes.patches)
+    tokens = encode_patches(0, sizes.patches)
     tokens += [surface.token for surface in make_random_surfaces(sizes.random, seed, workers, encoder)]
-    tokens += of_patches(sizes.patches, sizes.described) if sizes.described else []
+    tokens += encode_patches(sizes.patches, sizes.described) if sizes.described else []
     return np.stack(tokens)
 
 
@@ -133,7 +165,7 @@ _COLUMNS = ("surface", "stiffness", "damping", "friction", "probe", "speed", "an
 
 
 def save_training_data(path: Path, data: TrainingData) -> None:
-    """Write as safetensors. Every stroke's mechanics must be known. Raises FileError."""
+    """Write as safetensors; the mechanics of every stroke must be known. Raises FileError."""
     table = np.array(
         [
             (s.surface, s.mechanics.stiffness_n_m, s.mechanics.damping_ratio, s.mechanics.friction,
@@ -153,7 +185,7 @@ def save_training_data(path: Path, data: TrainingData) -> None:
 
 
 def load_training_data(path: Path) -> TrainingData:
-    """What save_gathered wrote. Raises FileError where it cannot be read."""
+    """Read the file that save_training_data wrote. Raises FileError."""
     try:
         tensors, metadata = load_tensors(path.read_bytes())
         material, tokens, table, power = (tensors[name] for name in ("material", "tokens", "strokes", "power"))
@@ -164,23 +196,23 @@ def load_training_data(path: Path) -> TrainingData:
         ) from error
     strokes = []
     for row in table:
-        each = dict(zip(_COLUMNS, row, strict=True))
+        values = dict(zip(_COLUMNS, row, strict=True))
         strokes.append(
             SteadyStroke(
-                surface=int(each["surface"]),
-                mechanics=Mechanics(each["stiffness"], each["damping"], each["friction"]),
-                probe=tuple(PROBES)[int(each["probe"])],
-                speed=int(each["speed"]),
-                angle=float(each["angle"]),
-                force=float(each["force"]),
-                start=(float(each["start_x"]), float(each["start_y"])),
+                surface=int(values["surface"]),
+                mechanics=Mechanics(values["stiffness"], values["damping"], values["friction"]),
+                probe=tuple(PROBES)[int(values["probe"])],
+                speed=int(values["speed"]),
+                angle=float(values["angle"]),
+                force=float(values["force"]),
+                start=(float(values["start_x"]), float(values["start_y"])),
             )
         )
     return TrainingData(names, classes, material, tokens, tuple(strokes), power)
 
 
 def select_classes(data: TrainingData, class_names: Sequence[str]) -> TrainingData:
-    """Strokes on materials of these classes and on surfaces of no material."""
+    """Return the strokes on materials of these classes and on surfaces of no material."""
     classes = np.array([name in class_names for name in data.classes])
     material = data.get_stroke_materials()
     return data.select_strokes(np.where(material < 0, True, classes[material]))

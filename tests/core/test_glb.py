@@ -22,6 +22,7 @@ from hnf_core.export.gltf import (
     compute_taxel_row_width,
     compute_taxel_uv,
     decode_glb,
+    encode_grey_png,
     encode_surface,
     find_distinct_rows,
     find_vertices_on_path,
@@ -30,7 +31,6 @@ from hnf_core.export.gltf import (
     write_glb,
 )
 from hnf_core.export.options import ExportOptions, ImportOptions
-from hnf_core.export.png import encode_grey_png
 from hnf_core.export.touched_surface import UNTOUCHED, TouchedSurface
 from hnf_core.export.wav import write_wav
 from hnf_core.material.token import LEVELS

@@ -22,6 +22,7 @@ sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from data_tools.mesh_sampling import subdivide_mesh
 from data_tools.object_splats import (
@@ -43,7 +44,6 @@ from data_tools.write_transforms import TRANSFORMS_FILE, write_transforms
 from hnf_blender.bridge.render.lit_render import OverviewRenderer
 from hnf_blender.touch.session import Session
 from hnf_core.errors import HnfError, UsageError
-from hnf_core.export.png import encode_colour_png, encode_grey16_png
 from hnf_core.files import write_bytes, write_text
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.nerfstudio import NerfstudioFrame
@@ -138,11 +138,16 @@ def export_images(
             frame = NerfstudioFrame(f"images/frame_{number:05d}.png", camera, f"depths/frame_{number:05d}.png")
             codes = np.rint(255.0 * linear_to_srgb(view.rgb)).astype(np.uint8)
             depth = np.where(np.isfinite(view.depth), view.depth * MILLIMETRES_PER_METRE, 0.0)
-            write_bytes(folder / frame.file_path, encode_colour_png(codes))
+            _save_image(folder / frame.file_path, codes)
             deep = np.clip(np.rint(depth), 0, MAX_DEPTH_CODE).astype(np.uint16)
-            write_bytes(folder / frame.depth_file_path, encode_grey16_png(deep))
+            _save_image(folder / frame.depth_file_path, deep)
             frames.append(frame)
     return tuple(frames)
+
+
+def _save_image(path: Path, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(codes).save(path)
 
 
 def make_coloured_mesh(

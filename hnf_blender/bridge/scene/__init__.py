@@ -1,0 +1,4 @@
+"""General access to scenes and objects: meshes, bounding boxes, names, attributes, temporary scenes.
+
+Read `meshes.py` first: it defines the surface frame in which strokes, patches and cameras live.
+"""

@@ -1,4 +1,4 @@
-"""World-aligned bounding boxes: what lies near what, without looking at a mesh."""
+"""Visibility of objects and their world-aligned bounding boxes: what is near what, without reading meshes."""
 
 from __future__ import annotations
 
@@ -11,22 +11,24 @@ from numpy.typing import NDArray
 Float = NDArray[np.float64]
 
 NEIGHBOUR_DISTANCE_M = 0.25
-"""A neighbour further away than this does not stand in a hand's way."""
+"""Distance up to which an object counts as a neighbour that may be in a hand's way [m]."""
 
 
 def is_visible(obj: Any, view_layer: Any) -> bool:
-    """Shown in this view layer and in renders."""
+    """Return True if an object is visible in a view layer and in renders."""
     return bool(filter_visible([obj], view_layer))
 
 
 def filter_visible(objects: Iterable[Any], view_layer: Any) -> list[Any]:
-    """Those of objects that are shown in this view layer and in renders."""
+    """Return the objects that are visible in a view layer and in renders."""
     return [obj for obj in filter_rendered(objects, view_layer) if obj.visible_get(view_layer=view_layer)]
 
 
 def filter_rendered(objects: Iterable[Any], view_layer: Any) -> list[Any]:
-    """Those that are not disabled in renders, nor is every collection that they are in, by itself or by one around it.
-    Of many objects collections are looked through once."""
+    """Return the objects that are enabled in renders.
+
+    An object is disabled if it is so itself, or if every collection that contains it is, directly or through a parent.
+    """
     import bpy
 
     disabled = np.zeros(len(bpy.data.collections), dtype=bool)
@@ -35,13 +37,15 @@ def filter_rendered(objects: Iterable[Any], view_layer: Any) -> list[Any]:
     if not disabled.any():
         return enabled
     rendered = {
-        obj.as_pointer() for each in _iter_rendered_collections(view_layer.layer_collection) for obj in each.objects
+        obj.as_pointer()
+        for collection in _iter_rendered_collections(view_layer.layer_collection)
+        for obj in collection.objects
     }
     return [obj for obj in enabled if obj.as_pointer() in rendered]
 
 
 def _iter_rendered_collections(layer: Any) -> Iterator[Any]:
-    """The collections of a tree that are rendered."""
+    """Yield the collections of a layer-collection tree that are enabled in renders."""
     if layer.collection.hide_render:
         return
     if not layer.exclude:
@@ -51,13 +55,13 @@ def _iter_rendered_collections(layer: Any) -> Iterator[Any]:
 
 
 def get_world_box(obj: Any, depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
-    """Lowest and highest corner (3,) of the evaluated object's bounding box, in world units × metres_per_unit."""
+    """Return the lowest and highest corner (3,) of an evaluated object's box, world units × metres_per_unit."""
     low, high = get_world_boxes([obj], depsgraph, metres_per_unit)
     return low[0], high[0]
 
 
 def get_world_boxes(objects: Sequence[Any], depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
-    """The same of many, (n, 3) each."""
+    """Return the lowest and highest corners (n, 3) of objects' boxes, world units × metres_per_unit."""
     evaluated = [obj.evaluated_get(depsgraph) for obj in objects]
     world = np.array([each.matrix_world for each in evaluated], dtype=np.float64).reshape(-1, 4, 4)
     corners = np.array([[tuple(corner) for corner in each.bound_box] for each in evaluated], dtype=np.float64)
@@ -67,8 +71,11 @@ def get_world_boxes(objects: Sequence[Any], depsgraph: Any, metres_per_unit: flo
 
 
 def describe_neighbours(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> list[str]:
-    """What stands around obj, as text: names, boxes (to 0.1 mm, relative to obj) and numbers of corners of visible
-    meshes within reach. A corner that moves within its mesh's box is not seen: it could at most free a better place."""
+    """Describe the visible meshes near an object as text, for hashing.
+
+    Each line has a name, the number of vertices and the box [m], rounded to 0.1 mm, relative to the object. A vertex
+    that moves inside its mesh's box is not noticed; at most it could free a better place for a stroke.
+    """
     low, high = get_world_box(obj, depsgraph, metres_per_unit)
     others = filter_visible(
         (other for other in scene.objects if other != obj and other.type == "MESH"), depsgraph.view_layer

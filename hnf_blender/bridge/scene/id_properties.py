@@ -1,7 +1,8 @@
-"""Properties of a datablock that come back as they were given, from a library override too.
+"""Custom properties of datablocks that survive saving, on library overrides too.
 
-An override saves no ID property that holds bytes or is new on it; it does save registered text. So on a stroke that is
-an override, everything goes into one of those: Object.hnf_stroke.kept, JSON of text and of bytes in base 85.
+An override saves neither ID properties that hold bytes nor new ones; it does save registered text. On a stroke that is
+an override, everything is therefore stored in one registered property, Object.hnf_stroke.kept, as JSON with bytes in
+base 85.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from typing import Any
 
 
 def set_property(block: Any, name: str, value: bytes | str | int) -> None:
-    """Set property name of a datablock to value.
+    """Set a property of a datablock.
 
-    The old value goes first: over bytes Blender writes only what comes before the first zero (4.2, 4.5, 5.0).
+    The old value is deleted first: over bytes Blender writes only up to the first zero (4.2, 4.5, 5.0).
     """
     if _is_override(block):
         encoded = {"bytes": base64.b85encode(value).decode()} if isinstance(value, bytes) else value
@@ -26,11 +27,11 @@ def set_property(block: Any, name: str, value: bytes | str | int) -> None:
 
 
 def get_property(block: Any, name: str) -> Any:
-    """What keep set; None where there is nothing, b"" where an override's bytes are damaged."""
-    own = _read_override(block) if _is_override(block) else {}
-    if name not in own:
+    """Return a property written by `set_property`: None if missing, b"" if an override's bytes are damaged."""
+    overridden = _read_override(block) if _is_override(block) else {}
+    if name not in overridden:
         return block.get(name)
-    value = own[name]
+    value = overridden[name]
     if not isinstance(value, dict):
         return value
     try:
@@ -40,13 +41,13 @@ def get_property(block: Any, name: str) -> Any:
 
 
 def has_property(block: Any, name: str) -> bool:
-    """Is there something that kept would return? For what is asked at every draw: nothing is decoded."""
-    own = _read_override(block) if _is_override(block) else {}
-    return own[name] is not None if name in own else name in block
+    """Return True if `get_property` would return a value; decodes nothing, as it is called at every redraw."""
+    overridden = _read_override(block) if _is_override(block) else {}
+    return overridden[name] is not None if name in overridden else name in block
 
 
 def delete_property(block: Any, name: str) -> None:
-    """Take property name off a datablock. On an override, what the linked original holds stays hidden."""
+    """Delete a property of a datablock; on an override, the linked original's value stays hidden."""
     if _is_override(block):
         block.hnf_stroke.kept = json.dumps({**_read_override(block), name: None})
     elif name in block:
@@ -54,11 +55,12 @@ def delete_property(block: Any, name: str) -> None:
 
 
 def _is_override(block: Any) -> bool:
+    """Return True for a library override that has stroke settings."""
     return block.override_library is not None and hasattr(block, "hnf_stroke")
 
 
 def _read_override(block: Any) -> dict[str, Any]:
-    """What the override itself holds; {} where its text is damaged: the original's shows then."""
+    """Return the override's own properties; {} if its text is damaged, so that the original's are used."""
     try:
         return dict(json.loads(block.hnf_stroke.kept or "{}"))
     except (ValueError, TypeError):

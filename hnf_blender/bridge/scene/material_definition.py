@@ -1,7 +1,7 @@
-"""A Blender material that carries its own `.hnf` definition: what it feels like is said by the material itself.
+"""A material definition (`.hnf`) stored on a Blender material.
 
-The bytes of the file lie in an ID property, so that the .blend needs no file beside it. A library material chosen by
-hand (Material.hnf_touch.library) goes before the definition; back to automatic forgets both.
+The bytes of the file are kept in an ID property, so that the .blend needs no file next to it. A library material chosen
+by hand (Material.hnf_touch.library) takes precedence over the definition.
 """
 
 from __future__ import annotations
@@ -27,8 +27,11 @@ PRINCIPLED_INPUTS = {
 
 
 def set_definition(material: Any, definition: MaterialFile) -> None:
-    """Make definition what material feels like, in place of a choice made before. Raises SceneError where material is
-    linked from another file, or a library override, which would forget it with the next load."""
+    """Store a definition on a material, replacing an earlier choice.
+
+    Raises SceneError if the material is linked, or is a library override, which would lose it when the file is
+    reloaded.
+    """
     if not material.is_editable:
         raise SceneError(
             "it is linked from another file.",
@@ -48,8 +51,10 @@ def set_definition(material: Any, definition: MaterialFile) -> None:
 
 
 def get_definition(material: Any) -> MaterialFile | None:
-    """The definition that material carries, or None. Raises FileError, naming the material, where it is damaged or
-    belongs to another encoder."""
+    """Return the definition stored on a material, or None.
+
+    Raises FileError, naming the material, if the definition is damaged or belongs to another encoder.
+    """
     data = material.get(DEFINITION_PROPERTY)
     if data is None:
         return None
@@ -57,40 +62,45 @@ def get_definition(material: Any) -> MaterialFile | None:
 
 
 def get_artist_choice(material: Any) -> str | MaterialFile:
-    """What a Blender material itself says it feels like: the library material chosen by hand, else the definition that
-    it carries, else "". Raises FileError, naming the material, where that definition is damaged."""
+    """Return a material's library name chosen by hand, else its stored definition, else "".
+
+    Raises FileError, naming the material, if the definition is damaged.
+    """
     return material.hnf_touch.library or get_definition(material) or ""
 
 
 def clear_definition(material: Any) -> None:
-    """Take the definition off again."""
-    for each in (DEFINITION_PROPERTY, DEFINITION_NAME_PROPERTY):
-        if each in material:
-            del material[each]
+    """Remove the stored definition from a material."""
+    for name in (DEFINITION_PROPERTY, DEFINITION_NAME_PROPERTY):
+        if name in material:
+            del material[name]
 
 
 def assign_definition(obj: Any, slot: int, definition: MaterialFile) -> Any:
-    """Make definition what a slot of obj feels like; its Blender material. An empty slot, or an object without slots,
-    gets a new material that looks like it too. Raises SceneError where the object or its material is linked."""
+    """Assign a definition to a slot of an object and return the slot's Blender material.
+
+    An empty slot, or an object without slots, gets a new material with the definition's appearance. Raises SceneError
+    if the object or its material is linked.
+    """
     slots = obj.material_slots
-    held = slots[slot].material if slot < len(slots) else None
-    if held is not None:
-        set_definition(held, definition)
-        return held
+    current = slots[slot].material if slot < len(slots) else None
+    if current is not None:
+        set_definition(current, definition)
+        return current
     if not obj.is_editable or (slot >= len(slots) and not obj.data.is_editable):
         raise SceneError(
             "it is linked from another file.", where=f"object '{obj.name}'", remedy="Make it a library override first."
         )
-    made = create_material(definition)
+    material = create_material(definition)
     if slot < len(slots):
-        slots[slot].material = made
+        slots[slot].material = material
     else:
-        obj.data.materials.append(made)
-    return made
+        obj.data.materials.append(material)
+    return material
 
 
 def create_material(definition: MaterialFile) -> Any:
-    """A Blender material that looks and feels like definition."""
+    """Create a Blender material with a definition and its appearance."""
     import bpy
 
     material = bpy.data.materials.new(definition.name)
@@ -100,7 +110,7 @@ def create_material(definition: MaterialFile) -> Any:
 
 
 def set_appearance(material: Any, appearance: Appearance) -> None:
-    """Set the known shading values on the material's Principled BSDF, and the viewport's colour."""
+    """Set the known shading values on a material's Principled BSDF, and its viewport colour."""
     compat.switch_nodes_on(material)
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     for name, socket in PRINCIPLED_INPUTS.items():

@@ -1,8 +1,7 @@
-"""Tokens on the mesh: an INT attribute of palette indices, FLOAT companions, and the table in an ID property.
+"""Baked tokens stored on a mesh: palette indices, roughness and confidence per face, and the palette.
 
-Everything lives in the mesh datablock, so it survives save, reload, append and copies, also without the add-on.
-
-Colours that lie on a mesh's own points, and a material that shows them.
+The palette is an ID property. All of them are part of the mesh datablock, so that they survive saving, appending and
+copying, also without the add-on. Vertex colours of scans are handled here too.
 """
 
 from __future__ import annotations
@@ -27,11 +26,12 @@ SOURCE_PROPERTY = "hnf_source"
 SCHEMA_PROPERTY = "hnf_schema"
 SCHEMA = 1
 UNBAKED = -1
+"""Palette index of faces that were not baked."""
 
 
 @dataclass(frozen=True)
 class PointTokens:
-    """The same of the splats that a mesh was made from: index (N,) int32, confidence (N,) float32."""
+    """Baked tokens of the splats that a mesh was reconstructed from: index (N,) int32, confidence (N,) float32."""
 
     index: NDArray[np.int32]
     confidence: NDArray[np.float32]
@@ -39,9 +39,21 @@ class PointTokens:
 
 @dataclass(frozen=True)
 class FaceTokens:
-    """What one mesh carries. index: (F,) int32 into palette, UNBAKED where nothing was touched.
-    roughness: (F,) float32 metres RMS; confidence: (F,) float32. source: hash of what it was baked from. points: for
-    the splats of a reconstructed surface, None where there are none; they are kept there (bridge.splat_cloud)."""
+    """Baked tokens of one mesh.
+
+    Attributes
+    ----------
+    palette : Palette
+    index : (F,) int32 array
+        Palette index of every face, UNBAKED where nothing was touched.
+    roughness : (F,) float32 array
+        RMS roughness [m].
+    confidence : (F,) float32 array
+    source : str
+        Hash of the inputs of the bake.
+    points : PointTokens or None
+        Tokens of the splats of a reconstructed surface, which are stored on the cloud (`bridge/splats/splat_cloud.py`).
+    """
 
     palette: Palette
     index: NDArray[np.int32]
@@ -52,7 +64,7 @@ class FaceTokens:
 
 
 def write_tokens(mesh: Any, tokens: FaceTokens) -> None:
-    """Store tokens on mesh. Raises SceneError for a linked mesh, Edit Mode, or a face count that does not fit."""
+    """Store tokens on a mesh. Raises SceneError for a linked mesh, Edit Mode, or a wrong number of faces."""
     _check_writable(mesh)
     count = len(mesh.polygons)
     if not len(tokens.index) == len(tokens.roughness) == len(tokens.confidence) == count:
@@ -66,8 +78,11 @@ def write_tokens(mesh: Any, tokens: FaceTokens) -> None:
 
 
 def read_tokens(mesh: Any) -> FaceTokens | None:
-    """What write_tokens stored; None where the mesh carries nothing (or another schema's data), and in Edit Mode, where
-    Blender shows no attribute's values."""
+    """Read the tokens of a mesh.
+
+    Returns None if there are none or their schema is another, and in Edit Mode, where Blender gives no attribute
+    values.
+    """
     if (
         mesh.is_editmode
         or mesh.get(SCHEMA_PROPERTY) != SCHEMA
@@ -86,7 +101,7 @@ def read_tokens(mesh: Any) -> FaceTokens | None:
 
 
 def count_token_bytes(mesh: Any) -> int:
-    """How much write_tokens left on mesh."""
+    """Return the size of the tokens stored on a mesh [bytes]."""
     names = (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)
     attributes = sum(4 * len(mesh.polygons) for name in names if name in mesh.attributes)
     palette = mesh.get(PALETTE_PROPERTY)
@@ -94,7 +109,7 @@ def count_token_bytes(mesh: Any) -> int:
 
 
 def remove_tokens(mesh: Any) -> int:
-    """Take off mesh what write_tokens left; returns the bytes freed. Raises SceneError as write_tokens does."""
+    """Remove the tokens from a mesh; return the bytes freed. Raises SceneError like `write_tokens`."""
     _check_writable(mesh)
     freed = count_token_bytes(mesh)
     for name in (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE):
@@ -108,6 +123,7 @@ def remove_tokens(mesh: Any) -> int:
 
 
 def _check_writable(mesh: Any) -> None:
+    """Raise SceneError for a linked mesh or one in Edit Mode."""
     if mesh.library is not None:
         raise SceneError(
             f"its mesh is linked from {mesh.library.filepath} and cannot be written.",
@@ -135,8 +151,10 @@ def _read_attribute(mesh: Any, name: str, dtype: type) -> NDArray[Any]:
 
 
 def show_vertex_colours(obj: Any) -> None:
-    """A scan's colours lie on its points, and its file names no material: give it one that shows them. Nothing happens
-    to what is no mesh, has a material, or has no colours."""
+    """Give a scan a material that shows its vertex colours, since its file has none.
+
+    Objects that are not meshes, have a material, or have no vertex colours are left alone.
+    """
     import bpy
 
     if obj.type != "MESH" or obj.data.materials or not obj.data.color_attributes:
@@ -144,8 +162,8 @@ def show_vertex_colours(obj: Any) -> None:
     material = bpy.data.materials.new(obj.name)
     compat.switch_nodes_on(material)
     tree = material.node_tree
-    painted = tree.nodes.new("ShaderNodeVertexColor")
-    painted.layer_name = obj.data.color_attributes[0].name
+    vertex_colour = tree.nodes.new("ShaderNodeVertexColor")
+    vertex_colour.layer_name = obj.data.color_attributes[0].name
     shader = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
-    tree.links.new(painted.outputs["Color"], shader.inputs["Base Color"])
+    tree.links.new(vertex_colour.outputs["Color"], shader.inputs["Base Color"])
     obj.data.materials.append(material)

@@ -1,4 +1,8 @@
-"""Objects → triangle meshes in the surface frame: their own frame with its scale applied, in metres."""
+"""Objects → triangle meshes in the surface frame, and rays and nearest points on them.
+
+The surface frame is the object's own frame with its scale applied, in metres. It follows from the polar decomposition
+of the world matrix, so that moving or turning an object does not change its mesh.
+"""
 
 from __future__ import annotations
 
@@ -19,19 +23,31 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 
 SOURCE_FACE = "hnf_source_face"
+"""Attribute of a temporary copy that carries face indices through its modifiers."""
 MIN_SIZE_M, MAX_SIZE_M = 1e-5, 1e6
-"""Nothing smaller than a hundredth of a millimetre, or larger than a country, is stroked by hand."""
+"""Sizes of a surface outside this range mean that the unit must be wrong [m]."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """An object as rays and strokes meet it.
+    """Surface of an object, as rays and strokes use it.
 
-    object_name: the object. mesh: in the surface frame, metres. rigid: (4, 4) world metres ← surface frame.
-    stretch: (3, 3) surface frame (metres) ← object space (Blender units): scale, shear and unit.
-    source_face: (F,) int32 evaluated polygon → polygon of the object's own mesh, -1 = none (made by a modifier from
-    another object); None where the object has no mesh of its own. materials: names by slot, "" = empty slot.
-    notes: what a person should know.
+    Attributes
+    ----------
+    object_name : str
+    mesh : TriangleMesh
+        In the surface frame [m].
+    rigid : (4, 4) array
+        World [m] ← surface frame.
+    stretch : (3, 3) array
+        Surface frame [m] ← object space [Blender units]: scale, shear and unit.
+    source_face : (F,) int32 array or None
+        Polygon of the object's own mesh for every evaluated polygon; −1 if a modifier made it from another object. None
+        if the object has no mesh of its own.
+    materials : tuple of str
+        Material name by slot, "" for an empty slot.
+    notes : tuple of str
+        Remarks for the user.
     """
 
     object_name: str
@@ -44,15 +60,37 @@ class Surface:
 
 
 def compute_surface_frame(matrix_world: ArrayLike, metres_per_unit: float, where: str = "") -> tuple[Float, Float]:
-    """(rigid, stretch): world metres = rigid · stretch · object coordinates.
+    """Decompose a world matrix into (rigid, stretch): world [m] = rigid · stretch · object coordinates.
 
-    rigid: (4, 4) rotation and translation in metres. stretch: (3, 3), what is left of the object's matrix (polar
-    decomposition M = R S), so that moving or turning the object changes rigid only. A mirrored object keeps its
-    mirror in stretch. Raises SceneError where the object is scaled to a line or a point.
+    Parameters
+    ----------
+    matrix_world : (4, 4) array_like
+        World matrix of the object.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    where : str, optional
+        Object named in errors.
+
+    Returns
+    -------
+    rigid : (4, 4) array
+        Rotation and translation [m].
+    stretch : (3, 3) array
+        Scale, shear, mirror and unit.
+
+    Raises
+    ------
+    SceneError
+        If the object is scaled to a line or a point.
+
+    Notes
+    -----
+    The linear part is split by the polar decomposition M = R S, so that moving or turning an object changes only
+    `rigid`. A mirrored object keeps its mirror in `stretch`.
     """
     matrix = np.asarray(matrix_world, dtype=np.float64)
     linear = matrix[:3, :3]
-    # Mirroring the x axis first keeps R a rotation, and S the same however the object is turned.
+    # Mirroring the x axis first keeps R a rotation, and makes S independent of the object's rotation.
     mirror = np.diag([-1.0 if np.linalg.det(linear) < 0.0 else 1.0, 1.0, 1.0])
     left, scales, right = np.linalg.svd(linear @ mirror)
     if not np.isfinite(matrix).all() or scales[1] <= 1e-9 * max(scales[0], 1e-300):
@@ -68,9 +106,27 @@ def compute_surface_frame(matrix_world: ArrayLike, metres_per_unit: float, where
 
 
 def read_surface(obj: Any, depsgraph: Any, metres_per_unit: float) -> Surface:
-    """The evaluated surface of obj (modifiers, shape keys, Geometry Nodes' mesh) in its surface frame.
+    """Read the evaluated surface of an object, in its surface frame.
 
-    obj: original or evaluated object in depsgraph. Raises SceneError where there is nothing to touch.
+    Modifiers, shape keys and the mesh of Geometry Nodes are included.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Original or evaluated object in `depsgraph`.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    SceneError
+        If there is no surface, or its size or scale is not usable.
     """
     original = obj.original
     where = f"object '{original.name}'"
@@ -89,7 +145,7 @@ def read_surface(obj: Any, depsgraph: Any, metres_per_unit: float) -> Surface:
 
 
 def _require_size(mesh: TriangleMesh, where: str) -> None:
-    """Raises SceneError where the unit must be another."""
+    """Raise SceneError if a mesh is so small or large that its unit must be wrong."""
     size = float(np.ptp(mesh.vertices, axis=0).max())
     if not MIN_SIZE_M <= size <= MAX_SIZE_M:
         raise SceneError(
@@ -99,26 +155,28 @@ def _require_size(mesh: TriangleMesh, where: str) -> None:
 
 
 def flush_edits(obj: Any) -> None:
-    """What is being edited becomes the object's mesh, as it does on leaving Edit Mode."""
+    """Write edits in progress to the object's mesh, as leaving Edit Mode does."""
     if obj.mode == "EDIT":
         obj.update_from_editmode()
 
 
 def get_materials(evaluated: Any, mesh: Any) -> list[Any]:
-    """The user's materials (None = empty slot) by material index of an evaluated object's mesh; those that Geometry
-    Nodes sets included."""
-    slots, own = list(evaluated.material_slots), list(mesh.materials)
-    chosen = []
-    for index in range(max(len(slots), len(own))):
-        from_object = index < len(slots) and (slots[index].link == "OBJECT" or index >= len(own))
-        chosen.append(slots[index].material if from_object else own[index])
-    return [None if material is None else material.original for material in chosen]
+    """Return the user's materials (None for an empty slot) by material index of an evaluated object's mesh.
+
+    Materials set by Geometry Nodes are included.
+    """
+    slots, mesh_materials = list(evaluated.material_slots), list(mesh.materials)
+    materials = []
+    for index in range(max(len(slots), len(mesh_materials))):
+        from_object = index < len(slots) and (slots[index].link == "OBJECT" or index >= len(mesh_materials))
+        materials.append(slots[index].material if from_object else mesh_materials[index])
+    return [None if material is None else material.original for material in materials]
 
 
 def get_slot_materials(obj: Any, depsgraph: Any) -> list[Any]:
-    """The user's materials (None = empty slot) by material index of an object's evaluated surface.
+    """Return the user's materials (None for an empty slot) by material index of an object's evaluated surface.
 
-    Raises SceneError where it has none.
+    Raises SceneError if it has no surface.
     """
     evaluated = obj.original.evaluated_get(depsgraph)
     with evaluated_mesh(evaluated, depsgraph) as mesh:
@@ -127,9 +185,9 @@ def get_slot_materials(obj: Any, depsgraph: Any) -> list[Any]:
 
 @contextmanager
 def evaluated_mesh(evaluated: Any, depsgraph: Any) -> Iterator[Any]:
-    """The mesh of an evaluated object in object space; taken back at the end.
+    """Yield the mesh of an evaluated object in object space; it is freed at the end.
 
-    Raises SceneError where the object has none.
+    Raises SceneError if the object has no mesh or no faces.
     """
     try:
         mesh = evaluated.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
@@ -151,10 +209,30 @@ def evaluated_mesh(evaluated: Any, depsgraph: Any) -> Iterator[Any]:
 
 
 def hash_mesh(obj: Any, depsgraph: Any, metres_per_unit: float, layers: Iterable[str] = ()) -> str:
-    """Hash of what a touch can feel of obj's shape: positions, topology, UVs, material indices and scale.
+    """Hash an object's shape: positions, topology, normals, UVs, material indices and scale.
 
-    layers: names of attributes, UV maps and colours that count too, "" = the colours that are drawn.
-    Where the object stands and how it is turned does not count. 128 bits, hex.
+    Its position and rotation do not count.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Object to read.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    layers : iterable of str, optional
+        Names of attributes, UV maps and colours that count too; "" is the colour that is rendered.
+
+    Returns
+    -------
+    str
+        128 bits, hexadecimal.
+
+    Raises
+    ------
+    SceneError
+        If the object has no surface.
     """
     original = obj.original
     evaluated = original.evaluated_get(depsgraph)
@@ -171,8 +249,8 @@ def hash_mesh(obj: Any, depsgraph: Any, metres_per_unit: float, layers: Iterable
         digest.update(b"" if uv is None else uv.data)
         for name in sorted(set(layers)):
             digest.update(_read_layer_bytes(mesh, name))
-    # The polar decomposition of a turned object differs in the last bits; a millionth of its scale does not, nor −0
-    # from 0. The power of two next to the scale is no number that a last bit changes.
+    # The polar decomposition of a turned object differs in its last bits, so the scale is rounded to a millionth of
+    # the nearest power of two, which a last bit does not change. Adding 0 makes −0 equal to 0.
     scale = stretch / metres_per_unit
     power = float(2.0 ** np.round(np.log2(np.linalg.norm(scale, 2))))
     digest.update((np.round(scale / power, 6) * power + 0.0).tobytes() + repr(float(metres_per_unit)).encode())
@@ -180,8 +258,11 @@ def hash_mesh(obj: Any, depsgraph: Any, metres_per_unit: float, layers: Iterable
 
 
 class BlenderGeometry:
-    """Rays and nearest points by Blender's own BVH tree. The tree (float32) chooses the triangle; distances and
-    barycentrics are float64. Slower than Embree for many rays; the only one with nearest points."""
+    """Ray casts and nearest points on a mesh by Blender's BVH tree.
+
+    The float32 tree selects the triangle; distances and barycentric coordinates are computed in float64. Slower than
+    Embree for many rays, but the only one with nearest points.
+    """
 
     def __init__(self, mesh: TriangleMesh) -> None:
         from mathutils.bvhtree import BVHTree
@@ -198,6 +279,7 @@ class BlenderGeometry:
             )
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
+        """Cast rays; origins and directions are (n, 3) in the mesh's frame."""
         origins = np.asarray(origins, dtype=np.float64).reshape(-1, 3)
         directions = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
         triangle = np.full(len(origins), -1, dtype=np.int32)
@@ -205,19 +287,23 @@ class BlenderGeometry:
         for index, (origin, direction) in enumerate(
             zip(self._frame.to_frame(origins).tolist(), directions.tolist(), strict=True)
         ):
-            found = tree.ray_cast(origin, direction)[2]
-            if found is not None:
-                triangle[index] = self._ray_triangle[found]
+            hit = tree.ray_cast(origin, direction)[2]
+            if hit is not None:
+                triangle[index] = self._ray_triangle[hit]
         return refine_hits(self._corners, triangle, origins, directions)
 
     def closest_points(self, points: ArrayLike) -> ClosestPoints:
+        """Return the closest points on the mesh to points (n, 3)."""
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         nearest = [self._tree.find_nearest(point)[2] for point in self._frame.to_frame(points).tolist()]
         return find_closest_points(self._corners, np.array(nearest, dtype=np.int32).reshape(-1), points)
 
 
 def make_ray_caster(mesh: TriangleMesh, fallback: BlenderGeometry | None = None) -> RayCaster:
-    """Embree where it is installed (not on Linux arm), Blender's BVH otherwise: equal results, ten times slower."""
+    """Make an Embree ray caster, or one of Blender's BVH if Embree is not installed (Linux on ARM).
+
+    Both give equal results; Blender's is ten times slower.
+    """
     try:
         return make_embree_caster(mesh)
     except ImportError:
@@ -225,6 +311,7 @@ def make_ray_caster(mesh: TriangleMesh, fallback: BlenderGeometry | None = None)
 
 
 def _read_triangles(mesh: Any, stretch: Float, slots: int, where: str) -> TriangleMesh:
+    """Read an evaluated mesh's triangles, scaled by `stretch` into the surface frame."""
     mesh.calc_loop_triangles()
     vertices = _read_array(mesh.vertices, "co", np.float32, 3).astype(np.float64) @ stretch.T
     if not np.isfinite(vertices).all():
@@ -232,7 +319,7 @@ def _read_triangles(mesh: Any, stretch: Float, slots: int, where: str) -> Triang
     corners = _read_array(mesh.loop_triangles, "loops", np.int32, 3)
     triangles = _read_array(mesh.loop_triangles, "vertices", np.int32, 3)
     face = _read_array(mesh.loop_triangles, "polygon_index", np.int32)
-    # Normals go by the cofactor matrix, which a flattened (zero) scale does not break.
+    # The cofactor matrix transforms normals also if one scale is zero, where the inverse does not exist.
     normals = (
         _read_array(mesh.corner_normals, "vector", np.float32, 3).astype(np.float64) @ compute_cofactors(stretch).T
     )
@@ -253,13 +340,13 @@ def _read_triangles(mesh: Any, stretch: Float, slots: int, where: str) -> Triang
 
 
 def compute_cofactors(matrix: Float) -> Float:
-    """det(M) M⁻ᵀ, also where M is singular: how normals follow M."""
+    """Compute det(M) M⁻ᵀ, which transforms normals, also for a singular matrix M (3, 3)."""
     first, second, third = matrix
     return np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)])
 
 
 def _read_uv(mesh: Any) -> NDArray[np.float32] | None:
-    """(loops, 2) of the UV map that renders, or None."""
+    """Return the (loops, 2) coordinates of the UV map that is rendered, or None."""
     layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
     return None if layer is None else _read_array(layer.uv, "vector", np.float32, 2)
 
@@ -271,11 +358,11 @@ ATTRIBUTE_LAYOUTS = {
     "QUATERNION": ("value", np.float32, 4), "FLOAT4X4": ("value", np.float32, 16), "INT32_2D": ("value", np.int32, 2),
     "INT16_2D": ("value", np.int32, 2),
 }  # fmt: skip
-"""Kinds of attributes: where their values are, of which type, how many an element."""
+"""Types of attributes: property with the values, dtype, values per element."""
 
 
 def _read_layer_bytes(mesh: Any, name: str) -> bytes:
-    """Kind and values of a named attribute; the name alone where there is none."""
+    """Return the type and values of a named attribute as bytes; the name alone if there is none."""
     colours = mesh.color_attributes
     if not name and len(colours):
         name = colours[colours.render_color_index].name
@@ -288,7 +375,10 @@ def _read_layer_bytes(mesh: Any, name: str) -> bytes:
 
 
 def _read_corner_vertices(mesh: Any) -> Int:
-    """(corners,) by attribute: twenty times faster than mesh.loops, which the window's own thread feels."""
+    """Return the vertex index of every face corner (corners,).
+
+    Reading the attribute is twenty times faster than mesh.loops, which would delay the interface.
+    """
     attribute = mesh.attributes.get(".corner_vert")
     if attribute is None:
         return _read_array(mesh.loops, "vertex_index", np.int32)
@@ -296,7 +386,7 @@ def _read_corner_vertices(mesh: Any) -> Int:
 
 
 def _read_face_slots(mesh: Any) -> Int:
-    """(faces,) material index, likewise; without the attribute all faces have the first slot."""
+    """Return the material index of every face (faces,); 0 if the mesh has no such attribute."""
     attribute = mesh.attributes.get("material_index")
     if attribute is None:
         return np.zeros(len(mesh.polygons), dtype=np.int32)
@@ -312,7 +402,7 @@ def _read_array(collection: Any, name: str, dtype: Any, width: int = 1) -> NDArr
 
 
 def _find_source_faces(original: Any, evaluated: Any, depsgraph: Any) -> tuple[Int | None, tuple[str, ...]]:
-    """Evaluated polygon → polygon of original.data, and what to tell."""
+    """Return, for every evaluated polygon, its polygon of original.data, and notes for the user."""
     if original.type != "MESH":
         return None, (f"object '{original.name}' has no mesh of its own: tokens cannot be stored on it.",)
     count = len(evaluated.polygons)
@@ -327,6 +417,7 @@ def _find_source_faces(original: Any, evaluated: Any, depsgraph: Any) -> tuple[I
 
 
 def _has_same_topology(mesh: Any, evaluated: Any) -> bool:
+    """Return True if modifiers left the faces of a mesh as they are."""
     sizes = [(len(m.vertices), len(m.loops), len(m.polygons)) for m in (mesh, evaluated)]
     if sizes[0] != sizes[1]:
         return False
@@ -337,13 +428,13 @@ def _has_same_topology(mesh: Any, evaluated: Any) -> bool:
 
 
 def _trace_source_faces(original: Any, frame: float) -> Int:
-    """Evaluate a copy whose faces carry their own index; integers pass through modifiers unblended."""
+    """Find source faces by evaluating a copy whose faces carry their index; modifiers do not blend integers."""
     from .temp_scene import TemporaryScene
 
     with TemporaryScene() as temporary:
         copy = temporary.copy_object(original, with_data=True)
         copy.data.attributes.new(SOURCE_FACE, "INT", "FACE")
-        # Faces that come from elsewhere (a boolean's cutter) get 0, so count from 1.
+        # Faces from another object, such as a boolean's cutter, get 0; indices therefore start at 1.
         index = np.arange(1, len(copy.data.polygons) + 1, dtype=np.int32)
         copy.data.attributes[SOURCE_FACE].data.foreach_set("value", index)
         depsgraph = temporary.evaluate(frame)

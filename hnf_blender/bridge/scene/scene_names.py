@@ -1,4 +1,4 @@
-"""What a scene calls its objects, one name each: one linked from another file may be called as one of this file is."""
+"""Unique names of a scene's objects; a linked object may have the same name as a local one."""
 
 from __future__ import annotations
 
@@ -9,47 +9,55 @@ from typing import Any
 
 
 def get_scene_name(scene: Any, obj: Any) -> str:
-    """Its own name; of a linked object that shares its name with another of the scene the full one, which says the
-    file too ("Plate [set.blend]")."""
+    """Return an object's name in a scene.
+
+    A linked object that shares its name with another in the scene gets its full name, which includes the file ("Plate
+    [set.blend]").
+    """
     if obj.library is None:
         return str(obj.name)
-    others = [each for each in _find_by_name(obj.name) if each != obj]
+    others = [candidate for candidate in _find_by_name(obj.name) if candidate != obj]
     return str(obj.name_full if others and _filter_members(others, scene.objects[:]) else obj.name)
 
 
 def find_object(scene: Any, name: str, scene_objects: list[Any] | None = None) -> Any:
-    """The object that name_in calls so, or None. members: scene.objects[:], from whoever asks for several."""
-    found = [*_find_by_name(name), *_find_by_full_name(name)]
-    if not found:
+    """Return the object with a name given by `get_scene_name`, or None.
+
+    `scene_objects` is scene.objects[:], passed by callers that look up several names.
+    """
+    candidates = [*_find_by_name(name), *_find_by_full_name(name)]
+    if not candidates:
         return None
-    found = _filter_members(found, scene.objects[:] if scene_objects is None else scene_objects)
-    own = [obj for obj in found if obj.name == name]
-    exact = [obj for obj in own if obj.library is None] or (own if len(own) == 1 else [])
-    return exact[0] if exact else next((obj for obj in found if get_scene_name(scene, obj) == name), None)
+    candidates = _filter_members(candidates, scene.objects[:] if scene_objects is None else scene_objects)
+    same_name = [obj for obj in candidates if obj.name == name]
+    exact = [obj for obj in same_name if obj.library is None] or (same_name if len(same_name) == 1 else [])
+    return exact[0] if exact else next((obj for obj in candidates if get_scene_name(scene, obj) == name), None)
 
 
 def get_named_objects(scene: Any) -> dict[str, Any]:
-    """All of them by these names, in the order of the scene's objects."""
+    """Return all objects of a scene by these names, in the scene's order."""
     objects = list(scene.objects)
     count = Counter(obj.name for obj in objects)
     return {obj.name if obj.library is None or count[obj.name] == 1 else obj.name_full: obj for obj in objects}
 
 
 class SceneNames:
-    """The same for many objects, within one call that changes nothing: all of the scene is gone through once, and not
-    before it must be."""
+    """Cached lookup of names and objects in a scene that does not change meanwhile.
+
+    The scene's objects are read once, and only if needed.
+    """
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene
 
     def get_name(self, obj: Any) -> str:
-        """See name_in."""
+        """Return an object's name; see `get_scene_name`."""
         if obj.library is None or obj.session_uid not in self._names_by_uid:
             return get_scene_name(self._scene, obj)
         return self._names_by_uid[obj.session_uid]
 
     def get_object(self, name: str) -> Any:
-        """See object_in."""
+        """Return the object with a name, or None; see `find_object`."""
         return self._objects_by_name.get(name)
 
     @cached_property
@@ -62,8 +70,10 @@ class SceneNames:
 
 
 def _find_by_name(name: str) -> list[Any]:
-    """The file's objects of this name, its own and each library's. Blender finds one by name and library at once, while
-    a scene's own objects are gone through one by one."""
+    """Return the file's objects of a name, local and linked.
+
+    Blender finds an object by name and library at once, whereas a scene's objects would have to be searched.
+    """
     import bpy
 
     files = (None, *dict.fromkeys(library.filepath for library in bpy.data.libraries))
@@ -71,7 +81,7 @@ def _find_by_name(name: str) -> list[Any]:
 
 
 def _find_by_full_name(name: str) -> list[Any]:
-    """The file's linked objects of this full name."""
+    """Return the file's linked objects of a full name."""
     import bpy
 
     ends = ((f" [{library.name}]", library.filepath) for library in bpy.data.libraries)

@@ -1,4 +1,4 @@
-"""Speakers: a sound at its place in the scene, heard from its frame on."""
+"""Speaker objects: a sound placed in the scene that starts at a frame."""
 
 from __future__ import annotations
 
@@ -8,21 +8,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 SYMBOL_SIZE_FRACTION = 0.25
-"""Size of a speaker's symbol, as a share of what it stands at: unscaled, one of a metre would cover a cup."""
+"""Size of a speaker's symbol, as a fraction of its parent's size; the default of 1 m would cover a cup."""
 
 
 def get_bounding_box_centre(obj: Any) -> tuple[float, float, float]:
-    """World position (scene units) of the middle of an object's bounding box."""
+    """Return the centre of an object's bounding box, in world coordinates [Blender units]."""
     corners = _get_world_corners(obj)
     x, y, z = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
     return float(x), float(y), float(z)
 
 
 def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any = None) -> Any:
-    """A new Speaker object with sound, starting at frame, at a world location; where a parent is given it moves with it
-    and is drawn in proportion to it.
+    """Add a Speaker object; works in Object Mode only.
 
-    Object Mode only: the strip that starts the sound comes from Blender's own operator, and no other call makes one.
+    Only Blender's own operator creates the NLA strip that starts the sound.
+
+    Parameters
+    ----------
+    sound : bpy.types.Sound
+        Sound to play.
+    name : str
+        Name of the new object.
+    location : (3,) vector
+        World location [Blender units].
+    frame : float
+        Frame at which the sound starts.
+    parent : bpy.types.Object, optional
+        Object that the speaker moves with; its size scales the speaker's symbol.
+
+    Returns
+    -------
+    bpy.types.Object
     """
     import bpy
 
@@ -41,6 +57,6 @@ def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any 
 
 
 def _get_world_corners(obj: Any) -> NDArray[np.float64]:
-    """(8, 3) corners of an object's bounding box in the world."""
+    """Return the corners (8, 3) of an object's bounding box in world coordinates."""
     corners = np.array([(*corner, 1.0) for corner in obj.bound_box], dtype=np.float64)
     return np.asarray((corners @ np.array(obj.matrix_world, dtype=np.float64).T)[:, :3])

@@ -1,4 +1,7 @@
-"""Blender talks on standard output: importers, Cycles, Python tracebacks of add-ons. A tool that prints JSON cannot."""
+"""Silence standard output and error.
+
+Importers, Cycles and add-ons print there, which would corrupt the JSON that a command-line tool prints.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,14 @@ from typing import TextIO
 
 @contextmanager
 def suppress_output() -> Iterator[None]:
-    """Everything that C or Python code prints in this block to standard output or error is thrown away.
+    """Discard everything that C or Python code prints in this block.
 
-    Where the process has no standard streams (a windowed Windows program) there is nothing to hold back. Not for
-    threads that print meanwhile.
+    Does nothing if the process has no standard streams (a windowed Windows program). Output of other threads is
+    discarded too.
     """
     sink = _open_null()
     try:
-        kept = [os.dup(1), os.dup(2)]
+        saved = [os.dup(1), os.dup(2)]
     except OSError:
         yield
         return
@@ -32,22 +35,23 @@ def suppress_output() -> Iterator[None]:
             yield
     finally:
         _flush_streams()
-        for descriptor, stream in zip(kept, (1, 2), strict=True):
+        for descriptor, stream in zip(saved, (1, 2), strict=True):
             os.dup2(descriptor, stream)
             os.close(descriptor)
 
 
 @cache
 def _open_null() -> TextIO:
-    """Never closed: the glTF importer's log handlers keep the stream that they found."""
+    """Open the null device; it is never closed, since the glTF importer's log handlers keep the stream they found."""
     return open(os.devnull, "w", encoding="utf-8")
 
 
 def _flush_streams() -> None:
+    """Flush Python's and C's buffers of standard output and error."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             with suppress(OSError, ValueError):
                 stream.flush()
-    # C's own buffers: what printf holds back would otherwise appear after the block.
+    # Text in the buffers of C's printf would otherwise appear after the block.
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).fflush(None)

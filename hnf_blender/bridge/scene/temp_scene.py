@@ -1,6 +1,7 @@
-"""A scene of our own to work in, of which nothing is left: not after success, an error, or Ctrl-C.
+"""Temporary scenes to work in, removed without a trace after success, an error, or Ctrl-C.
 
-Looking at other frames without leaving a trace: Blender writes animated values back to the objects themselves.
+`preserve_animated_values` restores objects after other frames were evaluated, since Blender writes animated values back
+to the objects themselves.
 """
 
 from __future__ import annotations
@@ -24,11 +25,16 @@ TEMP_LAYER_NAME = "hnf"  # no dot: EXR channels are "<layer>.<pass>.<component>"
 
 
 class TemporaryScene:
-    """Holds one temporary scene; on leaving, every datablock made since entering is removed.
+    """Context manager with a temporary scene; every datablock created inside is removed on exit.
 
-    The user's scenes, settings and selection are never touched. Use as a context manager. like: a scene to start
-    from (its objects, world and lights, shared), None = an empty one. lasting: other work goes on in the file before it
-    is left: what is made outside of making() is not removed.
+    The user's scenes, settings and selection are not touched.
+
+    Parameters
+    ----------
+    template : bpy.types.Scene, optional
+        Scene to copy; it shares the objects, world and lights. None starts with an empty scene.
+    long_lived : bool, default False
+        Set if other work continues in the file meanwhile: only datablocks created inside `track_new_data` are removed.
     """
 
     scene: Any
@@ -57,7 +63,7 @@ class TemporaryScene:
 
     @contextmanager
     def track_new_data(self) -> Iterator[None]:
-        """What is made in this block is removed with the rest, however long that is off."""
+        """Register datablocks created in this block for removal at the end."""
         before = set(_list_datablocks())
         try:
             yield
@@ -71,25 +77,26 @@ class TemporaryScene:
 
     @property
     def folder(self) -> Path:
-        """A folder that lasts as long as this context."""
+        """Temporary folder that exists as long as this context."""
         if self._folder is None:
-            import tempfile  # what only asks for SCENE_NAME needs no folders
+            import tempfile  # imported late: users of TEMP_SCENE_NAME need no folders
 
             self._folder = tempfile.TemporaryDirectory(prefix="hnf-")
         return Path(self._folder.name)
 
     @property
     def view_layer(self) -> Any:
+        """The scene's only view layer."""
         return self.scene.view_layers[0]
 
     def link(self, obj: Any) -> Any:
-        """Put obj into the temporary scene and return it."""
+        """Link an object to the temporary scene and return it."""
         if self.scene not in obj.users_scene:
             self.scene.collection.objects.link(obj)
         return obj
 
     def copy_object(self, obj: Any, *, with_data: bool = False) -> Any:
-        """A visible copy of obj in the temporary scene; it shares obj's data unless with_data."""
+        """Add a visible copy of an object to the temporary scene; `with_data` copies its data too."""
         copy = obj.copy()
         if with_data:
             copy.data = obj.data.copy()
@@ -98,12 +105,16 @@ class TemporaryScene:
         return self.link(copy)
 
     def new_object(self, name: str, data: Any) -> Any:
+        """Create an object in the temporary scene."""
         import bpy
 
         return self.link(bpy.data.objects.new(name, data))
 
     def set_world_matrix(self, obj: Any, matrix: ArrayLike) -> None:
-        """Give a new object an exact world matrix, shear included, which location, rotation and scale cannot hold."""
+        """Give a new object an exact world matrix (4, 4), shear included.
+
+        Location, rotation and scale cannot represent shear, so the matrix is set as that of a parent.
+        """
         import bpy
         from mathutils import Matrix
 
@@ -112,12 +123,14 @@ class TemporaryScene:
         obj.matrix_parent_inverse = Matrix(np.asarray(matrix, dtype=np.float64).tolist())
 
     def evaluate(self, frame: float | None = None) -> Any:
-        """The temporary scene's depsgraph at a (fractional) frame, None = its current one. No object of the file is
-        evaluated but those linked here and what they depend on."""
+        """Return the temporary scene's depsgraph at a (fractional) frame; None is its current frame.
+
+        Only objects linked here, and those they depend on, are evaluated.
+        """
         if frame is None:
             frame = self.scene.frame_current_final
-        whole = math.floor(frame)
-        self.scene.frame_set(whole, subframe=frame - whole)
+        integer_frame = math.floor(frame)
+        self.scene.frame_set(integer_frame, subframe=frame - integer_frame)
         self.view_layer.update()
         return self.view_layer.depsgraph
 
@@ -126,8 +139,8 @@ class TemporaryScene:
 
         if self.scene is not None:
             self.scene.render.use_persistent_data = False
-        made = [block for uid, block in _list_datablocks().items() if self._is_created_here(uid)]
-        bpy.data.batch_remove(made)
+        created = [block for uid, block in _list_datablocks().items() if self._is_created_here(uid)]
+        bpy.data.batch_remove(created)
         if self._folder is not None:
             self._folder.cleanup()
 
@@ -158,7 +171,7 @@ def _iter_datablocks() -> Iterator[Any]:
 
 
 IGNORED_COLLECTIONS = {"libraries", "screens", "window_managers", "workspaces", "brushes"}
-"""Kinds that the work here never makes and that Blender may make by itself at any time."""
+"""Collections of bpy.data that are not changed here, but that Blender may change at any time."""
 
 
 TRANSFORM_CHANNELS = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
@@ -167,14 +180,17 @@ STROKE_CHANNELS = ("force", "progress")
 
 @contextmanager
 def preserve_animated_values(scene: Any, *objects: Any) -> Iterator[None]:
-    """Afterwards the objects and their parents hold the values they had before, unkeyed changes included, and
-    whatever else was animated stands at scene's current frame again. scene must not be the temporary one."""
+    """Restore the values of objects and their parents at the end of this block.
+
+    Unkeyed changes are restored too, and everything else that is animated is set to the scene's current frame again.
+    `scene` must not be the temporary one.
+    """
     chain = {member.name_full: member for obj in objects for member in get_parent_chain(obj)}
     before = {name: _read_values(member) for name, member in chain.items()}
     try:
         yield
     finally:
-        with TemporaryScene() as temporary:  # its frame 1 would stay in dependencies that are animated
+        with TemporaryScene() as temporary:  # animated dependencies would stay at its frame 1
             for obj in objects:
                 temporary.link(obj)
             temporary.evaluate(scene.frame_current_final)
@@ -183,7 +199,7 @@ def preserve_animated_values(scene: Any, *objects: Any) -> Iterator[None]:
 
 
 def get_parent_chain(obj: Any) -> list[Any]:
-    """The object and its parents."""
+    """Return the object and its parents."""
     chain = []
     while obj is not None:
         chain.append(obj)
@@ -200,6 +216,6 @@ def _read_values(obj: Any) -> dict[str, Any]:
 def _restore_values(obj: Any, values: dict[str, Any]) -> None:
     for name, value in values.items():
         owner = obj.hnf_stroke if name in STROKE_CHANNELS else obj
-        now = getattr(owner, name)
-        if (now if name in STROKE_CHANNELS else tuple(now)) != value:
+        current = getattr(owner, name)
+        if (current if name in STROKE_CHANNELS else tuple(current)) != value:
             setattr(owner, name, value)

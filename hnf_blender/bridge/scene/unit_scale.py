@@ -1,4 +1,4 @@
-"""How long a Blender unit is, and whether a hand would meet what is as large as that."""
+"""Length of a Blender unit in metres, and a warning for objects of implausible size."""
 
 from __future__ import annotations
 
@@ -9,23 +9,40 @@ from hnf_core.errors import SceneError
 
 
 def get_metres_per_unit(scene: Any, override: float | None = None) -> float:
-    """Length of one Blender unit in metres: override, as exact as the Touch tab keeps it, else what the Touch tab says,
-    else the scene's unit scale (1 where it has no unit system)."""
+    """Return the length of one Blender unit [m].
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene that contains the objects.
+    override : float, optional
+        Value to use instead, rounded to float32 like the setting in the Touch tab. By default the Touch tab's setting,
+        else the scene's unit scale, which is 1 without a unit system.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    SceneError
+        If `override` is not a positive number.
+    """
     if override is None and scene.hnf.metres_per_unit > 0.0:
         return float(scene.hnf.metres_per_unit)
     if override is not None:
-        kept = c_float(override).value
-        if not 0.0 < kept < float("inf"):
+        rounded = c_float(override).value
+        if not 0.0 < rounded < float("inf"):
             raise SceneError(f"{override:g} metres per unit cannot be.", remedy="Give a positive number.")
-        return kept
+        return rounded
     settings = scene.unit_settings
     return 1.0 if settings.system == "NONE" else float(settings.scale_length)
 
 
 def get_size_warning(obj: Any, metres: float) -> str | None:
-    """A line for a touched object whose bounding box no hand would meet: diagonal above 5 m or below 5 mm.
+    """Return a warning for an object whose bounding box has a diagonal above 5 m or below 5 mm, else None.
 
-    metres: metres per Blender unit. Centimetre scenes and unapplied unit scales show here first.
+    `metres` is the length of a Blender unit [m]. Scenes in centimetres and unapplied scales show up here.
     """
     scale = obj.matrix_world.to_scale()
     corners = list(obj.bound_box)

@@ -1,12 +1,8 @@
-"""F_Θ of one state, within a fraction of its 5 ms. field.evaluate is the reference; they differ by float32 rounding.
+"""F_Θ of one state within a fraction of its 5 ms, by the kernel or in numpy.
 
-What a state does not change (token, mechanics, probe) is worked out once per material.
-
-The linear contact of one state, as quickly as numpy can: a token's spectrum, cut by one stroke direction after
-another, and what a probe makes of it. field/surface_spectrum.py and field/linear_contact.py are the reference, term by
-term.
-
-What follows from the token alone is worked out once, and all angles are taken at once.
+Everything that depends on token, mechanics and probe alone is computed once per material, and all angles of the
+surface's spectrum are evaluated at once. The references are field.evaluate, surface_spectrum.py and linear_contact.py,
+term by term; results differ by float32 rounding.
 """
 
 from __future__ import annotations
@@ -73,8 +69,11 @@ _TAPS = np.arange(2)[:, None]
 
 @dataclass(frozen=True)
 class ProjectedSpectrum:
-    """Power of three cuts of one surface. noise: (3, Ka). lines: (3, 2, lines) in the two arc bands about each tone.
-    low: (lines,) index of the lower one, which may lie outside."""
+    """Power of three projections of one surface.
+
+    noise: (3, Ka). lines: (3, 2, lines) in the two arc bands about each tone. low: (lines,) index of the lower one,
+    which may lie outside.
+    """
 
     noise: Float
     lines: Float
@@ -82,7 +81,7 @@ class ProjectedSpectrum:
 
 
 class LiveSurfaceSpectrum:
-    """One material's token (TOKEN_DIM,), ready to be cut in any direction."""
+    """Spectrum of one material's token (TOKEN_DIM,), ready to be projected onto any direction."""
 
     def __init__(self, token: Float, carriers: Carriers) -> None:
         bands, count = len(BAND_WAVELENGTHS_M), carriers.arc_count
@@ -90,8 +89,8 @@ class LiveSurfaceSpectrum:
         feature = dict(zip(BAND_FEATURES, values.T, strict=True))
         self._moments = np.stack([feature["cos2"] + 1j * feature["sin2"], feature["cos4"] + 1j * feature["sin4"]])
         self._peak, self._power = feature["peak"].copy(), 10.0 ** (2.0 * feature["level"])
-        still = compute_surface_spectrum(np.asarray(token)[None], np.array([[1.0, 0.0]]), carriers)
-        self._octaves = ARC_PER_OCTAVE * np.log2(np.tile(still.line_wavenumber[0], 2) / carriers.arc_centres()[0])
+        reference = compute_surface_spectrum(np.asarray(token)[None], np.array([[1.0, 0.0]]), carriers)
+        self._octaves = ARC_PER_OCTAVE * np.log2(np.tile(reference.line_wavenumber[0], 2) / carriers.arc_centres()[0])
         position = np.log2(carriers.arc_centres() * BAND_WAVELENGTHS_M[0])
         self._below = np.clip(np.floor(position).astype(int), 0, bands - 2)
         self._share = np.clip(position - self._below, 0.0, 1.0)
@@ -99,17 +98,17 @@ class LiveSurfaceSpectrum:
         shift = np.rint(-ARC_PER_OCTAVE * np.log2(np.abs(np.cos(_ANGLE[:_HALF, 0])))).astype(int)
         source = np.arange(count)[None, :] + shift[:, None]
         self._source = np.where(source < count, source, count)
-        self._density_at = (np.arange(_HALF) * bands)[:, None] + np.append(still.band, 0)[self._source]
+        self._density_at = (np.arange(_HALF) * bands)[:, None] + np.append(reference.band, 0)[self._source]
         self._weighted, self._moved = np.zeros((3, count + 1)), np.empty((3, *self._source.shape))
 
     def project(self, angle: float, weight: Float) -> ProjectedSpectrum:
-        """angle: of the stroke, radians. weight: (3, Ka), what of a wave of each |κ| counts in three cuts."""
+        """Compute three projections onto a stroke at angle [rad]. weight: (3, Ka) filter of each at |κ|."""
         two, four = self._moments * np.exp(angle * _ROTATION_EXPONENTS)
         axis = 0.25 * np.arctan2(four.imag, four.real)
         along = 0.5 * (1.0 + (two * np.exp(-2j * axis)).real)
         along = np.minimum(np.maximum(along, 0.0), 1.0)
-        split = np.stack([along, 1.0 - along])
-        tones = self._peak * split / split.max(axis=0)
+        tone_weights = np.stack([along, 1.0 - along])
+        tones = self._peak * tone_weights / tone_weights.max(axis=0)
         tones /= np.maximum(tones.sum(axis=0), 1.0)
         tones = np.minimum(np.maximum(tones, 0.0), 1.0)
         density = self._density(two, four, axis, along)
@@ -120,21 +119,21 @@ class LiveSurfaceSpectrum:
         noise = np.einsum("waj,aj->wj", self._moved, density.take(self._density_at))
         power = (weight[:, None, self._line_at] * (self._power * tones)).reshape(3, -1)
         cosine = np.abs(np.concatenate([np.cos(axis), np.sin(axis)]))
-        # The same floor as the reference's 1e-9 cycles/m: a wave along the stroke is met by nobody.
-        place = np.maximum(self._octaves + ARC_PER_OCTAVE * np.log2(np.maximum(cosine, 1e-300)), -1e3)
-        low = np.floor(place)
-        share = place - low
+        # This floor corresponds to the reference's 1e-9 cycles/m, where a wave has no length along the stroke.
+        position = np.maximum(self._octaves + ARC_PER_OCTAVE * np.log2(np.maximum(cosine, 1e-300)), -1e3)
+        low = np.floor(position)
+        fraction = position - low
         return ProjectedSpectrum(
-            noise / ANGLES, np.stack([power * (1.0 - share), power * share], axis=1), low.astype(np.intp)
+            noise / ANGLES, np.stack([power * (1.0 - fraction), power * fraction], axis=1), low.astype(np.intp)
         )
 
     def _spread_over_wavenumbers(self, power: Float) -> Float:
-        """Powers per token band spread over |κ| (Ka,)."""
+        """Spread powers per token band over |κ| (Ka,)."""
         level = np.log(np.maximum(power, 1e-30) / ARC_PER_OCTAVE)
         return np.asarray(np.exp(level[self._below] * (1.0 - self._share) + level[self._below + 1] * self._share))
 
     def _density(self, two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
-        """(ANGLES / 2, bands): angular density at δ and at π − δ, added, since both move the spectrum alike."""
+        """Return the angular density (ANGLES / 2, bands) at δ plus that at π − δ, which shift the spectrum alike."""
         oriented = np.minimum(np.square(four.real) + np.square(four.imag), 1.0)
         series = 1.0 + two.real * _TWO.real - two.imag * _TWO.imag + four.real * _FOUR.real - four.imag * _FOUR.imag
         turned = np.cos(2.0 * (_ANGLE - axis))
@@ -147,8 +146,11 @@ class LiveSurfaceSpectrum:
 
 @dataclass(frozen=True)
 class LinearState:
-    """As LinearContact, of one state: power, noise (Ka,); normal, resonance: numbers; lines: (2, lines) and low
-    (lines,). gain: (Ka,) arc_gain at its speed."""
+    """Linear contact of one state, as LinearContact.
+
+    power, noise: (Ka,). normal, resonance: numbers. lines: (2, lines). low: (lines,). gain: (Ka,) arc_gain at its
+    speed.
+    """
 
     power: Float
     noise: Float
@@ -160,7 +162,7 @@ class LinearState:
 
 
 class LiveLinearContact:
-    """The linear contact of one material under one probe."""
+    """Linear contact of one material under one probe."""
 
     def __init__(self, token: Float, mechanics: Mechanics, probe: Probe, carriers: Carriers) -> None:
         self._of = token, carriers
@@ -172,66 +174,74 @@ class LiveLinearContact:
 
     @cached_property
     def _spectrum(self) -> LiveSurfaceSpectrum:
-        """That of at() alone."""
+        """Spectrum of the surface; built lazily because only `evaluate` needs it."""
         return LiveSurfaceSpectrum(*self._of)
 
     def contact_columns(self, angle: float, speed: float, force: float) -> tuple[tuple[float, ...], float]:
-        """Columns TOUCH of a state, and its resonance [Hz]. angle: radians; speed, force: m/s and N, not below their
-        floors."""
-        probe, tip = self._probe, self._probe.tip_radius_m
+        """Return the columns CONTACT_COLUMNS of a state, and its resonance [Hz].
+
+        angle: [rad]. speed: [m/s] and force: [N], not below their floors.
+        """
+        probe, tip_radius = self._probe, self._probe.tip_radius_m
         surface = self._surface * force ** (1.0 / 3.0)
         stiffness = surface * probe.stiffness_n_m / (surface + probe.stiffness_n_m)
-        radius = min(math.sqrt(1.5 * force * tip / (stiffness if probe.soft_tip else surface)), tip)
+        radius = min(math.sqrt(1.5 * force * tip_radius / (stiffness if probe.soft_tip else surface)), tip_radius)
         damping = 4.0 * self._known.damping_ratio**2 * stiffness * probe.mass_kg
         rubbed = 1.0 + self._known.friction**2
-        flank = (1.0 + FLANK_FRICTION * (1.0 - radius / tip) ** 2) ** 2 - 1.0
+        flank = (1.0 + FLANK_FRICTION * (1.0 - radius / tip_radius) ** 2) ** 2 - 1.0
         resonance = math.sqrt(stiffness / probe.mass_kg) / (2.0 * math.pi)
         leaning = (force / probe.mass_kg) ** 2
         return (angle, speed, radius, stiffness, damping, probe.mass_kg, leaning, rubbed, flank), resonance
 
     def evaluate(self, angle: float, speed: float, force: float) -> LinearState:
-        """In numpy; arguments as of touch()."""
+        """Compute the linear contact of a state in numpy; arguments as of contact_columns."""
         touch, resonance = self.contact_columns(angle, speed, force)
         radius, stiffness, damping, mass, leaning, rubbed, flank = touch[2:]
         gain, wave = arc_gain(self._kappa, np.array([speed]))[0], self._wave
-        # The squares of tip_response at κ and at half of it, by which the bearing spots are smaller.
-        reach = wave * radius**2
-        passed, bent, leaned = weight = self._weight
-        np.exp(reach * (-1.0 / 5.0), out=passed)
-        np.exp(reach * (-1.0 / 20.0), out=leaned)
-        np.multiply(leaned, wave, out=bent)
-        squared, fade = wave * speed**2, np.square(gain)
+        # These are the squares of tip_response at κ, and at half of it because the bearing spots are half as large.
+        reach_square = wave * radius**2
+        tip_power, slope_power, spot_power = weight = self._weight
+        np.exp(reach_square * (-1.0 / 5.0), out=tip_power)
+        np.exp(reach_square * (-1.0 / 20.0), out=spot_power)
+        np.multiply(spot_power, wave, out=slope_power)
+        angular_square, fade = wave * speed**2, np.square(gain)
         hand, hand_damping = lateral_hand_impedance(self._probe.name)
-        lateral = np.square(squared) / (np.square(hand - squared) + hand_damping * squared)
-        up, aside = power_gain(squared, stiffness, damping, mass) * fade, lateral * leaning * fade
-        cut = self._spectrum.project(angle, weight)
-        met = cut.noise[0] * up
-        noise = met * rubbed + (cut.noise[1] + flank * wave * cut.noise[2]) * aside
+        lateral = np.square(angular_square) / (np.square(hand - angular_square) + hand_damping * angular_square)
+        normal_gain, lateral_gain = (
+            power_gain(angular_square, stiffness, damping, mass) * fade,
+            lateral * leaning * fade,
+        )
+        projection = self._spectrum.project(angle, weight)
+        normal_noise = projection.noise[0] * normal_gain
+        noise = normal_noise * rubbed + (projection.noise[1] + flank * wave * projection.noise[2]) * lateral_gain
         count = len(wave)
-        where = cut.low + _TAPS
-        at = np.minimum(np.maximum(where, 0), count - 1)
-        tone = cut.lines[0] * up[at]
-        lines = tone * rubbed + (cut.lines[1] + flank * wave[at] * cut.lines[2]) * aside[at]
-        inside = where == at
-        power = noise + np.bincount(at.ravel(), (lines * inside).ravel(), count)
-        normal = float(met.sum() + (tone * inside).sum())
-        return LinearState(power, noise, normal, resonance, lines, cut.low, gain)
+        carrier = projection.low + _TAPS
+        clipped = np.minimum(np.maximum(carrier, 0), count - 1)
+        tone_power = projection.lines[0] * normal_gain[clipped]
+        lines = (
+            tone_power * rubbed
+            + (projection.lines[1] + flank * wave[clipped] * projection.lines[2]) * lateral_gain[clipped]
+        )
+        inside = carrier == clipped
+        power = noise + np.bincount(clipped.ravel(), (lines * inside).ravel(), count)
+        normal = float(normal_noise.sum() + (tone_power * inside).sum())
+        return LinearState(power, noise, normal, resonance, lines, projection.low, gain)
 
 
 class TimeBandPower:
-    """time_band_power for one state."""
+    """Computation of time_band_power for one state at a time."""
 
     def __init__(self, carriers: Carriers) -> None:
         self._edges = time_edges_in_arc_bands(carriers)
         self._sum = np.zeros(carriers.arc_count + 1)
 
     def to_time_bands(self, power: Float, speed: float) -> Float:
-        """(Ka,) power per arc band at a speed not below its floor → (Kt,) per time band."""
+        """Convert power per arc band (Ka,), at a speed not below its floor, to power per time band (Kt,)."""
         np.cumsum(power, out=self._sum[1:])
-        place = np.minimum(np.maximum(self._edges - ARC_PER_OCTAVE * math.log2(speed), 0.0), len(power))
-        low = np.minimum(place.astype(int), len(power) - 1)
+        position = np.minimum(np.maximum(self._edges - ARC_PER_OCTAVE * math.log2(speed), 0.0), len(power))
+        low = np.minimum(position.astype(int), len(power) - 1)
         start = self._sum[low]
-        edges = start + (place - low) * (self._sum[low + 1] - start)
+        edges = start + (position - low) * (self._sum[low + 1] - start)
         return np.asarray(edges[1:] - edges[:-1])
 
 
@@ -246,9 +256,23 @@ _SYMMETRY_ORDERS = np.repeat([2.0, 4.0], _BANDS)
 
 
 class LiveEmission:
-    """F_Θ for one material: by the kernel, else by numpy.
+    """F_Θ for one material: by the kernel if it supports the field, else in numpy.
 
-    Raises UsageError for a field whose linear contact has no arc carriers to stand on: no such one is made.
+    Parameters
+    ----------
+    field
+        The field.
+    token
+        (TOKEN_DIM,) of the material.
+    mechanics
+        Of the same material.
+    probe
+        Name of the probe.
+
+    Raises
+    ------
+    UsageError
+        If the field has a linear contact but no arc carriers; no such field is made.
     """
 
     def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
@@ -256,35 +280,39 @@ class LiveEmission:
         if config.physics and not config.carriers.arc_count:
             raise UsageError("this field has no arc-length carriers to be felt live with.", remedy="Use another field.")
         self._of = field, np.array(token, dtype=np.float64)[None], mechanics, probe
-        self.evaluate((1.0, 0.0), 0.0, 0.0, contact=False)  # the one that serves is made now: no touch waits for it
+        self.evaluate((1.0, 0.0), 0.0, 0.0, contact=False)  # Builds the evaluator now, so that no touch waits for it.
 
     def evaluate(self, direction: Direction, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
-        """α (K,), 0 at rest and out of contact, and σΔt (N,); the next call may overwrite both. direction: x, y; speed:
-        m/s; force: N."""
+        """Return α (K,), 0 at rest and out of contact, and σΔt (N,); the next call may overwrite both.
+
+        direction: unit vector. speed: [m/s]. force: [N].
+        """
         angle = math.atan2(direction[1], direction[0])
-        pace, load = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
+        floored_speed, floored_force = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
         moving = min(speed / SPEED_FLOOR_M_S, 1.0) * min(max(force, 0.0) / FORCE_FLOOR_N, 1.0) if contact else 0.0
-        compiled = load_kernel()
-        if compiled is not None and kernel_supports(self._of[0].config):
-            return self._compiled.evaluate(compiled, direction, angle, pace, load, moving)
-        return self._numpy.evaluate(direction, angle, pace, load, moving)
+        kernel = load_kernel()
+        if kernel is not None and kernel_supports(self._of[0].config):
+            return self._compiled.evaluate(kernel, direction, angle, floored_speed, floored_force, moving)
+        return self._numpy.evaluate(direction, angle, floored_speed, floored_force, moving)
 
     @cached_property
     def _compiled(self) -> CompiledEmission:
+        """Evaluator by the kernel."""
         return CompiledEmission(*self._of)
 
     @cached_property
     def _numpy(self) -> NumpyEmission:
+        """Evaluator in numpy."""
         return NumpyEmission(*self._of)
 
 
 class NumpyEmission:
-    """In numpy. token: (1, TOKEN_DIM)."""
+    """F_Θ of one state in numpy. token: (1, TOKEN_DIM)."""
 
     def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
         config, carriers = field.config, field.config.carriers
         self._config, self._carriers, self._kappa = config, carriers, carriers.arc_centres()
-        # Summed by einsum: BLAS would set threads to so small a product, and wait for them.
+        # Products use einsum, because BLAS would start threads for so small a product, and wait for them.
         self._layers = [_transpose_layer(field, f"layer{index}") for index in range(config.layers)]
         self._alpha, self._sigma = _transpose_layer(field, "alpha"), _transpose_layer(field, "sigma")
         expansion = config.expansion()
@@ -292,7 +320,7 @@ class NumpyEmission:
         self._prior = np.zeros(carriers.count)
         self._x = np.zeros(len(self._layers[0][0]), dtype=np.float32)
         self._x[:MECHANICS_COLUMN] = normalise_tokens(token)[0]
-        # normalised_tokens leaves moments of direction as they are, so that turning them here is features.seen_from.
+        # normalise_tokens leaves direction moments unchanged, so rotating these equals features.rotate_to_stroke_frame.
         self._moments = token[0, _MOMENT_COLUMNS] + 1j * token[0, _MOMENT_COLUMNS + 1]
         self._x[MECHANICS_COLUMN:DIRECTION_COLUMN] = encode_fixed_inputs(mechanics, probe)
         self._linear: LiveLinearContact | None = None
@@ -304,7 +332,10 @@ class NumpyEmission:
     def evaluate(
         self, direction: Direction, angle: float, pace: float, load: float, moving: float
     ) -> tuple[Float, Float]:
-        """As LiveEmission.at, of a speed and a force that are not below their floors. moving: 0 … 1."""
+        """Return α and σΔt as LiveEmission.evaluate.
+
+        pace, load: speed and force, not below their floors. moving: gate 0 … 1.
+        """
         carriers = self._carriers
         linear = None if self._linear is None else self._linear.evaluate(angle, pace, load)
         time_power = None if linear is None else self._time.to_time_bands(linear.power, pace)
@@ -332,24 +363,25 @@ class NumpyEmission:
         linear: LinearState | None,
         time_power: Float | None,
     ) -> Single:
+        """Fill and return the network inputs (D,)."""
         config, x = self._config, self._x
         if config.stroke_frame:
-            turn = np.exp(-1j * angle * _SYMMETRY_ORDERS) * self._moments
-            x[_MOMENT_COLUMNS], x[_MOMENT_COLUMNS + 1] = turn.real, turn.imag
+            moments = np.exp(-1j * angle * _SYMMETRY_ORDERS) * self._moments
+            x[_MOMENT_COLUMNS], x[_MOMENT_COLUMNS + 1] = moments.real, moments.imag
         elif config.directed:
             x[DIRECTION_COLUMN : DIRECTION_COLUMN + 2] = direction
-        at = DIRECTION_COLUMN + 4
-        x[at - 2 : at] = math.log(pace / REFERENCE_SPEED_M_S), math.log(load)
+        column = DIRECTION_COLUMN + 4
+        x[column - 2 : column] = math.log(pace / REFERENCE_SPEED_M_S), math.log(load)
         if config.action_octaves:
-            told = np.array([direction], dtype=np.float64), np.array([pace]), np.array([load])
-            encoded = encode_action(*told, config.action_octaves, config.directed)
-            x[at : at + encoded.shape[1]] = encoded[0]
-            at += encoded.shape[1]
+            action = np.array([direction], dtype=np.float64), np.array([pace]), np.array([load])
+            encoded = encode_action(*action, config.action_octaves, config.directed)
+            x[column : column + encoded.shape[1]] = encoded[0]
+            column += encoded.shape[1]
         if linear is not None and time_power is not None:
             count = len(time_power)
-            x[at : at + count] = (log_amplitude(time_power) + 5.0) / 3.0
+            x[column : column + count] = (log_amplitude(time_power) + 5.0) / 3.0
             bounce = self._mass * math.sqrt(linear.normal) / load
-            x[at + count :] = (
+            x[column + count :] = (
                 0.25 * math.log(float(linear.power.sum()) + AMPLITUDE_FLOOR_M_S2**2),
                 0.5 * math.log(bounce + 1e-3),
                 math.log(linear.resonance / REFERENCE_RESONANCE_HZ),
@@ -357,7 +389,7 @@ class NumpyEmission:
         return x
 
     def _decode(self, head: Float, linear: LinearState | None, time_power: Float | None) -> Float:
-        """(K,) amplitudes before the gate."""
+        """Return the amplitudes (K,) before the gate."""
         config, carriers = self._config, self._carriers
         gains = head[-LINE_GAIN_COUNT:] if config.line_gains else None
         alpha = head[:-LINE_GAIN_COUNT] if config.line_gains else head
@@ -378,7 +410,7 @@ class NumpyEmission:
 
 
 class CompiledEmission:
-    """The same by the kernel."""
+    """F_Θ of one state by the kernel. token: (1, TOKEN_DIM)."""
 
     def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
         skip = np.asarray(field.parameters["skip"], dtype=np.float32)
@@ -390,7 +422,7 @@ class CompiledEmission:
     def evaluate(
         self, kernel: CDLL, direction: Direction, angle: float, pace: float, load: float, moving: float
     ) -> tuple[Float, Float]:
-        """As PlainEmission.at. α is overwritten by the next call."""
+        """Return α and σΔt as NumpyEmission.evaluate; the next call overwrites α."""
         touch, resonance = self._linear.contact_columns(angle, pace, load)
         motion = (*direction, pace, load, self._mass, resonance, moving)
         alpha, sigma = self._state.evaluate(kernel, motion, touch)
@@ -398,19 +430,20 @@ class CompiledEmission:
 
 
 def _transpose_layer(field: Field, name: str) -> tuple[Single, Single]:
-    """Weights (inputs, outputs) and bias of a layer."""
+    """Return weights (inputs, outputs) and bias of a layer."""
     return np.ascontiguousarray(field.parameters[f"{name}.weight"].T), field.parameters[f"{name}.bias"]
 
 
 def _multiply(weight: Single, hidden: Single) -> Single:
+    """Return the product of weights (inputs, outputs) and hidden (inputs,)."""
     return np.asarray(np.einsum("ji,j->i", weight, hidden))
 
 
 def _compute_line_power(gains: Float, linear: LinearState, count: int) -> Float:
-    """lines.line_power of one state: (count,)."""
+    """Compute linear_contact.compute_line_power of one state, (count,)."""
     level = 0.5 * np.log(linear.lines + LINE_FLOOR_M_S2**2)
     gain = gains.reshape(len(HARMONICS), 1, LINE_COUNT) + _START
     power = np.exp(2.0 * np.minimum(gain + level, LOG_AMPLITUDE_CEILING))
-    # Everything outside falls into one bin at either end.
-    place = np.minimum(np.maximum(linear.low + _LINE_OFFSETS, -1), count) + 1
-    return np.asarray(np.bincount(place.ravel(), power.ravel(), count + 2)[1:-1], dtype=np.float64)
+    # Indices outside are clipped into one extra bin at either end.
+    index = np.minimum(np.maximum(linear.low + _LINE_OFFSETS, -1), count) + 1
+    return np.asarray(np.bincount(index.ravel(), power.ravel(), count + 2)[1:-1], dtype=np.float64)

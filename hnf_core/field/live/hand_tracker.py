@@ -1,18 +1,16 @@
-"""One state of a hand, as it comes.
+"""Turn irregular pen and mouse events into even states of 5 ms: direction, speed, position on the path, force.
 
-Pen and mouse events, as irregular as they come, as even states of 5 ms: direction, speed, place on the path, force.
+Nothing waits for a later event, and nothing is predicted beyond the usual gap between events:
 
-Nothing waits for a later event, and nothing is predicted beyond the gap that events usually leave:
-
-* Velocity: the chord of the path through the events' own times, over the last WINDOW_S before the newest one. A steady
-  hand therefore has a steady velocity however unevenly its events come. Its mean over four states is the state's.
-* A hand that stands still sends nothing. After half as much again as the longest of its last gaps the path is held to
-  stand where it was last seen, so that the chord shrinks to nothing within another WINDOW_S.
+* Velocity: the chord of the path over the last WINDOW_S before the newest event, at the events' own times, so that a
+  steady hand has a steady velocity however unevenly its events arrive. A state's velocity is the mean over four states.
+* A hand that stands still sends nothing. After 1.5 times the longest of its last gaps the path is taken to stand at the
+  last event, so that the chord shrinks to nothing within another WINDOW_S.
 * Force: the newest event's, averaged over five states; a touch begins at its own force at once.
-* A jump that no hand makes (FASTEST_M_S: a pointer that was warped, another surface) starts the path anew.
+* A jump that no hand makes (faster than MAX_SPEED_M_S: a warped pointer, another surface) starts the path anew.
 
-A change of velocity comes through with a mean delay of WINDOW_S / 2 and one and a half states, 19.5 ms, but from the
-first event on; one of force of two states.
+A change of velocity arrives with a mean delay of WINDOW_S / 2 and one and a half states, 19.5 ms, but from the first
+event on; a change of force with one of two states.
 """
 
 from __future__ import annotations
@@ -29,10 +27,27 @@ from ..stroke import LIMITS
 
 @dataclass(frozen=True)
 class LiveState:
-    """What a hand does now; fields as in Action. direction: (cos d, sin d). position: m along the path, signed.
-    material: which of the materials it touches.
+    """State of a hand; fields as in Action.
 
-    Raises StrokeError for what is no number or leaves LIMITS.
+    Attributes
+    ----------
+    direction
+        (cos d, sin d).
+    speed
+        [m/s].
+    position
+        Signed position along the path [m].
+    force
+        [N].
+    contact
+        True on the surface.
+    material
+        Index of the material.
+
+    Raises
+    ------
+    StrokeError
+        If a value is not a number or leaves LIMITS.
     """
 
     direction: tuple[float, float]
@@ -51,6 +66,7 @@ class LiveState:
                 )
 
     def _bounded_values(self) -> Iterator[tuple[str, float]]:
+        """Yield the values that LIMITS bound, by their names there."""
         yield from (("direction", value) for value in self.direction)
         yield "speed [m/s]", self.speed
         yield "position [m]", self.position
@@ -58,19 +74,29 @@ class LiveState:
 
 
 WINDOW_S = 0.024
+"""Duration over which the velocity is measured [s]."""
 SHORTEST_GAP_S, LONGEST_GAP_S = 0.012, 0.05
+"""Limits of the expected gap between events [s]."""
 GAP_FACTOR = 1.5
+"""Expected gap over the longest of the last gaps."""
 SPEED_STATES, FORCE_STATES = 4, 5
+"""States over which velocity and force are averaged."""
 MAX_SPEED_M_S = 20.0
+"""Speed beyond which a motion is a jump [m/s]."""
 MIN_DIRECTION_SPEED_M_S = 1e-5
-"""Below it there is no direction to be told."""
+"""Speed below which the direction does not change [m/s]."""
 MAX_EVENTS = 64
+"""Events in memory."""
 STATE_S = 1.0 / ACTION_RATE_HZ
+"""Duration of a state [s]."""
 
 
 @dataclass(frozen=True)
 class HandEvent:
-    """time_s: of the hand. x_m, y_m: in the surface frame. force_n: 0 = in the air. All finite."""
+    """One event of a pen or mouse, with finite values.
+
+    time_s: [s]. x_m, y_m: [m] in the surface frame. force_n: [N], 0 in the air.
+    """
 
     time_s: float
     x_m: float
@@ -80,7 +106,7 @@ class HandEvent:
 
 
 class HandTracker:
-    """Events in, states out. Memory is bounded."""
+    """Converter of events to states, with bounded memory."""
 
     def __init__(self) -> None:
         self._events: deque[HandEvent] = deque(maxlen=MAX_EVENTS)
@@ -89,7 +115,7 @@ class HandTracker:
         self._direction, self._place, self._material = (1.0, 0.0), 0.0, 0
 
     def push(self, event: HandEvent) -> None:
-        """The next thing that the hand did. One that is not later than the last replaces it."""
+        """Add the next event; one that is not later than the last replaces it."""
         if event.force_n <= 0.0:
             self._events.clear()
             return
@@ -97,8 +123,8 @@ class HandTracker:
             self._restart()
         self._material, last = event.material, self._events[-1] if self._events else None
         if last is not None:
-            gone = ((event.x_m - last.x_m) ** 2 + (event.y_m - last.y_m) ** 2) ** 0.5
-            if gone > MAX_SPEED_M_S * max(event.time_s - last.time_s, STATE_S):
+            distance = ((event.x_m - last.x_m) ** 2 + (event.y_m - last.y_m) ** 2) ** 0.5
+            if distance > MAX_SPEED_M_S * max(event.time_s - last.time_s, STATE_S):
                 self._restart()
             elif event.time_s <= last.time_s:
                 event = HandEvent(last.time_s, event.x_m, event.y_m, event.force_n, event.material)
@@ -106,27 +132,42 @@ class HandTracker:
         self._events.append(event)
 
     def state(self, time_s: float, from_m: float = 0.0, materials: int | None = None) -> LiveState:
-        """The state at time_s, STATE_S after the one before. from_m: where its position is 0. materials: how many there
-        are; one beyond is the last."""
+        """Return the state at time_s, STATE_S after the previous one.
+
+        Parameters
+        ----------
+        time_s
+            Time of the state [s], on the events' clock.
+        from_m
+            Position along the path at which the state's position is 0 [m].
+        materials
+            Number of materials; an index beyond is that of the last.
+
+        Returns
+        -------
+        LiveState
+            With contact False after an event in the air.
+        """
         material = self._material if materials is None else max(min(self._material, materials - 1), 0)
         if not self._events:
             return LiveState(self._direction, 0.0, self._place - from_m, 0.0, False, material)
         self._velocities.append(self._velocity(time_s))
         self._forces.append(self._events[-1].force_n)
-        across, along = (sum(axis) / len(self._velocities) for axis in zip(*self._velocities, strict=True))
-        speed = (across * across + along * along) ** 0.5
+        x_speed, y_speed = (sum(axis) / len(self._velocities) for axis in zip(*self._velocities, strict=True))
+        speed = (x_speed * x_speed + y_speed * y_speed) ** 0.5
         if speed > MIN_DIRECTION_SPEED_M_S:
-            self._direction = across / speed, along / speed
+            self._direction = x_speed / speed, y_speed / speed
         self._place += speed * STATE_S
         force = sum(self._forces) / len(self._forces)
         return LiveState(self._direction, speed, self._place - from_m, force, True, material)
 
     def _restart(self) -> None:
-        """What was before a touch, or before a jump, is no part of how the hand moves and presses now."""
-        for remembered in (self._events, self._velocities, self._forces):
-            remembered.clear()
+        """Forget all events, which do not belong to the motion after a jump or a new touch."""
+        for history in (self._events, self._velocities, self._forces):
+            history.clear()
 
     def _velocity(self, time_s: float) -> tuple[float, float]:
+        """Return the velocity (x, y) [m/s] over the last WINDOW_S."""
         end = max(self._events[-1].time_s, time_s - self._expected_gap())
         start = max(end - WINDOW_S, self._events[0].time_s)
         if end <= start:
@@ -136,19 +177,19 @@ class HandTracker:
         return (x - before_x) / span, (y - before_y) / span
 
     def _expected_gap(self) -> float:
-        """What may pass after the newest event before the hand is held to rest."""
+        """Return the time after the newest event from which the hand is taken to rest [s]."""
         times = [event.time_s for event in list(self._events)[-5:]]
         longest = max((later - earlier for earlier, later in pairwise(times)), default=0.0)
         return min(max(GAP_FACTOR * longest, SHORTEST_GAP_S), LONGEST_GAP_S)
 
     def _locate(self, time_s: float) -> tuple[float, float]:
-        """Where the hand was: straight from event to event, and where it was seen last after the newest."""
+        """Return the position (x, y) [m] at a time: linear between events, that of the newest event after it."""
         later = self._events[-1]
         if time_s >= later.time_s:
             return later.x_m, later.y_m
         for event in reversed(self._events):
             if event.time_s <= time_s:
-                share = (time_s - event.time_s) / (later.time_s - event.time_s)
-                return event.x_m + share * (later.x_m - event.x_m), event.y_m + share * (later.y_m - event.y_m)
+                fraction = (time_s - event.time_s) / (later.time_s - event.time_s)
+                return event.x_m + fraction * (later.x_m - event.x_m), event.y_m + fraction * (later.y_m - event.y_m)
             later = event
         return later.x_m, later.y_m

@@ -1,18 +1,16 @@
 """Vibration under a hand as it moves: synthesis state by state, strictly causal.
 
-Each state of 5 ms gives the 5 ms of samples that lead up to it; nothing later is known. Where field/synthesis.py
-looks ahead:
+Each state of 5 ms gives the 5 ms of samples that lead up to it. Where field/synthesis.py looks ahead, this differs:
 
-* s(t) between states: a cubic whose slopes are backward differences of second order (three states), not central ones.
-* What is read too fast to be held: by the last three motions, not by two on either side.
-* Pressing is one more state late, since the force's spline needs the state after (see pressing).
-* The touch begins when it is told, not 20 ms before; after a lift the fade of 60 ms is a state shorter, so that both
-  together end within 60 ms.
+* s(t) between states: a cubic whose slopes are second-order backward differences (three states), not central ones.
+* The band limit of the arc carriers: by the last three motions, not by two on either side.
+* Pressing is one more state late, since the force's spline needs the next state (see contact_filter.py).
+* The touch begins with its first state, not 20 ms before. After a lift the fade of 60 ms is one state shorter, so that
+  all ends within 60 ms.
 
-A hand that slides steadily therefore sounds as in synthesise(), sample by sample, one state later: step(state) gives
-what lies between the state before and this one. What pressing alone gives comes another state later.
-
-A material, as one has it at hand, ready to be touched.
+A hand that slides steadily therefore sounds as in `synthesise`, sample by sample, one state later: step(state) gives
+the samples between the previous state and this one. The contribution of pressing alone comes another state later.
+`create_live_synthesis` starts one from library materials or `.hnf` files.
 """
 
 from __future__ import annotations
@@ -59,11 +57,27 @@ _HERMITE = np.stack(
 
 
 class LiveSynthesis:
-    """Materials under a hand.
+    """Synthesis of M materials under a hand.
 
-    tokens: (M, TOKEN_DIM), mechanics: (M,) of the same materials. The same states and seed give the same bytes. Before
-    the first state the hand is in the air. Memory does not grow. Raises UsageError where these do not fit together or
-    leave stroke.LIMITS, and for a field of the published form, whose carriers lag by themselves.
+    The same states and seed give the same bytes. Before the first state the hand is in the air. Memory does not grow.
+
+    Parameters
+    ----------
+    field
+        The field, with past states.
+    tokens
+        (M, TOKEN_DIM) of the materials.
+    mechanics
+        (M,) of the same materials.
+    seed
+        Seed of the carriers.
+    probe
+        Name of the probe.
+
+    Raises
+    ------
+    UsageError
+        If these do not fit together or leave stroke.LIMITS, or the field is of the published form, whose carriers lag.
     """
 
     rate_hz = MODEL_RATE_HZ
@@ -99,7 +113,7 @@ class LiveSynthesis:
         self._kappa = self._carriers.arc_centres()
         self._lowest = self._kappa[::ARC_PER_OCTAVE].tolist()
         states, stride = field.config.states, field.config.stride
-        # Of the states that are remembered, the newest first.
+        # Emissions and densities of past states, the newest first.
         self._emitted = np.zeros((stride * (states - 1) + 1, self._carriers.count))
         self._density = np.zeros((len(self._emitted), states))
         self._remembers = False
@@ -110,21 +124,37 @@ class LiveSynthesis:
 
     @property
     def materials(self) -> int:
+        """Number of materials."""
         return len(self._emission)
 
     @property
     def cached_blocks(self) -> int:
-        """Pieces of noise in memory: at most seven blocks in time and four hops of each octave."""
+        """Number of noise blocks in memory: at most seven blocks in time and four hops of each octave."""
         return self._noise.cached_blocks + self._arcs.cached_hops
 
     @property
     def late_blocks(self) -> int:
-        """Pieces of noise that a step had to wait for: the hand jumped."""
+        """Number of noise blocks that a step had to wait for, because the hand jumped."""
         return self._noise.at_once + self._arcs.at_once
 
     def step(self, state: LiveState) -> Float:
-        """(SAMPLES_PER_STATE,) m/s², finite: from the state before to this one. Raises UsageError for a material that
-        is not there."""
+        """Render the samples between the previous state and this one.
+
+        Parameters
+        ----------
+        state
+            The hand at this state, ACTION_RATE_HZ after the previous one.
+
+        Returns
+        -------
+        ndarray
+            (SAMPLES_PER_STATE,) [m/s²], finite.
+
+        Raises
+        ------
+        UsageError
+            If there is no such material.
+        """
         if not 0 <= state.material < self.materials:
             raise UsageError(f"there is no material {state.material} of {self.materials}.")
         self.prepare()
@@ -137,8 +167,10 @@ class LiveSynthesis:
         return out
 
     def prepare(self) -> None:
-        """Noise for the states to come, as much as is one state's share. step() begins with it where nobody asked for
-        it since the last one: who has time between two states asks, and the next is made the sooner."""
+        """Make noise for the states to come, one state's share of the work.
+
+        Call it between two steps if there is time, so that the next step is faster; otherwise step() begins with it.
+        """
         if self._prepared:
             return
         self._prepared = True
@@ -146,6 +178,7 @@ class LiveSynthesis:
         self._noise.prepare(self._sample, spare=not busy)
 
     def _render_contact(self, state: LiveState) -> Float:
+        """Render a state in contact or fading out after it."""
         travel = max(abs(new - old) for old, new in pairwise(self._places))
         amplitude = self._accumulate(state)
         amplitude[self._carriers.arc_slice] *= self._kappa * (travel * ACTION_RATE_HZ) < BAND_END_HZ
@@ -157,32 +190,32 @@ class LiveSynthesis:
         return out if fade is None else fade * out
 
     def _render_silence(self) -> Float:
-        """In the air for so long that nothing is heard or remembered: the next touch begins anew."""
+        """Forget the past and return silence: the hand has been in the air for longer than the fade."""
         self._remembers = False
         self._emitted[:] = self._pair[1] = 0.0
         return np.zeros(SAMPLES_PER_STATE)
 
     def _accumulate(self, state: LiveState) -> Float:
-        """(K,) Σ_n w_n α of the past states; as field.accumulate."""
+        """Compute the amplitudes (K,), Σ_n w_n α over the past states, as field.accumulate."""
         emitted, density, stride = self._emitted, self._density, self._config.stride
         alpha, sigma = self._emission[state.material].evaluate(state.direction, state.speed, state.force, state.contact)
         if not self._remembers:
-            density[:] = sigma  # before the first state nothing was emitted, as densely as then
+            density[:] = sigma  # Before the first state nothing is emitted, with the density of that state.
         self._remembers = True
         emitted[1:], density[1:] = emitted[:-1], density[:-1]
         emitted[0], density[0] = alpha, sigma
-        # rendering.render_weights: sums in pairs no handful of states needs, nor arrays.
-        weights, passed = list[float](), 0.0
-        for own in density[::stride].diagonal().tolist():
-            weights.append(math.exp(-passed) * -math.expm1(-own))
-            passed += own
+        # As temporal_rendering.render_weights, without arrays and sums in pairs, which few states do not need.
+        weights, total = list[float](), 0.0
+        for state_density in density[::stride].diagonal().tolist():
+            weights.append(math.exp(-total) * -math.expm1(-state_density))
+            total += state_density
         return np.asarray(weights @ emitted[::stride])
 
     def _fade(self, contact: bool) -> Float | None:
-        """(SAMPLES_PER_STATE,) of this stretch; None for all of it."""
+        """Return the fade (SAMPLES_PER_STATE,) of this state's samples; None if it is 1 throughout."""
         before = self._audible
         if contact and before == 0.0:
-            self._pressing.reset()  # what still rang unheard must not come up with the new touch
+            self._pressing.reset()  # A decaying response that was faded out must not return with the new touch.
             before = 1.0
         self._air = 0 if contact else self._air + 1
         fading = max(1.0 - max(self._air - 1, 0) / _FADE_STATES, 0.0)
@@ -192,6 +225,7 @@ class LiveSynthesis:
         return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * STATE_FRACTIONS)) ** 2)
 
     def _render_carriers(self, travel: float) -> Float:
+        """Render all carriers between the previous state and this one."""
         carriers, pair, out = self._carriers, self._pair, np.zeros(SAMPLES_PER_STATE)
         if not pair.any():
             return out
@@ -202,21 +236,23 @@ class LiveSynthesis:
         return out
 
     def _render_arc_carriers(self, pair: NDArray[np.float32], travel: float) -> Float:
-        """Σ_k A_k c_k(s(t)). pair: (2, octaves, 24). An octave that is left behind, being read too fast, fades out on
-        the spot."""
+        """Compute Σ_k A_k c_k(s(t)). pair: (2, octaves, 24).
+
+        An octave that the hand has become too fast for fades out at a standing position.
+        """
         lowest = BAND_END_HZ / max(travel * ACTION_RATE_HZ, 1e-12)
         active = np.flatnonzero(pair.any(axis=(0, 2))).tolist()
-        heard = [octave for octave in active if self._lowest[octave] < lowest]
+        readable = [octave for octave in active if self._lowest[octave] < lowest]
         out = np.zeros(SAMPLES_PER_STATE)
-        if heard:
-            out += self._arcs.read(pair, heard, self._interpolate_position())
-        if len(heard) < len(active):
-            left = [octave for octave in active if self._lowest[octave] >= lowest]
-            out += self._arcs.read(pair, left, np.full(SAMPLES_PER_STATE, self._places[-2]))
+        if readable:
+            out += self._arcs.read(pair, readable, self._interpolate_position())
+        if len(readable) < len(active):
+            too_fast = [octave for octave in active if self._lowest[octave] >= lowest]
+            out += self._arcs.read(pair, too_fast, np.full(SAMPLES_PER_STATE, self._places[-2]))
         return out
 
     def _interpolate_position(self) -> Float:
-        """s (SAMPLES_PER_STATE,) from the state before to this one."""
+        """Return s (SAMPLES_PER_STATE,) [m] from the previous state to this one."""
         oldest, older, old, new = self._places
         return np.asarray(
             _HERMITE @ [old, 1.5 * old - 2.0 * older + 0.5 * oldest, new, 1.5 * new - 2.0 * old + 0.5 * older]
@@ -224,11 +260,11 @@ class LiveSynthesis:
 
 
 AnyMaterial = str | Path | LibraryMaterial | MaterialFile
-"""A name of the library, a `.hnf` file, or what was read from either."""
+"""Name of a library material, path of a `.hnf` file, or the material read from either."""
 
 
 def resolve_material(material: AnyMaterial) -> LibraryMaterial:
-    """With nothing left open: what a file does not know comes from the library (hnf_file.completed).
+    """Return a complete material; properties that a file leaves unknown come from the library.
 
     Raises MaterialError for a name that is not in the library, FileError for a file that cannot be used.
     """
@@ -241,10 +277,32 @@ def resolve_material(material: AnyMaterial) -> LibraryMaterial:
 def create_live_synthesis(
     *materials: AnyMaterial, seed: int = 0, probe: str = "pen", field: Field | None = None
 ) -> LiveSynthesis:
-    """Materials 0, 1, … under a hand. field: None is that of a single material that brings one, else the shared one.
-    Takes some 50 ms, as its first noise is made.
+    """Start a live synthesis of materials 0, 1, … under a hand; takes some 50 ms to make the first noise.
 
-    Raises what material_of() and LiveSynthesis raise.
+    Parameters
+    ----------
+    *materials
+        Names, `.hnf` files, or materials.
+    seed
+        Seed of the carriers.
+    probe
+        Name of the probe.
+    field
+        The field; None for that of a single material that contains one, else the shared field.
+
+    Returns
+    -------
+    LiveSynthesis
+        Ready for the first state.
+
+    Raises
+    ------
+    UsageError
+        If no material is given, or it cannot be synthesised live.
+    MaterialError
+        If a name is not in the library.
+    FileError
+        If a file cannot be used.
     """
     if not materials:
         raise UsageError("there is nothing to touch.", remedy="Name a material.")
@@ -253,15 +311,15 @@ def create_live_synthesis(
         field = None if definition is None else load_material_field(definition)
         if definition is not None and field is not None:
             materials = (read_trained_material(field, definition.name),)
-    known = [resolve_material(material) for material in materials]
-    tokens = np.stack([material.token for material in known])
+    resolved = [resolve_material(material) for material in materials]
+    tokens = np.stack([material.token for material in resolved])
     return LiveSynthesis(
-        load_field() if field is None else field, tokens, [each.mechanics for each in known], seed=seed, probe=probe
+        load_field() if field is None else field, tokens, [item.mechanics for item in resolved], seed=seed, probe=probe
     )
 
 
 def _read_definition(material: AnyMaterial) -> MaterialFile | None:
-    """What a file says, where material is or names one."""
+    """Return the content of a `.hnf` file if `material` is or names one, else None."""
     if isinstance(material, Path) or (isinstance(material, str) and material.lower().endswith(HNF_SUFFIX)):
         return read_hnf(Path(material))
     return material if isinstance(material, MaterialFile) else None

@@ -1,7 +1,4 @@
-"""Depth pictures that can be asked about any point: how far in front of the seen surface it lies.
-
-Orthographic cameras all around a cloud, each as large as what it sees.
-"""
+"""Orthographic depth views of splats from all around, and the depth of any point relative to the visible surface."""
 
 from __future__ import annotations
 
@@ -21,16 +18,27 @@ Bool = NDArray[np.bool_]
 MIN_SURFACE_OPACITY = 0.5
 """Opacity from which a pixel shows a surface."""
 MAX_DEPTH_DIFFERENCE = 3.0
-"""Pixels by which expected and median depth may differ where the light stops at one surface."""
+"""Largest difference between expected and median depth of a pixel that shows a single surface [pixels]."""
 
 
 @dataclass(frozen=True)
 class DepthView:
-    """An orthographic depth picture, prepared for questions; lengths in pixels' sides.
+    """An orthographic depth image with slopes, for looking up points; lengths in pixels.
 
-    depth: (H, W) float32, inf = nothing. slope: (H, W, 2) depth's growth per pixel to the right and down, the flatter
-    of the two one-sided ones: none across an edge. cosine: (H, W) of the angle between view and surface. opacity:
-    (H, W). rgb: (H, W, 3) linear colour, as if opaque.
+    Attributes
+    ----------
+    camera : Camera
+        Orthographic camera with square pixels of side 1.
+    depth : ndarray of float32, shape (H, W)
+        Depth, inf if no surface.
+    slope : ndarray of float32, shape (H, W, 2)
+        Growth of depth per pixel to the right and down: the smaller one-sided difference, so that none crosses an edge.
+    cosine : ndarray of float32, shape (H, W)
+        Cosine of the angle between view and surface normal.
+    opacity : ndarray of float32, shape (H, W)
+        Accumulated opacity.
+    rgb : ndarray of float32, shape (H, W, 3)
+        Linear colour, as if opaque.
     """
 
     camera: Camera
@@ -41,21 +49,30 @@ class DepthView:
     rgb: Single
 
     def min_depth_within(self, reach: int) -> Single:
-        """(H, W) the least depth among the pixels at most reach away along both axes."""
-        least = self.depth
+        """Return the least depth (H, W) among the pixels at most `reach` away along both axes."""
+        minimum = self.depth
         for axis in (0, 1):
-            length = least.shape[axis]
-            border = [(reach, reach) if each == axis else (0, 0) for each in (0, 1)]
-            wide = np.pad(least, border, constant_values=np.inf)
-            shifted = [np.take(wide, range(by, by + length), axis=axis) for by in range(2 * reach + 1)]
-            least = np.minimum.reduce(shifted)
-        return least
+            length = minimum.shape[axis]
+            border = [(reach, reach) if current == axis else (0, 0) for current in (0, 1)]
+            padded = np.pad(minimum, border, constant_values=np.inf)
+            shifted = [np.take(padded, range(by, by + length), axis=axis) for by in range(2 * reach + 1)]
+            minimum = np.minimum.reduce(shifted)
+        return minimum
 
 
 @dataclass(frozen=True)
 class PointSample:
-    """What one sight says of n points. pixel: (n,) flat number of the pixel, -1 outside the picture. ahead: (n,) how
-    far the point lies in front of the surface there along the view, inf = no surface. depth: (n,) of the point."""
+    """Samples of one depth view at n points.
+
+    Attributes
+    ----------
+    pixel : ndarray of int, shape (n,)
+        Flat index of the pixel, -1 outside the image.
+    ahead : ndarray of float32, shape (n,)
+        Distance of the point in front of the surface along the view, inf if no surface.
+    depth : ndarray of float32, shape (n,)
+        Depth of the point.
+    """
 
     pixel: NDArray[np.intp]
     ahead: Single
@@ -63,31 +80,42 @@ class PointSample:
 
 
 def make_depth_view(view: SplatView, *, kind: str = "mixed") -> DepthView:
-    """Of an orthographic view with square pixels of side 1.
+    """Make a depth view from a rendered orthographic view with square pixels of side 1.
 
-    The surface lies at the median depth where the light stops at several surfaces (at an outline, the expected depth
-    lies between them), and at the expected depth where it stops at one, which is smoother than the depth of a single
-    splat. kind: "mixed", or one of the two alone ("median", "expected").
+    The mixed depth is the expected depth where a pixel shows a single surface, since it is smoother than the depth of
+    one splat, and the median depth elsewhere, since at an outline the expected depth lies between two surfaces.
+
+    Parameters
+    ----------
+    view : SplatView
+        The rendered view.
+    kind : {"mixed", "median", "expected"}
+        Depth to use.
+
+    Returns
+    -------
+    DepthView
+        The depth view.
     """
     expected, median = view.depth.astype(np.float32), view.median.astype(np.float32)
-    seen = (view.opacity >= MIN_SURFACE_OPACITY) & np.isfinite(median)
+    is_surface = (view.opacity >= MIN_SURFACE_OPACITY) & np.isfinite(median)
     with np.errstate(invalid="ignore"):
-        one = np.abs(expected - median) <= MAX_DEPTH_DIFFERENCE
-    chosen = {"mixed": np.where(one, expected, median), "median": median, "expected": expected}[kind]
-    depth = np.where(seen, chosen, np.float32(np.inf)).astype(np.float32)
+        single_surface = np.abs(expected - median) <= MAX_DEPTH_DIFFERENCE
+    chosen = {"mixed": np.where(single_surface, expected, median), "median": median, "expected": expected}[kind]
+    depth = np.where(is_surface, chosen, np.float32(np.inf)).astype(np.float32)
     slope = np.stack([_compute_slope(depth, 1), _compute_slope(depth, 0)], axis=-1)
     cosine = 1.0 / np.sqrt(1.0 + np.sum(slope * slope, axis=-1))
     return DepthView(view.camera, depth, slope, cosine, view.opacity.astype(np.float32), compute_linear_colour(view))
 
 
 def compute_linear_colour(view: SplatView) -> Single:
-    """(H, W, 3) linear colour of what is seen, 0 to 1, without the black behind it; 0 where nothing is."""
+    """Return the linear colour (H, W, 3), 0 to 1, without the black background; 0 if nothing is visible."""
     opacity = np.asarray(view.opacity, dtype=np.float32)[..., None]
     return srgb_to_linear(np.clip(view.rgb / np.maximum(opacity, np.float32(1e-6)), 0.0, 1.0)).astype(np.float32)
 
 
 def sample_points(view: DepthView, points: NDArray[np.floating[Any]]) -> PointSample:
-    """points: (n, 3) in the camera's frame."""
+    """Sample a depth view at points (n, 3) in the camera's world frame."""
     axes = view.camera.pose[:3, :3].astype(np.float32)
     local = np.asarray(points, dtype=np.float32) @ axes - (view.camera.pose[:3, 3] @ view.camera.pose[:3, :3]).astype(
         np.float32
@@ -106,7 +134,7 @@ def sample_points(view: DepthView, points: NDArray[np.floating[Any]]) -> PointSa
 
 
 def _compute_slope(depth: Single, axis: int) -> Single:
-    """The smaller of the differences to both neighbours, zero where neither is a number."""
+    """Return the smaller of the differences to both neighbours, zero if neither is finite."""
     with np.errstate(invalid="ignore"):
         step = np.diff(depth, axis=axis)
     nothing = np.full_like(np.take(step, [0], axis=axis) if step.size else np.take(depth, [0], axis=axis), np.inf)
@@ -119,21 +147,38 @@ def _compute_slope(depth: Single, axis: int) -> Single:
 Float = NDArray[np.float64]
 
 GOLDEN_ANGLE = np.pi * (3.0 - 5.0**0.5)
+"""Angle between consecutive points of a Fibonacci lattice [rad]."""
 
 
 def make_sphere_directions(count: int) -> Float:
-    """(count, 3) unit vectors, evenly over the sphere: a Fibonacci lattice (Swinbank & Purser 2006)."""
+    """Return unit vectors (count, 3), evenly over the sphere: a Fibonacci lattice (Swinbank & Purser 2006)."""
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    around, radius = GOLDEN_ANGLE * np.arange(count), np.sqrt(1.0 - height**2)
-    return np.stack([radius * np.cos(around), radius * np.sin(around), height], axis=1)
+    angle, radius = GOLDEN_ANGLE * np.arange(count), np.sqrt(1.0 - height**2)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
 
 
 def fit_orthographic_camera(direction: ArrayLike, means: Float, reach: Float, pixel: float) -> Camera:
-    """The orthographic camera that looks along a unit direction (3,) from outside and sees balls of radius reach (n,)
-    around means (n, 3) whole, with pixels of side pixel. Its depths start at 0."""
+    """Fit an orthographic camera around balls, so that it sees all of them.
+
+    Parameters
+    ----------
+    direction : array_like, shape (3,)
+        Unit viewing direction.
+    means : ndarray, shape (n, 3)
+        Centres of the balls.
+    reach : ndarray, shape (n,)
+        Radii of the balls.
+    pixel : float
+        Side of a pixel, in the unit of `means`.
+
+    Returns
+    -------
+    Camera
+        The camera; its depths start at 0.
+    """
     forward = np.asarray(direction, dtype=np.float64)
-    aside = np.eye(3)[np.argmin(np.abs(forward))]
-    right = np.cross(aside, forward)
+    least_aligned = np.eye(3)[np.argmin(np.abs(forward))]
+    right = np.cross(least_aligned, forward)
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
     local = means @ axes
@@ -147,5 +192,5 @@ def fit_orthographic_camera(direction: ArrayLike, means: Float, reach: Float, pi
 
 
 def make_surrounding_cameras(means: Float, reach: Float, count: int, pixel: float) -> list[Camera]:
-    """That camera for each of sphere_directions(count)."""
+    """Fit orthographic cameras in `count` evenly spread directions, each looking inwards."""
     return [fit_orthographic_camera(-direction, means, reach, pixel) for direction in make_sphere_directions(count)]

@@ -1,9 +1,7 @@
-"""A scene reconstructed as 3-D Gaussians (Kerbl et al. 2023, 3D Gaussian Splatting).
+"""3-D Gaussians of a splatting scene (Kerbl et al. 2023, 3D Gaussian Splatting), and their view-dependent colour.
 
-A part of a scene's frame.
-
-Colour of splats by the direction they are seen from: real spherical harmonics up to degree 3, with the constants,
-signs and order of the INRIA code (Kerbl et al. 2023; Sloan 2013, Efficient Spherical Harmonic Evaluation).
+Colour is real spherical harmonics up to degree 3, with the constants, signs and order of the INRIA code (Sloan 2013,
+Efficient Spherical Harmonic Evaluation).
 """
 
 from __future__ import annotations
@@ -24,10 +22,20 @@ Single = NDArray[np.float32]
 class Splats:
     """N Gaussians, in the file's own frame and unit.
 
-    means: (N, 3) float32 centres. scales: (N, 3) float32 > 0, standard deviations along the Gaussian's own axes.
-    rotations: (N, 4) float32 unit quaternions w x y z, own axes → frame. opacities: (N,) float32 in [0, 1].
-    harmonics: (N, (L + 1)², 3) float32 coefficients of display-referred (sRGB) colour, the constant one first;
-    L = 0 … 3: colour = 0.5 + Σ Y · c, clipped at 0.
+    Colour is 0.5 + Σ Y · c, clipped at 0, with spherical harmonics Y of degree L = 0 … 3.
+
+    Attributes
+    ----------
+    means : ndarray of float32, shape (N, 3)
+        Centres.
+    scales : ndarray of float32, shape (N, 3)
+        Standard deviations along the principal axes, positive.
+    rotations : ndarray of float32, shape (N, 4)
+        Unit quaternions w x y z from principal axes to the frame.
+    opacities : ndarray of float32, shape (N,)
+        Opacities in [0, 1].
+    harmonics : ndarray of float32, shape (N, (L + 1)², 3)
+        Coefficients of display-referred (sRGB) colour, the constant one first.
     """
 
     means: Single
@@ -41,11 +49,11 @@ class Splats:
 
     @property
     def degree(self) -> int:
-        """L of the spherical harmonics."""
+        """Degree L of the spherical harmonics."""
         return math.isqrt(self.harmonics.shape[1]) - 1
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Splats:
-        """Those of a mask (N,) or of indices (K,)."""
+        """Return the splats of a mask (N,) or of indices (K,)."""
         return Splats(
             self.means[which], self.scales[which], self.rotations[which], self.opacities[which], self.harmonics[which]
         )
@@ -53,13 +61,13 @@ class Splats:
 
 @dataclass(frozen=True)
 class Box:
-    """Along the axes of the splats' own frame, in their unit: every point from low to high, both included."""
+    """An axis-aligned box in the splats' frame and unit; both corners included."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """(N, 3) → (N,)."""
+        """Return a mask (N,) of the points (N, 3) inside the box."""
         points = np.asarray(points)
         return np.asarray(((points >= np.array(self.low)) & (points <= np.array(self.high))).all(axis=-1))
 
@@ -67,8 +75,11 @@ class Box:
 Floats = NDArray[np.floating[Any]]
 
 C0 = 0.28209479177387814
+"""Constant of the harmonic of degree 0."""
 C1 = 0.4886025119029199
+"""Constant of the harmonics of degree 1."""
 C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
+"""Constants of the harmonics of degree 2."""
 C3 = (
     -0.5900435899266435,
     2.890611442640554,
@@ -78,11 +89,14 @@ C3 = (
     1.445305721320277,
     -0.5900435899266435,
 )
+"""Constants of the harmonics of degree 3."""
 
 
 def compute_view_directions(means: Floats, camera: Camera) -> Floats:
-    """(N, 3) unit vectors from the camera's centre to points (N, 3), in their frame and number type; for an
-    orthographic camera its forward axis. Zero for a point in the camera's centre."""
+    """Return unit vectors (N, 3) from the camera's centre to points (N, 3), in their frame and number type.
+
+    For an orthographic camera they are its forward axis; for a point in the camera's centre, zero.
+    """
     if camera.kind == "orthographic":
         return np.broadcast_to(camera.pose[:3, 2].astype(means.dtype), means.shape)
     offset = (means - camera.pose[:3, 3]).astype(means.dtype)
@@ -91,14 +105,14 @@ def compute_view_directions(means: Floats, camera: Camera) -> Floats:
 
 
 def evaluate_sh_basis(directions: Floats, degree: int) -> list[Floats]:
-    """The (degree + 1)² harmonics of unit vectors (N, 3), each (N,)."""
+    """Evaluate the (degree + 1)² spherical harmonics, (N,) each, of unit vectors (N, 3)."""
     x, y, z = directions[:, 0], directions[:, 1], directions[:, 2]
-    found: list[Floats] = [np.full(len(directions), C0, dtype=directions.dtype)]
+    basis: list[Floats] = [np.full(len(directions), C0, dtype=directions.dtype)]
     if degree > 0:
-        found += [-C1 * y, C1 * z, -C1 * x]
+        basis += [-C1 * y, C1 * z, -C1 * x]
     if degree > 1:
         xx, yy, zz = x * x, y * y, z * z
-        found += [
+        basis += [
             C2[0] * x * y,
             C2[1] * y * z,
             C2[2] * (2.0 * zz - xx - yy),
@@ -106,7 +120,7 @@ def evaluate_sh_basis(directions: Floats, degree: int) -> list[Floats]:
             C2[4] * (xx - yy),
         ]
     if degree > 2:
-        found += [
+        basis += [
             C3[0] * y * (3.0 * xx - yy),
             C3[1] * x * y * z,
             C3[2] * y * (4.0 * zz - xx - yy),
@@ -115,12 +129,26 @@ def evaluate_sh_basis(directions: Floats, degree: int) -> list[Floats]:
             C3[5] * z * (xx - yy),
             C3[6] * x * (xx - 3.0 * yy),
         ]
-    return found
+    return basis
 
 
 def evaluate_sh_colours(harmonics: Floats, directions: Floats) -> Floats:
-    """(N, 3) display-referred colour, 0.5 + Σ Y c and no less than 0, of coefficients (N, (L + 1)², 3) seen along unit
-    vectors (N, 3). One coefficient after the other, so that a splat's colour does not depend on its neighbours."""
+    """Evaluate display-referred colours (N, 3), max(0, 0.5 + Σ Y c).
+
+    Coefficients are added one after the other, so that a splat's colour does not depend on its neighbours.
+
+    Parameters
+    ----------
+    harmonics : ndarray, shape (N, (L + 1)², 3)
+        Coefficients.
+    directions : ndarray, shape (N, 3)
+        Unit viewing directions.
+
+    Returns
+    -------
+    ndarray, shape (N, 3)
+        The colours.
+    """
     degree = round(harmonics.shape[1] ** 0.5) - 1
     total = np.full((len(harmonics), 3), 0.5, dtype=harmonics.dtype)
     for k, value in enumerate(evaluate_sh_basis(directions, degree)):

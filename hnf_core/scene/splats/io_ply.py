@@ -1,17 +1,11 @@
-"""Which Gaussians of a file can be used: what is kept as it is, what is mended, what is dropped.
+"""Reading of splat files in two .ply layouts, with validation: INRIA's, and PlayCanvas's compressed one.
 
-The .ply layout of Kerbl et al. 2023 (3D Gaussian Splatting, gaussian_model.py save_ply and load_ply), which
-nerfstudio, gsplat and most others write too.
-
-PlayCanvas's compressed .ply (SuperSplat, splat-transform): 256 splats share bounds, each is four 32-bit words.
-
-Words, from the highest bit: position and log-scale 11-10-11, between the bounds of the chunk; rotation 2-10-10-10,
-the place of the largest of w x y z and the other three, of ±1/√2; colour 8888, red green blue between the bounds of
-the chunk, or of 0 … 1 where it has none, and opacity. Coefficients of higher harmonics: one byte each for ±4.
-
-Splat files → Gaussians, whole or a block at a time; a damaged file is refused, a few unusable splats are dropped.
-
-Which way is up in the frame of a splat file.
+INRIA's layout (Kerbl et al. 2023, gaussian_model.py save_ply and load_ply) is also written by nerfstudio, gsplat and
+most others. In PlayCanvas's (SuperSplat, splat-transform), 256 splats share the bounds of a chunk and each splat is
+four 32-bit words, from the highest bit: position and log-scale 11-10-11 between the chunk's bounds; rotation
+2-10-10-10, the index of the largest of w x y z and the other three, of ±1/√2; colour 8888, red green blue between the
+chunk's bounds, or 0 … 1 if it has none, and opacity. Coefficients of higher harmonics are one byte each for ±4. Damaged
+files raise FileError; a few unusable splats are dropped and counted.
 """
 
 from __future__ import annotations
@@ -32,8 +26,8 @@ from .gaussians import C0, Box, Single, Splats
 
 Real = NDArray[np.floating[Any]]
 
-# e^±20 = 4.9e8 and 2.1e-9 units: PlayCanvas's writer clips scales here too. Between them the squares and products that
-# rendering takes of float32 neither overflow nor vanish.
+# PlayCanvas's writer clips scales to e^±20 (4.9e8 and 2.1e-9 units) too. Within these limits the squares and products
+# of rendering neither overflow nor vanish in float32.
 MAX_LOG_SCALE = 20.0
 MAX_VALUE = float(np.exp(MAX_LOG_SCALE))
 MIN_QUATERNION_NORM = 1e-12
@@ -43,8 +37,19 @@ DROP_REASONS = (NOT_FINITE, TOO_LARGE, NO_ROTATION)
 
 @dataclass(frozen=True)
 class RawSplats:
-    """N Gaussians as a file holds them, unchecked: means (N, 3), log_scales (N, 3), rotations (N, 4) w x y z of any
-    length, opacities (N,) in [0, 1], harmonics (N, K, 3)."""
+    """N Gaussians as a file stores them, not yet checked.
+
+    Attributes
+    ----------
+    means, log_scales : ndarray, shape (N, 3)
+        Centres, and natural logarithms of the standard deviations.
+    rotations : ndarray, shape (N, 4)
+        Quaternions w x y z of any length.
+    opacities : ndarray, shape (N,)
+        Opacities in [0, 1].
+    harmonics : ndarray, shape (N, K, 3)
+        Coefficients of the spherical harmonics.
+    """
 
     means: Real
     log_scales: Real
@@ -55,8 +60,19 @@ class RawSplats:
 
 @dataclass(frozen=True)
 class ValidatedSplats:
-    """splats: what can be used. total: Gaussians read. dropped: how many for each of REASONS, each counted once, for
-    the first that holds. thickened: kept ones with an axis below the thinnest (2.1e-9 units), which it became."""
+    """Usable splats, and counts of the others.
+
+    Attributes
+    ----------
+    splats : Splats
+        Splats that can be rendered.
+    total : int
+        Number of Gaussians read.
+    dropped : mapping of str to int
+        Number of dropped splats for each of `DROP_REASONS`; each counts once, under the first reason.
+    thickened : int
+        Splats whose thinnest axis was raised to the minimum of 2.1e-9 units.
+    """
 
     splats: Splats
     total: int
@@ -65,33 +81,37 @@ class ValidatedSplats:
 
 
 def validate_splats(raw: RawSplats) -> ValidatedSplats:
-    """Gaussians that can be drawn, in their order.
+    """Return the Gaussians that can be rendered, in their order.
 
-    Dropped: a NaN anywhere, or an infinite number other than a scale of 0 (log −∞); a centre, scale or colour
-    coefficient beyond 4.9e8; a rotation shorter than 1e-12. A scale of 0 is a flat Gaussian, not a broken one: it is
-    kept, with the thinnest axis there is.
+    Dropped are splats with a NaN, or an infinite number other than a log-scale of −∞; with a centre, scale or colour
+    coefficient beyond 4.9e8; or with a quaternion shorter than 1e-12. A scale of 0 is a flat Gaussian: it stays, with
+    the smallest scale allowed.
     """
-    # A float64 beyond float32 becomes infinite on purpose, and a rotation of huge numbers has no finite length.
+    # Overflow is expected: a float64 beyond float32 becomes infinite, as does the length of a huge quaternion.
     with np.errstate(over="ignore", invalid="ignore"):
         total = len(raw.means)
         finite = ~np.isnan(raw.log_scales).any(axis=1) & ~np.isnan(raw.opacities)
         finite &= np.isfinite(raw.means).all(axis=1) & np.isfinite(raw.rotations).all(axis=1)
         finite &= np.isfinite(raw.harmonics).all(axis=(1, 2))
-        small = (np.abs(raw.means) <= MAX_VALUE).all(axis=1) & (np.abs(raw.harmonics) <= MAX_VALUE).all(axis=(1, 2))
-        small &= (raw.log_scales <= MAX_LOG_SCALE).all(axis=1)
+        in_range = (np.abs(raw.means) <= MAX_VALUE).all(axis=1) & (np.abs(raw.harmonics) <= MAX_VALUE).all(axis=(1, 2))
+        in_range &= (raw.log_scales <= MAX_LOG_SCALE).all(axis=1)
         lengths = np.linalg.norm(raw.rotations.astype(np.float64), axis=1)
-        turned = (lengths >= MIN_QUATERNION_NORM) & np.isfinite(lengths)
+        has_rotation = (lengths >= MIN_QUATERNION_NORM) & np.isfinite(lengths)
         dropped = dict(
-            zip(DROP_REASONS, map(_count_true, (~finite, finite & ~small, finite & small & ~turned)), strict=True)
+            zip(
+                DROP_REASONS,
+                map(_count_true, (~finite, finite & ~in_range, finite & in_range & ~has_rotation)),
+                strict=True,
+            )
         )
-        kept = finite & small & turned
-        logs = raw.log_scales[kept].astype(np.float64)
+        usable = finite & in_range & has_rotation
+        logs = raw.log_scales[usable].astype(np.float64)
         splats = Splats(
-            means=np.ascontiguousarray(raw.means[kept], dtype=np.float32),
+            means=np.ascontiguousarray(raw.means[usable], dtype=np.float32),
             scales=np.exp(np.maximum(logs, -MAX_LOG_SCALE)).astype(np.float32),
-            rotations=(raw.rotations[kept] / lengths[kept, None]).astype(np.float32),
-            opacities=raw.opacities[kept].astype(np.float32),
-            harmonics=np.ascontiguousarray(raw.harmonics[kept], dtype=np.float32),
+            rotations=(raw.rotations[usable] / lengths[usable, None]).astype(np.float32),
+            opacities=raw.opacities[usable].astype(np.float32),
+            harmonics=np.ascontiguousarray(raw.harmonics[usable], dtype=np.float32),
         )
     return ValidatedSplats(splats, total, dropped, _count_true((logs < -MAX_LOG_SCALE).any(axis=1)))
 
@@ -111,27 +131,27 @@ SCALE_PROPERTIES, DC_PROPERTIES, RGB_PROPERTIES = (
 
 
 def check_inria(path: Path, header: PlyHeader) -> None:
-    """Raises FileError where a property that splats need is missing or of another type."""
+    """Raise FileError if a property that splats need is missing or of another type."""
     types = dict(zip(header.names("vertex"), header.types["vertex"], strict=True))
-    painted = "f_dc_0" not in types
+    has_rgb = "f_dc_0" not in types
     # 2-D Gaussian Splatting (Huang et al. 2024) writes no third scale: its Gaussians are flat.
     needed = [
         *CENTRE_PROPERTIES,
         *SCALE_PROPERTIES[:2],
         *ROTATION_PROPERTIES,
         "opacity",
-        *(RGB_PROPERTIES if painted else DC_PROPERTIES),
+        *(RGB_PROPERTIES if has_rgb else DC_PROPERTIES),
     ]
-    rest = get_rest_names(path, header.names("vertex"))
-    for name in [*needed, *(SCALE_PROPERTIES[2:] if SCALE_PROPERTIES[2] in types else ()), *rest]:
+    rest_names = get_rest_names(path, header.names("vertex"))
+    for name in [*needed, *(SCALE_PROPERTIES[2:] if SCALE_PROPERTIES[2] in types else ()), *rest_names]:
         if name not in types:
             raise FileError(f"has no property '{name}' for its splats.", where=str(path), remedy=_EXPORT_REMEDY)
-        if types[name] not in (("u1",) if name in RGB_PROPERTIES and painted else ("f4", "f8")):
+        if types[name] not in (("u1",) if name in RGB_PROPERTIES and has_rgb else ("f4", "f8")):
             raise FileError(f"its property '{name}' is of the wrong type.", where=str(path), remedy=_EXPORT_REMEDY)
 
 
 def get_rest_names(path: Path, names: Sequence[str]) -> list[str]:
-    """The names f_rest_0 … of an element in order. Raises FileError for a number that is no whole degree up to 3."""
+    """Return the names f_rest_0 … in order; raise FileError unless their number fits a degree of 0 to 3."""
     count = sum(name.startswith("f_rest_") for name in names)
     if count not in REST_COUNTS:
         raise FileError(
@@ -144,45 +164,45 @@ def get_rest_names(path: Path, names: Sequence[str]) -> list[str]:
 
 
 def iter_inria(path: Path, header: PlyHeader, block: int) -> Iterator[RawSplats]:
-    """Splats as the file holds them, up to block at a time. Raises FileError, also for a file that ends early."""
-    rest = get_rest_names(path, header.names("vertex"))
+    """Yield splats as the file stores them, up to `block` at a time; raise FileError for a file that ends early."""
+    rest_names = get_rest_names(path, header.names("vertex"))
     for rows in iter_rows(path, header, "vertex", block):
         yield RawSplats(
             means=stack_columns(rows, CENTRE_PROPERTIES),
             log_scales=_read_log_scales(rows),
             rotations=stack_columns(rows, ROTATION_PROPERTIES),
             opacities=sigmoid(stack_columns(rows, ("opacity",))[:, 0]),
-            harmonics=join_harmonics(_read_dc_coefficients(rows), stack_columns(rows, rest)),
+            harmonics=join_harmonics(_read_dc_coefficients(rows), stack_columns(rows, rest_names)),
         )
 
 
 def stack_columns(rows: Rows, names: Sequence[str]) -> Real:
-    """(N, len(names)) float32, or float64 where a column is."""
-    wide = any(rows.dtype[name].itemsize == 8 for name in names)
-    table: Real = np.empty((len(rows), len(names)), dtype=np.float64 if wide else np.float32)
-    with np.errstate(invalid="ignore"):  # a signalling NaN complains when it is widened
+    """Return columns as a table (N, len(names)), float32, or float64 if one of them is."""
+    has_double = any(rows.dtype[name].itemsize == 8 for name in names)
+    table: Real = np.empty((len(rows), len(names)), dtype=np.float64 if has_double else np.float32)
+    with np.errstate(invalid="ignore"):  # widening a signalling NaN warns
         for number, name in enumerate(names):
             table[:, number] = rows[name]
     return table
 
 
 def join_harmonics(constant: Real, rest: Real) -> Real:
-    """(N, 3) and (N, 3 (K − 1)), the file's order channel by channel → (N, K, 3)."""
+    """Join constant (N, 3) and higher (N, 3 (K − 1)) coefficients, stored channel by channel, to (N, K, 3)."""
     higher = rest.reshape(len(rest), 3, -1).transpose(0, 2, 1)
     return np.asarray(np.concatenate([constant[:, None, :], higher], axis=1))
 
 
 def sigmoid(logits: Real) -> NDArray[np.float64]:
-    """1 / (1 + e^−x) without overflow; 0 and 1 at ∓∞."""
-    with np.errstate(invalid="ignore"):  # a signalling NaN complains when it is widened
+    """Return 1 / (1 + e^−x) without overflow; 0 and 1 at ∓∞."""
+    with np.errstate(invalid="ignore"):  # widening a signalling NaN warns
         small = np.exp(-np.abs(logits.astype(np.float64)))
     return np.asarray(np.where(logits >= 0.0, 1.0, small) / (1.0 + small))
 
 
 def _read_log_scales(rows: Rows) -> Real:
-    there = [name for name in SCALE_PROPERTIES if name in (rows.dtype.names or ())]
-    logs = stack_columns(rows, there)
-    return logs if len(there) == 3 else np.pad(logs, ((0, 0), (0, 1)), constant_values=-MAX_LOG_SCALE)
+    present = [name for name in SCALE_PROPERTIES if name in (rows.dtype.names or ())]
+    logs = stack_columns(rows, present)
+    return logs if len(present) == 3 else np.pad(logs, ((0, 0), (0, 1)), constant_values=-MAX_LOG_SCALE)
 
 
 def _read_dc_coefficients(rows: Rows) -> Real:
@@ -204,16 +224,16 @@ VECTOR_BITS, COLOUR_BITS, ROTATION_BITS = (
     ((24, 8), (16, 8), (8, 8), (0, 8)),
     ((20, 10), (10, 10), (0, 10)),
 )
-# Coefficients of harmonics are clipped to ±4.
+# Coefficients of harmonics are clipped to ±4: the width of that range.
 HARMONIC_RANGE = 8.0
-# Where the three kept numbers of a quaternion go, by the place of the one left out.
+# Indices of the three stored components of a quaternion, by the index of the omitted one.
 REMAINING_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 Float = NDArray[np.float64]
 
 
 def check_compressed(path: Path, header: PlyHeader) -> None:
-    """Raises FileError where its elements do not fit together, or a property is missing or of another type."""
+    """Raise FileError if the elements do not fit together, or a property is missing or of another type."""
     chunk = dict(zip(header.names("chunk"), header.types["chunk"], strict=True))
     vertex = dict(zip(header.names("vertex"), header.types["vertex"], strict=True))
     bounds = [*CENTRE_BOUNDS, *SCALE_BOUNDS, *(COLOUR_BOUNDS if COLOUR_BOUNDS[0] in chunk else ())]
@@ -238,22 +258,24 @@ def check_compressed(path: Path, header: PlyHeader) -> None:
 
 
 def iter_compressed(path: Path, header: PlyHeader, block: int) -> Iterator[RawSplats]:
-    """Splats as the file holds them, up to block at a time; the bounds of all chunks are held (0.3 bytes a splat).
-    Raises FileError, also for a file that ends early."""
+    """Yield splats as the file stores them, up to `block` at a time; raise FileError for a file that ends early.
+
+    The bounds of all chunks stay in memory (0.3 bytes a splat).
+    """
     bounds = np.concatenate(list(iter_rows(path, header, "chunk", block)))
     with_harmonics = header.count("sh") > 0 and len(header.names("sh")) > REST_COUNTS[0]
-    bytes_of = iter_rows(path, header, "sh", block) if with_harmonics else None
+    harmonic_rows = iter_rows(path, header, "sh", block) if with_harmonics else None
     first = 0
     for rows in iter_rows(path, header, "vertex", block):
-        rest = _unpack_harmonics(next(bytes_of)) if bytes_of is not None else np.zeros((len(rows), 0))
+        rest = _unpack_harmonics(next(harmonic_rows)) if harmonic_rows is not None else np.zeros((len(rows), 0))
         yield _unpack_splats(rows, bounds[np.arange(first, first + len(rows)) // SPLATS_PER_CHUNK], rest)
         first += len(rows)
 
 
 def _unpack_splats(rows: Rows, bounds: Rows, rest: Float) -> RawSplats:
-    """bounds: of each row."""
+    """Unpack the words of splats; `bounds` holds the chunk's bounds for each row."""
     colour = _unpack_fractions(rows["packed_color"], COLOUR_BITS)
-    painted = (
+    rgb = (
         _interpolate_bounds(bounds, COLOUR_BOUNDS, colour[:, :3])
         if "min_r" in (bounds.dtype.names or ())
         else colour[:, :3]
@@ -263,37 +285,37 @@ def _unpack_splats(rows: Rows, bounds: Rows, rest: Float) -> RawSplats:
         log_scales=_interpolate_bounds(bounds, SCALE_BOUNDS, _unpack_fractions(rows["packed_scale"], VECTOR_BITS)),
         rotations=_unpack_rotations(rows["packed_rotation"]),
         opacities=colour[:, 3],
-        harmonics=join_harmonics((painted - 0.5) / C0, rest),
+        harmonics=join_harmonics((rgb - 0.5) / C0, rest),
     )
 
 
 def _unpack_fractions(words: NDArray[np.uint32], fields: tuple[tuple[int, int], ...]) -> Float:
-    """(N,) and (shift, bits) of K fields → (N, K) in [0, 1]."""
+    """Unpack K bit fields (shift, bits) of words (N,) to fractions (N, K) in [0, 1]."""
     words = words.astype(np.uint32)
     parts = [((words >> np.uint32(shift)) & np.uint32((1 << bits) - 1)) / ((1 << bits) - 1) for shift, bits in fields]
     return np.asarray(np.stack(parts, axis=1), dtype=np.float64)
 
 
 def _interpolate_bounds(bounds: Rows, names: tuple[str, ...], fractions: Float) -> Float:
-    # Infinite bounds give NaN, which is dropped and counted later; a signalling NaN complains when it is widened.
+    # Infinite bounds give NaN, which is dropped and counted later; widening a signalling NaN warns.
     with np.errstate(invalid="ignore"):
         low, high = np.split(stack_columns(bounds, names).astype(np.float64), 2, axis=1)
         return np.asarray(low * (1.0 - fractions) + high * fractions)
 
 
 def _unpack_rotations(words: NDArray[np.uint32]) -> Float:
-    """(N,) → (N, 4) w x y z; the one left out is the root of what the others leave of 1, and positive."""
-    others = (_unpack_fractions(words, ROTATION_BITS) - 0.5) * np.sqrt(2.0)
+    """Unpack quaternions (N, 4) w x y z; the omitted component is the positive root that makes the length 1."""
+    stored = (_unpack_fractions(words, ROTATION_BITS) - 0.5) * np.sqrt(2.0)
     largest = (words.astype(np.uint32) >> np.uint32(30)).astype(np.intp)
     rotations = np.empty((len(words), 4))
-    np.put_along_axis(rotations, REMAINING_COMPONENTS[largest], others, axis=1)
-    left = np.sqrt(np.maximum(0.0, 1.0 - np.square(others).sum(axis=1)))
-    np.put_along_axis(rotations, largest[:, None], left[:, None], axis=1)
+    np.put_along_axis(rotations, REMAINING_COMPONENTS[largest], stored, axis=1)
+    omitted = np.sqrt(np.maximum(0.0, 1.0 - np.square(stored).sum(axis=1)))
+    np.put_along_axis(rotations, largest[:, None], omitted[:, None], axis=1)
     return rotations
 
 
 def _unpack_harmonics(rows: Rows) -> Float:
-    """Structured bytes → (N, 3 (K − 1)): the middle of each step, and the ends themselves for 0 and 255."""
+    """Unpack bytes to coefficients (N, 3 (K − 1)): the middle of each step, the range's ends for 0 and 255."""
     names = [f"f_rest_{number}" for number in range(len(rows.dtype.names or ()))]
     table = stack_columns(rows, names).astype(np.float64)
     fractions = np.where(table == 0.0, 0.0, np.where(table == 255.0, 1.0, (table + 0.5) / 256.0))
@@ -307,37 +329,55 @@ def _damaged_error(path: Path, why: str) -> FileError:
 UNSUPPORTED_SUFFIXES = (".spz", ".splat", ".ksplat", ".sog")
 # 32,768 splats of degree 3 are 8 MB in the file.
 ROWS_PER_BLOCK = 1 << 15
-# Training leaves a few broken splats; where more than these are, the file is what is broken.
+# Training leaves a few broken splats; with more than this fraction, the file is damaged.
 MAX_DROPPED_SHARE = 0.1
 
 
 def read_splats(path: Path, *, within: Box | None = None) -> Splats:
-    """The usable Gaussians of a file in their order; within: only those whose centre it holds. Raises as read_whole."""
+    """Read the usable Gaussians of a file in their order.
+
+    Parameters
+    ----------
+    path : Path
+        A .ply in INRIA's or PlayCanvas's layout.
+    within : Box or None
+        Keep only splats whose centre lies in this box.
+
+    Returns
+    -------
+    Splats
+        The splats.
+
+    Raises
+    ------
+    FileError
+        If the file is missing, cut short, damaged, of another kind, without splats, or more than a tenth of its splats
+        cannot be used.
+    """
     return read_validated_splats(path, within=within).splats
 
 
 def read_validated_splats(path: Path, *, within: Box | None = None) -> ValidatedSplats:
-    """read_splats with what was dropped; total and dropped count the whole file, with or without a box.
+    """Read the usable Gaussians of a file, with the number of dropped ones.
 
-    Raises FileError where the file is missing, cut short, damaged, of another kind, without splats, or where more than
-    a tenth of its splats cannot be used.
+    Counts are of the whole file, with or without a box. Raises as `read_splats`.
     """
     path = Path(path)
     header = check_splat_file(path)
-    # The count of an ascii file cannot be checked beforehand, so it gets no room.
-    kept = _SplatAccumulator(header.count("vertex") if within is None and header.format != "ascii" else None)
+    # The row count of an ascii file cannot be checked beforehand, so no memory is reserved for it.
+    accumulator = _SplatAccumulator(header.count("vertex") if within is None and header.format != "ascii" else None)
     total, thickened = 0, 0
     dropped: Counter[str] = Counter()
-    for reading in iter_validated_splats(path, header, ROWS_PER_BLOCK):
-        splats = reading.splats
-        kept.add(splats if within is None else splats.take(within.contains(splats.means)))
-        total, thickened = total + reading.total, thickened + reading.thickened
-        dropped.update(reading.dropped)
-    return ValidatedSplats(kept.to_splats(), total, dict(dropped), thickened)
+    for block in iter_validated_splats(path, header, ROWS_PER_BLOCK):
+        splats = block.splats
+        accumulator.add(splats if within is None else splats.take(within.contains(splats.means)))
+        total, thickened = total + block.total, thickened + block.thickened
+        dropped.update(block.dropped)
+    return ValidatedSplats(accumulator.to_splats(), total, dict(dropped), thickened)
 
 
 def check_splat_file(path: Path) -> PlyHeader:
-    """The header of a file whose splats can be read. Raises FileError where its kind, header or length forbid it."""
+    """Return the header of a file whose splats can be read; raise FileError if its kind, header or length is wrong."""
     path = Path(path)
     if path.suffix.lower() in UNSUPPORTED_SUFFIXES:
         raise FileError(
@@ -354,23 +394,40 @@ def check_splat_file(path: Path) -> PlyHeader:
     if count == 0:
         raise FileError("holds no splats: it is empty.", where=str(path), remedy="Export it again.")
     (check_compressed if header.is_compressed else check_inria)(path, header)
-    there = min(count_complete_rows(path, header, name) for name in ("vertex", "sh") if header.count(name))
-    if there < count:
-        raise make_truncated_error(path, "vertex", there, count)
+    complete = min(count_complete_rows(path, header, name) for name in ("vertex", "sh") if header.count(name))
+    if complete < count:
+        raise make_truncated_error(path, "vertex", complete, count)
     return header
 
 
 def iter_validated_splats(path: Path, header: PlyHeader, chunk: int) -> Iterator[ValidatedSplats]:
-    """Read splats, chunk rows of the file at a time. header: of check_splat_file.
+    """Read and validate splats in blocks.
 
-    Raises FileError for what only the numbers show: too many unusable splats (at the end), or an ascii file's end.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : PlyHeader
+        Its header, from `check_splat_file`.
+    chunk : int
+        Rows of the file in one block.
+
+    Yields
+    ------
+    ValidatedSplats
+        The splats of one block.
+
+    Raises
+    ------
+    FileError
+        If an ascii file ends early, or (at the end) more than a tenth of the splats cannot be used.
     """
     blocks: Iterator[RawSplats] = (iter_compressed if header.is_compressed else iter_inria)(path, header, chunk)
     dropped = 0
     for raw in blocks:
-        reading = validate_splats(raw)
-        dropped += sum(reading.dropped.values())
-        yield reading
+        validated = validate_splats(raw)
+        dropped += sum(validated.dropped.values())
+        yield validated
     count = header.count("vertex")
     if dropped > MAX_DROPPED_SHARE * count:
         raise FileError(
@@ -381,7 +438,7 @@ def iter_validated_splats(path: Path, header: PlyHeader, chunk: int) -> Iterator
 
 
 class _SplatAccumulator:
-    """Blocks put together. room: splats at most, where it is to be taken at once, so that nothing is held twice."""
+    """Concatenation of blocks, in preallocated arrays if `capacity` is given, so that none is stored twice."""
 
     def __init__(self, capacity: int | None) -> None:
         self._capacity, self._count = capacity, 0
@@ -413,24 +470,25 @@ UP_AXIS_COMMENT = re.compile(r"vertical axis:\s*\+?(-?[xyz])\s*$", re.IGNORECASE
 
 @dataclass(frozen=True)
 class UpAxis:
-    """axis: of the file's frame that points up. reason: why it is taken to, for a person to judge."""
+    """The axis of a file's frame that points up, and a reason for a person to judge."""
 
     axis: Axis
     reason: str
 
     @property
     def direction(self) -> tuple[float, float, float]:
-        """The unit vector."""
+        """Unit vector of the axis."""
         sign = -1.0 if self.axis.startswith("-") else 1.0
         x, y, z = (sign if name == self.axis[-1] else 0.0 for name in "xyz")
         return x, y, z
 
 
 def detect_up_axis(header: PlyHeader) -> UpAxis:
-    """What the file says itself, else −y.
+    """Detect which axis of a splat file's frame points up: as a comment in the file states, else −y.
 
     COLMAP's world takes the +y down of its first cameras (OpenCV's axes), training keeps that frame, and PlayCanvas's
-    tools write .ply so that half a turn about z makes +y up. Neither file says so; a scene may still be tilted.
+    tools write .ply so that half a turn about z makes +y up. Neither kind of file states it; a scene may still be
+    tilted.
     """
     for comment in header.comments:
         if stated := UP_AXIS_COMMENT.search(comment):

@@ -1,7 +1,6 @@
-"""Splats as Gaussians in a picture: EWA projection (Zwicker et al. 2001) as 3D Gaussian Splatting does it, in float64.
+"""EWA projection of 3-D Gaussians to 2-D Gaussians in an image (Zwicker et al. 2001; Kerbl et al. 2023), in float64.
 
-Everything here is done number by number, so that what a splat becomes depends neither on which others are there nor on
-how many.
+Every splat is computed element by element, so that its result does not depend on the number or order of the others.
 """
 
 from __future__ import annotations
@@ -21,36 +20,58 @@ Float = NDArray[np.float64]
 Int = NDArray[np.intp]
 
 LOW_PASS_PX2 = 0.3
-"""On the diagonal of every 2-D covariance (INRIA): no splat is thinner than half a pixel."""
+"""Variance added to the diagonal of every 2-D covariance (INRIA) [pixels²]: no splat is thinner than half a pixel."""
 MIN_ALPHA = 1.0 / 255.0
-"""A splat that covers less of a pixel than this is skipped there (INRIA)."""
+"""Least α at which a splat contributes to a pixel (INRIA)."""
 MAX_ALPHA = 0.99
+"""Largest α of a splat at a pixel (INRIA)."""
 MEDIAN_TRANSMITTANCE = 0.5
-"""Left behind the splat whose depth is the median."""
+"""Transmittance behind the splat whose depth is the median depth."""
 FOV_MARGIN = 0.3
-"""Jacobians are taken no farther out than this part of the half field of view beyond the picture (INRIA; with gsplat's
+"""Margin around the image within which Jacobians are taken, as a fraction of half the field of view (INRIA; gsplat's
 rule for principal points off the centre)."""
 SPLATS_PER_CHUNK = 1 << 16
 MIN_EIGENVALUE_SHARE = 1e-10
-"""Of the trace: least eigenvalue taken for a footprint where its depth plane is solved for."""
+"""Least eigenvalue of a footprint's covariance, as a fraction of the trace, when its depth plane is solved for."""
 MAX_DEPTH_REACH = 2.0
-"""A depth plane leaves a splat's centre by no more than this many of the splat's own reach in depth."""
+"""Largest deviation of a depth plane from a splat's centre, in standard deviations of the splat's depth."""
 MAX_PRECISION = 1e30
+"""Largest precision of a footprint that is rendered [1/pixels²]."""
 BOX_MARGIN = 1e-9
+"""Relative margin of bounding boxes against rounding."""
 
 
 @dataclass(frozen=True)
 class Footprints:
-    """M splats that meet a picture as Gaussians in it. All (M,) float64 but as said.
+    """M splats that overlap an image, as 2-D Gaussians in it. All (M,) float64 unless stated.
 
-    index: intp, in the cloud. depth: planar, of the centre. u, v: its pixel coordinates. var_y: Σ_yy, pixels². shear:
-    Σ_xy / Σ_yy. sharp: 1 / Var(x | y). narrow: no less than 1 over its least standard deviation. limit: the Mahalanobis
-    distance squared at which α falls to CUTOFF. opacity.
-    rise_x, rise_y: depth per pixel. left, right, top, bottom: intp, the pixels whose centres lie in its bounding box
-    within the picture, right and bottom exclusive.
+    The Mahalanobis distance squared is q = dy² / var_y + precision · (x − u − shear · dy)², dy = y − v: the conic,
+    completed to a square, which loses no digits for needle-like splats.
 
-    The quadratic form is q = dy² / var_y + sharp (x − u − shear dy)², dy = y − v: the conic, completed to a square,
-    which loses nothing where a splat is a needle.
+    Attributes
+    ----------
+    index : ndarray of int
+        Index of the splat.
+    depth : ndarray
+        Planar depth of the centre.
+    u, v : ndarray
+        Pixel coordinates of the centre.
+    var_y : ndarray
+        Σ_yy [pixels²].
+    shear : ndarray
+        Σ_xy / Σ_yy.
+    precision : ndarray
+        1 / Var(x | y) [1/pixels²].
+    inverse_std : ndarray
+        Upper bound of 1 over the least standard deviation [1/pixels].
+    cutoff : ndarray
+        q at which α falls to `MIN_ALPHA`.
+    opacity : ndarray
+        Opacity.
+    depth_slope_x, depth_slope_y : ndarray
+        Growth of depth per pixel.
+    left, right, top, bottom : ndarray of int
+        Pixels whose centres lie in the bounding box within the image; right and bottom exclusive.
     """
 
     index: Int
@@ -74,112 +95,167 @@ class Footprints:
         return len(self.index)
 
     def take(self, which: Int | NDArray[np.bool_]) -> Footprints:
-        return Footprints(*(getattr(self, each.name)[which] for each in fields(self)))
+        """Return the footprints of a mask or of indices."""
+        return Footprints(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 def evaluate_quadratic_form(prints: Footprints, which: Int, y: Int | Float) -> tuple[Float, Float, Float]:
-    """(steep, across, along) of splats on rows of pixels: q = steep + sharp (x + ½ − across)², along = dy. The only
-    place where q is made, so that the reference and the fast way leave out the same pixels."""
-    along = (y + 0.5) - prints.v[which]
-    return along * along / prints.var_y[which], prints.u[which] + prints.shear[which] * along, along
+    """Return the terms of q for splats `which` on pixel rows `y`: (q at the row's nearest point, its x, dy).
+
+    q = first + precision · (x + ½ − second)². All code that needs q calls this function, so that the reference and the
+    fast rasterizer skip the same pixels.
+    """
+    dy = (y + 0.5) - prints.v[which]
+    return dy * dy / prints.var_y[which], prints.u[which] + prints.shear[which] * dy, dy
 
 
 def split_into_chunks(count: int) -> list[slice]:
-    """At least one."""
+    """Return slices of `SPLATS_PER_CHUNK` splats, at least one slice."""
     return [slice(start, min(start + SPLATS_PER_CHUNK, count)) for start in range(0, max(count, 1), SPLATS_PER_CHUNK)]
 
 
 def concatenate_footprints(chunks: list[Footprints]) -> Footprints:
+    """Concatenate the footprints of several chunks."""
     if len(chunks) == 1:
         return chunks[0]
-    return Footprints(*(np.concatenate([getattr(part, each.name) for part in chunks]) for each in fields(Footprints)))
+    return Footprints(
+        *(np.concatenate([getattr(chunk, field.name) for chunk in chunks]) for field in fields(Footprints))
+    )
 
 
 def sort_front_to_back(prints: Footprints) -> Int:
-    """Their order; of equal depths the first in the cloud is in front."""
+    """Return the indices that sort footprints by depth; equal depths keep the order of the cloud."""
     return np.argsort(prints.depth, kind="stable")
 
 
 def project_chunk(splats: Splats, camera: Camera, low_pass: float, chunk: slice) -> Footprints:
-    """Of some splats, in the cloud's order. What cannot reach the picture is left out before it has a covariance."""
+    """Project the splats of one chunk, in the cloud's order.
+
+    Splats that cannot reach the image are left out before their covariance is computed.
+
+    Parameters
+    ----------
+    splats : Splats
+        All splats.
+    camera : Camera
+        The camera, in the frame and unit of the splats.
+    low_pass : float
+        Variance added to every footprint [pixels²].
+    chunk : slice
+        Range of splats to project.
+
+    Returns
+    -------
+    Footprints
+        Footprints that overlap the image.
+
+    Raises
+    ------
+    UsageError
+        If `low_pass` is negative or not finite.
+    """
     if not 0.0 <= low_pass < np.inf:
         raise UsageError(f"low_pass is {low_pass}.", remedy="It is a variance in pixels²: 0 or more.")
-    with np.errstate(all="ignore"):  # what is not finite falls to the comparisons
+    with np.errstate(all="ignore"):  # the comparisons below drop what is not finite
         return _project_chunk(splats, camera, low_pass, chunk)
 
 
 def _project_chunk(splats: Splats, camera: Camera, low_pass: float, chunk: slice) -> Footprints:
-    turn, focal = camera.pose[:3, :3], camera.intrinsics[:2, :2]
+    rotation, focal = camera.pose[:3, :3], camera.intrinsics[:2, :2]
     offset = [splats.means[chunk, i].astype(np.float64) - camera.pose[i, 3] for i in range(3)]
-    z = _dot(turn[:, 2], offset)
+    z = _dot(rotation[:, 2], offset)
     opacity = splats.opacities[chunk].astype(np.float64)
-    limit = 2.0 * np.log(opacity / MIN_ALPHA)
-    seen = (z >= camera.clip_start) & (z <= camera.clip_end) & (limit >= 0.0)
+    cutoff = 2.0 * np.log(opacity / MIN_ALPHA)
+    in_range = (z >= camera.clip_start) & (z <= camera.clip_end) & (cutoff >= 0.0)
     if camera.kind == "perspective":
-        seen &= z > 0.0
-    at = np.flatnonzero(seen)
-    z, limit = z[at], limit[at]
-    x, y = (_dot(turn[:, i], [each[at] for each in offset]) for i in range(2))
+        in_range &= z > 0.0
+    candidates = np.flatnonzero(in_range)
+    z, cutoff = z[candidates], cutoff[candidates]
+    x, y = (_dot(rotation[:, i], [component[candidates] for component in offset]) for i in range(2))
     u, v, jacobian = _linearise_projection(camera, focal, x, y, z)
-    widest = splats.scales[chunk].max(axis=1)[at].astype(np.float64) ** 2
-    reach = [np.sqrt(limit * (widest * (row[0] ** 2 + row[1] ** 2 + row[2] ** 2) + low_pass)) for row in jacobian]
-    met = np.flatnonzero(_overlaps_image(camera, u, v, *reach))
-    at, z, limit, u, v = at[met], z[met], limit[met], u[met], v[met]
-    jacobian = [[entry[met] for entry in row] for row in jacobian]
+    widest = splats.scales[chunk].max(axis=1)[candidates].astype(np.float64) ** 2
+    reach = [np.sqrt(cutoff * (widest * (row[0] ** 2 + row[1] ** 2 + row[2] ** 2) + low_pass)) for row in jacobian]
+    overlapping = np.flatnonzero(_overlaps_image(camera, u, v, *reach))
+    candidates, z, cutoff, u, v = (
+        candidates[overlapping],
+        z[overlapping],
+        cutoff[overlapping],
+        u[overlapping],
+        v[overlapping],
+    )
+    jacobian = [[entry[overlapping] for entry in row] for row in jacobian]
 
-    index = at + chunk.start
-    deep = [np.full(len(index), axis) for axis in (0.0, 0.0, 1.0)]
+    index = candidates + chunk.start
+    depth_row = [np.full(len(index), axis) for axis in (0.0, 0.0, 1.0)]
     mx, my, mz = transform_to_principal_axes(
-        splats, index, [[_dot(turn[i], row) for i in range(3)] for row in (*jacobian, deep)]
+        splats, index, [[_dot(rotation[i], row) for i in range(3)] for row in (*jacobian, depth_row)]
     )
     sxx, sxy, syy = _dot(mx, mx), _dot(mx, my), _dot(my, my)
     area = _gram_determinant(mx, my)
     determinant = area + low_pass * (sxx + syy) + low_pass * low_pass
-    rise_x, rise_y = _compute_depth_slopes(sxx, sxy, syy, area, (_dot(mx, mz), _dot(my, mz), _dot(mz, mz)), low_pass)
+    slope_x, slope_y = _compute_depth_slopes(sxx, sxy, syy, area, (_dot(mx, mz), _dot(my, mz), _dot(mz, mz)), low_pass)
     var_x, var_y = sxx + low_pass, syy + low_pass
-    sharp, shear = var_y / determinant, sxy / var_y
-    narrow = np.sqrt((var_x + var_y) / determinant)
-    wide, high = np.sqrt(limit * var_x), np.sqrt(limit * var_y)
-    kept = (
-        (determinant > 0.0) & (sharp < MAX_PRECISION) & (var_y > 1.0 / MAX_PRECISION) & np.isfinite(wide * high * shear)
+    precision, shear = var_y / determinant, sxy / var_y
+    inverse_std = np.sqrt((var_x + var_y) / determinant)
+    half_width, half_height = np.sqrt(cutoff * var_x), np.sqrt(cutoff * var_y)
+    usable = (
+        (determinant > 0.0)
+        & (precision < MAX_PRECISION)
+        & (var_y > 1.0 / MAX_PRECISION)
+        & np.isfinite(half_width * half_height * shear)
     )
-    kept = np.flatnonzero(kept & _overlaps_image(camera, u, v, wide, high))
-    box = _compute_box(camera, u[kept], v[kept], wide[kept], high[kept])
-    found = (z, u, v, var_y, shear, sharp, narrow, limit, opacity[at], rise_x, rise_y)
-    numbers: list[Any] = [each[kept] for each in (index, *found)]
+    usable = np.flatnonzero(usable & _overlaps_image(camera, u, v, half_width, half_height))
+    box = _compute_box(camera, u[usable], v[usable], half_width[usable], half_height[usable])
+    values = (z, u, v, var_y, shear, precision, inverse_std, cutoff, opacity[candidates], slope_x, slope_y)
+    numbers: list[Any] = [component[usable] for component in (index, *values)]
     return Footprints(*numbers, *box)
 
 
 def _linearise_projection(
     camera: Camera, focal: Float, x: Float, y: Float, z: Float
 ) -> tuple[Float, Float, list[list[Float]]]:
-    """Pixel coordinates of points in the camera's frame, and the two rows of the projection's Jacobian there."""
+    """Return pixel coordinates of points in the camera's frame, and the two rows of the projection's Jacobian there."""
     if camera.kind == "orthographic":
         flat_x, flat_y = x, y
         jacobian = [[np.full(len(z), row[0]), np.full(len(z), row[1]), np.zeros(len(z))] for row in focal]
     else:
         flat_x, flat_y = x / z, y / z
-        (least_x, most_x), (least_y, most_y) = _jacobian_bounds(camera, focal)
-        at_x, at_y = np.clip(flat_x, least_x, most_x), np.clip(flat_y, least_y, most_y)
+        (min_x, max_x), (min_y, max_y) = _jacobian_bounds(camera, focal)
+        at_x, at_y = np.clip(flat_x, min_x, max_x), np.clip(flat_y, min_y, max_y)
         jacobian = [[row[0] / z, row[1] / z, -(row[0] * at_x + row[1] * at_y) / z] for row in focal]
     u, v = (row[0] * flat_x + row[1] * flat_y + camera.intrinsics[i, 2] for i, row in enumerate(focal))
     return u, v, jacobian
 
 
 def _jacobian_bounds(camera: Camera, focal: Float) -> list[tuple[float, float]]:
-    """Least and greatest x / z and y / z at which a Jacobian is taken: of the whole picture, so that a crop sees what
-    the picture sees."""
+    """Return the range of x / z and of y / z at which Jacobians are taken; a crop has that of the uncropped image."""
     left, top, right, bottom = camera.frame
     corners = np.array([[left, top], [right, top], [left, bottom], [right, bottom]]) - camera.intrinsics[:2, 2]
     flat = corners @ np.linalg.inv(focal).T
-    least, most = flat.min(axis=0), flat.max(axis=0)
-    margin = FOV_MARGIN * 0.5 * (most - least)
-    return [(float(least[i] - margin[i]), float(most[i] + margin[i])) for i in range(2)]
+    lower, upper = flat.min(axis=0), flat.max(axis=0)
+    margin = FOV_MARGIN * 0.5 * (upper - lower)
+    return [(float(lower[i] - margin[i]), float(upper[i] + margin[i])) for i in range(2)]
 
 
 def transform_to_principal_axes(splats: Splats, index: Int, rows: Sequence[Sequence[Any]]) -> list[list[Float]]:
-    """rows · R · diag(scales): linear forms of the frame (3 entries each, numbers or (N,)) on the own axes of those
-    splats, 3 × (N,) each. Products of two of them are covariances."""
+    """Return rows · R · diag(scales): linear forms of the frame on the splats' principal axes.
+
+    Dot products of two results are covariances.
+
+    Parameters
+    ----------
+    splats : Splats
+        All splats.
+    index : ndarray of int, shape (N,)
+        Splats to transform.
+    rows : sequence of sequence
+        Linear forms, 3 entries each, numbers or arrays (N,).
+
+    Returns
+    -------
+    list of list of ndarray
+        For each form its 3 components, (N,) each.
+    """
     w, x, y, z = (splats.rotations[index, i].astype(np.float64) for i in range(4))
     norm = 2.0 / (w * w + x * x + y * y + z * z)
     rotation = [
@@ -194,22 +270,27 @@ def transform_to_principal_axes(splats: Splats, index: Int, rows: Sequence[Seque
 def _compute_depth_slopes(
     sxx: Float, sxy: Float, syy: Float, area: Float, depth: tuple[Float, Float, Float], low_pass: float
 ) -> tuple[Float, Float]:
-    """Depth per pixel of the mean along a ray, Σ_xy⁻¹ Σ_xy,z: for a disc its own plane. Without the low pass, which
-    would bend it; held where the splat is seen so nearly from its edge that the pixels around it would leave it."""
+    """Return the growth of depth per pixel of the mean along a ray, Σ_xy⁻¹ Σ_xy,z: for a disc, its plane.
+
+    The low pass is left out, since it would bend the plane. Slopes are limited if the splat is seen so nearly edge-on
+    that pixels around it would leave it.
+    """
     sxz, syz, szz = depth
-    least = MIN_EIGENVALUE_SHARE * (sxx + syy)
-    solvable = area + least * (sxx + syy) + least * least
-    rise_x = ((syy + least) * sxz - sxy * syz) / solvable
-    rise_y = ((sxx + least) * syz - sxy * sxz) / solvable
-    var = rise_x * rise_x * (sxx + low_pass) + 2.0 * rise_x * rise_y * sxy + rise_y * rise_y * (syy + low_pass)
-    held = np.minimum(1.0, MAX_DEPTH_REACH * np.sqrt(szz / np.where(var > 0.0, var, 1.0)))
-    rise_x, rise_y = held * rise_x, held * rise_y
-    known = np.isfinite(rise_x) & np.isfinite(rise_y) & (var > 0.0)
-    return np.where(known, rise_x, 0.0), np.where(known, rise_y, 0.0)
+    floor = MIN_EIGENVALUE_SHARE * (sxx + syy)
+    solvable = area + floor * (sxx + syy) + floor * floor
+    slope_x = ((syy + floor) * sxz - sxy * syz) / solvable
+    slope_y = ((sxx + floor) * syz - sxy * sxz) / solvable
+    variance = (
+        slope_x * slope_x * (sxx + low_pass) + 2.0 * slope_x * slope_y * sxy + slope_y * slope_y * (syy + low_pass)
+    )
+    limit = np.minimum(1.0, MAX_DEPTH_REACH * np.sqrt(szz / np.where(variance > 0.0, variance, 1.0)))
+    slope_x, slope_y = limit * slope_x, limit * slope_y
+    known = np.isfinite(slope_x) & np.isfinite(slope_y) & (variance > 0.0)
+    return np.where(known, slope_x, 0.0), np.where(known, slope_y, 0.0)
 
 
 def _gram_determinant(mx: list[Float], my: list[Float]) -> Float:
-    """det(M Mᵀ) of two rows, as a sum of squares (Cauchy and Binet), which no cancellation makes negative."""
+    """Return det(M Mᵀ) of two rows as a sum of squares (Cauchy and Binet), which cancellation cannot make negative."""
     pairs = ((0, 1), (0, 2), (1, 2))
     return np.asarray(sum((mx[i] * my[k] - mx[k] * my[i]) ** 2 for i, k in pairs))
 
@@ -224,7 +305,7 @@ def _compute_box(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -
 
 
 def _compute_edges(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> tuple[Float, Float, Float, Float]:
-    """Pixels whose centres lie within a half width and height, rounding outwards."""
+    """Return the pixels whose centres lie within a half width and height, rounded outwards."""
     wide, high = wide + BOX_MARGIN * (1.0 + wide + abs(u)), high + BOX_MARGIN * (1.0 + high + abs(v))
     return (
         np.maximum(np.ceil(u - wide - 0.5), 0.0),
@@ -235,6 +316,6 @@ def _compute_edges(camera: Camera, u: Float, v: Float, wide: Float, high: Float)
 
 
 def _dot(first: object, second: object) -> Float:
-    """Of three entries, numbers or (N,), one after the other."""
+    """Return the dot product of two vectors of three entries, numbers or (N,), added in order."""
     a, b = first, second
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])  # type: ignore[index]

@@ -1,4 +1,4 @@
-"""Splats that belong to something: without the faint, the far, the giant and the floating ones."""
+"""Pruning of splats that show no surface: broken, faint, far, too large, floating or isolated ones."""
 
 from __future__ import annotations
 
@@ -16,28 +16,42 @@ Bool = NDArray[np.bool_]
 Int = NDArray[np.int64]
 
 MIN_OPACITY = 0.05
-"""Opacity below which a splat makes no surface: twenty of them in a row stop less than two thirds of the light."""
+"""Least opacity of a splat that is kept; twenty fainter ones in a row stop less than two thirds of the light."""
 MAX_DISTANCE = 30.0
-"""How far from the middle along an axis, in sizes of the middle half, a splat may lie."""
+"""Largest distance of a splat from the median along an axis, in sizes of the middle half of the cloud."""
 MAX_SCALE = 0.5
-"""Largest standard deviation in sizes of the middle half; beyond it a splat is sky or blur."""
+"""Largest standard deviation of a splat, in sizes of the middle half; larger ones are sky or blur."""
 MAX_THICKNESS = 0.1
-"""Least standard deviation in sizes of the middle half; a splat of a surface is thin one way."""
+"""Largest standard deviation along a splat's thinnest axis, in sizes of the middle half: a splat of a surface is thin
+one way."""
 NEIGHBOURS_PER_CELL = 12
-"""Splats that the median splat has in its cell, itself counted: this sets the cells."""
+"""Number of splats in the cell of the median splat, itself included; determines the cell size."""
 MIN_COMPONENT_SHARE = 0.01
-"""Share of all opacity below which a connected part floats."""
+"""Least fraction of all opacity in a connected component that is kept."""
 MIN_SUPPORT = 0.02
-"""Share of the median splat's neighbouring opacity below which a splat has no support."""
+"""Least opacity around a splat, as a fraction of the median splat's."""
 
 PRUNE_REASONS = ("broken", "faint", "far", "giant", "floating", "lonely")
+"""Names of the reasons in `PruneResult.dropped`, in the order of the tests."""
 
 
 @dataclass(frozen=True)
 class PruneResult:
-    """splats: those kept. kept: (N,) bool into the original. dropped: how many for which of REASONS (each counted
-    once, under the first). size: diagonal of the box of the middle half of the cloud, and spacing: side of the cells
-    that connect its parts, both in the cloud's unit."""
+    """Splats that are left after pruning.
+
+    Attributes
+    ----------
+    splats : Splats
+        The remaining splats.
+    mask : ndarray of bool, shape (N,)
+        True for the splats of the input that remain.
+    dropped : dict of str to int
+        Number of dropped splats for each of `PRUNE_REASONS`; each counts once, under the first.
+    size : float
+        Diagonal of the bounding box of the middle half of the cloud, in the cloud's unit.
+    spacing : float
+        Side of the cells that connect components, in the cloud's unit.
+    """
 
     splats: Splats
     mask: Bool
@@ -46,18 +60,35 @@ class PruneResult:
     spacing: float
 
     def summary(self) -> str:
-        """One sentence."""
-        gone = [f"{count} {reason}" for reason, count in self.dropped.items() if count]
-        return f"{len(self.splats)} of {len(self.mask)} splats kept" + (f" ({', '.join(gone)})." if gone else ".")
+        """Return the result as one sentence."""
+        dropped = [f"{count} {reason}" for reason, count in self.dropped.items() if count]
+        return f"{len(self.splats)} of {len(self.mask)} splats kept" + (f" ({', '.join(dropped)})." if dropped else ".")
 
 
 def prune_splats(splats: Splats, *, where: str = "") -> PruneResult:
-    """Drops, in this order, what is broken (not finite, or without size), FAINTEST, FARTHEST, larger than LARGEST or
-    THICKEST, in a connected part that holds less than FLOATING of the opacity, or LONELY.
+    """Drop splats that belong to no surface.
 
-    Parts are connected over cells (26 neighbours) with COMPANY splats for the median one. All lengths are in units
-    of the cloud's own size, so that a cloud 1000 times larger loses the same splats. Raises SceneError where fewer
-    than four splats, or splats in one point only, would be left.
+    Tests in this order: broken (not finite or without size), faint (`MIN_OPACITY`), far (`MAX_DISTANCE`), too large
+    (`MAX_SCALE`, `MAX_THICKNESS`), floating (in a component below `MIN_COMPONENT_SHARE` of the opacity), isolated
+    (`MIN_SUPPORT`). Components are connected over 26 neighbouring cells of `choose_cell_size`. All lengths are relative
+    to the cloud's size, so that the result does not depend on its unit.
+
+    Parameters
+    ----------
+    splats : Splats
+        The splats.
+    where : str
+        Name of the cloud in error messages.
+
+    Returns
+    -------
+    PruneResult
+        The remaining splats.
+
+    Raises
+    ------
+    SceneError
+        If fewer than four splats are left, or all lie in one point.
     """
     reason = np.full(len(splats), -1, dtype=np.int64)
     finite = np.isfinite(splats.means).all(axis=1) & np.isfinite(splats.opacities)
@@ -65,54 +96,56 @@ def prune_splats(splats: Splats, *, where: str = "") -> PruneResult:
     finite &= np.isfinite(splats.rotations).all(axis=1) & np.isfinite(splats.harmonics).all(axis=(1, 2))
     reason[~finite] = 0
     reason[(reason < 0) & ~(splats.opacities >= MIN_OPACITY)] = 1
-    left = _get_remaining(reason, splats, where)
+    remaining = _get_remaining(reason, splats, where)
     means = splats.means.astype(np.float64)
-    low, middle, high = np.quantile(means[left], (0.25, 0.5, 0.75), axis=0)
+    low, middle, high = np.quantile(means[remaining], (0.25, 0.5, 0.75), axis=0)
     size = float(np.linalg.norm(high - low))
     if size <= 0.0:
         raise SceneError("the splats all lie in one point.", where=where, remedy="Export the reconstruction again.")
-    reason[left[(np.abs(means[left] - middle) > MAX_DISTANCE * size).any(axis=1)]] = 2
-    left = _get_remaining(reason, splats, where)
-    scales = splats.scales[left]
-    reason[left[(scales.max(axis=1) > MAX_SCALE * size) | (scales.min(axis=1) > MAX_THICKNESS * size)]] = 3
-    left = _get_remaining(reason, splats, where)
-    places = means[left] - middle + MAX_DISTANCE * size
-    spacing = choose_cell_size(places, size)
-    parts = _find_components(places, spacing, splats.opacities[left].astype(np.float64))
-    reason[left[parts.mass < MIN_COMPONENT_SHARE * splats.opacities[left].sum(dtype=np.float64)]] = 4
-    lonely = parts.around < MIN_SUPPORT * np.median(parts.around)
-    reason[left[lonely & (reason[left] < 0)]] = 5
+    reason[remaining[(np.abs(means[remaining] - middle) > MAX_DISTANCE * size).any(axis=1)]] = 2
+    remaining = _get_remaining(reason, splats, where)
+    scales = splats.scales[remaining]
+    reason[remaining[(scales.max(axis=1) > MAX_SCALE * size) | (scales.min(axis=1) > MAX_THICKNESS * size)]] = 3
+    remaining = _get_remaining(reason, splats, where)
+    positions = means[remaining] - middle + MAX_DISTANCE * size
+    spacing = choose_cell_size(positions, size)
+    components = _find_components(positions, spacing, splats.opacities[remaining].astype(np.float64))
+    reason[remaining[components.mass < MIN_COMPONENT_SHARE * splats.opacities[remaining].sum(dtype=np.float64)]] = 4
+    isolated = components.around < MIN_SUPPORT * np.median(components.around)
+    reason[remaining[isolated & (reason[remaining] < 0)]] = 5
     _get_remaining(reason, splats, where)
-    kept = reason < 0
-    counts = np.bincount(reason[~kept], minlength=len(PRUNE_REASONS))
-    return PruneResult(splats.take(kept), kept, dict(zip(PRUNE_REASONS, counts.tolist(), strict=True)), size, spacing)
+    mask = reason < 0
+    counts = np.bincount(reason[~mask], minlength=len(PRUNE_REASONS))
+    return PruneResult(splats.take(mask), mask, dict(zip(PRUNE_REASONS, counts.tolist(), strict=True)), size, spacing)
 
 
 def _get_remaining(reason: NDArray[np.int64], splats: Splats, where: str) -> NDArray[np.intp]:
-    left = np.flatnonzero(reason < 0)
-    if len(left) < 4:
+    remaining = np.flatnonzero(reason < 0)
+    if len(remaining) < 4:
         counts = np.bincount(reason[reason >= 0], minlength=len(PRUNE_REASONS))
-        gone = ", ".join(f"{count} {name}" for name, count in zip(PRUNE_REASONS, counts.tolist(), strict=True) if count)
+        dropped = ", ".join(
+            f"{count} {name}" for name, count in zip(PRUNE_REASONS, counts.tolist(), strict=True) if count
+        )
         raise SceneError(
-            f"nothing to touch is left of {len(splats)} splats ({gone or 'there are none'}).",
+            f"nothing to touch is left of {len(splats)} splats ({dropped or 'there are none'}).",
             where=where,
             remedy="Look at the cloud in a splat viewer; export it again with its opacities.",
         )
-    return left
+    return remaining
 
 
 def choose_cell_size(positions: Float, size: float) -> float:
-    """The finest of cells of size · 2^(−n/4) in which the median splat has COMPANY. places: (n, 3) ≥ 0.
+    """Return the smallest cell size · 2^(−n/4) at which the median splat's cell has `NEIGHBOURS_PER_CELL` splats.
 
-    A power of two times the cloud is exactly that times the spacing.
+    `positions` (n, 3) are not negative. Powers of two make the result scale exactly with the cloud.
     """
-    wanted = min(NEIGHBOURS_PER_CELL, len(positions) / 2)
-    coarse, fine = 0, 48  # of a billion splats on a surface, the median one has company in cells of size/4096
+    target = min(NEIGHBOURS_PER_CELL, len(positions) / 2)
+    coarse, fine = 0, 48  # finest cells size/4096: enough for a billion splats on a surface
     while fine - coarse > 1:
         step = (coarse + fine) // 2
         keys = _compute_cell_keys(positions, size * 2.0 ** (-step / 4))[1]
-        _, which, count = np.unique(keys, return_inverse=True, return_counts=True)
-        coarse, fine = (step, fine) if np.median(count[which.reshape(-1)]) >= wanted else (coarse, step)
+        _, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
+        coarse, fine = (step, fine) if np.median(count[inverse.reshape(-1)]) >= target else (coarse, step)
     return float(size * 2.0 ** (-coarse / 4))
 
 
@@ -125,7 +158,7 @@ def _compute_cell_keys(positions: Float, spacing: float) -> tuple[VoxelGrid, Int
 
 @dataclass(frozen=True)
 class _Components:
-    """mass: (n,) opacity of each splat's connected part. around: (n,) opacity in its cell and the 26 next to it."""
+    """Opacity (n,) of each splat's connected component, and (n,) of its cell and the 26 cells next to it."""
 
     mass: Float
     around: Float
@@ -133,19 +166,19 @@ class _Components:
 
 def _find_components(positions: Float, spacing: float, opacity: Float) -> _Components:
     grid, keys = _compute_cell_keys(positions, spacing)
-    cells, which = np.unique(keys, return_inverse=True)
-    which = which.reshape(-1)
-    held = np.bincount(which, weights=opacity).astype(np.float64)
-    around = held.copy()
+    cells, inverse = np.unique(keys, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    cell_opacity = np.bincount(inverse, weights=opacity).astype(np.float64)
+    around = cell_opacity.copy()
     first, second = [], []
     steps = [grid.key_offset((x, y, z)) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-    for step in (each for each in steps if each > 0):
-        other = find_keys(cells, cells + step)
-        near = np.flatnonzero(other >= 0)
-        around[near] += held[other[near]]
-        around[other[near]] += held[near]
+    for step in (offset for offset in steps if offset > 0):
+        neighbour = find_keys(cells, cells + step)
+        near = np.flatnonzero(neighbour >= 0)
+        around[near] += cell_opacity[neighbour[near]]
+        around[neighbour[near]] += cell_opacity[near]
         first.append(near)
-        second.append(other[near])
+        second.append(neighbour[near])
     label = label_components(len(cells), np.concatenate(first), np.concatenate(second))
-    mass = np.bincount(label, weights=held, minlength=len(cells)).astype(np.float64)[label]
-    return _Components(mass[which], around[which])
+    mass = np.bincount(label, weights=cell_opacity, minlength=len(cells)).astype(np.float64)[label]
+    return _Components(mass[inverse], around[inverse])

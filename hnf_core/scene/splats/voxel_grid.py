@@ -1,8 +1,4 @@
-"""Cells of a grid that is never stored: the ones in use as sorted numbers, so that memory follows the surface, not the
-box around it.
-
-The nearest triangle of a fine mesh, for many points, where there is one near.
-"""
+"""Sparse voxel grids as sorted integer keys, connected components, and nearest triangles by spatial bins."""
 
 from __future__ import annotations
 
@@ -18,12 +14,15 @@ from ..raycast import find_closest_barycentric
 Int = NDArray[np.int64]
 
 MAX_CELLS_PER_AXIS = (1 << 21) - 1
-"""Cells along an axis; three of them fit into one 63-bit number."""
+"""Largest number of cells along an axis; three of them fit into a 63-bit key."""
 
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """shape: cells along x, y, z, at most LONGEST_SIDE each: else SceneError. A cell's key is (i · ny + j) · nz + k."""
+    """A grid of (nx, ny, nz) cells that is never stored; the key of cell (i, j, k) is (i · ny + j) · nz + k.
+
+    Raises SceneError if there are more than `MAX_CELLS_PER_AXIS` cells along an axis.
+    """
 
     shape: tuple[int, int, int]
 
@@ -35,24 +34,26 @@ class VoxelGrid:
             )
 
     def keys(self, cells: Int) -> Int:
-        """(n, 3) cells → (n,) keys."""
+        """Return the keys (n,) of cells (n, 3)."""
         _, ny, nz = self.shape
         return (cells[:, 0] * ny + cells[:, 1]) * nz + cells[:, 2]
 
     def cells(self, keys: Int) -> Int:
-        """(n,) keys → (n, 3) cells."""
+        """Return the cells (n, 3) of keys (n,)."""
         _, ny, nz = self.shape
         return np.stack([keys // (ny * nz), keys // nz % ny, keys % nz], axis=1)
 
     def key_offset(self, offset: tuple[int, int, int]) -> int:
-        """What a key grows by where its cell moves by offset. Only true away from the grid's rim: keep one cell of
-        border per step."""
+        """Return the difference of keys of two cells that are `offset` apart.
+
+        It is valid only away from the grid's rim: leave one cell of border per step.
+        """
         _, ny, nz = self.shape
         return (offset[0] * ny + offset[1]) * nz + offset[2]
 
 
 def find_keys(keys: Int, wanted: Int) -> NDArray[np.intp]:
-    """Where each wanted key stands among sorted keys, -1 where it does not."""
+    """Return the index of each wanted key among sorted keys, -1 if it is missing."""
     if len(keys) == 0:
         return np.full(wanted.shape, -1, dtype=np.intp)
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
@@ -60,8 +61,10 @@ def find_keys(keys: Int, wanted: Int) -> NDArray[np.intp]:
 
 
 def dilate_keys(grid: VoxelGrid, keys: Int, reach: int) -> Int:
-    """The sorted keys of all cells within reach of one of these along every axis; they must lie that far from the
-    grid's rim."""
+    """Return the sorted keys of all cells within `reach` of the given ones along every axis.
+
+    The given cells must be that far from the grid's rim.
+    """
     keys = np.unique(keys)
     for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1)):
         step = grid.key_offset(axis)
@@ -72,8 +75,22 @@ def dilate_keys(grid: VoxelGrid, keys: Int, reach: int) -> Int:
 def label_components(
     count: int, first: NDArray[np.integer[Any]], second: NDArray[np.integer[Any]]
 ) -> NDArray[np.int64]:
-    """Labels (count,) of the connected parts of a graph with edges first–second: the lowest number in each part.
+    """Label the connected components of a graph by the lowest vertex number in each.
 
+    Parameters
+    ----------
+    count : int
+        Number of vertices.
+    first, second : ndarray of int, shape (E,)
+        Ends of the edges.
+
+    Returns
+    -------
+    ndarray of int64, shape (count,)
+        Label of each vertex.
+
+    Notes
+    -----
     Hooking and pointer jumping (Shiloach & Vishkin 1982): some log(count) passes over all edges.
     """
     label = np.arange(count, dtype=np.int64)
@@ -95,12 +112,14 @@ Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 _POINTS_PER_CHUNK = 1 << 13
+"""Number of points that are searched together."""
 _MAX_CELLS = 1 << 20
+"""Largest number of cells along the longest axis."""
 
 
 @dataclass(frozen=True)
 class NearestTriangles:
-    """triangle: (n,) int32, -1 where none is within reach. distance: (n,) float64, inf there."""
+    """Nearest triangle (n,) of each point, -1 if none is within reach, and its distance (n,), inf then."""
 
     triangle: NDArray[np.int32]
     distance: Float
@@ -109,42 +128,64 @@ class NearestTriangles:
 def find_nearest_triangles(
     vertices: ArrayLike, triangles: ArrayLike, points: ArrayLike, within: float
 ) -> NearestTriangles:
-    """The triangle (T, 3) of vertices (V, 3) nearest to each point (n, 3), if no farther than within; of equally near
-    ones any. Exact in float64; looks near first, and farther only for those that found nothing.
+    """Find the nearest triangle to each point, exactly in float64.
 
-    Raises UsageError for a reach that is not a positive number.
+    Parameters
+    ----------
+    vertices : array_like, shape (V, 3)
+        Positions.
+    triangles : array_like of int, shape (T, 3)
+        Vertex indices.
+    points : array_like, shape (n, 3)
+        Points to search from.
+    within : float
+        Largest distance.
+
+    Returns
+    -------
+    NearestTriangles
+        Triangles and distances; of several equally near triangles, any.
+
+    Raises
+    ------
+    UsageError
+        If `within` is no positive number.
+
+    Notes
+    -----
+    The search starts with a small radius and doubles it for the points that found nothing.
     """
     if not 0.0 < within < np.inf:
         raise UsageError(f"a reach of {within} finds nothing.", remedy="Give a positive length.")
     corners = np.asarray(vertices, dtype=np.float64)[np.asarray(triangles)].reshape(-1, 3, 3)
-    places = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    found = NearestTriangles(np.full(len(places), -1, dtype=np.int32), np.full(len(places), np.inf))
-    if len(corners) == 0 or len(places) == 0:
-        return found
+    positions = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    nearest = NearestTriangles(np.full(len(positions), -1, dtype=np.int32), np.full(len(positions), np.inf))
+    if len(corners) == 0 or len(positions) == 0:
+        return nearest
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
     finest = float(np.ptp(centre, axis=0).max()) / _MAX_CELLS
     reach = min(within, max(float(np.median(radius)), finest, within * 2.0**-20))
-    # A few large triangles would make the cells of all the others large.
+    # Large triangles get bins of their own, since they would make the cells of all others large.
     small = radius <= max(1.5 * float(np.median(radius)), finest)
-    groups = [each for each in (np.flatnonzero(small), np.flatnonzero(~small)) if len(each)]
+    groups = [indices for indices in (np.flatnonzero(small), np.flatnonzero(~small)) if len(indices)]
     while True:
-        open_ = np.flatnonzero(found.triangle < 0)
+        pending = np.flatnonzero(nearest.triangle < 0)
         for group in groups:
             bins = _TriangleBins.build(centre[group], reach + float(radius[group].max()))
-            for start in range(0, len(open_), _POINTS_PER_CHUNK):
-                which = open_[start : start + _POINTS_PER_CHUNK]
-                triangle, distance = _search_bins(bins, corners[group], centre[group], radius[group], places[which])
-                hit = (distance <= reach) & (distance < found.distance[which])
-                found.triangle[which[hit]], found.distance[which[hit]] = group[triangle[hit]], distance[hit]
+            for start in range(0, len(pending), _POINTS_PER_CHUNK):
+                chunk = pending[start : start + _POINTS_PER_CHUNK]
+                triangle, distance = _search_bins(bins, corners[group], centre[group], radius[group], positions[chunk])
+                hit = (distance <= reach) & (distance < nearest.distance[chunk])
+                nearest.triangle[chunk[hit]], nearest.distance[chunk[hit]] = group[triangle[hit]], distance[hit]
         if reach >= within:
-            return found
+            return nearest
         reach = min(2.0 * reach, within)
 
 
 @dataclass(frozen=True)
 class _TriangleBins:
-    """Triangles sorted by the cell of their middle: cells keys[i] hold order[start[i] : start[i + 1]]."""
+    """Triangles sorted by the cell of their centroid: cell keys[i] holds order[start[i] : start[i + 1]]."""
 
     grid: VoxelGrid
     low: Float
@@ -168,8 +209,8 @@ class _TriangleBins:
 def _search_bins(
     bins: _TriangleBins, corners: Float, centre: Float, radius: Float, points: Float
 ) -> tuple[Index, Float]:
-    """(n,) the nearest among the triangles of the 27 cells around each point, and its distance; -1, inf for none."""
-    nearest, least = np.full(len(points), -1, dtype=np.intp), np.full(len(points), np.inf)
+    """Return the nearest triangle (n,) in the 27 cells around each point, and its distance; -1 and inf if none."""
+    nearest, min_distance = np.full(len(points), -1, dtype=np.intp), np.full(len(points), np.inf)
     inside = np.flatnonzero(((points >= bins.low - bins.side) & (points <= bins.high + bins.side)).all(axis=1))
     keys = bins.grid.keys(np.floor((points[inside] - bins.low) / bins.side).astype(np.int64) + 2)
     bound = np.full(len(points), np.inf)
@@ -177,22 +218,22 @@ def _search_bins(
         _find_candidate_pairs(bins, centre, radius, points, inside, keys + step, bound)
         for step in _neighbour_key_offsets(bins.grid)
     ]
-    who, which, closest = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    kept = closest <= bound[who] * (1.0 + 1e-9)
-    who, which = who[kept], which[kept]
-    chosen = corners[which]
-    foot = np.einsum("nc,ncx->nx", find_closest_barycentric(chosen, points[who]), chosen)
-    distance = np.linalg.norm(foot - points[who], axis=1)
-    order = np.lexsort((which, distance, who))
-    first = order[np.unique(who[order], return_index=True)[1]]
-    nearest[who[first]], least[who[first]] = which[first], distance[first]
-    return nearest, least
+    point_index, triangle_index, closest = (np.concatenate(arrays) for arrays in zip(*pairs, strict=True))
+    keep = closest <= bound[point_index] * (1.0 + 1e-9)
+    point_index, triangle_index = point_index[keep], triangle_index[keep]
+    chosen = corners[triangle_index]
+    foot = np.einsum("nc,ncx->nx", find_closest_barycentric(chosen, points[point_index]), chosen)
+    distance = np.linalg.norm(foot - points[point_index], axis=1)
+    order = np.lexsort((triangle_index, distance, point_index))
+    first = order[np.unique(point_index[order], return_index=True)[1]]
+    nearest[point_index[first]], min_distance[point_index[first]] = triangle_index[first], distance[first]
+    return nearest, min_distance
 
 
 def _neighbour_key_offsets(grid: VoxelGrid) -> list[int]:
-    """To the 27 cells around one, itself first: where the nearest is likely found."""
+    """Return key offsets to the 27 cells around a cell, itself first because the nearest is likely there."""
     near = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-    return [grid.key_offset(each) for each in sorted(near, key=lambda each: sum(map(abs, each)))]
+    return [grid.key_offset(step) for step in sorted(near, key=lambda step: sum(map(abs, step)))]
 
 
 def _find_candidate_pairs(
@@ -204,17 +245,21 @@ def _find_candidate_pairs(
     keys: NDArray[np.int64],
     bound: Float,
 ) -> tuple[Index, Index, Float]:
-    """Points and the triangles of their cells keys that may be nearest, and the least distance that these can have.
-    bound: (n,) the distance that something is within, lowered here."""
-    at = find_keys(bins.keys, keys)
-    hit = np.flatnonzero(at >= 0)
-    first, count = bins.start[at[hit]], np.diff(bins.start)[at[hit]]
-    who = np.repeat(inside[hit], count)
+    """Return pairs of points and triangles in cells `keys` that may be nearest, and their least possible distance.
+
+    `bound` (n,) holds the distance within which some triangle lies; it is lowered in place.
+    """
+    cell = find_keys(bins.keys, keys)
+    occupied = np.flatnonzero(cell >= 0)
+    first, count = bins.start[cell[occupied]], np.diff(bins.start)[cell[occupied]]
+    point_index = np.repeat(inside[occupied], count)
     begin = np.cumsum(count) - count
-    which = bins.order[np.repeat(first - begin, count) + np.arange(len(who))]
-    away = np.sqrt(sum((centre[:, axis][which] - points[:, axis][who]) ** 2 for axis in range(3)))
-    if len(hit):
-        bound[inside[hit]] = np.minimum(bound[inside[hit]], np.minimum.reduceat(away, begin))
-    closest = away - radius[which]
-    kept = closest <= bound[who] * (1.0 + 1e-9)
-    return who[kept], which[kept], closest[kept]
+    triangle_index = bins.order[np.repeat(first - begin, count) + np.arange(len(point_index))]
+    centre_distance = np.sqrt(
+        sum((centre[:, axis][triangle_index] - points[:, axis][point_index]) ** 2 for axis in range(3))
+    )
+    if len(occupied):
+        bound[inside[occupied]] = np.minimum(bound[inside[occupied]], np.minimum.reduceat(centre_distance, begin))
+    closest = centre_distance - radius[triangle_index]
+    keep = closest <= bound[point_index] * (1.0 + 1e-9)
+    return point_index[keep], triangle_index[keep], closest[keep]

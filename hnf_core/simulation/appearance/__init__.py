@@ -1,2 +1,5 @@
-"""How a surface looks: colour, light and macro depth of a height tile, to learn touch from sight. A room of its own
-inside the simulator: nothing here has a say in how a surface feels."""
+"""Appearance of simulated surfaces: colour, light and macro depth of a height tile, to train D_φ on.
+
+Start with `instance.py`, which samples an appearance; `albedo.py` and `shading.py` render it. Nothing here affects how
+a surface feels.
+"""

@@ -1,4 +1,4 @@
-"""Base colour of a height tile: a piece's marks where the relief, the lattice, the grain or chance puts them."""
+"""Base colour of a height tile: marks that follow the relief, the lattice, the grain, or nothing at all."""
 
 from __future__ import annotations
 
@@ -16,16 +16,18 @@ Single = NDArray[np.float32]
 Complex = NDArray[np.complex128]
 
 MIN_MARK_STRENGTH = 0.01
-"""Marks weaker than this are left out: below what eight bits of colour show."""
+"""Weakest mark that is rendered; weaker ones do not show in eight bits of colour."""
 MIN_ALBEDO, MAX_ALBEDO = 0.004, 0.95
+"""Range of linear base colour."""
 MIN_GRAIN_STRETCH = 1.3
-"""Noise stretched by less shows no streaks."""
+"""Least stretch of noise that shows streaks."""
 
 
 def compute_cavity_depth(spectrum: Complex, pixels: int, size_m: float, reach_m: float) -> Single:
-    """(H, W) metres by which each place lies below the height's Gaussian mean over reach_m; crests are negative.
+    """Compute the depth (H, W) [m] below the height's Gaussian mean over `reach_m`; crests are negative.
 
-    spectrum: rfft2 of the height."""
+    `spectrum` is rfft2 of the height.
+    """
     kx, ky = wavenumbers(pixels, size_m)
     high_pass = gaussian_mtf(np.hypot(kx, ky), reach_m) - 1.0
     return np.fft.irfft2(spectrum * high_pass, (pixels, pixels)).astype(np.float32)
@@ -34,7 +36,26 @@ def compute_cavity_depth(spectrum: Complex, pixels: int, size_m: float, reach_m:
 def render_albedo(
     recipe: SurfaceRecipe, spectrum: Complex, appearance: SurfaceAppearance, size_m: float, rng: np.random.Generator
 ) -> Single:
-    """(H, W, 3) linear base colour of a tile. spectrum: rfft2 of its height (H = W). rng: what chance puts there."""
+    """Render the linear base colour of a tile.
+
+    Parameters
+    ----------
+    recipe : SurfaceRecipe
+        Recipe of the surface.
+    spectrum : ndarray of complex
+        rfft2 of its height (H = W).
+    appearance : SurfaceAppearance
+        Its appearance.
+    size_m : float
+        Side of the tile [m].
+    rng : numpy.random.Generator
+        Source of marks that do not follow the relief.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, 3)
+        Linear base colour.
+    """
     pixels = spectrum.shape[0]
     logs = np.zeros((3, pixels, pixels), dtype=np.float32)
 
@@ -43,18 +64,20 @@ def render_albedo(
             logs[channel] += np.float32(strength * tint[channel]) * field
 
     if abs(appearance.dirt.strength) > MIN_MARK_STRENGTH or abs(appearance.wear.strength) > MIN_MARK_STRENGTH:
-        deep = compute_cavity_depth(spectrum, pixels, size_m, appearance.reach_m) / np.float32(appearance.depth_m)
-        mark(appearance.dirt.strength, appearance.dirt.tint, -np.expm1(-np.maximum(deep, 0)))
-        mark(appearance.wear.strength, appearance.wear.tint, -np.expm1(np.minimum(deep, 0)))
+        relative_depth = compute_cavity_depth(spectrum, pixels, size_m, appearance.reach_m) / np.float32(
+            appearance.depth_m
+        )
+        mark(appearance.dirt.strength, appearance.dirt.tint, -np.expm1(-np.maximum(relative_depth, 0)))
+        mark(appearance.wear.strength, appearance.wear.tint, -np.expm1(np.minimum(relative_depth, 0)))
     for lattice in recipe.lattices:
         if abs(appearance.yarns.strength) > MIN_MARK_STRENGTH:
             mark(appearance.yarns.strength, appearance.yarns.tint, render_lattice_pattern(lattice, spectrum, size_m))
-    grain = next((part for part in recipe.noise if part.stretch > MIN_GRAIN_STRETCH), None)
-    if grain is not None and abs(appearance.streak.strength) > MIN_MARK_STRENGTH:
+    grain_noise = next((part for part in recipe.noise if part.stretch > MIN_GRAIN_STRETCH), None)
+    if grain_noise is not None and abs(appearance.streak.strength) > MIN_MARK_STRENGTH:
         mark(
             appearance.streak.strength,
             appearance.streak.tint,
-            render_streaks(grain, spectrum, appearance.streak_relief_share, size_m, rng),
+            render_streaks(grain_noise, spectrum, appearance.streak_relief_share, size_m, rng),
         )
     if abs(appearance.speckle.strength) > MIN_MARK_STRENGTH:
         mark(appearance.speckle.strength, appearance.speckle.tint, render_speckle(pixels, size_m, appearance, rng))
@@ -67,23 +90,25 @@ def render_albedo(
 
 
 def render_lattice_pattern(lattice: Lattice, spectrum: Complex, size_m: float) -> Single:
-    """(H, W) −1 … 1: where the lattice's own waves stand high. Read off the height around the waves' wave vectors, so
-    that colour wanders with the threads as they do."""
+    """Return a pattern (H, W), −1 … 1, of the lattice's raised parts.
+
+    It is filtered from the height around the waves' wave vectors, so that colour follows irregular threads.
+    """
     pixels = spectrum.shape[0]
     kx, ky = wavenumbers(pixels, size_m)
     width = 2.0 / size_m + 0.5 * lattice.irregularity / lattice.irregularity_m
     gain = np.zeros(spectrum.shape)
     for x, y, amplitude, _ in lattice.waves:
         for sign in (1.0, -1.0):
-            near = np.square(kx - sign * x / size_m) + np.square(ky - sign * y / size_m)
-            gain = np.maximum(gain, abs(amplitude) * np.exp(-0.5 * near / width**2))
+            squared_distance = np.square(kx - sign * x / size_m) + np.square(ky - sign * y / size_m)
+            gain = np.maximum(gain, abs(amplitude) * np.exp(-0.5 * squared_distance / width**2))
     return np.asarray(np.tanh(np.float32(1.5) * _standardise(np.fft.irfft2(spectrum * gain, (pixels, pixels)))))
 
 
 def render_streaks(
     noise: Noise, spectrum: Complex, relief_share: float, size_m: float, rng: np.random.Generator
 ) -> Single:
-    """(H, W) streaks along the part's grain, RMS 1: partly the relief itself, partly independent of it."""
+    """Return streaks (H, W) of RMS 1 along the grain, partly from the relief and partly independent of it."""
     pixels = spectrum.shape[0]
     kx, ky = wavenumbers(pixels, size_m)
     along = kx * np.cos(noise.angle_rad) + ky * np.sin(noise.angle_rad)
@@ -91,14 +116,14 @@ def render_streaks(
     length = float(np.exp(rng.uniform(np.log(0.4e-3), np.log(2e-3))))
     kappa2 = np.square(along * 2.0 * noise.stretch) + np.square(across)
     gain = (1.0 + kappa2 * length**2) ** -1.2
-    chance = _standardise(np.fft.irfft2(_white_noise_spectrum(pixels, rng) * gain, (pixels, pixels)))
+    independent = _standardise(np.fft.irfft2(_white_noise_spectrum(pixels, rng) * gain, (pixels, pixels)))
     band = np.exp(-0.5 * np.square(kx * 0.1e-3) - 0.5 * np.square(ky * 0.1e-3))
     relief = _standardise(np.fft.irfft2(spectrum * band, (pixels, pixels)))
-    return np.asarray(np.float32(relief_share**0.5) * relief + np.float32((1.0 - relief_share) ** 0.5) * chance)
+    return np.asarray(np.float32(relief_share**0.5) * relief + np.float32((1.0 - relief_share) ** 0.5) * independent)
 
 
 def render_speckle(pixels: int, size_m: float, appearance: SurfaceAppearance, rng: np.random.Generator) -> Single:
-    """(H, W) spots of about speckle_m, RMS near 1: cloudy, or cut at a level as the minerals of granite."""
+    """Return spots (H, W) of about `speckle_m`, RMS near 1: cloudy, or sharp-edged as the minerals of granite."""
     kx, ky = wavenumbers(pixels, size_m)
     square = np.square(kx) + np.square(ky)
     size = appearance.speckle_m / 4.0
@@ -113,7 +138,7 @@ def render_speckle(pixels: int, size_m: float, appearance: SurfaceAppearance, rn
 def render_printed_pattern(
     pixels: int, size_m: float, appearance: SurfaceAppearance, rng: np.random.Generator
 ) -> Single:
-    """(H, W) −1 … 1, a pattern of the kind and size of the piece's print, anywhere and any way round."""
+    """Return a printed pattern (H, W), −1 … 1, at a random position and angle."""
     if appearance.print_kind == "clouds":
         kx, ky = wavenumbers(pixels, size_m)
         gain = np.exp(-0.5 * np.square(2.0 * appearance.print_m) * (np.square(kx) + np.square(ky)))

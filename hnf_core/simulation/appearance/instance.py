@@ -1,6 +1,6 @@
-"""One piece's looks: base colour, gloss, and how strongly each pattern marks it; drawn by a seed around its class.
+"""Appearance of one instance: base colour, gloss and the strength of every pattern, drawn by a seed around its class.
 
-Everything that colours a surface is a factor exp(strength · field · tint) on the base colour, fields of order one.
+Every pattern is a factor exp(strength · field · tint) on the base colour, with fields of order one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Mark:
-    """strength: natural logarithm of the factor where the field is 1. tint: by how much each channel takes part."""
+    """Strength of a pattern: logarithm of the factor where the field is 1, and its weight per channel."""
 
     strength: float
     tint: Colour = (1.0, 1.0, 1.0)
@@ -27,11 +27,38 @@ class Mark:
 
 @dataclass(frozen=True)
 class SurfaceAppearance:
-    """base_color: linear RGB. dirt: dark stuff in pits, wear: lighter crests; both fill up over depth_m (an absolute
-    depth: what a pit holds says how deep it is) against the height's mean over reach_m. yarns: what stands up in a
-    lattice against what lies low (warp and weft). streak: along the grain of stretched noise; streak_follows: share of
-    its power that is the relief itself. speckle: spots of speckle_m that have nothing to do with height; speckle_sharp:
-    0 cloudy … 1 cut. prints: a printed pattern of print_m, no geometry either; kind in PRINTS.
+    """Appearance of one instance of a surface.
+
+    Attributes
+    ----------
+    base_color : tuple of 3 floats
+        Linear RGB.
+    roughness, metallic : float
+        Shading values.
+    dirt, wear : Mark
+        Dark matter in pits, and lighter crests.
+    depth_m : float
+        Depth at which both saturate [m]; absolute, so that the content of a pit shows how deep it is.
+    reach_m : float
+        Length of the mean height that depth is measured against [m].
+    yarns : Mark
+        Raised against low parts of a lattice (warp and weft).
+    streak : Mark
+        Streaks along the grain of stretched noise.
+    streak_relief_share : float
+        Fraction of the streaks' power that is the relief itself.
+    speckle : Mark
+        Spots independent of height.
+    speckle_m : float
+        Size of the spots [m].
+    speckle_sharp : float
+        Sharpness of the spots, 0 cloudy to 1 sharp-edged.
+    prints : Mark
+        Printed pattern, independent of height.
+    print_kind : str
+        One of `PRINT_KINDS`.
+    print_m : float
+        Size of the printed pattern [m].
     """
 
     base_color: Colour
@@ -57,7 +84,7 @@ PRINT_KINDS = ("stripes", "dots", "clouds")
 
 @dataclass(frozen=True)
 class AppearanceRanges:
-    """What pieces of a category do. dyed: share of any colour at all. The rest: ranges of strengths; printed: share."""
+    """Ranges of the strengths of marks in a category; `dyed` and `printed` are fractions of its instances."""
 
     dyed: float
     dirt: Range = (0.0, 0.9)
@@ -84,43 +111,56 @@ CATEGORY_RANGES: Mapping[str, AppearanceRanges] = MappingProxyType(
         "glass": AppearanceRanges(0.2, dirt=(0.0, 0.5)),
     }
 )
+"""Ranges by category."""
 DEFAULT_RANGES = AppearanceRanges(0.9, (0.0, 1.0), (0.0, 0.3), (0.0, 0.7), (0.0, 0.45), (0.0, 0.5), 0.3)
-"""Of a surface that belongs to no category."""
+"""Ranges of a surface without category."""
 
 
 def sample_appearance(appearance: Appearance | None, category: str, rng: np.random.Generator) -> SurfaceAppearance:
-    """One piece with the class's typical appearance, scattered as its category does; with neither, any looks.
+    """Sample the appearance of an instance; the same generator state gives the same appearance.
 
-    The same generator state gives the same piece.
+    Parameters
+    ----------
+    appearance : Appearance or None
+        Typical shading values of the class; None for any appearance.
+    category : str
+        Category that the scatter follows; "" for none.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    SurfaceAppearance
+        The appearance.
     """
-    habit = CATEGORY_RANGES.get(category, DEFAULT_RANGES)
+    ranges = CATEGORY_RANGES.get(category, DEFAULT_RANGES)
     typical = appearance or Appearance()
-    dyed = rng.random() < habit.dyed or typical.base_color is None
-    own = _sample_colour(rng) if dyed else _perturb_colour(typical.base_color or (0.5, 0.5, 0.5), rng)
+    dyed = rng.random() < ranges.dyed or typical.base_color is None
+    colour = _sample_colour(rng) if dyed else _perturb_colour(typical.base_color or (0.5, 0.5, 0.5), rng)
     gloss = rng.uniform(0.1, 1.0) if typical.roughness is None else typical.roughness + 0.08 * rng.standard_normal()
     metallic = float(rng.random() < 0.15) if typical.metallic is None else typical.metallic
     return SurfaceAppearance(
-        base_color=own,
+        base_color=colour,
         roughness=float(np.clip(gloss, 0.05, 1.0)),
         metallic=float(metallic),
-        dirt=Mark(-_sample_strength(habit.dirt, rng), _sample_tint(rng, 0.15)),
-        wear=Mark(_sample_strength(habit.wear, rng), _sample_tint(rng, 0.1)),
+        dirt=Mark(-_sample_strength(ranges.dirt, rng), _sample_tint(rng, 0.15)),
+        wear=Mark(_sample_strength(ranges.wear, rng), _sample_tint(rng, 0.1)),
         depth_m=_sample_log_uniform(rng, 0.2e-6, 6e-6),
         reach_m=_sample_log_uniform(rng, 0.15e-3, 0.7e-3),
-        yarns=Mark(_sample_strength(habit.yarns, rng) * _sample_sign(rng), _sample_tint(rng, 0.5)),
-        streak=Mark(_sample_strength(habit.streak, rng) * _sample_sign(rng), _sample_tint(rng, 0.2)),
+        yarns=Mark(_sample_strength(ranges.yarns, rng) * _sample_sign(rng), _sample_tint(rng, 0.5)),
+        streak=Mark(_sample_strength(ranges.streak, rng) * _sample_sign(rng), _sample_tint(rng, 0.2)),
         streak_relief_share=float(rng.uniform(0.0, 0.7)),
-        speckle=Mark(_sample_strength(habit.speckle, rng), _sample_tint(rng, 0.2)),
+        speckle=Mark(_sample_strength(ranges.speckle, rng), _sample_tint(rng, 0.2)),
         speckle_m=_sample_log_uniform(rng, 0.1e-3, 1.5e-3),
         speckle_sharp=float(rng.uniform(0.0, 1.0)),
-        prints=Mark(float(rng.uniform(0.05, 0.4)) * (rng.random() < habit.printed), _sample_tint(rng, 0.8)),
+        prints=Mark(float(rng.uniform(0.05, 0.4)) * (rng.random() < ranges.printed), _sample_tint(rng, 0.8)),
         print_kind=PRINT_KINDS[int(rng.integers(len(PRINT_KINDS)))],
         print_m=_sample_log_uniform(rng, 0.4e-3, 10e-3),
     )
 
 
 def _sample_strength(limits: Range, rng: np.random.Generator) -> float:
-    # Faint marks are the rule: squared, half of the draws lie in the lowest quarter of the range.
+    # Faint marks are more common, so the draw is squared: half of them lie in the lowest quarter of the range.
     return float(limits[0] + (limits[1] - limits[0]) * rng.random() ** 2)
 
 
@@ -144,7 +184,7 @@ def _perturb_colour(colour: Colour, rng: np.random.Generator) -> Colour:
 
 
 def _sample_colour(rng: np.random.Generator) -> Colour:
-    """Any hue, from grey to strong, from near black to near white in equal steps of lightness."""
+    """Draw a colour of any hue, from grey to saturated, uniform in lightness from near black to near white."""
     hue = 2.0 * np.pi * (rng.random() + np.arange(3) / 3.0)
     value = rng.uniform(0.15, 0.93) ** 2.2
     chroma = rng.random() ** 1.5

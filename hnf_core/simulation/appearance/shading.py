@@ -1,7 +1,8 @@
-"""Light on a height tile: one lamp, the sky, gloss; nothing but the slopes says how strongly a relief is shaded.
+"""Shading of a height tile by one lamp and the sky, seen from straight above.
 
 Lambert's cosine law and a microfacet lobe (B. Walter et al. 2007, "Microfacet models for refraction through rough
-surfaces", EGSR: GGX), seen from straight above. A flat, matt surface comes out as its base colour.
+surfaces", EGSR: GGX). Only slopes determine how strongly a relief is shaded; a flat, matte surface gets its base
+colour.
 """
 
 from __future__ import annotations
@@ -14,19 +15,33 @@ from numpy.typing import ArrayLike, NDArray
 Single = NDArray[np.float32]
 
 OCCLUSION_PER_DEPTH = 2.0
-"""Sky lost per unit of cavity depth over the reach it is measured against."""
+"""Fraction of the sky hidden per cavity depth over the length that it is measured against."""
 DIELECTRIC_REFLECTANCE = 0.04
+"""Reflectance of dielectrics at normal incidence."""
 MAX_HIGHLIGHT = 1.5
-"""A highlight saturates the film; brighter than this it only costs exposure."""
+"""Largest highlight: it saturates the film, and a brighter one would only cost exposure."""
 ENVIRONMENT_SHARE = 0.7
-"""Of a metal's light that comes from the surroundings rather than the lamp: no metal here is a mirror."""
+"""Fraction of a metal's light that comes from the surroundings and not the lamp; no metal here is a mirror."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """azimuth_rad: where the lamp stands, 0 = +x, π/2 = +y (up). elevation_rad: above the surface. ambient: the sky's
-    share of the light on a flat surface, 0–1. unlit: no light at all, the bare base colour (a texture).
-    surroundings: how much brighter the side towards surroundings_rad is than the middle, for metals.
+    """A lamp and the sky.
+
+    Attributes
+    ----------
+    azimuth_rad : float
+        Direction of the lamp [rad]; 0 = +x, π/2 = +y (up).
+    elevation_rad : float
+        Elevation of the lamp above the surface [rad].
+    ambient : float
+        Fraction of the light on a flat surface that comes from the sky, 0 to 1.
+    unlit : bool
+        True for no shading: the bare base colour, as in a texture.
+    surroundings : float
+        Relative brightness of the surroundings towards `surroundings_rad`, for metals.
+    surroundings_rad : float
+        Direction of the brighter surroundings [rad].
     """
 
     azimuth_rad: float
@@ -38,11 +53,13 @@ class Light:
 
 
 UNLIT_SHARE = 0.3
+"""Fraction of samples without shading."""
 ELEVATION_DEG = (15.0, 75.0)
+"""Range of the lamp's elevation [°]."""
 
 
 def sample_light(rng: np.random.Generator) -> Light:
-    """Any light: 30 % of it none at all, as in a base-colour texture."""
+    """Draw a light; 30 % are unlit, as in a base-colour texture."""
     return Light(
         azimuth_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
         elevation_rad=float(np.radians(rng.uniform(*ELEVATION_DEG))),
@@ -63,10 +80,25 @@ def shade_surface(
     metallic: float = 0.0,
     occlusion: ArrayLike = 0.0,
 ) -> Single:
-    """(H, W, 3) linear light that leaves the surface upwards, not cut at 1.
+    """Shade a surface: linear light towards the viewer (H, W, 3), not clipped at 1.
 
-    albedo: (H, W, 3). gx, gy: (H, W) slopes ∂h/∂x, ∂h/∂y (y up). occlusion: (H, W) or one share of the sky that is
-    hidden. Small slopes change the picture linearly: −g under a lamp is +g under the lamp opposite.
+    Parameters
+    ----------
+    albedo : array_like, shape (H, W, 3)
+        Linear base colour.
+    gx, gy : array_like, shape (H, W)
+        Slopes ∂h/∂x, ∂h/∂y, y up.
+    light : Light
+        The light.
+    roughness, metallic : float
+        Shading values.
+    occlusion : array_like, shape (H, W) or scalar
+        Fraction of the sky that is hidden.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, 3)
+        The image. It is linear in small slopes: −g under a lamp equals +g under the opposite lamp.
     """
     colour = np.asarray(albedo, dtype=np.float32)
     if light.unlit:
@@ -82,14 +114,14 @@ def shade_surface(
     alpha2 = max(roughness**2, 0.05) ** 2
     facing = np.maximum(_project_normal(slope_x, slope_y, up, half), 0.0)
     lobe = alpha2 / (np.pi * np.square(np.square(facing) * (alpha2 - 1.0) + 1.0))
-    # V of the microfacet model is close to 1/4 for a viewer straight above.
+    # The microfacet model's V is close to 1/4 for a viewer straight above.
     gloss = (1.0 - light.ambient) * np.minimum(lobe / 4.0 * cosine, MAX_HIGHLIGHT)
     if metallic <= 0.0:
         return np.asarray(colour * matt[..., None] + DIELECTRIC_REFLECTANCE * gloss[..., None], dtype=np.float32)
     side = _unit_vector(light.surroundings_rad, 0.0)
-    # A mirror turns the view by twice the slope.
-    seen = 1.0 - 2.0 * light.surroundings * up * (slope_x * side[0] + slope_y * side[1])
-    mirror = ENVIRONMENT_SHARE * np.maximum(seen, 0.0) + (1.0 - ENVIRONMENT_SHARE) * matt + gloss
+    # A mirror reflects the viewing direction by twice the slope.
+    reflected = 1.0 - 2.0 * light.surroundings * up * (slope_x * side[0] + slope_y * side[1])
+    mirror = ENVIRONMENT_SHARE * np.maximum(reflected, 0.0) + (1.0 - ENVIRONMENT_SHARE) * matt + gloss
     shade = (1.0 - metallic) * matt + metallic * mirror
     return np.asarray(
         colour * shade[..., None] + np.float32((1.0 - metallic) * DIELECTRIC_REFLECTANCE) * gloss[..., None],
@@ -98,9 +130,9 @@ def shade_surface(
 
 
 def compute_ambient_occlusion(cavity_m: ArrayLike, reach_m: float) -> Single:
-    """(H, W) share of the sky that a place does not see, from its depth below its surroundings (albedo.cavity)."""
-    deep = np.maximum(np.asarray(cavity_m, dtype=np.float32), 0.0) / np.float32(reach_m)
-    return np.minimum(np.float32(OCCLUSION_PER_DEPTH) * deep, np.float32(0.8))
+    """Compute the fraction of the sky (H, W) that is hidden, from the depth of `albedo.compute_cavity_depth` [m]."""
+    relative_depth = np.maximum(np.asarray(cavity_m, dtype=np.float32), 0.0) / np.float32(reach_m)
+    return np.minimum(np.float32(OCCLUSION_PER_DEPTH) * relative_depth, np.float32(0.8))
 
 
 def _unit_vector(azimuth_rad: float, elevation_rad: float) -> NDArray[np.float64]:

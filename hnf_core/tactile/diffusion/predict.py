@@ -1,7 +1,4 @@
-"""From looks to tactile maps: D_φ at run time, in numpy.
-
-From noise to slopes: the loop around the network, for numpy arrays and torch tensors alike.
-"""
+"""Prediction of tactile maps from views by D_φ in numpy, in one pass or by DDIM sampling."""
 
 from __future__ import annotations
 
@@ -24,11 +21,31 @@ from .unet import REGRESSION, forward
 from .weights import MapWeights
 
 Velocity = Callable[[Any, Any, float], tuple[Any, Any]]
-"""(noisy slopes, noisy level, log-SNR) → v of both."""
+"""Function from noisy slopes, noisy level and log-SNR to the predicted v of both."""
 
 
 def denoise(velocity: Velocity, slopes: Any, level: Any, steps: int) -> tuple[Any, Any]:
-    """DDIM (η = 0) from unit noise in slopes and level to a sample of both. Raises UsageError for impossible steps."""
+    """Run DDIM (η = 0) from unit noise to a sample, for arrays and tensors alike.
+
+    Parameters
+    ----------
+    velocity : callable
+        Function from (slopes, level, log-SNR) to the predicted v of both.
+    slopes, level : array or tensor
+        Initial noise.
+    steps : int
+        Number of steps.
+
+    Returns
+    -------
+    slopes, level : array or tensor
+        The sample.
+
+    Raises
+    ------
+    UsageError
+        For an impossible number of steps.
+    """
     for before, after in sampling_steps(steps):
         v_slopes, v_level = velocity(slopes, level, float(log_snr(before)))
         slopes = ddim_step(slopes, v_slopes, before, after)
@@ -37,8 +54,11 @@ def denoise(velocity: Velocity, slopes: Any, level: Any, steps: int) -> tuple[An
 
 
 def apply_guidance(conditional: tuple[Any, Any], unconditional: tuple[Any, Any], guidance: float) -> tuple[Any, Any]:
-    """Classifier-free guidance (Ho & Salimans 2022): from what the network says without the look's colour to what it
-    says with it, `guidance` times as far."""
+    """Combine predictions by classifier-free guidance (Ho & Salimans 2022).
+
+    Returns the unconditional prediction (without the view's colour) plus `guidance` times the difference to the
+    conditional one.
+    """
     return (
         unconditional[0] + guidance * (conditional[0] - unconditional[0]),
         unconditional[1] + guidance * (conditional[1] - unconditional[1]),
@@ -48,7 +68,7 @@ def apply_guidance(conditional: tuple[Any, Any], unconditional: tuple[Any, Any],
 Array = NDArray[np.float32]
 
 DEFAULT_STEPS = 20
-"""Of a diffusion; a regression takes one pass."""
+"""Number of DDIM steps of a diffusion; a regression takes one pass."""
 
 
 def predict_tactile_maps(
@@ -60,16 +80,41 @@ def predict_tactile_maps(
     steps: int = DEFAULT_STEPS,
     guidance: float = 1.0,
 ) -> tuple[TactileMap, ...]:
-    """The tactile map of every view: what the sensor would show (route PREDICTED).
+    """Predict the tactile map of every view (route PREDICTED).
 
-    Neither a view's neighbours in the batch nor their order matter, equal views give equal maps, and views that differ
-    by rounding give maps that differ as little. Weights of a regression, such as the shipped ones, give the conditional
-    mean in one pass; seed and steps change nothing. Those of a diffusion give a sample in so many steps: the noise of a
-    view is drawn from its seed alone (seed: one for all views, or one each), and the pattern is one of many that suit
-    the look; the level starts from the middle of its noise, 0, which DDIM carries to the median of the levels that suit
-    it. guidance: 1 = the plain conditional model. height is integrated from the predicted slopes of the membrane (tilt
-    and anything longer than the view is not in it). Raises UsageError for an unknown sensor, one that the weights were
-    not trained for, a view of another shape or pitch, seeds that are not as many as the views, or impossible steps.
+    Parameters
+    ----------
+    weights : MapWeights
+        Weights of D_φ.
+    views : sequence of AppearanceView
+        The views.
+    sensor : str
+        Name of the sensor to predict.
+    seed : int or sequence of int
+        Seed of the noise for all views, or one each.
+    steps : int
+        Number of DDIM steps.
+    guidance : float
+        Strength of classifier-free guidance; 1 is the plain conditional model.
+
+    Returns
+    -------
+    tuple of TactileMap
+        One map per view; its height is integrated from the predicted slopes, without tilt and anything longer than the
+        view.
+
+    Raises
+    ------
+    UsageError
+        For an unknown sensor, one that the weights were not trained for, a view of another shape or pitch, a wrong
+        number of seeds, or an impossible number of steps.
+
+    Notes
+    -----
+    A map depends only on its view and seed, not on the other views or their order; views that differ by rounding give
+    maps that differ as little. A regression, such as the shipped weights, gives the conditional mean in one pass; seed
+    and steps have no effect. A diffusion gives a sample: a pattern that suits the view, one of many. Its level starts
+    at the mean of its noise, 0, which DDIM carries to the median of the suitable levels.
     """
     if get_sensor(sensor).name not in weights.config.sensors:
         raise UsageError(
@@ -83,12 +128,16 @@ def predict_tactile_maps(
         raise UsageError(f"{len(seeds)} seeds do not fit {len(views)} views.")
     if not views:
         return ()
-    # One view a thread: numpy lets go of the interpreter in its loops and products.
+    # Views run in threads, since numpy releases the interpreter lock in its loops and products.
     with ThreadPoolExecutor(min(len(views), available_cpus())) as pool:
-        found = list(
-            pool.map(lambda view, own: predict_slopes(weights, view, sensor, own, steps, guidance), views, seeds)
+        predictions = list(
+            pool.map(
+                lambda view, view_seed: predict_slopes(weights, view, sensor, view_seed, steps, guidance), views, seeds
+            )
         )
-    return tuple(_build_tactile_map(slopes, view.pitch_m, sensor) for slopes, view in zip(found, views, strict=True))
+    return tuple(
+        _build_tactile_map(slopes, view.pitch_m, sensor) for slopes, view in zip(predictions, views, strict=True)
+    )
 
 
 def predict_slopes(
@@ -100,22 +149,31 @@ def predict_slopes(
     guidance: float = 1.0,
     rgb_known: bool = True,
 ) -> Array:
-    """(2, 64, 64) predicted slopes ∂h/∂x, ∂h/∂y of the membrane in one view. rgb_known: False withholds the colours."""
-    config = weights.config
-    look = normalise_view(view, rgb_known)
-    free = normalise_view(view, rgb_known=False) if guidance != 1.0 else None
-    pitch, which = np.array([get_pitch_index(view.pitch_m)]), np.array([config.sensors.index(sensor)])
+    """Predict the membrane's slopes ∂h/∂x, ∂h/∂y in one view, (2, 64, 64).
 
-    def once(of: NormalisedAppearance, slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
-        told = build_condition(np.array([snr]), level, pitch, which, len(config.sensors), of.scalars)
-        v, v_level = forward(weights.network, np.concatenate([slopes, of.images[0]]), told[0])
+    With `rgb_known=False` the colours are withheld; the other parameters are those of `predict_tactile_maps`.
+    """
+    config = weights.config
+    with_colour = normalise_view(view, rgb_known)
+    without_colour = normalise_view(view, rgb_known=False) if guidance != 1.0 else None
+    pitch, sensor_index = np.array([get_pitch_index(view.pitch_m)]), np.array([config.sensors.index(sensor)])
+
+    def evaluate(appearance: NormalisedAppearance, slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
+        condition = build_condition(
+            np.array([snr]), level, pitch, sensor_index, len(config.sensors), appearance.scalars
+        )
+        v, v_level = forward(weights.network, np.concatenate([slopes, appearance.images[0]]), condition[0])
         return v, np.array([v_level])
 
     def velocity(slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
-        # A Python float times float32 stays float32 on numpy 1 and 2 alike; this guards the promise.
+        # A Python float times float32 stays float32 on numpy 1 and 2; the conversion guards against other input.
         slopes, level = slopes.astype(np.float32, copy=False), level.astype(np.float32, copy=False)
-        conditional = once(look, slopes, level, snr)
-        return conditional if free is None else apply_guidance(conditional, once(free, slopes, level, snr), guidance)
+        conditional = evaluate(with_colour, slopes, level, snr)
+        return (
+            conditional
+            if without_colour is None
+            else apply_guidance(conditional, evaluate(without_colour, slopes, level, snr), guidance)
+        )
 
     if config.objective == REGRESSION:
         empty = np.zeros((2, VIEW_PIXELS, VIEW_PIXELS), dtype=np.float32)
@@ -124,7 +182,7 @@ def predict_slopes(
         rng = np.random.default_rng(seed)
         noise = rng.standard_normal((2, VIEW_PIXELS, VIEW_PIXELS), dtype=np.float32)
         slopes, level = denoise(velocity, noise, np.zeros(1, dtype=np.float32), steps)
-    # The level holds the scale by definition; what the pattern lost or won on the way is error.
+    # The level defines the scale, so a change of the pattern's RMS during sampling is an error to be removed.
     rms = max(float(np.sqrt(np.mean(slopes**2))), 1e-6)
     return np.asarray(slopes * (10.0 ** (config.level_mean + config.level_scale * float(level[0])) / rms), np.float32)
 

@@ -1,8 +1,8 @@
-"""How noise comes and goes: the cosine schedule in a thousand steps, v-prediction, and DDIM without randomness.
+"""Noise schedule of D_φ: cosine in a thousand steps, v-prediction, and deterministic DDIM.
 
-Nichol & Dhariwal 2021 (cosine), Salimans & Ho 2022 (v = √ᾱ ε − √(1 − ᾱ) x), Song et al. 2021 (DDIM, η = 0). The same
-numbers as the DDIMScheduler of diffusers with squaredcos_cap_v2, v_prediction, trailing steps and clip_sample=False,
-wherever the number of steps divides a thousand.
+Nichol & Dhariwal 2021 (cosine), Salimans & Ho 2022 (v = √ᾱ ε − √(1 − ᾱ) x), Song et al. 2021 (DDIM, η = 0). The numbers
+equal those of DDIMScheduler of diffusers with squaredcos_cap_v2, v_prediction, trailing steps and clip_sample=False, if
+the number of steps divides a thousand.
 """
 
 from __future__ import annotations
@@ -18,15 +18,18 @@ from ...errors import UsageError
 Float = NDArray[np.float64]
 
 TRAIN_STEPS = 1000
+"""Number of steps of the schedule."""
 OFFSET = 0.008
+"""Offset s of the cosine schedule."""
 LARGEST_BETA = 0.999
+"""Upper limit of β."""
 
 
 @lru_cache(maxsize=1)
 def alpha_bars() -> Float:
-    """(TRAIN_STEPS,) ᾱ, the share of the signal's power that is left after each step."""
-    place = np.arange(TRAIN_STEPS + 1) / TRAIN_STEPS
-    level = np.cos((place + OFFSET) / (1.0 + OFFSET) * np.pi / 2.0) ** 2
+    """Return ᾱ (TRAIN_STEPS,), the fraction of the signal's power left after each step."""
+    progress = np.arange(TRAIN_STEPS + 1) / TRAIN_STEPS
+    level = np.cos((progress + OFFSET) / (1.0 + OFFSET) * np.pi / 2.0) ** 2
     betas = np.minimum(1.0 - level[1:] / level[:-1], LARGEST_BETA)
     bars: Float = np.cumprod(1.0 - betas)
     bars.flags.writeable = False
@@ -34,13 +37,13 @@ def alpha_bars() -> Float:
 
 
 def log_snr(alpha_bar: Any) -> Float:
-    """ln(ᾱ / (1 − ᾱ))."""
+    """Return the log signal-to-noise ratio ln(ᾱ / (1 − ᾱ))."""
     bar = np.asarray(alpha_bar, dtype=np.float64)
     return np.asarray(np.log(bar) - np.log1p(-bar))
 
 
 def sampling_steps(steps: int) -> tuple[tuple[float, float], ...]:
-    """(ᾱ before, ᾱ after) of every DDIM step, from noise (first) to nothing but signal (after the last: ᾱ = 1).
+    """Return (ᾱ before, ᾱ after) of every DDIM step, from pure noise to pure signal (ᾱ = 1 after the last).
 
     Raises UsageError unless 1 ≤ steps ≤ TRAIN_STEPS.
     """
@@ -52,17 +55,17 @@ def sampling_steps(steps: int) -> tuple[tuple[float, float], ...]:
 
 
 def noised(x: Any, noise: Any, alpha_bar: Any) -> Any:
-    """√ᾱ x + √(1 − ᾱ) ε, for arrays and tensors alike."""
+    """Return √ᾱ x + √(1 − ᾱ) ε, for arrays and tensors alike."""
     return alpha_bar**0.5 * x + (1.0 - alpha_bar) ** 0.5 * noise
 
 
 def velocity(x: Any, noise: Any, alpha_bar: Any) -> Any:
-    """v = √ᾱ ε − √(1 − ᾱ) x."""
+    """Return v = √ᾱ ε − √(1 − ᾱ) x, for arrays and tensors alike."""
     return alpha_bar**0.5 * noise - (1.0 - alpha_bar) ** 0.5 * x
 
 
 def ddim_step(noisy: Any, v: Any, before: float, after: float) -> Any:
-    """From ᾱ = before to ᾱ = after along the predicted v."""
+    """Step from ᾱ = before to ᾱ = after along the predicted v."""
     x = before**0.5 * noisy - (1.0 - before) ** 0.5 * v
     noise = before**0.5 * v + (1.0 - before) ** 0.5 * noisy
     return after**0.5 * x + (1.0 - after) ** 0.5 * noise

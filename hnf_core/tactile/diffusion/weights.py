@@ -1,4 +1,4 @@
-"""D_φ on disk: half-precision safetensors with its architecture and metrics in the header, checked on the way in."""
+"""Weights of D_φ on disk: half-precision safetensors with architecture and metrics in the header."""
 
 from __future__ import annotations
 
@@ -30,7 +30,17 @@ _MAP_KIND = WeightsKind(
 
 @dataclass(frozen=True)
 class MapWeights:
-    """network: ready to run. metadata: training data, seed, metrics, licence, all text. fingerprint: of the file."""
+    """Weights of D_φ, ready to run.
+
+    Attributes
+    ----------
+    network : UNet
+        The network.
+    metadata : mapping of str to str
+        Training data, seed, metrics, licence.
+    fingerprint : str
+        Hash of the file.
+    """
 
     network: UNet
     metadata: Mapping[str, str]
@@ -38,30 +48,49 @@ class MapWeights:
 
     @property
     def config(self) -> MapConfig:
+        """Architecture of the network."""
         return self.network.config
 
 
 def save_map_weights(
     path: Path, config: MapConfig, parameters: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, str]
 ) -> None:
-    """Write in half precision, atomically; format and architecture are added. Equal weights give equal bytes.
+    """Write weights in half precision, atomically; equal weights give equal bytes.
 
-    Raises FileError, and WeightsError for parameters that half precision cannot hold.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    config : MapConfig
+        Architecture.
+    parameters : mapping of str to ndarray
+        Parameters by name.
+    metadata : mapping of str to str
+        Training data, seed, metrics, licence; format and architecture are added.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    WeightsError
+        If half precision cannot hold a parameter.
     """
     with np.errstate(over="ignore"):
         tensors = {name: np.ascontiguousarray(value, dtype=np.float16) for name, value in parameters.items()}
-    beyond = [name for name, value in tensors.items() if not np.isfinite(value).all()]
-    if beyond:
-        raise WeightsError(f"{beyond[0]} is not finite in half precision.", where=str(path), remedy=_MAP_KIND.remedy)
+    overflowed = [name for name, value in tensors.items() if not np.isfinite(value).all()]
+    if overflowed:
+        raise WeightsError(
+            f"{overflowed[0]} is not finite in half precision.", where=str(path), remedy=_MAP_KIND.remedy
+        )
     header = {**metadata, "format": FORMAT, "architecture": json.dumps(dataclasses.asdict(config), sort_keys=True)}
     write_bytes(path, dump_tensors(tensors, header))
 
 
 def load_map_weights(path: Path | str | None = None) -> MapWeights:
-    """Read weights; without a path the shipped default (read once).
+    """Load weights from a file; without a path the shipped ones, which are read once.
 
-    Raises FileError where there is no file, WeightsError where it is damaged, of another format or architecture, not
-    finite, or knows a sensor that is not in tactile.optics.
+    Raises FileError if there is no file, WeightsError if it is damaged, of another format or architecture, not finite,
+    or trained for a sensor that `tactile.optics` lacks.
     """
     return _load_default() if path is None else _read_map_weights(Path(path))
 

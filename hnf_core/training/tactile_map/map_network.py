@@ -1,6 +1,6 @@
-"""D_φ in torch, for training; hnf_core.tactile.diffusion.unet computes the same in numpy.
+"""D_φ in torch, its training losses, and sampling with it.
 
-What one step of training minimises, and what a trained network predicts.
+The network computes the same as hnf_core.tactile.diffusion.unet does in numpy.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ class Block(nn.Module):
         _zero_weights(self.conv2)
 
     def forward(self, x: Tensor, embedding: Tensor) -> Tensor:
+        """Return x (n, size, rows, columns) plus the block's residual, modulated by embedding (n, embedding)."""
         scale, shift = self.film(embedding)[:, :, None, None].chunk(2, dim=1)
         inner = self.conv1(functional.silu(self.norm1(x)))
         inner = functional.silu(torch.addcmul(shift, self.norm2(inner), 1.0 + scale))
@@ -41,7 +42,7 @@ class Block(nn.Module):
 
 
 class Attention(nn.Module):
-    """Every pixel looks at every other, once, where there are 64 of them."""
+    """Self-attention over all pixels of the coarsest level (8 × 8)."""
 
     def __init__(self, size: int, config: MapConfig) -> None:
         super().__init__()
@@ -51,16 +52,21 @@ class Attention(nn.Module):
         _zero_weights(self.out)
 
     def forward(self, x: Tensor) -> Tensor:
+        """Return x (n, size, rows, columns) plus the attention's residual."""
         batch, size, rows, columns = x.shape
-        parts = self.into(self.norm(x)).reshape(batch, 3, HEADS, size // HEADS, rows * columns)
-        query, key, value = (part.transpose(-1, -2) for part in parts.unbind(1))
+        projections = self.into(self.norm(x)).reshape(batch, 3, HEADS, size // HEADS, rows * columns)
+        query, key, value = (projection.transpose(-1, -2) for projection in projections.unbind(1))
         mixed = functional.scaled_dot_product_attention(query, key, value)
         out: Tensor = x + self.out(mixed.transpose(-1, -2).reshape(batch, size, rows, columns))
         return out
 
 
 class MapNetwork(nn.Module):
-    """(pictures (n, 6, 64, 64), conditions (n, condition_size)) → slopes (n, 2, 64, 64) and level (n,), both of v."""
+    """U-Net of D_φ that predicts v of the slopes and of the level.
+
+    Inputs are images (n, 6, 64, 64) and conditions (n, condition_size), outputs v of slopes (n, 2, 64, 64) and of the
+    level (n,).
+    """
 
     def __init__(self, config: MapConfig) -> None:
         super().__init__()
@@ -82,18 +88,19 @@ class MapNetwork(nn.Module):
         _zero_weights(self.level[1])
 
     def forward(self, images: Tensor, conditions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return v of slopes (n, 2, 64, 64) and of the level (n,)."""
         embedding = functional.silu(self.embed[1](functional.silu(self.embed[0](conditions))))
         x = self.enter(functional.pixel_unshuffle(images, 2).contiguous(memory_format=torch.channels_last))
-        kept = []
+        skips = []
         for level, shrink in enumerate(self.shrink):
             x = _apply_blocks(self._get_level(self.down, level), x, embedding)
-            kept.append(x)
+            skips.append(x)
             x = shrink(functional.pixel_unshuffle(x, 2).contiguous(memory_format=torch.channels_last))
         x = _apply_blocks(self.deep[:-1], x, embedding)
         x = self.deep[-1](self.attention(x), embedding)
         coarse = self.level[1](functional.silu(self.level[0](torch.cat([x.mean(dim=(2, 3)), embedding], dim=1))))
-        for level in reversed(range(len(kept))):
-            x = functional.interpolate(self.grow[level](x), scale_factor=2, mode="nearest") + kept[level]
+        for level in reversed(range(len(skips))):
+            x = functional.interpolate(self.grow[level](x), scale_factor=2, mode="nearest") + skips[level]
             x = _apply_blocks(self._get_level(self.up, level), x, embedding)
         slopes = functional.pixel_shuffle(self.leave(functional.silu(self.leave_norm(x))), 2)
         return slopes, coarse[:, 0]
@@ -124,39 +131,39 @@ Array = NDArray[np.float32]
 
 
 def compute_losses(network: MapNetwork, batch: Batch, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Mean squared error of v (regression: of x) of the pattern and of the level.
+    """Return the mean squared errors of v (regression: of x) of the pattern and of the level.
 
-    The steps of a batch are spread evenly over the schedule from a random start, so that the loss scatters less than
-    with independent ones (Kingma et al. 2021). The level is one number with one noise, not a picture: as a constant
-    picture its noise would average out, and it would be known before the denoising began.
+    The diffusion steps of a batch are spread evenly over the schedule from a random start, which lowers the variance of
+    the loss (Kingma et al. 2021). The level is one number with one noise value, not an image: as a constant image its
+    noise would average out, and it would be known before the denoising began.
     """
     config = network.config
     count = len(batch)
-    place = (rng.random() + np.arange(count)) / count % 1.0
-    bars = alpha_bars()[(place * TRAIN_STEPS).astype(int)]
+    position = (rng.random() + np.arange(count)) / count % 1.0
+    bars = alpha_bars()[(position * TRAIN_STEPS).astype(int)]
     noise = rng.standard_normal(batch.slopes.shape, dtype=np.float32)
     level_noise = rng.standard_normal(count, dtype=np.float32)
     level = normalise_level(batch, config)
     if config.objective == REGRESSION:
-        wanted, wanted_level = batch.slopes, level
+        target, level_target = batch.slopes, level
         v, v_level = run_network(network, batch, np.zeros_like(noise), np.zeros_like(level), np.ones(count) / 2.0)
     else:
-        wide = bars.astype(np.float32)[:, None, None, None]
-        wanted, wanted_level = velocity(batch.slopes, noise, wide), velocity(level, level_noise, bars)
-        noisy = noised(batch.slopes, noise, wide)
+        bar_images = bars.astype(np.float32)[:, None, None, None]
+        target, level_target = velocity(batch.slopes, noise, bar_images), velocity(level, level_noise, bars)
+        noisy = noised(batch.slopes, noise, bar_images)
         v, v_level = run_network(network, batch, noisy, noised(level, level_noise, bars).astype(np.float32), bars)
     return (
-        (v.float() - _to_tensor(wanted)).square().mean(),
-        (v_level.float() - _to_tensor(wanted_level)).square().mean(),
+        (v.float() - _to_tensor(target)).square().mean(),
+        (v_level.float() - _to_tensor(level_target)).square().mean(),
     )
 
 
 def run_network(
     network: MapNetwork, batch: Batch, noisy: Array, level: Array, bars: NDArray[np.float64]
 ) -> tuple[Tensor, Tensor]:
-    """The network on a batch with these noisy slopes (n, 2, 64, 64) and levels (n,) at ᾱ = bars (n,)."""
-    pictures = np.concatenate([noisy, batch.appearance.images], axis=1)
-    told = build_condition(
+    """Run the network on a batch with noisy slopes (n, 2, 64, 64) and levels (n,) at ᾱ = bars (n,)."""
+    images = np.concatenate([noisy, batch.appearance.images], axis=1)
+    conditions = build_condition(
         log_snr(bars),
         level,
         batch.pitch_index,
@@ -164,32 +171,34 @@ def run_network(
         len(network.config.sensors),
         batch.appearance.scalars,
     )
-    slopes, out_level = network(_to_tensor(pictures), _to_tensor(told))
+    slopes, out_level = network(_to_tensor(images), _to_tensor(conditions))
     return slopes, out_level
 
 
 def normalise_level(batch: Batch, config: MapConfig) -> Array:
-    """(n,) levels as the network knows them."""
+    """Return the levels (n,) in the network's normalisation."""
     return np.asarray((batch.log_rms - config.level_mean) / config.level_scale, dtype=np.float32)
 
 
 def sample_slopes(network: MapNetwork, batch: Batch, seed: int, steps: int) -> tuple[Array, Array]:
-    """Slopes (n, 2, 64, 64) of unit RMS and log10 RMS (n,) that the network sees in the looks of a batch: what
-    tactile.diffusion.predict computes. A sample and the median of the level, or of a regression the mean of both."""
+    """Predict slopes (n, 2, 64, 64) of unit RMS and log10 RMS (n,) for a batch, as tactile.diffusion.predict does.
+
+    Diffusion gives a sample of the slopes and the median level, regression the mean of both.
+    """
     rng = np.random.default_rng(seed)
     config, count = network.config, len(batch)
 
-    def once(slopes: Array, level: Array, bars: NDArray[np.float64]) -> tuple[Array, Array]:
+    def predict(slopes: Array, level: Array, bars: NDArray[np.float64]) -> tuple[Array, Array]:
         v, v_level = run_network(network, batch, slopes, level, bars)
         return v.float().numpy(), v_level.float().numpy()
 
     def step(slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
         bar = 1.0 / (1.0 + np.exp(-snr))
-        return once(slopes.astype(np.float32), level.astype(np.float32), np.full(count, bar))
+        return predict(slopes.astype(np.float32), level.astype(np.float32), np.full(count, bar))
 
     with torch.no_grad():
         if config.objective == REGRESSION:
-            slopes, level = once(np.zeros_like(batch.slopes), np.zeros_like(batch.log_rms), np.ones(count) / 2.0)
+            slopes, level = predict(np.zeros_like(batch.slopes), np.zeros_like(batch.log_rms), np.ones(count) / 2.0)
         else:
             noise = rng.standard_normal(batch.slopes.shape, dtype=np.float32)
             slopes, level = denoise(step, noise, np.zeros(count, dtype=np.float32), steps)

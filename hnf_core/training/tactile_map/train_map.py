@@ -1,6 +1,6 @@
-"""Training D_φ: batches until the steps or the minutes are used up; a killed run goes on where it was.
+"""Train D_φ on rendered pairs within a budget of steps or minutes, and write its weights with their metrics.
 
-How weights of D_φ come about: pairs on disk → training → a file with its own figures in it.
+A killed run continues from its checkpoint.
 """
 
 from __future__ import annotations
@@ -29,15 +29,39 @@ from .map_network import MapNetwork, compute_losses
 from .validation import Distance, measure_distances
 
 ProgressCallback = Callable[[int, float, float, Mapping[str, Distance]], None]
-"""(steps done, share of the budget, running loss, distances: empty between validations)."""
+"""Called with (steps done, fraction of the budget, running loss, distances: empty between validations)."""
 
 
 @dataclass(frozen=True)
 class MapTrainingPlan:
-    """steps or minutes (of training, validation not counted in the course of the rate), whichever is used up first
-    where both are given; rate: AdamW's, warm_up steps up and then a cosine down to nothing at the budget's end.
-    ema: of the averaged weights. level_weight: of the level's loss beside the pattern's. validate_views: of each
-    held-out split, every validate_minutes; sampled only at the end. checkpoint_minutes: between checkpoints.
+    """Budget and hyperparameters of a training.
+
+    Attributes
+    ----------
+    steps, minutes
+        Budget, at least one of them; training ends when the first is used up. Validation does not count.
+    batch
+        Views per step.
+    rate
+        Learning rate of AdamW, after warm_up steps, with cosine annealing to 0 at the budget's end.
+    warm_up
+        Steps of linear warm-up.
+    decay, clip
+        Weight decay, and largest gradient norm.
+    ema
+        Decay of the averaged weights.
+    level_weight
+        Weight of the level's loss beside the pattern's.
+    seed
+        Seed of initialisation, batches and noise.
+    threads
+        Threads of torch.
+    half
+        Use bfloat16.
+    validate_views, validate_minutes
+        Views of each held-out split, and time between validations; maps are sampled only at the end.
+    checkpoint_minutes
+        Time between checkpoints.
     """
 
     steps: int | None = None
@@ -57,7 +81,7 @@ class MapTrainingPlan:
     checkpoint_minutes: float = 3.0
 
     def compute_progress(self, step: int, seconds: float) -> float:
-        """Share of the budget that is used up."""
+        """Return the fraction of the budget that is used up."""
         by_steps = 0.0 if self.steps is None else step / max(self.steps, 1)
         by_time = 0.0 if self.minutes is None else seconds / (60.0 * self.minutes)
         return max(by_steps, by_time)
@@ -65,7 +89,7 @@ class MapTrainingPlan:
 
 @dataclass(frozen=True)
 class FitResult:
-    """config with the level's scale filled in, averaged weights, and what it took."""
+    """Result of `fit_map`: config with the level's scale filled in, averaged weights, cost and held-out distances."""
 
     config: MapConfig
     parameters: dict[str, NDArray[np.float32]]
@@ -91,11 +115,11 @@ def fit_map(
     checkpoint: Path | None = None,
     watch: ProgressCallback = lambda *_: None,
 ) -> FitResult:
-    """Train on pairs; the networks of held_out splits' distances are the averaged ones.
+    """Train on pairs, with validation on held-out splits by the averaged weights.
 
-    With steps alone the same seed gives the same weights on the same machine and torch, killed and resumed or not; with
-    minutes the course of the rate follows the clock. Raises UsageError without a budget or without enough pairs,
-    FileError where the checkpoint cannot be written.
+    With a budget of steps alone the same seed gives the same weights on the same machine and torch, resumed or not;
+    with minutes the learning rate follows the clock. Raises UsageError without a budget or without enough pairs,
+    FileError if the checkpoint cannot be written.
     """
     if plan.steps is None and plan.minutes is None:
         raise UsageError("training needs a number of steps or of minutes.")
@@ -114,11 +138,11 @@ def fit_map(
         loss = _train_step(state, pairs, plan)
         state.seconds += time.monotonic() - began
         running = loss if math.isnan(running) else 0.98 * running + 0.02 * loss
-        seen: dict[str, Distance] = {}
+        distances: dict[str, Distance] = {}
         if state.seconds - validated >= 60.0 * plan.validate_minutes:
             validated = state.seconds
-            seen = measure_distances(_make_averaged_network(state), held_out, plan.validate_views, plan.seed, None)
-        watch(state.step, plan.compute_progress(state.step, state.seconds), running, seen)
+            distances = measure_distances(_make_averaged_network(state), held_out, plan.validate_views, plan.seed, None)
+        watch(state.step, plan.compute_progress(state.step, state.seconds), running, distances)
         if checkpoint is not None and state.seconds - saved >= 60.0 * plan.checkpoint_minutes:
             saved = state.seconds
             save_checkpoint(checkpoint, _make_checkpoint(state), fingerprint)
@@ -130,11 +154,12 @@ def fit_map(
 
 
 def _train_step(state: _TrainingState, pairs: Pairs, plan: MapTrainingPlan) -> float:
+    """Run one step and return its loss."""
     per_epoch = len(pairs) // plan.batch
-    epoch, place = divmod(state.step, per_epoch)
+    epoch, index = divmod(state.step, per_epoch)
     order = np.random.default_rng((plan.seed, 1, epoch)).permutation(len(pairs))
     rng = np.random.default_rng((plan.seed, 2, state.step))
-    batch = make_training_batch(pairs, order[place * plan.batch : (place + 1) * plan.batch], rng)
+    batch = make_training_batch(pairs, order[index * plan.batch : (index + 1) * plan.batch], rng)
     for group in state.optimiser.param_groups:
         group["lr"] = _compute_learning_rate(plan, state)
     with torch.autocast("cpu", torch.bfloat16, enabled=plan.half):
@@ -145,14 +170,15 @@ def _train_step(state: _TrainingState, pairs: Pairs, plan: MapTrainingPlan) -> f
     torch.nn.utils.clip_grad_norm_(state.network.parameters(), plan.clip)
     state.optimiser.step()
     state.step += 1
-    keep = min(plan.ema, (1.0 + state.step) / (10.0 + state.step))
+    decay = min(plan.ema, (1.0 + state.step) / (10.0 + state.step))
     with torch.no_grad():
         for name, value in state.network.state_dict().items():
-            state.average[name].lerp_(value, 1.0 - keep)
+            state.average[name].lerp_(value, 1.0 - decay)
     return float(loss.detach())
 
 
 def _compute_learning_rate(plan: MapTrainingPlan, state: _TrainingState) -> float:
+    """Return the learning rate of the current step."""
     spent = min(plan.compute_progress(state.step, state.seconds), 1.0)
     return plan.rate * min(1.0, (state.step + 1) / plan.warm_up) * (0.5 + 0.5 * math.cos(math.pi * spent))
 
@@ -172,6 +198,7 @@ def _make_network(config: MapConfig) -> MapNetwork:
 
 
 def _make_averaged_network(state: _TrainingState) -> MapNetwork:
+    """Return a network with the averaged weights."""
     network = _make_network(state.network.config)
     network.load_state_dict(state.average)
     return network
@@ -207,7 +234,7 @@ def _restore_checkpoint(state: _TrainingState, checkpoint: Checkpoint | None) ->
 
 
 def _compute_fingerprint(pairs: Pairs, plan: MapTrainingPlan, config: MapConfig) -> str:
-    """Of the run: data, network and what steers the course; not of how long it may take."""
+    """Hash data, network and hyperparameters, but not the budget, which a resumed run may change."""
     budget_free = replace(plan, steps=None, minutes=None, threads=1, validate_minutes=0.0, checkpoint_minutes=0.0)
     data = (pairs.tile_seed.tobytes(), pairs.slopes[0].tobytes(), pairs.slopes[-1].tobytes())
     return content_hash(repr((budget_free, config)), *data)
@@ -215,7 +242,7 @@ def _compute_fingerprint(pairs: Pairs, plan: MapTrainingPlan, config: MapConfig)
 
 LICENCE = "GPL-3.0-or-later"
 LEARNING_RATES = {DIFFUSION: 1e-3, REGRESSION: 2e-3}
-"""Of learning, by objective."""
+"""Default learning rate of each objective."""
 
 
 def train_map(
@@ -228,10 +255,36 @@ def train_map(
     *,
     partial: bool = False,
 ) -> dict[str, Any]:
-    """Train on the pairs in a folder (tools/make_tactile_pairs.py), write the averaged weights, return the record that
-    is also in their header. A killed run goes on from its checkpoint. partial: train on what shards there are.
+    """Train on the pairs in a folder (tools/make_tactile_pairs.py) and write the averaged weights.
 
-    Raises FileError where pairs are missing or damaged, UsageError for a plan without a budget.
+    Parameters
+    ----------
+    folder
+        Folder of the pairs.
+    plan
+        Budget and hyperparameters.
+    config
+        Architecture.
+    out
+        Path of the weights.
+    checkpoint
+        File from which a killed run continues.
+    watch
+        Called after every step.
+    partial
+        Train on the shards that are present.
+
+    Returns
+    -------
+    dict
+        The record that is also in the weights' header.
+
+    Raises
+    ------
+    FileError
+        If pairs are missing or damaged.
+    UsageError
+        If the plan has no budget.
     """
     pairs = load_pairs(folder, TRAIN, partial=partial)
     held_out = {name: load_pairs(folder, name, partial=partial) for name in (HELD_OUT_INSTANCES, HELD_OUT_CLASSES)}
