@@ -39,6 +39,7 @@ class ProgressBar:
         self._start = time.monotonic()
 
     def show(self, progress: Progress) -> None:
+        """Draw a state over the last one."""
         if not self._active:
             return
         fraction = (progress.done + progress.share) / max(1, progress.total)
@@ -50,6 +51,7 @@ class ProgressBar:
         self._stream.flush()
 
     def close(self) -> None:
+        """Erase the line."""
         if self._active:
             self._stream.write("\r\x1b[K")
             self._stream.flush()

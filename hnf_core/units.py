@@ -20,10 +20,12 @@ def srgb_to_linear(code: ArrayLike) -> NDArray[np.float64]:
 
 
 def mm_to_m(value: float) -> float:
+    """Convert mm to m, or mm/s to m/s."""
     return value * 1e-3
 
 
 def m_to_mm(value: float) -> float:
+    """Convert m to mm, or m/s to mm/s."""
     return value * 1e3
 
 
@@ -39,6 +41,7 @@ def frame_to_seconds(frame: float, start: float, fps: float, fps_base: float) ->
 
 
 def seconds_to_frame(seconds: float, start: float, fps: float, fps_base: float) -> float:
+    """Return the (fractional) Blender frame at a time since the stroke's start frame [s]."""
     return start + seconds * fps / fps_base
 
 

@@ -129,9 +129,9 @@ def _cast_per_object(scene: Any, depsgraph: Any, viewport: Any, origin: Any, dir
         if len(evaluated.data.polygons) == 0 or not _is_surface(obj, matrix, scene, depsgraph, viewport):
             continue
         to_local = matrix.inverted_safe()
-        found, local, normal, face = evaluated.ray_cast(to_local @ origin, to_local.to_3x3() @ direction)
+        is_hit, local, normal, face = evaluated.ray_cast(to_local @ origin, to_local.to_3x3() @ direction)
         world = matrix @ local
-        if found and (nearest is None or (world - origin).length < np.linalg.norm(nearest.world - np.array(origin))):
+        if is_hit and (nearest is None or (world - origin).length < np.linalg.norm(nearest.world - np.array(origin))):
             world_normal = to_local.to_3x3().transposed() @ normal
             nearest = Hit(obj, np.array(local), np.array(world), np.array(world_normal.normalized()), int(face))
     return nearest

@@ -1,7 +1,7 @@
-"""From a patch's picture to its token: D_φ, then E, each read when the first patch asks for it.
+"""Patches of a stroke → records with height or unlit image, token and appearance, from the cache or a close-up.
 
-Patches of a stroke → height or picture, token, shading values: from the store where they are fresh, from a close-up
-and the networks else.
+Where a shader has no relief, D_φ predicts tactile maps from the unlit image, and E encodes them (`ReliefPredictor`).
+The networks are loaded when they are first needed.
 """
 
 from __future__ import annotations
@@ -50,18 +50,28 @@ from .report import Counts
 
 SENSOR = "gelsight"
 SHARPEST_WAVELENGTH_M = 2.0 * PITCHES_M[0]
-"""The shortest wave of the widest view."""
+"""Shortest wavelength of the widest view [m]."""
 MIN_CONTRAST = 1.0 / 255.0
-"""Contrast of a view (tactile.views.contrast): one level of an eight-bit picture. One in a hundred training views is
-fainter; a plain colour says nothing, and D_φ, which never met any, would make a pattern of it. bridge.look says the
-same of a whole patch."""
+"""Minimum contrast of a view (`measure_contrast`): one step of an 8-bit image. One in a hundred training views has
+less. A uniform colour contains no information, and D_φ, which was not trained on any, would invent a pattern.
+`MIN_COLOUR_STD_CODES` is the same limit for an entire patch."""
 
 
 class ReliefPredictor:
-    """The networks of one run. encoder: name or file of a make of E for all maps, "" = each route's own default."""
+    """Networks of one run: D_φ and the encoder E of each route.
+
+    Parameters
+    ----------
+    encoder : str, optional
+        Name or file of the encoder for all maps; "" uses the default of each route.
+
+    Raises
+    ------
+    UsageError, FileError, WeightsError, MaterialError
+        If the encoder cannot be used.
+    """
 
     def __init__(self, encoder: str = "") -> None:
-        """Raises UsageError, FileError, WeightsError or MaterialError where encoder cannot be used."""
         self._path = DEFAULT_WEIGHTS
         asked = get_encoder(encoder) if encoder else None
         known = read_encoders(load_field().metadata)
@@ -70,7 +80,7 @@ class ReliefPredictor:
 
     @property
     def weights_hash(self) -> str:
-        """Of D_φ's weights, without reading them into a network; "" where there are none."""
+        """Hash of the weights of D_φ, without loading them; "" if there are none."""
         try:
             stat = self._path.stat()
         except OSError:
@@ -79,14 +89,14 @@ class ReliefPredictor:
 
     @property
     def content_id(self) -> str:
-        """Changes with everything that a prediction of an equal picture follows from."""
+        """Hash of everything that a prediction depends on besides the image."""
         return content_hash(
             self.weights_hash, self.predicted_encoder.content_id, f"{SENSOR} {DEFAULT_STEPS} {MIN_CONTRAST:g}"
         )
 
     @property
     def missing_reason(self) -> str:
-        """Why no picture can be read, "" where it can."""
+        """Reason why nothing can be predicted, "" if it can."""
         if self.weights_hash:
             return ""
         return (
@@ -98,8 +108,10 @@ class ReliefPredictor:
     def make_views(
         self, unlit: UnlitImage, mask: NDArray[np.bool_], metres_per_pixel: float
     ) -> tuple[AppearanceView, ...]:
-        """What D_φ is shown of a patch; empty where the picture is too coarse, of one colour, or too little of it is
-        seen."""
+        """Cut the views for D_φ out of an unlit image.
+
+        Empty if the image is too coarse or uniform, or too little of the surface is visible.
+        """
         resolved = unlit.resolved_wavelength_m
         soft = SHARPEST_WAVELENGTH_M < resolved <= MAX_READABLE_WAVELENGTH_M
         views = cut_views(
@@ -108,10 +120,10 @@ class ReliefPredictor:
         return tuple(view for view in views if measure_contrast(view.rgb) >= MIN_CONTRAST)
 
     def predict(self, unlit: UnlitImage, views: tuple[AppearanceView, ...], seed: int) -> Prediction:
-        """One call of D_φ for all views of a patch, then E of each map, merged. Equal input gives equal bytes. seed: of
-        the patch; where D_φ is a diffusion, each view has noise of its own.
+        """Predict tactile maps from all views of a patch in one call of D_φ, and encode them.
 
-        Raises FileError or WeightsError where the weights cannot be used.
+        Equal inputs give equal bytes. `seed` is the patch's; for a diffusion model each view has its own noise. Raises
+        FileError or WeightsError if the weights cannot be used.
         """
         weights = _load_weights(self._path, self.weights_hash)
         with single_blas_thread():
@@ -132,7 +144,7 @@ class ReliefPredictor:
 
 
 def make_predicted_maps(prediction: Prediction) -> tuple[TactileMap, ...]:
-    """The tactile maps that a token was made from, the widest first; without their heights."""
+    """Return the predicted tactile maps of a patch, the widest first, without heights."""
     mask = np.ones(prediction.images.shape[1:3], dtype=bool)
     return tuple(
         TactileMap(
@@ -144,12 +156,12 @@ def make_predicted_maps(prediction: Prediction) -> tuple[TactileMap, ...]:
 
 
 def is_too_coarse(unlit: UnlitImage) -> bool:
-    """Does a picture show no wave that is short enough to read it?"""
+    """Return True if an image shows no wavelength short enough for a prediction."""
     return unlit.resolved_wavelength_m > MAX_READABLE_WAVELENGTH_M
 
 
 def explain_skipped(unlit: UnlitImage) -> str:
-    """What keeps a picture from being read, for the artist."""
+    """Explain why no relief is predicted from an image."""
     if is_too_coarse(unlit):
         return (
             f"its picture ({unlit.source}) shows no wave below {unlit.resolved_wavelength_m * 1e3:.2g} mm, and "
@@ -172,19 +184,41 @@ def _hash_file(path: Path, modified_ns: int, size: int) -> str:
 
 
 PATCH_PIXELS = 512
-"""39 µm a pixel on 20 mm: two pixels resolve the finest band of a token (0.125 mm)."""
+"""Side of a patch's image [pixels]: 39 µm per pixel on 20 mm, so that two pixels resolve a token's finest band (0.125
+mm)."""
 FIRST_PASS_PIXELS = 128
-"""Of a first look where all detail is in images: enough for texels of half a millimetre, at a fifth of the time."""
+"""Side of a first pass if all detail is in images [pixels]: enough for texels of 0.5 mm, in a fifth of the time."""
 
 
 @dataclass(frozen=True)
 class TouchedObject:
-    """An object as strokes of this run meet it. shape_hash: of its geometry. shader_hashes: by material slot.
-    owner_hash: of what its shaders read of the object beside its shape, "" = nothing. frame: scene frame, None = still.
-    chosen: what the artist said on the materials themselves, by slot: library material, definition, "" = nothing.
-    pictures: names of the textures that feed each slot's shader. splats: name of the file whose splats show the object,
-    "" = none. reliefs: by slot, whether its shader has a relief. view_layer: that it is touched in, of a scene that may
-    not be the only one it stands in."""
+    """An object with everything that strokes need of it.
+
+    Attributes
+    ----------
+    obj : bpy.types.Object
+    surface : Surface
+    shape_hash : str
+        Hash of its geometry.
+    shader_hashes : tuple of str
+        Hash of each slot's shader.
+    owner_hash : str
+        Other data of the object that its shaders read, as text; "" for none.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    frame : float or None
+        Scene frame, None if it is not animated.
+    artist_choices : tuple of str or MaterialFile
+        Choice of each slot's Blender material: library material or definition, "" for none.
+    texture_names : tuple of tuple of str
+        Names of the textures of each slot's shader.
+    splat_source : str
+        Name of the file of its splats, "" for none.
+    has_relief : tuple of bool
+        True if a slot's shader has a relief.
+    view_layer : bpy.types.ViewLayer
+        View layer in which it is touched; it may be in other scenes too.
+    """
 
     obj: Any
     surface: Surface
@@ -200,14 +234,16 @@ class TouchedObject:
     view_layer: Any = None
 
     def uses_splats(self, slot: int) -> bool:
-        """A relief that the artist gave the surface counts for more than what its splats look like."""
+        """Return True if a slot is rendered from splats; a relief of its shader takes precedence."""
         return bool(self.splat_source) and not (slot < len(self.has_relief) and self.has_relief[slot])
 
 
 def compute_patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:
-    """Name of a patch's content: geometry, shader, place on the surface, and the way it is looked at, the add-on's own
-    version included; and the names that a record's notes say. encoder: content id of the E that describes what is
-    measured."""
+    """Return the cache key of a patch: a hash of geometry, shader, place, and settings of the close-up.
+
+    The add-on's version and the names in a record's notes count too. `encoder` is the content id of the encoder of
+    measured maps.
+    """
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
     place = np.round(np.concatenate([patch.centre, patch.x_axis, patch.normal]), 7) + 0.0
     here = slice(patch.slot, patch.slot + 1)
@@ -226,13 +262,36 @@ def bake_patches(
     predictor: ReliefPredictor,
     chosen_slots: Collection[int] = (),
 ) -> Generator[float, None, tuple[PatchRecord, ...]]:
-    """One record a patch. What the store lacks is rendered, all of it on one stage; where the relief is not known and
-    the colour varies, it is estimated from the picture, once for each patch.
+    """Return one record per patch, as a generator that yields the completed fraction.
 
-    seeing: the networks. chosen: slots of which the artist said what they are: their pictures are not read. Each is
-    described and stored beside the rays of the next: a run that is stopped loses one at most. Yields which share of
-    them is done, with nothing at work meanwhile. counts grows by the work done. Raises SceneError where a texture is
-    missing.
+    Patches that are not cached are rendered, all in one temporary scene. Where the relief is unknown and the colour
+    varies, it is predicted, once per patch. Each patch is encoded and saved while the next one's rays are cast, so that
+    a stopped run loses at most one; no thread is running when the generator yields.
+
+    Parameters
+    ----------
+    touched : TouchedObject
+        Touched object.
+    patches : sequence of Patch
+        Patches.
+    folder : Path
+        Folder of the cache.
+    counts : Counts
+        Counters, which are incremented.
+    predictor : ReliefPredictor
+        Networks.
+    chosen_slots : collection of int, optional
+        Slots whose material the user chose; nothing is predicted for them.
+
+    Returns
+    -------
+    tuple of PatchRecord
+        Return value of the generator.
+
+    Raises
+    ------
+    SceneError
+        If a texture is missing.
     """
     keys = [compute_patch_key(touched, patch, predictor.measured_encoder.content_id) for patch in patches]
     wanted = dict(zip(keys, patches, strict=True))
@@ -272,8 +331,7 @@ def bake_patches(
 def _iter_closeups(
     touched: TouchedObject, patches: Sequence[Patch], wait_for_threads: Callable[[], None]
 ) -> Generator[CloseUp, None, None]:
-    """One a patch, in their order: in the splats of a reconstructed surface, else by its shader. alone: see
-    iter_closeups."""
+    """Yield a close-up per patch, in order: from splats for a reconstructed surface, else by its shader."""
     in_splats = [touched.uses_splats(patch.slot) for patch in patches]
     drawn = iter_closeups(
         touched.obj,
@@ -301,8 +359,10 @@ def _iter_closeups(
 
 
 def compute_noise_seed(touched: TouchedObject, patch: Patch) -> int:
-    """Of a patch's prediction (a regression heeds none): of its material and its place on the surface to a millimetre.
-    patch_key takes in every digit; a scene that is moved is rounded otherwise, and must feel as it did."""
+    """Return the seed of a patch's prediction, from its material and its place to a millimetre.
+
+    The patch's key includes every digit, but moving a scene changes the rounding, and must not change the prediction.
+    """
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
     # Off the grid: people like round numbers, which would lie on its borders.
     place = np.floor(patch.centre * 1e3 + 0.317).astype(int)
@@ -312,7 +372,7 @@ def compute_noise_seed(touched: TouchedObject, patch: Patch) -> int:
 def _add_prediction(
     record: PatchRecord, key: str, seed: int, folder: Path, predictor: ReliefPredictor, counts: Counts
 ) -> PatchRecord:
-    """record with what can be estimated from its picture: from the store, else by one call of D_φ."""
+    """Return a record with its prediction, from the cache or by one call of D_φ."""
     if record.unlit is None or predictor.missing_reason:
         return record
     name = content_hash(key, predictor.content_id)
@@ -329,7 +389,7 @@ def _add_prediction(
 
 
 def get_measured_map(record: PatchRecord) -> TactileMap | None:
-    """The measured tactile map that a record was described from; None where nothing was measured."""
+    """Return the measured tactile map of a record; None if nothing was measured."""
     if record.height is None:
         return None
     image = render_sensor_image(record.height, record.metres_per_pixel, get_sensor(SENSOR))
@@ -340,36 +400,36 @@ def get_measured_map(record: PatchRecord) -> TactileMap | None:
 
 
 def get_widest_map(record: PatchRecord) -> TactileMap | None:
-    """The tactile map to show of a patch, whatever its route; None where there is none."""
+    """Return the tactile map to show of a record, of any route; None without a map."""
     return get_measured_map(record) if record.predicted is None else make_predicted_maps(record.predicted)[0]
 
 
 def get_token(record: PatchRecord) -> Token | None:
-    """E of the patch's map, measured or predicted; None where there is no map."""
+    """Return the token of a record's map, measured or predicted; None without a map."""
     if record.predicted is not None:
         return record.predicted.token
     return None if record.token is None or record.known is None else Token(record.token, record.known)
 
 
 def get_resolved_wavelength(record: PatchRecord) -> float:
-    """Shortest wave that the source of the patch's map shows, in metres; inf where there is no map."""
+    """Return the shortest wavelength of a record's map [m]; inf without a map."""
     return record.resolved_wavelength_m if record.predicted is None else record.predicted.resolved_wavelength_m
 
 
 def get_map_source(record: PatchRecord) -> str:
-    """What the patch's map was made from, in words; "" where there is none."""
+    """Describe what a record's map was made from; "" without a map."""
     if record.predicted is None or record.unlit is None:
         return record.height_source
     return f"estimated from {record.unlit.source}"
 
 
 def get_encoder_name(record: PatchRecord) -> str:
-    """The make of E that described the patch's map; "" where there is none."""
+    """Return the name of the encoder of a record's map; "" without a map."""
     return record.encoder if record.predicted is None else record.predicted.encoder
 
 
 def compute_mean_appearance(records: Sequence[PatchRecord]) -> Appearance:
-    """Shading values of several patches of one material, each averaged over the patches that know it."""
+    """Return the mean shading values of several patches of a material; unknown values are left out."""
     colours = [record.appearance.base_color for record in records if record.appearance.base_color is not None]
     red, green, blue = np.mean(colours, axis=0) if colours else (0.0, 0.0, 0.0)
     return Appearance(
@@ -385,7 +445,7 @@ def _average_known(values: Sequence[float | None]) -> float | None:
 
 
 def _make_record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: Counts) -> PatchRecord:
-    """E is called only where the shader has micro-geometry: a flat map has nothing to describe."""
+    """Make the record of a close-up; it is encoded only if the shader has micro-geometry."""
     tactile, token = None, None
     if closeup.height is not None:
         tactile = tactile_map_from_height(

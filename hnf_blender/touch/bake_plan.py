@@ -1,10 +1,7 @@
-"""The files beside a scene's own that it was read with: pictures, libraries, the parts of an imported model.
+"""Plan of a run, made before anything is rendered: what is needed, what is still fresh, what is skipped, and why.
 
-What an earlier run left in a folder: the strokes that are still true, and the files that nothing owns any more.
-
-What this run needs, what is fresh, what is left out, and why: made before anything is rendered or cast.
-
-Which route each slot of a surface will take, told before anything is rendered.
+It compares the jobs of a session with the report of an earlier run in the output folder (`PreviousRun`), estimates the
+cost, and predicts the route of each material slot. The scene's external files are listed and hashed here too.
 """
 
 from __future__ import annotations
@@ -32,49 +29,54 @@ from .report import REPORT_NAME, SCHEMA, Failed, Skipped, StrokeReport, add_opti
 from .session import GatheredJobs, Session, StrokeJob
 
 COMPANION_SUFFIXES = {".gltf": (".bin",), ".obj": (".mtl",)}
-"""What importers read beside the file and leave no path of: every file of that kind in the same folder is named."""
+"""Suffixes of files that importers read next to the scene without leaving a path; all in its folder are listed."""
 TILE_PLACEHOLDERS = ("<UDIM>", "<UVTILE>")
+"""Placeholders for tile numbers in image paths."""
 
 
 def list_external_files(scene: Path) -> list[str]:
-    """Absolute paths of the files that the open scene refers to, those of pictures in tiles one by one; packed ones are
-    in the scene's own. scene: the file it was opened or imported from. What is not there is left out."""
+    """List the absolute paths of existing files that the open scene refers to, UDIM tiles one by one.
+
+    Packed files are not listed. `scene` is the file that was opened or imported.
+    """
     import bpy
 
-    named = [Path(path) for path in bpy.utils.blend_paths(absolute=True, packed=False, local=False)]
-    found = {path for name in named for path in _expand_tiles(name)}
+    referenced = [Path(path) for path in bpy.utils.blend_paths(absolute=True, packed=False, local=False)]
+    paths = {path for name in referenced for path in _expand_tiles(name)}
     for suffix in COMPANION_SUFFIXES.get(scene.suffix.lower(), ()):
-        found |= {path for path in scene.absolute().parent.iterdir() if path.suffix.lower() == suffix}
-    return sorted(str(path) for path in found if path.is_file())
+        paths |= {path for path in scene.absolute().parent.iterdir() if path.suffix.lower() == suffix}
+    return sorted(str(path) for path in paths if path.is_file())
 
 
 def hash_source_files(scene: Path, external_files: Iterable[str]) -> str:
-    """Of the scene's own file by its content, of those outside, which may be films, by their size and time of change;
-    "" where one cannot be read any more."""
+    """Hash the scene's file by content, and external files, which may be movies, by size and modification time.
+
+    Returns "" if one of them cannot be read any more.
+    """
     try:
         with scene.open("rb") as stream:
-            own = hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
-        facts = [(name, Path(name).stat()) for name in external_files]
+            scene_hash = hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+        stats = [(name, Path(name).stat()) for name in external_files]
     except OSError:
         return ""
-    return content_hash(own, *(f"{name}\0{fact.st_size}\0{fact.st_mtime_ns}" for name, fact in facts))
+    return content_hash(scene_hash, *(f"{name}\0{stat.st_size}\0{stat.st_mtime_ns}" for name, stat in stats))
 
 
 def _expand_tiles(path: Path) -> list[Path]:
-    for word in TILE_PLACEHOLDERS:
-        if word in path.name:
-            before, _, after = path.name.partition(word)
+    """Return the files of a path with a UDIM placeholder, else the path itself."""
+    for placeholder in TILE_PLACEHOLDERS:
+        if placeholder in path.name:
+            before, _, after = path.name.partition(placeholder)
             if not path.parent.is_dir():
                 return []
             return [
-                each for each in path.parent.iterdir() if each.name.startswith(before) and each.name.endswith(after)
+                file for file in path.parent.iterdir() if file.name.startswith(before) and file.name.endswith(after)
             ]
     return [path]
 
 
 class RerunReason(StrEnum):
-    """What is not as an earlier run left it: nothing, its .blend, which is not there or was never saved, the scene's
-    file, or which strokes there are."""
+    """Reason to write the .blend of an earlier run again: unfinished, changed scene file, other strokes, or none."""
 
     NOTHING = ""
     UNFINISHED = "unfinished"
@@ -84,8 +86,18 @@ class RerunReason(StrEnum):
 
 @dataclass(frozen=True)
 class PreviousRun:
-    """An earlier run by its report. scene: name of its file. source: hash of what its .blend was made from, "" = it has
-    none, or does not say. left_over: files that no stroke owned even then."""
+    """An earlier run, read from its report.
+
+    Attributes
+    ----------
+    strokes : tuple of StrokeReport
+    scene : str
+        Name of the scene file.
+    source : str
+        Hash of the files its .blend was made from; "" if unknown, or there is no .blend.
+    orphaned_files : tuple of str
+        Files that belonged to no stroke even then.
+    """
 
     strokes: tuple[StrokeReport, ...] = ()
     scene: str = ""
@@ -93,38 +105,44 @@ class PreviousRun:
     orphaned_files: tuple[str, ...] = ()
 
     def find_fresh(self, jobs: Iterable[StrokeJob], folder: Path | None) -> dict[str, StrokeReport]:
-        """Name of a job → the entry of an equal stroke whose signal is there, byte for byte as it was written. A job
-        gets that of its own name, else one that no other takes, as after a rename: each file is one stroke's alone, or
-        the picture of one would be drawn over the other's. folder: None = there is none."""
+        """Return job name → entry of a stroke with the same key whose files are intact.
+
+        A job gets the entry of its own name, else one that no other job has, as after renaming: each file belongs to
+        one stroke, or plots would overwrite each other. `folder` is None if there are no earlier results.
+        """
         if folder is None:
             return {}
-        jobs, there = list(jobs), [each for each in _separate_shared_wavs(self.strokes) if _is_intact(each, folder)]
-        named = {(entry.key, entry.name): entry for entry in there}
+        jobs, intact = (
+            list(jobs),
+            [candidate for candidate in _separate_shared_wavs(self.strokes) if _is_intact(candidate, folder)],
+        )
+        named = {(entry.key, entry.name): entry for entry in intact}
         fresh = {job.name: named[job.key, job.name] for job in jobs if (job.key, job.name) in named}
-        owned = {entry.name for entry in fresh.values()}
-        free = [entry for entry in there if entry.name not in owned]
+        claimed = {entry.name for entry in fresh.values()}
+        unclaimed = [entry for entry in intact if entry.name not in claimed]
         for job in jobs:
-            entry = next((each for each in free if each.key == job.key), None)
+            entry = next((candidate for candidate in unclaimed if candidate.key == job.key), None)
             if job.name not in fresh and entry is not None:
                 fresh[job.name] = entry
-                free.remove(entry)
+                unclaimed.remove(entry)
         return fresh
 
     def has_name(self, name: str) -> bool:
+        """Return True if there was a stroke of this name."""
         return any(stroke.name == name for stroke in self.strokes)
 
     def get_rerun_reason(self, jobs: Iterable[StrokeJob], source: str, blend: Path) -> RerunReason:
-        """Why its .blend cannot stay: NOTHING where it was made from this source, with these strokes and no others."""
+        """Return why its .blend must be written again: NOTHING if source and strokes are the same."""
         if self.source == "" or not blend.is_file():
             return RerunReason.UNFINISHED
         if self.source != source:
             return RerunReason.CHANGED
-        mine = {(stroke.key, stroke.name) for stroke in self.strokes}
-        return RerunReason.NOTHING if mine == {(job.key, job.name) for job in jobs} else RerunReason.STROKES
+        previous_strokes = {(stroke.key, stroke.name) for stroke in self.strokes}
+        return RerunReason.NOTHING if previous_strokes == {(job.key, job.name) for job in jobs} else RerunReason.STROKES
 
 
 def read_previous_run(folder: Path | None) -> PreviousRun:
-    """Of the report in folder; nothing where there is none, or it cannot be read."""
+    """Read the report in a folder; an empty run if there is none, or it cannot be read."""
     if folder is None:
         return PreviousRun()
     try:
@@ -144,20 +162,42 @@ def read_previous_run(folder: Path | None) -> PreviousRun:
 def find_orphaned_files(
     previous: PreviousRun, folder: Path, scene: str, strokes: Iterable[StrokeReport], pending: Collection[str] = ()
 ) -> list[str]:
-    """Names of files in folder that an earlier run of this scene left and none of its strokes owns now. strokes: of
-    this run. awaited: names of strokes that it has not made yet, or cannot: theirs are not given up."""
+    """Return the files in a folder that an earlier run of this scene left and that belong to no stroke now.
+
+    Parameters
+    ----------
+    previous : PreviousRun
+        Earlier run.
+    folder : Path
+        Output folder.
+    scene : str
+        Name of the scene file.
+    strokes : iterable of StrokeReport
+        Strokes of this run.
+    pending : collection of str, optional
+        Names of strokes that are not written yet, or failed; their files are kept.
+
+    Returns
+    -------
+    list of str
+    """
     if previous.scene != scene:
         return []
     owned = {name for stroke in strokes for name in _get_file_names(stroke)}
-    gone = [each for each in previous.strokes if each.name not in pending]
-    named = {*previous.orphaned_files, *(name for stroke in gone for name in _get_file_names(stroke))}
-    kept = {name for stroke in previous.strokes if stroke.name in pending for name in _get_file_names(stroke)}
-    return sorted(name for name in named - owned - kept if Path(name).name == name and (folder / name).is_file())
+    finished = [entry for entry in previous.strokes if entry.name not in pending]
+    named = {*previous.orphaned_files, *(name for stroke in finished for name in _get_file_names(stroke))}
+    pending_files = {name for stroke in previous.strokes if stroke.name in pending for name in _get_file_names(stroke)}
+    return sorted(
+        name for name in named - owned - pending_files if Path(name).name == name and (folder / name).is_file()
+    )
 
 
 def _separate_shared_wavs(strokes: Iterable[StrokeReport]) -> list[StrokeReport]:
-    """One entry for each WAV: older versions let equal strokes share one and draw their pictures over each other. The
-    first keeps the files, and its picture is drawn anew."""
+    """Return one entry per WAV file.
+
+    Older versions let equal strokes share a WAV and overwrite each other's plots. The first keeps the files, and its
+    plot is drawn again.
+    """
     entries = list(strokes)
     count = Counter(entry.wav for entry in entries)
     first = {entry.wav: entry for entry in reversed(entries)}
@@ -173,6 +213,7 @@ def _get_file_names(stroke: StrokeReport) -> tuple[str, str]:
 
 
 def _is_intact(entry: StrokeReport, folder: Path) -> bool:
+    """Return True if an entry's WAV is as it was written, and its plot exists."""
     if Path(entry.wav).name != entry.wav:
         return False
     try:
@@ -182,12 +223,13 @@ def _is_intact(entry: StrokeReport, folder: Path) -> bool:
 
 
 RENDERS_PER_CLOSEUP = 2
-"""Renders of a close-up at most: see closeup.iter_closeups."""
+"""Maximum number of renders of a close-up; see `iter_closeups`."""
 PROCEDURAL_CLOSEUP_SECONDS, IMAGE_CLOSEUP_SECONDS = 0.7, 0.2
-"""Of a close-up with all pixels, and of one that a first look nearly suffices for."""
+"""Time of a close-up with all pixels, and of one for which the first pass nearly suffices [s]."""
 PREDICTION_SECONDS, PLOT_SECONDS, SYNTHESIS_SECONDS = 0.1, 1.8, 0.4
-"""Rough cost on two cores, for the estimate only."""
+"""Rough times on two cores, for the estimate only [s]."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
+"""Assumed length of a stroke's path, and distance between patches [m]."""
 
 RERUN_MESSAGES = {
     RerunReason.UNFINISHED: "The baked .blend is not there, or the earlier run did not finish it",
@@ -197,14 +239,26 @@ RERUN_MESSAGES = {
 
 
 def estimate_max_patches(length_m: float) -> int:
-    """Upper bound of the close-ups that a stroke of this length takes."""
+    """Return an upper bound for the close-ups of a stroke of this length [m]."""
     return int(length_m / PATCH_PITCH_M) + 1
 
 
 @dataclass(frozen=True)
 class SlotPlan:
-    """How the relief of a slot will come to be known. material: the Blender material's name. seconds: of one close-up,
-    roughly. unless: what, seen in the close-up, makes it prior after all; "" = nothing."""
+    """Expected route of a slot's relief.
+
+    Attributes
+    ----------
+    material : str
+        Name of the Blender material.
+    route : Route
+    why : str
+        Reason for the route.
+    seconds : float
+        Estimated time of one close-up [s].
+    unless : str
+        Finding in the close-up that would make the route prior; "" for none.
+    """
 
     material: str
     route: Route
@@ -214,14 +268,25 @@ class SlotPlan:
 
 
 def estimate_closeup_seconds(slots: Iterable[SlotPlan]) -> float:
-    """Of one close-up on any of these slots."""
+    """Estimate the time of one close-up on any of these slots [s]."""
     return max((slot.seconds for slot in slots), default=PROCEDURAL_CLOSEUP_SECONDS)
 
 
 @dataclass(frozen=True)
 class PlannedBake:
-    """One stroke to be made. patches: upper bound of the close-ups it takes. why: what is not fresh. slots: what it may
-    touch."""
+    """One stroke to bake.
+
+    Attributes
+    ----------
+    stroke, object, material : str
+        Names.
+    patches : int
+        Upper bound for its close-ups.
+    why : str
+        Reason why it is not fresh.
+    slots : tuple of SlotPlan
+        Slots that it may touch.
+    """
 
     stroke: str
     object: str
@@ -232,13 +297,13 @@ class PlannedBake:
 
     @property
     def predictions(self) -> int:
-        """Upper bound of the patches whose relief is estimated from their picture."""
+        """Upper bound for the patches whose relief is predicted."""
         return self.patches if any(slot.route is Route.PREDICTED for slot in self.slots) else 0
 
 
 @dataclass(frozen=True)
 class UpToDate:
-    """One stroke whose signal is there and still true."""
+    """One stroke whose signal exists and is still valid."""
 
     stroke: str
     object: str
@@ -247,8 +312,17 @@ class UpToDate:
 
 @dataclass(frozen=True)
 class PlannedQuery:
-    """One place to be looked at. close_ups: 1, or 0 where the store knows the place. slot: how its relief will come to
-    be known, None where its object has no slots."""
+    """One touch query.
+
+    Attributes
+    ----------
+    name, object, material : str
+        Names.
+    close_ups : int
+        1, or 0 if its patch is cached.
+    slot : SlotPlan or None
+        Expected route; None if the object has no slots.
+    """
 
     name: str
     object: str
@@ -258,14 +332,28 @@ class PlannedQuery:
 
     @property
     def predictions(self) -> int:
-        """Upper bound, as of a stroke."""
+        """Upper bound for the predictions, 0 or 1."""
         return int(self.slot is not None and self.slot.route is Route.PREDICTED)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """pictures: upper bound of those that fresh strokes get anew. again: why the .blend of an earlier run, which has
-    fresh ones, is written anew."""
+    """Plan of a run.
+
+    Attributes
+    ----------
+    needed : tuple of PlannedBake
+    fresh : tuple of UpToDate
+    skipped : tuple of Skipped
+    failed : tuple of Failed
+    notes : tuple of str
+    probes : tuple of PlannedQuery
+        Touch queries.
+    pictures : int
+        Upper bound for the plots of fresh strokes that are drawn again.
+    again : RerunReason
+        Reason why the .blend of an earlier run with fresh strokes is written again.
+    """
 
     needed: tuple[PlannedBake, ...]
     fresh: tuple[UpToDate, ...]
@@ -278,32 +366,37 @@ class Plan:
 
     @property
     def renders(self) -> int:
-        """Upper bound: a close-up a patch, and one a probe, in two looks at most; for the pictures one view by the
-        scene's camera, and each stroke's own past what stands before it."""
-        drawn = len(self.needed) + self.pictures
-        return RENDERS_PER_CLOSEUP * self.close_ups + MAX_STROKE_VIEWS * drawn + min(1, drawn)
+        """Upper bound for renders.
+
+        Each close-up has two passes; of the plots' views one is shared, and each stroke may need its own.
+        """
+        plots = len(self.needed) + self.pictures
+        return RENDERS_PER_CLOSEUP * self.close_ups + MAX_STROKE_VIEWS * plots + min(1, plots)
 
     @property
     def close_ups(self) -> int:
-        """Upper bound."""
+        """Upper bound for close-ups."""
         return sum(entry.patches for entry in self.needed) + sum(entry.close_ups for entry in self.probes)
 
     @property
     def predictions(self) -> int:
-        """Upper bound: one a patch."""
+        """Upper bound for predictions, one per patch."""
         return sum(entry.predictions for entry in self.needed) + sum(entry.predictions for entry in self.probes)
 
     @property
     def seconds(self) -> float:
-        stroke = PLOT_SECONDS + SYNTHESIS_SECONDS
-        looks = sum(entry.patches * estimate_closeup_seconds(entry.slots) for entry in self.needed)
-        looks += sum(
-            each.close_ups * estimate_closeup_seconds(() if each.slot is None else (each.slot,)) for each in self.probes
+        """Estimated time of the run [s]."""
+        stroke_seconds = PLOT_SECONDS + SYNTHESIS_SECONDS
+        closeup_seconds = sum(entry.patches * estimate_closeup_seconds(entry.slots) for entry in self.needed)
+        closeup_seconds += sum(
+            query.close_ups * estimate_closeup_seconds(() if query.slot is None else (query.slot,))
+            for query in self.probes
         )
-        strokes = len(self.needed) * stroke + self.pictures * PLOT_SECONDS
-        return looks + self.predictions * PREDICTION_SECONDS + strokes
+        total_stroke_seconds = len(self.needed) * stroke_seconds + self.pictures * PLOT_SECONDS
+        return closeup_seconds + self.predictions * PREDICTION_SECONDS + total_stroke_seconds
 
     def as_json(self) -> str:
+        """Return the plan as JSON."""
         estimate = {
             "renders_at_most": self.renders,
             "predictions_at_most": self.predictions,
@@ -313,7 +406,7 @@ class Plan:
         return json.dumps(record, indent=1, ensure_ascii=False)
 
     def _format_cost(self) -> str:
-        """Upper bounds, in what the lines above count."""
+        """Format the upper bounds of the cost."""
         parts = [pluralize(self.close_ups, "close-up"), pluralize(len(self.needed) + self.pictures, "picture")]
         if self.predictions:
             parts.append(f"{pluralize(self.predictions, 'relief')} estimated from pictures")
@@ -325,6 +418,7 @@ class Plan:
         return f", and at most {pluralize(self.pictures, 'picture')}, where what it shows is not what it showed"
 
     def as_text(self) -> str:
+        """Return the plan as text."""
         lines = []
         if self.needed:
             lines.append("To bake:")
@@ -353,11 +447,11 @@ class Plan:
 
 
 def _format_route(slot: SlotPlan, predictions: int) -> str:
-    said = ""
+    cost = ""
     if slot.route is Route.PREDICTED:
-        said = f", at most {pluralize(predictions, 'close-up')}, {predictions * PREDICTION_SECONDS:.1f} s"
+        cost = f", at most {pluralize(predictions, 'close-up')}, {predictions * PREDICTION_SECONDS:.1f} s"
     unless = f"; prior if {slot.unless}" if slot.unless else ""
-    return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}{unless}){said}"
+    return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}{unless}){cost}"
 
 
 def _format_skipped(skipped: Sequence[Skipped]) -> list[str]:
@@ -365,10 +459,11 @@ def _format_skipped(skipped: Sequence[Skipped]) -> list[str]:
 
 
 TOO_COARSE_NOTE = f"its picture shows no waves below {MAX_READABLE_WAVELENGTH_M * 1e3:g} mm, or one colour"
+"""Finding that makes a predicted slot prior."""
 
 
 def plan_slots(session: Session, job: StrokeJob) -> tuple[SlotPlan, ...]:
-    """Of the slots that the job may touch: all of its object's, or the one that it is to be placed on."""
+    """Return plans of the slots that a job may touch: all of its object, or the one it is to be placed on."""
     plans = plan_object_slots(
         session, find_object(session.scene, job.object_name), "" if job.stroke is None else job.stroke.material
     )
@@ -376,9 +471,9 @@ def plan_slots(session: Session, job: StrokeJob) -> tuple[SlotPlan, ...]:
 
 
 def plan_object_slots(session: Session, obj: Any, material: str = "") -> tuple[SlotPlan, ...]:
-    """Of every slot of an object. material: that a stroke itself asks for.
+    """Return plans of all slots of an object; `material` is the library material set on the stroke.
 
-    A slot with a picture may still come out prior, where the picture turns out to be too coarse or of one colour.
+    A slot with a varying colour may still turn out prior, if its image is too coarse or uniform.
     """
     facts = session.get_facts(obj)
     why = (
@@ -388,16 +483,24 @@ def plan_object_slots(session: Session, obj: Any, material: str = "") -> tuple[S
     )
     return tuple(
         _plan_slot(
-            facts.materials[slot], shown, chosen, session.predictor.missing_reason, why, facts.direct_images[slot]
+            facts.materials[slot],
+            relief_source,
+            chosen,
+            session.predictor.missing_reason,
+            why,
+            facts.direct_images[slot],
         )
-        for slot, (shown, chosen) in enumerate(session.get_relief_outlook(obj, material))
+        for slot, (relief_source, chosen) in enumerate(session.get_relief_outlook(obj, material))
     )
 
 
 def _plan_slot(
     material: str, relief_source: ReliefSource, chosen: bool, missing: str, evidence: str, direct_image: bool
 ) -> SlotPlan:
-    """seen: what there is to estimate a relief from. plainly: its relief is read off images as they are."""
+    """Return the plan of one slot.
+
+    `evidence` is what a relief could be predicted from; `direct_image` is true if its relief is read from images.
+    """
     if relief_source is ReliefSource.RELIEF:
         seconds = IMAGE_CLOSEUP_SECONDS if direct_image else PROCEDURAL_CLOSEUP_SECONDS
         return SlotPlan(material, Route.MEASURED, "from the bump, normal or displacement in its shader", seconds)
@@ -412,14 +515,14 @@ def _plan_slot(
 
 
 def describe_shader_reliefs(session: Session, found: GatheredJobs) -> list[str]:
-    """Of the materials named on the command line, what a shader's own relief leaves of them: one line a slot."""
+    """Return notes on what a shader's own relief leaves of the materials of the command line."""
     notes = []
     for name in dict.fromkeys(job.object_name for job in found.jobs):
         obj, choices = find_object(session.scene, name), session.get_choices(name)
         facts = session.get_facts(obj)
-        for slot, (material, shown) in enumerate(zip(facts.materials, facts.relief_sources, strict=True)):
+        for slot, (material, relief_source) in enumerate(zip(facts.materials, facts.relief_sources, strict=True)):
             library = choices.get(slot) or choices.get(None)
-            if library and shown is ReliefSource.RELIEF:
+            if library and relief_source is ReliefSource.RELIEF:
                 notes.append(
                     f"material '{material}' on '{name}': the relief of its shader is kept; {library} gives friction, "
                     "stiffness and the bands that this relief does not show."
@@ -428,7 +531,7 @@ def describe_shader_reliefs(session: Session, found: GatheredJobs) -> list[str]:
 
 
 def make_plan(session: Session, found: GatheredJobs, previous: PreviousRun, source: str) -> Plan:
-    """Nothing is rendered and no ray is cast for it. source: hash of the scene's file."""
+    """Make the plan of a run, without rendering or casting rays; `source` is the hash of the scene's files."""
     needed, fresh = [], []
     known = previous.find_fresh(found.jobs, session.request.out)
     for job in found.jobs:
@@ -441,23 +544,25 @@ def make_plan(session: Session, found: GatheredJobs, previous: PreviousRun, sour
         why = "changed since the last run" if previous.has_name(job.name) else "not baked yet"
         routes = plan_slots(session, job)
         needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes))
-    folder, again = session.request.out, RerunReason.NOTHING
+    folder, rerun_reason = session.request.out, RerunReason.NOTHING
     if fresh and folder is not None:
-        again = previous.get_rerun_reason(found.jobs, source, folder / get_blend_name(session))
-    # Of the same file, only a picture of which nobody knows what it shows may be another.
+        rerun_reason = previous.get_rerun_reason(found.jobs, source, folder / get_blend_name(session))
+    # If the file is the same, only a plot without a key may be outdated.
     pictures = sum(previous.source != source or not entry.picture_key for entry in known.values())
     return Plan(
         tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes), pictures=pictures,
-        again=again,
+        again=rerun_reason,
     )  # fmt: skip
 
 
 def get_blend_name(session: Session) -> str:
+    """Return the file name of the baked .blend."""
     source = get_scene_path(session.request)
     return f"{source.stem}_touched.blend"
 
 
 def get_scene_path(request: TouchRequest) -> Path:
+    """Return the scene's file."""
     import bpy
 
     return request.scene if request.scene is not None else Path(bpy.data.filepath)

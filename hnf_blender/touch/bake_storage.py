@@ -1,6 +1,6 @@
-"""Tokens of all baked strokes → attributes on the meshes they touch.
+"""Store bakes in the scene: tokens on meshes and splats, and each stroke's bake on its curve object.
 
-What a stroke's curve object keeps of its bake, and how that stands to the scene of now.
+The inputs of a bake are stored with it, so that a stale bake can be explained (`check_validity`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .synthesise import BakedStroke
 
 
 def group_by_mesh(strokes: Sequence[BakedStroke]) -> list[list[BakedStroke]]:
-    """The strokes in groups that touch one mesh."""
+    """Group strokes by the mesh that they touch."""
     groups: dict[str, list[BakedStroke]] = {}
     for stroke in strokes:
         groups.setdefault(stroke.touched.obj.data.name_full, []).append(stroke)
@@ -41,7 +41,7 @@ def group_by_mesh(strokes: Sequence[BakedStroke]) -> list[list[BakedStroke]]:
 
 
 def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:
-    """Write every touched mesh once; yields a warning for each that cannot be written."""
+    """Write the tokens of every touched mesh; yield a warning for each that cannot be written."""
     for group in group_by_mesh(strokes):
         obj = group[0].touched.obj
         if obj.type != "MESH":
@@ -57,20 +57,35 @@ def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:
 
 
 def make_face_tokens(mesh: Any, strokes: Sequence[BakedStroke], sources: Set[str] = frozenset()) -> FaceTokens:
-    """Faces under the strokes' patches get their patch's token; of overlapping patches the last wins. Tokens that an
-    earlier bake left on the other faces stay as long as the mesh and its shaders are what they were then. sources: of
-    other surfaces with this mesh (shared_sources), whose tokens stay too."""
+    """Make the tokens of a mesh from the strokes that touch it.
+
+    Faces under a patch get its token; of overlapping patches the last counts. Other faces keep the tokens of an earlier
+    bake while mesh and shaders are unchanged.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+        Touched mesh.
+    strokes : sequence of BakedStroke
+        Strokes that touch it.
+    sources : set of str, optional
+        Hashes of other surfaces with this mesh (`find_shared_sources`), whose tokens are kept too.
+
+    Returns
+    -------
+    FaceTokens
+    """
     source = hash_surface_source(strokes[0].touched)
     earlier = _read_valid_tokens(mesh, {source, *sources})
     count = len(mesh.polygons)
     index = np.full(count, UNBAKED, dtype=np.int32)
     confidence = np.zeros(count, dtype=np.float32)
-    tokens, mechanics, names, makes = [], [], [], {ENCODER_ID}
+    tokens, mechanics, names, encoder_names = [], [], [], {ENCODER_ID}
     if earlier is not None:
         index, confidence = earlier.index.copy(), earlier.confidence.copy()
         tokens, mechanics = list(earlier.palette.tokens), list(earlier.palette.mechanics)
         names = list(earlier.palette.names)
-        makes.update(split_encoders(earlier.palette.encoder_id))
+        encoder_names.update(split_encoders(earlier.palette.encoder_id))
     for stroke in strokes:
         for patch, record, fused in zip(stroke.patches, stroke.records, stroke.fused, strict=True):
             index[record.faces] = len(tokens)
@@ -78,10 +93,10 @@ def make_face_tokens(mesh: Any, strokes: Sequence[BakedStroke], sources: Set[str
             tokens.append(fused.values)
             mechanics.append(stroke.materials[patch.slot].library.mechanics)
             names.append(stroke.materials[patch.slot].library.name)
-            makes.update({get_encoder_name(record)} - {""})
+            encoder_names.update({get_encoder_name(record)} - {""})
     used = sorted(set(index[index >= 0].tolist()))
     palette, merged = build_palette(
-        [tokens[i] for i in used], [mechanics[i] for i in used], [names[i] for i in used], encoders=makes
+        [tokens[i] for i in used], [mechanics[i] for i in used], [names[i] for i in used], encoders=encoder_names
     )
     lookup = np.full(len(tokens) + 1, UNBAKED, dtype=np.int32)
     lookup[used] = merged
@@ -93,38 +108,45 @@ def make_face_tokens(mesh: Any, strokes: Sequence[BakedStroke], sources: Set[str
 def make_point_tokens(
     touched: TouchedObject, index: NDArray[np.int32], confidence: NDArray[np.float32]
 ) -> PointTokens | None:
-    """Of the splats of a reconstructed surface: each gets what the nearest face has, if no farther than a patch's
-    camera stands off; None where there are no splats. index, confidence: (F,) of the faces of the object's own mesh."""
+    """Make the tokens of the splats of a reconstructed surface; None if there are no splats.
+
+    Each splat gets the token of the nearest face within CAMERA_DISTANCE_M. `index` and `confidence` (F,) are those of
+    the faces of the object's own mesh.
+    """
     cloud = get_cloud(touched.obj)
     if cloud is None:
         return None
     from hnf_core.scene.splats.voxel_grid import find_nearest_triangles
 
-    mesh, own = touched.surface.mesh, touched.surface.source_face
+    mesh, source_face = touched.surface.mesh, touched.surface.source_face
     splats = compute_cloud_frame(touched.obj, cloud, touched.surface.stretch).to_surface(read_cloud(cloud).means)
-    face = mesh.face if own is None else own[mesh.face]
-    made = PointTokens(np.full(len(splats), UNBAKED, dtype=np.int32), np.zeros(len(splats), dtype=np.float32))
+    face = mesh.face if source_face is None else source_face[mesh.face]
+    tokens = PointTokens(np.full(len(splats), UNBAKED, dtype=np.int32), np.zeros(len(splats), dtype=np.float32))
     baked = mesh.vertices[mesh.triangles[(face >= 0) & (index[face] != UNBAKED)]].reshape(-1, 3)
     if len(baked) == 0:
-        return made
+        return tokens
     low, high = baked.min(axis=0) - CAMERA_DISTANCE_M, baked.max(axis=0) + CAMERA_DISTANCE_M
-    here = np.flatnonzero(((splats >= low) & (splats <= high)).all(axis=1))
-    near = crop_mesh(mesh, [(low + high) / 2.0], float((high - low).max() / 2.0) + CAMERA_DISTANCE_M)
-    found = find_nearest_triangles(near.vertices, near.triangles, splats[here], CAMERA_DISTANCE_M)
-    here, triangle = here[found.triangle >= 0], found.triangle[found.triangle >= 0]
-    nearest = near.face[triangle] if own is None else own[near.face[triangle]]
-    told = nearest >= 0
-    made.index[here[told]], made.confidence[here[told]] = index[nearest[told]], confidence[nearest[told]]
-    return made
+    selected = np.flatnonzero(((splats >= low) & (splats <= high)).all(axis=1))
+    cropped = crop_mesh(mesh, [(low + high) / 2.0], float((high - low).max() / 2.0) + CAMERA_DISTANCE_M)
+    closest = find_nearest_triangles(cropped.vertices, cropped.triangles, splats[selected], CAMERA_DISTANCE_M)
+    selected, triangle = selected[closest.triangle >= 0], closest.triangle[closest.triangle >= 0]
+    nearest = cropped.face[triangle] if source_face is None else source_face[cropped.face[triangle]]
+    known = nearest >= 0
+    tokens.index[selected[known]], tokens.confidence[selected[known]] = (
+        index[nearest[known]],
+        confidence[nearest[known]],
+    )
+    return tokens
 
 
 def _compute_roughness(palette: Palette, index: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """RMS height in metres over all bands of each face's token; 0 where nothing was touched."""
+    """Return the RMS height [m] over all bands of each face's token, 0 where nothing was touched."""
     power = np.sum(10.0 ** (2.0 * palette.tokens[:, LEVELS].astype(np.float64)), axis=1)
     return np.asarray(np.append(np.sqrt(power), 0.0)[index], dtype=np.float32)
 
 
 def _read_valid_tokens(mesh: Any, sources: Set[str]) -> FaceTokens | None:
+    """Return a mesh's tokens if they are from one of these sources, else None."""
     try:
         earlier = read_tokens(mesh)
     except FileError:  # damaged: this bake replaces it
@@ -133,35 +155,38 @@ def _read_valid_tokens(mesh: Any, sources: Set[str]) -> FaceTokens | None:
 
 
 def hash_surface_source(surface: TouchedObject | SurfaceFacts) -> str:
-    """Hash of what a surface's tokens are measured from."""
+    """Hash what a surface's tokens are measured from."""
     return content_hash(surface.shape_hash, *surface.shader_hashes, surface.owner_hash)
 
 
 def find_shared_sources(session: Session, obj: Any) -> set[str]:
-    """surface_source of the other touched objects with obj's mesh. Linked duplicates (Alt D) may differ in scale and in
-    the materials of their own slots, and the mesh, which has room for the tokens of one source, serves them all."""
-    chosen = (each.hnf_stroke.surface for each in session.scene.objects if each.hnf_stroke.is_stroke)
+    """Return `hash_surface_source` of the other touched objects with the same mesh.
+
+    Linked duplicates (Alt D) may differ in scale and in the materials of their slots, while their mesh stores the
+    tokens of only one source.
+    """
+    chosen = (stroke.hnf_stroke.surface for stroke in session.scene.objects if stroke.hnf_stroke.is_stroke)
     touched = {*chosen, *(find_object(session.scene, name) for name in session.known_names)} - {None, obj}
     sources = set()
     for other in touched:
         if other.data == obj.data and find_index(session.scene.objects, other) >= 0:
-            with contextlib.suppress(HnfError):  # one that is hidden says nothing
+            with contextlib.suppress(HnfError):  # a hidden object has no source
                 sources.add(hash_surface_source(session.get_facts(other)))
     return sources
 
 
 INPUTS_PROPERTY = "hnf_inputs"
-"""Beside the bake: what it was made from, part by part, so that a stale one can say why."""
+"""ID property next to the bake: hashes of its inputs, to explain why it is stale."""
 
 
 def save_bake(obj: Any, bake: StrokeBake, inputs: InputHashes) -> None:
-    """Raises SceneError for a linked object."""
+    """Store a bake and its inputs on a stroke. Raises SceneError for a linked object."""
     store_bake(obj, bake)
     id_properties.set_property(obj, INPUTS_PROPERTY, inputs.to_text())
 
 
 def clear_bake(obj: Any) -> int:
-    """Remove what keep left; returns the bytes freed."""
+    """Remove what `save_bake` stored; return the bytes freed."""
     freed = count_stored_bytes(obj)
     remove_bake(obj)
     id_properties.delete_property(obj, INPUTS_PROPERTY)
@@ -169,13 +194,13 @@ def clear_bake(obj: Any) -> int:
 
 
 def count_stored_bytes(obj: Any) -> int:
-    """How much keep left on a stroke's curve object."""
+    """Return the size of what `save_bake` stored on a stroke [bytes]."""
     data, text = id_properties.get_property(obj, BAKE_PROPERTY), id_properties.get_property(obj, INPUTS_PROPERTY)
     return (len(data) if isinstance(data, bytes) else 0) + (len(text) if isinstance(text, str) else 0)
 
 
 def check_validity(obj: Any, job: StrokeJob) -> StrokeStatus:
-    """How the bake on obj stands to job, which was read from obj just now."""
+    """Compare the bake on a stroke with its job, which was just read from it."""
     try:
         bake = load_bake(obj)
     except FileError as error:
@@ -196,7 +221,7 @@ def check_validity(obj: Any, job: StrokeJob) -> StrokeStatus:
 
 
 def make_status(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeStatus:
-    """For the panels: what was baked, and how it stands."""
+    """Make the status of a bake for the panels."""
     facts = bake.facts
     return StrokeStatus(
         freshness,
@@ -212,8 +237,10 @@ def make_status(bake: StrokeBake, freshness: Freshness, why: str = "") -> Stroke
 
 
 def has_tokens(session: Session, obj: Any) -> bool:
-    """Does obj's mesh carry the tokens of its surface as it is, or of another that has the same mesh? True also where
-    it cannot carry any. Raises SceneError where obj is hidden or has no surface."""
+    """Return True if an object's mesh has current tokens of this surface, or of another with the same mesh.
+
+    Also True if it cannot store any. Raises SceneError if the object is hidden or has no surface.
+    """
     facts = session.get_facts(obj)
     if obj.type != "MESH" or obj.data.library is not None:
         return True
@@ -222,9 +249,10 @@ def has_tokens(session: Session, obj: Any) -> bool:
 
 
 def _describe_changes(obj: Any, job: StrokeJob, bake: StrokeBake) -> str:
+    """Describe which inputs changed since the bake."""
     earlier = InputHashes.from_text(id_properties.get_property(obj, INPUTS_PROPERTY))
     if earlier is None or earlier.path_key != bake.path_key:
         return tr("Changed since it was baked.")
-    words = job.inputs.describe_changes(earlier, same_surface=bake.facts.get("object") == job.object_name)
-    said = tr("Changed since the bake: {what}. Bake again.")
-    return said.format(what="; ".join(tr(word) for word in words))
+    changes = job.inputs.describe_changes(earlier, same_surface=bake.facts.get("object") == job.object_name)
+    message = tr("Changed since the bake: {what}. Bake again.")
+    return message.format(what="; ".join(tr(change) for change in changes))

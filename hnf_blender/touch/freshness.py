@@ -1,4 +1,4 @@
-"""How a stroke's stored bake stands to the scene of now."""
+"""State of a stroke's stored bake compared with the current scene."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 
 class Freshness(Enum):
-    """How a stroke's stored bake stands to the scene.
+    """State of a stroke's stored bake.
 
-    UNKNOWN: not looked at since the last change. UNBAKED: none. FRESH: true as it is. FORCE: only force, seed or probe
-    changed; heard at once, nothing to bake. STALE: path, timing, surface or material changed; must be baked again.
-    BROKEN: the stroke cannot be read; why says so.
+    UNKNOWN: not checked since the last change. UNBAKED: there is none. FRESH: still valid. FORCE: only force, seed or
+    probe changed, which needs no bake. STALE: path, timing, surface or material changed; it must be baked again.
+    BROKEN: the stroke cannot be read.
     """
 
     UNKNOWN = "unknown"
@@ -23,8 +23,24 @@ class Freshness(Enum):
 
 
 class StrokeStatus(NamedTuple):
-    """why: one sentence for the artist. duration_s, library_material, routes, confidence, warnings: as last baked.
-    shader: the Blender material that it mostly touches."""
+    """State of a stroke for the panels.
+
+    Attributes
+    ----------
+    freshness : Freshness
+    why : str
+        Reason, one sentence for the user.
+    duration_s : float
+        Duration of the baked stroke [s].
+    object_name, library_material, routes : str
+        Facts of the bake.
+    confidence : float
+        Confidence of the bake, 0 to 1.
+    warnings : tuple of str
+        Warnings and notes of the bake.
+    shader : str
+        Blender material that the stroke touches most.
+    """
 
     freshness: Freshness
     why: str = ""

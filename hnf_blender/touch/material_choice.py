@@ -1,4 +1,4 @@
-"""What a material slot is taken to be: the artist's word, else the best-ranked library material."""
+"""Decide which library material a slot is: the user's choice if there is one, else the best-ranked material."""
 
 from __future__ import annotations
 
@@ -22,13 +22,22 @@ from .patch_cache import PatchRecord
 
 CHOSEN_BY_ARTIST = "chosen by the artist"
 GUESS_CONFIDENCE = 0.3
-"""Below this nothing in the scene spoke for a material: a word in a name, or a look that fits one kind, gives more."""
+"""Confidence below which nothing in the scene supports a material; a name or a distinct appearance gives more."""
 
 
 @dataclass(frozen=True)
 class MaterialRequest:
-    """What the artist said beside the materials themselves. choices: slot (None = any) → library material named on the
-    command line. own: that one stroke asks for, "" = nothing. where: what asks, for errors."""
+    """Materials requested by the user, apart from those set on Blender materials.
+
+    Attributes
+    ----------
+    choices : Mapping[int or None, str]
+        Slot (None for any) → library material, from the command line.
+    stroke_material : str
+        Library material set on the stroke, "" for none.
+    where : str
+        Stroke named in errors.
+    """
 
     choices: Mapping[int | None, str] = field(default_factory=dict)
     stroke_material: str = ""
@@ -37,8 +46,20 @@ class MaterialRequest:
 
 @dataclass(frozen=True)
 class SlotMaterial:
-    """What a material slot is taken to be. shader: the material's own name. reason: why, for the report. field: what
-    the material brings of its own, None = nothing."""
+    """Library material of a slot.
+
+    Attributes
+    ----------
+    shader : str
+        Name of the Blender material.
+    library : LibraryMaterial
+    confidence : float
+        Probability of this material, 0 to 1.
+    reason : str
+        Reason, for the report.
+    field : Field or None
+        Field that comes with the material, if it was learned.
+    """
 
     shader: str
     library: LibraryMaterial
@@ -48,7 +69,7 @@ class SlotMaterial:
 
 
 def format_certainty(material: SlotMaterial) -> str:
-    """How sure it is that this is the material, and why; a choice is no matter of shares."""
+    """Describe how certain a slot's material is, and why."""
     return (
         CHOSEN_BY_ARTIST
         if material.reason == CHOSEN_BY_ARTIST
@@ -57,80 +78,88 @@ def format_certainty(material: SlotMaterial) -> str:
 
 
 def format_guess_note(material: SlotMaterial, object_name: str) -> str:
-    """What to say of a material that nothing much speaks for; "" of any other."""
+    """Return a note for a material that is a mere guess; "" for any other."""
     if material.reason == CHOSEN_BY_ARTIST or material.confidence >= GUESS_CONFIDENCE:
         return ""
-    what = f"material '{material.shader}' on '{object_name}'" if material.shader else f"object '{object_name}'"
+    label = f"material '{material.shader}' on '{object_name}'" if material.shader else f"object '{object_name}'"
     return (
-        f"{what}: {material.library.name} is a guess ({material.confidence:.0%} sure). Say what it is under Feels in "
+        f"{label}: {material.library.name} is a guess ({material.confidence:.0%} sure). Say what it is under Feels in "
         "the Touch tab."
     )
 
 
 def find_chosen_material(touched: TouchedObject, slot: int, request: MaterialRequest) -> LibraryMaterial | None:
-    """The artist's own choice, None where there is none: of the command line, then the stroke's, then the material's
-    own, from the library or from the definition that it carries.
+    """Return the user's choice for a slot, None if there is none.
 
-    Raises MaterialError that says where the unknown name was given, and what is close to it.
+    The command line counts first, then the stroke, then the Blender material (library choice or definition). Raises
+    MaterialError that names where an unknown material was given, and similar names.
     """
-    word, where = _find_choice(touched, slot, request)
-    if isinstance(word, MaterialFile):
-        return with_library_defaults(word)
-    if not word:
+    choice, where = _find_choice(touched, slot, request)
+    if isinstance(choice, MaterialFile):
+        return with_library_defaults(choice)
+    if not choice:
         return None
     try:
-        return get_material(word)
+        return get_material(choice)
     except MaterialError as error:
         raise MaterialError(error.what, where=where, remedy=error.remedy) from None
 
 
 def _find_choice(touched: TouchedObject, slot: int, request: MaterialRequest) -> tuple[str | MaterialFile, str]:
-    """The word that counts, "" = none, and where it was given."""
-    words: dict[str, str | MaterialFile] = {
+    """Return the choice that counts, "" for none, and where it was given."""
+    choices: dict[str, str | MaterialFile] = {
         "--material": request.choices.get(slot) or request.choices.get(None) or "",
         request.where: request.stroke_material,
         f"material '{get_shader_name(touched, slot)}'": touched.artist_choices[slot]
         if slot < len(touched.artist_choices)
         else "",
     }
-    return next(((word, where) for where, word in words.items() if word), ("", ""))
+    return next(((choice, where) for where, choice in choices.items() if choice), ("", ""))
 
 
 def decide_material(
     touched: TouchedObject, slot: int, request: MaterialRequest, records: Sequence[PatchRecord]
 ) -> SlotMaterial:
-    """The artist's choice if there is one, else the best-ranked material. records: of patches in this slot."""
+    """Return the material of a slot: the user's choice, else the best-ranked; `records` are of its patches."""
     shader = get_shader_name(touched, slot)
     chosen = find_chosen_material(touched, slot, request)
     if chosen is not None:
-        word, _ = _find_choice(touched, slot, request)
-        field = load_material_field(word) if isinstance(word, MaterialFile) else None
+        choice, _ = _find_choice(touched, slot, request)
+        field = load_material_field(choice) if isinstance(choice, MaterialFile) else None
         return SlotMaterial(shader, chosen, 1.0, CHOSEN_BY_ARTIST, field)
     best = rank_materials(touched, slot, records)[0]
     return SlotMaterial(shader, get_material(best.name), best.confidence, best.reason)
 
 
 def rank_materials(touched: TouchedObject, slot: int, records: Sequence[PatchRecord]) -> tuple[Suggestion, ...]:
-    """The whole library for a slot, the most apt first, whatever the artist chose: by names,
-    pictures' names among them, looks and relief."""
+    """Rank all library materials for a slot, the most probable first, whatever the user chose.
+
+    Names (of material, object and textures), appearance and relief count.
+    """
     names = [get_shader_name(touched, slot), touched.surface.object_name, touched.obj.data.name]
     token, route = merge_relief(records)
-    pictures = touched.texture_names[slot] if slot < len(touched.texture_names) else ()
-    return rank(load_library(), compute_mean_appearance(records), names, image_names=pictures, token=token, route=route)
+    texture_names = touched.texture_names[slot] if slot < len(touched.texture_names) else ()
+    return rank(
+        load_library(), compute_mean_appearance(records), names, image_names=texture_names, token=token, route=route
+    )
 
 
 def merge_relief(records: Sequence[PatchRecord]) -> tuple[Token | None, Route]:
-    """What the patches show of a slot's relief together, by the area that each shows: of those by the surest route that
-    any of them has."""
+    """Return the merged token of a slot's patches, weighted by area, and its route.
+
+    Only patches of the best route that any of them has are used; None and Route.PRIOR if none shows a relief.
+    """
     for route in (Route.MEASURED, Route.PREDICTED):
-        seen = [(token, each) for each in records if each.route is route and (token := get_token(each)) is not None]
-        if seen:
-            sizes = [max(np.count_nonzero(each.mask), 1) * each.metres_per_pixel**2 for _, each in seen]
-            return merge_tokens([token for token, _ in seen], sizes), route
+        described = [
+            (token, record) for record in records if record.route is route and (token := get_token(record)) is not None
+        ]
+        if described:
+            sizes = [max(np.count_nonzero(record.mask), 1) * record.metres_per_pixel**2 for _, record in described]
+            return merge_tokens([token for token, _ in described], sizes), route
     return None, Route.PRIOR
 
 
 def get_shader_name(touched: TouchedObject, slot: int) -> str:
-    """The Blender material in a slot, "" where there is none."""
+    """Return the name of the Blender material in a slot, "" if there is none."""
     materials = touched.surface.materials
     return materials[slot] if slot < len(materials) else ""

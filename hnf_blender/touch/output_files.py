@@ -1,4 +1,4 @@
-"""What a person gets of a stroke: WAV and picture; and of the run: the baked .blend."""
+"""Write the files of a stroke, WAV and plot, and the baked .blend of a run."""
 
 from __future__ import annotations
 
@@ -36,17 +36,41 @@ def write_stroke_files(
     used_names: Container[str] = (),
     picture_key: str = "",
 ) -> StrokeReport:
-    """Write the WAV, then the picture, each atomically; returns the stroke's entry for the report. taken: the WAVs of
-    the run's other strokes. picture_key: for the entry."""
+    """Write a stroke's WAV and its plot, each atomically.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the results.
+    job : StrokeJob
+        Job of the stroke.
+    baked : BakedStroke
+        Baked stroke.
+    synthesised : SynthesisedStroke
+        Its signal.
+    view : StrokeView
+        Rendered view with the path.
+    used_names : container of str, optional
+        WAV files of the run's other strokes.
+    picture_key : str, optional
+        Hash of the view, for the entry.
+
+    Returns
+    -------
+    StrokeReport
+        The stroke's entry of the report.
+    """
     main, patch = baked.main_material, baked.main_patch
     record, fused = baked.records[patch], baked.fused[patch]
     routes = routes_by_band(fused.routes)
     resolved = get_resolved_wavelength(record)
     facts = get_signal_facts(baked)
-    names = facts["library_material"]
+    library_names = facts["library_material"]
     signal = add_provenance(synthesised.signal, job.name, facts, synthesised.confidence)
     data = encode_wav(signal, where=f"stroke '{job.name}'")
-    stem = next(each for each in iter_numbered_stems(make_file_stem(job.name)) if f"{each}.wav" not in used_names)
+    stem = next(
+        candidate for candidate in iter_numbered_stems(make_file_stem(job.name)) if f"{candidate}.wav" not in used_names
+    )
     write_bytes(folder / f"{stem}.wav", data)
     confidence = round(synthesised.confidence, 4)
     _plot_stroke(folder / f"{stem}.png", job, baked, synthesised.action, signal, confidence, view)
@@ -54,7 +78,7 @@ def write_stroke_files(
         name=job.name,
         object=job.object_name,
         material=main.shader,
-        library_material=names,
+        library_material=library_names,
         routes=routes,
         resolved_wavelength_m=resolved if np.isfinite(resolved) else None,
         height_source=facts["height_source"],
@@ -79,7 +103,7 @@ def write_stroke_files(
 def redraw_stroke_plot(
     folder: Path, entry: StrokeReport, job: StrokeJob, baked: BakedStroke, view: StrokeView, picture_key: str
 ) -> StrokeReport:
-    """Another picture of a stroke whose signal is there; returns its entry with this picture's key."""
+    """Write a new plot of a stroke whose signal is there; return its entry with the new key."""
     signal = read_wav(folder / entry.wav)
     _plot_stroke(folder / entry.picture, job, baked, make_stroke_input(baked).action, signal, entry.confidence, view)
     return replace(entry, picture_key=picture_key)
@@ -88,6 +112,7 @@ def redraw_stroke_plot(
 def _plot_stroke(
     path: Path, job: StrokeJob, baked: BakedStroke, action: Action, signal: Signal, confidence: float, view: StrokeView
 ) -> None:
+    """Draw the plot of a stroke: view, signal, facts and tactile map."""
     record, facts = baked.records[baked.main_patch], get_signal_facts(baked)
     slots = dict.fromkeys(baked.patches[index].slot for index in baked.patch_index if index >= 0)
     write_stroke_figure(
@@ -103,24 +128,24 @@ def _plot_stroke(
 
 
 def make_file_stem(name: str) -> str:
-    """A plain file name from a stroke's name; where it had to change, four digits of a hash part what looks alike."""
-    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    slug = re.sub(r"[^A-Za-z0-9]+", "-", plain).strip("-").lower()[:60] or "stroke"
+    """Return a plain file name for a stroke; if its name is changed, four digits of a hash keep it unique."""
+    ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    slug = re.sub(r"[^A-Za-z0-9]+", "-", ascii_name).strip("-").lower()[:60] or "stroke"
     return f"{slug}-{content_hash(name)[:4]}" if slug != name.lower().replace(" ", "-") else slug
 
 
 def iter_numbered_stems(stem: str) -> Iterator[str]:
-    """The stem, and where that one is taken: stem-2, stem-3, …"""
+    """Yield the stem, then stem-2, stem-3, …, for use if the first is taken."""
     yield stem
     yield from (f"{stem}-{count}" for count in itertools.count(2))
 
 
 def save_baked_blend(path: Path) -> None:
-    """Save a copy of what is open to path; the file the user has open stays what it is. Raises FileError."""
+    """Save a copy of the current file; the user's file stays open. Raises FileError."""
     import bpy
 
     def write(temporary: Path) -> None:
-        temporary.unlink()  # Blender would keep the empty file as its backup
+        temporary.unlink()  # otherwise Blender keeps the empty file as a backup
         try:
             with suppress_output():
                 bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True, relative_remap=True)
@@ -135,12 +160,12 @@ def save_baked_blend(path: Path) -> None:
 
 
 def format_material_line(object_name: str, materials: Sequence[SlotMaterial]) -> str:
-    """Each shader and what it is taken for, in the order in which the stroke meets them."""
-    told = [
-        f"{each.shader or 'no material'}{place} → {each.library.name}, {format_certainty(each)}"
-        for each, place in zip(materials, [f" on {object_name}"] + [""] * len(materials), strict=False)
+    """Describe each Blender material and its library material, in the order of the stroke."""
+    parts = [
+        f"{material.shader or 'no material'}{location} → {material.library.name}, {format_certainty(material)}"
+        for material, location in zip(materials, [f" on {object_name}"] + [""] * len(materials), strict=False)
     ]
-    return "; ".join(told)
+    return "; ".join(parts)
 
 
 def _format_height_line(source: str, resolved: float) -> str:

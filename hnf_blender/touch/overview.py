@@ -1,6 +1,6 @@
-"""A view cut open: a stroke that something stands before is looked at past it.
+"""Rendered view in a stroke's plot: by the scene's camera if it shows the stroke, else by an overview camera.
 
-The rendered view in a stroke's picture: the scene's own camera where it shows the stroke, one of ours else.
+If an obstacle hides the stroke from the overview camera, the near clipping plane is moved behind the obstacle.
 """
 
 from __future__ import annotations
@@ -28,12 +28,11 @@ from .report import Counts
 Float = NDArray[np.float64]
 
 OCCLUSION_DEPTH_M = 3e-3
-"""A contact point this far behind what the picture shows there is hidden."""
+"""Depth behind the visible surface from which a contact point is hidden [m]."""
 
 
 def sample_depth(image: NDArray[np.float32], uv: Float) -> Float:
-    """(n,) what a depth picture (H, W) holds at pixels (n, 2), counted from its upper left corner; outside, what is
-    nearest there."""
+    """Return the values (n,) of a depth image (H, W) at pixels (n, 2), the nearest ones outside."""
     height, width = image.shape
     column = np.clip(uv[:, 0].astype(int), 0, width - 1)
     row = np.clip(uv[:, 1].astype(int), 0, height - 1)
@@ -41,43 +40,59 @@ def sample_depth(image: NDArray[np.float32], uv: Float) -> Float:
 
 
 def clip_obstacles(camera: Camera, depth: Float, visible_depth: Float, clearance_m: float) -> Camera | None:
-    """camera, seeing nothing of what stands before a stroke; None where that stands beside the stroke instead, so that
-    no cut parts them.
+    """Return a camera that clips away what is in front of a stroke.
 
-    depth: (n,) of the stroke's points, shown: (n,) what a picture by camera shows there, planar metres. room_m: this
-    much before the stroke is kept where the obstacle is farther away.
+    None if the obstacle is not in front of all of it, so that no clipping plane separates them.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera of the view.
+    depth : (n,) array
+        Planar depth of the stroke's points [m].
+    visible_depth : (n,) array
+        Depth that the view shows at these points [m].
+    clearance_m : float
+        Maximum distance of the clipping plane in front of the stroke [m].
+
+    Returns
+    -------
+    Camera or None
     """
     nearest = float(depth.min())
-    before = visible_depth[(visible_depth < depth - OCCLUSION_DEPTH_M) & (visible_depth < nearest - OCCLUSION_DEPTH_M)]
-    if not len(before):
+    obstacle_depth = visible_depth[
+        (visible_depth < depth - OCCLUSION_DEPTH_M) & (visible_depth < nearest - OCCLUSION_DEPTH_M)
+    ]
+    if not len(obstacle_depth):
         return None
-    return replace(camera, clip_start=max(nearest - clearance_m, (float(before.max()) + nearest) / 2.0))
+    return replace(camera, clip_start=max(nearest - clearance_m, (float(obstacle_depth.max()) + nearest) / 2.0))
 
 
 WIDTH, HEIGHT = 768, 432
+"""Size of the view [pixels]."""
 SAMPLES = 2
-"""Enough under a denoiser: on the demo scene 0.020 of sRGB (RMS) off 256 samples, and ridges a few pixels wide stay
-(correlation 0.79; by colour alone 0.35). Four give 0.016 and 0.84 for half as much time again. A picture says where the
-stroke is, and costs more than the touch itself."""
+"""Samples per pixel with a denoiser. On the demo scene the error against 256 samples is 0.020 of sRGB (RMS), and ridges
+a few pixels wide are preserved (correlation 0.79; with colour alone 0.35). Four samples give 0.016 and 0.84 in 1.5
+times the time. The view only has to show where the stroke is, and costs more than the touch itself."""
 SAMPLES_UNDENOISED = 12
-"""0.018 there (0.012 with 24)."""
+"""Samples per pixel without a denoiser: an error of 0.018 (0.012 with 24)."""
 MIN_STROKE_FRACTION = 0.08
-"""A stroke shorter than this share of the picture's width is better seen by a camera of our own."""
+"""Extent of a stroke, as a fraction of the image's width, below which the overview camera is used."""
 MAX_NEIGHBOURS, MAX_NEIGHBOUR_FACES = 40, 400_000
-"""What else may stand in the picture: its cost must not follow the size of the scene."""
+"""Limits of other objects in a view, so that its cost does not depend on the scene."""
 MARGIN_RANGE_M = (0.012, 0.03)
-"""What a camera of our own shows beside a stroke: less of a short one, or it would be a speck."""
+"""Margin around a stroke in the overview camera's view [m]; smaller for a short stroke, which would be tiny."""
 MIN_VISIBLE_FRACTION = 0.25
-"""Of a stroke's points; with fewer in sight another view of it is looked for."""
+"""Fraction of visible points of a stroke below which another view is tried."""
 MAX_CUTS = 2
-"""One obstacle may stand behind another."""
+"""Maximum number of clipped views, since one obstacle may hide another."""
 MAX_STROKE_VIEWS = 1 + MAX_CUTS
-"""Renders for one stroke at most, beside the scene camera's view, which all share."""
+"""Maximum number of renders for one stroke, besides the shared view of the scene's camera."""
 
 
 @dataclass(frozen=True)
 class Overview:
-    """A lit view and the camera it was taken with (world metres)."""
+    """A lit view and its notes."""
 
     view: RgbdView
     notes: tuple[str, ...]
@@ -85,7 +100,10 @@ class Overview:
 
 @dataclass(frozen=True)
 class CameraView:
-    """How a stroke is to be seen. path: (n, 3) world metres. radius_m: around it, that the picture is meant to show."""
+    """A camera for one stroke.
+
+    `path` (n, 3) is the stroke in world coordinates [m]; `radius_m` is the radius around it that the view should show.
+    """
 
     path: Float
     camera: Camera
@@ -94,8 +112,10 @@ class CameraView:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What may stand in a picture beside what is touched. centre: (n, 3), radius: (n,) of the objects' bounding spheres
-    in world metres."""
+    """Objects that may be in a view besides the touched one.
+
+    `centre` (n, 3) and `radius` (n,) are their bounding spheres in world coordinates [m].
+    """
 
     objects: tuple[Any, ...]
     centre: Float
@@ -103,7 +123,7 @@ class Surroundings:
 
 
 def collect_surroundings(scene: Any, depsgraph: Any, metres_per_unit: float) -> Surroundings:
-    """All of the scene that renders, without its strokes."""
+    """Return all objects of the scene that are rendered, without its strokes."""
     objects = tuple(
         obj
         for obj in scene.objects
@@ -116,10 +136,23 @@ def collect_surroundings(scene: Any, depsgraph: Any, metres_per_unit: float) -> 
 
 
 class StrokeViews:
-    """Overviews of one run; a scene camera that serves several strokes is rendered once. Use as a context manager.
+    """Context manager that renders the views of one run; the scene camera's view is rendered once.
 
-    depsgraph: of the scene as it is now. A run adds nothing but strokes to it, so that boxes hold for all of it: after
-    any change of the file's data Blender would evaluate the relations of every object again. source: hash of its file.
+    Bounding boxes are read at the start and stay valid, as a run only adds strokes to the scene: after any change of
+    data, Blender would evaluate all objects again.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene of the strokes.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    counts : Counts
+        Its renders are incremented.
+    source : str, optional
+        Hash of the scene's file.
     """
 
     def __init__(self, scene: Any, depsgraph: Any, metres_per_unit: float, counts: Counts, source: str = "") -> None:
@@ -137,42 +170,68 @@ class StrokeViews:
         self._stack.close()
 
     def hash_view(self, contacts: Contacts, surface: Surface, touched: Any) -> str:
-        """Of all that the picture of a stroke may show; nothing is rendered."""
-        shots = self._make_camera_views(contacts, surface)
-        views = (self._hashes.hash_view(shot.camera, self._list_objects(shot, touched)) for shot in shots)
+        """Hash everything that a stroke's view may show; nothing is rendered."""
+        camera_views = self._make_camera_views(contacts, surface)
+        views = (
+            self._hashes.hash_view(camera_view.camera, self._list_objects(camera_view, touched))
+            for camera_view in camera_views
+        )
         return content_hash(
-            *views, shots[0].path.tobytes(), contacts.force.tobytes(), str(_get_sample_count()), str(has_denoiser())
+            *views,
+            camera_views[0].path.tobytes(),
+            contacts.force.tobytes(),
+            str(_get_sample_count()),
+            str(has_denoiser()),
         )
 
     def render_stroke(
         self, contacts: Contacts, surface: Surface, touched: Any, name: str
     ) -> tuple[StrokeView, tuple[str, ...]]:
-        """The picture of stroke `name` with its path in it, and notes. touched: the object under the stroke.
+        """Render the view of a stroke and mark its path.
 
-        The scene's camera where it shows enough of the stroke; else one before the surface, and where something stands
-        between, that is cut away.
+        The scene's camera is used if it shows enough of the stroke, else an overview camera, with obstacles clipped
+        away.
+
+        Parameters
+        ----------
+        contacts : Contacts
+            Contacts of the stroke.
+        surface : Surface
+            Touched surface.
+        touched : bpy.types.Object
+            Touched object.
+        name : str
+            Name of the stroke, for notes.
+
+        Returns
+        -------
+        view : StrokeView
+        notes : tuple of str
+            Remarks for the user.
         """
-        *shared, own = self._make_camera_views(contacts, surface)
-        overview, told = None if not shared else self._get_shared_overview(shared[0], touched), ""
-        if overview is None or mask_visible_points(overview.view, own.path).mean() < MIN_VISIBLE_FRACTION:
-            overview, told = self._render_past_obstacles(own, touched)
-        visible = mask_visible_points(overview.view, own.path)
+        *shared, custom = self._make_camera_views(contacts, surface)
+        overview, note = None if not shared else self._get_shared_overview(shared[0], touched), ""
+        if overview is None or mask_visible_points(overview.view, custom.path).mean() < MIN_VISIBLE_FRACTION:
+            overview, note = self._render_past_obstacles(custom, touched)
+        visible = mask_visible_points(overview.view, custom.path)
         if not visible.any():
-            told = "all of it is hidden in its picture."
-        uv, _ = overview.view.camera.project(own.path)
-        notes = (*overview.notes, *([f"stroke '{name}': {told}"] if told else []))
+            note = "all of it is hidden in its picture."
+        uv, _ = overview.view.camera.project(custom.path)
+        notes = (*overview.notes, *([f"stroke '{name}': {note}"] if note else []))
         return StrokeView(overview.view.rgb, uv, contacts.force, visible), notes
 
     def _make_camera_views(self, contacts: Contacts, surface: Surface) -> tuple[CameraView, ...]:
-        """By the scene's camera where it has the whole path in its frame, and by one of our own."""
+        """Return the scene's camera, if the entire path is in its frame, and an overview camera."""
         path = contacts.point @ surface.rigid[:3, :3].T + surface.rigid[:3, 3]
         outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
-        half = float(np.linalg.norm(path - path.mean(axis=0), axis=1).max())
-        radius = 1.6 * half + float(np.clip(2.5 * half, *MARGIN_RANGE_M))
-        own = CameraView(path, make_overview_camera(path, outward, radius, WIDTH, HEIGHT), radius)
+        extent = float(np.linalg.norm(path - path.mean(axis=0), axis=1).max())
+        radius = 1.6 * extent + float(np.clip(2.5 * extent, *MARGIN_RANGE_M))
+        custom = CameraView(path, make_overview_camera(path, outward, radius, WIDTH, HEIGHT), radius)
         camera = self._read_scene_camera()
         return (
-            (own,) if camera is None or not is_path_visible(camera, path) else (CameraView(path, camera, radius), own)
+            (custom,)
+            if camera is None or not is_path_visible(camera, path)
+            else (CameraView(path, camera, radius), custom)
         )
 
     def _get_shared_overview(self, camera_view: CameraView, touched: Any) -> Overview:
@@ -181,7 +240,7 @@ class StrokeViews:
         return self._from_scene_camera
 
     def _render_past_obstacles(self, camera_view: CameraView, touched: Any) -> tuple[Overview, str]:
-        """The view that shows most of the path, and what was done for it."""
+        """Return the view that shows most of the path, and a note if obstacles were clipped away."""
         views = [self._render(camera_view, touched)]
         while (
             len(views) <= MAX_CUTS
@@ -193,7 +252,7 @@ class StrokeViews:
             if camera is None:
                 break
             views.append(self._render(replace(camera_view, camera=camera), touched))
-        best = max(views, key=lambda each: mask_visible_points(each.view, camera_view.path).sum())
+        best = max(views, key=lambda overview: mask_visible_points(overview.view, camera_view.path).sum())
         return best, "" if best is views[0] else "what stands before it is cut away in its picture."
 
     def _render(self, camera_view: CameraView, touched: Any) -> Overview:
@@ -209,7 +268,7 @@ class StrokeViews:
         return select_visible_objects(self._surroundings, camera_view.camera, camera_view.path, touched)
 
     def _read_scene_camera(self) -> Camera | None:
-        """The scene's camera at the picture's size; None where there is none, or it has no flat, square pixels."""
+        """Return the scene's camera at the plot's size; None without one, or without square pixels."""
         if self._scene.camera is None or self._scene.camera.data.type not in {"PERSP", "ORTHO"}:
             return None
         camera = read_camera(self._scene, self._scene.camera, self._metres)
@@ -223,18 +282,18 @@ def _get_sample_count() -> int:
 
 
 def resize_camera(camera: Camera, width: int) -> Camera:
-    """The same view, width pixels wide: a 4K scene does not need a 4K picture of its strokes."""
-    share = width / camera.width
+    """Return a camera with the same view, `width` pixels wide; plots need no 4K images."""
+    scale = width / camera.width
     return replace(
         camera,
         width=width,
-        height=max(1, round(camera.height * share)),
-        intrinsics=camera.intrinsics * np.array([[share], [share], [1.0]]),
+        height=max(1, round(camera.height * scale)),
+        intrinsics=camera.intrinsics * np.array([[scale], [scale], [1.0]]),
     )
 
 
 def is_path_visible(camera: Camera, path: Float) -> bool:
-    """Does the camera see the whole path (n, 3), and large enough?"""
+    """Return True if a camera's frame contains the entire path (n, 3), and shows it large enough."""
     uv, depth = camera.project(path)
     size = np.array([camera.width, camera.height])
     inside = (uv > 0).all() and (uv < size).all() and (depth > camera.clip_start).all()
@@ -243,15 +302,15 @@ def is_path_visible(camera: Camera, path: Float) -> bool:
 
 
 def select_visible_objects(surroundings: Surroundings, camera: Camera, path: Float, touched: Any) -> list[Any]:
-    """The touched object and the nearest neighbours whose bounding sphere meets the picture."""
-    away = np.linalg.norm(surroundings.centre - path.mean(axis=0), axis=1) - surroundings.radius
-    seen = np.flatnonzero(may_be_visible(camera, surroundings.centre, surroundings.radius)).tolist()
-    near = sorted(
-        (index for index in seen if surroundings.objects[index] != touched),
-        key=lambda index: (away[index], surroundings.objects[index].name),
+    """Return the touched object and the nearest neighbours whose bounding spheres are in view."""
+    distance = np.linalg.norm(surroundings.centre - path.mean(axis=0), axis=1) - surroundings.radius
+    visible = np.flatnonzero(may_be_visible(camera, surroundings.centre, surroundings.radius)).tolist()
+    neighbours = sorted(
+        (index for index in visible if surroundings.objects[index] != touched),
+        key=lambda index: (distance[index], surroundings.objects[index].name),
     )
     chosen, faces = [touched], 0
-    for obj in (surroundings.objects[index] for index in near[:MAX_NEIGHBOURS]):
+    for obj in (surroundings.objects[index] for index in neighbours[:MAX_NEIGHBOURS]):
         faces += len(obj.data.polygons) if obj.type == "MESH" else 1000
         if faces > MAX_NEIGHBOUR_FACES:
             break
@@ -260,8 +319,8 @@ def select_visible_objects(surroundings: Surroundings, camera: Camera, path: Flo
 
 
 def may_be_visible(camera: Camera, centre: Float, radius: Float) -> NDArray[np.bool_]:
-    """(n,) may spheres (n, 3), (n,) show in the picture? (Conservative: never False for one that does.)"""
-    with np.errstate(divide="ignore", invalid="ignore"):  # a sphere around the camera's own plane is seen, see below
+    """Return a mask (n,) of the spheres (n, 3), (n,) that may be in view; never False for one that is."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # spheres that reach the camera's plane are handled below
         uv, depth = camera.project(centre)
         reach = radius * camera.intrinsics[0, 0]
         if camera.kind == "perspective":
@@ -273,7 +332,7 @@ def may_be_visible(camera: Camera, centre: Float, radius: Float) -> NDArray[np.b
 
 
 def mask_visible_points(view: RgbdView, path: Float) -> NDArray[np.bool_]:
-    """(n,) is a point of the path (n, 3) what the picture shows there?"""
+    """Return a mask (n,) of the path's points (n, 3) that are visible in a view."""
     uv, depth = view.camera.project(path)
     inside = (uv >= 0).all(axis=1) & (uv < [view.camera.width, view.camera.height]).all(axis=1)
     return np.asarray(inside & (depth <= sample_depth(view.depth, uv) + OCCLUSION_DEPTH_M))

@@ -1,4 +1,4 @@
-"""Baked patches on disk, named by the content they were made from, so that nothing stale can be found."""
+"""Cache of baked patches and predictions: .npz files named by the hash of their inputs, so that none is stale."""
 
 from __future__ import annotations
 
@@ -20,19 +20,32 @@ from hnf_core.tactile.tactile_map import Route
 from ..bridge.render.unlit_image import UnlitImage
 
 PATCH_VERSION = 4
+"""Version of the files of patches; part of every key."""
 PREDICTION_VERSION = 1
+"""Version of the files of predictions."""
 
 PATCHES_IN_MEMORY = 8
-"""Patches kept in memory, some 2 MB each, 6 with a picture: more than a stroke of 10 cm crosses."""
+"""Number of records kept in memory, 2 MB each, 6 MB with an unlit image: more than a stroke of 10 cm crosses."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the networks made of one patch's look.
+    """Tactile maps predicted from the unlit image of a patch.
 
-    images: (V, 64, 64, 3) float32 sensor images, the widest view first. pitch_m: (V,) metres per pixel of each.
-    resolved_wavelength_m: shortest wave that the picture shows. token: E of the maps, merged. encoder: make of E.
-    weights: content hash of D_φ's.
+    Attributes
+    ----------
+    images : (V, 64, 64, 3) float32 array
+        Sensor images, the widest view first.
+    pitch_m : (V,) array
+        Size of their pixels [m].
+    resolved_wavelength_m : float
+        Shortest wavelength of the unlit image [m].
+    token : Token
+        Merged token of the maps.
+    encoder : str
+        Name of the encoder E.
+    weights : str
+        Hash of the weights of D_φ.
     """
 
     images: NDArray[np.float32]
@@ -45,15 +58,36 @@ class Prediction:
 
 @dataclass(frozen=True)
 class PatchRecord:
-    """What the close-up of one patch gave.
+    """Result of one patch's close-up.
 
-    height: (H, W) float32 metres, or None where the shader has no micro-geometry. mask: (H, W) bool.
-    metres_per_pixel: m. resolved_wavelength_m: inf where nothing is resolved. height_source: for the report.
-    height_peak_to_peak_m: of the shader's own height, 0 where it has none.
-    token, known: E of the measured tactile map, or None. appearance: shading values averaged over the patch.
-    faces: (k,) int32 faces of the object's own mesh that the patch covers. notes: warnings for the artist.
-    look: the unlit picture, where height is None and the colour varies. encoder: make of E that token is from.
-    predicted: what was estimated from the look, where that was wanted; kept in a file of its own.
+    Attributes
+    ----------
+    height : (H, W) float32 array or None
+        Height [m]; None if the shader has no micro-geometry.
+    mask : (H, W) bool array
+        Pixels of the patch's own surface.
+    metres_per_pixel : float
+        Size of a pixel [m].
+    resolved_wavelength_m : float
+        Shortest wavelength of the height [m], inf without height.
+    height_source : str
+        Description for the report.
+    height_peak_to_peak_m : float
+        Peak-to-peak of the shader's own height [m], 0 without.
+    token, known : array or None
+        Token of the measured tactile map and which of its values are known.
+    appearance : Appearance
+        Shading values averaged over the patch.
+    faces : (k,) int32 array
+        Faces of the object's own mesh that the patch covers.
+    notes : tuple of str
+        Warnings for the user.
+    unlit : UnlitImage or None
+        Unlit image, if there is no height and the colour varies.
+    encoder : str
+        Name of the encoder E of `token`.
+    predicted : Prediction or None
+        Prediction from `unlit`, if wanted; stored in a file of its own.
     """
 
     height: NDArray[np.float32] | None
@@ -73,15 +107,17 @@ class PatchRecord:
 
     @property
     def route(self) -> Route:
-        """How the relief of this patch is known."""
+        """Route by which the relief of this patch is known."""
         if self.height is not None:
             return Route.MEASURED
         return Route.PRIOR if self.predicted is None else Route.PREDICTED
 
 
 def load_patch(folder: Path, key: str) -> PatchRecord | None:
-    """The record stored under key, its arrays for reading only, or None. A damaged file counts as absent: it is baked
-    anew."""
+    """Load the record with a key, its arrays read-only; None if it is missing or damaged.
+
+    A damaged file is treated as missing, so that the patch is baked again.
+    """
     path = folder / f"{key}.npz"
     try:
         stat = path.stat()
@@ -92,8 +128,11 @@ def load_patch(folder: Path, key: str) -> PatchRecord | None:
 
 @lru_cache(maxsize=PATCHES_IN_MEMORY)
 def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None:
-    """Raises what DAMAGED names. The last ones stay in memory as long as their files are what they were: strokes of a
-    scene often cross the same place, and unpacking takes longer than all else that a stroke over it costs."""
+    """Read a record; raises NPZ_ERRORS.
+
+    The last records stay in memory while their files are unchanged: strokes of a scene often cross the same place, and
+    unpacking takes longer than everything else that a stroke needs.
+    """
     with np.load(path, allow_pickle=False) as data:
         if int(data["version"]) != PATCH_VERSION:
             return None
@@ -116,12 +155,13 @@ def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None
 
 
 def _set_read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Made read-only: several records may hold it."""
+    """Make an array read-only, since several records may share it."""
     array.setflags(write=False)
     return array
 
 
 def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
+    """Save a record under a key."""
     empty = np.zeros(0, dtype=np.float32)
     arrays = {
         "version": np.array(PATCH_VERSION),
@@ -151,7 +191,7 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
 
 
 def load_prediction(folder: Path, key: str) -> Prediction | None:
-    """The prediction stored under key, or None. A damaged file counts as absent: it is made anew."""
+    """Load the prediction with a key; None if it is missing or damaged."""
     try:
         with np.load(folder / f"{key}.npz", allow_pickle=False) as data:
             if int(data["prediction"]) != PREDICTION_VERSION:
@@ -169,6 +209,7 @@ def load_prediction(folder: Path, key: str) -> Prediction | None:
 
 
 def save_prediction(folder: Path, key: str, prediction: Prediction) -> None:
+    """Save a prediction under a key."""
     arrays = {
         "prediction": np.array(PREDICTION_VERSION),
         "images": prediction.images,
@@ -183,7 +224,9 @@ def save_prediction(folder: Path, key: str, prediction: Prediction) -> None:
 
 
 def _save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    packed = io.BytesIO()  # in memory first: on a full disk a half-written archive complains again when dropped
+    packed = (
+        io.BytesIO()
+    )  # in memory first: on a full disk a partly written archive raises a second error when it is closed
     np.savez_compressed(packed, **arrays)
     write_bytes(path, packed.getvalue())
 

@@ -1,8 +1,7 @@
-"""Static touch queries: what is felt at one place of a surface, without a stroke.
+"""Touch queries: what would be felt at one place of a surface, without a stroke (`hnf touch --at`).
 
-What a probe found, as files and as an entry of report.json.
-
-The probes of a run of `hnf touch`: planned, looked at one after the other, told.
+A query renders one patch, fuses its token, and estimates material, friction and stiffness. The result is written as a
+tactile map (PNG and .npz) and as an entry of report.json, see docs/probe.md.
 """
 
 from __future__ import annotations
@@ -61,12 +60,15 @@ from .session import GatheredJobs, Session, resolve_target
 from .synthesise import CACHE_FOLDER_NAME, map_steps, record_time
 
 NEAREST_COUNT = 5
+"""Number of similar materials in a result."""
 
 
 @dataclass(frozen=True)
 class SimilarMaterial:
-    """A library material as it stands to what was found. distance: of its token over the bands that are not prior
-    (field.likeness), None where every band is."""
+    """A library material compared with the result of a query.
+
+    `distance` is that of its token over the bands that are not prior (`token_distances`), None if all bands are.
+    """
 
     suggestion: Suggestion
     category: str
@@ -75,10 +77,29 @@ class SimilarMaterial:
 
 @dataclass(frozen=True)
 class QueryResult:
-    """What is felt at a place. ranked: the whole library, the most apt first; material: what is taken to be there, by
-    the artist's word or the ranking. tactile: the map, the widest where several were predicted; None where nothing
-    shows a relief. friction, stiffness: estimates from the materials, not seen. nearest: the closest by token, or where
-    every band is prior the most apt."""
+    """Result of a touch query.
+
+    Attributes
+    ----------
+    name : str
+    touched : TouchedObject
+    point : SurfacePoint
+        Place on the surface.
+    record : PatchRecord
+    fused : FusedToken
+    material : SlotMaterial
+        Material of the place, by choice or ranking.
+    tactile : TactileMap or None
+        Tactile map, the widest if several were predicted; None without a relief.
+    friction, stiffness : PropertyEstimate
+        Estimates from the probable materials, not observed.
+    nearest : tuple of SimilarMaterial
+        Materials with the nearest tokens or, if all bands are prior, the most probable.
+    ranked : tuple of Suggestion
+        All library materials, the most probable first.
+    notes : tuple of str
+        Remarks for the user.
+    """
 
     name: str
     touched: TouchedObject
@@ -95,21 +116,21 @@ class QueryResult:
 
     @property
     def band_rms_m(self) -> np.ndarray[Any, Any]:
-        """(7,) RMS height of each band, longest first, whatever its route."""
+        """RMS height of each band (7,) [m], the longest wavelengths first, of any route."""
         levels = [float(self.fused.values[band_slice(band).start]) for band in range(len(self.fused.routes))]
         return np.asarray(10.0 ** np.array(levels))
 
     @property
     def observed_rms_m(self) -> float | None:
-        """RMS height of the bands that were measured or predicted, together; None where all are prior."""
-        told = np.array([route is not Route.PRIOR for route in self.fused.routes])
-        return float(np.sqrt(np.sum(self.band_rms_m[told] ** 2))) if told.any() else None
+        """RMS height of all measured and predicted bands [m]; None if all are prior."""
+        observed = np.array([route is not Route.PRIOR for route in self.fused.routes])
+        return float(np.sqrt(np.sum(self.band_rms_m[observed] ** 2))) if observed.any() else None
 
 
 def locate_query(session: Session, query: TouchQuery) -> tuple[TouchedObject, SurfacePoint]:
-    """The place that was asked for, within one material slot where one is named ("Cup:Glaze:0.5,0.5").
+    """Find the place of a query, within one material slot if one is named ("Cup:Glaze:0.5,0.5").
 
-    Raises SceneError: no such object, no surface, no such UV, or not on it.
+    Raises SceneError if there is no such object, surface or UV, or if the point is not on it.
     """
     target = resolve_target(session.scene, query.target)
     obj = find_object(session.scene, target.object_name)
@@ -124,7 +145,29 @@ def locate_query(session: Session, query: TouchQuery) -> tuple[TouchedObject, Su
 def query_steps(
     session: Session, query: TouchQuery, cache: Path, counts: Counts
 ) -> Generator[float, None, QueryResult]:
-    """Look at one place: one patch, through the same store as strokes. Yields the share done. Raises HnfError."""
+    """Run one query as a generator that yields the completed fraction.
+
+    Parameters
+    ----------
+    session : Session
+        Session of the scene.
+    query : TouchQuery
+        Object and place.
+    cache : Path
+        Folder of cached patches, shared with strokes.
+    counts : Counts
+        Counters, which are incremented.
+
+    Returns
+    -------
+    QueryResult
+        Return value of the generator.
+
+    Raises
+    ------
+    HnfError
+        If the place cannot be found or rendered.
+    """
     touched, place = locate_query(session, query)
     slot = place.patch.slot
     words = MaterialRequest(session.get_choices(get_scene_name(session.scene, touched.obj)))
@@ -155,7 +198,7 @@ def query_steps(
 
 
 def is_baked(session: Session, touched: TouchedObject, point: SurfacePoint, cache: Path) -> bool:
-    """Is the patch of the place stored already, so that nothing need be rendered?"""
+    """Return True if the patch of a place is cached, so that nothing has to be rendered."""
     return (
         load_patch(cache, compute_patch_key(touched, point.patch, session.predictor.measured_encoder.content_id))
         is not None
@@ -163,28 +206,30 @@ def is_baked(session: Session, touched: TouchedObject, point: SurfacePoint, cach
 
 
 def find_nearest_materials(fused: FusedToken, ranked: Sequence[Suggestion]) -> tuple[SimilarMaterial, ...]:
-    """The NEAREST library materials to the bands that were seen; with none, the most apt, without a distance."""
+    """Return the materials nearest to the bands that are not prior, else the most probable ones."""
     library = load_library()
     category = {material.name: material.category for material in library}
     known = np.zeros(TOKEN_DIM, dtype=bool)
     for band, route in enumerate(fused.routes):
         known[band_slice(band)] = route is not Route.PRIOR
     if not known.any():
-        return tuple(SimilarMaterial(each, category[each.name], None) for each in ranked[:NEAREST_COUNT])
+        return tuple(
+            SimilarMaterial(suggestion, category[suggestion.name], None) for suggestion in ranked[:NEAREST_COUNT]
+        )
     distances = token_distances(fused.values, known, np.stack([material.token for material in library]))
-    told = {each.name: each for each in ranked}
+    suggestions = {suggestion.name: suggestion for suggestion in ranked}
     order = np.argsort(distances, kind="stable")[:NEAREST_COUNT]
-    return tuple(SimilarMaterial(told[library[i].name], library[i].category, float(distances[i])) for i in order)
+    return tuple(SimilarMaterial(suggestions[library[i].name], library[i].category, float(distances[i])) for i in order)
 
 
 def _include_material(material: LibraryMaterial) -> tuple[LibraryMaterial, ...]:
-    """The library, and an artist's own definition where that is what was chosen."""
+    """Return the library, with the user's own definition if that was chosen."""
     library = load_library()
-    return library if any(each.name == material.name for each in library) else (*library, material)
+    return library if any(known.name == material.name for known in library) else (*library, material)
 
 
 def format_skipped_note(session: Session, material: SlotMaterial, record: PatchRecord, chosen: bool) -> str:
-    """Why a picture that could tell of a relief was not read; "" where it was, or need not be."""
+    """Explain why no relief was predicted from an unlit image; "" if it was, or need not be."""
     if chosen or record.unlit is None or record.predicted is not None:
         return ""
     return f"material '{material.shader}': {session.predictor.missing_reason or explain_skipped(record.unlit)}."
@@ -193,6 +238,7 @@ def format_skipped_note(session: Session, material: SlotMaterial, record: PatchR
 def _collect_notes(
     touched: TouchedObject, point: SurfacePoint, record: PatchRecord, skipped_note: str
 ) -> tuple[str, ...]:
+    """Collect the remarks of surface, place and record."""
     notes = [*touched.surface.notes, *point.notes, *record.notes, *([skipped_note] if skipped_note else [])]
     if not point.tangent_known:
         notes.append(
@@ -203,7 +249,7 @@ def _collect_notes(
 
 
 def describe_map_source(result: QueryResult) -> str:
-    """Where the tactile map comes from, or why there is none, in words."""
+    """Describe what the tactile map was made from, or why there is none."""
     if result.tactile is not None:
         return get_map_source(result.record)
     if result.record.unlit is not None:
@@ -212,26 +258,32 @@ def describe_map_source(result: QueryResult) -> str:
 
 
 ESTIMATE_BASIS = "estimated from the likely materials, not seen"
+"""Basis of friction and stiffness, for the report."""
 
 
 def write_query(folder: Path, result: QueryResult) -> dict[str, Any]:
-    """The tactile map as PNG and as numbers (.npz), each atomically; returns the probe's entry for the report, as
-    docs/probe.md says it. A picture of the same numbers and words is left as it is."""
+    """Write the tactile map as PNG and .npz, each atomically; return the query's entry for the report.
+
+    Files with the same content are left as they are.
+    """
     tactile = result.tactile
     files: dict[str, Any] | None = None
     if tactile is not None:
-        stem, said = make_file_stem(f"probe {result.name}"), (f"Probe {result.name}", *_make_captions(result, tactile))
+        stem, captions = (
+            make_file_stem(f"probe {result.name}"),
+            (f"Probe {result.name}", *_make_captions(result, tactile)),
+        )
         picture, numbers = folder / f"{stem}.png", folder / f"{stem}.npz"
-        data = pack_map(tactile, said)
+        data = pack_map(tactile, captions)
         if not (picture.is_file() and numbers.is_file() and numbers.read_bytes() == data):
-            write_tactile_map_figure(picture, tactile, said[0], said[1:])
+            write_tactile_map_figure(picture, tactile, captions[0], captions[1:])
             write_bytes(numbers, data)
         files = {"picture": f"{stem}.png", "numbers": f"{stem}.npz"}
     return make_query_entry(result, files)
 
 
 def make_query_entry(result: QueryResult, files: dict[str, Any] | None) -> dict[str, Any]:
-    """The probe as a JSON object. files: names of picture and numbers, None where there is no map."""
+    """Return a query as a JSON object; `files` are the names of its image and numbers, None without a map."""
     routes = routes_by_band(result.fused.routes)
     rms = result.band_rms_m
     return {
@@ -251,7 +303,7 @@ def make_query_entry(result: QueryResult, files: dict[str, Any] | None) -> dict[
         },
         "friction": {"kinetic_mu": result.friction.value, **_describe_spread(result.friction)},
         "stiffness": {"n_per_m": result.stiffness.value, **_describe_spread(result.stiffness)},
-        "nearest": [_describe_similar(each) for each in result.nearest],
+        "nearest": [_describe_similar(similar) for similar in result.nearest],
         "tactile_map": None
         if files is None or result.tactile is None
         else {**files, **_describe_map(result, result.tactile)},
@@ -261,8 +313,10 @@ def make_query_entry(result: QueryResult, files: dict[str, Any] | None) -> dict[
 
 
 def pack_map(tactile: TactileMap, captions: Sequence[str]) -> bytes:
-    """numpy's .npz: image (H, W, 3) linear, height (H, W) metres where it is known, mask, metres_per_pixel, and said:
-    title and facts of the picture."""
+    """Pack a tactile map as .npz.
+
+    It has image (H, W, 3) linear, height_m (H, W) if known [m], mask, metres_per_pixel, and said: title and captions.
+    """
     arrays = {
         "image": tactile.image,
         "mask": tactile.mask,
@@ -277,7 +331,7 @@ def pack_map(tactile: TactileMap, captions: Sequence[str]) -> bytes:
 
 
 def format_query_line(entry: dict[str, Any]) -> str:
-    """One line for a person."""
+    """Format the entry of a query as one line."""
     roughness = entry["roughness"]["total_rms_m"] * 1e6
     like = entry["nearest"][0]["name"] if entry["nearest"] else ""
     return (
@@ -288,25 +342,27 @@ def format_query_line(entry: dict[str, Any]) -> str:
 
 
 def _describe_place(result: QueryResult) -> dict[str, Any]:
-    place, surface = result.point, result.touched.surface
-    own_face = place.face if surface.source_face is None else int(surface.source_face[place.face])
+    """Return the coordinates of the place as JSON."""
+    point, surface = result.point, result.touched.surface
+    own_face = point.face if surface.source_face is None else int(surface.source_face[point.face])
     metres = result.touched.metres_per_unit
-    world_m = surface.rigid[:3, :3] @ place.point + surface.rigid[:3, 3]
+    world_m = surface.rigid[:3, :3] @ point.point + surface.rigid[:3, 3]
     return {
-        "local": _round_values(np.linalg.pinv(surface.stretch) @ place.point),
-        "uv": None if place.uv is None else _round_values(place.uv),
+        "local": _round_values(np.linalg.pinv(surface.stretch) @ point.point),
+        "uv": None if point.uv is None else _round_values(point.uv),
         "world": _round_values(world_m / metres),
-        "world_normal": _round_values(surface.rigid[:3, :3] @ place.normal),
-        "surface_m": _round_values(place.point),
-        "surface_normal": _round_values(place.normal),
-        "surface_x_axis": _round_values(place.patch.x_axis),
+        "world_normal": _round_values(surface.rigid[:3, :3] @ point.normal),
+        "surface_m": _round_values(point.point),
+        "surface_normal": _round_values(point.normal),
+        "surface_x_axis": _round_values(point.patch.x_axis),
         "face": own_face if own_face >= 0 else None,
-        "slot": place.patch.slot,
-        "directions": "UV" if place.tangent_known else "object axes",
+        "slot": point.patch.slot,
+        "directions": "UV" if point.tangent_known else "object axes",
     }
 
 
 def _describe_map(result: QueryResult, tactile: TactileMap) -> dict[str, Any]:
+    """Return the properties of the tactile map as JSON."""
     resolved = get_resolved_wavelength(result.record)
     return {
         "sensor": tactile.sensor,
@@ -318,7 +374,7 @@ def _describe_map(result: QueryResult, tactile: TactileMap) -> dict[str, Any]:
 
 
 def _make_captions(result: QueryResult, tactile: TactileMap) -> tuple[str, ...]:
-    """What the picture says below the map."""
+    """Return the lines below the tactile map."""
     span = result.record.height_peak_to_peak_m if tactile.height is not None else None
     tall = "" if span is None else f"; {m_to_mm(span):.3g} mm from top to bottom"
     roughness = float(np.sqrt(np.sum(result.band_rms_m**2))) * 1e6
@@ -348,48 +404,51 @@ def _round_values(values: Any) -> list[float]:
 
 
 def skip_strokes(session: Session) -> GatheredJobs:
-    """Nothing but probes is asked for: what the scene holds of strokes is left alone, and said."""
+    """Return no jobs and a note that the scene's strokes are skipped, as only queries are requested."""
     count = len(list_strokes(session.scene))
-    found = GatheredJobs()
+    gathered = GatheredJobs()
     if count:
-        found.skipped.append(Skipped(f"{pluralize(count, 'stroke')} of the scene", "only probes are asked for"))
-    return found
+        gathered.skipped.append(Skipped(f"{pluralize(count, 'stroke')} of the scene", "only probes are asked for"))
+    return gathered
 
 
 def carry_over_strokes(report: Report, folder: Path, baked_name: str) -> None:
-    """The report goes on listing what an earlier run of this scene left in folder: a later run knows by it what is
-    fresh."""
+    """Keep the strokes of an earlier run in the report, so that a later run finds them fresh."""
     earlier = read_previous_run(folder)
     if earlier.scene != report.scene:
         return
-    report.strokes = [replace(each, fresh=True) for each in earlier.strokes if (folder / Path(each.wav).name).is_file()]
+    report.strokes = [
+        replace(stroke, fresh=True) for stroke in earlier.strokes if (folder / Path(stroke.wav).name).is_file()
+    ]
     report.baked_blend = baked_name if report.strokes and (folder / baked_name).is_file() else ""
     report.source, report.left_over = earlier.source, list(earlier.orphaned_files)
 
 
 def add_queries(session: Session, plan: Plan) -> Plan:
-    """The plan, and what each probe will cost or why it cannot be done; nothing is rendered."""
+    """Add the cost of each query to a plan, or why it cannot be done; nothing is rendered."""
     planned, failed = [], list(plan.failed)
     out = session.request.out
-    for place in session.request.queries:
+    for query in session.request.queries:
         try:
-            touched, found = locate_query(session, place)
-            is_there = out is not None and is_baked(session, touched, found, out / CACHE_FOLDER_NAME)
+            touched, point = locate_query(session, query)
+            is_cached = out is not None and is_baked(session, touched, point, out / CACHE_FOLDER_NAME)
         except HnfError as error:
-            failed.append(Failed(place.name, str(error)))
+            failed.append(Failed(query.name, str(error)))
             continue
-        slot, plans = found.patch.slot, plan_object_slots(session, touched.obj)
+        slot, plans = point.patch.slot, plan_object_slots(session, touched.obj)
         route = plans[slot] if slot < len(plans) else None
-        close_ups = 0 if is_there else 1
+        close_ups = 0 if is_cached else 1
         planned.append(
-            PlannedQuery(place.name, touched.surface.object_name, get_shader_name(touched, slot), close_ups, route)
+            PlannedQuery(query.name, touched.surface.object_name, get_shader_name(touched, slot), close_ups, route)
         )
     return replace(plan, probes=tuple(planned), failed=tuple(failed))
 
 
 def run_queries(session: Session, report: Report) -> Generator[Progress, None, None]:
-    """Look at every place that was asked for, write its files and its entry in the report. One that cannot be done is
-    named there and does not cost the others."""
+    """Run all queries of a request, and write their files and entries.
+
+    A query that fails is listed in the report; the others are still run.
+    """
     asked = session.request.queries
     for done, place in enumerate(asked):
         yield Progress(f"probe {place.name}", done, len(asked))
@@ -404,7 +463,7 @@ def run_queries(session: Session, report: Report) -> Generator[Progress, None, N
         except KeyboardInterrupt:
             report.failed += [Failed(left.name, "stopped before it was finished.") for left in asked[done:]]
             raise
-        except Exception as error:  # a fault of ours: the other places are still looked at
+        except Exception as error:  # a programming error: the other queries are still run
             traceback.print_exc()
             report.failed.append(Failed(place.name, f"{place.name}: internal error ({error!r}). Please report it."))
 
@@ -412,7 +471,7 @@ def run_queries(session: Session, report: Report) -> Generator[Progress, None, N
 def _query_progress(
     session: Session, query: TouchQuery, report: Report, done: int
 ) -> Generator[Progress, None, QueryResult]:
-    """Shares of one probe → Progress of them all."""
+    """Run one query, yielding its progress among all."""
     steps = query_steps(session, query, session.request.folder / CACHE_FOLDER_NAME, report.counts)
     total = len(session.request.queries)
     return (yield from map_steps(steps, lambda share: Progress(f"probe {query.name}", done, total, share)))

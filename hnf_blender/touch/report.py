@@ -1,6 +1,6 @@
-"""report.json: what was made, what it cost, what was skipped, what failed, and why.
+"""Contents of report.json: strokes and touch queries made, work done, what was skipped or failed, and why.
 
-Words of the command line: what notes ask to be done in the Touch tab, as options.
+Notes that refer to the Touch tab are completed with the command-line option of the same effect.
 """
 
 from __future__ import annotations
@@ -20,10 +20,27 @@ REPORT_NAME = "report.json"
 
 @dataclass(frozen=True)
 class StrokeReport:
-    """One delivered stroke. routes: band wavelength → route. key: hash of everything the signal follows from.
-    warnings: what lowered the confidence of the synthesis; a fresh stroke keeps its own. encoder: make of E that
-    described the map, "" without one. tactile_map_weights: hash of D_φ's where the map was predicted, else "".
-    picture_key: hash of what the picture shows beside the touch."""
+    """Entry of one stroke that was written.
+
+    Attributes
+    ----------
+    routes : Mapping[str, str]
+        Route by wavelength of the band.
+    fresh : bool
+        True if the files of an earlier run are still valid.
+    key : str
+        Hash of all inputs of the signal.
+    wav_hash : str
+        Hash of the WAV file.
+    warnings : sequence of str
+        Reasons for a lower confidence; a fresh stroke keeps those of the earlier run.
+    encoder : str
+        Name of the encoder E of the tactile map, "" without a map.
+    tactile_map_weights : str
+        Hash of the weights of D_φ if the map was predicted, else "".
+    picture_key : str
+        Hash of everything the plot shows besides the touch.
+    """
 
     name: str
     object: str
@@ -51,20 +68,39 @@ class StrokeReport:
 
 @dataclass(frozen=True)
 class Skipped:
+    """Something that was left out, and why."""
+
     what: str
     why: str
 
 
 @dataclass(frozen=True)
 class Failed:
+    """A stroke or touch query that could not be done, and why."""
+
     stroke: str
     why: str
 
 
 @dataclass
 class Counts:
-    """Work done, not time: patches looked at (close_ups), renders of any kind, rays and nearest-point queries, F_Θ
-    calls (network_calls), tokens encoded, patches whose relief D_φ estimated (diffusion_calls)."""
+    """Amount of work done, independent of time.
+
+    Attributes
+    ----------
+    close_ups : int
+        Patches rendered.
+    renders : int
+        Renders of any kind.
+    rays : int
+        Rays and nearest-point queries.
+    network_calls : int
+        Evaluations of F_Θ, one per stroke.
+    tokens : int
+        Tokens encoded.
+    diffusion_calls : int
+        Patches whose relief was predicted by D_φ.
+    """
 
     close_ups: int = 0
     renders: int = 0
@@ -76,12 +112,24 @@ class Counts:
 
 @dataclass
 class Report:
-    """Grows during a run; written after every stroke, so that a stopped run leaves a true account.
+    """Report of a run, written after every stroke, so that it is correct if the run is stopped.
 
-    metres_per_unit: length of a scene unit, which every height and speed is scaled by; scale_source: who said so.
-    probes: an entry for each place that was looked at, as docs/probe.md says it. files: those beside the scene's own
-    that it was read with. source: hash of the scene's own and of those, as the baked .blend was made from them, "" =
-    it is not made yet. left_over: files of an earlier run in the folder that no stroke owns any more.
+    Attributes
+    ----------
+    scene : str
+        Name of the scene file.
+    metres_per_unit : float
+        Length of a scene unit, which scales all heights and speeds [m].
+    scale_source : str
+        Where that length comes from.
+    probes : list of dict
+        Entry of every touch query, see docs/probe.md.
+    files : list of str
+        Files besides the scene's own that it was read with.
+    source : str
+        Hash of the scene's file and of `files` from which the baked .blend was made; "" if it is not made yet.
+    left_over : list of str
+        Files of an earlier run in the folder that belong to no stroke any more.
     """
 
     scene: str
@@ -100,19 +148,22 @@ class Report:
     left_over: list[str] = field(default_factory=list)
 
     def add_warning(self, text: str) -> None:
+        """Add a warning, unless it is there already."""
         if text not in self.warnings:
             self.warnings.append(text)
 
     def as_json(self) -> str:
+        """Return the report as JSON."""
         record = {"schema": SCHEMA, **asdict(self)}
         return json.dumps(_replace_non_finite(record), indent=1, ensure_ascii=False) + "\n"
 
     def write(self, folder: Path) -> None:
+        """Write report.json into a folder."""
         write_text(folder / REPORT_NAME, self.as_json())
 
 
 def _replace_non_finite(value: Any) -> Any:
-    """JSON has no inf and no NaN: they become null."""
+    """Replace inf and NaN by None, as JSON has neither."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, dict):
@@ -126,10 +177,10 @@ OPTION_FOR_TAB_PLACE = {
     "Units in the Touch tab": "--scale METRES_PER_UNIT",
     "Feels in the Touch tab": "--material OBJECT[:SLOT]=NAME",
 }
-"""A place in the tab, as notes name it → the option that says the same."""
+"""Location in the Touch tab, as notes name it → option with the same effect."""
 
 
 def add_option_hint(note: str) -> str:
-    """The note, and the option that does what it asks for, where there is one."""
-    options = [option for place, option in OPTION_FOR_TAB_PLACE.items() if place in note]
+    """Append the command-line option that does what a note asks for, if there is one."""
+    options = [option for location, option in OPTION_FOR_TAB_PLACE.items() if location in note]
     return f"{note} Here: {', '.join(options)}." if options else note

@@ -1,7 +1,7 @@
-"""The main job from request to files, as a generator of steps: the command line drives it here, a window later.
+"""Run `hnf touch`: from a request to the files of strokes and queries, their report, and the baked .blend.
 
-What a run tells a person at the end: each result in a line, what to be careful of, and where to look, listen and go
-on.
+The run is a generator of progress, `touch_steps`, driven here for the command line. At the end a summary lists each
+result, warnings, and what to do next.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from .synthesise import CACHE_FOLDER_NAME, BakedStroke, bake_steps, map_steps, r
 
 
 def print_summary(report: Report, request: TouchRequest) -> int:
-    """The result for a person, or as JSON; notes and problems go to stderr, one line each. Returns the exit code."""
+    """Print the results as text or JSON, with notes and problems on stderr; return the exit code."""
     folder = request.folder
     if request.as_json:
         print(report.as_json(), end="")
@@ -76,7 +76,7 @@ def print_summary(report: Report, request: TouchRequest) -> int:
 
 
 def format_stroke_line(stroke: StrokeReport, folder: Path) -> str:
-    """One stroke in one line."""
+    """Format one stroke as one line."""
     state = "  (up to date)" if stroke.fresh else ""
     return (
         f"{stroke.name}: {stroke.library_material}, {stroke.confidence:.0%} confidence, {stroke.duration_s:.2f} s, "
@@ -85,7 +85,7 @@ def format_stroke_line(stroke: StrokeReport, folder: Path) -> str:
 
 
 def format_closing(report: Report, folder: Path, *, with_strokes: bool = True) -> list[str]:
-    """What there is now, and what to do with it; nothing where nothing came of the run."""
+    """Return the closing lines: what was made and what to do next; none if nothing was made."""
     strokes = report.strokes if with_strokes else []
     if not strokes and not report.probes:
         return []
@@ -97,7 +97,7 @@ def format_closing(report: Report, folder: Path, *, with_strokes: bool = True) -
 
 
 def _format_work(report: Report) -> str:
-    """What it took, where that says something to a person; the counts stand in the report."""
+    """Describe the work that was done."""
     if report.counts.renders:
         return f"It took {pluralize(report.counts.renders, 'rendered image')}."
     if report.strokes and all(stroke.fresh for stroke in report.strokes):
@@ -106,6 +106,7 @@ def _format_work(report: Report) -> str:
 
 
 def _iter_next_steps(report: Report, strokes: list[StrokeReport], folder: Path) -> Iterator[tuple[str, str]]:
+    """Yield (label, text) of what to do next."""
     if strokes:
         loudest = max(strokes, key=lambda stroke: stroke.rms_m_s2)
         wav, ears = folder / loudest.wav, folder / f"{Path(loudest.wav).stem}-listen.wav"
@@ -120,7 +121,7 @@ def _iter_next_steps(report: Report, strokes: list[StrokeReport], folder: Path) 
 
 
 def run(request: TouchRequest) -> int:
-    """Do request and tell the person; returns the exit code. Raises HnfError where nothing could be begun."""
+    """Run a request and print its results; return the exit code. Raises HnfError if it cannot be started."""
     with _interruptible():
         if request.plan_only:  # nothing is written, so that no folder need be there or be held
             plan = _prepare(request).plan
@@ -132,8 +133,21 @@ def run(request: TouchRequest) -> int:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """All that is known before anything is rendered. files: that the scene was read with. source: hash of its own and
-    of these. open_s, plan_s: seconds it took."""
+    """Everything known before rendering.
+
+    Attributes
+    ----------
+    session : Session
+    found : GatheredJobs
+    files : list of str
+        Files that the scene was read with.
+    source : str
+        Hash of the scene's file and these.
+    previous : PreviousRun
+    plan : Plan
+    open_s, plan_s : float
+        Time of opening and planning [s].
+    """
 
     session: Session
     found: GatheredJobs
@@ -146,6 +160,7 @@ class _Prepared:
 
 
 def _prepare(request: TouchRequest) -> _Prepared:
+    """Open the scene, gather its jobs, and make the plan."""
     started = time.monotonic()
     scene = _open_request_scene(request)
     opened = time.monotonic()
@@ -184,9 +199,12 @@ def _run_request(request: TouchRequest) -> int:
 def touch_steps(
     session: Session, found: GatheredJobs, previous: PreviousRun, source: str, report: Report
 ) -> Generator[Progress, None, None]:
-    """Everything that is needed; report grows with each stroke. Where all is fresh, and the scene's file is what it was
-    (source: its hash), nothing is done. Where that is another, fresh strokes are described again from what is stored,
-    so that their tokens come into the new .blend, and pictured again where their picture would show the change."""
+    """Bake, synthesise and write all strokes that are not fresh, as a generator of progress.
+
+    Nothing is done if all strokes are fresh and the scene's files are unchanged (`source` is their hash). If the files
+    changed, fresh strokes are baked again from cached patches, so that their tokens get into the new .blend, and
+    plotted again if their view changed.
+    """
     folder = session.request.folder
     fresh = previous.find_fresh(found.jobs, folder)
     baked_path = folder / get_blend_name(session)
@@ -230,7 +248,7 @@ def touch_steps(
 def _write_after_each_stroke(
     steps: Generator[Progress, None, tuple[BakedStroke, ...]], report: Report, folder: Path
 ) -> Generator[Progress, None, tuple[BakedStroke, ...]]:
-    """The same steps; the report is on disk after every stroke."""
+    """Write the report after every stroke."""
     done = 0
 
     def kept(progress: Progress) -> Progress:
@@ -325,7 +343,7 @@ def _compute_plot_key(job: StrokeJob, baked: BakedStroke, views: StrokeViews) ->
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
-    """Blender swallows Ctrl-C in the background; here it must stop the run and keep what is finished."""
+    """Let Ctrl-C stop the run and keep what is finished; Blender ignores it in background mode."""
     try:
         before = signal.signal(signal.SIGINT, signal.default_int_handler)
     except ValueError:  # not the main thread: whoever runs us there stops us

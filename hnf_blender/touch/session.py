@@ -1,8 +1,8 @@
-"""OBJECT[:SLOT] → an object of the scene and one of its material slots.
+"""Session of one run: the strokes to compute, and hashes of everything that their signals depend on.
 
-What a stroke's signal follows from, as hashes apart from each other, so that what changed has a name.
-
-Which strokes this run is about, and the key of each: a hash of everything its signal follows from.
+A `Session` caches the surfaces of a scene; `gather_jobs` lists the strokes as `StrokeJob`. The hash of a job
+(`InputHashes`) is kept in parts, so that a change can be named. `resolve_target` finds an object and slot by
+OBJECT[:SLOT].
 """
 
 from __future__ import annotations
@@ -49,27 +49,27 @@ from .patch_cache import PATCH_VERSION
 from .report import Counts, Failed, Skipped
 
 MAX_NAMES = 12
-"""Names in a message: more would not be read."""
+"""Maximum number of names in a message."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """object_name: a mesh object of the scene, as name_in calls it. slot: index of the material slot, None = the
-    whole object."""
+    """A mesh object of the scene by its name (`get_scene_name`), and a material slot, None for any."""
 
     object_name: str
     slot: int | None
 
 
 def resolve_target(scene: Any, text: str) -> Target:
-    """Object names may hold colons: the longest name that exists wins. Case counts only where it tells two names apart.
+    """Find the object and slot of OBJECT[:SLOT].
 
-    Raises SceneError naming what is there instead.
+    Names may contain colons: the longest existing name wins. Case counts only if it distinguishes two names. Raises
+    SceneError that lists the existing names.
     """
     meshes = {name: obj for name, obj in get_named_objects(scene).items() if obj.type == "MESH"}
-    whole = _match_name(text, meshes)
-    if whole is not None:
-        return Target(whole, None)
+    exact_name = _match_name(text, meshes)
+    if exact_name is not None:
+        return Target(exact_name, None)
     before, colon, slot_text = text.rpartition(":")
     name = _match_name(before, meshes) if colon else None
     if name is not None:
@@ -81,14 +81,14 @@ def resolve_target(scene: Any, text: str) -> Target:
             where=f"object '{text}'",
             remedy="Name a mesh object, or convert this one to a mesh (Object > Convert > Mesh).",
         )
-    asked = before if colon else text
+    wanted = before if colon else text
     raise SceneError(
-        "there is no such object in the scene.", where=f"object '{asked}'", remedy=_suggest_objects(asked, meshes)
+        "there is no such object in the scene.", where=f"object '{wanted}'", remedy=_suggest_objects(wanted, meshes)
     )
 
 
 def _match_name(text: str, names: Iterable[str]) -> str | None:
-    """The name that text stands for: itself, or the only one that differs from it in case alone; None where none is."""
+    """Return the name equal to `text`, or the only one that differs in case alone; None if there is none."""
     known = list(names)
     if text in known:
         return text
@@ -97,6 +97,7 @@ def _match_name(text: str, names: Iterable[str]) -> str | None:
 
 
 def _find_slot(obj: Any, text: str) -> int:
+    """Return the index of a slot given by its material's name or its number. Raises SceneError."""
     names = [slot.material.name if slot.material else "" for slot in obj.material_slots]
     name = _match_name(text, names) if text else None
     if name is not None:
@@ -113,10 +114,10 @@ def _find_slot(obj: Any, text: str) -> int:
 
 
 def _suggest_objects(text: str, meshes: Mapping[str, Any]) -> str:
-    """The objects that could be meant: those with faces, those that are called like it first."""
+    """List the objects with faces, after those with similar names."""
     touchable = sorted(name for name, obj in meshes.items() if len(obj.data.polygons) and not is_cloud(obj))
-    near = close_matches(text, touchable)
-    guess = f"Did you mean {' or '.join(repr(name) for name in near)}? " if near else ""
+    similar = close_matches(text, touchable)
+    guess = f"Did you mean {' or '.join(repr(name) for name in similar)}? " if similar else ""
     return (
         f"{guess}Objects here: {format_choices(touchable, MAX_NAMES)}."
         if touchable
@@ -135,16 +136,34 @@ CHANGE_DESCRIPTIONS = {
     PATH_FIELD: "path, timing or surface name",
     TOUCH_FIELD: "force, seed or probe",
 }
+"""Description of each input, for messages."""
 PATH_ON_SAME_SURFACE = "path or timing"
-"""What is left of PATH where the surface is called as it was."""
+"""Description of PATH_FIELD if the surface's name is unchanged."""
 
 
 @dataclass(frozen=True)
 class InputHashes:
-    """Hashes of: made_by: software, library, field. scale: metres per unit. shape: the surface's geometry.
-    shading: its shaders, their pixels, and the names that a material is guessed from. sight: the networks that read its
-    pictures, "" where none is to be read. choices: library materials that the artist named. path: where the hand is and
-    when, on which object. touch: force, seed, probe."""
+    """Hashes of a signal's inputs.
+
+    Attributes
+    ----------
+    made_by : str
+        Software, library and field.
+    scale : str
+        Metres per unit.
+    shape : str
+        Geometry of the surface.
+    shading : str
+        Its shaders with their pixels, and the names from which a material is guessed.
+    sight : str
+        Networks that predict relief, "" if no prediction is needed.
+    choices : str
+        Library materials chosen by the user.
+    path : str
+        Path, timing and object.
+    touch : str
+        Force, seed and probe.
+    """
 
     made_by: str
     scale: str
@@ -157,30 +176,36 @@ class InputHashes:
 
     @property
     def key(self) -> str:
-        """Equal keys, equal signals."""
+        """Hash of all inputs; equal keys give equal signals."""
         return content_hash(*(asdict(self)[field.name] for field in fields(self)))
 
     @property
     def path_key(self) -> str:
-        """Of everything but force, seed and probe: while it is equal, the signal follows without a render."""
+        """Hash of all but force, seed and probe; while it is equal, no render is needed."""
         return content_hash(*self._iter_without(TOUCH_FIELD))
 
     @property
     def surface_key(self) -> str:
-        """Of everything that the tokens on the mesh follow from, whatever strokes led there."""
+        """Hash of everything that the tokens on the mesh depend on, apart from strokes."""
         return content_hash(*self._iter_without(TOUCH_FIELD, PATH_FIELD))
 
     def describe_changes(self, previous: InputHashes, *, same_surface: bool = False) -> tuple[str, ...]:
-        """What differs from earlier, in words. same_surface: it is known that the surface is called as it was."""
-        words = CHANGE_DESCRIPTIONS | {PATH_FIELD: PATH_ON_SAME_SURFACE} if same_surface else CHANGE_DESCRIPTIONS
-        return tuple(word for name, word in words.items() if getattr(self, name) != getattr(previous, name))
+        """Describe the inputs that differ from `previous`.
+
+        Set `same_surface` if the surface's name is known to be unchanged.
+        """
+        descriptions = CHANGE_DESCRIPTIONS | {PATH_FIELD: PATH_ON_SAME_SURFACE} if same_surface else CHANGE_DESCRIPTIONS
+        return tuple(
+            description for name, description in descriptions.items() if getattr(self, name) != getattr(previous, name)
+        )
 
     def to_text(self) -> str:
+        """Return the hashes as JSON."""
         return json.dumps(asdict(self), sort_keys=True)
 
     @classmethod
     def from_text(cls, text: object) -> InputHashes | None:
-        """What to_text wrote; None for anything else."""
+        """Parse JSON from `to_text`; None for anything else."""
         try:
             record = json.loads(str(text))
             return cls(**{field.name: str(record[field.name]) for field in fields(cls)})
@@ -199,8 +224,22 @@ NO_SCALE_NOTE = (
 
 @dataclass(frozen=True)
 class StrokeJob:
-    """One stroke of this run. curve_name: the stroke object in the scene, "" while it is not placed yet.
-    primitive, slot: what to place, and where. stroke: read already, for curves of the scene."""
+    """One stroke of a run.
+
+    Attributes
+    ----------
+    name, object_name : str
+        Names of the stroke and of its surface.
+    inputs : InputHashes
+    seed : int
+    curve_name : str
+        Name of the stroke object, "" if it is not placed yet.
+    primitive : Primitive or None
+    slot : int or None
+        Primitive to place, and the material slot to place it on.
+    stroke : SceneStroke or None
+        The stroke, if it was read from the scene.
+    """
 
     name: str
     object_name: str
@@ -213,18 +252,30 @@ class StrokeJob:
 
     @property
     def key(self) -> str:
+        """Hash of all inputs."""
         return self.inputs.key
 
     @property
     def path_key(self) -> str:
+        """Hash of all but force, seed and probe."""
         return self.inputs.path_key
 
 
 @dataclass(frozen=True)
 class SurfaceFacts:
-    """What the plan knows of an object without a triangle of it. materials: names by slot. shows: what each slot's
-    shader, or its splats, can tell of its relief. plainly: whether that is read off images as they are. chosen,
-    shape_hash, shader_hashes, owner_hash, pictures, splats: see TouchedObject."""
+    """Facts about an object that need no triangles.
+
+    Attributes
+    ----------
+    materials : tuple of str
+        Material names by slot.
+    relief_sources : tuple of ReliefSource
+        Source of each slot's relief: its shader or splats.
+    direct_images : tuple of bool
+        True if that relief is read from images directly.
+    artist_choices, shape_hash, shader_hashes, owner_hash, texture_names, splat_source
+        See TouchedObject.
+    """
 
     materials: tuple[str, ...]
     artist_choices: tuple[str | MaterialFile, ...]
@@ -239,7 +290,7 @@ class SurfaceFacts:
 
 @dataclass
 class GatheredJobs:
-    """Everything the plan is made from."""
+    """Jobs of a run, with the objects skipped, the strokes that failed, and notes."""
 
     jobs: list[StrokeJob] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
@@ -248,7 +299,19 @@ class GatheredJobs:
 
 
 class Session:
-    """One scene during one run: its surfaces and hashes, each made once, by the objects' names (name_in)."""
+    """One scene during one run; its surfaces and hashes are computed once, by the objects' names.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene of the strokes.
+    view_layer : bpy.types.ViewLayer
+        View layer that is evaluated.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    request : TouchRequest
+        Options of the run.
+    """
 
     def __init__(self, scene: Any, view_layer: Any, metres_per_unit: float, request: TouchRequest) -> None:
         self.scene, self.view_layer, self.metres_per_unit, self.request = scene, view_layer, metres_per_unit, request
@@ -268,25 +331,28 @@ class Session:
 
     @property
     def depsgraph(self) -> Any:
-        """Evaluated now: placing strokes changes the scene during a run."""
+        """Dependency graph, evaluated now, since placing strokes changes the scene during a run."""
         self.view_layer.update()
         return self.view_layer.depsgraph
 
     def get_surface(self, obj: Any) -> Surface:
+        """Return the surface of an object."""
         name = get_scene_name(self.scene, obj)
         if name not in self._surfaces:
-            made = read_surface(obj, self.depsgraph, self.metres_per_unit)
-            self._surfaces[name] = replace(made, notes=(*made.notes, *self.get_splat_notes(obj)))
+            surface = read_surface(obj, self.depsgraph, self.metres_per_unit)
+            self._surfaces[name] = replace(surface, notes=(*surface.notes, *self.get_splat_notes(obj)))
         return self._surfaces[name]
 
     def get_splat_notes(self, obj: Any) -> tuple[str, ...]:
-        """What to say of a reconstructed object: what its reconstruction left to say, and that no one gave it a scale;
-        nothing of any other object."""
+        """Return notes for a reconstructed object: those of its reconstruction, and if it has no scale.
+
+        Empty for any other object.
+        """
         if get_cloud(obj) is None:
             return ()
         units = self.scene.unit_settings
-        told = self.request.metres_per_unit is not None or self.scene.hnf.metres_per_unit > 0.0
-        if told or (units.system != "NONE" and units.scale_length != 1.0):
+        scale_given = self.request.metres_per_unit is not None or self.scene.hnf.metres_per_unit > 0.0
+        if scale_given or (units.system != "NONE" and units.scale_length != 1.0):
             return get_reconstruction_notes(obj)
         return (
             *get_reconstruction_notes(obj),
@@ -294,7 +360,7 @@ class Session:
         )
 
     def get_touched_object(self, obj: Any) -> TouchedObject:
-        """Raises SceneError where obj is hidden or has no surface."""
+        """Return an object with its surface. Raises SceneError if it is hidden or has no surface."""
         name = get_scene_name(self.scene, obj)
         if name not in self._touched:
             facts = self.get_facts(obj)
@@ -308,13 +374,13 @@ class Session:
                 artist_choices=facts.artist_choices,
                 texture_names=facts.texture_names,
                 splat_source=facts.splat_source,
-                has_relief=tuple(shown is ReliefSource.RELIEF for shown in facts.relief_sources),
+                has_relief=tuple(source is ReliefSource.RELIEF for source in facts.relief_sources),
                 view_layer=self.view_layer,
             )
         return self._touched[name]
 
     def get_facts(self, obj: Any) -> SurfaceFacts:
-        """Raises SceneError where obj is hidden or has no surface."""
+        """Return the facts of an object. Raises SceneError if it is hidden or has no surface."""
         name = get_scene_name(self.scene, obj)
         if name not in self._facts:
             if not is_visible(obj, self.view_layer):
@@ -323,17 +389,19 @@ class Session:
                 )
             flush_edits(obj)
             slots = get_slot_materials(obj, self.depsgraph)
-            reads = find_shader_inputs(obj, slots)
+            inputs = find_shader_inputs(obj, slots)
             cloud = get_cloud(obj)
-            owned = "" if cloud is None else hash_cloud(obj, cloud)
-            shown = tuple(find_relief_source(material) for material in slots)
+            cloud_hash = "" if cloud is None else hash_cloud(obj, cloud)
+            relief_sources = tuple(find_relief_source(material) for material in slots)
             self._facts[name] = SurfaceFacts(
                 materials=tuple("" if material is None else material.name for material in slots),
                 artist_choices=tuple("" if material is None else get_artist_choice(material) for material in slots),
-                shape_hash=hash_mesh(obj, self.depsgraph, self.metres_per_unit, reads.layers),
+                shape_hash=hash_mesh(obj, self.depsgraph, self.metres_per_unit, inputs.layers),
                 shader_hashes=tuple(hash_material(material, self.scene.frame_current) for material in slots),
-                owner_hash=format_object_inputs(obj, self.view_layer, slots, reads) + owned,
-                relief_sources=shown if cloud is None else tuple(_with_splats(each) for each in shown),
+                owner_hash=format_object_inputs(obj, self.view_layer, slots, inputs) + cloud_hash,
+                relief_sources=relief_sources
+                if cloud is None
+                else tuple(_with_splats(source) for source in relief_sources),
                 direct_images=tuple(is_direct_image(material) for material in slots),
                 texture_names=tuple(list_texture_names(material) for material in slots),
                 splat_source="" if cloud is None else get_cloud_source(cloud),
@@ -341,46 +409,50 @@ class Session:
         return self._facts[name]
 
     def has_facts(self, obj: Any) -> bool:
-        """Are its facts there already?"""
+        """Return True if an object's facts are cached."""
         return get_scene_name(self.scene, obj) in self._facts
 
     @property
     def known_names(self) -> set[str]:
-        """Names of the objects that were looked at."""
+        """Names of the objects that were read."""
         return {*self._facts, *self._surfaces}
 
     def invalidate(self, names: set[str]) -> None:
-        """These objects changed: look at them again."""
-        for kept in (self._surfaces, self._touched, self._facts):
-            for name in names & kept.keys():
-                del kept[name]
+        """Forget everything about objects that changed."""
+        for cache in (self._surfaces, self._touched, self._facts):
+            for name in names & cache.keys():
+                del cache[name]
 
     def get_choices(self, object_name: str) -> dict[int | None, str]:
-        """Slot (None = whole object) → the artist's library material, the last word winning."""
+        """Return slot (None for any) → library material of the command line; the last choice counts."""
         return {target.slot: material for target, material in self._choices if target.object_name == object_name}
 
     def get_relief_outlook(self, obj: Any, material: str = "") -> list[tuple[ReliefSource, bool]]:
-        """Of each slot: what its shader can tell of its relief, and whether the artist said what it is. material: that
-        a stroke itself asks for."""
+        """Return (source of the relief, whether the user chose a material) of each slot.
+
+        `material` is the library material set on the stroke.
+        """
         facts, choices = self.get_facts(obj), self.get_choices(get_scene_name(self.scene, obj))
-        said = [
-            bool(material or choices.get(slot) or choices.get(None) or own)
-            for slot, own in enumerate(facts.artist_choices)
+        is_chosen = [
+            bool(material or choices.get(slot) or choices.get(None) or choice)
+            for slot, choice in enumerate(facts.artist_choices)
         ]
-        return list(zip(facts.relief_sources, said, strict=True))
+        return list(zip(facts.relief_sources, is_chosen, strict=True))
 
     def compute_surface_key(self, obj: Any) -> str:
-        """Hash of all that tokens on obj follow from, apart from what single strokes ask for."""
+        """Hash everything that an object's tokens depend on, apart from single strokes."""
         return self._hash_inputs(get_scene_name(self.scene, obj), "", "", "").surface_key
 
     def choose_seed(self, stroke_seed: int) -> int:
+        """Return the run's seed if there is one, else the stroke's."""
         return stroke_seed if self.request.seed is None else self.request.seed
 
     def read_stroke(self, curve: Any) -> SceneStroke:
+        """Read a stroke object of the scene."""
         return read_stroke(curve, self.scene, self.depsgraph, self.metres_per_unit, surfaces=self.get_surface)
 
     def place_stroke(self, obj: Any, job: StrokeJob, counts: Counts) -> Any:
-        """The job's primitive as a stroke object of the scene, like one drawn by hand."""
+        """Create the job's primitive as a stroke object of the scene."""
         placed = place_primitive(
             self.scene, obj, job.slot, job.primitive or DEFAULT_PRIMITIVE, self.metres_per_unit, self.depsgraph,
             seed=job.seed, name=job.name, surfaces=self.get_surface,
@@ -389,53 +461,57 @@ class Session:
         return placed.curve
 
     def make_curve_job(self, curve: Any) -> StrokeJob:
+        """Make the job of a stroke object."""
         stroke = self.read_stroke(curve)
         seed = self.choose_seed(stroke.seed)
         inputs = self._hash_inputs(stroke.object_name, stroke.material, hash_path(stroke), hash_touch(stroke, seed))
         return StrokeJob(stroke.name, stroke.object_name, inputs, seed, curve_name=stroke.name, stroke=stroke)
 
     def make_placement_job(self, name: str, target: Target, primitive: Primitive) -> StrokeJob:
+        """Make the job of a primitive that is to be placed."""
         obj, seed = find_object(self.scene, target.object_name), self.choose_seed(0)
-        around = describe_neighbours(obj, self.scene, self.depsgraph, self.metres_per_unit)
+        neighbourhood = describe_neighbours(obj, self.scene, self.depsgraph, self.metres_per_unit)
         world = obj.evaluated_get(self.depsgraph).matrix_world
         rigid, _ = compute_surface_frame(world, self.metres_per_unit, f"object '{obj.name}'")
-        around.append(repr((np.round(rigid[2, :3], 3) + 0.0).tolist()))  # which side is up: an underside is avoided
-        path = content_hash("placed", primitive.name, str(target.slot), *around)
+        neighbourhood.append(
+            repr((np.round(rigid[2, :3], 3) + 0.0).tolist())
+        )  # which side is up, since undersides are avoided
+        path = content_hash("placed", primitive.name, str(target.slot), *neighbourhood)
         inputs = self._hash_inputs(target.object_name, "", path, content_hash(str(seed)))
         return StrokeJob(name, target.object_name, inputs, seed, primitive=primitive, slot=target.slot)
 
     def _hash_inputs(self, object_name: str, material: str, path: str, touch: str) -> InputHashes:
-        """material: that the stroke itself asks for."""
+        """Hash the inputs of a stroke; `material` is the library material set on it."""
         obj = find_object(self.scene, object_name)
         facts = self.get_facts(obj)
         choices = repr(sorted(self.get_choices(object_name).items(), key=repr))
-        reads = any(
-            look is ReliefSource.VARYING_COLOUR and not chosen
-            for look, chosen in self.get_relief_outlook(obj, material)
+        needs_prediction = any(
+            source is ReliefSource.VARYING_COLOUR and not chosen
+            for source, chosen in self.get_relief_outlook(obj, material)
         )
-        reads = reads or bool(facts.splat_source and not facts.relief_sources)
-        pictures = (name for slot in facts.texture_names for name in slot)
-        names = (object_name, obj.data.name, *facts.materials, *pictures)
+        needs_prediction = needs_prediction or bool(facts.splat_source and not facts.relief_sources)
+        texture_names = (name for slot in facts.texture_names for name in slot)
+        names = (object_name, obj.data.name, *facts.materials, *texture_names)
         return InputHashes(
             made_by=self._made_by,
             scale=repr(self.metres_per_unit),
             shape=facts.shape_hash,
             shading=content_hash(facts.owner_hash, *facts.shader_hashes, *names),
-            sight=self.predictor.content_id if reads else "",
-            choices=content_hash(choices, material, *(_to_hashable(word) for word in facts.artist_choices)),
+            sight=self.predictor.content_id if needs_prediction else "",
+            choices=content_hash(choices, material, *(_to_hashable(choice) for choice in facts.artist_choices)),
             path=path,
             touch=touch,
         )
 
 
 def make_scene_session(scene: Any, view_layer: Any, folder: Path) -> Session:
-    """The scene as a bake sees it: its own scale, no word from a command line. folder: for what it writes."""
+    """Make the session of a bake in Blender: the scene's own scale, no options; results go to `folder`."""
     request = TouchRequest(scene=None, out=folder)
     return Session(scene, view_layer, get_metres_per_unit(scene), request)
 
 
 def _with_splats(shown: ReliefSource) -> ReliefSource:
-    """What a slot of a reconstructed surface can tell: its splats are a picture of it, whatever its shader's colour."""
+    """Return the relief source of a slot of a reconstructed surface, whose splats always show a colour."""
     return ReliefSource.RELIEF if shown is ReliefSource.RELIEF else ReliefSource.VARYING_COLOUR
 
 
@@ -444,46 +520,48 @@ def _to_hashable(choice: str | MaterialFile) -> str | bytes:
 
 
 def gather_jobs(session: Session) -> GatheredJobs:
-    """The scene's own strokes and those asked for; with neither, one on every touchable material. One stroke that
-    cannot be read does not lose the others."""
+    """Return jobs of the scene's strokes and of those requested; with neither, one per touchable material.
+
+    A stroke that cannot be read is listed as failed. Raises SceneError if the scene shows nothing to touch.
+    """
     request, scene = session.request, session.scene
-    found = gather_curve_jobs(session, list_strokes(scene))
+    gathered = gather_curve_jobs(session, list_strokes(scene))
     for placement in request.strokes:
-        name = _make_unique_name(f"{placement.primitive.name} on {placement.target}", found)
+        name = _make_unique_name(f"{placement.primitive.name} on {placement.target}", gathered)
         _add_job(
-            found, name,
+            gathered, name,
             lambda placement=placement, name=name: session.make_placement_job(
                 name, resolve_target(scene, placement.target), placement.primitive),
         )  # fmt: skip
-    if not found.jobs and not found.failed:
-        found.notes.append(
+    if not gathered.jobs and not gathered.failed:
+        gathered.notes.append(
             "no stroke in the scene and none asked for: one default stroke (left to right, 100 mm/s, 1 N) per material."
         )
         for obj, slot, material in choose_default_slots(scene, session.depsgraph):
-            name = _make_unique_name(f"{DEFAULT_PRIMITIVE.name} on {material or obj.name}", found)
+            name = _make_unique_name(f"{DEFAULT_PRIMITIVE.name} on {material or obj.name}", gathered)
             _add_job(
-                found, name,
+                gathered, name,
                 lambda obj=obj, slot=slot, name=name: session.make_placement_job(
                     name, Target(get_scene_name(scene, obj), slot), DEFAULT_PRIMITIVE),
             )  # fmt: skip
-        if not found.jobs and not found.failed:
+        if not gathered.jobs and not gathered.failed:
             raise SceneError(
                 "it shows no mesh with faces.", where=f"scene '{scene.name}'", remedy="Unhide or add one to touch."
             )
-    add_scene_notes(session, found)
-    return found
+    add_scene_notes(session, gathered)
+    return gathered
 
 
 def gather_curve_jobs(session: Session, curves: Iterable[Any]) -> GatheredJobs:
-    """Jobs of these stroke objects."""
-    found = GatheredJobs()
+    """Return jobs of stroke objects."""
+    gathered = GatheredJobs()
     for curve in curves:
-        _add_job(found, get_scene_name(session.scene, curve), lambda curve=curve: session.make_curve_job(curve))
-    return found
+        _add_job(gathered, get_scene_name(session.scene, curve), lambda curve=curve: session.make_curve_job(curve))
+    return gathered
 
 
 def add_scene_notes(session: Session, found: GatheredJobs) -> None:
-    """Say what the jobs leave out, and which of their surfaces have a size that no hand would meet."""
+    """Add what the jobs leave out, and warnings about surfaces of implausible size."""
     found.skipped += list(_iter_skipped(session, {job.object_name for job in found.jobs}))
     for name in dict.fromkeys(job.object_name for job in found.jobs):
         obj = find_object(session.scene, name)
@@ -492,6 +570,7 @@ def add_scene_notes(session: Session, found: GatheredJobs) -> None:
 
 
 def _add_job(found: GatheredJobs, name: str, make: Any) -> None:
+    """Append the job that `make` returns, or a failure."""
     try:
         found.jobs.append(make())
     except HnfError as error:
@@ -499,14 +578,14 @@ def _add_job(found: GatheredJobs, name: str, make: Any) -> None:
 
 
 def _make_unique_name(name: str, found: GatheredJobs) -> str:
-    taken = {job.name for job in found.jobs} | {failure.stroke for failure in found.failed}
-    if name not in taken:
+    used = {job.name for job in found.jobs} | {failure.stroke for failure in found.failed}
+    if name not in used:
         return name
-    return next(text for number in range(2, len(taken) + 3) if (text := f"{name} {number}") not in taken)
+    return next(text for number in range(2, len(used) + 3) if (text := f"{name} {number}") not in used)
 
 
 def _iter_skipped(session: Session, touched: set[str]) -> Iterator[Skipped]:
-    """What the strokes do not need: counted, not listed, where it is much."""
+    """Yield what no stroke touches; long lists are abbreviated."""
     named = get_named_objects(session.scene)
     others = {
         obj: name for name, obj in named.items() if obj.type == "MESH" and name not in touched and not is_cloud(obj)

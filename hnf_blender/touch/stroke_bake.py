@@ -1,6 +1,6 @@
-"""What a stroke needs to be heard without rendering anything: kept as bytes on its curve object.
+"""A stroke's bake: everything needed to synthesise it without rendering, stored as bytes on its curve object.
 
-The signal synthesised from it is, byte for byte, the one that `hnf touch` writes for the same stroke.
+The signal synthesised from it equals, byte for byte, the one that `hnf touch` writes for the stroke.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 BAKE_PROPERTY = "hnf_bake"
 """ID property of the stroke's curve object."""
 SCHEMA = 1
+"""Version of the format."""
 _MECHANICS = ("stiffness_n_m", "damping_ratio", "friction")
 
 Float = NDArray[np.float64]
@@ -39,14 +40,29 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StrokeBake:
-    """One stroke as it was baked.
+    """One baked stroke.
 
-    stroke: what synthesis is given. patch_index: (n,) int32, which of the stroke's tokens each action sample touches,
-    −1 off the surface or without force. on_surface: (n,) bool, also where the hand does not press. shares: (M,) how
-    far each token and its mechanics are known, 0–1. seed: of the carriers. key: hash of everything the signal follows
-    from; path_key: the same without force, seed and probe. facts: what a WAV says of its origin (object, material,
-    library_material, routes, height_source). confidence, warnings: of the synthesis as baked. notes: what the bake met
-    that a person should know.
+    Attributes
+    ----------
+    stroke : StrokeInput
+        Input of the synthesis.
+    patch_index : (n,) int32 array
+        Token that each action sample touches, −1 off the surface or without force.
+    on_surface : (n,) bool array
+        True on the surface, also without force.
+    shares : (M,) array
+        Fraction of each token and its mechanics that is known, 0 to 1.
+    seed : int
+        Seed of the carriers.
+    key, path_key : str
+        Hash of all inputs of the signal, and the same without force, seed and probe.
+    facts : Mapping[str, str]
+        Provenance: object, material, library_material, routes, height_source.
+    confidence : float
+    warnings : tuple of str
+        Confidence and warnings of the synthesis.
+    notes : tuple of str
+        Remarks of the bake for the user.
     """
 
     stroke: StrokeInput
@@ -62,31 +78,31 @@ class StrokeBake:
     notes: tuple[str, ...] = ()
 
     def with_force(self, force: Float, probe: str | None = None) -> StrokeBake:
-        """The same path pressed otherwise; force (n,) N at the same action samples.
+        """Return the bake with another force (n,) [N] at the same action samples.
 
-        Raises StrokeError where force presses on a part that the bake did not touch: nothing is known of it.
+        Raises StrokeError if the force presses where the bake had no contact, and therefore no token.
         """
         action = self.stroke.action
         if force.shape != action.force.shape:
             raise StrokeError(f"force has {len(force)} samples, the bake has {len(action.force)}.", remedy=_REMEDY)
-        fresh = (force > 0.0) & self.on_surface & (self.patch_index < 0)
-        if fresh.any():
-            at = float(np.flatnonzero(fresh)[0] / action.rate)
+        new_contact = (force > 0.0) & self.on_surface & (self.patch_index < 0)
+        if new_contact.any():
+            time_s = float(np.flatnonzero(new_contact)[0] / action.rate)
             raise StrokeError(
-                f"it now presses where the bake had no contact ({at:.2f} s after its start).", remedy=_REMEDY
+                f"it now presses where the bake had no contact ({time_s:.2f} s after its start).", remedy=_REMEDY
             )
         index = np.where(force > 0.0, self.patch_index, np.int32(-1))
         pressed = replace(action, force=force, contact=index >= 0, probe=probe or action.probe)
         return replace(self, stroke=replace(self.stroke, action=pressed), patch_index=index)
 
     def to_bytes(self) -> bytes:
-        """Exact, compressed, without pickle; equal bakes give equal bytes."""
+        """Serialise the bake: exact, compressed, without pickle; equal bakes give equal bytes."""
         action, profile = self.stroke.action, self.stroke.profile
         texts = {
             "key": self.key, "path_key": self.path_key, "facts": dict(self.facts), "warnings": list(self.warnings),
             "notes": list(self.notes), "seed": self.seed, "confidence": self.confidence, "probe": action.probe,
         }  # fmt: skip
-        mechanics = [[getattr(each, name) for name in _MECHANICS] for each in self.stroke.mechanics]
+        mechanics = [[getattr(properties, name) for name in _MECHANICS] for properties in self.stroke.mechanics]
         arrays = {
             "schema": np.array(SCHEMA),
             "texts": np.frombuffer(json.dumps(texts, sort_keys=True).encode(), np.uint8),
@@ -113,7 +129,7 @@ class StrokeBake:
 
     @classmethod
     def from_bytes(cls, data: bytes, *, where: str = "stored bake") -> StrokeBake:
-        """Raises FileError where data are damaged, or of another version."""
+        """Parse a serialised bake. Raises FileError if it is damaged, or of another version."""
         try:
             arrays = read_npz(data)
             schema = int(arrays["schema"])
@@ -127,7 +143,7 @@ class StrokeBake:
 
 
 def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key: str, path_key: str) -> StrokeBake:
-    """What to keep of a stroke that was baked and felt. key, path_key: of its job."""
+    """Make the bake of a synthesised stroke; `key` and `path_key` are those of its job."""
     from .synthesise import compute_known_shares, get_signal_facts
 
     return StrokeBake(
@@ -146,7 +162,7 @@ def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key:
 
 
 def store_bake(obj: Any, bake: StrokeBake) -> None:
-    """Keep bake on a stroke's curve object. Raises SceneError for a linked object."""
+    """Store a bake on a stroke's curve object. Raises SceneError for a linked object."""
     if obj.library is not None:
         raise SceneError(
             f"it is linked from {obj.library.filepath} and cannot be written.",
@@ -157,7 +173,7 @@ def store_bake(obj: Any, bake: StrokeBake) -> None:
 
 
 def load_bake(obj: Any) -> StrokeBake | None:
-    """What store_bake kept, or None. Raises FileError where it is damaged."""
+    """Load a stroke's bake, None if there is none. Raises FileError if it is damaged."""
     data = get_property(obj, BAKE_PROPERTY)
     if data is None:
         return None
@@ -168,7 +184,7 @@ def load_bake(obj: Any) -> StrokeBake | None:
 
 
 def remove_bake(obj: Any) -> None:
-    """Forget the bake of a stroke, if it has one."""
+    """Remove a stroke's bake, if it has one."""
     delete_property(obj, BAKE_PROPERTY)
 
 
@@ -179,8 +195,10 @@ _DAMAGE_ERRORS: tuple[type[Exception], ...] = (HnfError, *NPZ_ERRORS)
 
 
 def _split_byte_planes(values: Float) -> NDArray[np.uint8]:
-    """(…) float64 → (8, …) uint8, byte by byte: signs and exponents beside each other compress, digits do not.
-    (4, …) where float32 holds the same values."""
+    """Split float64 (…) into byte planes (8, …), or (4, …) if float32 represents the values exactly.
+
+    Neighbouring sign and exponent bytes compress well; digits do not.
+    """
     short = values.astype("<f4")
     flat = np.ascontiguousarray(short if np.array_equal(short, values) else values.astype("<f8"))
     size = flat.dtype.itemsize
@@ -188,11 +206,11 @@ def _split_byte_planes(values: Float) -> NDArray[np.uint8]:
 
 
 def _join_byte_planes(planes: NDArray[np.uint8]) -> Float:
-    """The values that _planes took apart."""
+    """Join the byte planes of `_split_byte_planes`."""
     if planes.dtype != np.uint8 or planes.ndim < 2 or planes.shape[0] not in (4, 8):
         raise ValueError(f"an array of shape {planes.shape} is not one of byte planes")
-    whole = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
-    return np.asarray(whole.view(f"<f{planes.shape[0]}")[..., 0], dtype=np.float64)
+    interleaved = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
+    return np.asarray(interleaved.view(f"<f{planes.shape[0]}")[..., 0], dtype=np.float64)
 
 
 def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
@@ -210,7 +228,7 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
     )
     count = len(action.speed)
     tracks = (action.force, action.position, action.contact, arrays["patch_index"], arrays["on_surface"])
-    if action.direction.shape != (count, 2) or any(each.shape != (count,) for each in tracks):
+    if action.direction.shape != (count, 2) or any(track.shape != (count,) for track in tracks):
         raise ValueError("its arrays differ in length")
     profile = None
     if "profile" in arrays:
@@ -240,20 +258,24 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
 
 
 def _pack_fields(stroke: StrokeInput) -> dict[str, NDArray[Any]]:
-    """Each field that materials of the stroke bring, once, and which each token has, −1 = none; nothing where none
-    brings one."""
-    own = {each.identity: each for each in stroke.fields if each is not None}
-    if not own:
+    """Pack the fields that come with the stroke's materials, each once, and the field's index per token (−1 for none).
+
+    Empty if no material has one.
+    """
+    fields = {field.identity: field for field in stroke.fields if field is not None}
+    if not fields:
         return {}
-    names = list(own)
-    index = [-1 if each is None else names.index(each.identity) for each in stroke.fields]
-    weights = {f"field_{at}": np.frombuffer(serialise_field(own[name]), np.uint8) for at, name in enumerate(names)}
+    names = list(fields)
+    index = [-1 if field is None else names.index(field.identity) for field in stroke.fields]
+    weights = {
+        f"field_{number}": np.frombuffer(serialise_field(fields[name]), np.uint8) for number, name in enumerate(names)
+    }
     return {"field_index": np.array(index, dtype=np.int32), **weights}
 
 
 def _unpack_fields(arrays: Mapping[str, NDArray[Any]]) -> tuple[Field | None, ...]:
     if "field_index" not in arrays:
         return ()
-    index = [int(at) for at in arrays["field_index"]]
-    own = {at: parse_field(arrays[f"field_{at}"].tobytes(), "stored bake") for at in set(index) - {-1}}
-    return tuple(own.get(at) for at in index)
+    index = [int(number) for number in arrays["field_index"]]
+    fields = {number: parse_field(arrays[f"field_{number}"].tobytes(), "stored bake") for number in set(index) - {-1}}
+    return tuple(fields.get(number) for number in index)

@@ -1,9 +1,7 @@
-"""A generator of steps, told otherwise.
+"""Synthesise strokes: contacts → patches → materials and tokens → action and height profile → field → signal.
 
-One stroke: contacts → patches → materials → u(t) → field → signal.
-
-Strokes one after the other, described and handed on: what the command line, a window's child process and its twin in
-line have in common.
+`bake_steps` runs the strokes of a session one after the other, as a generator of progress; the command line and
+Blender's worker process share it. `synthesise_stroke` turns a baked stroke into a signal.
 """
 
 from __future__ import annotations
@@ -60,7 +58,7 @@ Result = TypeVar("Result")
 def map_steps(
     steps: Generator[Step, None, Result], convert: Callable[[Step], Mapped]
 ) -> Generator[Mapped, None, Result]:
-    """tell() of each step; what steps returns in the end. Closes steps however it ends."""
+    """Apply a function to every item that a generator yields, and pass its return value through."""
     with contextlib.closing(steps):
         while True:
             try:
@@ -71,19 +69,31 @@ def map_steps(
 
 
 USUAL_HEIGHT_RANGE_M = (0.5e-6, 2e-3)
-"""Peak-to-peak heights outside this are most likely an artist's slip, or a bump made for looks."""
+"""Usual peak-to-peak heights [m]; others are probably a mistake, or a bump made for its look."""
 FACT_NAMES = ("object", "material", "library_material", "routes", "height_source")
-"""What signal_facts tells, in the order in which every file tells it."""
+"""Names of `get_signal_facts`, in the order in which files list them."""
 MECHANICAL_PROPERTY_COUNT = 3
-"""Stiffness, damping, friction."""
+"""Number of mechanical properties: stiffness, damping, friction."""
 
 
 @dataclass(frozen=True)
 class BakedStroke:
-    """A stroke on its surface, described: everything the field needs, nothing heard yet.
+    """A stroke with everything the field needs; nothing is synthesised yet.
 
-    records, fused: per patch. patch_index: (n,) int32, −1 off the surface. materials: by slot. unread: why pictures
-    that could tell of a relief were not read.
+    Attributes
+    ----------
+    stroke : SceneStroke
+    touched : TouchedObject
+    contacts : Contacts
+    patches : tuple of Patch
+    patch_index : (n,) int32 array
+        Patch of each action sample, −1 off the surface.
+    records, fused : tuple
+        PatchRecord and FusedToken of each patch.
+    materials : Mapping[int, SlotMaterial]
+        Material by slot.
+    skip_reasons : tuple of str
+        Reasons why no relief was predicted from unlit images.
     """
 
     stroke: SceneStroke
@@ -98,43 +108,45 @@ class BakedStroke:
 
     @property
     def main_patch(self) -> int:
-        """The patch that the most samples touch."""
+        """Patch that most samples touch."""
         return int(np.bincount(self.patch_index[self.patch_index >= 0]).argmax())
 
     @property
     def main_material(self) -> SlotMaterial:
+        """Material of the main patch."""
         return self.materials[self.patches[self.main_patch].slot]
 
     @property
     def notes(self) -> tuple[str, ...]:
-        own = list(self.stroke.notes) + list(self.touched.surface.notes)
+        """Remarks for the user, each once."""
+        remarks = list(self.stroke.notes) + list(self.touched.surface.notes)
         for record in self.records:
-            own += record.notes
-        own += [*self._relief_notes(), *self._learned_notes(), *self._guess_notes(), *self.skip_reasons]
+            remarks += record.notes
+        remarks += [*self._relief_notes(), *self._learned_notes(), *self._guess_notes(), *self.skip_reasons]
         off = float(np.mean(~self.contacts.on_surface))
         if off > 0.0:
-            own.append(f"stroke '{self.stroke.name}': {off:.0%} of its time it is off the surface and silent.")
+            remarks.append(f"stroke '{self.stroke.name}': {off:.0%} of its time it is off the surface and silent.")
         if not self.contacts.uv_known[self.contacts.on_surface].all():
-            own.append(
+            remarks.append(
                 f"object '{self.stroke.object_name}' has no usable UVs under stroke '{self.stroke.name}': directions "
                 "are counted from the object's own axes."
             )
-        return tuple(dict.fromkeys(own))
+        return tuple(dict.fromkeys(remarks))
 
     def _guess_notes(self) -> list[str]:
-        told = (format_guess_note(each, self.stroke.object_name) for each in self.materials.values())
-        return [note for note in told if note]
+        notes = (format_guess_note(material, self.stroke.object_name) for material in self.materials.values())
+        return [note for note in notes if note]
 
     def _learned_notes(self) -> list[str]:
         return [
-            f"material '{each.shader}' was learned ({each.field.metadata.get('licence', '')}): "
+            f"material '{material.shader}' was learned ({material.field.metadata.get('licence', '')}): "
             "its shader's relief is not felt on top of it."
-            for each in self.materials.values()
-            if each.field is not None
+            for material in self.materials.values()
+            if material.field is not None
         ]
 
     def _relief_notes(self) -> list[str]:
-        """One line a material, of its tallest patch: each patch has its own figure, and ten lines say no more."""
+        """Return one note per material with an unusual relief, of its tallest patch."""
         tallest: dict[str, float] = {}
         for patch, record in zip(self.patches, self.records, strict=True):
             shader = self.materials[patch.slot].shader
@@ -151,8 +163,18 @@ class BakedStroke:
 
 @dataclass(frozen=True)
 class SynthesisedStroke:
-    """What a stroke gives. stroke: what synthesis was given. confidence: 0–1, of material and synthesis together.
-    warnings: what lowered the synthesis's own."""
+    """Signal of a stroke.
+
+    Attributes
+    ----------
+    stroke : StrokeInput
+        Input of the synthesis.
+    signal : Signal
+    confidence : float
+        Confidence of material and synthesis together, 0 to 1.
+    warnings : tuple of str
+        Reasons for a lower confidence of the synthesis.
+    """
 
     stroke: StrokeInput
     signal: Signal
@@ -161,6 +183,7 @@ class SynthesisedStroke:
 
     @property
     def action(self) -> Action:
+        """Action of the stroke."""
         return self.stroke.action
 
 
@@ -172,10 +195,34 @@ def bake_stroke_steps(
     counts: Counts,
     predictor: ReliefPredictor,
 ) -> Generator[float, None, BakedStroke]:
-    """Where and what a stroke touches. choices: slot (None = any) → library material named on the command line.
+    """Bake one stroke, as a generator that yields the completed fraction of its patches.
 
-    Yields which share of its patches is done. Raises StrokeError where the stroke touches nothing, or never with
-    force; MaterialError, before anything is rendered, where the artist names a material that does not exist.
+    Parameters
+    ----------
+    stroke : SceneStroke
+        Stroke.
+    touched : TouchedObject
+        Touched object.
+    choices : Mapping[int or None, str]
+        Slot (None for any) → library material of the command line.
+    folder : Path
+        Folder of cached patches.
+    counts : Counts
+        Counters, which are incremented.
+    predictor : ReliefPredictor
+        Networks that predict relief.
+
+    Returns
+    -------
+    BakedStroke
+        Return value of the generator.
+
+    Raises
+    ------
+    StrokeError
+        If the stroke touches nothing, or never with force.
+    MaterialError
+        If a chosen material does not exist; raised before anything is rendered.
     """
     where = f"stroke '{stroke.name}'"
     contacts = find_contacts(stroke.samples, stroke.get_surface(touched.surface.mesh), where=where)
@@ -209,19 +256,20 @@ def bake_stroke_steps(
 
 
 def _select_skipped_images(unlit_images: Iterable[UnlitImage]) -> list[UnlitImage]:
-    """Of the unread looks of a material, one for each reason and source: of those that are too coarse the finest, for
-    patches of splats have a figure each, and ten lines say no more."""
-    told: dict[tuple[bool, str], UnlitImage] = {}
-    for look in unlit_images:
-        kind = (is_too_coarse(look), look.source)
-        if kind not in told or look.resolved_wavelength_m < told[kind].resolved_wavelength_m:
-            told[kind] = look
-    return list(told.values())
+    """Return one image for each reason and source why relief was not predicted.
+
+    Of those that are too coarse it is the finest, since patches of splats all differ in resolution.
+    """
+    selected: dict[tuple[bool, str], UnlitImage] = {}
+    for unlit in unlit_images:
+        kind = (is_too_coarse(unlit), unlit.source)
+        if kind not in selected or unlit.resolved_wavelength_m < selected[kind].resolved_wavelength_m:
+            selected[kind] = unlit
+    return list(selected.values())
 
 
 def drop_maps(baked: BakedStroke) -> BakedStroke:
-    """What its faces' tokens follow from, and none of the maps and pictures that led there: a thousand strokes' would
-    fill the memory."""
+    """Return a baked stroke without maps and images, which for a thousand strokes would fill the memory."""
     none = np.zeros((0, 0), dtype=np.bool_)
     records = tuple(
         replace(record, height=None, mask=none, unlit=None, predicted=None, encoder=get_encoder_name(record))
@@ -231,54 +279,62 @@ def drop_maps(baked: BakedStroke) -> BakedStroke:
 
 
 def synthesise_stroke(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> SynthesisedStroke:
-    """Synthesise a baked stroke. counts grows by one F_Θ call."""
-    given = make_stroke_input(baked)
+    """Synthesise a baked stroke; increments `counts.network_calls`."""
+    stroke_input = make_stroke_input(baked)
     counts.network_calls += 1
-    made = synthesise_by_field(field, given, seed=seed)
-    share = compute_mean_share(compute_known_shares(baked), baked.patch_index)
-    return SynthesisedStroke(given, made.signal, share * made.confidence, made.warnings)
+    result = synthesise_by_field(field, stroke_input, seed=seed)
+    known_fraction = compute_mean_share(compute_known_shares(baked), baked.patch_index)
+    return SynthesisedStroke(stroke_input, result.signal, known_fraction * result.confidence, result.warnings)
 
 
 def make_stroke_input(baked: BakedStroke) -> StrokeInput:
-    """What the field is asked about a baked stroke: one token and one mechanics per patch, and the field that its
-    material brings. The height under the path is that of measured maps alone: a predicted one has the right texture,
-    not the right place of every grain."""
+    """Make the input of the field: action, and token, mechanics and field per patch.
+
+    The height profile under the path uses measured maps only: a predicted map has the right texture, but not the true
+    position of each detail.
+    """
     action = action_from_contacts(baked.contacts, baked.patches, baked.patch_index, baked.stroke.probe)
     profile = build_stroke_profile(
         action.position, baked.contacts.point, baked.patch_index, baked.patches, baked.records
     )
     if profile is not None:
-        # Its maps are float32: more digits would say nothing, and a stored stroke would be twice as large.
+        # Its maps are float32: more digits are meaningless, and would double the size of a stored stroke.
         profile = replace(profile, height=profile.height.astype(np.float32).astype(np.float64))
-    brought = tuple(baked.materials[patch.slot].field for patch in baked.patches)
+    fields = tuple(baked.materials[patch.slot].field for patch in baked.patches)
     return StrokeInput(
         action=action,
         tokens=np.stack([fused.values for fused in baked.fused]).astype(np.float32),
         mechanics=tuple(baked.materials[patch.slot].library.mechanics for patch in baked.patches),
         token_index=_extend_patch_index(baked.patch_index),
         profile=profile,
-        fields=() if all(each is None for each in brought) else brought,
+        fields=() if all(field is None for field in fields) else fields,
     )
 
 
 def compute_known_shares(baked: BakedStroke) -> NDArray[np.float64]:
-    """(M,) how far the field's condition is known on each patch, 0–1: the seven bands of the texture by their routes,
-    and the three mechanical properties, which no picture shows, by the confidence in the library material."""
-    guess = [baked.materials[patch.slot].confidence for patch in baked.patches]
+    """Return the known fraction of the field's condition on each patch (M,), 0 to 1.
+
+    The seven bands of the texture count by their routes, the three mechanical properties, which no image shows, by the
+    confidence in the library material.
+    """
+    confidences = [baked.materials[patch.slot].confidence for patch in baked.patches]
     return np.array([
-        (BAND_COUNT * fused.confidence + MECHANICAL_PROPERTY_COUNT * sure) / (BAND_COUNT + MECHANICAL_PROPERTY_COUNT)
-        for fused, sure in zip(baked.fused, guess, strict=True)
+        (BAND_COUNT * fused.confidence + MECHANICAL_PROPERTY_COUNT * value) / (BAND_COUNT + MECHANICAL_PROPERTY_COUNT)
+        for fused, value in zip(baked.fused, confidences, strict=True)
     ])  # fmt: skip
 
 
 def compute_mean_share(shares: NDArray[np.float64], patch_index: NDArray[np.int32]) -> float:
-    """Mean of known_shares (M,) over touch time. patch_index: (n,), −1 where nothing is touched."""
+    """Return the mean of known shares (M,) over the time of contact.
+
+    `patch_index` (n,) is −1 without contact.
+    """
     touched = np.bincount(patch_index[patch_index >= 0], minlength=len(shares))
     return float(np.average(shares, weights=touched))
 
 
 def get_signal_facts(baked: BakedStroke) -> dict[str, str]:
-    """What a WAV says of where its signal comes from, apart from the stroke's own name and its confidence."""
+    """Return the provenance of a signal, apart from the stroke's name and the confidence."""
     patch = baked.main_patch
     return {
         "object": baked.stroke.object_name,
@@ -290,39 +346,57 @@ def get_signal_facts(baked: BakedStroke) -> dict[str, str]:
 
 
 def add_provenance(signal: Signal, name: str, facts: Mapping[str, str], confidence: float) -> Signal:
-    """The signal with its origin written on it, as every WAV of a stroke has it. facts: of signal_facts."""
-    told = {fact: facts[fact] for fact in FACT_NAMES if fact in facts}
-    origin = {**signal.provenance, "stroke": name, **told, "confidence": f"{confidence:.3f}"}
-    return replace(signal, provenance=origin)
+    """Return a signal with the provenance of a stroke; `facts` are those of `get_signal_facts`."""
+    ordered_facts = {fact: facts[fact] for fact in FACT_NAMES if fact in facts}
+    provenance = {**signal.provenance, "stroke": name, **ordered_facts, "confidence": f"{confidence:.3f}"}
+    return replace(signal, provenance=provenance)
 
 
 def _extend_patch_index(index: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Off the surface the last touched patch goes on, before the first touch the first one."""
+    """Replace −1 by the last touched patch, before the first contact by the first one."""
     good = np.flatnonzero(index >= 0)
     at = np.clip(np.searchsorted(good, np.arange(len(index)), side="right") - 1, 0, None)
     return np.asarray(index[good[at]], dtype=np.int32)
 
 
 CACHE_FOLDER_NAME = "cache"
-"""Of the folder of patches beside a run's results."""
+"""Folder of cached patches next to a run's results."""
 OnStroke = Callable[[StrokeJob, BakedStroke], Iterable[str]]
-"""What to do with a described stroke; gives the name of each stage before it begins."""
+"""Function that processes a baked stroke and yields the name of each stage before it begins."""
 
 
 def bake_steps(
     session: Session, jobs: Sequence[StrokeJob], cache: Path, report: Report, on_stroke: OnStroke
 ) -> Generator[Progress, None, tuple[BakedStroke, ...]]:
-    """Bake every job and hand it to each; one that fails is named in the report and does not cost the others.
+    """Bake every job and pass it to `on_stroke`, as a generator of progress.
 
-    cache: folder of the patches' records. report: its failed, warnings, counts and timings grow. Yields before each
-    stage; the last one, "saving", is the caller's, who gets all that could be described, without their maps.
+    A job that fails is listed in the report; the others are still baked. The last stage, "saving", is left to the
+    caller.
+
+    Parameters
+    ----------
+    session : Session
+        Session of the scene.
+    jobs : sequence of StrokeJob
+        Strokes to bake.
+    cache : Path
+        Folder of cached patches.
+    report : Report
+        Its failures, warnings, counts and timings are extended.
+    on_stroke : callable
+        Processes a baked stroke; yields the name of each stage before it begins.
+
+    Returns
+    -------
+    tuple of BakedStroke
+        Return value of the generator: all strokes baked, without their maps.
     """
     baked: list[BakedStroke] = []
     total = len(jobs) + 1
     for done, job in enumerate(jobs):
         yield Progress(job.name, done, total)
         try:
-            with record_time(report, "bake_s"), single_blas_thread():  # Cycles and rays have both cores to fill
+            with record_time(report, "bake_s"), single_blas_thread():  # leaves all cores to Cycles and ray casts
                 described = yield from map_steps(
                     _bake_job_steps(session, job, cache, report),
                     partial(_closeup_progress, job.name, done, total),
@@ -335,7 +409,7 @@ def bake_steps(
         except KeyboardInterrupt:
             report.failed += [Failed(left.name, "stopped before it was finished.") for left in jobs[done:]]
             raise
-        except Exception as error:  # a fault of ours: the other strokes are still delivered
+        except Exception as error:  # a programming error: the other strokes are still baked
             traceback.print_exc()
             report.failed.append(Failed(job.name, f"{job.name}: internal error ({error!r}). Please report it."))
     yield Progress("saving", total - 1, total)
@@ -343,13 +417,13 @@ def bake_steps(
 
 
 def _closeup_progress(name: str, done: int, total: int, share: float) -> Progress:
-    """The share of one stroke's patches that is done, as a share of the whole."""
+    """Convert the completed fraction of one stroke's patches to progress of the run."""
     return Progress(f"{name}: close-ups", done, total, 0.9 * share)
 
 
 @contextlib.contextmanager
 def record_time(report: Report, name: str) -> Iterator[None]:
-    """Adds what the block takes to report.timings."""
+    """Add the duration of this block to report.timings [s]."""
     start = time.monotonic()
     try:
         yield
@@ -360,6 +434,7 @@ def record_time(report: Report, name: str) -> Iterator[None]:
 def _bake_job_steps(
     session: Session, job: StrokeJob, cache: Path, report: Report
 ) -> Generator[float, None, BakedStroke]:
+    """Place or read a job's stroke and bake it."""
     stroke = job.stroke
     if stroke is None:
         with record_time(report, "place_s"):

@@ -1,8 +1,7 @@
-"""u(t): what the hand does, at the action rate.
+"""The action u(t) = [direction, speed, normal force] at the action rate, and its reading from a CSV table.
 
-What an even grid can hold of a table of any grid: no vibration between its rows folds to a tone.
-
-An action from a table: the CSV that `hnf synth --action` reads.
+Tables may have any rising time grid. A table finer than the action rate is low-passed first, so that a vibration
+between its rows does not alias to a tone.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from ..errors import FileError, StrokeError
 
 ACTION_RATE_HZ = 200.0
-"""An artist's stroke has nothing above about 20 Hz; the field is evaluated at this rate and interpolated."""
+"""Rate at which the field is evaluated and then interpolated [Hz]; an artist's stroke has nothing above about 20 Hz."""
 
 Float = NDArray[np.float64]
 
@@ -29,10 +28,22 @@ Float = NDArray[np.float64]
 class Action:
     """u(t) = [direction, speed, normal force] on an even time grid that starts at 0.
 
-    rate: samples per second. direction: (n, 2) unit vectors (cos d, sin d) in the tangent frame of the touched
-    patch; where the hand rests, the last direction is kept. speed: (n,) m/s ≥ 0. force: (n,) N ≥ 0.
-    position: (n,) m, signed place along the path (arc length; runs backward when the stroke does).
-    contact: (n,) bool, False where F_z = 0 or the path is off the surface. probe: name in probe.PROBES.
+    Attributes
+    ----------
+    rate : float
+        Samples per second [Hz].
+    direction : ndarray, shape (n, 2)
+        Unit vectors (cos d, sin d) in the tangent frame of the touched patch; at rest, the last direction.
+    speed : ndarray, shape (n,)
+        Speed ≥ 0 [m/s].
+    force : ndarray, shape (n,)
+        Normal force ≥ 0 [N].
+    position : ndarray, shape (n,)
+        Signed arc length along the path [m]; falls when the stroke runs backward.
+    contact : ndarray of bool, shape (n,)
+        False where the force is 0 or the path is off the surface.
+    probe : str
+        Name in `material.probe.PROBES`.
     """
 
     rate: float
@@ -45,54 +56,72 @@ class Action:
 
     @property
     def time(self) -> Float:
+        """Times of the samples [s]."""
         return np.arange(len(self.speed)) / self.rate
 
     @property
     def duration_s(self) -> float:
+        """Time from the first sample to the last [s]."""
         return (len(self.speed) - 1) / self.rate
 
 
 CELLS_PER_SAMPLE = 16
-"""Averages per sample of the grid that the Gaussian is summed over. An average knows every row in its cell, so neither
-time nor memory follows the finest step of a table."""
+"""Number of averages per grid sample that the Gaussian is summed over. An average includes all rows in its cell, so
+that time and memory do not depend on the finest step of a table."""
 _SUPPORT_SIGMAS = 4.0
 _STEP_NEIGHBOURHOOD = 2.0
-"""Samples of the grid on either side of one that say how fine the table is there: about as far as the Gaussian."""
+"""Range on either side of a sample in which the table's step is measured, about that of the Gaussian [grid samples]."""
 _SUPPORT_SAMPLES = 4.0
-"""Samples of the grid that no average or Gaussian looks beyond."""
+"""Range that no average or Gaussian exceeds [grid samples]."""
 _SAMPLES_PER_CHUNK = 1024
 
 
 def resample_band_limited(values: Float, time: Float, count: int, rate: float) -> Float:
-    """(count, k) of values (n, k) at times (n,) [s], ascending, on a grid of `rate` Hz that begins with them.
+    """Resample a table to an even grid that starts with it, without aliasing.
 
-    Straight lines between rows; where the table is finer than half a step of the grid, averaged under a Gaussian that
-    is −3 dB at a quarter of the rate and −27 dB at three. Beyond its ends a table goes on as it began and ended.
+    Linear between rows. Where the table is finer than half a step of the grid, it is averaged under a Gaussian that is
+    −3 dB at a quarter of the rate and −27 dB at three quarters. Beyond its ends the end values continue.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, k)
+        Values of the table.
+    time : ndarray, shape (n,)
+        Rising times [s].
+    count : int
+        Number of grid samples.
+    rate : float
+        Rate of the grid [Hz].
+
+    Returns
+    -------
+    ndarray, shape (count, k)
+        Values on the grid.
     """
-    place = time[0] + np.arange(count) / rate
-    out = np.stack([np.interp(place, time, column) for column in values.T], axis=1)
+    grid = time[0] + np.arange(count) / rate
+    resampled = np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
     if np.diff(time).min() > 0.5 / rate:
-        return out
-    since, reach = time - time[0], _SUPPORT_SAMPLES / rate
-    for low in range(0, count, _SAMPLES_PER_CHUNK):
-        samples = np.arange(low, min(low + _SAMPLES_PER_CHUNK, count)) / rate
-        about = _find_rows(since, samples[0] - reach, samples[-1] + reach)
-        fine = _compute_mean_step(since[about], samples, rate) <= 0.5 / rate
-        if fine.any():
-            out[low : low + _SAMPLES_PER_CHUNK][fine] = _average_gaussian(
-                values[about], since[about], low, len(samples), rate
-            )[fine]
-    return out
+        return resampled
+    relative_time, reach = time - time[0], _SUPPORT_SAMPLES / rate
+    for start in range(0, count, _SAMPLES_PER_CHUNK):
+        samples = np.arange(start, min(start + _SAMPLES_PER_CHUNK, count)) / rate
+        rows = _find_rows(relative_time, samples[0] - reach, samples[-1] + reach)
+        is_fine = _compute_mean_step(relative_time[rows], samples, rate) <= 0.5 / rate
+        if is_fine.any():
+            resampled[start : start + _SAMPLES_PER_CHUNK][is_fine] = _average_gaussian(
+                values[rows], relative_time[rows], start, len(samples), rate
+            )[is_fine]
+    return resampled
 
 
 def _find_rows(time: Float, first: float, last: float) -> slice:
-    """The rows that say what is between two times, one beyond each where there is one."""
+    """Return the rows that determine the values between two times, with one row beyond each end if there is one."""
     low, high = np.searchsorted(time, (first, last))
     return slice(max(int(low) - 1, 0), int(high) + 1)
 
 
 def _compute_mean_step(time: Float, at: Float, rate: float) -> Float:
-    """Mean step [s] of the rows about each place: one narrow pair among wide ones does not make a table fine."""
+    """Return the mean step [s] of the rows around each time: a single narrow pair does not make a table fine."""
     low = np.maximum(at - _STEP_NEIGHBOURHOOD / rate, time[0])
     high = np.minimum(at + _STEP_NEIGHBOURHOOD / rate, time[-1])
     row = np.arange(len(time), dtype=np.float64)
@@ -100,45 +129,68 @@ def _compute_mean_step(time: Float, at: Float, rate: float) -> Float:
 
 
 def _average_gaussian(values: Float, time: Float, first: int, count: int, rate: float) -> Float:
-    """(count, k) under the Gaussian, from sample `first` of the grid on; times begin with 0."""
+    """Return averages (count, k) under the Gaussian, from grid sample `first` on; times start at 0."""
     cell = 1.0 / (rate * CELLS_PER_SAMPLE)
     sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * 0.25 * rate)
     reach = int(np.ceil(_SUPPORT_SIGMAS * sigma / cell))
     weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) * cell / sigma))
-    middles = np.arange(first * CELLS_PER_SAMPLE - reach, (first + count - 1) * CELLS_PER_SAMPLE + reach + 1)
-    cells = _compute_cell_means(values, time, (np.append(middles, middles[-1] + 1) - 0.5) * cell)
+    cell_indices = np.arange(first * CELLS_PER_SAMPLE - reach, (first + count - 1) * CELLS_PER_SAMPLE + reach + 1)
+    cells = _compute_cell_means(values, time, (np.append(cell_indices, cell_indices[-1] + 1) - 0.5) * cell)
     return np.asarray(sliding_window_view(cells, len(weights), axis=0)[::CELLS_PER_SAMPLE] @ (weights / weights.sum()))
 
 
 def _compute_cell_means(values: Float, time: Float, edges: Float) -> Float:
-    """(m, k) of the straight lines between rows, in each of m cells between edges (m + 1,): exact, and with nothing
-    subtracted that is nearly equal."""
+    """Return exact means (m, k) of the linear interpolation in m cells between edges (m + 1,).
+
+    Nearly equal numbers are never subtracted.
+    """
     inside = time[slice(*np.searchsorted(time, (edges[0], edges[-1])))]
     knots = np.sort(np.concatenate([edges, inside]), kind="stable")
     width, starts = np.diff(knots), np.searchsorted(knots, edges[:-1])
     spans = np.add.reduceat(width, starts)
     means = np.empty((len(edges) - 1, values.shape[1]))
     for column, series in enumerate(values.T):
-        at = np.interp(knots, time, series)
-        means[:, column] = np.add.reduceat(0.5 * width * (at[1:] + at[:-1]), starts) / spans
+        knot_values = np.interp(knots, time, series)
+        means[:, column] = np.add.reduceat(0.5 * width * (knot_values[1:] + knot_values[:-1]), starts) / spans
     return means
 
 
 CSV_COLUMNS = ("time_s", "direction_rad", "speed_m_s", "force_n")
+"""Columns of a table."""
 MAX_ACTION_S = 86_400.0
-"""Whoever asks for more has another unit in mind: ten seconds in microseconds would be four months."""
+"""Longest accepted action [s]; a longer one has another unit, as ten seconds in microseconds would be four months."""
 MAX_TURNS, MAX_STEP_S = 2.0, 1.5
-"""Beyond them a table is read as it is, and doubted: a hand turns and changes its mind in less."""
+"""Limits of direction [turns] and of the median time step [s] beyond which a table's units are doubted."""
 _CSV_REMEDY = f"Give the header {','.join(CSV_COLUMNS)} and one row of four numbers per time."
 
 
 def read_action_csv(
     path: Path, probe: str = "pen", rate: float = ACTION_RATE_HZ, *, warn: Callable[[str], None] = lambda _: None
 ) -> Action:
-    """Read a CSV with the columns time_s, direction_rad, speed_m_s, force_n (any order, any rising time grid).
+    """Read an action from a CSV table.
 
-    warn: is told in words what looks like a number of another unit; it is read as it is. Raises FileError where it
-    cannot be read or is no such table, StrokeError where its values make no action.
+    Parameters
+    ----------
+    path : Path
+        Table with the columns time_s, direction_rad, speed_m_s and force_n, in any order, on any rising time grid.
+    probe : str
+        Contacting tip.
+    rate : float
+        Rate of the action [Hz].
+    warn : callable
+        Called with a message for values that seem to have another unit; they are read as they are.
+
+    Returns
+    -------
+    Action
+        The action.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read or is no such table.
+    StrokeError
+        If its values make no action.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
@@ -149,34 +201,55 @@ def read_action_csv(
         raise FileError(f"not a CSV table ({error}).", where=str(path), remedy=_CSV_REMEDY) from error
     columns = [table[:, header.index(name)] for name in CSV_COLUMNS]
     action = action_from_table(*columns, probe=probe, rate=rate, where=str(path), lines=lines)
-    for doubt in check_units(*columns[:2]):
-        warn(f"{path.name}: {doubt}")
+    for message in check_units(*columns[:2]):
+        warn(f"{path.name}: {message}")
     return action
 
 
 def check_units(time: Float, direction: Float) -> tuple[str, ...]:
-    """In words, what of a table's times and directions (n,) is hardly in seconds and radians."""
-    doubts = []
+    """Return messages about times and directions (n,) that are hardly in seconds and radians."""
+    messages = []
     widest, step = float(np.max(np.abs(direction))), float(np.median(np.diff(time)))
     if widest > MAX_TURNS * 2.0 * np.pi:
-        doubts.append(f"direction_rad reaches {widest:.4g}, more than {MAX_TURNS:g} turns: is it in degrees?")
+        messages.append(f"direction_rad reaches {widest:.4g}, more than {MAX_TURNS:g} turns: is it in degrees?")
     if len(time) > 2 and step > MAX_STEP_S:
-        doubts.append(f"time_s steps by {step:.4g} s from row to row: is it in milliseconds?")
-    return tuple(doubts)
+        messages.append(f"time_s steps by {step:.4g} s from row to row: is it in milliseconds?")
+    return tuple(messages)
 
 
 def action_from_table(
     time: Float, direction: Float, speed: Float, force: Float, *, probe: str = "pen", rate: float = ACTION_RATE_HZ,
     where: str = "action", lines: Sequence[int] = (),
 ) -> Action:  # fmt: skip
-    """Columns (n,) on any rising time grid [s, rad, m/s, N] → Action on an even one.
+    """Make an action from columns (n,) on any rising time grid.
 
-    Direction is interpolated as a vector (179° and −179° are neighbours); where it vanishes, the nearest row's counts.
-    Position is the integral of speed over the table's own grid. Contact is where force is above zero. Of a table finer
-    than the action, what the action cannot hold is taken out first: a vibration in it would fold to a tone. where,
-    lines: the table and its rows (n,) as messages name them; without lines they are rows 1, 2 and so on. Raises
-    StrokeError for columns of different lengths or of fewer than two rows, a grid that does not rise, spans less than
-    5 ms or more than a day, values that are not finite, or negative speed or force.
+    Direction is interpolated as a vector (179° and −179° are neighbours); where that vanishes, the nearest row counts.
+    Position is the integral of speed over the table's own grid. There is contact where the force is positive. A table
+    finer than the action is low-passed first (`resample_band_limited`).
+
+    Parameters
+    ----------
+    time, direction, speed, force : ndarray, shape (n,)
+        Columns [s, rad, m/s, N].
+    probe : str
+        Contacting tip.
+    rate : float
+        Rate of the action [Hz].
+    where : str
+        Name of the table in messages.
+    lines : sequence of int
+        Line numbers of the rows in messages; rows are counted from 1 without them.
+
+    Returns
+    -------
+    Action
+        The action.
+
+    Raises
+    ------
+    StrokeError
+        For columns of different lengths or fewer than two rows, times that do not rise, durations below 5 ms or above a
+        day, values that are not finite, or negative speed or force.
     """
     if not time.shape == direction.shape == speed.shape == force.shape or time.ndim != 1:
         shapes = ", ".join(str(column.shape) for column in (time, direction, speed, force))
@@ -205,53 +278,52 @@ def action_from_table(
         raise StrokeError(
             f"it lasts {duration:.3g} s, and 0.005 s is the least.", where=where, remedy="Give a longer time span."
         )
-    place = time[0] + np.arange(count) / rate
-    travelled = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))])
+    grid = time[0] + np.arange(count) / rate
+    distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))])
     vector = resample_band_limited(np.stack([np.cos(direction), np.sin(direction)], axis=1), time, count, rate)
     length = np.linalg.norm(vector, axis=1, keepdims=True)
-    nearest = direction[np.searchsorted(time, place).clip(0, len(time) - 1)]
-    kept = np.stack([np.cos(nearest), np.sin(nearest)], axis=1)
-    contact = np.interp(place, time, force) > 0.0
-    slow = resample_band_limited(np.stack([speed, force], axis=1), time, count, rate)
+    nearest = direction[np.searchsorted(time, grid).clip(0, len(time) - 1)]
+    nearest_vector = np.stack([np.cos(nearest), np.sin(nearest)], axis=1)
+    contact = np.interp(grid, time, force) > 0.0
+    resampled = resample_band_limited(np.stack([speed, force], axis=1), time, count, rate)
     return Action(
         rate=rate,
-        direction=np.where(length > 1e-6, vector / np.maximum(length, 1e-6), kept),
-        speed=slow[:, 0],
-        force=np.where(contact, slow[:, 1], 0.0),
-        position=_integrate_speed(place, time, speed, travelled),
+        direction=np.where(length > 1e-6, vector / np.maximum(length, 1e-6), nearest_vector),
+        speed=resampled[:, 0],
+        force=np.where(contact, resampled[:, 1], 0.0),
+        position=_integrate_speed(grid, time, speed, distance),
         contact=contact,
         probe=probe,
     )
 
 
 def _format_row(row: int, lines: Sequence[int]) -> str:
-    """A row, counted from 0, as a message names it: its line in the file, or its number where there is none."""
+    """Format a row, counted from 0, for a message: its line in the file, or its number if there is none."""
     return f"line {lines[row]}" if lines else f"row {row + 1}"
 
 
 def _read_table(path: Path, stream: Iterable[str]) -> tuple[list[str], Float, Sequence[int]]:
-    """Header, (n, columns) numbers and the n lines of the file that they stand in; a row of text is held no longer than
-    it takes to read it."""
+    """Return the header, numbers (n, columns) and line numbers of the n rows; text is not kept in memory."""
     rows = csv.reader(stream)
-    filled = (row for row in rows if any(cell.strip() for cell in row))
-    header = [cell.strip() for cell in next(filled, [])]
+    nonblank = (row for row in rows if any(cell.strip() for cell in row))
+    header = [cell.strip() for cell in next(nonblank, [])]
     for name in CSV_COLUMNS:
         if header.count(name) != 1:
             fault = f"column {name} is missing" if name not in header else f"there are two columns {name}"
             raise FileError(f"{fault}.", where=str(path), remedy=_CSV_REMEDY)
     numbers, lines = array("d"), array("q")
-    for row in filled:
+    for row in nonblank:
         numbers.extend(_parse_row(path, rows.line_num, row, header))
         lines.append(rows.line_num)
     return header, np.array(numbers, dtype=np.float64).reshape(-1, len(header)), lines
 
 
 def _integrate_speed(at: Float, time: Float, speed: Float, travelled: Float) -> Float:
-    """∫ speed dt with speed linear between rows: exact, also between them."""
+    """Integrate speed, linear between rows, exactly up to times `at`."""
     row = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
     dt = at - time[row]
-    share = dt / (time[row + 1] - time[row])
-    return np.asarray(travelled[row] + dt * (speed[row] + 0.5 * share * (speed[row + 1] - speed[row])))
+    fraction = dt / (time[row + 1] - time[row])
+    return np.asarray(travelled[row] + dt * (speed[row] + 0.5 * fraction * (speed[row + 1] - speed[row])))
 
 
 def _parse_row(path: Path, number: int, row: list[str], header: list[str]) -> list[float]:

@@ -1,8 +1,6 @@
-"""Where a stroke touches: samples of a path against a mesh become contact points with a tangent frame.
+"""Contacts of a stroke with a mesh: for every sample the nearest surface point, a tangent frame and relative velocity.
 
-The nearest point of a triangle mesh, exact in float64, in plain numpy.
-
-Surfaces that change shape while they are touched.
+Surfaces may deform. Nearest points are exact in float64, in plain numpy.
 """
 
 from __future__ import annotations
@@ -20,45 +18,46 @@ Float = NDArray[np.float64]
 Int = NDArray[np.intp]
 
 _BOUND_SAMPLES = 2048
+"""Number of triangles above which those far from all points are excluded first."""
 _PAIRS_PER_CHUNK = 4_000_000
-"""Point–triangle pairs looked at together; bounds the memory to some 100 MB."""
+"""Number of point–triangle pairs tested together; limits the memory to some 100 MB."""
 
 
 def find_nearest_on_triangles(points: Float, corners: Float) -> ClosestPoints:
-    """Nearest point of triangles (T, 3, 3) to each point (n, 3); of equally near triangles the first.
+    """Find the nearest point of triangles (T, 3, 3) to each point (n, 3); of equally near triangles, the first.
 
-    A triangle is looked at only if its bounding sphere may hold something nearer than the nearest centroid.
+    A triangle is tested only if its bounding sphere may contain something nearer than the nearest centroid.
     """
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
     near = _select_near_triangles(points, corners, centre)
-    # Counted from the points: squares of kilometres have no digits left for millimetres.
+    # Coordinates are relative to the points, because squares of kilometres leave no digits for millimetres.
     origin = points.mean(axis=0) if len(points) else np.zeros(3)
     centre, radius = centre[near] - origin, radius[near]
     step = max(1, _PAIRS_PER_CHUNK // max(1, len(near)))
-    parts = [
+    chunks = [
         _find_nearest_in_chunk(points[i : i + step], corners, near, centre, radius, origin)
         for i in range(0, len(points), step)
     ]
-    return concatenate_hits(parts)
+    return concatenate_hits(chunks)
 
 
 def concatenate_hits(parts: list[ClosestPoints]) -> ClosestPoints:
-    """One Closest of several, in order."""
+    """Concatenate closest points in order."""
     return ClosestPoints(
-        np.concatenate([part.triangle for part in parts]),
-        np.concatenate([part.barycentric for part in parts]),
-        np.concatenate([part.position for part in parts]),
-        np.concatenate([part.distance for part in parts]),
+        np.concatenate([chunk.triangle for chunk in parts]),
+        np.concatenate([chunk.barycentric for chunk in parts]),
+        np.concatenate([chunk.position for chunk in parts]),
+        np.concatenate([chunk.distance for chunk in parts]),
     )
 
 
 def _select_near_triangles(points: Float, corners: Float, centre: Float) -> Int:
-    """Triangles whose box meets the points' box, widened by a bound on the largest distance."""
+    """Return the triangles whose bounding box overlaps that of the points, widened by a bound on the distance."""
     if len(corners) <= _BOUND_SAMPLES:
         return np.arange(len(corners), dtype=np.intp)
-    some = centre[:: len(centre) // _BOUND_SAMPLES + 1]
-    bound = max(float(np.sqrt(((some - p) ** 2).sum(axis=1).min())) for p in points)
+    sampled = centre[:: len(centre) // _BOUND_SAMPLES + 1]
+    bound = max(float(np.sqrt(((sampled - p) ** 2).sum(axis=1).min())) for p in points)
     low, high = points.min(axis=0) - bound, points.max(axis=0) + bound
     inside = (corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)
     return np.flatnonzero(inside.all(axis=1))
@@ -72,17 +71,17 @@ def _find_nearest_in_chunk(
     squared = square - 2.0 * local @ centre.T + length
     slack = 1e-12 * (square + length)
     distance = np.sqrt(np.maximum(squared, 0.0) + slack)
-    who, which = np.nonzero(distance - radius <= distance.min(axis=1, keepdims=True) + 2.0 * np.sqrt(slack))
-    triangle = near[which]
-    barycentric = find_closest_barycentric(corners[triangle], points[who])
-    found = np.einsum("nc,ncx->nx", barycentric, corners[triangle])
-    gap = np.linalg.norm(found - points[who], axis=1)
-    least = np.full(len(points), np.inf)
-    np.minimum.at(least, who, gap)
-    # Across a shared edge rounding decides; a tie of a nanometre goes to the lower index instead.
-    good = np.flatnonzero(gap <= least[who] + 1e-9)
-    first = good[np.unique(who[good], return_index=True)[1]]
-    return ClosestPoints(triangle[first].astype(np.int32), barycentric[first], found[first], gap[first])
+    point_index, column = np.nonzero(distance - radius <= distance.min(axis=1, keepdims=True) + 2.0 * np.sqrt(slack))
+    triangle = near[column]
+    barycentric = find_closest_barycentric(corners[triangle], points[point_index])
+    positions = np.einsum("nc,ncx->nx", barycentric, corners[triangle])
+    gap = np.linalg.norm(positions - points[point_index], axis=1)
+    min_gap = np.full(len(points), np.inf)
+    np.minimum.at(min_gap, point_index, gap)
+    # Ties within a nanometre go to the lower index, since at a shared edge rounding would decide.
+    is_nearest = np.flatnonzero(gap <= min_gap[point_index] + 1e-9)
+    first = is_nearest[np.unique(point_index[is_nearest], return_index=True)[1]]
+    return ClosestPoints(triangle[first].astype(np.int32), barycentric[first], positions[first], gap[first])
 
 
 Int32 = NDArray[np.int32]
@@ -90,10 +89,19 @@ Int32 = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class DeformingMesh:
-    """A mesh whose vertices move and whose triangles stay.
+    """A mesh with moving vertices and fixed triangles.
 
-    mesh: its shape at rest. time: (F,) s ascending. vertices: (F, V, 3) m in the surface frame at those times;
-    between them Catmull-Rom in time, so that the surface's own speed has no steps; outside, the end shapes.
+    Between the given times, vertices follow Catmull-Rom splines, so that the surface's velocity has no steps; outside,
+    the end shapes continue.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+        Shape at rest.
+    time : ndarray, shape (F,)
+        Rising times [s].
+    vertices : ndarray, shape (F, V, 3)
+        Positions at these times in the surface frame [m].
     """
 
     mesh: TriangleMesh
@@ -101,7 +109,7 @@ class DeformingMesh:
     vertices: NDArray[np.float64] | NDArray[np.float32]
 
     def corners_at(self, time: float, triangle: Int32 | None = None) -> Float:
-        """Corner positions (T or n, 3, 3) at a time, of all or the given triangles."""
+        """Return the corner positions (T or n, 3, 3) [m] of all or the given triangles at a time [s]."""
         index = self.mesh.triangles if triangle is None else self.mesh.triangles[triangle]
         frames, weights = self._compute_time_weights(time)
         return np.asarray(
@@ -109,8 +117,24 @@ class DeformingMesh:
         )
 
     def find_nearest(self, time: Float, points: Float) -> tuple[ClosestPoints, Float, Float]:
-        """Closest material point of each sample (n,), (n, 3), at that sample's time: the hit, its triangle's corners
-        (n, 3, 3) at that time, and the velocity (n, 3) m/s of the material there."""
+        """Find the closest material point of each sample at its time.
+
+        Parameters
+        ----------
+        time : ndarray, shape (n,)
+            Times [s].
+        points : ndarray, shape (n, 3)
+            Positions [m].
+
+        Returns
+        -------
+        hit : ClosestPoints
+            The closest points.
+        corners : ndarray, shape (n, 3, 3)
+            Corners of their triangles at that time [m].
+        velocity : ndarray, shape (n, 3)
+            Velocity of the material there [m/s].
+        """
         hits, corners = [], []
         for t, point in zip(time, points, strict=True):
             shape = self.corners_at(float(t))
@@ -121,6 +145,7 @@ class DeformingMesh:
         return hit, np.concatenate(corners), self._compute_material_velocity(time, hit)
 
     def _compute_material_velocity(self, time: Float, hit: ClosestPoints) -> Float:
+        """Return the velocity (n, 3) [m/s] of the material points that were hit."""
         step = 1e-3
         drift = np.empty((len(time), 3))
         for i, t in enumerate(time):
@@ -134,7 +159,7 @@ class DeformingMesh:
         return drift
 
     def _compute_time_weights(self, time: float) -> tuple[list[int], list[float]]:
-        """Frames and weights of the Catmull-Rom spline on an uneven grid (cubic Hermite, central slopes)."""
+        """Return frames and weights of the Catmull-Rom spline on an uneven grid (cubic Hermite, central slopes)."""
         count = len(self.time)
         if count == 1 or time <= self.time[0]:
             return [0], [1.0]
@@ -148,25 +173,27 @@ class DeformingMesh:
         weights = dict.fromkeys(range(max(i - 1, 0), min(i + 3, count)), 0.0)
         weights[i] += h00
         weights[i + 1] += h01
-        for knot, share in ((i, h10), (i + 1, h11)):
+        for knot, weight in ((i, h10), (i + 1, h11)):
             low, high = max(knot - 1, 0), min(knot + 1, count - 1)
-            slope = share * float(width / (self.time[high] - self.time[low]))
+            slope = weight * float(width / (self.time[high] - self.time[low]))
             weights[high] += slope
             weights[low] -= slope
         return list(weights), list(weights.values())
 
 
 def transform_to_rest(mesh: TriangleMesh, triangle: Int32, corners: Float, vectors: Float) -> Float:
-    """Vectors (n, 3) on triangles whose corners moved to (n, 3, 3), carried back to the shape at rest by the inverse
-    of each triangle's deformation gradient; lengths change as the surface was stretched."""
+    """Transform vectors (n, 3) on deformed triangles, corners (n, 3, 3), to the shape at rest.
+
+    Uses the inverse of each triangle's deformation gradient; lengths change as the surface was stretched.
+    """
     rest, moved = _compute_edge_frames(mesh.vertices[mesh.triangles[triangle]]), _compute_edge_frames(corners)
-    flat = np.abs(np.linalg.det(moved)) <= 1e-30  # a triangle without area tells nothing of how it turned
-    rest[flat] = moved[flat] = np.eye(3)
+    degenerate = np.abs(np.linalg.det(moved)) <= 1e-30  # a triangle without area has no rotation
+    rest[degenerate] = moved[degenerate] = np.eye(3)
     return np.asarray((rest @ np.linalg.solve(moved, vectors[:, :, None]))[:, :, 0])
 
 
 def _compute_edge_frames(corners: Float) -> Float:
-    """Edge, edge and normal (as long as the edges) as the columns of (n, 3, 3)."""
+    """Return two edges and the normal, scaled like the edges, as the columns of (n, 3, 3)."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(first, second)
     size = np.sqrt(np.maximum(np.linalg.norm(normal, axis=1), 1e-300))
@@ -176,17 +203,30 @@ def _compute_edge_frames(corners: Float) -> Float:
 Bool = NDArray[np.bool_]
 
 CONTACT_TOLERANCE_M = 5e-3
-"""How far a drawn curve may float above or sink below the surface and still touch it."""
+"""Largest distance between a curve and a surface that it touches [m]."""
 STEEP_COSINE = 2**-0.5
+"""Cosine of the steepest angle to the surface at which a path keeps its full speed."""
 
 
 @dataclass(frozen=True)
 class StrokeSamples:
-    """A stroke at the action rate, in the surface frame (m).
+    """A stroke at the action rate, in the surface frame.
 
-    time: (n,) s, even, from 0. point, tangent: (n, 3). position: (n,) m, signed place along the curve.
-    velocity: (n,) m/s along the curve. force: (n,) N ≥ 0. moving: whether curve or surface are animated, so that
-    the point's own path, not velocity · tangent, says how fast it goes.
+    Attributes
+    ----------
+    time : ndarray, shape (n,)
+        Even times from 0 [s].
+    point, tangent : ndarray, shape (n, 3)
+        Position [m] and unit tangent of the curve.
+    position : ndarray, shape (n,)
+        Signed arc length along the curve [m].
+    velocity : ndarray, shape (n,)
+        Velocity along the curve [m/s].
+    force : ndarray, shape (n,)
+        Normal force ≥ 0 [N].
+    moving : bool
+        True if curve or surface are animated, so that the derivative of `point`, not velocity · tangent, is the
+        velocity.
     """
 
     time: Float
@@ -200,14 +240,36 @@ class StrokeSamples:
 
 @dataclass(frozen=True)
 class Contacts:
-    """The touch, sample by sample, in the surface frame (SI units), on a deforming surface in its shape at rest:
-    tokens, patches and height maps belong to the material, wherever it has moved to.
+    """Contact of every sample, in the surface frame; on a deforming surface in its shape at rest.
 
-    time, position, force: as in StrokeSamples (on a moving surface position is the way travelled relative to it).
-    point: (n, 3) on the surface. normal: (n, 3) unit, interpolated. uv_tangent: (n, 3) unit, orthogonal to normal:
-    ∂p/∂u, or where uv_known (n,) is False an axis of the object. triangle, face, slot: (n,). barycentric: (n, 3).
-    velocity: (n, 3) m/s relative to the surface's material, tangential; its length is the speed as it happened.
-    on_surface: (n,) bool, distance within the tolerance. distance: (n,) m between curve and surface.
+    Tokens, patches and height maps belong to the material, wherever it has moved to.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n,)
+        Times [s].
+    point : ndarray, shape (n, 3)
+        Point on the surface [m].
+    normal : ndarray, shape (n, 3)
+        Interpolated unit normal.
+    uv_tangent : ndarray, shape (n, 3)
+        Unit tangent ∂p/∂u, orthogonal to `normal`; an axis of the object where `uv_known` is False.
+    uv_known : ndarray of bool, shape (n,)
+        True where the UVs determine the tangent.
+    triangle, face, slot : ndarray of int32, shape (n,)
+        Triangle, polygon and material slot.
+    barycentric : ndarray, shape (n, 3)
+        Weights of the triangle's corners.
+    position : ndarray, shape (n,)
+        Arc length along the curve, on a moving surface relative to it [m].
+    velocity : ndarray, shape (n, 3)
+        Tangential velocity relative to the surface's material [m/s]; its length is the actual speed.
+    force : ndarray, shape (n,)
+        Normal force [N].
+    on_surface : ndarray of bool, shape (n,)
+        True within the tolerance.
+    distance : ndarray, shape (n,)
+        Distance between curve and surface [m].
     """
 
     time: Float
@@ -233,11 +295,34 @@ def find_contacts(
     tolerance_m: float = CONTACT_TOLERANCE_M,
     where: str = "",
 ) -> Contacts:
-    """Nearest surface point of every sample, with its frame and the velocity relative to the material there.
+    """Find the nearest surface point of every sample, its frame, and the velocity relative to the material.
 
-    On a deforming surface that velocity is dp/dt − ∂x/∂t at a fixed material point x, which to first order is the
-    material displacement x(b, t_b) − x(a, t_b) between two contacts. Where the curve runs steeply against the
-    surface (over 45°, a lift) the speed fades to that along it. Raises SceneError for a mesh without triangles.
+    Parameters
+    ----------
+    samples : StrokeSamples
+        The stroke.
+    surface : TriangleMesh or DeformingMesh
+        The surface.
+    tolerance_m : float
+        Distance within which the curve touches the surface [m].
+    where : str
+        Name of the object in messages.
+
+    Returns
+    -------
+    Contacts
+        The contact of every sample.
+
+    Raises
+    ------
+    SceneError
+        For a mesh without triangles.
+
+    Notes
+    -----
+    On a deforming surface the velocity is dp/dt − ∂x/∂t at a fixed material point x, to first order the material
+    displacement x(b, t_b) − x(a, t_b) between two contacts. Where the curve is steeper than 45° to the surface (a
+    lift), the speed fades to that along the surface.
     """
     mesh = surface.mesh if isinstance(surface, DeformingMesh) else surface
     if len(mesh.triangles) == 0:
@@ -280,35 +365,51 @@ def find_contacts(
 
 
 def interpolate_normals(normals: Float, corners: Float, barycentric: Float) -> Float:
-    """Unit normals (n, 3) at barycentric places from corner normals (n, 3, 3); where they cancel, the facet's own."""
+    """Interpolate corner normals (n, 3, 3) to unit normals (n, 3); where they cancel, the facet's normal."""
     blended = np.einsum("nc,ncx->nx", barycentric, normals)
-    size = np.linalg.norm(blended, axis=1)
+    length = np.linalg.norm(blended, axis=1)
     facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    blended = np.where(size[:, None] > 1e-6, blended, facet)
-    size = np.linalg.norm(blended, axis=1)
-    flat = size <= 1e-30
-    blended[flat], size[flat] = (0.0, 0.0, 1.0), 1.0
-    return np.asarray(blended / size[:, None])
+    blended = np.where(length[:, None] > 1e-6, blended, facet)
+    length = np.linalg.norm(blended, axis=1)
+    degenerate = length <= 1e-30
+    blended[degenerate], length[degenerate] = (0.0, 0.0, 1.0), 1.0
+    return np.asarray(blended / length[:, None])
 
 
 def compute_tangents(corners: Float, uv: Float | None, normal: Float) -> tuple[Float, Bool]:
-    """Unit ∂p/∂u (n, 3) of triangles (n, 3, 3) with corner UVs (n, 3, 2), made orthogonal to normal (n, 3).
+    """Compute unit tangents ∂p/∂u orthogonal to the normal.
 
-    Where there are no UVs, or they span no area, or are no numbers: the object's +X laid on the surface, or its +Y
-    where the normal lies within 30° of X. Second result: (n,) bool, True where the UVs decided.
+    Parameters
+    ----------
+    corners : ndarray, shape (n, 3, 3)
+        Corners of the triangles [m].
+    uv : ndarray, shape (n, 3, 2), or None
+        Corner UVs.
+    normal : ndarray, shape (n, 3)
+        Unit normals.
+
+    Returns
+    -------
+    tangent : ndarray, shape (n, 3)
+        Tangents. Without UVs, or for UVs without area or not finite: the object's +X projected on the surface, or its
+        +Y if the normal is within 30° of X.
+    known : ndarray of bool, shape (n,)
+        True where the UVs determine the tangent.
     """
     known = np.zeros(len(normal), dtype=bool)
     direction = np.zeros_like(normal)
     if uv is not None:
         uv = np.where(np.isfinite(uv).all(axis=(1, 2), keepdims=True), uv, 0.0)
-        du, dv = uv[:, 1:] - uv[:, :1], corners[:, 1:] - corners[:, :1]
-        determinant = du[:, 0, 0] * du[:, 1, 1] - du[:, 1, 0] * du[:, 0, 1]
+        uv_edges, edges = uv[:, 1:] - uv[:, :1], corners[:, 1:] - corners[:, :1]
+        determinant = uv_edges[:, 0, 0] * uv_edges[:, 1, 1] - uv_edges[:, 1, 0] * uv_edges[:, 0, 1]
         area = np.abs(determinant)
-        span = np.linalg.norm(du[:, 0], axis=1) * np.linalg.norm(du[:, 1], axis=1)
+        span = np.linalg.norm(uv_edges[:, 0], axis=1) * np.linalg.norm(uv_edges[:, 1], axis=1)
         known = area > 1e-9 * span
-        direction = (du[:, 1, 1, None] * dv[:, 0] - du[:, 0, 1, None] * dv[:, 1]) * np.sign(determinant)[:, None]
-        direction, known_flat = _project_onto_plane(direction, normal)
-        known &= known_flat
+        direction = (uv_edges[:, 1, 1, None] * edges[:, 0] - uv_edges[:, 0, 1, None] * edges[:, 1]) * np.sign(
+            determinant
+        )[:, None]
+        direction, is_defined = _project_onto_plane(direction, normal)
+        known &= is_defined
     near_x = np.abs(normal[:, 0]) > np.cos(np.pi / 6)
     axis = np.where(near_x[:, None], np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]))
     fallback, _ = _project_onto_plane(axis, normal)
@@ -316,28 +417,37 @@ def compute_tangents(corners: Float, uv: Float | None, normal: Float) -> tuple[F
 
 
 def _project_onto_plane(direction: Float, normal: Float) -> tuple[Float, Bool]:
-    size = np.linalg.norm(direction, axis=1)
+    """Return directions projected on the planes, normalised, and a mask of those that do not vanish."""
+    norm = np.linalg.norm(direction, axis=1)
     flat = direction - normal * np.einsum("nx,nx->n", direction, normal)[:, None]
     length = np.linalg.norm(flat, axis=1)
-    good = length > 1e-6 * np.maximum(size, 1e-300)
-    return flat / np.where(good, length, 1.0)[:, None], good
+    is_defined = length > 1e-6 * np.maximum(norm, 1e-300)
+    return flat / np.where(is_defined, length, 1.0)[:, None], is_defined
 
 
 def _project_velocity(velocity: Float, speed: Float, normal: Float) -> Float:
-    """Tangential velocity that keeps the speed (n,): a drawn curve and a facet's interpolated normal differ by some
-    degrees, and projecting would make the speed hum at the facets' rate."""
+    """Return tangential velocities with the length `speed` (n,).
+
+    A drawn curve and a facet's interpolated normal differ by some degrees, so that a plain projection would modulate
+    the speed at the facets' rate.
+    """
     flat = velocity - normal * np.einsum("nx,nx->n", velocity, normal)[:, None]
-    size, along = np.linalg.norm(velocity, axis=1), np.linalg.norm(flat, axis=1)
-    share = np.minimum(1.0, np.divide(along, size * STEEP_COSINE, out=np.zeros_like(size), where=size > 0.0))
-    return np.asarray(flat * np.divide(speed * share, along, out=np.zeros_like(along), where=along > 0.0)[:, None])
+    norm, tangential_norm = np.linalg.norm(velocity, axis=1), np.linalg.norm(flat, axis=1)
+    factor = np.minimum(1.0, np.divide(tangential_norm, norm * STEEP_COSINE, out=np.zeros_like(norm), where=norm > 0.0))
+    return np.asarray(
+        flat
+        * np.divide(speed * factor, tangential_norm, out=np.zeros_like(tangential_norm), where=tangential_norm > 0.0)[
+            :, None
+        ]
+    )
 
 
 def _integrate_travel(samples: StrokeSamples, velocity: Float, tangent: Float) -> Float:
-    """Signed way relative to a moving surface: backward where it runs against the curve's direction."""
+    """Integrate the signed distance relative to a moving surface, negative against the curve's direction."""
     sign = np.where(np.einsum("nx,nx->n", velocity, tangent) < 0.0, -1.0, 1.0)
     rate = sign * np.linalg.norm(velocity, axis=1)
-    way = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2.0 * np.diff(samples.time))])
-    return np.asarray(samples.position[0] + way)
+    distance = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2.0 * np.diff(samples.time))])
+    return np.asarray(samples.position[0] + distance)
 
 
 def _format_length(length_m: float) -> str:
@@ -345,7 +455,7 @@ def _format_length(length_m: float) -> str:
 
 
 def require_contact(contacts: Contacts, *, where: str, surface: str) -> None:
-    """Raises StrokeError, with the distance, where no sample touches surface (its name) with force."""
+    """Raise StrokeError, with the distance, if no sample touches `surface` (its name) with force."""
     if (contacts.on_surface & (contacts.force > 0.0)).any():
         return
     if not contacts.on_surface.any():

@@ -1,5 +1,8 @@
-"""Few cubic Bézier pieces through many drawn points (Schneider, "An algorithm for automatically fitting digitized
-curves", Graphics Gems 1990), in any dimension; all pieces of one round at once."""
+"""Fit of few cubic Bézier segments to many drawn points, in any dimension.
+
+P. J. Schneider, "An algorithm for automatically fitting digitized curves", Graphics Gems 1990; all segments of one
+round are fitted together.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +18,16 @@ Int = NDArray[np.intp]
 
 _MAX_REPARAMETRISATIONS = 4
 _SPLIT_TOLERANCES = 8.0
-"""A piece this many tolerances off is split at once: other parameters never make up for that much."""
+"""Error in tolerances above which a segment is split at once, since other parameters cannot correct that much."""
 _MAX_HANDLE_SHARE = 1.5
-"""A handle longer than this share of its piece's way is a bad least-squares solution, not a shape."""
+"""Longest handle relative to the segment's length; a longer one is a bad least-squares solution."""
 _INNER_PARAMETERS = np.array([0.25, 0.5, 0.75])
 _THIRDS = np.array([0.0, 1 / 3, 2 / 3, 1.0])
 
 
 @dataclass(frozen=True)
 class FittedBezier:
-    """knot, left, right: (k, dim) knots and handles, as Blender stores them. index: (k,) of the input point that each
-    knot is."""
+    """A fitted Bézier spline: knots and handles (k, dim) as Blender stores them, and each knot's input point (k,)."""
 
     knot: Float
     left: Float
@@ -35,8 +37,18 @@ class FittedBezier:
 
 @dataclass(frozen=True)
 class _Path:
-    """point: (n, dim). station: (n,) way up to each. after, before: (n, dim) unit directions into the pieces on either
-    side of a point, opposite to each other unless the path turns back there."""
+    """A polyline to fit.
+
+    Attributes
+    ----------
+    point : ndarray, shape (n, dim)
+        Points.
+    station : ndarray, shape (n,)
+        Length up to each point.
+    after, before : ndarray, shape (n, dim)
+        Unit tangents into the segments after and before a point, opposite to each other unless the path turns back
+        there.
+    """
 
     point: Float
     station: Float
@@ -46,8 +58,19 @@ class _Path:
 
 @dataclass(frozen=True)
 class _Segments:
-    """k pieces of a path, their points end to end. first, last: (k,) indices of their end points. at: (n,) index of
-    each point. piece: (n,) which piece it belongs to. begin: (k,) where each piece begins among the n."""
+    """k segments of a path, with their n points in one sequence.
+
+    Attributes
+    ----------
+    first, last : ndarray of int, shape (k,)
+        Indices of their end points.
+    at : ndarray of int, shape (n,)
+        Index of each point.
+    segment : ndarray of int, shape (n,)
+        Segment of each point.
+    begin : ndarray of int, shape (k,)
+        Start of each segment in the sequence.
+    """
 
     first: Int
     last: Int
@@ -56,19 +79,35 @@ class _Segments:
     begin: Int
 
     def max_per_segment(self, values: Float) -> Float:
-        """(n,) → (k,)."""
+        """Return the maximum (k,) of values (n,) in each segment."""
         return np.asarray(np.maximum.reduceat(values, self.begin))
 
     def sum_per_segment(self, values: Float) -> Float:
-        """(n, …) → (k, …)."""
+        """Return the sum (k, …) of values (n, …) in each segment."""
         return np.asarray(np.add.reduceat(values, self.begin, axis=0))
 
 
 def fit_bezier(points: ArrayLike, tolerance: float) -> FittedBezier:
-    """A Bézier spline within tolerance of the polyline through points (n ≥ 2, dim), and the polyline of the spline.
+    """Fit a Bézier spline to a polyline, each within the tolerance of the other.
 
-    Knots are input points, the ends among them; pieces join smoothly except where the path turns back on itself.
-    Consecutive points must differ. Raises StrokeError for fewer than two points.
+    Knots are input points, including the ends; segments join smoothly except where the path turns back on itself.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, dim)
+        Points; consecutive ones must differ.
+    tolerance : float
+        Largest distance.
+
+    Returns
+    -------
+    FittedBezier
+        The spline.
+
+    Raises
+    ------
+    StrokeError
+        For fewer than two points.
     """
     point = np.asarray(points, dtype=np.float64)
     if point.ndim != 2 or len(point) < 2:
@@ -78,10 +117,10 @@ def fit_bezier(points: ArrayLike, tolerance: float) -> FittedBezier:
     begins, controls = [], []
     while len(first):
         control, split = _fit_segments(path, _make_segments(first, last), tolerance)
-        good = split < 0
-        begins.append(first[good])
-        controls.append(control[good])
-        first, split, last = first[~good], split[~good], last[~good]
+        is_fitted = split < 0
+        begins.append(first[is_fitted])
+        controls.append(control[is_fitted])
+        first, split, last = first[~is_fitted], split[~is_fitted], last[~is_fitted]
         first, last = np.concatenate([first, split]), np.concatenate([split, last])
     begin, control = np.concatenate(begins), np.concatenate(controls)
     order = np.argsort(begin)
@@ -92,14 +131,14 @@ def fit_bezier(points: ArrayLike, tolerance: float) -> FittedBezier:
 
 
 def _measure_path(point: Float) -> _Path:
-    way = np.diff(point, axis=0)
-    length = np.linalg.norm(way, axis=1)
-    unit = way / length[:, None]
-    onward = np.concatenate([unit, np.zeros_like(unit[:1])])
-    arriving = np.concatenate([np.zeros_like(unit[:1]), unit])
-    smooth = (onward * arriving).sum(axis=1, keepdims=True) > 0.0
+    edges = np.diff(point, axis=0)
+    length = np.linalg.norm(edges, axis=1)
+    unit = edges / length[:, None]
+    next_direction = np.concatenate([unit, np.zeros_like(unit[:1])])
+    previous_direction = np.concatenate([np.zeros_like(unit[:1]), unit])
+    smooth = (next_direction * previous_direction).sum(axis=1, keepdims=True) > 0.0
     smooth[[0, -1]] = True
-    after, before = onward + smooth * arriving, -(arriving + smooth * onward)
+    after, before = next_direction + smooth * previous_direction, -(previous_direction + smooth * next_direction)
     return _Path(
         point,
         np.concatenate([[0.0], np.cumsum(length)]),
@@ -111,66 +150,68 @@ def _measure_path(point: Float) -> _Path:
 def _make_segments(first: Int, last: Int) -> _Segments:
     count = last - first + 1
     begin = np.cumsum(count) - count
-    piece = np.repeat(np.arange(len(first)), count)
-    return _Segments(first, last, np.arange(len(piece)) - begin[piece] + first[piece], piece, begin)
+    segment = np.repeat(np.arange(len(first)), count)
+    return _Segments(first, last, np.arange(len(segment)) - begin[segment] + first[segment], segment, begin)
 
 
 def _fit_segments(path: _Path, segments: _Segments, tolerance: float) -> tuple[Float, Int]:
-    """Control points (k, 4, dim), and where each piece must be split, −1 where it is good."""
+    """Return control points (k, 4, dim), and the index at which each segment must be split, −1 if it is good."""
     ends = path.point[segments.first], path.point[segments.last]
     control = ends[0][:, None] + _THIRDS[:, None] * (ends[1] - ends[0])[:, None]
     split = np.full(len(segments.first), -1, dtype=np.intp)
     u = _parametrise_by_length(path, segments)
     curved = segments.max_per_segment(_compute_distances(control, path.point, segments, u)) > 1e-3 * tolerance
-    open_, u = np.flatnonzero(curved), u[curved[segments.segment]]
+    pending, u = np.flatnonzero(curved), u[curved[segments.segment]]
     short = segments.last == segments.first + 1
     for _ in range(_MAX_REPARAMETRISATIONS):
-        if len(open_) == 0:
+        if len(pending) == 0:
             break
-        some = _make_segments(segments.first[open_], segments.last[open_])
-        tried = _fit_with_tangents(path, some, u)
-        error = _compute_distances(tried, path.point, some, u)
-        worst = some.max_per_segment(error)
-        good = worst <= tolerance
-        control[open_[good]] = tried[good]
-        split[open_] = np.where(good | short[open_], -1, _find_split(some, error, worst))
-        again = ~good & (worst <= _SPLIT_TOLERANCES * tolerance) & ~short[open_]
-        u = _reparametrise(tried, path.point, some, u)[again[some.segment]]
-        open_ = open_[again]
+        subset = _make_segments(segments.first[pending], segments.last[pending])
+        candidate = _fit_with_tangents(path, subset, u)
+        error = _compute_distances(candidate, path.point, subset, u)
+        worst = subset.max_per_segment(error)
+        is_fitted = worst <= tolerance
+        control[pending[is_fitted]] = candidate[is_fitted]
+        split[pending] = np.where(is_fitted | short[pending], -1, _find_split(subset, error, worst))
+        retry = ~is_fitted & (worst <= _SPLIT_TOLERANCES * tolerance) & ~short[pending]
+        u = _reparametrise(candidate, path.point, subset, u)[retry[subset.segment]]
+        pending = pending[retry]
     return control, split
 
 
 def _parametrise_by_length(path: _Path, segments: _Segments) -> Float:
-    """(n,) parameters 0–1 in proportion to the way inside each piece."""
+    """Return parameters (n,), 0–1, in proportion to the length inside each segment."""
     begin, end = path.station[segments.first], path.station[segments.last]
     return np.asarray((path.station[segments.at] - begin[segments.segment]) / (end - begin)[segments.segment])
 
 
 def _find_split(segments: _Segments, error: Float, worst: Float) -> Int:
-    """(k,) index of the inner point of each piece that is, or lies before, its worst place."""
-    there = np.flatnonzero(error == worst[segments.segment])
-    _, earliest = np.unique(segments.segment[there], return_index=True)
-    return np.asarray(np.clip(segments.at[there[earliest]], segments.first + 1, segments.last - 1))
+    """Return the index (k,) of the inner point at or before the largest error of each segment."""
+    at_worst = np.flatnonzero(error == worst[segments.segment])
+    _, earliest = np.unique(segments.segment[at_worst], return_index=True)
+    return np.asarray(np.clip(segments.at[at_worst[earliest]], segments.first + 1, segments.last - 1))
 
 
 def _fit_with_tangents(path: _Path, segments: _Segments, u: Float) -> Float:
-    """(k, 4, dim): the least-squares cubics with the path's own directions at their ends."""
+    """Fit least-squares cubics (k, 4, dim) with the path's own tangents at their ends."""
     start, end = path.after[segments.first], path.before[segments.last]
     begin, stop = path.point[segments.first], path.point[segments.last]
     b = _bernstein(u)
-    near, far = b[:, 0] + b[:, 1], b[:, 2] + b[:, 3]
-    own = segments.segment
-    rest = path.point[segments.at] - near[:, None] * begin[own] - far[:, None] * stop[own]
+    start_weight, end_weight = b[:, 0] + b[:, 1], b[:, 2] + b[:, 3]
+    segment = segments.segment
+    residual = path.point[segments.at] - start_weight[:, None] * begin[segment] - end_weight[:, None] * stop[segment]
     aa, ac, cc = segments.sum_per_segment(np.stack([b[:, 1] ** 2, b[:, 1] * b[:, 2], b[:, 2] ** 2], axis=1)).T
     ac = ac * _dot(start, end)
-    p, q = (_dot(segments.sum_per_segment(b[:, [k]] * rest), way) for k, way in ((1, start), (2, end)))
-    det, way = aa * cc - ac * ac, path.station[segments.last] - path.station[segments.first]
+    p, q = (_dot(segments.sum_per_segment(b[:, [k]] * residual), length) for k, length in ((1, start), (2, end)))
+    det, length = aa * cc - ac * ac, path.station[segments.last] - path.station[segments.first]
     solvable = np.abs(det) > 1e-12 * np.maximum(aa * cc, 1e-300)
-    solved = np.stack([cc * p - ac * q, aa * q - ac * p], axis=1) / np.where(solvable, det, 1.0)[:, None]
-    sound = solvable & ((solved > 1e-6 * way[:, None]) & (solved < _MAX_HANDLE_SHARE * way[:, None])).all(axis=1)
+    solution = np.stack([cc * p - ac * q, aa * q - ac * p], axis=1) / np.where(solvable, det, 1.0)[:, None]
+    is_valid = solvable & ((solution > 1e-6 * length[:, None]) & (solution < _MAX_HANDLE_SHARE * length[:, None])).all(
+        axis=1
+    )
     chord = np.linalg.norm(stop - begin, axis=1, keepdims=True) / 3.0
-    reach = np.where(sound[:, None], solved, chord)
-    return np.stack([begin, begin + reach[:, :1] * start, stop + reach[:, 1:] * end, stop], axis=1)
+    handles = np.where(is_valid[:, None], solution, chord)
+    return np.stack([begin, begin + handles[:, :1] * start, stop + handles[:, 1:] * end, stop], axis=1)
 
 
 def _bernstein(u: Float) -> Float:
@@ -180,7 +221,7 @@ def _bernstein(u: Float) -> Float:
 
 
 def _dot(a: Float, b: Float) -> Float:
-    """(…, dim) → (…)."""
+    """Return dot products (…) of vectors (…, dim)."""
     return np.asarray(np.einsum("...x,...x->...", a, b))
 
 
@@ -189,7 +230,7 @@ def _evaluate_segments(control: Float, segment: Int, u: Float) -> Float:
 
 
 def _compute_distances(control: Float, path: Float, segments: _Segments, u: Float) -> Float:
-    """(n,) of each point to its curve at its own parameter, or of the curve after it to the line to the next point."""
+    """Return the distance (n,) of each point to its curve point, or of the curve to the line to the next point."""
     point = path[segments.at]
     gap = _evaluate_segments(control, segments.segment, u) - point
     error = _dot(gap, gap)
@@ -198,24 +239,24 @@ def _compute_distances(control: Float, path: Float, segments: _Segments, u: Floa
     between = u[inner, None] + _INNER_PARAMETERS * (u[inner + 1] - u[inner])[:, None]
     curve = _evaluate_segments(control, np.repeat(segments.segment[inner], len(_INNER_PARAMETERS)), between.ravel())
     offset = curve.reshape(*between.shape, -1) - point[inner, None]
-    share = np.clip(_dot(offset, line) / np.maximum(_dot(line, line), 1e-300), 0.0, 1.0)
-    aside = offset - share[..., None] * line
-    error[inner] = np.maximum(error[inner], _dot(aside, aside).max(axis=1))
+    fraction = np.clip(_dot(offset, line) / np.maximum(_dot(line, line), 1e-300), 0.0, 1.0)
+    perpendicular = offset - fraction[..., None] * line
+    error[inner] = np.maximum(error[inner], _dot(perpendicular, perpendicular).max(axis=1))
     return np.sqrt(error)
 
 
 def _reparametrise(control: Float, path: Float, segments: _Segments, u: Float) -> Float:
-    """Newton's step of each parameter towards the curve's point nearest to its point, kept ascending."""
-    v, own = 1.0 - u, segments.segment
+    """Apply Newton's step of each parameter towards the curve's nearest point, if parameters stay ascending."""
+    v, segment = 1.0 - u, segments.segment
     first = 3.0 * np.diff(control, axis=1)
     second = 2.0 * np.diff(first, axis=1)
-    slope = np.einsum("nk,nkx->nx", np.stack([v * v, 2 * u * v, u * u], axis=1), first[own])
-    bend = np.einsum("nk,nkx->nx", np.stack([v, u], axis=1), second[own])
-    gap = _evaluate_segments(control, own, u) - path[segments.at]
-    below = _dot(slope, slope) + _dot(gap, bend)
-    step = np.divide(_dot(gap, slope), below, out=np.zeros_like(u), where=np.abs(below) > 1e-30)
+    slope = np.einsum("nk,nkx->nx", np.stack([v * v, 2 * u * v, u * u], axis=1), first[segment])
+    curvature = np.einsum("nk,nkx->nx", np.stack([v, u], axis=1), second[segment])
+    gap = _evaluate_segments(control, segment, u) - path[segments.at]
+    denominator = _dot(slope, slope) + _dot(gap, curvature)
+    step = np.divide(_dot(gap, slope), denominator, out=np.zeros_like(u), where=np.abs(denominator) > 1e-30)
     moved = np.clip(u - step, 0.0, 1.0)
     moved[segments.begin] = 0.0
     moved[segments.begin + segments.last - segments.first] = 1.0
-    rising = np.append(np.diff(moved) > 0.0, True) | (np.append(np.diff(own), 1) != 0)
-    return np.where(np.logical_and.reduceat(rising, segments.begin)[own], moved, u)
+    rising = np.append(np.diff(moved) > 0.0, True) | (np.append(np.diff(segment), 1) != 0)
+    return np.where(np.logical_and.reduceat(rising, segments.begin)[segment], moved, u)

@@ -1,9 +1,7 @@
-"""Cubic keyframes: what a Blender F-curve with handles a third of the way computes, in closed form.
+"""Keyframes: cubic keys in closed form, their fit to sampled quantities, and F-curves as Blender evaluates them.
 
-Few cubic keyframes for a densely sampled quantity.
-
-Keyframes as Blender interpolates them, in float64: Blender's own evaluation rounds time to float32, which at
-frame 10,000 would shake a 100 mm/s stroke by half a per cent.
+F-curves are evaluated in float64: Blender's own evaluation rounds time to float32, which at frame 10,000 would change
+the speed of a 100 mm/s stroke by half a per cent.
 """
 
 from __future__ import annotations
@@ -19,15 +17,18 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Keyframes:
-    """time (k,) s ascending, value (k,), slope (k,) per second. Between keys the cubic Hermite polynomial, which a
-    Bézier F-curve draws exactly when its handles lie a third of the way in time; outside, the end values."""
+    """Cubic keyframes: rising times (k,) [s], values (k,) and slopes (k,) [1/s].
+
+    Between keys the value is the cubic Hermite polynomial, which a Bézier F-curve draws exactly if its handles are a
+    third of the way in time; outside, the end values continue.
+    """
 
     time: Float
     value: Float
     slope: Float
 
     def sample(self, time: ArrayLike) -> tuple[Float, Float]:
-        """Value and its rate of change per second, (n,) each."""
+        """Return value and rate of change per second, (n,) each, at times (n,) [s]."""
         t = np.asarray(time, dtype=np.float64)
         if len(self.time) == 1:
             return np.full(t.shape, self.value[0]), np.zeros(t.shape)
@@ -43,17 +44,17 @@ class Keyframes:
 
 
 def make_eased_travel(distance: float, speed: float, ramp_s: float, start_s: float = 0.0) -> Keyframes:
-    """Travel 0 → distance at constant speed, with S-shaped ramps (acceleration continuous) at both ends.
+    """Make keyframes of travel from 0 to `distance` at constant speed, with S-shaped ramps at both ends.
 
-    Takes distance / speed + ramp. A ramp longer than distance / speed is shortened to it, so that the speed is
-    reached however short the way is.
+    Acceleration is continuous. The travel takes distance / speed + ramp; a ramp longer than distance / speed is
+    shortened to it, so that the speed is reached on any distance.
     """
     ramp = min(ramp_s, distance / speed)
     if ramp < 1e-6:
-        lasting = distance / speed + ramp
-        return Keyframes(start_s + np.array([0.0, lasting]), np.array([0.0, distance]), np.array([speed, speed]))
+        duration = distance / speed + ramp
+        return Keyframes(start_s + np.array([0.0, duration]), np.array([0.0, distance]), np.array([speed, speed]))
     cruise = distance / speed - ramp
-    # In half a ramp of duration r the speed goes 2v·(t/r)², which covers v·r/12; the second half mirrors it.
+    # In the first half of a ramp of duration r the speed is 2v·(t/r)², which covers v·r/12; the second mirrors it.
     half = np.array([0.0, ramp / 2, ramp])
     covered = np.array([0.0, ramp / 12, ramp / 2])
     rise = np.array([0.0, 0.5, 1.0])
@@ -65,11 +66,23 @@ def make_eased_travel(distance: float, speed: float, ramp_s: float, start_s: flo
 
 
 def fit_keyframes(time: ArrayLike, value: ArrayLike, tolerance: float, *, rising: bool = False) -> Keyframes:
-    """Keys within tolerance of every sample, fewer where the quantity changes smoothly.
+    """Fit keyframes to a sampled quantity, fewer where it changes smoothly.
 
-    time: (n,) s ascending, n ≥ 2. value: (n,). rising: value never falls, and neither do the keys between samples
-    (slopes limited after Fritsch and Carlson, 1980). A quantity that never leaves its first value by more than
-    tolerance gets two keys.
+    Parameters
+    ----------
+    time : array_like, shape (n,)
+        Rising times [s], n ≥ 2.
+    value : array_like, shape (n,)
+        Samples.
+    tolerance : float
+        Largest error at any sample; a quantity that stays within it gets two keys.
+    rising : bool
+        True if the value never falls; then the keys do not either (slopes limited after Fritsch and Carlson 1980).
+
+    Returns
+    -------
+    Keyframes
+        The keys.
     """
     t, v = np.asarray(time, dtype=np.float64), np.asarray(value, dtype=np.float64)
     if np.ptp(v) <= tolerance and not rising:
@@ -83,27 +96,35 @@ def fit_keyframes(time: ArrayLike, value: ArrayLike, tolerance: float, *, rising
         error = np.abs(keys.sample(t)[0] - v)
         if error.max() <= tolerance or chosen.all():
             return keys
-        borders = np.flatnonzero(chosen)
-        worst = [a + 1 + int(np.argmax(error[a + 1 : b])) for a, b in itertools.pairwise(borders) if b > a + 1]
+        chosen_indices = np.flatnonzero(chosen)
+        worst = [a + 1 + int(np.argmax(error[a + 1 : b])) for a, b in itertools.pairwise(chosen_indices) if b > a + 1]
         chosen[[k for k in worst if error[k] > tolerance]] = True
 
 
 def _make_keyframes(t: Float, v: Float, slope: Float, chosen: NDArray[np.bool_], rising: bool) -> Keyframes:
-    time, value, at = t[chosen], v[chosen], slope[chosen]
+    time, value, key_slope = t[chosen], v[chosen], slope[chosen]
     if rising:
         secant = np.diff(value) / np.diff(time)
-        most = 3.0 * np.minimum(np.r_[secant, secant[-1]], np.r_[secant[0], secant])
-        at = np.clip(at, 0.0, most)
-    return Keyframes(time, value, at)
+        max_slope = 3.0 * np.minimum(np.r_[secant, secant[-1]], np.r_[secant[0], secant])
+        key_slope = np.clip(key_slope, 0.0, max_slope)
+    return Keyframes(time, value, key_slope)
 
 
 CONSTANT, LINEAR, BEZIER = "CONSTANT", "LINEAR", "BEZIER"
+"""Interpolations of an F-curve."""
 
 
 @dataclass(frozen=True)
 class FCurve:
-    """key, left, right: (k, 2) (frame, value) of keyframes and their handles, ascending in time. interpolation:
-    CONSTANT, LINEAR or BEZIER from each key to the next. Before the first and after the last key the value holds."""
+    """A Blender F-curve; before the first and after the last key the value is constant.
+
+    Attributes
+    ----------
+    key, left, right : ndarray, shape (k, 2)
+        Frame and value of keyframes and their handles, ascending in time.
+    interpolation : tuple of str
+        `CONSTANT`, `LINEAR` or `BEZIER` from each key to the next.
+    """
 
     key: Float
     left: Float
@@ -111,19 +132,19 @@ class FCurve:
     interpolation: tuple[str, ...]
 
     def evaluate(self, frames: ArrayLike) -> Float:
-        """Values (n,) at (fractional) frames (n,)."""
+        """Return values (n,) at (fractional) frames (n,)."""
         frame = np.asarray(frames, dtype=np.float64)
         if len(self.key) == 1:
             return np.full(frame.shape, self.key[0, 1])
         i = np.clip(np.searchsorted(self.key[:, 0], frame, side="right") - 1, 0, len(self.key) - 2)
         start, end = self.key[i], self.key[i + 1]
         width = end[:, 0] - start[:, 0]
-        share = np.clip(np.divide(frame - start[:, 0], width, out=np.ones_like(width), where=width > 0.0), 0.0, 1.0)
-        value = start[:, 1] + share * (end[:, 1] - start[:, 1])
+        fraction = np.clip(np.divide(frame - start[:, 0], width, out=np.ones_like(width), where=width > 0.0), 0.0, 1.0)
+        value = start[:, 1] + fraction * (end[:, 1] - start[:, 1])
         kind = np.array(self.interpolation)[i]
         bezier = np.flatnonzero(kind == BEZIER)
         value[bezier] = _evaluate_bezier(
-            start[bezier], self.right[i[bezier]], self.left[i[bezier] + 1], end[bezier], share[bezier]
+            start[bezier], self.right[i[bezier]], self.left[i[bezier] + 1], end[bezier], fraction[bezier]
         )
         constant = kind == CONSTANT
         value[constant] = start[constant, 1]
@@ -132,10 +153,12 @@ class FCurve:
 
 
 def _evaluate_bezier(start: Float, right: Float, left: Float, end: Float, share: Float) -> Float:
-    """Values of cubic Bézier pieces at a share (n,) of their time; handles (n, 2) that reach past the piece are
-    shortened to it, as Blender does, so that time never runs backward."""
+    """Evaluate cubic Bézier segments at a fraction (n,) of their time.
+
+    Handles (n, 2) that reach beyond the segment are shortened to it, as in Blender, so that time never runs backward.
+    """
     width = (end - start)[:, :1]
-    width = np.where(width > 0.0, width, 1.0)  # two keys on one frame: the later one counts
+    width = np.where(width > 0.0, width, 1.0)  # of two keys on one frame the later one counts
     first, second = right - start, left - end
     first = first * _compute_shortening(first[:, :1], width)
     second = second * _compute_shortening(second[:, :1], width)

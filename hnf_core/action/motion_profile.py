@@ -1,4 +1,4 @@
-"""When the hand is where: keyed progress, a constant speed or a duration become s(t) and its rate."""
+"""Motion profile of a stroke: position on the path over time, from keyed progress, a constant speed or a duration."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from .keyframes import make_eased_travel
 Float = NDArray[np.float64]
 
 RAMP_S = 0.1
-"""S-ramp at both ends of a speed or duration law: a hand neither starts nor stops at once."""
+"""Duration of the S-shaped ramp at both ends of a motion at constant speed [s], since a hand has inertia."""
 MAX_DURATION_S = 600.0
+"""Longest stroke [s]."""
 MAX_SPEED_M_S = 1e4
-"""What the field is asked for at most (field.stroke.LIMITS): no hand, but a scene of another unit."""
+"""Largest speed, that of `field.stroke.LIMITS` [m/s]; a faster motion is a scene of another unit."""
 
 
 @dataclass(frozen=True)
 class MotionProfile:
-    """position: (n,) m along the curve. velocity: (n,) m/s, its rate; negative where the stroke runs backward."""
+    """Position (n,) along the curve [m], and velocity (n,) [m/s], negative where the stroke runs backward."""
 
     position: Float
     velocity: Float
 
 
 def make_time_grid(duration_s: float, rate: float, *, where: str = "") -> Float:
-    """Even times 0, 1/rate, … that reach duration_s (the last sample lies at or after it).
+    """Make even times 0, 1/rate, … up to at least `duration_s` [s].
 
     Raises StrokeError for a duration that is not positive, shorter than a step of the grid, or beyond ten minutes.
     """
@@ -54,15 +55,34 @@ def make_time_grid(duration_s: float, rate: float, *, where: str = "") -> Float:
 
 
 def clamp_force(force: ArrayLike, frames: ArrayLike, *, where: str, max_force: float = np.inf) -> Float:
-    """Normal force (n,) N clamped to 0 … most, since F-curve handles overshoot.
+    """Clamp normal forces to 0 … `max_force`, since F-curve handles overshoot.
 
-    Raises StrokeError naming the stroke and the first frame whose value is not finite.
+    Parameters
+    ----------
+    force : array_like, shape (n,)
+        Normal force [N].
+    frames : array_like, shape (n,)
+        Frames of the values, for messages.
+    where : str
+        Name of the stroke in messages.
+    max_force : float
+        Upper limit [N].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Clamped force [N].
+
+    Raises
+    ------
+    StrokeError
+        Names the first frame whose value is not finite.
     """
     return np.clip(_check_finite(force, frames, "force", where), 0.0, max_force)
 
 
 def clamp_progress(progress: ArrayLike, frames: ArrayLike, *, where: str) -> Float:
-    """Progress (n,) clamped to 0–1; raises StrokeError like checked_force."""
+    """Clamp progress (n,) to 0–1; raise StrokeError as `clamp_force`."""
     return np.clip(_check_finite(progress, frames, "progress", where), 0.0, 1.0)
 
 
@@ -80,7 +100,7 @@ def _check_finite(values: ArrayLike, frames: ArrayLike, name: str, where: str) -
 
 
 def check_motion(motion: MotionProfile, *, where: str) -> MotionProfile:
-    """motion itself; raises StrokeError where it is faster than FASTEST_M_S, before anything is rendered for it."""
+    """Return `motion`; raise StrokeError if it is faster than `MAX_SPEED_M_S`, before anything is rendered for it."""
     fastest = float(np.abs(motion.velocity).max(initial=0.0))
     if not fastest <= MAX_SPEED_M_S:
         raise StrokeError(
@@ -92,8 +112,11 @@ def check_motion(motion: MotionProfile, *, where: str) -> MotionProfile:
 
 
 def make_motion_from_progress(progress: Float, length_m: float, rate: float) -> MotionProfile:
-    """Progress samples (n,) in 0–1 of a curve's length; velocity by second-order differences, so that a knot of the
-    curve, which arc length does not feel, makes no spike."""
+    """Make a motion from progress (n,), 0–1, of a curve's length.
+
+    The velocity is a second-order difference, so that the knots of the curve, at which arc length is smooth, give no
+    spike.
+    """
     position = progress * length_m
     if len(position) < 3:
         return MotionProfile(
@@ -103,17 +126,17 @@ def make_motion_from_progress(progress: Float, length_m: float, rate: float) -> 
 
 
 def make_motion_at_speed(time: Float, length_m: float, speed_m_s: float) -> MotionProfile:
-    """From end to end at constant speed with eased ends, from time 0."""
+    """Make a motion from end to end at constant speed with eased ends, from time 0."""
     if length_m == 0.0:
         return MotionProfile(np.zeros(len(time)), np.zeros(len(time)))
     return MotionProfile(*make_eased_travel(length_m, speed_m_s, RAMP_S).sample(time))
 
 
 def compute_travel_time(length_m: float, speed_m_s: float) -> float:
-    """Seconds that motion_at_speed takes."""
+    """Return the duration of `make_motion_at_speed` [s]."""
     return length_m / speed_m_s + min(RAMP_S, length_m / speed_m_s)
 
 
 def compute_speed_for_duration(length_m: float, duration_s: float) -> float:
-    """The constant speed whose eased travel takes duration_s: travel_time(length, result) = duration."""
+    """Return the speed at which `compute_travel_time` is `duration_s` [m/s]."""
     return length_m / (duration_s - min(RAMP_S, duration_s / 2.0))

@@ -1,13 +1,13 @@
-"""Action words: "scrape left to right, hard" → a primitive.
+"""Parser of strokes in words: "scrape left to right, hard" → a primitive.
 
-A small grammar of English. Upper or lower case, commas, hyphens and the order of the parts do not matter:
+A small grammar of English. Case, commas, hyphens and the order of the parts do not matter:
 
 verb        scrape, stroke, drag, slide, swipe, … : a straight scrape. rub, or random: a wandering rub
 direction   left to right, bottom to top, top left to bottom right, to the right, down, diagonal up, 30 degrees
 force       soft, medium, hard, or 1.5 N, 300 mN
 speed       slow, fast, or 80 mm/s, 8 cm/s, 0.1 m/s
 
-What is left out: left to right, 1 N, 100 mm/s. What is not understood, or says two things, is refused.
+Defaults: left to right, 1 N, 100 mm/s. Unknown words and contradictions raise UsageError.
 """
 
 from __future__ import annotations
@@ -49,8 +49,10 @@ _ANGLES: dict[GridDirection, int] = {
 _SIDE_NAMES = {-1: ("right", "left"), 1: ("left", "right")}, {-1: ("top", "bottom"), 1: ("bottom", "top")}
 
 FORCE_LIMITS_N = (0.01, 20.0)
+"""Accepted forces [N]."""
 SPEED_LIMITS_M_S = (1e-3, 1.0)
-"""Beyond these, which a stroke object holds and a hand can do, words are a slip of the pen: refused, not clamped."""
+"""Accepted speeds [m/s]. These limits are those of stroke objects and hands; values beyond are mistakes, so they raise
+an error instead of being clamped."""
 
 _NUMBER = r"(?<![\w.])(?<![0-9],)(?P<sign>(?<!\S)[-−+])?(?P<number>[0-9]+(?:\.[0-9]+)?|\.[0-9]+)\s*-?\s*"
 _QUANTITY = re.compile(
@@ -64,38 +66,55 @@ _UNIT_FACTORS: tuple[tuple[str, str, float], ...] = (
     ("mm", "speed", 1e3), ("milli", "speed", 1e3), ("c", "speed", 1e2), ("m", "speed", 1.0),
     ("d", "angle", 1.0), ("°", "angle", 1.0),
 )  # fmt: skip
-"""How a unit begins, what it measures, and how many make one SI unit (an angle stays in degrees)."""
+"""Start of a unit, the quantity it measures, and its number per SI unit (an angle stays in degrees)."""
 
 
 def parse_stroke(words: str) -> Primitive:
-    """The primitive that words describe; its name is plain (letters, digits, points, hyphens) and is understood here
-    as the same primitive. Words for one of the eight give exactly that one, so do their names.
+    """Parse a stroke in words.
 
-    Raises UsageError naming the word that is unknown (with near ones) or the two that contradict each other.
+    Parameters
+    ----------
+    words : str
+        Description, or name, of a stroke.
+
+    Returns
+    -------
+    Primitive
+        The stroke. Words for one of the eight primitives, and their names, give exactly that one; the name of any other
+        (letters, digits, points, hyphens) is parsed to the same primitive.
+
+    Raises
+    ------
+    UsageError
+        Names the unknown word, with close ones, or the two that contradict each other.
     """
-    said = _ParsedWords(words)
-    rest = _QUANTITY.sub(said.parse_quantity, words).lower()
-    rest = _MEDIUM_SPEED.sub(lambda match: said.record("speed", SCRAPE_SPEED_M_S, match.group()), rest)
-    places: list[str] = []
-    for word in re.split(r"[\s,;:_\-–—\"'/]+", re.sub("→|->", " to ", rest)):
-        if word and (not said.parse_word(word) or (word == "and" and places)):
-            places.append(word)
-    kind = str(said.get_value("kind", "scrape" if places or "angle" in said.found else ""))
+    parsed = _ParsedWords(words)
+    remaining_text = _QUANTITY.sub(parsed.parse_quantity, words).lower()
+    remaining_text = _MEDIUM_SPEED.sub(
+        lambda match: parsed.record("speed", SCRAPE_SPEED_M_S, match.group()), remaining_text
+    )
+    direction_words: list[str] = []
+    for word in re.split(r"[\s,;:_\-–—\"'/]+", re.sub("→|->", " to ", remaining_text)):
+        if word and (not parsed.parse_word(word) or (word == "and" and direction_words)):
+            direction_words.append(word)
+    kind = str(parsed.get_value("kind", "scrape" if direction_words or "angle" in parsed.found else ""))
     if not kind:
-        raise said.make_error("it says no motion", "Begin with scrape or rub, or give a direction: left to right.")
-    force, speed = float(said.get_value("force", RUB_N)), float(said.get_value("speed", SCRAPE_SPEED_M_S))
+        raise parsed.make_error("it says no motion", "Begin with scrape or rub, or give a direction: left to right.")
+    force, speed = float(parsed.get_value("force", RUB_N)), float(parsed.get_value("speed", SCRAPE_SPEED_M_S))
     for value, (low, high), unit in ((force, FORCE_LIMITS_N, "N"), (speed, SPEED_LIMITS_M_S, "m/s")):
         if not low <= value <= high:
-            raise said.make_error(f"{value:g} {unit} is no stroke", f"Give {low:g} to {high:g} {unit}.")
-    if kind == "rub" and (places or "angle" in said.found):
-        which = " ".join(places) or said.found["angle"][1]
-        raise said.make_error(f"a rub goes every way, '{which}' only one", "Say scrape, or leave the direction out.")
-    angle = 0.0 if kind == "rub" else _compute_angle(said, places)
+            raise parsed.make_error(f"{value:g} {unit} is no stroke", f"Give {low:g} to {high:g} {unit}.")
+    if kind == "rub" and (direction_words or "angle" in parsed.found):
+        direction_text = " ".join(direction_words) or parsed.found["angle"][1]
+        raise parsed.make_error(
+            f"a rub goes every way, '{direction_text}' only one", "Say scrape, or leave the direction out."
+        )
+    angle = 0.0 if kind == "rub" else _compute_angle(parsed, direction_words)
     return _name_primitive(Primitive("", kind, _to_unit_vector(angle), force, speed), angle)
 
 
 class _ParsedWords:
-    """What has been understood so far: quantity → (value, the words that said so)."""
+    """Quantities parsed so far, as (value, words) by quantity."""
 
     def __init__(self, words: str) -> None:
         self.words = words
@@ -108,7 +127,7 @@ class _ParsedWords:
         return self.found.get(quantity, (default, ""))[0]
 
     def record(self, quantity: str, value: float | str, word: str) -> str:
-        """Take it in and leave a space in its place. Raises UsageError where something else was said before."""
+        """Record a quantity and return a space in its place; raise UsageError if another value was recorded before."""
         known = self.found.setdefault(quantity, (value, word))
         if known[0] != value:
             raise self.make_error(
@@ -118,7 +137,7 @@ class _ParsedWords:
 
     def parse_quantity(self, match: re.Match[str]) -> str:
         text, unit = match.group().strip(), match["unit"].lower()
-        quantity, per_si = next((what, factor) for start, what, factor in _UNIT_FACTORS if unit.startswith(start))
+        quantity, per_si = next((name, factor) for start, name, factor in _UNIT_FACTORS if unit.startswith(start))
         value = float(match["number"]) / per_si
         if match["sign"] in ("-", "−"):
             if quantity != "angle":
@@ -130,7 +149,7 @@ class _ParsedWords:
         return self.record(quantity, value, text)
 
     def parse_word(self, word: str) -> bool:
-        """Take in one word; False where it belongs to the direction."""
+        """Parse one word; return False if it belongs to the direction."""
         if word in _DIRECTION_WORDS:
             return False
         if word not in _VOCABULARY:
@@ -138,10 +157,10 @@ class _ParsedWords:
                 raise self.make_error(
                     f"'{word}' has no unit", "Write 1.5 N, 80 mm/s or 30 degrees, with a decimal point."
                 )
-            near = close_matches(word, _SUGGESTED_WORDS)
-            offer = f"Did you mean {' or '.join(repr(each) for each in near)}?"
+            matches = close_matches(word, _SUGGESTED_WORDS)
+            suggestion = f"Did you mean {' or '.join(repr(match) for match in matches)}?"
             listed = f"Choose one of {', '.join(PRIMITIVES)}, or say e.g. 'scrape left to right, hard'."
-            raise self.make_error(f"the word '{word}' is unknown", offer if near else listed)
+            raise self.make_error(f"the word '{word}' is unknown", suggestion if matches else listed)
         meaning = _VOCABULARY[word]
         if meaning is not None:
             self.record(*meaning, word)
@@ -149,8 +168,8 @@ class _ParsedWords:
 
 
 def _compute_angle(parsed: _ParsedWords, direction_words: list[str]) -> float:
-    """Degrees anticlockwise from left → right."""
-    ways = [word for word in direction_words if word in _SIDES or word in _HEADINGS]
+    """Return the angle in degrees, anticlockwise from left to right."""
+    heading_words = [word for word in direction_words if word in _SIDES or word in _HEADINGS]
     for before, word, after in zip(direction_words, direction_words[1:], direction_words[2:], strict=False):
         if word == "and" and any(
             a * b < 0 for a, b in zip(_get_grid_direction(before), _get_grid_direction(after), strict=True)
@@ -166,7 +185,7 @@ def _compute_angle(parsed: _ParsedWords, direction_words: list[str]) -> float:
                 "Give one direction.",
             )
         return float(parsed.found["angle"][0])
-    if not ways:
+    if not heading_words:
         if direction_words and not diagonal:
             raise parsed.make_error(f"'{direction_words[0]}' leads nowhere", "Example: left to right.")
         return float(_ANGLES[(1, -1)] if diagonal else 0)
@@ -179,18 +198,24 @@ def _compute_angle(parsed: _ParsedWords, direction_words: list[str]) -> float:
 
 
 def _find_axis_sign(parsed: _ParsedWords, direction_words: list[str], axis: int) -> int:
-    """−1, 0 or 1: the way along one axis. A side named before "to", after "from" or first of two is the start."""
+    """Return the direction along one axis: −1, 0 or 1.
+
+    A side named before "to", after "from" or as the first of two is the start.
+    """
     source: list[tuple[int, str]] = []
     target: list[tuple[int, str]] = []
-    coming, aims = False, [index for index, word in enumerate(direction_words) if word in _DIRECTION_PREPOSITIONS]
+    after_from, to_indices = (
+        False,
+        [index for index, word in enumerate(direction_words) if word in _DIRECTION_PREPOSITIONS],
+    )
     for index, word in enumerate(direction_words):
         if word in _DIRECTION_PREPOSITIONS or word == "from":
-            coming = word == "from"
+            after_from = word == "from"
             continue
         sign = _get_grid_direction(word)[axis]
         if sign == 0:
             continue
-        starts = coming or (word in _SIDES and any(aim > index for aim in aims))
+        starts = after_from or (word in _SIDES and any(aim > index for aim in to_indices))
         (source if starts else target).append((sign, word))
     if not source and len(target) == 2 and target[0][1] in _SIDES:
         source, target = target[:1], target[1:]
@@ -199,11 +224,11 @@ def _find_axis_sign(parsed: _ParsedWords, direction_words: list[str], axis: int)
             raise parsed.make_error(
                 f"'{group[0][1]}' and '{group[1][1]}' contradict each other", "Give one direction; rub goes every way."
             )
-    if source and not target and aims:
+    if source and not target and to_indices:
         raise parsed.make_error(f"'{source[0][1]}' has no other side", "Name both corners: top left to bottom right.")
     if source and target and source[0][0] == target[0][0]:
         return 0
-    if target and aims and not source and any(word in _SIDES for word in direction_words[: aims[0]]):
+    if target and to_indices and not source and any(word in _SIDES for word in direction_words[: to_indices[0]]):
         raise parsed.make_error(f"'{target[0][1]}' has no other side", "Name both corners: top left to bottom right.")
     return target[0][0] if target else -source[0][0] if source else 0
 
@@ -213,35 +238,39 @@ def _get_grid_direction(word: str) -> GridDirection:
 
 
 def _to_unit_vector(angle: float) -> tuple[float, float]:
-    named = {degrees: way for way, degrees in _ANGLES.items()}
-    if angle in named:
-        x, y = named[int(angle)]
+    grid_directions = {degrees: grid_direction for grid_direction, degrees in _ANGLES.items()}
+    if angle in grid_directions:
+        x, y = grid_directions[int(angle)]
         half = 2**-0.5 if x and y else 1.0
         return half * x, half * y
     return float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))
 
 
 def _name_primitive(primitive: Primitive, angle: float) -> Primitive:
-    for fixed in PRIMITIVES.values():
-        if (fixed.kind, fixed.direction, fixed.force, fixed.speed) == (
+    for known in PRIMITIVES.values():
+        if (known.kind, known.direction, known.force, known.speed) == (
             primitive.kind, primitive.direction, primitive.force, primitive.speed,
         ):  # fmt: skip
-            return fixed
+            return known
     parts = ["rub" if primitive.kind == "rub" else _format_direction(angle)]
     parts += [f"{primitive.force:.9g}n", f"{primitive.speed * 1e3:.9g}mm-s"]
     return Primitive("-".join(parts), primitive.kind, primitive.direction, primitive.force, primitive.speed)
 
 
 def _format_direction(angle: float) -> str:
-    named = {degrees: way for way, degrees in _ANGLES.items()}
-    if angle not in named:
+    grid_directions = {degrees: grid_direction for grid_direction, degrees in _ANGLES.items()}
+    if angle not in grid_directions:
         return f"{angle:.9g}deg"
-    ends = [_SIDE_NAMES[axis][sign] for axis, sign in ((1, named[int(angle)][1]), (0, named[int(angle)][0])) if sign]
+    ends = [
+        _SIDE_NAMES[axis][sign]
+        for axis, sign in ((1, grid_directions[int(angle)][1]), (0, grid_directions[int(angle)][0]))
+        if sign
+    ]
     return "-".join([*(start for start, _ in ends), *(end for _, end in ends)])
 
 
 def _build_vocabulary() -> dict[str, tuple[str, float | str] | None]:
-    """Word → what it says (quantity, value), or None where it says nothing."""
+    """Return the meaning (quantity, value) of every word, None for filler words."""
     meanings: dict[str, tuple[str, float | str] | None] = dict.fromkeys(_FILLER_WORDS.split())
     for kind, verbs in (("scrape", _SCRAPE_VERBS), ("rub", _RUB_VERBS)):
         for verb in verbs.split():

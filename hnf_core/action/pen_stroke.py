@@ -1,4 +1,4 @@
-"""What a mouse or pen drew on a surface → a smooth path, and few keys of progress and force at the time it took."""
+"""Strokes drawn with a mouse or pen on a surface: from samples to a smooth path with keys of progress and force."""
 
 from __future__ import annotations
 
@@ -19,22 +19,35 @@ Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 PATH_TOLERANCE_M = 0.2e-3
-"""Between the fitted and the drawn path, anywhere."""
+"""Largest distance between the fitted and the drawn path [m]."""
 PROGRESS_TOLERANCE_M = 0.5e-3
-"""Along the path, between where the keys and where the hand was at any time."""
+"""Largest distance along the path between keys and hand at any time [m]."""
 FORCE_TOLERANCE_N = 0.02
+"""Largest error of the force keys [N]."""
 MIN_LENGTH_M = 0.5e-3
+"""Shortest stroke [m]."""
 REST_S = 0.15
-"""A pause longer than this between two events is a hand that rests and then goes on, not one that creeps; a busy
-window may take as long to tell of a move."""
+"""Pause between two events above which the hand rested instead of moving slowly [s]; a busy window may take as long to
+report a motion."""
 LANDING_S = 0.05
-"""How long the force takes to come and go where the hand leaves the surface on its way and lands again."""
+"""Time over which the force fades where the hand leaves the surface and lands again [s]."""
 
 
 @dataclass(frozen=True)
 class PenSamples:
-    """time: (n,) s, never falling. point: (n, 3) m; where the hand is off the surface, anything. pressure: (n,) 0–1.
-    touching: (n,) bool, on the surface."""
+    """Samples of a pen or mouse.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n,)
+        Times, never falling [s].
+    point : ndarray, shape (n, 3)
+        Positions [m]; arbitrary off the surface.
+    pressure : ndarray, shape (n,)
+        Pressure, 0 to 1.
+    touching : ndarray of bool, shape (n,)
+        True on the surface.
+    """
 
     time: Float
     point: Float
@@ -44,9 +57,19 @@ class PenSamples:
 
 @dataclass(frozen=True)
 class PenStyle:
-    """force_n: lightest and hardest touch of a pen [N]. mouse_n: without pressure. smoothing_s: width (standard
-    deviation) of the Gaussian that takes the tremble of hand and pixels away. speed_m_s: constant speed that replaces
-    the hand's own timing; None keeps it."""
+    """Settings for drawn strokes.
+
+    Attributes
+    ----------
+    force_n : tuple of float
+        Force of the lightest and the hardest touch of a pen [N].
+    mouse_n : float
+        Force without pressure [N].
+    smoothing_s : float
+        Standard deviation of the Gaussian that removes the tremor of hand and pixels [s].
+    speed_m_s : float or None
+        Constant speed that replaces the hand's own timing [m/s]; None keeps it.
+    """
 
     force_n: tuple[float, float] = (0.1, 3.0)
     mouse_n: float = 1.0
@@ -56,8 +79,23 @@ class PenStyle:
 
 @dataclass(frozen=True)
 class PenStroke:
-    """path: Bézier spline [m]. length_m: of it. duration_s: of the touch. progress: 0–1 keys, None where the speed is
-    constant. force: keys [N]. lifted: whether the hand left the surface on its way."""
+    """A fitted stroke.
+
+    Attributes
+    ----------
+    path : FittedBezier
+        Bézier spline [m].
+    length_m : float
+        Its length [m].
+    duration_s : float
+        Duration of the touch [s].
+    progress : Keyframes or None
+        Keys 0–1; None if the speed is constant.
+    force : Keyframes
+        Keys [N].
+    lifted : bool
+        True if the hand left the surface in between.
+    """
 
     path: FittedBezier
     length_m: float
@@ -70,13 +108,29 @@ class PenStroke:
 def fit_pen_stroke(
     samples: PenSamples, style: PenStyle, *, project_to_surface: Callable[[Float], Float] | None = None
 ) -> PenStroke:
-    """The stroke that a hand drew.
+    """Fit a stroke to the samples of a pen or mouse.
 
-    The samples are laid on an even grid at the action rate, smoothed while the hand is down, and put back on the
-    surface by to_surface ((m, 3) → (m, 3)); the path through them is fitted within PATH_TOLERANCE_M, progress within
-    PROGRESS_TOLERANCE_M along it, force within FORCE_TOLERANCE_N. Where the hand was off the surface the path runs
-    straight and the force is 0. A pressure of 1 throughout is a mouse. Raises StrokeError for broken samples, and for
-    a path too short to be a stroke.
+    Samples are interpolated to the action rate, smoothed while the hand is down, and projected back to the surface.
+    Where the hand was off the surface the path is straight and the force 0. A pressure of 1 throughout is a mouse.
+
+    Parameters
+    ----------
+    samples : PenSamples
+        The samples.
+    style : PenStyle
+        Settings.
+    project_to_surface : callable, optional
+        Function from points (m, 3) to the nearest ones on the surface (m, 3).
+
+    Returns
+    -------
+    PenStroke
+        The stroke, within `PATH_TOLERANCE_M`, `PROGRESS_TOLERANCE_M` and `FORCE_TOLERANCE_N` of the samples.
+
+    Raises
+    ------
+    StrokeError
+        For broken samples, or a path that is too short.
     """
     samples = _trim_to_touching(samples)
     time, point, force, touching = _resample_to_grid(samples, style)
@@ -91,28 +145,30 @@ def fit_pen_stroke(
         )
     path = fit_bezier(point[moved], PATH_TOLERANCE_M)
     curve = build_arc_curve(make_bezier_curve(path.knot, path.left, path.right))
-    place = _compute_progress(point, moved, path, curve)
+    progress_samples = _compute_progress(point, moved, path, curve)
     lifted = not bool(touching.all())
     if style.speed_m_s is None:
-        progress = fit_keyframes(time, place, PROGRESS_TOLERANCE_M / curve.length, rising=True)
-        keyed = fit_keyframes(time, force, FORCE_TOLERANCE_N)
-        return PenStroke(path, curve.length, float(time[-1]), progress, keyed, lifted)
-    steady = make_time_grid(
+        progress = fit_keyframes(time, progress_samples, PROGRESS_TOLERANCE_M / curve.length, rising=True)
+        force_keys = fit_keyframes(time, force, FORCE_TOLERANCE_N)
+        return PenStroke(path, curve.length, float(time[-1]), progress, force_keys, lifted)
+    steady_time = make_time_grid(
         compute_travel_time(curve.length, style.speed_m_s), ACTION_RATE_HZ, where="the drawn stroke"
     )
-    reached = make_motion_at_speed(steady, curve.length, style.speed_m_s).position / curve.length
-    keyed = fit_keyframes(steady, np.interp(reached, place, force), FORCE_TOLERANCE_N)
-    return PenStroke(path, curve.length, float(steady[-1]), None, keyed, lifted)
+    steady_progress = make_motion_at_speed(steady_time, curve.length, style.speed_m_s).position / curve.length
+    force_keys = fit_keyframes(steady_time, np.interp(steady_progress, progress_samples, force), FORCE_TOLERANCE_N)
+    return PenStroke(path, curve.length, float(steady_time[-1]), None, force_keys, lifted)
 
 
 def spread_times_evenly(count: int, before: float, now: float) -> Float:
-    """(count,) times of events that reached us together at `now`, the last of them then: their own times are lost, and
-    a hand moves evenly between two events of the window system."""
+    """Return times (count,) between `before` and `now` for events that arrived together at `now`.
+
+    Their own times are lost, and a hand moves evenly between two events of the window system.
+    """
     return np.asarray(before + (now - before) * np.arange(1, count + 1) / count)
 
 
 def _trim_to_touching(samples: PenSamples) -> PenSamples:
-    """From the first to the last touching sample, from time 0."""
+    """Cut samples from the first to the last touching one, with times from 0."""
     where, remedy = "the drawn stroke", "Draw it again."
     for name, values in (("time", samples.time), ("place", samples.point), ("pressure", samples.pressure)):
         if not np.isfinite(values).all():
@@ -132,21 +188,21 @@ def _trim_to_touching(samples: PenSamples) -> PenSamples:
 
 
 def _resample_to_grid(samples: PenSamples, style: PenStyle) -> tuple[Float, Float, Float, Bool]:
-    """Time, point, force [N] and touching at the action rate; a resting hand stays where it was."""
+    """Return time, point, force [N] and touching at the action rate; a resting hand stays at its position."""
     down = samples.touching
     if (samples.pressure[down] == 1.0).all():
-        newton = np.full(len(down), style.mouse_n)
+        force_n = np.full(len(down), style.mouse_n)
     else:
         lightest, hardest = style.force_n
-        newton = lightest + (hardest - lightest) * np.clip(samples.pressure, 0.0, 1.0)
+        force_n = lightest + (hardest - lightest) * np.clip(samples.pressure, 0.0, 1.0)
     time, point = samples.time[down], samples.point[down]
-    both = np.diff(np.flatnonzero(down)) == 1
-    rests = np.flatnonzero((np.diff(time) > REST_S) & both)
-    known = np.insert(time, rests + 1, time[rests + 1] - 1.0 / ACTION_RATE_HZ)
-    stays = np.insert(np.arange(len(time)), rests + 1, rests)
+    consecutive = np.diff(np.flatnonzero(down)) == 1
+    rests = np.flatnonzero((np.diff(time) > REST_S) & consecutive)
+    knot_time = np.insert(time, rests + 1, time[rests + 1] - 1.0 / ACTION_RATE_HZ)
+    knot_index = np.insert(np.arange(len(time)), rests + 1, rests)
     grid = np.arange(max(2, round(samples.time[-1] * ACTION_RATE_HZ) + 1)) / ACTION_RATE_HZ
-    points = np.stack([np.interp(grid, known, point[stays, axis]) for axis in range(3)], axis=1)
-    force = np.interp(grid, known, newton[down][stays])
+    points = np.stack([np.interp(grid, knot_time, point[knot_index, axis]) for axis in range(3)], axis=1)
+    force = np.interp(grid, knot_time, force_n[down][knot_index])
     before = np.clip(np.searchsorted(samples.time, grid, side="right") - 1, 0, len(down) - 1)
     after = np.clip(before + (samples.time[before] < grid), 0, len(down) - 1)
     touching = down[before] & down[after]
@@ -155,7 +211,7 @@ def _resample_to_grid(samples: PenSamples, style: PenStyle) -> tuple[Float, Floa
 
 
 def _smooth_runs(values: Float, touching: Bool, width_s: float) -> Float:
-    """Gaussian smoothing of (n, d) inside each run of touching; a run's ends stay where they are."""
+    """Smooth values (n, d) by a Gaussian inside each run of touching; the ends of a run stay."""
     smooth = values.copy()
     reach = int(np.ceil(3.0 * width_s * ACTION_RATE_HZ))
     if reach == 0:
@@ -166,33 +222,35 @@ def _smooth_runs(values: Float, touching: Bool, width_s: float) -> Float:
     for first, end in zip(borders[::2], borders[1::2], strict=True):
         run = values[first:end]
         pad = min(reach, len(run) - 1)
-        # Mirrored through its ends, so that these stay and a straight way stays straight.
-        ahead, behind = 2.0 * run[:1] - run[pad:0:-1], 2.0 * run[-1:] - run[-2 : -2 - pad : -1]
-        short = np.repeat(ahead[:1] if pad else run[:1], reach - pad, axis=0)
-        late = np.repeat(behind[-1:] if pad else run[-1:], reach - pad, axis=0)
-        whole = np.concatenate([short, ahead, run, behind, late])
+        # The run is mirrored at its end points, so that these stay and a straight path stays straight.
+        mirrored_start, mirrored_end = 2.0 * run[:1] - run[pad:0:-1], 2.0 * run[-1:] - run[-2 : -2 - pad : -1]
+        start_padding = np.repeat(mirrored_start[:1] if pad else run[:1], reach - pad, axis=0)
+        end_padding = np.repeat(mirrored_end[-1:] if pad else run[-1:], reach - pad, axis=0)
+        padded = np.concatenate([start_padding, mirrored_start, run, mirrored_end, end_padding])
         for axis in range(values.shape[1]):
-            smooth[first:end, axis] = np.convolve(whole[:, axis], kernel, mode="valid")
+            smooth[first:end, axis] = np.convolve(padded[:, axis], kernel, mode="valid")
     return smooth
 
 
 def _compute_landing_envelope(touching: Bool) -> Float:
-    """(n,) 0–1: 0 where the hand is off the surface, eased over LAND_S before and after."""
+    """Return an envelope (n,), 0 where the hand is off the surface, eased over `LANDING_S` before and after, else 1."""
     off = np.flatnonzero(~touching)
     if len(off) == 0:
         return np.ones(len(touching))
     at = np.arange(len(touching))
-    beside = np.searchsorted(off, at)
-    gap = np.minimum(np.abs(off[np.minimum(beside, len(off) - 1)] - at), np.abs(off[np.maximum(beside - 1, 0)] - at))
-    share = np.clip(gap / (LANDING_S * ACTION_RATE_HZ), 0.0, 1.0)
-    return np.asarray(share * share * (3.0 - 2.0 * share))
+    next_off = np.searchsorted(off, at)
+    gap = np.minimum(
+        np.abs(off[np.minimum(next_off, len(off) - 1)] - at), np.abs(off[np.maximum(next_off - 1, 0)] - at)
+    )
+    fraction = np.clip(gap / (LANDING_S * ACTION_RATE_HZ), 0.0, 1.0)
+    return np.asarray(fraction * fraction * (3.0 - 2.0 * fraction))
 
 
 def _compute_progress(point: Float, moved: Bool, path: FittedBezier, curve: ArcCurve) -> Float:
-    """Share of the fitted length at each sample (n,): inside a piece, as the drawn way goes."""
+    """Return the fraction (n,) of the fitted length at each sample; inside a segment it follows the drawn length."""
     station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1))])
     knots = np.flatnonzero(moved)[path.index]
-    pieces = np.arange(curve.curve.segment_count)
-    ends = curve.station[np.searchsorted(curve.segment, pieces, side="right")]
-    share = np.interp(station, station[knots], np.concatenate([[0.0], ends / curve.length]))
-    return np.maximum.accumulate(share)
+    segments = np.arange(curve.curve.segment_count)
+    ends = curve.station[np.searchsorted(curve.segment, segments, side="right")]
+    progress = np.interp(station, station[knots], np.concatenate([[0.0], ends / curve.length]))
+    return np.maximum.accumulate(progress)

@@ -1,5 +1,7 @@
-"""The eight synthetic action classes of HNF+ (HNF, "Training"): three scrapes, each soft and hard, and two rubs; and
-any other scrape or rub, of its own direction, force and speed (words.py)."""
+"""The eight primitives of HNF+ (HNF, "Training"): three scrapes, each soft and hard, and two rubs.
+
+`Primitive` also represents any other scrape or rub, of its own direction, force and speed (`parse_stroke.py`).
+"""
 
 from __future__ import annotations
 
@@ -8,12 +10,27 @@ from typing import NamedTuple
 from ..errors import UsageError
 
 SCRAPE_SPEED_M_S = 0.1
+"""Speed of the scrapes [m/s]."""
 SOFT_N, HARD_N, RUB_N = 0.5, 2.0, 1.0
+"""Forces of soft and hard scrapes and of rubs [N]."""
 
 
 class Primitive(NamedTuple):
-    """kind: scrape or rub. direction: unit vector of a scrape in the tangent plane (x right, y up). force: N.
-    speed: m/s."""
+    """A scrape or rub.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    kind : {"scrape", "rub"}
+        Straight scrape, or wandering rub.
+    direction : tuple of float
+        Unit vector of a scrape in the tangent plane (x right, y up).
+    force : float
+        Normal force [N].
+    speed : float
+        Speed [m/s].
+    """
 
     name: str
     kind: str
@@ -36,15 +53,16 @@ PRIMITIVES = {
         Primitive("rub-fast", "rub", _RIGHT, RUB_N, 0.15),
     )
 }
+"""The eight primitives by name."""
 PRIMITIVE_NAMES = tuple(PRIMITIVES)
 DEFAULT_PRIMITIVE = Primitive("default", "scrape", _RIGHT, 1.0, SCRAPE_SPEED_M_S)
-"""What touches a material nobody drew a stroke on: a scrape at 100 mm/s and 1 N, where real data is tabulated."""
+"""Stroke for materials without a drawn one: a scrape at 100 mm/s and 1 N, for which recorded data are tabulated."""
 DEFAULT_PRIMITIVE_DOWN = Primitive("default-down", "scrape", _DOWN, 1.0, SCRAPE_SPEED_M_S)
-"""The same from top to bottom, for what is long only that way (a hose)."""
+"""Stroke from top to bottom at the same speed and force, for objects that are long only that way (a hose)."""
 
 
 def find_primitive(name: str) -> Primitive:
-    """The primitive of this name (or "default", "default-down"). Raises UsageError, listing the names."""
+    """Return a primitive by its name, or "default", "default-down"; raise UsageError with the names for any other."""
     for default in (DEFAULT_PRIMITIVE, DEFAULT_PRIMITIVE_DOWN):
         if name == default.name:
             return default

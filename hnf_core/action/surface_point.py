@@ -1,4 +1,4 @@
-"""A place on a mesh that somebody names, by its UVs or in space, and the patch around it."""
+"""A single point of a mesh, given by its UV or its position, and the patch around it."""
 
 from __future__ import annotations
 
@@ -15,17 +15,32 @@ from .contacts import CONTACT_TOLERANCE_M, compute_tangents, find_nearest_on_tri
 Float = NDArray[np.float64]
 
 EDGE_TOLERANCE = 1e-9
-"""Barycentric weights down to −ON_EDGE lie on the triangle's own edge."""
+"""Negative barycentric weight down to which a point counts as on the triangle's edge."""
 MIN_INSIDE_WEIGHT = 1e-6
-"""From this weight on a place lies inside a triangle, not on an edge that it shares with its neighbour."""
+"""Barycentric weight from which a point is inside a triangle, and not on an edge shared with a neighbour."""
 
 
 @dataclass(frozen=True)
 class SurfacePoint:
-    """A point of a mesh. triangle, face: index in the mesh it was looked for in, and polygon it came from.
-    barycentric: (3,). point, normal: (3,) in the mesh's frame, metres. uv: (2,), None where the mesh has no UVs.
-    tangent_known: whether the UVs say which way +x lies there. patch: around it, as a stroke's patch would lie. notes:
-    what a person should know."""
+    """A point of a mesh.
+
+    Attributes
+    ----------
+    triangle, face : int
+        Triangle in the searched mesh, and the polygon it came from.
+    barycentric : ndarray, shape (3,)
+        Weights of the triangle's corners.
+    point, normal : ndarray, shape (3,)
+        Position [m] and normal in the mesh's frame.
+    uv : ndarray, shape (2,), or None
+        UV, if the mesh has any.
+    tangent_known : bool
+        True if the UVs determine the direction of +x.
+    patch : Patch
+        Patch around it, as of a stroke.
+    notes : tuple of str
+        Messages for a person.
+    """
 
     triangle: int
     face: int
@@ -39,9 +54,26 @@ class SurfacePoint:
 
 
 def find_point_at_uv(mesh: TriangleMesh, uv: tuple[float, float], *, where: str = "") -> SurfacePoint:
-    """The place with these UVs; where islands overlap that of the first face, and a note that says so.
+    """Find the point with a UV; where islands overlap, that of the first face, with a note.
 
-    Raises SceneError where the mesh has no UVs or no faces, or none of its faces holds the place.
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The mesh.
+    uv : tuple of float
+        The UV.
+    where : str
+        Name of the object in messages.
+
+    Returns
+    -------
+    SurfacePoint
+        The point.
+
+    Raises
+    ------
+    SceneError
+        If the mesh has no UVs or no faces, or no face contains the UV.
     """
     if mesh.uv is None:
         raise SceneError(
@@ -50,10 +82,10 @@ def find_point_at_uv(mesh: TriangleMesh, uv: tuple[float, float], *, where: str 
             remedy="Unwrap it (UV > Smart UV Project), or name the place as x,y,z in its own coordinates.",
         )
     _require_faces(mesh, where)
-    asked = np.asarray(uv, dtype=np.float64)
-    weights = compute_uv_barycentric(mesh.uv, asked)
-    held = np.flatnonzero((weights >= -EDGE_TOLERANCE).all(axis=1))
-    if len(held) == 0:
+    uv_point = np.asarray(uv, dtype=np.float64)
+    weights = compute_uv_barycentric(mesh.uv, uv_point)
+    containing = np.flatnonzero((weights >= -EDGE_TOLERANCE).all(axis=1))
+    if len(containing) == 0:
         low, high = mesh.uv.min(axis=(0, 1)), mesh.uv.max(axis=(0, 1))
         raise SceneError(
             f"no face has the UV ({uv[0]:g}, {uv[1]:g}).",
@@ -61,28 +93,30 @@ def find_point_at_uv(mesh: TriangleMesh, uv: tuple[float, float], *, where: str 
             remedy=f"Its UVs lie between ({low[0]:.4g}, {low[1]:.4g}) and ({high[0]:.4g}, {high[1]:.4g}); read one off "
             "in the UV editor, or name the place as x,y,z in the object's own coordinates.",
         )
-    first = int(held[np.argmin(mesh.face[held])])
-    # Neighbours share edges; a place strictly inside a second face lies on two islands.
-    inside = held[(weights[held] >= MIN_INSIDE_WEIGHT).all(axis=1)]
-    others = len(set(mesh.face[inside].tolist()) - {int(mesh.face[first])})
-    return _make_surface_point(mesh, first, np.clip(weights[first], 0.0, 1.0), format_overlap_notes(others, where))
+    first = int(containing[np.argmin(mesh.face[containing])])
+    # Neighbours share edges, but a point strictly inside a second face is on two islands.
+    inside = containing[(weights[containing] >= MIN_INSIDE_WEIGHT).all(axis=1)]
+    overlap_count = len(set(mesh.face[inside].tolist()) - {int(mesh.face[first])})
+    return _make_surface_point(
+        mesh, first, np.clip(weights[first], 0.0, 1.0), format_overlap_notes(overlap_count, where)
+    )
 
 
 def select_slot(mesh: TriangleMesh, slot: int) -> TriangleMesh:
-    """The part of a mesh that lies in one material slot, with the same vertices."""
-    own = mesh.slot == slot
+    """Return the part of a mesh in one material slot, with the same vertices."""
+    in_slot = mesh.slot == slot
     return replace(
         mesh,
-        triangles=mesh.triangles[own],
-        face=mesh.face[own],
-        slot=mesh.slot[own],
-        normals=mesh.normals[own],
-        uv=None if mesh.uv is None else mesh.uv[own],
+        triangles=mesh.triangles[in_slot],
+        face=mesh.face[in_slot],
+        slot=mesh.slot[in_slot],
+        normals=mesh.normals[in_slot],
+        uv=None if mesh.uv is None else mesh.uv[in_slot],
     )
 
 
 def format_overlap_notes(others: int, where: str) -> tuple[str, ...]:
-    """What to say where further faces have the UVs of the one that was taken."""
+    """Return a note that further faces have the same UV as the chosen one, if any do."""
     if others == 0:
         return ()
     faces = "1 more face has" if others == 1 else f"{others} more faces have"
@@ -90,35 +124,51 @@ def format_overlap_notes(others: int, where: str) -> tuple[str, ...]:
 
 
 def find_point_near(mesh: TriangleMesh, point: Float, *, where: str = "") -> SurfacePoint:
-    """The place nearest to a point (3,) in the mesh's frame.
+    """Find the surface point nearest to a point in the mesh's frame.
 
-    Raises SceneError where there is no face, or the surface is further off than a stroke may be (CONTACT_TOLERANCE_M).
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The mesh.
+    point : ndarray, shape (3,)
+        The point [m].
+    where : str
+        Name of the object in messages.
+
+    Returns
+    -------
+    SurfacePoint
+        The nearest point.
+
+    Raises
+    ------
+    SceneError
+        If there is no face, or the surface is farther away than `CONTACT_TOLERANCE_M`.
     """
     _require_faces(mesh, where)
-    asked = np.asarray(point, dtype=np.float64)[None]
-    found = find_nearest_on_triangles(asked, mesh.corner_positions())
-    off = float(found.distance[0]) if len(found.distance) else float("inf")
-    if not off <= CONTACT_TOLERANCE_M:
+    query = np.asarray(point, dtype=np.float64)[None]
+    nearest = find_nearest_on_triangles(query, mesh.corner_positions())
+    distance = float(nearest.distance[0]) if len(nearest.distance) else float("inf")
+    if not distance <= CONTACT_TOLERANCE_M:
         raise SceneError(
-            f"its surface is {off * 1e3:.3g} mm away from the place that was named.",
+            f"its surface is {distance * 1e3:.3g} mm away from the place that was named.",
             where=where,
             remedy="Name a place on it: x,y,z in the object's own coordinates, as its Edit Mode shows them.",
         )
-    return _make_surface_point(mesh, int(found.triangle[0]), found.barycentric[0], ())
+    return _make_surface_point(mesh, int(nearest.triangle[0]), nearest.barycentric[0], ())
 
 
 def compute_uv_barycentric(uv: Float, uv_point: Float) -> Float:
-    """(T, 3) barycentric weights of a UV place (2,) in each triangle's corner UVs (T, 3, 2); −1 throughout for
-    triangles without UV area."""
+    """Compute barycentric weights (T, 3) of a UV point (2,) in triangles' corner UVs (T, 3, 2); −1 without UV area."""
     edge_a, edge_b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     area = edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0]
-    to = uv_point - uv[:, 0]
-    good = np.abs(area) > 1e-14
-    safe = np.where(good, area, 1.0)
-    second = (to[:, 0] * edge_b[:, 1] - to[:, 1] * edge_b[:, 0]) / safe
-    third = (edge_a[:, 0] * to[:, 1] - edge_a[:, 1] * to[:, 0]) / safe
+    offset = uv_point - uv[:, 0]
+    has_area = np.abs(area) > 1e-14
+    safe = np.where(has_area, area, 1.0)
+    second = (offset[:, 0] * edge_b[:, 1] - offset[:, 1] * edge_b[:, 0]) / safe
+    third = (edge_a[:, 0] * offset[:, 1] - edge_a[:, 1] * offset[:, 0]) / safe
     weights = np.stack([1.0 - second - third, second, third], axis=1)
-    return np.where(good[:, None], weights, -1.0)
+    return np.where(has_area[:, None], weights, -1.0)
 
 
 def _require_faces(mesh: TriangleMesh, where: str) -> None:

@@ -1,20 +1,19 @@
-"""The last stage before the wire: whatever comes in, no device gets more than its limits.
+"""The limiter, last stage before the wire: acceleration [m/s²] in, int16 counts within a device's limits out.
 
-Four bounds, each kept for every input and every cut of it into blocks:
+Four bounds hold for every input, however it is cut into blocks:
 
-* peak: no count beyond peak_counts.
-* slew: no two frames in a row differ by more than step counts, across blocks, soft starts and soft stops too.
-* warming: the coil's mean square through one pole never exceeds sustained². From KNEE of it on the gain falls, in a
-  straight line over each grid of frames, so nothing zips. Behind the gain a cap holds for what no gain foresees: the
-  largest level that, were it kept for a grid of frames and then brought to 0 as slowly as the slew asks, stays within
-  the bound. Level 0 always does, since the way down was paid for before; so cap and slew never contradict.
-* no number that is not finite: it is 0, and counted.
+* Peak: no count exceeds `peak`.
+* Slew: consecutive frames never differ by more than `max_step` counts, across blocks, soft starts and soft stops too.
+* Warming: the coil's mean square, a one-pole filter of y², never exceeds sustained². From `THERMAL_KNEE` of that bound
+  on the gain falls linearly over each grid of frames, so gain changes are inaudible. A level cap behind the gain holds
+  for input that no gain anticipates: the largest level that stays within the bound if it lasts for one grid of frames
+  and is then brought to 0 at the slew limit. Level 0 always satisfies this, since the energy of the ramp down was
+  reserved before; so cap and slew never contradict.
+* Finite values: NaN and infinity become 0 and are counted.
 
-Whatever is summed is whole counts, and everything else is done value by value on a grid that starts with the first
-frame: equal bytes however the input is cut. limiter_reference.py is the same law, one value at a time.
-
-What the coils of a device have warmed to, kept from one stream to the next of one process: starting anew cools
-nothing. Another process knows nothing of it.
+Energies are sums of whole counts, and everything else is done per value on a grid that starts with the first frame, so
+the bytes do not depend on the cut into blocks. `ThermalState` carries the coils' warmth from one stream to the next
+within a process.
 """
 
 from __future__ import annotations
@@ -35,11 +34,33 @@ FloatArray = NDArray[np.float64]
 
 
 class Limiter:
-    """m/s² → counts. limited: samples that left other than they came, rounding and ramps aside. nonfinite: samples
-    that were no number. heat: (channels,) or one for all, 0–1, how warm the coils are at the start."""
+    """Streaming limiter of one device: (n, channels) m/s² → (n, channels) counts.
+
+    Parameters
+    ----------
+    limits : Limits
+        Limits of the device.
+    rate_hz : float
+        Frames per second of the device [Hz].
+    channels : int
+        Number of channels.
+    initial_heat : array_like
+        Warmth of the coils at the start as a fraction of their bound, 0–1; a scalar or (channels,).
+
+    Attributes
+    ----------
+    limited : int
+        Samples changed by the limits, apart from rounding and ramps.
+    nonfinite : int
+        Samples that were NaN or infinite.
+
+    Raises
+    ------
+    UsageError
+        If the limits leave nothing at `rate_hz`, or there is no channel.
+    """
 
     def __init__(self, limits: Limits, rate_hz: float, channels: int, *, initial_heat: ArrayLike = 0.0) -> None:
-        """Raises UsageError where limits leave nothing at rate_hz, or there is no channel."""
         if channels < 1:
             raise UsageError(f"a device has one channel or more, not {channels}.")
         self.limited = 0
@@ -53,9 +74,9 @@ class Limiter:
         self._fade_out_frames_left = 0
         self._grid_position = 0
         self._grid_energy = np.zeros(channels, dtype=np.int64)
-        warm = np.clip(np.broadcast_to(np.asarray(initial_heat, dtype=np.float64), (channels,)), 0.0, 1.0)
+        heat = np.clip(np.broadcast_to(np.asarray(initial_heat, dtype=np.float64), (channels,)), 0.0, 1.0)
         self._mean_square = (
-            warm * self._params.max_mean_square if np.isfinite(self._params.max_mean_square) else np.zeros(channels)
+            heat * self._params.max_mean_square if np.isfinite(self._params.max_mean_square) else np.zeros(channels)
         )
         self._gain = self._previous_gain = compute_gains(self._params, self._mean_square)
         self._is_damped = bool((self._gain < 1.0).any())
@@ -63,36 +84,46 @@ class Limiter:
 
     @property
     def heat(self) -> FloatArray:
-        """(channels,) of what the coils may warm to, 0–1; as of the last whole grid of frames."""
+        """Warmth of the coils as a fraction of their bound, (channels,) 0–1, as of the last complete grid of frames."""
         return self._mean_square / self._params.max_mean_square
 
     @property
     def is_resting(self) -> bool:
-        """Stopped, and nothing left to fade."""
+        """True if it has stopped and nothing is left to fade out."""
         return not self._is_playing and self._fade_out_frames_left == 0 and not self._last.any()
 
     def process(self, block: ArrayLike) -> Counts:
-        """(n, channels) m/s² → (n, channels) counts. The first block, and the first after a soft stop, start softly.
-        Raises UsageError for another shape."""
-        given = np.asarray(block, dtype=np.float64)
-        if given.ndim != 2 or given.shape[1] != self._channels:
-            raise UsageError(f"a block is (frames, {self._channels}), this one is {given.shape}.")
-        if len(given) == 0:
+        """Limit a block, (n, channels) m/s² → (n, channels) counts.
+
+        The first block, and the first after a soft stop, fade in.
+
+        Raises
+        ------
+        UsageError
+            If the block has another shape.
+        """
+        samples = np.asarray(block, dtype=np.float64)
+        if samples.ndim != 2 or samples.shape[1] != self._channels:
+            raise UsageError(f"a block is (frames, {self._channels}), this one is {samples.shape}.")
+        if len(samples) == 0:
             return np.zeros((0, self._channels), dtype=np.int16)
         self._is_playing = True
-        finite = np.isfinite(given)
+        finite = np.isfinite(samples)
         if not finite.all():
-            self.nonfinite += int(given.size - np.count_nonzero(finite))
-            given = np.where(finite, given, 0.0)
-        most = 2.0 * self._params.full_scale_m_s2
-        level = np.minimum(np.maximum(given, -most), most)
+            self.nonfinite += int(samples.size - np.count_nonzero(finite))
+            samples = np.where(finite, samples, 0.0)
+        highest = 2.0 * self._params.full_scale_m_s2
+        level = np.minimum(np.maximum(samples, -highest), highest)
         level /= self._params.full_scale_m_s2
         level *= FULL_SCALE_COUNTS
         return self._limit(level)
 
     def soft_stop(self, frames: int) -> Counts:
-        """(frames, channels) counts in a block's place: what left last, faded to exactly 0 within the ramp (or as soon
-        as the slew allows), and 0 from there on. May be called again and again, as for a pause."""
+        """Return (frames, channels) counts that fade out in place of a block.
+
+        They go from the last level to exactly 0 within the ramp, or as soon as the slew allows, and stay 0. May be
+        called repeatedly, for example during a pause.
+        """
         if self._is_playing and frames > 0:
             self._is_playing = False
             self._fade_in_frames = 0
@@ -101,7 +132,7 @@ class Limiter:
         return self._limit(np.zeros((frames, self._channels)))
 
     def flush(self) -> Counts:
-        """All of a soft stop, ending with one frame of 0; nothing where it rests already. Nothing follows it."""
+        """Return the entire soft stop, ending with one frame of 0; empty if the limiter rests already. Call it last."""
         if self.is_resting or not (self._last.any() or self._fade_out_frames_left):
             return np.zeros((0, self._channels), dtype=np.int16)
         counts = self.soft_stop(len(self._params.ramp) + self._params.peak // self._params.max_step + 1)
@@ -109,7 +140,7 @@ class Limiter:
         return counts[: (int(sounding[-1]) if len(sounding) else 0) + 2]
 
     def _limit(self, level: FloatArray) -> Counts:
-        """level: counts wanted, not yet whole, (n, channels)."""
+        """Limit requested levels, (n, channels) in fractional counts."""
         tail = self._apply_ramps(level)
         grid = self._params.grid_frames if np.isfinite(self._params.max_mean_square) else max(len(level), 1)
         counts = np.empty(level.shape, dtype=np.int16)
@@ -121,7 +152,7 @@ class Limiter:
         return counts
 
     def _apply_ramps(self, level: FloatArray) -> FloatArray | None:
-        """Fades level in, in place. Returns what fades out beneath it, if anything."""
+        """Fade `level` in, in place; return the fading tail to add to it, or None."""
         ramp = self._params.ramp
         if self._is_playing and self._fade_in_frames < len(ramp) - 1:
             steps = np.arange(1, len(level) + 1)
@@ -135,76 +166,80 @@ class Limiter:
         return np.asarray(tail)
 
     def _limit_while_cool(self, level: FloatArray, tail: FloatArray | None, counts: Counts) -> int:
-        """All of level in one go, as far as the coils stay so cool that peak and slew alone bound it; how many frames
-        that is. What _piece makes of them grid by grid, for a third of the time."""
-        law = self._params
+        """Limit `level` at once while the coils are so cool that only peak and slew matter; return the frames done.
+
+        The result equals that of `_limit_grid` grid by grid, in a third of the time.
+        """
+        params = self._params
         if (
             len(level) == 0
-            or not np.isfinite(law.max_mean_square)
+            or not np.isfinite(params.max_mean_square)
             or self._is_damped
-            or not _is_cool(law, self._mean_square)
+            or not _is_cool(params, self._mean_square)
         ):
             return 0
-        wanted = np.rint(level if tail is None else level + tail)
-        whole = np.minimum(np.maximum(wanted, -law.peak), law.peak).astype(np.int64)
-        limit_slew(whole, self._last, law.max_step)
-        starts = np.arange(-self._grid_position, len(whole), law.grid_frames)
+        requested = np.rint(level if tail is None else level + tail)
+        counts_out = np.minimum(np.maximum(requested, -params.peak), params.peak).astype(np.int64)
+        limit_slew(counts_out, self._last, params.max_step)
+        starts = np.arange(-self._grid_position, len(counts_out), params.grid_frames)
         starts[0] = 0
-        energies = np.add.reduceat(whole * whole, starts, axis=0)
-        whole_grids = (self._grid_position + len(whole)) // law.grid_frames
-        done = len(whole)
-        for index in range(whole_grids):
-            self._mean_square = law.grid_decay * self._mean_square + law.pole_weight * (
+        energies = np.add.reduceat(counts_out * counts_out, starts, axis=0)
+        complete_grids = (self._grid_position + len(counts_out)) // params.grid_frames
+        done = len(counts_out)
+        for index in range(complete_grids):
+            self._mean_square = params.grid_decay * self._mean_square + params.pole_weight * (
                 self._grid_energy + energies[index]
             )
             self._grid_energy = np.zeros_like(self._grid_energy)
-            if not _is_cool(law, self._mean_square):
-                done = (index + 1) * law.grid_frames - self._grid_position
+            if not _is_cool(params, self._mean_square):
+                done = (index + 1) * params.grid_frames - self._grid_position
                 break
-        self.limited += int(np.count_nonzero(whole[:done] != wanted[:done]))
-        self._last = whole[done - 1].copy()
-        self._grid_position = (self._grid_position + done) % law.grid_frames
+        self.limited += int(np.count_nonzero(counts_out[:done] != requested[:done]))
+        self._last = counts_out[done - 1].copy()
+        self._grid_position = (self._grid_position + done) % params.grid_frames
         if self._grid_position:
             self._grid_energy = self._grid_energy + energies[-1]
-        elif not _is_cool(law, self._mean_square):
-            self._gain = compute_gains(law, self._mean_square)
+        elif not _is_cool(params, self._mean_square):
+            self._gain = compute_gains(params, self._mean_square)
             self._is_damped = bool((self._gain < 1.0).any())
-            self._cap = compute_level_caps(law, self._mean_square, self._last)
-        counts[:done] = whole[:done]
+            self._cap = compute_level_caps(params, self._mean_square, self._last)
+        counts[:done] = counts_out[:done]
         return done
 
     def _limit_grid(self, level: FloatArray, tail: FloatArray | None) -> IntArray:
-        """Within one grid of frames."""
-        law, heats = self._params, bool(np.isfinite(self._params.max_mean_square))
-        aim = wanted = np.rint(level if tail is None else level + tail)
+        """Limit a block that lies within one grid of frames."""
+        params, is_thermally_bounded = self._params, bool(np.isfinite(self._params.max_mean_square))
+        target = requested = np.rint(level if tail is None else level + tail)
         if self._is_damped:
-            share = np.arange(self._grid_position + 1, self._grid_position + len(level) + 1)[:, None] / law.grid_frames
-            level = level * (self._previous_gain + (self._gain - self._previous_gain) * share)
-            aim = np.rint(level if tail is None else level + tail)
-        whole = np.minimum(np.maximum(aim, -self._cap), self._cap).astype(np.int64)
-        limit_slew(whole, self._last, law.max_step)
-        self.limited += int(np.count_nonzero(whole != wanted))
-        self._last = whole[-1].copy()
-        if heats:
-            self._grid_energy += np.einsum("nc,nc->c", whole, whole)
-            self._grid_position += len(whole)
-            if self._grid_position == law.grid_frames:
+            fraction = (
+                np.arange(self._grid_position + 1, self._grid_position + len(level) + 1)[:, None] / params.grid_frames
+            )
+            level = level * (self._previous_gain + (self._gain - self._previous_gain) * fraction)
+            target = np.rint(level if tail is None else level + tail)
+        counts = np.minimum(np.maximum(target, -self._cap), self._cap).astype(np.int64)
+        limit_slew(counts, self._last, params.max_step)
+        self.limited += int(np.count_nonzero(counts != requested))
+        self._last = counts[-1].copy()
+        if is_thermally_bounded:
+            self._grid_energy += np.einsum("nc,nc->c", counts, counts)
+            self._grid_position += len(counts)
+            if self._grid_position == params.grid_frames:
                 self._update_heat()
-        return whole
+        return counts
 
     def _update_heat(self) -> None:
-        law = self._params
-        # Each frame counts in full, though the earlier ones have faded a little: never too little.
-        self._mean_square = law.grid_decay * self._mean_square + law.pole_weight * self._grid_energy
+        params = self._params
+        # Every frame counts in full although earlier ones have decayed a little, so the heat is never underestimated.
+        self._mean_square = params.grid_decay * self._mean_square + params.pole_weight * self._grid_energy
         self._grid_energy[:] = 0
         self._grid_position = 0
-        self._previous_gain, self._gain = self._gain, compute_gains(law, self._mean_square)
+        self._previous_gain, self._gain = self._gain, compute_gains(params, self._mean_square)
         self._is_damped = bool((self._previous_gain < 1.0).any() or (self._gain < 1.0).any())
-        self._cap = compute_level_caps(law, self._mean_square, self._last)
+        self._cap = compute_level_caps(params, self._mean_square, self._last)
 
 
 def _is_cool(params: LimiterParams, square: FloatArray) -> bool:
-    """Whether no gain falls and no cap is near, by what gains() and caps() make of the warmest coil."""
+    """Return whether gain and level cap leave even the warmest coil unrestricted."""
     warmest = float(square.max())
     return (1.0 - warmest / params.max_mean_square) / (1.0 - THERMAL_KNEE) >= 1.0 and _is_far_from_bound(
         params, warmest
@@ -212,65 +247,81 @@ def _is_cool(params: LimiterParams, square: FloatArray) -> bool:
 
 
 def _is_far_from_bound(params: LimiterParams, warmest: float) -> bool:
-    """Whether a grid of frames at the peak, and the way down from it, is not half of what the bound leaves."""
+    """Return whether one grid of frames at the peak, plus the ramp down, uses less than half of the energy left."""
     most = params.peak * params.peak * (params.grid_frames + params.peak / params.max_step)
     return (params.max_mean_square - params.grid_decay * warmest) / params.pole_weight > 2.0 * most
 
 
 def compute_gains(params: LimiterParams, square: FloatArray) -> FloatArray:
-    """(channels,) 0–1: 1 up to KNEE of the bound, from there in a straight line to 0 at the bound."""
+    """Return gains (channels,) 0–1: 1 up to `THERMAL_KNEE` of the bound, then linearly down to 0 at the bound."""
     return np.asarray(np.clip((1.0 - square / params.max_mean_square) / (1.0 - THERMAL_KNEE), 0.0, 1.0))
 
 
 def compute_level_caps(params: LimiterParams, square: FloatArray, last: IntArray) -> IntArray:
-    """(channels,) counts: the largest level that keeps the mean square within the bound for a grid of frames and for
-    the way down to 0 after it. square: now. last: counts that left last."""
+    """Return the largest levels, (channels,) [counts], that keep the mean square within its bound.
+
+    They may last for one grid of frames, followed by the ramp down to 0.
+
+    Parameters
+    ----------
+    params : LimiterParams
+        Limits in counts and frames.
+    square : (channels,) array
+        Mean square now [counts²].
+    last : (channels,) array
+        Last counts sent.
+    """
     highest = np.full(len(square), params.peak, dtype=np.int64)
     if not np.isfinite(params.max_mean_square):
         return highest
-    room = (params.max_mean_square - params.grid_decay * square) / params.pole_weight
-    owed = compute_ramp_down_energy(params, np.abs(last))
+    energy_left = (params.max_mean_square - params.grid_decay * square) / params.pole_weight
+    reserved = compute_ramp_down_energy(params, np.abs(last))
     lowest = np.zeros_like(highest)
-    if _is_far_from_bound(params, float(square.max())):  # what follows would find the same
+    if _is_far_from_bound(params, float(square.max())):  # the search below would find the same
         return highest
     while (lowest < highest).any():
         middle = (lowest + highest + 1) // 2
         fits = (
-            np.maximum(compute_ramp_down_energy(params, middle), owed)
+            np.maximum(compute_ramp_down_energy(params, middle), reserved)
             + params.grid_frames * np.square(middle.astype(np.float64))
-            <= room
+            <= energy_left
         )
         lowest, highest = np.where(fits, middle, lowest), np.where(fits, highest, middle - 1)
     return lowest
 
 
 def compute_ramp_down_energy(params: LimiterParams, level: IntArray) -> FloatArray:
-    """Counts² summed over the frames from level to 0 at the steepest slew: Σ (level − k·step)² ≤ level³ / 3 step."""
-    real = level.astype(np.float64)
-    return np.asarray(real * real * real / (3.0 * params.max_step))
+    """Return an upper bound of the ramp-down energy [counts²]: Σ (level − k·step)² ≤ level³ / (3 step)."""
+    amplitude = level.astype(np.float64)
+    return np.asarray(amplitude * amplitude * amplitude / (3.0 * params.max_step))
 
 
 def limit_slew(target: IntArray, last: IntArray, step: int) -> None:
-    """Changes target (n, channels), n ≥ 1, where it leaves its last frame (channels,) or itself by more than step
-    counts a frame: there it is followed as fast as that allows."""
+    """Limit the steps of `target`, (n, channels) with n ≥ 1, to `step` counts per frame, in place.
+
+    `last` (channels,) precedes the first frame. Where `target` is steeper it is approached as fast as `step` allows.
+    """
     steep = np.abs(target[0] - last) > step
     if len(target) > 1:
         steep |= np.abs(target[1:] - target[:-1]).max(axis=0) > step
     if not steep.any():
         return
     for channel in np.flatnonzero(steep):
-        at, followed = int(last[channel]), []
-        for aim in target[:, channel].tolist():
-            at = aim if -step <= aim - at <= step else at + step if aim > at else at - step
-            followed.append(at)
-        target[:, channel] = followed
+        level, path = int(last[channel]), []
+        for goal in target[:, channel].tolist():
+            level = goal if -step <= goal - level <= step else level + step if goal > level else level - step
+            path.append(level)
+        target[:, channel] = path
 
 
 HeatArray = NDArray[np.float64]
 
 
 class ThermalState:
-    """Of devices, each known by its name, as long as this process lives. clock: s, monotonic."""
+    """Warmth of the coils of named devices, kept for the lifetime of this process.
+
+    `clock` returns monotonic seconds.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -278,21 +329,34 @@ class ThermalState:
         self._devices: dict[str, tuple[float, float, HeatArray]] = {}
 
     def record(self, device: str, limits: Limits, heat: HeatArray) -> None:
-        """heat: (channels,) of what limits' coils may warm to, as Limiter.heat tells it. Of two devices with one name
-        the warmer counts."""
+        """Store the warmth of a device at the end of a stream.
+
+        Parameters
+        ----------
+        device : str
+            Name of the device. Of two devices with one name the warmer counts.
+        limits : Limits
+            Limits that the warmth refers to.
+        heat : (channels,) array
+            Fraction of the bound, 0–1, as from `Limiter.heat`.
+        """
         heat = np.maximum(heat, self.get_heat(device, limits, len(heat)))
         square = heat * (limits.sustained * limits.full_scale_m_s2) ** 2
         with self._lock:
             self._devices[device] = (self._clock(), limits.thermal_s, square)
 
     def get_heat(self, device: str, limits: Limits, channels: int) -> HeatArray:
-        """(channels,) 0–1 for a Limiter that starts now; other channels than last time start as warm as its warmest."""
+        """Return the present warmth, (channels,) 0–1, for a new `Limiter`.
+
+        If the number of channels has changed, all start as warm as the warmest.
+        """
         with self._lock:
-            then, thermal_s, square = self._devices.get(device, (0.0, 1.0, np.zeros(channels)))
-            left = float(np.exp(-(self._clock() - then) / thermal_s))
+            recorded_s, thermal_s, square = self._devices.get(device, (0.0, 1.0, np.zeros(channels)))
+            decay = float(np.exp(-(self._clock() - recorded_s) / thermal_s))
         if len(square) != channels:
             square = np.full(channels, square.max(initial=0.0))
-        return np.asarray(np.clip(left * square / (limits.sustained * limits.full_scale_m_s2) ** 2, 0.0, 1.0))
+        return np.asarray(np.clip(decay * square / (limits.sustained * limits.full_scale_m_s2) ** 2, 0.0, 1.0))
 
 
 THERMAL_STATE = ThermalState()
+"""Warmth of all devices that this process has played on."""

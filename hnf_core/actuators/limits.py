@@ -1,6 +1,7 @@
-"""What may leave for a device at most.
+"""Limits of a device, and the limiter's parameters that follow from them at one frame rate.
 
-What a device's limits come to in counts and frames: the figures that both limiters work with.
+`Limits` holds them in physical units. `compute_limiter_params` converts them to counts and frames, for the limiter and
+for the virtual device.
 """
 
 from __future__ import annotations
@@ -19,11 +20,22 @@ FULL_SCALE_COUNTS = 32767
 
 @dataclass(frozen=True)
 class Limits:
-    """Enforced at the last stage before the wire, whatever comes in.
+    """Bounds on what a device receives, enforced by the limiter whatever comes in.
 
-    full_scale_m_s2: acceleration that a full-scale count stands for. peak: largest share of full scale, 0–1.
-    slew_per_s: largest change, in full scales per second. sustained: share of full scale (RMS) that the coil may carry
-    for ever; thermal_s: time constant of its warming. ramp_s: of a soft start and a soft stop.
+    Attributes
+    ----------
+    full_scale_m_s2 : float
+        Acceleration of a full-scale count [m/s²].
+    peak : float
+        Largest level, as a fraction of full scale, 0–1.
+    slew_per_s : float
+        Largest rate of change [full scales per second].
+    sustained : float
+        RMS level that the coil can carry indefinitely, as a fraction of full scale.
+    thermal_s : float
+        Time constant of the coil's warming [s].
+    ramp_s : float
+        Length of a soft start and of a soft stop [s].
     """
 
     full_scale_m_s2: float
@@ -47,25 +59,43 @@ class Limits:
         return int(self.peak * FULL_SCALE_COUNTS)
 
     def with_device_peak(self, peak_counts: int) -> Limits:
-        """These, on a device that itself plays no count beyond peak_counts. Raises UsageError where that is none."""
+        """Return these limits with the peak lowered to the device's own largest count.
+
+        Raises
+        ------
+        UsageError
+            If `peak_counts` is 0 or less.
+        """
         return replace(self, peak=min(self.peak, peak_counts / FULL_SCALE_COUNTS))
 
 
 THERMAL_KNEE = 0.8
-"""Share of the bound from which warming lowers the level."""
+"""Fraction of the thermal bound at which the gain starts to fall."""
 _GAIN_UPDATE_S = 0.005
 
 
 @dataclass(frozen=True)
 class LimiterParams:
-    """Limits at one rate.
+    """Limits converted to counts and frames at one frame rate.
 
-    full_scale_m_s2: what COUNTS stand for. peak: largest magnitude, counts. step: largest change from frame to frame,
-    counts. ramp: (R + 1,) float64, a fade from 0 to 1 over R frames.
-
-    Warming: the coil's mean square is taken through one pole (time constant thermal_s): each frame
-    m ← (1 − weight)·m + weight·y², y in counts. It may never exceed bound (infinite: the peak alone keeps below).
-    Gain and cap are set anew every grid frames, for which m falls to decay·m by itself.
+    Attributes
+    ----------
+    full_scale_m_s2 : float
+        Acceleration of `FULL_SCALE_COUNTS` [m/s²].
+    peak : int
+        Largest magnitude [counts].
+    max_step : int
+        Largest change from one frame to the next [counts].
+    ramp : NDArray[np.float64]
+        (R + 1,) fade from 0 to 1 over R frames.
+    max_mean_square : float
+        Bound on the coil's mean square [counts²]; infinite if the peak alone keeps below it.
+    pole_weight : float
+        Weight w of a frame in the mean square m, a one-pole filter: m ← (1 − w)·m + w·y², with y in counts.
+    grid_frames : int
+        Number of frames between two updates of gain and level cap.
+    grid_decay : float
+        Factor by which m falls by itself within `grid_frames`.
     """
 
     full_scale_m_s2: float
@@ -79,33 +109,39 @@ class LimiterParams:
 
 
 def compute_max_step(slew_per_s: float, rate_hz: float) -> int:
-    """Largest step from frame to frame in counts, of a slew in full scales per second."""
+    """Convert a slew [full scales per second] to the largest step between two frames [counts]."""
     return int(min(slew_per_s * FULL_SCALE_COUNTS / rate_hz, 2.0 * FULL_SCALE_COUNTS))
 
 
 def compute_limiter_params(limits: Limits, rate_hz: float) -> LimiterParams:
-    """Raises UsageError where limits leave less than one count, or rate_hz is no rate."""
+    """Convert limits to counts and frames at `rate_hz`.
+
+    Raises
+    ------
+    UsageError
+        If the limits leave less than one count, or `rate_hz` is not a possible rate.
+    """
     if not 0.0 < rate_hz < 1e9:
         raise UsageError(f"a device does not play {rate_hz:g} frames a second.")
     peak = limits.peak_counts
-    step = compute_max_step(limits.slew_per_s, rate_hz)
-    if peak < 1 or step < 1 or limits.sustained * FULL_SCALE_COUNTS < 1.0:
+    max_step = compute_max_step(limits.slew_per_s, rate_hz)
+    if peak < 1 or max_step < 1 or limits.sustained * FULL_SCALE_COUNTS < 1.0:
         raise UsageError(
             f"within these limits nothing can be felt at {rate_hz:g} Hz: {limits}.",
             remedy="Raise the peak, the slew or the sustained level.",
         )
-    warming = max(limits.thermal_s * rate_hz, 0.01)
-    weight = -math.expm1(-1.0 / warming)
-    bound = (min(limits.sustained, 2.0) * FULL_SCALE_COUNTS) ** 2
-    grid = int(min(max(min(warming / 16.0, _GAIN_UPDATE_S * rate_hz), 1.0), 4096.0))
+    thermal_frames = max(limits.thermal_s * rate_hz, 0.01)
+    pole_weight = -math.expm1(-1.0 / thermal_frames)
+    max_mean_square = (min(limits.sustained, 2.0) * FULL_SCALE_COUNTS) ** 2
+    grid_frames = int(min(max(min(thermal_frames / 16.0, _GAIN_UPDATE_S * rate_hz), 1.0), 4096.0))
     ramp_frames = int(min(max(math.ceil(limits.ramp_s * rate_hz), 1), 10.0 * rate_hz + 1.0))
     return LimiterParams(
         full_scale_m_s2=limits.full_scale_m_s2,
         peak=peak,
-        max_step=min(step, 2 * peak),
+        max_step=min(max_step, 2 * peak),
         ramp=0.5 - 0.5 * np.cos(np.pi * np.arange(ramp_frames + 1) / ramp_frames),
-        max_mean_square=math.inf if weight == 0.0 or bound >= float(peak * peak) else bound,
-        pole_weight=weight,
-        grid_frames=grid,
-        grid_decay=math.exp(-grid / warming),
+        max_mean_square=math.inf if pole_weight == 0.0 or max_mean_square >= float(peak * peak) else max_mean_square,
+        pole_weight=pole_weight,
+        grid_frames=grid_frames,
+        grid_decay=math.exp(-grid_frames / thermal_frames),
     )

@@ -1,4 +1,4 @@
-"""A hand as a source: what it does now, felt now."""
+"""Live touch as a stream source: hand events in, samples [m/s²] out, state by state."""
 
 from __future__ import annotations
 
@@ -21,33 +21,46 @@ from .stream import DurationHistogram
 Float = NDArray[np.float64]
 
 MAX_CLOCK_ERROR_S = 0.025
-"""Further off, the states' clock is set anew: the stream began, paused, or the machine stood still."""
+"""Clock error beyond which the states' clock is set anew [s]: the stream began or paused, or the machine stalled."""
 CLOCK_CORRECTION = 0.05
-"""Share of what it is off that a state makes up for: device and computer never keep quite the same time."""
+"""Fraction of the clock error corrected per state, since the device's and the computer's clocks drift apart."""
 CLOCK_DRIFT = 1e-4
-"""How much slower the hand's clock may run than ours: seconds per second."""
+"""Assumed drift of the hand's clock against the computer's [s/s]."""
 MAX_EVENT_DELAY_S = 0.5
+"""Extra delay of an event beyond which the hand's clock is synchronised anew [s]."""
 MAX_QUEUED_EVENTS = 4096
+"""Largest number of events in each queue."""
 RELEASE_STATES = 12
-"""After which a synthesis that was lifted is silent."""
+"""States after a lift until a synthesis is silent."""
 MAX_RELEASING = 3
-"""Materials that may still ring out at a time; of one more the oldest is cut short."""
+"""Largest number of materials that decay at the same time; beyond it the oldest is cut off."""
 
 
 @dataclass(frozen=True)
 class EventTiming:
-    """From an event to its first sample. moved_s: when move() was called. frame: of this source, the first that the
-    event changed."""
+    """When an event arrived and took effect: time of `move` [s], and the first frame of this source that it changed."""
 
     moved_s: float
     frame: int
 
 
 class LiveSource:
-    """See Source; never ends by itself. Events from one thread, read() from another.
+    """A hand on a surface as a source that never ends by itself.
 
-    clock: seconds, any start. None: the hand was recorded; its own times count, 5 ms of them per state, and reading
-    may be as fast as it likes.
+    Events come from one thread, `read` is called by another.
+
+    Parameters
+    ----------
+    synthesis : LiveSynthesis
+        Synthesises the signal of the touched materials.
+    clock : callable or None
+        Returns seconds from any start. None means that the hand was recorded: its own times count, 5 ms of them per
+        state, and reading may be as fast as possible.
+
+    Attributes
+    ----------
+    rejected_events : int
+        Number of invalid events.
     """
 
     channels = 1
@@ -72,9 +85,21 @@ class LiveSource:
         self.rejected_events = 0
 
     def move(self, time_s: float, position_m: tuple[float, float], force_n: float, material: int = 0) -> None:
-        """At time_s of its own clock the hand is there and presses so hard; 0 N = lifted.
+        """Report the hand's position and force.
 
-        What is no number, lies outside LIMITS or names no material is refused and counted: the hand stays as it was.
+        An event that is not finite, lies outside `LIMITS` or names no material is rejected and counted; the hand stays
+        as it was.
+
+        Parameters
+        ----------
+        time_s : float
+            Time on the hand's own clock [s].
+        position_m : tuple of float
+            Position (x, y) on the surface [m].
+        force_n : float
+            Normal force [N]; 0 = lifted.
+        material : int
+            Index of the touched material.
         """
         x, y = position_m
         if not (
@@ -88,14 +113,14 @@ class LiveSource:
         self._queue_event(HandEvent(time_s, x, y, force_n, material))
 
     def lift(self, time_s: float | None = None) -> None:
-        """The hand leaves. None: now, as far as its clock is known."""
+        """Lift the hand at `time_s`, or at its last known time if None."""
         with self._lock:
             last = self._last
         if last is not None:
             self._queue_event(replace(last, time_s=last.time_s if time_s is None else time_s, force_n=0.0))
 
     def set_synthesis(self, synthesis: LiveSynthesis) -> None:
-        """Other materials under the same hand: what was felt so far rings out as if lifted."""
+        """Change the materials under the hand; the previous signal decays as after a lift."""
         with self._lock:
             if self._state is not None:
                 self._releasing.append(_render_release(self._synthesis, self._state))
@@ -103,35 +128,35 @@ class LiveSource:
             self._synthesis, self._state = synthesis, None
 
     def end(self) -> None:
-        """The next read() is the last."""
+        """End the source with the next `read`."""
         self._ended = True
 
     @property
     def latency_p99_ms(self) -> float:
-        """From move() to the read() that gave away the first sample which it changed."""
+        """Latency from `move` to the `read` that returned the first changed sample, 99th percentile [ms]."""
         return self._latencies.percentile_ms(99.0)
 
     def pop_event_timings(self) -> list[EventTiming]:
-        """Of the events since it was asked last, when their first sample was given away; the newest few thousand."""
+        """Return and clear the timings of the events whose first sample was read, at most the newest few thousand."""
         with self._lock:
-            found = list(self._event_timings)
+            timings = list(self._event_timings)
             self._event_timings.clear()
-        return found
+        return timings
 
     def read(self, frames: int) -> Samples:
-        """See Source. The same events and seed give the same bytes, however it is cut."""
-        pieces, count = [self._remaining_samples], len(self._remaining_samples)
+        """Return the next (n, 1) samples; the same events and seed give the same bytes in any block size."""
+        blocks, count = [self._remaining_samples], len(self._remaining_samples)
         while count < frames and not self._ended:
-            pieces.append(self._render_state())
-            count += len(pieces[-1])
-        joined = np.concatenate(pieces)
-        self._remaining_samples = joined[frames:]
-        self._frames_read += min(frames, len(joined))
+            blocks.append(self._render_state())
+            count += len(blocks[-1])
+        samples = np.concatenate(blocks)
+        self._remaining_samples = samples[frames:]
+        self._frames_read += min(frames, len(samples))
         self._record_latencies()
-        return joined[:frames, None]
+        return samples[:frames, None]
 
     def prepare(self) -> None:
-        """See Preparing."""
+        """Compute ahead; see `PreparableSource`."""
         with self._lock:
             synthesis = self._synthesis
         synthesis.prepare()
@@ -145,55 +170,58 @@ class LiveSource:
             )
 
     def _update_clock_offset(self, time_s: float, now: float) -> float:
-        """From the hand's clock to ours: as the promptest event said, since others were only kept waiting."""
-        late = now - time_s
-        if self._offset is None or late > self._offset + MAX_EVENT_DELAY_S:
-            self._offset = late
+        """Return the offset from the hand's clock to the computer's.
+
+        The event with the shortest delay determines it, since all others only waited longer.
+        """
+        delay = now - time_s
+        if self._offset is None or delay > self._offset + MAX_EVENT_DELAY_S:
+            self._offset = delay
         else:
-            self._offset = min(self._offset + CLOCK_DRIFT * STATE_S, late)
+            self._offset = min(self._offset + CLOCK_DRIFT * STATE_S, delay)
         return self._offset
 
     def _render_state(self) -> Samples:
-        """The samples of one more state."""
+        """Render the samples of one more state."""
         with self._lock:
             time_s = self._advance_clock()
             while self._queued_events and (self._clock is not None or self._queued_events[0][1].time_s <= time_s):
                 moved_s, event = self._queued_events.popleft()
                 self._hand.push(event)
                 self._pending_timings.append(EventTiming(moved_s, self._frames_rendered))
-            synthesis, leaving = self._synthesis, tuple(self._releasing)
-            # Each synthesis begins at s = 0, where its noise lies ready.
+            synthesis, releasing = self._synthesis, tuple(self._releasing)
+            # Each synthesis starts at path position 0, where its noise is cached.
             self._state = state = self._hand.state(time_s, self._path_offset_m, synthesis.materials)
-        out = synthesis.step(state)
-        for old in leaving:
-            out = out + next(old, 0.0)
-        self._frames_rendered += len(out)
-        return out.astype(np.float32)
+        samples = synthesis.step(state)
+        for release in releasing:
+            samples = samples + next(release, 0.0)
+        self._frames_rendered += len(samples)
+        return samples.astype(np.float32)
 
     def _advance_clock(self) -> float:
-        """Time of the next state, on our clock."""
+        """Return the time of the next state on the computer's clock."""
         if self._clock is None:
             first = self._queued_events[0][1].time_s if self._queued_events else 0.0
             self._time = first if self._time is None else self._time + STATE_S
             return self._time
         now = self._clock()
         self._time = now if self._time is None else self._time + STATE_S
-        off = now - self._time
-        self._time += off if abs(off) > MAX_CLOCK_ERROR_S else CLOCK_CORRECTION * off
+        error = now - self._time
+        self._time += error if abs(error) > MAX_CLOCK_ERROR_S else CLOCK_CORRECTION * error
         return self._time
 
     def _record_latencies(self) -> None:
         now = None if self._clock is None else self._clock()
         while self._pending_timings and self._pending_timings[0].frame < self._frames_read:
-            heard = self._pending_timings.popleft()
+            timing = self._pending_timings.popleft()
             if now is not None:
-                self._latencies.record(now - heard.moved_s)
+                self._latencies.record(now - timing.moved_s)
             with self._lock:
-                self._event_timings.append(heard)
+                self._event_timings.append(timing)
 
 
 def _render_release(synthesis: LiveSynthesis, state: LiveState) -> Iterator[Float]:
-    """State by state what is left to be heard after a lift."""
+    """Yield what still sounds after a lift, state by state."""
     lifted = replace(state, speed=0.0, force=0.0, contact=False)
     for _ in range(RELEASE_STATES):
         yield synthesis.step(lifted)

@@ -1,10 +1,6 @@
-"""How a signal fits into what an actuator can do.
+"""Predict how an actuator will play a signal: levels, limiting, and the output per frequency band.
 
-How strong a stream may become, in words.
-
-What an actuator's limits will make of a signal, known before it plays: the very chain, run without a device.
-
-What a signal is after the actuator: its energy per band against what was asked for.
+The prediction runs the actual signal chain without a device, so its counts are those that a stream sends.
 """
 
 from __future__ import annotations
@@ -27,8 +23,17 @@ from .sources import BufferSource
 
 @dataclass(frozen=True)
 class Levels:
-    """peak, rms: m/s². headroom_db: from peak to the actuator's largest, below 0 where it cannot follow; None where its
-    largest is not known. below_share, above_share: 0–1 of the signal's energy outside its range; None likewise."""
+    """Levels of a signal compared with an actuator's range; None if the profile does not state the figure.
+
+    Attributes
+    ----------
+    peak, rms : float
+        Levels of the signal [m/s²].
+    headroom_db : float or None
+        From the peak to the actuator's largest acceleration [dB]; below 0 if it cannot follow.
+    below_share, above_share : float or None
+        Fractions of the signal's energy below and above the actuator's frequency band, 0–1.
+    """
 
     peak: float
     rms: float
@@ -38,7 +43,7 @@ class Levels:
 
 
 def compute_levels(signal: Signal, profile: ActuatorProfile) -> Levels:
-    """How signal fits profile. A silent signal has infinite headroom and no energy anywhere."""
+    """Compare a signal's levels with a profile; silence has infinite headroom and no energy outside the band."""
     samples = np.asarray(signal.samples, dtype=np.float64)
     peak = float(np.abs(samples).max(initial=0.0))
     headroom = None
@@ -48,19 +53,19 @@ def compute_levels(signal: Signal, profile: ActuatorProfile) -> Levels:
     if profile.range_hz is not None:
         energy = np.square(np.abs(np.fft.rfft(samples, max(len(samples), 1))))
         frequency = np.fft.rfftfreq(max(len(samples), 1), 1.0 / signal.sample_rate)
-        whole = float(energy.sum()) or 1.0
-        below = float(energy[frequency < profile.range_hz[0]].sum()) / whole
-        above = float(energy[frequency > profile.range_hz[1]].sum()) / whole
+        total = float(energy.sum()) or 1.0
+        below = float(energy[frequency < profile.range_hz[0]].sum()) / total
+        above = float(energy[frequency > profile.range_hz[1]].sum()) / total
     return Levels(peak, signal.rms, headroom, below, above)
 
 
 def describe_peak_limit(profile: ActuatorProfile, device: SinkFormat) -> str:
-    """The largest acceleration that leaves for device with profile, in m/s², and whose limit that is."""
+    """Describe the largest acceleration [m/s²] that is sent to `device` with `profile`, and what limits it."""
     limits = profile.limits
-    within = limits.with_device_peak(device.peak)
-    strongest = f"at most {within.peak * within.full_scale_m_s2:.4g} m/s²"
+    effective = limits.with_device_peak(device.peak)
+    strongest = f"at most {effective.peak * effective.full_scale_m_s2:.4g} m/s²"
     assumed = "an assumption"
-    if within.peak < limits.peak:
+    if effective.peak < limits.peak:
         strongest, assumed = f"{strongest}, the device's own limit", "its full scale an assumption"
     if profile.peak_m_s2 is None:
         return f"{strongest}, {assumed}: '{profile.title}' does not state its largest acceleration"
@@ -70,17 +75,26 @@ def describe_peak_limit(profile: ActuatorProfile, device: SinkFormat) -> str:
 
 
 MIN_GAIN_DB, STEPS_PER_DB = -120.0, 10
-"""Gains that are tried: those that factor() takes, in tenths."""
+"""Lowest gain tried [dB], the lowest of `db_to_gain`, and the resolution of the search [1/dB]."""
 _BLOCK_FRAMES = 4096
 
 ChainFactory = Callable[[Limits, float], SignalChain]
-"""(limits, gain in dB) → the chain of all that will play."""
+"""Function (limits, gain in dB) → signal chain of everything that will play."""
 
 
 @dataclass(frozen=True)
 class LimitingForecast:
-    """share: 0–1 of the samples that the limits change; peak, slew, heat: of that, what each adds in this order.
-    fits_db: the highest gain, in tenths of a dB, with which nothing is changed; None where none is low enough."""
+    """Predicted effect of the limits on a signal.
+
+    Attributes
+    ----------
+    share : float
+        Fraction of the samples that the limits change, 0–1.
+    peak, slew, heat : float
+        Contributions to `share`, added in this order.
+    max_gain_db : float or None
+        Highest gain, in tenths of a dB, at which nothing is changed; None if no gain is low enough.
+    """
 
     share: float
     peak: float
@@ -92,8 +106,25 @@ class LimitingForecast:
 def predict_limiting(
     make_chain: ChainFactory, limits: Limits, gain_db: float, first_guess_db: float
 ) -> LimitingForecast | None:
-    """Of what plays with gain_db within limits; None where it fits. guess_db: a gain that may just fit and is tried
-    first, since most that is too strong is so at its peak alone. Raises what the chain raises."""
+    """Predict how much the limiter will change a signal at `gain_db`.
+
+    Parameters
+    ----------
+    make_chain : ChainFactory
+        Makes the chain for given limits and gain.
+    limits : Limits
+        Limits of the actuator.
+    gain_db : float
+        Gain at which the signal is to play [dB].
+    first_guess_db : float
+        First candidate in the search for the highest unchanged gain [dB]. Signals that are too strong are mostly so at
+        their peak only, so a guess from the peak is usually right.
+
+    Returns
+    -------
+    LimitingForecast or None
+        None if nothing is changed.
+    """
     share = _compute_limited_share(make_chain(limits, gain_db))
     if share == 0.0:
         return None
@@ -110,6 +141,7 @@ def predict_limiting(
 
 
 def _compute_limited_share(chain: SignalChain) -> float:
+    """Return the fraction of a chain's samples that the limits change, 0–1."""
     frames = 0
     while not chain.ended:
         frames += len(chain.render_block(_BLOCK_FRAMES))
@@ -117,12 +149,15 @@ def _compute_limited_share(chain: SignalChain) -> float:
 
 
 def _find_max_gain_db(make_chain: ChainFactory, limits: Limits, gain_db: float, first_guess_db: float) -> float | None:
-    """The guess and its neighbour, then halves: of what it gives, nothing is limited, for that was tried."""
+    """Search the highest gain that changes nothing: the guess, the step above it, then by bisection.
+
+    Every gain that is returned has been tried.
+    """
     lowest, high = round(MIN_GAIN_DB * STEPS_PER_DB), math.ceil(gain_db * STEPS_PER_DB)
     low, guess = lowest, math.floor(max(first_guess_db, MIN_GAIN_DB) * STEPS_PER_DB)
-    first = [guess, guess + 1]
+    candidates = [guess, guess + 1]
     while high - low > 1:
-        middle = first.pop(0) if first else (low + high) // 2
+        middle = candidates.pop(0) if candidates else (low + high) // 2
         if low < middle < high:
             low, high = (middle, high) if _is_unlimited(make_chain(limits, middle / STEPS_PER_DB)) else (low, middle)
     if low == lowest and (low >= high or not _is_unlimited(make_chain(limits, low / STEPS_PER_DB))):
@@ -141,50 +176,65 @@ def _count_changed_samples(chain: SignalChain) -> int:
 
 
 DEFAULT_RANGE_HZ = (20.0, 1000.0)
+"""Frequency band assumed for a profile that states none [Hz]."""
 MIN_REQUESTED_POWER_SHARE = 1e-6
-"""Of the strongest band's power: where less was asked for, a figure in dB would tell of rounding."""
+"""Smallest band power compared, as a fraction of the strongest band's; below it a ratio in dB is rounding noise."""
 
 
 @dataclass(frozen=True)
 class ActuatorOutput:
-    """signal: what a skin gets. limited_samples: changed by the device's limits on the way."""
+    """Predicted output of an actuator: its acceleration, and the number of samples that the limits changed."""
 
     signal: Signal
     limited_samples: int
 
 
 def simulate_output(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> ActuatorOutput:
-    """Acceleration that profile's actuator would give: through compensation (if any), limiter and its response.
+    """Simulate an actuator's acceleration: compensation (if requested), limiter, frequency response.
 
-    Its phase is left out, which a skin does not hear; without a known response it is what leaves the limiter.
+    The response's phase is ignored, since skin does not perceive it. Without a known response the limiter's output is
+    returned.
+
+    Parameters
+    ----------
+    signal : Signal
+        Requested acceleration [m/s²].
+    profile : ActuatorProfile
+        The actuator.
+    compensate : bool
+        Whether to apply the inverse of its response first.
     """
     device = SinkFormat(signal.sample_rate, 1, round(0.015 * signal.sample_rate), profile.title)
-    stages = make_compensation(profile, signal.sample_rate, 1) if compensate else ()
+    processors = make_compensation(profile, signal.sample_rate, 1) if compensate else ()
     source = BufferSource(np.asarray(signal.samples).reshape(-1, 1), signal.sample_rate)
-    chain = SignalChain(source, device, profile.limits, stages)
+    chain = SignalChain(source, device, profile.limits, processors)
     counts = chain.render_block(len(signal.samples))[:, 0].astype(np.float64)
-    got = counts * (profile.limits.full_scale_m_s2 / FULL_SCALE_COUNTS)
-    if profile.response is not None and len(got):
-        size = 2 * len(got)
+    samples = counts * (profile.limits.full_scale_m_s2 / FULL_SCALE_COUNTS)
+    if profile.response is not None and len(samples):
+        size = 2 * len(samples)
         frequency = np.fft.rfftfreq(size, 1.0 / signal.sample_rate)
         gain = 10.0 ** (profile.response.gain_db_at(frequency) / 20.0)
-        got = np.fft.irfft(np.fft.rfft(got, size) * gain, size)[: len(got)]
-    out = Signal(got.astype(np.float32), signal.sample_rate, signal.seed, signal.provenance)
-    return ActuatorOutput(out, chain.limiter.limited)
+        samples = np.fft.irfft(np.fft.rfft(samples, size) * gain, size)[: len(samples)]
+    output = Signal(samples.astype(np.float32), signal.sample_rate, signal.seed, signal.provenance)
+    return ActuatorOutput(output, chain.limiter.limited)
 
 
 def compute_band_changes(requested: Signal, output: Signal, profile: ActuatorProfile) -> tuple[BandChange, ...]:
-    """Power per third of an octave within the actuator's range, or UNKNOWN_RANGE_HZ: before, what was asked for, 0
-    where it is next to nothing; after, what was got."""
+    """Compare requested and output power per third of an octave within the actuator's band (or `DEFAULT_RANGE_HZ`).
+
+    A band with next to no requested power has `before` = 0.
+    """
     low, high = profile.range_hz or DEFAULT_RANGE_HZ
     centres = compute_third_octave_centres(low, min(high, 0.5 * requested.sample_rate))
-    half = 2.0 ** (0.5 / BANDS_PER_OCTAVE)
-    edges = (*(float(centre / half) for centre in centres), float(centres[-1] * half)) if len(centres) else ()
+    half_width = 2.0 ** (0.5 / BANDS_PER_OCTAVE)
+    edges = (
+        (*(float(centre / half_width) for centre in centres), float(centres[-1] * half_width)) if len(centres) else ()
+    )
     if len(edges) < 2:
         return ()
-    before, after = (band_power(each.samples, each.sample_rate, edges) for each in (requested, output))
+    before, after = (band_power(signal.samples, signal.sample_rate, edges) for signal in (requested, output))
     before = np.where(before >= MIN_REQUESTED_POWER_SHARE * before.max(), before, 0.0)
     return tuple(
-        BandChange(low, high, float(wanted), float(found))
-        for low, high, wanted, found in zip(edges[:-1], edges[1:], before, after, strict=True)
+        BandChange(low, high, float(power_before), float(power_after))
+        for low, high, power_before, power_after in zip(edges[:-1], edges[1:], before, after, strict=True)
     )

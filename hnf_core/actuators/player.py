@@ -1,10 +1,8 @@
-"""The process that plays, so that nothing else can hold it up: `python -m hnf_core.actuators.player`.
+"""Child process that plays, so that nothing else can delay it: `python -m hnf_core.actuators.player`.
 
-Commands come in on standard input and reports leave on standard output, one of player_messages.py a line. It needs
-numpy, and what the target needs. When standard input ends, for whatever reason, it stops softly and leaves; when it is
-killed itself, the device's own queue falls silent.
-
-What a player plays now, and how it is doing.
+Commands arrive on standard input and reports leave on standard output, one message of `player_messages` per line. The
+process needs numpy and what the target needs. When standard input ends for whatever reason it stops softly and exits;
+if it is killed, the device's own queue runs out into silence.
 """
 
 from __future__ import annotations
@@ -61,7 +59,27 @@ from .stream_targets import FileTarget, make_sink, parse_target
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """gain: that was multiplied into the source's samples beforehand. ahead_s: made ahead of the sink."""
+    """A running playback: a source, its stream and the open device.
+
+    Attributes
+    ----------
+    play : int
+        The client's number of the Play or LiveBegin.
+    stream : Stream
+        Running stream.
+    source : BufferSource or LiveSource
+        Source of the stream.
+    device : SinkFormat
+        Open device.
+    where : OutputSpec
+        Requested output.
+    gain : float
+        Gain already applied to the source's samples.
+    ahead_s : float
+        Time rendered ahead of the sink [s].
+    note : str
+        How the samples are processed, for people.
+    """
 
     play: int
     stream: Stream
@@ -77,17 +95,18 @@ class Playback:
         return self.stream.wait(0.0)
 
     def status(self) -> Status:
+        """Return the status report of this playback."""
         report = self.stream.report
-        made, latency_ms = 0.0, report.latency_p99_ms
+        position_s, latency_ms = 0.0, report.latency_p99_ms
         if isinstance(self.source, LiveSource):
             latency_ms += self.source.latency_p99_ms
         else:
-            owed_s = min(max(report.frames / self.device.rate_hz - report.played_s, 0.0), self._queue_s)
-            made = self.source.position_s - (owed_s + self.ahead_s if report.state == "playing" else 0.0)
+            queued_s = min(max(report.frames / self.device.rate_hz - report.played_s, 0.0), self._queue_s)
+            position_s = self.source.position_s - (queued_s + self.ahead_s if report.state == "playing" else 0.0)
         return Status(
             self.play,
             "paused" if report.state == "paused" else "ended" if report.state == "ended" else "playing",
-            max(made, 0.0),
+            max(position_s, 0.0),
             report.level_m_s2,
             report.peak,
             report.underruns,
@@ -105,35 +124,41 @@ class Playback:
 
 
 STATUS_PERIOD_S = 0.05
+"""Time between two status reports [s]."""
 AHEAD_BLOCKS = 3
+"""Blocks rendered ahead of a recording."""
 LIVE_BLOCK_S = 0.005
+"""Block length of a live touch [s]."""
 CLOSE_TIMEOUT_S = 1.0
+"""Longest wait for a thread to end [s]."""
 
 
 QueuedCommand = Play | LiveBegin | Pause | Resume | Seek | Loop | Gain | Swap
-"""Commands that may take time, or are to be done in their turn."""
+"""Commands that may take time or depend on their order."""
 
 
-class Superseded(Exception):  # no error: somebody wanted silence  # noqa: N818
-    """It was stopped before it began."""
+class Superseded(Exception):  # noqa: N818 (not an error: a later stop was requested)
+    """Signals that a playback was stopped before it began."""
 
 
 class Player:
-    """hear() is for the thread that reads, do() for one that may wait: for a file, a material, a device. playing may be
-    read from any. say: takes reports, at once."""
+    """Executes commands: `receive` on the reading thread, `execute` on a thread that may wait.
+
+    `playback` may be read from any thread. `send_report` accepts reports without delay.
+    """
 
     def __init__(self, send_report: Callable[[Report], None]) -> None:
         self._send_report = send_report
         self.playback: Playback | None = None
         self.stop_count = 0
-        """How often it was stopped. What was heard before the last time is not begun any more."""
+        """Number of stops. A command received before the last one does not begin any more."""
         self._lock = threading.Lock()
         self._stops_at_receipt = 0
         self._opening: Stream | None = None
         self._pending_move: Move | None = None
 
     def receive(self, command: Command) -> QueuedCommand | None:
-        """Does at once what cannot wait, a stop and where the hand is, and gives back what do() has to do."""
+        """Execute stops and moves at once; return any other command for `execute`."""
         if isinstance(command, Move):
             self._store_move(command)
             return None
@@ -142,11 +167,24 @@ class Player:
             return None
         if isinstance(command, Play | LiveBegin):
             with self._lock:
-                self._pending_move = None  # where the hand was before is not where it touches now
+                self._pending_move = None  # the hand's position before this touch does not count
         return command
 
     def execute(self, command: QueuedCommand, stops_at_receipt: int) -> None:
-        """heard_at: stops, when it was heard. Raises HnfError where it cannot be done."""
+        """Execute a queued command.
+
+        Parameters
+        ----------
+        command : QueuedCommand
+            The command.
+        stops_at_receipt : int
+            `stop_count` when the command was received.
+
+        Raises
+        ------
+        HnfError
+            If it cannot be done.
+        """
         self._stops_at_receipt = stops_at_receipt
         if isinstance(command, Play | LiveBegin):
             try:
@@ -158,7 +196,7 @@ class Player:
                 self._adjust_playback(command)
 
     def stop(self) -> None:
-        """Silence, and the device given back; what is about to begin does not."""
+        """Silence and release the device; a playback that is about to begin does not."""
         with self._lock:
             self.stop_count += 1
             self._pending_move = None
@@ -174,14 +212,14 @@ class Player:
                 _apply_move(self.playback.source, command)
 
     def _adjust_playback(self, command: Pause | Resume | Seek | Loop | Gain | Swap) -> None:
-        """Of what plays."""
-        playing = self._get_playback()
+        """Apply a command to the running playback."""
+        playback = self._get_playback()
         if isinstance(command, Pause):
-            playing.stream.pause()
+            playback.stream.pause()
         elif isinstance(command, Resume):
-            playing.stream.resume()
+            playback.stream.resume()
         else:
-            self._change_recording(command, playing)
+            self._change_recording(command, playback)
 
     def _change_recording(self, command: Seek | Loop | Gain | Swap, playing: Playback) -> None:
         source = playing.source
@@ -194,22 +232,24 @@ class Player:
         elif isinstance(command, Gain):
             source.set_gain(db_to_gain(command.gain_db) / playing.gain)
         else:
-            found = read_acceleration(Path(command.file), resolve_profile(playing.where).limits)
-            if found.rate_hz != source.rate_hz:
-                raise UsageError(f"it has {found.rate_hz:g} Hz, and {source.rate_hz:g} Hz plays.", where=command.file)
-            source.swap(found.samples * np.float32(playing.gain))
+            recording = read_acceleration(Path(command.file), resolve_profile(playing.where).limits)
+            if recording.rate_hz != source.rate_hz:
+                raise UsageError(
+                    f"it has {recording.rate_hz:g} Hz, and {source.rate_hz:g} Hz plays.", where=command.file
+                )
+            source.swap(recording.samples * np.float32(playing.gain))
 
     def _begin_play(self, command: Play) -> None:
         limits = resolve_profile(command.where).limits
-        found = read_acceleration(Path(command.file), limits)
+        recording = read_acceleration(Path(command.file), limits)
         gain = db_to_gain(command.gain_db)
-        samples = found.samples * np.float32(gain)
-        source = BufferSource(samples, found.rate_hz, loop=command.loop, start_s=command.start_s)
+        samples = recording.samples * np.float32(gain)
+        source = BufferSource(samples, recording.rate_hz, loop=command.loop, start_s=command.start_s)
         self._begin(
             command.play,
             source,
             command.where,
-            found.unit,
+            recording.unit,
             gain=gain,
             block_s=command.block_ms / 1e3,
             ahead_blocks=AHEAD_BLOCKS,
@@ -220,11 +260,11 @@ class Player:
         synthesis = create_live_synthesis(command.material, seed=command.seed, probe=command.probe)
         with self._lock:
             self._check_not_superseded()
-            now = self.playback
-            goes_on = now is not None and now.where == command.where and not now.has_ended
-            if now is not None and goes_on and isinstance(now.source, LiveSource):
-                now.source.set_synthesis(synthesis)
-                self._report_began(replace(now, play=command.play))
+            playback = self.playback
+            continues = playback is not None and playback.where == command.where and not playback.has_ended
+            if playback is not None and continues and isinstance(playback.source, LiveSource):
+                playback.source.set_synthesis(synthesis)
+                self._report_began(replace(playback, play=command.play))
                 return
         self._begin(command.play, LiveSource(synthesis), command.where, "what the hand does")
 
@@ -245,8 +285,8 @@ class Player:
         if isinstance(target, FileTarget) and endless:
             raise UsageError("what never ends cannot be played into a file.", remedy="Play it once.")
         sink = make_sink(target, source.rate_hz, limits, source.channels)
-        stages = make_compensation(profile, source.rate_hz, source.channels)
-        stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=ahead_blocks, processors=stages)
+        processors = make_compensation(profile, source.rate_hz, source.channels)
+        stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=ahead_blocks, processors=processors)
         with self._lock:
             self._check_not_superseded()
             self._opening = stream
@@ -254,24 +294,26 @@ class Player:
             if self.playback is not None:
                 self.playback.stream.stop()
             device = stream.start()
-            made_up = ", with its response corrected" if stages else ""
-            said = f"{note}; {describe_peak_limit(profile, device)}{made_up}"
+            correction = ", with its response corrected" if processors else ""
+            description = f"{note}; {describe_peak_limit(profile, device)}{correction}"
             with self._lock:
                 self._check_not_superseded()
                 if self._pending_move is not None:
                     _apply_move(source, self._pending_move)
-                self._report_began(Playback(play, stream, source, device, where, gain, ahead_blocks * block_s, said))
+                self._report_began(
+                    Playback(play, stream, source, device, where, gain, ahead_blocks * block_s, description)
+                )
         except BaseException as error:
-            stream.stop()  # the device is given back before anybody is told: the next to begin may ask for it
+            stream.stop()  # release the device before the failure is reported, since the next playback may need it
             if isinstance(error, HnfError):
-                self._check_not_superseded()  # a stream that was stopped before it began says so in its own way
+                self._check_not_superseded()  # a stream that was stopped raises an error of its own
             raise
         finally:
             with self._lock:
                 self._opening = None
 
     def _check_not_superseded(self) -> None:
-        """Raises Overtaken."""
+        """Raise Superseded if a stop came after the present command."""
         if self.stop_count > self._stops_at_receipt:
             raise Superseded
 
@@ -282,7 +324,10 @@ class Player:
         self.playback = playing
 
     def _get_playback(self) -> Playback:
-        """What plays, or did when the command was heard. Raises Overtaken where a stop came before it began."""
+        """Return the playback that runs, or ran when the command was received.
+
+        Raises Superseded if a stop came before it began, and UsageError if nothing plays.
+        """
         if self.playback is None:
             self._check_not_superseded()
         if self.playback is None or (self.playback.has_ended and self.stop_count == self._stops_at_receipt):
@@ -296,8 +341,7 @@ def _apply_move(source: BufferSource | LiveSource, move: Move) -> None:
 
 
 class ReportWriter(threading.Thread):
-    """Writes reports, and the status of what plays. It alone writes, so that a parent who does not read holds up
-    nothing else."""
+    """Thread that alone writes reports and status, so that a parent that does not read delays nothing else."""
 
     def __init__(self, out: BinaryIO) -> None:
         super().__init__(name="hnf-player-teller", daemon=True)
@@ -309,26 +353,26 @@ class ReportWriter(threading.Thread):
         self._reports.put(report)
 
     def close(self) -> None:
-        """Say what is left, and wait for it a little."""
+        """Write the remaining reports; wait a little for it."""
         self._reports.put(None)
         self.join(CLOSE_TIMEOUT_S)
 
     def run(self) -> None:
-        told: Playback | None = None  # that it has ended
-        going = True
-        with suppress(OSError, ValueError):  # the parent is gone: standard input ends too
-            while going:
-                playing = self.player.playback  # before the reports: Began comes before its first status
+        ended_playback: Playback | None = None  # whose end has been reported
+        running = True
+        with suppress(OSError, ValueError):  # raised if the parent is gone; standard input ends then, too
+            while running:
+                playback = self.player.playback  # read before the reports, so that Began precedes its first status
                 with suppress(queue.Empty):
                     report = self._reports.get(timeout=STATUS_PERIOD_S)
                     while report is not None:
                         self._write(report)
                         report = self._reports.get_nowait()
-                    going = False
-                    playing = self.player.playback
-                if playing is not None and playing is not told:
-                    status = playing.status()
-                    told = playing if status.state == "ended" else told
+                    running = False
+                    playback = self.player.playback
+                if playback is not None and playback is not ended_playback:
+                    status = playback.status()
+                    ended_playback = playback if status.state == "ended" else ended_playback
                     self._write(status)
             return
         self.player.stop()
@@ -339,7 +383,7 @@ class ReportWriter(threading.Thread):
 
 
 def resolve_profile(output: OutputSpec) -> ActuatorProfile:
-    """Raises UsageError or FileError."""
+    """Return the actuator profile of an output; raise UsageError or FileError if there is none."""
     if output.profile != USER_PROFILE_NAME:
         return load_profile(output.profile)
     if len(output.own) != 3:
@@ -348,36 +392,38 @@ def resolve_profile(output: OutputSpec) -> ActuatorProfile:
 
 
 def main(arguments: Sequence[str] = (), stdin: BinaryIO | None = None, stdout: BinaryIO | None = None) -> int:
-    """Play what stdin says until it ends or says Quit. Without streams: those of the process, whose signals it takes
-    over too; what anything else prints goes to standard error."""
+    """Execute the commands on `stdin` until it ends or says Quit; return 0.
+
+    Without streams those of the process are used: its signals are handled too, and other prints go to standard error.
+    """
     if arguments:
         raise UsageError(f"the player takes no words, and got {' '.join(arguments)}.")
     if stdin is None:
         signal.signal(signal.SIGTERM, _exit_on_signal)
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl C in a terminal is the parent's to answer
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl C in a terminal
         stdin = sys.stdin.buffer
     if stdout is None:
         stdout = os.fdopen(os.dup(1), "wb")
         os.dup2(2, 1)
-    teller = ReportWriter(stdout)
-    teller.submit(Ready(VERSION))
-    teller.start()
-    doer = CommandWorker(teller)
-    doer.start()
+    writer = ReportWriter(stdout)
+    writer.submit(Ready(VERSION))
+    writer.start()
+    worker = CommandWorker(writer)
+    worker.start()
     try:
         for raw in stdin:
             line = raw.decode("utf-8", "replace").strip()
-            if line and doer.submit_line(line):
+            if line and worker.submit_line(line):
                 break
     finally:
-        teller.player.stop()
-        doer.close()
-        teller.close()
+        writer.player.stop()
+        worker.close()
+        writer.close()
     return 0
 
 
 class CommandWorker(threading.Thread):
-    """Does what takes time, in the order in which it was heard, so that the thread that reads can always stop."""
+    """Thread that executes commands in their order, so that the reading thread is always free to stop."""
 
     def __init__(self, writer: ReportWriter) -> None:
         super().__init__(name="hnf-player-doer", daemon=True)
@@ -385,33 +431,33 @@ class CommandWorker(threading.Thread):
         self._queue: queue.SimpleQueue[tuple[QueuedCommand | HnfError, int] | None] = queue.SimpleQueue()
 
     def submit_line(self, line: str) -> bool:
-        """By the thread that reads. Whether it said to leave."""
+        """Decode and queue a line, on the reading thread; return whether it was Quit."""
         try:
             command = decode_command(line)
         except HnfError as error:
-            self._queue.put((error, 0))  # told in its turn
+            self._queue.put((error, 0))  # reported in order with the other commands
             return False
-        lasting = self._player.receive(command)
-        if lasting is not None:
-            self._queue.put((lasting, self._player.stop_count))
+        queued = self._player.receive(command)
+        if queued is not None:
+            self._queue.put((queued, self._player.stop_count))
         return isinstance(command, Quit)
 
     def close(self) -> None:
-        """After what it does now, and no later than in a second: nothing of it sounds any more."""
+        """Let the present command finish, for a second at most; nothing of it plays any more."""
         self._queue.put(None)
         self.join(CLOSE_TIMEOUT_S)
 
     def run(self) -> None:
-        while (heard := self._queue.get()) is not None:
-            command, heard_at = heard
+        while (item := self._queue.get()) is not None:
+            command, stops_at_receipt = item
             play = command.play if isinstance(command, Play | LiveBegin) else -1
             try:
                 if isinstance(command, HnfError):
                     raise command
-                self._player.execute(command, heard_at)
+                self._player.execute(command, stops_at_receipt)
             except HnfError as error:
                 self._writer.submit(Refused(play, " ".join(str(error).split())))
-            except Exception as error:  # a fault of ours must not silence the line
+            except Exception as error:  # an unexpected error must not end the process
                 self._writer.submit(Refused(play, f"it failed: {type(error).__name__}: {error}"))
 
 

@@ -1,6 +1,7 @@
-"""What is said to the player's process and by it: one JSON object a line, {"is": "Play", …the fields…}.
+"""Messages to and from the player's process: one JSON object per line, {"is": "Play", …fields…}.
 
-Strict in both directions: a field that is missing, unknown, of another type or no finite number refuses the line.
+Decoding is strict in both directions: a line with a missing or unknown field, a wrong type or a number that is not
+finite is refused.
 """
 
 from __future__ import annotations
@@ -13,12 +14,22 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 from ..errors import UsageError
 
 VERSION = 1
+"""Version of these messages."""
 
 
 @dataclass(frozen=True)
 class OutputSpec:
-    """target: as `hnf stream --to` takes it. profile: a name or FILE.json as --profile takes it; "own" is the device
-    of own: peak in m/s² (0 = not known), lowest and highest frequency in Hz."""
+    """Target and actuator profile of a playback.
+
+    Attributes
+    ----------
+    target : str
+        Target as `hnf stream --to` takes it.
+    profile : str
+        Profile name or FILE.json as `--profile` takes it; "own" means the device described by `own`.
+    own : tuple of float
+        Peak [m/s²] (0 = unknown), lowest and highest frequency [Hz].
+    """
 
     target: str
     profile: str
@@ -27,8 +38,25 @@ class OutputSpec:
 
 @dataclass(frozen=True)
 class Play:
-    """A WAV, in place of what plays. play: the client's number for it, said again in all that is told of it.
-    file: read once, at once. block_ms: samples are made in blocks of it, three ahead."""
+    """Plays a WAV instead of what plays now.
+
+    Attributes
+    ----------
+    play : int
+        The client's number, repeated in all reports about it.
+    file : str
+        Path; the file is read once, at once.
+    where : OutputSpec
+        Where and how to play.
+    loop : bool
+        Whether to repeat it forever.
+    start_s : float
+        Position to begin at [s].
+    gain_db : float
+        Gain [dB].
+    block_ms : float
+        Length of a block [ms]; three are rendered ahead.
+    """
 
     play: int
     file: str
@@ -41,9 +69,11 @@ class Play:
 
 @dataclass(frozen=True)
 class LiveBegin:
-    """A hand on a surface, from now on, in place of what plays. material: a .hnf file, or a name of the library.
-    Nothing sounds before the first Move. Where a hand is felt there already, it goes on, and what it touched so far
-    rings out."""
+    """Begins a live touch instead of what plays now; silent until the first Move.
+
+    If a live touch already plays there its stream continues, and the previous material decays. `material` is a .hnf
+    file or a name from the library.
+    """
 
     play: int
     material: str
@@ -54,10 +84,10 @@ class LiveBegin:
 
 @dataclass(frozen=True)
 class Move:
-    """The hand at time_s (its own clock) is at x_m, y_m on the surface and presses with force_n; 0 = lifted.
+    """Moves the hand: at `time_s` of its own clock it is at (`x_m`, `y_m`) and presses with `force_n`; 0 = lifted.
 
-    Ignored where nothing is touched live: it may have been on its way when that ended. The last one that comes while a
-    LiveBegin is still under way counts from its beginning.
+    Ignored without a live touch, since it may have been sent before that ended. While a LiveBegin is still being
+    executed, the last move received applies from its beginning.
     """
 
     time_s: float
@@ -68,51 +98,53 @@ class Move:
 
 @dataclass(frozen=True)
 class Pause:
-    """Fade out and stay."""
+    """Fades out and stays at the position."""
 
 
 @dataclass(frozen=True)
 class Resume:
-    """Fade in and go on."""
+    """Continues with a fade-in."""
 
 
 @dataclass(frozen=True)
 class Seek:
-    """Go on at position_s, cross-faded."""
+    """Continues at `position_s` with a cross-fade."""
 
     position_s: float
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Whether the end is followed by the start."""
+    """Sets whether the recording repeats."""
 
     loop: bool
 
 
 @dataclass(frozen=True)
 class Gain:
-    """Faded in."""
+    """Sets the gain, with a fade."""
 
     gain_db: float
 
 
 @dataclass(frozen=True)
 class Swap:
-    """Go on in another WAV of the same rate, at the same place, cross-faded."""
+    """Continues at the same position of another WAV of the same rate, with a cross-fade."""
 
     file: str
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Silence, softly and at once; the device is given back. A Play or LiveBegin that is still under way does not
-    begin: its Status says that it has ended."""
+    """Silences softly and at once, and releases the device.
+
+    A Play or LiveBegin that is still being executed does not begin; a Status reports it as ended.
+    """
 
 
 @dataclass(frozen=True)
 class Quit:
-    """Stop, and leave. The end of standard input says the same."""
+    """Stops and exits; the end of standard input does the same."""
 
 
 Command = Play | LiveBegin | Move | Pause | Resume | Seek | Loop | Gain | Swap | Stop | Quit
@@ -120,14 +152,17 @@ Command = Play | LiveBegin | Move | Pause | Resume | Seek | Loop | Gain | Swap |
 
 @dataclass(frozen=True)
 class Ready:
-    """The first that is said. version: of these messages."""
+    """First report, with the version of these messages."""
 
     version: int
 
 
 @dataclass(frozen=True)
 class Began:
-    """The device is open and gets samples. queue_ms: most that it owes. note: what is done to them, in words."""
+    """Reports that the device is open and gets samples.
+
+    `queue_ms` is the longest time queued on it; `note` describes how the samples are processed.
+    """
 
     play: int
     device: str
@@ -138,12 +173,34 @@ class Began:
 
 @dataclass(frozen=True)
 class Status:
-    """20 times a second while something plays, and once when that changes.
+    """State of the playback, sent 20 times a second while something plays and once when that ends.
 
-    state: playing, paused, ended (nothing plays any more). position_s: into the recording, of what sounds now.
-    level_m_s2: RMS now. peak: largest that left, 0–1 of full scale. limited: samples that the limiter, or the device's
-    own limits, changed. nonfinite: that were no number. latency_p99_ms: from asking for a block, or from the hand's
-    move, until the device had it. problem: why it ended, "" = it was over or was stopped.
+    Attributes
+    ----------
+    play : int
+        The client's number.
+    state : str
+        "playing", "paused" or "ended".
+    position_s : float
+        Position in the recording that plays now [s].
+    level_m_s2 : float
+        RMS now [m/s²].
+    peak : float
+        Largest level sent, 0–1 of full scale.
+    underruns : int
+        Times that the device ran out of frames.
+    limited : int
+        Samples changed by the limiter or by the device's own limits.
+    nonfinite : int
+        Samples that were NaN or infinite.
+    played_s : float
+        Time played by the device [s].
+    latency_p99_ms : float
+        Time from the request of a block, or from the hand's move, until the device had it [ms].
+    temperature_c : float or None
+        Coil temperature [°C].
+    problem : str
+        Why it ended; "" if it was played to its end or stopped.
     """
 
     play: int
@@ -161,15 +218,16 @@ class Status:
 
     @classmethod
     def make_ended(cls, play: int) -> Status:
-        """Of what was stopped before it began."""
+        """Make the status of a playback that was stopped before it began."""
         return cls(play, "ended", 0.0, 0.0, 0.0, 0, 0, 0, 0.0, 0.0, None, "")
 
 
 @dataclass(frozen=True)
 class Refused:
-    """A command was not done; what plays goes on, but where a Play or LiveBegin could not have its device.
+    """Reports a command that was not executed, and why, in one line.
 
-    play: of the Play or LiveBegin that it was, else −1. why: one line.
+    What plays continues, unless a Play or LiveBegin could not get its device. `play` is the number of that Play or
+    LiveBegin, else −1.
     """
 
     play: int
@@ -182,20 +240,20 @@ Message = TypeVar("Message")
 
 
 def encode(message: Command | Report) -> str:
-    """A line, without its end."""
+    """Encode a message as a line without its end."""
     return json.dumps({"is": type(message).__name__, **asdict(message)}, separators=(",", ":"), allow_nan=False)
 
 
 def decode_command(line: str) -> Command:
-    """Raises UsageError, in one line, where it is none."""
-    found: Command = _decode(line, _COMMANDS)
-    return found
+    """Decode a command; raise UsageError with a one-line message if the line holds none."""
+    command: Command = _decode(line, _COMMANDS)
+    return command
 
 
 def decode_report(line: str) -> Report:
-    """Raises UsageError, in one line, where it is none."""
-    found: Report = _decode(line, _REPORTS)
-    return found
+    """Decode a report; raise UsageError with a one-line message if the line holds none."""
+    report: Report = _decode(line, _REPORTS)
+    return report
 
 
 _COMMANDS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Command)}
@@ -204,36 +262,36 @@ _REPORTS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Repor
 
 def _decode(line: str, kinds: dict[str, type[Any]]) -> Any:
     try:
-        found = json.loads(line, parse_constant=_reject_constant)
-        if not isinstance(found, dict):
+        record = json.loads(line, parse_constant=_reject_constant)
+        if not isinstance(record, dict):
             raise ValueError("it is no object")
-        name = found.pop("is", None)
+        name = record.pop("is", None)
         kind = kinds.get(name) if isinstance(name, str) else None
         if kind is None:
             raise ValueError(f'"is" is none of {", ".join(kinds)}')
-        return _parse_record(kind, found)
+        return _parse_record(kind, record)
     except (ValueError, OverflowError, RecursionError) as error:
-        said = line if len(line) <= 60 else f"{line[:60]}…"
+        excerpt = line if len(line) <= 60 else f"{line[:60]}…"
         why = " ".join(str(error).split())
-        raise UsageError(f"a message that cannot be read, {why}: {json.dumps(said)}.") from error
+        raise UsageError(f"a message that cannot be read, {why}: {json.dumps(excerpt)}.") from error
 
 
 def _find_field_types(kind: type[Any]) -> tuple[dict[str, Any], frozenset[str]]:
-    """Type of each field, and those that must be there."""
-    needed = frozenset(field.name for field in fields(kind) if field.default is MISSING)
-    return get_type_hints(kind), needed
+    """Return the type of each field, and the names of the required fields."""
+    required = frozenset(field.name for field in fields(kind) if field.default is MISSING)
+    return get_type_hints(kind), required
 
 
-# Looked up once: a hand moves a thousand times a second.
+# Resolved once, because a hand sends a thousand moves a second.
 _FIELD_TYPES = {kind: _find_field_types(kind) for kind in (OutputSpec, *get_args(Command), *get_args(Report))}
 
 
 def _parse_record(kind: type[Message], found: dict[str, Any]) -> Message:
-    hints, needed = _FIELD_TYPES[kind]
+    hints, required = _FIELD_TYPES[kind]
     unknown = found.keys() - hints.keys()
     if unknown:
         raise ValueError(f"{kind.__name__} has no field '{min(unknown)}'")
-    missing = needed - found.keys()
+    missing = required - found.keys()
     if missing:
         raise ValueError(f"{kind.__name__} needs '{min(missing)}'")
     return kind(**{name: _parse_value(hints[name], value, f"{kind.__name__}.{name}") for name, value in found.items()})
@@ -243,7 +301,7 @@ def _parse_value(kind: Any, value: Any, name: str) -> Any:
     if get_origin(kind) is UnionType:
         return None if value is None else _parse_value(get_args(kind)[0], value, name)
     if get_origin(kind) is tuple and isinstance(value, list):
-        return tuple(_parse_value(get_args(kind)[0], each, name) for each in value)
+        return tuple(_parse_value(get_args(kind)[0], item, name) for item in value)
     if kind is OutputSpec and isinstance(value, dict):
         return _parse_record(OutputSpec, value)
     if kind is float and type(value) is int:

@@ -1,4 +1,4 @@
-"""What vibrotactile transducers can do, as far as their makers say so."""
+"""Actuator profiles: what a vibrotactile transducer can do, as far as its maker or its owner states it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ActuatorProfile:
-    """One transducer. None: not stated in the source.
+    """Figures of one transducer; None means that the source does not state it.
 
-    name: for files and settings. title: for people. range_hz: band it is made for. peak_m_s2: largest acceleration
-    within that range. source: where the figures come from. sustained: share of its largest level that its coil may
-    carry for ever, thermal_s the time constant of its warming. response: measured, acceleration got over asked.
+    Attributes
+    ----------
+    name : str
+        Identifier in files and settings.
+    title : str
+        Name shown to people.
+    source : str
+        Where the figures come from.
+    range_hz : tuple of float or None
+        Frequency band that it is made for [Hz].
+    peak_m_s2 : float or None
+        Largest acceleration within that band [m/s²].
+    sustained : float or None
+        RMS level that the coil can carry indefinitely, as a fraction of full scale.
+    thermal_s : float or None
+        Time constant of the coil's warming [s].
+    response : FrequencyResponse or None
+        Measured ratio of output to requested acceleration.
     """
 
     name: str
@@ -33,14 +48,18 @@ class ActuatorProfile:
 
     @property
     def assumes_full_scale(self) -> bool:
-        """Nobody stated or measured what full scale is in m/s²: limits take the generic voice coil's."""
+        """True if full scale is the generic voice coil's, for lack of a stated or measured figure."""
         return self.peak_m_s2 is None or self.name == GENERIC.name
 
     @property
     def limits(self) -> Limits:
-        """What may leave for it. Where its maker is silent: full scale as the generic voice coil's, half of it for
-        ever, 10 s to warm; no steeper than a full-scale sine at the top of its range."""
-        from .limits import Limits  # here: the panels list the profiles, and let nothing out
+        """Limits that the limiter enforces for this transducer.
+
+        Defaults for unknown figures: full scale of the generic voice coil, half of it sustained, 10 s to warm. The slew
+        is that of a full-scale sine at the top of the band.
+        """
+        # Imported here because the add-on's panels list the profiles and never need the limiter.
+        from .limits import Limits
 
         full_scale = self.peak_m_s2 or GENERIC_PEAK_M_S2
         highest = self.range_hz[1] if self.range_hz is not None else 1000.0
@@ -53,6 +72,7 @@ class ActuatorProfile:
 
 
 GENERIC_PEAK_M_S2 = 30.0
+"""Assumed full scale of an unknown voice coil [m/s²]."""
 
 GENERIC = ActuatorProfile(
     "generic-voice-coil",
@@ -72,21 +92,30 @@ PROFILES: dict[str, ActuatorProfile] = {
             "Engineering Acoustics, C-MF product data sheet Rev. 2, 2021: 180–280 Hz; 0.25 A RMS, "
             "0.5 A at most, for less than a tenth of the time",
             range_hz=(180.0, 280.0),
-            # Full scale is the peak of a sine of 0.5 A RMS; 0.25 A for a tenth of the time is 0.079 A RMS for ever.
+            # Full scale is the peak of a sine of 0.5 A RMS; 0.25 A for a tenth of the time is 0.079 A RMS sustained.
             sustained=0.11,
         ),
     )
 }
-"""Only what its maker's own document was read for; any other device is told by own_profile()."""
+"""Devices whose maker's own document was read, by name; `make_user_profile` describes any other device."""
 
 USER_PROFILE_NAME = "own"
 
 
 def make_user_profile(peak_m_s2: float, lowest_hz: float, highest_hz: float) -> ActuatorProfile:
-    """A device as its owner knows it. peak_m_s2: largest acceleration, 0 = not known. lowest_hz, highest_hz: ends of
-    its range, in either order.
+    """Make a profile from figures that the device's owner gives.
 
-    Raises UsageError for a negative figure and for frequencies that are not above 0.
+    Parameters
+    ----------
+    peak_m_s2 : float
+        Largest acceleration [m/s²]; 0 if unknown.
+    lowest_hz, highest_hz : float
+        Ends of the frequency band [Hz], in either order.
+
+    Raises
+    ------
+    UsageError
+        If a figure is negative or a frequency is not above 0.
     """
     if not (peak_m_s2 >= 0.0 and lowest_hz > 0.0 and highest_hz > 0.0):
         raise UsageError(
@@ -103,7 +132,7 @@ def make_user_profile(peak_m_s2: float, lowest_hz: float, highest_hz: float) -> 
 
 
 def get_profile(name: str) -> ActuatorProfile:
-    """The profile called name. Raises UsageError naming those there are."""
+    """Return the built-in profile of that name; raise UsageError with the known names otherwise."""
     if name not in PROFILES:
         raise UsageError(f"there is no actuator '{name}'.", remedy=f"Known: {', '.join(PROFILES)}.")
     return PROFILES[name]

@@ -1,8 +1,8 @@
-"""An actuator's profile as a JSON file: {"schema": 1, "name": …, "title": …, "source": …, "range_hz": [low, high],
-"peak_m_s2": …, "sustained": …, "thermal_s": …, "response": …}; null or left out = not known.
+"""Read and write actuator profiles as JSON files.
 
-response, as `hnf actuators measure` writes it: {"frequency_hz": […], "gain_db": […], "phase_rad": […],
-"coherence": […], "delay_s": …}.
+A file holds `{"schema": 1, "name": …, "title": …, "source": …, "range_hz": [low, high], "peak_m_s2": …, "sustained": …,
+"thermal_s": …, "response": …}`. A figure that is null or absent is unknown. `response` holds what `hnf actuators
+measure` writes: `{"frequency_hz": […], "gain_db": […], "phase_rad": […], "coherence": […], "delay_s": …}`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,40 @@ from .measure.frequency_response import Float, FrequencyResponse
 from .profile import ActuatorProfile, get_profile
 
 SCHEMA = 1
+"""Version of the file's layout."""
 MAX_BYTES = 4_000_000
+"""Largest file that is read [bytes]."""
 DECIMALS = 5
+"""Decimal places of a written frequency response."""
 _COLUMNS = ("frequency_hz", "gain_db", "phase_rad", "coherence")
 
 
 def load_profile(name_or_path: str) -> ActuatorProfile:
-    """The profile of that name, or of that file where words end in .json. Raises UsageError or FileError."""
+    """Return a built-in profile by name, or read one from a file.
+
+    Parameters
+    ----------
+    name_or_path : str
+        A key of `PROFILES`, or a path that ends in ".json".
+
+    Raises
+    ------
+    UsageError
+        If there is no built-in profile of that name.
+    FileError
+        If the file cannot be read or holds no valid profile.
+    """
     return read_profile(Path(name_or_path)) if name_or_path.lower().endswith(".json") else get_profile(name_or_path)
 
 
 def write_profile(path: Path, profile: ActuatorProfile) -> None:
-    """read_profile() gives it back, a response to DECIMALS places. Raises FileError where it cannot be written."""
+    """Write a profile for `read_profile`, its response rounded to `DECIMALS` places.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
     record = {"schema": SCHEMA} | asdict(profile)
     if profile.response is not None:
         columns = {name: np.round(getattr(profile.response, name), DECIMALS).tolist() for name in _COLUMNS}
@@ -40,7 +62,13 @@ def write_profile(path: Path, profile: ActuatorProfile) -> None:
 
 
 def read_profile(path: Path) -> ActuatorProfile:
-    """Raises FileError where the file is missing, too large, or no profile that could be a device's."""
+    """Read a profile from a JSON file.
+
+    Raises
+    ------
+    FileError
+        If the file is missing or too large, or holds no profile of a possible device.
+    """
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"it has more than {MAX_BYTES // 1_000_000} MB")
@@ -95,7 +123,7 @@ def _parse_range(value: Any) -> tuple[float, float] | None:
         return None
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError("range_hz is no [low, high]")
-    low, high = (_check_number(each, "range_hz", 1e-9, 1e9) for each in value)
+    low, high = (_check_number(edge, "range_hz", 1e-9, 1e9) for edge in value)
     if low >= high:
         raise ValueError("range_hz is no [low, high]")
     return low, high
@@ -113,4 +141,4 @@ def _parse_response(value: Any) -> FrequencyResponse | None:
 def _parse_column(values: Any, name: str) -> Float:
     if not isinstance(values, list):
         raise ValueError(f"{name} is no list of numbers")
-    return np.array([_check_number(each, name, -1e9, 1e9) for each in values], dtype=np.float64)
+    return np.array([_check_number(value, name, -1e9, 1e9) for value in values], dtype=np.float64)

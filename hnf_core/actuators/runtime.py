@@ -1,14 +1,9 @@
-"""Libraries that only some ways to a device need: asked for when they are, missed in words of the next step.
+"""Prepare the Python process for streaming: optional device libraries, thread switching, garbage collection, priority.
 
-The interpreter's own pauses, kept short while anything streams.
-
-Measured beside a busy thread that makes garbage in a heap of 2 million objects, 10 kHz, 5 s: no underrun; without the
-freeze 50 (a collection stops everything for 150 … 300 ms), without the shorter switch 40.
-
-First on the processor, where the system grants it.
-
-A real-time thread runs as soon as it wakes, whatever ordinary programs compute meanwhile: so only for threads that
-sleep on a device's clock. Linux: sched(7); root may, others as far as RLIMIT_RTPRIO goes.
+Measured next to a busy thread that makes garbage in a heap of 2 million objects, at 10 kHz for 5 s: no underruns; 50
+without the frozen heap (a collection stops everything for 150–300 ms) and 40 without the shorter switch interval.
+Real-time priority is for threads that sleep on a device's clock, since nothing ordinary runs before they sleep. On
+Linux (sched(7)) root may request it, others up to RLIMIT_RTPRIO.
 """
 
 from __future__ import annotations
@@ -23,10 +18,11 @@ from typing import Any
 from ..errors import DeviceError
 
 PIP_PACKAGES = {"serial": "pyserial", "sounddevice": "sounddevice", "pythonosc.udp_client": "python-osc"}
+"""Optional modules and the packages on PyPI that contain them."""
 
 
 def import_optional(module: str) -> Any:
-    """The module, imported. Raises DeviceError where it, or a system library below it, is not there."""
+    """Import an optional module; raise DeviceError with a remedy if it or a system library below it is missing."""
     package = PIP_PACKAGES[module]
     try:
         return importlib.import_module(module)
@@ -43,7 +39,7 @@ def import_optional(module: str) -> Any:
 
 
 SWITCH_INTERVAL_S = 0.0005
-"""A busy thread hands the interpreter on after that long; Python's own 5 ms are a whole block."""
+"""Time after which a busy thread yields the interpreter [s]; Python's default of 5 ms is as long as a block."""
 
 _low_latency_lock = threading.Lock()
 _low_latency_users = 0
@@ -52,21 +48,23 @@ _gc_frozen = False
 
 
 def enter_low_latency() -> None:
-    """From the first holder on: threads change places every SWITCH_S, and garbage collection leaves alone what is
-    there now. To be undone by release(), once for each."""
+    """Shorten the thread switch interval and exclude existing objects from garbage collection.
+
+    Calls nest: the first one takes effect, and each needs one `exit_low_latency`.
+    """
     global _low_latency_users, _saved_switch_interval_s, _gc_frozen
     with _low_latency_lock:
         _low_latency_users += 1
         if _low_latency_users == 1:
             _saved_switch_interval_s = sys.getswitchinterval()
             sys.setswitchinterval(min(SWITCH_INTERVAL_S, _saved_switch_interval_s))
-            _gc_frozen = gc.get_freeze_count() == 0  # somebody else's is theirs to undo
+            _gc_frozen = gc.get_freeze_count() == 0  # never undo a freeze that someone else made
             if _gc_frozen:
                 gc.freeze()
 
 
 def exit_low_latency() -> None:
-    """With the last holder everything is as it was."""
+    """Undo one `enter_low_latency`; the last one restores the previous settings."""
     global _low_latency_users, _gc_frozen
     with _low_latency_lock:
         _low_latency_users -= 1
@@ -78,11 +76,14 @@ def exit_low_latency() -> None:
 
 
 REALTIME_PRIORITY = 10
-"""1 … 99: above all ordinary programs, below the kernel's own interrupt threads at 50."""
+"""SCHED_RR priority, 1–99: above all ordinary programs, below the kernel's interrupt threads at 50."""
 
 
 def request_realtime_priority() -> bool:
-    """Whether the calling thread is a real-time thread from now on (SCHED_RR, until it ends). What it starts is not."""
+    """Request real-time scheduling (SCHED_RR) for the calling thread; return whether it was granted.
+
+    Threads and processes that it starts do not inherit it.
+    """
     if not hasattr(os, "sched_setscheduler"):
         return False
     try:

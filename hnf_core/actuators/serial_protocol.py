@@ -1,14 +1,13 @@
-"""The checksum of the wire: CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, most significant bit first, nothing
-inverted; check value 0x29B1). Listed as CRC-16/IBM-3740 in G. Cook's catalogue of parametrised CRC algorithms.
+"""Serial protocol version 1: messages between host and device, and their framing (see docs/serial-protocol.md).
 
-What host and device tell each other: protocol version 1, as docs/serial-protocol.md has it.
+Every message is a frozen dataclass with `TYPE` (its byte on the wire), `SIZES` (shortest and longest payload), `pack`
+and `unpack`. Numbers are little-endian and unsigned unless stated otherwise. A frame is
 
-Every message is a frozen dataclass with TYPE (the byte on the wire), SIZES (shortest and longest payload), pack() and
-unpack(). Numbers are little-endian and unsigned unless said otherwise.
+    A5 5A | type | sequence | length (2) | payload | CRC-16 (2) over type … payload, little-endian
 
-Messages as bytes of a wire that may lose, flip or invent some.
-
-A5 5A | type | sequence | length (2) | payload | CRC-16 (2) over type … payload, little-endian.
+`Encoder` and `Decoder` convert messages to and from bytes of a wire that may lose, flip or invent some. The checksum is
+CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, most significant bit first, not inverted; check value 0x29B1),
+listed as CRC-16/IBM-3740 in G. Cook's catalogue of parametrised CRC algorithms.
 """
 
 from __future__ import annotations
@@ -29,25 +28,32 @@ CRC_POLYNOMIAL = 0x1021
 
 
 def crc16(data: bytes) -> int:
-    """0 … 0xFFFF. Python's own crc_hqx is this polynomial with a start of one's choice."""
+    """Compute the frame checksum, 0–0xFFFF; `binascii.crc_hqx` has the same polynomial."""
     return binascii.crc_hqx(data, CRC_START)
 
 
 VERSION = 1
+"""Version of the protocol."""
 LARGEST_PAYLOAD = 2048
+"""Largest payload of a frame [bytes]."""
 LARGEST_NAME = 64
+"""Largest device name [bytes]."""
 LARGEST_TEXT = 120
+"""Largest error text [bytes]."""
 NO_TEMPERATURE = -32768
-"""Of a device that does not measure it."""
+"""Temperature of a device that does not measure it."""
 NO_SLEW_LIMIT = 65535
-"""Larger than any step between two counts."""
+"""Slew that limits nothing: larger than any step between two counts."""
 RAMP_MS = 4
-"""Longest that a device takes to fade."""
+"""Longest fade of a device [ms]."""
 
 
 class State(IntEnum):
-    """Of the device. WAITING: started, silent for want of samples. STOPPING: on its way to silence. FAULT: silent until
-    a new HELLO, because of what its last ERROR said."""
+    """State of the device.
+
+    `WAITING` means started but silent for lack of samples, `STOPPING` fading to silence, and `FAULT` silent until a new
+    HELLO because of the last ERROR.
+    """
 
     IDLE = 0
     READY = 1
@@ -58,7 +64,7 @@ class State(IntEnum):
 
 
 class ErrorCode(IntEnum):
-    """Of an ERROR."""
+    """Code of an ERROR message."""
 
     VERSION = 1
     BUSY = 2
@@ -74,7 +80,7 @@ class ErrorCode(IntEnum):
 
 
 class _NumericMessage:
-    """A message of numbers only."""
+    """Base of messages that hold numbers only."""
 
     LAYOUT: ClassVar[struct.Struct]
 
@@ -84,7 +90,7 @@ class _NumericMessage:
 
 @dataclass(frozen=True)
 class Hello(_NumericMessage):
-    """Host: I speak versions lowest … highest."""
+    """Host: offers the protocol versions `lowest` to `highest`."""
 
     lowest: int = VERSION
     highest: int = VERSION
@@ -100,11 +106,24 @@ class Hello(_NumericMessage):
 
 @dataclass(frozen=True)
 class Start(_NumericMessage):
-    """Host: a stream begins, its first frame has position 0.
+    """Host: starts a stream, whose first frame has position 0.
 
-    rate_hz, channels. flags: 0. peak: largest magnitude of a count that may be played. slew: largest step in counts
-    from frame to frame. queue: most frames that the device shall owe, 0 = its own choice. session: drawn by the host,
-    told apart from that of any other.
+    Attributes
+    ----------
+    rate_hz : int
+        Frames per second.
+    channels : int
+        Number of channels.
+    peak : int
+        Largest magnitude that may be played [counts].
+    session : int
+        Random number of the stream, different from the previous one.
+    slew : int
+        Largest step between frames [counts].
+    queue : int
+        Largest number of frames that the device shall queue; 0 = the device chooses.
+    flags : int
+        0, reserved.
     """
 
     rate_hz: int
@@ -130,8 +149,11 @@ class Start(_NumericMessage):
 
 @dataclass(frozen=True)
 class Samples:
-    """Host: frames of the stream from position on (frames since START, modulo 2³²). data: int16, little-endian,
-    interleaved, whole frames. No frames at all say where the host is."""
+    """Host: frames of the stream from `position` on (frames since START, modulo 2³²).
+
+    `data` is int16, little-endian, interleaved, in complete frames. A message without frames only reports the host's
+    position.
+    """
 
     session: int
     position: int
@@ -143,11 +165,11 @@ class Samples:
 
     @classmethod
     def from_counts(cls, session: int, position: int, counts: NDArray[np.int16]) -> Samples:
-        """counts: (n, channels), at most frames_per_message(channels) of them."""
+        """Make a message from (n, channels) counts, n at most `frames_per_message(channels)`."""
         return cls(session, position, np.ascontiguousarray(counts, dtype="<i2").tobytes())
 
     def counts(self, channels: int) -> NDArray[np.int16]:
-        """(n, channels). Raises ValueError where data is not whole frames."""
+        """Return the counts, (n, channels); raise ValueError if `data` is not made of complete frames."""
         return np.frombuffer(self.data, "<i2").astype(np.int16).reshape(-1, channels)
 
     def pack(self) -> bytes:
@@ -163,8 +185,10 @@ class Samples:
 
 @dataclass(frozen=True)
 class Stop(_NumericMessage):
-    """Host: silence. drain: after what is queued; otherwise now, and what is queued is dropped. What says neither is
-    taken for now."""
+    """Host: stops the stream, after the queued frames if `drain`, else now with the queue dropped.
+
+    A payload other than 0 or 1 means now.
+    """
 
     drain: bool = False
 
@@ -179,7 +203,7 @@ class Stop(_NumericMessage):
 
 @dataclass(frozen=True)
 class Ping(_NumericMessage):
-    """Host: are you there? Answered by PONG and STATUS."""
+    """Host: checks the connection; the device replies with PONG and STATUS."""
 
     token: int
 
@@ -194,7 +218,7 @@ class Ping(_NumericMessage):
 
 @dataclass(frozen=True)
 class Bye(_NumericMessage):
-    """Host: I am gone. Silence as after STOP, then IDLE."""
+    """Host: leaves. The device becomes silent as after STOP, then IDLE."""
 
     TYPE: ClassVar[int] = 0x06
     SIZES: ClassVar[tuple[int, int]] = (0, 0)
@@ -207,10 +231,26 @@ class Bye(_NumericMessage):
 
 @dataclass(frozen=True)
 class Caps:
-    """Device, to HELLO: version that is spoken from now on, and what I can do.
+    """Device, in reply to HELLO: chosen protocol version and capabilities.
 
-    channels: most. bits: that reach the transducer. lowest_hz, highest_hz: rates. queue: most frames it ever owes.
-    peak: largest magnitude of a count it accepts. payload: longest it takes. name: for people.
+    Attributes
+    ----------
+    version : int
+        Version used from now on.
+    channels : int
+        Largest number of channels.
+    bits : int
+        Bits that reach the transducer.
+    lowest_hz, highest_hz : int
+        Range of rates.
+    queue : int
+        Largest number of frames queued.
+    peak : int
+        Largest magnitude accepted [counts].
+    payload : int
+        Largest payload accepted [bytes].
+    name : str
+        Name shown to people.
     """
 
     version: int
@@ -239,10 +279,20 @@ class Caps:
 
 @dataclass(frozen=True)
 class Credit(_NumericMessage):
-    """Device, at least every 2 ms while a stream lasts.
+    """Device, at least every 2 ms during a stream: how many frames it can take.
 
-    session: whose. played: frames of the stream that have left the queue, modulo 2³². queue: most that it owes.
-    free: of them, empty now. state.
+    Attributes
+    ----------
+    session : int
+        Stream that it refers to.
+    played : int
+        Frames of the stream that have left the queue, modulo 2³².
+    queue : int
+        Size of the queue [frames].
+    free : int
+        Free part of the queue [frames].
+    state : State
+        State of the device.
     """
 
     session: int
@@ -261,17 +311,30 @@ class Credit(_NumericMessage):
         return cls(session, played, queue, free, State(state))
 
     def compute_sendable_frames(self, sent: int) -> int:
-        """Frames that may be sent now by a host that has sent `sent` frames (any integer; modulo 2³²); below 0 where it
-        has sent more than it may."""
+        """Return how many frames a host may send that has sent `sent` (modulo 2³²); negative if it sent too many."""
         outstanding = (sent - self.played) & 0xFFFFFFFF
         return self.queue - (outstanding if outstanding < 0x80000000 else outstanding - 0x100000000)
 
 
 @dataclass(frozen=True)
 class Status(_NumericMessage):
-    """Device, since HELLO. underruns: times that samples were missing while it played. crc_errors: damaged frames of
-    the wire. lost: frames of the stream that never came. limited: samples that its own limits changed.
-    temperature: 0.1 °C, signed, or NO_TEMPERATURE. state."""
+    """Device: counters since HELLO.
+
+    Attributes
+    ----------
+    underruns : int
+        Times that samples were missing during playback.
+    crc_errors : int
+        Damaged frames on the wire.
+    lost : int
+        Frames of the stream that never arrived.
+    limited : int
+        Samples changed by the device's own limits.
+    temperature : int
+        Coil temperature [0.1 °C], signed, or `NO_TEMPERATURE`.
+    state : State
+        State of the device.
+    """
 
     underruns: int
     crc_errors: int
@@ -292,7 +355,7 @@ class Status(_NumericMessage):
 
 @dataclass(frozen=True)
 class Pong(_NumericMessage):
-    """Device: yes. token: of the PING."""
+    """Device: reply to PING with its token."""
 
     token: int
 
@@ -307,7 +370,10 @@ class Pong(_NumericMessage):
 
 @dataclass(frozen=True)
 class Error:
-    """Device: I did not do that, or cannot go on. code: a Code, or one of a later version. text: for people."""
+    """Device: a request was refused, or the device cannot continue.
+
+    `code` is an `ErrorCode` or a code of a later version; `text` is for people.
+    """
 
     code: int
     text: str
@@ -328,11 +394,13 @@ FromDevice: TypeAlias = Caps | Credit | Status | Pong | Error
 Message: TypeAlias = FromHost | FromDevice
 
 FROM_HOST: dict[int, type[Message]] = {kind.TYPE: kind for kind in (Hello, Start, Samples, Stop, Ping, Bye)}
+"""Messages that a host sends, by their type byte."""
 FROM_DEVICE: dict[int, type[Message]] = {kind.TYPE: kind for kind in (Caps, Credit, Status, Pong, Error)}
+"""Messages that a device sends, by their type byte."""
 
 
 def frames_per_message(channels: int, payload: int = LARGEST_PAYLOAD) -> int:
-    """Most frames that one SAMPLES carries within payload bytes."""
+    """Return the largest number of frames in one SAMPLES message of at most `payload` bytes."""
     return (payload - Samples.HEAD.size) // (2 * channels)
 
 
@@ -344,15 +412,22 @@ def _encode_text(text: str, max_bytes: int) -> bytes:
 
 
 SYNC = b"\xa5\x5a"
+"""First bytes of every frame."""
 HEADER = struct.Struct("<BBH")
 FRAME_OVERHEAD_BYTES = len(SYNC) + HEADER.size + 2
-"""Bytes of a frame that are not payload."""
+"""Bytes of a frame besides the payload."""
 FRAME_TIMEOUT_S = 0.020
-"""Without a byte, and a frame that was begun is given up."""
+"""Silence after which an incomplete frame is discarded [s]."""
 
 
 def encode_frame(message: Message, sequence: int) -> bytes:
-    """The frame of message; sequence is taken modulo 256. Raises UsageError where a value does not fit its field."""
+    """Encode a message as a frame; `sequence` is taken modulo 256.
+
+    Raises
+    ------
+    UsageError
+        If a value does not fit its field.
+    """
     try:
         payload = message.pack()
     except struct.error as error:
@@ -365,7 +440,7 @@ def encode_frame(message: Message, sequence: int) -> bytes:
 
 
 class Encoder:
-    """encode() that counts its frames, as each side does for what it sends."""
+    """Frame encoder that numbers its frames; each side has one."""
 
     def __init__(self) -> None:
         self._sequence = 0
@@ -377,17 +452,30 @@ class Encoder:
 
 
 class Decoder:
-    """Messages out of bytes in pieces of any size. Never raises, holds at most one frame of the longest kind.
+    """Incremental frame decoder for bytes in pieces of any size.
 
-    What cannot be a frame (a type that the other side does not send, a length that the type does not have, a wrong
-    CRC) costs its two bytes of sync only: everything after them is looked at again.
+    It never raises, and stores at most one frame of maximum size. Bytes that cannot be a frame (a type that the other
+    side does not send, a length that the type does not have, a wrong CRC) lose only their two sync bytes; everything
+    after them is searched again.
 
-    crc_errors: frames whose CRC was wrong. gaps: frames missing by the sequence numbers, modulo 256 each time.
-    malformed: frames with a good CRC whose content means nothing. skipped: bytes outside good frames.
+    Parameters
+    ----------
+    message_types : dict
+        `FROM_HOST` or `FROM_DEVICE`, the messages of the other side.
+
+    Attributes
+    ----------
+    crc_errors : int
+        Frames with a wrong CRC.
+    gaps : int
+        Frames missing by their sequence numbers, modulo 256 each time.
+    malformed : int
+        Frames with a correct CRC but an invalid content.
+    skipped : int
+        Bytes outside valid frames.
     """
 
     def __init__(self, message_types: dict[int, type[Message]]) -> None:
-        """kinds: FROM_HOST or FROM_DEVICE, what the other side sends."""
         self._message_types = message_types
         self._sizes = {kind: message.SIZES for kind, message in message_types.items()}
         self._buffer = b""
@@ -395,50 +483,50 @@ class Decoder:
         self.crc_errors = self.gaps = self.malformed = self.skipped = 0
 
     def feed(self, data: bytes) -> list[Message]:
-        """The messages that end within data, in order."""
-        found: list[Message] = []
-        held = self._buffer + bytes(data)
-        at = 0
+        """Return the messages that end within `data`, in order."""
+        messages: list[Message] = []
+        buffer = self._buffer + bytes(data)
+        position = 0
         while True:
-            sync = held.find(SYNC, at)
+            sync = buffer.find(SYNC, position)
             if sync < 0:
                 # The last byte may be the first of a sync.
-                keep = len(held) - 1 if held[at:].endswith(SYNC[:1]) else len(held)
-                self.skipped += keep - at
-                at = keep
+                end_of_garbage = len(buffer) - 1 if buffer[position:].endswith(SYNC[:1]) else len(buffer)
+                self.skipped += end_of_garbage - position
+                position = end_of_garbage
                 break
-            self.skipped += sync - at
-            at = sync
-            body = at + len(SYNC)
-            if len(held) < body + HEADER.size:
+            self.skipped += sync - position
+            position = sync
+            body = position + len(SYNC)
+            if len(buffer) < body + HEADER.size:
                 break
-            kind, sequence, length = HEADER.unpack_from(held, body)
+            kind, sequence, length = HEADER.unpack_from(buffer, body)
             smallest, largest = self._sizes.get(kind, (1, 0))
             if smallest <= length <= largest:
                 end = body + HEADER.size + length
-                if len(held) < end + 2:
+                if len(buffer) < end + 2:
                     break
-                if crc16(held[body:end]) == held[end] | held[end + 1] << 8:
-                    found += self._unpack_message(kind, sequence, held[body + HEADER.size : end])
-                    at = end + 2
+                if crc16(buffer[body:end]) == buffer[end] | buffer[end + 1] << 8:
+                    messages += self._unpack_message(kind, sequence, buffer[body + HEADER.size : end])
+                    position = end + 2
                     continue
                 self.crc_errors += 1
             self.skipped += len(SYNC)
-            at += len(SYNC)
-        self._buffer = held[at:]
-        return found
+            position += len(SYNC)
+        self._buffer = buffer[position:]
+        return messages
 
     def flush(self) -> list[Message]:
-        """To be called when nothing has come for IDLE_S: what was begun will not end. The messages found in it."""
-        found: list[Message] = []
+        """Discard the incomplete frame after `FRAME_TIMEOUT_S` of silence; return the messages found inside it."""
+        messages: list[Message] = []
         while self._buffer:
-            held, self._buffer = self._buffer[1:], b""
+            remaining, self._buffer = self._buffer[1:], b""
             self.skipped += 1
-            found += self.feed(held)
-        return found
+            messages += self.feed(remaining)
+        return messages
 
     def _unpack_message(self, kind: int, sequence: int, payload: bytes) -> list[Message]:
-        # A HELLO and its CAPS begin a conversation: what was sent before them is not missed.
+        # HELLO and CAPS begin a connection, so frames missing before them do not count.
         if self._expected_sequence is not None and kind not in (0x01, 0x81):
             self.gaps += (sequence - self._expected_sequence) & 0xFF
         self._expected_sequence = (sequence + 1) & 0xFF

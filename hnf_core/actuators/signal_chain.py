@@ -1,18 +1,15 @@
-"""Where samples come from.
+"""The signal chain of a stream: source → processors → resampler → limiter → counts.
 
-What happens to a stream between its source and the limiter.
+A block of acceleration [m/s²], (n, channels) float32, goes in; (m, channels) int16 counts at the device's rate come
+out. There is no thread, device or clock in here.
 
-One sample rate to another, block by block, without clicks or drift.
+Streams use a polyphase resampler (windowed sinc, Kaiser window): its stop band is below −90 dB from the lower rate's
+Nyquist frequency on, its pass band is flat up to 0.41 of the lower rate, and its delay is 32 frames of the lower rate.
+soxr's filters are steeper, but its output comes in bursts: 115 ms late at 8 → 10 kHz and 330 ms at 2.8 → 10 kHz
+(measured with soxr 1.1.0, 'HQ'). So soxr serves only signals that do not change during playback.
 
-A stream uses its own polyphase filter (windowed sinc, Kaiser's window): stop-band below −90 dB from the lower rate's
-Nyquist frequency on, flat up to 0.41 of the lower rate; what goes in comes out 32 frames of the lower rate later.
-soxr's filters are sharper and better still, but they answer in lumps: measured with soxr 1.1.0 ('HQ'), 115 ms late at
-8 → 10 kHz and 330 ms at 2.8 → 10 kHz. So soxr is for what nobody changes while it plays.
-
-Kaiser's window: J. F. Kaiser, "Nonrecursive digital filter design using the I0-sinh window function", ISCAS 1974; its
+Kaiser window: J. F. Kaiser, "Nonrecursive digital filter design using the I0-sinh window function", ISCAS 1974; its
 parameter and width for an attenuation as in A. V. Oppenheim, R. W. Schafer, "Discrete-Time Signal Processing", § 7.5.
-
-From a source to counts: stages, rate, limiter. No thread, no device, no clock.
 """
 
 from __future__ import annotations
@@ -34,8 +31,10 @@ Samples = NDArray[np.float32]
 
 
 class Source(Protocol):
-    """Acceleration in m/s², block by block. One thread calls read(); commands (seek, gain, pause, …) of an
-    implementation may come from another."""
+    """A stream of acceleration [m/s²], read block by block.
+
+    One thread calls `read`; an implementation's commands (seek, gain, pause, …) may come from another.
+    """
 
     @property
     def rate_hz(self) -> float: ...
@@ -44,52 +43,71 @@ class Source(Protocol):
     def channels(self) -> int: ...
 
     def read(self, frames: int) -> Samples:
-        """(n, channels) float32 m/s²: the next n ≤ frames; n < frames says that it has ended."""
+        """Return the next (n, channels) float32 [m/s²], n ≤ `frames`; n < `frames` means that the source has ended."""
         ...
 
 
 @runtime_checkable
 class PreparableSource(Source, Protocol):
-    """A source with work that needs not wait until the next block is asked for."""
+    """A source that can compute ahead before the next block is requested."""
 
     def prepare(self) -> None:
-        """Do it: the last block is on its way. By the thread that reads; who never calls it gets the same samples."""
+        """Compute ahead, on the reading thread, after a block was sent. It never changes the samples."""
         ...
 
 
 class Processor(Protocol):
-    """A causal filter at the source's rate, where there are fewest samples, with memory of its own."""
+    """A causal filter with its own state, run at the source's rate, which is usually the lower one."""
 
     def process(self, block: Samples) -> Samples:
-        """(n, channels) m/s² → as many."""
+        """Filter a block, (n, channels) → (n, channels) [m/s²]."""
         ...
 
 
 STOP_BAND_DB = 90.0
+"""Attenuation of the resampling filter's stop band [dB]."""
 ZERO_CROSSINGS = 32
-"""Of the sinc, to either side: frames of the lower rate that the filter looks ahead."""
+"""Zero crossings of the sinc on either side, that is, look-ahead of the filter [frames of the lower rate]."""
 _MAX_EXACT_PHASES = 4096
 _INTERPOLATED_PHASES = 1024
 _CHUNK_FRAMES = 1024
 
 
 class Resampler(Protocol):
-    """Blocks cut anyhow give the same frames. name: for reports."""
+    """A streaming converter of the sample rate, independent of how the input is cut into blocks.
+
+    `name` is for reports.
+    """
 
     name: str
 
     def process(self, block: Samples) -> Samples:
-        """(n, channels) float32 → (m, channels) float32, as far as it is known yet."""
+        """Convert a block, (n, channels) → (m, channels) float32, as far as the output is determined."""
         ...
 
     def finish(self) -> Samples:
-        """What is left: with it, n frames in have given ⌈n · to / from⌉ out."""
+        """Return the remaining frames; n input frames give ⌈n · to / from⌉ output frames in total."""
         ...
 
 
 def make_resampler(from_hz: float, to_hz: float, channels: int, *, low_latency: bool = True) -> Resampler:
-    """prompt: answer within CROSSINGS frames of the lower rate. Otherwise soxr where it is installed. Equal rates: what
-    comes goes, untouched. Raises UsageError where a rate is none."""
+    """Make a converter from one sample rate to another.
+
+    Parameters
+    ----------
+    from_hz, to_hz : float
+        Sample rates [Hz]. Equal rates pass the samples on unchanged.
+    channels : int
+        Number of channels.
+    low_latency : bool
+        Whether the delay must stay within `ZERO_CROSSINGS` frames of the lower rate. Otherwise soxr is used if it is
+        installed.
+
+    Raises
+    ------
+    UsageError
+        If a rate is not a possible one.
+    """
     if not (0.0 < from_hz < 1e9 and 0.0 < to_hz < 1e9):
         raise UsageError(f"nothing can be converted from {from_hz:g} Hz to {to_hz:g} Hz.")
     if from_hz == to_hz:
@@ -105,7 +123,7 @@ def make_resampler(from_hz: float, to_hz: float, channels: int, *, low_latency: 
 
 
 class PassThroughResampler:
-    """Nothing to convert."""
+    """Resampler for equal rates."""
 
     name = "none"
 
@@ -120,7 +138,7 @@ class PassThroughResampler:
 
 
 class SoxrResampler:
-    """libsoxr, 'HQ'."""
+    """Resampler of libsoxr, quality 'HQ'."""
 
     name = "soxr"
 
@@ -135,14 +153,17 @@ class SoxrResampler:
         return self._resample_chunk(np.zeros((0, self._channels), dtype=np.float32), last=True)
 
     def _resample_chunk(self, block: Samples, *, last: bool) -> Samples:
-        given = np.ascontiguousarray(block, dtype=np.float32)
-        found = np.asarray(self._stream.resample_chunk(given, last=last), dtype=np.float32)
-        return found.reshape(-1, self._channels)
+        contiguous = np.ascontiguousarray(block, dtype=np.float32)
+        resampled = np.asarray(self._stream.resample_chunk(contiguous, last=last), dtype=np.float32)
+        return resampled.reshape(-1, self._channels)
 
 
 class PolyphaseResampler:
-    """Output frame k lies at k · from / to frames of the input, an exact fraction (to 1 part in 10¹² where rates have
-    none below 10⁶): no drift. Every output frame is one sum in one order, so that no cut shows."""
+    """Windowed-sinc resampler with a table of filter phases.
+
+    Output frame k lies at input frame k · from / to, an exact fraction (to 1 part in 10¹² if the rates have none below
+    10⁶), so nothing drifts. Every output frame is one sum in a fixed order, so the cut into blocks changes nothing.
+    """
 
     name = "polyphase"
 
@@ -172,8 +193,8 @@ class PolyphaseResampler:
         return self._render_until(-(-self._frames_in * self._frames_per_step // self._step))
 
     def _render_until(self, end: int) -> Samples:
-        """All frames before end that are not made yet."""
-        made = [
+        """Return all frames before `end` that have not been rendered yet."""
+        chunks = [
             self._render_frames(k, min(k + _CHUNK_FRAMES, end)) for k in range(self._frames_out, end, _CHUNK_FRAMES)
         ]
         self._frames_out = max(self._frames_out, end)
@@ -181,45 +202,85 @@ class PolyphaseResampler:
         drop = min(max(needed - self._buffer_start, 0), self._buffer.shape[1])
         self._buffer = self._buffer[:, drop:]
         self._buffer_start += drop
-        if not made:
+        if not chunks:
             return np.zeros((0, len(self._buffer)), dtype=np.float32)
-        return np.concatenate(made)
+        return np.concatenate(chunks)
 
     def _render_frames(self, start: int, end: int) -> Samples:
         position = np.arange(start, end, dtype=np.int64) * self._step
-        before, phase = position // self._frames_per_step, position % self._frames_per_step
-        under = np.lib.stride_tricks.sliding_window_view(self._buffer, 2 * self._half, axis=1)
-        rows = under[:, before - (self._half - 1) - self._buffer_start]
-        found = np.einsum("cnt,nt->cn", rows, self._get_filter_weights(phase))
-        return np.ascontiguousarray(found.T, dtype=np.float32)
+        base, phase = position // self._frames_per_step, position % self._frames_per_step
+        windows = np.lib.stride_tricks.sliding_window_view(self._buffer, 2 * self._half, axis=1)
+        rows = windows[:, base - (self._half - 1) - self._buffer_start]
+        frames = np.einsum("cnt,nt->cn", rows, self._get_filter_weights(phase))
+        return np.ascontiguousarray(frames.T, dtype=np.float32)
 
     def _get_filter_weights(self, phase: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(n, taps) for phases in 1 / per of a frame."""
+        """Return (n, taps) weights for (n,) phases, in units of 1 / `_frames_per_step` of a frame."""
         if self._phases == self._frames_per_step:
             return np.asarray(self._table[phase])
-        place = phase * (self._phases / self._frames_per_step)
-        below = place.astype(np.int64)
-        share = (place - below)[:, None]
-        return np.asarray(self._table[below] * (1.0 - share) + self._table[below + 1] * share)
+        table_position = phase * (self._phases / self._frames_per_step)
+        lower = table_position.astype(np.int64)
+        fraction = (table_position - lower)[:, None]
+        return np.asarray(self._table[lower] * (1.0 - fraction) + self._table[lower + 1] * fraction)
 
 
 def design_polyphase_taps(shift: NDArray[np.float64], half: int, rate_ratio: float) -> NDArray[np.float64]:
-    """(n, 2 · half) weights of a frame that lies shift (n,) frames, 0 … 1, behind frame half − 1 of those under the
-    filter. share: of the input's rate, what the lower rate is. Each row sums to 1: a constant stays one."""
+    """Design the filter taps for fractional delays.
+
+    Parameters
+    ----------
+    shift : (n,) array
+        Delays, 0–1 [input frames], after frame `half` − 1 of those under the filter.
+    half : int
+        Half of the filter's length [input frames].
+    rate_ratio : float
+        Lower rate divided by the input's rate, at most 1.
+
+    Returns
+    -------
+    (n, 2 · half) array
+        Weights. Each row sums to 1, so a constant stays a constant.
+    """
     width = (STOP_BAND_DB - 7.95) / (14.36 * 2.0 * ZERO_CROSSINGS) * rate_ratio
-    cut = 0.5 * rate_ratio - 0.5 * width
+    cutoff = 0.5 * rate_ratio - 0.5 * width
     beta = 0.1102 * (STOP_BAND_DB - 8.7)
-    away = np.arange(1 - half, half + 1)[None] - shift[:, None]
-    window = np.i0(beta * np.sqrt(np.clip(1.0 - np.square(away / half), 0.0, None))) * (np.abs(away) <= half)
-    weights = np.sinc(2.0 * cut * away) * window
+    distance = np.arange(1 - half, half + 1)[None] - shift[:, None]
+    window = np.i0(beta * np.sqrt(np.clip(1.0 - np.square(distance / half), 0.0, None))) * (np.abs(distance) <= half)
+    weights = np.sinc(2.0 * cutoff * distance) * window
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 class SignalChain:
-    """What a stream sends, block by block. A source of one channel goes to all of the device's.
+    """The stages between a source and a device, rendered block by block.
 
-    ended: the source has given its last frame. nonfinite: values that were no number; they are 0 before any filter
-    could remember them. Raises UsageError where source and device have different channels.
+    A source of one channel is copied to all channels of the device.
+
+    Parameters
+    ----------
+    source : Source
+        Where the samples come from.
+    device : SinkFormat
+        Rate, channels and peak of the device.
+    limits : Limits
+        Limits of the actuator; the peak is lowered to the device's own.
+    processors : sequence of Processor
+        Filters applied before resampling, in this order.
+    low_latency : bool
+        Passed to `make_resampler`.
+    initial_heat : array_like
+        Warmth of the coils at the start, 0–1; a scalar or (channels,).
+
+    Attributes
+    ----------
+    ended : bool
+        Whether the source has given its last frame.
+    nonfinite : int
+        Number of values that were NaN or infinite. They are set to 0 before any filter can store them.
+
+    Raises
+    ------
+    UsageError
+        If the source has neither one channel nor as many as the device.
     """
 
     def __init__(
@@ -237,7 +298,7 @@ class SignalChain:
                 f"the signal has {source.channels} channels and '{device.device}' plays {device.channels}.",
                 remedy="Give one channel, or as many as the device has.",
             )
-        # What the device would cut off hard by itself, ours holds back softly, and counts.
+        # The device clips beyond its own peak. Limiting to that peak here avoids it, and counts the samples.
         self.limiter = Limiter(
             limits.with_device_peak(device.peak), device.rate_hz, device.channels, initial_heat=initial_heat
         )
@@ -251,7 +312,7 @@ class SignalChain:
 
     @property
     def channels(self) -> int:
-        """Of the device."""
+        """Number of channels of the device."""
         return self._device.channels
 
     @property
@@ -263,18 +324,21 @@ class SignalChain:
         return self._nonfinite + self.limiter.nonfinite
 
     def render_block(self, frames: int) -> Counts:
-        """(about frames, channels) counts: as many source frames as last that long, as far as the resampler can tell.
-        After the source's end the rest of it, and then none. Raises what the source or a stage raises."""
+        """Render about `frames` frames, (m, channels) counts: as much of the source as lasts that long.
+
+        After the source's end the resampler's remaining frames follow, and then none. Errors of the source and of the
+        processors pass through.
+        """
         if self.ended:
             return np.zeros((0, self._device.channels), dtype=np.int16)
         self._frame_balance += frames * self._source_frames_per_frame
-        wanted = max(math.floor(self._frame_balance), 1)
-        self._frame_balance -= wanted
-        given = self._replace_nonfinite(self._source.read(wanted))
-        self.ended = len(given) < wanted
-        for stage in self._processors if len(given) else ():
-            given = stage.process(given)
-        samples = self._resampler.process(given)
+        source_frames = max(math.floor(self._frame_balance), 1)
+        self._frame_balance -= source_frames
+        block = self._replace_nonfinite(self._source.read(source_frames))
+        self.ended = len(block) < source_frames
+        for processor in self._processors if len(block) else ():
+            block = processor.process(block)
+        samples = self._resampler.process(block)
         if self.ended:
             samples = np.concatenate([samples, self._resampler.finish()])
         if samples.shape[1] < self._device.channels:
@@ -282,16 +346,16 @@ class SignalChain:
         return self.limiter.process(samples)
 
     def prepare(self) -> None:
-        """See source.Preparing."""
+        """Let the source compute ahead; see `PreparableSource`."""
         if self._preparable_source is not None and not self.ended:
             self._preparable_source.prepare()
 
     def _replace_nonfinite(self, block: Samples) -> Samples:
-        good = np.isfinite(block)
-        if good.all():
+        finite = np.isfinite(block)
+        if finite.all():
             return block
-        self._nonfinite += int(good.size - np.count_nonzero(good))
-        return np.where(good, block, np.float32(0.0))
+        self._nonfinite += int(finite.size - np.count_nonzero(finite))
+        return np.where(finite, block, np.float32(0.0))
 
 
 def render_counts(
@@ -302,8 +366,15 @@ def render_counts(
     *,
     low_latency: bool = True,
 ) -> Counts:
-    """All that a stream of source sends to device, where coils are cold and nobody pauses: what any sink must have got,
-    to the byte. source must end."""
+    """Render a whole source offline: every count that a stream sends to `device`, byte for byte.
+
+    The coils start cold and nothing pauses. The source must end. Parameters are those of `SignalChain`.
+
+    Returns
+    -------
+    (n, channels) int16 array
+        Counts, including the final fade-out.
+    """
     chain = SignalChain(source, device, limits, processors, low_latency=low_latency)
     blocks: list[Counts] = []
     while not chain.ended:

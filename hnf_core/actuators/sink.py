@@ -1,4 +1,4 @@
-"""Where counts go: the one small interface that every way to a device has."""
+"""The interface of every output: a sink takes blocks of int16 counts and plays or stores them."""
 
 from __future__ import annotations
 
@@ -15,10 +15,26 @@ Counts = NDArray[np.int16]
 
 @dataclass(frozen=True)
 class SinkFormat:
-    """rate_hz: frames a second that the device plays. channels. queue_frames: most frames it owes at any time, that
-    is, what still sounds when nothing more comes (at most 15 ms on a live device). device: what it calls itself.
-    coil: something in it warms; a file's does not. live: it plays by a clock of its own; a file takes what
-    comes. peak: largest count that the device itself lets through; what is beyond, it would cut off hard."""
+    """Properties of a device, known once it is open.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Frames per second that the device plays.
+    channels : int
+        Number of channels.
+    queue_frames : int
+        Largest number of frames queued at any time, that is, what still plays if nothing more is written (at most 15 ms
+        on a live device).
+    device : str
+        The device's own name.
+    coil : bool
+        Whether it has a coil that warms up; a file has none.
+    live : bool
+        Whether it plays by its own clock; a file takes frames as they come.
+    peak : int
+        Largest count that the device lets through; it would clip any larger one.
+    """
 
     rate_hz: float
     channels: int
@@ -31,9 +47,23 @@ class SinkFormat:
 
 @dataclass(frozen=True)
 class SinkStatus:
-    """As far as it is known. played: frames. underruns: times that frames were missing while it played. errors:
-    damaged or lost frames of the wire. temperature_c: of the coil. problem: why nothing sounds any more, or "".
-    limited: samples that the device's own limits changed."""
+    """State of a device, as far as it is known.
+
+    Attributes
+    ----------
+    played : int
+        Frames played.
+    underruns : int
+        Times that frames were missing during playback.
+    errors : int
+        Damaged or lost frames on the wire.
+    temperature_c : float or None
+        Coil temperature [°C].
+    problem : str
+        Why nothing plays any more, or "".
+    limited : int
+        Samples changed by the device's own limits.
+    """
 
     played: int = 0
     underruns: int = 0
@@ -44,37 +74,37 @@ class SinkStatus:
 
 
 class Sink(Protocol):
-    """A device, or what stands for one. One thread calls it. Every call returns within some milliseconds, but for
-    open() (2 s) and wait().
+    """A device, or a substitute for one, used by one thread.
 
-    What goes wrong with the device raises DeviceError, in the words of a person's next step, from the first call that
-    notices; the sink is then silent and closed, and open() may be called again.
+    Every call returns within some milliseconds, except `open` (2 s) and `wait`. A fault of the device raises
+    DeviceError with a remedy from the first call that notices it; the sink is then silent and closed, and may be opened
+    again.
     """
 
     def open(self) -> SinkFormat:
-        """Take the device: nobody else plays on it until close(). Silent until the first write."""
+        """Acquire the device until `close`; it is silent until the first write."""
         ...
 
     def wait(self, timeout_s: float) -> int:
-        """Frames it takes now without exceeding its queue; waits until there are some, or for timeout_s."""
+        """Wait up to `timeout_s` for room in the queue; return the number of frames that fit."""
         ...
 
     def write(self, counts: Counts) -> None:
-        """(n, channels), n at most what wait() told. They are what the wire gets: nothing is scaled any more."""
+        """Send (n, channels) counts unscaled, n at most what `wait` returned."""
         ...
 
     def status(self) -> SinkStatus:
-        """Without asking the device: what it told last."""
+        """Return the last known status without querying the device."""
         ...
 
     def finish(self, timeout_s: float) -> None:
-        """Play what is owed, then rest in silence."""
+        """Play the queued frames to the end, then stay silent."""
         ...
 
     def stop(self) -> None:
-        """Silence now: what is owed is dropped, within the device's own soft stop. Never raises."""
+        """Silence the device now: drop queued frames with its own soft stop. Never raises."""
         ...
 
     def close(self) -> None:
-        """stop(), and give the device back. Never raises; again is harmless."""
+        """Stop and release the device. Never raises; may be called again."""
         ...

@@ -1,13 +1,9 @@
-"""A source played on a sink: ahead of time, on threads of its own, within the device's limits.
+"""Play a source on a sink with two threads, ahead of time and within the device's limits.
 
-    producer: source → stages → resampler → limiter → ring        pump: ring → sink
+    producer: source → processors → resampler → limiter → ring buffer        pump: ring buffer → sink
 
-What the pump sends is ready counts, so nothing a source does can hold up a device that still has frames; and when
-nothing comes any more, the device's own queue is the watchdog: it fades to silence by itself.
-
-How a stream is doing.
-
-Counts that are ready, between the thread that makes them and the thread that sends them.
+The pump sends finished counts, so a slow source cannot delay a device that still has frames. If no more frames come,
+the device's own queue acts as a watchdog: it fades to silence by itself.
 """
 
 from __future__ import annotations
@@ -40,7 +36,7 @@ _BINS = 10_000
 
 
 class DurationHistogram:
-    """A histogram of times in bins of 10 µs up to 100 ms: as large after a day as after a second."""
+    """Histogram of durations in bins of 10 µs up to 100 ms, of constant size."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS + 1, dtype=np.int64)
@@ -54,25 +50,59 @@ class DurationHistogram:
         self.max_ms = max(self.max_ms, milliseconds)
 
     def percentile_ms(self, percent: float) -> float:
-        """The upper edge of the bin that percent of all times lie in or below, never more than the longest; 0 where
-        there are none. From 100 ms on it is the longest."""
+        """Return a percentile [ms], rounded up to a bin's edge but at most the maximum; 0 if nothing was recorded.
+
+        Percentiles from 100 ms on are the maximum.
+        """
         if self.count == 0:
             return 0.0
-        place = int(np.searchsorted(np.cumsum(self._counts), self.count * percent / 100.0))
-        return self.max_ms if place >= _BINS else min((place + 1) * _BIN_MS, self.max_ms)
+        bin_index = int(np.searchsorted(np.cumsum(self._counts), self.count * percent / 100.0))
+        return self.max_ms if bin_index >= _BINS else min((bin_index + 1) * _BIN_MS, self.max_ms)
 
 
 @dataclass(frozen=True)
 class StreamReport:
-    """state: ready, playing, paused or ended. device: as it calls itself. blocks: made; frames: that the sink got.
-    underruns: times that the device missed frames. errors: damaged or lost frames of the wire. compute_p99_ms: of a
-    block, from its source to ready counts; compute_cpu_p99_ms: of that, what the thread computed. latency_p99_ms: from
-    the moment a block was asked of the source until the sink had it; a resampler that is not prompt gives many blocks
-    in one lump, whose last samples wait until the first are played. peak: largest level that left, as a share of full
-    scale. limited_samples, nonfinite_samples: changed by the limiter. device_limited_samples: by the device's own
-    limits, behind ours. played_s: by the device. level_m_s2: RMS of the last 20 ms or so.
-    temperature_c: of the coil, where it is told. resampler: what converts the rate. realtime: the system
-    granted both threads its real-time priority; never to a file. problem: why it ended, or "".
+    """State and statistics of a stream.
+
+    Attributes
+    ----------
+    state : str
+        "ready", "playing", "paused" or "ended".
+    device : str
+        The device's own name.
+    blocks : int
+        Blocks rendered.
+    frames : int
+        Frames written to the sink.
+    underruns : int
+        Times that the device ran out of frames.
+    errors : int
+        Damaged or lost frames on the wire.
+    compute_p99_ms, compute_highest_ms : float
+        Time to render a block, from its source to finished counts [ms].
+    compute_cpu_p99_ms : float
+        CPU time of it on the producer's thread [ms].
+    latency_p99_ms, latency_highest_ms : float
+        Time from the request of a block until the sink has it [ms]. A resampler without low latency returns many blocks
+        at once, of which the last wait until the first are played.
+    peak : float
+        Largest level sent, as a fraction of full scale.
+    limited_samples, nonfinite_samples : int
+        Samples changed by the limiter.
+    device_limited_samples : int
+        Samples changed by the device's own limits, after the limiter.
+    played_s : float
+        Time played by the device [s].
+    level_m_s2 : float
+        RMS of about the last 20 ms [m/s²].
+    temperature_c : float or None
+        Coil temperature [°C], if the device reports it.
+    resampler : str
+        Name of the rate converter.
+    realtime : bool
+        Whether the system granted both threads real-time priority; never requested for files.
+    problem : str
+        Why the stream ended, or "".
     """
 
     state: str = "ready"
@@ -102,10 +132,16 @@ class StreamReport:
 
 
 class RingBuffer:
-    """A bounded queue of frames for one writer and one reader. Both sleep on it; neither ever spins.
+    """Bounded queue of frames between one writer thread and one reader thread; both sleep while they wait.
 
-    capacity: frames. Each put carries a stamp (any clock of the writer's); take() tells that of the oldest frame it
-    gives.
+    Each `put` carries a time stamp from the writer's clock; `get` returns that of the oldest frame it gives.
+
+    Parameters
+    ----------
+    capacity : int
+        Size [frames].
+    channels : int
+        Number of channels.
     """
 
     def __init__(self, capacity: int, channels: int) -> None:
@@ -118,33 +154,37 @@ class RingBuffer:
         self._condition = threading.Condition()
 
     def wait_for_space(self, frames: int, timeout_s: float) -> bool:
-        """Whether there is room for frames (or all of an empty ring, where it is smaller), after at most timeout_s.
-        False at once on a closed ring."""
+        """Wait up to `timeout_s` for room for `frames`, at most the ring's size; return whether there is room.
+
+        A closed ring returns False at once.
+        """
         wanted = min(frames, len(self._frames))
         with self._condition:
             self._condition.wait_for(lambda: self._closed or self._count_free_frames() >= wanted, timeout_s)
             return not self._closed and self._count_free_frames() >= wanted
 
     def put(self, counts: Counts, stamp: float = 0.0) -> bool:
-        """Append (n, channels), sleeping while it is full. False: it was closed before all of them were in."""
+        """Append (n, channels) counts, sleeping while the ring is full; return False if it was closed before."""
         start = 0
         while start < len(counts):
             with self._condition:
                 self._condition.wait_for(lambda: self._closed or self._count_free_frames() > 0)
                 if self._closed:
                     return False
-                piece = counts[start : start + self._count_free_frames()]
-                places = (self._written + np.arange(len(piece))) % len(self._frames)
-                self._frames[places] = piece
-                self._written += len(piece)
+                block = counts[start : start + self._count_free_frames()]
+                slots = (self._written + np.arange(len(block))) % len(self._frames)
+                self._frames[slots] = block
+                self._written += len(block)
                 self._stamps.append((self._written, stamp))
                 self._condition.notify_all()
-            start += len(piece)
+            start += len(block)
         return True
 
     def get(self, max_frames: int, timeout_s: float) -> tuple[Counts, float]:
-        """Up to most frames, as many as are there, in order, and the stamp of the first. Sleeps while it is empty, for
-        at most timeout_s; none: nothing came, or it has ended."""
+        """Return up to `max_frames` frames in order, and the stamp of the first.
+
+        Sleeps while the ring is empty, for at most `timeout_s`; then it returns no frames, as it does after the end.
+        """
         with self._condition:
             self._condition.wait_for(lambda: self._closed or self._finished or self._written > self._read, timeout_s)
             count = 0 if self._closed else min(max_frames, self._written - self._read)
@@ -157,20 +197,20 @@ class RingBuffer:
             return counts, stamp
 
     def finish(self) -> None:
-        """Nothing more is put; what is there can still be taken."""
+        """Mark the end of the input; the frames in the ring can still be read."""
         with self._condition:
             self._finished = True
             self._condition.notify_all()
 
     def close(self) -> None:
-        """Drop what is there and wake both."""
+        """Drop all frames and wake both threads."""
         with self._condition:
             self._closed = True
             self._condition.notify_all()
 
     @property
     def ended(self) -> bool:
-        """Nothing will come out of it any more."""
+        """True if no more frames will come out."""
         with self._condition:
             return self._closed or (self._finished and self._written == self._read)
 
@@ -182,18 +222,45 @@ _OPEN_TIMEOUT_S = 10.0
 _JOIN_TIMEOUT_S = 2.0
 _FINISH_TIMEOUT_S = 2.0
 _POLL_S = 0.005
-"""How often the pump looks whether it shall stop and how the device is, at the least."""
+"""Longest time between the pump's checks for a stop and for the device's status [s]."""
 _SPACE_TIMEOUT_S = 0.1
 _LEVEL_WINDOW_S = 0.02
 
 
 class Stream:
-    """source on sink, once. ahead_blocks: of block_s each, ready in advance (1 for what is touched live).
-    prompt: see resampler(). compute, compute_cpu, latency: of each block; see StreamReport. prepared: what the source
-    made ready after each, once it was on its way.
+    """A source playing on a sink, once.
 
-    A context manager: leaving it stops. A problem of the device or of the source ends the stream in silence and is
-    told by report.problem; another Stream may follow at once.
+    As a context manager it stops when left. A fault of the device or of the source ends the stream in silence and is
+    described in `report.problem`; another stream may follow at once.
+
+    Parameters
+    ----------
+    source : Source
+        Where the samples come from.
+    sink : Sink
+        Where the counts go; opened by `start`.
+    limits : Limits
+        Limits of the actuator.
+    block_s : float
+        Length of a block [s].
+    ahead_blocks : int
+        Number of blocks rendered in advance (1 for live touch).
+    processors : sequence of Processor
+        Filters applied before resampling.
+    low_latency : bool
+        Passed to `make_resampler`.
+
+    Attributes
+    ----------
+    compute, compute_cpu, latency : DurationHistogram
+        Times of each block; see `StreamReport`.
+    prepared : DurationHistogram
+        Time that the source computed ahead after each block.
+
+    Raises
+    ------
+    UsageError
+        If `block_s` is not within 0.5 ms–1 s, or `ahead_blocks` is below 1.
     """
 
     def __init__(
@@ -207,7 +274,6 @@ class Stream:
         processors: Sequence[Processor] = (),
         low_latency: bool = True,
     ) -> None:
-        """Raises UsageError where block_s is not within 0.5 ms … 1 s or nothing is made ahead."""
         if not (0.0005 <= block_s <= 1.0 and ahead_blocks >= 1):
             raise UsageError(
                 f"a stream cannot be made of {ahead_blocks} blocks of {block_s * 1e3:g} ms ahead.",
@@ -242,10 +308,20 @@ class Stream:
         self.stop()
 
     def start(self, on_open: Callable[[SinkFormat], None] = lambda device: None) -> SinkFormat:
-        """Open the sink and play. look: called when it is open, before anything leaves; what it raises stops.
+        """Open the sink and play.
 
-        Raises DeviceError where it cannot be opened, UsageError where signal, limits and device do not fit or the
-        stream was started before."""
+        Parameters
+        ----------
+        on_open : callable
+            Called with the open device before anything is sent; an exception from it stops the stream.
+
+        Raises
+        ------
+        DeviceError
+            If the sink cannot be opened.
+        UsageError
+            If signal, limits and device do not fit, or the stream was started before.
+        """
         with self._lock:
             if self._threads or self._stopping.is_set():
                 raise UsageError("a stream plays once.", remedy="Make another one.")
@@ -268,37 +344,40 @@ class Stream:
         return device
 
     def stop(self) -> None:
-        """Silence now, by the device's own soft stop, and give the device back. From any thread; again is harmless."""
+        """Silence and release the device now, with its own soft stop.
+
+        May be called from any thread, and repeatedly.
+        """
         self._stopping.set()
         self._started.set()
         with self._lock:
             threads, device, ring = list(self._threads), self._device, self._ring
         if ring is not None and device is not None and device.live:
-            ring.close()  # what is ready is dropped: the device fades by itself
+            ring.close()  # drops the finished frames; the device fades out by itself
         if not threads:
             self._ended.set()
         elif threading.current_thread() in threads:
-            pass  # a source or a sink that stops its own stream goes on first
+            pass  # a source or sink stopped its own stream; waiting here for its own thread would never end
         elif not self._ended.wait(2.0 * _JOIN_TIMEOUT_S):
             self._set_problem(
                 DeviceError("the device does not answer.", remedy="Unplug it, plug it in, and try again."), ""
             )
 
     def pause(self) -> None:
-        """Fade out and hold the source where it is; the device goes on with silence."""
+        """Fade out and halt the source; the device continues with silence."""
         self._paused = True
 
     def resume(self) -> None:
-        """Fade in where it was paused."""
+        """Continue at the paused position with a fade-in."""
         self._paused = False
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Whether it has ended (played out, stopped or failed), after at most timeout_s."""
+        """Wait up to `timeout_s`; return whether the stream has ended (played out, stopped or failed)."""
         return self._ended.wait(timeout_s)
 
     @property
     def report(self) -> StreamReport:
-        """Now; from any thread."""
+        """Current state and statistics; may be read from any thread."""
         with self._lock:
             limiter = self._chain.limiter if self._chain else None
             if self._ended.is_set():
@@ -347,15 +426,15 @@ class Stream:
 
     def _fill_ring(self, chain: SignalChain, ring: RingBuffer, frames: int) -> None:
         while not self._stopping.is_set() and not chain.ended:
-            # Room first, then the source: nothing it gives grows old before the ring.
+            # Wait for room before reading the source, so that no block ages outside the ring.
             if not ring.wait_for_space(frames, _SPACE_TIMEOUT_S):
                 continue
-            stamp, computed = time.perf_counter(), time.thread_time()
+            stamp, cpu_s = time.perf_counter(), time.thread_time()
             counts = chain.limiter.soft_stop(frames) if self._paused else chain.render_block(frames)
-            taken, computed = time.perf_counter() - stamp, time.thread_time() - computed
+            wall_s, cpu_s = time.perf_counter() - stamp, time.thread_time() - cpu_s
             with self._lock:
-                self.compute.record(taken)
-                self.compute_cpu.record(computed)
+                self.compute.record(wall_s)
+                self.compute_cpu.record(cpu_s)
             ring.put(counts, stamp)
             stamp = time.perf_counter()
             chain.prepare()
@@ -370,9 +449,8 @@ class Stream:
         try:
             device = self._sink.open()
             _stop_first_at_exit()
-            self._realtime = (
-                device.live and runtime.request_realtime_priority()
-            )  # as fast as it can, it would keep a core from all others
+            # A file sink never sleeps on a device's clock; with real-time priority it would block a core for others.
+            self._realtime = device.live and runtime.request_realtime_priority()
             heat = THERMAL_STATE.get_heat(device.device, self._limits, device.channels)
             chain = SignalChain(
                 self._source, device, self._limits, self._processors, low_latency=self._low_latency, initial_heat=heat
@@ -398,11 +476,11 @@ class Stream:
             self._close(producer)
 
     def _send(self, ring: RingBuffer, device: SinkFormat, frames: int) -> None:
-        grain = max(min(frames, device.queue_frames // 4), 1)
+        min_write = max(min(frames, device.queue_frames // 4), 1)
         while not self._stopping.is_set():
             room = self._sink.wait(_POLL_S)
-            if room < grain and not ring.ended:
-                self._stopping.wait((grain - room) / device.rate_hz)  # a few frames at a time would only keep us busy
+            if room < min_write and not ring.ended:
+                self._stopping.wait((min_write - room) / device.rate_hz)  # avoids many tiny writes
                 room = self._sink.wait(_POLL_S)
             counts, stamp = ring.get(room, _POLL_S) if room > 0 else (_NO_COUNTS, 0.0)
             if len(counts):
@@ -417,9 +495,9 @@ class Stream:
             self._drain_ring(ring)
 
     def _drain_ring(self, ring: RingBuffer) -> None:
-        """A file has no soft stop of its own: it gets what was made until then, and the limiter's."""
-        until = time.monotonic() + _JOIN_TIMEOUT_S
-        while not ring.ended and time.monotonic() < until:
+        """Write the frames left, and the limiter's fade-out, to a sink without a soft stop of its own (a file)."""
+        deadline = time.monotonic() + _JOIN_TIMEOUT_S
+        while not ring.ended and time.monotonic() < deadline:
             counts, stamp = ring.get(self._sink.wait(_POLL_S), _POLL_S)
             if len(counts):
                 self._sink.write(counts)
@@ -432,10 +510,10 @@ class Stream:
             if len(counts) == 0:
                 return
             self._frames += len(counts)
-            wide = counts.astype(np.int64)
-            self._peak = max(self._peak, int(np.abs(wide).max()))
-            forget = 1.0 - math.exp(-len(counts) / (_LEVEL_WINDOW_S * self._rate))
-            self._mean_square += forget * (float(np.square(wide).mean()) - self._mean_square)
+            levels = counts.astype(np.int64)
+            self._peak = max(self._peak, int(np.abs(levels).max()))
+            weight = 1.0 - math.exp(-len(counts) / (_LEVEL_WINDOW_S * self._rate))
+            self._mean_square += weight * (float(np.square(levels).mean()) - self._mean_square)
             if stamp:
                 self.latency.record(now - stamp)
 
@@ -445,7 +523,7 @@ class Stream:
             if self._ring is not None:
                 self._ring.close()
             self._sink.close()
-            with suppress(Exception):  # a file, say, that could not be written after all
+            with suppress(Exception):  # for example, if a file could not be written in the end
                 self._set_problem(DeviceError(self._sink.status().problem), "")
             if producer is not None and producer.ident is not None:
                 producer.join(_JOIN_TIMEOUT_S)
@@ -461,9 +539,9 @@ class Stream:
             self._ended.set()
 
     def _set_problem(self, error: Exception, context: str) -> None:
-        """The first problem is the one that is told."""
-        unforeseen = f"{context} ({type(error).__name__}: {error}). Start it anew; if that does not help, report it."
-        text = str(error) if isinstance(error, HnfError) else unforeseen
+        """Store the first problem; later ones are ignored."""
+        unexpected = f"{context} ({type(error).__name__}: {error}). Start it anew; if that does not help, report it."
+        text = str(error) if isinstance(error, HnfError) else unexpected
         with self._lock:
             self._problem = self._problem or text
 
@@ -473,18 +551,20 @@ _active_streams: weakref.WeakSet[Stream] = weakref.WeakSet()
 
 
 def _stop_all() -> None:
-    """The interpreter ends: so does all that still plays."""
+    """Stop every stream that still plays when the interpreter exits."""
     for stream in list(_active_streams):
         stream.stop()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(
-        after_in_child=_active_streams.clear
-    )  # its threads are the parent's: nobody here could be waited for
+    # The streams' threads exist only in the parent, so a child could never wait for them.
+    os.register_at_fork(after_in_child=_active_streams.clear)
 
 
 def _stop_first_at_exit() -> None:
-    """What was registered last runs first: a library that a sink has just loaded would end below what still plays."""
+    """Register `_stop_all` anew, so that it runs before the exit handlers of libraries that sinks have loaded.
+
+    Handlers run in reverse order of registration; a library would otherwise end below a playing stream.
+    """
     atexit.unregister(_stop_all)
     atexit.register(_stop_all)

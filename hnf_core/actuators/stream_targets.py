@@ -1,4 +1,4 @@
-"""Where a stream can go, in words.
+"""Stream targets as text, the sinks they stand for, and the devices that are connected.
 
 serial:PORT[@BAUD] | audio[:DEVICE] | osc:HOST:PORT[/ADDRESS] | file:PATH | virtual
 """
@@ -16,11 +16,12 @@ from .sink import Sink
 from .sinks.osc import DEFAULT_ADDRESS
 
 TARGET_FORMS = "serial:PORT[@BAUD], audio[:DEVICE], osc:HOST:PORT[/ADDRESS], file:PATH or virtual"
+"""The forms of a target, for messages."""
 
 
 @dataclass(frozen=True)
 class SerialTarget:
-    """baudrate: None, the protocol's usual one."""
+    """A device on a serial port; a baud rate of None means the protocol's usual one."""
 
     port: str
     baudrate: int | None = None
@@ -32,7 +33,7 @@ class SerialTarget:
 
 @dataclass(frozen=True)
 class AudioTarget:
-    """device: part of its name, its index, or None for the system's default."""
+    """A sound output: part of its name, its index, or None for the system's default."""
 
     device: str | int | None = None
 
@@ -43,6 +44,8 @@ class AudioTarget:
 
 @dataclass(frozen=True)
 class OscTarget:
+    """An OSC receiver (UDP)."""
+
     host: str
     port: int
     address: str = DEFAULT_ADDRESS
@@ -55,6 +58,8 @@ class OscTarget:
 
 @dataclass(frozen=True)
 class FileTarget:
+    """A WAV or NPY file to write."""
+
     path: Path
 
     @property
@@ -64,6 +69,8 @@ class FileTarget:
 
 @dataclass(frozen=True)
 class VirtualTarget:
+    """The simulated device."""
+
     @property
     def text(self) -> str:
         return "virtual"
@@ -73,7 +80,7 @@ Target = SerialTarget | AudioTarget | OscTarget | FileTarget | VirtualTarget
 
 
 def parse_target(text: str) -> Target:
-    """Raises UsageError, naming the form, where words are none."""
+    """Parse a target; raise UsageError with the expected form if it has none."""
     kind, colon, rest = text.strip().partition(":")
     if kind == "virtual" and not colon:
         return VirtualTarget()
@@ -87,9 +94,9 @@ def parse_target(text: str) -> Target:
             return SerialTarget(port, int(baud) if at else None)
         raise _make_target_error(text, "serial:PORT[@BAUD], e.g. serial:/dev/ttyACM0 or serial:COM3@3000000")
     if kind == "osc":
-        found = re.fullmatch(r"(?:\[([0-9A-Fa-f:.%\w]+)\]|([^\s:/\[\]]+)):([0-9]{1,5})(/[^\s#*,?\[\]{}]*)?", rest)
-        if found and 0 < int(found[3]) < 65536:
-            return OscTarget(found[1] or found[2], int(found[3]), (found[4] or "").rstrip("/") or DEFAULT_ADDRESS)
+        match = re.fullmatch(r"(?:\[([0-9A-Fa-f:.%\w]+)\]|([^\s:/\[\]]+)):([0-9]{1,5})(/[^\s#*,?\[\]{}]*)?", rest)
+        if match and 0 < int(match[3]) < 65536:
+            return OscTarget(match[1] or match[2], int(match[3]), (match[4] or "").rstrip("/") or DEFAULT_ADDRESS)
         raise _make_target_error(text, "osc:HOST:PORT[/ADDRESS], e.g. osc:127.0.0.1:9000/avatar/parameters/hnf")
     if kind == "file" and rest:
         return FileTarget(Path(rest))
@@ -97,7 +104,19 @@ def parse_target(text: str) -> Target:
 
 
 def make_sink(target: Target, source_rate_hz: float, limits: Limits, channels: int = 1) -> Sink:
-    """The sink that target means, not opened yet. source_rate_hz: a device that can choose its rate takes it."""
+    """Make the sink of a target, not opened yet.
+
+    Parameters
+    ----------
+    target : Target
+        Parsed target.
+    source_rate_hz : float
+        The source's rate [Hz]; devices with a choice of rates use it.
+    limits : Limits
+        Limits of the actuator; serial and virtual devices enforce peak and slew as well.
+    channels : int
+        Number of channels.
+    """
     if isinstance(target, AudioTarget):
         from .sinks.audio import AudioSink
 
@@ -123,7 +142,7 @@ def make_sink(target: Target, source_rate_hz: float, limits: Limits, channels: i
 
 @dataclass(frozen=True)
 class Device:
-    """A device. target: the words for it. title: what it calls itself. facts: what else is known of it."""
+    """A connected device: its target text, its own name, and other known facts."""
 
     target: str
     title: str
@@ -132,7 +151,7 @@ class Device:
 
 @dataclass(frozen=True)
 class DeviceList:
-    """missing: why one of the lists is empty, a line each."""
+    """Connected devices; `missing` has one line for each list that could not be read."""
 
     serial: tuple[Device, ...]
     audio: tuple[Device, ...]
@@ -140,12 +159,15 @@ class DeviceList:
 
     @property
     def all(self) -> tuple[Device, ...]:
+        """All devices, serial ports first."""
         return self.serial + self.audio
 
 
 def list_devices() -> DeviceList:
-    """What is plugged in now, as the system tells it: whether it speaks our protocol is known when it is opened. Takes
-    up to a second. Never raises."""
+    """List the connected devices as the system reports them; never raises.
+
+    Takes up to a second. Only opening a serial port shows whether the device speaks the project's protocol.
+    """
     missing: list[str] = []
     serial: tuple[Device, ...] = ()
     audio: tuple[Device, ...] = ()
@@ -166,15 +188,17 @@ def _list_serial_ports() -> tuple[Device, ...]:
 
     try:
         ports = sorted(comports(), key=lambda port: str(port.device))
-    except Exception as error:  # each system has its own way to fail here
+    except Exception as error:  # the exception depends on the operating system
         raise DeviceError(f"they cannot be listed ({error}).", remedy="Name the port: serial:PORT.") from error
-    found = []
+    devices = []
     for port in ports:
-        told = [port.manufacturer, f"USB {port.vid:04x}:{port.pid:04x}" if port.vid is not None else None]
-        named = str(port.description or "n/a")
-        facts = ", ".join(str(each) for each in told if each)
-        found.append(Device(f"serial:{port.device}", named if named != "n/a" else str(port.device), facts))
-    return tuple(found)
+        facts_known = [port.manufacturer, f"USB {port.vid:04x}:{port.pid:04x}" if port.vid is not None else None]
+        description = str(port.description or "n/a")
+        facts = ", ".join(str(fact) for fact in facts_known if fact)
+        devices.append(
+            Device(f"serial:{port.device}", description if description != "n/a" else str(port.device), facts)
+        )
+    return tuple(devices)
 
 
 def _list_sound_outputs() -> tuple[Device, ...]:
@@ -185,18 +209,18 @@ def _list_sound_outputs() -> tuple[Device, ...]:
         rescan_devices(sounddevice)
         default = sounddevice.default.device[1]
         apis = [str(api["name"]) for api in sounddevice.query_hostapis()]
-        outputs = [each for each in sounddevice.query_devices() if each["max_output_channels"] > 0]
+        outputs = [output for output in sounddevice.query_devices() if output["max_output_channels"] > 0]
     except sounddevice.PortAudioError as error:
         raise DeviceError(f"they cannot be listed ({error}).", remedy="Name one: audio:DEVICE.") from error
-    names = [f"{each['name']}, {apis[each['hostapi']]}" for each in outputs]
-    found = []
-    for name, each in zip(names, outputs, strict=True):
-        # A name outlives plugging and unplugging, an index does not; but two alike can only be told by theirs.
-        words = name if names.count(name) == 1 else str(each["index"])
-        facts = f"{each['default_samplerate']:g} Hz, {each['max_output_channels']} channels"
-        chosen = ", the default" if each["index"] == default else ""
-        found.append(Device(f"audio:{words}", str(each["name"]), facts + chosen))
-    return tuple(found)
+    names = [f"{output['name']}, {apis[output['hostapi']]}" for output in outputs]
+    devices = []
+    for name, output in zip(names, outputs, strict=True):
+        # A name survives replugging, an index does not. Outputs of the same name only differ by their index.
+        name_or_index = name if names.count(name) == 1 else str(output["index"])
+        facts = f"{output['default_samplerate']:g} Hz, {output['max_output_channels']} channels"
+        default_note = ", the default" if output["index"] == default else ""
+        devices.append(Device(f"audio:{name_or_index}", str(output["name"]), facts + default_note))
+    return tuple(devices)
 
 
 def _make_target_error(text: str, form: str) -> UsageError:

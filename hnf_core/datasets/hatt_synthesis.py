@@ -154,6 +154,7 @@ class HattProcess:
 
     @property
     def name(self) -> str:
+        """Name of the material."""
         return self.model.material
 
     def record(self, actions: Sequence[Action], seed: int) -> list[Recording]:

@@ -74,12 +74,14 @@ class Recording:
 class TextureProcess(Protocol):
     """Interface of materials that can be stroked any number of times: a simulated surface, a published texture model.
 
-    A new seed is a new draw of the same process (noise, or another position on the surface), the upper bound in
-    evaluation.
+    A new seed is a new draw of the same process (noise, or another position on the surface); evaluation uses it as an
+    oracle.
     """
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the material."""
+        ...
 
     def record(self, actions: Sequence[Action], seed: int) -> list[Recording]:
         """Return one recording at 10 kHz per action; all actions of a call must be equally long."""

@@ -64,9 +64,12 @@ class VisionTouchPair:
     metres_per_pixel: float | None
 
     def __post_init__(self) -> None:
-        for name, image, channels in (("rgb", self.rgb, 3), ("touch", self.touch, 3), ("background", self.background,
-        3),
-                                     ("depth_m", self.depth_m, None)):  # fmt: skip
+        for name, image, channels in (
+            ("rgb", self.rgb, 3),
+            ("touch", self.touch, 3),
+            ("background", self.background, 3),
+            ("depth_m", self.depth_m, None),
+        ):
             if image is not None and (
                 image.dtype != np.float32 or image.shape[2:] != ((channels,) if channels else ())
             ):

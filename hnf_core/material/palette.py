@@ -100,8 +100,7 @@ class Palette:
             names = tuple(str(name) for name in json.loads(facts["names"]))
             mechanics = tuple(Mechanics(*(None if np.isnan(v) else float(v) for v in row)) for row in table)
             palette = cls(tokens, mechanics, names, schema, encoder)
-            # A palette has one serialised form, so writing it again must give the bytes that were read, digest
-            # included.
+            # A palette has one serialised form, so writing it again must give the same bytes, digest included.
             if palette.to_bytes() != bytes(data):
                 raise ValueError("its digest does not match its contents")
         except (ValueError, KeyError, TypeError, RecursionError, MaterialError) as error:

@@ -248,8 +248,7 @@ def _contrast_normalise(samples: Float) -> Float:
     mean = windows @ taps
     spread = np.sqrt(np.square(windows - mean[:, None]) @ taps)
     level = float(np.sqrt(np.mean(np.square(spread))))
-    # The floor is relative to the signal's contrast, so that its level does not matter and silence does not divide by
-    # 0.
+    # The floor is relative to the signal's contrast: its level does not matter, and silence does not divide by 0.
     return np.asarray((padded[MSCN_TAPS // 2 : -(MSCN_TAPS // 2)] - mean) / (spread + max(1e-3 * level, 1e-300)))
 
 

@@ -88,8 +88,8 @@ class Camera:
             raise ValueError(f"{width} x {height} at {left}, {top} is no part of {self.width} x {self.height} pixels")
         intrinsics = self.intrinsics - np.array([[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]])
         x0, y0, x1, y1 = self.frame
-        whole = (x0 - left, y0 - top, x1 - left, y1 - top)
-        return replace(self, width=width, height=height, intrinsics=intrinsics, whole=whole)
+        uncropped = (x0 - left, y0 - top, x1 - left, y1 - top)
+        return replace(self, width=width, height=height, intrinsics=intrinsics, whole=uncropped)
 
 
 def orthographic(

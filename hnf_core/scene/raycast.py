@@ -111,6 +111,7 @@ class EmbreeCaster:
         )
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
+        """Return the first hits of n rays, origins and directions (n, 3)."""
         origins, directions = as_ray_arrays(origins, directions)
         # A far camera's origin would lose digits in float32, so each ray starts where it enters the bounding sphere.
         local = self._frame.to_frame(origins)

@@ -77,9 +77,13 @@ class FrictionLaw(Protocol):
 
     def linearise(
         self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
-    ) -> tuple[Float, Float]: ...
+    ) -> tuple[Float, Float]:
+        """Linearise the friction of this step; see `LuGre.linearise`."""
+        ...
 
-    def update(self, sliding: Float) -> None: ...
+    def update(self, sliding: Float) -> None:
+        """Update the state by the new velocity (2, B) [m/s]."""
+        ...
 
 
 class LuGre:
@@ -172,6 +176,7 @@ class Coulomb:
 
 
 FRICTION_LAWS: dict[str, type[FrictionLaw]] = {"lugre": LuGre, "coulomb": Coulomb}
+"""Friction laws by name."""
 
 
 HAND_STIFFNESS_N_M = 500.0

@@ -31,14 +31,16 @@ MM = 1e-3
 
 @dataclass(frozen=True)
 class MaterialEntry:
-    """One row of the table.
+    """A row of the table.
 
     Attributes
     ----------
-    name, category, words : str
-        As in `material.library.LibraryMaterial`; words in one string.
+    name, category : str
+        As in `material.library.LibraryMaterial`.
     hatt : str
         Recorded HaTT category that it is compared with, "" if there is none.
+    words : str
+        Words that name it, separated by blanks.
     mechanics : Mechanics
         Mechanics under the pen.
     roughness_um : float

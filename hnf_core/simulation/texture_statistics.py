@@ -33,14 +33,14 @@ LOWEST_HZ = 10.0
 
 @dataclass(frozen=True)
 class TextureStatistics:
-    """Statistics of one surface at 100 mm/s and 1 N, averaged over both directions in power.
+    """Statistics of one surface at 100 mm/s and 1 N; of both directions together, averaged in power.
 
     Attributes
     ----------
     rms : float
         RMS acceleration [m/s²].
     rms_along, rms_across : float
-        RMS acceleration of each direction [m/s²].
+        RMS acceleration of each direction alone [m/s²].
     centroid_hz : float
         Spectral centroid [Hz].
     below_1k : float

@@ -94,7 +94,7 @@ def estimate_resolved_wavelength(
 
 
 def compute_soft_window(mask: Mask) -> Float:
-    """Return a window (H, W), 0 … 1, that vanishes outside the mask and at its edges; zero if the mask is narrow."""
+    """Return a window (H, W), 0 … 1, that vanishes outside the mask and at its edges; all zero for narrow masks."""
     reach = min(mask.shape) // WINDOW_RAMP_DIVISOR
     while reach >= 3:
         inner = (_box_filter(mask.astype(np.float64), reach) > 1.0 - 1e-9).astype(np.float64)

@@ -1,10 +1,8 @@
-"""Close-ups: a contact patch seen by a touch sensor's camera, and what its shader says of height and material.
+"""Close-ups: a patch rendered by an orthographic camera, with the height and the appearance that its shader defines.
 
-One Cycles sample a pixel, exactly at its centre, of the touched object alone; every quantity is an AOV pass.
-
-How many pixels a close-up needs: as many as the images behind its shader have something for, and no more.
-
-Which pixels of a close-up show the patch's own surface: those that join its centre without a step in depth.
+Cycles takes one sample at each pixel's centre, of the touched object alone, and every quantity is an AOV pass. A first
+pass with few pixels measures the texels of the images behind the shader, which determine the resolution of the second.
+Only pixels connected to the patch's centre without a step in depth count as its surface.
 """
 
 from __future__ import annotations
@@ -45,21 +43,23 @@ from .unlit_image import MAX_READABLE_WAVELENGTH_M, UnlitImage, make_unlit_image
 Mask = NDArray[np.bool_]
 
 PIXELS_PER_TEXEL = 3.0
-"""Of an image that a relief is read from. Images are read by cubic splines, which leave next to nothing beyond their
-texels; docs/benchmarks.md has what fewer pixels change."""
+"""Pixels per texel of an image from which a relief is read. Images are interpolated by cubic splines, which leave
+almost nothing beyond their texels; docs/benchmarks.md shows the effect of fewer pixels."""
 PIXELS_PER_TRIANGLE = 16
-"""On average: hardly a face under the patch is missed then."""
+"""Mean number of pixels per triangle, at which hardly a face under the patch is missed."""
 
 
 def get_relief_sources(slot: SlotReading) -> tuple[Relief | Slopes, ...]:
-    """All that shapes a slot's surface."""
+    """Return all reliefs and slopes that shape a slot's surface."""
     micros = [each.micro for each in list_closures(slot.reading.layers)] + [slot.reading.displacement]
     return tuple(chain.from_iterable((*micro.reliefs, *micro.slopes) for micro in micros))
 
 
 def is_image_based(slot: SlotReading) -> bool:
-    """Is all that a slot shows in images, whose texels a first look can measure? What reliefs are mixed by has to be
-    the same everywhere: its own detail is not measured."""
+    """Return True if all detail of a slot is in images, whose texels a first pass can measure.
+
+    Factors that mix reliefs must be constant, as their own detail is not measured.
+    """
     if slot.colour is not None:
         return bool(slot.colour.images) and not (slot.colour.procedural or slot.colour.painted)
     detail = get_relief_sources(slot)
@@ -70,11 +70,28 @@ def is_image_based(slot: SlotReading) -> bool:
 def choose_resolution(
     slot: SlotReading, passes: Passes, mask: Mask, triangle: NDArray[np.int32], size_m: float, max_pixels: int
 ) -> int:
-    """Side in pixels from which on a slot's images give nothing more, as a first look of fewer tells; at most `most`,
-    and as many where it cannot be told.
+    """Return the image side [pixels] beyond which a slot's images show nothing more, at most `max_pixels`.
 
-    A colour that shows waves short enough to estimate a relief from is looked at with all pixels. mask: (H, W), the
-    patch's own surface. triangle: (H, W) that each pixel shows. size_m: of the patch's side.
+    It is `max_pixels` if the texels are unknown, and for colours fine enough to predict a relief from.
+
+    Parameters
+    ----------
+    slot : SlotReading
+        The patch's material slot.
+    passes : Passes
+        Passes of the first pass.
+    mask : (H, W) bool array
+        The patch's own surface.
+    triangle : (H, W) int array
+        Triangle at each pixel.
+    size_m : float
+        Side of the patch [m].
+    max_pixels : int
+        Maximum side [pixels].
+
+    Returns
+    -------
+    int
     """
     side = mask.shape[1]
     if not mask.any():
@@ -92,11 +109,11 @@ def choose_resolution(
 
 
 MAX_SURFACE_SLOPE = 4.0
-"""Depth steps steeper than this between neighbouring pixels part two surfaces (76°)."""
+"""Slope between neighbouring pixels above which they belong to two surfaces (76°)."""
 
 
 def find_connected_pixels(candidates: Mask, depth: NDArray[np.floating[Any]], pixel_m: float) -> Mask:
-    """Those of own (H, W) that are joined to the patch's centre without a step in planar depth (H, W) in metres."""
+    """Return the candidates (H, W) connected to the centre without a step in planar depth (H, W) [m]."""
     depth = np.where(candidates, depth, 0.0)
     limit = MAX_SURFACE_SLOPE * pixel_m
     right = candidates[:, 1:] & candidates[:, :-1] & (np.abs(np.diff(depth, axis=1)) <= limit)
@@ -110,7 +127,7 @@ def find_connected_pixels(candidates: Mask, depth: NDArray[np.floating[Any]], pi
 
 
 def flood_fill(seed: Mask, right: Mask, down: Mask) -> Mask:
-    """Everything connected to seed (H, W); right (H, W−1) and down (H−1, W) say which neighbours are joined."""
+    """Return all pixels connected to `seed` (H, W); `right` (H, W−1) and `down` (H−1, W) join neighbours."""
     reached = seed.copy()
     while True:
         before = int(reached.sum())
@@ -129,26 +146,42 @@ def flood_fill(seed: Mask, right: Mask, down: Mask) -> Mask:
 Float = NDArray[np.float64]
 
 MIN_RELIEF_M = 1e-9
-"""A relief lower than this is no micro-geometry: the shader says nothing."""
+"""Peak-to-peak height below which a shader has no micro-geometry [m]."""
 APPEARANCE_PIXELS = 128
-"""Side of a close-up where the shader has no relief and one colour: mean shading values and covered faces are all there
-is to see."""
+"""Side of a close-up [pixels] if the shader has no relief and one colour, so that only mean shading values and covered
+faces are needed."""
 SELF_OCCLUSION_OFFSET_M = 1e-4
-"""What lies nearer above a patch's centre is the patch itself, within the precision of its place."""
+"""Offset of a ray above a patch's centre, so that it does not hit the patch itself [m]."""
 
 
 @dataclass(frozen=True)
 class CloseUp:
     """A patch as its shader describes it.
 
-    patch: where. view: albedo as rgb, planar depth, evaluated polygon ids and
-    shading normals in the surface frame. height: (H, W) float32 metres, +z along the patch normal, mean 0 over mask
-    and 0 outside it; None where the shader has no micro-geometry. height_source: where the metres come from.
-    appearance: shading values averaged over mask. mask: (H, W) bool, True where the patch's own connected surface in
-    its own material slot is seen. resolved_wavelength_m: shortest wavelength that the height resolves (two texels of
-    its finest image, two pixels where procedural), inf without height. notes: what the artist should know.
-    faces: evaluated polygons under mask. rays: cast for this close-up. renders: made for it. look: the unlit picture
-    where the shader has no micro-geometry and its colour varies, else None.
+    Attributes
+    ----------
+    patch : Patch
+    view : RgbdView
+        Albedo, planar depth, evaluated polygon ids, and shading normals in the surface frame.
+    height : (H, W) float32 array or None
+        Height along the patch's normal [m], with mean 0 under `mask`, 0 elsewhere; None without micro-geometry.
+    height_source : str
+        Description of the height's source.
+    appearance : Appearance
+        Shading values averaged over `mask`.
+    mask : (H, W) bool array
+        Pixels of the patch's own connected surface and material slot.
+    resolved_wavelength_m : float
+        Shortest wavelength of the height [m]: two texels of its finest image, two pixels if procedural; inf without
+        height.
+    notes : tuple of str
+        Remarks for the user.
+    faces : int32 array
+        Evaluated polygons under `mask`.
+    rays, renders : int
+        Number of rays and renders used.
+    unlit : UnlitImage or None
+        Unlit image, if the shader has no micro-geometry and its colour varies.
     """
 
     patch: Patch
@@ -166,6 +199,7 @@ class CloseUp:
 
     @property
     def metres_per_pixel(self) -> float:
+        """Size of a pixel [m]."""
         return self.patch.size_m / self.mask.shape[1]
 
 
@@ -182,20 +216,40 @@ def iter_closeups(
     first_pass_pixels: int | None = None,
     wait_for_threads: Callable[[], None] = lambda: None,
 ) -> Generator[CloseUp, None, None]:
-    """Close-ups of several patches of one object, one after the other, on one temporary stage: one render a patch.
+    """Yield a close-up of every patch of one object, rendered in one temporary scene.
 
-    Close it, or take all: the stage stands until then. The user's file is left as it was, also on errors.
+    The scene exists until the generator is exhausted or closed; the user's file is left unchanged, also after errors.
 
-    obj: the touched object. patches: in its surface frame. surface, caster: of obj at frame, made here where not
-    given. pixels: side of the square image, at most APPEARANCE_PIXELS where relief and colour show nothing.
-    metres_per_unit: of the user's scene. frame: scene frame, None = now. view_layer: of the scene that obj is touched
-    in, None = the first that it stands in.
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Touched object.
+    patches : sequence of Patch
+        Patches in its surface frame.
+    surface, caster : Surface and RayCaster, optional
+        Surface of `obj` at `frame` and its ray caster, if known.
+    pixels : int, default 512
+        Maximum side of an image [pixels]; APPEARANCE_PIXELS if neither relief nor colour varies.
+    metres_per_unit : float, default 1.0
+        Length of a Blender unit in the user's scene [m].
+    frame : float, optional
+        Scene frame; the current one by default.
+    view_layer : bpy.types.ViewLayer, optional
+        View layer of the scene in which `obj` is touched; by default that of the first scene it is in.
+    first_pass_pixels : int, optional
+        Side of a first pass if all detail is in images; a second follows only if they show more. None skips it.
+    wait_for_threads : callable, optional
+        Waits for the caller's threads; called before every use of Blender, whose operators let other threads run
+        Python, which crashes it.
 
-    first_pass_pixels: side of a first look where all detail is in images; a closer one follows only where those show
-    more than it sees. None: no first look. wait_for_threads: called before Blender is asked for anything, to wait for
-    the caller's threads: an operator lets them run Python, and Blender crashes. Rays are cast beside them.
+    Yields
+    ------
+    CloseUp
 
-    Raises SceneError for a missing texture (naming object, material and image) and where there is no surface.
+    Raises
+    ------
+    SceneError
+        For a missing texture (names object, material and image), or if there is no surface.
     """
     if not patches:
         return
@@ -244,18 +298,19 @@ def iter_closeups(
 
 
 def crop_to_patches(surface: Surface, patches: Sequence[Patch]) -> Surface:
-    """What the patches' cameras can see of it: no tree is built of faces out of reach."""
+    """Return the part of a surface that the patches' cameras can see, so that the BVH is built of it alone."""
     near = crop_mesh(surface.mesh, [patch.centre for patch in patches], max(patch.reach_m for patch in patches))
     return replace(surface, mesh=near) if len(near.triangles) else surface
 
 
 def _has_detail(slot: SlotReading) -> bool:
+    """Return True if a slot has a relief or a varying colour."""
     return slot.colour is not None or bool(get_relief_sources(slot))
 
 
 @dataclass(frozen=True)
 class _RenderedPatch:
-    """All that is known of one patch after rendering and casting."""
+    """A patch with its render passes and ray casts."""
 
     patch: Patch
     camera: Camera
@@ -272,7 +327,7 @@ class _RenderedPatch:
 
 @dataclass(frozen=True)
 class _MaskedPatch:
-    """mask: the patch's own surface. rays, renders: it took, first looks included."""
+    """A rendered patch with the mask of its own surface, and the rays and renders used, first passes included."""
 
     rendered: _RenderedPatch
     mask: Mask
@@ -281,7 +336,7 @@ class _MaskedPatch:
 
 
 def make_unoccluded_camera(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
-    """The patch's camera, its near clip moved under whatever part of the object hangs over the patch's centre."""
+    """Return the patch's camera, clipped below anything above the patch's centre, and the number of rays."""
     camera = patch.camera(pixels)
     lift = SELF_OCCLUSION_OFFSET_M
     above = float(caster.cast((patch.centre + lift * patch.normal)[None], patch.normal[None]).distance[0]) + lift
@@ -338,7 +393,7 @@ def _build_unlit_image(
 
 
 def _mask_patch_surface(rendered: _RenderedPatch, surface: Surface) -> Mask:
-    """Pixels of the patch's slot that connect to its centre without a step in depth."""
+    """Return the pixels of the patch's slot connected to its centre without a step in depth."""
     slot = np.where(rendered.cast.triangle >= 0, surface.mesh.slot[rendered.cast.triangle], -1)
     return find_connected_pixels(slot == rendered.patch.slot, rendered.cast.depth, rendered.pixel_m)
 
@@ -346,7 +401,7 @@ def _mask_patch_surface(rendered: _RenderedPatch, surface: Surface) -> Mask:
 def _compute_height(
     rendered: _RenderedPatch, mask: Mask, notes: list[str]
 ) -> tuple[NDArray[np.float32] | None, str, float]:
-    """Height in metres (mean 0 over mask), its source, and the shortest wavelength it resolves."""
+    """Return height [m] (mean 0 under mask), its source, and its resolved wavelength [m]."""
     layers, displacement = rendered.slot.reading.layers, rendered.slot.reading.displacement
     nothing = (None, "", float("inf"))
     if not mask.any() or not rendered.passes:
@@ -387,7 +442,7 @@ def _describe_source(rendered: _RenderedPatch, source: Relief | Slopes) -> str:
 
 
 def _get_height_scale(rendered: _RenderedPatch, relief: Relief) -> float:
-    """Of the units that its height is in."""
+    """Return metres per unit of a relief's height, along the patch's normal."""
     if not relief.in_object_space:
         return rendered.metres_per_unit
     # A step along the object's own normal, as long as the object's scale makes it.
@@ -414,7 +469,7 @@ def _sum_reliefs(rendered: _RenderedPatch, reliefs: Sequence[Relief]) -> Float:
 
 
 def _integrate_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, notes: list[str]) -> Float:
-    """Height whose slopes against the smooth surface are those of the normal maps."""
+    """Return the height whose slopes against the smooth surface are those of the normal maps [m]."""
 
     def along(axis: int) -> Float | None:
         return mix_closures(layers, rendered.passes, lambda each: _compute_slope(rendered, each.micro, axis))
@@ -434,7 +489,7 @@ def _integrate_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, not
 
 
 def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int) -> Float:
-    """∂h/∂x (axis 0) or ∂h/∂y (axis 1) of a closure in the patch frame; 0 where it has no normal map."""
+    """Return ∂h/∂x (axis 0) or ∂h/∂y (axis 1) of a closure in the patch's frame; 0 without a normal map."""
     total = np.zeros((rendered.camera.height, rendered.camera.width))
     smooth = rendered.cast.normal
     frame = rendered.patch.x_axis - smooth * (smooth @ rendered.patch.x_axis)[..., None]
@@ -450,7 +505,7 @@ def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int) ->
 
 
 def has_flipped_green(gx: Float, gy: Float, mask: Mask) -> bool:
-    """Would the slopes (∂h/∂x, ∂h/∂y; row → −y) fit a surface far better with the second one turned round?
+    """Return True if slopes fit a surface far better with the second component negated (y is −row).
 
     A height field has no curl: ∂(∂h/∂x)/∂y = ∂(∂h/∂y)/∂x.
     """

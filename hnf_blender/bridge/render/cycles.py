@@ -1,6 +1,7 @@
-"""Renders by Cycles on the CPU, in temporary scenes, read back through a multilayer EXR.
+"""Cycles renders on the CPU in temporary scenes, read back from a multilayer EXR, and conversion of cameras.
 
-Camera records of Blender's cameras, and a camera where the scene has none.
+`read_camera` and `set_camera` convert between Blender's cameras and `Camera`; `make_overview_camera` makes one for
+scenes without a camera.
 """
 
 from __future__ import annotations
@@ -21,11 +22,14 @@ from ..scene.temp_scene import TemporaryScene
 from ..shader.aov_taps import Tap
 
 NO_HIT_DEPTH = 1e9
-"""Cycles writes 1e10 where a camera ray meets nothing."""
+"""Depth from which a pixel counts as empty; Cycles writes 1e10 there."""
 
 
 def configure_cycles(scene: Any, samples: int) -> None:
-    """Cycles on the CPU into a multilayer EXR, no compositor, no sequencer; one sample is exact, never denoised."""
+    """Set up Cycles on the CPU with a multilayer EXR, without compositor, sequencer and denoising.
+
+    One sample per pixel is exact for unlit AOVs. Raises SceneError if Cycles is disabled.
+    """
     try:
         scene.render.engine = "CYCLES"
     except TypeError as error:
@@ -47,19 +51,21 @@ def configure_cycles(scene: Any, samples: int) -> None:
 
 
 def disable_lighting(scene: Any) -> None:
-    """No light is followed: one sample of the first surface under each pixel centre."""
+    """Stop every path at the first surface, so that one sample per pixel centre is enough."""
     cycles = scene.cycles
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = 0
     cycles.transparent_max_bounces = 0
 
 
 def add_aovs(view_layer: Any, taps: Iterable[Tap]) -> None:
+    """Add an AOV pass to a view layer for every tap."""
     for tap in taps:
         aov = view_layer.aovs.add()
         aov.name, aov.type = tap.name, tap.kind
 
 
 def add_camera(temporary: TemporaryScene, name: str = "hnf camera") -> Any:
+    """Add a camera to the temporary scene and make it the active one."""
     import bpy
 
     camera = temporary.new_object(name, bpy.data.cameras.new(name))
@@ -68,9 +74,25 @@ def add_camera(temporary: TemporaryScene, name: str = "hnf camera") -> Any:
 
 
 def set_camera(scene: Any, camera_object: Any, camera: Camera, rigid: ArrayLike, metres_per_unit: float) -> None:
-    """Set Blender's camera to camera, whose pose is in a frame that rigid (4, 4) brings to world metres.
+    """Set a Blender camera and the render size to a Camera.
 
-    Square pixels only. Raises SceneError for a pixel aspect other than 1.
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene that is rendered.
+    camera_object : bpy.types.Object
+        Camera to set.
+    camera : Camera
+        Camera, in any metric frame.
+    rigid : (4, 4) array_like
+        World [m] ← that frame.
+    metres_per_unit : float
+        Length of the scene's unit [m].
+
+    Raises
+    ------
+    SceneError
+        If the pixels are not square.
     """
     from mathutils import Matrix
 
@@ -97,14 +119,15 @@ def set_camera(scene: Any, camera_object: Any, camera: Camera, rigid: ArrayLike,
 
 
 def render_passes(temporary: TemporaryScene) -> dict[str, NDArray[np.float32]]:
-    """Render the temporary scene from its camera and read every pass. Raises SceneError where Blender fails."""
+    """Render the temporary scene and read all passes. Raises SceneError if Blender fails."""
     import bpy
 
     path = temporary.folder / "passes.exr"
     path.unlink(missing_ok=True)
     temporary.scene.render.filepath = str(path)
     try:
-        # An operator updates its context's view layer: ours, or cost would follow the size of the user's scene.
+        # An operator updates its context's view layer. With the temporary one the cost does not depend on the user's
+        # scene.
         with suppress_output(), bpy.context.temp_override(scene=temporary.scene, view_layer=temporary.view_layer):
             bpy.ops.render.render(scene=temporary.scene.name, layer=temporary.view_layer.name, write_still=True)
     except RuntimeError as error:
@@ -113,7 +136,7 @@ def render_passes(temporary: TemporaryScene) -> dict[str, NDArray[np.float32]]:
 
 
 def get_planar_depth(passes: dict[str, NDArray[np.float32]], metres_per_unit: float) -> NDArray[np.float32]:
-    """Depth pass in metres, sky = inf."""
+    """Return the depth pass (H, W) [m], inf where nothing is hit."""
     depth = passes["Depth"]
     return np.where(depth < NO_HIT_DEPTH, depth * np.float32(metres_per_unit), np.inf).astype(np.float32)
 
@@ -121,15 +144,33 @@ def get_planar_depth(passes: dict[str, NDArray[np.float32]], metres_per_unit: fl
 Float = NDArray[np.float64]
 
 FIELD_OF_VIEW_RAD = np.radians(40.0)
-"""Of the camera that is supplied, across the image."""
+"""Horizontal field of view of the overview camera [rad]."""
 
 
 def read_camera(scene: Any, camera_object: Any, metres_per_unit: float, matrix_world: Any = None) -> Camera:
-    """The camera that scene renders camera_object with: resolution and its percentage, pixel aspect, sensor fit and
-    shift counted; a render border is not (the whole frame is meant).
+    """Return the Camera of a camera object as a scene renders it.
 
-    matrix_world: (4, 4) evaluated matrix where the camera is animated, else as it stands. Raises SceneError for a
-    panoramic camera.
+    Resolution and its percentage, pixel aspect, sensor fit and shift count; a render border does not.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene that is rendered.
+    camera_object : bpy.types.Object
+        Camera object.
+    metres_per_unit : float
+        Length of the scene's unit [m].
+    matrix_world : (4, 4) matrix, optional
+        Evaluated world matrix of an animated camera; its current one by default.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    SceneError
+        For a panoramic camera.
     """
     data, render = camera_object.data, scene.render
     if data.type not in {"PERSP", "ORTHO"}:
@@ -142,10 +183,12 @@ def read_camera(scene: Any, camera_object: Any, metres_per_unit: float, matrix_w
     height = max(1, render.resolution_y * render.resolution_percentage // 100)
     frame = np.array([list(corner) for corner in data.view_frame(scene=scene)], dtype=np.float64)
     (left, bottom, _), (right, top, _) = frame.min(axis=0), frame.max(axis=0)
-    # view_frame answers on a plane in front of the camera; a perspective image scales with its distance.
-    reach = -frame[0, 2] if data.type == "PERSP" else 1.0 / metres_per_unit
+    # view_frame is on a plane in front of the camera; a perspective image scales with the plane's distance.
+    plane_distance = -frame[0, 2] if data.type == "PERSP" else 1.0 / metres_per_unit
     scale_x, scale_y = width / (right - left), height / (top - bottom)
-    intrinsics = np.array([[scale_x * reach, 0.0, -left * scale_x], [0.0, scale_y * reach, top * scale_y], [0, 0, 1]])
+    intrinsics = np.array(
+        [[scale_x * plane_distance, 0.0, -left * scale_x], [0.0, scale_y * plane_distance, top * scale_y], [0, 0, 1]]
+    )
     matrix = camera_object.matrix_world if matrix_world is None else matrix_world
     pose = np.array([list(row) for row in matrix], dtype=np.float64)
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
@@ -164,8 +207,23 @@ def read_camera(scene: Any, camera_object: Any, metres_per_unit: float, matrix_w
 def make_overview_camera(
     points: ArrayLike, outward: ArrayLike, radius_m: float, width: int = 960, height: int = 540
 ) -> Camera:
-    """A perspective camera that shows points (n, 3) (world metres, z up) at three-quarter view from the side that
-    outward (3,) points to, with radius_m around their middle in the picture."""
+    """Make a perspective camera that shows points at a three-quarter view.
+
+    Parameters
+    ----------
+    points : (n, 3) array_like
+        World points [m], z up.
+    outward : (3,) array_like
+        Direction towards the viewer, e.g. the surface's normal.
+    radius_m : float
+        Minimum radius around the points' centre that is in the image [m].
+    width, height : int
+        Image size [pixels].
+
+    Returns
+    -------
+    Camera
+    """
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     normal = np.asarray(outward, dtype=np.float64)
@@ -173,7 +231,7 @@ def make_overview_camera(
     normal = normal / length if length > 0.0 else np.array([0.0, -1.0, 0.0])
     up = np.array([0.0, 0.0, 1.0])
     side = np.cross(up, normal)
-    level = np.linalg.norm(side) < 0.2  # a table top or a ceiling: come from the front
+    level = np.linalg.norm(side) < 0.2  # a table top or a ceiling: view it from the front
     lean = np.array([0.45, -0.8, 0.0]) if level else 0.5 * side / np.linalg.norm(side) + 0.35 * up
     back = normal + lean
     back = back / np.linalg.norm(back)

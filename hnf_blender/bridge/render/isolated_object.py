@@ -1,4 +1,8 @@
-"""The touched object alone on a temporary stage, its materials replaced by copies that tell what they are made of."""
+"""Put the touched object alone into a temporary scene, with copies of its materials whose values are tapped.
+
+The object stands at the origin, in metres, so that its place in the world cannot change the render; it keeps its true
+place only if its shaders depend on it.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +27,29 @@ from ..shader.object_inputs import copy_object_inputs, find_shader_inputs
 Float = NDArray[np.float64]
 
 RANDOM_NOTE = "Object Info's Random cannot be repeated in a close-up: its pattern may differ."
+"""Note for the user if a shader reads Object Info's Random."""
 
 
 @dataclass(frozen=True)
 class IsolatedObject:
-    """What stands on the temporary scene. actor: the object. rigid: (4, 4) stage metres ← surface frame.
-    metres_per_unit: of the stage. stretch: (3, 3) surface frame ← object space. notes: about the whole object.
-    owner: the user's own object. surface: what rays meet, of the very mesh that is rendered."""
+    """The touched object in a temporary scene.
+
+    Attributes
+    ----------
+    temporary : TemporaryScene
+    original, stand_in : bpy.types.Object
+        The user's object, and its copy that is rendered.
+    rigid : (4, 4) array
+        Temporary scene's world [m] ← surface frame.
+    metres_per_unit : float
+        Unit of the temporary scene [m].
+    stretch : (3, 3) array
+        Surface frame ← object space.
+    notes : tuple of str
+        Remarks for the user.
+    surface : Surface
+        Surface of exactly the mesh that is rendered.
+    """
 
     temporary: TemporaryScene
     original: Any
@@ -49,19 +69,40 @@ def isolate_object(
     surface: Surface | None = None,
     view_layer: Any = None,
 ) -> IsolatedObject:
-    """Copy obj onto the stage: without rotation and translation, in metres, so that no place in the world can
-    change a bit of what is rendered; at its true place where its shaders look at the world.
+    """Copy an object into a temporary scene, without rotation and translation, in metres.
 
-    frame: scene frame of an animated object, None = as it is now. surface: of obj at frame, made here where not
-    given. view_layer: of the scene that obj is touched in, None = the first that it stands in. Raises SceneError where
-    there is no surface.
+    It keeps its true place if its shaders read world coordinates.
+
+    Parameters
+    ----------
+    temporary : TemporaryScene
+        Scene to put it into.
+    obj : bpy.types.Object
+        Object to copy.
+    metres_per_unit : float
+        Length of a Blender unit in the user's scene [m].
+    frame : float or None
+        Scene frame; None is the current one.
+    surface : Surface, optional
+        Surface of `obj` at `frame`, if known.
+    view_layer : bpy.types.ViewLayer, optional
+        View layer of the scene in which `obj` is touched; by default that of the first scene it is in.
+
+    Returns
+    -------
+    IsolatedObject
+
+    Raises
+    ------
+    SceneError
+        If the object has no surface.
     """
     original = obj.original
     where = f"object '{original.name}'"
     flush_edits(original)
-    home = view_layer or _find_home_layer(original, temporary.scene)
-    if frame is None and home is not None:
-        frame = float(home.id_data.frame_current_final)
+    home_layer = view_layer or _find_home_layer(original, temporary.scene)
+    if frame is None and home_layer is not None:
+        frame = float(home_layer.id_data.frame_current_final)
     temporary.link(original)
     try:
         depsgraph = temporary.evaluate(frame)
@@ -69,53 +110,54 @@ def isolate_object(
         rigid, stretch = compute_surface_frame(evaluated.matrix_world, metres_per_unit, where)
         with evaluated_mesh(evaluated, depsgraph) as mesh:
             materials = get_materials(evaluated, mesh)
-        reads = find_shader_inputs(original, materials)
-        notes = (RANDOM_NOTE,) if "Random" in reads.object_info else ()
+        inputs = find_shader_inputs(original, materials)
+        notes = (RANDOM_NOTE,) if "Random" in inputs.object_info else ()
         deformed = _is_deformed(original)
-        true_place = reads.uses_world_space or (reads.uses_generated and deformed)
+        keep_placement = inputs.uses_world_space or (inputs.uses_generated and deformed)
         surface = surface or read_surface(original, depsgraph, metres_per_unit)
         data = original.data
-        if deformed and not true_place:
+        if deformed and not keep_placement:
             data = _bake_mesh(evaluated, depsgraph)
     finally:
         temporary.scene.collection.objects.unlink(original)
-    if true_place:
-        actor = temporary.copy_object(original)
-        copy_object_inputs(actor, temporary.scene, original, home, reads)
-        _match_viewport_modifiers(actor)
+    if keep_placement:
+        stand_in = temporary.copy_object(original)
+        copy_object_inputs(stand_in, temporary.scene, original, home_layer, inputs)
+        _match_viewport_modifiers(stand_in)
         temporary.evaluate(frame)
-        return IsolatedObject(temporary, original, actor, rigid, metres_per_unit, stretch, notes, surface)
-    actor = temporary.new_object("hnf actor", data)
-    copy_object_inputs(actor, temporary.scene, original, home, reads)
+        return IsolatedObject(temporary, original, stand_in, rigid, metres_per_unit, stretch, notes, surface)
+    stand_in = temporary.new_object("hnf actor", data)
+    copy_object_inputs(stand_in, temporary.scene, original, home_layer, inputs)
     matrix = np.eye(4)
     matrix[:3, :3] = stretch
-    temporary.set_world_matrix(actor, matrix)
-    for slot, material in zip(actor.material_slots, materials, strict=False):
+    temporary.set_world_matrix(stand_in, matrix)
+    for slot, material in zip(stand_in.material_slots, materials, strict=False):
         slot.link, slot.material = "OBJECT", material
-    return IsolatedObject(temporary, original, actor, np.eye(4), 1.0, stretch, notes, surface)
+    return IsolatedObject(temporary, original, stand_in, np.eye(4), 1.0, stretch, notes, surface)
 
 
 def _find_home_layer(obj: Any, temporary_scene: Any) -> Any:
-    """The first view layer of a scene other than the stage that obj stands in, None = none."""
+    """Return the first view layer of a local scene, other than the temporary one, that contains `obj`, or None."""
     scenes = (scene for scene in obj.users_scene if scene.library is None and scene != temporary_scene)
     return next((scene.view_layers[0] for scene in scenes), None)
 
 
 def _is_deformed(obj: Any) -> bool:
-    """Does evaluation give anything but the object's own mesh?"""
+    """Return True if the evaluated mesh may differ from the object's own."""
     if obj.type != "MESH":
         return True
     return bool(obj.modifiers) or obj.data.shape_keys is not None or obj.parent_type in {"ARMATURE", "LATTICE"}
 
 
 def _bake_mesh(evaluated: Any, depsgraph: Any) -> Any:
+    """Return the evaluated mesh as a new datablock."""
     import bpy
 
     return bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
 
 
 def _match_viewport_modifiers(stand_in: Any) -> None:
-    """Rays are cast on the viewport's mesh: let the render use the same modifiers and levels."""
+    """Let the render use the viewport's modifiers and levels, as rays are cast on the viewport's mesh."""
     for modifier in stand_in.modifiers:
         modifier.show_render = modifier.show_viewport
         if hasattr(modifier, "render_levels"):
@@ -124,8 +166,19 @@ def _match_viewport_modifiers(stand_in: Any) -> None:
 
 @dataclass(frozen=True)
 class SlotReading:
-    """One material slot on the stage. material: its name, "" = none. reading: what to make of the passes. colour: where
-    its colour comes from, None where it has a relief, or the same colour everywhere."""
+    """A material slot with its taps.
+
+    Attributes
+    ----------
+    material : str
+        Name of the material, "" for none.
+    reading : ShaderReading
+        Layers and displacement, made of taps and constants.
+    taps : tuple of Tap
+        Passes to render.
+    colour : ColourSources or None
+        Sources of its colour; None if it has a relief or a uniform colour.
+    """
 
     material: str
     reading: ShaderReading
@@ -134,14 +187,14 @@ class SlotReading:
 
 
 def instrument_slot(isolated: IsolatedObject, slot: int, where: str) -> SlotReading:
-    """Replace the material in slot by a copy with taps, unlit. Raises SceneError for a missing texture."""
+    """Replace the material in a slot by an unlit copy with taps. Raises SceneError for a missing texture."""
     slots = isolated.stand_in.material_slots
-    bare = (
+    no_material_note = (
         f"{where} has no material there: its feel is guessed from its name alone. Give it one, or say what it is "
         "under Feels in the Touch tab."
     )
     if slot >= len(slots) or slots[slot].material is None:
-        return SlotReading("", ShaderReading(None, MicroGeometry(), (bare,)), ())
+        return SlotReading("", ShaderReading(None, MicroGeometry(), (no_material_note,)), ())
     original = slots[slot].material.original
     if not compat.use_nodes(original):
         reading = ShaderReading(read_viewport_shading(original), MicroGeometry(), ())
@@ -160,31 +213,36 @@ def instrument_slot(isolated: IsolatedObject, slot: int, where: str) -> SlotRead
 
 
 def _make_unlit(copy: Any, graph: NodeGraph) -> None:
-    """A surface that ends the path: taps are then read on the first surface met, whatever its transparency, and nothing
-    is asked about light (the bits of an opaque plain surface, for a fifth less)."""
+    """Let a surface end every path, so that taps are read at the first hit, whatever its transparency.
+
+    No lighting is computed; the result equals that of an opaque surface, a fifth faster.
+    """
     output = graph.output
     if output is None:
         output = graph.tree.nodes.new("ShaderNodeOutputMaterial")
-    end = graph.tree.nodes.new("ShaderNodeHoldout")
+    holdout = graph.tree.nodes.new("ShaderNodeHoldout")
     for name in ("Surface", "Volume", "Displacement"):
         for link in list(output.inputs[name].links):
             graph.tree.links.remove(link)
-    graph.tree.links.new(end.outputs[0], output.inputs["Surface"])
+    graph.tree.links.new(holdout.outputs[0], output.inputs["Surface"])
     if hasattr(copy, "displacement_method"):
         copy.displacement_method = "BUMP"
 
 
 def _prepare_textures(isolated: IsolatedObject, graph: NodeGraph) -> None:
+    """Let textures use the copy's own coordinates, and cubic interpolation."""
     for node in iter_nodes(graph.tree):
         if node.bl_idname == "ShaderNodeTexCoord" and node.object == isolated.original:
-            node.object = None  # its own coordinates, wherever the copy stands
+            node.object = None  # use the copy's own coordinates
         if node.bl_idname == IMAGE_NODE:
-            node.interpolation = "Cubic"  # bilinear normals and heights hum at the texel rate
+            node.interpolation = "Cubic"  # bilinear interpolation leaves a pattern at the texel rate
 
 
 def _check_images(graph: NodeGraph, where: str) -> None:
-    """Raises SceneError naming the first image that the surface depends on and that cannot be loaded, or was painted
-    and not saved: the render would show the file, and the painting would be lost."""
+    """Raise SceneError for the first image that cannot be loaded, or that has unsaved paint.
+
+    The render would read the file instead, and miss the paint.
+    """
     output = graph.output
     if output is None:
         return

@@ -1,6 +1,7 @@
-"""Lit pictures: the whole scene for people to look at, and lit close-ups.
+"""Lit views of a scene for people to look at, and hashes of everything such a view shows.
 
-What a lit picture of a scene follows from, as a hash: camera, lights, world, and all that stands in it.
+A view is rendered with few samples and denoised. Its hash covers camera, lights, world and objects, so that unchanged
+views are not rendered again.
 """
 
 from __future__ import annotations
@@ -26,17 +27,32 @@ from ..shader.shader_hash import format_settings, hash_material, hash_node_tree
 from .cycles import add_camera, configure_cycles, get_planar_depth, read_camera, render_passes, set_camera
 
 DOME_STRENGTH = 1.0
+"""Strength of the neutral dome."""
 MAX_BOUNCES = 4
+"""Maximum number of bounces in lit views."""
 
 
 class OverviewRenderer:
-    """Lit views of one scene, one render each, on a temporary scene that Cycles keeps between them: what did not change
-    is neither loaded nor built again. Use as a context manager; other work may go on in the file meanwhile.
+    """Context manager that renders lit views of one scene, in a temporary scene that Cycles keeps between views.
 
-    whole: everything in the scene is rendered; else what each view names, and the scene's lights, so that cost does not
-    follow the scene. The pictures are denoised where this Blender can. relief: what is a few pixels wide stays then,
-    which takes longer than two samples do; without it a surface's ridges may be taken for noise. A scene without light
-    gets a neutral dome. Between two views no object of the user's is in the temporary scene, unless it is whole.
+    Unchanged data is neither loaded nor built again. Other work may continue in the file meanwhile: between views the
+    temporary scene contains no object of the user's, unless `entire_scene` is set. A scene without light gets a neutral
+    dome.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene to render.
+    metres_per_unit : float, default 1.0
+        Length of a Blender unit [m].
+    samples : int, default 16
+        Samples per pixel.
+    entire_scene : bool, default False
+        Render all objects. Otherwise only those named for each view and the scene's lights, so that the cost does not
+        depend on the scene.
+    relief : bool, default False
+        Preserve details a few pixels wide when denoising, which takes longer than two samples; otherwise ridges of a
+        surface may be removed as noise.
     """
 
     def __init__(
@@ -73,8 +89,23 @@ class OverviewRenderer:
     def render_view(
         self, camera: Camera | None, objects: Sequence[Any] = (), frame: float | None = None
     ) -> tuple[RgbdView, tuple[str, ...]]:
-        """(view, notes). camera: world metres; None = the scene's own. objects: to render, unless whole. frame: of the
-        scene, None = now."""
+        """Render one view.
+
+        Parameters
+        ----------
+        camera : Camera or None
+            Camera in world coordinates [m]; None is the scene's own.
+        objects : sequence of bpy.types.Object
+            Objects to render, unless `entire_scene` is set.
+        frame : float, optional
+            Scene frame; the current one by default.
+
+        Returns
+        -------
+        view : RgbdView
+        notes : tuple of str
+            Remarks for the user.
+        """
         scene, temporary = self._scene, self.temporary
         with (
             temporary.track_new_data(),
@@ -100,22 +131,23 @@ class OverviewRenderer:
 
     @contextmanager
     def _link_temporarily(self, objects: Sequence[Any], camera: Any) -> Iterator[None]:
-        """objects, the scene's lights and its camera stand in the temporary scene in this block."""
-        lights = [] if self._entire_scene else [each for each in self._scene.objects if each.type == "LIGHT"]
+        """Link objects, the scene's lights and a camera to the temporary scene for this block."""
+        lights = [] if self._entire_scene else [obj for obj in self._scene.objects if obj.type == "LIGHT"]
         collection = self.temporary.scene.collection
-        guests = dict.fromkeys([*objects, *lights, *([] if camera is None or self._entire_scene else [camera])])
+        linked = dict.fromkeys([*objects, *lights, *([] if camera is None or self._entire_scene else [camera])])
         try:
-            for guest in guests:
-                self.temporary.link(guest)
+            for member in linked:
+                self.temporary.link(member)
             yield
         finally:
-            for guest in guests:
-                if self.temporary.scene in guest.users_scene:
-                    collection.objects.unlink(guest)
+            for member in linked:
+                if self.temporary.scene in member.users_scene:
+                    collection.objects.unlink(member)
 
     def _set_lighting(self, scene: Any) -> tuple[str, ...]:
+        """Use the scene's world, or a dome if the scene has no light; return notes."""
         self.temporary.scene.world = scene.world
-        # A tree of lights pays where there are many; beside one lamp it gives the same pixels for up to a tenth more.
+        # A light tree is faster with many lights; with one lamp it gives the same pixels in up to a tenth more time.
         self.temporary.scene.cycles.use_light_tree = _count_lamps(self.temporary.scene) > 1 or _has_emissive_material(
             self.temporary.scene
         )
@@ -128,7 +160,7 @@ class OverviewRenderer:
         return ("the scene has no light: a neutral dome lights the picture.",)
 
     def _use_scene_camera(self, frame: float | None) -> Camera:
-        """The scene's own camera, evaluated and rendered from."""
+        """Make the scene's camera active in the temporary scene; return it as a Camera."""
         scene, temporary = self._scene, self.temporary
         temporary.scene.camera = scene.camera
         _copy_resolution(scene, temporary.scene)
@@ -138,7 +170,7 @@ class OverviewRenderer:
 
 
 def add_dome(scene: Any) -> None:
-    """An even white world."""
+    """Give a scene a uniform white world."""
     import bpy
 
     world = bpy.data.worlds.new("hnf dome")
@@ -150,7 +182,7 @@ def add_dome(scene: Any) -> None:
 
 
 def is_lit(scene: Any) -> bool:
-    """Is there a lamp, a world that is not black, or a material that glows?"""
+    """Return True if a scene has a lamp, a world that is not black, or an emissive material."""
     return (
         _count_lamps(scene) > 0
         or (scene.world is not None and _is_emissive(scene.world))
@@ -159,23 +191,25 @@ def is_lit(scene: Any) -> bool:
 
 
 def _count_lamps(scene: Any) -> int:
-    """That are on."""
+    """Return the number of lamps that are on."""
     return sum(obj.type == "LIGHT" and not obj.hide_render and obj.data.energy > 0.0 for obj in scene.objects)
 
 
 def _has_emissive_material(scene: Any) -> bool:
-    """Whether a material does."""
+    """Return True if a rendered object has an emissive material."""
     slots = (slot for obj in scene.objects if not obj.hide_render for slot in obj.material_slots)
     return any(slot.material is not None and _is_emissive(slot.material) for slot in slots)
 
 
 def _is_emissive(datablock: Any) -> bool:
+    """Return True if a material or world emits light."""
     if not compat.use_nodes(datablock):
         return bool(datablock.id_type == "WORLD" and max(datablock.color) > 0.0)
     return any(_is_emissive_node(node) for node in datablock.node_tree.nodes)
 
 
 def _is_emissive_node(node: Any) -> bool:
+    """Return True if a node emits light."""
     if node.bl_idname in {"ShaderNodeEmission", "ShaderNodeBackground"}:
         colour, strength = node.inputs["Color"], node.inputs["Strength"]
     elif node.bl_idname == "ShaderNodeBsdfPrincipled":
@@ -196,19 +230,20 @@ def _get_frame(scene: Any, frame: float | None) -> float:
 
 
 def _configure_quick_render(scene: Any, relief: bool) -> None:
-    """Few bounces, and Open Image Denoise where this build has it: without it the render would fail, or stay noisy."""
+    """Limit the bounces and enable Open Image Denoise, if this build has it.
+
+    Without it the render would fail, or stay noisy.
+    """
     cycles = scene.cycles
     cycles.max_bounces = min(cycles.max_bounces, MAX_BOUNCES)
     cycles.caustics_reflective = cycles.caustics_refractive = False
     if not compat.has_denoiser():
         return
     cycles.use_denoising = True
-    with (
-        suppress_output()
-    ):  # naming one makes Cycles look for graphics cards, and say on standard output that there are none
+    with suppress_output():  # setting the denoiser makes Cycles search for GPUs, and print if there are none
         cycles.denoiser = "OPENIMAGEDENOISE"
-    # Of so few samples albedo and normal are as noisy as the colour: they only help once they are denoised themselves,
-    # and well, which takes longer than the colour does.
+    # With so few samples albedo and normals are as noisy as the colour. They help only if they are denoised accurately
+    # first, which takes longer than the colour itself.
     cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if relief else "RGB"
     cycles.denoising_prefilter = "ACCURATE" if relief else "FAST"
     if hasattr(cycles, "denoising_quality"):
@@ -220,15 +255,25 @@ VISIBILITY_FLAGS = (
     "visible_volume_scatter", "visible_shadow", "is_holdout", "is_shadow_catcher",
 )  # fmt: skip
 SCATTER_MODIFIERS = frozenset({"NODES", "PARTICLE_SYSTEM"})
-"""Modifiers that may show what is in no mesh of the object's own."""
+"""Modifiers that may show geometry that is not in the object's own mesh."""
 
 
 class RenderHashes:
-    """Of the pictures of one scene as it is now; each object is looked at once.
+    """Hashes of views of one scene in its current state; each object is hashed once.
 
-    Files of images count by size and time of change: what stands around may have many, and a picture is soon drawn.
+    External image files count by size and modification time, because a scene may have many and a view is rendered fast.
 
-    source: hash of the file, which stands in for what is not looked at: scattered copies, hair, what has no faces.
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene that is rendered.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    source : str, optional
+        Hash of the file, which represents everything that is not read: scattered instances, hair, objects without
+        faces.
     """
 
     def __init__(self, scene: Any, depsgraph: Any, metres_per_unit: float, source: str = "") -> None:
@@ -238,7 +283,7 @@ class RenderHashes:
         self._materials: dict[int, str] = {}
 
     def hash_view(self, camera: Camera, objects: Iterable[Any], *extra: str) -> str:
-        """Of a view by camera of these objects. words: what else is drawn."""
+        """Hash a view of `objects` by a camera; `extra` are texts for whatever else is drawn."""
         if not self._lighting_hash:
             self._lighting_hash = content_hash(*_iter_lighting_values(self._scene, self._depsgraph))
         view = (
@@ -256,17 +301,17 @@ class RenderHashes:
     def _iter_object_values(self, obj: Any) -> Iterator[str]:
         yield _format_world_matrix(obj, self._depsgraph)
         yield repr([getattr(obj, name) for name in VISIBILITY_FLAGS])
-        yield repr([(each.show_render, getattr(each, "render_levels", 0)) for each in obj.modifiers])
-        if obj.instance_type != "NONE" or any(each.type in SCATTER_MODIFIERS for each in obj.modifiers):
+        yield repr([(modifier.show_render, getattr(modifier, "render_levels", 0)) for modifier in obj.modifiers])
+        if obj.instance_type != "NONE" or any(modifier.type in SCATTER_MODIFIERS for modifier in obj.modifiers):
             yield self._source
         try:
             materials = get_slot_materials(obj, self._depsgraph)
-            reads = find_shader_inputs(obj, materials)
-            yield hash_mesh(obj, self._depsgraph, self._metres, reads.layers)
+            inputs = find_shader_inputs(obj, materials)
+            yield hash_mesh(obj, self._depsgraph, self._metres, inputs.layers)
         except HnfError:
             yield self._source
             return
-        yield format_object_inputs(obj, self._scene.view_layers[0], materials, reads)
+        yield format_object_inputs(obj, self._scene.view_layers[0], materials, inputs)
         yield from map(self._hash_material, materials)
 
     def _hash_material(self, material: Any) -> str:
@@ -279,7 +324,7 @@ class RenderHashes:
 
 
 def _iter_lighting_values(scene: Any, depsgraph: Any) -> Iterator[str]:
-    """What lights the scene."""
+    """Yield the values that determine a scene's lighting."""
     frame, world = scene.frame_current, scene.world
     for lamp in (obj for obj in scene.objects if obj.type == "LIGHT"):
         data = lamp.data
@@ -293,4 +338,5 @@ def _iter_lighting_values(scene: Any, depsgraph: Any) -> Iterator[str]:
 
 
 def _format_world_matrix(obj: Any, depsgraph: Any) -> str:
+    """Format an object's evaluated world matrix."""
     return repr([list(row) for row in obj.evaluated_get(depsgraph).matrix_world])

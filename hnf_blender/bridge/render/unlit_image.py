@@ -1,4 +1,4 @@
-"""What a patch looks like: its unlit colour, kept where the shader says nothing of its relief."""
+"""Unlit image of a patch: its colour and depth, used to predict a relief where the shader has none."""
 
 from __future__ import annotations
 
@@ -16,21 +16,29 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MAX_CODE = 255.0
+"""Largest value of an 8-bit image."""
 MAX_READABLE_WAVELENGTH_M = 1e-3
-"""A picture from which a relief is to be estimated must show waves as short as this. It is then softer than the widest
-view, though not softer than D_φ knows: of 1 mm the blur of its training pictures (σ up to 0.6 pixels) leaves a half."""
+"""Longest resolved wavelength of an image from which a relief is predicted [m]. It is softer than the widest view, but
+within the training data of D_φ: the blur of its training images (σ up to 0.6 pixels) halves a wave of 1 mm."""
 MIN_COLOUR_STD_CODES = 1.0
-"""A colour that varies by less than this many of 255 steps (RMS) is the same everywhere: a texture's own rounding."""
+"""RMS variation, in steps of 1/255, below which a colour counts as uniform: a texture's rounding."""
 
 
 @dataclass(frozen=True)
 class UnlitImage:
-    """A patch's unlit look.
+    """Unlit colour of a patch.
 
-    rgb: (H, W, 3) uint8, 255 times the square root of linear colour: finer in the dark, as eyes are. depth_m: (H, W)
-    float32 planar depth from the close-up's camera, NaN where there is no surface. resolved_wavelength_m: shortest wave
-    that the picture shows (two texels of its finest image, two pixels where procedural, two points of a painted mesh).
-    source: what it is made from, in words.
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8 array
+        255 times the square root of linear colour, which is finer in the dark, as vision is.
+    depth_m : (H, W) float32 array
+        Planar depth from the close-up's camera [m], NaN without surface.
+    resolved_wavelength_m : float
+        Shortest wavelength that the image shows [m]: two texels of its finest image, two pixels if procedural, two
+        vertices for vertex colours.
+    source : str
+        Description of what it is made from.
     """
 
     rgb: NDArray[np.uint8]
@@ -40,7 +48,7 @@ class UnlitImage:
 
     @property
     def linear(self) -> NDArray[np.float32]:
-        """(H, W, 3) linear colour, 0–1."""
+        """Linear colour (H, W, 3), 0 to 1."""
         return np.asarray((self.rgb.astype(np.float32) / np.float32(MAX_CODE)) ** 2)
 
 
@@ -55,9 +63,31 @@ def make_unlit_image(
     mesh: TriangleMesh,
     triangle: NDArray[np.int32],
 ) -> UnlitImage | None:
-    """The look of a patch; None where its colour is the same all over mask, or its detail cannot be told.
+    """Make the unlit image of a patch.
 
-    albedo: (H, W, 3) linear. triangle: (H, W) that each pixel shows, −1 = none.
+    Parameters
+    ----------
+    sources : ColourSources
+        Sources of the colour.
+    albedo : (H, W, 3) array
+        Linear colour.
+    depth_m : (H, W) array
+        Planar depth [m].
+    mask : (H, W) bool array
+        The patch's own surface.
+    passes : Passes
+        Rendered passes with the taps of `sources`.
+    pixel_m : float
+        Size of a pixel [m].
+    mesh : TriangleMesh
+        Mesh of the surface.
+    triangle : (H, W) int array
+        Triangle at each pixel, −1 for none.
+
+    Returns
+    -------
+    UnlitImage or None
+        None if the colour is uniform under `mask`, or its resolution is unknown.
     """
     if not mask.any():
         return None
@@ -74,7 +104,7 @@ def make_unlit_image(
 
 
 def _compute_vertex_spacing(mesh: TriangleMesh, triangle: NDArray[np.int32]) -> float:
-    """Metres between the points of an even mesh whose triangles have the median area of those seen."""
+    """Return the vertex spacing [m] of a regular mesh with the median area of the visible triangles."""
     corners = mesh.vertices[mesh.triangles[np.unique(triangle)]]
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
     return float(np.sqrt(2.0 * np.median(areas)))

@@ -63,8 +63,8 @@ def get_world_box(obj: Any, depsgraph: Any, metres_per_unit: float = 1.0) -> tup
 def get_world_boxes(objects: Sequence[Any], depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
     """Return the lowest and highest corners (n, 3) of objects' boxes, world units × metres_per_unit."""
     evaluated = [obj.evaluated_get(depsgraph) for obj in objects]
-    world = np.array([each.matrix_world for each in evaluated], dtype=np.float64).reshape(-1, 4, 4)
-    corners = np.array([[tuple(corner) for corner in each.bound_box] for each in evaluated], dtype=np.float64)
+    world = np.array([member.matrix_world for member in evaluated], dtype=np.float64).reshape(-1, 4, 4)
+    corners = np.array([[tuple(corner) for corner in member.bound_box] for member in evaluated], dtype=np.float64)
     corners = corners.reshape(-1, 8, 3) @ world[:, :3, :3].transpose(0, 2, 1) + world[:, None, :3, 3]
     corners *= metres_per_unit
     return corners.min(axis=1), corners.max(axis=1)
@@ -81,13 +81,13 @@ def describe_neighbours(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: f
         (other for other in scene.objects if other != obj and other.type == "MESH"), depsgraph.view_layer
     )
     lows, highs = get_world_boxes(others, depsgraph, metres_per_unit)
-    near = np.flatnonzero(
+    nearby = np.flatnonzero(
         (lows <= high + NEIGHBOUR_DISTANCE_M).all(axis=1) & (highs >= low - NEIGHBOUR_DISTANCE_M).all(axis=1)
     )
-    boxes = np.round(np.concatenate([lows[near] - low, highs[near] - low], axis=1), 4) + 0.0
+    boxes = np.round(np.concatenate([lows[nearby] - low, highs[nearby] - low], axis=1), 4) + 0.0
     return sorted(
         f"{others[index].name} {_count_vertices(others[index], depsgraph)} {box.tolist()}"
-        for index, box in zip(near, boxes, strict=True)
+        for index, box in zip(nearby, boxes, strict=True)
     )
 
 

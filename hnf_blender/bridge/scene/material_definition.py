@@ -1,4 +1,4 @@
-"""A material definition (`.hnf`) stored on a Blender material.
+"""Material definitions (`.hnf`) stored on Blender materials.
 
 The bytes of the file are kept in an ID property, so that the .blend needs no file next to it. A library material chosen
 by hand (Material.hnf_touch.library) takes precedence over the definition.

@@ -1,6 +1,6 @@
-"""Taps: values inside a shader, sent to the render as AOV passes and weighed together in numpy.
+"""Taps: values inside a shader that are rendered as AOV passes, so that they can be combined in numpy.
 
-How fine the images behind a shader's value are: their texels, measured on the patch where they lie.
+Also the resolution of the images behind such values: the size of their texels, measured on the rendered patch.
 """
 
 from __future__ import annotations
@@ -21,23 +21,25 @@ Passes = Mapping[str, NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class Tap:
-    """A shader value that the render writes as AOV pass `name`: (H, W) for VALUE, (H, W, 3) for COLOR."""
+    """A shader value rendered as AOV pass `name`: (H, W) for VALUE, (H, W, 3) for COLOR."""
 
     name: str
     kind: Literal["VALUE", "COLOR"]
 
     def read(self, passes: Passes) -> Float:
+        """Return the value of every pixel from the rendered passes."""
         pixels = passes[self.name].astype(np.float64)
         return pixels[..., :3] if self.kind == "COLOR" else pixels
 
 
 @dataclass(frozen=True)
 class Constant:
-    """A value that is the same on every pixel. value: a number or three."""
+    """A value that is the same at every pixel: a number or three."""
 
     value: float | tuple[float, float, float]
 
     def read(self, passes: Passes) -> Float:
+        """Return the value."""
         return np.asarray(self.value, dtype=np.float64)
 
 
@@ -45,7 +47,7 @@ Quantity = Tap | Constant
 
 
 class Tapper:
-    """Adds AOV outputs to a material copy. Names start with prefix and are unique within it."""
+    """Adds AOV outputs to a material copy; their names start with `prefix`, which makes them unique."""
 
     def __init__(self, graph: NodeGraph, prefix: str) -> None:
         self.graph = graph
@@ -54,7 +56,7 @@ class Tapper:
         self._tap_cache: dict[tuple[str, str, str, str], Tap] = {}
 
     def tap_output(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Tap:
-        """Tap an output socket, wherever its node stands."""
+        """Tap an output socket, in whichever node group its node is."""
         key = (socket.id_data.name_full, socket.node.name, socket.identifier, kind)
         if key not in self._tap_cache:
             tap = Tap(f"{self._prefix}{len(self.taps)}", kind)
@@ -66,14 +68,14 @@ class Tapper:
         return self._tap_cache[key]
 
     def tap_input(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Quantity:
-        """What an input socket receives: a tap, or a constant where nothing is linked."""
+        """Return the value of an input socket: a tap, or a constant if nothing is linked."""
         source = self.graph.resolve(socket)
         if source.is_output and not source.node.mute:
             return self.tap_output(source, kind)
         return Constant(get_constant_value(source, kind))
 
     def multiply(self, tree: Any, *factors: Any) -> Any:
-        """Output socket of a chain of Math nodes in tree: the product of factors (see copy_input)."""
+        """Add a chain of Math nodes to `tree` and return the output with the product of factors (see `copy_input`)."""
         result: Any = None
         for factor in factors:
             node = tree.nodes.new("ShaderNodeMath")
@@ -87,8 +89,10 @@ class Tapper:
 
 
 def copy_input(tree: Any, source: Any, target: Any) -> None:
-    """Make the input socket target receive source: an output socket in tree, what feeds an input socket in tree, or
-    a number."""
+    """Let an input socket `target` have the same value as `source`.
+
+    `source` is an output socket in `tree`, an input socket in `tree`, or a number.
+    """
     if isinstance(source, float):
         target.default_value = source
         return
@@ -103,7 +107,7 @@ def copy_input(tree: Any, source: Any, target: Any) -> None:
 
 
 def get_constant_value(socket: Any, kind: str) -> Any:
-    """A socket's default: a number for VALUE (colours by luminance, as Blender converts them), three for COLOR."""
+    """Return a socket's default: for VALUE a number (luminance of colours, as in Blender), for COLOR three."""
     value = getattr(socket, "default_value", 0.0)
     if isinstance(value, (bool, int, float)):
         return float(value) if kind == "VALUE" else (float(value),) * 3
@@ -129,15 +133,24 @@ TEXEL_LIMITED_NODES = frozenset({
     "ShaderNodeSeparateColor", "ShaderNodeCombineColor", "ShaderNodeSeparateRGB", "ShaderNodeCombineRGB",
     "ShaderNodeValue", "ShaderNodeRGB",
 })  # fmt: skip
-"""What may stand between an image and a relief without making it finer than its texels."""
+"""Nodes between an image and a relief that do not make it finer than the image's texels."""
 STEPLESS_MATH = frozenset({"ADD", "SUBTRACT", "MULTIPLY", "MULTIPLY_ADD", "DIVIDE"})
-"""Of Math nodes, those without a step."""
+"""Operations of Math nodes without a step."""
 
 
 @dataclass(frozen=True)
 class ImageTap:
-    """An image behind a value. vector: tap of its texture coordinates. texels: for one unit of each coordinate: (x, y),
-    or (x, y, z) where the image is projected from several sides."""
+    """An image texture behind a value.
+
+    Attributes
+    ----------
+    name : str
+        Name of the image.
+    vector : Tap
+        Texture coordinates at which it is read.
+    texels : tuple of float
+        Texels per unit of each coordinate: (x, y), or (x, y, z) if the image is projected from several sides.
+    """
 
     name: str
     vector: Tap
@@ -145,7 +158,7 @@ class ImageTap:
 
 
 class ImageSourced(Protocol):
-    """Something made from images, or in part from what has no texels."""
+    """Protocol of values that are made from images, and possibly from procedural textures."""
 
     @property
     def images(self) -> tuple[ImageTap, ...]: ...
@@ -154,9 +167,9 @@ class ImageSourced(Protocol):
 
 
 def find_image_sources(tapper: Tapper, sockets: Iterable[Any]) -> tuple[tuple[ImageTap, ...], bool]:
-    """The images that input sockets are made from, and whether procedural textures are among their sources.
+    """Return the images behind input sockets, and whether procedural textures are among their sources.
 
-    What only moves or bends an image's coordinates adds no detail of its own.
+    Nodes that only move or bend an image's coordinates do not count, as they add no detail of their own.
     """
     stop = PROCEDURAL_NODES | {IMAGE_NODE}
     nodes = {
@@ -170,12 +183,12 @@ def find_image_sources(tapper: Tapper, sockets: Iterable[Any]) -> tuple[tuple[Im
 
 
 def is_texel_limited(graph: NodeGraph, sockets: Iterable[Any]) -> bool:
-    """Are input sockets made from one image at most, by nothing that draws edges or details into it?
+    """Return True if input sockets depend on at most one image, and on nothing that adds finer detail.
 
-    A step of a ramp is as fine as pixels can be; two images multiplied have waves of both together.
+    A colour ramp with a step may be as fine as a pixel, and a product of two images contains sums of their frequencies.
     """
     stop = frozenset({IMAGE_NODE})
-    nodes = {(node.id_data.name_full, node.name): node for each in sockets for node in graph.upstream(each, stop)}
+    nodes = {(node.id_data.name_full, node.name): node for socket in sockets for node in graph.upstream(socket, stop)}
     steps = (
         node for node in nodes.values() if node.bl_idname == "ShaderNodeMath" and node.operation not in STEPLESS_MATH
     )
@@ -186,7 +199,7 @@ def is_texel_limited(graph: NodeGraph, sockets: Iterable[Any]) -> bool:
 
 
 def tap_image(node: Any, tapper: Tapper) -> ImageTap:
-    """An Image Texture node, with a tap of the coordinates it is read at."""
+    """Tap the coordinates of an Image Texture node."""
     tree, vector = node.id_data, node.inputs["Vector"]
     if tapper.graph.resolve(vector).is_output:
         tap = tapper.tap_output(vector.links[0].from_socket, "COLOR")
@@ -197,17 +210,17 @@ def tap_image(node: Any, tapper: Tapper) -> ImageTap:
     scale = node.texture_mapping.scale
     width, height = get_image_size(node.image)
     flat = (width * scale[0], height * scale[1])
-    # Box, sphere and tube projections look along all three axes.
+    # Box, sphere and tube projections use all three coordinates.
     return ImageTap(node.image.name, tap, flat if node.projection == "FLAT" else (*flat, width * scale[2]))
 
 
 def compute_resolved_wavelength(sources: Iterable[ImageSourced], passes: Passes, mask: Mask, pixel_m: float) -> float:
-    """Shortest wavelength in metres that the finest source resolves: two texels, never less than two pixels."""
+    """Return the shortest resolved wavelength [m]: two texels of the finest source, at least two pixels."""
     return max(2.0 * find_finest_texel(sources, passes, mask, pixel_m), 2.0 * pixel_m)
 
 
 def find_finest_texel(sources: Iterable[ImageSourced], passes: Passes, mask: Mask, pixel_m: float) -> float:
-    """Size in metres of the smallest texels among the sources: 0 where one has none, inf where it cannot be told."""
+    """Return the smallest texel size among sources [m]: 0 if one is procedural, inf if it is unknown."""
     sources = tuple(sources)
     if any(source.procedural for source in sources):
         return 0.0
@@ -216,12 +229,12 @@ def find_finest_texel(sources: Iterable[ImageSourced], passes: Passes, mask: Mas
 
 
 def measure_texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:
-    """Median size in metres of a texel, along the direction in which it is longest; inf where it cannot be told."""
+    """Return the median size of a texel [m], in the direction in which it is longest; inf if unknown."""
     texels = np.asarray(image.texels, dtype=np.float64)
-    place = image.vector.read(passes)[..., : len(texels)] * texels
-    across = (place[1:-1, 2:] - place[1:-1, :-2]) / (2.0 * pixel_m)
-    along = (place[2:, 1:-1] - place[:-2, 1:-1]) / (2.0 * pixel_m)
-    # Singular values of the Jacobian (texels per metre) by its first fundamental form.
+    coordinates = image.vector.read(passes)[..., : len(texels)] * texels
+    across = (coordinates[1:-1, 2:] - coordinates[1:-1, :-2]) / (2.0 * pixel_m)
+    along = (coordinates[2:, 1:-1] - coordinates[:-2, 1:-1]) / (2.0 * pixel_m)
+    # Smaller singular value of the Jacobian (texels per metre), by its first fundamental form.
     e, f, g = (np.sum(a * b, axis=-1) for a, b in ((across, across), (across, along), (along, along)))
     smallest = np.sqrt(np.maximum((e + g - np.sqrt((e - g) ** 2 + 4.0 * f**2)) / 2.0, 0.0))
     inner = mask[1:-1, 1:-1] & (smallest > 0.0)

@@ -1,4 +1,4 @@
-"""Micro-geometry in shaders: which bump, displacement and normal-map nodes shape a surface, and how high."""
+"""Read micro-geometry from shader nodes: the heights of Bump and Displacement nodes, and the slopes of normal maps."""
 
 from __future__ import annotations
 
@@ -22,17 +22,22 @@ from .aov_taps import (
 from .node_graph import NodeGraph
 
 BUMP_FACTORS = ("Distance", "Strength")
+"""Inputs of a Bump node that multiply its Height."""
 
 
 @dataclass(frozen=True)
 class Amount:
-    """An input of a node, for the report. value: None where it is textured. is_length: of the tap's Blender units."""
+    """A node's input, for the report.
+
+    `value` is None if the input is textured; `is_length` is true for a length in the tap's Blender units.
+    """
 
     label: str
     value: float | None
     is_length: bool
 
     def format(self, metres_per_unit: float) -> str:
+        """Format the amount with its unit."""
         if self.value is None:
             return f"{self.label} textured"
         if not self.is_length:
@@ -44,9 +49,24 @@ class Amount:
 
 @dataclass(frozen=True)
 class Relief:
-    """One source of height. tap: the height, VALUE, in Blender units of the world, or of the object where
-    in_object_space (it then follows the object's scale). node, amounts: for the report. images: what it is made from.
-    procedural: some of it has no texels. plain: it is no finer than its images' texels, see texels.is_plain."""
+    """One source of height.
+
+    Attributes
+    ----------
+    tap : Tap
+        Height (VALUE), in Blender units of the world or, with `in_object_space`, of the object, whose scale it follows.
+    in_object_space : bool
+    node : str
+        Description of the node, for the report.
+    amounts : tuple of Amount
+        Inputs of the node, for the report.
+    images : tuple of ImageTap
+        Images that the height is made from.
+    procedural : bool
+        True if it depends on procedural textures too.
+    texel_limited : bool
+        True if it is not finer than its images' texels, see `is_texel_limited`.
+    """
 
     tap: Tap
     in_object_space: bool
@@ -59,7 +79,10 @@ class Relief:
 
 @dataclass(frozen=True)
 class Slopes:
-    """A shading normal that no height is known for. tap: world-space normal (COLOR). Others: as of a Relief."""
+    """A shading normal whose height is unknown, as from a normal map.
+
+    `tap` is the world-space normal (COLOR), `source` a description for the report; the others are as in Relief.
+    """
 
     tap: Tap
     source: str
@@ -70,14 +93,14 @@ class Slopes:
 
 @dataclass(frozen=True)
 class MicroGeometry:
-    """What one closure's Normal input, or a material's Displacement, says of the surface; heights add up."""
+    """Micro-geometry of one closure's Normal input, or of a material's Displacement; heights add up."""
 
     reliefs: tuple[Relief, ...] = ()
     slopes: tuple[Slopes, ...] = ()
 
 
 def read_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
-    """Follow a closure's Normal input: bumps chained by their Normal inputs, and what stands at the chain's end."""
+    """Read a closure's Normal input: a chain of Bump nodes, and the normal at its end."""
     bumps, end = follow_normal_chain(tapper.graph, socket)
     reliefs = tuple(_read_bump(node, tapper) for node in bumps)
     if end is None:
@@ -85,17 +108,21 @@ def read_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     _check_normal_map(end.node, tapper.graph, notes)
     images: tuple[ImageTap, ...]
     if end.node.bl_idname == IMAGE_NODE:
-        images, procedural, plain = (tap_image(end.node, tapper),), False, True
+        images, procedural, texel_limited = (tap_image(end.node, tapper),), False, True
     else:
         images, procedural = find_image_sources(tapper, end.node.inputs)
-        plain = is_texel_limited(tapper.graph, end.node.inputs)
-    slopes = Slopes(tapper.tap_output(end, "COLOR"), _format_label(end.node, "normals"), images, procedural, plain)
+        texel_limited = is_texel_limited(tapper.graph, end.node.inputs)
+    slopes = Slopes(
+        tapper.tap_output(end, "COLOR"), _format_label(end.node, "normals"), images, procedural, texel_limited
+    )
     return MicroGeometry(reliefs, (slopes,))
 
 
 def follow_normal_chain(graph: NodeGraph, socket: Any) -> tuple[list[Any], Any]:
-    """The bumps behind a closure's Normal input, and the socket of the normal at the chain's end, None where that is
-    the smooth surface's own. What is turned off (Strength 0, nothing linked to Height) does not count."""
+    """Return the Bump nodes behind a closure's Normal input, and the socket of the normal at the chain's end.
+
+    The socket is None for the smooth surface's own normal. Nodes without effect (Strength 0, no Height) are left out.
+    """
     bumps: list[Any] = []
     source = graph.resolve(socket)
     while source.is_output and source.node.bl_idname == "ShaderNodeBump":
@@ -109,7 +136,7 @@ def follow_normal_chain(graph: NodeGraph, socket: Any) -> tuple[list[Any], Any]:
 
 
 def is_displacing(graph: NodeGraph, socket: Any) -> bool:
-    """Does a Displacement node behind the Material Output's Displacement input raise anything?"""
+    """Return True if a Displacement node with an effect is behind the Displacement input `socket`."""
     node = graph.source_node(socket)
     if node is None or node.bl_idname != "ShaderNodeDisplacement":
         return False
@@ -117,7 +144,7 @@ def is_displacing(graph: NodeGraph, socket: Any) -> bool:
 
 
 def read_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
-    """Height of a Displacement node: (Height − Midlevel) × Scale."""
+    """Read the height of a Displacement node: (Height − Midlevel) × Scale."""
     node = tapper.graph.source_node(socket)
     if node is None:
         return MicroGeometry()
@@ -127,11 +154,11 @@ def read_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     if not is_displacing(tapper.graph, socket):
         return MicroGeometry()
     tree = node.id_data
-    raised = tree.nodes.new("ShaderNodeMath")
-    raised.operation = "SUBTRACT"
-    copy_input(tree, node.inputs["Height"], raised.inputs[0])
-    copy_input(tree, node.inputs["Midlevel"], raised.inputs[1])
-    height = tapper.multiply(tree, raised.outputs[0], node.inputs["Scale"])
+    subtract = tree.nodes.new("ShaderNodeMath")
+    subtract.operation = "SUBTRACT"
+    copy_input(tree, node.inputs["Height"], subtract.inputs[0])
+    copy_input(tree, node.inputs["Midlevel"], subtract.inputs[1])
+    height = tapper.multiply(tree, subtract.outputs[0], node.inputs["Scale"])
     images, procedural = find_image_sources(tapper, [node.inputs["Height"]])
     relief = Relief(
         tapper.tap_output(height, "VALUE"),
@@ -146,40 +173,50 @@ def read_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
 
 
 def _read_bump(node: Any, tapper: Tapper) -> Relief:
-    """Height × Distance × Strength of a Bump node (Cycles blends normals by Strength: its slope grows with it)."""
+    """Read the height of a Bump node: Height × Distance × Strength.
+
+    Cycles blends normals by Strength, so the slope is proportional to it.
+    """
     sign = -1.0 if node.invert else 1.0
     factors = (node.inputs[name] for name in BUMP_FACTORS)
     height = tapper.multiply(node.id_data, sign, node.inputs["Height"], *factors)
     images, procedural = find_image_sources(tapper, [node.inputs["Height"]])
     amounts = (_read_amount(node, "Distance", is_length=True), _read_amount(node, "Strength", is_length=False))
-    plain = is_texel_limited(tapper.graph, get_relief_inputs(node))
-    return Relief(tapper.tap_output(height, "VALUE"), False, f"bump '{node.name}'", amounts, images, procedural, plain)
+    texel_limited = is_texel_limited(tapper.graph, get_relief_inputs(node))
+    return Relief(
+        tapper.tap_output(height, "VALUE"), False, f"bump '{node.name}'", amounts, images, procedural, texel_limited
+    )
 
 
 def get_relief_inputs(node: Any) -> list[Any]:
-    """What a Bump or a Displacement node makes its height from."""
+    """Return the inputs that determine the height of a Bump or Displacement node."""
     factors = BUMP_FACTORS if node.bl_idname == "ShaderNodeBump" else ("Midlevel", "Scale")
     return [node.inputs[name] for name in ("Height", *factors)]
 
 
 def _is_off(graph: NodeGraph, node: Any, *factors: str) -> bool:
-    """Is one of these inputs set to 0, and no texture?"""
-    ends = [graph.resolve(node.inputs[name]) for name in factors]
-    return any(not end.is_output and get_constant_value(end, "VALUE") == 0.0 for end in ends)
+    """Return True if one of these inputs is constant 0."""
+    sources = [graph.resolve(node.inputs[name]) for name in factors]
+    return any(not source.is_output and get_constant_value(source, "VALUE") == 0.0 for source in sources)
 
 
 def _is_smooth_normal(source: Any) -> bool:
-    """The surface's own smooth normal, just passed along."""
+    """Return True if a socket is the surface's own smooth normal."""
     return source.node.bl_idname == "ShaderNodeNewGeometry" and source.name in {"Normal"}
 
 
 def _check_normal_map(node: Any, graph: NodeGraph, notes: list[str]) -> None:
+    """Append a note for every image of a normal map that is tagged as a colour."""
     if node.bl_idname != "ShaderNodeNormalMap":
         return
-    for each in graph.upstream(node.inputs["Color"], PROCEDURAL_NODES | {IMAGE_NODE}):
-        if each.bl_idname == IMAGE_NODE and each.image is not None and not each.image.colorspace_settings.is_data:
-            space = each.image.colorspace_settings.name
-            notes.append(f"normal map '{each.image.name}' is tagged {space}: set its Color Space to Non-Color.")
+    for image_node in graph.upstream(node.inputs["Color"], PROCEDURAL_NODES | {IMAGE_NODE}):
+        if (
+            image_node.bl_idname == IMAGE_NODE
+            and image_node.image is not None
+            and not image_node.image.colorspace_settings.is_data
+        ):
+            space = image_node.image.colorspace_settings.name
+            notes.append(f"normal map '{image_node.image.name}' is tagged {space}: set its Color Space to Non-Color.")
 
 
 def _read_amount(node: Any, name: str, *, is_length: bool) -> Amount:

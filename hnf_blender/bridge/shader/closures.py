@@ -1,8 +1,8 @@
-"""Shaders as layers of closures: shading values and micro-geometry of each, and the weights that mix them.
+"""Read a material's shader as a tree of closures: shading values and micro-geometry of each, and their mix factors.
 
-What a shader says of a material without rendering it: the values that stand in its nodes.
-
-What a shader has to show where it has no relief: the images, patterns and painted vertices behind its colour.
+`read_shader` taps a material copy for rendering. `read_stated_appearance`, `find_relief_source` and `is_direct_image`
+use only the nodes, without a render. `find_colour_sources` gives the images, patterns and vertex colours
+behind a colour, for materials without a relief.
 """
 
 from __future__ import annotations
@@ -44,11 +44,12 @@ from .node_graph import NodeGraph
 
 Float = NDArray[np.float64]
 SHADING = ("base_color", "roughness", "metallic", "sheen", "transmission")
+"""Names of the shading values of an Appearance."""
 
 
 @dataclass(frozen=True)
 class Closure:
-    """One BSDF: its shading values by name (SHADING) and its micro-geometry."""
+    """One BSDF: its shading values by name (SHADING), and its micro-geometry."""
 
     shading: Mapping[str, Quantity] = field(default_factory=dict)
     micro: MicroGeometry = field(default_factory=MicroGeometry)
@@ -56,7 +57,7 @@ class Closure:
 
 @dataclass(frozen=True)
 class Blend:
-    """(1 − factor) · first + factor · second."""
+    """Mix of two shaders: (1 − factor) · first + factor · second."""
 
     factor: Quantity
     first: Layers
@@ -68,7 +69,11 @@ Layers = Closure | Blend
 
 @dataclass(frozen=True)
 class ShaderReading:
-    """What to read off a material. layers: its surface, None without nodes. displacement: on top of all layers."""
+    """Taps and constants of a material.
+
+    `layers` is its surface, None without nodes; `displacement` is added to all layers; `notes` are remarks for the
+    user.
+    """
 
     layers: Layers | None
     displacement: MicroGeometry
@@ -76,7 +81,7 @@ class ShaderReading:
 
 
 def read_shader(tapper: Tapper) -> ShaderReading:
-    """Tap everything that matters of a material copy's surface."""
+    """Tap the shading values and the micro-geometry of a material copy."""
     output = tapper.graph.output
     if output is None:
         return ShaderReading(None, MicroGeometry(), ("its node tree has no Material Output.",))
@@ -88,7 +93,7 @@ def read_shader(tapper: Tapper) -> ShaderReading:
 
 
 def read_viewport_shading(material: Any) -> Closure:
-    """A material without nodes: its viewport values."""
+    """Return a material's viewport values as a closure, for materials without nodes."""
     colour = tuple(float(part) for part in material.diffuse_color)[:3]
     return Closure({
         "base_color": Constant((colour[0], colour[1], colour[2])),
@@ -98,7 +103,10 @@ def read_viewport_shading(material: Any) -> Closure:
 
 
 def mix_closures(layers: Layers, passes: Passes, value: Callable[[Closure], Float | None]) -> Float | None:
-    """value of every closure, mixed by the factors; closures that do not know it (None) leave it to the others."""
+    """Evaluate `value` for every closure and mix the results by the factors.
+
+    Closures for which it is None leave the result to the others; None if it is None for all.
+    """
     if isinstance(layers, Closure):
         return value(layers)
     first, second = mix_closures(layers.first, passes, value), mix_closures(layers.second, passes, value)
@@ -111,6 +119,7 @@ def mix_closures(layers: Layers, passes: Passes, value: Callable[[Closure], Floa
 
 
 def list_closures(layers: Layers | None) -> list[Closure]:
+    """Return all closures of a surface."""
     if layers is None:
         return []
     if isinstance(layers, Closure):
@@ -119,14 +128,14 @@ def list_closures(layers: Layers | None) -> list[Closure]:
 
 
 def list_mix_factors(layers: Layers | None) -> list[Quantity]:
-    """What the closures are mixed by."""
+    """Return the mix factors of a surface."""
     if layers is None or isinstance(layers, Closure):
         return []
     return [layers.factor, *list_mix_factors(layers.first), *list_mix_factors(layers.second)]
 
 
 def average_appearance(layers: Layers | None, passes: Passes, mask: NDArray[np.bool_]) -> Appearance:
-    """Shading values averaged over the pixels in mask."""
+    """Return the shading values averaged over the pixels of a mask (H, W)."""
     if layers is None or not mask.any():
         return Appearance()
     values: dict[str, Any] = {}
@@ -142,6 +151,7 @@ def average_appearance(layers: Layers | None, passes: Passes, mask: NDArray[np.b
 
 
 def read_shading_value(name: str, passes: Passes, closure: Closure) -> Float | None:
+    """Return a closure's shading value at every pixel, or None if it has none."""
     quantity = closure.shading.get(name)
     return None if quantity is None else quantity.read(passes)
 
@@ -174,18 +184,18 @@ BSDFS: ClosureTable = {
 }
 """Tapped inputs and known values of every BSDF node."""
 EMISSIVE: ClosureTable = {"ShaderNodeEmission": (_COLOUR_INPUT, {}), "ShaderNodeBackground": (_COLOUR_INPUT, {})}
-"""Read where a surface has no BSDF at all: a scan is often saved as its own light, so that none is needed."""
+"""Emissive nodes, read if a surface has no BSDF: scans are often saved with emission, to be shown without light."""
 
 
 def _read_layers(socket: Any, tapper: Tapper, notes: list[str], table: ClosureTable) -> Layers | None:
-    """Layers of a shader socket (already resolved), of such closures; None where it has none of them."""
+    """Read a resolved shader socket's closures that are in `table`; None if there are none."""
     if not socket.is_output or socket.node.mute:
         return None
     node, graph = socket.node, tapper.graph
     if node.bl_idname in {"ShaderNodeMixShader", "ShaderNodeAddShader"}:
         sides = [entry for entry in node.inputs if entry.type == "SHADER"]
         first, second = (_read_layers(graph.resolve(side), tapper, notes, table) for side in sides)
-        if first is None or second is None:  # cut-outs and glow are not felt
+        if first is None or second is None:  # transparency and emission cannot be felt
             return second if first is None else first
         factor = tapper.tap_input(node.inputs[0], "VALUE") if node.bl_idname == "ShaderNodeMixShader" else Constant(0.5)
         return Blend(factor, first, second)
@@ -207,25 +217,25 @@ def _read_layers(socket: Any, tapper: Tapper, notes: list[str], table: ClosureTa
 
 CONSTANT_NODES = {"ShaderNodeRGB", "ShaderNodeValue"}
 UNKNOWN_MIX_FACTOR = 0.5
-"""Of two mixed shaders whose factor is a texture."""
+"""Factor assumed for two mixed shaders whose factor is textured."""
 
 
 def read_stated_appearance(material: Any) -> Appearance:
-    """Shading values of a material as its nodes state them; what a texture or a calculation says stays unknown.
+    """Return the shading values that a material's nodes state; textured or computed values stay unknown.
 
-    Renders nothing and leaves nothing behind in the file.
+    Nothing is rendered, and the file is left unchanged.
     """
     if not compat.use_nodes(material):
         return _make_appearance(read_viewport_shading(material), {})
     with TemporaryScene():
         tapper = _ConstantTapper(NodeGraph(material.copy()), "hnf")
         layers = read_shader(tapper).layers
-        shares = {tap.name: np.asarray(UNKNOWN_MIX_FACTOR, dtype=np.float32) for tap in tapper.taps}
-    return Appearance() if layers is None else _make_appearance(layers, shares)
+        mix_factors = {tap.name: np.asarray(UNKNOWN_MIX_FACTOR, dtype=np.float32) for tap in tapper.taps}
+    return Appearance() if layers is None else _make_appearance(layers, mix_factors)
 
 
 class _ConstantTapper(Tapper):
-    """A tapper that takes the constants of value and colour nodes as such."""
+    """A tapper that reads Value and RGB nodes as constants."""
 
     def tap_input(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Quantity:
         source = self.graph.resolve(socket)
@@ -235,6 +245,7 @@ class _ConstantTapper(Tapper):
 
 
 def _make_appearance(layers: Any, mix_factors: dict[str, NDArray[np.float32]]) -> Appearance:
+    """Return the constant shading values of layers, mixed by given factors."""
     values: dict[str, Any] = {}
     for name in SHADING:
         value = mix_closures(layers, mix_factors, partial(_read_constant, name))
@@ -245,6 +256,7 @@ def _make_appearance(layers: Any, mix_factors: dict[str, NDArray[np.float32]]) -
 
 
 def _read_constant(name: str, closure: Closure) -> NDArray[np.float64] | None:
+    """Return a closure's shading value if it is constant, else None."""
     quantity = closure.shading.get(name)
     return quantity.read({}) if isinstance(quantity, Constant) else None
 
@@ -255,12 +267,15 @@ VARYING_NODES = (
     | VERTEX_COLOUR_NODES
     | {IMAGE_NODE, "ShaderNodeTexCoord", "ShaderNodeUVMap", "ShaderNodeNewGeometry"}
 )
-"""Nodes whose value differs from place to place. Constants, however they are mixed, do not."""
+"""Nodes whose value varies from place to place; mixed constants do not."""
 
 
 class ReliefSource(Enum):
-    """What a material can tell of the surface's relief: RELIEF: it has its own. PICTURE: none, but a colour that may
-    vary from place to place. NOTHING: neither."""
+    """Source from which a material's relief can be known.
+
+    RELIEF: the material has bump, displacement or normal maps. VARYING_COLOUR: it has none, but its colour may vary
+    from place to place. NONE: neither.
+    """
 
     RELIEF = "relief"
     VARYING_COLOUR = "picture"
@@ -269,8 +284,18 @@ class ReliefSource(Enum):
 
 @dataclass(frozen=True)
 class ColourSources:
-    """What a colour that may vary is made from. images: textures. procedural: also of what has no texels. painted: also
-    of colours on the mesh's own points. source: in words, for the report."""
+    """Sources of a colour that may vary.
+
+    Attributes
+    ----------
+    images : tuple of ImageTap
+    procedural : bool
+        True if procedural textures are among the sources.
+    painted : bool
+        True if vertex colours are among the sources.
+    source : str
+        Description for the report.
+    """
 
     images: tuple[ImageTap, ...]
     procedural: bool
@@ -279,7 +304,10 @@ class ColourSources:
 
 
 def find_relief_source(material: Any) -> ReliefSource:
-    """Without a copy and without a render. A node group that stands in a material twice is read once."""
+    """Classify a material by its nodes, without a copy and without a render.
+
+    A node group that is used twice in the material is read once.
+    """
     if material is None or not compat.use_nodes(material):
         return ReliefSource.NONE
     graph = NodeGraph(material, copy_groups=False)
@@ -293,8 +321,10 @@ def find_relief_source(material: Any) -> ReliefSource:
 
 
 def is_direct_image(material: Any) -> bool:
-    """Is its relief that of images, read so that a first look can tell how fine they are (see fewest_pixels)? Without a
-    copy and without a render, as shows()."""
+    """Return True if a material's relief is made of images directly, so that a first pass can measure their texels.
+
+    Reads the nodes only, like `find_relief_source`; see `choose_resolution` in `bridge/render/closeup.py`.
+    """
     if material is None or not compat.use_nodes(material):
         return False
     graph = NodeGraph(material, copy_groups=False)
@@ -306,12 +336,12 @@ def is_direct_image(material: Any) -> bool:
     inputs += [list(end.node.inputs) for _, end in chains if end is not None and end.node.bl_idname != IMAGE_NODE]
     if is_displacing(graph, graph.output.inputs["Displacement"]):
         inputs.append(get_relief_inputs(graph.source_node(graph.output.inputs["Displacement"])))
-    even = not any(graph.resolve(factor).is_output for factor in factors)
-    return even and all(is_texel_limited(graph, each) for each in inputs)
+    has_constant_factors = not any(graph.resolve(factor).is_output for factor in factors)
+    return has_constant_factors and all(is_texel_limited(graph, sockets) for sockets in inputs)
 
 
 def has_relief(graph: NodeGraph) -> bool:
-    """Does a closure of the surface, or the displacement, shape the surface?"""
+    """Return True if a closure's normal, or the displacement, shapes the surface."""
     if graph.output is None:
         return False
     closures, _ = _find_surface_closures(graph)
@@ -321,50 +351,55 @@ def has_relief(graph: NodeGraph) -> bool:
 
 
 def find_colour_sources(tapper: Tapper) -> ColourSources | None:
-    """Of a material copy; None where it has a relief of its own, or its colour is the same everywhere."""
+    """Return the sources of a material copy's colour; None if it has a relief or a uniform colour."""
     sockets = list_colour_sockets(tapper.graph)
     kinds = _collect_node_types(tapper.graph, sockets)
     if has_relief(tapper.graph) or not kinds & VARYING_NODES:
         return None
     images, procedural = find_image_sources(tapper, sockets)
     painted, pattern = bool(kinds & VERTEX_COLOUR_NODES), bool(kinds & PROCEDURAL_NODES)
-    said = [f"image '{name}'" for name in dict.fromkeys(image.name for image in images)]
-    said += ["a pattern"] if pattern else []
-    said += ["painted vertices"] if painted else []
-    # A bare coordinate is a pattern without texels; what is painted on a mesh is as fine as its points.
-    return ColourSources(images, procedural and (pattern or not painted), painted, ", ".join(said) or "a pattern")
+    descriptions = [f"image '{name}'" for name in dict.fromkeys(image.name for image in images)]
+    descriptions += ["a pattern"] if pattern else []
+    descriptions += ["painted vertices"] if painted else []
+    # A bare coordinate counts as a pattern without texels. Vertex colours are as fine as the mesh's vertices.
+    return ColourSources(
+        images, procedural and (pattern or not painted), painted, ", ".join(descriptions) or "a pattern"
+    )
 
 
 def list_colour_sockets(graph: NodeGraph) -> list[Any]:
-    """Colour inputs of the surface's closures, and the factors that mix them."""
+    """Return the colour inputs of the surface's closures, and the factors that mix them."""
     closures, factors = _find_surface_closures(graph)
     names = [({**BSDFS, **EMISSIVE})[node.bl_idname][0]["base_color"][0] for node in closures]
     return [node.inputs[name] for node, name in zip(closures, names, strict=True) if name in node.inputs] + factors
 
 
 def _find_surface_closures(graph: NodeGraph) -> tuple[list[Any], list[Any]]:
-    """BSDF nodes of the surface (glowing ones where there is none), and the factor sockets of Mix Shaders that have one
-    on either side."""
+    """Return the surface's BSDF nodes, and the factor sockets of Mix Shaders with one on either side.
+
+    If there is no BSDF, emissive nodes are returned instead.
+    """
     if graph.output is None:
         return [], []
     socket = graph.output.inputs["Surface"]
-    found = _collect_closures(graph, socket, BSDFS)
-    return found if found[0] else _collect_closures(graph, socket, EMISSIVE)
+    closures = _collect_closures(graph, socket, BSDFS)
+    return closures if closures[0] else _collect_closures(graph, socket, EMISSIVE)
 
 
 def _collect_closures(graph: NodeGraph, socket: Any, table: ClosureTable) -> tuple[list[Any], list[Any]]:
+    """Return the nodes behind a socket that are in `table`, and the factor sockets that mix them."""
     node = graph.source_node(socket)
     if node is None:
         return [], []
     if node.bl_idname not in {"ShaderNodeMixShader", "ShaderNodeAddShader"}:
         return ([node] if node.bl_idname in table else []), []
-    (first, one), (second, other) = (
+    (first, first_factors), (second, second_factors) = (
         _collect_closures(graph, side, table) for side in node.inputs if side.type == "SHADER"
     )
     mixes = first and second and node.bl_idname == "ShaderNodeMixShader"
-    return first + second, one + other + ([node.inputs[0]] if mixes else [])
+    return first + second, first_factors + second_factors + ([node.inputs[0]] if mixes else [])
 
 
 def _collect_node_types(graph: NodeGraph, sockets: Iterable[Any]) -> set[str]:
-    """Types of all nodes behind the sockets; what stands behind a texture is not looked at."""
+    """Return the types of all nodes behind sockets, up to and including textures."""
     return {node.bl_idname for socket in sockets for node in graph.upstream(socket, PROCEDURAL_NODES | {IMAGE_NODE})}

@@ -1,8 +1,6 @@
-"""Image datablocks and the files behind them.
+"""Image datablocks: their files, hashes of their pixels, unsaved paint, and the names of the textures of a material.
 
-Textures that were painted and not saved: their pixels are in memory alone.
-
-Names of the pictures that feed a shader: what an artist called a texture says what it shows.
+Names count because what an artist called a texture often says which material it shows.
 """
 
 from __future__ import annotations
@@ -20,11 +18,11 @@ from .node_graph import iter_nodes
 
 ANIMATED_SOURCES = frozenset({"SEQUENCE", "MOVIE"})
 NUMBERED_NAME = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
-"""A frame's file name without its suffix: what stands before the last number, the number, and what follows."""
+"""Parts of a frame's file name without suffix: text before the last number, the number, text after it."""
 
 
 def list_image_files(image: Any) -> list[Path]:
-    """The files an image is read from, one per tile of a UDIM; none where it is packed, painted or generated."""
+    """Return an image's files, one per UDIM tile; none if it is packed, painted or generated."""
     import bpy
 
     if image.packed_files or image.is_dirty or image.source not in {"FILE", "TILED", "SEQUENCE", "MOVIE"}:
@@ -36,22 +34,35 @@ def list_image_files(image: Any) -> list[Path]:
 
 
 def read_file_bytes(path: Path) -> bytes:
+    """Return the content of a file."""
     return path.read_bytes()
 
 
 def fingerprint_file(path: Path) -> str:
-    """What tells a file from what it was without reading it: a film or a texture may be of any size."""
-    facts = path.stat()
-    return f"{path}\0{facts.st_size}\0{facts.st_mtime_ns}"
+    """Identify a file's version by path, size and modification time; movies are too large to read."""
+    status = path.stat()
+    return f"{path}\0{status.st_size}\0{status.st_mtime_ns}"
 
 
 def hash_image(
     image: Any, user: Any = None, frame: int = 1, read_file: Callable[[Path], bytes | str] = read_file_bytes
 ) -> str:
-    """Hash of an image's pixels as stored: packed bytes, files (all tiles of a UDIM), or generated settings.
+    """Hash an image's stored pixels: packed bytes, files (all tiles of a UDIM), or generator settings.
 
-    user: the node's image user, which says which part of a sequence or movie is shown at scene frame `frame`.
-    of_file: what of a file outside counts.
+    Parameters
+    ----------
+    image : bpy.types.Image or None
+        Image; None gives "".
+    user : bpy.types.ImageUser, optional
+        Image user of the node, which selects the frame of a sequence or movie.
+    frame : int, default 1
+        Scene frame.
+    read_file : callable, optional
+        Content of an external file that counts; the file's bytes by default.
+
+    Returns
+    -------
+    str
     """
     if image is None:
         return ""
@@ -62,10 +73,10 @@ def hash_image(
         settings.append(repr(get_shown_frame(user, frame)))
     if image.type == "MULTILAYER" and user is not None:
         settings.append(repr((user.multilayer_layer, user.multilayer_pass, user.multilayer_view)))
-    if image.is_dirty:  # painted but not saved: the pixels in memory are the truth
+    if image.is_dirty:  # painted but not saved: only the pixels in memory are current
         return content_hash(*settings, _read_pixels(image))
     if image.packed_files:
-        return content_hash(*settings, *(bytes(each.packed_file.data) for each in image.packed_files))
+        return content_hash(*settings, *(bytes(packed.packed_file.data) for packed in image.packed_files))
     if image.source == "GENERATED":
         return content_hash(
             *settings, repr((image.generated_type, list(image.generated_color), list(image.size), image.is_float))
@@ -77,17 +88,17 @@ def hash_image(
 
 
 def get_shown_frame(user: Any, frame: int) -> int:
-    """Number of the image of a sequence or movie that an image user shows at a scene frame, as Blender counts."""
+    """Return the number of a sequence's or movie's image that is shown at a scene frame, as Blender counts."""
     count = user.frame_duration
     if count == 0:
         return 0
-    place = frame - user.frame_start + 1
-    place = (place - 1) % count + 1 if user.use_cyclic else min(max(place, 0), count)
-    return int(place + user.frame_offset)
+    index = frame - user.frame_start + 1
+    index = (index - 1) % count + 1 if user.use_cyclic else min(max(index, 0), count)
+    return int(index + user.frame_offset)
 
 
 def get_frame_file(path: Path, number: int) -> Path:
-    """The file of that number in the sequence that path is one of; path where its name holds no number."""
+    """Return the file with a number in the sequence of `path`; `path` if its name has no number."""
     parts = NUMBERED_NAME.fullmatch(path.stem)
     if parts is None:
         return path
@@ -104,8 +115,11 @@ def _read_pixels(image: Any) -> bytes:
 
 
 def get_image_size(image: Any) -> tuple[int, int]:
-    """(width, height) in texels. Of a sequence Blender knows it only while it shows a frame that is there: then the
-    file that it was opened by tells, in a datablock of its own, which is left to the caller's Temporary."""
+    """Return an image's (width, height) in texels.
+
+    Blender does not know the size of a sequence while it shows a missing frame; the sequence's first file is then
+    loaded as another datablock, which the caller's TemporaryScene removes.
+    """
     import bpy
 
     if 0 in tuple(image.size) and image.source == "SEQUENCE":
@@ -116,8 +130,10 @@ def get_image_size(image: Any) -> tuple[int, int]:
 
 
 def explain_missing_image(image: Any) -> str | None:
-    """Why an image datablock has no pixels ("PATH is missing"), or None where it has. Frames of a sequence are not
-    looked for."""
+    """Explain why an image has no pixels ("PATH is missing"), or return None if it has.
+
+    Frames of a sequence are not checked.
+    """
     if image.source != "SEQUENCE":
         for path in list_image_files(image):
             if not path.is_file():
@@ -128,6 +144,7 @@ def explain_missing_image(image: Any) -> str | None:
 
 
 def _get_tile_path(path: str, number: int) -> Path:
+    """Return the path of a UDIM tile."""
     u, v = (number - 1001) % 10 + 1, (number - 1001) // 10 + 1
     return Path(path.replace("<UDIM>", str(number)).replace("<UVTILE>", f"u{u}_v{v}"))
 
@@ -136,7 +153,7 @@ UNSAVED_IMAGE_REMEDY = "Save it (Image > Save in the Image Editor) or pack it (I
 
 
 def check_images_saved(objects: Iterable[Any]) -> None:
-    """Raises SceneError for the first texture on objects whose pixels a copy of the file would not hold."""
+    """Raise SceneError for the first texture with unsaved paint, which a copy of the file would lack."""
     for obj in objects:
         for slot in obj.material_slots:
             for node in iter_nodes(None if slot.material is None else slot.material.node_tree):
@@ -150,7 +167,7 @@ def check_images_saved(objects: Iterable[Any]) -> None:
 
 
 def has_unsaved_paint(image: Any) -> bool:
-    """Was it painted, and would a render read its file instead, and forget the painting?"""
+    """Return True if an image was painted and not saved, so that a render would read its old file."""
     return bool(image.is_dirty) and image.source in {"FILE", "TILED"} and not image.packed_files
 
 
@@ -159,8 +176,10 @@ GROUP_NODE, GROUP_OUTPUT_NODE = "ShaderNodeGroup", "NodeGroupOutput"
 
 
 def list_texture_names(material: Any) -> tuple[str, ...]:
-    """Of every image that material's surface is computed from: the datablock's name, and its file's where that is
-    another; each once, in the order of the nodes' names. () for no material, or one without nodes."""
+    """Return the names of all images that a material's surface depends on, and of their files if different.
+
+    Each name occurs once, in the order of the images' names. () for None and for a material without nodes.
+    """
     if material is None or not compat.use_nodes(material) or material.node_tree is None:
         return ()
     output = material.node_tree.get_output_node("CYCLES")
@@ -171,6 +190,7 @@ def list_texture_names(material: Any) -> tuple[str, ...]:
 
 
 def _iter_image_names(image: Any) -> Iterator[str]:
+    """Yield an image's name, and its file's name if that is different."""
     yield str(image.name)
     file = PureWindowsPath(image.filepath).name if image.filepath else ""  # splits at both kinds of slash
     if file and not image.name.startswith(file):
@@ -178,7 +198,7 @@ def _iter_image_names(image: Any) -> Iterator[str]:
 
 
 def _iter_image_nodes(node: Any, visited: set[int]) -> Iterator[Any]:
-    """Image nodes that node depends on, its own groups' insides included."""
+    """Yield the image nodes that a node depends on, those in node groups included."""
     if node.as_pointer() in visited:
         return
     visited.add(node.as_pointer())

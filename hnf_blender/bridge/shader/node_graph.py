@@ -1,4 +1,4 @@
-"""Walking shader node trees: reroutes, muted nodes, links into and out of groups."""
+"""Traverse shader node trees through reroutes, muted nodes and node groups."""
 
 from __future__ import annotations
 
@@ -9,8 +9,16 @@ GROUP_NODE = "ShaderNodeGroup"
 
 
 class NodeGraph:
-    """A material copy whose node groups are made its own, so that every node exists once and may be edited; or, with
-    own_groups False, a material as it is, to read: a group used twice is then entered from one of its places."""
+    """A material's node tree with links resolved across reroutes, muted nodes and groups.
+
+    Parameters
+    ----------
+    material : bpy.types.Material
+        Material; a copy if nodes are to be edited.
+    copy_groups : bool, default True
+        Make node groups single-user, so that every node exists once and may be edited. If False the material is only
+        read, and a group used twice is entered from one of its uses.
+    """
 
     def __init__(self, material: Any, copy_groups: bool = True) -> None:
         self.material = material
@@ -20,13 +28,13 @@ class NodeGraph:
 
     @property
     def output(self) -> Any:
-        """The Material Output that Cycles uses, or None."""
+        """Material Output node that Cycles uses, or None."""
         return self.tree.get_output_node("CYCLES")
 
     def resolve(self, socket: Any) -> Any:
-        """What feeds an input socket, through reroutes, muted nodes and group borders.
+        """Return the socket that gives an input socket its value.
 
-        The output socket that computes it, or the unlinked input socket whose default_value it is.
+        This is the output socket that computes it, or the unlinked input socket whose default_value it is.
         """
         link = next((link for link in socket.links if not link.is_muted and link.is_valid), None)
         return socket if link is None else self._source(link.from_socket)
@@ -34,8 +42,8 @@ class NodeGraph:
     def _source(self, output: Any) -> Any:
         node = output.node
         if node.mute:
-            passed = next((link for link in node.internal_links if link.to_socket == output), None)
-            return output if passed is None else self.resolve(passed.from_socket)
+            internal_link = next((link for link in node.internal_links if link.to_socket == output), None)
+            return output if internal_link is None else self.resolve(internal_link.from_socket)
         if node.bl_idname == "NodeReroute":
             return self.resolve(node.inputs[0])
         if node.bl_idname == GROUP_NODE and node.node_tree is not None:
@@ -47,22 +55,25 @@ class NodeGraph:
         return output
 
     def source_node(self, socket: Any) -> Any:
-        """The node that computes an input socket, or None for a constant."""
+        """Return the node that computes an input socket, or None for a constant."""
         source = self.resolve(socket)
         return source.node if source.is_output and not source.node.mute else None
 
     def upstream(self, socket: Any, stop: frozenset[str] = frozenset()) -> Iterator[Any]:
-        """Every node that socket depends on, each once; inputs of nodes whose bl_idname is in stop are not followed."""
-        seen: set[tuple[str, str]] = set()
-        waiting = [socket]
-        while waiting:
-            node = self.source_node(waiting.pop())
-            if node is None or (key := (node.id_data.name_full, node.name)) in seen:
+        """Yield every node that a socket depends on, each once.
+
+        Inputs of nodes whose bl_idname is in `stop` are not followed.
+        """
+        visited: set[tuple[str, str]] = set()
+        pending = [socket]
+        while pending:
+            node = self.source_node(pending.pop())
+            if node is None or (key := (node.id_data.name_full, node.name)) in visited:
                 continue
-            seen.add(key)
+            visited.add(key)
             yield node
             if node.bl_idname not in stop:
-                waiting.extend(node.inputs)
+                pending.extend(node.inputs)
 
     def _enter_groups(self, tree: Any, copy_groups: bool) -> None:
         for node in tree.nodes:
@@ -74,7 +85,7 @@ class NodeGraph:
 
 
 def iter_nodes(tree: Any, visited: set[str] | None = None) -> Iterator[Any]:
-    """Every node of a tree and of the groups in it."""
+    """Yield every node of a tree and of the groups in it."""
     visited = set() if visited is None else visited
     if tree is None or tree.name_full in visited:
         return
@@ -91,4 +102,4 @@ def _find_group_output(tree: Any) -> Any:
 
 
 def _find_matching_socket(sockets: Any, socket: Any) -> Any:
-    return next(other for other in sockets if other.identifier == socket.identifier)
+    return next(candidate for candidate in sockets if candidate.identifier == socket.identifier)

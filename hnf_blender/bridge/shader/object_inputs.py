@@ -1,5 +1,8 @@
-"""What shaders read of the object they are on, beside the shape of its surface: layers of its mesh, its place in the
-world, its colour, its numbers, its properties."""
+"""Object and scene data that shaders read, besides the shape of the surface.
+
+These are attributes of the mesh, the object's place in the world, its colour and indices, and custom properties. They
+are hashed, and copied to stand-ins of the object.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,28 @@ from .aov_taps import IMAGE_NODE
 from .node_graph import iter_nodes
 
 WORLD_SPACE_OUTPUTS = frozenset({"Position", "Normal", "True Normal", "Tangent", "Incoming"})
-"""Outputs of the Geometry node that are given in the world's own axes."""
+"""Outputs of the Geometry node that are in world axes."""
 RENDER_COLOUR_LAYER = ""
-"""Of layers: the colours that are drawn where none are named."""
+"""Name in `layers` of the colour attribute that is rendered if none is named."""
 
 
 @dataclass(frozen=True)
 class ShaderInputs:
-    """What some shaders read. layers: names of attributes, UV maps and colours of the mesh. of_object, of_scene:
-    names of properties. worldly: where it stands. generated: coordinates in its bounding box, which a radial tangent
-    turns around too. info: names of the outputs of Object Info that are used."""
+    """Object and scene data that shaders read.
+
+    Attributes
+    ----------
+    layers : frozenset of str
+        Names of the mesh's attributes, UV maps and colours.
+    object_properties, scene_properties : frozenset of str
+        Names of properties.
+    uses_world_space : bool
+        True if the object's place in the world counts.
+    uses_generated : bool
+        True if coordinates in its bounding box count, as for radial tangents.
+    object_info : frozenset of str
+        Names of the outputs of Object Info that are used.
+    """
 
     layers: frozenset[str] = frozenset()
     object_properties: frozenset[str] = frozenset()
@@ -31,49 +46,54 @@ class ShaderInputs:
 
 
 def find_shader_inputs(obj: Any, materials: Iterable[Any]) -> ShaderInputs:
-    """materials: of obj, None = empty slot."""
+    """Return the inputs that an object's materials (None for an empty slot) read."""
     layers: set[str] = set()
-    of_object: set[str] = set()
-    of_scene: set[str] = set()
-    info: set[str] = set()
-    worldly = generated = False
+    object_properties: set[str] = set()
+    scene_properties: set[str] = set()
+    object_info: set[str] = set()
+    uses_world_space = uses_generated = False
     for node in (node for material in materials if material is not None for node in iter_nodes(material.node_tree)):
         used = {output.name for output in node.outputs if output.is_linked}
         kind = node.bl_idname
         if kind == "ShaderNodeNewGeometry":
-            worldly |= bool(used & WORLD_SPACE_OUTPUTS)
-            generated |= "Tangent" in used
+            uses_world_space |= bool(used & WORLD_SPACE_OUTPUTS)
+            uses_generated |= "Tangent" in used
         elif kind == "ShaderNodeTexCoord":
-            worldly |= "Object" in used and node.object is not None and node.object != obj
-            worldly |= bool(used & {"Camera", "Window", "Reflection"})
-            generated |= "Generated" in used
+            uses_world_space |= "Object" in used and node.object is not None and node.object != obj
+            uses_world_space |= bool(used & {"Camera", "Window", "Reflection"})
+            uses_generated |= "Generated" in used
         elif kind == "ShaderNodeVectorTransform":
-            worldly = True
+            uses_world_space = True
         elif kind == "ShaderNodeObjectInfo":
-            worldly |= "Location" in used
-            info |= used
+            uses_world_space |= "Location" in used
+            object_info |= used
         elif kind == "ShaderNodeAttribute":
-            {"GEOMETRY": layers, "VIEW_LAYER": of_scene}.get(node.attribute_type, of_object).add(node.attribute_name)
+            {"GEOMETRY": layers, "VIEW_LAYER": scene_properties}.get(node.attribute_type, object_properties).add(
+                node.attribute_name
+            )
         elif kind == "ShaderNodeVertexColor":
             layers.add(node.layer_name or RENDER_COLOUR_LAYER)
         elif kind in {"ShaderNodeUVMap", "ShaderNodeTangent", "ShaderNodeNormalMap"}:
             layers |= {node.uv_map} - {""}
-            worldly |= getattr(node, "space", "") in {"WORLD", "BLENDER_WORLD"}
-            generated |= getattr(node, "direction_type", "") == "RADIAL"
+            uses_world_space |= getattr(node, "space", "") in {"WORLD", "BLENDER_WORLD"}
+            uses_generated |= getattr(node, "direction_type", "") == "RADIAL"
         elif kind.startswith("ShaderNodeTex") and kind != IMAGE_NODE:
             vector = node.inputs.get("Vector")
-            generated |= vector is not None and not vector.is_linked
-    names = (frozenset(layers), frozenset(of_object), frozenset(of_scene))
-    return ShaderInputs(*names, worldly, generated, frozenset(info))
+            uses_generated |= vector is not None and not vector.is_linked
+    names = (frozenset(layers), frozenset(object_properties), frozenset(scene_properties))
+    return ShaderInputs(*names, uses_world_space, uses_generated, frozenset(object_info))
 
 
 def format_object_inputs(obj: Any, view_layer: Any, materials: Iterable[Any], inputs: ShaderInputs) -> str:
-    """What shaders find there, as text; "" where they read nothing of the object. view_layer: of the scene that obj is
-    touched in; it may stand in others too."""
+    """Format the values of inputs as text, for hashing; "" if shaders read nothing of the object.
+
+    `view_layer` is one of the scene in which the object is touched, since it may be in others too.
+    """
     return "".join(f"{part}\n" for part in _iter_input_values(obj, view_layer, materials, inputs))
 
 
 def _iter_input_values(obj: Any, view_layer: Any, materials: Iterable[Any], inputs: ShaderInputs) -> Iterator[str]:
+    """Yield the values of inputs as text."""
     if inputs.uses_world_space:
         yield repr([list(row) for row in obj.matrix_world])
     if inputs.object_info & {"Color", "Alpha"}:
@@ -93,8 +113,10 @@ def _iter_input_values(obj: Any, view_layer: Any, materials: Iterable[Any], inpu
 
 
 def copy_object_inputs(stand_in: Any, temporary_scene: Any, obj: Any, view_layer: Any, inputs: ShaderInputs) -> None:
-    """Give a stand-in for obj what the shaders on it read of obj and of its scene. view_layer: as for owner_text, None
-    where it stands in no scene."""
+    """Copy the values that shaders read from an object and its scene to a stand-in.
+
+    `view_layer` is as for `format_object_inputs`, None if the object is in no scene.
+    """
     stand_in.color, stand_in.pass_index = obj.color, obj.pass_index
     for name in inputs.object_properties:
         _set_property(stand_in, name, _find_property((obj, obj.data), name))
@@ -103,19 +125,22 @@ def copy_object_inputs(stand_in: Any, temporary_scene: Any, obj: Any, view_layer
 
 
 def _get_property_owners(view_layer: Any) -> tuple[Any, ...]:
-    """Where an Attribute node looks for a property of the view layer, in this order."""
+    """Return the datablocks in which an Attribute node looks for a view layer's property, in this order."""
     scene = view_layer.id_data
     return view_layer, scene, scene.world
 
 
 def _set_property(block: Any, name: str, value: Any) -> None:
-    """As a property of the block's own, which an Attribute node finds before any of Blender's."""
+    """Set a custom property, which an Attribute node finds before Blender's own properties."""
     if isinstance(value, (bool, int, float, list)):
         block[name] = value
 
 
 def _find_property(blocks: Iterable[Any], name: str) -> Any:
-    """As an Attribute node finds it: of the first block that has it, one of the artist's own, else one of Blender's."""
+    """Return a property as an Attribute node finds it, or None.
+
+    The first block that has it counts; custom properties come before Blender's own.
+    """
     for block in blocks:
         if block is None:
             continue
@@ -129,5 +154,5 @@ def _find_property(blocks: Iterable[Any], name: str) -> Any:
 
 
 def _to_plain_value(value: Any) -> Any:
-    """Numbers, and rows of them, alike however Blender wraps them."""
+    """Convert Blender's arrays to lists, whatever type wraps them."""
     return list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value

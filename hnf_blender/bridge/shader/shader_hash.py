@@ -1,5 +1,7 @@
-"""Content hashes of shaders: equal hash, equal close-up. Names, layout and selection do not count, and the same file
-gives the same hash in every Blender."""
+"""Content hashes of shaders: materials with equal hashes give equal close-ups.
+
+Names, layout and selection do not count, and a file has the same hash in every Blender version.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,8 @@ COSMETIC_PROPERTIES = frozenset({
     "show_options", "show_preview", "show_texture", "hide", "parent", "dimensions", "is_active_output", "rna_type",
     "warning_propagation", "color_tag", "is_active_preview", "subsurface_method", "falloff",
 })  # fmt: skip
-"""Node properties that say how a node looks in the editor, or how light is scattered below the surface (close-ups are
-unlit), not what it computes. Blender 5.2 calls the old scattering by another name."""
+"""Node properties that affect only the editor, or only subsurface scattering (close-ups are unlit, and Blender 5.2
+renamed its methods)."""
 
 NEUTRAL_VALUES: dict[str, dict[str, object]] = {
     "ShaderNodeBsdfPrincipled": {"Diffuse Roughness": 0.0, "Thin Wall": False},
@@ -34,40 +36,53 @@ NEUTRAL_VALUES: dict[str, dict[str, object]] = {
     },
     "ShaderNodeNormalMap": {"base": "DISPLACED", "convention": "OPENGL"},
 }
-"""Sockets and properties that came after Blender 4.2, by type of node, with the value that computes what versions
-without them compute. At that value they do not count."""
+"""Sockets and properties added after Blender 4.2, by node type, with the value that gives the result of older versions.
+At that value they do not count."""
 
 CURVE_SETTINGS = (
     "extend", "tone", "use_clip", "clip_min_x", "clip_min_y", "clip_max_x", "clip_max_y", "black_level", "white_level",
 )  # fmt: skip
+"""Properties of a curve mapping that affect its result."""
 TEXTURE_MAPPING = (
     "vector_type", "translation", "rotation", "scale", "mapping", "mapping_x", "mapping_y", "mapping_z", "use_min",
     "use_max", "min", "max",
 )  # fmt: skip
 
 OUTPUT_NODES = ("ShaderNodeOutputMaterial", "ShaderNodeOutputWorld", "ShaderNodeOutputLight", "NodeGroupOutput")
+"""Output nodes of which a tree may have several."""
 
 FileReader = Callable[[Path], bytes | str]
 ImageHash = Callable[[Any, Any], str]
-"""(image, its user in a node) → hash."""
+"""Function (image, its user in a node) → hash."""
 
 FLOAT32_TOLERANCE = 1e-6
-"""Blender keeps such values as float32."""
+"""Tolerance for comparing values that Blender stores as float32."""
 
 
 def hash_material(material: Any, frame: int = 1, read_file: FileReader = read_file_bytes) -> str:
-    """Hash of everything a material's node tree computes, images' pixels included; "" for no material.
+    """Hash everything that a material's node tree computes, pixels of images included.
 
-    frame: of the scene, which says what image sequences show; all other values are as they stand now. The file's
-    working colour space counts: greys of colours and values of pictures follow from it. What feeds only the viewport
-    (preview, line art) does not count, nor what is another object's or the mesh's (see owner.py).
-    of_file: what of an image's file counts.
+    The file's working colour space counts, since colours depend on it. Nodes that feed only the viewport do not count,
+    nor does data of the object or mesh (see `object_inputs.py`).
+
+    Parameters
+    ----------
+    material : bpy.types.Material or None
+        Material; None gives "".
+    frame : int, default 1
+        Scene frame, which selects images of sequences; all other values are as they are now.
+    read_file : callable, optional
+        Content of an external image file that counts; its bytes by default.
+
+    Returns
+    -------
+    str
     """
     if material is None:
         return ""
     if not compat.use_nodes(material):
-        plain = (material.diffuse_color, material.roughness, material.metallic)
-        return content_hash("plain", repr([list(plain[0]), plain[1], plain[2]]))
+        shading = (material.diffuse_color, material.roughness, material.metallic)
+        return content_hash("plain", repr([list(shading[0]), shading[1], shading[2]]))
     method = getattr(material, "displacement_method", "")
     return content_hash(
         "nodes",
@@ -78,23 +93,25 @@ def hash_material(material: Any, frame: int = 1, read_file: FileReader = read_fi
 
 
 def format_settings(block: Any) -> str:
-    """Every number, word and switch that a datablock or a group of properties has of its own, without what all
-    datablocks have, and without its nodes; "" for None."""
+    """Format a datablock's own numbers, texts and switches, without its nodes; "" for None.
+
+    Properties that all datablocks have are left out.
+    """
     import bpy
 
     if block is None:
         return ""
     common = {"rna_type", "name", "use_nodes", *bpy.types.ID.bl_rna.properties.keys()}
-    found = [
+    settings = [
         (prop.identifier, _to_plain_value(getattr(block, prop.identifier)))
         for prop in block.bl_rna.properties
         if prop.type not in {"POINTER", "COLLECTION"} and not prop.is_readonly and prop.identifier not in common
     ]
-    return repr(sorted(found))
+    return repr(sorted(settings))
 
 
 def hash_node_tree(tree: Any, frame: int = 1, read_file: FileReader = read_file_bytes) -> str:
-    """As material_hash, of the node tree of a world or a light; "" for None."""
+    """Hash the node tree of a world or a light like `hash_material`; "" for None."""
     if tree is None:
         return ""
     return content_hash(
@@ -107,12 +124,12 @@ def _make_image_hash(frame: int, read_file: FileReader) -> ImageHash:
 
 
 def _describe_working_space() -> Iterator[str]:
-    """Nothing for the usual one: a file has the same hash in Blenders that know no other."""
+    """Yield the working colour space, except for the default one, which older versions do not name."""
     yield from filter(None, [compat.working_space()])
 
 
 def _iter_tree_values(tree: Any, visited: set[str], image_hash: ImageHash) -> Iterator[str]:
-    """Nodes in the order of their names (names give links their ends), then links."""
+    """Yield a tree's nodes in the order of their names, which identify the ends of links, and its links."""
     if tree.name_full in visited:
         return
     visited.add(tree.name_full)
@@ -137,9 +154,10 @@ def _iter_tree_values(tree: Any, visited: set[str], image_hash: ImageHash) -> It
 
 
 def _iter_simple_properties(node: Any) -> Iterator[tuple[str, str]]:
+    """Yield (name, value) of a node's properties that affect its result."""
     neutral = NEUTRAL_VALUES.get(node.bl_idname, {})
     for prop in node.bl_rna.properties:
-        # bl_…: of the type, not of this node; descriptions and sizes of theirs differ between versions.
+        # Properties bl_… describe the node's type, and differ between versions.
         if (
             prop.identifier in COSMETIC_PROPERTIES
             or prop.identifier.startswith("bl_")
@@ -155,18 +173,19 @@ def _iter_simple_properties(node: Any) -> Iterator[tuple[str, str]]:
 
 
 def _iter_socket_values(node: Any) -> Iterator[tuple[str, object]]:
-    """By identifier, in their order: later versions have more of them."""
+    """Yield (identifier, value) of inputs, in their order; neutral values of newer inputs are left out."""
     neutral = NEUTRAL_VALUES.get(node.bl_idname, {})
     for socket in node.inputs:
         value, name = _read_socket_value(socket), str(socket.identifier)
-        usual = neutral.get(name)
-        if isinstance(usual, float) and isinstance(value, float):
-            usual = value if abs(value - usual) < FLOAT32_TOLERANCE else usual
-        if name not in neutral or socket.is_linked or value != usual:
+        neutral_value = neutral.get(name)
+        if isinstance(neutral_value, float) and isinstance(value, float):
+            neutral_value = value if abs(value - neutral_value) < FLOAT32_TOLERANCE else neutral_value
+        if name not in neutral or socket.is_linked or value != neutral_value:
             yield name, value
 
 
 def _read_socket_value(socket: Any) -> object:
+    """Return a socket's default as a plain value."""
     value = getattr(socket, "default_value", None)
     if value is None or isinstance(value, (int, float, str, bool)):
         return value
@@ -177,6 +196,7 @@ def _read_socket_value(socket: Any) -> object:
 
 
 def _iter_special_values(node: Any, visited: set[str], image_hash: ImageHash) -> Iterator[str]:
+    """Yield a node's values that are not simple properties: images, ramps, curves, texts, groups."""
     image = getattr(node, "image", None)
     if image is not None:
         yield image_hash(image, getattr(node, "image_user", None))
@@ -205,7 +225,7 @@ def _iter_special_values(node: Any, visited: set[str], image_hash: ImageHash) ->
 
 
 def _iter_active_outputs(tree: Any) -> Iterator[str]:
-    """Where a tree has several outputs of one kind: the one that counts."""
+    """Yield the names of active output nodes, where a tree has several of a type."""
     for kind in OUTPUT_NODES:
         outputs = [node for node in tree.nodes if node.bl_idname == kind]
         if len(outputs) > 1:

@@ -1,12 +1,9 @@
-"""A splat file → its splats and the surface to touch them on. Without bpy, so that a thread can do it; the surface is
-made once and kept by the file's content.
+"""Splat file → reconstruction → Blender objects: the surface that is touched, with the splats as its child.
 
-How a cloud of splats shows in the viewport: ellipsoids by Geometry Nodes, one set of nodes for all clouds of which
-the same share is shown (Blender 5.2 takes no value for a modifier's input under the names that 4.2 to 5.0 know).
-
-Native splats of Blender 5.3 and later are not used: no such Blender could be tried.
-
-A reconstruction → Blender objects: the surface that is touched, and under it the splats that it is seen in.
+`read_reconstruction` needs no bpy, so that a thread can run it; surfaces are cached by the file's content. In the
+viewport splats are ellipsoids instanced by Geometry Nodes, with one node group per display stride, because Blender 5.2
+has no modifier inputs under the names of 4.2 to 5.0. The native splats of Blender 5.3 are not used; no such version was
+available for tests.
 """
 
 from __future__ import annotations
@@ -38,14 +35,24 @@ from .splat_cloud import (
 )
 
 CACHE_VERSION = 1
+"""Part of the cache key; to be raised if reconstructions change."""
 COMPRESSED_SUFFIX = ".compressed"
-"""What PlayCanvas's tools put before .ply; no part of a scene's name."""
+"""Suffix that PlayCanvas's tools put before .ply; not part of a scene's name."""
 
 
 @dataclass(frozen=True)
 class TouchSurface:
-    """What is touched of splats, in their frame and unit. vertices: (V, 3) float32. triangles: (T, 3) int32. colour:
-    (V, 3) float32 linear. warnings: what makes it poor to touch."""
+    """Surface reconstructed from splats, in their frame and unit.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float32 array
+    triangles : (T, 3) int32 array
+    colour : (V, 3) float32 array
+        Linear colour.
+    warnings : tuple of str
+        Defects that make it poor to touch.
+    """
 
     vertices: NDArray[np.float32]
     triangles: NDArray[np.int32]
@@ -55,8 +62,21 @@ class TouchSurface:
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """A splat file as a scene. name: of the object. source: of the file. up: (3,) unit, of the splats' frame.
-    was_kept: nothing was reconstructed for it."""
+    """A splat file with its surface.
+
+    Attributes
+    ----------
+    name : str
+        Name of the object.
+    source : str
+        Name of the file.
+    up : (3,) tuple
+        Unit vector that points up, in the splats' frame.
+    splats : Splats
+    surface : TouchSurface
+    was_cached : bool
+        True if the surface came from the cache.
+    """
 
     name: str
     source: str
@@ -74,33 +94,53 @@ def read_reconstruction(
     cells: int | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """The splats of a file and their surface: from cache where it was made before, else made now and put there.
+    """Read a splat file and its surface, from the cache if the surface was made before.
 
-    cache: folder, None = nothing is kept. keep: False = read from it and write nothing. cells: along its longest axis,
-    None = CELLS. progress: as reconstruct takes it. Raises FileError where the file cannot be read, SceneError where
-    nothing solid is seen in it.
+    Parameters
+    ----------
+    path : Path
+        Splat file (.ply).
+    cache : Path, optional
+        Folder of the cache; None neither reads nor writes one.
+    write_cache : bool, default True
+        If False, the cache is only read.
+    cells : int, optional
+        Grid cells along the longest axis; DEFAULT_CELLS by default.
+    progress : callable, optional
+        As in `reconstruct_surface`.
+
+    Returns
+    -------
+    Reconstruction
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    SceneError
+        If it shows nothing solid.
     """
     cells = DEFAULT_CELLS if cells is None else cells
     splats = read_splats(path)
     surface = None if cache is None else _load_cached(cache, path, cells)
-    found = surface is not None
+    was_cached = surface is not None
     if surface is None:
-        made = reconstruct_surface(splats, cells=cells, progress=progress, where=str(path))
-        surface = TouchSurface(made.vertices, made.triangles, made.colour, made.quality.warnings)
+        result = reconstruct_surface(splats, cells=cells, progress=progress, where=str(path))
+        surface = TouchSurface(result.vertices, result.triangles, result.colour, result.quality.warnings)
         if cache is not None and write_cache:
             _save_cached(cache, path, cells, surface)
     name = path.stem[: -len(COMPRESSED_SUFFIX)] if path.stem.lower().endswith(COMPRESSED_SUFFIX) else path.stem
     up = detect_up_axis(read_ply_header(path)).direction
-    return Reconstruction(name or path.stem, path.name, up, splats, surface, found)
+    return Reconstruction(name or path.stem, path.name, up, splats, surface, was_cached)
 
 
 def _get_cache_path(cache: Path, path: Path, cells: int) -> Path:
-    made_by = f"{__version__} {CACHE_VERSION} {cells} {DEFAULT_VIEWS}"
-    return cache / f"{content_hash('reconstruction', made_by, path.read_bytes())}.npz"
+    version_key = f"{__version__} {CACHE_VERSION} {cells} {DEFAULT_VIEWS}"
+    return cache / f"{content_hash('reconstruction', version_key, path.read_bytes())}.npz"
 
 
 def _load_cached(cache: Path, path: Path, cells: int) -> TouchSurface | None:
-    """A damaged file counts as absent: it is made anew."""
+    """Load a surface from the cache; None if it is missing or damaged."""
     try:
         with np.load(_get_cache_path(cache, path, cells), allow_pickle=False) as data:
             warnings = tuple(str(line) for line in data["warnings"])
@@ -128,54 +168,54 @@ GROUP_NAME = "HNF Splats"
 MODIFIER_NAME = "Splats"
 MATERIAL_NAME = "HNF Splats"
 MAX_SHOWN_SPLATS = 100_000
-"""Ellipsoids of one cloud in the viewport. Each is an instance that every redraw walks over."""
+"""Maximum number of ellipsoids of one cloud in the viewport; every redraw visits each instance."""
 ELLIPSOID_RADIUS = 1.5
-"""Of an ellipsoid, in standard deviations: they then just close the surface they stand for."""
+"""Radius of an ellipsoid in standard deviations, at which ellipsoids just close the surface."""
 
 
 def show_ellipsoids(cloud: Any) -> None:
-    """Give a cloud its modifier. Of more than MOST_SHOWN splats every second, third, … is shown."""
+    """Add the Geometry Nodes modifier to a cloud; of more than MAX_SHOWN_SPLATS only every n-th is shown."""
     modifier = cloud.modifiers.new(MODIFIER_NAME, "NODES")
     modifier.node_group = _get_node_group(get_display_stride(len(cloud.data.vertices)))
 
 
 def get_display_stride(count: int) -> int:
-    """1: all of so many splats are shown; 2: every second."""
+    """Return n if every n-th of `count` splats is shown."""
     return max(1, -(-count // MAX_SHOWN_SPLATS))
 
 
 def _get_node_group(stride: int) -> Any:
-    """The node group that shows every splat, every second, …; made once in a file."""
+    """Return the node group that shows every `stride`-th splat; it is created once per file."""
     import bpy
 
     name = GROUP_NAME if stride == 1 else f"{GROUP_NAME}, 1 of {stride}"
-    found = bpy.data.node_groups.get(name)
-    if found is not None and found.bl_idname == "GeometryNodeTree" and found.library is None:
-        return found
+    existing = bpy.data.node_groups.get(name)
+    if existing is not None and existing.bl_idname == "GeometryNodeTree" and existing.library is None:
+        return existing
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     group.interface.new_socket("Splats", in_out="INPUT", socket_type="NodeSocketGeometry")
     group.interface.new_socket("Ellipsoids", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     nodes, link = group.nodes, group.links.new
-    given, result = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
-    ball = nodes.new("GeometryNodeMeshIcoSphere")
-    ball.inputs["Subdivisions"].default_value, ball.inputs["Radius"].default_value = 1, ELLIPSOID_RADIUS
-    dressed = nodes.new("GeometryNodeSetMaterial")
-    dressed.inputs["Material"].default_value = _get_splat_material()
-    index, rest = nodes.new("GeometryNodeInputIndex"), nodes.new("FunctionNodeCompare")
-    part = nodes.new("ShaderNodeMath")
-    part.operation, rest.data_type, rest.operation = "MODULO", "FLOAT", "LESS_THAN"
-    rest.inputs["B"].default_value = 0.5
+    group_input, group_output = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
+    sphere = nodes.new("GeometryNodeMeshIcoSphere")
+    sphere.inputs["Subdivisions"].default_value, sphere.inputs["Radius"].default_value = 1, ELLIPSOID_RADIUS
+    set_material = nodes.new("GeometryNodeSetMaterial")
+    set_material.inputs["Material"].default_value = _get_splat_material()
+    index, compare = nodes.new("GeometryNodeInputIndex"), nodes.new("FunctionNodeCompare")
+    modulo = nodes.new("ShaderNodeMath")
+    modulo.operation, compare.data_type, compare.operation = "MODULO", "FLOAT", "LESS_THAN"
+    compare.inputs["B"].default_value = 0.5
     instances = nodes.new("GeometryNodeInstanceOnPoints")
-    link(ball.outputs["Mesh"], dressed.inputs["Geometry"])
-    link(index.outputs[0], part.inputs[0])
-    part.inputs[1].default_value = float(stride)
-    link(part.outputs[0], rest.inputs["A"])
-    link(rest.outputs["Result"], instances.inputs["Selection"])
-    link(given.outputs["Splats"], instances.inputs["Points"])
-    link(dressed.outputs["Geometry"], instances.inputs["Instance"])
+    link(sphere.outputs["Mesh"], set_material.inputs["Geometry"])
+    link(index.outputs[0], modulo.inputs[0])
+    modulo.inputs[1].default_value = float(stride)
+    link(modulo.outputs[0], compare.inputs["A"])
+    link(compare.outputs["Result"], instances.inputs["Selection"])
+    link(group_input.outputs["Splats"], instances.inputs["Points"])
+    link(set_material.outputs["Geometry"], instances.inputs["Instance"])
     link(_add_named_attribute(nodes, ROTATION_ATTRIBUTE, "QUATERNION"), instances.inputs["Rotation"])
     link(_add_named_attribute(nodes, SCALE_ATTRIBUTE, "FLOAT_VECTOR"), instances.inputs["Scale"])
-    link(instances.outputs["Instances"], result.inputs["Ellipsoids"])
+    link(instances.outputs["Instances"], group_output.inputs["Ellipsoids"])
     for column, node in enumerate(nodes):
         node.location = (column * 180.0, 0.0)
     return group
@@ -189,12 +229,15 @@ def _add_named_attribute(nodes: Any, name: str, kind: str) -> Any:
 
 
 def _get_splat_material() -> Any:
-    """The splats' own colour, unlit: the harmonics' constant part, which is what is left of them without a view."""
+    """Return the unlit material of splats, with their colour and opacity.
+
+    The colour is the harmonics' constant part, the mean over all viewing directions.
+    """
     import bpy
 
-    found = bpy.data.materials.get(MATERIAL_NAME)
-    if found is not None and found.library is None:
-        return found
+    existing = bpy.data.materials.get(MATERIAL_NAME)
+    if existing is not None and existing.library is None:
+        return existing
     material = bpy.data.materials.new(MATERIAL_NAME)
     compat.switch_nodes_on(material)
     tree = material.node_tree
@@ -205,20 +248,20 @@ def _get_splat_material() -> Any:
     colour = tree.nodes.new("ShaderNodeVectorMath")
     colour.operation = "MULTIPLY_ADD"
     colour.inputs[1].default_value, colour.inputs[2].default_value = (C0,) * 3, (0.5,) * 3
-    shown = tree.nodes.new("ShaderNodeVectorMath")
-    shown.operation = "MAXIMUM"
+    clamped = tree.nodes.new("ShaderNodeVectorMath")
+    clamped.operation = "MAXIMUM"
     linear = tree.nodes.new("ShaderNodeGamma")
     linear.inputs["Gamma"].default_value = 2.2
-    glow, clear = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeBsdfTransparent")
+    emission, transparent = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeBsdfTransparent")
     mix, output = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeOutputMaterial")
     link = tree.links.new
     link(constant.outputs["Vector"], colour.inputs[0])
-    link(colour.outputs["Vector"], shown.inputs[0])
-    link(shown.outputs["Vector"], linear.inputs["Color"])
-    link(linear.outputs["Color"], glow.inputs["Color"])
+    link(colour.outputs["Vector"], clamped.inputs[0])
+    link(clamped.outputs["Vector"], linear.inputs["Color"])
+    link(linear.outputs["Color"], emission.inputs["Color"])
     link(opacity.outputs["Fac"], mix.inputs[0])
-    link(clear.outputs[0], mix.inputs[1])
-    link(glow.outputs[0], mix.inputs[2])
+    link(transparent.outputs[0], mix.inputs[1])
+    link(emission.outputs[0], mix.inputs[2])
     link(mix.outputs[0], output.inputs["Surface"])
     for column, node in enumerate(tree.nodes):
         node.location = (column * 180.0, 0.0)
@@ -232,13 +275,14 @@ def _add_instance_attribute(tree: Any, name: str) -> Any:
 
 
 COLOUR_ATTRIBUTE = "Color"
-"""Of the surface's points."""
+"""Colour attribute of the surface's vertices."""
 
 
 def add_reconstruction(scene: Any, reconstruction: Reconstruction) -> Any:
-    """The surface object, in scene's collection, upright; its splats are its child '<name> splats'.
+    """Add the surface object to a scene, upright, with its splats as the child '<name> splats'.
 
-    Both keep the file's frame and unit as their own; the surface's rotation turns the file's up to +z.
+    Both keep the file's frame and unit as their own; the surface's rotation turns the file's up axis to +z. Returns the
+    surface object.
     """
     import bpy
 
@@ -256,11 +300,11 @@ def add_reconstruction(scene: Any, reconstruction: Reconstruction) -> Any:
 
 
 def describe_shown_splats(reconstruction: Reconstruction) -> str:
-    """What the viewport leaves out of so many splats; "" where it shows all."""
-    every = get_display_stride(len(reconstruction.splats))
-    if every == 1:
+    """Describe which fraction of the splats the viewport shows; "" if it shows all."""
+    stride = get_display_stride(len(reconstruction.splats))
+    if stride == 1:
         return ""
-    shown = f"one in {every} of its {len(reconstruction.splats)} splats ({MAX_SHOWN_SPLATS} at most)"
+    shown = f"one in {stride} of its {len(reconstruction.splats)} splats ({MAX_SHOWN_SPLATS} at most)"
     return f"the viewport shows {shown}; all are felt."
 
 
@@ -286,7 +330,7 @@ def _create_mesh(name: str, surface: TouchSurface) -> Any:
 
 
 def _compute_upright_rotation(up: tuple[float, float, float]) -> Any:
-    """The shortest turn that brings up to +z; about x where it points straight down."""
+    """Return the shortest rotation from `up` to +z; about x if it points straight down."""
     from mathutils import Quaternion, Vector
 
     if up[2] < -0.999999:

@@ -1,4 +1,7 @@
-"""Close-ups of a reconstructed surface: a patch as its splats show it, beside closeup.py's of what has a shader."""
+"""Close-ups of a reconstructed surface: colour and depth of a patch from its splats, faces from rays on the surface.
+
+This is the counterpart of `bridge/render/closeup.py` for surfaces with splats instead of a shader.
+"""
 
 from __future__ import annotations
 
@@ -30,22 +33,21 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_SURFACE_OPACITY = 0.5
-"""Opacity from which a pixel shows the surface, and not a haze in front of nothing."""
+"""Opacity from which a pixel shows the surface, and not haze."""
 MAX_SURFACE_OFFSET_M = CAMERA_DISTANCE_M / 2.0
-"""What splats show so far from the touched surface, or farther than the finest wave that they show, is not that
-surface, once the one is laid on the other. All of it together may stand off its splats: at every fourth place of a
-guitar 1.1 m long, whose surface was made on a grid of 4 mm, it does so by more than 2.5 mm."""
+"""Maximum distance between splat depth and mesh depth, after removing their median offset [m]. Pixels farther apart
+than this, or than the resolved wavelength if larger, are treated as another surface. The offset may be large: more than
+2.5 mm at a quarter of the patches of a guitar 1.1 m long, whose surface was made on a grid of 4 mm."""
 CENTRE_FRACTION = 0.25
-"""Part of a patch's side in whose square the one is laid on the other."""
+"""Side of the central square in which the median offset is computed, as a fraction of the patch's side."""
 HALF_PASS_SIGMAS = np.pi * np.sqrt(2.0 / np.log(2.0))
-"""Wavelength in standard deviations of which a Gaussian leaves a half: exp(−2 π² σ² / λ²) = ½ at λ = 5.34 σ."""
+"""Wavelength, in standard deviations, of which a Gaussian passes half: exp(−2 π² σ² / λ²) = ½ at λ = 5.34 σ."""
 FINEST_AREA_FRACTION = 0.1
-"""Share of what is seen of a patch, by area, whose splats are as fine as what the patch is said to resolve."""
+"""Fraction of a patch's visible area whose splats must be as fine as its resolution."""
 MAX_DEPTH_SIGMAS = 2.0
-"""A splat counts as seen where its centre lies no more than so many of its own standard deviations, along the view,
-behind the surface that is seen there."""
+"""Maximum depth of a visible splat's centre behind the surface, in its standard deviations along the view."""
 PIXELS_PER_WAVELENGTH = 8
-"""Of the finest detail that splats show: what widens them to a pixel then takes a tenth of it at most."""
+"""Pixels per shortest wavelength that splats show; widening splats to a pixel then costs at most a tenth of it."""
 
 
 def iter_splat_closeups(
@@ -57,11 +59,33 @@ def iter_splat_closeups(
     caster: RayCaster | None = None,
     pixels: int = 512,
 ) -> Generator[CloseUp, None, None]:
-    """A close-up a patch: colour and depth from the splats, faces from rays on the surface.
+    """Yield a close-up of every patch, rendered from splats.
 
-    cloud: object with the splats of obj. patches: in the surface frame. pixels: side at most. A patch is looked at with
-    APPEARANCE_PIXELS first, and again where its splats show more than that. Raises SceneError where the splats cannot
-    be read, are scaled unevenly or mirrored.
+    A patch is rendered with APPEARANCE_PIXELS first, and again if its splats resolve more.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Surface object.
+    cloud : bpy.types.Object
+        Object with the splats of `obj`.
+    patches : sequence of Patch
+        Patches in the surface frame.
+    surface : Surface
+        Surface of `obj`.
+    caster : RayCaster, optional
+        Ray caster of `surface`.
+    pixels : int, default 512
+        Maximum side of an image [pixels].
+
+    Yields
+    ------
+    CloseUp
+
+    Raises
+    ------
+    SceneError
+        If the splats cannot be read, are scaled unevenly or mirrored.
     """
     if not patches:
         return
@@ -83,7 +107,7 @@ def iter_splat_closeups(
 
 
 def choose_splat_resolution(unlit: UnlitImage | None, patch: Patch, min_pixels: int, max_pixels: int) -> int:
-    """Side of a picture that shows as much as the splats of a patch do. look: resolving what their size allows."""
+    """Return the image side [pixels] at which a patch shows all that its splats resolve."""
     if unlit is None:
         return min_pixels
     wanted = int(np.ceil(PIXELS_PER_WAVELENGTH * patch.size_m / unlit.resolved_wavelength_m))
@@ -97,7 +121,7 @@ def choose_splat_resolution(unlit: UnlitImage | None, patch: Patch, min_pixels: 
 
 @dataclass(frozen=True)
 class _SplatPatch:
-    """What there is to look at of one patch. clip_start: metres below the camera where it begins."""
+    """Inputs for rendering one patch; `clip_start` is the camera's near clipping distance [m]."""
 
     patch: Patch
     clip_start: float
@@ -144,8 +168,10 @@ def _render_closeup(splat_patch: _SplatPatch, pixels: int) -> CloseUp:
 def compute_surface_distance(
     depth: NDArray[np.floating[Any]], reference: NDArray[np.floating[Any]], visible: Mask
 ) -> Float:
-    """(H, W) how far depth lies from true where shown, once both are laid on each other in the middle; inf elsewhere.
-    All (H, W), of the same pixels."""
+    """Return the distance (H, W) [m] of splat depths from reference depths, inf where unknown.
+
+    The median offset in the middle of the image is removed first. All arrays are (H, W).
+    """
     known = visible & np.isfinite(reference)
     away = np.full(depth.shape, np.inf)
     away[known] = depth[known].astype(np.float64) - reference[known]
@@ -168,11 +194,11 @@ def fill_pinholes(
     resolved_m: float,
     pixel_m: float,
 ) -> tuple[Mask, NDArray[np.float32], NDArray[np.float32]]:
-    """shown, linear and depth with what lies between splats filled from around: a view that D_φ is shown must lie
-    inside the mask altogether, and few splats close up to the last pixel.
+    """Return `visible`, `linear` and `depth` with the gaps between splats filled from around them.
 
-    A pinhole in own is narrower than what the picture resolves: over a square of half that wave, it is OPAQUE on
-    average. All (H, W), linear (H, W, 3).
+    Views for D_φ must lie entirely inside the mask, and splats seldom cover every pixel. A gap inside `patch_mask` is
+    filled if it is narrower than the image resolves: the mean opacity over a square of half the resolved wavelength is
+    at least MIN_SURFACE_OPACITY. All arrays are (H, W), `linear` is (H, W, 3).
     """
     side = int(np.clip(resolved_m / 2.0 / pixel_m, 1, min(visible.shape))) if np.isfinite(resolved_m) else 1
     holes = patch_mask & ~visible & (_compute_box_mean(opacity, side) >= MIN_SURFACE_OPACITY)
@@ -185,7 +211,7 @@ def fill_pinholes(
 
 
 def _compute_box_mean(values: NDArray[np.floating[Any]], side: int) -> Float:
-    """(H, W) means over a square of about side pixels around each, cut off at the borders."""
+    """Return means (H, W) over squares of about `side` pixels, cropped at the borders."""
     before = side // 2
     total = np.pad(np.cumsum(np.cumsum(values, axis=0, dtype=np.float64), axis=1), ((1, 0), (1, 0)))
     (top, bottom), (left, right) = (
@@ -196,11 +222,11 @@ def _compute_box_mean(values: NDArray[np.floating[Any]], side: int) -> Float:
 
 
 def compute_splat_resolution(splats: Splats, splat_view: SplatView, mask: Mask) -> float:
-    """Shortest wave that the picture of a patch shows, in the unit of its camera: what the finest splats pass that
-    together make up FINEST_SHARE of what is seen under mask. inf where no splat is seen there.
+    """Return the shortest wavelength that splats show of a patch, in the unit of their camera; inf without splats.
 
-    A splat is as fine as its narrower side in the picture, and weighs its opacity times its area there. Seen: its
-    centre lies under mask, not behind what is seen there (DEEP).
+    It is the wavelength that passes the finest splats, which together make up FINEST_AREA_FRACTION of the visible area.
+    A splat's fineness is its narrower side in the image, its weight is opacity times area. Visible are those whose
+    centre is under `mask` and at most MAX_DEPTH_SIGMAS behind the surface.
     """
     camera = splat_view.camera
     scale = float(camera.intrinsics[0, 0])
@@ -224,8 +250,10 @@ def compute_splat_resolution(splats: Splats, splat_view: SplatView, mask: Mask) 
 
 
 def _project_extents(splats: Splats, turn: Float) -> tuple[Float, Float, Float]:
-    """Standard deviations (N,) of splats in an orthographic view turned so (camera → frame): along the long and the
-    short side of the ellipse in the picture, and along the view."""
+    """Return splats' standard deviations (N,) in an orthographic view with rotation `turn` (camera → frame).
+
+    They are along the long and the short axis of the projected ellipse, and along the view.
+    """
     right, down, forward = (
         np.stack(row) for row in transform_to_principal_axes(splats, np.arange(len(splats)), turn.T.tolist())
     )
@@ -253,8 +281,10 @@ def _make_unlit_image(
 
 
 def limit_resolution(closeup: CloseUp) -> CloseUp:
-    """closeup, whose look resolves no more than its picture holds: splats may be finer than the pictures that they were
-    made from."""
+    """Return a close-up whose unlit image claims no finer resolution than its pixels contain.
+
+    Splats may be finer than the photographs they were trained on.
+    """
     look = closeup.unlit
     if look is None:
         return closeup
@@ -265,14 +295,14 @@ def limit_resolution(closeup: CloseUp) -> CloseUp:
 
 
 def _upsample(values: NDArray[Any], camera: Camera) -> NDArray[Any]:
-    """(h, w) of the rays → (H, W) of the picture, each pixel the ray that it is nearest to."""
+    """Resample (h, w) values of rays to the (H, W) pixels of a camera, by the nearest ray."""
     rows = (np.arange(camera.height) * values.shape[0]) // camera.height
     columns = (np.arange(camera.width) * values.shape[1]) // camera.width
     return np.asarray(values[rows[:, None], columns])
 
 
 def _downsample_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
-    """(H, W) of the picture → (h, w) of the rays: where any pixel of a ray's square is in the mask."""
+    """Resample a mask (H, W) to the (h, w) rays: true if any pixel of a ray is."""
     rows = (np.arange(mask.shape[0]) * shape[0]) // mask.shape[0]
     columns = (np.arange(mask.shape[1]) * shape[1]) // mask.shape[1]
     small = np.zeros(shape, dtype=np.bool_)

@@ -1,9 +1,8 @@
-"""Splats ↔ Blender: a mesh of points, one a Gaussian, that carries everything the file says as named attributes.
+"""Splats ↔ Blender: a mesh with one vertex per Gaussian, and the file's values as named attributes.
 
-A mesh, and no point cloud: bpy.data.pointclouds of Blender 4.2 to 5.0 cannot be given a number of points. The surface
-that is touched points to its cloud by an ID property, which survives renaming, saving and appending.
-
-The frame of a cloud of splats beside the surface frame in which strokes, patches and cameras live.
+A mesh is used because the point clouds of Blender 4.2 to 5.0 cannot be given a number of points. The surface refers to
+its cloud by an ID property, which survives renaming, saving and appending. `CloudFrame` converts between the cloud's
+frame and the surface frame of strokes, patches and cameras.
 """
 
 from __future__ import annotations
@@ -28,19 +27,23 @@ from ..scene.meshes import flush_edits
 Float = NDArray[np.float64]
 
 CLOUD_PROPERTY = "hnf_splats"
-"""Of a surface: the object that holds its splats."""
+"""ID property of a surface: the object with its splats."""
 SCHEMA_PROPERTY = "hnf_splats_schema"
 SOURCE_PROPERTY = "hnf_splats_source"
 NOTES_PROPERTY = "hnf_splats_notes"
-"""Of a surface: what its reconstruction left to say, a line each."""
+"""ID property of a surface: remarks of its reconstruction, one per line."""
 SCHEMA = 1
 SCALE_ATTRIBUTE, ROTATION_ATTRIBUTE, OPACITY_ATTRIBUTE, HARMONIC_ATTRIBUTE = "scale", "rotation", "opacity", "sh_{}"
 COEFFICIENT_COUNTS = (1, 4, 9, 16)
+"""Possible numbers of spherical harmonics, of degree 0 to 3."""
 
 
 def create_cloud(name: str, splats: Splats, source: str) -> Any:
-    """An object, in no scene yet, with a point a splat. source: name of the file, for the report. It is hidden from
-    renders and cannot be clicked on: what is touched is the surface."""
+    """Create an object with a vertex per splat, in no scene yet.
+
+    It is hidden in renders and cannot be selected, since the surface is what is touched. `source` is the file's name,
+    for the report.
+    """
     import bpy
 
     mesh = bpy.data.meshes.new(name)
@@ -49,8 +52,8 @@ def create_cloud(name: str, splats: Splats, source: str) -> Any:
     _write_attribute(mesh, SCALE_ATTRIBUTE, "FLOAT_VECTOR", "vector", splats.scales)
     _write_attribute(mesh, ROTATION_ATTRIBUTE, "QUATERNION", "value", splats.rotations)
     _write_attribute(mesh, OPACITY_ATTRIBUTE, "FLOAT", "value", splats.opacities)
-    for place in range(splats.harmonics.shape[1]):
-        _write_attribute(mesh, HARMONIC_ATTRIBUTE.format(place), "FLOAT_VECTOR", "vector", splats.harmonics[:, place])
+    for index in range(splats.harmonics.shape[1]):
+        _write_attribute(mesh, HARMONIC_ATTRIBUTE.format(index), "FLOAT_VECTOR", "vector", splats.harmonics[:, index])
     mesh[SCHEMA_PROPERTY], mesh[SOURCE_PROPERTY] = SCHEMA, source
     cloud = bpy.data.objects.new(name, mesh)
     cloud.hide_render = cloud.hide_select = True
@@ -58,16 +61,18 @@ def create_cloud(name: str, splats: Splats, source: str) -> Any:
 
 
 def read_cloud(cloud: Any) -> Splats:
-    """What new_cloud stored, bit for bit, with whatever was changed since. Raises SceneError where an attribute is
-    gone, is of another kind, or holds what no splat has."""
+    """Read a cloud's splats, bit for bit as stored, with later changes.
+
+    Raises SceneError if an attribute is missing, of another type, or invalid.
+    """
     flush_edits(cloud)
     mesh, where = cloud.data, f"object '{cloud.name}'"
     count = len(mesh.vertices)
     means = np.empty(3 * count, dtype=np.float32)
     mesh.vertices.foreach_get("co", means)
     harmonics = [
-        _read_attribute(mesh, HARMONIC_ATTRIBUTE.format(place), "FLOAT_VECTOR", "vector", 3, where)
-        for place in _list_harmonics(mesh)
+        _read_attribute(mesh, HARMONIC_ATTRIBUTE.format(index), "FLOAT_VECTOR", "vector", 3, where)
+        for index in _list_harmonics(mesh)
     ]
     if len(harmonics) not in COEFFICIENT_COUNTS:
         raise _unreadable_cloud_error(
@@ -91,18 +96,19 @@ def read_cloud(cloud: Any) -> Splats:
 
 
 def is_cloud(obj: Any) -> bool:
+    """Return True if an object is a cloud of splats."""
     return obj is not None and obj.type == "MESH" and obj.data.get(SCHEMA_PROPERTY) is not None
 
 
 def link_cloud(surface: Any, cloud: Any, notes: Sequence[str] = ()) -> None:
-    """surface is what can be touched of cloud: it moves the cloud along, and is looked at in its splats."""
+    """Make `surface` the touchable surface of a cloud, which becomes its child; `notes` are remarks for the user."""
     surface[CLOUD_PROPERTY] = cloud
     surface[NOTES_PROPERTY] = "\n".join(notes)
     cloud.parent = surface
 
 
 def get_cloud(obj: Any) -> Any:
-    """The object with the splats of a surface, or None."""
+    """Return the object with a surface's splats, or None."""
     cloud = obj.original.get(CLOUD_PROPERTY) if obj is not None else None
     return cloud if is_cloud(cloud) else None
 
@@ -112,25 +118,27 @@ TOUCHABLE_SURFACES = CachedFilter(lambda obj: get_cloud(obj) is not None)
 
 
 def get_cloud_surface(cloud: Any) -> Any:
-    """The surface of a cloud among its parents, or None."""
+    """Return the surface of a cloud if it is the cloud's parent, else None."""
     return cloud.parent if cloud.parent is not None and get_cloud(cloud.parent) == cloud else None
 
 
 def get_cloud_source(cloud: Any) -> str:
-    """Name of the file that the splats are from."""
+    """Return the name of the file that a cloud was read from."""
     return str(cloud.data.get(SOURCE_PROPERTY, cloud.name))
 
 
 def get_reconstruction_notes(surface: Any) -> tuple[str, ...]:
-    """What the reconstruction of a surface left to say; nothing where the surface has no splats."""
+    """Return the remarks of a surface's reconstruction; none if the surface has no splats."""
     if get_cloud(surface) is None:
         return ()
     return tuple(line for line in str(surface.original.get(NOTES_PROPERTY, "")).split("\n") if line)
 
 
 def hash_cloud(surface: Any, cloud: Any) -> str:
-    """Of all that a close-up of the surface sees in its splats: their values, their place on the surface, the name of
-    their file. Names of objects, and where all of it stands, do not count. 128 bits, hex."""
+    """Hash all that a close-up shows of a surface's splats: values, placement on the surface, file name.
+
+    Names of objects and the surface's placement in the world do not count. 128 bits, hexadecimal.
+    """
     flush_edits(cloud)
     mesh = cloud.data
     digest = hashlib.blake2b(digest_size=16)
@@ -138,7 +146,7 @@ def hash_cloud(surface: Any, cloud: Any) -> str:
     mesh.vertices.foreach_get("co", positions)
     digest.update(f"{SCHEMA} {len(mesh.vertices)} {get_cloud_source(cloud)}".encode() + positions.tobytes())
     kinds = {SCALE_ATTRIBUTE: ("vector", 3), ROTATION_ATTRIBUTE: ("value", 4), OPACITY_ATTRIBUTE: ("value", 1)}
-    kinds.update({HARMONIC_ATTRIBUTE.format(place): ("vector", 3) for place in _list_harmonics(mesh)})
+    kinds.update({HARMONIC_ATTRIBUTE.format(index): ("vector", 3) for index in _list_harmonics(mesh)})
     for name, (values, width) in kinds.items():
         attribute = mesh.attributes.get(name)
         digest.update(name.encode())
@@ -151,9 +159,11 @@ def hash_cloud(surface: Any, cloud: Any) -> str:
 
 
 def get_cloud_placement(surface: Any, cloud: Any) -> Float:
-    """(4, 4) surface's object space ← cloud's. By the cloud's own offset from its parent where that is the surface, or
-    another one of these splats: nothing is evaluated, so a hidden cloud has its place too, and moving both changes no
-    bit of it. By the places of both in the world where it was cut loose."""
+    """Return the matrix (4, 4) surface's object space ← cloud.
+
+    If the cloud is the child of its surface, this is its offset from the parent: nothing is evaluated, so it works for
+    a hidden cloud, and moving both changes no bit. Otherwise it follows from both world matrices.
+    """
     if get_cloud_surface(cloud) is not None:
         return np.array(cloud.matrix_parent_inverse @ cloud.matrix_basis, dtype=np.float64)
     from_world = np.linalg.inv(np.array(surface.matrix_world, dtype=np.float64))
@@ -161,8 +171,10 @@ def get_cloud_placement(surface: Any, cloud: Any) -> Float:
 
 
 def write_point_tokens(cloud: Any, tokens: PointTokens) -> None:
-    """Tokens of the palette on the surface's mesh, by splat. Raises SceneError as require_writable, and where the cloud
-    has another number of splats."""
+    """Store tokens per splat; their palette is on the surface's mesh.
+
+    Raises SceneError like `require_writable`, and if the number of splats differs.
+    """
     mesh = cloud.data
     require_writable(cloud)
     if not len(tokens.index) == len(tokens.confidence) == len(mesh.vertices):
@@ -176,7 +188,7 @@ def write_point_tokens(cloud: Any, tokens: PointTokens) -> None:
 
 
 def remove_point_tokens(cloud: Any) -> int:
-    """Take off what write_point_tokens left; returns the bytes freed. Raises SceneError as require_writable."""
+    """Remove the tokens; return the bytes freed. Raises SceneError like `require_writable`."""
     require_writable(cloud)
     mesh, freed = cloud.data, 0
     for name in (TOKEN_ATTRIBUTE, CONFIDENCE_ATTRIBUTE):
@@ -188,7 +200,7 @@ def remove_point_tokens(cloud: Any) -> int:
 
 
 def require_writable(cloud: Any) -> None:
-    """Raises SceneError for a cloud that is linked or in Edit Mode."""
+    """Raise SceneError for a cloud that is linked or in Edit Mode."""
     mesh, where = cloud.data, f"object '{cloud.name}'"
     if mesh.library is not None:
         raise SceneError(
@@ -201,10 +213,10 @@ def require_writable(cloud: Any) -> None:
 
 
 def _list_harmonics(mesh: Any) -> list[int]:
-    """Numbers of the harmonics that the mesh has, without a gap from 0 on."""
+    """Return the indices of the mesh's harmonics, from 0 up to the first gap."""
     pattern = re.compile(HARMONIC_ATTRIBUTE.format(r"(\d+)"))
-    found = {int(match[1]) for name in mesh.attributes.keys() if (match := pattern.fullmatch(name))}  # noqa: SIM118
-    return list(range(next(number for number in range(len(found) + 1) if number not in found)))
+    present = {int(match[1]) for name in mesh.attributes.keys() if (match := pattern.fullmatch(name))}  # noqa: SIM118
+    return list(range(next(number for number in range(len(present) + 1) if number not in present)))
 
 
 def _write_attribute(mesh: Any, name: str, kind: str, values: str, data: NDArray[Any]) -> None:
@@ -233,24 +245,33 @@ def _unreadable_cloud_error(where: str, why: str) -> SceneError:
 
 
 SCALE_TOLERANCE = 1e-4
-"""Relative difference between the scales along three axes that still counts as none: Blender's own are float32."""
+"""Relative difference between the scales of three axes that counts as rounding of Blender's float32."""
 
 
 @dataclass(frozen=True)
 class CloudFrame:
-    """metres: of a unit of the cloud. turn: (3, 3) rotation, surface frame ← cloud. shift: (3,) m, of the cloud's
-    origin in the surface frame."""
+    """Transformation between a cloud and the surface frame.
+
+    Attributes
+    ----------
+    metres_per_unit : float
+        Length of the cloud's unit [m].
+    rotation : (3, 3) array
+        Rotation, surface frame ← cloud.
+    translation : (3,) array
+        The cloud's origin in the surface frame [m].
+    """
 
     metres_per_unit: float
     rotation: Float
     translation: Float
 
     def to_surface(self, points: NDArray[np.floating[Any]]) -> Float:
-        """(n, 3) points of the cloud → metres in the surface frame."""
+        """Transform the cloud's points (n, 3) into the surface frame [m]."""
         return np.asarray(points, dtype=np.float64) @ (self.metres_per_unit * self.rotation).T + self.translation
 
     def to_cloud_camera(self, camera: Camera) -> Camera:
-        """A camera in the surface frame (metres) → the same one in the cloud's own frame and unit."""
+        """Transform a camera from the surface frame [m] into the cloud's frame and unit."""
         pose = np.eye(4)
         pose[:3, :3] = self.rotation.T @ camera.pose[:3, :3]
         pose[:3, 3] = self.rotation.T @ (camera.pose[:3, 3] - self.translation) / self.metres_per_unit
@@ -266,19 +287,23 @@ class CloudFrame:
 
 
 def compute_cloud_frame(obj: Any, cloud: Any, stretch: Float) -> CloudFrame:
-    """Where a surface's splats stand in its surface frame. stretch: Surface's. Raises SceneError where they are scaled
-    unevenly or mirrored."""
-    place = get_cloud_placement(obj, cloud)
-    linear = stretch @ place[:3, :3]
+    """Compute the frame of a surface's splats.
+
+    `stretch` is that of the Surface. Raises SceneError if the splats are scaled unevenly or mirrored.
+    """
+    placement = get_cloud_placement(obj, cloud)
+    linear = stretch @ placement[:3, :3]
     metres = get_uniform_scale(linear, f"object '{obj.name}'")
-    # The last bits of a turned object's stretch are rounding, and could put another of two splats in front.
-    turn = np.round(linear / metres, 6) + 0.0
-    return CloudFrame(float(f"{metres:.7g}"), turn, stretch @ place[:3, 3])
+    # The last bits of a turned object's stretch are rounding errors, which could swap the order of two splats.
+    rotation = np.round(linear / metres, 6) + 0.0
+    return CloudFrame(float(f"{metres:.7g}"), rotation, stretch @ placement[:3, 3])
 
 
 def get_uniform_scale(matrix: Float, where: str) -> float:
-    """k of a matrix (3, 3) = k · rotation. Raises SceneError for any other: a Gaussian seen through a stretched or
-    mirrored cloud is not what was trained."""
+    """Return k of a matrix (3, 3) = k · rotation.
+
+    Raises SceneError for any other matrix, since Gaussians of a stretched or mirrored cloud differ from those trained.
+    """
     left, sizes, right = np.linalg.svd(matrix)
     if not np.isfinite(matrix).all() or sizes[2] <= 0.0 or sizes[0] > (1.0 + SCALE_TOLERANCE) * sizes[2]:
         raise SceneError(

@@ -1,6 +1,7 @@
-"""Force and progress of a stroke over time: keyed, driven, or simply set.
+"""Animated values during a stroke: its force and progress, world matrices, and the shape of a deforming surface.
 
-What moves while a stroke lasts: world matrices and shapes, frame by frame.
+Values that only Blender's evaluation gives (drivers, NLA, constraints) are sampled frame by frame in a temporary scene;
+keyframes alone are evaluated exactly in numpy.
 """
 
 from __future__ import annotations
@@ -23,12 +24,22 @@ from ..scene.temp_scene import TemporaryScene, get_parent_chain, preserve_animat
 Float = NDArray[np.float64]
 
 EXACT_INTERPOLATIONS = {CONSTANT, LINEAR, BEZIER}
+"""Interpolation types that FCurve evaluates exactly."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One property of a stroke. name: "force" or "progress". source: "set" (no animation), "keyed" (an F-curve
-    alone) or "driven" (drivers or NLA: only Blender's own evaluation knows). last_frame: of what animates it."""
+    """One animated property of a stroke.
+
+    Attributes
+    ----------
+    name : str
+        "force" or "progress".
+    source : str
+        "set" (not animated), "keyed" (one F-curve) or "driven" (drivers or NLA, which only Blender can evaluate).
+    last_frame : float
+        Last frame of its animation, −inf if it has no end.
+    """
 
     name: str
     source: str
@@ -36,8 +47,11 @@ class Channel:
 
 
 def read_channel(obj: Any, name: str, scene: Any) -> Channel:
-    """How a property of obj.hnf_stroke gets its value. Raises StrokeError for a driver that cannot be evaluated
-    apart from its scene, and for keyframes that are not numbers, naming the frame."""
+    """Find out how a property of obj.hnf_stroke gets its value.
+
+    Raises StrokeError for a driver that cannot be evaluated apart from its scene, and for keyframes that are not
+    numbers, naming the frame.
+    """
     path = f"hnf_stroke.{name}"
     animation = obj.animation_data
     fcurve = _find_fcurve(obj, path)
@@ -59,9 +73,9 @@ def read_channel(obj: Any, name: str, scene: Any) -> Channel:
     broken = np.flatnonzero(~np.isfinite(keys).all(axis=1))
     if len(broken):
         at = keys[broken[0], 0]
-        place = f"at frame {at:g}" if np.isfinite(at) else f"(number {broken[0] + 1})"
+        location = f"at frame {at:g}" if np.isfinite(at) else f"(number {broken[0] + 1})"
         raise StrokeError(
-            f"the {name} keyframe {place} is not a number.",
+            f"the {name} keyframe {location} is not a number.",
             where=f"stroke '{obj.name}'",
             remedy="Delete or correct it in the Graph Editor.",
         )
@@ -69,7 +83,7 @@ def read_channel(obj: Any, name: str, scene: Any) -> Channel:
 
 
 def sample_channels(obj: Any, scene: Any, channels: tuple[Channel, ...], frames: Float) -> tuple[Float, ...]:
-    """Values (n,) of each channel at (fractional) frames (n,), as Blender gives them, not yet clamped."""
+    """Return each channel's values (n,) at (fractional) frames (n,), as Blender gives them, not clamped."""
     values: list[Float] = []
     driven = [channel.name for channel in channels if channel.source == "driven"]
     evaluated = _evaluate_driven(obj, scene, driven, frames) if driven else {}
@@ -84,16 +98,17 @@ def sample_channels(obj: Any, scene: Any, channels: tuple[Channel, ...], frames:
 
 
 def _sample_fcurve(fcurve: Any, frames: Float) -> Float:
+    """Evaluate an F-curve in numpy if its interpolation is supported there, else by Blender."""
     interpolation = tuple(key.interpolation for key in fcurve.keyframe_points)
-    plain = not any(not modifier.mute for modifier in fcurve.modifiers) and fcurve.extrapolation == "CONSTANT"
-    if plain and EXACT_INTERPOLATIONS.issuperset(interpolation[:-1]) and interpolation:
+    is_simple = not any(not modifier.mute for modifier in fcurve.modifiers) and fcurve.extrapolation == "CONSTANT"
+    if is_simple and EXACT_INTERPOLATIONS.issuperset(interpolation[:-1]) and interpolation:
         key, left, right = (_read_keyframes(fcurve, name) for name in ("co", "handle_left", "handle_right"))
         return FCurve(key, left, right, interpolation).evaluate(frames)
     return np.array([fcurve.evaluate(float(frame)) for frame in frames])
 
 
 def _evaluate_driven(obj: Any, scene: Any, names: list[str], frames: Float) -> dict[str, Float]:
-    """Through the depsgraph of a temporary scene that holds this object alone."""
+    """Evaluate properties in the depsgraph of a temporary scene that contains only this object."""
     values = {name: np.empty(len(frames)) for name in names}
     with preserve_animated_values(scene, obj), TemporaryScene() as temporary:
         temporary.link(obj)
@@ -106,6 +121,7 @@ def _evaluate_driven(obj: Any, scene: Any, names: list[str], frames: Float) -> d
 
 
 def _check_driver(fcurve: Any, where: str, name: str) -> None:
+    """Raise StrokeError for an invalid driver, or one that reads the scene."""
     if not (fcurve.is_valid and fcurve.driver.is_valid):
         raise StrokeError(
             f"the driver of its {name} does not work.", where=where, remedy="Repair or remove the driver."
@@ -122,6 +138,7 @@ def _check_driver(fcurve: Any, where: str, name: str) -> None:
 
 
 def _find_active_strips(animation: Any) -> list[Any]:
+    """Return the NLA strips that are not muted."""
     if not animation.use_nla:
         return []
     tracks = [track for track in animation.nla_tracks if not track.mute]
@@ -131,6 +148,7 @@ def _find_active_strips(animation: Any) -> list[Any]:
 
 
 def _is_animating(strip: Any, path: str) -> bool:
+    """Return True if an NLA strip may animate the property at `path`."""
     if strip.type != "CLIP":
         return True
     return strip.action is not None and any(
@@ -139,7 +157,7 @@ def _is_animating(strip: Any, path: str) -> bool:
 
 
 def _find_fcurve(obj: Any, path: str) -> Any:
-    """The F-curve that animates a property, or None."""
+    """Return the F-curve that animates a property, or None."""
     return next(
         (
             fcurve
@@ -151,18 +169,25 @@ def _find_fcurve(obj: Any, path: str) -> Any:
 
 
 def _read_keyframes(fcurve: Any, name: str) -> Float:
+    """Return a property (k, 2) of all keyframes of an F-curve."""
     values = np.empty(len(fcurve.keyframe_points) * 2, dtype=np.float32)
     fcurve.keyframe_points.foreach_get(name, values)
     return values.reshape(-1, 2).astype(np.float64)
 
 
 SIMULATION_MODIFIERS = {"CLOTH", "SOFT_BODY", "FLUID", "DYNAMIC_PAINT", "EXPLODE", "PARTICLE_INSTANCE"}
+"""Modifiers whose result at a frame depends on the frames before."""
 TIME_DEPENDENT_MODIFIERS = {"WAVE", "OCEAN", "NODES", "MESH_CACHE", "MESH_SEQUENCE_CACHE", "BUILD"}
+"""Modifiers that may animate a shape without keyframes."""
 MIN_MOTION_M = 1e-9
+"""Displacement of vertices below which a shape counts as constant [m]."""
 
 
 def is_moving(obj: Any) -> bool:
-    """Whether an object's world matrix may depend on the frame: keys, drivers, NLA, constraints, or a parent's."""
+    """Return True if an object's world matrix may depend on the frame.
+
+    Keyframes, drivers, NLA and constraints count, those of its parents too.
+    """
     return any(_is_animated(member) or _is_constrained(member) for member in get_parent_chain(obj))
 
 
@@ -171,7 +196,7 @@ def _is_constrained(obj: Any) -> bool:
 
 
 def _is_animated(block: Any) -> bool:
-    """Keys, drivers or NLA on anything but the stroke's own properties."""
+    """Return True if anything but the stroke's own properties is animated."""
     animation = getattr(block, "animation_data", None)
     if animation is None:
         return False
@@ -182,9 +207,9 @@ def _is_animated(block: Any) -> bool:
 
 
 def may_deform(obj: Any) -> bool:
-    """Whether an object's shape in its own frame may depend on the frame.
+    """Return True if an object's shape in its own frame may depend on the frame.
 
-    Raises SceneError for simulations, which cannot be evaluated one frame apart from the others.
+    Raises SceneError for simulations, whose frames cannot be evaluated independently.
     """
     blocks = [obj, obj.data, getattr(obj.data, "shape_keys", None)]
     modifiers = [modifier for modifier in obj.modifiers if modifier.show_viewport]
@@ -207,6 +232,7 @@ def may_deform(obj: Any) -> bool:
 
 
 def _is_deforming(block: Any, obj: Any) -> bool:
+    """Return True if the animation of a datablock may change the shape of `obj`."""
     if not _is_animated(block):
         return False
     if block != obj:
@@ -218,7 +244,10 @@ def _is_deforming(block: Any, obj: Any) -> bool:
 
 
 def sample_world_matrices(scene: Any, objects: tuple[Any, ...], frames: Float) -> Float:
-    """World matrices (objects, n, 4, 4) at (fractional) frames (n,), from a temporary scene of these objects alone."""
+    """Return world matrices (objects, n, 4, 4) at (fractional) frames (n,).
+
+    They are evaluated in a temporary scene with only these objects.
+    """
     matrices = np.empty((len(objects), len(frames), 4, 4))
     with preserve_animated_values(scene, *objects), TemporaryScene() as temporary:
         for obj in dict.fromkeys(objects):
@@ -233,8 +262,31 @@ def sample_world_matrices(scene: Any, objects: tuple[Any, ...], frames: Float) -
 def sample_shapes(
     obj: Any, scene: Any, mesh: TriangleMesh, frames: Float, seconds: Float, metres_per_unit: float
 ) -> DeformingMesh | None:
-    """The surface's vertices in its own frame (m) at frames (F,), whose times are seconds (F,); None where the
-    shape stays. mesh: at rest. Raises SceneError where the topology changes."""
+    """Sample a deforming surface's vertices in its own frame [m].
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Surface object.
+    scene : bpy.types.Scene
+        Scene that contains it.
+    mesh : TriangleMesh
+        Mesh at rest, in the surface frame.
+    frames, seconds : (F,) array
+        Frames to sample, and their times [s].
+    metres_per_unit : float
+        Length of a Blender unit [m].
+
+    Returns
+    -------
+    DeformingMesh or None
+        None if the shape does not change.
+
+    Raises
+    ------
+    SceneError
+        If the number of vertices changes.
+    """
     shapes = []
     with preserve_animated_values(scene, obj), TemporaryScene() as temporary:
         temporary.link(obj)

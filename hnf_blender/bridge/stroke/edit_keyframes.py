@@ -1,9 +1,4 @@
-"""Keyframes that may be written: a stroke's own, shared with nobody.
-
-A stroke begun at another frame, with the keyframes of its force and progress.
-
-Keyframes of force: carried from stroke to stroke, and made where there are none yet.
-"""
+"""Edit a stroke's keyframes: give it an action of its own, move its start, and create or copy its force."""
 
 from __future__ import annotations
 
@@ -21,8 +16,10 @@ from .read_stroke import get_motion_end
 
 
 def make_keys_single_user(stroke: Any) -> None:
-    """Give a stroke whose action others use too (a linked duplicate, Alt D) a copy of its own, so that what is done to
-    its keyframes leaves theirs alone. Raises StrokeError where the keyframes are linked from another file."""
+    """Give a stroke whose action has other users (Alt D) a copy of it, so that edits do not affect them.
+
+    Raises StrokeError if the keyframes are linked from another file.
+    """
     action = None if stroke.animation_data is None else stroke.animation_data.action
     if action is None:
         return
@@ -37,17 +34,18 @@ def make_keys_single_user(stroke: Any) -> None:
 
 
 KEYED_PATHS = frozenset({"hnf_stroke.force", "hnf_stroke.progress"})
+"""Data paths of the properties that move with a stroke's start."""
 
 
 def find_keyed_curves(stroke: Any) -> list[Any]:
-    """The F-curves of its force and progress that have keyframes."""
+    """Return the F-curves of a stroke's force and progress that have keyframes."""
     return [curve for curve in compat.fcurves_of(stroke) if curve.data_path in KEYED_PATHS and not curve.is_empty]
 
 
 def set_start_frame(stroke: Any, frame: float) -> None:
-    """Set the stroke's start, and move the keyframes of its force and progress, handles too, by as much.
+    """Set a stroke's start, and shift the keyframes of its force and progress by as much.
 
-    An action that others use too is copied first. Raises StrokeError where the keyframes are linked or in the NLA.
+    An action with other users is copied first. Raises StrokeError if the keyframes are linked or in the NLA.
     """
     group, animation, where = stroke.hnf_stroke, stroke.animation_data, f"stroke '{stroke.name}'"
     if animation is not None and any(track.strips for track in animation.nla_tracks):
@@ -56,13 +54,13 @@ def set_start_frame(stroke: Any, frame: float) -> None:
         )
     if find_keyed_curves(stroke):
         make_keys_single_user(stroke)
-    by = frame - float(group.start)
+    shift = frame - float(group.start)
     for curve in find_keyed_curves(stroke):
-        for part in ("co", "handle_left", "handle_right"):
-            places = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
-            curve.keyframe_points.foreach_get(part, places.ravel())
-            places[:, 0] += by
-            curve.keyframe_points.foreach_set(part, places.ravel())
+        for attribute in ("co", "handle_left", "handle_right"):
+            points = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
+            curve.keyframe_points.foreach_get(attribute, points.ravel())
+            points[:, 0] += shift
+            curve.keyframe_points.foreach_set(attribute, points.ravel())
         curve.update()
     group.start = frame
 
@@ -78,19 +76,23 @@ COPIED_KEY_ATTRIBUTES = (
     "handle_right_type",
     "type",
 )
+"""Attributes of a keyframe that are copied besides its points."""
 
 
 def find_force_curve(stroke: Any) -> Any:
-    """The F-curve of a stroke's force, or None."""
+    """Return the F-curve of a stroke's force, or None."""
     return next((curve for curve in compat.fcurves_of(stroke) if curve.data_path == FORCE_PATH), None)
 
 
 def ensure_force_keys(stroke: Any, scene: Any, metres_per_unit: float) -> Any:
-    """The F-curve of force; where there is none, two keys with the force as it is set, from start to end of the
-    motion. Raises StrokeError where force is driven or the stroke cannot be read."""
-    found = find_force_curve(stroke)
-    if found is not None and not found.is_empty:
-        return found
+    """Return the F-curve of a stroke's force; if there is none, create it.
+
+    The new curve has two keyframes with the current force, at the start and the end of the motion. Raises StrokeError
+    if the force is driven or the stroke cannot be read.
+    """
+    curve = find_force_curve(stroke)
+    if curve is not None and not curve.is_empty:
+        return curve
     if read_channel(stroke, "force", scene).source == "driven":
         raise StrokeError(
             "its force is moved by a driver or the NLA.", where=f"stroke '{stroke.name}'", remedy="Edit it there."
@@ -106,11 +108,25 @@ def ensure_force_keys(stroke: Any, scene: Any, metres_per_unit: float) -> Any:
 
 
 def copy_force(source: Any, target: Any, scene: Any, metres_per_unit: float, *, fit_time: bool) -> None:
-    """Give one stroke's force to another: its F-curve key by key, or its one value where it is not keyed.
+    """Copy the force of one stroke to another: its keyframes, or its value if it is not keyed.
 
-    Times count from each stroke's start; fit_time stretches them by the ratio of the two motions' durations. Where the
-    two share one action, the one that takes gets its own. Raises StrokeError where a force is driven, keyframes are
-    linked, or a duration cannot be told.
+    Times count from each stroke's start. If both share an action, the target gets a copy first.
+
+    Parameters
+    ----------
+    source, target : bpy.types.Object
+        Strokes.
+    scene : bpy.types.Scene
+        Scene of both strokes.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    fit_time : bool
+        Scale times by the ratio of the two motions' durations.
+
+    Raises
+    ------
+    StrokeError
+        If a force is driven, keyframes are linked, or a duration is not defined.
     """
     for stroke in (source, target):
         if read_channel(stroke, "force", scene).source == "driven":
@@ -119,24 +135,27 @@ def copy_force(source: Any, target: Any, scene: Any, metres_per_unit: float, *, 
                 where=f"stroke '{stroke.name}'",
                 remedy="Bake it to keyframes first (Key > Bake Channels).",
             )
-    start, own_start = float(source.hnf_stroke.start), float(target.hnf_stroke.start)
-    stretch = 1.0
+    start, target_start = float(source.hnf_stroke.start), float(target.hnf_stroke.start)
+    time_scale = 1.0
     if fit_time:
         length = get_motion_end(source, scene, metres_per_unit) - start
-        own_length = get_motion_end(target, scene, metres_per_unit) - own_start
-        stretch = own_length / length if length > 0.0 and own_length > 0.0 else 1.0
+        target_length = get_motion_end(target, scene, metres_per_unit) - target_start
+        time_scale = target_length / length if length > 0.0 and target_length > 0.0 else 1.0
     curve = find_force_curve(source)
     extrapolation, keys = ("CONSTANT", []) if curve is None else (curve.extrapolation, _read_keys(curve))
-    make_keys_single_user(target)  # it may be the very action of the stroke that gives
+    make_keys_single_user(target)  # it may share its action with the source
     if find_force_curve(target) is not None:
         _clear_force_keys(target)
     target.hnf_stroke.force = source.hnf_stroke.force
     if keys:
-        _write_keys(target, _move_keys(keys, lambda frame: own_start + (frame - start) * stretch), extrapolation)
+        _write_keys(target, _move_keys(keys, lambda frame: target_start + (frame - start) * time_scale), extrapolation)
 
 
 class _Keyframe(NamedTuple):
-    """A keyframe as plain values, which outlive its F-curve. places: its own and its two handles'; looks: COPIED."""
+    """Values of a keyframe, which remain valid when its F-curve is deleted.
+
+    `points` are its own coordinates and those of its two handles, `attributes` the values of COPIED_KEY_ATTRIBUTES.
+    """
 
     points: tuple[tuple[float, float], ...]
     attributes: tuple[Any, ...]
@@ -153,18 +172,18 @@ def _read_keys(curve: Any) -> list[_Keyframe]:
 
 
 def _move_keys(keys: list[_Keyframe], frame: Callable[[float], float]) -> list[_Keyframe]:
-    """The keys at other frames; of those that this presses together the later one counts."""
+    """Move keyframes in time by `frame`; of keyframes that become too close the later one is used."""
     moved: list[_Keyframe] = []
     for key in keys:
-        places = tuple((frame(x), y) for x, y in key.points)
-        if moved and places[0][0] - moved[-1].points[0][0] < MIN_KEY_FRAMES:
+        points = tuple((frame(x), y) for x, y in key.points)
+        if moved and points[0][0] - moved[-1].points[0][0] < MIN_KEY_FRAMES:
             moved.pop()
-        moved.append(_Keyframe(places, key.attributes))
+        moved.append(_Keyframe(points, key.attributes))
     return moved
 
 
 def _write_keys(stroke: Any, keys: list[_Keyframe], extrapolation: str) -> None:
-    """Key the force of a stroke that has no keyframes of it."""
+    """Insert keyframes of the force into a stroke that has none."""
     for key in keys:
         frame, value = key.points[0]
         stroke.hnf_stroke.force = value

@@ -1,7 +1,4 @@
-"""New stroke objects: a Bézier curve that lies on a surface, and exact keyframes on it.
-
-What a mouse or pen drew over the scene → a stroke object on the surface it ran over.
-"""
+"""Create stroke objects: a Bézier curve on a surface with exact keyframes, from samples drawn with a mouse or pen."""
 
 from __future__ import annotations
 
@@ -24,14 +21,18 @@ from ..scene.bounding_boxes import filter_rendered
 Float = NDArray[np.float64]
 
 STROKE_COLLECTION = "Touch strokes"
+"""Name of the collection of a scene's strokes."""
 MIN_KEY_FRAMES = 0.05
+"""Minimum distance between two keyframes [frames]."""
 STRAIGHT_COSINE = 1.0 - 1e-6
+"""Cosine of the angle between two handles from which they count as collinear."""
 
 
 def create_bezier_object(name: str, points: Float, left: Float, right: Float, *, cyclic: bool = False) -> Any:
-    """A curve object, not linked anywhere yet, with one Bézier spline: knots and handles (k, 3) in its coordinates.
+    """Create a curve object with one Bézier spline, not linked to any collection yet.
 
-    Handles in line with each other are aligned, so that editing keeps the curve smooth; the others stay free.
+    Knots and handles are (k, 3), in its own coordinates. Collinear handles are aligned, so that editing keeps the curve
+    smooth; the others are free.
     """
     import bpy
 
@@ -51,13 +52,16 @@ def create_bezier_object(name: str, points: Float, left: Float, right: Float, *,
 
 
 def _find_straight_knots(before: Float, after: Float) -> NDArray[np.bool_]:
+    """Return a mask of the knots whose handles are collinear."""
     size = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
     return np.asarray((before * after).sum(axis=1) > STRAIGHT_COSINE * size)
 
 
 def attach_to_surface(stroke: Any, surface: Any, scene: Any) -> None:
-    """Make it a stroke on a surface object, moving with it, in the scene's collection of strokes. The stroke's own
-    coordinates are then the surface object's."""
+    """Make a curve object a stroke on a surface object: its child, in the scene's collection of strokes.
+
+    The stroke's coordinates are then those of the surface object.
+    """
     link_to_collection(stroke, scene)
     stroke.parent = surface
     group = stroke.hnf_stroke
@@ -65,26 +69,28 @@ def attach_to_surface(stroke: Any, surface: Any, scene: Any) -> None:
 
 
 def link_to_collection(stroke: Any, scene: Any) -> None:
-    """Link an object to the scene's "Touch strokes" (made where it is missing) and to nothing else."""
+    """Link an object to the scene's collection "Touch strokes" only; the collection is created if missing."""
     import bpy
 
-    named = (child for child in scene.collection.children if child.name.split(".")[0] == STROKE_COLLECTION)
-    own = next((child for child in named if child.library is None), None)
-    if own is None:
-        own = bpy.data.collections.new(STROKE_COLLECTION)
-        scene.collection.children.link(own)
+    candidates = (child for child in scene.collection.children if child.name.split(".")[0] == STROKE_COLLECTION)
+    stroke_collection = next((child for child in candidates if child.library is None), None)
+    if stroke_collection is None:
+        stroke_collection = bpy.data.collections.new(STROKE_COLLECTION)
+        scene.collection.children.link(stroke_collection)
     for collection in tuple(stroke.users_collection):
-        if collection != own:
+        if collection != stroke_collection:
             collection.objects.unlink(stroke)
-    if own not in stroke.users_collection:
-        own.objects.link(stroke)
+    if stroke_collection not in stroke.users_collection:
+        stroke_collection.objects.link(stroke)
     CHANGES.mark_changed()
 
 
 def unhide_collection(stroke: Any, view_layer: Any) -> bool:
-    """Show the scene's "Touch strokes" with the stroke in it where this view layer hides or excludes it: what was made
-    a moment ago would vanish, and could not be selected. Was it hidden?"""
-    view_layer.update()  # a collection made a moment ago is not in it yet
+    """Show the collection "Touch strokes" in a view layer; return True if it was hidden or excluded.
+
+    Otherwise a new stroke would disappear at once, and could not be selected.
+    """
+    view_layer.update()  # a new collection is not in it yet
     hidden = False
     for layer in view_layer.layer_collection.children:
         if layer.collection in stroke.users_collection:
@@ -94,23 +100,36 @@ def unhide_collection(stroke: Any, view_layer: Any) -> bool:
 
 
 def insert_keys(stroke: Any, name: str, keys: Keyframes, start: float, per_second: float) -> None:
-    """Keyframes of hnf_stroke's property, time 0 at frame `start`, per_second frames a second.
+    """Insert keyframes of a property of hnf_stroke.
 
-    Handles lie a third of the way: the F-curve is then exactly the keys' cubic.
+    Handles are at a third of each interval, which makes the F-curve exactly the keys' cubic.
+
+    Parameters
+    ----------
+    stroke : bpy.types.Object
+        Stroke to key.
+    name : str
+        Property of hnf_stroke.
+    keys : Keyframes
+        Times [s], values and slopes.
+    start : float
+        Frame of time 0.
+    per_second : float
+        Frames per second.
     """
     path = f"hnf_stroke.{name}"
     frames = start + keys.time * per_second
-    keep = [0]
+    indices = [0]
     for i in range(1, len(frames)):
-        if frames[i] - frames[keep[-1]] >= MIN_KEY_FRAMES:
-            keep.append(i)
-    if keep[-1] != len(frames) - 1:
-        keep[-1] = len(frames) - 1
-    for i in keep:
+        if frames[i] - frames[indices[-1]] >= MIN_KEY_FRAMES:
+            indices.append(i)
+    if indices[-1] != len(frames) - 1:
+        indices[-1] = len(frames) - 1
+    for i in indices:
         setattr(stroke.hnf_stroke, name, float(keys.value[i]))
         stroke.keyframe_insert(path, frame=float(frames[i]))
     fcurve = next(curve for curve in compat.fcurves_of(stroke) if curve.data_path == path)
-    frame, value, slope = frames[keep], keys.value[keep], keys.slope[keep] / per_second
+    frame, value, slope = frames[indices], keys.value[indices], keys.slope[indices] / per_second
     width = np.diff(frame) / 3.0
     before, after = np.r_[width[:1], width], np.r_[width, width[-1:]]
     for k, point in enumerate(fcurve.keyframe_points):
@@ -123,7 +142,7 @@ def insert_keys(stroke: Any, name: str, keys: Keyframes, start: float, per_secon
 
 @dataclass(frozen=True)
 class DrawnStroke:
-    """obj: the new stroke object. drawn: what it was made of."""
+    """A stroke drawn by hand: the new object, and the fitted pen stroke it was made of."""
 
     obj: Any
     pen_stroke: PenStroke
@@ -140,11 +159,40 @@ def create_drawn_stroke(
     probe: str,
     metres_per_unit: float,
 ) -> DrawnStroke:
-    """A stroke object from samples in world coordinates (Blender units).
+    """Create a stroke object from pen samples in world coordinates [Blender units].
 
-    It is a child of the surface, in the collection of strokes, named after the surface; keyed as drawn (see
-    pen_stroke). Raises StrokeError for what is no stroke and SceneError for a surface that no stroke can touch;
-    then nothing is made.
+    The stroke is a child of the surface, in the collection of strokes, named after the surface. It keeps the drawn
+    timing unless `style` sets a speed. Nothing is created if an error is raised.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene to add the stroke to.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    surface : bpy.types.Object
+        Object drawn on.
+    samples : PenSamples
+        Time, position and pressure of the pen.
+    style : PenStyle
+        Force range, smoothing and timing.
+    start_frame : float
+        Frame at which the stroke starts.
+    probe : str
+        Name of the probe.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+
+    Returns
+    -------
+    DrawnStroke
+
+    Raises
+    ------
+    StrokeError
+        If the samples do not form a stroke.
+    SceneError
+        If the surface cannot be touched.
     """
     if not filter_rendered([surface], depsgraph.view_layer):
         raise SceneError(
@@ -159,40 +207,42 @@ def create_drawn_stroke(
             "its scale is 0 along an axis.", where=f"object '{surface.name}'", remedy="Give it a thickness."
         )
     from_world = np.linalg.inv(to_world)
-    in_metres = PenSamples(samples.time, samples.point * metres_per_unit, samples.pressure, samples.touching)
-    drawn = fit_pen_stroke(
-        in_metres, style, project_to_surface=_make_surface_projector(evaluated, to_world, from_world, metres_per_unit)
+    metric_samples = PenSamples(samples.time, samples.point * metres_per_unit, samples.pressure, samples.touching)
+    pen_stroke = fit_pen_stroke(
+        metric_samples,
+        style,
+        project_to_surface=_make_surface_projector(evaluated, to_world, from_world, metres_per_unit),
     )
     local = [
         points / metres_per_unit @ from_world[:3, :3].T + from_world[:3, 3]
-        for points in (drawn.path.knot, drawn.path.left, drawn.path.right)
+        for points in (pen_stroke.path.knot, pen_stroke.path.left, pen_stroke.path.right)
     ]
     stroke = create_bezier_object(f"Stroke on {surface.name}", *local)
     attach_to_surface(stroke, surface, scene)
     group = stroke.hnf_stroke
     group.start, group.probe = start_frame, probe
     per_second = float(scene.render.fps) / float(scene.render.fps_base)
-    if drawn.progress is None:
+    if pen_stroke.progress is None:
         group.law, group.speed_mm_s = "SPEED", m_to_mm(style.speed_m_s or 0.0)
     else:
         group.law = "PROGRESS"
-        insert_keys(stroke, "progress", drawn.progress, start_frame, per_second)
-    insert_keys(stroke, "force", drawn.force, start_frame, per_second)
-    return DrawnStroke(stroke, drawn)
+        insert_keys(stroke, "progress", pen_stroke.progress, start_frame, per_second)
+    insert_keys(stroke, "force", pen_stroke.force, start_frame, per_second)
+    return DrawnStroke(stroke, pen_stroke)
 
 
 def _make_surface_projector(
     evaluated: Any, to_world: Float, from_world: Float, metres: float
 ) -> Callable[[Float], Float]:
-    """World points [m] → the nearest points of the evaluated object, as it is looked for in its own coordinates."""
+    """Return a function that projects world points (n, 3) [m] onto the evaluated object."""
 
     def project(points: Float) -> Float:
         local = points / metres @ from_world[:3, :3].T + from_world[:3, 3]
-        found = np.empty_like(local)
+        nearest = np.empty_like(local)
         for k, point in enumerate(local):
-            hit, place, _, _ = evaluated.closest_point_on_mesh(point)
-            found[k] = place if hit else point
-        return np.asarray((found @ to_world[:3, :3].T + to_world[:3, 3]) * metres)
+            hit, location, _, _ = evaluated.closest_point_on_mesh(point)
+            nearest[k] = location if hit else point
+        return np.asarray((nearest @ to_world[:3, :3].T + to_world[:3, 3]) * metres)
 
     return project
 
@@ -200,10 +250,10 @@ def _make_surface_projector(
 def mask_points_near_surface(
     points: Float, surface: Any, depsgraph: Any, metres_per_unit: float, within_m: float
 ) -> Any:
-    """(n,) bool: which world points (n, 3) lie within a distance of the surface object."""
+    """Return a mask (n,) of the world points (n, 3) [Blender units] within `within_m` of a surface [m]."""
     evaluated = surface.evaluated_get(depsgraph)
     to_world = np.array(evaluated.matrix_world, dtype=np.float64)
     from_world = np.linalg.inv(to_world)
-    on = _make_surface_projector(evaluated, to_world, from_world, metres_per_unit)
+    project = _make_surface_projector(evaluated, to_world, from_world, metres_per_unit)
     metres = points * metres_per_unit
-    return np.linalg.norm(on(metres) - metres, axis=1) <= within_m
+    return np.linalg.norm(project(metres) - metres, axis=1) <= within_m

@@ -1,4 +1,8 @@
-"""Primitives placed on surfaces as real, editable stroke objects."""
+"""Place primitives on surfaces as editable stroke objects.
+
+Of the places on a material slot where a primitive's path fits, the first is used that is free above, is no underside,
+and leaves room for a hand.
+"""
 
 from __future__ import annotations
 
@@ -32,16 +36,28 @@ Float = NDArray[np.float64]
 SurfaceGetter = Callable[[Any], Surface]
 
 KNOT_SPACING_M = 2e-3
-"""Distance of the placed curve's knots: close enough to follow a surface, few enough to edit."""
+"""Distance between the curve's knots [m]: close enough to follow a surface, few enough to edit."""
 MAX_TRIED_SPOTS = 400
+"""Maximum number of places that are checked for obstruction."""
 UNDERSIDE_COSINE = -0.5
-"""Faces that look further down than this are undersides."""
+"""Height component of a normal below which a face is an underside."""
 
 
 @dataclass(frozen=True)
 class PlacedStroke:
-    """curve: the new stroke object. primitive: what it is (of "default", the direction that fits longer). size_m: what
-    fitted there. rays: cast to find the place."""
+    """A primitive placed on a surface.
+
+    Attributes
+    ----------
+    curve : bpy.types.Object
+        The new stroke object.
+    primitive : str
+        Name of the primitive; for "default", of the direction with more room.
+    size_m : float
+        Size that fits there [m].
+    rays : int
+        Number of rays cast to find the place.
+    """
 
     curve: Any
     primitive: str
@@ -50,27 +66,32 @@ class PlacedStroke:
 
 
 def list_touchable_slots(scene: Any, depsgraph: Any = None) -> list[tuple[Any, int, str]]:
-    """(object, slot, material name or "") of every slot with faces on the scene's visible mesh objects, by object
-    name and slot."""
+    """Return (object, slot, material name) of every slot with faces on the scene's visible meshes.
+
+    They are sorted by object name and slot; the material's name may be "".
+    """
     return [(obj, slot, material) for obj, slot, material, _ in _measure_slots(scene, depsgraph)]
 
 
 def choose_default_slots(scene: Any, depsgraph: Any = None) -> list[tuple[Any, int, str]]:
-    """touchable_slots, but each material once: where it covers the most. Slots without a material count by object."""
+    """Return `list_touchable_slots` with each material once, where it covers the largest area.
+
+    Slots without a material count once per object.
+    """
     best: dict[tuple[str, str], tuple[Any, int, str, float]] = {}
-    for found in _measure_slots(scene, depsgraph):
-        obj, _, material, area = found
+    for entry in _measure_slots(scene, depsgraph):
+        obj, _, material, area = entry
         key = (material, "" if material else str(obj.name))
         if key not in best or area > best[key][3]:
-            best[key] = found
-    chosen = sorted(best.values(), key=lambda found: (str(found[0].name), found[1]))
+            best[key] = entry
+    chosen = sorted(best.values(), key=lambda entry: (str(entry[0].name), entry[1]))
     return [(obj, slot, material) for obj, slot, material, _ in chosen]
 
 
 def _measure_slots(scene: Any, depsgraph: Any) -> list[tuple[Any, int, str, float]]:
-    """With each slot's area in square Blender units."""
+    """Return (object, slot, material name, area [Blender units²]) of every slot with faces."""
     depsgraph = depsgraph or _get_current_depsgraph()
-    found = []
+    measured = []
     meshes = filter_visible((obj for obj in scene.objects if obj.type == "MESH"), depsgraph.view_layer)
     for obj in sorted(meshes, key=lambda obj: str(obj.name)):
         evaluated = obj.evaluated_get(depsgraph)
@@ -85,8 +106,8 @@ def _measure_slots(scene: Any, depsgraph: Any) -> list[tuple[Any, int, str, floa
         covered = np.bincount(np.clip(index, 0, max(len(slots), 1) - 1), weights=area) * scale
         for slot in np.flatnonzero(covered > 0.0):
             material = slots[slot].material if slot < len(slots) else None
-            found.append((obj, int(slot), str(material.name) if material else "", float(covered[slot])))
-    return found
+            measured.append((obj, int(slot), str(material.name) if material else "", float(covered[slot])))
+    return measured
 
 
 def _get_current_depsgraph() -> Any:
@@ -108,13 +129,45 @@ def place_primitive(
     name: str = "",
     surfaces: SurfaceGetter | None = None,
 ) -> PlacedStroke:
-    """A new stroke object with a primitive on the best place of a slot (None: the slot with the largest area).
+    """Create a stroke object with a primitive at the best place of a material slot.
 
-    primitive: any, or the name of one of the eight, or "default" (100 mm/s, 1 N, left to right; top to bottom where
-    that has more room). The curve is parented to obj, lies on its surface and carries keyframes of force and progress,
-    so that an artist can go on from there. Left → right runs along the surface's own tangent. surfaces: object →
-    Surface, for a caller that keeps them. Raises UsageError for an unknown name and SceneError naming the object where
-    nothing fits.
+    The curve is a child of `obj`, lies on its surface, and has keyframes of force and progress that can be edited. Left
+    to right runs along the surface's tangent.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene to add the stroke to.
+    obj : bpy.types.Object
+        Object to place it on.
+    slot : int or None
+        Material slot; None is the slot with the largest area.
+    primitive : Primitive or str
+        Primitive, the name of one of the eight, or "default" (100 mm/s, 1 N, left to right, or top to bottom if that
+        direction has more room).
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    depsgraph : bpy.types.Depsgraph, optional
+        Dependency graph to use instead of the current one.
+    seed : int, default 0
+        Seed of random paths.
+    start_frame : float, default 1.0
+        Frame at which the stroke starts.
+    name : str, optional
+        Name of the stroke object.
+    surfaces : callable, optional
+        Object → Surface, for callers that cache them.
+
+    Returns
+    -------
+    PlacedStroke
+
+    Raises
+    ------
+    UsageError
+        If the primitive's name is unknown.
+    SceneError
+        If the primitive fits nowhere; names the object.
     """
     depsgraph = depsgraph or _get_current_depsgraph()
     surfaces = surfaces or (lambda touched: read_surface(touched, depsgraph, metres_per_unit))
@@ -126,10 +179,10 @@ def place_primitive(
     if slot is None:
         slot = int(np.argmax(_compute_slot_areas(surface)))
     caster = _CountingCaster(make_ray_caster(surface.mesh))
-    above = _Neighbours(scene, obj, surface, depsgraph, metres_per_unit)
-    ways = (DEFAULT_PRIMITIVE, DEFAULT_PRIMITIVE_DOWN) if primitive == DEFAULT_PRIMITIVE else (primitive,)
-    found = [(each, _find_best_spot(surface, caster, slot, each, seed, above)) for each in ways]
-    fitting = [(each, spot) for each, spot in found if spot is not None]
+    neighbours = _Neighbours(scene, obj, surface, depsgraph, metres_per_unit)
+    variants = (DEFAULT_PRIMITIVE, DEFAULT_PRIMITIVE_DOWN) if primitive == DEFAULT_PRIMITIVE else (primitive,)
+    spots = [(variant, _find_best_spot(surface, caster, slot, variant, seed, neighbours)) for variant in variants]
+    fitting = [(variant, spot) for variant, spot in spots if spot is not None]
     if not fitting:
         material = surface.materials[slot] if slot < len(surface.materials) else ""
         raise SceneError(
@@ -149,12 +202,12 @@ def place_primitive(
     per_second = float(scene.render.fps) / float(scene.render.fps_base)
     for channel, keys in (("progress", progress), ("force", force)):
         insert_keys(stroke, channel, keys, start_frame, per_second)
-    depsgraph.update()  # so that the stroke can be read at once
-    return PlacedStroke(stroke, chosen.name, spot.size_m, caster.rays + above.rays)
+    depsgraph.update()  # so that the stroke can be read immediately
+    return PlacedStroke(stroke, chosen.name, spot.size_m, caster.rays + neighbours.rays)
 
 
 class _CountingCaster:
-    """A ray caster that counts."""
+    """A ray caster that counts its rays."""
 
     def __init__(self, caster: RayCaster) -> None:
         self._caster, self.rays = caster, 0
@@ -165,13 +218,14 @@ class _CountingCaster:
 
 
 def _compute_slot_areas(surface: Surface) -> Float:
+    """Return the area of every material slot [m²]."""
     corners = surface.mesh.corner_positions()
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2.0
     return np.asarray(np.bincount(surface.mesh.slot, weights=area), dtype=np.float64)
 
 
 def _sample_planar_path(primitive: Primitive, size_m: float, seed: int) -> tuple[Float, bool]:
-    """A primitive's path as knots (k, 2) about KNOT_M apart, and whether it closes."""
+    """Return a primitive's path as knots (k, 2) about KNOT_SPACING_M apart, and whether it is closed."""
     path = make_primitive_path(primitive, size_m=size_m, seed=seed)
     curve = make_path_curve(path)
     count = max(8, int(np.ceil(curve.length / KNOT_SPACING_M)))
@@ -182,8 +236,10 @@ def _sample_planar_path(primitive: Primitive, size_m: float, seed: int) -> tuple
 def _find_best_spot(
     surface: Surface, caster: RayCaster, slot: int, primitive: Primitive, seed: int, neighbours: _Neighbours
 ) -> Placement | None:
-    """The first place whose whole path stays on the slot and a hand would choose; if none of TRIED places is so, the
-    one with the least against it (see _against)."""
+    """Return the first place whose entire path stays on the slot and is not obstructed, or None.
+
+    If none of MAX_TRIED_SPOTS is free, the least obstructed one is returned (see `_grade_obstruction`).
+    """
     best: tuple[int, Placement] | None = None
     for tried, spot in enumerate(
         find_placements(surface.mesh, caster, slot, lambda size: _sample_planar_path(primitive, size, seed)[0])
@@ -192,20 +248,23 @@ def _find_best_spot(
             break
         frame = _get_spot_frame(spot)
         path, _ = _sample_planar_path(primitive, spot.size_m, seed)
-        fit, height = compute_placement_cost(surface.mesh, caster, slot, frame, PATH_SIZE_MARGIN * path, spot.size_m)
-        if not np.isfinite(fit[0]):
+        cost, height = compute_placement_cost(surface.mesh, caster, slot, frame, PATH_SIZE_MARGIN * path, spot.size_m)
+        if not np.isfinite(cost[0]):
             continue
-        against = _grade_obstruction(spot, to_world(frame, PATH_SIZE_MARGIN * path, height)[0], surface, neighbours)
-        if against == 0:
+        grade = _grade_obstruction(spot, to_world(frame, PATH_SIZE_MARGIN * path, height)[0], surface, neighbours)
+        if grade == 0:
             return spot
-        if best is None or against < best[0]:
-            best = (against, spot)
+        if best is None or grade < best[0]:
+            best = (grade, spot)
     return None if best is None else best[1]
 
 
 def _grade_obstruction(spot: Placement, points: Float, surface: Surface, neighbours: _Neighbours) -> int:
-    """0: free above as far as the object itself leaves it, and not an underside. 1: something further away faces it
-    (the inside of a shell). 2: an underside. 3: a neighbour in the hand's way."""
+    """Grade how a place is obstructed, 0 (free) to 3.
+
+    0: free above as far as the object itself allows, and no underside. 1: something farther away faces it, as inside a
+    shell. 2: an underside. 3: a neighbour is in the hand's way.
+    """
     if not neighbours.is_free_above(points, spot.normal, min(spot.openness_m, OPENNESS_M[1])):
         return 3
     if float((surface.rigid[:3, :3] @ spot.normal)[2]) < UNDERSIDE_COSINE:
@@ -220,37 +279,42 @@ def _get_spot_frame(spot: Placement) -> tuple[Float, Float, Float]:
 def _project_path(
     surface: Surface, caster: RayCaster, spot: Placement, primitive: Primitive, seed: int
 ) -> tuple[Float, bool]:
+    """Project a primitive's path at a place onto the surface; return its points (k, 3) and whether it is closed."""
     path, cyclic = _sample_planar_path(primitive, spot.size_m, seed)
     height, _, _ = project_path(surface.mesh, caster, _get_spot_frame(spot), path, spot.size_m)
     return to_world(_get_spot_frame(spot), path, height)[0], cyclic
 
 
 class _Neighbours:
-    """The scene's other visible meshes, looked at only where their bounding boxes come near a path. Blender's own rays
-    do: its tree of a mesh outlives us, and a float32's distance is good enough for a hand."""
+    """Ray casts on the scene's other visible meshes whose bounding boxes are near a path.
+
+    Blender's own ray casts are used: its BVH trees outlive this object, and float32 distances are accurate enough.
+    """
 
     def __init__(self, scene: Any, obj: Any, surface: Surface, depsgraph: Any, metres_per_unit: float) -> None:
         self._rigid, self._metres = surface.rigid, metres_per_unit
         self.rays = 0
         self._near: list[tuple[Float, Float, Any]] = []
-        others = (other for other in scene.objects if other != obj and other.type == "MESH")
-        for other in filter_visible(others, depsgraph.view_layer):
-            flush_edits(other)
-            self._near.append((*get_world_box(other, depsgraph, metres_per_unit), other.evaluated_get(depsgraph)))
+        others = (neighbour for neighbour in scene.objects if neighbour != obj and neighbour.type == "MESH")
+        for neighbour in filter_visible(others, depsgraph.view_layer):
+            flush_edits(neighbour)
+            self._near.append(
+                (*get_world_box(neighbour, depsgraph, metres_per_unit), neighbour.evaluated_get(depsgraph))
+            )
 
     def is_free_above(self, points: Float, normal: Float, height_m: float) -> bool:
-        """Whether nothing stands within height_m above surface-frame points (k, 3), along normal."""
-        turn, shift = self._rigid[:3, :3], self._rigid[:3, 3]
-        start, up = points @ turn.T + shift, height_m * (turn @ normal)
+        """Return True if nothing is within `height_m` above surface-frame points (k, 3), along `normal`."""
+        rotation, translation = self._rigid[:3, :3], self._rigid[:3, 3]
+        start, up = points @ rotation.T + translation, height_m * (rotation @ normal)
         ends = np.concatenate([start, start + up])
         low, high = ends.min(axis=0), ends.max(axis=0)
         return not any(
-            (box_low <= high).all() and (box_high >= low).all() and self._is_hit(other, start, up)
-            for box_low, box_high, other in self._near
+            (box_low <= high).all() and (box_high >= low).all() and self._is_hit(neighbour, start, up)
+            for box_low, box_high, neighbour in self._near
         )
 
     def _is_hit(self, other: Any, start: Float, offset: Float) -> bool:
-        """Whether an object stands on the way from one of the world points [m]."""
+        """Return True if an object is hit by a ray from one of the world points [m] to its offset."""
         if len(other.data.polygons) == 0:
             return False
         world = np.array(other.matrix_world, dtype=np.float64)
@@ -265,7 +329,7 @@ class _Neighbours:
 
 
 def _create_curve_object(name: str, points: Float, cyclic: bool, obj: Any, surface: Surface, scene: Any) -> Any:
-    """A Bézier curve through surface-frame points (k, 3), as a child of obj."""
+    """Create a Bézier curve through surface-frame points (k, 3), as a child of `obj`."""
     left, right = compute_smooth_handles(points, cyclic=cyclic)
     to_object = np.linalg.pinv(surface.stretch)
     stroke = create_bezier_object(name, *(values @ to_object.T for values in (points, left, right)), cyclic=cyclic)

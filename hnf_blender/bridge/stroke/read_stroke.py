@@ -1,11 +1,7 @@
-"""A Curve object's spline as an exact curve in object coordinates.
+"""Read stroke objects: the curve, the surface it lies on, and samples of position, velocity and force over time.
 
-The visible mesh that a stroke lies on.
-
-Stroke objects of a scene → samples of a touch in the surface frame, at the action rate.
-
-Where a stroke's hand is and how hard it presses at each time, without looking at the surface: for what is drawn
-in the viewport, and for fitting one stroke's force to another's time.
+`read_stroke` samples in the surface frame at the action rate, for synthesis. `sample_timeline` samples without reading
+the surface, for drawing in the viewport and for fitting one stroke's force to another's time.
 """
 
 from __future__ import annotations
@@ -66,14 +62,14 @@ POINT_MOVING_MODIFIERS = {
     *("ARMATURE", "CAST", "CURVE", "HOOK", "LATTICE", "MESH_DEFORM"),
     *("SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH", "WARP", "WAVE"),
 }
-"""Modifiers that put the drawn points elsewhere; bevels and other solid looks leave the path as it is."""
+"""Modifiers that move the drawn points; bevels and the like leave the path unchanged."""
 
 
 def read_curve(obj: Any) -> PiecewiseBezier:
-    """The one spline of a Curve object, in object coordinates (Blender units).
+    """Return the single spline of a Curve object, in object coordinates [Blender units].
 
-    Raises StrokeError naming the stroke: not a curve, no or several splines, broken points, or points that shape
-    keys, keyframes or modifiers move.
+    Raises StrokeError naming the stroke if it is no curve, has no or several splines, has invalid points, or if shape
+    keys, keyframes or modifiers move its points.
     """
     where = f"stroke '{obj.name}'"
     if obj.type != "CURVE":
@@ -123,22 +119,23 @@ def _read_points(points: Any, name: str, width: int) -> Float:
 
 
 def _refuse_moved_points(obj: Any, where: str) -> None:
+    """Raise StrokeError if modifiers, shape keys or keyframes move the curve's points."""
     modifier = next((m for m in obj.modifiers if m.show_viewport and m.type in POINT_MOVING_MODIFIERS), None)
     if modifier is not None:
-        what, remedy = f"its modifier '{modifier.name}' moves the drawn points.", "Apply the modifier or remove it."
+        problem, remedy = f"its modifier '{modifier.name}' moves the drawn points.", "Apply the modifier or remove it."
     elif obj.data.shape_keys is not None:
-        what, remedy = "its curve has shape keys.", "Remove them, or apply the mix."
+        problem, remedy = "its curve has shape keys.", "Remove them, or apply the mix."
     elif any(fcurve.data_path.startswith("splines") for fcurve in compat.fcurves_of(obj.data)):
-        what, remedy = "its curve points are keyframed.", "Delete those keyframes; move the object instead."
+        problem, remedy = "its curve points are keyframed.", "Delete those keyframes; move the object instead."
     else:
         return
-    raise StrokeError(what, where=where, remedy=remedy)
+    raise StrokeError(problem, where=where, remedy=remedy)
 
 
 MAX_COUNTED_DISTANCE_M = 20e-3
-"""Distances count up to here, so that a stretch off the surface does not pull the choice to another object."""
+"""Maximum distance that counts [m], so that a segment off the surface does not favour another object."""
 BOX_CHUNK = 256
-"""Boxes whose distances are computed at once: bounds memory."""
+"""Number of boxes whose distances are computed at once; bounds the memory."""
 
 
 def find_nearest_surface(
@@ -151,10 +148,35 @@ def find_nearest_surface(
     where: str,
     ignore: Any = None,
 ) -> Any:
-    """The visible mesh object nearest on average to world points (n, 3) (Blender units).
+    """Return the visible mesh object that is nearest, on average, to points of a curve.
 
-    Objects are looked at in the order of their bounding boxes' distances, and only until no box can be nearer.
-    Raises StrokeError where the scene shows no mesh.
+    Objects are tried in the order of their bounding boxes' distances, until no box can be nearer.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        World points [Blender units].
+    scene : bpy.types.Scene
+        Scene whose objects are considered.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    surfaces : callable
+        Object → Surface.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    where : str
+        Stroke named in errors.
+    ignore : bpy.types.Object, optional
+        Object to leave out.
+
+    Returns
+    -------
+    bpy.types.Object
+
+    Raises
+    ------
+    StrokeError
+        If no mesh is visible.
     """
     meshes = filter_visible(
         (obj for obj in scene.objects if obj.type == "MESH" and obj != ignore), depsgraph.view_layer
@@ -183,38 +205,54 @@ def find_nearest_surface(
 
 
 def _mean_capped_distance(distance: Float) -> Float:
-    """Over the last axis."""
-    # A last digit of the far distances keeps the nearest of several far objects.
+    """Return the mean over the last axis of distances capped at MAX_COUNTED_DISTANCE_M [m]."""
+    # A small part of the uncapped distance orders objects that are all farther away.
     return np.asarray(np.mean(np.minimum(distance, MAX_COUNTED_DISTANCE_M) + 1e-6 * distance, axis=-1))
 
 
 def _bound_box_distances(points: Float, low: Float, high: Float) -> Float:
-    """(n,) lower bounds on the mean distance of points (k, 3) to what lies in boxes (n, 3), (n, 3)."""
+    """Return lower bounds (n,) of the mean capped distance of points (k, 3) to boxes (n, 3), (n, 3)."""
     bounds = np.empty(len(low))
     for start in range(0, len(low), BOX_CHUNK):
-        part = slice(start, start + BOX_CHUNK)
-        outside = np.maximum(np.maximum(low[part, None] - points, points - high[part, None]), 0.0)
-        bounds[part] = _mean_capped_distance(np.linalg.norm(outside, axis=-1))
+        chunk = slice(start, start + BOX_CHUNK)
+        outside = np.maximum(np.maximum(low[chunk, None] - points, points - high[chunk, None]), 0.0)
+        bounds[chunk] = _mean_capped_distance(np.linalg.norm(outside, axis=-1))
     return bounds
 
 
 SurfaceGetter = Callable[[Any], Surface]
 
 MOTION_TOLERANCE = 2e-7
-"""Blender's matrices are float32: a relative motion below this share of the coordinates is rounding."""
+"""Motion, as a fraction of the coordinates, below which float32 matrices differ by rounding only."""
 
 HASH_STEP, HASH_OFFSET = 1e-7, 0.381966
-"""In m, m/s, s and N: a tenth of a micrometre, less than a finger, a pen or a key can be moved by."""
+"""Quantisation for hashes [m, m/s, s, N]: 0.1 µm is less than a finger, a pen or a keyframe can be moved by."""
 
 
 @dataclass(frozen=True)
 class SceneStroke:
-    """One stroke, ready to touch.
+    """One stroke, read from the scene.
 
-    name, object_name: of the curve object and the surface, as name_in says them. samples: in the surface frame (m).
-    deforming: the surface's shapes while it is touched, None where it keeps its shape. frames: (n,) scene frame of
-    each sample. length_m: of the curve. law: what moved the hand. seed, probe: as set. material: library material that
-    overrides the surface's, "" = none. notes: what a person should know.
+    Attributes
+    ----------
+    name, object_name : str
+        Names of the curve object and the surface, as `get_scene_name` gives them.
+    samples : StrokeSamples
+        Samples in the surface frame [m].
+    deforming : DeformingMesh or None
+        Shapes of the surface during the stroke; None if it does not deform.
+    frames : (n,) array
+        Scene frame of each sample.
+    length_m : float
+        Length of the curve [m].
+    motion_profile : str
+        "SPEED", "DURATION" or "PROGRESS".
+    seed : int
+    probe : str
+    material : str
+        Library material that replaces the surface's, "" for none.
+    notes : tuple of str
+        Remarks for the user.
     """
 
     name: str
@@ -230,12 +268,12 @@ class SceneStroke:
     notes: tuple[str, ...] = ()
 
     def get_surface(self, mesh: TriangleMesh) -> TriangleMesh | DeformingMesh:
-        """What find_contacts takes: the deforming shapes, or the mesh (of surface_mesh) as it is."""
+        """Return the deforming shapes if there are any, else `mesh`; the argument of `find_contacts`."""
         return mesh if self.deforming is None else self.deforming
 
 
 def list_strokes(scene: Any) -> list[Any]:
-    """The scene's strokes that are not muted, by name."""
+    """Return the scene's strokes that are not muted, sorted by name."""
     strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke and not obj.hnf_stroke.mute]
     return sorted(strokes, key=lambda obj: str(obj.name))
 
@@ -249,10 +287,33 @@ def read_stroke(
     surfaces: SurfaceGetter | None = None,
     rate: float = ACTION_RATE_HZ,
 ) -> SceneStroke:
-    """Sample a stroke object at rate [Hz].
+    """Sample a stroke object at a rate [Hz].
 
-    surfaces: object → Surface, for a caller that keeps them. Raises StrokeError naming the stroke (curve, keyframes,
-    time) and SceneError naming the surface (hidden, nothing to touch, simulated).
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Stroke object.
+    scene : bpy.types.Scene
+        Scene of the stroke.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    surfaces : callable, optional
+        Object → Surface, for callers that cache them.
+    rate : float, optional
+        Sampling rate [Hz].
+
+    Returns
+    -------
+    SceneStroke
+
+    Raises
+    ------
+    StrokeError
+        If the curve, its keyframes or its timing are invalid; names the stroke.
+    SceneError
+        If the surface is hidden, empty or simulated; names the surface.
     """
     group = obj.hnf_stroke
     where = f"stroke '{obj.name}'"
@@ -260,34 +321,34 @@ def read_stroke(
     curve = read_curve(obj)
     target = _find_surface_object(obj, scene, depsgraph, curve, surfaces, metres_per_unit, where)
     with evaluated_mesh(target.evaluated_get(depsgraph), depsgraph):
-        pass  # there is something to touch; its triangles are needed only where it deforms
+        pass  # checks that there is a surface; its triangles are read only if it deforms
     fps, base = float(scene.render.fps), float(scene.render.fps_base)
     start = float(group.start)
 
     moving = is_moving(obj) or is_moving(target)
-    place = _sample_placements(obj, target, scene, depsgraph, np.array([start]), metres_per_unit, moving)[0]
-    arc = build_arc_curve(curve.transform(place))
+    placement = _sample_placements(obj, target, scene, depsgraph, np.array([start]), metres_per_unit, moving)[0]
+    arc = build_arc_curve(curve.transform(placement))
     force_channel, progress_channel = (read_channel(obj, name, scene) for name in ("force", "progress"))
-    law, duration = choose_motion_profile(
+    profile, duration = choose_motion_profile(
         group, arc.length, (force_channel, progress_channel), start, base / fps, where
     )
     time = make_time_grid(duration, rate, where=where)
     frames = np.array([seconds_to_frame(float(t), start, fps, base) for t in time])
     force, progress = sample_channels(obj, scene, (force_channel, progress_channel), frames)
-    keyed, force = force, clamp_force(force, frames, where=where, max_force=FORCE_MAX_N)
-    motion = compute_motion(group, law, clamp_progress(progress, frames, where=where), time, arc.length, rate)
+    unclamped_force, force = force, clamp_force(force, frames, where=where, max_force=FORCE_MAX_N)
+    motion = compute_motion(group, profile, clamp_progress(progress, frames, where=where), time, arc.length, rate)
     check_motion(motion, where=where)
     placements = _sample_placements(obj, target, scene, depsgraph, frames, metres_per_unit, moving) if moving else None
     samples = _make_samples(curve, arc, placements, time, motion, force)
     deforming = None
     if may_deform(target):
-        whole = np.arange(np.floor(frames[0]), np.ceil(frames[-1]) + 1.0)
-        seconds = (whole - start) * base / fps
-        deforming = sample_shapes(target, scene, surfaces(target).mesh, whole, seconds, metres_per_unit)
+        integer_frames = np.arange(np.floor(frames[0]), np.ceil(frames[-1]) + 1.0)
+        seconds = (integer_frames - start) * base / fps
+        deforming = sample_shapes(target, scene, surfaces(target).mesh, integer_frames, seconds, metres_per_unit)
     notes: tuple[str, ...] = ()
-    if keyed.max() > FORCE_MAX_N * 1.001:
-        notes = (f"{where}: its force curve reaches {keyed.max():.3g} N and is held at {FORCE_MAX_N:g} N.",)
-    if law == "PROGRESS" and group.law != "PROGRESS":
+    if unclamped_force.max() > FORCE_MAX_N * 1.001:
+        notes = (f"{where}: its force curve reaches {unclamped_force.max():.3g} N and is held at {FORCE_MAX_N:g} N.",)
+    if profile == "PROGRESS" and group.law != "PROGRESS":
         notes += (f"{where}: progress is keyed, so its {group.law.lower()} timing is not used.",)
     return SceneStroke(
         name=get_scene_name(scene, obj),
@@ -296,7 +357,7 @@ def read_stroke(
         deforming=deforming,
         frames=frames,
         length_m=arc.length,
-        motion_profile=law,
+        motion_profile=profile,
         seed=int(group.seed),
         probe=str(group.probe),
         material=str(group.material),
@@ -305,15 +366,18 @@ def read_stroke(
 
 
 def to_quantised_bytes(values: NDArray[np.floating[Any]]) -> bytes:
-    """Bytes for a hash that do not know the last bits of a computation, which differ between numpy's versions: counts
-    of HASH_STEP. A change of more than HASH_STEP is always seen."""
-    # Without the offset, round figures such as 0.00000005 would lie where rounding may go either way.
+    """Quantise values to HASH_STEP and return their bytes for a hash.
+
+    The last bits of a computation, which differ between numpy versions, do not change them. Changes of more than
+    HASH_STEP always do.
+    """
+    # Without the offset, round numbers such as 0.00000005 would be at a step, where rounding decides.
     counts: NDArray[np.int64] = np.floor(values.astype(np.float64) / HASH_STEP + HASH_OFFSET).astype("<i8")
     return counts.tobytes()
 
 
 def hash_path(stroke: SceneStroke) -> str:
-    """Hash of where a stroke goes and when, on which object: of all but force, seed, probe and material."""
+    """Hash a stroke's path, timing and object: everything but force, seed, probe and material."""
     samples = stroke.samples
     arrays = [samples.time, samples.point, samples.tangent, samples.position, samples.velocity]
     parts = [to_quantised_bytes(array) for array in arrays]
@@ -323,7 +387,7 @@ def hash_path(stroke: SceneStroke) -> str:
 
 
 def hash_touch(stroke: SceneStroke, seed: int) -> str:
-    """Hash of how a stroke presses: force, probe, and the seed it is given."""
+    """Hash how a stroke presses: its force, its probe, and the seed used."""
     return content_hash(to_quantised_bytes(stroke.samples.force), str(seed), stroke.probe)
 
 
@@ -336,6 +400,7 @@ def _find_surface_object(
     metres_per_unit: float,
     where: str,
 ) -> Any:
+    """Return the stroke's chosen surface, or the nearest; raise SceneError if it is hidden or not in the scene."""
     chosen = obj.hnf_stroke.surface
     if chosen is None:
         world = np.array(obj.evaluated_get(depsgraph).matrix_world, dtype=np.float64)
@@ -360,30 +425,35 @@ def _find_surface_object(
 def _sample_placements(
     obj: Any, target: Any, scene: Any, depsgraph: Any, frames: Float, metres_per_unit: float, moving: bool
 ) -> Float:
-    """(n, 4, 4) surface frame (m) ← curve object coordinates, at frames (n,); (1, 4, 4) as it is now if nothing
-    moves."""
+    """Return the placement (n, 4, 4) of the curve's object in the surface frame [m], at frames (n,).
+
+    If nothing moves it is (1, 4, 4), as it is now.
+    """
     if moving:
         curve_world, target_world = sample_world_matrices(scene, (obj, target), frames)
     else:
         curve_world, target_world = (
-            np.array(one.evaluated_get(depsgraph).matrix_world, dtype=np.float64)[None] for one in (obj, target)
+            np.array(member.evaluated_get(depsgraph).matrix_world, dtype=np.float64)[None] for member in (obj, target)
         )
     placements = np.empty_like(curve_world)
     for i, (curve, surface) in enumerate(zip(curve_world, target_world, strict=True)):
         rigid, _ = compute_surface_frame(surface, metres_per_unit, f"object '{target.name}'")
         metres = curve.copy()
         metres[:3] *= metres_per_unit
-        turned = rigid[:3, :3].T
+        rotation = rigid[:3, :3].T
         placements[i] = np.eye(4)
-        placements[i, :3, :3] = turned @ metres[:3, :3]
-        placements[i, :3, 3] = turned @ (metres[:3, 3] - rigid[:3, 3])
+        placements[i, :3, :3] = rotation @ metres[:3, :3]
+        placements[i, :3, 3] = rotation @ (metres[:3, 3] - rigid[:3, 3])
     return np.asarray(placements)
 
 
 def choose_motion_profile(
     group: Any, length_m: float, channels: tuple[Channel, Channel], start: float, frame_s: float, where: str
 ) -> tuple[str, float]:
-    """Which law moves the hand, and how long the stroke lasts [s], from its start to the last thing keyed."""
+    """Return the motion profile of a stroke and its duration [s], from its start to its last keyframe.
+
+    Raises StrokeError if neither the profile nor keyframes define a duration.
+    """
     force, progress = channels
     keyed_until = (max(force.last_frame, progress.last_frame) - start) * frame_s
     if progress.source != "set":
@@ -394,15 +464,18 @@ def choose_motion_profile(
         return "SPEED", max(compute_travel_time(length_m, mm_to_m(float(group.speed_mm_s))), keyed_until)
     if force.source != "set":
         return group.law, keyed_until
-    what = "its progress has no keyframes." if length_m > 0.0 else "it has no length, and its force has no keyframes."
+    problem = (
+        "its progress has no keyframes." if length_m > 0.0 else "it has no length, and its force has no keyframes."
+    )
     raise StrokeError(
-        what, where=where, remedy="Key progress or force at two frames, or choose the speed or duration law."
+        problem, where=where, remedy="Key progress or force at two frames, or choose the speed or duration law."
     )
 
 
 def compute_motion(
     group: Any, motion_profile: str, progress: Float, time: Float, length_m: float, rate: float
 ) -> MotionProfile:
+    """Return position [m] and velocity [m/s] along the curve at times (n,) [s]."""
     if motion_profile == "PROGRESS":
         return make_motion_from_progress(progress, length_m, rate)
     if motion_profile == "SPEED":
@@ -413,11 +486,12 @@ def compute_motion(
 def _make_samples(
     curve: PiecewiseBezier, arc: ArcCurve, placements: Float | None, time: Float, motion: MotionProfile, force: Float
 ) -> StrokeSamples:
+    """Sample the curve at the motion's positions; `placements` carry it along if its object moves."""
     point, tangent = arc.point_at(motion.position), arc.tangent_at(motion.position)
     moving = placements is not None and _has_motion(placements)
     if placements is not None and moving:
         first = placements[0]
-        # arc lies where the curve was at the first sample: carry its points by what the placement did since.
+        # arc is the curve at the first sample; its points are moved by the change of placement since then.
         local = curve.evaluate(*arc.parameter_at(motion.position))[0]
         point = np.einsum("nxy,ny->nx", placements[:, :3, :3], local) + placements[:, :3, 3]
         since = np.einsum("nxy,yz->nxz", placements[:, :3, :3], np.linalg.pinv(first[:3, :3]))
@@ -428,17 +502,30 @@ def _make_samples(
 
 
 def _has_motion(placements: Float) -> bool:
+    """Return True if placements (n, 4, 4) differ by more than rounding."""
     change = np.abs(placements - placements[0]).max()
     return bool(change > MOTION_TOLERANCE * max(1.0, float(np.abs(placements).max())))
 
 
 TIMELINE_RATE_HZ = 60.0
+"""Default sampling rate of a timeline [Hz]."""
 
 
 @dataclass(frozen=True)
 class StrokeTimeline:
-    """frames: (n,) scene frames, even. position: (n,) m along the curve as its object stands now. force: (n,) N.
-    arc: the curve in metres, in world axes."""
+    """A stroke over time, without its surface.
+
+    Attributes
+    ----------
+    frames : (n,) array
+        Evenly spaced scene frames.
+    position : (n,) array
+        Position along the curve, where its object is now [m].
+    force : (n,) array
+        Normal force [N].
+    arc : ArcCurve
+        The curve in world axes [m].
+    """
 
     frames: Float
     position: Float
@@ -447,9 +534,9 @@ class StrokeTimeline:
 
 
 def sample_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = TIMELINE_RATE_HZ) -> StrokeTimeline:
-    """Sample a stroke's motion and force at rate [Hz]. What drivers and the NLA move counts with its present value.
+    """Sample a stroke's motion and force at a rate [Hz], without its surface.
 
-    Raises StrokeError as read_stroke does.
+    Drivers and the NLA count with their current value. Raises StrokeError like `read_stroke`.
     """
     group, where = obj.hnf_stroke, f"stroke '{obj.name}'"
     world = np.array(obj.matrix_world, dtype=np.float64)
@@ -457,27 +544,32 @@ def sample_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = 
     arc = build_arc_curve(read_curve(obj).transform(world))
     start, frame_s = float(group.start), float(scene.render.fps_base) / float(scene.render.fps)
     channels = tuple(_ignore_drivers(read_channel(obj, name, scene)) for name in ("force", "progress"))
-    law, duration = choose_motion_profile(group, arc.length, (channels[0], channels[1]), start, frame_s, where)
+    profile, duration = choose_motion_profile(group, arc.length, (channels[0], channels[1]), start, frame_s, where)
     time = make_time_grid(duration, rate, where=where)
     frames = start + time / frame_s
     force, progress = sample_channels(obj, scene, channels, frames)
-    motion = compute_motion(group, law, clamp_progress(progress, frames, where=where), time, arc.length, rate)
+    motion = compute_motion(group, profile, clamp_progress(progress, frames, where=where), time, arc.length, rate)
     return StrokeTimeline(frames, motion.position, clamp_force(force, frames, where=where, max_force=FORCE_MAX_N), arc)
 
 
 def get_motion_end(obj: Any, scene: Any, metres_per_unit: float) -> float:
-    """Frame at which the hand stops moving, whatever force does: the last key of progress, or the end of the law."""
+    """Return the frame at which a stroke's motion ends, whatever its force does.
+
+    This is the last keyframe of progress, or the end of the motion profile.
+    """
     group, where = obj.hnf_stroke, f"stroke '{obj.name}'"
     start, frame_s = float(group.start), float(scene.render.fps_base) / float(scene.render.fps)
     progress = _ignore_drivers(read_channel(obj, "progress", scene))
     world = np.array(obj.matrix_world, dtype=np.float64)
     world[:3] *= metres_per_unit
     length = build_arc_curve(read_curve(obj).transform(world)).length
-    still = Channel("force", "set", -np.inf)
-    return start + choose_motion_profile(group, length, (still, progress), start, frame_s, where)[1] / frame_s
+    unkeyed_force = Channel("force", "set", -np.inf)
+    return start + choose_motion_profile(group, length, (unkeyed_force, progress), start, frame_s, where)[1] / frame_s
 
 
 def _ignore_drivers(channel: Channel) -> Channel:
-    """A driven channel as if it were set: evaluating drivers needs a scene of its own, which a redraw cannot wait
-    for."""
+    """Return a driven channel as if it were not animated.
+
+    Evaluating drivers needs a temporary scene, which is too slow for a redraw.
+    """
     return channel if channel.source != "driven" else Channel(channel.name, "set", channel.last_frame)

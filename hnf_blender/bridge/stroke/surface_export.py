@@ -1,4 +1,7 @@
-"""A baked object, and the way of a stroke over it, for exports that bind touch to geometry. Nothing is rendered."""
+"""Read a baked object and a stroke's path over it, for exports that bind touch to geometry.
+
+Nothing is rendered; faces that were not baked have no token.
+"""
 
 from __future__ import annotations
 
@@ -22,24 +25,52 @@ from .read_stroke import read_stroke
 def read_touched_surface(
     scene: Any, depsgraph: Any, metres_per_unit: float, *, stroke: Any = None, obj: Any = None
 ) -> TouchedSurface:
-    """What stroke (a stroke object) was drawn on, with its way; or obj, with the way where stroke touches just that.
+    """Read an object with its baked tokens, and the path of a stroke over it.
 
-    Raises StrokeError and SceneError where either cannot be read, FileError where the stored palette is damaged.
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene of the objects.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    stroke : bpy.types.Object, optional
+        Stroke whose path is included if it touches the object.
+    obj : bpy.types.Object, optional
+        Object to export; by default the stroke's surface.
+
+    Returns
+    -------
+    TouchedSurface
+
+    Raises
+    ------
+    UsageError
+        If there is neither a stroke nor an object.
+    StrokeError, SceneError
+        If either cannot be read.
+    FileError
+        If the stored palette is damaged.
     """
-    read = None if stroke is None else read_stroke(stroke, scene, depsgraph, metres_per_unit)
-    target = obj if obj is not None else find_object(scene, read.object_name) if read is not None else None
+    scene_stroke = None if stroke is None else read_stroke(stroke, scene, depsgraph, metres_per_unit)
+    target = (
+        obj if obj is not None else find_object(scene, scene_stroke.object_name) if scene_stroke is not None else None
+    )
     if target is None:
         raise UsageError("no object to export.", remedy="Name a stroke or an object.")
     surface = read_surface(target, depsgraph, metres_per_unit)
-    found = _make_touched_surface(surface, read_tokens(target.data) if target.type == "MESH" else None)
-    if read is None or read.object_name != get_scene_name(scene, target):
-        return found
-    contacts = find_contacts(read.samples, read.get_surface(surface.mesh), where=f"stroke '{read.name}'")
-    return replace(found, path=make_stroke_path(contacts))
+    touched = _make_touched_surface(surface, read_tokens(target.data) if target.type == "MESH" else None)
+    if scene_stroke is None or scene_stroke.object_name != get_scene_name(scene, target):
+        return touched
+    contacts = find_contacts(
+        scene_stroke.samples, scene_stroke.get_surface(surface.mesh), where=f"stroke '{scene_stroke.name}'"
+    )
+    return replace(touched, path=make_stroke_path(contacts))
 
 
 def make_stroke_path(contacts: Contacts) -> StrokePath:
-    """The way travelled over the material, and the triangles that are pressed on the way."""
+    """Return the distance travelled over the material [m], and the triangles pressed, over time."""
     speed = np.linalg.norm(contacts.velocity, axis=1)
     steps = np.diff(contacts.time) * (speed[1:] + speed[:-1]) / 2.0
     pressed = contacts.on_surface & (contacts.force > 0.0)
@@ -53,8 +84,30 @@ def make_stroke_path(contacts: Contacts) -> StrokePath:
 def find_surface_in_scene(
     scene: Any, depsgraph: Any, metres_per_unit: float, provenance: Mapping[str, str], object_name: str | None
 ) -> TouchedSurface:
-    """The surface of a signal that says where it comes from. origin: provenance of its WAV, of which stroke and object
-    count. object_name: as asked for, counts more; None = not. Raises UsageError naming what there is."""
+    """Find the surface on which a signal was recorded, by its provenance.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene to search.
+    depsgraph : bpy.types.Depsgraph
+        Evaluated dependency graph of the scene.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    provenance : Mapping[str, str]
+        Provenance of the signal's WAV file, with its stroke and object.
+    object_name : str or None
+        Object to use instead of the one in the provenance.
+
+    Returns
+    -------
+    TouchedSurface
+
+    Raises
+    ------
+    UsageError
+        If there is no such object; lists the baked ones.
+    """
     stroke = find_object(scene, provenance.get("stroke", ""))
     if stroke is not None and not stroke.hnf_stroke.is_stroke:
         stroke = None
@@ -62,14 +115,14 @@ def find_surface_in_scene(
     target = find_object(scene, name) if name else None
     if (name and target is None) or (target is None and stroke is None):
         meshes = [obj.name for obj in scene.objects if obj.type == "MESH" and read_tokens(obj.data) is not None]
-        said = f"there is no object '{name}' in scene '{scene.name}'" if name else "the WAV does not say its object"
+        problem = f"there is no object '{name}' in scene '{scene.name}'" if name else "the WAV does not say its object"
         remedy = f"Name one with --object. Baked: {', '.join(meshes) or 'none; run hnf touch first'}."
-        raise UsageError(f"{said}.", remedy=remedy)
+        raise UsageError(f"{problem}.", remedy=remedy)
     return read_touched_surface(scene, depsgraph, metres_per_unit, stroke=stroke, obj=target)
 
 
 def _make_touched_surface(surface: Surface, tokens: FaceTokens | None) -> TouchedSurface:
-    """Faces' tokens on their triangles; faces that a modifier made of none have none."""
+    """Map faces' tokens to triangles; faces that a modifier created get none."""
     count = len(surface.mesh.triangles)
     index = np.full(count, UNTOUCHED, dtype=np.int32)
     roughness, confidence = np.zeros(count, np.float32), np.zeros(count, np.float32)

@@ -1,6 +1,7 @@
-"""What an actuator is asked for, to be measured.
+"""Play an excitation on an actuator while an accelerometer on a sound input records it.
 
-An actuator is asked for an excitation while a sensor listens.
+Gives the requested and the measured acceleration [m/s²] at the device's rate, for `estimate_response`. The virtual
+actuator is simulated instead.
 """
 
 from __future__ import annotations
@@ -27,23 +28,46 @@ from ..stream import Stream
 from ..virtual.transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
 
 EXCITATION_FADE_S = 0.05
+"""Length of the fades at the ends of an excitation [s]."""
 
 
 def make_sweep(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float) -> Signal:
-    """An exponential sine sweep: as long in every octave (A. Farina, AES 108, 2000, eq. for ESS), faded at its ends.
+    """Make an exponential sine sweep with equal time in every octave, faded at its ends.
 
-    Raises UsageError where low, high and half the rate are not in this order, or it lasts under 0.5 s.
+    Parameters
+    ----------
+    rate_hz : float
+        Sample rate [Hz].
+    seconds : float
+        Length [s].
+    low_hz, high_hz : float
+        First and last frequency [Hz].
+    peak_m_s2 : float
+        Amplitude [m/s²].
+
+    Raises
+    ------
+    UsageError
+        If low, high and half the rate are not ascending, or the length is not within 0.5–600 s.
+
+    Notes
+    -----
+    A. Farina, "Simultaneous measurement of impulse response and distortion with a swept-sine technique", AES 108, 2000,
+    equation of the exponential sweep.
     """
     _check_excitation(rate_hz, seconds, low_hz, high_hz, peak_m_s2)
-    time = np.arange(round(rate_hz * seconds)) / rate_hz
+    time_s = np.arange(round(rate_hz * seconds)) / rate_hz
     octaves = np.log(high_hz / low_hz)
-    phase = 2.0 * np.pi * low_hz * seconds / octaves * np.expm1(time / seconds * octaves)
+    phase = 2.0 * np.pi * low_hz * seconds / octaves * np.expm1(time_s / seconds * octaves)
     facts = {"excitation": "sweep", "low_hz": f"{low_hz:g}", "high_hz": f"{high_hz:g}"}
     return Signal(_fade_ends(peak_m_s2 * np.sin(phase), rate_hz), rate_hz, 0, facts)
 
 
 def make_noise(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float, seed: int) -> Signal:
-    """Pink noise between low and high, no louder than peak_m_s2, faded at its ends. Raises as sweep()."""
+    """Make pink noise between `low_hz` and `high_hz` with peak `peak_m_s2`, faded at its ends.
+
+    Parameters and errors are those of `make_sweep`; `seed` selects the noise.
+    """
     _check_excitation(rate_hz, seconds, low_hz, high_hz, peak_m_s2)
     count = round(rate_hz * seconds)
     frequency = np.fft.rfftfreq(count, 1.0 / rate_hz)
@@ -52,8 +76,8 @@ def make_noise(rate_hz: float, seconds: float, low_hz: float, high_hz: float, pe
     phase = np.random.Generator(np.random.Philox(key=seed)).uniform(0.0, 2.0 * np.pi, len(frequency))
     samples = np.fft.irfft(level * np.exp(1j * phase), count)
     facts = {"excitation": "noise", "low_hz": f"{low_hz:g}", "high_hz": f"{high_hz:g}"}
-    loud = samples / np.abs(samples).max() * peak_m_s2
-    return Signal(_fade_ends(loud, rate_hz), rate_hz, seed, facts)
+    scaled = samples / np.abs(samples).max() * peak_m_s2
+    return Signal(_fade_ends(scaled, rate_hz), rate_hz, seed, facts)
 
 
 def _check_excitation(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float) -> None:
@@ -68,19 +92,26 @@ def _check_excitation(rate_hz: float, seconds: float, low_hz: float, high_hz: fl
 def _fade_ends(excitation: ArrayLike, rate_hz: float) -> NDArray[np.float32]:
     samples = np.asarray(excitation, dtype=np.float64)
     frames = min(round(EXCITATION_FADE_S * rate_hz), len(samples) // 4)
-    shape = np.ones(len(samples))
+    envelope = np.ones(len(samples))
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(frames) + 0.5) / frames)
-    shape[:frames], shape[len(samples) - frames :] = ramp, ramp[::-1]
-    return np.asarray(samples * shape, dtype=np.float32)
+    envelope[:frames], envelope[len(samples) - frames :] = ramp, ramp[::-1]
+    return np.asarray(samples * envelope, dtype=np.float32)
 
 
 TAIL_S = 0.3
-"""Recorded on after the last sample has left, for the sound system's delay and the ringing."""
+"""Recording time after the last sample, for the sound system's delay and the ringing [s]."""
 
 
 class Accelerometer:
-    """On a sound input's first channel; listens as a context manager, once. device: part of its name, its index
-    or None for the default. sensitivity: m/s² at full scale of the input."""
+    """Accelerometer on the first channel of a sound input; records as a context manager, once.
+
+    Parameters
+    ----------
+    device : str, int or None
+        Part of the input's name, its index, or None for the default.
+    sensitivity : float
+        Acceleration at full scale of the input [m/s²].
+    """
 
     def __init__(self, device: str | int | None, sensitivity: float) -> None:
         self._device, self._sensitivity = device, sensitivity
@@ -90,7 +121,7 @@ class Accelerometer:
         self._overflows = 0
 
     def __enter__(self) -> Accelerometer:
-        """Raises DeviceError where there is no such input."""
+        """Start recording; raise DeviceError if the input cannot be opened."""
         sounddevice = import_optional("sounddevice")
         try:
             self._stream = sounddevice.InputStream(device=self._device, channels=1, callback=self._on_block)
@@ -110,15 +141,15 @@ class Accelerometer:
         OPEN_STREAMS.discard(id(self))
 
     def get_signal(self) -> Signal:
-        """m/s², once it listens no more. Raises DeviceError where samples were lost on the way."""
+        """Return the recorded acceleration [m/s²] after recording has ended; raise DeviceError if samples were lost."""
         if self._overflows:
             raise DeviceError(
                 "the sound input lost samples while it recorded.", remedy="Close other programs and measure again."
             )
         with self._lock:
-            heard = np.concatenate(self._blocks) if self._blocks else np.zeros(0, dtype=np.float32)
+            samples = np.concatenate(self._blocks) if self._blocks else np.zeros(0, dtype=np.float32)
         rate = float(self._stream.samplerate)
-        return Signal(np.asarray(heard * self._sensitivity, dtype=np.float32), rate, 0)
+        return Signal(np.asarray(samples * self._sensitivity, dtype=np.float32), rate, 0)
 
     def _on_block(self, block: Any, _frames: int, _time: Any, status: Any) -> None:
         if status.input_overflow:
@@ -128,17 +159,33 @@ class Accelerometer:
 
 
 def _describe_inputs(sounddevice: Any) -> str:
-    """What to do, in words."""
-    names = [str(each["name"]) for each in sounddevice.query_devices() if each["max_input_channels"] > 0]
+    """Return a remedy that names the sound inputs."""
+    names = [str(device["name"]) for device in sounddevice.query_devices() if device["max_input_channels"] > 0]
     if not names:
         return "Plug one in; on Linux the sound server must run for you."
     return f"Say --input audio:DEVICE with one of these: {', '.join(dict.fromkeys(names))}."
 
 
 def measure_actuator(sink: Sink, sensor: Accelerometer, excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
-    """What the device was asked for, and what sensor heard of it, both at the device's rate.
+    """Play an excitation and record it; return requested and measured acceleration at the device's rate.
 
-    Raises DeviceError where the device fails or misses frames, UsageError where its limits change the excitation.
+    Parameters
+    ----------
+    sink : Sink
+        Device to measure.
+    sensor : Accelerometer
+        Sensor on it.
+    excitation : Signal
+        Acceleration to play [m/s²].
+    limits : Limits
+        Limits of the actuator.
+
+    Raises
+    ------
+    DeviceError
+        If the device fails or has underruns.
+    UsageError
+        If the limits change the excitation.
     """
     source = BufferSource(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
     with sensor:
@@ -147,7 +194,7 @@ def measure_actuator(sink: Sink, sensor: Accelerometer, excitation: Signal, limi
             ended = stream.wait(excitation.duration_s + 10.0)
             report = stream.report
         time.sleep(TAIL_S)
-    heard = sensor.get_signal()
+    measured = sensor.get_signal()
     if report.problem or not ended:
         raise DeviceError(report.problem or "the device did not play the excitation to its end.")
     if report.underruns:
@@ -157,23 +204,23 @@ def measure_actuator(sink: Sink, sensor: Accelerometer, excitation: Signal, limi
         )
     if limited := report.limited_samples + report.device_limited_samples:
         raise UsageError(f"{limited} samples were beyond the device's limits.", remedy="Measure with a lower --level.")
-    asked = render_requested(excitation, replace(device, channels=1), limits)
-    return asked, resample_signal(heard, device.rate_hz)
+    requested = render_requested(excitation, replace(device, channels=1), limits)
+    return requested, resample_signal(measured, device.rate_hz)
 
 
 def simulate_measurement(excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
-    """What the virtual actuator's transducer is asked for and gives, computed at once."""
+    """Compute requested and measured acceleration of the virtual actuator's transducer, without playing."""
     device = SinkFormat(excitation.sample_rate, 1, 1, "virtual")
-    asked = render_requested(excitation, device, limits)
+    requested = render_requested(excitation, device, limits)
     drive = counts_to_drive(
-        np.rint(asked.samples[:, None] * (FULL_SCALE_COUNTS / limits.full_scale_m_s2)).astype(np.int16)
+        np.rint(requested.samples[:, None] * (FULL_SCALE_COUNTS / limits.full_scale_m_s2)).astype(np.int16)
     )
-    moved = simulate_motion(GENERIC_TRANSDUCER, drive, device.rate_hz).acceleration[:, 0]
-    return asked, replace(asked, samples=moved.astype(np.float32))
+    acceleration = simulate_motion(GENERIC_TRANSDUCER, drive, device.rate_hz).acceleration[:, 0]
+    return requested, replace(requested, samples=acceleration.astype(np.float32))
 
 
 def render_requested(excitation: Signal, device: SinkFormat, limits: Limits) -> Signal:
-    """What leaves for the device, as acceleration at its rate."""
+    """Render the acceleration that is sent to the device, at its rate."""
     source = BufferSource(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
     counts = render_counts(source, device, limits)[:, 0]
     return Signal(
@@ -182,6 +229,6 @@ def render_requested(excitation: Signal, device: SinkFormat, limits: Limits) -> 
 
 
 def resample_signal(signal: Signal, rate_hz: float) -> Signal:
-    """signal, resampled where it has another rate."""
+    """Resample a signal to `rate_hz`, if it has another rate."""
     samples, _ = resample(np.asarray(signal.samples, dtype=np.float64), signal.sample_rate, rate_hz)
     return replace(signal, samples=samples.astype(np.float32), sample_rate=rate_hz)

@@ -1,6 +1,7 @@
-"""What a data sheet says of a resonant actuator becomes its profile, its response that of a mass on a spring.
+"""Make actuator profiles from a data sheet's figures or from a measured frequency response.
 
-A measured response becomes an actuator's profile.
+Both give a response relative to its median level within the usable range; full scale is the acceleration at that
+median.
 """
 
 from __future__ import annotations
@@ -15,10 +16,13 @@ from ..profile import ActuatorProfile
 from .frequency_response import MIN_COHERENCE, Float, FrequencyResponse, Resonator, fit_resonance
 
 LOWEST_HZ, HIGHEST_HZ = 10.0, 1000.0
+"""Frequency range of a data-sheet response [Hz]."""
 GRID_POINTS_PER_OCTAVE = 24
+"""Frequencies per octave of a data-sheet response, apart from extra ones at the resonance."""
 DATASHEET_USABLE_DB = 20.0
-"""What is fainter than at the resonance by more is outside the range: an inverse filter could not bring it back."""
+"""Level below the resonance at which the range ends [dB]; an inverse filter could not restore less."""
 MIN_Q, MAX_Q = 0.1, 1000.0
+"""Range of plausible quality factors."""
 
 
 def make_datasheet_profile(
@@ -32,13 +36,29 @@ def make_datasheet_profile(
     sustained: float | None = None,
     thermal_s: float | None = None,
 ) -> ActuatorProfile:
-    """A profile from a maker's figures.
+    """Make a profile from a maker's figures, with the response of a mass on a spring.
 
-    source: the document they are from. resonance_hz, quality: of the mass on its spring, quality = resonance over the
-    width between its half-power points. peak_m_s2: amplitude at the resonance, at the strongest drive, on the load that
-    the sheet names; None = not stated. range_hz: where it may be used, None = within USABLE_DB of the resonance.
-    sustained, thermal_s: see limits. As where it was measured, the response is told relative to its median in the
-    range, and full scale is what that median gives. Raises UsageError for what is no such actuator.
+    Parameters
+    ----------
+    title : str
+        Name of the device.
+    source : str
+        Document that the figures are from.
+    resonance_hz : float
+        Resonance frequency [Hz].
+    quality : float
+        Quality factor: resonance divided by the width between the half-power points.
+    peak_m_s2 : float or None
+        Amplitude at the resonance, at full drive, on the load that the sheet names [m/s²]; None if not stated.
+    range_hz : tuple of float or None
+        Usable range [Hz]; None means within `DATASHEET_USABLE_DB` of the resonance.
+    sustained, thermal_s : float or None
+        See `ActuatorProfile`.
+
+    Raises
+    ------
+    UsageError
+        If no tactile actuator has such figures.
     """
     if not (LOWEST_HZ <= resonance_hz <= HIGHEST_HZ and MIN_Q <= quality <= MAX_Q):
         raise UsageError(
@@ -47,22 +67,24 @@ def make_datasheet_profile(
         )
     octaves = math.log2(HIGHEST_HZ / LOWEST_HZ)
     grid = np.geomspace(LOWEST_HZ, HIGHEST_HZ, round(octaves * GRID_POINTS_PER_OCTAVE) + 1)
-    near = resonance_hz * 2.0 ** np.linspace(-1.0, 1.0, 401) ** 3  # close together where it is sharp
-    frequency = np.unique(np.concatenate([grid, near[(near > LOWEST_HZ) & (near < HIGHEST_HZ)]]))
+    around_resonance = resonance_hz * 2.0 ** np.linspace(-1.0, 1.0, 401) ** 3  # dense at the resonance
+    frequency = np.unique(
+        np.concatenate([grid, around_resonance[(around_resonance > LOWEST_HZ) & (around_resonance < HIGHEST_HZ)]])
+    )
     model = Resonator(resonance_hz, 0.5 / quality, 1.0)
-    moved = model.evaluate(frequency)
-    level = 20.0 * np.log10(np.abs(moved) / abs(complex(model.evaluate(resonance_hz))))
-    found = range_hz or _find_range_around_peak(frequency, level)
-    if not found[0] < HIGHEST_HZ or not found[1] > LOWEST_HZ:
-        raise UsageError(f"no frequency of touch lies from {found[0]:g} to {found[1]:g} Hz.", remedy="Check the range.")
-    within = np.geomspace(max(found[0], LOWEST_HZ), min(found[1], HIGHEST_HZ), 101)
+    values = model.evaluate(frequency)
+    level = 20.0 * np.log10(np.abs(values) / abs(complex(model.evaluate(resonance_hz))))
+    band = range_hz or _find_range_around_peak(frequency, level)
+    if not band[0] < HIGHEST_HZ or not band[1] > LOWEST_HZ:
+        raise UsageError(f"no frequency of touch lies from {band[0]:g} to {band[1]:g} Hz.", remedy="Check the range.")
+    within = np.geomspace(max(band[0], LOWEST_HZ), min(band[1], HIGHEST_HZ), 101)
     median = float(np.median(np.interp(np.log(within), np.log(frequency), level)))
-    response = FrequencyResponse(frequency, level - median, np.unwrap(np.angle(moved)), np.ones_like(frequency))
+    response = FrequencyResponse(frequency, level - median, np.unwrap(np.angle(values)), np.ones_like(frequency))
     return ActuatorProfile(
         "described",
         title,
         source,
-        range_hz=found,
+        range_hz=band,
         peak_m_s2=None if peak_m_s2 is None else peak_m_s2 * 10.0 ** (median / 20.0),
         sustained=sustained,
         thermal_s=thermal_s,
@@ -71,27 +93,36 @@ def make_datasheet_profile(
 
 
 def _find_range_around_peak(frequency: Float, level: Float) -> tuple[float, float]:
-    """Ends [Hz] of the stretch about the strongest place that is not too faint."""
-    good = level >= float(level.max()) - DATASHEET_USABLE_DB
+    """Find the ends [Hz] of the contiguous range around the peak that is within `DATASHEET_USABLE_DB` of it."""
+    usable = level >= float(level.max()) - DATASHEET_USABLE_DB
     first = last = int(level.argmax())
-    while first > 0 and good[first - 1]:
+    while first > 0 and usable[first - 1]:
         first -= 1
-    while last < len(level) - 1 and good[last + 1]:
+    while last < len(level) - 1 and usable[last + 1]:
         last += 1
     return float(frequency[first]), float(frequency[last])
 
 
 MEASURED_USABLE_DB = 20.0
-"""Below the median by more, a frequency is outside the range: the inverse filter could not bring it back."""
+"""Level below the median at which the range ends [dB]; an inverse filter could not restore less."""
 
 MIN_PEAK_M_S2, MAX_PEAK_M_S2 = 1e-3, 1e5
-"""Wide enough for any actuator: beyond it a unit was mistaken."""
+"""Plausible full scales [m/s²]; outside this range a unit was mistaken."""
 
 
 @dataclass(frozen=True)
 class MeasuredProfile:
-    """profile: with the response, relative to its median level in the range. gain_db: that median, got over asked.
-    resonator: fitted to the response."""
+    """A profile made from a measurement.
+
+    Attributes
+    ----------
+    profile : ActuatorProfile
+        Profile whose response is relative to its median level in the usable range.
+    gain_db : float
+        That median, measured over requested acceleration [dB].
+    resonator : Resonator
+        Fit to the response.
+    """
 
     profile: ActuatorProfile
     gain_db: float
@@ -106,14 +137,29 @@ def make_measured_profile(
     calibrated: bool,
     range_hz: tuple[float, float] | None = None,
 ) -> MeasuredProfile:
-    """base with what was measured on it.
+    """Make a profile from a base profile and a response measured with it.
 
-    range_hz: as told, or the longest stretch that came back coherent and within USABLE_DB of the median. calibrated:
-    the sensor's m/s² are true; then full scale is what the actuator gives at the median, and no longer base's. Raises
-    UsageError where no actuator could give that.
+    Parameters
+    ----------
+    base : ActuatorProfile
+        Profile used during the measurement.
+    response : FrequencyResponse
+        Measured response.
+    title : str
+        Name of the new profile.
+    calibrated : bool
+        Whether the sensor's m/s² are absolute. If so, full scale is the acceleration at the median level instead of the
+        base's.
+    range_hz : tuple of float or None
+        Usable range [Hz]; None means that of `find_usable_range`.
+
+    Raises
+    ------
+    UsageError
+        If no actuator could have such a full scale.
     """
-    found = range_hz or find_usable_range(response)
-    inside = (response.frequency_hz >= found[0]) & (response.frequency_hz <= found[1])
+    band = range_hz or find_usable_range(response)
+    inside = (response.frequency_hz >= band[0]) & (response.frequency_hz <= band[1])
     median = float(np.median(response.gain_db[inside] if inside.any() else response.gain_db))
     relative = replace(response, gain_db=response.gain_db - median)
     peak = base.limits.full_scale_m_s2
@@ -130,7 +176,7 @@ def make_measured_profile(
         name="measured",
         title=title,
         source=source,
-        range_hz=found,
+        range_hz=band,
         peak_m_s2=peak if calibrated else base.peak_m_s2,
         response=relative,
     )
@@ -138,10 +184,10 @@ def make_measured_profile(
 
 
 def find_usable_range(response: FrequencyResponse) -> tuple[float, float]:
-    """Ends [Hz] of the longest stretch that came back coherent and not too faint."""
+    """Find the ends [Hz] of the longest range that is coherent and within `MEASURED_USABLE_DB` of the median."""
     median = np.median(response.gain_db[response.coherence >= MIN_COHERENCE])
-    good = (response.coherence >= MIN_COHERENCE) & (response.gain_db >= median - MEASURED_USABLE_DB)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
+    usable = (response.coherence >= MIN_COHERENCE) & (response.gain_db >= median - MEASURED_USABLE_DB)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(np.int8)))
     starts, ends = edges[::2], edges[1::2] - 1
     longest = int(np.argmax(ends - starts))
     return float(response.frequency_hz[starts[longest]]), float(response.frequency_hz[ends[longest]])

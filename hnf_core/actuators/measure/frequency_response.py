@@ -1,9 +1,4 @@
-"""What an actuator makes of what it is asked for.
-
-What was asked for and what came back → a frequency response.
-
-A moving mass on a spring, fitted to a measured response.
-"""
+"""Frequency response of an actuator: estimate it from requested and measured acceleration, and fit a resonator."""
 
 from __future__ import annotations
 
@@ -18,15 +13,31 @@ from ...metrics.spectra import hann_window
 Float = NDArray[np.float64]
 
 MIN_GAIN_DB = -200.0
+"""Lowest gain of a response [dB]."""
 
 
-@dataclass(frozen=True, eq=False)  # arrays do not compare to one truth
+@dataclass(frozen=True, eq=False)  # comparing arrays gives no single bool
 class FrequencyResponse:
-    """Acceleration got over acceleration asked.
+    """Ratio of measured to requested acceleration.
 
-    frequency_hz: (n,) ascending, above 0. gain_db, phase_rad: (n,), the latter unwrapped, without the way's delay_s.
-    coherence: (n,) 0–1, the share of the power got that follows from what was asked (Bendat and Piersol); 1 from a
-    data sheet. Raises UsageError for anything else.
+    Attributes
+    ----------
+    frequency_hz : (n,) array
+        Ascending frequencies above 0 [Hz].
+    gain_db : (n,) array
+        Gain [dB].
+    phase_rad : (n,) array
+        Unwrapped phase without the delay [rad].
+    coherence : (n,) array
+        Fraction of the measured power that is linearly related to the request, 0–1 (Bendat and Piersol); 1 from a data
+        sheet.
+    delay_s : float
+        Delay of the measurement [s].
+
+    Raises
+    ------
+    UsageError
+        If the arrays are anything else.
     """
 
     frequency_hz: Float
@@ -54,49 +65,70 @@ class FrequencyResponse:
             )
 
     def gain_db_at(self, frequency_hz: ArrayLike) -> Float:
-        """Read on a logarithmic axis, held beyond the ends."""
-        at = np.maximum(np.asarray(frequency_hz, dtype=np.float64), self.frequency_hz[0])
-        return np.asarray(np.interp(np.log(at), np.log(self.frequency_hz), self.gain_db))
+        """Interpolate the gain [dB] over log frequency, constant beyond the ends."""
+        clamped = np.maximum(np.asarray(frequency_hz, dtype=np.float64), self.frequency_hz[0])
+        return np.asarray(np.interp(np.log(clamped), np.log(self.frequency_hz), self.gain_db))
 
 
 MIN_WINDOW_S, MAX_WINDOW_S, WINDOW_COUNT = 0.4, 1.6, 8
-"""A window is a WINDOWS-th of what was played, within these: the longer, the narrower a resonance may be (2.5 Hz apart
-with 0.4 s), and enough of them for the coherence to mean something."""
+"""Shortest and longest analysis window [s], and number of windows in the recording.
+
+A longer window resolves a narrower resonance (2.5 Hz with 0.4 s); several are needed for a meaningful coherence.
+"""
 POINTS_PER_OCTAVE = 24
+"""Frequencies per octave of an estimated response."""
 MIN_COHERENCE = 0.5
-"""Below it a frequency says more about the noise than about the actuator."""
+"""Coherence below which a frequency shows the noise rather than the actuator."""
 
 
 def estimate_response(
     requested: ArrayLike, measured: ArrayLike, rate_hz: float, low_hz: float, high_hz: float
 ) -> FrequencyResponse:
-    """The response between low_hz and high_hz of what turns asked (n,) into got (m,), both m/s² at rate_hz.
+    """Estimate the frequency response between `low_hz` and `high_hz`.
 
-    H1 = Σ A* G / Σ |A|² over Hann windows three quarters of which overlap, which noise in what came back does not bias
-    (J. S. Bendat and A. G. Piersol, Random Data, ch. 6); bins are then gathered, PER_OCTAVE in an octave. got may begin
-    later or earlier: the delay is found by correlation, taken out, and told. Raises UsageError where either is too
-    short or silent, less than half of the frequencies came back coherent, or low_hz and high_hz are no range.
+    The delay is found by correlation and removed.
+
+    Parameters
+    ----------
+    requested : (n,) array_like
+        Requested acceleration [m/s²].
+    measured : (m,) array_like
+        Measured acceleration [m/s²]; it may begin earlier or later.
+    rate_hz : float
+        Sample rate of both [Hz].
+    low_hz, high_hz : float
+        Frequency range [Hz].
+
+    Raises
+    ------
+    UsageError
+        If a signal is too short or silent, less than half of the frequencies are coherent, or the range is empty.
+
+    Notes
+    -----
+    H1 = Σ A* G / Σ |A|² over Hann windows that overlap by three quarters. Noise in the measured signal does not bias it
+    (J. S. Bendat and A. G. Piersol, Random Data, ch. 6). Bins are averaged to `POINTS_PER_OCTAVE`.
     """
     if not 0.0 < low_hz < high_hz:
         raise UsageError(
             f"there is no range from {low_hz:g} to {high_hz:g} Hz.", remedy="Give ascending frequencies above 0."
         )
-    first, second = (np.asarray(values, dtype=np.float64) for values in (requested, measured))
-    if not (first.any() and second.any() and np.isfinite(first).all() and np.isfinite(second).all()):
+    request, measurement = (np.asarray(values, dtype=np.float64) for values in (requested, measured))
+    if not (request.any() and measurement.any() and np.isfinite(request).all() and np.isfinite(measurement).all()):
         raise UsageError(
             "nothing came back, or nothing was asked for.",
             remedy="Check that the actuator moves and the accelerometer is recorded.",
         )
-    delay = find_delay_frames(first, second)
-    before, after = _align(first, second, delay)
+    delay = find_delay_frames(request, measurement)
+    before, after = _align(request, measurement, delay)
     window = round(min(max(len(before) / WINDOW_COUNT, MIN_WINDOW_S * rate_hz), MAX_WINDOW_S * rate_hz))
     if len(before) < 2 * window:
         raise UsageError(
             f"a response cannot be read from less than {2 * MIN_WINDOW_S:g} s.",
             remedy="Play a longer sweep, and record all of it.",
         )
-    cross, power, came = _compute_spectra(before, after, window)
-    frequency, gain, coherence = _average_bins(cross, power, came, rate_hz, window, low_hz, high_hz)
+    cross, power, output_power = _compute_spectra(before, after, window)
+    frequency, gain, coherence = _average_bins(cross, power, output_power, rate_hz, window, low_hz, high_hz)
     if np.count_nonzero(coherence >= MIN_COHERENCE) < 0.5 * len(coherence):
         raise UsageError(
             f"what came back does not follow from what was asked for (coherence {np.median(coherence):.2f}).",
@@ -107,16 +139,16 @@ def estimate_response(
 
 
 def find_delay_frames(requested: Float, measured: Float) -> int:
-    """Frames by which got lags, from the highest value of their correlation's envelope (below 0: it leads).
+    """Return the frames by which `measured` lags (negative if it leads): the maximum of the correlation's envelope.
 
-    The envelope, as a resonance turns the phase and moves the correlation's peak by part of a period.
+    The envelope is used because a resonance turns the phase and moves the correlation's peak by part of a period.
     """
     size = 1 << (len(requested) + len(measured)).bit_length()
     product = np.conj(np.fft.fft(requested, size)) * np.fft.fft(measured, size)
     product[size // 2 + 1 :] = 0.0
     product[1 : size // 2] *= 2.0
-    place = int(np.argmax(np.abs(np.fft.ifft(product))))
-    return place if place < size - len(requested) else place - size
+    lag = int(np.argmax(np.abs(np.fft.ifft(product))))
+    return lag if lag < size - len(requested) else lag - size
 
 
 def _align(requested: Float, measured: Float, delay: int) -> tuple[Float, Float]:
@@ -126,14 +158,14 @@ def _align(requested: Float, measured: Float, delay: int) -> tuple[Float, Float]
 
 
 def _compute_spectra(before: Float, after: Float, window: int) -> tuple[NDArray[np.complex128], Float, Float]:
-    """Σ A* G, Σ |A|², Σ |G|², each (window // 2 + 1,)."""
-    shape, hop = hann_window(window), window // 4
-    cuts = (np.lib.stride_tricks.sliding_window_view(values, window)[::hop] for values in (before, after))
-    asked, got = (np.fft.rfft(cut * shape, axis=1) for cut in cuts)
+    """Sum the cross spectrum A* G and the powers |A|² and |G|² over windows, (window // 2 + 1,) each."""
+    taper, hop = hann_window(window), window // 4
+    frames = (np.lib.stride_tricks.sliding_window_view(values, window)[::hop] for values in (before, after))
+    input_spectra, output_spectra = (np.fft.rfft(frame * taper, axis=1) for frame in frames)
     return (
-        np.asarray((np.conj(asked) * got).sum(axis=0)),
-        np.asarray(np.square(np.abs(asked)).sum(axis=0)),
-        np.asarray(np.square(np.abs(got)).sum(axis=0)),
+        np.asarray((np.conj(input_spectra) * output_spectra).sum(axis=0)),
+        np.asarray(np.square(np.abs(input_spectra)).sum(axis=0)),
+        np.asarray(np.square(np.abs(output_spectra)).sum(axis=0)),
     )
 
 
@@ -146,20 +178,20 @@ def _average_bins(
     low_hz: float,
     high_hz: float,
 ) -> tuple[Float, NDArray[np.complex128], Float]:
-    """Frequency, complex gain and coherence of bins gathered in steps of 1/PER_OCTAVE octave."""
+    """Average bins in steps of 1 / `POINTS_PER_OCTAVE` octave; return frequency, complex gain and coherence."""
     frequency = np.arange(len(power)) * rate_hz / window
     steps = np.round(POINTS_PER_OCTAVE * np.log2(np.maximum(frequency, 1e-9) / low_hz))
     inside = (frequency >= low_hz) & (frequency <= high_hz) & (power > 1e-9 * power.max())
-    found: list[tuple[float, complex, float]] = []
+    points: list[tuple[float, complex, float]] = []
     for step in np.unique(steps[inside]):
         rows = inside & (steps == step)
         weight = float(power[rows].sum())
-        # Bins of one step lie within 3 %: their gains are averaged, weighed by what was asked, as levels and phases
-        # of neighbours are the same to within the step.
+        # Bins of one step lie within 3 % of frequency, where level and phase hardly differ. So their gains are
+        # averaged, weighted by the requested power.
         gain = complex(cross[rows].sum() / weight)
-        share = float(np.sum(np.square(np.abs(cross[rows])) / np.maximum(output_power[rows], 1e-300)) / weight)
-        found.append((float(np.average(frequency[rows], weights=power[rows])), gain, min(share, 1.0)))
-    columns = tuple(zip(*found, strict=True)) if found else ((), (), ())
+        coherence = float(np.sum(np.square(np.abs(cross[rows])) / np.maximum(output_power[rows], 1e-300)) / weight)
+        points.append((float(np.average(frequency[rows], weights=power[rows])), gain, min(coherence, 1.0)))
+    columns = tuple(zip(*points, strict=True)) if points else ((), (), ())
     return np.array(columns[0]), np.array(columns[1], dtype=np.complex128), np.array(columns[2])
 
 
@@ -169,9 +201,11 @@ _DIFFERENCE_STEP = 1e-5
 
 @dataclass(frozen=True)
 class Resonator:
-    """H = gain · s² / (s² + 2 damping ω₀ s + ω₀²), s = 2πif, ω₀ = 2π resonance_hz: the acceleration of a mass that a
-    force drives against a spring. gain: far above the resonance. error_db: RMS of its level against what it was
-    fitted to, weighed by coherence."""
+    """Acceleration of a mass on a spring driven by a force: H = gain · s² / (s² + 2 damping ω₀ s + ω₀²).
+
+    Here s = 2πif and ω₀ = 2π `resonance_hz`. `gain` applies far above the resonance; `error_db` is the
+    coherence-weighted RMS error of the level after a fit.
+    """
 
     resonance_hz: float
     damping: float
@@ -179,15 +213,16 @@ class Resonator:
     error_db: float = 0.0
 
     def evaluate(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+        """Return the complex response at each frequency."""
         ratio = np.asarray(frequency_hz, dtype=np.float64) / self.resonance_hz
         return np.asarray(-self.gain * ratio**2 / (1.0 - ratio**2 + 2j * self.damping * ratio))
 
 
 def fit_resonance(response: FrequencyResponse) -> Resonator:
-    """The resonator whose level is nearest (least squares in dB, weighed by coherence²).
+    """Fit a resonator to a response's level, by least squares in dB weighted by coherence².
 
-    From the best of a grid over resonance and damping, then Gauss–Newton with Levenberg's damping on the logarithms of
-    the three figures.
+    The start is the best of a grid over resonance and damping. Gauss–Newton iterations with Levenberg's damping then
+    refine the logarithms of the three parameters.
     """
     frequency, level, weight = response.frequency_hz, response.gain_db, response.coherence
     low, high = np.log(frequency[0] / 4.0), np.log(frequency[-1] * 4.0)
@@ -196,31 +231,34 @@ def fit_resonance(response: FrequencyResponse) -> Resonator:
         for centre in np.linspace(low, high, 60)
         for damping in (0.02, 0.07, 0.2, 0.6)
     ]
-    for start in starts:  # the gain follows from the other two
+    for start in starts:  # resonance and damping determine the best gain
         start[2] = np.average(level - _compute_level_db(start, frequency), weights=weight**2) * np.log(10.0) / 20.0
     best = min(starts, key=lambda start: _compute_error_db(start, frequency, level, weight))
-    lightness = 1e-2
+    levenberg = 1e-2
     for _ in range(_MAX_ITERATIONS):
         residual = weight * (level - _compute_level_db(best, frequency))
         steps = _DIFFERENCE_STEP * np.eye(len(best))
-        rises = [
+        differences = [
             _compute_level_db(best + step, frequency) - _compute_level_db(best - step, frequency) for step in steps
         ]
-        slope = np.stack(rises, axis=1) * (weight / (2.0 * _DIFFERENCE_STEP))[:, None]
-        normal = slope.T @ slope
-        change = np.linalg.solve(normal + lightness * np.diag(np.diag(normal) + 1e-12), slope.T @ residual)
-        change = np.clip(change, -1.0, 1.0)
-        if _compute_error_db(best + change, frequency, level, weight) < _compute_error_db(
+        jacobian = np.stack(differences, axis=1) * (weight / (2.0 * _DIFFERENCE_STEP))[:, None]
+        normal = jacobian.T @ jacobian
+        update = np.linalg.solve(normal + levenberg * np.diag(np.diag(normal) + 1e-12), jacobian.T @ residual)
+        update = np.clip(update, -1.0, 1.0)
+        if _compute_error_db(best + update, frequency, level, weight) < _compute_error_db(
             best, frequency, level, weight
         ):
-            best, lightness = best + change, max(lightness / 10.0, 1e-9)
-        elif lightness > 1e6:
+            best, levenberg = best + update, max(levenberg / 10.0, 1e-9)
+        elif levenberg > 1e6:
             break
         else:
-            lightness *= 10.0
-    figures = np.exp(best)
+            levenberg *= 10.0
+    parameters = np.exp(best)
     return Resonator(
-        float(figures[0]), float(figures[1]), float(figures[2]), _compute_error_db(best, frequency, level, weight)
+        float(parameters[0]),
+        float(parameters[1]),
+        float(parameters[2]),
+        _compute_error_db(best, frequency, level, weight),
     )
 
 

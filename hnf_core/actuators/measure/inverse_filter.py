@@ -1,9 +1,4 @@
-"""A filter that gives an actuator what it would leave out.
-
-The inverse of an actuator's response as a stage of a stream.
-
-How far what an actuator gives is from what it is asked for, band by band, without and with compensation.
-"""
+"""Compensate an actuator's frequency response: inverse filter, its use in a stream, and the error per band."""
 
 from __future__ import annotations
 
@@ -20,41 +15,64 @@ from .frequency_response import FrequencyResponse
 Float = NDArray[np.float64]
 
 MAX_BOOST_DB = 20.0
+"""Largest boost of the inverse filter [dB]."""
 REGULARISATION = 0.5 * 10.0 ** (-MAX_BOOST_DB / 20.0)
-"""β of h / (h² + β²), whose largest value is 1 / 2β: what an actuator hardly does is not asked of it a thousandfold."""
+"""Regularisation β of h / (h² + β²), whose maximum is 1 / 2β.
+
+It limits the boost where the actuator gives next to nothing.
+"""
 MAX_FILTER_S = 0.2
+"""Longest filter [s]."""
 FFT_OVERSAMPLING = 4
-"""The filter is designed on this many times more frequencies than it has taps, so that nothing wraps around."""
+"""Number of design frequencies per tap, so that the filter does not wrap around."""
 
 
 def compute_inverse_gain(response: FrequencyResponse, range_hz: tuple[float, float], frequency_hz: Float) -> Float:
-    """(n,) factor at each frequency: h / (h² + β²) of the actuator's gain h within its range, at most LARGEST_DB.
+    """Compute the filter's gain (n,) at each frequency: h / (h² + β²) of the actuator's gain h within its range.
 
-    Beyond its range 1, reached within an octave (in level over log f): there it is left as it is.
+    The boost is at most `MAX_BOOST_DB`. Beyond the range the gain goes to 1 within an octave (in level over log f),
+    which leaves the signal unchanged there.
     """
     gain = 10.0 ** (response.gain_db_at(frequency_hz) / 20.0)
     level = np.log(gain / (gain**2 + REGULARISATION**2))
     octave = np.log2(np.maximum(frequency_hz, 1e-9))
     low, high = np.log2(range_hz[0]), np.log2(range_hz[1])
     inside = np.clip(np.minimum(octave - (low - 1.0), (high + 1.0) - octave), 0.0, 1.0)
-    share = 0.5 - 0.5 * np.cos(np.pi * inside)
-    return np.asarray(np.exp(share * level))
+    weight = 0.5 - 0.5 * np.cos(np.pi * inside)
+    return np.asarray(np.exp(weight * level))
 
 
 def design_inverse_filter(response: FrequencyResponse, range_hz: tuple[float, float], rate_hz: float) -> Float:
-    """(taps,) a causal filter at rate_hz with the magnitude of inverse_gain() and the least delay it can have.
+    """Design a causal minimum-phase filter (taps,) with the magnitude of `compute_inverse_gain`.
 
-    Minimum phase by folding the cepstrum (A. V. Oppenheim and R. W. Schafer, Discrete-Time Signal Processing, ch. 13),
-    as long as needed for its tail to hold 1e-8 of its energy, and at most LONGEST_S. A skin hears no phase, but it
-    feels a delay. Raises UsageError where the range leaves half the rate or is none.
+    Minimum phase gives the least delay, which is perceived, while phase is not.
+
+    Parameters
+    ----------
+    response : FrequencyResponse
+        Response of the actuator.
+    range_hz : tuple of float
+        Range to compensate [Hz].
+    rate_hz : float
+        Sample rate [Hz].
+
+    Raises
+    ------
+    UsageError
+        If the range is empty or exceeds half the rate.
+
+    Notes
+    -----
+    The cepstrum is folded (A. V. Oppenheim and R. W. Schafer, Discrete-Time Signal Processing, ch. 13). The filter is
+    cut where the tail has 1e-8 of the energy, and at `MAX_FILTER_S`.
     """
     if not 0.0 < range_hz[0] < range_hz[1] <= 0.5 * rate_hz:
         raise UsageError(
             f"the range {range_hz[0]:g} to {range_hz[1]:g} Hz does not fit into {rate_hz:g} samples a second.",
             remedy="Give ascending frequencies above 0 and up to half the rate.",
         )
-    longest = max(round(MAX_FILTER_S * rate_hz), 8)
-    size = 1 << (FFT_OVERSAMPLING * longest - 1).bit_length()
+    max_taps = max(round(MAX_FILTER_S * rate_hz), 8)
+    size = 1 << (FFT_OVERSAMPLING * max_taps - 1).bit_length()
     gain = compute_inverse_gain(response, range_hz, np.fft.rfftfreq(size, 1.0 / rate_hz))
     cepstrum = np.fft.irfft(np.log(gain), size)
     cepstrum[1 : size // 2] *= 2.0
@@ -62,40 +80,40 @@ def design_inverse_filter(response: FrequencyResponse, range_hz: tuple[float, fl
     taps = np.fft.irfft(np.exp(np.fft.rfft(cepstrum)), size)
     energy = np.cumsum(np.square(taps[::-1]))[::-1]
     needed = int(np.count_nonzero(energy > 1e-8 * energy[0]))
-    count = min(max(needed, 8), longest)
+    count = min(max(needed, 8), max_taps)
     fade = max(count // 8, 1)
-    shape = np.ones(count)
-    shape[count - fade :] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(fade) + 1.0) / (fade + 1.0))
-    return np.asarray(taps[:count] * shape)
+    taper = np.ones(count)
+    taper[count - fade :] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(fade) + 1.0) / (fade + 1.0))
+    return np.asarray(taps[:count] * taper)
 
 
 def compute_filter_gain(taps: Float, frequency_hz: Float, rate_hz: float) -> Float:
-    """(n,) magnitude of a filter at each frequency."""
-    turns = np.exp(-2j * np.pi * np.outer(frequency_hz / rate_hz, np.arange(len(taps))))
-    return np.asarray(np.abs(turns @ taps))
+    """Compute the magnitude (n,) of a filter at each frequency."""
+    phasors = np.exp(-2j * np.pi * np.outer(frequency_hz / rate_hz, np.arange(len(taps))))
+    return np.asarray(np.abs(phasors @ taps))
 
 
 class CompensationFilter:
-    """y = taps * x, block by block, without a delay of its own. taps: (T,). See Stage."""
+    """Streaming FIR filter y = taps * x without extra delay; a `Processor` with (T,) taps."""
 
     def __init__(self, taps: ArrayLike, channels: int) -> None:
         self._taps = np.array(taps, dtype=np.float64)
         self._history: Float = np.zeros((len(self._taps) - 1, channels))
 
     def process(self, block: Samples) -> Samples:
-        """(n, channels) → (n, channels)."""
-        whole = np.concatenate([self._history, block])
+        """Filter a block, (n, channels) → (n, channels)."""
+        extended = np.concatenate([self._history, block])
         if len(block) == 0:
             return block
-        self._history = whole[len(block) :]
+        self._history = extended[len(block) :]
         out = np.empty(block.shape, dtype=np.float32)
         for channel in range(block.shape[1]):
-            out[:, channel] = np.convolve(whole[:, channel], self._taps, "valid")
+            out[:, channel] = np.convolve(extended[:, channel], self._taps, "valid")
         return out
 
 
 def make_compensation(profile: ActuatorProfile, rate_hz: float, channels: int) -> tuple[CompensationFilter, ...]:
-    """What makes up for the actuator at a source's rate_hz, within its range; none where its response is not known."""
+    """Make the processors that compensate the actuator within its range; none if its response is unknown."""
     if profile.response is None:
         return ()
     low, high = profile.range_hz or (float(profile.response.frequency_hz[0]), float(profile.response.frequency_hz[-1]))
@@ -105,13 +123,14 @@ def make_compensation(profile: ActuatorProfile, rate_hz: float, channels: int) -
 
 
 BANDS_PER_OCTAVE = 3
+"""Number of bands per octave."""
 POINTS_PER_BAND = 8
-"""Frequencies at which a band's power is read."""
+"""Frequencies at which a band's power is evaluated."""
 
 
 @dataclass(frozen=True)
 class BandError:
-    """A third of an octave about centre_hz: level got over level asked, in dB, without and with the inverse filter."""
+    """Level error [dB] of a third-octave band around `centre_hz`, without and with the inverse filter."""
 
     centre_hz: float
     before_db: float
@@ -119,7 +138,7 @@ class BandError:
 
 
 def compute_third_octave_centres(low_hz: float, high_hz: float) -> Float:
-    """Centres 1000 · 2^(k/3) Hz (IEC 61260-1, base two) of the bands that lie within low and high altogether."""
+    """Return the centres 1000 · 2^(k/3) Hz (IEC 61260-1, base two) of the bands that lie entirely within the range."""
     first = int(np.ceil(BANDS_PER_OCTAVE * np.log2(low_hz / 1000.0) + 0.5 - 1e-9))
     last = int(np.floor(BANDS_PER_OCTAVE * np.log2(high_hz / 1000.0) - 0.5 + 1e-9))
     return np.asarray(1000.0 * 2.0 ** (np.arange(first, last + 1) / BANDS_PER_OCTAVE))
@@ -128,25 +147,31 @@ def compute_third_octave_centres(low_hz: float, high_hz: float) -> Float:
 def compute_band_errors(
     response: FrequencyResponse, range_hz: tuple[float, float], rate_hz: float
 ) -> tuple[BandError, ...]:
-    """Of even power per band, at rate_hz. Raises what inverse_taps() raises."""
+    """Compute the level error per band, for a signal of constant power within each band.
+
+    Raises
+    ------
+    UsageError
+        As `design_inverse_filter`.
+    """
     taps = design_inverse_filter(response, range_hz, rate_hz)
-    found = []
+    errors = []
     for centre in compute_third_octave_centres(*range_hz):
-        place = (np.arange(POINTS_PER_BAND) + 0.5) / POINTS_PER_BAND - 0.5
-        frequency = centre * 2.0 ** (place / BANDS_PER_OCTAVE)
+        offset = (np.arange(POINTS_PER_BAND) + 0.5) / POINTS_PER_BAND - 0.5
+        frequency = centre * 2.0 ** (offset / BANDS_PER_OCTAVE)
         before = 10.0 ** (response.gain_db_at(frequency) / 10.0)
         after = before * np.square(compute_filter_gain(taps, frequency, rate_hz))
-        found.append(BandError(float(centre), *(float(10.0 * np.log10(each.mean())) for each in (before, after))))
-    return tuple(found)
+        errors.append(BandError(float(centre), *(float(10.0 * np.log10(power.mean())) for power in (before, after))))
+    return tuple(errors)
 
 
 def compute_rms_db(values: ArrayLike) -> float:
-    """Of dB figures; 0 where there are none."""
+    """Compute the RMS of dB values; 0 if there are none."""
     errors = np.asarray(values, dtype=np.float64)
     return float(np.sqrt(np.mean(np.square(errors)))) if errors.size else 0.0
 
 
 def find_largest_errors_db(errors: tuple[BandError, ...]) -> tuple[float, float]:
-    """Largest |error|, before and after; 0 where there is no band."""
-    before = max((abs(each.before_db) for each in errors), default=0.0)
-    return before, max((abs(each.after_db) for each in errors), default=0.0)
+    """Return the largest |error| [dB] without and with the filter; 0 if there are no bands."""
+    before = max((abs(error.before_db) for error in errors), default=0.0)
+    return before, max((abs(error.after_db) for error in errors), default=0.0)

@@ -1,7 +1,7 @@
-"""A sound output as a sink: DAC, amplifier, voice coil.
+"""Sink for a sound output: DAC, amplifier and voice coil, through PortAudio.
 
-PortAudio asks for frames in a thread of its own, and gets a FadingQueue's: silence when nothing more comes. That
-thread shares nothing but a deque and one tuple with the rest, so it never waits.
+PortAudio requests frames on its own thread and gets those of a `FadingQueue`, which is silent if no more come. The
+thread shares only a deque and one tuple with the others, so it never waits.
 """
 
 from __future__ import annotations
@@ -19,32 +19,45 @@ from ..sink import Counts, SinkFormat, SinkStatus
 from .fading_queue import RAMP_S, FadingQueue
 
 QUEUE_S = 0.015
-"""Owed at most by a live device."""
+"""Longest queue of a live device [s]."""
 
 SYSTEM_LATENCY_SHARE = 1.0 / 3.0
-"""Of that, asked for the sound system's own buffers. The rest is ours: a late pump is what there is most of."""
+"""Fraction of `QUEUE_S` requested for the sound system's buffers.
+
+The rest belongs to the sink's queue, since a late pump is the most frequent cause of underruns.
+"""
 
 MIN_QUEUE_S = 0.005
-"""Our own part of what is owed, where the sound system itself owes much."""
+"""Shortest queue of the sink if the sound system itself queues much [s]."""
 
 CALLBACK_TIMEOUT_S = 0.5
-"""No request for so long, while we were awake: the device is gone."""
+"""Time without a callback, while this process was running, after which the device counts as gone [s]."""
 
 MAX_POLL_GAP_S = 0.04
-"""Longest that may lie between two looks where nothing holds us up: what is more, we slept ourselves."""
+"""Longest time counted between two polls [s]; in any longer gap this process was suspended itself."""
 
 CLOSE_TIMEOUT_S = 0.05
+"""Longest wait for silence before closing, besides the system's latency [s]."""
 
 OPEN_STREAMS: set[int] = set()
-"""id() of those with a stream: while there is one, PortAudio must not be started anew."""
+"""`id` of every object with an open stream; PortAudio must not be restarted while there is one."""
 
 _POLL_S = 0.0005
 _REMEDY = "Run `hnf actuators` to see what is there; another program may hold the output for itself."
 
 
 class AudioSink:
-    """device: part of a name, an index, or None for the system's default. The rate is the device's own. queue_s: owed
-    at most, where the sound system can do with less itself."""
+    """Sink for a sound output, at the output's own rate.
+
+    Parameters
+    ----------
+    device : str, int or None
+        Part of the output's name, its index, or None for the system's default.
+    channels : int
+        Number of channels.
+    queue_s : float
+        Longest queue [s], if the sound system can do with less itself.
+    """
 
     def __init__(self, device: str | int | None = None, channels: int = 1, *, queue_s: float = QUEUE_S) -> None:
         self._device, self._channels, self._queue_s = device, channels, queue_s
@@ -60,8 +73,8 @@ class AudioSink:
         sounddevice = import_optional("sounddevice")
         self.close()
         try:
-            found = _query_output(sounddevice, self._device)
-            rate, low_s = float(found["default_samplerate"]), float(found["default_low_output_latency"])
+            output = _query_output(sounddevice, self._device)
+            rate, low_s = float(output["default_samplerate"]), float(output["default_low_output_latency"])
             stream = sounddevice.RawOutputStream(
                 samplerate=rate,
                 device=self._device,
@@ -72,8 +85,8 @@ class AudioSink:
             )
         except (sounddevice.PortAudioError, ValueError) as error:
             raise self._make_device_error(f"cannot be opened ({explain_error(error)})", _REMEDY) from error
-        held_s = float(stream.latency)
-        queue = int(rate * max(self._queue_s - held_s, MIN_QUEUE_S))
+        system_latency_s = float(stream.latency)
+        queue = int(rate * max(self._queue_s - system_latency_s, MIN_QUEUE_S))
         self._queue = FadingQueue(queue, self._channels, int(RAMP_S * rate))
         self._incoming.clear()
         self._written, self._callback_status, self._problem = 0, _CallbackStatus(), ""
@@ -85,15 +98,17 @@ class AudioSink:
             raise self._make_device_error(f"cannot be started ({explain_error(error)})", _REMEDY) from error
         self._stream = stream
         OPEN_STREAMS.add(id(self))
-        self._wait_for_system_buffers(2.0 * held_s)
-        return SinkFormat(rate, self._channels, queue + round(held_s * rate), f"sound output '{found['name']}'")
+        self._wait_for_system_buffers(2.0 * system_latency_s)
+        return SinkFormat(
+            rate, self._channels, queue + round(system_latency_s * rate), f"sound output '{output['name']}'"
+        )
 
     def wait(self, timeout_s: float) -> int:
-        until = time.monotonic() + timeout_s
+        deadline = time.monotonic() + timeout_s
         while True:
             self._check()
             room = self._count_free_frames()
-            if room > 0 or time.monotonic() >= until:
+            if room > 0 or time.monotonic() >= deadline:
                 return max(0, room)
             time.sleep(_POLL_S)
 
@@ -103,8 +118,8 @@ class AudioSink:
         self._written += len(counts)
 
     def status(self) -> SinkStatus:
-        told = self._callback_status
-        return SinkStatus(played=told.played, underruns=told.underruns + told.missed, problem=self._problem)
+        callback = self._callback_status
+        return SinkStatus(played=callback.played, underruns=callback.underruns + callback.missed, problem=self._problem)
 
     def finish(self, timeout_s: float) -> None:
         self._check()
@@ -126,36 +141,38 @@ class AudioSink:
         OPEN_STREAMS.discard(id(self))
 
     def _wait_until_silent(self, stream: Any, timeout_s: float) -> None:
-        """Wait until nothing sounds, and the sound system has then got more silence than it holds: ended sooner, it
-        would cut off the end of a fade."""
-        until, held = time.monotonic() + timeout_s, 2.0 * float(stream.latency) * float(stream.samplerate)
-        quiet_at: int | None = None
-        while _is_active(stream) and time.monotonic() < until:
-            told = self._callback_status
-            if self._incoming or not told.silent:
-                quiet_at = None
-            elif quiet_at is None:
-                quiet_at = told.requested
-            elif told.requested - quiet_at > held:
+        """Wait until nothing plays and the system has received more silence than its buffers hold.
+
+        Ended sooner, the end of a fade would be cut off.
+        """
+        deadline, system_frames = time.monotonic() + timeout_s, 2.0 * float(stream.latency) * float(stream.samplerate)
+        silent_since: int | None = None
+        while _is_active(stream) and time.monotonic() < deadline:
+            callback = self._callback_status
+            if self._incoming or not callback.silent:
+                silent_since = None
+            elif silent_since is None:
+                silent_since = callback.requested
+            elif callback.requested - silent_since > system_frames:
                 return
             time.sleep(_POLL_S)
 
     def _wait_for_system_buffers(self, seconds: float) -> None:
-        """Wait while the sound system fills its own buffers, which it does at once and not as time goes by."""
-        until = time.monotonic() + 1.0
-        while self._callback_status.requested < seconds * self._stream.samplerate and time.monotonic() < until:
+        """Wait while the sound system fills its buffers, which it does faster than real time."""
+        deadline = time.monotonic() + 1.0
+        while self._callback_status.requested < seconds * self._stream.samplerate and time.monotonic() < deadline:
             self._check()
             time.sleep(_POLL_S)
 
     def _count_free_frames(self) -> int:
-        told = self._callback_status
-        return self._queue.size - told.queued - (self._written - told.pushed)
+        callback = self._callback_status
+        return self._queue.size - callback.queued - (self._written - callback.pushed)
 
     def _fill_output(self, data: Any, frames: int, _time: Any, flags: Any) -> None:
-        """PortAudio's callback, in its thread; nobody else touches the queue while the stream runs."""
+        """Fill PortAudio's buffer, on its thread; nothing else uses the queue while the stream runs."""
         self._called_at = time.monotonic()
-        queue, told = self._queue, self._callback_status
-        pushed = told.pushed
+        queue, previous = self._queue, self._callback_status
+        pushed = previous.pushed
         while self._incoming:
             item = self._incoming.popleft()
             if item is _Command.DROP:
@@ -167,9 +184,9 @@ class AudioSink:
                 pushed += len(item)
         out = np.frombuffer(data, dtype=np.int16).reshape(frames, self._channels)
         out[:] = queue.advance(frames)
-        missed = told.missed + bool(flags.output_underflow)
+        missed = previous.missed + bool(flags.output_underflow)
         self._callback_status = _CallbackStatus(
-            told.requested + frames, pushed, queue.queued, queue.played, queue.underruns, missed, queue.is_silent
+            previous.requested + frames, pushed, queue.queued, queue.played, queue.underruns, missed, queue.is_silent
         )
 
     def _check(self) -> None:
@@ -182,8 +199,11 @@ class AudioSink:
         raise self._make_device_error(self._problem, "Plug it in, or choose another output; then start again.")
 
     def _measure_callback_silence_s(self) -> float:
-        """Since PortAudio's last request, of the time in which we looked. A computer that was busy elsewhere holds up
-        that thread as it does us: its own lateness is no silence of the device's."""
+        """Return the time since the last callback [s], counting only time in which this process ran.
+
+        A busy computer delays PortAudio's thread as well as this one; its lateness does not mean that the device is
+        gone.
+        """
         awake_s, self._last_poll_at = min(time.monotonic() - self._last_poll_at, MAX_POLL_GAP_S), time.monotonic()
         self._silence_s = self._silence_s + awake_s if self._called_at == self._last_callback_at else 0.0
         self._last_callback_at = self._called_at
@@ -195,15 +215,17 @@ class AudioSink:
 
 
 class _Command(Enum):
-    """Among the counts, in their order."""
+    """Commands queued among the counts."""
 
     DRAIN = "play what is there, it is all"
     DROP = "silence now"
 
 
 class _CallbackStatus(NamedTuple):
-    """What the callback tells: replaced as a whole, never changed. Frames, but for underruns (of our queue),
-    missed (the sound system's own underruns) and silent."""
+    """Status published by the callback, replaced as one tuple and never changed.
+
+    All are frames, except `underruns` (of the queue), `missed` (underruns of the sound system) and `silent`.
+    """
 
     requested: int = 0
     pushed: int = 0
@@ -215,7 +237,7 @@ class _CallbackStatus(NamedTuple):
 
 
 def _is_active(stream: Any) -> bool:
-    """A stream whose sound system is gone is none."""
+    """Return whether the stream runs; False if its sound system is gone."""
     try:
         return bool(stream.active)
     except import_optional("sounddevice").PortAudioError:
@@ -223,8 +245,10 @@ def _is_active(stream: Any) -> bool:
 
 
 def _query_output(sounddevice: Any, device: str | int | None) -> Any:
-    """What is known of the output. PortAudio looks for devices only when it starts: one that is not there may have been
-    plugged in since."""
+    """Return PortAudio's description of an output.
+
+    PortAudio searches for devices only when it starts, so it is restarted for one that is missing.
+    """
     try:
         return sounddevice.query_devices(device, "output")
     except (sounddevice.PortAudioError, ValueError):
@@ -233,15 +257,14 @@ def _query_output(sounddevice: Any, device: str | int | None) -> Any:
 
 
 def rescan_devices(sounddevice: Any) -> None:
-    """Start PortAudio anew, so that it sees what has been plugged in; not while a stream is open, which that would
-    end."""
+    """Restart PortAudio so that it finds newly connected devices, unless a stream is open."""
     if not OPEN_STREAMS:
         sounddevice._terminate()
         sounddevice._initialize()
 
 
 def explain_error(error: Exception, direction: str = "output") -> str:
-    """A line of a library's, without its own numbers in brackets and without its full stop."""
+    """Return the first line of a library's error, without PortAudio's error number and the full stop."""
     if str(error) == "Error querying device -1":
         return f"this system has no sound {direction}"
     return str(error).split(" [PaErrorCode")[0].splitlines()[0].rstrip(".:")

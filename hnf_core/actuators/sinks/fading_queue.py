@@ -1,4 +1,4 @@
-"""A short queue of frames that fades to silence when nothing more comes: the watchdog of outputs that have none."""
+"""A short queue that fades to silence if no more frames come: a watchdog for outputs without one."""
 
 from __future__ import annotations
 
@@ -10,14 +10,23 @@ from numpy.typing import NDArray
 from ..sink import Counts
 
 RAMP_S = 0.004
+"""Length of a fade [s]."""
 
 
 class FadingQueue:
-    """Frames in, what sounds out; its clock is what advance() says. One thread uses it.
+    """Queue of frames with fades around gaps, used by one thread; `advance` is its clock.
 
-    What comes first passes as it is, for a limiter has begun it softly. Where frames are missing the last one is faded
-    within ramp frames, an underrun is counted, and what comes then rises as slowly. size: most frames it is meant to
-    owe; who pushes keeps to it.
+    The first frames pass unchanged, since the limiter fades them in. If frames are missing the last one fades out
+    within `ramp` frames, an underrun is counted, and later frames fade in as slowly.
+
+    Parameters
+    ----------
+    size : int
+        Largest number of queued frames; the writer must respect it.
+    channels : int
+        Number of channels.
+    ramp : int
+        Length of a fade [frames].
     """
 
     def __init__(self, size: int, channels: int, ramp: int) -> None:
@@ -32,40 +41,40 @@ class FadingQueue:
 
     @property
     def is_silent(self) -> bool:
-        """Nothing sounds and nothing is owed."""
+        """True if nothing plays and nothing is queued."""
         return not (self._is_sounding or self._fade_out_frames_left or self.queued)
 
     def would_underrun(self, frames: int) -> bool:
-        """Would advance(frames) be an underrun?"""
+        """Return whether advancing by `frames` would underrun."""
         return self._is_sounding and not self._is_finishing and self.queued < frames
 
     def push(self, counts: Counts) -> None:
-        """(n, channels)."""
+        """Append (n, channels) counts."""
         if len(counts):
             self._queue.append(counts)
             self.queued += len(counts)
             self._is_finishing = False
 
     def finish(self) -> None:
-        """What is there is all: its end is no underrun."""
+        """Mark the queued frames as the last, so that their end is no underrun."""
         self._is_finishing = True
 
     def stop(self) -> None:
-        """Drop what is owed and fade, now."""
+        """Drop the queued frames and fade out now."""
         self._queue.clear()
         self.queued = 0
         if self._is_sounding:
             self._start_fade_out()
 
     def advance(self, frames: int) -> Counts:
-        """(frames, channels): the next that sound."""
+        """Return the next (frames, channels) counts."""
         out: Counts = np.zeros((frames, self._channels), dtype=np.int16)
-        at = 0
-        while at < frames:
+        done = 0
+        while done < frames:
             if self._fade_out_frames_left:
-                at += self._fade(out[at:])
+                done += self._fade(out[done:])
             elif self.queued:
-                at += self._play(out[at:])
+                done += self._play(out[done:])
             elif self._is_sounding:
                 if not self._is_finishing:
                     self.underruns += 1
@@ -106,5 +115,5 @@ class FadingQueue:
 
 
 def _scale(counts: Counts, gains: NDArray[np.float64]) -> Counts:
-    """Towards zero, so that a ramp never exceeds what it scales."""
+    """Scale counts, rounding towards zero so that a fade never exceeds its input."""
     return np.trunc(counts * gains[:, None]).astype(np.int16)

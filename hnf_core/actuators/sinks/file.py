@@ -1,7 +1,7 @@
-"""What would go on the wire, as a WAV; not in real time.
+"""Sink that writes the counts to a 16-bit PCM WAV instead of a device, faster than real time.
 
-16-bit PCM: the very counts. Where full scale is known, LIST/INFO says what a count stands for, so that read_wav gives
-m/s² back (one count is 1/32768 of PCM's full scale, and 1/32767 of a wire's).
+If full scale is known, LIST/INFO states the scale, so that `read_wav` returns m/s² (one count is 1/32768 of PCM's full
+scale and 1/32767 of the wire's).
 """
 
 from __future__ import annotations
@@ -19,14 +19,28 @@ from ..limits import FULL_SCALE_COUNTS
 from ..sink import Counts, SinkFormat, SinkStatus
 
 QUEUE_S = 0.1
-"""It takes whatever comes; so much at once."""
+"""Length accepted per write [s]."""
 _MAX_DATA_BYTES = 2**32 - 1024
 
 
 class FileSink:
-    """Keeps what is written; finish() or close() makes the file of it, atomically.
+    """Collects counts; `finish` or `close` writes the file atomically.
 
-    path: the WAV. rate_hz: whole, as the source's. full_scale_m_s2: of a full-scale count; None leaves it unsaid.
+    Parameters
+    ----------
+    path : Path
+        WAV to write.
+    rate_hz : float
+        The source's rate, an integer [Hz].
+    channels : int
+        Number of channels.
+    full_scale_m_s2 : float or None
+        Acceleration of a full-scale count [m/s²]; None writes no scale.
+
+    Raises
+    ------
+    UsageError
+        If the rate does not fit into a WAV.
     """
 
     def __init__(self, path: Path, rate_hz: float, channels: int = 1, full_scale_m_s2: float | None = None) -> None:
@@ -66,7 +80,7 @@ class FileSink:
         return SinkStatus(played=self._frames, problem=self._problem)
 
     def finish(self, timeout_s: float) -> None:
-        """Raises DeviceError where the file cannot be written."""
+        """Write the file; raise DeviceError if that fails."""
         self._begun = True
         try:
             self._save()
@@ -75,7 +89,7 @@ class FileSink:
             raise DeviceError(error.what, where=error.where, remedy=error.remedy) from error
 
     def stop(self) -> None:
-        """What has been written stays."""
+        """Do nothing: the counts written so far stay."""
 
     def close(self) -> None:
         try:
@@ -84,7 +98,7 @@ class FileSink:
             self._problem = str(error)
 
     def _save(self) -> None:
-        """Nothing where nothing began: what was given up before does not take the place of an earlier file."""
+        """Write the file if anything was written, so that an abandoned attempt does not replace an earlier file."""
         begun, self._open = self._open and self._begun, False
         if begun:
             write_bytes(
@@ -96,9 +110,9 @@ class FileSink:
 
 
 def encode_pcm_wav(data: bytes, rate_hz: int, channels: int, full_scale_m_s2: float | None) -> bytes:
-    """A 16-bit PCM WAV around little-endian frames; layout as in export/wav.py."""
-    form = struct.pack("<HHIIHH", 1, channels, rate_hz, rate_hz * 2 * channels, 2 * channels, 16)
-    body = b"WAVEfmt " + struct.pack("<I", len(form)) + form
+    """Encode little-endian 16-bit frames as a WAV, in the layout of `export/wav.py`."""
+    format_chunk = struct.pack("<HHIIHH", 1, channels, rate_hz, rate_hz * 2 * channels, 2 * channels, 16)
+    body = b"WAVEfmt " + struct.pack("<I", len(format_chunk)) + format_chunk
     if full_scale_m_s2 is not None:
         scale = full_scale_m_s2 * (FULL_SCALE_COUNTS + 1) / FULL_SCALE_COUNTS
         record = {"schema": SCHEMA, "units": UNITS, "scale": scale, "seed": 0, "provenance": {"made by": "hnf stream"}}

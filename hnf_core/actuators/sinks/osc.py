@@ -1,16 +1,16 @@
-"""Envelopes over OSC (Open Sound Control 1.0, UDP), for receivers that make the vibration themselves.
+"""Sink that sends envelopes over OSC (Open Sound Control 1.0, UDP) to receivers that generate the vibration.
 
-Every 10 ms, for each channel c = 1 … , two messages with one float32 each:
+Every 10 ms, two messages with one float32 each are sent for each channel c = 1, 2, …:
 
-    /hnf/c/amplitude    0–1 of full scale: that of a sine with the slot's mean square; 0 where it is silent
-    /hnf/c/frequency    Hz: the centroid of the last 20 ms' power spectrum; the last one where it is silent
+    /hnf/c/amplitude    0–1 of full scale: amplitude of a sine with the slot's mean square; 0 in silence
+    /hnf/c/frequency    Hz: centroid of the power spectrum of the last 20 ms; the last one in silence
 
-Another ADDRESS takes the place of /hnf. VRChat listens on UDP port 9000 and writes what comes at
-/avatar/parameters/NAME into the avatar's parameter NAME (docs.vrchat.com, "OSC Overview", "OSC Avatar Parameters"):
-with /avatar/parameters/hnf as the address, a float parameter hnf/1/amplitude gets the amplitude.
+Another ADDRESS replaces /hnf. VRChat listens on UDP port 9000 and writes what it receives at /avatar/parameters/NAME
+into the avatar's parameter NAME (docs.vrchat.com, "OSC Overview", "OSC Avatar Parameters"): with the address
+/avatar/parameters/hnf, a float parameter hnf/1/amplitude gets the amplitude.
 
-UDP says nothing back: whether anybody listens is not known, and a receiver that keeps its last value vibrates on when
-this program is killed. What is missing or stopped here ends in amplitudes of 0, said SILENCE_SLOTS times.
+UDP has no reply, so it is unknown whether a receiver exists, and one that holds its last value vibrates on if this
+program is killed. An underrun or a stop ends in amplitudes of 0, sent `SILENCE_SLOTS` times.
 """
 
 from __future__ import annotations
@@ -31,39 +31,56 @@ from ..sink import Counts, SinkFormat, SinkStatus
 from .fading_queue import RAMP_S, FadingQueue
 
 RATE_HZ = 4000.0
-"""Touch ends at 1 kHz."""
+"""Sample rate of the sink; tactile signals end at 1 kHz."""
 
 SLOT_S = 0.01
+"""Time between two messages [s]."""
 QUEUE_S = 0.015
+"""Longest queue [s]."""
 SILENCE_SLOTS, REPEAT_PERIOD_S = 10, 1e-3
+"""Number of times that silence is sent, and the time between repetitions on closing [s]."""
 DEFAULT_ADDRESS = "/hnf"
+"""First part of every message's address."""
 _SLOT_FRAMES = round(SLOT_S * RATE_HZ)
 
 Float = NDArray[np.float64]
 
 
 def compute_amplitude(counts: ArrayLike) -> Float:
-    """(n, channels) → (channels,): 0–1 of full scale, of the sine with the same mean square."""
+    """Compute the amplitude of a sine with the same mean square, (n, channels) counts → (channels,) 0–1."""
     square = np.square(np.asarray(counts, dtype=np.float64)).mean(axis=0)
     return np.asarray(np.minimum(np.sqrt(2.0 * square) / FULL_SCALE_COUNTS, 1.0))
 
 
 def compute_centroid_hz(counts: ArrayLike, rate_hz: float) -> Float:
-    """(n, channels) → (channels,): centroid of the power spectrum without its mean (Hann window); NaN where there is
-    nothing but a mean."""
-    given = np.asarray(counts, dtype=np.float64)
-    window = np.hanning(len(given) + 2)[1:-1, None]
-    heard = window * (given - (window * given).sum(axis=0) / window.sum())
-    power = np.square(np.abs(np.fft.rfft(heard, axis=0)))
-    whole = power.sum(axis=0)
-    frequency = np.fft.rfftfreq(len(given), 1.0 / rate_hz)
-    some = whole > 1e-6 * len(given)
-    return np.where(some, frequency @ power / np.where(some, whole, 1.0), np.nan)
+    """Compute the centroid of the power spectrum without its mean, (n, channels) → (channels,) [Hz].
+
+    A Hann window is applied. NaN for channels without any signal besides the mean.
+    """
+    samples = np.asarray(counts, dtype=np.float64)
+    window = np.hanning(len(samples) + 2)[1:-1, None]
+    windowed = window * (samples - (window * samples).sum(axis=0) / window.sum())
+    power = np.square(np.abs(np.fft.rfft(windowed, axis=0)))
+    total = power.sum(axis=0)
+    frequency = np.fft.rfftfreq(len(samples), 1.0 / rate_hz)
+    has_signal = total > 1e-6 * len(samples)
+    return np.where(has_signal, frequency @ power / np.where(has_signal, total, 1.0), np.nan)
 
 
 class OscSink:
-    """host, port: where to. address: what every message's begins with. A thread of its own sends, so that silence is
-    said also when nobody calls any more."""
+    """Sink for an OSC receiver; a thread of its own sends, so that silence is sent even if no more calls come.
+
+    Parameters
+    ----------
+    host : str
+        Host name or IP address.
+    port : int
+        UDP port.
+    address : str
+        First part of every message's address.
+    channels : int
+        Number of channels.
+    """
 
     def __init__(self, host: str, port: int, address: str = DEFAULT_ADDRESS, channels: int = 1) -> None:
         self._host, self._port, self._address, self._channels = host, port, address.rstrip("/"), channels
@@ -129,15 +146,15 @@ class OscSink:
             thread.join(1.0)
 
     def _send_loop(self) -> None:
-        """The sender's thread: its clock is the device's."""
-        heard: Counts = np.zeros((2 * _SLOT_FRAMES, self._channels), dtype=np.int16)
-        pitch, silent, due = np.zeros(self._channels), SILENCE_SLOTS, time.monotonic()
+        """Send the envelopes at the pace of the sender thread, which is the device's clock."""
+        recent: Counts = np.zeros((2 * _SLOT_FRAMES, self._channels), dtype=np.int16)
+        centroid, silent_slots, due = np.zeros(self._channels), SILENCE_SLOTS, time.monotonic()
         level = np.zeros(self._channels)
         try:
             while True:
                 with self._changed:
                     self._changed.wait_for(lambda: self._dropped or self._closing, max(0.0, due - time.monotonic()))
-                    # Messages need not be as even as samples: who is a little late is waited for.
+                    # Messages need not be as regular as samples, so wait a little for a late writer.
                     self._changed.wait_for(
                         lambda: not self._queue.would_underrun(_SLOT_FRAMES) or self._dropped, RAMP_S
                     )
@@ -145,23 +162,23 @@ class OscSink:
                     closing = self._closing
                     slot = self._queue.advance(_SLOT_FRAMES)
                     self._changed.notify_all()
-                if dropped and level.any():  # the fade of what was stopped is one step here
-                    self._send_levels(0.5 * level, pitch)
+                if dropped and level.any():  # the fade-out of a stop is a single step
+                    self._send_levels(0.5 * level, centroid)
                     time.sleep(RAMP_S)
                 level = compute_amplitude(slot) if not (dropped or closing) else np.zeros(self._channels)
-                heard = np.concatenate([heard[_SLOT_FRAMES:], slot])
-                now = compute_centroid_hz(heard, RATE_HZ)
-                pitch = np.where(np.isfinite(now) & (level > 0.0), now, pitch)
-                silent = 0 if level.any() else silent + 1
-                if silent <= SILENCE_SLOTS or closing:
-                    self._send_levels(level, pitch)
+                recent = np.concatenate([recent[_SLOT_FRAMES:], slot])
+                new_centroid = compute_centroid_hz(recent, RATE_HZ)
+                centroid = np.where(np.isfinite(new_centroid) & (level > 0.0), new_centroid, centroid)
+                silent_slots = 0 if level.any() else silent_slots + 1
+                if silent_slots <= SILENCE_SLOTS or closing:
+                    self._send_levels(level, centroid)
                 if closing:
-                    for _ in range(SILENCE_SLOTS - silent):  # no later slot would say it again
+                    for _ in range(SILENCE_SLOTS - silent_slots):  # no later slot repeats it
                         time.sleep(REPEAT_PERIOD_S)
-                        self._send_levels(level, pitch)
+                        self._send_levels(level, centroid)
                     return
                 due = max(due + SLOT_S, time.monotonic() - SLOT_S)
-        except Exception as error:  # whatever it was, who waits for room must hear of it
+        except Exception as error:  # any failure must wake a writer that waits for room
             with self._changed:
                 self._problem = f"cannot be reached any more ({getattr(error, 'strerror', None) or error})"
                 self._changed.notify_all()
@@ -169,7 +186,7 @@ class OscSink:
             self._client.close()
 
     def _send_levels(self, level: Float, pitch: Float) -> None:
-        with suppress(BlockingIOError):  # the network is busy; the next slot says it again
+        with suppress(BlockingIOError):  # the network is busy; the next slot repeats it
             for channel in range(self._channels):
                 self._client.send_message(f"{self._address}/{channel + 1}/amplitude", float(level[channel]))
                 self._client.send_message(f"{self._address}/{channel + 1}/frequency", float(pitch[channel]))
@@ -188,7 +205,9 @@ class OscSink:
 
 
 def _resolve_host(host: str, port: int) -> str:
-    """Its address, looked up once and not for every message; IPv4 where it has one, since most receivers hear no other.
-    Raises OSError where it has none."""
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
-    return str(min(found, key=lambda each: each[0] != socket.AF_INET)[4][0])
+    """Resolve a host once, so that not every message does it; prefer IPv4, since most receivers listen on it only.
+
+    Raises OSError if the host has no address.
+    """
+    addresses = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    return str(min(addresses, key=lambda info: info[0] != socket.AF_INET)[4][0])

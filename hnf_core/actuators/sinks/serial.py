@@ -1,6 +1,7 @@
-"""A device on a serial port that speaks docs/serial-protocol.md.
+"""Sink for a device on a serial port that speaks the protocol of docs/serial-protocol.md.
 
-A serial port, taken for one program alone; what can go wrong with that in words.
+`open_port` opens a port exclusively and explains failures; `SerialSink` performs the handshake, sends samples as far as
+the device's credit allows, and detects faults.
 """
 
 from __future__ import annotations
@@ -40,16 +41,19 @@ from ..sink import Counts, SinkFormat, SinkStatus
 from .serial_session import RESTART_REMEDY, SerialSession
 
 READ_TIMEOUT_S = 0.02
-"""Longest that a read waits for the first byte."""
+"""Longest wait of a read for the first byte [s]."""
 
 WRITE_TIMEOUT_S = 0.1
-"""Longest that a write waits for a device that does not read."""
+"""Longest wait of a write for a device that does not read [s]."""
 
 
 def open_port(port: str, baudrate: int) -> Any:
-    """A serial.Serial in raw mode, whatever lay in its buffers dropped.
+    """Open a port as a `serial.Serial` in raw mode, exclusively, with empty buffers.
 
-    Raises DeviceError where there is no such port, another program has it, or we may not.
+    Raises
+    ------
+    DeviceError
+        If there is no such port, another program uses it, or this user may not open it.
     """
     serial = import_optional("serial")
     try:
@@ -70,10 +74,10 @@ def open_port(port: str, baudrate: int) -> Any:
 
 
 def make_disconnected_error(port: str, error: Exception) -> DeviceError:
-    """What a port that was open says when its plug is pulled."""
-    words = _format_reason(error)
+    """Make the error of a port whose device was disconnected."""
+    reason = _format_reason(error)
     return DeviceError(
-        f"the device is gone{'' if 'returned no data' in words else f' ({words})'}.",
+        f"the device is gone{'' if 'returned no data' in reason else f' ({reason})'}.",
         where=port,
         remedy="Check cable and power, plug it in again, then start again.",
     )
@@ -81,13 +85,13 @@ def make_disconnected_error(port: str, error: Exception) -> DeviceError:
 
 def _make_open_error(port: str, baudrate: int, error: Exception) -> DeviceError:
     number = getattr(error, "errno", None)
-    words = str(error)
-    # pyserial hands on Windows' reason in the text only: no such file, access denied.
-    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in words:
+    reason = str(error)
+    # On Windows pyserial passes on the reason (no such file, access denied) in the text only.
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in reason:
         return DeviceError(
             "there is no such port.", where=port, remedy=f"Plug the device in, or choose one of these: {_list_ports()}."
         )
-    if number in (errno.EAGAIN, errno.EBUSY) or "PermissionError" in words:
+    if number in (errno.EAGAIN, errno.EBUSY) or "PermissionError" in reason:
         return DeviceError("another program uses this port.", where=port, remedy=f"Close {_find_port_user(port)}.")
     if number in (errno.EACCES, errno.EPERM):
         return DeviceError(
@@ -105,20 +109,20 @@ def _make_open_error(port: str, baudrate: int, error: Exception) -> DeviceError:
 def _list_ports() -> str:
     from serial.tools import list_ports
 
-    return ", ".join(sorted(found.device for found in list_ports.comports())) or "none is connected"
+    return ", ".join(sorted(port.device for port in list_ports.comports())) or "none is connected"
 
 
 def _find_port_user(port: str) -> str:
-    """Who has port open, as far as Linux lets us know."""
-    found, device = [], os.path.realpath(port)
+    """Name the processes that have the port open, as far as Linux shows them."""
+    users, device = [], os.path.realpath(port)
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         process = link.parents[1]
         try:
             if os.readlink(link) == device:
-                found.append(f"{(process / 'comm').read_text().strip()} (process {process.name})")
+                users.append(f"{(process / 'comm').read_text().strip()} (process {process.name})")
         except OSError:
             continue
-    return " and ".join(sorted(set(found))) or "it (another stream, a serial monitor, a modem manager)"
+    return " and ".join(sorted(set(users))) or "it (another stream, a serial monitor, a modem manager)"
 
 
 def _format_reason(error: Exception) -> str:
@@ -126,25 +130,30 @@ def _format_reason(error: Exception) -> str:
 
 
 BAUDRATE = 3_000_000
+"""Usual baud rate of the protocol."""
 DEFAULT_RATE_HZ = 8000
+"""Frame rate requested if the source states none [Hz]."""
 MAX_QUEUE_S = 0.015
+"""Longest queue accepted on a device [s]."""
 FRAMES_PER_MESSAGE = 32
-"""Of one SAMPLES: small, so that a damaged one is a short gap."""
+"""Largest number of frames in one SAMPLES message; small, so that a damaged one is a short gap."""
 
 MAX_STALL_S = 1.0
-"""This program, or the whole computer, stood still: longer than any scheduling takes."""
+"""Stall of this program or of the computer that ends the stream [s]; scheduling delays are shorter."""
 
 POLL_S = 0.02
+"""Longest sleep between two checks [s]."""
 RESEND_S = 0.03
+"""Time after which the host's position is sent again [s]."""
 HELLO_S, HELLO_BUSY_S, BUSY_S = 0.1, 0.05, 0.5
 START_S, START_BUSY_S = 0.2, 0.005
 STOP_S = 0.02
-"""Times of docs/serial-protocol.md: how often HELLO, START and STOP are said again, and for how long while somebody
-else plays."""
+"""Timing from docs/serial-protocol.md [s]: repetition of HELLO, START and STOP, and how long to wait for a busy device.
+"""
 
 
 def compute_device_slew(slew_per_s: float, peak: int, rate_hz: int) -> int:
-    """Of START, in counts: what the limiter keeps to as well, but never less than the device's own fades take."""
+    """Compute the slew of START [counts]: the limiter's, but at least that of the device's own fades."""
     if math.isinf(slew_per_s):
         return NO_SLEW_LIMIT
     fade = -(-peak // max(rate_hz // 1000 * RAMP_MS, 1))
@@ -152,13 +161,39 @@ def compute_device_slew(slew_per_s: float, peak: int, rate_hz: int) -> int:
 
 
 def _read_boot_clock_s() -> float:
-    """Seconds that go on while the computer sleeps."""
+    """Return a monotonic time that includes suspension of the computer [s]."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
 class SerialSink:
-    """See Sink. A thread of its own reads, so that neither a pause of the stream nor a slow caller loses what the
-    device tells."""
+    """Sink for a serial device; a thread reads its messages, so that neither pauses nor a slow caller lose any.
+
+    Parameters
+    ----------
+    port : str
+        Serial port.
+    baudrate : int
+        Baud rate.
+    rate_hz : int or None
+        Requested frame rate [Hz]; the device's nearest is used. None requests 8 kHz.
+    channels : int
+        Number of channels.
+    peak : int
+        Largest count that the device may play.
+    slew_per_s : float
+        Largest rate of change that the device may play [full scales per second].
+    versions : tuple of int
+        Lowest and highest protocol version.
+    reply_timeout_s : float
+        Longest wait for a device that was just connected [s].
+    clock : callable or None
+        Returns seconds, counting while the computer is suspended.
+
+    Raises
+    ------
+    UsageError
+        If the number of channels is not within 1–255.
+    """
 
     def __init__(
         self,
@@ -173,10 +208,6 @@ class SerialSink:
         reply_timeout_s: float = 2.0,
         clock: Callable[[], float] | None = None,
     ) -> None:
-        """rate_hz: what is asked for; of what the device has, the nearest is taken. None asks for 8 kHz. peak [counts],
-        slew_per_s [full scales]: what the device itself shall not exceed. versions: of the protocol, lowest and
-        highest. answer_s: longest to wait for a device that has just been plugged in. clock: seconds, also while the
-        computer sleeps."""
         if not 1 <= channels <= 255:
             raise UsageError(f"a serial device has 1 to 255 channels, not {channels}.")
         self._port, self._baudrate, self._wanted_hz, self._channels = port, baudrate, rate_hz, channels
@@ -196,7 +227,13 @@ class SerialSink:
         self._rate_hz, self._last_tick_s, self._last_sent_s, self._late_writes = 0, 0.0, 0.0, 0
 
     def open(self) -> SinkFormat:
-        """See Sink. Raises DeviceError where the port cannot be had, nobody answers, or the device cannot do it."""
+        """Open the port and start a session.
+
+        Raises
+        ------
+        DeviceError
+            If the port cannot be opened, nothing replies, or the device lacks a requested capability.
+        """
         self.close()
         return self._connect()
 
@@ -213,7 +250,7 @@ class SerialSink:
         return SinkFormat(float(self._rate_hz), self._channels, queue, caps.name, peak=caps.peak)
 
     def wait(self, timeout_s: float) -> int:
-        """See Sink. After stop() or finish() it begins a new session."""
+        """Wait for room in the device's queue; after `stop` or `finish` start a new session."""
         deadline = self._clock() + timeout_s
         with self._closing_on_error():
             self._check_problem()
@@ -223,7 +260,7 @@ class SerialSink:
                 room, now = self._session.sendable_frames, self._clock()
                 if room > 0 or now >= deadline:
                     return room
-                # What the device waits for may have been lost on the way: tell it where we are.
+                # The frames that the device waits for may have been lost, so report the host's position.
                 if self._session.pending_frames > 0 and now - self._last_sent_s > RESEND_S:
                     self._last_sent_s = now
                     self._send(Samples(self._session_number, self._session.sent & 0xFFFFFFFF, b""))
@@ -231,62 +268,60 @@ class SerialSink:
                 self._check_problem()
 
     def write(self, counts: Counts) -> None:
-        """See Sink."""
         with self._closing_on_error():
             self._check_problem()
-            session, most = (
+            session, max_frames = (
                 self._session,
                 min(FRAMES_PER_MESSAGE, frames_per_message(self._channels, self._caps.payload)),
             )
             messages = [
-                Samples.from_counts(self._session_number, (session.sent + at) & 0xFFFFFFFF, counts[at : at + most])
-                for at in range(0, len(counts), most)
+                Samples.from_counts(
+                    self._session_number, (session.sent + start) & 0xFFFFFFFF, counts[start : start + max_frames]
+                )
+                for start in range(0, len(counts), max_frames)
             ]
             session.sent += len(counts)
             self._last_sent_s = self._clock()
             self._send(*messages)
 
     def status(self) -> SinkStatus:
-        """See Sink."""
         with self._condition:
             return self._session.to_sink_status()
 
     def finish(self, timeout_s: float) -> None:
-        """See Sink."""
         deadline = self._clock() + timeout_s
         with self._closing_on_error():
             self._check_problem()
             if self._session.number is None:
                 return
-            said_s = -STOP_S
+            last_stop_s = -STOP_S
             while not self._session.is_resting and (now := self._clock()) < deadline:
-                if now - said_s >= STOP_S:
-                    said_s = now
+                if now - last_stop_s >= STOP_S:
+                    last_stop_s = now
                     self._send(Stop(drain=True))
                 self._condition.wait(POLL_S)
                 self._check_problem()
             self._session.end()
 
     def stop(self) -> None:
-        """See Sink."""
         with self._condition:
             self._session.end()
             with suppress(DeviceError):
                 self._send(Stop())
 
     def close(self) -> None:
-        """See Sink."""
         with self._condition:
             serial, self._serial = self._serial, None
             self._session.end()
         if serial is None:
             return
         self._closing.set()
-        # A closed port may take half a minute where a device no longer reads: whatever is still to go is dropped.
+        # Closing can take half a minute if the device no longer reads, so unsent bytes are dropped first.
         with suppress(Exception):
             serial.write(self._encoder.encode(Stop()) + self._encoder.encode(Bye()))
             for _ in range(20):
-                time.sleep(0.002)  # first: a pty says at once that nothing waits, and dropping would drop the STOP
+                # Sleep first: a pty reports an empty buffer at once, and resetting it would drop the STOP.
+                time.sleep(0.002)
                 if not serial.out_waiting:
                     break
         with suppress(Exception):
@@ -304,9 +339,12 @@ class SerialSink:
         return number
 
     def _handshake(self) -> Caps:
-        """HELLO until somebody answers: boards restart when their port is opened, and the last host may just have died,
-        with a few milliseconds still to sound."""
-        began, session = self._clock(), self._session
+        """Repeat HELLO until the device replies.
+
+        Boards restart when their port is opened, and a previous host may just have ended with some milliseconds still
+        queued.
+        """
+        started_s, session = self._clock(), self._session
         while True:
             session.refusal = None
             session.unanswered_hellos += 1
@@ -317,16 +355,16 @@ class SerialSink:
                 if self._versions[0] <= session.caps.version <= self._versions[1]:
                     return session.caps
                 raise self._make_version_error(f"version {session.caps.version}")
-            busy, waited = session.is_refused_with(ErrorCode.BUSY), self._clock() - began
+            busy, waited_s = session.is_refused_with(ErrorCode.BUSY), self._clock() - started_s
             if session.is_refused_with(ErrorCode.VERSION):
                 raise self._make_version_error(f"'{session.refusal_text}'")
-            if busy and waited >= BUSY_S:
+            if busy and waited_s >= BUSY_S:
                 raise DeviceError(
                     "the device plays for another program.",
                     where=self._port,
                     remedy="Stop the other stream, then start again.",
                 )
-            if waited >= self._reply_timeout_s:
+            if waited_s >= self._reply_timeout_s:
                 raise self._make_no_reply_error()
             if busy:
                 self._sleep(HELLO_BUSY_S)
@@ -362,27 +400,27 @@ class SerialSink:
         return min(max(self._wanted_hz or DEFAULT_RATE_HZ, caps.lowest_hz), caps.highest_hz)
 
     def _start_session(self, caps: Caps) -> int:
-        """START, until the first CREDIT of the session. Returns the frames that the device owes at most."""
-        number, longest = secrets.randbelow(0xFFFF) + 1, int(MAX_QUEUE_S * self._rate_hz)
-        peak, queue = min(self._peak, caps.peak), min(caps.queue, longest)
+        """Repeat START until the first CREDIT of the session; return the device's queue size [frames]."""
+        number, max_queue = secrets.randbelow(0xFFFF) + 1, int(MAX_QUEUE_S * self._rate_hz)
+        peak, queue = min(self._peak, caps.peak), min(caps.queue, max_queue)
         slew = compute_device_slew(self._slew_per_s, peak, self._rate_hz)
-        session, began, patience_s = self._session, self._clock(), START_S
+        session, started_s, timeout_s = self._session, self._clock(), START_S
         while session.credit is None:
             session.begin(number, self._rate_hz, self._clock())
             self._send(Start(self._rate_hz, self._channels, peak, number, slew, queue))
-            self._condition.wait_for(self._has_started, patience_s)
+            self._condition.wait_for(self._has_started, timeout_s)
             self._raise_problem()
             busy = session.is_refused_with(ErrorCode.BUSY)
-            if session.credit is None and self._clock() - began >= (BUSY_S if busy else self._reply_timeout_s):
+            if session.credit is None and self._clock() - started_s >= (BUSY_S if busy else self._reply_timeout_s):
                 raise self._fail("the device does not start.", RESTART_REMEDY)
-            if busy:  # what was stopped still fades; it says so once only
-                patience_s = START_BUSY_S
+            if busy:  # a stopped stream still fades out, and the device reports that only once
+                timeout_s = START_BUSY_S
                 self._sleep(START_BUSY_S)
         credit = session.credit
-        if credit.queue > longest:
+        if credit.queue > max_queue:
             raise self._fail(
                 f"the device would sound on for {1e3 * credit.queue / self._rate_hz:.0f} ms after a fault.",
-                f"Its queue may hold {longest} frames at most; update its firmware.",
+                f"Its queue may hold {max_queue} frames at most; update its firmware.",
             )
         return credit.queue
 
@@ -391,7 +429,7 @@ class SerialSink:
         return session.credit is not None or session.refusal is not None or session.problem is not None
 
     def _sleep(self, seconds: float) -> None:
-        """Sleep, while the reader goes on."""
+        """Sleep with the lock released, so that the reader continues."""
         self._condition.wait_for(lambda: False, seconds)
 
     @property
@@ -403,7 +441,7 @@ class SerialSink:
 
     @contextmanager
     def _closing_on_error(self) -> Iterator[None]:
-        """What the reader learns is looked at under its lock; the port is closed without, or the reader would wait."""
+        """Hold the lock; on DeviceError close the port after releasing it, since the reader thread needs it to end."""
         try:
             with self._condition:
                 yield
@@ -418,7 +456,7 @@ class SerialSink:
         return problem
 
     def _send(self, *messages: FromHost) -> None:
-        """One write. Raises DeviceError where it cannot be done in time; the sink is then closed."""
+        """Send messages in one write; raise DeviceError if that fails or takes too long."""
         if self._serial is None:
             raise DeviceError("the port is not open.", where=self._port, remedy="Start again.")
         data = b"".join(self._encoder.encode(message) for message in messages)
@@ -429,14 +467,15 @@ class SerialSink:
             if type(error).__name__ != "SerialTimeoutException":
                 self._session.problem = self._session.problem or make_disconnected_error(self._port, error)
             else:
-                # pyserial says the same when we were asleep meanwhile. Once; what was lost then, the device bridges.
+                # pyserial also times out if this process was suspended. That is tolerated once, since the device
+                # interpolates the lost frames.
                 self._late_writes += 1
                 if self._late_writes > 1:
                     self._session.fail("the device has stopped reading.", RESTART_REMEDY)
             self._raise_problem()
 
     def _check_problem(self) -> None:
-        """Raise what has gone wrong meanwhile."""
+        """Raise the problem that has occurred since the last check, if any."""
         self._check_stall(self._clock())
         self._raise_problem()
 
@@ -445,12 +484,12 @@ class SerialSink:
             raise self._session.problem
 
     def _check_stall(self, now: float) -> None:
-        still = now - self._last_tick_s
-        if still > MAX_STALL_S and self._session.number is not None:
-            self._session.fail(f"this program, or the computer, stood still for {still:.1f} s.", "Start again.")
+        stalled_s = now - self._last_tick_s
+        if stalled_s > MAX_STALL_S and self._session.number is not None:
+            self._session.fail(f"this program, or the computer, stood still for {stalled_s:.1f} s.", "Start again.")
 
     def _read_loop(self) -> None:
-        """The reader's thread, until close() or the first problem."""
+        """Read messages on the reader thread, until `close` or the first problem."""
         request_realtime_priority()
         serial, decoder = self._serial, Decoder(FROM_DEVICE)
         while not self._closing.is_set():

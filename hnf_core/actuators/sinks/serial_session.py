@@ -1,6 +1,7 @@
-"""What the host knows of a device, from its messages alone: no port, no thread, no clock of its own.
+"""The host's view of a serial device, derived from its messages alone: no port, thread or clock of its own.
 
-Whether a device plays as fast as it says, by the host's clock.
+`SerialSession` takes messages and their times [s] and gives the credit, the status and the first problem.
+`ClockRateMonitor` checks the device's frame rate against the host's clock.
 """
 
 from __future__ import annotations
@@ -13,22 +14,23 @@ from ..serial_protocol import NO_TEMPERATURE, Caps, Credit, Error, ErrorCode, Me
 from ..sink import SinkStatus
 
 RATE_TOLERANCE = 0.03
-"""Share of the rate: an RC oscillator's worst. What has another rate by mistake (44.1 for 48 kHz) is 8 % off."""
+"""Relative error of the rate that is tolerated: an RC oscillator's worst. A wrong rate (44.1 for 48 kHz) is 8 % off."""
 
 READ_JITTER_S = 0.1
 SEGMENT_JITTER_S = 0.01
-"""By which what a device tells may be old when a busy machine reads it: in all, and for each piece more."""
+"""Longest delay of a message when a busy computer reads it [s]: in total (`READ_JITTER_S`), and extra per segment."""
 
 MIN_OBSERVATION_S = 1.0
+"""Shortest observation before a rate is judged [s]."""
 MAX_OBSERVATION_S = 10.0
+"""Observation after which counting starts anew [s]."""
 CONFIRMATION_S = 0.5
-"""How long it must look wrong."""
+"""Time for which the rate must be wrong before it is reported [s]."""
 
 
 @dataclass
 class ClockRateMonitor:
-    """Told frames played and when, and of every gap in which there was nothing to play: what counts are the pieces
-    between."""
+    """Estimator of a device's frame rate from frames played and the time, over the segments without gaps."""
 
     rate_hz: float
     _segment_start: tuple[float, int] | None = None
@@ -39,7 +41,7 @@ class ClockRateMonitor:
     _wrong_since: float | None = None
 
     def end_segment(self) -> None:
-        """It has had nothing to play."""
+        """End a segment, when the device had nothing to play."""
         if self._segment_start is not None:
             self._seconds += self._last[0] - self._segment_start[0]
             self._frames += self._last[1] - self._segment_start[1]
@@ -47,7 +49,7 @@ class ClockRateMonitor:
             self._segment_start = None
 
     def update(self, now_s: float, played: int) -> float | None:
-        """The rate it really has, once that is sure to be another; otherwise None."""
+        """Add an observation; return the actual rate [Hz] once it is certainly wrong, else None."""
         self._last = (now_s, played)
         self._segment_start = self._segment_start or self._last
         seconds = self._seconds + now_s - self._segment_start[0]
@@ -70,34 +72,61 @@ class ClockRateMonitor:
 
 
 CREDIT_TIMEOUT_S = 0.25
-"""A device that plays sends a CREDIT every 2 ms; after so long without one it is not there any more."""
+"""Time without a CREDIT after which the device counts as gone [s]; it sends one every 2 ms while it plays."""
 
 MAX_READ_GAP_S = 0.04
-"""Longest that a read takes where nothing holds it up."""
+"""Longest duration of a read that nothing delays [s]."""
 
 STUCK_TIMEOUT_S = 0.25
-"""Longest that a device may have frames and play none."""
+"""Longest time that a device may have frames and play none [s]."""
 
 LOSS_WINDOW_S = 1.0
+"""Period over which losses are counted [s]."""
 MAX_LOSS_SHARE = 0.5
-"""Share of the frames of so long that may get lost; with more, what is felt is no longer what was sent."""
+"""Fraction of the frames of `LOSS_WINDOW_S` that may get lost; beyond it the output no longer resembles the signal."""
 
 HARMLESS_CODES = frozenset({ErrorCode.OVERRUN, ErrorCode.MALFORMED})
-"""Errors of single messages, damaged on the wire: counted, the stream goes on."""
+"""Errors of single messages damaged on the wire: counted, while the stream continues."""
 
 RESTART_REMEDY = "Check its power and its cable, then start again."
+"""Remedy for a device that no longer works."""
 
 FOREIGN_HOST_CODES = frozenset({ErrorCode.BUSY, ErrorCode.SESSION})
-"""Answers to what we did not send."""
+"""Errors that reply to messages of another host."""
 
 
 @dataclass
 class SerialSession:
-    """hear() takes messages, fail-safe: what ends the stream becomes problem, and stays the first one.
+    """State of the connection to a device; a fault that ends the stream becomes `problem`, and the first one stays.
 
-    caps: once told. credit: the last of this session. sent: frames since START. earlier: frames played in sessions
-    before. greetings: HELLOs that are not answered yet. damaged: frames that came damaged; errors: single frames that
-    the device refused.
+    Attributes
+    ----------
+    port : str
+        Port, for messages.
+    caps : Caps or None
+        Capabilities, once received.
+    refusal : Error or None
+        Last ERROR.
+    credit : Credit or None
+        Last CREDIT of this session.
+    status : Status or None
+        Last STATUS.
+    problem : DeviceError or None
+        First fault.
+    number : int or None
+        Number of the session; None without one.
+    sent : int
+        Frames sent since START.
+    played : int
+        Frames played since START.
+    played_before : int
+        Frames played in earlier sessions.
+    unanswered_hellos : int
+        HELLOs without a reply.
+    damaged : int
+        Frames that arrived damaged at the host.
+    errors : int
+        Single messages that the device refused.
     """
 
     port: str
@@ -120,7 +149,7 @@ class SerialSession:
     _stuck_s: float = 0.0
 
     def begin(self, number: int, rate_hz: int, now_s: float) -> None:
-        """A START with this session number is sent."""
+        """Begin a session: a START with this number is being sent."""
         self.number, self.credit, self.refusal, self.sent = number, None, None, 0
         self.played_before, self.played = self.played_before + self.played, 0
         self._rate_monitor = ClockRateMonitor(rate_hz)
@@ -128,22 +157,22 @@ class SerialSession:
         self._lost = (now_s, 0 if self.status is None else self.status.lost, 0)
 
     def end(self) -> None:
-        """A STOP is sent: whatever comes is history."""
+        """End the session: a STOP is being sent, and later messages are ignored."""
         self.number = self.credit = None
 
     @property
     def sendable_frames(self) -> int:
-        """Frames that may be sent now."""
+        """Number of frames that may be sent now."""
         return max(0, self.credit.compute_sendable_frames(self.sent)) if self.credit is not None else 0
 
     @property
     def pending_frames(self) -> int:
-        """Frames that were sent and, as far as is known, not played yet."""
+        """Number of frames sent and, as far as known, not yet played."""
         return self.sent - self.played
 
     @property
     def is_resting(self) -> bool:
-        """The device has ended the stream."""
+        """True if the device has ended the stream."""
         return self.credit is not None and self.credit.state in (State.IDLE, State.READY)
 
     def is_refused_with(self, code: ErrorCode) -> bool:
@@ -154,8 +183,8 @@ class SerialSession:
         return self.refusal.text if self.refusal is not None else ""
 
     def handle_messages(self, messages: Sequence[Message], now_s: float) -> None:
-        """messages: that came together; their age is known of the last only."""
-        credits = [found for found in messages if isinstance(found, Credit)]
+        """Process messages that were read together; only the last one's age is known."""
+        credits = [credit for credit in messages if isinstance(credit, Credit)]
         for message in messages:
             if isinstance(message, Status):
                 self.status = message
@@ -171,8 +200,10 @@ class SerialSession:
             self._handle_credits(credits, now_s)
 
     def check_timeouts(self, now_s: float) -> None:
-        """Called by who reads, after each read. What a computer that was busy elsewhere did not read in the meantime
-        is no silence of the device's: only time in which it was awake counts."""
+        """Check timeouts after each read, counting only time in which this process ran.
+
+        Messages that a busy computer has not read in the meantime do not mean that the device is silent.
+        """
         awake_s, self._last_check_s = min(now_s - self._last_check_s, MAX_READ_GAP_S), now_s
         if self.credit is None:
             return
@@ -184,7 +215,7 @@ class SerialSession:
             self.fail("the device takes no more samples.", RESTART_REMEDY)
 
     def fail(self, what: str, remedy: str) -> None:
-        """The first problem is the one that is told."""
+        """Record a problem; the first one stays."""
         self.problem = self.problem or DeviceError(what, where=self.port, remedy=remedy)
 
     def to_sink_status(self) -> SinkStatus:
@@ -192,18 +223,18 @@ class SerialSession:
         device = self.status
         if device is None:
             return SinkStatus(played, 0, errors, None, problem)
-        warm = None if device.temperature == NO_TEMPERATURE else device.temperature / 10.0
+        temperature_c = None if device.temperature == NO_TEMPERATURE else device.temperature / 10.0
         damaged = device.crc_errors + device.lost + errors
-        return SinkStatus(played, device.underruns, damaged, warm, problem, device.limited)
+        return SinkStatus(played, device.underruns, damaged, temperature_c, problem, device.limited)
 
     def _handle_credits(self, credits: Sequence[Credit], now_s: float) -> None:
-        mine = [found for found in credits if found.session == self.number]
-        if not mine:
-            # Those of the session before are still on their way when ours has just begun.
+        own_credits = [credit for credit in credits if credit.session == self.number]
+        if not own_credits:
+            # Credits of the previous session may still arrive when a new one has just begun.
             if self.credit is not None:
                 self.fail("the device plays for another program.", "Close the other program, then start again.")
             return
-        self._silence_s, last = 0.0, mine[-1]
+        self._silence_s, last = 0.0, own_credits[-1]
         played = self.played + ((last.played - self.played) & 0xFFFFFFFF)
         if played - self.played < 0x80000000:
             if played > self.played:
@@ -215,7 +246,7 @@ class SerialSession:
                 f"the device says that it has played {-self.pending_frames} frames that it never got.",
                 "Update its firmware.",
             )
-        if any(found.state is not State.PLAYING for found in mine):
+        if any(credit.state is not State.PLAYING for credit in own_credits):
             self._rate_monitor.end_segment()
         elif (rate := self._rate_monitor.update(now_s, self.played)) is not None:
             self.fail(
@@ -226,10 +257,10 @@ class SerialSession:
             self.fail(self._describe_refusal(), RESTART_REMEDY)
 
     def _check_losses(self, lost: int, now_s: float) -> None:
-        since_s, before, played = self._lost
+        since_s, lost_before, played_before = self._lost
         if self.number is None or now_s - since_s < LOSS_WINDOW_S:
             return
-        if lost - before > MAX_LOSS_SHARE * max(1, self.played - played):
+        if lost - lost_before > MAX_LOSS_SHARE * max(1, self.played - played_before):
             self.fail(
                 "most of what is sent is damaged on the way.", "Use a shorter or shielded cable, or a lower rate."
             )
@@ -247,7 +278,7 @@ class SerialSession:
             self.errors += 1
 
     def _describe_refusal(self) -> str:
-        said = self.refusal
-        if said is None:
+        refusal = self.refusal
+        if refusal is None:
             return "the device has stopped because of a fault."
-        return f"the device refuses: {said.text or f'error {said.code}.'}"
+        return f"the device refuses: {refusal.text or f'error {refusal.code}.'}"

@@ -1,8 +1,7 @@
-"""A virtual device on a serial port that is none: a pty, served in real time by a thread.
+"""A virtual device on a pty, served in real time by a thread, and a sink that uses it.
 
-What a virtual device has played, frame by frame of its sample clock, and what a skin would have got of it.
-
-The virtual actuator as a sink of its own: a device, its port and the host's side of the wire in one.
+Whatever a program can do with a serial port, it can do with `VirtualPort.path`. A `Recording` stores what was played,
+frame by frame of the sample clock, and computes the resulting motion of the transducer.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ from .serial_device import Capabilities, VirtualDevice
 from .transducer import GENERIC_TRANSDUCER, Motion, Transducer, counts_to_drive, simulate_motion
 
 CHUNK_FRAMES = 16_384
-"""Frames of memory that are taken at once: few and large, for an hour of small pieces would wear out Python."""
+"""Frames allocated at once; few large arrays, since an hour of small ones would slow Python down."""
 
 
 @dataclass
 class _Chunk:
-    """What sounded without a gap from the clock at its first frame on; filled frames of room are used."""
+    """Counts played without a gap since sample clock `clock`; the first `filled` frames of `buffer` are used."""
 
     clock: int
     buffer: Counts
@@ -48,7 +47,10 @@ class _Chunk:
 
 @dataclass
 class Recording:
-    """Pieces of sound and the clock at which each began; silence is what lies between them. Any thread."""
+    """Recorded output of a virtual device: chunks and the sample clocks at which they began, with silence between them.
+
+    May be used from any thread.
+    """
 
     transducer: Transducer = GENERIC_TRANSDUCER
     rate_hz: float = 0.0
@@ -56,7 +58,10 @@ class Recording:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def record(self, clock: int, rate_hz: float, counts: Counts) -> None:
-        """As VirtualDevice tells it. What was played at another rate or on other channels before is forgotten."""
+        """Append (n, channels) counts played at sample clock `clock`, as an `OutputCallback`.
+
+        Earlier counts with another rate or another number of channels are discarded.
+        """
         with self._lock:
             if self._chunks and (rate_hz != self.rate_hz or counts.shape[1] != self._chunks[0].buffer.shape[1]):
                 self._chunks.clear()
@@ -74,41 +79,46 @@ class Recording:
 
     @property
     def counts(self) -> Counts:
-        """(n, channels): from the first frame that was no silence to the last, with the silence between them."""
+        """Recorded counts (n, channels), from the first frame that is not silent to the last."""
         with self._lock:
-            pieces = [(piece.clock, piece.counts.copy()) for piece in self._chunks]
-        if not pieces:
+            chunks = [(chunk.clock, chunk.counts.copy()) for chunk in self._chunks]
+        if not chunks:
             return np.zeros((0, 1), dtype=np.int16)
-        first = pieces[0][0]
-        last, tail = pieces[-1]
+        first = chunks[0][0]
+        last, tail = chunks[-1]
         out: Counts = np.zeros((last + len(tail) - first, tail.shape[1]), dtype=np.int16)
-        for clock, piece in pieces:
-            out[clock - first : clock - first + len(piece)] = piece
+        for clock, chunk in chunks:
+            out[clock - first : clock - first + len(chunk)] = chunk
         loud = np.flatnonzero(out.any(axis=1))
         return out[loud[0] : loud[-1] + 1]
 
     @property
     def motion(self) -> Motion:
-        """Of the transducer that was at rest and cool: acceleration in m/s², temperature in °C."""
+        """Motion of the transducer, initially at rest and cool: acceleration [m/s²], temperature [°C]."""
         return simulate_motion(self.transducer, counts_to_drive(self.counts), self.rate_hz or 1.0)
 
 
 TICK_S = 0.001
+"""Period of the device's thread [s]."""
 MAX_CATCH_UP_S = 0.005
-"""Most that is played at once. A thread that comes later has been kept waiting by the machine, which no device is: it
-catches up in steps between which the host can feed it."""
+"""Longest time played at once [s].
+
+If the computer delays the thread, as never happens to a device, it catches up in steps between which the host can send.
+"""
 
 MAX_LAG_S = 0.5
-"""What it cannot catch up: its clock has stood still, and that is counted."""
+"""Lag that is caught up [s]; beyond it the clock stood still, which is counted."""
 
 READ_BYTES = 65_536
+"""Largest read from the pty [bytes]."""
 MAX_PENDING_BYTES = 4096
-"""That wait for a host that does not read; more is lost, as on any wire."""
+"""Output that waits for a host that does not read [bytes]; more is lost, as on any wire."""
 
 _FOLDER_PREFIX = "hnf-virtual-"
-"""Of the folder that a port lies in; then follows whose it is."""
+"""Start of the name of a port's folder, followed by the owner's process number."""
 
 WireFilter = Callable[[bytes], bytes]
+"""Function that changes bytes on the wire."""
 
 
 def _pass_through(data: bytes) -> bytes:
@@ -116,12 +126,34 @@ def _pass_through(data: bytes) -> bytes:
 
 
 class VirtualPort:
-    """path: what a host opens; it stays the same when the plug is pulled and put in again. recording: all that was
-    played. slipped: frames that the sample clock stood still for want of a machine.
+    """A virtual device on a pty; a context manager.
 
-    speed: of its sample clock, 1 = honest. deaf: it does not read. baud: of the line, 10 bits a byte, by the sample
-    clock; None: as fast as a pty. from_host, to_host: what the wire does to bytes. All may be changed at any time. A
-    context manager.
+    Parameters
+    ----------
+    capabilities : Capabilities or None
+        Capabilities of the device.
+    transducer : Transducer
+        Mechanics of the device.
+    speed : float
+        Speed of its sample clock; 1 = correct.
+
+    Attributes
+    ----------
+    path : str
+        Port for the host; it stays the same when the device is unplugged and plugged in again.
+    recording : Recording
+        Everything that was played.
+    skipped_frames : int
+        Frames for which the sample clock stood still because the computer was busy.
+    speed, ignores_host, baud, from_host, to_host
+        Faults and properties of the wire, which may be changed at any time: speed of the sample clock, whether the
+        device stops reading, baud rate at 10 bits a byte (None = as fast as a pty), and filters for the bytes in both
+        directions.
+
+    Raises
+    ------
+    DeviceError
+        If the system has no ptys (Windows), or none is free.
     """
 
     def __init__(
@@ -131,7 +163,6 @@ class VirtualPort:
         *,
         speed: float = 1.0,
     ) -> None:
-        """Raises DeviceError where the system has no ptys (Windows), or none to give."""
         try:
             import pty
             import tty
@@ -169,33 +200,33 @@ class VirtualPort:
         self.close()
 
     def plug(self) -> None:
-        """Put the plug in; harmless where it is. Raises DeviceError where there is no pty to be had."""
+        """Connect the cable, if it is not connected; raise DeviceError if no pty is free."""
         with self._lock:
             if self._descriptors is not None:
                 return
             try:
-                ours, theirs = self._open_pty()
+                device_end, host_end = self._open_pty()
             except OSError as error:
                 raise DeviceError(
                     f"the virtual actuator needs a pty, and the system gives none ({error}).",
                     remedy="In a container: mount /dev/pts; or play to a file, or on a real device.",
                 ) from error
-            # Theirs stays open here too: nothing tells a device on a wire that its host is gone.
-            self._set_raw(ours)
-            self._set_raw(theirs)
-            os.set_blocking(ours, False)
-            self._descriptors, self._pending = (ours, theirs), b""
+            # The host's end stays open here too, since a device on a wire does not notice that its host is gone.
+            self._set_raw(device_end)
+            self._set_raw(host_end)
+            os.set_blocking(device_end, False)
+            self._descriptors, self._pending = (device_end, host_end), b""
             link = Path(self.path)
             link.unlink(missing_ok=True)
-            link.symlink_to(os.ttyname(theirs))
+            link.symlink_to(os.ttyname(host_end))
 
     def unplug(self) -> None:
-        """Pull it. The device has power of its own, and is told nothing."""
+        """Disconnect the cable; the device has its own power and does not notice."""
         with self._lock:
             self._unplug()
 
     def close(self) -> None:
-        """Switch it off."""
+        """Switch the device off."""
         self._closing.set()
         self._thread.join(1.0)
         self.unplug()
@@ -203,7 +234,7 @@ class VirtualPort:
 
     @contextmanager
     def freeze_clock(self) -> Iterator[VirtualDevice]:
-        """The device, its sample clock standing still: what is done meanwhile happens at one of its frames."""
+        """Give access to the device with its sample clock halted, so that everything happens at one frame."""
         with self._lock:
             yield self.device
 
@@ -215,33 +246,33 @@ class VirtualPort:
                 os.close(end)
 
     def _run(self) -> None:
-        request_realtime_priority()  # a device's clock waits for no other program
-        debt, last = 0.0, time.monotonic()
+        request_realtime_priority()  # a real device's clock does not depend on other programs
+        frames_due, last = 0.0, time.monotonic()
         while not self._closing.is_set():
             time.sleep(TICK_S)
             with self._lock:
                 now = time.monotonic()
-                debt += (now - last) * self.device.rate_hz * self.speed
-                last, lost = now, debt - MAX_LAG_S * self.device.rate_hz
-                if lost > 0.0:
-                    self.skipped_frames += int(lost)
-                    debt -= lost
-                due = min(int(debt), int(MAX_CATCH_UP_S * self.device.rate_hz))
-                debt -= due
-                self._receive(due / self.device.rate_hz)
-                self.device.advance(due)
+                frames_due += (now - last) * self.device.rate_hz * self.speed
+                last, excess = now, frames_due - MAX_LAG_S * self.device.rate_hz
+                if excess > 0.0:
+                    self.skipped_frames += int(excess)
+                    frames_due -= excess
+                count = min(int(frames_due), int(MAX_CATCH_UP_S * self.device.rate_hz))
+                frames_due -= count
+                self._receive(count / self.device.rate_hz)
+                self.device.advance(count)
                 self._transmit()
 
     def _receive(self, seconds: float) -> None:
-        """To what a line with its baud carries in seconds."""
+        """Read from the host as much as a line of that baud rate carries in `seconds`."""
         if self._descriptors is None or self.ignores_host:
             return
-        most = READ_BYTES
+        max_bytes = READ_BYTES
         if self.baud is not None:
             self._budget = min(self._budget + seconds * self.baud / 10.0, 2.0 * MAX_CATCH_UP_S * self.baud / 10.0)
-            most = int(self._budget)
+            max_bytes = int(self._budget)
         try:
-            data = os.read(self._descriptors[0], most) if most else b""
+            data = os.read(self._descriptors[0], max_bytes) if max_bytes else b""
         except BlockingIOError:
             data = b""
         except OSError:
@@ -250,21 +281,21 @@ class VirtualPort:
         self.device.receive(self.from_host(data))
 
     def _transmit(self) -> None:
-        said = self._pending + self.to_host(self.device.poll_output())
-        if self._descriptors is None or not said:
+        data = self._pending + self.to_host(self.device.poll_output())
+        if self._descriptors is None or not data:
             self._pending = b""
             return
         try:
-            said = said[os.write(self._descriptors[0], said) :]
+            data = data[os.write(self._descriptors[0], data) :]
         except BlockingIOError:
             pass
         except OSError:
-            said = b""
-        self._pending = said if len(said) <= MAX_PENDING_BYTES else b""
+            data = b""
+        self._pending = data if len(data) <= MAX_PENDING_BYTES else b""
 
 
 def _remove_abandoned() -> None:
-    """Folders of processes that were killed: they could not do it themselves."""
+    """Remove the folders of processes that were killed before they could do so."""
     for folder in Path(tempfile.gettempdir()).glob(f"{_FOLDER_PREFIX}*-*"):
         owner = folder.name.removeprefix(_FOLDER_PREFIX).partition("-")[0]
         if owner.isdecimal() and not _is_alive(int(owner)):
@@ -282,11 +313,23 @@ def _is_alive(process: int) -> bool:
 
 
 REST_TIMEOUT_S = 0.1
+"""Longest wait for the device to become idle [s]."""
 
 
 class VirtualSink(SerialSink):
-    """See Sink. Every byte goes through a pty, as to a real device. A device lives from open() to close(); recording,
-    what the last one played, stays."""
+    """Sink for a virtual device, with every byte going through a pty as to a real one.
+
+    A device exists from `open` to `close`; `recording`, the output of the last one, remains.
+
+    Parameters
+    ----------
+    rate_hz, channels, peak, slew_per_s
+        As for `SerialSink`.
+    capabilities : Capabilities or None
+        Capabilities of the device.
+    transducer : Transducer
+        Mechanics of the device.
+    """
 
     def __init__(
         self,
@@ -298,26 +341,25 @@ class VirtualSink(SerialSink):
         peak: int = FULL_SCALE_COUNTS,
         slew_per_s: float = math.inf,
     ) -> None:
-        """As SerialSink; abilities and transducer: of the device."""
         super().__init__("virtual", rate_hz=rate_hz, channels=channels, peak=peak, slew_per_s=slew_per_s)
         self._capabilities, self._transducer = capabilities, transducer
         self._device: VirtualPort | None = None
         self.recording = Recording(transducer)
 
     def open(self) -> SinkFormat:
-        """See Sink. Raises DeviceError also where the system has no ptys."""
+        """Create the device and connect to it; raise DeviceError also if the system has no ptys."""
         self.close()
         self._device = VirtualPort(self._capabilities, self._transducer)
         self._port, self.recording = self._device.path, self._device.recording
         return self._connect()
 
     def close(self) -> None:
-        """See Sink. The recording ends when all is silent."""
+        """Disconnect and end the device once all is silent."""
         super().close()
         port, self._device = self._device, None
         if port is None:
             return
-        give_up = time.monotonic() + REST_TIMEOUT_S
-        while port.device.state is not State.IDLE and time.monotonic() < give_up:
+        deadline = time.monotonic() + REST_TIMEOUT_S
+        while port.device.state is not State.IDLE and time.monotonic() < deadline:
             time.sleep(0.001)
         port.close()

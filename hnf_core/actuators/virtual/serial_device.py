@@ -1,10 +1,7 @@
-"""What a device plays: a short queue, its limits, and the ramps that are its watchdog.
+"""The device's side of docs/serial-protocol.md: bytes in, bytes and counts out, on its own sample clock.
 
-The law is that of tools/firmware/hnf_tick.c, tick by tick: equal counts in, equal counts out.
-
-The device's side of docs/serial-protocol.md, on a sample clock of its own.
-
-What it does to every message is what tools/firmware/hnf_device.c does; time passes by advance() only.
+`Playout` is the queue with its limits and fades, equal to tools/firmware/hnf_tick.c tick by tick; `VirtualDevice`
+handles messages as tools/firmware/hnf_device.c does. Time passes by `advance` only.
 """
 
 from __future__ import annotations
@@ -48,11 +45,11 @@ from .transducer import GENERIC_TRANSDUCER, Transducer, compute_temperature_afte
 IntArray = NDArray[np.int64]
 
 QUEUE_MS = 15
-"""With so much owed at most and ramps of RAMP_MS, silence comes within 20 ms, whatever has happened to the host."""
+"""Longest queue [ms]. With fades of `RAMP_MS`, silence comes within 20 ms whatever happens to the host."""
 
 
 class PlayoutCommand(Enum):
-    """What is wanted: nothing; to play; to play what is there and then rest; to rest now."""
+    """Requested action: nothing, play, play the queue and then rest, or rest now."""
 
     OFF = 0
     RUN = 1
@@ -61,6 +58,8 @@ class PlayoutCommand(Enum):
 
 
 class PlayoutPhase(Enum):
+    """Present output: silence, samples, or a fade."""
+
     QUIET = 0
     SOUNDING = 1
     FADING = 2
@@ -68,7 +67,19 @@ class PlayoutPhase(Enum):
 
 @dataclass(frozen=True)
 class PlayoutFormat:
-    """channels. queue: most frames owed. peak, slew: counts. ramp: frames. step: of a fade, counts a frame."""
+    """Format and limits of a playout.
+
+    Attributes
+    ----------
+    channels : int
+        Number of channels.
+    queue : int
+        Largest number of queued frames.
+    peak, slew : int
+        Largest magnitude and largest step between frames [counts].
+    ramp : int
+        Length of a fade [frames].
+    """
 
     channels: int
     queue: int
@@ -78,6 +89,7 @@ class PlayoutFormat:
 
     @property
     def step(self) -> int:
+        """Step of a fade [counts per frame]."""
         return -(-self.peak // self.ramp)
 
     @classmethod
@@ -86,11 +98,11 @@ class PlayoutFormat:
 
 
 class Playout:
-    """Frames in, what the converter gets out. Its sample clock is what advance() says.
+    """Queue of frames, whose output goes to the converter; `advance` is its sample clock.
 
-    It begins once half the queue is full, or after a ramp's time with less; as the host's frames are, for they begin
-    softly. With nothing left it fades to silence, counts an underrun, and begins again with a soft start of its own, on
-    top of what still fades: to wait for that would sound on for 4 ms longer when the host dies just then.
+    It starts once half the queue is full, or with less after the time of a fade, and without a fade-in, since the
+    host's frames have one. When the queue runs empty it fades out and counts an underrun. It then restarts with a
+    fade-in that overlaps the fade-out: waiting for the fade-out would play 4 ms longer if the host dies at that moment.
     """
 
     def __init__(self, form: PlayoutFormat) -> None:
@@ -104,7 +116,7 @@ class Playout:
 
     @property
     def fill(self) -> int:
-        """Frames that are owed."""
+        """Number of queued frames."""
         return len(self._queue)
 
     @property
@@ -112,25 +124,25 @@ class Playout:
         return self.form.queue - self.fill
 
     def push(self, counts: Counts) -> None:
-        """(n, channels), n at most free."""
+        """Append (n, channels) counts, n at most `free`."""
         self._queue = np.concatenate([self._queue, counts])
 
     def advance(self, frames: int) -> Counts:
-        """(frames, channels): the next that sound."""
+        """Return the next (frames, channels) counts."""
         out: Counts = np.zeros((frames, self.form.channels), dtype=np.int16)
-        at = 0
-        while at < frames:
+        done = 0
+        while done < frames:
             self._update_phase()
             if self.phase is PlayoutPhase.SOUNDING:
-                at += self._play(out[at:])
+                done += self._play(out[done:])
             elif self.phase is PlayoutPhase.FADING:
-                at += self._fade(out[at:])
+                done += self._fade(out[done:])
             else:
-                at += self._wait_ticks(frames - at)
+                done += self._wait_ticks(frames - done)
         return out
 
     def _update_phase(self) -> None:
-        """At the beginning of a tick: what the phase is in it."""
+        """Determine the phase at the start of a tick."""
         if self.command in (PlayoutCommand.DROP, PlayoutCommand.OFF):
             self._queue = self._queue[:0]
             if self.phase is PlayoutPhase.SOUNDING:
@@ -152,7 +164,7 @@ class Playout:
         self.phase, self._fading, self._fade_in_frames, self._ticks_waited = PlayoutPhase.FADING, self._out.copy(), 0, 0
 
     def _wait_ticks(self, max_ticks: int) -> int:
-        """Of at most so many ticks, those before it may begin; _decide() has had the first."""
+        """Return the number of ticks, up to `max_ticks`, before playback may begin; `_update_phase` has counted one."""
         if not self.fill or self.command in (PlayoutCommand.DROP, PlayoutCommand.OFF):
             return max_ticks
         count = min(max_ticks, self.form.ramp - self._ticks_waited)
@@ -161,35 +173,37 @@ class Playout:
 
     def _play(self, out: Counts) -> int:
         count = min(len(out), self.fill)
-        rising = self.form.ramp - self._fade_in_frames
-        if rising > 0:
-            count = min(count, rising)
+        fade_frames_left = self.form.ramp - self._fade_in_frames
+        if fade_frames_left > 0:
+            count = min(count, fade_frames_left)
             gain = np.arange(self._fade_in_frames + 1, self._fade_in_frames + 1 + count)[:, None]
             product = self._queue[:count].astype(np.int64) * gain
-            wanted = np.sign(product) * (np.abs(product) // self.form.ramp)  # towards zero, as C divides
+            scaled = np.sign(product) * (
+                np.abs(product) // self.form.ramp
+            )  # rounds towards zero, as division in C does
             self._fade_in_frames += count
         else:
-            wanted = self._queue[:count].astype(np.int64)
-        out[:count] = self._limit(wanted + self._render_fade(count))
+            scaled = self._queue[:count].astype(np.int64)
+        out[:count] = self._limit(scaled + self._render_fade(count))
         self._out = out[count - 1].astype(np.int64)
         self._queue = self._queue[count:]
         self.played += count
         return count
 
     def _limit(self, wanted: IntArray) -> IntArray:
-        """(n, channels): within peak, and no step larger than slew."""
-        found = np.clip(wanted, -self.form.peak, self.form.peak)
-        if np.abs(np.diff(found, axis=0, prepend=self._out[None])).max() > self.form.slew:
-            before = self._out
-            for at, value in enumerate(found):
-                before = np.clip(value, before - self.form.slew, before + self.form.slew)
-                found[at] = before
-        self.limited += int(np.count_nonzero(found != wanted))
-        return found
+        """Limit (n, channels) to the peak and the slew."""
+        limited = np.clip(wanted, -self.form.peak, self.form.peak)
+        if np.abs(np.diff(limited, axis=0, prepend=self._out[None])).max() > self.form.slew:
+            previous = self._out
+            for index, value in enumerate(limited):
+                previous = np.clip(value, previous - self.form.slew, previous + self.form.slew)
+                limited[index] = previous
+        self.limited += int(np.count_nonzero(limited != wanted))
+        return limited
 
     def _fade(self, out: Counts) -> int:
-        left = max(1, -(-int(np.abs(self._fading).max()) // self.form.step))
-        count = self._wait_ticks(min(len(out), left))
+        frames_left = max(1, -(-int(np.abs(self._fading).max()) // self.form.step))
+        count = self._wait_ticks(min(len(out), frames_left))
         out[:count] = self._render_fade(count)
         self._out = self._fading
         if not self._fading.any():
@@ -197,24 +211,27 @@ class Playout:
         return count
 
     def _render_fade(self, count: int) -> IntArray:
-        """(count, channels): what fades, on its way to silence."""
-        down = self.form.step * np.arange(1, count + 1)[:, None]
-        found: IntArray = np.sign(self._fading) * np.maximum(np.abs(self._fading) - down, 0)
-        self._fading = found[-1]
-        return found
+        """Return the next (count, channels) frames of the fade-out."""
+        decrease = self.form.step * np.arange(1, count + 1)[:, None]
+        fade: IntArray = np.sign(self._fading) * np.maximum(np.abs(self._fading) - decrease, 0)
+        self._fading = fade[-1]
+        return fade
 
 
 CREDIT_HZ = 1000
+"""Rate of CREDIT messages during a stream [Hz]."""
 STATUS_HZ = 10
+"""Rate of STATUS messages [Hz]."""
 ERROR_HZ = 10
-"""How often the same ERROR is told at most."""
+"""Largest rate of the same ERROR [Hz]."""
 
 OutputCallback = Callable[[int, float, Counts], None]
+"""Function (sample clock, rate [Hz], (n, channels) counts) called for output that is not silent."""
 
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What CAPS tells. version: that it speaks. hot_c: temperature at which it falls silent."""
+    """Capabilities reported in CAPS; at `shutdown_c` [°C] the device stops."""
 
     name: str = "virtual actuator"
     channels: int = 16
@@ -226,10 +243,29 @@ class Capabilities:
 
 
 class VirtualDevice:
-    """receive() bytes of the host, advance() the sample clock, take() bytes for the host. One thread.
+    """A device without a port, used by one thread.
 
-    clock: frames that have passed since it was switched on, at whatever rate. sounded: clock after the last frame that
-    was no silence, 0 = none yet. sampled: clock when samples came last. rate_hz: of the stream, before one 8000.
+    `receive` takes bytes from the host, `advance` moves the sample clock, `poll_output` gives bytes for the host.
+
+    Parameters
+    ----------
+    capabilities : Capabilities or None
+        Reported capabilities.
+    transducer : Transducer
+        Determines the coil's temperature.
+    on_output : OutputCallback
+        Called for every block that is not silent.
+
+    Attributes
+    ----------
+    clock : int
+        Frames since it was switched on, at any rate.
+    last_sound_clock : int
+        Clock after the last frame that was not silent; 0 = none yet.
+    last_samples_clock : int
+        Clock at which samples arrived last.
+    rate_hz : int
+        Rate of the stream; 8000 before the first one.
     """
 
     def __init__(
@@ -238,7 +274,6 @@ class VirtualDevice:
         transducer: Transducer = GENERIC_TRANSDUCER,
         on_output: OutputCallback = lambda clock, rate_hz, counts: None,
     ) -> None:
-        """heard: gets every piece that is no silence: the clock at its first frame, the rate, (n, channels) counts."""
         self.capabilities, self.transducer = capabilities or Capabilities(), transducer
         self.clock, self.last_sound_clock, self.last_samples_clock, self.rate_hz = 0, 0, 0, 8000
         self._on_output = on_output
@@ -248,7 +283,7 @@ class VirtualDevice:
         self._playout.command = PlayoutCommand.OFF
         self._temperature_c, self._squares, self._temperature_clock = np.full(1, transducer.ambient_c), np.zeros(1), 0
         self._session = self._position = self._lost = self._crc_before = 0
-        self._has_session = False  # whether the session is of a stream since the last HELLO
+        self._has_session = False  # True if a stream was started since the last HELLO
         self._last = np.zeros(1, dtype=np.int16)
         self._credit_clock = self._status_clock = self._receive_clock = 0
         self._reported_state, self._status_due = State.IDLE, False
@@ -264,48 +299,48 @@ class VirtualDevice:
 
     @property
     def played(self) -> int:
-        """Frames of the stream that have left the queue."""
+        """Number of frames of the stream that have left the queue."""
         return self._playout.played
 
     @property
     def temperature_c(self) -> float:
-        """Of the warmest coil."""
+        """Temperature of the warmest coil [°C]."""
         return float(self._temperature_c.max())
 
     @property
     def status(self) -> Status:
         damaged = self._decoder.crc_errors - self._crc_before
         tenths = min(int(10.0 * self.temperature_c), 32767)
-        out = self._playout
-        return Status(out.underruns, damaged, self._lost, out.limited, tenths, self.state)
+        playout = self._playout
+        return Status(playout.underruns, damaged, self._lost, playout.limited, tenths, self.state)
 
     def receive(self, data: bytes) -> None:
-        """Bytes of the host, as they come."""
+        """Process bytes from the host."""
         if data:
             self._receive_clock = self.clock
         for message in self._decoder.feed(data):
             self._handle(message)
 
     def poll_output(self) -> bytes:
-        """What it has said since the last time."""
-        said, self._outgoing = bytes(self._outgoing), bytearray()
-        return said
+        """Return and clear the bytes for the host."""
+        data, self._outgoing = bytes(self._outgoing), bytearray()
+        return data
 
     def disconnect(self) -> None:
-        """The cable is out, or the port was closed, as far as a device can notice that."""
+        """React to a disconnected cable or closed port, as far as a device can notice it."""
         if self._mode is not State.FAULT:
             self._stop(PlayoutCommand.DROP, State.IDLE)
 
     def advance(self, frames: int) -> Counts:
-        """(frames, channels): the next that sound; what is due is said meanwhile."""
-        pieces = [np.zeros((0, self._playout.form.channels), dtype=np.int16)]
-        most = max(1, self.rate_hz // CREDIT_HZ)
+        """Return the next (frames, channels) counts, and queue the messages that become due."""
+        blocks = [np.zeros((0, self._playout.form.channels), dtype=np.int16)]
+        max_count = max(1, self.rate_hz // CREDIT_HZ)
         while frames > 0:
-            count = min(frames, most)
+            count = min(frames, max_count)
             frames -= count
-            pieces.append(self._render(count))
+            blocks.append(self._render(count))
             self._update_state()
-        return np.concatenate(pieces)
+        return np.concatenate(blocks)
 
     def _render(self, frames: int) -> Counts:
         counts = self._playout.advance(frames)
@@ -317,7 +352,7 @@ class VirtualDevice:
         return counts
 
     def _update_temperature(self) -> None:
-        """Coils are slow: the mean of what has sounded since the last time is enough."""
+        """Update the coils' temperature from the mean power since the last update, since coils react slowly."""
         frames = self.clock - self._temperature_clock
         if frames:
             seconds, mean = frames / self.rate_hz, self._squares / frames
@@ -327,10 +362,10 @@ class VirtualDevice:
         self._temperature_clock, self._squares = self.clock, np.zeros_like(self._temperature_c)
 
     def _update_state(self) -> None:
-        out = self._playout
+        playout = self._playout
         if self.clock - self._receive_clock > FRAME_TIMEOUT_S * self.rate_hz:
             for message in self._decoder.flush():
-                # Held back behind a damaged length: too old to be played, and not too old to stop.
+                # Messages delayed behind a damaged length: samples are too old to play, but a STOP still counts.
                 if not isinstance(message, Samples):
                     self._handle(message)
         if self.clock - self._temperature_clock >= self.rate_hz // STATUS_HZ:
@@ -339,8 +374,8 @@ class VirtualDevice:
             self._send_error(ErrorCode.HOT, "Too hot: let it cool.")
             self._stop(PlayoutCommand.DROP, State.FAULT)
         if self._mode is State.PLAYING:
-            if out.command is not PlayoutCommand.RUN and out.phase is PlayoutPhase.QUIET and not out.fill:
-                out.command, self._mode = PlayoutCommand.OFF, self._next_state
+            if playout.command is not PlayoutCommand.RUN and playout.phase is PlayoutPhase.QUIET and not playout.fill:
+                playout.command, self._mode = PlayoutCommand.OFF, self._next_state
                 self._send_credit()
             elif self.clock - self._credit_clock >= self.rate_hz // CREDIT_HZ:
                 self._send_credit()
@@ -353,21 +388,21 @@ class VirtualDevice:
         self._outgoing += self._encoder.encode(message)
 
     def _send_credit(self) -> None:
-        self._credit_clock, out = self.clock, self._playout
-        self._send(Credit(self._session, out.played & 0xFFFFFFFF, out.form.queue, out.free, self.state))
+        self._credit_clock, playout = self.clock, self._playout
+        self._send(Credit(self._session, playout.played & 0xFFFFFFFF, playout.form.queue, playout.free, self.state))
 
     def _send_error(self, code: ErrorCode, text: str) -> None:
-        told = self._errors.get(code)
-        if told is None or self.clock - told >= self.rate_hz // ERROR_HZ:
+        last_clock = self._errors.get(code)
+        if last_clock is None or self.clock - last_clock >= self.rate_hz // ERROR_HZ:
             self._errors[code] = self.clock
             self._send(Error(code, text))
 
     def _stop(self, command: PlayoutCommand, next_state: State) -> None:
-        """Towards silence; mode `after` once it is reached."""
+        """Begin to stop; `next_state` applies once it is silent."""
         if self._mode is not State.PLAYING:
             self._mode = next_state
             return
-        # FAULT outranks IDLE, and that READY.
+        # FAULT has precedence over IDLE, and IDLE over READY.
         if self._playout.command is PlayoutCommand.RUN or next_state is State.FAULT or self._next_state is State.READY:
             self._next_state = next_state
         if self._playout.command is not PlayoutCommand.DROP:
@@ -419,21 +454,21 @@ class VirtualDevice:
         self._status_due = True
 
     def _find_start_error(self, start: Start) -> tuple[ErrorCode, str] | None:
-        """Why START cannot be obeyed."""
-        can, form = self.capabilities, PlayoutFormat.from_start(start, 1)
+        """Return why a START is refused, or None."""
+        capabilities, playout_format = self.capabilities, PlayoutFormat.from_start(start, 1)
         if self._playout.phase is not PlayoutPhase.QUIET:
             return ErrorCode.BUSY, "Stop first."
         if self._mode in (State.IDLE, State.FAULT):
             return ErrorCode.STATE, "Say HELLO first."
-        if self.temperature_c >= can.shutdown_c:
+        if self.temperature_c >= capabilities.shutdown_c:
             return ErrorCode.HOT, "Too hot: let it cool."
-        if not can.lowest_hz <= start.rate_hz <= can.highest_hz:
+        if not capabilities.lowest_hz <= start.rate_hz <= capabilities.highest_hz:
             return ErrorCode.RATE, "No such rate here: see CAPS."
-        if not 1 <= start.channels <= can.channels:
+        if not 1 <= start.channels <= capabilities.channels:
             return ErrorCode.CHANNELS, "Not so many channels here: see CAPS."
-        if not 1 <= start.peak <= can.peak:
+        if not 1 <= start.peak <= capabilities.peak:
             return ErrorCode.LIMITS, "The peak is 0 or above that of CAPS."
-        if form.step > start.slew:
+        if playout_format.step > start.slew:
             return ErrorCode.LIMITS, "With so small a slew silence would take more than 4 ms."
         return None if start.flags == 0 else (ErrorCode.MALFORMED, "Flags are 0 in version 1.")
 
@@ -484,12 +519,12 @@ class VirtualDevice:
 
 
 def compute_queue_frames(rate_hz: int) -> int:
-    """Frames that are owed at most."""
+    """Return the largest number of queued frames at `rate_hz`."""
     return rate_hz * QUEUE_MS // 1000
 
 
 def interpolate_gap(before: Counts, after: Counts, gap: int) -> Counts:
-    """before, after: (channels,). gap lost frames between them, as a straight line: (gap, channels)."""
+    """Interpolate `gap` lost frames linearly between `before` and `after`, (channels,) each → (gap, channels)."""
     product = (after.astype(np.int64) - before) * np.arange(1, gap + 1)[:, None]
-    found: Counts = (before + np.sign(product) * (np.abs(product) // (gap + 1))).astype(np.int16)
-    return found
+    frames: Counts = (before + np.sign(product) * (np.abs(product) // (gap + 1))).astype(np.int16)
+    return frames

@@ -1,10 +1,8 @@
-"""A resonant transducer: what a skin would get from counts.
+"""A resonant transducer: counts in, acceleration [m/s²] and coil temperature [°C] out.
 
-A moving coil on a spring, pressed onto a fingertip: m x″ = F − k x − c x′, a current that makes the force F and warms
-the coil. Between samples the current is held, as a converter holds it, and what is linear is then integrated exactly:
-no step is too long.
-
-A linear system, sample by sample, by whole blocks.
+A moving coil on a spring is pressed onto a fingertip: m x″ = F − k x − c x′. The current makes the force F and warms
+the coil. It is constant between samples, as behind a converter, so the linear parts are integrated exactly and no time
+step is too long. The linear system is evaluated sample by sample in blocks of matrix products.
 """
 
 from __future__ import annotations
@@ -23,34 +21,34 @@ from ..limits import FULL_SCALE_COUNTS
 Floats = NDArray[np.float64]
 
 BLOCK_SAMPLES = 64
-"""Samples that one product of matrices takes: few enough that half of each matrix being zeros costs little."""
+"""Samples per matrix product; few enough that the zeros in half of each matrix cost little."""
 
 
 @dataclass(frozen=True)
 class StateSpace:
-    """s[n+1] = A s[n] + b u[n], the exact step of a linear system whose input is held between samples.
+    """The exact step s[n+1] = A s[n] + b u[n] of a linear system whose input is constant between samples.
 
-    transition: (S, S), A. entry: (S,), b. Channels are independent of each other and share both.
+    `transition` (S, S) is A, `input_vector` (S,) is b. Channels are independent and share both.
     """
 
     transition: Floats
     input_vector: Floats
 
     def simulate(self, start: Floats, inputs: Floats) -> Floats:
-        """start: (S, C). inputs: (n, C). Returns (n + 1, S, C): every state from start on."""
+        """Return all states (n + 1, S, C) from `start` (S, C) on, with `inputs` (n, C)."""
         states = np.empty((len(inputs) + 1, *start.shape))
         states[0] = start
         free, forced = self._block_matrices
-        for at in range(0, len(inputs), BLOCK_SAMPLES):
-            block = inputs[at : at + BLOCK_SAMPLES]
+        for begin in range(0, len(inputs), BLOCK_SAMPLES):
+            block = inputs[begin : begin + BLOCK_SAMPLES]
             count = len(block)
-            moved = np.einsum("nst,tc->nsc", free[:count], states[at])
-            states[at + 1 : at + 1 + count] = moved + np.tensordot(forced[:count, :, :count], block, axes=1)
+            free_motion = np.einsum("nst,tc->nsc", free[:count], states[begin])
+            states[begin + 1 : begin + 1 + count] = free_motion + np.tensordot(forced[:count, :, :count], block, axes=1)
         return states
 
     @cached_property
     def _block_matrices(self) -> tuple[Floats, Floats]:
-        """(N, S, S): A^(n+1). (N, S, N): what the input at sample j has become in the state after sample n."""
+        """Powers A^(n+1), (N, S, S), and responses of the state after sample n to the input at sample j, (N, S, N)."""
         powers = [np.eye(len(self.input_vector))]
         for _ in range(BLOCK_SAMPLES):
             powers.append(self.transition @ powers[-1])
@@ -63,9 +61,30 @@ class StateSpace:
 
 @dataclass(frozen=True)
 class Transducer:
-    """mass_kg: all that moves, the skin's share included. stiffness_n_m, damping_n_s_m: of spring and skin.
-    force_n_a: force constant. current_a: at full scale. saturation_n: force that the magnet cannot exceed. stroke_m: to
-    either end stop. resistance_ohm: of the coil. thermal_k_w: kelvins per watt in the end; thermal_s: time constant.
+    """Mechanical, electrical and thermal constants of a transducer.
+
+    Attributes
+    ----------
+    mass_kg : float
+        Moving mass, including the skin's contribution [kg].
+    stiffness_n_m, damping_n_s_m : float
+        Stiffness [N/m] and damping [N s/m] of spring and skin.
+    force_n_a : float
+        Force constant [N/A].
+    current_a : float
+        Current at full scale [A].
+    saturation_n : float
+        Largest force of the magnet [N].
+    stroke_m : float
+        Distance to either end stop [m].
+    resistance_ohm : float
+        Resistance of the coil [Ω].
+    thermal_k_w : float
+        Final warming per power [K/W].
+    thermal_s : float
+        Time constant of the warming [s].
+    ambient_c : float
+        Ambient temperature [°C].
     """
 
     mass_kg: float = 0.005
@@ -93,27 +112,30 @@ class Transducer:
         return math.sqrt(self.stiffness_n_m / self.mass_kg) / (2.0 * math.pi)
 
     def compute_force(self, drive: Floats) -> Floats:
-        """drive: share of full scale. In newtons: proportional while small, never beyond saturation_n."""
-        wanted = self.force_n_a * self.current_a * drive
-        found: Floats = self.saturation_n * np.tanh(wanted / self.saturation_n)
-        return found
+        """Compute the force [N] of a drive (fraction of full scale): linear if small, saturating at `saturation_n`."""
+        linear = self.force_n_a * self.current_a * drive
+        force: Floats = self.saturation_n * np.tanh(linear / self.saturation_n)
+        return force
 
     def compute_power(self, drive: Floats) -> Floats:
-        """Watts that warm the coil."""
-        found: Floats = self.resistance_ohm * np.square(self.current_a * drive)
-        return found
+        """Compute the power that warms the coil [W]."""
+        power: Floats = self.resistance_ohm * np.square(self.current_a * drive)
+        return power
 
 
 CHUNK_SAMPLES = 1024
-"""Samples that are taken at once as long as no stop is met."""
+"""Samples simulated at once as long as no end stop is hit."""
 
 GENERIC_TRANSDUCER = Transducer()
-"""An assumption, no device: 60 Hz, damping ratio 0.4, 30 m/s² at full scale above resonance (as GENERIC_PEAK_M_S2)."""
+"""Assumed transducer, not a real device: 60 Hz, damping ratio 0.4.
+
+At full scale it gives 30 m/s² above the resonance, as `GENERIC_PEAK_M_S2`.
+"""
 
 
 @dataclass(frozen=True)
 class TransducerState:
-    """(C,) each. position: m. velocity: m/s. temperature: °C."""
+    """State of all channels, (C,) each: position [m], velocity [m/s], temperature [°C]."""
 
     position: Floats
     velocity: Floats
@@ -127,8 +149,10 @@ def make_rest_state(transducer: Transducer, channels: int) -> TransducerState:
 
 @dataclass(frozen=True)
 class Motion:
-    """(n, C) each, at the instant of every sample, its force already acting. position: m, acceleration: m/s²,
-    temperature: °C. end: after the last sample has been held for its time."""
+    """Motion (n, C) at each sample, with its force already acting: position [m], acceleration [m/s²], temperature [°C].
+
+    `end` is the state after the last sample's duration.
+    """
 
     position: Floats
     acceleration: Floats
@@ -137,73 +161,90 @@ class Motion:
 
 
 def counts_to_drive(counts: NDArray[np.int16]) -> Floats:
-    """Counts of a wire → share of full scale."""
+    """Convert counts to fractions of full scale."""
     return np.asarray(counts, dtype=np.float64) / FULL_SCALE_COUNTS
 
 
 def simulate_motion(
     transducer: Transducer, drive: Floats, rate_hz: float, start: TransducerState | None = None
 ) -> Motion:
-    """drive: (n, C), shares of full scale, each held for one sample. start: at_rest() by default."""
+    """Simulate the motion and temperature of a transducer.
+
+    Parameters
+    ----------
+    transducer : Transducer
+        Constants of the transducer.
+    drive : (n, C) array
+        Fractions of full scale, each constant for one sample.
+    rate_hz : float
+        Sample rate [Hz].
+    start : TransducerState or None
+        Initial state; at rest and cool by default.
+
+    Returns
+    -------
+    Motion
+        Position, acceleration and temperature at each sample.
+    """
     start = make_rest_state(transducer, drive.shape[1]) if start is None else start
     force = transducer.compute_force(drive)
     mechanics = make_mechanical_system(transducer, rate_hz)
     states = np.empty((len(force) + 1, 2, force.shape[1]))
     states[0] = start.position, start.velocity
-    for at in range(0, len(force), CHUNK_SAMPLES):
-        piece = force[at : at + CHUNK_SAMPLES]
-        moved = mechanics.simulate(states[at], piece)
-        if np.abs(moved[:, 0]).max() > transducer.stroke_m:
-            moved = simulate_with_stops(mechanics, states[at], piece, transducer.stroke_m)
-        states[at : at + len(moved)] = moved
+    for begin in range(0, len(force), CHUNK_SAMPLES):
+        block = force[begin : begin + CHUNK_SAMPLES]
+        block_states = mechanics.simulate(states[begin], block)
+        if np.abs(block_states[:, 0]).max() > transducer.stroke_m:
+            block_states = simulate_with_stops(mechanics, states[begin], block, transducer.stroke_m)
+        states[begin : begin + len(block_states)] = block_states
     return make_motion(transducer, states, force, simulate_temperature(transducer, drive, rate_hz, start.temperature))
 
 
 def simulate_temperature(transducer: Transducer, drive: Floats, rate_hz: float, start_c: Floats) -> Floats:
-    """drive: (n, C). start_c: (C,). The coil's temperature in °C from start_c on, (n + 1, C)."""
-    warmth = (start_c - transducer.ambient_c)[None]
+    """Simulate the coil's temperature [°C], (n + 1, C), for a drive (n, C) from `start_c` (C,) on."""
+    rise = (start_c - transducer.ambient_c)[None]
     return (
-        make_thermal_system(transducer, rate_hz).simulate(warmth, transducer.compute_power(drive))[:, 0]
+        make_thermal_system(transducer, rate_hz).simulate(rise, transducer.compute_power(drive))[:, 0]
         + transducer.ambient_c
     )
 
 
 def compute_temperature_after(transducer: Transducer, drive: Floats, seconds: float, start_c: Floats) -> Floats:
-    """(C,): the temperature after a drive whose root mean square, (C,), is held for seconds."""
+    """Compute the temperature (C,) [°C] after a drive of constant RMS (C,) that lasts `seconds`."""
     final = transducer.ambient_c + transducer.thermal_k_w * transducer.compute_power(drive)
     return final + (start_c - final) * math.exp(-seconds / transducer.thermal_s)
 
 
 @lru_cache(maxsize=16)
 def make_mechanical_system(transducer: Transducer, rate_hz: float) -> StateSpace:
-    """Position and velocity, by force in newtons."""
+    """Make the system from force [N] to position [m] and velocity [m/s]."""
     spring, mass = transducer.stiffness_n_m, transducer.mass_kg
     transition = _compute_transition_matrix(spring / mass, transducer.damping_n_s_m / mass, 1.0 / rate_hz)
-    # A held force only moves the place of rest, to F / k, around which the free motion goes on.
+    # A constant force only moves the rest position to F / k, around which the free motion continues.
     rest = np.array([1.0 / spring, 0.0])
     return StateSpace(transition, rest - transition @ rest)
 
 
 @lru_cache(maxsize=16)
 def make_thermal_system(transducer: Transducer, rate_hz: float) -> StateSpace:
-    """Kelvins above the ambience, by power in watts."""
-    kept = math.exp(-1.0 / (rate_hz * transducer.thermal_s))
-    return StateSpace(np.array([[kept]]), np.array([(1.0 - kept) * transducer.thermal_k_w]))
+    """Make the system from power [W] to the temperature rise above ambient [K]."""
+    decay = math.exp(-1.0 / (rate_hz * transducer.thermal_s))
+    return StateSpace(np.array([[decay]]), np.array([(1.0 - decay) * transducer.thermal_k_w]))
 
 
 def _compute_transition_matrix(stiffness: float, damping: float, seconds: float) -> Floats:
-    """exp(A t) of x″ + damping x′ + stiffness x = 0, by its two roots −decay ± root; also where they are one."""
+    """Compute exp(A t) of x″ + damping x′ + stiffness x = 0 from its roots −decay ± root, also if they coincide."""
     decay = damping / 2.0
     root = cmath.sqrt(decay * decay - stiffness)
-    one, other = cmath.exp((root - decay) * seconds), cmath.exp((-root - decay) * seconds)
-    even = ((one + other) / 2.0).real
-    together = abs(root) * seconds < 1e-6
-    odd = seconds * math.exp(-decay * seconds) if together else ((one - other) / (2.0 * root)).real
+    first, second = cmath.exp((root - decay) * seconds), cmath.exp((-root - decay) * seconds)
+    even = ((first + second) / 2.0).real
+    coincide = abs(root) * seconds < 1e-6
+    odd = seconds * math.exp(-decay * seconds) if coincide else ((first - second) / (2.0 * root)).real
     return np.array([[even + decay * odd, odd], [-stiffness * odd, even - decay * odd]])
 
 
 def simulate_with_stops(mechanics: StateSpace, start: Floats, force: Floats, stroke_m: float) -> Floats:
-    """Sample by sample; what would be past a stop rests at it."""
+    """Simulate sample by sample (n + 1, 2, C); a position beyond an end stop rests at it."""
     states = [start]
     for value in force:
         position, velocity = mechanics.transition @ states[-1] + np.outer(mechanics.input_vector, value)
@@ -214,10 +255,10 @@ def simulate_with_stops(mechanics: StateSpace, start: Floats, force: Floats, str
 
 def make_motion(transducer: Transducer, states: Floats, force: Floats, temperature: Floats) -> Motion:
     position, velocity = states[:-1, 0], states[:-1, 1]
-    pull = force - transducer.stiffness_n_m * position - transducer.damping_n_s_m * velocity
+    net_force = force - transducer.stiffness_n_m * position - transducer.damping_n_s_m * velocity
     return Motion(
         position,
-        pull / transducer.mass_kg,
+        net_force / transducer.mass_kg,
         temperature[:-1],
         TransducerState(states[-1, 0], states[-1, 1], temperature[-1]),
     )

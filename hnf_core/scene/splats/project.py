@@ -31,6 +31,7 @@ FOV_MARGIN = 0.3
 """Margin around the image within which Jacobians are taken, as a fraction of half the field of view (INRIA; gsplat's
 rule for principal points off the centre)."""
 SPLATS_PER_CHUNK = 1 << 16
+"""Number of splats projected together."""
 MIN_EIGENVALUE_SHARE = 1e-10
 """Least eigenvalue of a footprint's covariance, as a fraction of the trace, when its depth plane is solved for."""
 MAX_DEPTH_REACH = 2.0

@@ -421,7 +421,9 @@ Progress = Callable[[str, float], None]
 DEFAULT_CELLS = 256
 """Number of cells along the longest axis."""
 MIN_CELLS, MAX_CELLS = 8, 2048
+"""Accepted numbers of cells along the longest axis."""
 DEFAULT_VIEWS = 32
+"""Number of depth views."""
 MAX_VIEW_MARGIN = 20.0
 """Largest radius around a splat's centre that views include [cells]."""
 REFINEMENT_ROUNDS = 2
