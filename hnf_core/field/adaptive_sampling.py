@@ -9,7 +9,7 @@ the grid's interval would be missed otherwise. The reference evaluates every sam
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,7 +45,7 @@ With all of it a ten-second stroke took five to eight rounds, the last of a few 
 _PARABOLA_MEAN_SQUARE = 8.0 / 15.0
 """Mean square of a parabola's distance from its chord, over the square in the middle."""
 BATCH_SAMPLES = 512
-"""Samples per request."""
+"""Samples that are evaluated at once."""
 INITIAL_CAPACITY = 1024
 """Evaluations that memory is reserved for at the start; unused memory costs nothing."""
 MAX_EVALUATIONS = 40_000
@@ -73,10 +73,8 @@ class SampledEmission:
         return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
 
 
-SampleRequests = Generator[Samples, Emission, SampledEmission]
-"""Generator that yields samples of the model rate (m,), is sent their emissions, and returns all of them."""
-Sampler = Callable[[int, float, Samples], SampleRequests]
-"""Function (number of samples, tolerance, breakpoints) → requests, as sample_adaptively."""
+EvaluateAt = Callable[[Samples], Emission]
+"""Function from samples of the model rate (m,), BATCH_SAMPLES at most, to their emissions; prepare.make_evaluate_at."""
 
 
 def interpolate_rows(values: Float32, row: Samples, share: Float, factor: Float) -> Float32:
@@ -94,50 +92,66 @@ def interpolate_rows(values: Float32, row: Samples, share: Float, factor: Float)
     return out.astype(np.float32)
 
 
-def sample_adaptively(count: int, tolerance: float, breakpoints: Samples | None = None) -> SampleRequests:
-    """Sample the emissions over 0 … count of a field with one head, as a generator of requests.
+def sample_adaptively(
+    evaluate_at: EvaluateAt, count: int, tolerance: float, breakpoints: Samples | None = None
+) -> SampledEmission:
+    """Sample the emissions over 0 … count of a field with one head, where straight lines between fewer would miss.
 
-    tolerance: root of the power that the straight lines miss over that of the stroke, 0 for the smallest intervals.
-    breakpoints: samples that are evaluated in any case. It stops at MAX_EVALUATIONS.
+    Parameters
+    ----------
+    evaluate_at
+        Function that evaluates the field at samples of the model rate.
+    count
+        Number of samples of the stroke.
+    tolerance
+        Root of the power that the straight lines miss over that of the stroke, 0 for the smallest intervals.
+    breakpoints
+        Samples that are evaluated in any case.
+
+    Returns
+    -------
+    SampledEmission
+        At most MAX_EVALUATIONS evaluations; residual_power says whether the tolerance is kept.
     """
-    known = np.arange(0) if breakpoints is None else breakpoints[breakpoints < count]
-    grid = np.unique(np.concatenate([np.arange(0, count, MAX_INTERVAL), known, [count]]))
+    fixed = np.arange(0) if breakpoints is None else breakpoints[breakpoints < count]
+    grid = np.unique(np.concatenate([np.arange(0, count, MAX_INTERVAL), fixed, [count]]))
     pending = np.stack([np.arange(len(grid) - 1), np.arange(1, len(grid))], axis=1)
     pending = pending[np.diff(grid) > MIN_INTERVAL]
-    asked, before = _Samples(), np.zeros(len(pending))
-    # Every middle of the grid is needed in any case, so grid and middles are requested together.
-    yield from asked.request(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
-    middle = slice(len(grid), asked.count)
+    evaluated, before = _Evaluations(evaluate_at), np.zeros(len(pending))
+    # Every middle of the grid is needed in any case, so grid and middles are evaluated together.
+    evaluated.add(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
+    middle = slice(len(grid), evaluated.count)
     settled, power, claimed = np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0)
     while True:
         if len(pending):
-            halves, found = asked.bisect(pending, middle)
+            halves, found = evaluated.bisect(pending, middle)
             settled, power = np.concatenate([settled, halves]), np.concatenate([power, np.tile(found, 2)])
             claimed = np.concatenate([claimed, np.tile(_predict_child_error(found, before), 2)])
-        total = asked.total_power()
-        left_out = claimed * asked.lengths(settled) * _PARABOLA_MEAN_SQUARE
+        total = evaluated.total_power()
+        left_out = claimed * evaluated.lengths(settled) * _PARABOLA_MEAN_SQUARE
         order = np.argsort(left_out)
         so_far = np.cumsum(left_out[order])
         missed = float(so_far[-1] / total) / TOLERANCE_SAFETY**2 if len(so_far) and total > 0.0 else 0.0
         limit = (TOLERANCE_SAFETY * tolerance) ** 2 * total
         if len(so_far) == 0 or so_far[-1] <= limit:
-            return asked.to_sampled_emission(missed)
+            return evaluated.to_sampled_emission(missed)
         worst = order[np.searchsorted(so_far, UNREFINED_ERROR_SHARE * limit, side="right") :]
-        worst = worst[asked.lengths(settled[worst]) > MIN_INTERVAL]
-        worst = worst[len(worst) - min(len(worst), max(MAX_EVALUATIONS - asked.count, 0) // 2) :]
+        worst = worst[evaluated.lengths(settled[worst]) > MIN_INTERVAL]
+        worst = worst[len(worst) - min(len(worst), max(MAX_EVALUATIONS - evaluated.count, 0) // 2) :]
         if len(worst) == 0:
-            return asked.to_sampled_emission(missed)
+            return evaluated.to_sampled_emission(missed)
         worst.sort()
         pending, before = settled[worst], power[worst]
-        middle = yield from asked.request(asked.middles(pending))
+        middle = evaluated.add(evaluated.middles(pending))
         settled, power, claimed = np.delete(settled, worst, axis=0), np.delete(power, worst), np.delete(claimed, worst)
 
 
-class _Samples:
-    """Evaluations in the order of their requests; an interval is the rows (p, 2) of its two ends."""
+class _Evaluations:
+    """Evaluations in the order they were made; an interval is the rows (p, 2) of its two ends."""
 
-    def __init__(self) -> None:
+    def __init__(self, evaluate_at: EvaluateAt) -> None:
         self.count = 0
+        self._evaluate_at = evaluate_at
         self._at = np.zeros(0, dtype=np.int64)
         self._alpha = np.zeros((0, 0), dtype=np.float32)
         self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros(0)
@@ -176,31 +190,29 @@ class _Samples:
         order = np.argsort(self._at[: self.count])
         return SampledEmission(self._at[order], self._alpha[order], self._sigma_dt[order], residual_power)
 
-    def request(self, at: Samples) -> Generator[Samples, Emission, slice]:
-        """Request the emissions at these samples; return their rows."""
+    def add(self, at: Samples) -> slice:
+        """Evaluate the emissions at these samples; return their rows."""
         begin = self.count
         for low in range(0, len(at), BATCH_SAMPLES):
-            asked = at[low : low + BATCH_SAMPLES]
-            emission, rows = (yield asked), slice(self.count, self.count + len(asked))
+            batch = at[low : low + BATCH_SAMPLES]
+            emission, rows = self._evaluate_at(batch), slice(self.count, self.count + len(batch))
             alpha = emission.alpha[:, 0].astype(np.float32)
-            self._at, self._power = (
-                _append_rows(self._at, rows, asked),
-                _append_rows(self._power, rows, _sum_squares(alpha)),
-            )
+            self._at = _append_rows(self._at, rows, batch)
+            self._power = _append_rows(self._power, rows, _sum_squares(alpha))
             self._alpha = _append_rows(self._alpha, rows, alpha)
             self._sigma_dt = _append_rows(self._sigma_dt, rows, emission.sigma_dt)
             self.count = rows.stop
         return slice(begin, self.count)
 
 
-def _append_rows(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
+def _append_rows(array: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
     """Return the array with new values in these rows, which follow the last; a full array grows to twice its size."""
-    if rows.stop > len(kept):
-        grown = np.empty((max(2 * len(kept), rows.stop, INITIAL_CAPACITY), *new.shape[1:]), dtype=new.dtype)
-        grown[: rows.start] = kept[: rows.start] if rows.start else 0.0
-        kept = grown
-    kept[rows] = new
-    return kept
+    if rows.stop > len(array):
+        grown = np.empty((max(2 * len(array), rows.stop, INITIAL_CAPACITY), *new.shape[1:]), dtype=new.dtype)
+        grown[: rows.start] = array[: rows.start] if rows.start else 0.0
+        array = grown
+    array[rows] = new
+    return array
 
 
 def _sum_squares(values: NDArray[np.floating[Any]]) -> Float:
@@ -251,14 +263,14 @@ def find_breakpoints(action: Action, token_index: NDArray[np.int32]) -> Samples:
     speed = np.maximum(action.speed, SPEED_FLOOR_M_S)
     course = np.column_stack([np.log(speed), np.log(force), action.direction])
     changes = np.flatnonzero((np.diff(token_index) != 0) | (np.diff(action.contact.astype(np.int8)) != 0))
-    kept = np.unique(np.concatenate([[0, len(speed) - 1], changes, changes + 1]))
+    fixed = np.unique(np.concatenate([[0, len(speed) - 1], changes, changes + 1]))
     compiled = load_kernel()
-    found = _find_bends_numpy(course, kept) if compiled is None else find_bends(compiled, course, kept, MAX_DEVIATION)
+    found = _find_bends_numpy(course, fixed) if compiled is None else find_bends(compiled, course, fixed, MAX_DEVIATION)
     states: Samples = SAMPLES_PER_STATE * found.astype(np.int64)
-    all_: Samples = np.unique(
+    breakpoints: Samples = np.unique(
         np.concatenate([states, _find_bends_between_states(speed), _find_bends_between_states(force)])
     )
-    return all_
+    return breakpoints
 
 
 def _find_bends_numpy(course: Float, fixed: Samples) -> Samples:

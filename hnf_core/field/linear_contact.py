@@ -15,7 +15,7 @@ their own that moves with the tone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +140,11 @@ class Condition:
     force: Float
     contact: NDArray[np.bool_]
     probe: str
+
+    def rows(self, rows: slice | NDArray[np.bool_]) -> Condition:
+        """Return some of the states, with all materials."""
+        names = ("tokens", "material", "direction", "speed", "force", "contact")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 @dataclass(frozen=True)

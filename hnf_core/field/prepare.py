@@ -1,17 +1,15 @@
 """Evaluate F_Θ for a stroke and prepare everything at the action rate that a block of samples is rendered from.
 
-`prepare_stroke` turns a StrokeInput into a PreparedStroke. F_Θ is requested through generators, which yield conditions
-and are sent emissions, so that several strokes can be evaluated in shared batches: a short stroke has too few states to
-keep a processor busy, and every batch has a cost of its own. With the kernel the result of a state does not depend on
-its batch, so a stroke is the same to the last bit alone and among others. The module also finds the audible spans of a
-stroke and splits them into blocks.
+`prepare_stroke` turns a StrokeInput into a PreparedStroke: at every state of the action, a chunk of states at a time,
+or with a tolerance at the samples that adaptive_sampling chooses. The module also finds the audible spans of a stroke
+and splits them into blocks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +18,26 @@ from ..action.action import Action
 from ..material.contact_model import tip_response
 from ..material.probe import PROBES
 from .adaptive_sampling import (
+    EvaluateAt,
     SampledEmission,
-    Sampler,
-    SampleRequests,
+    Samples,
     accumulate_samples,
     find_breakpoints,
     sample_adaptively,
 )
 from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import FilterBank, build_filter_bank
-from .field import Emission, Field, accumulate, evaluate, find_kernel
+from .field import (
+    BATCH_STATES,
+    Emission,
+    Evaluator,
+    Field,
+    accumulate,
+    concatenate_emissions,
+    evaluate,
+    evaluate_batched,
+    find_kernel,
+)
 from .height_profile import ProfileBands, share_power, split_profile
 from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .noise_cache import HOP_SIZE
@@ -37,12 +45,10 @@ from .stroke import (
     SAMPLES_PER_STATE,
     StrokeInput,
     build_condition,
-    find_distinct_mechanics,
     find_peak_speed,
     interpolate_condition,
     resample_action,
     sample_count,
-    select_states,
 )
 
 Float = NDArray[np.float64]
@@ -100,102 +106,6 @@ def find_audible_spans(audible: Float) -> Iterator[tuple[int, int]]:
         begin, end = (start, start + count) if end == begin else (begin, start + count)
     if end > begin:
         yield begin, end - begin
-
-
-T = TypeVar("T")
-Request = TypeVar("Request")
-Response = TypeVar("Response")
-
-EvaluationRequests = Generator[Condition, Emission, T]
-"""Generator that yields states, is sent their emissions, and returns its result."""
-Evaluate = Callable[[Field, Condition], Emission]
-"""Function that evaluates a field, `field.evaluate` or a replacement."""
-
-BATCH_STATES = 512
-"""States in a batch: enough for every core, with 6 MB of intermediate results."""
-
-
-def drive_requests(respond: Callable[[Request], Response], requests: Generator[Request, Response, T]) -> T:
-    """Run the generator `requests`, sending it `respond(request)` for every request it yields; return its result."""
-    try:
-        question = next(requests)
-        while True:
-            question = requests.send(respond(question))
-    except StopIteration as done:
-        returned: T = done.value
-        return returned
-
-
-def evaluate_requests(field: Field, requests: EvaluationRequests[T], evaluator: Evaluate = evaluate) -> T:
-    """Run the generator `requests` with emissions of F_Θ, or of a replacement; return its result."""
-    return drive_requests(lambda condition: evaluate_batched(field, [condition], evaluator)[0], requests)
-
-
-def evaluate_requests_together(field: Field, requests: Sequence[EvaluationRequests[T]]) -> list[T]:
-    """Run several generators in step, evaluating their requests in shared batches; return their results."""
-    returned: dict[int, T] = {}
-    given: dict[int, Emission | None] = dict.fromkeys(range(len(requests)))
-    while given:
-        asked: dict[int, Condition] = {}
-        for index, each in given.items():
-            try:
-                asked[index] = next(requests[index]) if each is None else requests[index].send(each)
-            except StopIteration as done:
-                returned[index] = done.value
-        given = dict(zip(asked, evaluate_batched(field, list(asked.values())), strict=True))
-    return [returned[index] for index in range(len(requests))]
-
-
-def evaluate_batched(field: Field, conditions: Sequence[Condition], evaluator: Evaluate = evaluate) -> list[Emission]:
-    """Evaluate F_Θ at the states of each condition, in shared batches."""
-    parts: list[list[Emission]] = [[] for _ in conditions]
-    for probe in dict.fromkeys(each.probe for each in conditions):
-        alike = [index for index, each in enumerate(conditions) if each.probe == probe]
-        for batch in _split_batches([(index, len(conditions[index].speed)) for index in alike]):
-            given, begin = (
-                evaluator(field, _concatenate_conditions([(conditions[index], rows) for index, rows in batch])),
-                0,
-            )
-            for index, rows in batch:
-                end = begin + rows.stop - rows.start
-                parts[index].append(given.rows(slice(begin, end)))
-                begin = end
-    return [each[0] if len(each) == 1 else concatenate_emissions(each) for each in parts]
-
-
-def _split_batches(asked: Sequence[tuple[int, int]]) -> list[list[tuple[int, slice]]]:
-    """Split (index, number of states) of each request into batches of BATCH_STATES at most, each with its rows."""
-    batches: list[list[tuple[int, slice]]] = []
-    room = 0
-    for index, count in asked:
-        for low in range(0, max(count, 1), BATCH_STATES):
-            rows = slice(low, min(low + BATCH_STATES, count))
-            if not batches or rows.stop - rows.start > room:
-                batches.append([])
-                room = BATCH_STATES
-            batches[-1].append((index, rows))
-            room -= rows.stop - rows.start
-    return batches
-
-
-def _concatenate_conditions(parts: Sequence[tuple[Condition, slice]]) -> Condition:
-    """Concatenate some of the states of conditions with one probe."""
-    if len(parts) == 1 and parts[0][1] == slice(0, len(parts[0][0].speed)):
-        return parts[0][0]
-    mechanics, of_row = find_distinct_mechanics([mechanics for each, _ in parts for mechanics in each.mechanics])
-    first = np.cumsum([0, *(len(each.mechanics) for each, _ in parts)])
-    material = [each.material[rows] + begin for (each, rows), begin in zip(parts, first, strict=False)]
-    tokens, direction, speed, force, contact = (
-        np.concatenate([getattr(each, name)[rows] for each, rows in parts])
-        for name in ("tokens", "direction", "speed", "force", "contact")
-    )
-    of_state, probe = of_row[np.concatenate(material)], parts[0][0].probe
-    return Condition(tokens, mechanics, of_state, direction, speed, force, contact, probe)
-
-
-def concatenate_emissions(parts: Sequence[Emission]) -> Emission:
-    """Concatenate emissions along the states."""
-    return Emission(np.concatenate([each.alpha for each in parts]), np.concatenate([each.sigma_dt for each in parts]))
 
 
 CHUNK_STATES = 128
@@ -259,36 +169,9 @@ def prepare_stroke(
     seed: int,
     earlier: PreparedStroke | None = None,
     tolerance: float | None = None,
-    evaluator: Evaluate = evaluate,
+    evaluator: Evaluator = evaluate,
 ) -> PreparedStroke:
     """Evaluate F_Θ for a stroke and prepare it for rendering.
-
-    Parameters
-    ----------
-    field, stroke, seed, earlier, tolerance
-        As of request_prepared_stroke.
-    evaluator
-        Function that evaluates the field; a replacement may be a table.
-
-    Returns
-    -------
-    PreparedStroke
-        Everything that a block of samples needs.
-    """
-    return evaluate_requests(
-        field, request_prepared_stroke(field, stroke, seed=seed, earlier=earlier, tolerance=tolerance), evaluator
-    )
-
-
-def request_prepared_stroke(
-    field: Field,
-    stroke: StrokeInput,
-    *,
-    seed: int,
-    earlier: PreparedStroke | None = None,
-    tolerance: float | None = None,
-) -> EvaluationRequests[PreparedStroke]:
-    """Prepare a stroke, as a generator that requests the emissions of F_Θ.
 
     Parameters
     ----------
@@ -305,54 +188,71 @@ def request_prepared_stroke(
         Largest error of the amplitudes, as root of the power over the whole stroke. F_Θ is then evaluated at adaptive
         samples instead of at every state. Ignored if the stroke has a height profile or the field accumulates over
         heads.
+    evaluator
+        Function that evaluates the field; a replacement may be a table.
+
+    Returns
+    -------
+    PreparedStroke
+        Everything that a block of samples needs.
+
+    Raises
+    ------
+    StrokeError
+        If the action has no duration.
     """
     action, token_index = resample_action(stroke)
     if tolerance is not None and supports_tolerance(field, stroke):
-        return (yield from prepare_adaptive(field, stroke, seed, action, token_index, tolerance))
+        evaluate_at = make_evaluate_at(field, stroke, action, token_index, evaluator)
+        breakpoints = find_breakpoints(action, token_index)
+        sampled = sample_adaptively(evaluate_at, sample_count(action), tolerance, breakpoints)
+        return prepare_sampled(field, stroke, seed, action, token_index, sampled)
     condition = build_condition(stroke, action, token_index)
     carriers, count = field.config.carriers, len(action.speed)
     bands = None
     if stroke.profile is not None and carriers.arc_count:
         bands = split_profile(stroke.profile, carriers) if earlier is None else earlier.bands
-    reading = reading_frequency(action, carriers)
+    frequency = arc_band_frequency(action, carriers)
     if earlier is None:
         amplitude = np.empty((count, field.config.alpha_heads, carriers.count))
-        unheld = None if bands is None else np.empty((count, carriers.arc_count))
+        unbridged = None if bands is None else np.empty((count, carriers.arc_count))
         loudest = np.empty(-(-count // CHUNK_STATES))
     else:
         amplitude, loudest = earlier.amplitude.copy(), earlier.loudest.copy()
-        unheld = None if earlier.unbridged is None else earlier.unbridged.copy()
-    known = None
+        unbridged = None if earlier.unbridged is None else earlier.unbridged.copy()
+    cache = None
     if earlier is None and find_kernel(field) is not None:  # Results do not depend on the number of states in a batch.
-        known = _StateCache(field, condition)
-    for portion, (rows, felt) in enumerate(iterate_state_chunks(field, count)):
-        if earlier is not None and not _inputs_differ(action, earlier.action, felt):
+        cache = _EmissionCache(field, condition, evaluator)
+    for chunk, (rows, with_memory) in enumerate(iterate_state_chunks(field, count)):
+        if earlier is not None and not _inputs_differ(action, earlier.action, with_memory):
             continue
-        if has_no_contact(condition, felt):
-            amplitude[rows], loudest[portion] = 0.0, 0.0
-            if unheld is not None:
-                unheld[rows] = 0.0
+        if has_no_contact(condition, with_memory):
+            amplitude[rows], loudest[chunk] = 0.0, 0.0
+            if unbridged is not None:
+                unbridged[rows] = 0.0
             continue
-        given = (yield select_states(condition, felt)) if known is None else (yield from known.rows(felt))
-        amplitude[rows], height, loudest[portion] = _compute_amplitudes(
-            field, condition, given, bands, reading[rows], rows
+        if cache is not None:
+            emission = cache.rows(with_memory)
+        else:
+            emission = evaluate_batched(field, condition.rows(with_memory), evaluator)
+        amplitude[rows], height, loudest[chunk] = _compute_amplitudes(
+            field, condition, emission, bands, frequency[rows], rows
         )
-        if unheld is not None and height is not None:
-            unheld[rows] = height
+        if unbridged is not None and height is not None:
+            unbridged[rows] = height
     profile_amplitude = None
-    if unheld is not None:
+    if unbridged is not None:
         sliding = condition.contact & (condition.force > FORCE_FLOOR_N) & (condition.speed > SPEED_FLOOR_M_S)
-        profile_amplitude = bridge_rest_gaps(unheld, sliding) * upper_fade(reading)
+        profile_amplitude = bridge_rest_gaps(unbridged, sliding) * upper_fade(frequency)
     pressed = np.where(action.contact, action.force, 0.0)
     if earlier is not None and np.array_equal(action.contact, earlier.action.contact):
         audible = earlier.audible
     else:
         audible = compute_audible_gain(action.contact, sample_count(action))
+    bank = build_filter_bank(stroke.mechanics, token_index, pressed, action.probe)
     return PreparedStroke(
-        carriers, seed, action, amplitude, build_filter_bank(stroke.mechanics, token_index, pressed, action.probe),
-        pressed,
-        audible, bands, profile_amplitude, loudest, unheld,
-    )  # fmt: skip
+        carriers, seed, action, amplitude, bank, pressed, audible, bands, profile_amplitude, loudest, unbridged
+    )
 
 
 def iterate_state_chunks(field: Field, count: int) -> Iterator[tuple[slice, slice]]:
@@ -362,39 +262,39 @@ def iterate_state_chunks(field: Field, count: int) -> Iterator[tuple[slice, slic
         yield slice(start, stop), slice(max(start - count_memory_states(field), 0), stop)
 
 
-class _StateCache:
-    """Cache of field outputs for consecutive chunks.
+class _EmissionCache:
+    """Emissions of consecutive chunks.
 
     Evaluates states in batches that span several chunks, each state once, and skips states that no chunk in contact
     uses.
     """
 
-    def __init__(self, field: Field, condition: Condition) -> None:
-        self._field, self._condition = field, condition
-        self._wanted = np.zeros(len(condition.speed), dtype=bool)
-        for _, felt in iterate_state_chunks(field, len(self._wanted)):
-            self._wanted[felt] |= not has_no_contact(condition, felt)
+    def __init__(self, field: Field, condition: Condition, evaluator: Evaluator) -> None:
+        self._field, self._condition, self._evaluator = field, condition, evaluator
+        self._used = np.zeros(len(condition.speed), dtype=bool)
+        for _, with_memory in iterate_state_chunks(field, len(self._used)):
+            self._used[with_memory] |= not has_no_contact(condition, with_memory)
         self._begin = self._end = 0
-        self._held = _zero_emission(field, 0)
+        self._emission = _zero_emission(field, 0)
 
-    def rows(self, states: slice) -> EvaluationRequests[Emission]:
-        """Return the emissions of some states, requesting those that are missing."""
+    def rows(self, states: slice) -> Emission:
+        """Return the emissions of some states, evaluating those that are missing and forgetting those before."""
         if states.stop > self._end:
-            left = self._held.rows(slice(max(states.start - self._begin, 0), None))
+            known = self._emission.rows(slice(max(states.start - self._begin, 0), None))
             begin = max(states.start, self._end)
-            end = min(max(begin + BATCH_STATES, states.stop), len(self._wanted))
-            self._held = concatenate_emissions([left, (yield from self._evaluate(slice(begin, end)))])
+            end = min(max(begin + BATCH_STATES, states.stop), len(self._used))
+            self._emission = concatenate_emissions([known, self._evaluate(slice(begin, end))])
             self._begin, self._end = states.start, end
-        return self._held.rows(slice(states.start - self._begin, states.stop - self._begin))
+        return self._emission.rows(slice(states.start - self._begin, states.stop - self._begin))
 
-    def _evaluate(self, rows: slice) -> EvaluationRequests[Emission]:
-        wanted = self._wanted[rows]
-        part = select_states(self._condition, rows)
-        if wanted.all():
-            return (yield part)
-        emitted = _zero_emission(self._field, len(wanted))
-        emitted.assign(wanted, (yield select_states(part, wanted)))
-        return emitted
+    def _evaluate(self, rows: slice) -> Emission:
+        used = self._used[rows]
+        condition = self._condition.rows(rows)
+        if used.all():
+            return evaluate_batched(self._field, condition, self._evaluator)
+        emission = _zero_emission(self._field, len(used))
+        emission.assign(used, evaluate_batched(self._field, condition.rows(used), self._evaluator))
+        return emission
 
 
 def _zero_emission(field: Field, count: int) -> Emission:
@@ -413,25 +313,25 @@ def supports_tolerance(field: Field, stroke: StrokeInput) -> bool:
     return field.config.accumulation == "past" and not shared
 
 
-def prepare_adaptive(
+def prepare_sampled(
     field: Field,
     stroke: StrokeInput,
     seed: int,
     action: Action,
     token_index: NDArray[np.int32],
-    tolerance: float,
-    sampler: Sampler = sample_adaptively,
-) -> EvaluationRequests[PreparedStroke]:
-    """Prepare a stroke with a tolerance. sampler: chooses the samples at which F_Θ is evaluated."""
+    sampled: SampledEmission,
+) -> PreparedStroke:
+    """Prepare a stroke from its emissions at some samples, with straight lines between them.
+
+    action and token_index are those of stroke.resample_action.
+    """
     carriers, count = field.config.carriers, sample_count(action)
-    wanted = sampler(count, tolerance, find_breakpoints(action, token_index))
-    sampled = yield from _evaluate_samples(field, stroke, action, token_index, wanted)
     knots, amplitude = accumulate_samples(field.config, sampled, count)
     if carriers.arc_count:
-        pace, state = find_peak_speed(action), knots // SAMPLES_PER_STATE
-        around = np.maximum(pace[state], pace[np.minimum(state + 1, len(pace) - 1)])
-        fast = np.flatnonzero(around * carriers.arc_centres()[-1] >= BAND_END_HZ)
-        amplitude[fast, carriers.arc_slice] *= around[fast, None] * carriers.arc_centres() < BAND_END_HZ
+        speed, state = find_peak_speed(action), knots // SAMPLES_PER_STATE
+        fastest = np.maximum(speed[state], speed[np.minimum(state + 1, len(speed) - 1)])
+        fast = np.flatnonzero(fastest * carriers.arc_centres()[-1] >= BAND_END_HZ)
+        amplitude[fast, carriers.arc_slice] *= fastest[fast, None] * carriers.arc_centres() < BAND_END_HZ
     pressed = np.where(action.contact, action.force, 0.0)
     bank = build_filter_bank(stroke.mechanics, token_index, pressed, action.probe)
     loudest = np.array([np.max(sampled.alpha, initial=0.0)], dtype=np.float64)
@@ -441,25 +341,30 @@ def prepare_adaptive(
     )  # fmt: skip
 
 
-def _evaluate_samples(
-    field: Field, stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], wanted: SampleRequests
-) -> EvaluationRequests[SampledEmission]:
-    """Request the emissions of samples in contact, or connected to one by memory or interpolation; others are 0."""
-    felt = _reaches_contact(action.contact, count_memory_states(field))
-    try:
-        at = next(wanted)
-        while True:
-            rows = felt[np.minimum(at // SAMPLES_PER_STATE, len(felt) - 1)]
-            if rows.all():
-                emitted = yield interpolate_condition(stroke, action, token_index, at)
-            else:
-                emitted = _zero_emission(field, len(at))
-                if rows.any():
-                    emitted.assign(rows, (yield interpolate_condition(stroke, action, token_index, at[rows])))
-            at = wanted.send(emitted)
-    except StopIteration as done:
-        sampled: SampledEmission = done.value
-        return sampled
+def make_evaluate_at(
+    field: Field,
+    stroke: StrokeInput,
+    action: Action,
+    token_index: NDArray[np.int32],
+    evaluator: Evaluator = evaluate,
+) -> EvaluateAt:
+    """Return the function that evaluates F_Θ at samples of a stroke.
+
+    Samples that are not in contact, nor connected to one by memory or interpolation, are 0 and not evaluated.
+    """
+    near_contact = _reaches_contact(action.contact, count_memory_states(field))
+
+    def evaluate_at(at: Samples) -> Emission:
+        rows = near_contact[np.minimum(at // SAMPLES_PER_STATE, len(near_contact) - 1)]
+        if rows.all():
+            return evaluate_batched(field, interpolate_condition(stroke, action, token_index, at), evaluator)
+        emission = _zero_emission(field, len(at))
+        if rows.any():
+            condition = interpolate_condition(stroke, action, token_index, at[rows])
+            emission.assign(rows, evaluate_batched(field, condition, evaluator))
+        return emission
+
+    return evaluate_at
 
 
 def _reaches_contact(contact: NDArray[np.bool_], states: int) -> NDArray[np.bool_]:
@@ -478,20 +383,20 @@ def _inputs_differ(action: Action, other: Action, rows: slice) -> bool:
 
 
 def _compute_amplitudes(
-    field: Field, condition: Condition, given: Emission, bands: ProfileBands | None, reading: Float, rows: slice
+    field: Field, condition: Condition, emission: Emission, bands: ProfileBands | None, frequency: Float, rows: slice
 ) -> tuple[Float, Float | None, float]:
     """Return the noise amplitudes (m, heads, K) and profile amplitudes (m, Ka) of a chunk, and the field's largest.
 
-    given: emission of the chunk and its memory. reading: (m, Ka) frequencies of the chunk [Hz].
+    emission: of the chunk and its memory. frequency: (m, Ka) of the chunk's arc bands [Hz].
     """
     carriers = field.config.carriers
-    amplitude = accumulate(field.config, given, len(given.alpha) - (rows.stop - rows.start))
+    amplitude = accumulate(field.config, emission, len(emission.alpha) - (rows.stop - rows.start))
     loudest = float(np.max(np.abs(amplitude), initial=0.0))
     # The field's gate depends on the speed of each state, but past states are read at the present speed.
-    amplitude[:, :, carriers.arc_slice] *= (reading < BAND_END_HZ)[:, None, :]
+    amplitude[:, :, carriers.arc_slice] *= (frequency < BAND_END_HZ)[:, None, :]
     if bands is None:
         return amplitude, None, loudest
-    part = select_states(condition, rows)
+    part = condition.rows(rows)
     shares = share_power(amplitude[:, 0], bands, part, carriers)
     amplitude[:, :, carriers.arc_slice] *= shares.arc[:, None, :]
     amplitude[:, :, carriers.time_slice] *= shares.time[:, None, :]
@@ -504,7 +409,7 @@ def count_memory_states(field: Field) -> int:
     return config.stride * (config.states - 1) if config.accumulation == "past" else 0
 
 
-def reading_frequency(action: Action, carriers: Carriers) -> Float:
+def arc_band_frequency(action: Action, carriers: Carriers) -> Float:
     """Compute the frequency (n, Ka) [Hz] of each arc band, κ · |ds/dt|, by the fastest motion within two states.
 
     Above BAND_END_HZ a band would alias, and a jump of the hand would need metres of cells.
@@ -522,11 +427,11 @@ def bridge_rest_gaps(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
     if len(rows) == 0:
         return np.zeros_like(amplitude)
     gaps = np.flatnonzero(~sliding)
-    place = np.interp(gaps, rows, np.arange(len(rows)))
-    low = np.floor(place).astype(np.intp)
-    high, share = np.minimum(low + 1, len(rows) - 1), (place - low)[:, None]
+    index = np.interp(gaps, rows, np.arange(len(rows)))
+    low = np.floor(index).astype(np.intp)
+    high, fraction = np.minimum(low + 1, len(rows) - 1), (index - low)[:, None]
     out = amplitude.copy()
-    out[gaps] = (1.0 - share) * amplitude[rows[low]] + share * amplitude[rows[high]]
+    out[gaps] = (1.0 - fraction) * amplitude[rows[low]] + fraction * amplitude[rows[high]]
     return out
 
 

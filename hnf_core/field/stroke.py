@@ -7,7 +7,7 @@ functions resample the action to the states, build F_Θ's conditions, and interp
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -294,12 +294,6 @@ def interpolate_condition(
     tokens, contact = stroke.tokens.astype(np.float64)[material], action.contact[nearest]
     mechanics, row_index = find_distinct_mechanics(stroke.mechanics)
     return Condition(tokens, mechanics, row_index[material], direction, speed, force, contact, action.probe)
-
-
-def select_states(condition: Condition, rows: slice | NDArray[np.bool_]) -> Condition:
-    """Return some of the states of a condition."""
-    names = ("tokens", "material", "direction", "speed", "force", "contact")
-    return replace(condition, **{name: getattr(condition, name)[rows] for name in names})
 
 
 def sample_count(action: Action) -> int:

@@ -1,17 +1,16 @@
-"""Synthesise strokes: one, one again after a change of force, one over materials with their own fields, or many.
+"""Synthesise strokes: one, one again after a change of force, or one over materials with their own fields.
 
 `synthesise` evaluates the field at the action rate and renders its carriers at 10 kHz in blocks, each computable alone;
 another output rate is a resampling of the same signal, never another model. `render_incremental` renders a stroke that
 differs in force or contact again, only where samples change, and equals a complete rendering to the last bit.
 `split_by_field` and `blend` combine the fields of several materials: each field synthesises the whole stroke, and
 signals are cross-faded within 5 ms where the material changes, with weights that sum to 1, so that what they have in
-common (the press of the hand) is unchanged. `synthesise_many` evaluates many strokes of one field in shared batches and
-draws the carriers of one while another is rendered.
+common (the press of the hand) is unchanged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,17 +23,9 @@ from ..signal import Signal
 from .carrier_rendering import find_states_read
 from .carriers import MODEL_RATE_HZ
 from .contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
-from .field import Field, evaluate, find_kernel, is_same_field
+from .field import Evaluator, Field, evaluate, is_same_field
 from .noise_cache import prefetch_noise
-from .prepare import (
-    Evaluate,
-    PreparedStroke,
-    evaluate_requests_together,
-    is_audible,
-    prepare_stroke,
-    request_prepared_stroke,
-    split_blocks,
-)
+from .prepare import PreparedStroke, is_audible, prepare_stroke, split_blocks
 from .range_check import check_ceiling, check_ranges
 from .render import render_block, render_samples
 from .resampling import resample
@@ -65,7 +56,7 @@ def synthesise(
     sample_rate
         Of the output [Hz].
     tolerance
-        Largest error of the amplitudes, see prepare.request_prepared_stroke; None for exact evaluation.
+        Largest error of the amplitudes, see prepare.prepare_stroke; None for exact evaluation.
 
     Returns
     -------
@@ -80,20 +71,7 @@ def synthesise(
         If the sample rate is not between 1 Hz and 10 MHz.
     """
     prepared, samples = render_stroke(field, stroke, seed, tolerance)
-    return make_result_within_tolerance(field, stroke, prepared, samples, sample_rate, tolerance)
-
-
-def make_result_within_tolerance(
-    field: Field,
-    stroke: StrokeInput,
-    prepared: PreparedStroke,
-    samples: Float,
-    sample_rate: float,
-    tolerance: float | None,
-) -> Synthesis:
-    """Build the result; add a warning if the requested tolerance was exceeded."""
-    made = make_result(field, stroke, prepared, samples, sample_rate)
-    return replace(made, warnings=(*made.warnings, *tolerance_warning(prepared.residual_power, tolerance)))
+    return make_result(field, stroke, prepared, samples, sample_rate, tolerance)
 
 
 def tolerance_warning(residual_power: float, tolerance: float | None) -> tuple[str, ...]:
@@ -107,7 +85,7 @@ def tolerance_warning(residual_power: float, tolerance: float | None) -> tuple[s
 
 
 def render_stroke(
-    field: Field, stroke: StrokeInput, seed: int, tolerance: float | None = None, evaluator: Evaluate = evaluate
+    field: Field, stroke: StrokeInput, seed: int, tolerance: float | None = None, evaluator: Evaluator = evaluate
 ) -> tuple[PreparedStroke, Float]:
     """Prepare and render a stroke, (count,) [m/s²], with its carriers drawn while F_Θ is evaluated."""
     with prefetch_noise(field.config, seed, resample_action(stroke)[0]):
@@ -116,9 +94,14 @@ def render_stroke(
 
 
 def make_result(
-    field: Field, stroke: StrokeInput, prepared: PreparedStroke, samples: Float, sample_rate: float = MODEL_RATE_HZ
+    field: Field,
+    stroke: StrokeInput,
+    prepared: PreparedStroke,
+    samples: Float,
+    sample_rate: float = MODEL_RATE_HZ,
+    tolerance: float | None = None,
 ) -> Synthesis:
-    """Build the result of rendered samples (count,), with confidence and warnings."""
+    """Build the result of rendered samples (count,), with confidence and warnings, one if `tolerance` is exceeded."""
     output, rate_warnings = resample(samples, MODEL_RATE_HZ, sample_rate)
     confidence, warnings = check_ranges(field, stroke, prepared.action)
     warnings += check_ceiling(field.config, float(prepared.loudest.max(initial=0.0)))
@@ -126,7 +109,8 @@ def make_result(
         warnings += ("This field has no arc-length carriers: the height profile is left out.",)
     provenance = {"probe": stroke.action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
     signal = Signal(output.astype(np.float32), float(sample_rate), prepared.seed, provenance)
-    return Synthesis(signal, confidence, (*warnings, *rate_warnings))
+    warnings += (*rate_warnings, *tolerance_warning(prepared.residual_power, tolerance))
+    return Synthesis(signal, confidence, warnings)
 
 
 @dataclass(frozen=True)
@@ -315,60 +299,3 @@ def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[
 
 def _rows_differ(old: Float, new: Float) -> NDArray[np.bool_]:
     return np.asarray((old != new).reshape(len(new), -1).any(axis=1))
-
-
-GROUP_STATES = 4096
-"""States of the strokes that are evaluated together, unless one alone has more: 10 MB of intermediate results."""
-
-
-def synthesise_many(
-    field: Field,
-    strokes: Sequence[StrokeInput],
-    *,
-    seeds: Sequence[int],
-    sample_rate: float = MODEL_RATE_HZ,
-    tolerance: float | None = None,
-) -> Iterator[Synthesis]:
-    """Synthesise each stroke with its seed, in their order, equal to synthesise to the last bit.
-
-    Raises ValueError unless there is one seed per stroke, and the errors of synthesise.
-    """
-    if len(strokes) != len(seeds):
-        raise ValueError(f"{len(strokes)} strokes with {len(seeds)} seeds")
-    if find_kernel(field) is None:  # In numpy the last bit depends on the states that are evaluated together.
-        return (
-            synthesise(field, stroke, seed=seed, sample_rate=sample_rate, tolerance=tolerance)
-            for stroke, seed in zip(strokes, seeds, strict=True)
-        )
-    return _synthesise_in_batches(field, strokes, seeds, sample_rate, tolerance)
-
-
-def _synthesise_in_batches(
-    field: Field, strokes: Sequence[StrokeInput], seeds: Sequence[int], sample_rate: float, tolerance: float | None
-) -> Iterator[Synthesis]:
-    for some in _group_strokes(strokes):
-        group, drawn_from = strokes[some], seeds[some]
-        asking = [
-            request_prepared_stroke(field, stroke, seed=seed, tolerance=tolerance)
-            for stroke, seed in zip(group, drawn_from, strict=True)
-        ]
-        with prefetch_noise(field.config, drawn_from[0], resample_action(group[0])[0]):
-            prepared = evaluate_requests_together(field, asking)
-        for stroke, one, following in zip(group, prepared, [*prepared[1:], prepared[-1]], strict=True):
-            draws = following.seed != one.seed
-            with prefetch_noise(field.config, following.seed, following.action) if draws else nullcontext():
-                samples = render_samples(one)
-            yield make_result_within_tolerance(field, stroke, one, samples, sample_rate, tolerance)
-
-
-def _group_strokes(strokes: Sequence[StrokeInput]) -> Iterator[slice]:
-    """Yield slices of adjacent strokes with GROUP_STATES states at most."""
-    begin = states = 0
-    for at, stroke in enumerate(strokes):
-        count = len(stroke.action.speed)
-        if at > begin and states + count > GROUP_STATES:
-            yield slice(begin, at)
-            begin, states = at, 0
-        states += count
-    if begin < len(strokes):
-        yield slice(begin, len(strokes))

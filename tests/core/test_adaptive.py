@@ -15,11 +15,12 @@ from hnf_core.field.adaptive_sampling import (
     MAX_EVALUATIONS,
     MAX_INTERVAL,
     MIN_INTERVAL,
+    find_breakpoints,
     interpolate_rows,
     sample_adaptively,
 )
 from hnf_core.field.field import Emission, evaluate
-from hnf_core.field.prepare import drive_requests, evaluate_requests, prepare_adaptive, prepare_stroke
+from hnf_core.field.prepare import make_evaluate_at, prepare_sampled, prepare_stroke
 from hnf_core.field.render import render_block, render_carriers, render_samples
 from hnf_core.field.stroke import HeightProfile, interpolate_condition, resample_action, sample_count, uniform_stroke
 from hnf_core.field.synthesis import synthesise
@@ -56,10 +57,6 @@ def alpha_at(sampled, at):
     return interpolate_rows(sampled.alpha, row, share, np.ones(row.shape))
 
 
-def sample_emission(evaluate, count, tolerance):
-    return drive_requests(evaluate, sample_adaptively(count, tolerance))
-
-
 def missed(sampled, function, count) -> float:
     every = np.arange(count + 1)
     found = alpha_at(sampled, every)
@@ -73,7 +70,7 @@ def test_the_tolerance_is_kept_where_a_hand_lands_speeds_up_and_stops(tolerance)
         return np.clip((t - 0.2) / 0.03, 0.0, 1.0) * (1.0 + 0.7 * np.sin(5.0 * t)) * np.clip((1.9 - t) / 0.05, 0.0, 1.0)
 
     emit, asked = counted(of_time(swell))
-    sampled = sample_emission(emit, 20_000, tolerance)
+    sampled = sample_adaptively(emit, 20_000, tolerance)
     assert missed(sampled, swell, 20_000) < tolerance
     assert sampled.residual_power <= tolerance**2
     assert len(asked) == len(set(asked))  # nothing twice
@@ -90,24 +87,24 @@ def test_the_tolerance_is_kept_on_any_straight_lines(heights, tolerance):
     def lines(at):
         return 0.5 + np.interp(at, 1700 * np.arange(len(heights)), heights)
 
-    assert missed(sample_emission(of_time(lines), count, tolerance), lines, count) < tolerance
+    assert missed(sample_adaptively(of_time(lines), count, tolerance), lines, count) < tolerance
 
 
 def test_what_stays_the_same_costs_the_coarse_grid_and_its_middles():
     emit, asked = counted(of_time(lambda at: np.ones(len(at))))
-    sample_emission(emit, 40_000, 1e-3)
+    sample_adaptively(emit, 40_000, 1e-3)
     assert len(asked) == 40_000 // MAX_INTERVAL + 1 + 40_000 // MAX_INTERVAL
 
 
 def test_silence_ends_at_once():
     emit, asked = counted(of_time(lambda at: np.zeros(len(at))))
-    assert sample_emission(emit, 4000, 0.0).residual_power == 0.0
+    assert sample_adaptively(emit, 4000, 0.0).residual_power == 0.0
     assert len(asked) <= 2 * 4000 // MAX_INTERVAL + 1
 
 
 def test_a_jump_is_closed_in_on_and_no_further():
     emit, asked = counted(of_time(lambda at: (at > 3333).astype(float)))
-    sampled = sample_emission(emit, 8000, 0.0)
+    sampled = sample_adaptively(emit, 8000, 0.0)
     gaps = np.diff(sampled.at)
     assert gaps.min() <= MIN_INTERVAL
     jump = int(np.searchsorted(sampled.at, 3333, side="right"))
@@ -131,7 +128,7 @@ def test_no_round_is_of_a_handful(seed, tolerance, monkeypatch):
             sizes.append(len(at))
             return emission(at)
 
-        sample_emission(emit, 900 * 119, tolerance)
+        sample_adaptively(emit, 900 * 119, tolerance)
         return sizes
 
     found = rounds()
@@ -144,14 +141,14 @@ def test_no_round_is_of_a_handful(seed, tolerance, monkeypatch):
 def test_what_cannot_be_followed_is_told():
     """A field that is another at every sample."""
     rng = np.random.default_rng(0).random(8001)
-    sampled = sample_emission(of_time(lambda at: rng[at]), 8000, 0.01)
+    sampled = sample_adaptively(of_time(lambda at: rng[at]), 8000, 0.01)
     assert sampled.residual_power > 0.01**2
     assert missed(sampled, lambda at: rng[at], 8000) > 0.01
 
 
 def test_what_asks_for_ever_more_is_followed_within_bounds():
     rng = np.random.default_rng(0).random(400_001)
-    sampled = sample_emission(of_time(lambda at: rng[at]), 400_000, 0.01)
+    sampled = sample_adaptively(of_time(lambda at: rng[at]), 400_000, 0.01)
     assert MAX_EVALUATIONS - 2 <= len(sampled.at) <= MAX_EVALUATIONS
     assert sampled.residual_power > 0.01**2
 
@@ -171,7 +168,7 @@ def test_the_shipped_field_is_within_the_tolerance(material, name):
     every = np.arange(0, count + 1, 10)
     exact = emit(every).alpha[:, 0]
     for tolerance_db in (-30.0, -40.0):
-        sampled = sample_emission(emit, count, 10 ** (tolerance_db / 20))
+        sampled = sample_adaptively(emit, count, 10 ** (tolerance_db / 20))
         error = alpha_at(sampled, every) - exact
         assert 10 * np.log10(np.sum(np.square(error)) / np.sum(np.square(exact))) < tolerance_db
 
@@ -226,20 +223,15 @@ def test_nothing_short_hides_between_two_evaluations(kind, starts, length):
     assert np.sqrt(np.mean(np.square(one - two))) < 0.03 * np.sqrt(np.mean(np.square(two)))
 
 
-def test_where_the_field_is_evaluated_can_be_told():
-    """The bench's literal model asks at every sample so; what it hears is what a fine tolerance gives."""
-    stroke, asked = uniform_stroke(steady(0.5), rough_token(), WOOD), []
-
-    def finest(count, tolerance, breakpoints):
-        asked.append((count, tolerance))
-        return sample_adaptively(count, 0.0, breakpoints)
-
+def test_a_stroke_is_prepared_from_any_samples():
+    """The bench's literal model takes every sample so; its signal is what a fine tolerance gives."""
+    stroke = uniform_stroke(steady(0.5), rough_token(), WOOD)
     action, token_index = resample_action(stroke)
-    asking = prepare_adaptive(linear_field(), stroke, 1, action, token_index, 0.03, sampler=finest)
-    told = evaluate_requests(linear_field(), asking)
-    assert asked == [(sample_count(action), 0.03)]
-    assert np.array_equal(told.knots, prepare_stroke(linear_field(), stroke, seed=1, tolerance=0.0).knots)
-    every, fine = synthesise_every_sample(linear_field(), stroke, 1), render_samples(told)
+    evaluate_at = make_evaluate_at(linear_field(), stroke, action, token_index)
+    sampled = sample_adaptively(evaluate_at, sample_count(action), 0.0, find_breakpoints(action, token_index))
+    prepared = prepare_sampled(linear_field(), stroke, 1, action, token_index, sampled)
+    assert np.array_equal(prepared.knots, prepare_stroke(linear_field(), stroke, seed=1, tolerance=0.0).knots)
+    every, fine = synthesise_every_sample(linear_field(), stroke, 1), render_samples(prepared)
     assert np.sqrt(np.mean(np.square(every - fine))) < 0.02 * np.sqrt(np.mean(np.square(fine)))
 
 

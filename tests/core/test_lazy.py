@@ -16,6 +16,7 @@ from hnf_core.field import prepare as prepared
 from hnf_core.field import render, synthesis
 from hnf_core.field.adaptive_sampling import MIN_INTERVAL
 from hnf_core.field.carriers import MODEL_RATE_HZ
+from hnf_core.field.field import BATCH_STATES
 from hnf_core.field.prepare import AFTER_CONTACT_S, BLOCK_SAMPLES
 from hnf_core.field.render import render_chunks
 from hnf_core.field.stroke import SAMPLES_PER_STATE, HeightProfile
@@ -58,11 +59,13 @@ def test_a_hand_that_never_touches_costs_no_sample(rendered):
 
 
 @pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
-def test_a_state_is_evaluated_once():
+def test_a_state_is_evaluated_once_and_512_at_most_together():
     field, stroke = load_field(), make_scrape(SECONDS)
     with count_states() as states:
         prepared.prepare_stroke(field, stroke, seed=SEED)
     assert sum(states) == len(stroke.action.speed)
+    assert max(states) == BATCH_STATES
+    assert len(states) == -(-sum(states) // BATCH_STATES)
 
 
 def test_in_numpy_a_state_is_evaluated_once_and_those_before_a_portion_again():

@@ -20,7 +20,6 @@ from hnf_core.field.stroke import (
     StrokeInput,
     build_condition,
     resample_action,
-    select_states,
     uniform_stroke,
 )
 from hnf_core.field.synthesis import synthesise
@@ -195,7 +194,7 @@ def test_states_in_portions_are_the_states_at_once():
         parts = []
         for start in range(0, 61, portion):
             first, stop = max(start - count_memory_states(field), 0), min(start + portion, 61)
-            given = evaluate(field, select_states(condition, slice(first, stop)))
+            given = evaluate(field, condition.rows(slice(first, stop)))
             parts.append(accumulate(field.config, given)[start - first :])
         # Without the kernel float32 products round differently with the number of rows.
         np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-4)

@@ -36,13 +36,13 @@ from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.datasets.hatt_models import TextureModel
 from hnf_core.datasets.hatt_synthesis import HattProcess
 from hnf_core.errors import UsageError
-from hnf_core.field.adaptive_sampling import BATCH_SAMPLES, SampledEmission, SampleRequests, interpolate_rows
+from hnf_core.field.adaptive_sampling import BATCH_SAMPLES, EvaluateAt, SampledEmission, interpolate_rows
 from hnf_core.field.carrier_rendering import render_carriers_full_rate
 from hnf_core.field.carriers import MODEL_RATE_HZ
 from hnf_core.field.field import Emission, Field, evaluate, get_network
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition
 from hnf_core.field.noise_cache import prefetch_noise
-from hnf_core.field.prepare import evaluate_requests, prepare_adaptive, prepare_stroke
+from hnf_core.field.prepare import make_evaluate_at, prepare_sampled, prepare_stroke
 from hnf_core.field.render import render_contact, render_samples
 from hnf_core.field.stroke import StrokeInput, resample_action, sample_count
 from hnf_core.field.synthesis import render_stroke
@@ -115,16 +115,17 @@ def synthesise_every_sample(field: Field, stroke: StrokeInput, seed: int) -> Flo
     other way, and drawn as early."""
     action, token_index = resample_action(stroke)
     with prefetch_noise(field.config, seed, action):
-        asking = prepare_adaptive(field, stroke, seed, action, token_index, 0.0, sampler=_sample_every)
-        prepared = evaluate_requests(field, asking)
+        evaluate_at = make_evaluate_at(field, stroke, action, token_index)
+        sampled = _sample_every(evaluate_at, sample_count(action))
+        prepared = prepare_sampled(field, stroke, seed, action, token_index, sampled)
     return render_samples(prepared)
 
 
-def _sample_every(count: int, _tolerance: float, _breakpoints: NDArray[np.int64]) -> SampleRequests:
-    """As adaptive.sampling, and nothing is left out."""
+def _sample_every(evaluate_at: EvaluateAt, count: int) -> SampledEmission:
+    """Sample the emissions at each of 0 … count, for sample_adaptively, which leaves out most."""
     at, alpha, sigma_dt = np.arange(count + 1), [], []
     for start in range(0, len(at), BATCH_SAMPLES):
-        emission = yield at[start : start + BATCH_SAMPLES]
+        emission = evaluate_at(at[start : start + BATCH_SAMPLES])
         alpha.append(emission.alpha[:, 0].astype(np.float32))
         sigma_dt.append(emission.sigma_dt)
     return SampledEmission(at, np.concatenate(alpha), np.concatenate(sigma_dt), 0.0)

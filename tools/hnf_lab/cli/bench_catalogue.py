@@ -20,12 +20,6 @@ def _measure_synth(options: BenchOptions) -> list[Row]:
     return measure_synth(options)
 
 
-def _measure_strokes(options: BenchOptions) -> list[Row]:
-    from ..bench.strokes import measure_strokes
-
-    return measure_strokes(options)
-
-
 def _measure_maps(options: BenchOptions) -> list[Row]:
     from ..bench.tactile_map import measure_maps
 
@@ -71,7 +65,6 @@ def _measure_core_startup(options: BenchOptions) -> list[Row]:
 CORE_BENCHES = (
     Bench("startup", "what a command costs from nothing, beside `import numpy`", _measure_core_startup),
     Bench("synth", "ten seconds of stroke in every way there is, against the model taken literally", _measure_synth),
-    Bench("strokes", "many strokes of 0.1 to 3 s in common batches, against each alone", _measure_strokes),
     Bench("maps", "relief and picture until there is a token, in wide and narrow numbers", _measure_maps),
     Bench(
         "splats",

@@ -23,7 +23,7 @@ from hnf_core.errors import UsageError
 from hnf_core.field.carriers import MODEL_RATE_HZ, Carriers
 from hnf_core.field.field import Field, accumulate, evaluate
 from hnf_core.field.stroke import StrokeInput, build_condition, resample_action, sample_count, uniform_stroke
-from hnf_core.field.synthesis import synthesise_many
+from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.token import TOKEN_DIM
@@ -147,8 +147,8 @@ class FittedField:
         if self.form == "expected magnitude":
             return [synthesise_expected_magnitude(self.field, stroke) for stroke in strokes]
         first = _SEEDS_PER_CALL * seed
-        made = synthesise_many(self.field, strokes, seeds=range(first, first + len(strokes)))
-        return [each.signal.samples.astype(np.float64) for each in made]
+        made = [synthesise(self.field, stroke, seed=seed) for seed, stroke in enumerate(strokes, first)]
+        return [synthesis.signal.samples.astype(np.float64) for synthesis in made]
 
 
 @dataclass(frozen=True)

@@ -299,13 +299,3 @@ def test_splats_are_measured_on_a_file_too_and_a_broken_one_is_refused(tmp_path,
     path.write_bytes(path.read_bytes()[:-5])
     assert hnf("splats", "--quick", "--repeats", "1", "--scene", str(path)) == 1
     assert str(path) in capsys.readouterr().err
-
-
-def test_many_strokes_have_a_row_alone_and_one_together_that_is_equal(capsys):
-    assert hnf("strokes", "--quick", "--repeats", "1", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert len(rows) == 6
-    for alone, together in zip(rows[::2], rows[1::2], strict=True):
-        assert (together["ratio_to"], together["error"]) == (alone["method"], 0.0)
-        assert together["ratio"] > 0.0
-        assert alone["realtime_factor"] > 0.0 < together["realtime_factor"]
