@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -100,8 +100,7 @@ def make_resampler(from_hz: float, to_hz: float, channels: int, *, low_latency: 
     channels : int
         Number of channels.
     low_latency : bool
-        Whether the delay must stay within `ZERO_CROSSINGS` frames of the lower rate. Otherwise soxr is used if it is
-        installed.
+        Whether the delay must stay within `ZERO_CROSSINGS` frames of the lower rate. Otherwise soxr is used.
 
     Raises
     ------
@@ -113,12 +112,7 @@ def make_resampler(from_hz: float, to_hz: float, channels: int, *, low_latency: 
     if from_hz == to_hz:
         return PassThroughResampler(channels)
     if not low_latency:
-        try:
-            import soxr
-        except ImportError:
-            pass
-        else:
-            return SoxrResampler(soxr, from_hz, to_hz, channels)
+        return SoxrResampler(from_hz, to_hz, channels)
     return PolyphaseResampler(from_hz, to_hz, channels)
 
 
@@ -142,9 +136,11 @@ class SoxrResampler:
 
     name = "soxr"
 
-    def __init__(self, module: Any, from_hz: float, to_hz: float, channels: int) -> None:
+    def __init__(self, from_hz: float, to_hz: float, channels: int) -> None:
+        from soxr import ResampleStream  # Only here: live streams do without.
+
         self._channels = channels
-        self._stream = module.ResampleStream(from_hz, to_hz, channels, dtype="float32", quality="HQ")
+        self._stream = ResampleStream(from_hz, to_hz, channels, dtype="float32", quality="HQ")
 
     def process(self, block: Samples) -> Samples:
         return self._resample_chunk(block, last=False)

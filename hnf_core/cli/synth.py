@@ -28,7 +28,14 @@ from ..field.field import Field
 from ..field.prepare import supports_tolerance
 from ..field.range_check import check_ceiling, check_ranges
 from ..field.render import CHUNK_SAMPLES, RenderedChunk, render_chunks
-from ..field.resampling import MAX_RATE_HZ, MIN_RATE_HZ, plan_conversion, rate_warnings, resample_stream
+from ..field.resampling import (
+    MAX_RATE_HZ,
+    MIN_RATE_HZ,
+    check_rates,
+    count_outputs,
+    rate_warnings,
+    resample_stream,
+)
 from ..field.stroke import StrokeInput, resample_action, sample_count, uniform_stroke
 from ..field.synthesis import synthesise, tolerance_warning
 from ..field.weights import load_field, load_field_for_encoders, load_material_field, read_trained_material
@@ -99,11 +106,12 @@ def write_in_chunks(
     too long for a WAV before anything is made; an earlier file at path is then unharmed.
     """
     action, _ = resample_action(stroke)
-    total, convert, meter = sample_count(action), plan_conversion(MODEL_RATE_HZ, rate), _SignalMeter()
+    check_rates(MODEL_RATE_HZ, rate)
+    total, meter = sample_count(action), _SignalMeter()
     made = meter.iterate_samples(
         render_chunks(field, stroke, seed=seed, length=chunk_samples, tolerance=tolerance), total
     )
-    count = total if rate == MODEL_RATE_HZ else convert.count_outputs(total)
+    count = count_outputs(total, MODEL_RATE_HZ, rate)
     origin = {"probe": action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
     head = Signal(np.zeros(0, dtype=np.float32), rate, seed, {**origin, **facts})
     write_wav_stream(path, head, count, meter.convert_blocks(resample_stream(made, total, MODEL_RATE_HZ, rate)))

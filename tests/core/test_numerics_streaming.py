@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
-from hnf_core.field import resampling
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.noise_cache import CACHED_TIME_HOPS
 from hnf_core.field.prepare import PreparedStroke, prepare_stroke
@@ -163,11 +162,3 @@ def test_an_odd_rate_keeps_the_clock():
     output, _ = resample(sine, 10_000.0, 9999.0)
     exact = np.sin(2.0 * np.pi * 300.0 * np.arange(len(output)) / 9999.0)
     assert np.abs(output - exact)[1000:-1000].max() < 1e-5
-
-
-def test_resampling_in_pieces_changes_nothing(monkeypatch):
-    samples = np.random.default_rng(0).normal(size=3001)
-    whole, _ = resampling.resample(samples, 10_000.0, 8000.0)
-    monkeypatch.setattr(resampling, "_MAX_ROWS", 7)
-    pieces, _ = resampling.resample(samples, 10_000.0, 8000.0)
-    np.testing.assert_allclose(pieces, whole, atol=1e-14)

@@ -287,7 +287,7 @@ def test_numpy_alone_is_enough(tmp_path: Path) -> None:
     """Without any library for devices and without safetensors: a file can be played."""
     code = (
         "import sys\n"
-        "for name in ('serial', 'sounddevice', 'pythonosc', 'soxr', 'safetensors', 'torch'): sys.modules[name] = None\n"
+        "for name in ('serial', 'sounddevice', 'pythonosc', 'safetensors', 'torch'): sys.modules[name] = None\n"
         "from hnf_core.actuators.player import main\n"
         "sys.exit(main())\n"
     )

@@ -130,7 +130,6 @@ def test_it_looks_ahead_no_further_than_it_says(from_hz: float, to_hz: float) ->
 
 
 def test_soxr_agrees_where_both_are_flat() -> None:
-    pytest.importorskip("soxr", reason="soxr is not installed")
     rng = np.random.default_rng(0)
     t = np.arange(8000) / 8000.0
     hertz, phases = rng.uniform(20.0, 2500.0, 40), rng.uniform(0.0, 6.0, 40)
