@@ -7,10 +7,10 @@ finite is refused.
 from __future__ import annotations
 
 import json
-from dataclasses import MISSING, asdict, dataclass, fields
-from types import UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from dataclasses import dataclass
+from typing import Any, get_args
 
+from ..dataclass_json import encode_json, load_json, parse_record
 from ..errors import UsageError
 
 VERSION = 1
@@ -236,12 +236,10 @@ class Refused:
 
 Report = Ready | Began | Status | Refused
 
-Message = TypeVar("Message")
-
 
 def encode(message: Command | Report) -> str:
     """Encode a message as a line without its end."""
-    return json.dumps({"is": type(message).__name__, **asdict(message)}, separators=(",", ":"), allow_nan=False)
+    return encode_json(message, **{"is": type(message).__name__})
 
 
 def decode_command(line: str) -> Command:
@@ -262,56 +260,15 @@ _REPORTS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Repor
 
 def _decode(line: str, kinds: dict[str, type[Any]]) -> Any:
     try:
-        record = json.loads(line, parse_constant=_reject_constant)
+        record = load_json(line)
         if not isinstance(record, dict):
             raise ValueError("it is no object")
         name = record.pop("is", None)
         kind = kinds.get(name) if isinstance(name, str) else None
         if kind is None:
             raise ValueError(f'"is" is none of {", ".join(kinds)}')
-        return _parse_record(kind, record)
+        return parse_record(kind, record)
     except (ValueError, OverflowError, RecursionError) as error:
         excerpt = line if len(line) <= 60 else f"{line[:60]}…"
         why = " ".join(str(error).split())
         raise UsageError(f"a message that cannot be read, {why}: {json.dumps(excerpt)}.") from error
-
-
-def _find_field_types(kind: type[Any]) -> tuple[dict[str, Any], frozenset[str]]:
-    """Return the type of each field, and the names of the required fields."""
-    required = frozenset(field.name for field in fields(kind) if field.default is MISSING)
-    return get_type_hints(kind), required
-
-
-# Resolved once, because a hand sends a thousand moves a second.
-_FIELD_TYPES = {kind: _find_field_types(kind) for kind in (OutputSpec, *get_args(Command), *get_args(Report))}
-
-
-def _parse_record(kind: type[Message], found: dict[str, Any]) -> Message:
-    hints, required = _FIELD_TYPES[kind]
-    unknown = found.keys() - hints.keys()
-    if unknown:
-        raise ValueError(f"{kind.__name__} has no field '{min(unknown)}'")
-    missing = required - found.keys()
-    if missing:
-        raise ValueError(f"{kind.__name__} needs '{min(missing)}'")
-    return kind(**{name: _parse_value(hints[name], value, f"{kind.__name__}.{name}") for name, value in found.items()})
-
-
-def _parse_value(kind: Any, value: Any, name: str) -> Any:
-    if get_origin(kind) is UnionType:
-        return None if value is None else _parse_value(get_args(kind)[0], value, name)
-    if get_origin(kind) is tuple and isinstance(value, list):
-        return tuple(_parse_value(get_args(kind)[0], item, name) for item in value)
-    if kind is OutputSpec and isinstance(value, dict):
-        return _parse_record(OutputSpec, value)
-    if kind is float and type(value) is int:
-        value = float(value)
-    if type(value) is not kind:
-        raise ValueError(f"{name} is no {getattr(kind, '__name__', 'list')}")
-    if kind is float and not abs(value) < float("inf"):
-        raise ValueError(f"{name} is not finite")
-    return value
-
-
-def _reject_constant(constant: str) -> float:
-    raise ValueError(f"{constant} is no number")
