@@ -48,7 +48,8 @@ def parse_record(kind: type[Record], values: Any) -> Record:
     """
     if not isinstance(values, dict):
         raise ValueError(f"{kind.__name__} is no object")
-    types, required = _find_field_types(kind)
+    hashable: Any = kind
+    types, required = _find_field_types(hashable)
     if unknown := values.keys() - types.keys():
         raise ValueError(f"{kind.__name__} has no field '{min(unknown)}'")
     if missing := required - values.keys():
