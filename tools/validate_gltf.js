@@ -3,8 +3,8 @@
 //   npm install --prefix build/node --no-save gltf-validator@2.0.0-dev.3.10
 //   node tools/validate_gltf.js FILE.glb ...
 //
-// The package is looked for there, and where you are. tests/core/test_glb_validator.py runs this.
-// It does not know MPEG_haptic_material, and says so; tests/core/glb_rules.py has the rules of that extension.
+// The package is looked for there, and where you are. tests/core/export/test_gltf_validator.py runs this.
+// It does not know MPEG_haptic_material, and says so; tests/core/export/glb_rules.py has the rules of that extension.
 const fs = require("fs");
 const path = require("path");
 const places = [process.cwd(), path.join(__dirname, "..", "build", "node")];

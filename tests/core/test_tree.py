@@ -20,7 +20,7 @@ LINE_LIMIT = 800
 
 # docs/architecture.md: a room may use the rooms of a lower floor only. Rooms of one floor do not know each other.
 FLOORS = (
-    ("errors", "text", "progress", "child_process"),
+    ("errors", "text", "progress", "child_process", "dataclass_json"),
     ("units", "files", "signal", "threads"),
     ("kernel",),
     ("safetensors_io",),

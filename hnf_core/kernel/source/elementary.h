@@ -1,5 +1,5 @@
 /* exp and log of doubles in plain arithmetic, so that a compiler takes several at once: libm's are one at a time, and
- * most of a state's time went there. Within 2 units of the last place of libm's (tests/core/test_kernel.py); NaN stays
+ * most of a state's time went there. Within 2 units of the last place of libm's (tests/core/kernel/test_kernel.py); NaN stays
  * NaN. */
 #ifndef HNF_ELEMENTARY_H
 #define HNF_ELEMENTARY_H

@@ -1,4 +1,4 @@
-"""The table of stress cases in docs/numerics.md, from the first lines of the tests that hold them.
+"""Print the table of stress cases in docs/numerics.md from the docstrings of the tests.
 
 Usage: python -m hnf_lab.experiments.stress_table
 """
@@ -15,29 +15,29 @@ ARROW = " → "
 
 
 def list_stress_files() -> list[Path]:
-    """The suite: of the core, then of Blender."""
-    return [*sorted((ROOT / "tests" / "core").glob("test_stress_*.py")), ROOT / "tests" / "blender" / "test_stress.py"]
+    """Return the stress test files of the core and of Blender."""
+    return [*sorted((ROOT / "tests" / "core").rglob("test_stress_*.py")), ROOT / "tests" / "blender" / "test_stress.py"]
 
 
 def read_cases(path: Path) -> list[tuple[str, str]]:
-    """(case, what happens) of every test in a file. Raises ValueError where a test does not say so."""
-    found = []
+    """Return (case, result) of every test in a file. Raises ValueError if a docstring has another form."""
+    cases = []
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
-            case, arrow, happens = (ast.get_docstring(node) or "").partition(ARROW)
-            if not arrow or "\n" in happens or "|" in case + happens:
+            case, arrow, result = (ast.get_docstring(node) or "").partition(ARROW)
+            if not arrow or "\n" in result or "|" in case + result:
                 raise ValueError(
                     f"{path.name}, {node.name}: its docstring is not 'case{ARROW}what happens' in one line."
                 )
-            found.append((case, happens))
-    return found
+            cases.append((case, result))
+    return cases
 
 
 def format_stress_table() -> str:
-    """Markdown."""
+    """Format the table as Markdown."""
     lines = ["| stress | what happens |", "|---|---|"]
     for path in list_stress_files():
-        lines += [f"| {case} | {happens} |" for case, happens in read_cases(path)]
+        lines += [f"| {case} | {result} |" for case, result in read_cases(path)]
     return "\n".join(lines)
 
 

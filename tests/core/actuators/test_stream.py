@@ -194,7 +194,7 @@ def test_what_changes_in_the_source_is_heard_without_a_stop() -> None:
 def test_a_stream_that_nothing_stops_ends_with_the_interpreter(tmp_path: Path) -> None:
     told = tmp_path / "told"
     code = f"""
-import sys; sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[2])]!r}
+import sys; sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[3])]!r}
 from pathlib import Path
 import numpy as np
 from stream_sink import ClockSink
@@ -215,7 +215,7 @@ Stream(BufferSource(np.ones((500, 1)), 10000.0, loop=True), Telling(), Limits(30
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 def test_a_fork_of_what_plays_ends_at_once(tmp_path: Path) -> None:
     code = f"""
-import sys; sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[2])]!r}
+import sys; sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[3])]!r}
 import os, time
 import numpy as np
 from stream_sink import ClockSink

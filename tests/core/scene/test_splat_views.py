@@ -18,7 +18,7 @@ from hnf_core.scene.splats.io_ply import read_splats
 from hnf_core.scene.splats.rasterize import render_splats
 from reference.splat_rendering import render_reference
 
-GUITAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "splats" / "guitar.compressed.ply"
+GUITAR = Path(__file__).resolve().parents[4] / "shared" / "data" / "splats" / "guitar.compressed.ply"
 SEEDS = st.integers(0, 2**32 - 1)
 CAMERAS = [perspective(), perspective(start=0.0, distance=0.3, focal=20.0), close_up()]
 WAYS = [render_reference, render_splats]

@@ -1,6 +1,6 @@
 """Nothing is done that a stroke does not need: samples, states and carriers are counted, no time is.
 
-What is imported is counted in test_startup.py, what a changed force key costs in test_incremental.py.
+What is imported is counted in test_startup.py, what a changed force key costs in test_incremental_rendering.py.
 """
 
 from __future__ import annotations

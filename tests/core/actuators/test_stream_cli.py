@@ -33,7 +33,7 @@ from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
 from hnf_core.text import pluralize
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 HNF = [sys.executable, "-c", "import sys; from hnf_core.cli.main import main; sys.exit(main(sys.argv[1:], None))"]
 FULL = GENERIC.limits.full_scale_m_s2
 

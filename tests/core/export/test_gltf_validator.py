@@ -13,7 +13,7 @@ from hnf_core.export.gltf import write_glb
 from hnf_core.export.options import ExportOptions
 from hnf_core.export.touched_surface import TouchedSurface
 
-TOOL = Path(__file__).parents[2] / "tools" / "validate_gltf.js"
+TOOL = Path(__file__).parents[3] / "tools" / "validate_gltf.js"
 INSTALL = "npm install --prefix build/node --no-save gltf-validator@2.0.0-dev.3.10"
 SURFACES = {
     "whole": touched_sheet(),

@@ -21,7 +21,7 @@ from hnf_core.actuators.serial_protocol import (
     frames_per_message,
 )
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "serial-protocol.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "serial-protocol.md").read_text(encoding="utf-8")
 EXAMPLE = re.compile(r"^# (\w+)\((.*)\), sequence (\d+)\n((?:[0-9A-F]{2}[ \n])+)", re.MULTILINE)
 SIZES = {"u8": 1, "u16": 2, "u32": 4, "i16": 2, "utf-8": 0, "i16 …": 0}
 KINDS = {**FROM_HOST, **FROM_DEVICE}

@@ -22,7 +22,7 @@ from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 LIMITS = Limits(30.0, slew_per_s=2.0 * np.pi * 1000.0, sustained=0.3)
 SIGNAL = np.random.default_rng(7).normal(0.0, 5.0, (2000, 1)).astype(np.float32)
 
@@ -32,7 +32,7 @@ _CHILD = "import os; print(os.sched_getscheduler(0))"
 _DENIED = """
 import json, os, resource, sys
 sys.path[:0] = sys.argv[1:]
-from test_urgency import played
+from test_thread_priority import played
 resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
 if os.getuid() == 0:
     os.setresuid(65534, 65534, 65534)

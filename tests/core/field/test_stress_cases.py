@@ -11,7 +11,7 @@ from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameter
 from hnf_core.field.stroke import build_condition, resample_action
 from hnf_lab.experiments.stress_table import format_stress_table, list_stress_files
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "numerics.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "numerics.md"
 
 
 def test_the_page_lists_every_case():

@@ -30,7 +30,7 @@ from hnf_core.scene.splats.io_ply import (
     read_validated_splats,
 )
 
-REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "splats"
+REAL = Path(__file__).resolve().parents[4] / "shared" / "data" / "splats"
 FIELDS = ("means", "scales", "rotations", "opacities", "harmonics")
 
 

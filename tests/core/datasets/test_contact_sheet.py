@@ -14,7 +14,7 @@ from PIL import Image
 from hnf_core.datasets.pair_generation import PairSizes, list_tile_requests, make_tile
 from hnf_core.datasets.tactile_pairs import TRAIN
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_a_row_shows_look_depth_height_and_two_sensors() -> None:

@@ -20,7 +20,7 @@ distributed = pytest.importorskip("distributed", reason="dask.distributed is not
 from hnf_core.batch.staging import read_record
 from hnf_core.cli.main import main
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module")

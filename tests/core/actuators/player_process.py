@@ -12,7 +12,7 @@ from pathlib import Path
 
 from hnf_core.actuators.player_messages import Command, Report, Status, decode_report, encode
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 WORDS = [sys.executable, "-m", "hnf_core.actuators.player"]
 
 

@@ -25,7 +25,7 @@ from hnf_core.actuators.serial_protocol import (
     Status,
 )
 
-FIRMWARE = Path(__file__).resolve().parents[2] / "tools" / "firmware"
+FIRMWARE = Path(__file__).resolve().parents[3] / "tools" / "firmware"
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-g", "-O1"]
 SANITIZE = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
 RATE = 10_000

@@ -157,7 +157,7 @@ def test_a_hand_feels_the_field_that_a_material_brings() -> None:
 
 
 def test_what_an_external_python_is_asked_for_is_what_the_project_pins() -> None:
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     pinned = {*project["dependencies"], *project["optional-dependencies"]["train"]}
     assert set(TRAINING_PACKAGES.values()) <= pinned
     assert project["requires-python"] == ">=" + ".".join(map(str, MIN_TRAINING_PYTHON))

@@ -254,7 +254,7 @@ def test_no_display_no_pyplot_and_the_style_is_put_back(tmp_path: Path) -> None:
         "import sys; sys.path.insert(0, 'tests/core')\n"
         "import matplotlib\n"
         "from pathlib import Path\n"
-        "from test_picture import action, signal, view\n"
+        "from test_stroke_picture import action, signal, view\n"
         "from hnf_core.export.plots.stroke_figure import write_stroke_figure\n"
         "style = lambda: {k: matplotlib.rcParams[k] for k in matplotlib.rcParams if k != 'backend'}\n"
         "before = style()\n"
@@ -262,7 +262,7 @@ def test_no_display_no_pyplot_and_the_style_is_put_back(tmp_path: Path) -> None:
         "assert style() == before\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     env = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"PYTHONPATH": str(root)}
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.png")], check=True, cwd=root, env=env, timeout=120)
 

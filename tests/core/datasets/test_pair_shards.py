@@ -24,7 +24,7 @@ from hnf_core.datasets.pair_generation import (
 from hnf_core.datasets.tactile_pairs import TRAIN, concatenate_pairs, get_shard_path, load_pairs, load_shard, save_shard
 from hnf_core.errors import FileError, UsageError
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 FEW = PairSizes(train=3, instances=0, unseen_instances=0)
 
 

@@ -31,7 +31,7 @@ from hnf_core.scene.splats.reconstruct import (
 )
 from hnf_core.units import srgb_to_linear
 
-SPLATS = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "splats"
+SPLATS = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "splats"
 CELLS, VIEWS = 32, 20
 
 

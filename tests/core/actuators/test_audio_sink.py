@@ -184,7 +184,7 @@ def test_a_device_that_goes_is_told_once_and_can_be_opened_again(server: SoundSe
 @needs_server
 def test_what_still_plays_ends_softly_with_the_interpreter(server: SoundServer) -> None:
     code = f"""
-import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+import sys; sys.path.insert(0, {str(Path(__file__).parents[3])!r})
 import numpy as np
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.sinks.audio import AudioSink
@@ -207,7 +207,7 @@ while stream.report.played_s < 0.5 and not stream.wait(0.01):
 @needs_server
 def test_a_program_that_stood_still_blames_no_device(server: SoundServer) -> None:
     code = f"""
-import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+import sys; sys.path.insert(0, {str(Path(__file__).parents[3])!r})
 import numpy as np
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.sinks.audio import AudioSink

@@ -239,7 +239,7 @@ def test_the_folder_of_a_program_that_was_killed_goes_with_the_next_port(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     code = "from hnf_core.actuators.virtual.port import VirtualPort as P; p = P(); print(p.path, flush=True); input()"
     words = [sys.executable, "-c", f"import sys, tempfile; tempfile.tempdir = {str(tmp_path)!r}\n{code}"]
-    root, pipe = Path(__file__).resolve().parents[2], subprocess.PIPE
+    root, pipe = Path(__file__).resolve().parents[3], subprocess.PIPE
     with subprocess.Popen(words, cwd=root, text=True, stdin=pipe, stdout=pipe) as killed:
         assert killed.stdout is not None
         left = Path(killed.stdout.readline().strip()).parent

@@ -10,7 +10,7 @@ import pytest
 from firmware_host import Check, build
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from test_protocol import DEVICE_MESSAGES, GARBAGE, HOST_MESSAGES, U8
+from test_serial_protocol import DEVICE_MESSAGES, GARBAGE, HOST_MESSAGES, U8
 
 from hnf_core.actuators.serial_protocol import (
     FROM_DEVICE,

@@ -47,13 +47,13 @@ def test_a_steady_slide_sounds_as_offline(material, speed, force):
 
 @pytest.mark.parametrize("material", ["oak-wood", "denim"])
 def test_that_is_the_model_within_what_its_kept_carriers_cost(material):
-    """57 dB at most, as in any render; see test_texture.py."""
+    """57 dB at most, as in any render; see test_carrier_rendering.py."""
     stroke = on(hand(0.1, 1.0, seconds=1.0), material)
     assert error(live(stroke)[TOUCHED:], as_the_model_says(stroke)[TOUCHED:]) < 10 ** (-57 / 20)
 
 
 def test_what_is_exported_is_that_slide_too():
-    """Its carriers are read from fewer samples, which costs 57 dB at most; see test_texture.py."""
+    """Its carriers are read from fewer samples, which costs 57 dB at most; see test_carrier_rendering.py."""
     stroke = on(hand(0.1, 1.0, seconds=1.0), "denim")
     exported = synthesise(load_field(), stroke, seed=SEED).signal.samples
     assert error(live(stroke)[TOUCHED:], exported[TOUCHED:].astype(np.float64)) < 10 ** (-57 / 20)
