@@ -1,6 +1,6 @@
-"""The laboratory of Haptic Neural Fields: evaluation, benchmarks, rivals and experiments, of a source checkout alone.
+"""Evaluation, benchmarks, baselines and experiments of Haptic Neural Fields, for a source checkout only.
 
-It imports the product (`hnf_core`, `hnf_blender`); the product never imports it. `cli/` holds its commands.
+The package imports the product (`hnf_core`, `hnf_blender`); the product never imports it. Its commands are in `cli/`.
 """
 
 import os
@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-"""The checkout."""
+"""Root folder of the checkout."""
 CHILD_PATH = os.pathsep.join(str(folder) for folder in (ROOT, ROOT / "tools", ROOT / "tests"))
-"""PYTHONPATH of child processes that import the laboratory."""
+"""PYTHONPATH of child processes that import this package."""
 
-# The plain references that fast paths are measured against, and makers of test data, lie with the tests.
+# The reference implementations that fast paths are compared with, and the test data generators, are in tests/.
 if str(ROOT / "tests") not in sys.path:
     sys.path.append(str(ROOT / "tests"))

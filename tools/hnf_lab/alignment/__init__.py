@@ -1,1 +1,5 @@
-"""One space for what is seen and what two touch sensors feel: two ResNet-50 encoders, aligned by contrast."""
+"""Align visual appearance and two touch sensors in one embedding space: two ResNet-50 encoders, trained contrastively.
+
+`inputs.py` makes tuples of image and touch, `train.py` trains the encoders, `results.py` evaluates them by linear
+probes and retrieval.
+"""

@@ -1,12 +1,9 @@
-"""ResNet-50 with the state-dict names that the published weights have, and an embedding on the unit sphere.
+"""ResNet-50 encoder with the parameter names of published weights, and the embedding of tuples.
 
-The network of He et al. (2016) in the form that torchvision publishes (the stride in the 3×3 convolution), so that its
-files load here and ours there; only the last layer, `fc`, has as many outputs as the shared space has dimensions. It
-stands here because the package torchvision as published does not import beside a torch that was built without CUDA.
-
-Tuples → the numbers that go into the encoders.
-
-Tuples through frozen encoders: a view's embedding is the mean of those of its four corners.
+The network is that of He et al. (2016) in the form published by torchvision (stride in the 3×3 convolution), so weight
+files are interchangeable; only the last layer, `fc`, has as many outputs as the embedding space has dimensions. It is
+implemented here because the published torchvision package does not import with a torch built without CUDA. The
+embedding of a view is the mean of those of its four corner crops.
 """
 
 from __future__ import annotations
@@ -27,13 +24,23 @@ from ..encoder.network import format_save_command
 from .inputs import Tuples
 
 BOTTLENECK_EXPANSION = 4
-"""A block's outputs per unit of its width."""
+"""Outputs of a block per unit of its width."""
 
 
 @dataclass(frozen=True)
 class Architecture:
-    """blocks: in each of the four stages. width: of the first stage, doubled by each later one. outputs: dimensions of
-    the shared space."""
+    """Size of a ResNet.
+
+    Attributes
+    ----------
+    blocks
+        Number of blocks in each of the four stages.
+    width
+        Width of the first stage; each later stage doubles it.
+    outputs
+        Dimensions of the embedding space.
+
+    """
 
     blocks: tuple[int, int, int, int] = (3, 4, 6, 3)
     width: int = 64
@@ -44,7 +51,10 @@ RESNET50 = Architecture()
 
 
 class Bottleneck(nn.Module):
-    """1×1 → 3×3 → 1×1 beside the identity, or beside a 1×1 convolution where the shape changes."""
+    """Residual block 1×1 → 3×3 → 1×1.
+
+    The skip connection is the identity, or a 1×1 convolution if the shape changes.
+    """
 
     def __init__(self, inputs: int, width: int, stride: int) -> None:
         super().__init__()
@@ -62,14 +72,14 @@ class Bottleneck(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        beside = x if self.downsample is None else self.downsample(x)
+        skip = x if self.downsample is None else self.downsample(x)
         y = torch.relu(self.bn1(self.conv1(x)))
         y = torch.relu(self.bn2(self.conv2(y)))
-        return torch.relu(self.bn3(self.conv3(y)) + beside)
+        return torch.relu(self.bn3(self.conv3(y)) + skip)
 
 
 class ResNetEncoder(nn.Module):
-    """Pictures (n, 3, H, W) → embeddings (n, outputs) of length 1, float32 at least."""
+    """Images (n, 3, H, W) → embeddings (n, outputs) of unit length, float32 at least."""
 
     def __init__(self, architecture: Architecture = RESNET50) -> None:
         super().__init__()
@@ -84,7 +94,7 @@ class ResNetEncoder(nn.Module):
         _initialise(self)
 
     def pool_features(self, x: Tensor) -> Tensor:
-        """(n, 32 width): the last stage, averaged over the picture."""
+        """Return the (n, 32 width) features of the last stage, averaged over the image."""
         x = torch.relu(self.bn1(self.conv1(x)))
         x = functional.max_pool2d(x, 3, stride=2, padding=1)
         return self.layer4(self.layer3(self.layer2(self.layer1(x)))).mean(dim=(2, 3))  # type: ignore[no-any-return]
@@ -95,12 +105,16 @@ class ResNetEncoder(nn.Module):
 
 
 def load_backbone(encoder: ResNetEncoder, published: Mapping[str, Tensor], where: str) -> None:
-    """Take all weights but `fc` from a state dict with the standard names, as of ImageNet.
+    """Load all weights except `fc` from a state dict with the standard names, such as ImageNet weights.
 
-    Raises WeightsError where one is missing, left over, of another shape, or not finite.
+    Raises
+    ------
+    WeightsError
+        If a weight is missing, unknown, of another shape, or not finite.
+
     """
-    own = encoder.state_dict()
-    trunk = {name: value for name, value in own.items() if not name.startswith("fc.")}
+    state = encoder.state_dict()
+    trunk = {name: value for name, value in state.items() if not name.startswith("fc.")}
     given = {name: value for name, value in published.items() if not name.startswith("fc.")}
     wrong = sorted(trunk.keys() ^ given.keys()) or [
         name for name, value in trunk.items() if not _is_compatible(given[name], value)
@@ -112,7 +126,7 @@ def load_backbone(encoder: ResNetEncoder, published: Mapping[str, Tensor], where
             where=where,
             remedy=format_save_command("resnet50"),
         )
-    encoder.load_state_dict({**own, **{name: given[name].to(value.dtype) for name, value in trunk.items()}})
+    encoder.load_state_dict({**state, **{name: given[name].to(value.dtype) for name, value in trunk.items()}})
 
 
 def _is_compatible(given: Tensor, expected: Tensor) -> bool:
@@ -125,7 +139,7 @@ def _make_stage(inputs: int, width: int, blocks: int, stride: int) -> nn.Sequent
 
 
 def _initialise(encoder: ResNetEncoder) -> None:
-    """Convolutions as He et al. (2015); every block starts as its identity (Goyal et al. 2017, 5.1)."""
+    """Initialise convolutions as He et al. (2015); every block starts as the identity (Goyal et al. 2017, 5.1)."""
     for module in encoder.modules():
         if isinstance(module, nn.Conv2d):
             nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
@@ -138,83 +152,91 @@ Rows = NDArray[np.int64]
 
 COLOUR_MEAN, COLOUR_SCALE = 0.45, 0.5
 IMAGE_FLOOR = 0.03
-"""Of a look's texture, as Pictures.floor of touch: colours differ by ten times what the texture of one does."""
+"""Contrast of an image's texture below which it enters linearly; colours differ ten times as much."""
 IMAGE_SCALE = 1.5
 TOUCH_SCALE = 1.5
 MAX_LOG_GAIN = 0.2
-"""A look is made darker or brighter by up to exp(± this)."""
+"""Images are made darker or brighter by up to exp(± this)."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """vision, touch: (k, 3, pixels, pixels) float32, channels last in memory; row i of both is one tuple."""
+    """Inputs of both encoders, (k, 3, pixels, pixels) float32 with channels last in memory.
+
+    Row i of both belongs to the same tuple.
+    """
 
     vision: Tensor
     touch: Tensor
 
 
 def make_training_batch(tuples: Tuples, chosen: Rows, pixels: int, rng: np.random.Generator) -> Batch:
-    """Each tuple turned, cut out at one random place for both, its look at another brightness, its sensor another piece
-    of the same make."""
+    """Make a batch with augmentation.
+
+    Each tuple is rotated or mirrored and cropped at a random position, the same for both inputs; the image's brightness
+    and the sensor's lamps vary.
+    """
     rows, count = tuples.row[chosen], len(chosen)
     turn = rng.integers(tuples.images.turns, size=count)
-    look = tuples.images.rgb(rows, turn).astype(np.float32) / np.float32(255.0)
-    look *= np.exp(rng.uniform(-MAX_LOG_GAIN, MAX_LOG_GAIN, (count, 1, 1, 1))).astype(np.float32)
+    image = tuples.images.rgb(rows, turn).astype(np.float32) / np.float32(255.0)
+    image *= np.exp(rng.uniform(-MAX_LOG_GAIN, MAX_LOG_GAIN, (count, 1, 1, 1))).astype(np.float32)
     touch = tuples.images.touch(rows, tuples.sensor[chosen], turn, rng)
-    corner = rng.integers(look.shape[1] - pixels + 1, size=(count, 2))
+    corner = rng.integers(image.shape[1] - pixels + 1, size=(count, 2))
     return Batch(
-        make_image_tensor(_crop(look, corner, pixels)),
+        make_image_tensor(_crop(image, corner, pixels)),
         make_touch_tensor(_crop(touch, corner, pixels), tuples.images.floor),
     )
 
 
 def make_image_tensor(images: Float32) -> Tensor:
-    """(k, P, P, 3) square root of linear colour 0–1 → (k, 3, P, P): each picture's mean colour, and its texture on top,
-    as a logarithm where it is strong."""
+    """Convert (k, P, P, 3) square root of linear colour, 0–1, to (k, 3, P, P).
+
+    Each image's mean colour is scaled; its texture is added, compressed logarithmically where it is strong.
+    """
     colour = images.mean(axis=(1, 2), keepdims=True)
     texture = np.arcsinh((images - colour) / IMAGE_FLOOR) / IMAGE_SCALE
     return _to_tensor((colour - COLOUR_MEAN) / COLOUR_SCALE + texture)
 
 
 def make_touch_tensor(touches: Float32, floor: float) -> Tensor:
-    """(k, P, P, 3) linear, background taken off → (k, 3, P, P)."""
+    """Convert (k, P, P, 3) linear touch images without background to (k, 3, P, P)."""
     return _to_tensor(np.arcsinh(touches / floor) / TOUCH_SCALE)
 
 
 def _crop(images: Float32, corner: Rows, pixels: int) -> Float32:
     return np.stack(
-        [each[top : top + pixels, left : left + pixels] for each, (top, left) in zip(images, corner, strict=True)]
+        [image[top : top + pixels, left : left + pixels] for image, (top, left) in zip(images, corner, strict=True)]
     )
 
 
 def _to_tensor(images: Float32) -> Tensor:
-    """(k, H, W, 3) in memory is (k, 3, H, W) channels last."""
+    """Convert (k, H, W, 3) in memory to (k, 3, H, W) with channels last."""
     return torch.from_numpy(np.ascontiguousarray(images, dtype=np.float32)).permute(0, 3, 1, 2)
 
 
 VIEWS_PER_BATCH = 128
-"""Views at once."""
+"""Number of views embedded at once."""
 
 
 def embed_images(encoder: ResNetEncoder, tuples: Tuples, pixels: int) -> Float32:
-    """(n, d) of length 1, of looks as they are."""
+    """Return the (n, d) unit embeddings of the images, without augmentation."""
 
-    def pictures(rows: slice) -> Float32:
+    def load_images(rows: slice) -> Float32:
         upright = np.zeros(len(tuples.row[rows]), dtype=np.int64)
         return tuples.images.rgb(tuples.row[rows], upright).astype(np.float32) / np.float32(255.0)
 
-    return _embed(encoder, len(tuples), pixels, pictures, make_image_tensor)
+    return _embed(encoder, len(tuples), pixels, load_images, make_image_tensor)
 
 
 def embed_touches(encoder: ResNetEncoder, tuples: Tuples, pixels: int, seed: int) -> Float32:
-    """(n, d) of length 1, each by another piece of its sensor's make."""
+    """Return the (n, d) unit embeddings of the touches, each with its own variation of the sensor."""
 
-    def pictures(rows: slice) -> Float32:
+    def load_touches(rows: slice) -> Float32:
         upright = np.zeros(len(tuples.row[rows]), dtype=np.int64)
         rng = np.random.default_rng([seed, rows.start])
         return tuples.images.touch(tuples.row[rows], tuples.sensor[rows], upright, rng)
 
-    return _embed(encoder, len(tuples), pixels, pictures, partial(make_touch_tensor, floor=tuples.images.floor))
+    return _embed(encoder, len(tuples), pixels, load_touches, partial(make_touch_tensor, floor=tuples.images.floor))
 
 
 def _embed(
@@ -226,20 +248,19 @@ def _embed(
 ) -> Float32:
     if not count:
         return np.zeros((0, encoder.fc.out_features), dtype=np.float32)
-    was, out = encoder.training, []
+    was_training, embeddings = encoder.training, []
     encoder.eval()
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
         for first in range(0, count, VIEWS_PER_BATCH):
-            whole = load_images(slice(first, min(first + VIEWS_PER_BATCH, count)))
-            points = torch.stack([encoder(tensor(corner)) for corner in crop_corners(whole, pixels)]).mean(dim=0)
-            out.append(torch.nn.functional.normalize(points, dim=1).numpy())
-    encoder.train(was)
-    return np.concatenate(out)
+            views = load_images(slice(first, min(first + VIEWS_PER_BATCH, count)))
+            points = torch.stack([encoder(tensor(corner)) for corner in crop_corners(views, pixels)]).mean(dim=0)
+            embeddings.append(torch.nn.functional.normalize(points, dim=1).numpy())
+    encoder.train(was_training)
+    return np.concatenate(embeddings)
 
 
 def crop_corners(images: Float32, pixels: int) -> list[Float32]:
-    """The four squares of that side in the corners of pictures (k, P, P, 3); the pictures themselves where they are no
-    larger."""
+    """Return the four corner crops of images (k, P, P, 3), or the images themselves if they are no larger."""
     spare = images.shape[1] - pixels
     starts = (0, spare) if spare else (0,)
     return [images[:, top : top + pixels, left : left + pixels] for top in starts for left in starts]

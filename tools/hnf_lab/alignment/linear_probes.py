@@ -1,8 +1,7 @@
-"""Shares of hits with 95 % intervals. Views of one piece are not independent: pieces are drawn, not views.
+"""Linear probes on embeddings of frozen encoders, and accuracies with 95 % bootstrap intervals.
 
-Linear probe: multinomial logistic regression on embeddings of frozen encoders.
-
-Probes of both heads on every sensor: which tuples each is fitted to, and which it gets right.
+A probe is a multinomial logistic regression. Views of one material instance are not independent, so the bootstrap
+resamples instances and not views. `evaluate_probes` fits and tests probes of both encoders on every sensor.
 """
 
 from __future__ import annotations
@@ -17,11 +16,12 @@ from numpy.typing import NDArray
 Float = NDArray[np.float64]
 BOOTSTRAP_DRAWS = 2000
 INTERVAL_PERCENTILES = (2.5, 97.5)
+"""Percentiles of the 95 % interval."""
 
 
 @dataclass(frozen=True)
 class Hits:
-    """correct: (n,) bool. group: (n,) which of them stand or fall together."""
+    """Correctness of each item, (n,) bool, and its group, (n,): items of one group are not independent."""
 
     correct: NDArray[np.bool_]
     group: NDArray[np.int64]
@@ -29,7 +29,7 @@ class Hits:
 
 @dataclass(frozen=True)
 class Estimate:
-    """value with its 95 % interval from `low` to `high`; items: of how many, groups: of how many pieces."""
+    """Value with its 95 % interval from `low` to `high`, and the numbers of items and of groups."""
 
     value: float
     low: float
@@ -45,38 +45,42 @@ class Estimate:
 
 
 def estimate_accuracy(hits: Hits, seed: int = 0) -> Estimate:
-    """Share of hits, its interval by drawing groups with replacement (bootstrap, Efron 1979)."""
-    found, size = _count_by_group(hits, hits.group)
+    """Estimate the fraction of hits, with an interval by resampling groups (bootstrap, Efron 1979)."""
+    hit_count, size = _count_by_group(hits, hits.group)
     weight = _draw_group_weights(len(size), seed)
-    low, high = np.percentile(weight @ found / (weight @ size), INTERVAL_PERCENTILES)
+    low, high = np.percentile(weight @ hit_count / (weight @ size), INTERVAL_PERCENTILES)
     return Estimate(float(hits.correct.mean()), float(low), float(high), len(hits.correct), len(size))
 
 
 def estimate_ratio(first: Hits, second: Hits, seed: int = 0) -> Estimate:
-    """Share of one over share of the other on the same items: the same groups are drawn for both. Not finite where
-    the other has no hit."""
+    """Estimate the ratio of two accuracies on the same items; the same groups are drawn for both.
+
+    The value is not finite if the second has no hit.
+    """
     if not np.array_equal(first.group, second.group):
         raise ValueError("a ratio is of the same items")
-    found, size = _count_by_group(first, first.group)
-    below, _ = _count_by_group(second, first.group)
+    first_hits, size = _count_by_group(first, first.group)
+    second_hits, _ = _count_by_group(second, first.group)
     weight = _draw_group_weights(len(size), seed)
     with np.errstate(divide="ignore", invalid="ignore"):
-        drawn = (weight @ found) / (weight @ below)
-        value = found.sum() / below.sum()
+        ratios = (weight @ first_hits) / (weight @ second_hits)
+        value = first_hits.sum() / second_hits.sum()
     low, high = (
-        np.percentile(drawn[np.isfinite(drawn)], INTERVAL_PERCENTILES) if np.isfinite(drawn).any() else (np.nan, np.nan)
+        np.percentile(ratios[np.isfinite(ratios)], INTERVAL_PERCENTILES)
+        if np.isfinite(ratios).any()
+        else (np.nan, np.nan)
     )
     return Estimate(float(value), float(low), float(high), len(first.correct), len(size))
 
 
 def _count_by_group(hits: Hits, group: NDArray[np.int64]) -> tuple[Float, Float]:
-    """Hits and items of each group."""
+    """Return the number of hits and of items of each group."""
     _, index = np.unique(group, return_inverse=True)
     return np.bincount(index, weights=hits.correct).astype(np.float64), np.bincount(index).astype(np.float64)
 
 
 def _draw_group_weights(groups: int, seed: int) -> Float:
-    """(DRAWS, groups): how often each group is drawn."""
+    """Return (BOOTSTRAP_DRAWS, groups): the number of times each group is drawn."""
     rng = np.random.default_rng(seed)
     return rng.multinomial(groups, np.full(groups, 1.0 / groups), size=BOOTSTRAP_DRAWS).astype(np.float64)
 
@@ -84,11 +88,15 @@ def _draw_group_weights(groups: int, seed: int) -> Float:
 Rows = NDArray[np.int64]
 MAX_ITERATIONS = 300
 RIDGE_PENALTIES = (1e-4, 1e-3, 1e-2)
+"""Candidate weights of the ridge penalty."""
 
 
 @dataclass(frozen=True)
 class LinearProbe:
-    """logits = ((x − mean) / scale) · weight + bias. weight: (d, classes). bias: (classes,). mean, scale: (d,)."""
+    """Affine classifier on standardised inputs: logits = ((x − mean) / scale) · weight + bias.
+
+    Shapes: weight (d, classes), bias (classes,), mean and scale (d,).
+    """
 
     weight: Float
     bias: Float
@@ -103,21 +111,24 @@ class LinearProbe:
 
 
 def fit_linear_probe(x: NDArray[Any], label: Rows, classes: int, ridge: float) -> LinearProbe:
-    """Least cross-entropy plus ridge / 2 · |weight|², a convex problem, by L-BFGS. x: (n, d); label: (n,) < classes."""
+    """Minimise cross-entropy plus ridge / 2 · |weight|², a convex problem, by L-BFGS.
+
+    x: (n, d) inputs. label: (n,) class indices below `classes`.
+    """
     from scipy.optimize import minimize
 
     mean, scale = x.mean(axis=0, dtype=np.float64), np.maximum(x.std(axis=0, dtype=np.float64), 1e-8)
     inputs = (x - mean) / scale
-    truth = np.eye(classes)[label]
+    one_hot = np.eye(classes)[label]
 
     def cost(flat: Float) -> tuple[float, Float]:
-        value, weight, bias = _compute_loss(inputs, truth, flat.reshape(-1, classes), ridge)
+        value, weight, bias = _compute_loss(inputs, one_hot, flat.reshape(-1, classes), ridge)
         return value, np.concatenate([weight, bias[None]]).ravel()
 
     start = np.zeros((inputs.shape[1] + 1) * classes)
     flat = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": MAX_ITERATIONS, "gtol": 1e-6}).x
-    solved = flat.reshape(-1, classes)
-    return LinearProbe(solved[:-1], solved[-1], mean, scale)
+    solution = flat.reshape(-1, classes)
+    return LinearProbe(solution[:-1], solution[-1], mean, scale)
 
 
 def choose_linear_probe(
@@ -127,12 +138,17 @@ def choose_linear_probe(
     classes: int,
     ridges: Sequence[float] = RIDGE_PENALTIES,
 ) -> tuple[LinearProbe, float]:
-    """Probe and ridge: the ridge that does best on every tenth group (of places), then fitted to all."""
-    held = group % 10 == 0
-    if held.all() or not held.any():
-        held = np.arange(len(label)) % 10 == 0
+    """Return the probe with the ridge penalty that is best on every tenth group, refitted to all, and that ridge."""
+    is_validation = group % 10 == 0
+    if is_validation.all() or not is_validation.any():
+        is_validation = np.arange(len(label)) % 10 == 0
     scores = [
-        float(np.mean(fit_linear_probe(x[~held], label[~held], classes, ridge).predict(x[held]) == label[held]))
+        float(
+            np.mean(
+                fit_linear_probe(x[~is_validation], label[~is_validation], classes, ridge).predict(x[is_validation])
+                == label[is_validation]
+            )
+        )
         for ridge in ridges
     ]
     ridge = ridges[int(np.argmax(scores))]
@@ -140,7 +156,7 @@ def choose_linear_probe(
 
 
 def _compute_loss(inputs: Float, truth: Float, parameters: Float, ridge: float) -> tuple[float, Float, Float]:
-    """Value, gradient of the weight (d, classes), gradient of the bias (classes,)."""
+    """Return the loss and its gradients with respect to the weight (d, classes) and the bias (classes,)."""
     weight, bias = parameters[:-1], parameters[-1]
     logits = inputs @ weight + bias
     logits -= logits.max(axis=1, keepdims=True)
@@ -152,17 +168,28 @@ def _compute_loss(inputs: Float, truth: Float, parameters: Float, ridge: float) 
 
 Float32 = NDArray[np.float32]
 Cell = tuple[str, str]
-"""Head, and what it is tested on."""
+"""Encoder head, and the input it is tested on."""
 
 VISION, TOUCH, REFITTED = HEADS = ("vision", "touch", "touch, probe of the tested sensor")
 IMAGES = "looks"
 FOLD_COUNT = 4
+"""Number of folds of the cross-validation."""
 
 
 @dataclass(frozen=True)
 class ProbeInput:
-    """n labelled tuples as the encoders see them. look, touch: (n, d). label, group: (n,), see Tuples. classes: how
-    many."""
+    """Embeddings of n labelled tuples.
+
+    Attributes
+    ----------
+    image, touch
+        (n, d) embeddings.
+    label, group
+        (n,) see Tuples.
+    classes
+        Number of classes.
+
+    """
 
     image: Float32
     touch: Float32
@@ -177,12 +204,12 @@ class ProbeInput:
 
 
 def concatenate_inputs(inputs: Sequence[ProbeInput]) -> ProbeInput:
-    """One after the other."""
+    """Concatenate the inputs."""
     return ProbeInput(
-        np.concatenate([part.image for part in inputs]),
-        np.concatenate([part.touch for part in inputs]),
-        np.concatenate([part.label for part in inputs]),
-        np.concatenate([part.group for part in inputs]),
+        np.concatenate([item.image for item in inputs]),
+        np.concatenate([item.touch for item in inputs]),
+        np.concatenate([item.label for item in inputs]),
+        np.concatenate([item.group for item in inputs]),
         inputs[0].classes,
     )
 
@@ -190,39 +217,51 @@ def concatenate_inputs(inputs: Sequence[ProbeInput]) -> ProbeInput:
 def evaluate_probes(
     fitted: Mapping[str, ProbeInput], tested: Mapping[str, ProbeInput], trained_on: Sequence[str]
 ) -> dict[Cell, Hits]:
-    """Hits by head and sensor.
+    """Return hits by head and sensor.
 
-    fitted, tested: sensor → tuples. trained_on: the sensors that the encoders know. The vision probe and the touch
-    probe are fitted to those sensors' tuples together; REFITTED is a touch probe fitted to the tested sensor alone,
-    which tells what the encoders miss from what the probe misses.
+    The vision probe and the touch probe are fitted to the tuples of all sensors that the encoders were trained on.
+    REFITTED is a touch probe fitted to the tested sensor alone: it separates errors of the encoders from errors of the
+    probe.
+
+    Parameters
+    ----------
+    fitted
+        Sensor → tuples to fit to.
+    tested
+        Sensor → tuples to test on.
+    trained_on
+        Sensors that the encoders were trained on.
+
     """
     known = concatenate_inputs([fitted[name] for name in trained_on])
     first = next(iter(tested.values()))
     vision = _fit_probe(known.image, known)
-    out = {(VISION, IMAGES): Hits(vision.predict(first.image) == first.label, first.group)}
+    hits = {(VISION, IMAGES): Hits(vision.predict(first.image) == first.label, first.group)}
     touch = _fit_probe(known.touch, known)
-    for name, each in tested.items():
-        alone = touch if list(trained_on) == [name] else _fit_probe(fitted[name].touch, fitted[name])
-        for head, probe in ((TOUCH, touch), (REFITTED, alone)):
-            out[head, name] = Hits(probe.predict(each.touch) == each.label, each.group)
-    return out
+    for name, probe_input in tested.items():
+        refitted = touch if list(trained_on) == [name] else _fit_probe(fitted[name].touch, fitted[name])
+        for head, probe in ((TOUCH, touch), (REFITTED, refitted)):
+            hits[head, name] = Hits(probe.predict(probe_input.touch) == probe_input.label, probe_input.group)
+    return hits
 
 
 def cross_validate_probes(tested: Mapping[str, ProbeInput], trained_on: Sequence[str]) -> dict[Cell, Hits]:
-    """For classes that encoders never met: every piece is judged by probes that were fitted to the other folds' pieces.
+    """Return hits on classes that the encoders were not trained on, by cross-validation over instances.
 
-    tested: sensor → tuples, the same ones under every sensor.
+    tested: sensor → tuples, the same tuples under every sensor.
     """
     first = next(iter(tested.values()))
     fold = _assign_folds(first.label, first.group)
-    right: dict[Cell, NDArray[np.bool_]] = {}
-    for number in range(FOLD_COUNT):
-        inside = fold == number
-        rest = {name: each.select(~inside) for name, each in tested.items()}
-        hits = evaluate_probes(rest, {name: each.select(inside) for name, each in tested.items()}, trained_on)
+    correct_by_cell: dict[Cell, NDArray[np.bool_]] = {}
+    for fold_index in range(FOLD_COUNT):
+        is_tested = fold == fold_index
+        rest = {name: probe_input.select(~is_tested) for name, probe_input in tested.items()}
+        hits = evaluate_probes(
+            rest, {name: probe_input.select(is_tested) for name, probe_input in tested.items()}, trained_on
+        )
         for cell, hit in hits.items():
-            right.setdefault(cell, np.zeros(len(fold), dtype=bool))[inside] = hit.correct
-    return {cell: Hits(correct, first.group) for cell, correct in right.items()}
+            correct_by_cell.setdefault(cell, np.zeros(len(fold), dtype=bool))[is_tested] = hit.correct
+    return {cell: Hits(correct, first.group) for cell, correct in correct_by_cell.items()}
 
 
 def _fit_probe(x: NDArray[np.float32], probe_input: ProbeInput) -> LinearProbe:
@@ -230,9 +269,9 @@ def _fit_probe(x: NDArray[np.float32], probe_input: ProbeInput) -> LinearProbe:
 
 
 def _assign_folds(label: Rows, group: Rows) -> Rows:
-    """Fold of each tuple: the pieces of every class go to the folds by turns."""
-    out = np.zeros(len(label), dtype=np.int64)
-    for each in np.unique(label):
-        mine = label == each
-        out[mine] = np.unique(group[mine], return_inverse=True)[1] % FOLD_COUNT
-    return out
+    """Return the fold of each tuple; the instances of every class are distributed over the folds in turn."""
+    folds = np.zeros(len(label), dtype=np.int64)
+    for class_index in np.unique(label):
+        of_class = label == class_index
+        folds[of_class] = np.unique(group[of_class], return_inverse=True)[1] % FOLD_COUNT
+    return folds

@@ -1,14 +1,7 @@
-"""How often the right one is among the k nearest.
+"""Evaluate aligned encoders: recall of retrieval, cross-sensor matching, linear probes, and the report tables.
 
-From two sensors that never touched the same place to triplets: each GelSight tuple takes the DIGIT patch that is
-nearest to it in the shared space.
-
-What frozen encoders are worth: probes of either head on each sensor, retrieval, bridging.
-
-What was measured, kept beside the weights, so that a table of several trainings is put together later.
-
-The paper's table of classification in form: chance, vision head, touch head; trained on one sensor and on both,
-tested on each.
+`measure_encoders` returns a `Measurement`, stored beside the weights by `save_measurement`. `make_report` combines
+several trainings into the tables: chance, vision and touch head, trained on one sensor and on both, tested on each.
 """
 
 from __future__ import annotations
@@ -47,20 +40,28 @@ QUERIES_PER_BLOCK = 512
 
 
 def compute_ranks(queries: Float32, gallery: Float32) -> NDArray[np.int64]:
-    """How many of the gallery stand before the right one, (n,): row i of the gallery is right for query i.
+    """Return the rank of the correct gallery row for each query, (n,); row i is correct for query i.
 
-    queries, gallery: (n, d), (m ≥ n, d), of length 1. Ties count against the query: a constant embedding finds nothing.
+    Ties count against the query, so a constant embedding finds nothing.
+
+    Parameters
+    ----------
+    queries
+        (n, d) unit vectors.
+    gallery
+        (m ≥ n, d) unit vectors.
+
     """
-    out = []
+    ranks = []
     for start in range(0, len(queries), QUERIES_PER_BLOCK):
         cosines = queries[start : start + QUERIES_PER_BLOCK] @ gallery.T
-        right = cosines[np.arange(len(cosines)), start + np.arange(len(cosines))]
-        out.append((cosines >= right[:, None]).sum(axis=1) - 1)
-    return np.concatenate(out) if out else np.zeros(0, dtype=np.int64)
+        correct = cosines[np.arange(len(cosines)), start + np.arange(len(cosines))]
+        ranks.append((cosines >= correct[:, None]).sum(axis=1) - 1)
+    return np.concatenate(ranks) if ranks else np.zeros(0, dtype=np.int64)
 
 
 def compute_recall(queries: Float32, gallery: Float32, ks: Sequence[int]) -> dict[int, float]:
-    """Share of queries whose own row is among the k nearest of the gallery, for each k; by chance k / len(gallery)."""
+    """Return, for each k, the fraction of queries whose correct row is among the k nearest; chance is k / m."""
     rank = compute_ranks(queries, gallery)
     return {k: float(np.mean(rank < k)) for k in ks}
 
@@ -70,10 +71,17 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class PseudoTriplets:
-    """Picture, GelSight patch, DIGIT patch.
+    """Triplets of image, GelSight patch and DIGIT patch.
 
-    gelsight: (t,) rows of the GelSight tuples: picture and patch. digit: (t,) rows of the DIGIT tuples. cosine: (t,)
-    likeness of the two patches.
+    Attributes
+    ----------
+    gelsight
+        (t,) rows of the GelSight tuples, for image and patch.
+    digit
+        (t,) rows of the DIGIT tuples.
+    cosine
+        (t,) cosine similarity of the two patches.
+
     """
 
     gelsight: Rows
@@ -82,45 +90,62 @@ class PseudoTriplets:
 
 
 def find_nearest(queries: Float32, gallery: Float32) -> tuple[Rows, Float32]:
-    """Row of the gallery with the largest cosine for each query, and that cosine; the first of equals."""
-    found = [
+    """Return the gallery row with the largest cosine for each query, and that cosine; the first of equals."""
+    blocks = [
         queries[start : start + QUERIES_PER_BLOCK] @ gallery.T for start in range(0, len(queries), QUERIES_PER_BLOCK)
     ]
-    rows = np.concatenate([each.argmax(axis=1) for each in found])
-    return rows, np.concatenate([each.max(axis=1) for each in found])
+    rows = np.concatenate([block.argmax(axis=1) for block in blocks])
+    return rows, np.concatenate([block.max(axis=1) for block in blocks])
 
 
 def make_pseudo_triplets(gelsight: Float32, digit: Float32, *, mutual: bool = False) -> PseudoTriplets:
-    """One triplet for each GelSight tuple, by its touch embedding.
+    """Match each GelSight tuple with the DIGIT patch nearest to it in the embedding space.
 
-    gelsight: (n, d), digit: (m ≥ 1, d), of length 1. mutual: only where the DIGIT patch's nearest GelSight patch is
-    this one too, fewer and surer.
+    Parameters
+    ----------
+    gelsight, digit
+        (n, d) and (m ≥ 1, d) touch embeddings of unit length.
+    mutual
+        Keep only mutual nearest neighbours: fewer and more reliable.
+
     """
-    there, cosine = find_nearest(gelsight, digit)
+    nearest, cosine = find_nearest(gelsight, digit)
     rows = np.arange(len(gelsight))
     if mutual:
         back, _ = find_nearest(digit, gelsight)
-        rows = rows[back[there] == rows]
-    return PseudoTriplets(rows, there[rows], cosine[rows])
+        rows = rows[back[nearest] == rows]
+    return PseudoTriplets(rows, nearest[rows], cosine[rows])
 
 
 def compute_label_agreement(
     found: PseudoTriplets, gelsight_label: NDArray[np.int64], digit_label: NDArray[np.int64]
 ) -> float:
-    """Share of triplets whose two patches are of one material."""
+    """Return the fraction of triplets whose two patches have the same label."""
     return float(np.mean(gelsight_label[found.gelsight] == digit_label[found.digit]))
 
 
 RECALL_RANKS = (1, 5, 10)
+"""Ranks k of the reported recall."""
 PROBE_ITEMS = 2000
-"""Labelled tuples of each sensor that probes are fitted to."""
+"""Number of labelled tuples of each sensor to which probes are fitted."""
 
 
 @dataclass(frozen=True)
 class CrossSensorRetrieval:
-    """DIGIT patches attached to GelSight tuples of other places. of_class, of_piece: shares of triplets whose patches
-    are of one class, of one piece. by_chance: share of one class where any patch is taken. mutual: how many of the
-    triplets are each other's nearest, and mutual_of_class what share of those is of one class."""
+    """Agreement of DIGIT patches matched to GelSight tuples of other places.
+
+    Attributes
+    ----------
+    of_class, of_piece
+        Fractions of triplets whose patches are of one class and of one instance.
+    by_chance
+        Fraction of one class with random matches.
+    mutual
+        Number of mutual nearest neighbours.
+    mutual_of_class
+        Fraction of those of one class.
+
+    """
 
     triplets: int
     of_class: float
@@ -132,8 +157,20 @@ class CrossSensorRetrieval:
 
 @dataclass(frozen=True)
 class Measurement:
-    """trained_on: gelsight, digit or both. known, unseen: hits, see Judged. recall: sensor → way → k → share, the right
-    one among `gallery`. bridged: None where there is one sensor only."""
+    """Evaluation of one pair of encoders.
+
+    Attributes
+    ----------
+    trained_on
+        "gelsight", "digit" or "both".
+    known, unseen
+        Probe hits, see HeldOutTuples.
+    recall
+        Sensor → direction → k → recall with `gallery` candidates.
+    bridged
+        Cross-sensor retrieval; None with a single sensor.
+
+    """
 
     trained_on: str
     known: Mapping[Cell, Hits]
@@ -146,23 +183,44 @@ class Measurement:
 def measure_encoders(
     models: AlignedEncoders, training: Tuples, held_out: HeldOutTuples, seed: int = 0, items: int = PROBE_ITEMS
 ) -> Measurement:
-    """Probes are fitted to tuples of `learn` (`items` of each sensor), and none of `judged` is fitted to, but for its
-    unseen classes, which are probed fold by fold. Without labels there are no probes. Raises UsageError where a sensor
-    is not in `learn`."""
+    """Evaluate encoders on held-out tuples by probes and retrieval.
+
+    Probes are fitted to training tuples, except for unseen classes, which are cross-validated. Without labels there are
+    no probes.
+
+    Parameters
+    ----------
+    models
+        The encoders.
+    training
+        Tuples to which probes are fitted.
+    held_out
+        Tuples to test on.
+    seed
+        Seed of draws and touch noise.
+    items
+        Number of tuples of each sensor to which probes are fitted.
+
+    Raises
+    ------
+    UsageError
+        If a sensor has no training tuples.
+
+    """
     trained_on = PAIR_SENSORS if models.sensor == "both" else (models.sensor,)
     known = _embed_sets(models, held_out.known, seed)
     unseen = _embed_sets(models, held_out.unseen, seed)
-    named = {name: each.select(each.label >= 0) for name, each in known.items() if (each.label >= 0).any()}
-    needed = dict.fromkeys((*trained_on, *named)) if named else ()
+    labelled = {name: tuples.select(tuples.label >= 0) for name, tuples in known.items() if (tuples.label >= 0).any()}
+    sensors_to_fit = dict.fromkeys((*trained_on, *labelled)) if labelled else ()
     fitted = _embed_sets(
-        models, {name: select_labelled(training.select_sensor(name), items, seed) for name in needed}, seed + 1
+        models, {name: select_labelled(training.select_sensor(name), items, seed) for name in sensors_to_fit}, seed + 1
     )
     return Measurement(
         models.sensor,
-        evaluate_probes(fitted, named, trained_on) if named else {},
+        evaluate_probes(fitted, labelled, trained_on) if labelled else {},
         cross_validate_probes(unseen, trained_on) if unseen else {},
-        {name: evaluate_retrieval(each) for name, each in known.items()},
-        max(len(each.label) for each in known.values()),
+        {name: evaluate_retrieval(tuples) for name, tuples in known.items()},
+        max(len(tuples.label) for tuples in known.values()),
         None
         if held_out.disjoint is None
         else evaluate_cross_sensor_retrieval(*(known[name].select(held_out.disjoint[name]) for name in PAIR_SENSORS)),
@@ -170,20 +228,20 @@ def measure_encoders(
 
 
 def _embed_sets(models: AlignedEncoders, sets: Mapping[str, Tuples], seed: int) -> dict[str, ProbeInput]:
-    """Looks of equal rows are embedded once."""
-    out: dict[str, ProbeInput] = {}
-    looks: dict[bytes, NDArray[np.float32]] = {}
+    """Embed all sets; images of equal rows are embedded once."""
+    inputs: dict[str, ProbeInput] = {}
+    image_embeddings: dict[bytes, NDArray[np.float32]] = {}
     for name, tuples in sets.items():
         key = tuples.row.tobytes()
-        if key not in looks:
-            looks[key] = embed_images(models.vision, tuples, models.pixels)
+        if key not in image_embeddings:
+            image_embeddings[key] = embed_images(models.vision, tuples, models.pixels)
         touch = embed_touches(models.touch, tuples, models.pixels, seed)
-        out[name] = ProbeInput(looks[key], touch, tuples.label, tuples.group, len(tuples.classes))
-    return out
+        inputs[name] = ProbeInput(image_embeddings[key], touch, tuples.label, tuples.group, len(tuples.classes))
+    return inputs
 
 
 def evaluate_retrieval(embeddings: ProbeInput) -> dict[str, dict[int, float]]:
-    """Both ways."""
+    """Return the recall from image to touch and from touch to image."""
     return {
         "look to touch": compute_recall(embeddings.image, embeddings.touch, RECALL_RANKS),
         "touch to look": compute_recall(embeddings.touch, embeddings.image, RECALL_RANKS),
@@ -191,14 +249,14 @@ def evaluate_retrieval(embeddings: ProbeInput) -> dict[str, dict[int, float]]:
 
 
 def evaluate_cross_sensor_retrieval(gelsight: ProbeInput, digit: ProbeInput) -> CrossSensorRetrieval:
-    """Patches of both sensors, no place touched by both."""
+    """Match patches of both sensors; no place is touched by both."""
     label, group = (gelsight.label, digit.label), (gelsight.group, digit.group)
-    found = make_pseudo_triplets(gelsight.touch, digit.touch)
-    sure = make_pseudo_triplets(gelsight.touch, digit.touch, mutual=True)
+    triplets = make_pseudo_triplets(gelsight.touch, digit.touch)
+    mutual_triplets = make_pseudo_triplets(gelsight.touch, digit.touch, mutual=True)
     return CrossSensorRetrieval(
-        len(found.gelsight), compute_label_agreement(found, *label), compute_label_agreement(found, *group),
-        float(np.mean(label[0][:, None] == label[1][None, :])), len(sure.gelsight), compute_label_agreement(sure,
-        *label),
+        len(triplets.gelsight), compute_label_agreement(triplets, *label), compute_label_agreement(triplets, *group),
+        float(np.mean(label[0][:, None] == label[1][None, :])), len(mutual_triplets.gelsight),
+        compute_label_agreement(mutual_triplets, *label),
     )  # fmt: skip
 
 
@@ -206,13 +264,13 @@ MEASUREMENT_FORMAT = "hnf-alignment-measured-1"
 
 
 def save_measurement(path: Path, measured: Measurement, sums: Mapping[str, str]) -> None:
-    """sums: checksums of the weights. Raises FileError."""
+    """Write a measurement. sums: checksums of the weights. Raises FileError."""
     record = {
         "format": MEASUREMENT_FORMAT, "sha256": dict(sums), "trained_on": measured.trained_on,
         "known": _hits_to_json(measured.known), "unseen": _hits_to_json(measured.unseen),
         "recall": {
-            sensor: {way: {str(k): value for k, value in found.items()} for way, found in ways.items()}
-            for sensor, ways in measured.recall.items()
+            sensor: {way: {str(k): value for k, value in values.items()} for way, values in directions.items()}
+            for sensor, directions in measured.recall.items()
         },
         "gallery": measured.gallery, "bridged": None if measured.bridged is None else asdict(measured.bridged),
     }  # fmt: skip
@@ -220,7 +278,14 @@ def save_measurement(path: Path, measured: Measurement, sums: Mapping[str, str])
 
 
 def load_measurement(path: Path, sums: Mapping[str, str]) -> Measurement | None:
-    """None where there is none, or it is of other weights. Raises FileError where the file is damaged."""
+    """Load a measurement; None if there is none or it belongs to other weights.
+
+    Raises
+    ------
+    FileError
+        If the file is damaged.
+
+    """
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         if record["format"] != MEASUREMENT_FORMAT or record["sha256"] != dict(sums):
@@ -228,7 +293,7 @@ def load_measurement(path: Path, sums: Mapping[str, str]) -> Measurement | None:
         return Measurement(
             str(record["trained_on"]), _hits_from_json(record["known"]), _hits_from_json(record["unseen"]),
             {
-                sensor: {way: {int(k): float(value) for k, value in found.items()} for way, found in ways.items()}
+                sensor: {way: {int(k): float(value) for k, value in values.items()} for way, values in ways.items()}
                 for sensor, ways in record["recall"].items()
             },
             int(record["gallery"]), None if record["bridged"] is None else CrossSensorRetrieval(**record["bridged"]),
@@ -243,7 +308,7 @@ def _hits_to_json(cells: Mapping[Cell, Hits]) -> list[dict[str, Any]]:
     return [
         {
             "head": head, "tested_on": tested_on, "group": hits.group.tolist(),
-            "correct": "".join("1" if each else "0" for each in hits.correct),
+            "correct": "".join("1" if is_correct else "0" for is_correct in hits.correct),
         }
         for (head, tested_on), hits in cells.items()
     ]  # fmt: skip
@@ -252,7 +317,7 @@ def _hits_to_json(cells: Mapping[Cell, Hits]) -> list[dict[str, Any]]:
 def _hits_from_json(cells: list[dict[str, Any]]) -> dict[Cell, Hits]:
     return {
         (str(cell["head"]), str(cell["tested_on"])): Hits(
-            np.array([each == "1" for each in cell["correct"]]), np.array(cell["group"], dtype=np.int64)
+            np.array([digit == "1" for digit in cell["correct"]]), np.array(cell["group"], dtype=np.int64)
         )
         for cell in cells
     }
@@ -275,7 +340,7 @@ class AccuracyRow:
 
 @dataclass(frozen=True)
 class Retention:
-    """What training on `trained_on` keeps of the accuracy that training on the tested sensor alone reaches."""
+    """Accuracy on a sensor relative to that of the encoders trained on that sensor alone."""
 
     data: str
     trained_on: str
@@ -285,7 +350,7 @@ class Retention:
 
 @dataclass(frozen=True)
 class Report:
-    """chance: data → share of the most frequent class."""
+    """Results of several trainings. chance: data → frequency of the most frequent class."""
 
     chance: Mapping[str, float]
     rows: tuple[AccuracyRow, ...]
@@ -305,43 +370,43 @@ class Report:
 
 
 def compute_chance_levels(held_out: HeldOutTuples) -> dict[str, float]:
-    """Of known and unseen, where they have labels: share of the most frequent class, what always saying it gets."""
-    found = {}
+    """Return the frequency of the most frequent class, for known and unseen data that have labels."""
+    levels = {}
     for name, tested in (("known", held_out.known), ("unseen", held_out.unseen)):
-        label = np.concatenate([each.label for each in tested.values()]) if tested else np.zeros(0, dtype=np.int64)
+        label = np.concatenate([tuples.label for tuples in tested.values()]) if tested else np.zeros(0, dtype=np.int64)
         if (label >= 0).any():
-            found[name] = float(np.bincount(label[label >= 0]).max() / (label >= 0).sum())
-    return found
+            levels[name] = float(np.bincount(label[label >= 0]).max() / (label >= 0).sum())
+    return levels
 
 
 def make_report(measured: Sequence[Measurement], chances: Mapping[str, float]) -> Report:
-    """measured: one for each training. chances: of "known" and, where there are such, "unseen"."""
+    """Combine measurements, one per training. chances: chance levels of the data to report."""
     rows = [
-        AccuracyRow(data, each.trained_on, head, tested_on, estimate_accuracy(hits))
+        AccuracyRow(data, result.trained_on, head, tested_on, estimate_accuracy(hits))
         for data in chances
         for head in HEADS
-        for each in measured
-        for (name, tested_on), hits in _get_cells(each, data).items()
+        for result in measured
+        for (name, tested_on), hits in _get_cells(result, data).items()
         if name == head
     ]
-    alone = {each.trained_on: each for each in measured if each.trained_on in PAIR_SENSORS}
-    kept = [
+    single_sensor = {result.trained_on: result for result in measured if result.trained_on in PAIR_SENSORS}
+    retentions = [
         Retention(
             data,
-            each.trained_on,
+            result.trained_on,
             sensor,
-            estimate_ratio(_get_cells(each, data)[TOUCH, sensor], _get_cells(one, data)[TOUCH, sensor]),
+            estimate_ratio(_get_cells(result, data)[TOUCH, sensor], _get_cells(reference, data)[TOUCH, sensor]),
         )
         for data in chances
-        for each in measured
-        for sensor, one in alone.items()
-        if sensor != each.trained_on and (TOUCH, sensor) in _get_cells(each, data)
+        for result in measured
+        for sensor, reference in single_sensor.items()
+        if sensor != result.trained_on and (TOUCH, sensor) in _get_cells(result, data)
     ]
-    return Report(dict(chances), tuple(rows), tuple(kept), tuple(measured))
+    return Report(dict(chances), tuple(rows), tuple(retentions), tuple(measured))
 
 
 def format_report(report: Report) -> str:
-    """The tables in words."""
+    """Format the tables as Markdown."""
     parts = []
     for data, value in report.chance.items():
         rows = [row for row in report.rows if row.data == data]
@@ -357,16 +422,16 @@ def format_report(report: Report) -> str:
             f"{_format_percent(row.accuracy)} |"
             for row in rows
         ]
-        kept = [each for each in report.kept if each.data == data]
-        if kept:
+        retentions = [retention for retention in report.kept if retention.data == data]
+        if retentions:
             lines += [
                 "",
                 "| touch head trained on | tested on | of the same sensor's accuracy % (95 %) |",
                 "|---|---|---|",
             ]
             lines += [
-                f"| {_get_sensor_name(each.trained_on)} | {_get_sensor_name(each.tested_on)} | "
-                f"{_format_percent(each.ratio)} |" for each in kept
+                f"| {_get_sensor_name(retention.trained_on)} | {_get_sensor_name(retention.tested_on)} | "
+                f"{_format_percent(retention.ratio)} |" for retention in retentions
             ]  # fmt: skip
         parts.append("\n".join(lines))
     parts.append(_format_retrieval(report.measured))
@@ -375,29 +440,37 @@ def format_report(report: Report) -> str:
 
 
 def _format_retrieval(measured: Sequence[Measurement]) -> str:
-    ks = sorted({k for each in measured for ways in each.recall.values() for found in ways.values() for k in found})
+    ks = sorted(
+        {
+            k
+            for result in measured
+            for directions in result.recall.values()
+            for values in directions.values()
+            for k in values
+        }
+    )
     head = [f"The right one of {measured[0].gallery} among the k nearest, %.", ""]
     head += [f"| trained on | touch | way | {' | '.join(f'k = {k}' for k in ks)} |", "|---" * (3 + len(ks)) + "|"]
     return "\n".join(
         head
         + [
-            f"| {_get_sensor_name(each.trained_on)} | {_get_sensor_name(sensor)} | {way} | "
-            + " | ".join(f"{100 * found[k]:.1f}" for k in ks)
+            f"| {_get_sensor_name(result.trained_on)} | {_get_sensor_name(sensor)} | {direction} | "
+            + " | ".join(f"{100 * values[k]:.1f}" for k in ks)
             + " |"
-            for each in measured
-            for sensor, ways in each.recall.items()
-            for way, found in ways.items()
+            for result in measured
+            for sensor, directions in result.recall.items()
+            for direction, values in directions.items()
         ]
     )
 
 
 def _format_bridging(measured: Sequence[Measurement]) -> str:
     lines = [
-        f"| {_get_sensor_name(each.trained_on)} | {found.triplets} | {100 * found.of_class:.1f} | "
-        f"{100 * found.of_piece:.1f} | "
-        f"{100 * found.by_chance:.1f} | {found.mutual} | {100 * found.mutual_of_class:.1f} |"
-        for each in measured
-        if (found := each.bridged) is not None
+        f"| {_get_sensor_name(result.trained_on)} | {retrieval.triplets} | {100 * retrieval.of_class:.1f} | "
+        f"{100 * retrieval.of_piece:.1f} | "
+        f"{100 * retrieval.by_chance:.1f} | {retrieval.mutual} | {100 * retrieval.mutual_of_class:.1f} |"
+        for result in measured
+        if (retrieval := result.bridged) is not None
     ]
     head = [
         "DIGIT patches attached to GelSight tuples of other places by the nearest neighbour.", "",

@@ -1,10 +1,8 @@
-"""What a rival and our own field have in common, so that one table can hold them all.
+"""Interface of evaluated methods, the oracle, and recordings cut into segments of near-constant action.
 
-Processes take actions of one length at a time; whoever renders a mixed list groups them here.
-
-The oracle: the true process itself with another seed. Nothing can be better in natural form.
-
-Recordings cut into pieces of near-constant action: what every rival without memory is fitted on.
+A `Method` fits one material and renders actions; a `SharedMethod` fits many materials as one model. `OracleMethod`
+renders the true process with another seed, the best possible natural signal. `cut_segments` prepares the data of
+memoryless baselines.
 """
 
 from __future__ import annotations
@@ -24,15 +22,24 @@ from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
 Float = NDArray[np.float64]
 
 Form = Literal["natural", "expected magnitude"]
-"""natural: a signal to feel, one draw of a random process. expected magnitude: a signal whose |X_k| is the expected
-one in every window, for benchmarks only. The two are never compared with each other."""
+"""Kind of signal a method gives.
+
+natural: a signal to feel, one draw of a random process. expected magnitude: a signal whose |X_k| is the expected one in
+every window, for benchmarks only. The two are never compared with each other.
+"""
 
 
 @dataclass(frozen=True)
 class MaterialRecordings:
-    """One material as a method may see it: what was felt on it, and what a sensor image and the library say of it.
+    """Recordings of one material, with the data that a method may use.
 
-    token: (TOKEN_DIM,) E(I), None where there is no picture. category: its class, empty where there is none.
+    Attributes
+    ----------
+    token
+        (TOKEN_DIM,) E(I), or None without a sensor image.
+    category
+        Category, or "".
+
     """
 
     name: str
@@ -43,40 +50,42 @@ class MaterialRecordings:
 
 
 class FittedMaterial(Protocol):
-    """One material, learned."""
+    """A method fitted to one material."""
 
     def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
-        """a(t) in m/s² at 10 kHz for each action, (round(duration_s · 10 000),) float64. Another seed, another draw;
-        the same seed, the same bytes."""
+        """Return a(t) [m/s²] at 10 kHz for each action, (round(duration_s · 10 000),) float64.
+
+        Different seeds give different draws; the same seed gives the same bytes.
+        """
         ...
 
 
 class Method(Protocol):
-    """A way to learn one material from recordings of it."""
+    """A method that is fitted to recordings of one material."""
 
     @property
     def name(self) -> str:
-        """As the table prints it; a reconstruction of somebody else's method says so here."""
+        """Name in the tables; it states if the method is a reconstruction."""
         ...
 
     @property
     def form(self) -> Form: ...
 
     def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
-        """Learn from specimen.recordings (all at one sample rate). Deterministic with a seed."""
+        """Fit to specimen.recordings, all at one sample rate. Deterministic for a seed."""
         ...
 
 
 class FittedSharedModel(Protocol):
-    """Many materials, learned as one model."""
+    """One model of many materials."""
 
     def for_material(self, token: NDArray[np.float32], mechanics: Mechanics) -> FittedMaterial:
-        """The model's opinion of a material, which need not be among those it was fitted to."""
+        """Return the model for one material, which need not be among the training materials."""
         ...
 
 
 class SharedMethod(Protocol):
-    """A way to learn many materials at once, with the token as condition."""
+    """A method that is fitted to many materials at once, conditioned on the token."""
 
     @property
     def name(self) -> str: ...
@@ -88,63 +97,78 @@ class SharedMethod(Protocol):
 
 
 def render_by_duration(actions: Sequence[Action], render: Callable[[list[Action], int], list[Float]]) -> list[Float]:
-    """record(actions of one length, number of the group) for every length, in the order of `actions`.
+    """Call render(actions of one length, group number) for every length; results are in the order of `actions`.
 
-    The number belongs into the seed, or the first of every group would be the same draw.
+    The group number must enter the seed, or the first action of every group would be the same draw.
     """
     groups: dict[int, list[int]] = {}
     for index, action in enumerate(actions):
         groups.setdefault(len(action.speed), []).append(index)
-    out: list[Float] = [np.zeros(0)] * len(actions)
+    rendered: list[Float] = [np.zeros(0)] * len(actions)
     for group, indices in enumerate(groups.values()):
         for index, samples in zip(indices, render([actions[i] for i in indices], group), strict=True):
-            out[index] = samples
-    return out
+            rendered[index] = samples
+    return rendered
 
 
 _SEED_OFFSET = 0x5EED_0000_0000
-"""Far from any seed a person gives, so that the oracle is never the very draw it is compared with."""
+"""Offset far from any user's seed, so that the oracle is never the draw it is compared with."""
 
 
 @dataclass(frozen=True)
 class FittedProcess:
-    """A process as it is."""
+    """The true process."""
 
     process: TextureProcess
 
     def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
-        """A seed of this call is never that of a recording: it is moved into numbers of its own."""
-        own = _SEED_OFFSET + 1000 * seed
+        """Render with seeds that no recording uses."""
+        first_seed = _SEED_OFFSET + 1000 * seed
         return render_by_duration(
-            actions, lambda same, group: [r.samples for r in self.process.record(same, own + group)]
+            actions,
+            lambda equal_actions, group: [r.samples for r in self.process.record(equal_actions, first_seed + group)],
         )
 
 
 @dataclass(frozen=True)
 class OracleMethod:
-    """Method: the process that made the recordings."""
+    """The process that made the recordings."""
 
     process: TextureProcess
     name: str = "oracle (true process, another seed)"
     form: Form = "natural"
 
     def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
-        """Nothing is learned."""
+        """Return the process; nothing is fitted."""
         del specimen, seed
         return FittedProcess(self.process)
 
 
 SEGMENT_S = 0.05
-"""HaTT's pieces are stationary by test; a smooth hand hardly changes in 50 ms, and 500 samples tell 20 coefficients."""
+"""Duration of a segment [s].
+
+HaTT's segments are stationary by a test; a smooth hand hardly changes in 50 ms, and 500 samples determine 20
+coefficients.
+"""
 MAX_RELATIVE_RANGE = 0.35
-"""Largest range of speed and of force within a piece, over its mean."""
+"""Largest range of speed and of force within a segment, relative to the mean."""
 MIN_SPEED_M_S = 1e-3
 
 
 @dataclass(frozen=True)
 class Segments:
-    """speed (S,) m/s and force (S,) N: means. samples: (S, lead + n), of which the first lead belong to the piece
-    before: the past that a prediction of the first sample needs. lead, rate [Hz]."""
+    """Segments of near-constant action.
+
+    Attributes
+    ----------
+    speed, force
+        (S,) means [m/s], [N].
+    samples
+        (S, lead + n); the first `lead` samples belong to the past, needed to predict the first sample.
+    rate
+        Sample rate [Hz].
+
+    """
 
     speed: Float
     force: Float
@@ -154,16 +178,31 @@ class Segments:
 
     @property
     def body(self) -> Float:
-        """(S, n)"""
+        """Samples without the past, (S, n)."""
         return self.samples[:, self.lead :]
 
 
 def cut_segments(
     recordings: Sequence[Recording], lead: int, *, segment_s: float = SEGMENT_S, max_range: float = MAX_RELATIVE_RANGE
 ) -> Segments:
-    """All pieces in contact and in motion whose speed and force range by no more than `steady` of their mean.
+    """Return all segments in contact and in motion with near-constant speed and force.
 
-    Raises FileError where there is no such piece, or where recordings differ in sample rate.
+    Parameters
+    ----------
+    recordings
+        Recordings at one sample rate.
+    lead
+        Number of past samples to include.
+    segment_s
+        Duration of a segment [s].
+    max_range
+        Largest relative range of speed and of force.
+
+    Raises
+    ------
+    FileError
+        If there is no such segment, or the sample rates differ.
+
     """
     rates = {recording.sample_rate for recording in recordings}
     if len(rates) != 1:
@@ -179,10 +218,10 @@ def cut_segments(
         length = round(segment_s * rate)
         for start in range(lead, len(recording.samples) - length + 1, length):
             low, high = start / rate * action.rate, (start + length) / rate * action.rate
-            inside = slice(int(np.floor(low)), int(np.ceil(high)) + 1)
-            v, f = action.speed[inside], action.force[inside]
+            states = slice(int(np.floor(low)), int(np.ceil(high)) + 1)
+            v, f = action.speed[states], action.force[states]
             if (
-                action.contact[inside].all()
+                action.contact[states].all()
                 and v.min() > MIN_SPEED_M_S
                 and f.min() > 0.0
                 and np.ptp(v) <= max_range * v.mean()

@@ -1,6 +1,7 @@
-"""What can go wrong with a stream on a serial device, one function each: from a rig at rest to what came of it.
+"""Bench of stream faults on a serial device: one function per fault, injected at random frames.
 
-Every fault ends in silence: each of them at frames drawn at random, on a virtual device behind a real pty.
+Each fault runs on a virtual device behind a real pty. Every one must end in silence within MAX_SILENCE_DELAY_S, with
+the promised number of messages, and the stream must be able to start again.
 """
 
 from __future__ import annotations
@@ -35,16 +36,30 @@ from .fault_harness import (
 from .harness import BenchOptions, Row, Spread
 
 Trial = Callable[[FaultRig], Outcome]
+"""Function that injects a fault into a rig and returns the outcome."""
 
 RATE_DETECTION_S = 40.0
-"""Longest until a wrong rate is known: a host that is itself late, many times a second, waits for calmer seconds before
-it calls a device a liar. It begins to look anew every 10 s."""
+"""Longest time until a wrong rate is detected [s].
+
+A host that is itself late many times a second waits for calmer seconds before it reports the device; it starts a new
+measurement every 10 s.
+"""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """name: in the table. trial: lets it happen once. told: messages that a person shall get. survives: the stream
-    shall play on."""
+    """A kind of fault.
+
+    Attributes
+    ----------
+    trial
+        Function that injects it once.
+    expected_messages
+        Number of messages that the user must get.
+    survives
+        True if the stream must play on.
+
+    """
 
     name: str
     trial: Trial
@@ -53,7 +68,7 @@ class Fault:
 
 
 def unplug(rig: FaultRig) -> Outcome:
-    """The plug is pulled; the device has power of its own."""
+    """Unplug the device, which has its own power supply."""
     rig.play_random_time()
     outcome = rig.wait_for_end(rig.inject_fault(rig.port.unplug))
     rig.port.plug()
@@ -61,45 +76,49 @@ def unplug(rig: FaultRig) -> Outcome:
 
 
 def unplug_while_opening(rig: FaultRig) -> Outcome:
-    """The plug is pulled while host and device greet each other, or just after."""
-    struck: list[int] = []
-    pull = threading.Timer(float(rig.rng.uniform(0.0, 0.02)), lambda: struck.append(rig.inject_fault(rig.port.unplug)))
-    pull.start()
-    told: tuple[str, ...] = ()
+    """Unplug the device during or just after the handshake."""
+    injected_at: list[int] = []
+    timer = threading.Timer(
+        float(rig.rng.uniform(0.0, 0.02)), lambda: injected_at.append(rig.inject_fault(rig.port.unplug))
+    )
+    timer.start()
+    messages: tuple[str, ...] = ()
     try:
         rig.play()
     except DeviceError as error:
-        told = (str(error),)
-    pull.join()
-    if told:
-        outcome = Outcome(to_seconds(rig.device.last_sound_clock - struck[0]), told, hung=not rig.wait_for_silence())
+        messages = (str(error),)
+    timer.join()
+    if messages:
+        outcome = Outcome(
+            to_seconds(rig.device.last_sound_clock - injected_at[0]), messages, hung=not rig.wait_for_silence()
+        )
     else:
-        outcome = rig.wait_for_end(struck[0])
+        outcome = rig.wait_for_end(injected_at[0])
     rig.port.plug()
     return replace(outcome, restart_problem=rig.restart())
 
 
 def stop_reading(rig: FaultRig) -> Outcome:
-    """The device plays what it has, tells its credit, and reads nothing more."""
+    """Make the device stop reading while it plays what it has and reports its credit."""
 
-    def deafen(deaf: bool) -> None:
-        rig.port.ignores_host = deaf
+    def set_ignoring(ignoring: bool) -> None:
+        rig.port.ignores_host = ignoring
 
     rig.play_random_time()
-    outcome = rig.wait_for_end(rig.inject_fault(lambda: deafen(True)))
-    deafen(False)
+    outcome = rig.wait_for_end(rig.inject_fault(lambda: set_ignoring(True)))
+    set_ignoring(False)
     return replace(outcome, restart_problem=rig.restart())
 
 
 def damage_bytes(share: float, to_device: bool, to_host: bool) -> Trial:
-    """Every byte has a bit flipped with the probability share, from a random frame on."""
+    """Return a trial that flips a bit of every byte with probability `share`, from a random frame on."""
 
     def trial(rig: FaultRig) -> Outcome:
         def flip(data: bytes) -> bytes:
-            found = np.frombuffer(data, dtype=np.uint8).copy()
-            hit = rig.rng.random(len(found)) < share
-            found[hit] ^= np.left_shift(1, rig.rng.integers(0, 8, int(hit.sum()))).astype(np.uint8)
-            return found.tobytes()
+            values = np.frombuffer(data, dtype=np.uint8).copy()
+            is_hit = rig.rng.random(len(values)) < share
+            values[is_hit] ^= np.left_shift(1, rig.rng.integers(0, 8, int(is_hit.sum()))).astype(np.uint8)
+            return values.tobytes()
 
         return _disturb_wire(rig, flip, to_device, to_host, ends=share > 0.01, gets_through=share < 0.1)
 
@@ -107,13 +126,13 @@ def damage_bytes(share: float, to_device: bool, to_host: bool) -> Trial:
 
 
 def send_garbage(to_device: bool, to_host: bool) -> Trial:
-    """Random bytes instead of all that is sent, with pieces that look like the beginning of a message."""
+    """Return a trial that replaces all data by random bytes, some of which look like the start of a message."""
 
     def trial(rig: FaultRig) -> Outcome:
-        def replaced(data: bytes) -> bytes:
+        def replace_data(data: bytes) -> bytes:
             return rig.rng.bytes(len(data) // 2) + b"\xa5\x5a" + rig.rng.bytes(len(data) // 2)
 
-        return _disturb_wire(rig, replaced, to_device, to_host, ends=True)
+        return _disturb_wire(rig, replace_data, to_device, to_host, ends=True)
 
     return trial
 
@@ -127,32 +146,32 @@ def _disturb_wire(
     ends: bool,
     gets_through: bool = False,
 ) -> Outcome:
-    """gets_through: enough to play on until the host knows."""
+    """Apply `wire` to the data. gets_through: enough arrives to play on until the host notices."""
 
-    def lay(now: Callable[[bytes], bytes]) -> None:
+    def set_wire(transform: Callable[[bytes], bytes]) -> None:
         if to_device:
-            rig.port.from_host = now
+            rig.port.from_host = transform
         if to_host:
-            rig.port.to_host = now
+            rig.port.to_host = transform
 
     rig.play_random_time()
-    struck = rig.inject_fault(lambda: lay(wire))
+    injected_at = rig.inject_fault(lambda: set_wire(wire))
     if not ends:
         rig.wait_for_frames(rig.device.played + RATE_HZ // 2)
         with rig.port.freeze_clock():
-            lay(bytes)
+            set_wire(bytes)
         return rig.stop_stream()
     since = SilenceOrigin.NOTICE if gets_through else SilenceOrigin.FAULT if to_device else SilenceOrigin.SAMPLES
-    outcome = rig.wait_for_end(struck, since)
+    outcome = rig.wait_for_end(injected_at, since)
     with rig.port.freeze_clock():
-        lay(bytes)
+        set_wire(bytes)
     return replace(outcome, restart_problem=rig.restart())
 
 
 def announce_wrong_version(rig: FaultRig) -> Outcome:
-    """The device has restarted with firmware of version 2."""
+    """Restart the device with firmware of version 2."""
 
-    def other(version: int) -> None:
+    def restart_device(version: int) -> None:
         port = rig.port
         port.device = VirtualDevice(Capabilities(version=version), on_output=port.recording.record)
 
@@ -161,57 +180,63 @@ def announce_wrong_version(rig: FaultRig) -> Outcome:
     rig.stream.stop()
     rig.wait_for_silence()
     rig.port.recording.clear()
-    rig.inject_fault(lambda: other(2))
-    told: tuple[str, ...] = ()
+    rig.inject_fault(lambda: restart_device(2))
+    messages: tuple[str, ...] = ()
     try:
         rig.play()
     except DeviceError as error:
-        told = (str(error),)
-    sounded = rig.device.last_sound_clock
-    rig.inject_fault(lambda: other(1))
-    named = all("version 1" in words and "version 2" in words for words in told)
-    return Outcome(sounded / RATE_HZ, told if named else (*told, "does not name both"), restart_problem=rig.restart())
+        messages = (str(error),)
+    last_sound = rig.device.last_sound_clock
+    rig.inject_fault(lambda: restart_device(1))
+    names_both = all("version 1" in text and "version 2" in text for text in messages)
+    return Outcome(
+        last_sound / RATE_HZ,
+        messages if names_both else (*messages, "does not name both"),
+        restart_problem=rig.restart(),
+    )
 
 
 def misreport_rate(rig: FaultRig) -> Outcome:
-    """The sample clock is off by 15 to 30 %, to either side."""
+    """Run the sample clock 15 to 30 % too fast or too slow."""
 
-    def pace(speed: float) -> None:
+    def set_speed(speed: float) -> None:
         rig.port.speed = speed
 
     rig.play_random_time()
-    off = float(rig.rng.choice([-1.0, 1.0]) * rig.rng.uniform(0.15, 0.3))
-    outcome = rig.wait_for_end(rig.inject_fault(lambda: pace(1.0 + off)), SilenceOrigin.NOTICE, RATE_DETECTION_S)
-    pace(1.0)
-    named = all(f"{RATE_HZ} Hz" in words for words in outcome.messages)
-    told = outcome.messages if named else (*outcome.messages, "does not name the rate")
-    return replace(outcome, messages=told, restart_problem=rig.restart())
+    deviation = float(rig.rng.choice([-1.0, 1.0]) * rig.rng.uniform(0.15, 0.3))
+    outcome = rig.wait_for_end(
+        rig.inject_fault(lambda: set_speed(1.0 + deviation)), SilenceOrigin.NOTICE, RATE_DETECTION_S
+    )
+    set_speed(1.0)
+    names_rate = all(f"{RATE_HZ} Hz" in text for text in outcome.messages)
+    messages = outcome.messages if names_rate else (*outcome.messages, "does not name the rate")
+    return replace(outcome, messages=messages, restart_problem=rig.restart())
 
 
 def open_from_second_program(rig: FaultRig) -> Outcome:
-    """Another program opens the port while we play: it is refused, we play on."""
+    """Open the port from a second program while we play: it is refused, we play on."""
     rig.play_random_time()
-    told: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
     try:
         SerialSink(rig.port.path).open()
     except DeviceError as error:
-        told = (str(error),)
-    return rig.stop_stream(told)
+        messages = (str(error),)
+    return rig.stop_stream(messages)
 
 
 def write_from_second_program(rig: FaultRig) -> Outcome:
-    """Another program does not ask: it says HELLO and START and sends samples into ours."""
+    """Write HELLO, START and samples from a second program that takes no lock, into our stream."""
     rig.play_random_time()
     encoder = Encoder()
     loud = np.full((32, 1), 30_000, dtype=np.int16)
-    intruding = b"".join(
+    data = b"".join(
         encoder.encode(message) for message in (Hello(), Start(RATE_HZ, 1, 32767, 1), Samples.from_counts(1, 0, loud))
     )
 
     def intrude() -> None:
         port = os.open(rig.port.path, os.O_RDWR | os.O_NOCTTY)
         try:
-            os.write(port, intruding)
+            os.write(port, data)
         finally:
             os.close(port)
 
@@ -219,7 +244,7 @@ def write_from_second_program(rig: FaultRig) -> Outcome:
 
 
 def write_few_bytes(rig: FaultRig) -> Outcome:
-    """The system takes a few bytes of each write: slower, and whole all the same."""
+    """Let the system accept a few bytes of each write: slower, but complete."""
     with _patch_system_write(lambda descriptor, data: os.write(descriptor, data[: int(rig.rng.integers(1, 40))])):
         rig.play_random_time()
         outcome = rig.stop_stream()
@@ -227,14 +252,14 @@ def write_few_bytes(rig: FaultRig) -> Outcome:
 
 
 def truncate_write(rig: FaultRig) -> Outcome:
-    """The system takes half of a message, and then no more."""
+    """Let the system accept half of a message and then nothing more."""
     budget: list[int] = []
 
     def write(descriptor: int, data: bytes) -> int:
-        taken = bytes(data) if not budget else bytes(data)[: budget[0]]
-        if not taken:
+        accepted = bytes(data) if not budget else bytes(data)[: budget[0]]
+        if not accepted:
             raise BlockingIOError(errno.EAGAIN, "full")
-        count = os.write(descriptor, taken)
+        count = os.write(descriptor, accepted)
         if budget:
             budget[0] -= count
         return count
@@ -247,7 +272,7 @@ def truncate_write(rig: FaultRig) -> Outcome:
 
 @contextmanager
 def _patch_system_write(write: Callable[[int, bytes], int]) -> Iterator[None]:
-    """What pyserial hands to the system goes through write."""
+    """Route the system writes of pyserial through `write`."""
     from serial import serialposix
 
     class System:
@@ -265,7 +290,7 @@ def _patch_system_write(write: Callable[[int, bytes], int]) -> Iterator[None]:
 
 
 def stop_normally(rig: FaultRig) -> Outcome:
-    """No fault at all: stop()."""
+    """Stop the stream without any fault."""
     rig.play_random_time()
     return rig.stop_stream()
 
@@ -297,28 +322,28 @@ FAULTS = (
 FAULTS_NAME = "faults"
 SEED = 20
 TRIALS_PER_REPEAT = 20
-"""Of each kind for each repeat: 100 with 5."""
+"""Number of trials of each fault per repeat: 100 with 5 repeats."""
 
 QUICK_TRIALS = 2
 
 
 def measure_faults(options: BenchOptions) -> list[Row]:
-    """For each kind: how long something still sounded, by the device's sample clock; how many did not end well."""
+    """Measure, for each fault, the time to silence by the device's sample clock and the number of failures."""
     count = QUICK_TRIALS if options.quick else TRIALS_PER_REPEAT * options.repeats
     return [_make_row(kind, _run_fault(kind, count, options)) for kind in FAULTS]
 
 
 def run_trials(fault: Fault, count: int, seed: int) -> list[Outcome]:
-    """Let it happen so often, each time on a device of its own."""
-    found = []
+    """Run the fault `count` times, each time on a new device."""
+    outcomes = []
     for trial in range(count):
         with FaultRig(np.random.default_rng([seed, trial])) as rig:
-            found.append(fault.trial(rig))
-    return found
+            outcomes.append(fault.trial(rig))
+    return outcomes
 
 
 def find_violations(fault: Fault, outcome: Outcome) -> list[str]:
-    """What was not as promised; nothing where all is well."""
+    """Return the broken promises; empty if all is well."""
     promises = {
         f"{1e3 * outcome.silent_after_s:.1f} ms until silence": outcome.silent_after_s <= MAX_SILENCE_DELAY_S,
         f"{len(outcome.messages)} messages": len(outcome.messages) == fault.expected_messages,
@@ -327,7 +352,7 @@ def find_violations(fault: Fault, outcome: Outcome) -> list[str]:
         f"does not start again ({outcome.restart_problem})": not outcome.restart_problem,
         "played on" if outcome.played_on else "did not play on": outcome.played_on == fault.survives,
     }
-    return [broken for broken, kept in promises.items() if not kept]
+    return [text for text, is_kept in promises.items() if not is_kept]
 
 
 def _run_fault(fault: Fault, count: int, options: BenchOptions) -> list[Outcome]:
@@ -336,24 +361,24 @@ def _run_fault(fault: Fault, count: int, options: BenchOptions) -> list[Outcome]
 
 
 def _normalise_message(message: str) -> str:
-    """Without the port and the figures, which differ each time."""
+    """Return the message without the port and without numbers, which differ each time."""
     return re.sub(r"\d+([.]\d+)?", "#", message.partition(": ")[2] or message)
 
 
 def _make_row(fault: Fault, found: Sequence[Outcome]) -> Row:
-    bad = [broken for outcome in found if (broken := find_violations(fault, outcome))]
+    failures = [problems for outcome in found if (problems := find_violations(fault, outcome))]
     noticed = [outcome.noticed_s for outcome in found if outcome.noticed_s is not None]
     notes = ["plays on until stopped" if fault.survives else "ends"]
     if noticed:
         notes.append(f"known to the host within {1e3 * max(noticed):.0f} ms")
-    told = Counter(_normalise_message(message) for outcome in found for message in outcome.messages)
-    notes += [f"“{words}” × {times}" for words, times in told.most_common(2)]
-    notes += [f"NOT WELL: {', '.join(broken)}" for broken in bad[:3]]
+    counts = Counter(_normalise_message(message) for outcome in found for message in outcome.messages)
+    notes += [f"“{text}” × {times}" for text, times in counts.most_common(2)]
+    notes += [f"NOT WELL: {', '.join(problems)}" for problems in failures[:3]]
     return Row(
         FAULTS_NAME,
         fault.name,
         Spread.from_values([outcome.silent_after_s for outcome in found]),
-        error=float(len(bad)),
+        error=float(len(failures)),
         error_unit=f"of {len(found)} not as promised",
         note="; ".join(notes),
     )

@@ -1,16 +1,7 @@
-"""The frame of every bench: rows with a time or a ratio, its spread, an error, a peak of memory.
+"""Common parts of all benches: rows, timing, memory, machine description, text table, and cost over size.
 
-How much memory a process holds, other libraries' included, where the system tells.
-
-What was measured on: without it no time means anything.
-
-Rows as Markdown.
-
-How cost grows with size: the exponent p of cost ∝ sizeᵖ.
-
-Rows of one cost over size, as lines.
-
-One cost at ever larger sizes, until the next one would take too long or too much memory.
+`Row` is one method of one bench with spreads of time and ratio, error and peak memory. `Times` measures repeatedly;
+`run_sizes` measures one cost at growing sizes, and `fit_exponent` estimates p of cost ∝ sizeᵖ.
 """
 
 from __future__ import annotations
@@ -37,7 +28,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Spread:
-    """Of count measurements of the same thing."""
+    """Median, extremes and 99 % point of `count` measurements of the same thing."""
 
     median: float
     lowest: float
@@ -47,16 +38,19 @@ class Spread:
 
     @classmethod
     def from_values(cls, values: Sequence[float]) -> Spread:
-        """values: at least one."""
-        found = np.asarray(values, dtype=np.float64)
-        percentiles = np.percentile(found, [50.0, 99.0])
+        """Summarise at least one value."""
+        array = np.asarray(values, dtype=np.float64)
+        percentiles = np.percentile(array, [50.0, 99.0])
         return cls(
-            float(percentiles[0]), float(found.min()), float(percentiles[1]), float(found.max()), int(found.size)
+            float(percentiles[0]), float(array.min()), float(percentiles[1]), float(array.max()), int(array.size)
         )
 
 
 class Times:
-    """The same thing, measured again and again. clock: of CPU; time.process_time counts all threads."""
+    """Repeated measurements of the same thing.
+
+    clock: processor time; time.thread_time counts this thread, time.process_time all threads.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.thread_time) -> None:
         self._clock = clock
@@ -64,7 +58,7 @@ class Times:
         self._cpus: list[float] = []
 
     def measure(self, function: Callable[[], Result]) -> Result:
-        """Run it, note how long it took, and return what it returned."""
+        """Run the function, record its time, and return its result."""
         wall, cpu = time.perf_counter(), self._clock()
         try:
             return function()
@@ -73,33 +67,36 @@ class Times:
             self._cpus.append(self._clock() - cpu)
 
     def add_wall_time(self, wall_s: float) -> None:
-        """What was measured elsewhere."""
+        """Add a wall time that was measured elsewhere."""
         self._walls.append(wall_s)
 
     def scale(self, factor: float) -> Times:
-        """As if each measurement were of so many times as much."""
-        longer = Times(self._clock)
-        longer._walls, longer._cpus = [factor * each for each in self._walls], [factor * each for each in self._cpus]
-        return longer
+        """Return the times with each measurement multiplied by `factor`."""
+        scaled = Times(self._clock)
+        scaled._walls, scaled._cpus = (
+            [factor * value for value in self._walls],
+            [factor * value for value in self._cpus],
+        )
+        return scaled
 
     @property
     def seconds(self) -> Spread:
-        """On the wall."""
+        """Wall time [s]."""
         return Spread.from_values(self._walls)
 
     @property
     def cpu(self) -> Spread | None:
-        """By the clock: of the thread that called, unless said otherwise; None where others did the work."""
+        """Processor time by the clock [s]; None if only wall times were added."""
         return Spread.from_values(self._cpus) if self._cpus else None
 
     def compute_ratio(self, reference: Times) -> Spread:
-        """This to the other, measurement by measurement, of CPU."""
-        return Spread.from_values([mine / its for mine, its in zip(self._cpus, reference._cpus, strict=True)])
+        """Return the ratio of processor times to those of the reference, pair by pair."""
+        return Spread.from_values([own / base for own, base in zip(self._cpus, reference._cpus, strict=True)])
 
 
 @dataclass(frozen=True)
 class CurvePosition:
-    """Where a row lies on a curve. of: what is counted, as "objects". line: which of its lines. count: how many."""
+    """Position of a row on a curve: what is counted (`of`, as "objects"), name of the line, and the number."""
 
     of: str
     line: str
@@ -110,14 +107,31 @@ class CurvePosition:
 class Row:
     """One method of one bench.
 
-    seconds: that it took on the wall. cpu: of them, those the machine gave to us, which says more on a busy one.
-    ratio: to the row named ratio_to, measured in pairs, which leaves the machine's own pace out; of CPU, where the note
-    says nothing else.
-    error: against the reference, in error_unit, the largest that was met. peak_mb: allocated beyond what was there. A
-    faster method has an error, if only 0; what None says is that the thing has no result to be wrong.
-    realtime_factor: seconds of signal made in one second, where a signal is what is made. size: of what was measured,
-    where that is the question. work: what was done, counted: name → how often. exponent: p of cost ∝ sizeᵖ, over the
-    rows of its bench with the same size.of and size.line.
+    A method that is only faster has an error of 0; None means that it has no result that could be wrong.
+
+    Attributes
+    ----------
+    seconds
+        Wall time [s].
+    cpu
+        Processor time [s], more reliable on a busy machine.
+    ratio
+        Ratio to the row named ratio_to, measured in pairs to cancel the machine's speed; of processor time unless the
+        note
+        says otherwise.
+    error
+        Largest error against the reference, in error_unit.
+    peak_mb
+        Memory allocated beyond the state before [MB].
+    realtime_factor
+        Seconds of signal made per second, if a signal is made.
+    size
+        Position on a curve of cost over size.
+    work
+        Name → number of operations done.
+    exponent
+        p of cost ∝ sizeᵖ over the rows of the same bench, size.of and size.line.
+
     """
 
     bench: str
@@ -136,7 +150,11 @@ class Row:
     exponent: Spread | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """seconds, cpu, ratio, exponent: medians; seconds_spread and so on: all of it; error_db: an error in dB."""
+        """Return a JSON-serialisable dict.
+
+        seconds, cpu, ratio and exponent are medians; the keys with suffix _spread hold the full spreads; error_db is an
+        error in dB.
+        """
         record = asdict(self)
         for name in ("seconds", "cpu", "ratio", "exponent"):
             spread = record[name]
@@ -149,8 +167,20 @@ class Row:
 
 @dataclass(frozen=True)
 class BenchOptions:
-    """repeats: of every measurement. quick: sizes so small that the rows mean nothing; it proves that they come.
-    watch: is told what is measured now. scene: a file to measure on, besides what a bench makes itself."""
+    """Options of all benches.
+
+    Attributes
+    ----------
+    repeats
+        Number of repeats of every measurement.
+    quick
+        Use tiny sizes: tests that rows are produced, the numbers mean nothing.
+    watch
+        Progress callback; receives the current step.
+    scene
+        File to measure in addition to generated data.
+
+    """
 
     repeats: int = 5
     quick: bool = False
@@ -160,7 +190,7 @@ class BenchOptions:
 
 @dataclass(frozen=True)
 class Bench:
-    """name: as asked for. what: it measures, in a sentence. rows: measures; may raise HnfError."""
+    """A bench: command-line name, description, and a function that returns its rows and may raise HnfError."""
 
     name: str
     description: str
@@ -168,7 +198,7 @@ class Bench:
 
 
 def measure_peak_mb(function: Callable[[], Any]) -> float:
-    """Megabytes that Python and numpy held at once beyond what they held before. It slows what it measures."""
+    """Return the peak memory [MB] of Python and numpy beyond that before. Slows down what it measures."""
     tracemalloc.start()
     try:
         function()
@@ -179,12 +209,15 @@ def measure_peak_mb(function: Callable[[], Any]) -> float:
 
 STATUS_FILE, RESET_FILE, SYSTEM_FILE = Path("/proc/self/status"), Path("/proc/self/clear_refs"), Path("/proc/meminfo")
 RESET_PEAK = "5"
-"""Linux, proc(5): sets the peak of the resident memory back to what is resident now."""
+"""Linux, proc(5): value that resets the peak of the resident memory."""
 
 
 def run_with_peak(function: Callable[[], Result]) -> tuple[Result, float | None]:
-    """What function returns, and the megabytes that were resident at once beyond those before; None where the system
-    does not tell. Memory that was given back to the allocator and not to the system is counted as there before."""
+    """Return the function's result, and the peak resident memory [MB] beyond that before.
+
+    The memory is None if the system does not report it. Memory that was freed to the allocator but not to the system
+    counts as used before.
+    """
     before = _read_status_mb("VmRSS") if _reset_peak() else None
     result = function()
     after = None if before is None else _read_status_mb("VmHWM")
@@ -192,7 +225,7 @@ def run_with_peak(function: Callable[[], Result]) -> tuple[Result, float | None]
 
 
 def read_available_mb() -> float | None:
-    """Megabytes that may still be taken; None where the system does not tell."""
+    """Return the available memory [MB], or None if the system does not report it."""
     return _read_field_mb(SYSTEM_FILE, "MemAvailable")
 
 
@@ -213,16 +246,16 @@ def _read_field_mb(path: Path, name: str) -> float | None:
         lines = path.read_text(encoding="ascii").splitlines()
     except OSError:
         return None
-    found = next((line.split()[1] for line in lines if line.startswith(f"{name}:")), None)
-    return None if found is None else float(found) * 1024.0 / 1e6
+    kilobytes = next((line.split()[1] for line in lines if line.startswith(f"{name}:")), None)
+    return None if kilobytes is None else float(kilobytes) * 1024.0 / 1e6
 
 
 PACKAGES = ("numpy", "bpy", "torch", "scipy", "OpenEXR", "embreex")
-"""Those whose work may be what was measured: told where they are loaded."""
+"""Packages that may do the measured work; versions of the loaded ones are reported."""
 
 
 def describe_machine() -> dict[str, str]:
-    """Processor, cores, memory, load of the last minute, system, versions of what is loaded."""
+    """Return processor, cores, memory, load of the last minute, system, and versions of loaded packages."""
     facts = {"processor": _find_processor(), "cores": str(os.cpu_count() or 0)}
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         facts["memory"] = f"{os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE') / 1e9:.0f} GB"
@@ -242,8 +275,8 @@ def _find_processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         lines = []
-    named = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-    return named or platform.processor() or platform.machine()
+    name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+    return name or platform.processor() or platform.machine()
 
 
 def _find_version(name: str) -> str:
@@ -254,7 +287,7 @@ def _find_version(name: str) -> str:
 
 
 def _find_package_version(name: str) -> str:
-    """What pip calls a package that does not say its version itself; "?" where pip does not know it either."""
+    """Return the version from the package metadata, or "?" if there is none."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -269,13 +302,13 @@ OPTIONAL_AT = HEADER.index("ratio")
 
 
 def format_rows(rows: Sequence[Row], machine: Mapping[str, str]) -> str:
-    """One table, and one line that says on what. OPTIONAL columns only where a row fills them."""
+    """Format one Markdown table and a line on the machine. Optional columns appear only if a row fills them."""
     lines = [HEADER, *(_format_cells(row) for row in rows)]
     for name, cell in reversed(OPTIONAL_COLUMNS):
         column = [cell(row) for row in rows]
         if any(column):
             added = zip(lines, (name, *column), strict=True)
-            lines = [(*line[:OPTIONAL_AT], each, *line[OPTIONAL_AT:]) for line, each in added]
+            lines = [(*line[:OPTIONAL_AT], cell_text, *line[OPTIONAL_AT:]) for line, cell_text in added]
     lines.insert(1, ("---",) * len(lines[0]))
     table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
     return f"{table}\n\n{', '.join(f'{name} {value}' for name, value in machine.items())}"
@@ -284,8 +317,8 @@ def format_rows(rows: Sequence[Row], machine: Mapping[str, str]) -> str:
 def _format_cells(row: Row) -> tuple[str, ...]:
     wall = ("", "", "") if row.seconds is None else _format_durations(row.seconds)
     cpu = ("", "") if row.cpu is None else _format_durations(row.cpu)[::2]
-    counted = row.seconds or row.cpu or row.ratio
-    times = "" if counted is None else str(counted.count)
+    spread = row.seconds or row.cpu or row.ratio
+    times = "" if spread is None else str(spread.count)
     ratio = "" if row.ratio is None else f"{row.ratio.median:.3g} × {row.ratio_to} ({_format_range(row.ratio)})"
     error = "" if row.error is None else f"{row.error:.3g} {row.error_unit}".strip()
     peak = "" if row.peak_mb is None else f"{row.peak_mb:.1f}"
@@ -305,7 +338,7 @@ def _format_exponent(row: Row) -> str:
 
 
 OPTIONAL_COLUMNS = (("× real time", _format_pace), ("work", _format_work), ("exponent", _format_exponent))
-"""Columns that are there only where a row fills them."""
+"""Columns that appear only if a row fills them."""
 
 
 def _format_durations(spread: Spread) -> tuple[str, str, str]:
@@ -321,7 +354,7 @@ def _format_range(spread: Spread) -> str:
 
 
 def format_duration(seconds: float) -> str:
-    """`12.3 ms`, `4.56 s`: three digits."""
+    """Format a duration with three digits, as `12.3 ms` or `4.56 s`."""
     for scale, unit in ((1.0, "s"), (1e-3, "ms")):
         if seconds >= scale:
             return f"{seconds / scale:.3g} {unit}"
@@ -329,15 +362,25 @@ def format_duration(seconds: float) -> str:
 
 
 FITTED_DECADES = 2.0
-"""The upper part of a curve that is fitted: below it what a size costs is hidden in what everything costs."""
+"""Upper decades of a curve used for the fit; below them the fixed cost dominates."""
 
 
 def fit_exponent(sizes: Sequence[float], costs: Sequence[float]) -> Spread | None:
-    """The slopes log cost over log size between all pairs of sizes in the upper decades: their median is the fit.
+    """Fit the exponent p of cost ∝ sizeᵖ by the median slope between all pairs of points in the upper decades.
 
-    H. Theil, "A rank-invariant method of linear and polynomial regression analysis", 1950; P. K. Sen, "Estimates of the
-    regression coefficient based on Kendall's tau", J. Am. Stat. Assoc. 63, 1968. sizes, costs: positive; a size may
-    come again. None where there are no two sizes.
+    Sources: H. Theil, "A rank-invariant method of linear and polynomial regression analysis", 1950; P. K. Sen,
+    "Estimates of the regression coefficient based on Kendall's tau", J. Am. Stat. Assoc. 63, 1968.
+
+    Parameters
+    ----------
+    sizes, costs
+        Positive values; a size may occur repeatedly.
+
+    Returns
+    -------
+    Spread or None
+        Spread of the slopes in log-log coordinates; None with fewer than two different sizes.
+
     """
     if not sizes:
         return None
@@ -349,7 +392,7 @@ def fit_exponent(sizes: Sequence[float], costs: Sequence[float]) -> Spread | Non
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """count: the size. time: processor seconds, median."""
+    """Size and median processor time [s]."""
 
     count: float
     time: float
@@ -357,7 +400,7 @@ class CurvePoint:
 
 @dataclass(frozen=True)
 class FittedLine:
-    """One way of growing. exponent: None where a row tells none."""
+    """Points of one line with the fitted exponent, or None."""
 
     name: str
     points: tuple[CurvePoint, ...]
@@ -374,52 +417,54 @@ class Curve:
 
 
 def group_curves(rows: Sequence[Row]) -> tuple[Curve, ...]:
-    """The rows that have a size and a processor time, by what they count and then by line, in their order."""
-    found: dict[tuple[str, str], dict[str, list[Row]]] = {}
+    """Group the rows that have a size and a processor time, by counted quantity and then by line, in order."""
+    groups: dict[tuple[str, str], dict[str, list[Row]]] = {}
     for row in rows:
         if row.size is not None and row.cpu is not None:
-            found.setdefault((row.bench, row.size.of), {}).setdefault(row.size.line, []).append(row)
+            groups.setdefault((row.bench, row.size.of), {}).setdefault(row.size.line, []).append(row)
     return tuple(
         Curve(bench, of, tuple(_make_line(name, group) for name, group in lines.items()))
-        for (bench, of), lines in found.items()
+        for (bench, of), lines in groups.items()
     )
 
 
 def add_exponents(rows: Sequence[Row]) -> list[Row]:
-    """The same rows; the largest measured one of each line tells the exponent of the line's time."""
-    told = list(rows)
+    """Return the rows with the fitted exponent added to the largest measured row of each line."""
+    result = list(rows)
     groups: dict[tuple[str, str, str], list[int]] = {}
     for index, row in enumerate(rows):
         if row.size is not None and row.cpu is not None:
             groups.setdefault((row.bench, row.size.of, row.size.line), []).append(index)
     for indices in groups.values():
-        places = [place for index in indices if (place := _make_point(rows[index])) is not None]
-        last = max(zip(places, indices, strict=True), key=lambda pair: pair[0].count)[1]
-        fitted = fit_exponent([place.count for place in places], [place.time for place in places])
-        told[last] = replace(rows[last], exponent=fitted)
-    return told
+        points = [point for index in indices if (point := _make_point(rows[index])) is not None]
+        last = max(zip(points, indices, strict=True), key=lambda pair: pair[0].count)[1]
+        fitted = fit_exponent([point.count for point in points], [point.time for point in points])
+        result[last] = replace(rows[last], exponent=fitted)
+    return result
 
 
 def _make_line(name: str, rows: Sequence[Row]) -> FittedLine:
-    points = [place for row in rows if (place := _make_point(row)) is not None]
+    points = [point for row in rows if (point := _make_point(row)) is not None]
     fitted = [row.exponent.median for row in rows if row.exponent is not None]
-    return FittedLine(name, tuple(sorted(points, key=lambda each: each.count)), fitted[0] if fitted else None)
+    return FittedLine(
+        name, tuple(sorted(points, key=lambda curve_point: curve_point.count)), fitted[0] if fitted else None
+    )
 
 
 def _make_point(row: Row) -> CurvePoint | None:
-    """By processor time, which other programs change less."""
+    """Return the point of a row by processor time, which other programs affect less."""
     return None if row.size is None or row.cpu is None else CurvePoint(row.size.count, row.cpu.median)
 
 
 MAX_REPEAT_S = 8.0
-"""A size is not measured again once its repeats have taken this long."""
+"""Time after which a size is not repeated again [s]."""
 MEMORY_SHARE = 0.7
-"""Of the memory that is free may be taken."""
+"""Largest fraction of the available memory to use."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one measured run. seconds: on the wall. cpu: processor seconds of all threads. work: done in it, counted."""
+    """Cost of one run: wall time [s], processor time of all threads [s], and counted work."""
 
     seconds: float
     cpu: float
@@ -427,21 +472,34 @@ class Cost:
 
 
 class CostClock:
-    """Started when it is made."""
+    """Measures the cost since its creation."""
 
     def __init__(self) -> None:
         self._wall, self._cpu = time.perf_counter(), time.process_time()
 
     def read_cost(self, work: Mapping[str, int]) -> Cost:
-        """Since then."""
+        """Return the cost since creation."""
         return Cost(time.perf_counter() - self._wall, time.process_time() - self._cpu, work)
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """What grows. of, name: see Size. sizes: ascending. measure: a size → its cost. most_s: no size is begun that is
-    likely to take more of the processor's time. prepare: what is there before every measurement, neither timed nor
-    counted."""
+    """A measurement over growing sizes.
+
+    Attributes
+    ----------
+    counted, name
+        See CurvePosition.of and CurvePosition.line.
+    sizes
+        Ascending sizes.
+    measure
+        Function from a size to its cost.
+    max_s
+        Largest expected processor time of a size that is still measured [s].
+    prepare
+        Function called with the size before every measurement, neither timed nor counted.
+
+    """
 
     counted: str
     name: str
@@ -459,7 +517,7 @@ class _SizeCost:
 
 
 def run_sizes(bench: str, line: Sweep, options: BenchOptions) -> list[Row]:
-    """A row for each size; one that is too large says what it would take instead of a time."""
+    """Return a row for each size; a size that is too large has a note with its expected cost instead of a time."""
     rows: list[Row] = []
     steps: list[_SizeCost] = []
     for count in line.sizes:
@@ -478,19 +536,21 @@ def run_sizes(bench: str, line: Sweep, options: BenchOptions) -> list[Row]:
             peaks.append(peak)
             if len(costs) >= options.repeats or time.perf_counter() - began > MAX_REPEAT_S:
                 break
-        known = [peak for peak in peaks if peak is not None]
+        known_peaks = [peak for peak in peaks if peak is not None]
         walls, cpus = (
             Spread.from_values([each.seconds for each in costs]),
             Spread.from_values([each.cpu for each in costs]),
         )
-        steps.append(_SizeCost(count, cpus.median, max(known, default=None)))
+        steps.append(_SizeCost(count, cpus.median, max(known_peaks, default=None)))
         rows.append(Row(bench, method, walls, cpus, peak_mb=steps[-1].peak_mb, size=size, work=cost.work))
     return rows
 
 
 def find_budget_problem(steps: Sequence[_SizeCost], count: int, most_s: float) -> str:
-    """Why count is not to be tried, "" where it may: both costs are taken to go on in a straight line through the two
-    sizes before, or to be in proportion where there is one."""
+    """Return the reason for not measuring a size, or "".
+
+    Costs are extrapolated linearly from the two sizes before, or in proportion if there is only one.
+    """
     if not steps:
         return ""
     seconds = _extrapolate([(step.count, step.cpu) for step in steps], count)

@@ -1,10 +1,7 @@
-"""Axes of the plots: values → places along an axis, and the marks on it.
+"""Plots of bench rows: time over error with the Pareto front, and cost over size.
 
-Names beside points, none over another: where each goes, in pixels.
-
-What no other method betters: less time at no more error, or less error in no more time.
-
-Rows as a picture: time over error with the Pareto front, and cost over size.
+The module also lays out the axes (values → positions and ticks) and the labels of the points, so that no label covers
+another or a mark.
 """
 
 from __future__ import annotations
@@ -28,17 +25,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ZERO_OFFSET_DECADES = 0.7
-"""On a logarithmic axis 0 stands this many decades below the least of the others."""
+"""Distance of 0 below the smallest positive value on a logarithmic axis [decades]."""
 MARGIN = 0.06
-"""Of an axis's length, free at either end."""
+"""Fraction of the axis length left free at either end."""
 MAX_FINE_DECADES = 2.0
-"""Below that 2 and 5 are marked beside 1."""
+"""Axis length below which 2 and 5 have ticks as well as 1 [decades]."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """low, high: its ends, in decades where logarithmic. exact: the place of a perfect value, None where none was met.
-    marks: (place, words)."""
+    """An axis with its limits and ticks.
+
+    Attributes
+    ----------
+    low, high
+        Limits, in decades if logarithmic.
+    exact_position
+        Position of a perfect value, None if there is none.
+    ticks
+        Pairs of position and label.
+
+    """
 
     low: float
     high: float
@@ -47,108 +54,137 @@ class Axis:
     ticks: tuple[tuple[float, str], ...]
 
     def to_position(self, value: float) -> float:
-        """Of a value. 0 (logarithmic) and −∞ (linear) are at exact."""
+        """Return the position of a value; 0 (logarithmic) and −∞ (linear) are at exact_position."""
         if (value <= 0.0 if self.logarithmic else value == -math.inf) and self.exact_position is not None:
             return self.exact_position
         return math.log10(value) if self.logarithmic else value
 
 
 def make_log_axis(values: Sequence[float], format_tick: Callable[[float], str]) -> Axis:
-    """Of values ≥ 0, at least one. words: of a mark."""
+    """Make a logarithmic axis for values ≥ 0, at least one. format_tick: tick value → label."""
     decades = [math.log10(value) for value in values if value > 0.0] or [0.0]
     low, high = min(decades), max(decades)
-    exact = None
+    exact_position = None
     if any(value <= 0.0 for value in values):
-        exact = low - ZERO_OFFSET_DECADES
-    low, high = _add_margin(low if exact is None else exact, high, least=1.0)
+        exact_position = low - ZERO_OFFSET_DECADES
+    low, high = _add_margin(low if exact_position is None else exact_position, high, least=1.0)
     steps = (1.0, 2.0, 5.0) if high - low < MAX_FINE_DECADES else (1.0,)
-    every = max(1, round((high - low) / 6.0))
-    marks = [
+    tick_step = max(1, round((high - low) / 6.0))
+    ticks = [
         (math.log10(step) + decade, format_tick(step * 10.0**decade))
-        for decade in range(math.floor(low), math.ceil(high) + 1, every)
+        for decade in range(math.floor(low), math.ceil(high) + 1, tick_step)
         for step in steps
     ]
-    if exact is not None:
-        marks = [(exact, "0"), *((place, text) for place, text in marks if place > exact + ZERO_OFFSET_DECADES / 2.0)]
-    return Axis(low, high, True, exact, tuple(mark for mark in marks if low <= mark[0] <= high))
+    if exact_position is not None:
+        ticks = [
+            (exact_position, "0"),
+            *((position, text) for position, text in ticks if position > exact_position + ZERO_OFFSET_DECADES / 2.0),
+        ]
+    return Axis(low, high, True, exact_position, tuple(mark for mark in ticks if low <= mark[0] <= high))
 
 
 def make_decibel_axis(values: Sequence[float]) -> Axis:
-    """Of levels in dB, −∞ for nothing, at least one."""
+    """Make an axis for levels [dB], at least one; −∞ stands for zero error."""
     finite = [value for value in values if value > -math.inf] or [0.0]
     low, high = min(finite), max(finite)
-    step = next(each for each in (1, 2, 5, 10, 20, 50, 100, 200, 500) if (high - low) / each <= 7 or each == 500)
-    exact = low - step if any(value == -math.inf for value in values) else None
-    low, high = _add_margin(low if exact is None else exact, high, least=2.0 * step)
-    marks = [(float(k * step), f"{k * step:g}") for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
-    if exact is not None:
-        marks = [(exact, "−∞"), *((place, text) for place, text in marks if place > exact + step / 2.0)]
-    return Axis(low, high, False, exact, tuple(marks))
+    step = next(
+        candidate
+        for candidate in (1, 2, 5, 10, 20, 50, 100, 200, 500)
+        if (high - low) / candidate <= 7 or candidate == 500
+    )
+    exact_position = low - step if any(value == -math.inf for value in values) else None
+    low, high = _add_margin(low if exact_position is None else exact_position, high, least=2.0 * step)
+    ticks = [
+        (float(multiple * step), f"{multiple * step:g}")
+        for multiple in range(math.ceil(low / step), math.floor(high / step) + 1)
+    ]
+    if exact_position is not None:
+        ticks = [
+            (exact_position, "−∞"),
+            *((position, text) for position, text in ticks if position > exact_position + step / 2.0),
+        ]
+    return Axis(low, high, False, exact_position, tuple(ticks))
 
 
 def _add_margin(low: float, high: float, least: float) -> tuple[float, float]:
-    """Ends of an axis at least so long."""
+    """Return the limits of an axis with margins, at least `least` long."""
     middle, length = (low + high) / 2.0, max(high - low, least)
     return middle - (0.5 + MARGIN) * length, middle + (0.5 + MARGIN) * length
 
 
 Float = NDArray[np.float64]
 Box = tuple[float, float, float, float]
-"""Left, bottom, right, top."""
+"""Left, bottom, right and top edge."""
 Segment = tuple[tuple[float, float], tuple[float, float]]
+"""Start and end point."""
 
 MARK_PX = 7.0
-"""Half the side of a point's mark, its surroundings included."""
+"""Half the side of a point's mark with its margin [pixels]."""
 RING_PX, RINGS = 12.0, 12
+"""Spacing and number of the rings of candidate positions."""
 ANGLES = np.radians([0, 180, 90, 270, 45, 315, 135, 225, 22, 338, 158, 202, 67, 293, 113, 247])
+"""Directions of the candidate positions, in order of preference [rad]."""
 
 
 @dataclass(frozen=True)
 class LabelLayout:
-    """boxes: one for each label. crossed: names and marks that lines from points to their names run over."""
+    """Label boxes, and the number of labels and marks crossed by leader lines."""
 
     boxes: tuple[Box, ...]
     crossed: int
 
 
 def lay_out_labels(anchors: Float, sizes: Float, frame: Box, occupied: Sequence[Box] = ()) -> LabelLayout | None:
-    """A box for each label: within frame, over no point's mark, no other label and nothing taken; None where no room is
-    left.
+    """Return a box for each label, or None if there is no room.
 
-    anchors: (n, 2) points. sizes: (n, 2) width and height of the labels. Nearest places first, the right side before
-    the others, among those whose line to their point runs over the fewest names and other marks.
+    Boxes lie within the frame and overlap no mark, other label or occupied box. Among the positions whose leader line
+    crosses the fewest labels and marks, near ones are preferred, and those to the right first.
+
+    Parameters
+    ----------
+    anchors
+        (n, 2) points [pixels].
+    sizes
+        (n, 2) width and height of the labels [pixels].
+    frame
+        Area available for labels.
+    occupied
+        Boxes that labels must not cover.
+
     """
     marks = [(x - MARK_PX, y - MARK_PX, x + MARK_PX, y + MARK_PX) for x, y in anchors.tolist()]
     placed: list[Box] = []
     lines: list[Segment] = []
-    total = 0
-    for own, anchor, size in zip(marks, anchors.tolist(), sizes.tolist(), strict=True):
-        others = [*(mark for mark in marks if not overlaps_any(mark, [own])), *placed]
+    crossed_total = 0
+    for mark_of_label, anchor, size in zip(marks, anchors.tolist(), sizes.tolist(), strict=True):
+        obstacles = [*(mark for mark in marks if not overlaps_any(mark, [mark_of_label])), *placed]
         best: tuple[int, Box] | None = None
         for box in _generate_candidates(anchor, size):
             if not _is_within(box, frame) or overlaps_any(box, [*marks, *placed, *occupied]):
                 continue
             line = make_leader(anchor, box)
-            crossed = sum(crosses_box(line, other) for other in others) + sum(crosses_box(each, box) for each in lines)
+            crossed = sum(crosses_box(line, obstacle) for obstacle in obstacles) + sum(
+                crosses_box(placed_line, box) for placed_line in lines
+            )
             if best is None or crossed < best[0]:
                 best = crossed, box
             if crossed == 0:
                 break
         if best is None:
             return None
-        total += best[0]
+        crossed_total += best[0]
         placed.append(best[1])
         lines.append(make_leader(anchor, best[1]))
-    return LabelLayout(tuple(placed), total)
+    return LabelLayout(tuple(placed), crossed_total)
 
 
 def make_leader(anchor: Sequence[float], box: Box) -> Segment:
-    """From a point to the middle of its name."""
+    """Return the line from a point to the middle of its label."""
     return (anchor[0], anchor[1]), (0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3]))
 
 
 def crosses_box(line: Segment, box: Box) -> bool:
-    """Does a line enter a box? (Y.-D. Liang & B. A. Barsky 1984, a new concept and method for line clipping.)"""
+    """Return True if a line enters a box (Y.-D. Liang & B. A. Barsky 1984, line clipping)."""
     (x, y), (to_x, to_y) = line
     begin, end = 0.0, 1.0
     for start, step, low, high in ((x, to_x - x, box[0], box[2]), (y, to_y - y, box[1], box[3])):
@@ -162,17 +198,17 @@ def crosses_box(line: Segment, box: Box) -> bool:
 
 
 def overlaps_any(box: Box, others: Sequence[Box]) -> bool:
-    """Does box share more than an edge with any of others?"""
+    """Return True if the box overlaps any of the others by more than an edge."""
     left, bottom, right, top = box
     return any(left < r and l < right and bottom < t and b < top for l, b, r, t in others)  # noqa: E741
 
 
 def _generate_candidates(anchor: Sequence[float], size: Sequence[float]) -> Iterator[Box]:
     for ring in range(RINGS):
-        away = MARK_PX + 1.0 + RING_PX * ring
+        distance = MARK_PX + 1.0 + RING_PX * ring
         for angle in ANGLES.tolist():
-            x = anchor[0] + float(np.cos(angle)) * (size[0] / 2.0 + away)
-            y = anchor[1] + float(np.sin(angle)) * (size[1] / 2.0 + away)
+            x = anchor[0] + float(np.cos(angle)) * (size[0] / 2.0 + distance)
+            y = anchor[1] + float(np.sin(angle)) * (size[1] / 2.0 + distance)
             yield x - size[0] / 2.0, y - size[1] / 2.0, x + size[0] / 2.0, y + size[1] / 2.0
 
 
@@ -185,8 +221,16 @@ PER_SIGNAL, SECONDS, CPU = "time per second of signal", "time", "processor time"
 
 @dataclass(frozen=True)
 class Point:
-    """A method as the plot shows it. error: in its panel's unit, less is better; of dB −inf is exact. time: in whatever
-    its panel measures it."""
+    """A method in the plot.
+
+    Attributes
+    ----------
+    error
+        In the unit of its panel, less is better; −inf dB is exact.
+    time
+        In the measure of its panel.
+
+    """
 
     method: str
     error: float
@@ -195,8 +239,16 @@ class Point:
 
 @dataclass(frozen=True)
 class TradeOff:
-    """One panel: methods of one bench whose errors have one unit. measure: what time is, in words. left_out: rows with
-    an error but no such time, or an error that is no number."""
+    """One panel: methods of one bench whose errors have the same unit.
+
+    Attributes
+    ----------
+    measure
+        Label of the time axis.
+    omitted
+        Number of rows with an error but no such time, or with an error that is not a number.
+
+    """
 
     bench: str
     unit: str
@@ -206,16 +258,16 @@ class TradeOff:
 
 
 def find_pareto_front(points: Sequence[Point]) -> tuple[Point, ...]:
-    """The points that no other dominates, by error and then by time. Equal ones are all kept."""
+    """Return the points that no other dominates, by error and then by time. Equal points are all included."""
     front: list[Point] = []
-    for point in sorted(points, key=lambda each: (each.error, each.time)):
+    for point in sorted(points, key=lambda candidate: (candidate.error, candidate.time)):
         if not front or point.time < front[-1].time or (point.error, point.time) == (front[-1].error, front[-1].time):
             front.append(point)
     return tuple(front)
 
 
 def dominates(first: Point, second: Point) -> bool:
-    """Is one nowhere worse than other, and somewhere better?"""
+    """Return True if the first point is nowhere worse than the second and somewhere better."""
     return (
         first.error <= second.error
         and first.time <= second.time
@@ -224,14 +276,17 @@ def dominates(first: Point, second: Point) -> bool:
 
 
 def group_trade_offs(rows: Sequence[Row]) -> tuple[TradeOff, ...]:
-    """The panels of these rows, in their order; of a panel's measures the one that most of its rows have, and of equals
-    that which says most on a busy machine: per second of signal, to one other method in pairs, on the wall, of CPU."""
+    """Group rows into panels, in order of appearance.
+
+    Each panel uses the measure of time that most of its rows have. Ties prefer the measure that is most reliable on a
+    busy machine: per second of signal, ratio to another method, wall time, processor time.
+    """
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         if row.error is not None:
             groups.setdefault((row.bench, row.error_unit), []).append(row)
-    found = (_make_trade_off(bench, unit, group) for (bench, unit), group in groups.items())
-    return tuple(trade for trade in found if trade.points)
+    trade_offs = (_make_trade_off(bench, unit, group) for (bench, unit), group in groups.items())
+    return tuple(trade for trade in trade_offs if trade.points)
 
 
 def _make_trade_off(bench: str, unit: str, rows: Sequence[Row]) -> TradeOff:
@@ -248,7 +303,7 @@ def _make_trade_off(bench: str, unit: str, rows: Sequence[Row]) -> TradeOff:
 
 
 def get_time(row: Row, measure: str, references: Sequence[str]) -> float | None:
-    """In what measure says; None where the row does not tell, or tells no positive time."""
+    """Return the time of a row in the given measure; None if the row has no such positive time."""
     time: float | None = None
     if measure == PER_SIGNAL:
         time = 1.0 / row.realtime_factor if row.realtime_factor else None
@@ -267,12 +322,12 @@ def get_time(row: Row, measure: str, references: Sequence[str]) -> float | None:
 
 PLOT_SUFFIXES = (".png", ".svg")
 FRONT_COLOUR, REST_COLOUR = "#0072b2", "#d55e00"
-# Okabe & Ito: apart under every common colour blindness; marks differ as well.
+# Okabe & Ito: distinguishable with every common form of colour blindness. Marks differ as well.
 LINE_STYLES = (("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "^"), ("#cc79a7", "D"), ("#5c6672", "v"))
 WIDTH_PX, LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 900, 92, 24, 46, 58
 MIN_PANEL_PX, LARGE_PANEL_PX, CURVE_PX, PANEL_GROWTH, MAX_PANEL_PX = 300, 800, 190, 1.3, 6000
 LETTER_PX, WIDE_PX, LABEL_PX, LABEL_SIZE = 8.4, 13.5, 17.0, 9.5
-"""What a letter of LABEL_SIZE takes at most, a wide one, and a line of them upwards."""
+"""Maximum width of a letter and of a wide letter, and height of a line, at LABEL_SIZE [pixels]."""
 WIDE_LETTERS = frozenset("mwMWOQGCDHNU@%…—×")
 FRONT_PX = 4.0
 LEADER_STYLE = {"arrowstyle": "-", "color": "#b9c0c8", "lw": 0.8, "shrinkB": 4.0}
@@ -280,7 +335,7 @@ LEADER_STYLE = {"arrowstyle": "-", "color": "#b9c0c8", "lw": 0.8, "shrinkB": 4.0
 
 @dataclass(frozen=True)
 class PanelLayout:
-    """A trade with its axes, and where its labels go, in pixels from the panel's lower left corner."""
+    """A trade-off with its axes, and the boxes of its labels in pixels from the panel's lower left corner."""
 
     trade: TradeOff
     error: Axis
@@ -290,14 +345,19 @@ class PanelLayout:
 
 
 def write_plot(path: Path, rows: Sequence[Row]) -> None:
-    """One panel for each bench whose rows have errors, and one for each curve over size, below each other.
+    """Write one panel per bench that has errors, and one per curve over size, below each other.
 
-    Raises UsageError where the file's name ends otherwise or no row can be drawn, FileError where matplotlib is missing
-    or the file cannot be written.
+    Raises
+    ------
+    UsageError
+        If the file has another suffix or no row can be drawn.
+    FileError
+        If matplotlib is missing or the file cannot be written.
+
     """
     check_suffix(path)
-    drawings, found = [lay_out(trade) for trade in group_trade_offs(rows)], group_curves(rows)
-    heights = [*(each.height_px for each in drawings), *(CURVE_PX for _ in found)]
+    layouts, curves = [lay_out(trade) for trade in group_trade_offs(rows)], group_curves(rows)
+    heights = [*(layout.height_px for layout in layouts), *(CURVE_PX for _ in curves)]
     if not heights:
         raise UsageError(
             "nothing to plot: no row has both a time and an error, or a size.", where=str(path), remedy="Leave --plot."
@@ -306,53 +366,59 @@ def write_plot(path: Path, rows: Sequence[Row]) -> None:
 
     def draw(figure: Figure) -> None:
         top = total
-        for place, height in enumerate(heights):
+        for panel, height in enumerate(heights):
             top -= TOP_PX + height
-            wide = WIDTH_PX - LEFT_PX - RIGHT_PX
-            axes = figure.add_axes((LEFT_PX / WIDTH_PX, top / total, wide / WIDTH_PX, height / total))
+            width = WIDTH_PX - LEFT_PX - RIGHT_PX
+            axes = figure.add_axes((LEFT_PX / WIDTH_PX, top / total, width / WIDTH_PX, height / total))
             top -= BOTTOM_PX
-            if place < len(drawings):
-                _draw_trade_off(axes, drawings[place])
+            if panel < len(layouts):
+                _draw_trade_off(axes, layouts[panel])
             else:
-                _draw_curve(axes, found[place - len(drawings)])
+                _draw_curve(axes, curves[panel - len(layouts)])
 
     write_figure(path, (WIDTH_PX, total), draw)
 
 
 def check_suffix(path: Path) -> None:
-    """Raises UsageError for a kind of picture that is not written."""
+    """Raise UsageError for a file type that cannot be written."""
     if path.suffix.lower() not in PLOT_SUFFIXES:
         raise UsageError(f"plots are no {path.suffix or 'such'} files.", where=str(path), remedy="Use .png or .svg.")
 
 
 def lay_out(trade_off: TradeOff) -> PanelLayout:
-    """The panel grows until every label has its own room, and to ROOMY_PX for lines that cross none. Raises UsageError
-    where it would grow too large."""
+    """Lay out a panel. It grows until every label fits, and up to LARGE_PANEL_PX to avoid crossing leader lines.
+
+    Raises
+    ------
+    UsageError
+        If the panel would become too large.
+
+    """
     errors = [point.error for point in trade_off.points]
     error = make_decibel_axis(errors) if trade_off.unit == "dB" else make_log_axis(errors, lambda value: f"{value:g}")
     time = make_log_axis(
         [point.time for point in trade_off.points], format_duration if _is_seconds(trade_off) else lambda v: f"{v:g}"
     )
-    wide = float(WIDTH_PX - LEFT_PX - RIGHT_PX)
+    width = float(WIDTH_PX - LEFT_PX - RIGHT_PX)
     sizes = np.array([(estimate_width_px(point.method), LABEL_PX) for point in trade_off.points])
-    places = np.array([(error.to_position(point.error), time.to_position(point.time)) for point in trade_off.points])
+    positions = np.array([(error.to_position(point.error), time.to_position(point.time)) for point in trade_off.points])
     front = np.array(_compute_front_corners(trade_off, error, time))
     low, length = np.array([error.low, time.low]), np.array([error.high - error.low, time.high - time.low])
-    height, found = float(MIN_PANEL_PX), list[tuple[LabelLayout, int]]()
-    while height <= (LARGE_PANEL_PX if found else MAX_PANEL_PX):
-        pixels = np.array([wide, height]) / length
+    height, layouts = float(MIN_PANEL_PX), list[tuple[LabelLayout, int]]()
+    while height <= (LARGE_PANEL_PX if layouts else MAX_PANEL_PX):
+        pixels = np.array([width, height]) / length
         corners = (front - low) * pixels
         ends = zip(corners[:-1].tolist(), corners[1:].tolist(), strict=True)
-        drawn_over = [box for start, end in ends for box in _make_step_boxes(start, end)]
-        labels = lay_out_labels((places - low) * pixels, sizes, (2.0, 2.0, wide - 2.0, height - 2.0), drawn_over)
+        front_boxes = [box for start, end in ends for box in _make_step_boxes(start, end)]
+        labels = lay_out_labels((positions - low) * pixels, sizes, (2.0, 2.0, width - 2.0, height - 2.0), front_boxes)
         if labels is not None:
-            found.append((labels, round(height)))
+            layouts.append((labels, round(height)))
             if labels.crossed == 0:
                 break
         height *= PANEL_GROWTH
-    if found:
-        labels, tall = min(found, key=lambda each: each[0].crossed)
-        return PanelLayout(trade_off, error, time, labels.boxes, tall)
+    if layouts:
+        labels, best_height = min(layouts, key=lambda layout: layout[0].crossed)
+        return PanelLayout(trade_off, error, time, labels.boxes, best_height)
     raise UsageError(
         f"the names of {len(sizes)} methods do not fit into one panel.", where=f"bench '{trade_off.bench}'",
         remedy="Plot one bench at a time: hnf bench NAME --plot FILE.",
@@ -360,12 +426,12 @@ def lay_out(trade_off: TradeOff) -> PanelLayout:
 
 
 def estimate_width_px(text: str) -> float:
-    """At least what it takes when drawn."""
+    """Return an upper bound of the drawn width of a text [pixels]."""
     return sum(WIDE_PX if letter in WIDE_LETTERS else LETTER_PX for letter in text)
 
 
 def _compute_front_corners(trade: TradeOff, error: Axis, time: Axis) -> list[tuple[float, float]]:
-    """Corners of the front's steps, from the upper edge to the right one: the least time for no more than an error."""
+    """Return the corners of the front's steps from the upper to the right edge: least time up to an error."""
     steps = [
         (error.to_position(point.error), time.to_position(point.time)) for point in find_pareto_front(trade.points)
     ]
@@ -373,7 +439,7 @@ def _compute_front_corners(trade: TradeOff, error: Axis, time: Axis) -> list[tup
 
 
 def _make_step_boxes(start: Sequence[float], end: Sequence[float]) -> tuple[Box, Box]:
-    """What one step of the front covers: across first, then down."""
+    """Return the areas that one step of the front covers: horizontal, then vertical."""
     half = FRONT_PX / 2.0
     across = (start[0] - half, start[1] - half, end[0] + half, start[1] + half)
     return across, (end[0] - half, end[1] - half, end[0] + half, start[1] + half)
@@ -395,26 +461,26 @@ def _draw_trade_off(axes: Axes, drawing: PanelLayout) -> None:
     best = find_pareto_front(trade.points)
     size = np.array([axes.bbox.width, axes.bbox.height])
     for point, box in zip(trade.points, drawing.labels, strict=True):
-        mark, colour, ink = ("o", FRONT_COLOUR, INK) if point in best else ("X", REST_COLOUR, MUTED)
+        mark, colour, text_colour = ("o", FRONT_COLOUR, INK) if point in best else ("X", REST_COLOUR, MUTED)
         at = (error.to_position(point.error), time.to_position(point.time))
         axes.plot(*at, mark, ms=7.5, color=colour, mec="#ffffff", mew=0.8, zorder=4)
         middle = np.array([box[0] + box[2], box[1] + box[3]]) / 2.0 / size
         axes.annotate(
             point.method, at, xytext=tuple(middle.tolist()), textcoords="axes fraction", ha="center", va="center",
-            fontsize=LABEL_SIZE, color=ink, zorder=5, arrowprops=LEADER_STYLE,
+            fontsize=LABEL_SIZE, color=text_colour, zorder=5, arrowprops=LEADER_STYLE,
         )  # fmt: skip
     _set_axis(axes, "x", error)
     _set_axis(axes, "y", time)
     axes.set_xlabel(f"error [{trade.unit}], less is better" if trade.unit else "error, less is better")
     axes.set_ylabel(trade.measure if trade.measure != PER_SIGNAL else "time for 1 s of signal")
     title = f"{trade.bench}: ● on the Pareto front, × beaten by another"
-    left_out = f"; {trade.omitted} rows without such a time are not shown" if trade.omitted else ""
-    axes.set_title(title + left_out, fontsize=10.5, loc="left")
+    omitted = f"; {trade.omitted} rows without such a time are not shown" if trade.omitted else ""
+    axes.set_title(title + omitted, fontsize=10.5, loc="left")
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:
     counts = make_log_axis(
-        [each.count for line in curve.lines for each in line.points],
+        [point.count for line in curve.lines for point in line.points],
         lambda value: f"{value:,.0f}" if value >= 1.0 else f"{value:g}",
     )
     times = make_log_axis([each.time for line in curve.lines for each in line.points], format_duration)
@@ -433,4 +499,4 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
 def _set_axis(axes: Axes, which: str, axis: Axis) -> None:
     limits, ticks = (axes.set_xlim, axes.set_xticks) if which == "x" else (axes.set_ylim, axes.set_yticks)
     limits(axis.low, axis.high)
-    ticks([place for place, _ in axis.ticks], labels=[text for _, text in axis.ticks])
+    ticks([position for position, _ in axis.ticks], labels=[text for _, text in axis.ticks])

@@ -1,7 +1,7 @@
-"""How often the machine itself stood still: on each core a program wakes every millisecond, above all that streams.
+"""Measure how often the machine itself stalls: a high-priority process per core that wakes every millisecond.
 
-What keeps it from waking is no program but the host of a virtual machine, or the kernel: no stream can do anything
-about that, and its underruns should be read beside it.
+Such stalls are caused by the kernel or the host of a virtual machine, so no stream can avoid them. Report them with the
+underruns of a stream.
 """
 
 from __future__ import annotations
@@ -19,14 +19,22 @@ from hnf_core.actuators.runtime import REALTIME_PRIORITY
 from hnf_lab import CHILD_PATH, ROOT
 
 MIN_STALL_S = 0.004
-"""What is shorter counts for nothing: a stream has more than that in hand."""
+"""Shortest counted stall [s]; a stream has more than that in its buffer."""
 _SLEEP_S = 0.001
 _MAX_EXIT_S = 10.0
 
 
 class StallLog:
-    """lengths_s: of each, on all cores, once the watch has ended. watched: False where this system grants no such
-    program (then there are none to tell of)."""
+    """Stalls during a measurement.
+
+    Attributes
+    ----------
+    lengths_s
+        Duration of each stall on all cores, set at the end of the measurement [s].
+    watched
+        False if the system does not permit the high-priority processes.
+
+    """
 
     def __init__(self) -> None:
         self.lengths_s: list[float] = []
@@ -41,39 +49,39 @@ class StallLog:
 
 @contextmanager
 def watch_stalls() -> Iterator[StallLog]:
-    """Watched from here to the end of the block, on every core that this process may use."""
-    found = StallLog()
+    """Record stalls within the `with` block, on every core that this process may use."""
+    log = StallLog()
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     children = [start_watcher(core) for core in cores]
     try:
-        yield found
+        yield log
     finally:
-        told = [stop_watcher(child) for child in children]
-        found.watched = bool(told) and all(each is not None for each in told)
-        found.lengths_s = [length for each in told for length in each or ()]
+        reports = [stop_watcher(child) for child in children]
+        log.watched = bool(reports) and all(report is not None for report in reports)
+        log.lengths_s = [length for report in reports for length in report or ()]
 
 
 def start_watcher(core: int) -> subprocess.Popen[str]:
-    """A program that watches one core from now on, to be given to ended()."""
+    """Start a process that watches one core; pass it to stop_watcher()."""
     child = subprocess.Popen(
         [sys.executable, "-m", __spec__.name, str(core)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         env=os.environ | {"PYTHONPATH": CHILD_PATH},
         cwd=ROOT,
     )  # fmt: skip
     assert child.stdout is not None
-    child.stdout.readline()  # so that its start is over before anything streams
+    child.stdout.readline()  # wait until it has started, before any stream does
     return child
 
 
 def stop_watcher(child: subprocess.Popen[str]) -> list[float] | None:
-    """The lengths [s] that a watcher saw, which leaves; None where it could not watch."""
+    """Stop a watcher and return the stall durations [s], or None if it could not watch."""
     try:
-        said, _ = child.communicate(timeout=_MAX_EXIT_S)  # its input ends: it tells and leaves
+        output, _ = child.communicate(timeout=_MAX_EXIT_S)  # closes its input: it reports and exits
     except subprocess.TimeoutExpired:
         child.kill()
         child.communicate()
         return None
-    return [float(each) for each in json.loads(said)] if child.returncode == 0 else None
+    return [float(length) for length in json.loads(output)] if child.returncode == 0 else None
 
 
 def _record_stalls(core: int) -> list[float] | None:
@@ -82,11 +90,11 @@ def _record_stalls(core: int) -> list[float] | None:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(2 * REALTIME_PRIORITY))
     except OSError:
         return None
-    lengths, over = list[float](), False
+    lengths, finished = list[float](), False
     print("watching", flush=True)
     before = time.monotonic()
-    while not over:  # no second thread: this one would wait for it
-        over = bool(select.select([sys.stdin], [], [], _SLEEP_S)[0])
+    while not finished:  # a second thread would delay this one, so input is polled here
+        finished = bool(select.select([sys.stdin], [], [], _SLEEP_S)[0])
         now = time.monotonic()
         if now - before - _SLEEP_S >= MIN_STALL_S:
             lengths.append(now - before - _SLEEP_S)

@@ -1,6 +1,6 @@
-"""Python code in a process of its own: its time on the wall and on the processor, its memory, what it loads.
+"""Bench of command start-up: wall time, processor time, memory and loaded modules of fresh processes.
 
-What a command costs from nothing: fresh processes, in turn with one that does no more than `import numpy`.
+Each run of a command is paired with a run of a process that only imports numpy.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from hnf_lab import CHILD_PATH
 from .harness import BenchOptions, Row, Spread
 
 HEAVY_PACKAGES = ("numpy", "scipy", "torch", "matplotlib", "bpy")
-"""Packages whose loading is told."""
-# Written at the very end, whatever way the code takes out: argparse ends --help by SystemExit.
+"""Packages whose loading is reported."""
+# Written by atexit, so that it works for every kind of exit: argparse ends --help by SystemExit.
 REPORT_CODE = """
 import atexit, json, os, sys
 def tell():
@@ -42,8 +42,20 @@ atexit.register(tell)
 
 @dataclass(frozen=True)
 class ProcessRun:
-    """One run. wall_s, cpu_s: from start to end, the interpreter's own included. peak_mb: of the whole process.
-    modules: names of all that was loaded. said: its standard output."""
+    """Measurements of one process.
+
+    Attributes
+    ----------
+    wall_s, cpu_s
+        Time from start to end, including the interpreter's own [s].
+    peak_mb
+        Peak memory of the process [MB].
+    modules
+        Names of all loaded modules.
+    output
+        Standard output.
+
+    """
 
     wall_s: float
     cpu_s: float
@@ -53,19 +65,25 @@ class ProcessRun:
 
     @property
     def heavy_packages(self) -> tuple[str, ...]:
-        """Which of HEAVY it loaded."""
+        """Names of the loaded packages that are in HEAVY_PACKAGES."""
         return tuple(name for name in HEAVY_PACKAGES if name in self.modules)
 
 
 def run_process(code: str, *arguments: str) -> ProcessRun:
-    """Run code with sys.argv[1:] = words, from the source. Raises HnfError where it fails, and where this system does
-    not tell what a process took (Windows)."""
+    """Run code from the source tree with sys.argv[1:] = arguments.
+
+    Raises
+    ------
+    HnfError
+        If it fails, or if the system does not report the resources of a process (Windows).
+
+    """
     if not hasattr(os, "wait4"):
         raise HnfError("this system does not tell what a process took.", remedy="Run this bench on Linux or macOS.")
     with tempfile.TemporaryDirectory() as folder:
-        told, out = Path(folder) / "told", Path(folder) / "out"
+        report, out = Path(folder) / "told", Path(folder) / "out"
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-        environment |= {"PYTHONPATH": CHILD_PATH, "HNF_BENCH_TOLD": str(told)}
+        environment |= {"PYTHONPATH": CHILD_PATH, "HNF_BENCH_TOLD": str(report)}
         with out.open("wb") as stream:
             started = time.perf_counter()
             child = subprocess.Popen(
@@ -76,12 +94,12 @@ def run_process(code: str, *arguments: str) -> ProcessRun:
             _, status, usage = os.wait4(child.pid, 0)
             wall_s = time.perf_counter() - started
             child.returncode = os.waitstatus_to_exitcode(status)
-        said = out.read_text(encoding="utf-8", errors="replace")
-        if child.returncode != 0 or not told.is_file():
-            raise HnfError(f"a process to be measured ended with code {child.returncode}:\n{said.strip()[-1500:]}")
-        modules, peak = json.loads(told.read_text(encoding="utf-8"))
-    # Linux counts what the parent held into ru_maxrss of a child, so there the child itself tells.
-    return ProcessRun(wall_s, usage.ru_utime + usage.ru_stime, (peak or usage.ru_maxrss) / 1e6, tuple(modules), said)
+        output = out.read_text(encoding="utf-8", errors="replace")
+        if child.returncode != 0 or not report.is_file():
+            raise HnfError(f"a process to be measured ended with code {child.returncode}:\n{output.strip()[-1500:]}")
+        modules, peak = json.loads(report.read_text(encoding="utf-8"))
+    # On Linux ru_maxrss of a child includes memory of the parent, so the child reports its own peak there.
+    return ProcessRun(wall_s, usage.ru_utime + usage.ru_stime, (peak or usage.ru_maxrss) / 1e6, tuple(modules), output)
 
 
 STARTUP_NAME = "startup"
@@ -90,29 +108,33 @@ HNF_CODE = "from hnf_core.cli.main import main; sys.exit(main(sys.argv[1:], lamb
 MATERIAL_NAME = "oak-wood"
 SECONDS, QUICK_SECONDS = 10.0, 0.5
 STEP_S = 0.01
+"""Sample interval of the action [s]."""
 
 
 def measure_startup(options: BenchOptions) -> list[Row]:
-    """One row a command, each process after one of NUMPY; all of them once before, so that nothing is compiled. Raises
-    HnfError where a command fails."""
+    """Measure one row per command, each process after one of NUMPY_CODE.
+
+    All commands run once beforehand, so that no bytecode is compiled in the measurement. Raises HnfError if a command
+    fails.
+    """
     seconds = QUICK_SECONDS if options.quick else SECONDS
     with tempfile.TemporaryDirectory() as folder:
-        action, kept, out = (Path(folder) / name for name in ("action.csv", "own.hnf", "out.wav"))
+        action, material_path, out = (Path(folder) / name for name in ("action.csv", "own.hnf", "out.wav"))
         write_text(action, make_action_csv(seconds))
-        write_hnf(kept, from_library(get_material(MATERIAL_NAME)))
+        write_hnf(material_path, from_library(get_material(MATERIAL_NAME)))
         stroke = ("--action", str(action), "--out", str(out))
         commands = {
             "hnf --help": ("--help",),
             "hnf --version": ("--version",),
             "hnf materials --json": ("materials", "--json"),
             f"hnf synth, {seconds:g} s, {MATERIAL_NAME}": ("synth", "--material", MATERIAL_NAME, *stroke),
-            f"hnf synth, {seconds:g} s, own .hnf": ("synth", "--material", str(kept), *stroke),
+            f"hnf synth, {seconds:g} s, own .hnf": ("synth", "--material", str(material_path), *stroke),
         }
         options.watch(f"{STARTUP_NAME}: warming up")
-        for words in commands.values():
-            run_process(HNF_CODE, *words)
+        for command_line in commands.values():
+            run_process(HNF_CODE, *command_line)
         return measure_pairs(
-            options, NUMPY_CODE, NUMPY_CODE, {name: (HNF_CODE, words) for name, words in commands.items()}
+            options, NUMPY_CODE, NUMPY_CODE, {name: (HNF_CODE, command_line) for name, command_line in commands.items()}
         )
 
 
@@ -123,26 +145,26 @@ def measure_pairs(
     others: Mapping[str, tuple[str, Sequence[str]]],
     bench: str = STARTUP_NAME,
 ) -> list[Row]:
-    """Rows of a base and of others (name → code, words), each run of which follows one of the base."""
+    """Return rows of a base and of others (name → code, arguments); each run of the others follows one of the base."""
     bases: list[ProcessRun] = []
-    found = []
-    for name, (code, words) in others.items():
+    rows = []
+    for name, (code, command_line) in others.items():
         pairs = []
-        for k in range(options.repeats):
-            options.watch(f"{bench}: {name}, {k + 1} of {options.repeats}")
-            pairs.append((run_process(base_code), run_process(code, *words)))
-        bases += [one for one, _ in pairs]
-        more = Spread.from_values([other.wall_s - one.wall_s for one, other in pairs])
-        ratio = Spread.from_values([other.cpu_s / one.cpu_s for one, other in pairs])
-        note = f"{more.median:+.2f} s ({more.lowest:+.2f} to {more.highest:+.2f})"
-        found.append(make_row(bench, name, [other for _, other in pairs], ratio, base, note))
-    return [make_row(bench, base, bases), *found]
+        for repeat in range(options.repeats):
+            options.watch(f"{bench}: {name}, {repeat + 1} of {options.repeats}")
+            pairs.append((run_process(base_code), run_process(code, *command_line)))
+        bases += [base_run for base_run, _ in pairs]
+        difference = Spread.from_values([run.wall_s - base_run.wall_s for base_run, run in pairs])
+        ratio = Spread.from_values([run.cpu_s / base_run.cpu_s for base_run, run in pairs])
+        note = f"{difference.median:+.2f} s ({difference.lowest:+.2f} to {difference.highest:+.2f})"
+        rows.append(make_row(bench, name, [run for _, run in pairs], ratio, base, note))
+    return [make_row(bench, base, bases), *rows]
 
 
 def make_row(
     bench: str, name: str, runs: Sequence[ProcessRun], ratio: Spread | None = None, ratio_to: str = "", note: str = ""
 ) -> Row:
-    """Of processes that did the same. The peak is that of the whole process."""
+    """Make a row from equal processes. The peak is that of the complete process."""
     loaded = f"{len(runs[-1].modules)} modules; {', '.join(runs[-1].heavy_packages) or 'none of the heavy ones'}"
     return Row(
         bench,
@@ -157,7 +179,7 @@ def make_row(
 
 
 def make_action_csv(seconds: float) -> str:
-    """A hand that turns, hastens and presses all the time, as `hnf synth --action` reads it."""
+    """Return an action as CSV for `hnf synth --action`, with direction, speed and force always changing."""
     time = np.arange(0.0, seconds + STEP_S / 2.0, STEP_S)
     columns = (time, 0.3 * np.sin(time), 0.1 + 0.05 * np.sin(2.0 * time), 1.0 + 0.3 * np.sin(3.0 * time))
     lines = [",".join(f"{value:.6g}" for value in row) for row in np.stack(columns, axis=1).tolist()]

@@ -1,13 +1,11 @@
-"""A stream for minutes: does every count arrive, in time?
+"""Benches of streaming: underruns and byte-exact playback over minutes, and latency of live synthesis.
 
-The device is a program of its own on a pty, its line as slow as 3 Mbaud are. What it played is compared with what the
-limiter makes of the same signal in one go.
+`measure_stream` plays on a virtual device in its own process, over a pty as slow as 3 Mbaud, and compares the played
+counts with the limiter's output for the complete signal.
 
-A hand felt live: what a state costs, and how long it takes from an event to the wire.
-
-The hand is a thread that swings over the surface and says so every 8 to 16 ms, as a mouse under load does; the device a
-program of its own on a pty, as in stream.py. An event is at the wire when the write returns that held the first sample
-which it changed; it is played when all is played that the device still owed then.
+`measure_live` moves a simulated hand whose thread reports events every 8 to 16 ms, as a mouse under load does. An event
+is at the wire when the write returns that contained the first sample affected by it; it is played when the device has
+played everything it still had queued then.
 """
 
 from __future__ import annotations
@@ -52,11 +50,11 @@ from .scheduling_jitter import watch_stalls
 
 STREAM_NAME = "stream"
 SECONDS_A_REPEAT, QUICK_STREAM_S = 120.0, 1.0
-"""10 minutes with the 5 repeats there are by default."""
+"""Stream duration per repeat and in quick runs [s]; 10 minutes with the default of 5 repeats."""
 BAUDRATE = 3_000_000
 LIMITS = Limits(30.0, slew_per_s=2.0 * np.pi * 1000.0, sustained=0.5)
 QUIET_LIMITS = Limits(30.0, peak=0.01)
-"""For an output that may be somebody's loudspeaker."""
+"""Limits for an output that may be a loudspeaker in use."""
 
 QUIET_GAIN = 0.002
 
@@ -68,7 +66,7 @@ _BUSY_CODE = "import os; parent = os.getppid()\nwhile os.getppid() == parent: pa
 
 @dataclass(frozen=True)
 class StreamCase:
-    """busy: another process keeps a core busy."""
+    """A stream to measure. busy: another process loads a core."""
 
     method: str
     rate_hz: int
@@ -85,18 +83,21 @@ STREAM_CASES = (
 
 
 def measure_stream(options: BenchOptions, seconds: float | None = None) -> list[Row]:
-    """seconds: of each stream; None: SECONDS_A_REPEAT for each repeat, or QUICK_SECONDS."""
+    """Measure all streams.
+
+    seconds: duration of each stream; None = SECONDS_A_REPEAT per repeat, or QUICK_STREAM_S in quick runs.
+    """
     length = seconds or (QUICK_STREAM_S if options.quick else SECONDS_A_REPEAT * options.repeats)
-    found = []
+    rows = []
     for case in STREAM_CASES:
         options.watch(f"{STREAM_NAME}: {case.method}, {length:g} s")
-        found.append(_add_memory(partial(_stream_serial, case, length)))
+        rows.append(_add_memory(partial(_stream_serial, case, length)))
     options.watch(f"{STREAM_NAME}: sound output, {length:g} s")
-    return [*found, _add_memory(partial(_stream_audio, length))]
+    return [*rows, _add_memory(partial(_stream_audio, length))]
 
 
 def _add_memory(measure: Callable[[], Row]) -> Row:
-    """peak_mb: of this process, the comparison of the bytes at the end included."""
+    """Add peak_mb of this process, which includes the byte comparison at the end."""
     row, peak = run_with_peak(measure)
     return replace(row, peak_mb=peak)
 
@@ -104,7 +105,7 @@ def _add_memory(measure: Callable[[], Row]) -> Row:
 def _stream_serial(case: StreamCase, seconds: float) -> Row:
     with tempfile.TemporaryDirectory(prefix="hnf-bench-") as folder, _load_core(case.busy):
         record = Path(folder) / "played.npy"
-        with run_virtual_device(record) as actuator, watch_stalls() as still:
+        with run_virtual_device(record) as actuator, watch_stalls() as stalls:
             try:
                 sink = SerialSink(
                     actuator.port, BAUDRATE, case.rate_hz, case.channels,
@@ -120,7 +121,7 @@ def _stream_serial(case: StreamCase, seconds: float) -> Row:
         expected = trim_silence(render_counts(_make_source(case.rate_hz, case.channels, seconds), form, LIMITS))
         wrong = compute_difference_share(expected, np.load(record))
     return _make_stream_row(
-        case.method, stream, wrong, f", the device's clock slipped by {actuator.slipped} frames, {still}"
+        case.method, stream, wrong, f", the device's clock slipped by {actuator.slipped} frames, {stalls}"
     )
 
 
@@ -128,21 +129,21 @@ def _stream_audio(seconds: float) -> Row:
     method = "sound output, 5 ms blocks"
     try:
         with (
-            watch_stalls() as still,
+            watch_stalls() as stalls,
             Stream(_make_source(10_000, 1, seconds, QUIET_GAIN), AudioSink(), QUIET_LIMITS) as stream,
         ):
             form = stream.start()
             stream.wait(seconds + _MARGIN_S)
     except DeviceError as error:
         return Row(STREAM_NAME, method, note=str(error))
-    return _make_stream_row(f"{method}, {form.rate_hz:g} Hz", stream, None, f", {still}")
+    return _make_stream_row(f"{method}, {form.rate_hz:g} Hz", stream, None, f", {stalls}")
 
 
 def _make_stream_row(method: str, stream: Stream, wrong: float | None, more: str) -> Row:
     report = stream.report
-    told = "" if wrong is None else f"bytes {'equal' if wrong == 0.0 else 'differ'}, "
+    equality = "" if wrong is None else f"bytes {'equal' if wrong == 0.0 else 'differ'}, "
     note = (
-        f"{report.underruns} underruns, {told}{report.limited_samples} samples limited, source to wire 99 % "
+        f"{report.underruns} underruns, {equality}{report.limited_samples} samples limited, source to wire 99 % "
         f"{report.latency_p99_ms:.1f} ms, {report.played_s:g} s played{more}, "
         f"{'' if report.realtime else 'no '}real-time priority"
     )
@@ -165,7 +166,7 @@ def _to_spread(durations: DurationHistogram) -> Spread | None:
 
 
 def _make_source(rate_hz: int, channels: int, seconds: float, gain: float = 1.0) -> TruncatedSource:
-    """Noise and now and then a shock that the limiter has to do with."""
+    """Make noise with occasional shocks for the limiter."""
     rng = np.random.default_rng(6)
     frames = int(min(_PERIOD_S, seconds) * rate_hz)
     samples = rng.normal(0.0, 4.0, (frames, channels)).astype(np.float32)
@@ -174,13 +175,13 @@ def _make_source(rate_hz: int, channels: int, seconds: float, gain: float = 1.0)
 
 
 def trim_silence(counts: Counts) -> Counts:
-    """From the first frame that is no silence to the last."""
+    """Return the counts from the first frame that is not silent to the last."""
     loud = np.flatnonzero(counts.any(axis=1))
     return counts[loud[0] : loud[-1] + 1] if len(loud) else counts[:0]
 
 
 def compute_difference_share(expected: Counts, played: Counts) -> float:
-    """Share of the counts; all of them where as many frames as expected were not played."""
+    """Return the fraction of counts that differ; 1 if the number of frames differs."""
     if expected.shape != played.shape:
         return 1.0
     return float(np.count_nonzero(expected != played)) / max(expected.size, 1)
@@ -208,17 +209,17 @@ class _DeviceProcess:
 
 @contextmanager
 def run_virtual_device(record: Path) -> Iterator[_DeviceProcess]:
-    """A virtual device in a program of its own; record: where it writes down what it played, see virtual_device."""
-    words = [sys.executable, "-m", f"{__package__}.virtual_device", str(BAUDRATE), str(record)]
+    """Run a virtual device in its own process. record: file for what it played, see virtual_device.py."""
+    command = [sys.executable, "-m", f"{__package__}.virtual_device", str(BAUDRATE), str(record)]
     process = subprocess.Popen(
-        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
         env=os.environ | {"PYTHONPATH": CHILD_PATH},
     )  # fmt: skip
     try:
         yield _DeviceProcess(process)
     finally:
         try:
-            process.communicate(timeout=_MAX_EXIT_S)  # its input ends: it leaves, and nothing of it stays
+            process.communicate(timeout=_MAX_EXIT_S)  # closes its input: it exits
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
@@ -243,25 +244,25 @@ STATE_COUNT, QUICK_STATE_COUNT = 12_000, 100
 LIVE_RATE_HZ = 10_000
 BLOCK_S = 0.005
 WARM_UP_STATES = 50
-"""Not counted: libraries find their plans."""
+"""States excluded from the measurement, during which libraries initialise."""
 
 
 def measure_live(options: BenchOptions) -> list[Row]:
-    """The field's quick way beside the plain one, a step, and latencies on a serial port and a sound output."""
+    """Measure the field's fast path against the offline one, a step, and latencies on serial and sound output."""
     count, seconds = (QUICK_STATE_COUNT, QUICK_LIVE_S) if options.quick else (STATE_COUNT, LIVE_S)
     hand = simulate_states(count)
     options.watch(f"{LIVE_NAME}: F_Θ")
-    found = _measure_field(hand[WARM_UP_STATES :: max(count // 500, 1)])
+    rows = _measure_field(hand[WARM_UP_STATES :: max(count // 500, 1)])
     options.watch(f"{LIVE_NAME}: {count} steps")
-    found.append(_measure_steps(hand))
+    rows.append(_measure_steps(hand))
     options.watch(f"{LIVE_NAME}: serial, {seconds:g} s")
-    found += _measure_serial(seconds)
+    rows += _measure_serial(seconds)
     options.watch(f"{LIVE_NAME}: sound output, {seconds:g} s")
-    return [*found, *_measure_latencies("sound output", AudioSink(), QUIET_LIMITS, seconds)]
+    return [*rows, *_measure_latencies("sound output", AudioSink(), QUIET_LIMITS, seconds)]
 
 
 def compute_position(time_s: float) -> tuple[float, float]:
-    """Of the hand: figures of eight, 0.2 … 0.36 m/s."""
+    """Return the hand's position [m]: figures of eight at 0.2 … 0.36 m/s."""
     return 0.06 * sin(5.0 * time_s), 0.02 * sin(10.0 * time_s)
 
 
@@ -270,46 +271,46 @@ def compute_force(time_s: float) -> float:
 
 
 def generate_gaps() -> Iterator[float]:
-    """Seconds from event to event."""
+    """Yield the time between events [s]."""
     rng = np.random.default_rng(8)
     while True:
         yield float(rng.uniform(0.008, 0.016))
 
 
 def simulate_states(count: int) -> list[LiveState]:
-    """Of that hand."""
-    hand, told, gap, found = HandTracker(), 0.0, generate_gaps(), []
+    """Return the live states of the simulated hand."""
+    hand, event_s, gap, states = HandTracker(), 0.0, generate_gaps(), []
     for index in range(count):
-        while told <= index * STATE_S:
-            hand.push(HandEvent(told, *compute_position(told), compute_force(told)))
-            told += next(gap)
-        found.append(hand.state(index * STATE_S))
-    return found
+        while event_s <= index * STATE_S:
+            hand.push(HandEvent(event_s, *compute_position(event_s), compute_force(event_s)))
+            event_s += next(gap)
+        states.append(hand.state(index * STATE_S))
+    return states
 
 
 def _measure_field(hand: list[LiveState]) -> list[Row]:
-    """F_Θ state by state, both ways, and the largest difference of an amplitude."""
+    """Measure F_Θ state by state with both paths, and the largest difference of an amplitude."""
     field, material = load_field(), get_material(LIVE_MATERIAL)
     emission = LiveEmission(field, material.token.astype(np.float64), material.mechanics, "pen")
-    quick, plain, error = Times(), Times(), 0.0
+    live_times, offline_times, error = Times(), Times(), 0.0
     for state in hand:
-        direction, one = np.array(state.direction), np.ones(1)
+        direction, unit = np.array(state.direction), np.ones(1)
         condition = Condition(
             material.token[None].astype(np.float64), (material.mechanics,), np.zeros(1, np.int32), direction[None],
-            state.speed * one, state.force * one, one > 0.0, "pen",
+            state.speed * unit, state.force * unit, unit > 0.0, "pen",
         )  # fmt: skip
-        wanted = plain.measure(lambda condition=condition: evaluate(field, condition)).alpha[0, 0]  # type: ignore[misc]
-        found = quick.measure(
+        expected = offline_times.measure(lambda condition=condition: evaluate(field, condition)).alpha[0, 0]  # type: ignore[misc]
+        amplitude = live_times.measure(
             lambda state=state, direction=direction: emission.evaluate(direction, state.speed, state.force, True)  # type: ignore[misc]
         )[0]
-        loud = wanted > 1e-3 * max(float(wanted.max()), 1e-12)
+        loud = expected > 1e-3 * max(float(expected.max()), 1e-12)
         if loud.any():
-            error = max(error, float(np.abs(20.0 * np.log10(found[loud] / wanted[loud])).max()))
-    reference = Row(LIVE_NAME, "F_Θ of one state, as offline", plain.seconds, plain.cpu)
-    ratio = quick.compute_ratio(plain)
+            error = max(error, float(np.abs(20.0 * np.log10(amplitude[loud] / expected[loud])).max()))
+    reference = Row(LIVE_NAME, "F_Θ of one state, as offline", offline_times.seconds, offline_times.cpu)
+    ratio = live_times.compute_ratio(offline_times)
     return [
         reference,
-        Row(LIVE_NAME, "F_Θ of one state", quick.seconds, quick.cpu, ratio, reference.method, error, "dB"),
+        Row(LIVE_NAME, "F_Θ of one state", live_times.seconds, live_times.cpu, ratio, reference.method, error, "dB"),
     ]
 
 
@@ -368,7 +369,7 @@ def _measure_latencies(where: str, sink: Sink, limits: Limits, seconds: float) -
 
 
 class TimedSink:
-    """sink, and when it got what. writes: (time, frames that it had then, those of them not yet played)."""
+    """A sink that records its writes as (time, frames received so far, seconds of them not yet played)."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink, self._rate_hz, self._frames = sink, 1.0, 0
@@ -405,23 +406,25 @@ class TimedSink:
 def compute_latencies(
     outputs: list[EventTiming], writes: list[tuple[float, int, float]], per_frame: float, rate_hz: float
 ) -> tuple[list[float], list[float]]:
-    """Seconds of each event to the wire, and until it was played. per_frame: frames of the sink for one of the source.
-    rate_hz: of the sink."""
+    """Return the latencies of each event to the wire and to playback [s].
+
+    per_frame: sink frames per source frame. rate_hz: rate of the sink.
+    """
     ends = [frames for _, frames, _ in writes]
     wire, played = [], []
-    for each in outputs:
-        first = ceil(each.frame * per_frame)
+    for output in outputs:
+        first = ceil(output.frame * per_frame)
         index = bisect_right(ends, first)
         if index < len(writes):
             written_s, frames, owed_s = writes[index]
-            wire.append(written_s - each.moved_s)
+            wire.append(written_s - output.moved_s)
             played.append(wire[-1] + max(owed_s - (frames - first) / rate_hz, 0.0))
     return wire, played
 
 
 @contextmanager
 def _move_hand(live: LiveSource) -> Iterator[None]:
-    """The hand, as long as it is wanted."""
+    """Move the hand in a thread within the `with` block."""
     stop = threading.Event()
 
     def move() -> None:

@@ -1,7 +1,4 @@
-"""Cost against size, of what needs no Blender: seconds of signal.
-
-A force key changes: until its new samples are there, from what is there against all anew.
-"""
+"""Benches of strokes without Blender: cost over duration, and re-rendering after a change of one force key."""
 
 from __future__ import annotations
 
@@ -26,43 +23,46 @@ SCALE_NAME = "scale"
 MATERIAL_NAME, SEED = "oak-wood", 7
 STROKE_LENGTHS_S, QUICK_STROKE_LENGTHS_S = (1, 10, 100, 1000, 3600), (1, 2)
 COMPLETE_UP_TO_S = 100
-"""In one piece a longer one fills the memory of the machine."""
+"""Longest stroke synthesised at once [s]; longer ones exceed the memory."""
 CONTACT_S = 10
+"""Time in contact of the stroke that is mostly in the air [s]."""
 MAX_SIZE_S = 300.0
 
 
 def measure_scale(options: BenchOptions) -> list[Row]:
-    """Seconds of a stroke without an end, in one piece and in portions, and of one that touches for ten seconds and is
-    held in the air for the rest."""
+    """Measure an endless stroke synthesised at once and in chunks, over its duration.
+
+    A third line is a stroke with ten seconds of contact, in the air for the rest.
+    """
     field = load_field()
     sizes = QUICK_STROKE_LENGTHS_S if options.quick else STROKE_LENGTHS_S
-    whole = tuple(size for size in sizes if size <= COMPLETE_UP_TO_S)
-    lines = [
-        Sweep("seconds of signal", "in one piece", whole, partial(_synthesise_complete, field), MAX_SIZE_S),
+    short_sizes = tuple(size for size in sizes if size <= COMPLETE_UP_TO_S)
+    sweeps = [
+        Sweep("seconds of signal", "in one piece", short_sizes, partial(_synthesise_complete, field), MAX_SIZE_S),
         Sweep("seconds of signal", "in portions", sizes, partial(_synthesise_in_chunks, field, None), MAX_SIZE_S),
         Sweep(
             "seconds of signal", f"in portions, {CONTACT_S} s in contact", sizes,
             partial(_synthesise_in_chunks, field, CONTACT_S), MAX_SIZE_S,
         ),
     ]  # fmt: skip
-    _synthesise_complete(field, 1)  # what is made once in a process
-    return add_exponents([row for line in lines for row in run_sizes(SCALE_NAME, line, options)])
+    _synthesise_complete(field, 1)  # warm up what is created once per process
+    return add_exponents([row for sweep in sweeps for row in run_sizes(SCALE_NAME, sweep, options)])
 
 
 def _synthesise_complete(field: Field, seconds: int) -> Cost:
     stroke = make_scrape(seconds)
     with count_states() as states:
         clock = CostClock()
-        made = synthesis.synthesise(field, stroke, seed=SEED)
-        return clock.read_cost({"samples": len(made.signal.samples), "F_Θ states": sum(states)})
+        synthesised = synthesis.synthesise(field, stroke, seed=SEED)
+        return clock.read_cost({"samples": len(synthesised.signal.samples), "F_Θ states": sum(states)})
 
 
 def _synthesise_in_chunks(field: Field, contact_s: int | None, seconds: int) -> Cost:
     stroke = make_scrape(seconds, contact_s)
     with count_states() as states:
         clock, samples = CostClock(), 0
-        for portion in render_chunks(field, stroke, seed=SEED):
-            samples += len(portion.samples)
+        for chunk in render_chunks(field, stroke, seed=SEED):
+            samples += len(chunk.samples)
         return clock.read_cost({"samples": samples, "F_Θ states": sum(states)})
 
 
@@ -71,57 +71,65 @@ PREVIEW_MATERIAL = "oak-wood"
 PREVIEW_LENGTHS_S = (2.0, 60.0)
 QUICK_PREVIEW_LENGTHS_S = (2.0,)
 KEY_REACH_S = 0.2
-"""How far a moved key reaches to either side: to its neighbours."""
+"""Time to the neighbouring keys, on either side of the moved key [s]."""
 PREVIEW_SEED = 7
 
 
 def measure_preview(options: BenchOptions) -> list[Row]:
-    """For each length: all anew, and from the render before, with the largest difference of the two signals."""
-    found: list[Row] = []
+    """Measure, per duration, a complete and an incremental render, with the largest difference of their signals."""
+    rows: list[Row] = []
     for seconds in QUICK_PREVIEW_LENGTHS_S if options.quick else PREVIEW_LENGTHS_S:
         options.watch(f"{PREVIEW_NAME}: {seconds:g} s")
-        found += _measure_length(seconds, options.repeats)
-    return found
+        rows += _measure_length(seconds, options.repeats)
+    return rows
 
 
 def _measure_length(seconds: float, repeats: int) -> list[Row]:
     field = load_field()
-    before = render_incremental(field, _make_stroke(seconds, 0.0), seed=PREVIEW_SEED)
-    wholes, parts, error, rendered = Times(), Times(), 0.0, 0
+    previous = render_incremental(field, _make_stroke(seconds, 0.0), seed=PREVIEW_SEED)
+    complete_times, incremental_times, error, rendered = Times(), Times(), 0.0, 0
     for repeat in range(repeats):
         changed = _make_stroke(seconds, 0.1 * (repeat + 1))
-        whole = wholes.measure(partial(render_incremental, field, changed, seed=PREVIEW_SEED))
-        part = parts.measure(partial(render_incremental, field, changed, seed=PREVIEW_SEED, earlier=before))
-        error, rendered = max(error, _compute_max_difference(whole, part)), part.rendered_count
-    again = partial(render_incremental, field, _make_stroke(seconds, 0.5), seed=PREVIEW_SEED)
-    all_anew = Row(PREVIEW_NAME, f"all anew, {seconds:g} s", wholes.seconds, wholes.cpu, peak_mb=measure_peak_mb(again))
-    from_before = Row(
+        complete = complete_times.measure(partial(render_incremental, field, changed, seed=PREVIEW_SEED))
+        incremental = incremental_times.measure(
+            partial(render_incremental, field, changed, seed=PREVIEW_SEED, earlier=previous)
+        )
+        error, rendered = max(error, _compute_max_difference(complete, incremental)), incremental.rendered_count
+    render_again = partial(render_incremental, field, _make_stroke(seconds, 0.5), seed=PREVIEW_SEED)
+    complete_row = Row(
+        PREVIEW_NAME,
+        f"all anew, {seconds:g} s",
+        complete_times.seconds,
+        complete_times.cpu,
+        peak_mb=measure_peak_mb(render_again),
+    )
+    incremental_row = Row(
         PREVIEW_NAME,
         f"one key, {seconds:g} s",
-        parts.seconds,
-        parts.cpu,
-        parts.compute_ratio(wholes),
-        all_anew.method,
+        incremental_times.seconds,
+        incremental_times.cpu,
+        incremental_times.compute_ratio(complete_times),
+        complete_row.method,
         error,
         "m/s²",
-        measure_peak_mb(partial(again, earlier=before)),
-        f"{rendered / len(before.samples):.0%} of the samples made anew",
+        measure_peak_mb(partial(render_again, earlier=previous)),
+        f"{rendered / len(previous.samples):.0%} of the samples made anew",
     )
-    return [all_anew, from_before]
+    return [complete_row, incremental_row]
 
 
 def _compute_max_difference(complete: RenderedStroke, partial_render: RenderedStroke) -> float:
-    one, two = complete.synthesis.signal.samples, partial_render.synthesis.signal.samples
-    return float(np.abs(one.astype(np.float64) - two.astype(np.float64)).max())
+    first, second = complete.synthesis.signal.samples, partial_render.synthesis.signal.samples
+    return float(np.abs(first.astype(np.float64) - second.astype(np.float64)).max())
 
 
 def _make_stroke(seconds: float, more_n: float) -> StrokeInput:
-    """1 N at 100 mm/s along one material; in the middle a key more_n higher, eased to its neighbours."""
+    """Make a stroke of 1 N at 100 mm/s on one material, with a key in the middle `more_n` higher, eased."""
     count = round(seconds * ACTION_RATE_HZ) + 1
     time: NDArray[np.float64] = np.arange(count) / ACTION_RATE_HZ
-    beside = np.clip(1.0 - np.abs(time - seconds / 2.0) / KEY_REACH_S, 0.0, 1.0)
-    force = 1.0 + more_n * beside * beside * (3.0 - 2.0 * beside)
-    ahead, speed, touching = np.tile([1.0, 0.0], (count, 1)), np.full(count, 0.1), np.ones(count, dtype=bool)
-    action = Action(ACTION_RATE_HZ, ahead, speed, force, 0.1 * time, touching)
+    weight = np.clip(1.0 - np.abs(time - seconds / 2.0) / KEY_REACH_S, 0.0, 1.0)
+    force = 1.0 + more_n * weight * weight * (3.0 - 2.0 * weight)
+    direction, speed, contact = np.tile([1.0, 0.0], (count, 1)), np.full(count, 0.1), np.ones(count, dtype=bool)
+    action = Action(ACTION_RATE_HZ, direction, speed, force, 0.1 * time, contact)
     material = get_material(PREVIEW_MATERIAL)
     return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)

@@ -1,6 +1,6 @@
-"""A virtual device in a program of its own, as a device is: a line on its standard input ends it.
+"""A virtual serial device in its own process, as for a real device. A line on its standard input ends it.
 
-Its own lines are JSON: {"port": …}, and at the end {"slipped": frames that its sample clock stood still}.
+It prints JSON lines: {"port": …} at the start and {"slipped": frames that its sample clock skipped} at the end.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hnf_core.actuators.virtual.port import VirtualPort
 
 
 class PacedLine:
-    """Bytes as a line of baudrate carries them, ten bits each: those that come faster wait. clock: s."""
+    """Pass bytes at the rate of a serial line, ten bits per byte; excess bytes wait. clock: time in s."""
 
     def __init__(self, baudrate: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._per_s, self._clock = baudrate / 10.0, clock
@@ -30,12 +30,12 @@ class PacedLine:
         self._allowed = min(self._allowed + (now - self._last_time) * self._per_s, float(len(self._waiting)))
         self._last_time, count = now, int(self._allowed)
         self._allowed -= count
-        through, self._waiting = self._waiting[:count], self._waiting[count:]
-        return through
+        passed, self._waiting = self._waiting[:count], self._waiting[count:]
+        return passed
 
 
 def main(baudrate: int, record: Path) -> None:
-    """record: .npy, (n, channels) int16: what was played, from the first sound to the last."""
+    """Run the device. record: .npy file of the played counts, (n, channels) int16, from the first sound to the last."""
     with VirtualPort() as port:
         port.from_host = PacedLine(baudrate)
         print(json.dumps({"port": port.path}), flush=True)

@@ -1,1 +1,4 @@
-"""Benches of what Blender is asked to wait for. No part of the extension."""
+"""Benches of the Blender add-on: waiting times, bakes, views, and cost over scene size.
+
+`waiting_times.py` is a good start; `scenes.py` builds the test scenes. Not part of the Blender extension.
+"""

@@ -1,8 +1,7 @@
-"""A bake in every way there is: how long, how much memory, and how far what is felt then is from what a much finer look
-and F_Θ in float64 would have given.
+"""Bench of a bake by all methods: time, memory, and error against fine close-ups and F_Θ in float64.
 
-All ways are taken in turn, round by round. Close-ups of fewer pixels and of more stand beside those that are shipped:
-of a relief that is a pattern, and of one that is an image, where a first look says how many it takes.
+The methods run in turn in every round. Close-ups of fewer and of more pixels than the shipped ones are compared, on a
+procedural relief, and on an image relief with a first pass that determines the number of pixels.
 """
 
 from __future__ import annotations
@@ -32,12 +31,12 @@ from .scenes import PLATE_M, add_relief_plate, add_strokes, open_test_file, requ
 
 BAKE_NAME = "bake"
 COMPARED_PIXELS, DEFAULT_PIXELS, REFERENCE_PIXELS = (128, 256, 512, 1024), 512, 2048
-"""Of a close-up's side: those compared, what is shipped, and the reference's, 10 µm each."""
+"""Pixels along the side of a close-up: compared values, shipped value, and reference (10 µm per pixel)."""
 QUICK_PIXELS, QUICK_USUAL, QUICK_FINE = (64, 128), 128, 256
 FIRST_PASS_PIXELS, QUICK_FIRST = 128, 32
-"""Of the first look that is shipped."""
+"""Pixels of the shipped first pass."""
 IMAGE_TEXELS = (240, 480)
-"""Along a side of an image relief: half a millimetre and a quarter on the plate of 12 cm."""
+"""Texels along a side of an image relief: half and a quarter of a millimetre on the plate of 12 cm."""
 STROKE_COUNT, LENGTH_M, QUICK_LENGTH_M = 2, 0.03, 0.01
 SEED = 5
 
@@ -47,8 +46,18 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BakeMethod:
-    """pixels: of a side of its close-ups. ready: makes what is there before it, neither timed nor counted. first: of a
-    side of a first look, None = without."""
+    """A way to bake.
+
+    Attributes
+    ----------
+    pixels
+        Side of its close-ups [pixels].
+    prepare
+        Function that sets up the state before it, neither timed nor counted.
+    first_pass
+        Side of the first pass [pixels], or None.
+
+    """
 
     name: str
     pixels: int
@@ -57,13 +66,13 @@ class BakeMethod:
 
 
 class BakeSession:
-    """The file that is open, and the cache of its close-ups."""
+    """The open file, and the cache of its close-ups."""
 
     def __init__(self, scene: Any, layer: Any, cache: Path) -> None:
         self._scene, self._layer, self._cache = scene, layer, cache
 
     def bake(self, pixels: int, first_pass: int | None = None) -> StrokeInputs:
-        """What the field is asked about each stroke, as the file keeps it. Raises HnfError where a stroke fails."""
+        """Bake, and return the field's input for each stroke. Raises HnfError if a stroke fails."""
         from hnf_blender.bridge.stroke.read_stroke import list_strokes
         from hnf_blender.jobs import bake_job
         from hnf_blender.touch import bake_patches as bake
@@ -74,85 +83,95 @@ class BakeSession:
             patch.object(bake, "PATCH_PIXELS", pixels),
             patch.object(bake, "FIRST_PASS_PIXELS", first_pass),
         ):
-            ended = bake_job.bake_blocking(self._scene, self._layer)
-        found = {obj.name: load_bake(obj) for obj in list_strokes(self._scene)}
-        if not ended.ok:
-            raise HnfError(f"the bake failed: {ended.message}", where=BAKE_NAME)
-        return {name: each.stroke for name, each in found.items() if each is not None}
+            result = bake_job.bake_blocking(self._scene, self._layer)
+        bakes = {obj.name: load_bake(obj) for obj in list_strokes(self._scene)}
+        if not result.ok:
+            raise HnfError(f"the bake failed: {result.message}", where=BAKE_NAME)
+        return {name: stroke_bake.stroke for name, stroke_bake in bakes.items() if stroke_bake is not None}
 
     def clear_bakes(self) -> None:
-        """As before the first bake, but for its close-ups."""
+        """Restore the state before the first bake, except for the cached close-ups."""
         from hnf_blender.jobs.baked_data import purge
 
         purge(self._scene, self._layer, everything=True)
 
     def clear_all(self) -> None:
-        """As before the first bake."""
+        """Restore the state before the first bake."""
         self.clear_bakes()
         shutil.rmtree(self._cache, ignore_errors=True)
 
     def prepare_close_ups(self, pixels: int) -> None:
-        """As after a bake whose results were removed. What is fresh would not be looked at, whatever its pixels."""
+        """Leave the close-ups of a bake in the cache and remove its results.
+
+        Fresh results would not be rendered again, whatever the number of pixels.
+        """
         self.clear_bakes()
         self.bake(pixels)
         self.clear_bakes()
 
 
 def measure_bake(options: BenchOptions) -> list[Row]:
-    """Of a pattern: a cold bake at each size of the close-ups, one whose close-ups are there, one of what is fresh. Of
-    images: all pixels at once, and the first look.
+    """Measure bakes of a procedural relief and of image reliefs.
 
-    Raises HnfError without bpy, or where a bake fails. Empties the file that is open.
+    Procedural: a cold bake at each size of the close-ups, one with cached close-ups, and one without changes. Image:
+    all pixels at once, and with a first pass. Empties the open file.
+
+    Raises
+    ------
+    HnfError
+        Without bpy, or if a bake fails.
+
     """
     require_bpy(BAKE_NAME)
-    found = _measure_scene(options, "", lambda room: _make_pattern_methods(room, options.quick))
+    rows = _measure_scene(options, "", lambda session: _make_pattern_methods(session, options.quick))
     for texels in IMAGE_TEXELS[: 1 if options.quick else None]:
-        told = f"an image of {1e3 * PLATE_M / texels:.2g} mm texels, "
-        found += _measure_scene(options, told, partial(_make_two_pass_methods, told, quick=options.quick), texels)
-    return found
+        prefix = f"an image of {1e3 * PLATE_M / texels:.2g} mm texels, "
+        rows += _measure_scene(options, prefix, partial(_make_two_pass_methods, prefix, quick=options.quick), texels)
+    return rows
 
 
 def _measure_scene(
     options: BenchOptions, prefix: str, make_methods: Callable[[BakeSession], list[BakeMethod]], texels: int = 0
 ) -> list[Row]:
-    """The reference and all ways in one scene. texels: of the image that its relief is; 0: a pattern."""
+    """Measure the reference and all methods in one scene. texels: side of its image relief; 0: procedural."""
     with open_test_file() as (scene, layer), tempfile.TemporaryDirectory() as folder:
         surface = add_relief_plate(32)
         if texels:
             set_image_relief(surface, texels, SEED)
         add_strokes(STROKE_COUNT, surface, apart=True, length_m=QUICK_LENGTH_M if options.quick else LENGTH_M)
         layer.update()
-        room = BakeSession(scene, layer, Path(folder) / "cache")
-        ways = make_methods(room)
-        times = {way.name: Times(time.process_time) for way in ways}
-        felt: dict[str, StrokeInputs] = {}
+        session = BakeSession(scene, layer, Path(folder) / "cache")
+        methods = make_methods(session)
+        times = {way.name: Times(time.process_time) for way in methods}
+        inputs: dict[str, StrokeInputs] = {}
         peaks: dict[str, float | None] = {}
         for repeat in range(options.repeats):
-            for way in ways:
+            for way in methods:
                 options.watch(f"{BAKE_NAME}: {way.name}, {repeat + 1} of {options.repeats}")
                 way.prepare()
-                bake = partial(times[way.name].measure, partial(room.bake, way.pixels, way.first_pass))
-                felt[way.name], peak = run_with_peak(bake)
-                peaks.setdefault(way.name, peak)  # later ones find room that the allocator kept
+                bake = partial(times[way.name].measure, partial(session.bake, way.pixels, way.first_pass))
+                inputs[way.name], peak = run_with_peak(bake)
+                peaks.setdefault(way.name, peak)  # later peaks are lower, as the allocator reuses memory
         options.watch(f"{BAKE_NAME}: the reference")
-        room.clear_all()
+        session.clear_all()
         fine = QUICK_FINE if options.quick else REFERENCE_PIXELS
-        true = room.bake(fine)
+        true = session.bake(fine)
         exact = synthesise_strokes(true, exactly=True)
-    usual = next(
-        way.name for way in ways if way.pixels == _get_default_pixels(options.quick) and way.first_pass is None
+    default_name = next(
+        way.name for way in methods if way.pixels == _get_default_pixels(options.quick) and way.first_pass is None
     )
     reference = f"the reference: close-ups of {fine} pixels, F_Θ in float64 2000 times a second"
-    found = [Row(BAKE_NAME, f"{prefix}fine", error_unit="dB", note=reference)]
-    for way in ways:
+    rows = [Row(BAKE_NAME, f"{prefix}fine", error_unit="dB", note=reference)]
+    for way in methods:
         row = Row(
             BAKE_NAME, way.name, times[way.name].seconds, times[way.name].cpu,
-            error=compute_error_db(synthesise_strokes(felt[way.name]), exact), error_unit="dB", peak_mb=peaks[way.name],
-            note=f"levels of bands off by at most {compute_level_error_db(felt[way.name], true):.2g} dB",
+            error=compute_error_db(synthesise_strokes(inputs[way.name]), exact), error_unit="dB",
+            peak_mb=peaks[way.name],
+            note=f"levels of bands off by at most {compute_level_error_db(inputs[way.name], true):.2g} dB",
         )  # fmt: skip
-        beside = times[way.name].compute_ratio(times[usual])
-        found.append(row if way.name == usual else replace(row, ratio=beside, ratio_to=usual))
-    return found
+        ratio = times[way.name].compute_ratio(times[default_name])
+        rows.append(row if way.name == default_name else replace(row, ratio=ratio, ratio_to=default_name))
+    return rows
 
 
 def _get_default_pixels(quick: bool) -> int:
@@ -164,45 +183,45 @@ def _get_pixel_sizes(quick: bool) -> tuple[int, ...]:
 
 
 def _make_pattern_methods(session: BakeSession, quick: bool) -> list[BakeMethod]:
-    usual = _get_default_pixels(quick)
+    default = _get_default_pixels(quick)
     cold = {
         pixels: BakeMethod(f"cold, {pixels} pixels", pixels, session.clear_all) for pixels in _get_pixel_sizes(quick)
     }
     return [
-        *(way for pixels, way in cold.items() if pixels <= usual),
-        BakeMethod("close-ups kept", usual, partial(session.prepare_close_ups, usual)),
-        BakeMethod("nothing changed", usual, partial(session.bake, usual)),
-        *(way for pixels, way in cold.items() if pixels > usual),
+        *(method for pixels, method in cold.items() if pixels <= default),
+        BakeMethod("close-ups kept", default, partial(session.prepare_close_ups, default)),
+        BakeMethod("nothing changed", default, partial(session.bake, default)),
+        *(method for pixels, method in cold.items() if pixels > default),
     ]
 
 
 def _make_two_pass_methods(prefix: str, session: BakeSession, *, quick: bool) -> list[BakeMethod]:
-    usual, first = _get_default_pixels(quick), QUICK_FIRST if quick else FIRST_PASS_PIXELS
+    default, first = _get_default_pixels(quick), QUICK_FIRST if quick else FIRST_PASS_PIXELS
     return [
-        BakeMethod(f"{prefix}{usual} pixels at once", usual, session.clear_all),
-        BakeMethod(f"{prefix}a first look of {first}", usual, session.clear_all, first),
+        BakeMethod(f"{prefix}{default} pixels at once", default, session.clear_all),
+        BakeMethod(f"{prefix}a first look of {first}", default, session.clear_all, first),
     ]
 
 
 def synthesise_strokes(inputs: StrokeInputs, *, exactly: bool = False) -> Float:
-    """All strokes one after the other, as scenes hear them; exactly: F_Θ in float64, 2000 times a second."""
+    """Synthesise all strokes in turn as scenes do; exactly: F_Θ in float64, 2000 times a second."""
     field = load_field()
     if exactly:
         field = replace(field, parameters={name: value.astype(np.float64) for name, value in field.parameters.items()})
     tolerance = 0.0 if exactly else None
-    made = [
+    signals = [
         render_samples(prepare_stroke(field, inputs[name], seed=SEED, tolerance=tolerance)) for name in sorted(inputs)
     ]
-    return np.concatenate(made)
+    return np.concatenate(signals)
 
 
 def compute_error_db(samples: Float, exact: Float) -> float:
-    """Power of the difference over the power of the exact signal."""
+    """Return the power of the difference over the power of the exact signal [dB]."""
     return float(10.0 * np.log10(np.mean(np.square(samples - exact)) / np.mean(np.square(exact))))
 
 
 def compute_level_error_db(inputs: StrokeInputs, true: StrokeInputs) -> float:
-    """The largest difference of a band's level in any token."""
+    """Return the largest difference of a band's level in any token [dB]."""
     return max(
         float(20.0 * np.abs(inputs[name].tokens[:, LEVELS] - true[name].tokens[:, LEVELS]).max()) for name in true
     )

@@ -1,9 +1,8 @@
-"""The rival's way to RGB-D views, by Blender alone: as BlenderProc 2 sets Cycles up, in one animation over the cameras.
+"""RGB-D views rendered as BlenderProc 2 does: Cycles with its settings, in one animation over the cameras.
 
-Read in its RendererUtility and DefaultConfig: persistent data, adaptive sampling at 0.01, few bounces, colour through a
-Denoise node that is given albedo and normal, depth through a file output node. Its own files are gone through in turn
-as it does. It writes PNG by default; here OPEN_EXR, which it offers too, so that its error is that of the picture and
-not of eight bits.
+The settings follow its RendererUtility and DefaultConfig: persistent data, adaptive sampling at 0.01, few bounces,
+colour through a Denoise node with albedo and normal, depth through a file output node. Its files are read in turn, as
+it does. The format is OPEN_EXR, which it offers besides its default PNG, so that errors are not those of 8 bits.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ BOUNCES = {
 
 
 def limit_bounces(scene: Any) -> None:
-    """Its default light transport, which every method here is given: the picture that is meant must be one."""
+    """Set BlenderProc's default light transport, used for every method so that all render the same image."""
     for name, value in BOUNCES.items():
         setattr(scene.cycles, name, value)
 
@@ -46,8 +45,22 @@ def limit_bounces(scene: Any) -> None:
 def render_as_blenderproc(
     scene: Any, cameras: Sequence[Camera], samples: int, denoise: bool = True
 ) -> list[tuple[Float32, Float32]]:
-    """(H, W, 3) linear colour and (H, W) planar depth (1e10 = none) of each camera. Cameras in world metres, all of one
-    size; scene in metres. It works in the scene itself, as BlenderProc does: for a scene that may be thrown away."""
+    """Return (H, W, 3) linear colour and (H, W) planar depth (1e10 = none) of each camera.
+
+    It changes the scene itself, as BlenderProc does, so the scene must be disposable.
+
+    Parameters
+    ----------
+    scene
+        Scene in metres.
+    cameras
+        Cameras in world metres, all of one size.
+    samples
+        Samples per pixel.
+    denoise
+        Use the Denoise node.
+
+    """
     import bpy
 
     _set_up_cycles(scene, samples)
@@ -75,7 +88,7 @@ def _set_up_cycles(scene: Any, samples: int) -> None:
 
 
 def _key_cameras(scene: Any, cameras: Sequence[Camera]) -> None:
-    """One frame for each camera, from 0."""
+    """Insert one keyframe per camera, from frame 0."""
     import bpy
 
     camera_object = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -112,9 +125,9 @@ def _set_up_compositor(scene: Any, folder: str, denoise: bool) -> None:
 
 def _read_depth(folder: Path, frame: int) -> Float32:
     depth = _read_single_pass(next(folder.glob(f"depth_*{frame:04d}.exr")))
-    return depth if depth.ndim == 2 else depth[..., 0]  # up to 4.5 in colour
+    return depth if depth.ndim == 2 else depth[..., 0]  # Blender up to 4.5 writes depth as colour
 
 
 def _read_single_pass(path: Path) -> Float32:
-    """The one pass of a file."""
+    """Read the only pass of a file."""
     return next(iter(read_exr(path).values()))

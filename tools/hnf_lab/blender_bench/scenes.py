@@ -1,10 +1,7 @@
-"""What the benches of this room cannot do without.
+"""Test scenes of the Blender benches, and the Touch tab drawn without a window.
 
-A file to measure in: a plate of many faces with strokes on it.
-
-Files of any size to measure in: so many objects, faces, materials or strokes, and one plate that is touched.
-
-What the Touch tab's Python takes when Blender draws it: every panel's poll and draw, into a hollow layout.
+Scenes have any number of objects, faces, materials or strokes, and one plate that is touched. `draw_tab` calls every
+panel's poll and draw with a fake layout, as Blender does.
 """
 
 from __future__ import annotations
@@ -25,7 +22,7 @@ from hnf_core.errors import HnfError
 
 
 def require_bpy(name: str) -> None:
-    """Raises HnfError where this Python has no bpy."""
+    """Raise HnfError if this Python has no bpy."""
     if importlib.util.find_spec("bpy") is None:
         raise HnfError(
             f"the bench '{name}' needs Blender, and this Python has no bpy.",
@@ -34,14 +31,14 @@ def require_bpy(name: str) -> None:
 
 
 PLATE_CUTS, QUICK_PLATE_CUTS = 316, 8
-"""Faces along each side of the plate: 99,856 of them, or 64."""
+"""Faces along each side of the plate: 99,856 faces in all, or 64."""
 LARGE_PLATE_M = 0.2
 STROKE_COUNT = 3
 
 
 @contextmanager
 def open_test_file() -> Iterator[tuple[Any, Any]]:
-    """An empty file with the add-on's properties, and a cache of its own; (scene, view layer)."""
+    """Yield scene and view layer of an empty file with the add-on's properties and a separate cache."""
     import bpy
 
     from hnf_blender import props
@@ -65,7 +62,7 @@ def open_test_file() -> Iterator[tuple[Any, Any]]:
 
 
 def add_plate_with_strokes(cuts: int) -> Any:
-    """A plate of cuts × cuts faces with strokes on it, one more of them to be edited."""
+    """Add a plate of cuts × cuts faces with strokes on it, and one more stroke to be edited."""
     import bpy
 
     plate = add_plate("Plate", cuts)
@@ -76,7 +73,7 @@ def add_plate_with_strokes(cuts: int) -> Any:
 
 
 def add_plate(name: str, cuts: int) -> Any:
-    """A plate of cuts × cuts faces in the scene."""
+    """Add a plate of cuts × cuts faces to the scene."""
     import bpy
 
     mesh = bpy.data.meshes.new(name)
@@ -96,7 +93,7 @@ def list_stroke_names() -> tuple[str, ...]:
 
 
 def add_crossing_stroke(plate: Any, name: str, turned: float) -> Any:
-    """60 mm through the middle of the plate at 100 mm/s."""
+    """Add a stroke of 60 mm through the middle of the plate at 100 mm/s."""
     import bpy
 
     curve = bpy.data.curves.new(name, "CURVE")
@@ -114,15 +111,14 @@ def add_crossing_stroke(plate: Any, name: str, turned: float) -> Any:
 
 PLATE_NAME, PLATE_M = "Plate", 0.12
 CROWD_CUTS, CROWD_PITCH_M, CROWD_AWAY_M, CROWD_ROW = 10, 0.2, 1.0, 100
-"""Of the other objects: faces along a side, their distance from each other and from the plate, and how many stand in a
-row."""
+"""Other objects: faces along a side, spacing and distance from the plate [m], and number per row."""
 STROKE_PITCH_M = 0.05
 RIM_M = 0.03
-"""Strokes over places of their own lie so far apart; slots that no stroke touches begin so far from the middle."""
+"""Spacing of separate strokes, and distance from the middle beyond which slots are not touched [m]."""
 
 
 def open_empty_file() -> Any:
-    """The scene of a new file that knows strokes."""
+    """Open a new file with the stroke properties registered, and return its scene."""
     import bpy
 
     from hnf_blender import props
@@ -134,7 +130,7 @@ def open_empty_file() -> Any:
 
 
 def save_file(path: Path) -> None:
-    """What is open, as a file of its own."""
+    """Save the open file."""
     import bpy
 
     from hnf_blender.bridge.scene.suppress_output import suppress_output
@@ -145,7 +141,7 @@ def save_file(path: Path) -> None:
 
 
 def add_relief_plate(cuts: int, size_m: float = PLATE_M, slots: int = 1) -> Any:
-    """A square of cuts × cuts faces with a relief in its shader. Its other slots cover its rim."""
+    """Add a square of cuts × cuts faces with a relief in its shader. Other slots cover its rim."""
     obj = _add_object(PLATE_NAME, _make_grid(PLATE_NAME, cuts, size_m))
     for slot in range(slots):
         obj.data.materials.append(make_relief_material(f"Relief {slot}", 60.0 + 240.0 * slot / slots))
@@ -158,7 +154,7 @@ def add_relief_plate(cuts: int, size_m: float = PLATE_M, slots: int = 1) -> Any:
 
 
 def add_crowd(count: int, own_meshes: bool) -> None:
-    """So many plates of 100 faces without a material, none within reach of the plate."""
+    """Add plates of 100 faces without a material, none within reach of the plate."""
     mesh = _make_grid("Crowd", CROWD_CUTS, PLATE_M)
     for number in range(count):
         other = _add_object(f"Crowd {number}", mesh.copy() if own_meshes else mesh)
@@ -167,7 +163,7 @@ def add_crowd(count: int, own_meshes: bool) -> None:
 
 
 def add_strokes(count: int, surface: Any, apart: bool, length_m: float) -> None:
-    """So many strokes at 100 mm/s; apart: each over a place of its own, else all over one, with seeds of their own."""
+    """Add strokes at 100 mm/s, at separate positions if `apart`, else all at one, each with its own seed."""
     across = int(np.ceil(np.sqrt(count)))
     for number in range(count):
         row, column = divmod(number, across) if apart else (0, 0)
@@ -176,7 +172,7 @@ def add_strokes(count: int, surface: Any, apart: bool, length_m: float) -> None:
 
 
 def make_relief_material(name: str, scale: float) -> Any:
-    """A material whose bump is noise."""
+    """Make a material with a noise bump."""
     import bpy
 
     from hnf_blender import compat
@@ -193,7 +189,7 @@ def make_relief_material(name: str, scale: float) -> Any:
 
 
 def set_image_relief(obj: Any, texels: int, seed: int) -> None:
-    """Make obj's bump one of an image of texels × texels over all of it."""
+    """Use an image of texels × texels over the complete object as its bump."""
     import bpy
 
     pixels = np.ones((texels, texels, 4), dtype=np.float32)
@@ -204,14 +200,14 @@ def set_image_relief(obj: Any, texels: int, seed: int) -> None:
     image.pack()
     tree = obj.data.materials[0].node_tree
     bump = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBump")
-    texture, place = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeTexCoord")
+    texture, coordinates = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeTexCoord")
     texture.image = image
-    tree.links.new(place.outputs["Generated"], texture.inputs["Vector"])
+    tree.links.new(coordinates.outputs["Generated"], texture.inputs["Vector"])
     tree.links.new(texture.outputs["Color"], bump.inputs["Height"])
 
 
 def _make_grid(name: str, cuts: int, size_m: float) -> Any:
-    """By arrays: ten million faces must not pass through Python."""
+    """Make a grid mesh from arrays, as ten million faces would be too slow in Python."""
     import bpy
 
     side = np.linspace(-size_m / 2.0, size_m / 2.0, cuts + 1, dtype=np.float32)
@@ -253,17 +249,17 @@ def _add_stroke(name: str, surface: Any, middle: np.ndarray[Any, Any], length_m:
 
 SIDEBAR_PX = 340
 VISIBLE_ROWS = 5
-"""Lines of the list of strokes."""
+"""Visible rows of the list of strokes."""
 
 
 class FakeLayout:
-    """A UILayout, or the properties of a button, that takes everything and keeps nothing."""
+    """A UILayout, or the properties of a button, that accepts every call and stores nothing."""
 
     def __getattr__(self, _name: str) -> Any:
         return self._accept
 
     def __setattr__(self, _name: str, _value: Any) -> None:
-        """Kept nowhere."""
+        """Ignore the value."""
 
     def _accept(self, *_values: Any, **_named: Any) -> FakeLayout:
         return self
@@ -271,28 +267,30 @@ class FakeLayout:
 
 @contextmanager
 def register_tab() -> Iterator[None]:
-    """As in a window: the tab's buttons and panels are registered (their poll() asks for each other), and changes are
-    told of; the caller passes Blender's on to note_changes()."""
+    """Register the tab's buttons and panels, as in a window, with change notification on.
+
+    Their poll() functions refer to each other. The caller passes Blender's notifications to note_changes().
+    """
     import bpy
 
     from hnf_blender import ops, ui
     from hnf_blender.props.object_cache import CHANGES
 
-    rooms = () if hasattr(bpy.types, "HNF_PT_scene") else (ops, ui)
-    for room in rooms:
-        room.register()
-    was_told, CHANGES.is_notified = CHANGES.is_notified, True
+    modules = () if hasattr(bpy.types, "HNF_PT_scene") else (ops, ui)
+    for module in modules:
+        module.register()
+    was_notified, CHANGES.is_notified = CHANGES.is_notified, True
     try:
         yield
     finally:
-        CHANGES.is_notified = was_told
+        CHANGES.is_notified = was_notified
         CHANGES.mark_changed()
-        for room in reversed(rooms):
-            room.unregister()
+        for module in reversed(modules):
+            module.unregister()
 
 
 def draw_tab(scene: Any, layer: Any) -> int:
-    """As Blender does when the sidebar is redrawn, with every panel open; how many panels were drawn."""
+    """Draw the tab as on a redraw of the sidebar with every panel open; return the number of panels drawn."""
     import bpy
 
     from hnf_blender.props.scene_settings import list_cached_strokes
@@ -302,14 +300,14 @@ def draw_tab(scene: Any, layer: Any) -> int:
 
     context, layout = make_tab_context(scene, layer, SIDEBAR_PX), FakeLayout()
     panels = [
-        each
-        for each in collect_classes("hnf_blender.ui", MODULES)
-        if issubclass(each, bpy.types.Panel) and (not hasattr(each, "poll") or each.poll(context))
+        panel
+        for panel in collect_classes("hnf_blender.ui", MODULES)
+        if issubclass(panel, bpy.types.Panel) and (not hasattr(panel, "poll") or panel.poll(context))
     ]
-    for each in panels:
+    for panel in panels:
         for name in ("draw_header", "draw"):
-            if hasattr(each, name):
-                getattr(each, name)(SimpleNamespace(layout=layout, bl_rna=each.bl_rna), context)
+            if hasattr(panel, name):
+                getattr(panel, name)(SimpleNamespace(layout=layout, bl_rna=panel.bl_rna), context)
     listed: Any = SimpleNamespace(filter_name="", bitflag_filter_item=1)
     HNF_UL_strokes.filter_items(listed, context, scene, "objects")
     for index, obj in enumerate(list_cached_strokes(scene)[:VISIBLE_ROWS]):
@@ -318,7 +316,7 @@ def draw_tab(scene: Any, layer: Any) -> int:
 
 
 def make_tab_context(scene: Any, layer: Any, width_px: int) -> Any:
-    """What a panel is given in a region of this width; outside a window bpy.context has no region."""
+    """Return the context of a panel in a region of this width, as bpy.context has none without a window."""
     import bpy
 
     context = bpy.context

@@ -1,15 +1,10 @@
-"""What switching the add-on on costs: CPU time and memory beside those of `import numpy`, and what it loads.
+"""Benches of waiting times in Blender: enabling the add-on, a second run, authoring, and responsiveness in a bake.
 
-What `hnf touch` costs when nothing changed: fresh processes, in turn with one that opens the same scene and does
-nothing.
-
-How long Blender waits for us when a stroke is made: drawn by hand, or a ready one placed.
-
-How long Blender waits for us while a bake runs beside it: start, ticks, handlers, looks at changes, commit, end.
-
-The window is played: its timers' calls are made by hand at their own pace, with an edit now and then, so that every
-call is seen from the outside. The tab is drawn into a hollow layout, once a tick as in the window; what Blender itself
-makes of it is not in it (tests/app times that in a real window).
+`measure_enable`: processor time, memory and modules against `import numpy`. `measure_second_run`: `hnf touch` without
+changes, against opening the same scene, in fresh processes. `measure_authoring`: a stroke drawn by hand, or a primitive
+placed. `measure_responsiveness`: every call during a bake (start, ticks, handlers, checks for changes, commit, end).
+The window's timers are simulated at their own pace with occasional edits; the tab is drawn into a fake layout once per
+tick, which excludes Blender's own drawing (tests/app measures that in a real window).
 """
 
 from __future__ import annotations
@@ -50,8 +45,8 @@ from .scenes import (
 ENABLE_NAME = "enable"
 MAX_ENABLE_S = 60.0
 HEAVY_PACKAGES = frozenset({"torch", "scipy", "matplotlib", "OpenEXR", "embreex", "safetensors", "PIL"})
-"""What must not be loaded by it."""
-# Blender has bpy and numpy in memory before any add-on; numpy is loaded first, so that its cost is its own.
+"""Packages that enabling must not load."""
+# Blender loads bpy and numpy before any add-on; numpy is loaded first, so that its cost is measured separately.
 ENABLE_CODE = """
 import json, os, sys, time, tracemalloc
 start = time.process_time()
@@ -75,8 +70,18 @@ os._exit(0)
 
 @dataclass(frozen=True)
 class EnableRun:
-    """One fresh process. numpy_s, addon_s: CPU seconds. peak_mb: of Python's memory, 0 where it was not traced.
-    modules: loaded by the add-on."""
+    """Measurements of one fresh process.
+
+    Attributes
+    ----------
+    numpy_s, addon_s
+        Processor times [s].
+    peak_mb
+        Peak of Python's memory [MB], 0 if not traced.
+    modules
+        Modules loaded by the add-on.
+
+    """
 
     numpy_s: float
     addon_s: float
@@ -85,20 +90,26 @@ class EnableRun:
 
     @property
     def heavy_packages(self) -> tuple[str, ...]:
-        """The heavy packages among the modules."""
+        """Heavy packages among the modules."""
         return tuple(sorted({name.partition(".")[0] for name in self.modules} & HEAVY_PACKAGES))
 
 
 def measure_enable(options: BenchOptions) -> list[Row]:
-    """Both costs in the same processes, after one that compiles and one that counts memory, which is slow. Raises
-    HnfError without bpy."""
+    """Measure both costs in the same processes, after one for compilation and one that traces memory.
+
+    Raises
+    ------
+    HnfError
+        Without bpy.
+
+    """
     require_bpy(ENABLE_NAME)
     options.watch(f"{ENABLE_NAME}: compiling")
     enable_in_process()
     peak_mb = enable_in_process("memory").peak_mb
     runs = []
-    for k in range(options.repeats):
-        options.watch(f"{ENABLE_NAME}: process {k + 1} of {options.repeats}")
+    for repeat in range(options.repeats):
+        options.watch(f"{ENABLE_NAME}: process {repeat + 1} of {options.repeats}")
         runs.append(enable_in_process())
     heavy = ", ".join(runs[-1].heavy_packages) or "none"
     return [
@@ -116,20 +127,20 @@ def measure_enable(options: BenchOptions) -> list[Row]:
 
 
 def enable_in_process(*arguments: str) -> EnableRun:
-    """In a fresh process; "memory" traces its peak. Raises HnfError where that fails."""
+    """Enable the add-on in a fresh process; "memory" traces its peak. Raises HnfError if that fails."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     environment["PYTHONPATH"] = CHILD_PATH
     try:
-        done = subprocess.run(
+        finished = subprocess.run(
             [sys.executable, "-c", ENABLE_CODE, *arguments], cwd=ROOT, env=environment, timeout=MAX_ENABLE_S,
             stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True,
         )  # fmt: skip
     except subprocess.TimeoutExpired as error:
         raise HnfError(f"the add-on was not switched on within {MAX_ENABLE_S:g} s in a fresh process.") from error
     except subprocess.CalledProcessError as error:
-        said = str(error.stderr).strip()[-1500:]
-        raise HnfError(f"the add-on could not be switched on in a fresh process:\n{said}") from error
-    line = next(line for line in done.stdout.splitlines() if line.startswith("RESULT "))
+        output = str(error.stderr).strip()[-1500:]
+        raise HnfError(f"the add-on could not be switched on in a fresh process:\n{output}") from error
+    line = next(line for line in finished.stdout.splitlines() if line.startswith("RESULT "))
     numpy_s, addon_s, peak, modules = json.loads(line.removeprefix("RESULT "))
     return EnableRun(float(numpy_s), float(addon_s), float(peak), tuple(modules))
 
@@ -150,29 +161,37 @@ RELIEF_PIXELS, QUICK_RELIEF_PIXELS = 2048, 16
 
 
 def measure_second_run(options: BenchOptions) -> list[Row]:
-    """Two rows: the scene opened, and the second run. Raises HnfError without bpy, and where the second run renders,
-    casts or calls a network."""
+    """Measure opening the scene, and the second run.
+
+    Raises
+    ------
+    HnfError
+        Without bpy, or if the second run renders, casts rays or evaluates a network.
+
+    """
     require_bpy(STARTUP_NAME)
     with tempfile.TemporaryDirectory() as folder:
         scene, out = Path(folder) / "scene.blend", Path(folder) / "out"
-        # Where quick, a look at one place instead of strokes and their pictures.
-        place = ("--at", "Plate 0:0.1,0.1") if options.quick else ()
-        words = ("touch", str(scene), "--out", str(out), "--json", *place)
+        # Quick runs query one point instead of strokes and their images.
+        query = ("--at", "Plate 0:0.1,0.1") if options.quick else ()
+        command = ("touch", str(scene), "--out", str(out), "--json", *query)
         options.watch(f"{STARTUP_NAME}: making a scene")
         run_process(MAKE_CODE, str(scene), "quick" if options.quick else "whole")
         options.watch(f"{STARTUP_NAME}: first run")
-        run_process(TOUCH_CODE, *words)
+        run_process(TOUCH_CODE, *command)
         code = OPEN_CODE.format(scene=str(scene))
-        found = measure_pairs(options, OPEN_NAME, code, {SECOND_RUN_NAME: (TOUCH_CODE, words)})
+        rows = measure_pairs(options, OPEN_NAME, code, {SECOND_RUN_NAME: (TOUCH_CODE, command)})
         counts = json.loads((out / "report.json").read_text(encoding="utf-8"))["counts"]
     if any(counts[name] for name in FREE_COUNTS):
         raise HnfError(f"the second run was not free: {counts}", where=STARTUP_NAME)
-    return found
+    return rows
 
 
 def write_scene(path: str, quick: bool) -> None:
-    """Plates of 100,000 faces in all, each with a picture as its relief and a stroke, saved at path; of a handful of
-    faces and pixels where quick."""
+    """Save plates of 100,000 faces in all, each with an image relief and a stroke, to a file.
+
+    quick: a handful of faces and pixels.
+    """
     import bpy
 
     from hnf_blender import props
@@ -188,11 +207,11 @@ def write_scene(path: str, quick: bool) -> None:
         uv = plate.data.uv_layers.new(name="UVMap")
         corners = np.empty(len(plate.data.loops), dtype=np.int32)
         plate.data.loops.foreach_get("vertex_index", corners)
-        places = np.array([tuple(vertex.co)[:2] for vertex in plate.data.vertices], dtype=np.float32)
-        uv.uv.foreach_set("vector", (5.0 * places[corners]).ravel())
-        picture = Path(path).with_name(f"relief {number}.png")
+        positions = np.array([tuple(vertex.co)[:2] for vertex in plate.data.vertices], dtype=np.float32)
+        uv.uv.foreach_set("vector", (5.0 * positions[corners]).ravel())
+        image_path = Path(path).with_name(f"relief {number}.png")
         plate.data.materials.append(
-            _make_rough_material(picture, QUICK_RELIEF_PIXELS if quick else RELIEF_PIXELS, number)
+            _make_rough_material(image_path, QUICK_RELIEF_PIXELS if quick else RELIEF_PIXELS, number)
         )
         stroke = add_crossing_stroke(plate, f"Stroke {number}", turned=0.4 * number)
         stroke.location.x = plate.location.x
@@ -200,7 +219,7 @@ def write_scene(path: str, quick: bool) -> None:
 
 
 def _make_rough_material(path: Path, pixels: int, seed: int) -> Any:
-    """A material whose height is a picture of noise, kept beside the scene."""
+    """Make a material with a noise image, stored next to the scene, as its height."""
     import bpy
 
     from hnf_blender import compat
@@ -225,42 +244,42 @@ AUTHORING_NAME = "authoring"
 SCRIBBLE_S, QUICK_SCRIBBLE_S = 10.0, 1.0
 EVENTS_HZ = 100.0
 PIXEL_M = 0.3e-3
-"""What a hand draws comes in steps of the screen."""
+"""Step of drawn positions, as on a screen [m]."""
 PRIMITIVE = next(iter(PRIMITIVES))
 
 
 def measure_authoring(options: BenchOptions) -> list[Row]:
-    """One row for each way to make a stroke. Raises HnfError without bpy. Empties the file that is open."""
+    """Measure each way to make a stroke. Raises HnfError without bpy. Empties the open file."""
     require_bpy(AUTHORING_NAME)
     from hnf_blender.bridge.stroke.new_stroke import create_drawn_stroke
     from hnf_blender.bridge.stroke.place_primitive import place_primitive
 
     seconds = QUICK_SCRIBBLE_S if options.quick else SCRIBBLE_S
-    samples, drawn, placed, knots = make_scribble(seconds), Times(), Times(), 0
+    samples, draw_times, place_times, knots = make_scribble(seconds), Times(), Times(), 0
     with open_test_file() as (scene, layer):
         plate = add_plate_with_strokes(QUICK_PLATE_CUTS if options.quick else PLATE_CUTS)
         for repeat in range(options.repeats):
             options.watch(f"{AUTHORING_NAME}: {repeat + 1} of {options.repeats}")
             depsgraph = layer.depsgraph
             draw = partial(create_drawn_stroke, scene, depsgraph, plate, samples, PenStyle())
-            made = drawn.measure(partial(draw, start_frame=1.0, probe="pen", metres_per_unit=1.0))
-            knots = len(made.pen_stroke.path.knot)
-            placed.measure(partial(place_primitive, scene, plate, None, PRIMITIVE, 1.0, depsgraph))
+            stroke = draw_times.measure(partial(draw, start_frame=1.0, probe="pen", metres_per_unit=1.0))
+            knots = len(stroke.pen_stroke.path.knot)
+            place_times.measure(partial(place_primitive, scene, plate, None, PRIMITIVE, 1.0, depsgraph))
             layer.update()
     return [
         Row(
             AUTHORING_NAME,
             f"draw {seconds:g} s",
-            drawn.seconds,
-            drawn.cpu,
+            draw_times.seconds,
+            draw_times.cpu,
             note=f"{len(samples.time)} samples → {knots} knots",
         ),
-        Row(AUTHORING_NAME, f"place {PRIMITIVE}", placed.seconds, placed.cpu),
+        Row(AUTHORING_NAME, f"place {PRIMITIVE}", place_times.seconds, place_times.cpu),
     ]
 
 
 def make_scribble(seconds: float) -> PenSamples:
-    """A hand's loops over 6 cm of the plane z = 0, as a pen tells of them."""
+    """Make pen samples of a hand's loops over 6 cm of the plane z = 0."""
     time = np.arange(round(seconds * EVENTS_HZ)) / EVENTS_HZ
     turn = 2.0 * np.pi * time
     x = 0.02 * np.sin(0.7 * turn) + 0.01 * np.sin(1.3 * turn + 1.0)
@@ -273,7 +292,7 @@ RESPONSIVENESS_NAME = "responsiveness"
 JOB_TICK_S, CHECK_TICK_S, EDIT_S, STEP_S = 0.1, 0.25, 0.5, 0.01
 MAX_BAKE_S = 300.0
 CANCEL_AT_S = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5)
-"""After the start; the child loads Blender in the first second."""
+"""Times of cancelling after the start [s]; the child loads Blender in the first second."""
 
 COMPLETE_BAKE = "the whole bake, beside the window"
 DRAW_TAB = "draw the tab"
@@ -282,9 +301,13 @@ WaitTimes = dict[str, Times]
 
 
 def measure_responsiveness(options: BenchOptions) -> list[Row]:
-    """One row for each kind of call, of all bakes together. Raises HnfError without bpy, or where a bake fails.
+    """Measure each kind of call over all bakes. Empties the open file.
 
-    Empties the file that is open.
+    Raises
+    ------
+    HnfError
+        Without bpy, or if a bake fails.
+
     """
     require_bpy(RESPONSIVENESS_NAME)
     waits: WaitTimes = defaultdict(Times)
@@ -304,13 +327,13 @@ def measure_responsiveness(options: BenchOptions) -> list[Row]:
         COMPLETE_BAKE: f"{STROKE_COUNT} strokes, no close-up there yet",
     }
     return [
-        Row(RESPONSIVENESS_NAME, name, found.seconds, found.cpu, note=notes.get(name, ""))
-        for name, found in waits.items()
+        Row(RESPONSIVENESS_NAME, name, times.seconds, times.cpu, note=notes.get(name, ""))
+        for name, times in waits.items()
     ]
 
 
 def _measure_bake(scene: Any, layer: Any, waits: WaitTimes) -> None:
-    """A bake to its end, every call of ours timed."""
+    """Run a complete bake and time every call of the add-on."""
     import bpy
 
     from hnf_blender.handlers import on_depsgraph_update
@@ -319,39 +342,39 @@ def _measure_bake(scene: Any, layer: Any, waits: WaitTimes) -> None:
     from hnf_blender.state.session_state import STATE
     from hnf_blender.state.status_tracker import process_changes
 
-    def told(changed: Any, depsgraph: Any) -> None:
+    def on_update(changed: Any, depsgraph: Any) -> None:
         waits["handler"].measure(lambda: on_depsgraph_update(changed, depsgraph))
 
     stroke = scene.objects["Beside"]
-    began = time.perf_counter()
+    start = time.perf_counter()
     bake: BakeJob = waits["start"].measure(lambda: manager.start_bake(scene, layer, list_stroke_names()))
-    next_job = next_look = next_edit = 0.0
-    bpy.app.handlers.depsgraph_update_post.append(told)
+    next_job = next_check = next_edit = 0.0
+    bpy.app.handlers.depsgraph_update_post.append(on_update)
     try:
-        ended = None
-        while ended is None:
-            now = time.perf_counter() - began
+        result = None
+        while result is None:
+            now = time.perf_counter() - start
             if now > MAX_BAKE_S:
                 raise HnfError(f"the bake did not end within {MAX_BAKE_S:g} s.", where=RESPONSIVENESS_NAME)
             if now >= next_edit:
                 next_edit = now + EDIT_S
                 stroke.location.z += 1e-5
                 layer.update()
-            if now >= next_look:
-                next_look = now + CHECK_TICK_S
+            if now >= next_check:
+                next_check = now + CHECK_TICK_S
                 waits["look at what changed"].measure(lambda: process_changes(((scene, layer),)))
             if now >= next_job:
                 next_job = now + JOB_TICK_S
                 stage = "tick, commit" if bake.is_committing else "tick, child at work"
-                ended = waits[stage].measure(manager.tick)
+                result = waits[stage].measure(manager.tick)
                 waits[DRAW_TAB].measure(lambda: draw_tab(scene, layer))
             time.sleep(STEP_S)
     finally:
-        bpy.app.handlers.depsgraph_update_post.remove(told)
+        bpy.app.handlers.depsgraph_update_post.remove(on_update)
         manager.cancel()
-    if not ended.ok:
-        raise HnfError(f"the bake failed: {ended.message}", where=RESPONSIVENESS_NAME)
-    waits[COMPLETE_BAKE].add_wall_time(time.perf_counter() - began)
+    if not result.ok:
+        raise HnfError(f"the bake failed: {result.message}", where=RESPONSIVENESS_NAME)
+    waits[COMPLETE_BAKE].add_wall_time(time.perf_counter() - start)
     STATE.dirty_names.clear()
 
 

@@ -1,4 +1,4 @@
-"""`hnf bench`: time, memory and error side by side."""
+"""`hnf bench`: measure time, memory and error of each method."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the benches named, without Blender those that need none. Raises HnfError; returns the exit code."""
+    """Run the named benches, without Blender only the core ones. Raises HnfError; returns the exit code."""
     from .bench_catalogue import BENCHES, CORE_BENCHES
 
     return run_benches(arguments, CORE_BENCHES if importlib.util.find_spec("bpy") is None else BENCHES)
 
 
 def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
-    """Print what those asked for measure. Raises UsageError and what a bench raises."""
+    """Run the selected benches and print their rows. Raises UsageError, and what a bench raises."""
     from ..bench.harness import BenchOptions, describe_machine, format_rows
 
     chosen = [bench for bench in benches if arguments.name in (None, bench.name)]
@@ -59,17 +59,19 @@ def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
         check_suffix(arguments.plot)
     before, bar, rows = describe_machine(), ProgressBar(), []
     try:
-        for place, bench in enumerate(chosen):
+        for index, bench in enumerate(chosen):
             options = BenchOptions(
                 arguments.repeats,
                 arguments.quick,
-                lambda what, place=place: bar.show(Progress(what, place, len(chosen))),  # type: ignore[misc]
+                lambda what, index=index: bar.show(Progress(what, index, len(chosen))),  # type: ignore[misc]
                 arguments.scene,
             )
             rows += bench.measure(options)
     finally:
         bar.close()
-    facts = describe_machine() | {name: before[name] for name in ("load",) if name in before}  # before we made one
+    facts = describe_machine() | {
+        name: before[name] for name in ("load",) if name in before
+    }  # the load before the benches added to it
     if arguments.json:
         print(json.dumps([row.to_json() | {"machine": facts} for row in rows], indent=1, ensure_ascii=False))
     else:

@@ -1,7 +1,4 @@
-"""The benches that need no Blender.
-
-All benches: those of the core, and those that need Blender.
-"""
+"""Catalogue of the benches: those of the core, and those that need Blender."""
 
 from __future__ import annotations
 

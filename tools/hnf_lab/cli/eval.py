@@ -1,4 +1,4 @@
-"""`hnf eval`: methods × metrics, beside what the data themselves allow."""
+"""`hnf eval`: evaluate methods by all metrics, with the bounds of the data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .eval_alignment import add_parser as _add_alignment
 from .eval_tactile_map import add_parser as _add_tactile_map
 
 SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_tactile_map)
-"""What else can be measured: each adds a parser that names its own runner as the default of `run`."""
+"""Further subjects: each adds a parser with its own runner as the default of `run`."""
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -49,7 +49,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run the command. Raises HnfError; returns the exit code."""
     if arguments.out is None:
         raise UsageError("hnf eval writes a report and pictures.", remedy="Say where: --out DIR.")
     if arguments.workers < 1 or arguments.seed < 0 or arguments.textures < 0 or not 5.0 <= arguments.seconds <= 1e4:

@@ -1,4 +1,4 @@
-"""`hnf eval alignment`: the table of classification, retrieval and bridging for encoders that were trained here."""
+"""`hnf eval alignment`: classification, retrieval and cross-sensor matching of trained encoders."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def add_parser(subjects: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run the command. Raises HnfError; returns the exit code."""
     if arguments.seed < 0 or arguments.threads < 1 or (arguments.items is not None and arguments.items < 20):
         raise UsageError("--seed must be at least 0, --threads 1, --items 20.")
     prepare_torch(arguments.threads)
@@ -42,15 +42,21 @@ def run(arguments: argparse.Namespace) -> int:
 
     models = [load_encoders(folder) for folder in arguments.models]
     source = open_source(arguments.data or [[PAIRS]])
-    learn, judged = source.load_training(), source.load_held_out()
+    training, held_out = source.load_training(), source.load_held_out()
     bar, measured = ProgressBar(), []
     try:
-        for number, each in enumerate(models):
-            bar.show(Progress(f"encoders trained on {each.sensor}", number, len(models)))
-            measured.append(measure_encoders(each, learn, judged, arguments.seed, arguments.items or PROBE_ITEMS))
+        for number, encoders in enumerate(models):
+            bar.show(Progress(f"encoders trained on {encoders.sensor}", number, len(models)))
+            measured.append(
+                measure_encoders(encoders, training, held_out, arguments.seed, arguments.items or PROBE_ITEMS)
+            )
     finally:
         bar.close()
-    told = make_report(measured, compute_chance_levels(judged))
-    record = {**told.to_json(), "models": [dict(each.record) for each in models], "data": list(source.messages)}
-    print(json.dumps(record, indent=1) if arguments.json else format_report(told))
+    report = make_report(measured, compute_chance_levels(held_out))
+    record = {
+        **report.to_json(),
+        "models": [dict(encoders.record) for encoders in models],
+        "data": list(source.messages),
+    }
+    print(json.dumps(record, indent=1) if arguments.json else format_report(report))
     return 0

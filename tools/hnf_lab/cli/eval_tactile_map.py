@@ -1,4 +1,4 @@
-"""`hnf eval tactile-map`: predicted tactile maps beside true ones, and beside simpler guesses."""
+"""`hnf eval tactile-map`: compare predicted tactile maps with true ones and with simple baselines."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def add_parser(subjects: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run the command. Raises HnfError; returns the exit code."""
     if arguments.seed < 0 or (arguments.tiles is not None and arguments.tiles < 2):
         raise UsageError("--seed must be at least 0, --tiles 2.")
     from dataclasses import replace

@@ -1,4 +1,4 @@
-"""`hnf train alignment`: two encoders that put a look and its touch in one place, for one sensor or for both."""
+"""`hnf train alignment`: train two encoders that embed appearance and touch in one space."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def add_parser(subjects: Any) -> None:
 
 
 def add_data_option(parser: argparse.ArgumentParser) -> None:
-    """The words for what it is trained on and judged by."""
+    """Add the option for the data to train and test on."""
     parser.add_argument(
         "--data", nargs="+", action="append", metavar="WORD",
         help=f"folder of generated pairs (default {PAIRS}); or tarf DIR, touch-and-go DIR, hatt PHOTOGRAPHS TOUCH: "
@@ -53,7 +53,7 @@ def add_data_option(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run the command. Raises HnfError; returns the exit code."""
     if arguments.seed < 0 or arguments.threads < 1 or not (arguments.minutes is None or arguments.minutes > 0.0):
         raise UsageError("--seed must be at least 0, --threads 1, and --minutes more than none.")
     version = prepare_torch(arguments.threads)
@@ -81,18 +81,18 @@ def run(arguments: argparse.Namespace) -> int:
         fitted = fit_encoders(tuples, recipe, checkpoint, watch, start)
     finally:
         bar.close()
-    told = {
+    details = {
         "sensor": arguments.sensor, "tuples": len(tuples), "data": list(source.messages), "threads": arguments.threads,
         "trunk": None if arguments.trunk is None else arguments.trunk.name, "torch": version,
     }  # fmt: skip
-    record = save_encoders(arguments.out, fitted, recipe, told)
+    record = save_encoders(arguments.out, fitted, recipe, details)
     checkpoint.unlink(missing_ok=True)
     print(json.dumps(record, indent=1) if arguments.json else _format_record(arguments.out, record))
     return 0
 
 
 def prepare_torch(threads: int) -> str:
-    """The version of torch, which from now on uses so many threads. Raises HnfError where it is missing."""
+    """Set torch's number of threads and return its version. Raises HnfError if torch is missing."""
     with require_torch("alignment"):
         from ..alignment.train import set_torch_threads
     return set_torch_threads(threads)

@@ -1,4 +1,4 @@
-"""`hnf train encoder`: E as a network, on pairs that the project makes; with the user's own trunk its head alone."""
+"""`hnf train encoder`: train E on generated pairs, or only its head on the user's backbone."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run the command. Raises HnfError; returns the exit code."""
     check_seed_and_weights(arguments)
     if arguments.steps is not None and arguments.steps < 1:
         raise UsageError("--steps must be a whole number from 1.")

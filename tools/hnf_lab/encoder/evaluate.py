@@ -1,6 +1,7 @@
-"""How far the token of one view is from that of its whole tile, for any make of E.
+"""Evaluate encoders E: errors of single-view tokens, stability of tokens, and the effect on the signal.
 
-The makes of E compared: how steady a token is, and what a difference between tokens does to the signal.
+`evaluate_encoder` compares the token of one view with that of its complete tile. `describe_samples` and
+`compute_stability` measure the change of tokens under shifts, noise, other lamps and another sensor.
 """
 
 from __future__ import annotations
@@ -37,9 +38,20 @@ DB_PER_DECADE = 20.0
 
 @dataclass(frozen=True)
 class TokenErrors:
-    """level_db: (7,) RMS error of the level per band, longest first. two_fold, four_fold: (7,) RMS error of (cos2,
-    sin2) and (cos4, sin4), per component. peak, offset: (7,) RMS error. median_level_db: of |error| over all bands.
-    NaN where no view knows a band."""
+    """Errors of tokens; NaN where no view knows a band.
+
+    Attributes
+    ----------
+    level_db
+        (7,) RMS error of the level per band, longest first [dB].
+    two_fold, four_fold
+        (7,) RMS error of (cos2, sin2) and (cos4, sin4), per component.
+    peak, offset
+        (7,) RMS error.
+    median_level_db
+        Median of |error| over all bands [dB].
+
+    """
 
     level_db: Float
     two_fold: Float
@@ -49,12 +61,12 @@ class TokenErrors:
     median_level_db: float
 
     def compute_overall_db(self) -> float:
-        """RMS over the bands."""
+        """Return the RMS level error over the bands [dB]."""
         return float(np.sqrt(np.nanmean(np.square(self.level_db))))
 
 
 def make_view_map(pairs: Pairs, row: int, sensor: str) -> TactileMap:
-    """The tactile map of one view under a sensor's own lamps."""
+    """Make the tactile map of one view under a sensor's nominal lamps."""
     slopes = pairs.slopes[row, PAIR_SENSORS.index(sensor)].astype(np.float64)
     image = shade(slopes[0], slopes[1], get_sensor(sensor))
     pitch = PITCHES_M[int(pairs.pitch_index[row])]
@@ -63,7 +75,7 @@ def make_view_map(pairs: Pairs, row: int, sensor: str) -> TactileMap:
 
 
 def describe_single_views(encoder: Encoder, pairs: Pairs, rows: Sequence[int], sensor: str) -> tuple[Float, Mask]:
-    """(n, TOKEN_DIM) tokens, each of one view alone, and which of their components are known."""
+    """Return the (n, TOKEN_DIM) tokens of single views, and the masks of their known components."""
     tokens = [encoder.describe(make_view_map(pairs, row, sensor)) for row in rows]
     return (
         np.array([token.values for token in tokens], dtype=np.float64).reshape(-1, TOKEN_DIM),
@@ -72,8 +84,10 @@ def describe_single_views(encoder: Encoder, pairs: Pairs, rows: Sequence[int], s
 
 
 def compute_token_errors(tokens: Float, known: Mask, expected: Float) -> TokenErrors:
-    """Against whole tiles' tokens wanted (n, TOKEN_DIM); bands of the tile with next to nothing in them (see fuse)
-    do not count, nor do the directions and peaks of what is not there."""
+    """Compare tokens (n, TOKEN_DIM) with those of complete tiles.
+
+    Bands with negligible power in the tile (see fuse) are excluded, with their directions and peaks.
+    """
     levels = expected[:, LEVELS]
     strongest = levels.max(axis=1, keepdims=True)
     counts = known[:, LEVELS] & (levels > np.maximum(strongest - SIGNIFICANT_DECADES, SMOOTH_LEVEL + 0.3))
@@ -98,14 +112,27 @@ def compute_token_errors(tokens: Float, known: Mask, expected: Float) -> TokenEr
 def evaluate_encoder(
     encoder: Encoder, pairs: Pairs, rows: Sequence[int] | None = None, sensor: str = "gelsight"
 ) -> TokenErrors:
-    """Errors of an encoder on single views (all where rows is None)."""
+    """Compute the errors of an encoder on single views.
+
+    Parameters
+    ----------
+    encoder
+        Encoder to test.
+    pairs
+        Views with true tokens.
+    rows
+        Views to use; None = all.
+    sensor
+        Sensor that renders the views.
+
+    """
     chosen = range(len(pairs)) if rows is None else rows
     tokens, known = describe_single_views(encoder, pairs, chosen, sensor)
     return compute_token_errors(tokens, known, pairs.token[pairs.tile_index[np.asarray(chosen)]].astype(np.float64))
 
 
 def format_errors(errors: TokenErrors) -> str:
-    """One line for metadata and terminals."""
+    """Format the errors as one line for metadata and terminals."""
     bands = ", ".join(
         f"{wavelength * 1e3:g} mm {level:.1f}"
         for wavelength, level in zip(BAND_WAVELENGTHS_M, errors.level_db, strict=True)
@@ -124,13 +151,13 @@ def _compute_rms(values: Float) -> float:
 
 PITCH_M = TILE_SIZE_M / TILE_PIXELS
 NEAR_VIEWS = 4
-"""Finest views of a patch, as of a predicted one."""
+"""Number of finest views of a patch, as of a predicted one."""
 NOISE_LEVELS = (0.01, 0.02)
 
 
 @dataclass(frozen=True)
 class SurfaceSample:
-    """A tile of one instance of a class. height: (512, 512) m."""
+    """A tile of one instance of a class. height: (512, 512) [m]."""
 
     name: str
     class_name: str
@@ -139,7 +166,7 @@ class SurfaceSample:
 
 
 def make_sample(class_name: str, seed: int, patch: int = 0) -> SurfaceSample:
-    """Instance `seed` of a class; patch: which tile of it."""
+    """Make tile `patch` of instance `seed` of a class."""
     recipe, mechanics = sample_instance(class_name, seed)
     name = f"{class_name}/{seed}"
     return SurfaceSample(name, class_name, mechanics, height_map(recipe, derive_seed(name) + 500 + patch))
@@ -147,9 +174,20 @@ def make_sample(class_name: str, seed: int, patch: int = 0) -> SurfaceSample:
 
 @dataclass(frozen=True)
 class SensorView:
-    """How a piece is seen. shift_px: of the tile under the sensor. noise: deviation of each pixel, full scale 1.
-    lamps: seed of scattered lamps that the encoder does not know of, None = the make's own. near: 0 = the whole map,
-    else views as the prediction gives them."""
+    """Conditions under which a sample is viewed.
+
+    Attributes
+    ----------
+    shift_px
+        Shift of the tile under the sensor [pixels].
+    noise
+        Standard deviation of each pixel, full scale 1.
+    lamps
+        Seed of perturbed lamps unknown to the encoder; None = nominal.
+    near_views
+        0 = the complete map, else number of near views as in prediction.
+
+    """
 
     sensor: str = "gelsight"
     shift_px: int = 0
@@ -159,19 +197,19 @@ class SensorView:
 
 
 def render_maps(sample: SurfaceSample, view: SensorView) -> tuple[TactileMap, ...]:
-    """The tactile maps of a shot. The noise of a shot is that of its piece, always the same.
+    """Render the tactile maps of a view of a sample; the noise depends on the sample only.
 
-    Views have their noise after decimation, each of their own 64 pixels.
+    Views get their noise after decimation, on their own 64 pixels.
     """
     sensor = get_sensor(view.sensor)
     rng = np.random.default_rng([derive_seed(sample.name), view.lamps or 0])
-    lit = sensor if view.lamps is None else perturb_sensor(sensor, rng)
+    actual_sensor = sensor if view.lamps is None else perturb_sensor(sensor, rng)
     height = np.roll(sample.height, (view.shift_px, view.shift_px), axis=(0, 1))
     image = shade(*gel_gradients(height, PITCH_M, sensor), sensor)
-    seen = np.ones(image.shape[:2], dtype=bool)
-    whole = TactileMap(image, None, seen, PITCH_M, view.sensor, 2.0 * PITCH_M, Route.MEASURED, "")
-    maps = cut_map_views(whole, view.near_views) if view.near_views else (whole,)
-    return tuple(_perturb(each, lit, view.noise, rng) for each in maps)
+    mask = np.ones(image.shape[:2], dtype=bool)
+    complete_map = TactileMap(image, None, mask, PITCH_M, view.sensor, 2.0 * PITCH_M, Route.MEASURED, "")
+    maps = cut_map_views(complete_map, view.near_views) if view.near_views else (complete_map,)
+    return tuple(_perturb(tactile_map, actual_sensor, view.noise, rng) for tactile_map in maps)
 
 
 def _perturb(tactile_map: TactileMap, actual_sensor: Sensor, noise: float, rng: np.random.Generator) -> TactileMap:
@@ -187,14 +225,14 @@ def _perturb(tactile_map: TactileMap, actual_sensor: Sensor, noise: float, rng: 
 
 
 def compute_token_distance(first: Token, second: Token) -> float:
-    """Euclidean distance as the network sees tokens (every component of order 1), of what both know."""
+    """Return the Euclidean distance of normalised tokens over the components known to both."""
     both = first.known & second.known
     a, b = (normalise_tokens(token.values[None].astype(np.float64))[0] for token in (first, second))
     return float(np.linalg.norm((a - b)[both]))
 
 
 def compute_level_change_db(first: Token, second: Token) -> float:
-    """RMS over the bands that both know."""
+    """Return the RMS level difference over the bands known to both [dB]."""
     both = (first.known & second.known)[LEVELS]
     change = 20.0 * (first.values[LEVELS] - second.values[LEVELS])[both]
     return float(np.sqrt(np.mean(np.square(change))))
@@ -202,19 +240,19 @@ def compute_level_change_db(first: Token, second: Token) -> float:
 
 @dataclass(frozen=True)
 class TokenStability:
-    """token: median distance. level_db: median RMS change of levels."""
+    """Median token distance, and median RMS change of levels [dB]."""
 
     token: float
     level_db: float
 
 
 def describe_samples(encoder: Encoder, samples: Sequence[SurfaceSample], view: SensorView) -> list[Token]:
-    """The token of every piece in a shot."""
-    return [describe_views(encoder, render_maps(each, view)) for each in samples]
+    """Return the token of every sample in a view."""
+    return [describe_views(encoder, render_maps(sample, view)) for sample in samples]
 
 
 def compute_stability(first: Sequence[Token], second: Sequence[Token]) -> TokenStability:
-    """How far the tokens of the same pieces move from one shot to another."""
+    """Return the change of the samples' tokens from one view to another."""
     pairs = list(zip(first, second, strict=True))
     return TokenStability(
         float(np.median([compute_token_distance(a, b) for a, b in pairs])),
@@ -223,14 +261,14 @@ def compute_stability(first: Sequence[Token], second: Sequence[Token]) -> TokenS
 
 
 def compute_neighbour_distance(tokens: Sequence[Token], samples: Sequence[SurfaceSample]) -> float:
-    """Median distance of a piece's token to the nearest one of another class."""
+    """Return the median distance of a sample's token to the nearest one of another class."""
     nearest = [
         min(
             compute_token_distance(a, b)
             for b, other in zip(tokens, samples, strict=True)
-            if other.class_name != own.class_name
+            if other.class_name != sample.class_name
         )
-        for a, own in zip(tokens, samples, strict=True)
+        for a, sample in zip(tokens, samples, strict=True)
     ]
     return float(np.median(nearest))
 
@@ -242,12 +280,12 @@ def compute_signal_distances_db(
     truth: Callable[[SurfaceSample], Token],
     ours: Callable[[SurfaceSample], Token],
 ) -> Float:
-    """(pieces,) distance of the average spectrum that a field expects with our token from that with the true one."""
-    found = []
-    for each in samples:
+    """Return (n,) average-spectrum distances [dB] expected with the encoder's token and the true one."""
+    distances = []
+    for sample in samples:
         densities = [
-            predict_spectrum(field, KnownMaterial(each.name, "", token.values, each.mechanics, np.zeros(0)), action)
-            for token in (ours(each), truth(each))
+            predict_spectrum(field, KnownMaterial(sample.name, "", token.values, sample.mechanics, np.zeros(0)), action)
+            for token in (ours(sample), truth(sample))
         ]
-        found.append(compute_distance_db(densities[0], np.concatenate([np.zeros(1), densities[1], np.zeros(400)])))
-    return np.array(found)
+        distances.append(compute_distance_db(densities[0], np.concatenate([np.zeros(1), densities[1], np.zeros(400)])))
+    return np.array(distances)

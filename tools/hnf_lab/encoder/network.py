@@ -1,8 +1,7 @@
-"""A network that the user has, as a file: torchvision's names and tensors as .safetensors, read as data alone.
+"""AlexNet encoder in torch, and weight files of the user.
 
-A trunk that the user has: torchvision's AlexNet as a .safetensors file.
-
-The torch twin of hnf_core.material.alexnet: the same tensors, names and arithmetic, with gradients.
+`TorchAlexNet` is the trainable twin of hnf_core.material.alexnet_encoder, with the same tensors, names and arithmetic.
+`read_state_dict` and `load_backbone` read torchvision weights from .safetensors files.
 """
 
 from __future__ import annotations
@@ -38,20 +37,34 @@ SUFFIX = ".safetensors"
 
 
 def read_state_dict(path: Path, network: str) -> tuple[dict[str, Tensor], str]:
-    """The tensors by name, as they were saved, and the file's SHA-256 in hex.
+    """Read the tensors by name, and the file's SHA-256 in hex.
 
-    network: its name in torchvision.models, for messages. torch's own files (.pth, .pt) are pickles, programs that run
-    when they are read: they are refused unread, with the command that converts one. Raises FileError where there is no
-    file, WeightsError where it is not a safetensors file.
+    torch's own files (.pth, .pt) are pickles, which run code when read. They are refused unread, with the command that
+    converts them.
+
+    Parameters
+    ----------
+    path
+        A .safetensors file.
+    network
+        Name in torchvision.models, for messages.
+
+    Raises
+    ------
+    FileError
+        If there is no file.
+    WeightsError
+        If it is not a safetensors file.
+
     """
     from safetensors import SafetensorError
     from safetensors.torch import load
 
     remedy = format_save_command(network)
     if path.is_file() and path.suffix != SUFFIX:
-        found = path.suffix or "no suffix"
+        suffix = path.suffix or "no suffix"
         raise WeightsError(
-            f"not a file of weights that can be read as data alone ({found}, not {SUFFIX}).",
+            f"not a file of weights that can be read as data alone ({suffix}, not {SUFFIX}).",
             where=str(path),
             remedy=remedy,
         )
@@ -63,7 +76,7 @@ def read_state_dict(path: Path, network: str) -> tuple[dict[str, Tensor], str]:
 
 
 def format_save_command(network: str) -> str:
-    """What to run for a file that read_state_dict reads, in words and as one line for a shell."""
+    """Return the instruction and one-line command that writes a file for read_state_dict."""
     return (
         f"Save the state dict of torchvision's {network} with your own Python: "
         f'python -c "import torchvision, safetensors.torch as s; '
@@ -76,40 +89,48 @@ _REMEDY = format_save_command(BACKBONE_NAME)
 
 
 def load_backbone(path: Path) -> tuple[dict[str, Tensor], str]:
-    """Float32 tensors features.0.weight … features.10.bias, and the file's SHA-256 in hex.
+    """Load float32 tensors features.0.weight … features.10.bias, and the file's SHA-256 in hex.
 
-    classifier.* is ignored. Raises FileError where there is no file, WeightsError where it is not a safetensors file,
-    or names, shapes or numbers are not AlexNet's.
+    classifier.* is ignored.
+
+    Raises
+    ------
+    FileError
+        If there is no file.
+    WeightsError
+        If it is not a safetensors file, or names, shapes or numbers are not AlexNet's.
+
     """
     state, digest = read_state_dict(path, BACKBONE_NAME)
-    wanted = get_backbone_shapes()
-    missing = sorted(set(wanted) - set(state))
-    strange = sorted(name for name in set(state) - set(wanted) if not name.startswith("classifier."))
-    if missing or strange:
+    expected_shapes = get_backbone_shapes()
+    missing = sorted(set(expected_shapes) - set(state))
+    unknown = sorted(name for name in set(state) - set(expected_shapes) if not name.startswith("classifier."))
+    if missing or unknown:
         raise WeightsError(
-            f"not the trunk of AlexNet: missing {missing[:3]}, unknown {strange[:3]}.", where=str(path), remedy=_REMEDY
+            f"not the trunk of AlexNet: missing {missing[:3]}, unknown {unknown[:3]}.", where=str(path), remedy=_REMEDY
         )
-    out = {}
-    for name, shape in wanted.items():
-        found = tuple(state[name].shape)
-        if found != shape:
-            raise WeightsError(f"{name} is {found}, AlexNet's is {shape}.", where=str(path), remedy=_REMEDY)
+    tensors = {}
+    for name, shape in expected_shapes.items():
+        actual_shape = tuple(state[name].shape)
+        if actual_shape != shape:
+            raise WeightsError(f"{name} is {actual_shape}, AlexNet's is {shape}.", where=str(path), remedy=_REMEDY)
         if not state[name].is_floating_point():
             raise WeightsError(f"{name} is {state[name].dtype}, not real.", where=str(path), remedy=_REMEDY)
-        out[name] = state[name].to(torch.float32)
-        if not torch.isfinite(out[name]).all():
+        tensors[name] = state[name].to(torch.float32)
+        if not torch.isfinite(tensors[name]).all():
             raise WeightsError(f"{name} is not finite.", where=str(path), remedy=_REMEDY)
-    return out, digest
+    return tensors, digest
 
 
 Single = NDArray[np.float32]
 
 
 class TorchAlexNet(nn.Module):
-    """forward: views (n, 3, 64, 64) of contrast 1 and conditions (n, CONDITIONS) → (n, OUTPUTS) in units of spread.
+    """Trainable AlexNet encoder.
 
-    State dict: torchvision's names for the trunk (features.0.weight …), head.0 and head.2; output.mean and
-    output.spread belong to it as buffers.
+    Maps views (n, 3, 64, 64) of contrast 1 and conditions (n, CONDITION_COUNT) to outputs (n, OUTPUT_COUNT) in units of
+    their spread. The state dict has torchvision's names for the backbone (features.0.weight …), head.0 and head.2, and
+    output.mean and output.spread as buffers.
     """
 
     def __init__(self, design: AlexNetConfig) -> None:
@@ -132,33 +153,33 @@ class TorchAlexNet(nn.Module):
 
     @property
     def output_mean(self) -> Tensor:
-        """(OUTPUTS,) of the training targets."""
+        """Mean of the training targets, (OUTPUT_COUNT,)."""
         return self.get_buffer("output.mean")
 
     @property
     def output_spread(self) -> Tensor:
-        """(OUTPUTS,) standard deviation of the training targets: the unit of forward's result."""
+        """Standard deviation of the training targets, (OUTPUT_COUNT,), the unit of forward's result."""
         return self.get_buffer("output.spread")
 
     def pool_features(self, views: Tensor) -> Tensor:
-        """(n, FEATURES) trunk features averaged over positions."""
-        found: Tensor = self.features(self.prepare_images(views))
-        return found.float().mean(dim=(2, 3))
+        """Return (n, BACKBONE_FEATURES) backbone features averaged over positions."""
+        features: Tensor = self.features(self.prepare_images(views))
+        return features.float().mean(dim=(2, 3))
 
     def prepare_images(self, views: Tensor) -> Tensor:
-        """What the trunk sees: views as pictures, in the units it was trained on, enlarged."""
-        picture = (INPUT_MEAN + INPUT_DEVIATION * views - self.mean) / self.deviation
+        """Convert views to images in the backbone's training units, enlarged if configured."""
+        image = (INPUT_MEAN + INPUT_DEVIATION * views - self.mean) / self.deviation
         if self.matrix is not None:
-            picture = self.matrix @ picture @ self.matrix.T
-        return picture.contiguous(memory_format=torch.channels_last)
+            image = self.matrix @ image @ self.matrix.T
+        return image.contiguous(memory_format=torch.channels_last)
 
     def forward(self, views: Tensor, conditions: Tensor) -> Tensor:
-        """In units of each output's spread about its mean."""
-        found: Tensor = self.head(torch.cat([self.pool_features(views), conditions], dim=1))
-        return found.float()
+        """Return outputs in units of each output's spread about its mean."""
+        outputs: Tensor = self.head(torch.cat([self.pool_features(views), conditions], dim=1))
+        return outputs.float()
 
     def initialise(self, seed: int) -> None:
-        """He et al. (2015): rectified layers that keep their input's variance; the last layer starts at nothing."""
+        """Initialise as He et al. (2015), preserving variance through the ReLUs; the last layer starts small."""
         generator = torch.Generator().manual_seed(seed)
         for module in self.modules():
             if isinstance(module, nn.Conv2d | nn.Linear):
@@ -174,8 +195,9 @@ class TorchAlexNet(nn.Module):
 
     @torch.no_grad()
     def standardise_layers(self, views: Tensor, conditions: Tensor) -> None:
-        """Scale every trainable layer but the last so that on these views each of its units has mean 0 and deviation 1
-        before the rectifier (Krähenbühl et al. 2016): a plain deep network of no normalisation starts to learn at once.
+        """Scale every trainable layer but the last to mean 0 and deviation 1 before the ReLU on these views.
+
+        By Krähenbühl et al. 2016: a deep network without normalisation layers then starts to learn at once.
         """
         x = self.prepare_images(views)
         for module in self.features:
@@ -185,27 +207,27 @@ class TorchAlexNet(nn.Module):
         first = self.head[0]
         assert isinstance(first, nn.Linear)
         joined = torch.cat([x.mean(dim=(2, 3)), conditions], dim=1)
-        # Averages over positions hardly differ between views: each is brought to order 1, as the conditions are.
+        # Averages over positions differ little between views, so each is scaled to order 1 like the conditions.
         mean, spread = joined.mean(dim=0), joined.std(dim=0).clamp(min=1e-3)
         first.weight.div_(spread)
         first.bias.sub_(first.weight @ mean)
         _standardise_layer(first, first(joined))
 
     def to_numpy(self, metadata: Mapping[str, str]) -> AlexNet:
-        """The run-time network with these tensors."""
+        """Return the run-time network with these tensors."""
         state = {name: value.detach().float().numpy().copy() for name, value in self.state_dict().items()}
         return AlexNet(self.design, {name: state[name] for name in self.design.shapes()}, dict(metadata))
 
 
 def to_torch(network: AlexNet) -> TorchAlexNet:
-    """The torch network with a run-time network's tensors."""
+    """Return the torch network with a run-time network's tensors."""
     twin = TorchAlexNet(network.config)
     twin.load_state_dict({name: torch.tensor(np.asarray(value)) for name, value in network.tensors.items()})
     return twin
 
 
 def _standardise_layer(layer: nn.Conv2d | nn.Linear, found: Tensor) -> None:
-    """found: (n, units) of what the layer gives now."""
+    """Scale a layer by its current outputs (n, units)."""
     spread = found.std(dim=0).clamp(min=1e-3)
     assert layer.bias is not None
     layer.weight.div_(spread.reshape(-1, *[1] * (layer.weight.dim() - 1)))
@@ -213,13 +235,13 @@ def _standardise_layer(layer: nn.Conv2d | nn.Linear, found: Tensor) -> None:
 
 
 def _make_backbone() -> list[nn.Module]:
-    """In torchvision's order, so that its names come out: ReLU after every convolution, pooling after the first two."""
+    """Make the layers in torchvision's order, so their names match: ReLU always, pooling after the first two."""
     layers: list[nn.Module] = []
-    for part in BACKBONE_LAYERS:
+    for layer in BACKBONE_LAYERS:
         layers += [
-            nn.Conv2d(part.inputs, part.outputs, part.kernel, part.stride, part.padding),
+            nn.Conv2d(layer.inputs, layer.outputs, layer.kernel, layer.stride, layer.padding),
             nn.ReLU(inplace=True),
         ]
-        if part.pool:
+        if layer.pool:
             layers.append(nn.MaxPool2d(POOL_SIZE, POOL_STRIDE))
     return layers

@@ -1,6 +1,7 @@
-"""What the data themselves allow: the oracle, and the best of all predictions.
+"""Bounds of the spectral MSE for a random texture (oracle and best prediction), and a measure of repetition.
 
-Does a signal repeat itself?
+The bounds are estimated from several realisations of one stroke. `measure_repetition` finds looped signals by their
+autocorrelation.
 """
 
 from __future__ import annotations
@@ -16,15 +17,24 @@ from hnf_core.metrics.spectra import spectral_mse
 Float = NDArray[np.float64]
 
 REALISATION_COUNT = 32
+"""Default number of realisations per stroke."""
 
 
 @dataclass(frozen=True)
 class MetricBounds:
-    """Of one stroke of one process.
+    """Bounds of the spectral MSE for one stroke of one process.
 
-    mean_magnitude: (C, K) mean |X_k| over the realisations. power: mean E|X_k|² over windows and bins. best: spectral
-    MSE of the process's own E|X_k| against one realisation, the least that any prediction can score; oracle: of one
-    realisation against another, which for independent draws is exactly twice that. realisations: how many were taken.
+    Attributes
+    ----------
+    mean_magnitude
+        (C, K) mean |X_k| over the realisations.
+    power
+        Mean E|X_k|² over windows and bins.
+    best
+        Spectral MSE of the process's own E|X_k| against one realisation: the lower bound for any prediction.
+    realisations
+        Number of realisations.
+
     """
 
     mean_magnitude: Float
@@ -34,29 +44,38 @@ class MetricBounds:
 
     @property
     def oracle(self) -> float:
+        """Spectral MSE of one realisation against another; for independent draws exactly twice `best`."""
         return 2.0 * self.best
 
     @property
     def oracle_share(self) -> float:
-        """oracle / power: 2 − π/2 = 0.429 for a Gaussian texture."""
+        """Ratio oracle / power: 2 − π/2 = 0.429 for a Gaussian texture."""
         return self.oracle / self.power
 
     @property
     def best_share(self) -> float:
-        """best / power: 1 − π/4 = 0.215 for a Gaussian texture."""
+        """Ratio best / power: 1 − π/4 = 0.215 for a Gaussian texture."""
         return self.best / self.power
 
     def expected_mse(self, magnitude: ArrayLike) -> float:
-        """Spectral MSE of a signal's |X_k| (C, K), averaged over all recordings that the process could have given.
+        """Return the spectral MSE of |X_k| (C, K), averaged over all recordings that the process could give.
 
-        E(|X̂| − |X|)² = (|X̂| − E|X|)² + var |X|; the scatter of the mean over finitely many draws is taken out.
+        E(|X̂| − |X|)² = (|X̂| − E|X|)² + var |X|. The variance of the mean over finitely many draws is subtracted.
         """
         return spectral_mse(magnitude, self.mean_magnitude) + self.best * (1.0 - 1.0 / self.realisations)
 
 
 def compute_bounds(magnitudes: Sequence[Float]) -> MetricBounds:
-    """Limits from the magnitudes (C, K) of signals of one stroke, equally long, each a new draw (seed, place on the
-    surface) of the process. Raises ValueError for fewer than two, or silent ones."""
+    """Compute the bounds from the magnitudes (C, K) of equally long realisations of one stroke.
+
+    Each realisation is a new draw (seed, position on the surface) of the process.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two realisations, or if they are silent.
+
+    """
     magnitude, count = np.stack(magnitudes), len(magnitudes)
     power = float(np.mean(np.square(magnitude)))
     if count < 2 or not power > 0.0:
@@ -65,14 +84,20 @@ def compute_bounds(magnitudes: Sequence[Float]) -> MetricBounds:
 
 
 MIN_LAG_S = 0.1
+"""Shortest lag that counts as a repetition [s]."""
 
 
 def measure_repetition(samples: ArrayLike, rate: float, max_lag_s: float | None = None) -> float:
-    """Largest |ρ(τ)| for 0.1 s ≤ τ ≤ longest_lag_s (default: half the signal), ρ the autocorrelation coefficient of the
-    two overlapping parts.
+    """Return the largest |ρ(τ)| for 0.1 s ≤ τ ≤ max_lag_s (default: half the signal).
 
-    1 for a loop. A random texture scores what its length and bandwidth leave to chance, a pure tone close to 1: compare
-    with the oracle's. 0 for silence. Raises ValueError for a signal shorter than 0.2 s.
+    ρ is the autocorrelation coefficient of the two overlapping parts: 1 for a loop, 0 for silence. A random texture
+    scores what its length and bandwidth leave to chance and a pure tone close to 1, so compare with the oracle's value.
+
+    Raises
+    ------
+    ValueError
+        If the signal is shorter than 0.2 s.
+
     """
     x = np.asarray(samples, dtype=np.float64)
     first = round(MIN_LAG_S * rate)
@@ -86,5 +111,5 @@ def measure_repetition(samples: ArrayLike, rate: float, max_lag_s: float | None 
     lag = np.arange(first, last + 1)
     head, tail = energy[len(x) - lag], energy[-1] - energy[lag]
     scale = np.sqrt(head * tail)
-    heard = scale > 1e-12 * energy[-1]
-    return float(np.max(np.abs(product[heard] / scale[heard]), initial=0.0))
+    nonzero = scale > 1e-12 * energy[-1]
+    return float(np.max(np.abs(product[nonzero] / scale[nonzero]), initial=0.0))

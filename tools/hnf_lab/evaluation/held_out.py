@@ -1,12 +1,12 @@
-"""Whole classes that the shared field never met: beside the mean of their category and the nearest token.
+"""Test the shared field on held-out classes and on photographs of recorded textures.
 
-All are stroked with one and the same action, so that a category's mean is the mean of log spectra at the same u.
+Held-out classes: the field's expected spectrum is compared with the mean of the category and with the material of the
+nearest token. All materials are stroked with the same action, so a category's mean is a mean of log spectra at the same
+u(t).
 
-Photo → token → spectrum on textures that were recorded, one left out at a time. Reported, never gated.
-
-The simplest honest way from a photograph to a token, and named so in the table: grey level is height. A photograph has
-no metres along z, so one factor turns grey into metres for all textures: the geometric mean of what would have suited
-each of the *others*. Nothing else is fitted.
+Photographs: photo → token → spectrum with one texture left out at a time. Grey level is used as height; one factor from
+grey to metres serves all textures, the geometric mean of the factors fitted to the others. These results are reported
+and have no pass criterion.
 """
 
 from __future__ import annotations
@@ -40,14 +40,24 @@ from .scoring import FREQUENCY_HZ, RATE_HZ
 Float = NDArray[np.float64]
 
 COUNTED_BINS = slice(1, 101)
+"""Welch bins 1–100 (10–1000 Hz)."""
 METHOD_NAMES = ("field, shared", "category mean", "nearest token", "oracle, 8 s")
 BOOTSTRAPS = 2000
+"""Number of bootstrap resamples."""
 
 
 @dataclass(frozen=True)
 class KnownMaterial:
-    """A material of which E's token, mechanics and category are known. density: (501,) long-run, under the common
-    action. oracle: (501,) of 8 s, from another seed."""
+    """A material with known token, mechanics and category.
+
+    Attributes
+    ----------
+    density
+        (501,) long-run spectrum under the common action.
+    oracle
+        (501,) spectrum of 8 s of signal from another seed, or None.
+
+    """
 
     name: str
     category: str
@@ -58,7 +68,7 @@ class KnownMaterial:
 
 
 def find_held_out_names(field: Field, names: Sequence[str]) -> tuple[str, ...]:
-    """Those of the names that the field's own metadata["held_out"] (a JSON list) says it was not trained on."""
+    """Return the names listed in the field's metadata["held_out"] (a JSON list): not used in training."""
     try:
         listed = json.loads(field.metadata.get("held_out", "[]"))
     except ValueError:
@@ -67,14 +77,16 @@ def find_held_out_names(field: Field, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def measure_long_run(process: TextureProcess, action: Action, draws: int, seed: int) -> Float:
-    """(501,) mean Welch density of `draws` realisations of one stroke."""
+    """Return the (501,) mean Welch density of `draws` realisations of one stroke."""
     recordings = process.record([action] * draws, seed)
-    return np.asarray(np.mean([welch(each.samples, RATE_HZ)[1] for each in recordings], axis=0))
+    return np.asarray(np.mean([welch(recording.samples, RATE_HZ)[1] for recording in recordings], axis=0))
 
 
 def measure_known_material(name: str, action: Action, draws: int, oracle_draws: int, seed: int) -> KnownMaterial:
-    """A simulated library material under the action; oracle_draws 0: without an oracle. A job for a process of its
-    own."""
+    """Measure a simulated library material under the action; runs in a worker process.
+
+    `oracle_draws` = 0 omits the oracle.
+    """
     material, process = get_material(name), SimulatedLibrary().process(name)
     density = measure_long_run(process, action, draws, 31 + seed)
     oracle = measure_long_run(process, action, oracle_draws, 7_000_032 + seed) if oracle_draws else None
@@ -82,51 +94,61 @@ def measure_known_material(name: str, action: Action, draws: int, oracle_draws: 
 
 
 def compute_category_mean(material: KnownMaterial, others: Sequence[KnownMaterial]) -> tuple[Float, str]:
-    """Mean of log spectra of the others in its category; of all others where it has none. And which of the two."""
-    same = [each for each in others if each.category == material.category and each.category]
-    return _compute_log_mean([each.density for each in same or others]), material.category if same else "all others"
+    """Return the mean log spectrum of the other materials of the category, and the name of that set.
+
+    All others are used if the category has no other material.
+    """
+    same_category = [other for other in others if other.category == material.category and other.category]
+    return _compute_log_mean(
+        [other.density for other in same_category or others]
+    ), material.category if same_category else "all others"
 
 
 def find_nearest_token(material: KnownMaterial, others: Sequence[KnownMaterial]) -> KnownMaterial:
-    """Least Euclidean distance between tokens as the network sees them: every component of order 1."""
-    tokens = normalise_tokens(np.stack([each.token for each in others]).astype(np.float64))
-    own = normalise_tokens(material.token[None, :].astype(np.float64))
-    return others[int(np.argmin(np.sum(np.square(tokens - own), axis=1)))]
+    """Return the material with the least Euclidean distance between normalised tokens.
+
+    Normalisation is that of the network's input: every component is of order 1.
+    """
+    tokens = normalise_tokens(np.stack([other.token for other in others]).astype(np.float64))
+    target = normalise_tokens(material.token[None, :].astype(np.float64))
+    return others[int(np.argmin(np.sum(np.square(tokens - target), axis=1)))]
 
 
 def predict_spectrum(field: Field, material: KnownMaterial, action: Action) -> Float:
-    """(100,) what the field expects the whole stroke's average spectrum to be, bins 1–100."""
+    """Return the (100,) average spectrum that the field expects of the stroke, bins 1–100."""
     return np.asarray(
         compute_expected_densities(field, uniform_stroke(action, material.token, material.mechanics), 2).mean(axis=0)
     )
 
 
 def compute_distance_db(density: Float, reference: Float) -> float:
-    """Average-spectrum distance over bins 1–100, from (100,) or (501,)."""
-    ours = density[COUNTED_BINS] if len(density) > 100 else density
-    return average_spectrum_distance_db(ours, reference[COUNTED_BINS], FREQUENCY_HZ[COUNTED_BINS])
+    """Return the average-spectrum distance [dB] over bins 1–100; `density` is (100,) or (501,)."""
+    values = density[COUNTED_BINS] if len(density) > 100 else density
+    return average_spectrum_distance_db(values, reference[COUNTED_BINS], FREQUENCY_HZ[COUNTED_BINS])
 
 
 def make_held_out_table(
     field: Field, action: Action, held_out: Sequence[KnownMaterial], trained: Sequence[KnownMaterial], seed: int
 ) -> ExtraTable:
-    """Distance of each prediction for every held-out class, medians, and the field's margin over both stand-ins with
-    the 95 % interval of its mean (bootstrap over classes)."""
+    """Build the table of average-spectrum distances for every held-out class.
+
+    It includes the medians and the field's margin over both baselines with its 95 % interval (bootstrap over classes).
+    """
     rows, figures = [], []
-    for one in held_out:
-        mean, what = compute_category_mean(one, trained)
-        near = find_nearest_token(one, trained)
-        field_density = predict_spectrum(field, one, action)
+    for material in held_out:
+        mean_density, mean_source = compute_category_mean(material, trained)
+        nearest = find_nearest_token(material, trained)
+        field_density = predict_spectrum(field, material, action)
         values = [
-            compute_distance_db(field_density, one.density),
-            compute_distance_db(mean, one.density),
-            compute_distance_db(near.density, one.density),
-            float("nan") if one.oracle is None else compute_distance_db(one.oracle, one.density),
+            compute_distance_db(field_density, material.density),
+            compute_distance_db(mean_density, material.density),
+            compute_distance_db(nearest.density, material.density),
+            float("nan") if material.oracle is None else compute_distance_db(material.oracle, material.density),
         ]
-        bias = power_bias_db(field_density, one.density[COUNTED_BINS], FREQUENCY_HZ[COUNTED_BINS])
-        figures.append({"material": one.name, "category": what, "nearest": near.name, "field_power_bias_db": bias,
-                        **dict(zip(METHOD_NAMES, values, strict=True))})  # fmt: skip
-        rows.append((one.name, *(f"{value:.2f}" for value in values), f"{bias:+.2f}", what, near.name))
+        bias = power_bias_db(field_density, material.density[COUNTED_BINS], FREQUENCY_HZ[COUNTED_BINS])
+        figures.append({"material": material.name, "category": mean_source, "nearest": nearest.name,
+                        "field_power_bias_db": bias, **dict(zip(METHOD_NAMES, values, strict=True))})  # fmt: skip
+        rows.append((material.name, *(f"{value:.2f}" for value in values), f"{bias:+.2f}", mean_source, nearest.name))
     table = np.array([[entry[name] for name in METHOD_NAMES] for entry in figures])
     medians = np.median(table, axis=0)
     rows.append(("median", *(f"{value:.2f}" for value in medians), "", "", ""))
@@ -149,7 +171,7 @@ def make_held_out_table(
 
 
 def bootstrap_margin(differences: Float, seed: int) -> tuple[float, float, float]:
-    """Mean, and 2.5 % and 97.5 % points of the bootstrap of it."""
+    """Return the mean of the differences and the 2.5 % and 97.5 % points of its bootstrap distribution."""
     rng = np.random.default_rng(seed)
     means = rng.choice(differences, (BOOTSTRAPS, len(differences))).mean(axis=1)
     low, high = np.percentile(means, [2.5, 97.5])
@@ -161,11 +183,13 @@ def _compute_log_mean(densities: Sequence[Float]) -> Float:
 
 
 PIXELS_PER_MM = 15.0
+"""Resolution of the photographs [pixels/mm]."""
 PATCH_MM = 20.0
+"""Side of the described patch [mm]."""
 GREY_HEIGHT_M = 1e-5
-"""Height of the whole grey scale before the factor: where its search begins."""
+"""Height of the full grey scale before the fitted factor [m]."""
 LOG_FACTORS = np.linspace(-2.5, 2.0, 19)
-"""log10 of the factors tried for each texture, read linearly between."""
+"""log10 of the height factors tried for each texture; values between are interpolated."""
 CATEGORIES = {
     "wood": ("wood", "cork", "plywood", "mdf", "balsa"),
     "metal": ("aluminum", "metal", "steel", "mesh metal"),
@@ -179,18 +203,28 @@ CATEGORIES = {
     "fabric": ("canvas", "denim", "silk", "velvet", "leather", "cotton", "felt", "wool", "nylon", "suede", "corduroy",
                "satin", "fleece", "flannel", "lace", "burlap", "velcro", "towel"),
 }  # fmt: skip
+"""Category → words in texture names that identify it."""
 
 
 def find_category(name: str) -> str:
-    """By words in a texture's name (paper before its grit: sandpaper is paper, as in the toolkit); "" = none fits."""
+    """Return the category found by words in a texture's name, or "".
+
+    Paper is tested before the abrasive, so sandpaper is paper, as in the toolkit.
+    """
     plain = name.lower().replace("_", " ")
     return next((category for category, words in CATEGORIES.items() if any(word in plain for word in words)), "")
 
 
 def describe_photo(path: Path) -> NDArray[np.float32]:
-    """Token of the middle 20 mm of a square photograph of 15 pixels/mm, height = GREY_M × grey level.
+    """Compute the token of the middle 20 mm of a square photograph with 15 pixels/mm.
 
-    Raises FileError where the picture cannot be read or is too small.
+    Height is GREY_HEIGHT_M × grey level.
+
+    Raises
+    ------
+    FileError
+        If the image cannot be read or is too small.
+
     """
     try:
         import matplotlib.image
@@ -210,23 +244,26 @@ def describe_photo(path: Path) -> NDArray[np.float32]:
 
 
 def scale_token(token: NDArray[np.float32], decades: float) -> NDArray[np.float32]:
-    """The token of a surface 10^decades times as high. Waves too short for the photograph (133 µm) go on with the slope
-    of the resolved ones, as those of a self-affine surface do."""
+    """Return the token of a surface 10^decades times as high.
+
+    Bands too short for the photograph (below 133 µm) are extrapolated with the slope of the resolved bands, as for a
+    self-affine surface.
+    """
     out = token.copy()
     levels = out[LEVELS].astype(np.float64)
-    seen = np.flatnonzero(levels > SMOOTH_LEVEL)
-    if len(seen) >= 2:
-        slope, level = np.polyfit(seen, levels[seen], 1)
-        beyond = np.arange(len(levels)) > seen[-1]
+    resolved = np.flatnonzero(levels > SMOOTH_LEVEL)
+    if len(resolved) >= 2:
+        slope, level = np.polyfit(resolved, levels[resolved], 1)
+        beyond = np.arange(len(levels)) > resolved[-1]
         levels[beyond] = level + slope * np.flatnonzero(beyond)
-        seen = np.flatnonzero(beyond | (levels > SMOOTH_LEVEL))
-    levels[seen] += decades
+        resolved = np.flatnonzero(beyond | (levels > SMOOTH_LEVEL))
+    levels[resolved] += decades
     out[LEVELS] = np.maximum(levels, SMOOTH_LEVEL)
     return out
 
 
 def load_textures(data: DataSet, action: Action, draws: int, seed: int) -> list[KnownMaterial]:
-    """Every texture that has both a process and a photograph. The action must suit all of them."""
+    """Load every texture that has both a process and a photograph. The action must suit all of them."""
     out = []
     for name in data.materials:
         image, process = data.image(name), data.process(name)
@@ -237,30 +274,35 @@ def load_textures(data: DataSet, action: Action, draws: int, seed: int) -> list[
 
 
 def fit_height_decades(field: Field, material: KnownMaterial, action: Action) -> float:
-    """log10 of the factor with which the field's power in 10–1000 Hz is the recorded one."""
-    levels = np.log([max(_predict_power(field, material, action, float(each)), 1e-30) for each in LOG_FACTORS])
+    """Return log10 of the height factor at which the field's power in 10–1000 Hz equals the recorded power."""
+    levels = np.log([max(_predict_power(field, material, action, float(factor)), 1e-30) for factor in LOG_FACTORS])
     return float(
         np.interp(np.log(float(material.density[COUNTED_BINS].sum())), np.maximum.accumulate(levels), LOG_FACTORS)
     )
 
 
 def make_photo_table(field: Field, known: Sequence[KnownMaterial], action: Action) -> ExtraTable:
-    """Leave one out: distance in dB of the field from the photo's token, the category mean and the nearest photo."""
-    decades = np.array([fit_height_decades(field, one, action) for one in known])
+    """Build the leave-one-out table of distances [dB] for three predictions.
+
+    They are the field with the photo's token, the category mean and the nearest photo.
+    """
+    decades = np.array([fit_height_decades(field, material, action) for material in known])
     rows, figures = [], []
-    for index, one in enumerate(known):
-        others = [each for each in known if each is not one]
-        left_out = float(np.delete(decades, index).mean())
-        mean, what = compute_category_mean(one, others)
-        near = find_nearest_token(one, others)
+    for index, material in enumerate(known):
+        others = [other for other in known if other is not material]
+        mean_decades = float(np.delete(decades, index).mean())
+        mean_density, mean_source = compute_category_mean(material, others)
+        nearest = find_nearest_token(material, others)
         values = (
-            compute_distance_db(predict_spectrum(field, _scale_material(one, left_out), action), one.density),
-            compute_distance_db(mean, one.density),
-            compute_distance_db(near.density, one.density),
+            compute_distance_db(
+                predict_spectrum(field, _scale_material(material, mean_decades), action), material.density
+            ),
+            compute_distance_db(mean_density, material.density),
+            compute_distance_db(nearest.density, material.density),
         )
-        figures.append({"texture": one.name, "photo_token_field_db": values[0], "category_mean_db": values[1],
-                        "nearest_photo_db": values[2], "category": what, "nearest": near.name})  # fmt: skip
-        rows.append((one.name, *(f"{value:.2f}" for value in values), what, near.name))
+        figures.append({"texture": material.name, "photo_token_field_db": values[0], "category_mean_db": values[1],
+                        "nearest_photo_db": values[2], "category": mean_source, "nearest": nearest.name})  # fmt: skip
+        rows.append((material.name, *(f"{value:.2f}" for value in values), mean_source, nearest.name))
     keys = ("photo_token_field_db", "category_mean_db", "nearest_photo_db")
     medians = [float(np.median([entry[key] for entry in figures])) for key in keys]
     rows.append(("median", *(f"{value:.2f}" for value in medians), "", ""))

@@ -1,11 +1,10 @@
-"""What the field expects window by window, and a signal whose every window shows just that. For benchmarks only.
+"""Evaluated methods: the project's field in two forms, the registry of all methods, and expected-magnitude signals.
 
-The second, the *expected-magnitude form*, is no signal to feel: it repeats every 50 ms. Against one recording of a
-random texture it scores a smaller spectral MSE than the texture itself could, and is compared with its own kind only.
-
-Our own field as a method: trained on one material, or one field for all by its token; natural and for benchmarks.
-
-Who takes part: every method by a short key, what it learns from, and on how many materials it is affordable.
+`list_entries` names every method with its key and training strokes. `TrainedField` is fitted to one material,
+`SharedField` uses one field for all. `compute_expected_densities` returns the field's expected spectra;
+`make_expected_magnitude_signal` makes a signal whose every window shows them. Such a signal repeats every 50 ms and is
+for benchmarks only: against one recording of a random texture it has a smaller spectral MSE than the texture itself, so
+it is compared only with its own kind.
 """
 
 from __future__ import annotations
@@ -35,22 +34,36 @@ from .scoring import TrainingStrokes
 Float = NDArray[np.float64]
 
 BIN_HZ = MODEL_RATE_HZ / WINDOW_SAMPLES
+"""Spacing of the DFT bins [Hz]."""
 LINE_HZ = 2.0 * BIN_HZ
-"""Lines at 15, 35, 55 … Hz lie midway between bins: each is the strongest in the two bins beside it, and the next ones
-are down by 14 dB there, so a window hardly shows where it starts."""
+"""Spacing of the spectral lines [Hz].
+
+Lines at 15, 35, 55 … Hz lie midway between bins. Each is the strongest in its two neighbouring bins, where the next
+lines are 14 dB lower, so a window hardly depends on its start.
+"""
 LINE_COUNT = BIN_COUNT // 2
 _STATE_STRIDE = 4
-"""States from one that is asked to the next, 20 ms."""
+"""Action states between evaluated ones, 20 ms."""
 _CELL_HZ = 1.0
 _REACH_HZ = 4.0 * BIN_HZ
-"""Beyond four bins a Hann window passes less than 1e-5 of a band's power."""
+"""Reach of a band [Hz]: beyond four bins a Hann window passes less than 1e-5 of its power."""
 
 
 def compute_expected_densities(field: Field, stroke: StrokeInput, every: int = 1) -> Float:
-    """(n, 100) one-sided power density [(m/s²)²/Hz] that a Hann window of 0.1 s at 10 kHz is expected to show at
-    10, 20 … 1000 Hz, for every `every`-th action state, as if that state lasted.
+    """Return the (n, 100) one-sided power density [(m/s²)²/Hz] that the field expects at 10, 20 … 1000 Hz.
 
-    The texture term: constant carriers have no density and are left out.
+    It is the density that a Hann window of 0.1 s at 10 kHz shows for every `every`-th action state, as if that state
+    lasted. Only the texture term counts: constant carriers have no density.
+
+    Parameters
+    ----------
+    field
+        The field.
+    stroke
+        The stroke.
+    every
+        Stride of the action states.
+
     """
     action, token_index = resample_action(stroke)
     amplitude = accumulate(field.config, evaluate(field, build_condition(stroke, action, token_index)))
@@ -60,7 +73,10 @@ def compute_expected_densities(field: Field, stroke: StrokeInput, every: int = 1
 
 
 def compute_window_densities(carriers: Carriers, power: Float, speed: Float) -> Float:
-    """(n, 100) density that a Hann window of 0.1 s shows at 10 … 1000 Hz of carriers of power (n, K) at speed (n,)."""
+    """Return the (n, 100) density that a Hann window of 0.1 s shows at 10 … 1000 Hz.
+
+    power: (n, K) power of the carriers. speed: (n,) [m/s].
+    """
     cells = np.zeros((len(power), len(_make_cell_edges()) - 1))
     if carriers.time_count:
         cells += power[:, carriers.time_slice] @ _compute_band_shares(carriers.time_edges())
@@ -73,31 +89,44 @@ def compute_window_densities(carriers: Carriers, power: Float, speed: Float) -> 
 
 
 def make_expected_magnitude_signal(density: ArrayLike, count: int, lasting: float | None = None) -> Float:
-    """(count,) m/s² at 10 kHz: lines at 15, 35 … 995 Hz with phases 2π n² / n_tot, so loud that |X_k| of a Hann window
-    of 1000 samples is sqrt(π S_k) / 2, what a Gaussian texture of density S is expected to show, wherever it starts.
+    """Make a signal (count,) [m/s²] at 10 kHz whose windows show the expected magnitudes.
 
-    density: (n, 100) as from expected_densities, at even steps, read linearly between and held beyond the last.
-    lasting: steps that the signal lasts, n − 1 where nothing is said.
+    Parameters
+    ----------
+    density
+        (n, 100) as returned by compute_expected_densities, at even steps; interpolated linearly, constant beyond the
+        last.
+    count
+        Number of samples.
+    lasting
+        Duration of the signal in steps, n − 1 by default.
+
+    Notes
+    -----
+    The lines at 15, 35 … 995 Hz have phases 2π n² / n_tot and such levels that |X_k| of a Hann window of 1000 samples
+    is
+    sqrt(π S_k) / 2, the expectation for a Gaussian texture of density S, wherever the window starts.
+
     """
     states = np.asarray(density, dtype=np.float64)
     window = hann_window(WINDOW_SAMPLES)
-    squared = states * (0.5 * MODEL_RATE_HZ * float(np.sum(np.square(window))))  # one-sided density → E |X_k|²
-    magnitude = 0.5 * np.sqrt(np.pi * squared)
-    at_half_a_bin = 0.5 * float(window.sum()) * float(np.sinc(0.5)) / 0.75
-    level = magnitude.reshape(len(states), LINE_COUNT, 2).mean(axis=2) / at_half_a_bin
-    end = len(states) - 1.0
-    place = np.minimum(np.linspace(0.0, end if lasting is None else lasting, count), end)
-    low = np.minimum(place.astype(np.intp), max(len(states) - 2, 0))
-    high, share = np.minimum(low + 1, len(states) - 1), place - low
+    expected_power = states * (0.5 * MODEL_RATE_HZ * float(np.sum(np.square(window))))  # one-sided density → E |X_k|²
+    magnitude = 0.5 * np.sqrt(np.pi * expected_power)
+    half_bin_gain = 0.5 * float(window.sum()) * float(np.sinc(0.5)) / 0.75
+    level = magnitude.reshape(len(states), LINE_COUNT, 2).mean(axis=2) / half_bin_gain
+    last_step = len(states) - 1.0
+    step = np.minimum(np.linspace(0.0, last_step if lasting is None else lasting, count), last_step)
+    low = np.minimum(step.astype(np.intp), max(len(states) - 2, 0))
+    high, fraction = np.minimum(low + 1, len(states) - 1), step - low
     time, out = np.arange(count) / MODEL_RATE_HZ, np.zeros(count)
     for line in range(LINE_COUNT):
-        envelope = (1.0 - share) * level[low, line] + share * level[high, line]
+        envelope = (1.0 - fraction) * level[low, line] + fraction * level[high, line]
         out += envelope * np.cos(2.0 * np.pi * ((1.5 * BIN_HZ + LINE_HZ * line) * time + line**2 / LINE_COUNT))
     return out
 
 
 def synthesise_expected_magnitude(field: Field, stroke: StrokeInput) -> Float:
-    """The stroke's texture in expected-magnitude form, (count,) m/s² at 10 kHz; there is no seed to it."""
+    """Return the stroke's texture in expected-magnitude form, (count,) [m/s²] at 10 kHz, without a seed."""
     action, _ = resample_action(stroke)
     lasting = (len(action.speed) - 1) / _STATE_STRIDE
     return make_expected_magnitude_signal(
@@ -110,23 +139,25 @@ def _make_cell_edges() -> Float:
 
 
 def _compute_band_shares(edges: Float) -> Float:
-    """(B, cells) share of each band's power that falls into each cell of 1 Hz."""
-    reached = np.clip((_make_cell_edges()[None, :] - edges[:-1, None]) / np.diff(edges)[:, None], 0.0, 1.0)
-    return np.asarray(np.diff(reached, axis=1))
+    """Return (B, cells): the fraction of each band's power in each cell of 1 Hz."""
+    cumulative = np.clip((_make_cell_edges()[None, :] - edges[:-1, None]) / np.diff(edges)[:, None], 0.0, 1.0)
+    return np.asarray(np.diff(cumulative, axis=1))
 
 
 def _compute_window_kernel() -> Float:
-    """(cells, 100) density that unit power in a cell shows in each bin, its image at negative frequencies included."""
+    """Return (cells, 100): the density that unit power in a cell shows in each bin, with its negative image."""
     centre = _make_cell_edges()[:-1] + 0.5 * _CELL_HZ
     bins = np.arange(1, BIN_COUNT + 1) * BIN_HZ
-    near, mirrored = (_compute_window_power((bins[None, :] - sign * centre[:, None]) / BIN_HZ) for sign in (1.0, -1.0))
-    return np.asarray((near + mirrored) / (1.5 * BIN_HZ))
+    direct, mirrored = (
+        _compute_window_power((bins[None, :] - sign * centre[:, None]) / BIN_HZ) for sign in (1.0, -1.0)
+    )
+    return np.asarray((direct + mirrored) / (1.5 * BIN_HZ))
 
 
 def _compute_window_power(offset: Float) -> Float:
-    """|W|² of a Hann window at an offset in bins, 1 at its middle; its integral is 1.5 bins."""
-    wide = np.where(np.abs(np.abs(offset) - 1.0) < 1e-9, np.abs(offset) + 1e-6, offset)
-    return np.asarray(np.square(np.sinc(wide) / (1.0 - np.square(wide))))
+    """Return |W|² of a Hann window at an offset in bins, 1 at its centre; its integral is 1.5 bins."""
+    shifted = np.where(np.abs(np.abs(offset) - 1.0) < 1e-9, np.abs(offset) + 1e-6, offset)
+    return np.asarray(np.square(np.sinc(shifted) / (1.0 - np.square(shifted))))
 
 
 _SEEDS_PER_CALL = 1000
@@ -134,7 +165,7 @@ _SEEDS_PER_CALL = 1000
 
 @dataclass(frozen=True)
 class FittedField:
-    """A field and the material it is asked about."""
+    """A field with the token and mechanics of one material."""
 
     field: Field
     token: NDArray[np.float32]
@@ -142,19 +173,18 @@ class FittedField:
     form: Form = "natural"
 
     def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
-        """By the product's own synthesis; action i of a call has a seed of its own."""
+        """Render by the product's synthesis; every action of a call has its own seed."""
         strokes = [uniform_stroke(action, self.token, self.mechanics) for action in actions]
         if self.form == "expected magnitude":
             return [synthesise_expected_magnitude(self.field, stroke) for stroke in strokes]
         first = _SEEDS_PER_CALL * seed
-        made = [synthesise(self.field, stroke, seed=seed) for seed, stroke in enumerate(strokes, first)]
-        return [synthesis.signal.samples.astype(np.float64) for synthesis in made]
+        results = [synthesise(self.field, stroke, seed=seed) for seed, stroke in enumerate(strokes, first)]
+        return [synthesis.signal.samples.astype(np.float64) for synthesis in results]
 
 
 @dataclass(frozen=True)
 class TrainedField:
-    """Method: the field trained on one material's recordings, as `hnf train field` does. epochs: None = the trainer's
-    own schedule."""
+    """The field trained on one material's recordings, as by `hnf train field`. epochs: None = the default schedule."""
 
     name: str = "field, per material"
     form: Form = "natural"
@@ -176,15 +206,17 @@ class TrainedField:
 
 @dataclass(frozen=True)
 class SharedField:
-    """Method: one field for all materials, given this one's token and mechanics only. It learns nothing from the
-    recordings, and may or may not have met the material in training: its weights say."""
+    """One field for all materials, with the material's token and mechanics only.
+
+    It is not fitted to the recordings. Its weights state the materials it was trained on.
+    """
 
     field: Field
     name: str = "field, shared"
     form: Form = "natural"
 
     def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:
-        """Raises UsageError for a material without a token."""
+        """Return the field for this material. Raises UsageError for a material without a token."""
         del seed
         if specimen.token is None:
             raise UsageError(
@@ -195,7 +227,7 @@ class SharedField:
 
 @dataclass(frozen=True)
 class Budget:
-    """epochs, steps: of the methods trained by gradient, None = their own. weights: of the shared field."""
+    """Epochs and steps of trained methods (None = their defaults), and weights of the shared field."""
 
     epochs: int | None = None
     steps: int | None = None
@@ -204,9 +236,26 @@ class Budget:
 
 @dataclass(frozen=True)
 class MethodEntry:
-    """key: for --methods. diet: what it learns from. make: the method itself (imports torch only then). most: materials
-    of a run on which it takes part; None = all. learns: False where recordings are not needed. shows: key of the
-    entry whose fit this one shows in another form, so that it is trained once."""
+    """A method in the registry.
+
+    Attributes
+    ----------
+    key
+        Name for --methods.
+    training_strokes
+        Kind of strokes it is trained on.
+    build
+        Function that makes the method; it imports torch only when called.
+    max_materials
+        Number of materials of a run on which it takes part; None = all.
+    needs_recordings
+        False if it is not fitted to recordings.
+    needs_token
+        True if it needs a token.
+    reuses
+        Key of the entry whose fit this one uses in another form, so that it is trained once.
+
+    """
 
     key: str
     training_strokes: TrainingStrokes
@@ -252,12 +301,14 @@ def list_entries() -> tuple[MethodEntry, ...]:
 
 
 def select_entries(keys: Sequence[str] | None) -> tuple[MethodEntry, ...]:
-    """The entries of these keys, all for None. Raises UsageError that lists the keys."""
-    every = {entry.key: entry for entry in list_entries()}
-    unknown = [key for key in keys or () if key not in every]
+    """Return the entries of these keys, all for None. Raises UsageError that lists the keys."""
+    entry_by_key = {entry.key: entry for entry in list_entries()}
+    unknown = [key for key in keys or () if key not in entry_by_key]
     if unknown:
-        raise UsageError(f"no method is called {', '.join(unknown)}.", remedy=f"Choose among {', '.join(every)}.")
-    return tuple(every[key] for key in dict.fromkeys(keys or every))
+        raise UsageError(
+            f"no method is called {', '.join(unknown)}.", remedy=f"Choose among {', '.join(entry_by_key)}."
+        )
+    return tuple(entry_by_key[key] for key in dict.fromkeys(keys or entry_by_key))
 
 
 @lru_cache(maxsize=4)

@@ -1,4 +1,4 @@
-"""Spectra per method, and spectra by direction (HNF, fig. 5)."""
+"""Plots of spectra per method and of spectra by direction (as in HNF, fig. 5)."""
 
 from __future__ import annotations
 
@@ -20,51 +20,78 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float64]
 
-# Okabe & Ito: apart under every common colour blindness.
+# Okabe & Ito: distinguishable with every common form of colour blindness.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a5a2b", "#5c6672")
 TRUTH_COLOUR = "#1c2430"
 PANEL_PX = (520, 330)
+"""Width and height of a panel [pixels]."""
 HEAD_PX, LEGEND_ROW_PX = 72, 20
 SHOWN_RANGE_DB = 55.0
+"""Range of the level axis [dB]."""
 SHOWN_BINS = slice(1, 101)
+"""Plotted Welch bins (10–1000 Hz)."""
 
 
 def plot_spectra(path: Path, results: Sequence[MaterialResult], kind: str, names: dict[str, str], title: str) -> None:
-    """One panel per stroke: the long-run spectrum and every natural form's. names: key → words; others are left out.
+    """Plot one panel per stroke: the long-run spectrum and that of every natural method.
 
-    Raises FileError where matplotlib is missing or the file cannot be written.
+    Parameters
+    ----------
+    path
+        Output file.
+    results
+        Evaluated materials.
+    kind
+        Kind of stroke, "window" or "unseen".
+    names
+        Method key → label; methods that are missing here are not drawn.
+    title
+        Title of the figure.
+
+    Raises
+    ------
+    FileError
+        If matplotlib is missing or the file cannot be written.
+
     """
-    panels = [(each, index) for each in results for index in range(len(each.references.get(kind, [])))]
+    panels = [(result, index) for result in results for index in range(len(result.references.get(kind, [])))]
     columns = min(3, max(1, len(panels)))
     rows = -(-len(panels) // columns)
-    foot = _compute_legend_height(["true process, long run", *names.values()], PANEL_PX[0] * columns)
-    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + HEAD_PX + foot)
+    legend_px = _compute_legend_height(["true process, long run", *names.values()], PANEL_PX[0] * columns)
+    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + HEAD_PX + legend_px)
 
     def draw(figure: Figure) -> None:
         figure.text(0.02, 1.0 - 34 / size[1], title, fontsize=15, fontweight="bold")
-        for place, (each, index) in enumerate(panels):
-            axes = _add_panel(figure, place, columns, rows, size, foot)
-            reference = each.references[kind][index]
+        for panel, (result, index) in enumerate(panels):
+            axes = _add_panel(figure, panel, columns, rows, size, legend_px)
+            reference = result.references[kind][index]
             top = _draw_truth(axes, reference.density)
             for colour, key in zip(COLOURS, names, strict=False):
-                cells = each.cells.get(key, {}).get(kind, [])
+                cells = result.cells.get(key, {}).get(kind, [])
                 if len(cells) > index and cells[index].density is not None:
                     axes.plot(
                         FREQUENCY_HZ[SHOWN_BINS], _to_db(cells[index].density), color=colour, lw=1.1, label=names[key]
                     )
-            _finish_panel(axes, top, f"{reference.material}: {reference.stroke}", place, columns, rows)
+            _finish_panel(axes, top, f"{reference.material}: {reference.stroke}", panel, columns, rows)
         _add_legend(figure, size)
 
     write_figure(path, size, draw)
 
 
 def plot_directions(path: Path, measured: DirectionSpectra, names: dict[str, str]) -> None:
-    """One panel per method, the truth first, one line per direction. Raises FileError as spectra_picture."""
+    """Plot one panel per method, the true process first, with one line per direction.
+
+    Raises
+    ------
+    FileError
+        If matplotlib is missing or the file cannot be written.
+
+    """
     panels = [("the true process", measured.truth), *((names[key], measured.methods[key]) for key in measured.methods)]
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    foot = _compute_legend_height([f"{np.degrees(angle):g}°" for angle in measured.angle], PANEL_PX[0] * columns)
-    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + HEAD_PX + foot)
+    legend_px = _compute_legend_height([f"{np.degrees(angle):g}°" for angle in measured.angle], PANEL_PX[0] * columns)
+    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + HEAD_PX + legend_px)
     top = float(_to_db(measured.truth).max())
 
     def draw(figure: Figure) -> None:
@@ -76,18 +103,18 @@ def plot_directions(path: Path, measured: DirectionSpectra, names: dict[str, str
         )
         figure.text(0.02, 1.0 - 34 / size[1], title, fontsize=15, fontweight="bold")
         colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, len(measured.angle)))
-        for place, (name, spectra) in enumerate(panels):
-            axes = _add_panel(figure, place, columns, rows, size, foot)
+        for panel, (name, spectra) in enumerate(panels):
+            axes = _add_panel(figure, panel, columns, rows, size, legend_px)
             for angle, density, colour in zip(measured.angle, spectra, colours, strict=True):
                 axes.plot(
                     FREQUENCY_HZ[SHOWN_BINS], _to_db(density), color=colour, lw=1.1, label=f"{np.degrees(angle):g}°"
                 )
             error = (
                 ""
-                if place == 0
-                else f": ratios {measured.compute_ratio_error_db(list(measured.methods)[place - 1]):.1f} dB off"
+                if panel == 0
+                else f": ratios {measured.compute_ratio_error_db(list(measured.methods)[panel - 1]):.1f} dB off"
             )
-            _finish_panel(axes, top, name + error, place, columns, rows)
+            _finish_panel(axes, top, name + error, panel, columns, rows)
         _add_legend(figure, size)
 
     write_figure(path, size, draw)
@@ -95,9 +122,9 @@ def plot_directions(path: Path, measured: DirectionSpectra, names: dict[str, str
 
 def _add_panel(figure: Figure, index: int, columns: int, rows: int, size: tuple[int, int], foot: int) -> Axes:
     row, column = divmod(index, columns)
-    left, wide = (column * PANEL_PX[0] + 78) / size[0], (PANEL_PX[0] - 106) / size[0]
+    left, width = (column * PANEL_PX[0] + 78) / size[0], (PANEL_PX[0] - 106) / size[0]
     bottom = ((rows - 1 - row) * PANEL_PX[1] + foot + 52) / size[1]
-    axes = figure.add_axes((left, bottom, wide, (PANEL_PX[1] - 75) / size[1]))
+    axes = figure.add_axes((left, bottom, width, (PANEL_PX[1] - 75) / size[1]))
     axes.set_xscale("log")
     axes.set_xlim(10.0, 1000.0)
     axes.set_xticks([10, 20, 50, 100, 200, 500, 1000], labels=["10", "20", "50", "100", "200", "500", "1000"])
@@ -121,20 +148,22 @@ def _finish_panel(axes: Axes, top: float, title: str, index: int, columns: int, 
 
 
 def _count_legend_columns(labels: Sequence[str], width_px: int) -> int:
-    """Columns of the legend."""
+    """Return the number of legend columns that fit."""
     return max(1, min(len(labels), int(width_px / (7.0 * max(map(len, labels)) + 60.0))))
 
 
 def _compute_legend_height(labels: Sequence[str], width_px: int) -> int:
-    """Pixels that the legend takes below the panels."""
+    """Return the height of the legend below the panels [pixels]."""
     return LEGEND_ROW_PX * -(-len(labels) // _count_legend_columns(labels, width_px)) + 8
 
 
 def _add_legend(figure: Figure, size: tuple[int, int]) -> None:
-    found = {label: line for axes in figure.axes for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    line_by_label = {
+        label: line for axes in figure.axes for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
     figure.legend(
-        list(found.values()), list(found), loc="lower center", ncol=_count_legend_columns(list(found), size[0]),
-        frameon=False,
+        list(line_by_label.values()), list(line_by_label), loc="lower center",
+        ncol=_count_legend_columns(list(line_by_label), size[0]), frameon=False,
         fontsize=9.5, borderaxespad=0.1, labelspacing=0.3,
     )  # fmt: skip
 

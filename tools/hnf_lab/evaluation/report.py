@@ -1,7 +1,4 @@
-"""What an evaluation found, before it is written down.
-
-A report as Markdown.
-"""
+"""Data of an evaluation report (cells, rows, columns, extra tables), as JSON and as Markdown."""
 
 from __future__ import annotations
 
@@ -18,12 +15,13 @@ from .scoring import METRIC_NAMES, Score
 Float = NDArray[np.float64]
 
 SCHEMA = 1
+"""Version of the JSON report."""
 ORACLE_NAME, BEST_NAME = "oracle: the true process, another seed", "best: the true process's mean magnitude"
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One method on one stroke of one material. density: (501,) its average spectrum, None where it has none."""
+    """Score of one method on one stroke of one material. density: (501,) average spectrum, or None."""
 
     material: str
     stroke: str
@@ -33,7 +31,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """A method's cells in one column. seconds: spent on learning and rendering."""
+    """Cells of one method in one column. seconds: time for training and rendering."""
 
     key: str
     name: str
@@ -44,7 +42,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Column:
-    """A kind of data. note: what a reader must know of it."""
+    """Results on one kind of data. note: explanation for the reader."""
 
     key: str
     title: str
@@ -54,7 +52,7 @@ class Column:
 
 @dataclass(frozen=True)
 class ExtraTable:
-    """A table of its own: header, rows of text, and the figures behind it. note: how to read it."""
+    """A separate table: header, rows of text and the figures behind them. note: how to read it."""
 
     key: str
     title: str
@@ -66,7 +64,18 @@ class ExtraTable:
 
 @dataclass(frozen=True)
 class Report:
-    """settings: sizes and seed. notes: what was left out, and why. timings: seconds by stage."""
+    """All results of an evaluation.
+
+    Attributes
+    ----------
+    settings
+        Sizes and seed.
+    notes
+        Omitted results and the reasons.
+    timings
+        Seconds by stage.
+
+    """
 
     settings: dict[str, Any]
     columns: tuple[Column, ...]
@@ -75,7 +84,7 @@ class Report:
     timings: dict[str, float] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able: medians and extremes per row, and every cell."""
+        """Return a JSON-serialisable dict: medians and extremes per row, and every cell."""
         return {
             "schema": SCHEMA,
             "settings": self.settings,
@@ -111,7 +120,7 @@ class Report:
 
 
 def summarise(cells: Sequence[Cell]) -> dict[str, dict[str, float]]:
-    """Metric → median, mean, min, max and count over the cells that have it."""
+    """Return metric → median, mean, min, max and count over the cells that have it."""
     out = {}
     for name in METRIC_NAMES:
         values = [value for cell in cells if (value := cell.score.values()[name]) is not None]
@@ -159,15 +168,15 @@ LEGEND = (
 
 
 def format_report(report: Report) -> str:
-    """The whole report."""
+    """Format the complete report as Markdown."""
     lines = ["# Evaluation", "", LEGEND, "", _format_settings(report), ""]
     lines += _format_overview(report.columns)
     for column in report.columns:
         lines += [f"## {column.title}", "", column.note, ""]
-        for form, words in FORM_TITLES:
+        for form, form_title in FORM_TITLES:
             rows = [row for row in column.rows if row.form == form]
             if rows:
-                lines += [f"**{words}**", "", *_format_column(rows, form), ""]
+                lines += [f"**{form_title}**", "", *_format_column(rows, form), ""]
     for extra in report.extras:
         lines += [f"## {extra.title}", "", extra.note, "", *_format_extra(extra), ""]
     if report.notes:
@@ -177,9 +186,9 @@ def format_report(report: Report) -> str:
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a Markdown table; the first column is text, the others are set to the right."""
+    """Return the lines of a Markdown table; the first column is left-aligned, the others right-aligned."""
     marks = ["---"] + ["---:"] * (len(header) - 1)
-    return ["| " + " | ".join(each) + " |" for each in (header, marks, *rows)]
+    return ["| " + " | ".join(cells) + " |" for cells in (header, marks, *rows)]
 
 
 def _format_settings(report: Report) -> str:
@@ -187,16 +196,16 @@ def _format_settings(report: Report) -> str:
 
 
 def _format_overview(columns: Sequence[Column]) -> list[str]:
-    """Methods by columns: the average-spectrum distance, and the MSE over the oracle's."""
+    """Format the table of methods by columns: average-spectrum distance, and MSE over the oracle's."""
     names = list(dict.fromkeys(row.name for column in columns for row in column.rows if row.form == "natural"))
     rows = []
     for name in names:
         cells = [name]
         for column in columns:
             row = next((row for row in column.rows if row.name == name and row.form == "natural"), None)
-            found = summarise(row.cells) if row else {}
+            summary = summarise(row.cells) if row else {}
             cells.append(
-                f"{found['distance_db']['median']:.2f} dB, {found['mse_oracle']['mean']:.2f}×" if found else "–"
+                f"{summary['distance_db']['median']:.2f} dB, {summary['mse_oracle']['mean']:.2f}×" if summary else "–"
             )
         rows.append(cells)
     if not rows:
@@ -209,8 +218,8 @@ def _format_column(rows: Sequence[Row], form: Form) -> list[str]:
     metrics = [name for name in METRIC_LABELS if form == "natural" or name not in NATURAL_ONLY]
     body = []
     for row in rows:
-        found = summarise(row.cells)
-        body.append([row.name, str(len(row.cells)), *(_format_number(name, found) for name in metrics)])
+        summary = summarise(row.cells)
+        body.append([row.name, str(len(row.cells)), *(_format_number(name, summary) for name in metrics)])
     return format_table(["method", "strokes", *(METRIC_LABELS[name] for name in metrics)], body)
 
 

@@ -1,6 +1,7 @@
-"""Tables beside the columns: where the token came from, and spectra by direction.
+"""The complete evaluation: columns by kind of data, extra tables, plots, and notes on what was omitted.
 
-The whole evaluation: columns, tables of their own, pictures, and what was left out.
+`run_evaluation` is the entry point. It evaluates materials in worker processes, adds the tables on held-out classes,
+photographs, sensors and directions, and writes eval.md, eval.json and plots.
 """
 
 from __future__ import annotations
@@ -41,20 +42,24 @@ SENSOR_METRICS = {
     "mse_oracle": "MSE / oracle ↓",
     "distance_db": "average spectrum [dB] ↓",
 }
+"""Metric → column header of the sensor table."""
 
 
 def make_sensor_table(results: Sequence[JobResult]) -> ExtraTable:
-    """The paper's columns: the shared field with tokens of each sensor. Sources that do not exist yet say so."""
+    """Build the paper's table: the shared field with tokens of each sensor.
+
+    Token sources that are not available have a row with the reason.
+    """
     cells: dict[str, list[Cell]] = {}
-    for each in results:
-        for sensor, made in each.sensors.items():
-            cells.setdefault(sensor, []).extend(made)
-    figures = {sensor: summarise(made) for sensor, made in cells.items()}
+    for result in results:
+        for sensor, sensor_cells in result.sensors.items():
+            cells.setdefault(sensor, []).extend(sensor_cells)
+    figures = {sensor: summarise(sensor_cells) for sensor, sensor_cells in cells.items()}
     rows = [
-        (SENSOR_LABELS.get(sensor, sensor), *(f"{found[name]['median']:.3g}" for name in SENSOR_METRICS))
-        for sensor, found in figures.items()
+        (SENSOR_LABELS.get(sensor, sensor), *(f"{summary[name]['median']:.3g}" for name in SENSOR_METRICS))
+        for sensor, summary in figures.items()
     ]
-    rows += [(source, why, *["–"] * (len(SENSOR_METRICS) - 1)) for source, why in UNSUPPORTED_SOURCES.items()]
+    rows += [(source, reason, *["–"] * (len(SENSOR_METRICS) - 1)) for source, reason in UNSUPPORTED_SOURCES.items()]
     return ExtraTable(
         "token_source",
         "Token source (shared field, held-out windows)",
@@ -67,7 +72,7 @@ def make_sensor_table(results: Sequence[JobResult]) -> ExtraTable:
 
 
 def make_direction_table(measured: DirectionSpectra, names: Mapping[str, str]) -> ExtraTable:
-    """names: key of a method → words."""
+    """Build the table of level-ratio errors by direction. names: method key → label."""
     errors = {key: measured.compute_ratio_error_db(key) for key in measured.methods}
     return ExtraTable(
         "direction",
@@ -82,19 +87,32 @@ def make_direction_table(measured: DirectionSpectra, names: Mapping[str, str]) -
 
 
 SIMULATED_MATERIALS = ("sandstone", "denim", "brushed-metal")
-"""Rough, woven, and the one whose directions are pictured."""
+"""One rough, one woven, and one material whose spectra by direction are plotted."""
 HATT_MATERIALS = ("ABS Plastic", "Brick 1", "Cork")
+"""HaTT materials that are evaluated first."""
 QUICK_SIZES = EvaluationSizes(2.0, 8, 1, 20.0, 1, 1, 3, 6)
 HELD_OUT_DRAWS, KNOWN_DRAWS = 12, 2
-"""Realisations behind a long-run spectrum of (c): 48 s of a class that is asked about, 8 s of a stand-in."""
+"""Realisations behind a long-run spectrum in table (c): 48 s for a held-out class, 8 s for a known one."""
 PHOTO_STROKE = (0.1, 1.0)
-"""m/s and N at which real textures are tabulated."""
+"""Speed [m/s] and force [N] of the strokes on photographed textures."""
 
 
 @dataclass(frozen=True)
 class EvaluationOptions:
-    """keys: of methods, None = all. hatt: folder of the user's copy, or None. weights: of the shared field, None = the
-    shipped ones."""
+    """Options of an evaluation.
+
+    Attributes
+    ----------
+    keys
+        Keys of the methods; None = all.
+    hatt
+        Folder of the user's HaTT copy, or None.
+    budget
+        Training budget and weights of the shared field; without weights the shipped ones are used.
+    workers
+        Number of worker processes.
+
+    """
 
     out: Path
     sizes: EvaluationSizes = default(default_factory=EvaluationSizes)
@@ -107,29 +125,47 @@ class EvaluationOptions:
 
 
 def run_evaluation(options: EvaluationOptions, watch: Callable[[str], None] = lambda _: None) -> Report:
-    """Evaluate, and write eval.md, eval.json and pictures under options.out. Raises HnfError for what a person can act
-    on: unknown methods, a folder without textures, weights that cannot be read."""
+    """Evaluate, and write eval.md, eval.json and plots to options.out.
+
+    Parameters
+    ----------
+    options
+        Data, methods, sizes and output folder.
+    watch
+        Progress callback; receives the name of the current step.
+
+    Returns
+    -------
+    Report
+        All results.
+
+    Raises
+    ------
+    HnfError
+        For errors that the user can correct: unknown methods, a folder without textures, unreadable weights.
+
+    """
     entries = select_entries(options.keys)
     hatt = None if options.hatt is None else open_dataset("hatt", options.hatt)
     field = load_field(options.budget.weights)
     timings: dict[str, float] = {}
     with _Timer(timings, "materials"):
-        done = list(run_jobs(_make_jobs(options, hatt), options.workers, watch))
-    simulated = [each for each in done if each.job.kind == "simulated"]
-    recorded = [each for each in done if each.job.kind == "hatt"]
-    notes = [note for each in done for note in each.result.notes]
+        results = list(run_jobs(_make_jobs(options, hatt), options.workers, watch))
+    simulated = [result for result in results if result.job.kind == "simulated"]
+    recorded = [result for result in results if result.job.kind == "hatt"]
+    notes = [note for result in results for note in result.result.notes]
     columns = _make_columns(options, simulated, recorded)
-    extras = [make_sensor_table(simulated)] if any(each.sensors for each in simulated) else []
+    extras = [make_sensor_table(simulated)] if any(result.sensors for result in simulated) else []
     extras += [
-        make_direction_table(each.directions, _collect_names(columns))
-        for each in simulated
-        if each.directions is not None
+        make_direction_table(result.directions, _collect_names(columns))
+        for result in simulated
+        if result.directions is not None
     ]
     with _Timer(timings, "held-out classes"):
         watch("held-out classes")
-        held = _make_held_out_table(options, None if options.budget.weights is None else field)
-        notes += [held] if isinstance(held, str) else []
-        extras += [held] if isinstance(held, ExtraTable) else []
+        held_out_table = _make_held_out_table(options, None if options.budget.weights is None else field)
+        notes += [held_out_table] if isinstance(held_out_table, str) else []
+        extras += [held_out_table] if isinstance(held_out_table, ExtraTable) else []
     if hatt is None:
         notes.append("(d) HaTT: no folder was given (--hatt DIR).")
     else:
@@ -139,7 +175,7 @@ def run_evaluation(options: EvaluationOptions, watch: Callable[[str], None] = la
     settings = {**asdict(options.sizes), "seed": options.seed, "field": field.identity,
                 "methods": " ".join(entry.key for entry in entries)}  # fmt: skip
     report = Report(settings, tuple(columns), tuple(extras), tuple(notes), timings)
-    _write_report(report, done, options.out)
+    _write_report(report, results, options.out)
     return report
 
 
@@ -156,18 +192,18 @@ class _Timer:
 def _make_jobs(options: EvaluationOptions, hatt: DataSet | None) -> list[EvaluationJob]:
     keys = tuple(entry.key for entry in select_entries(options.keys))
 
-    def job(kind: str, name: str, place: int, directions: bool = False) -> EvaluationJob:
+    def job(kind: str, name: str, index: int, directions: bool = False) -> EvaluationJob:
         return EvaluationJob(
-            kind, name, options.hatt, place, keys, options.sizes, options.budget, options.seed + 10 * place, directions
+            kind, name, options.hatt, index, keys, options.sizes, options.budget, options.seed + 10 * index, directions
         )
 
     names = options.simulated[-options.sizes.simulated :]
-    jobs = [job("simulated", name, place, name == names[-1]) for place, name in enumerate(names)]
+    jobs = [job("simulated", name, index, name == names[-1]) for index, name in enumerate(names)]
     if hatt is not None:
         known = [name for name in HATT_MATERIALS if name in hatt.materials]
         rest = [name for name in hatt.materials if name not in known]
         jobs += [
-            job("hatt", name, len(jobs) + place) for place, name in enumerate([*known, *rest][: options.sizes.hatt])
+            job("hatt", name, len(jobs) + index) for index, name in enumerate([*known, *rest][: options.sizes.hatt])
         ]
     return jobs
 
@@ -177,31 +213,31 @@ def _make_columns(
 ) -> list[Column]:
     keys = tuple(entry.key for entry in select_entries(options.keys))
 
-    def make(key: str, title: str, what: str, kinds: Sequence[str], done: Sequence[JobResult]) -> Column:
-        names = ", ".join(each.job.name for each in done)
-        note = f"{names}. {what} Methods learned from {options.sizes.training_s:g} s of each material."
+    def build(key: str, title: str, description: str, kinds: Sequence[str], results: Sequence[JobResult]) -> Column:
+        names = ", ".join(result.job.name for result in results)
+        note = f"{names}. {description} Methods learned from {options.sizes.training_s:g} s of each material."
         return make_column(
-            key, title, note, kinds, [each.result for each in done], select_entries(keys), options.budget
+            key, title, note, kinds, [result.result for result in results], select_entries(keys), options.budget
         )
 
-    out = []
+    columns = []
     if simulated:
-        out += [
-            make("windows", "(a) Simulated, held-out windows", "New stretches of wandering strokes.", ["window"],
+        columns += [
+            build("windows", "(a) Simulated, held-out windows", "New stretches of wandering strokes.", ["window"],
                  simulated),
-            make("unseen", "(b) Simulated, unseen kinds of stroke", "A steady stroke and a speed sweep, kinds that no "
+            build("unseen", "(b) Simulated, unseen kinds of stroke", "A steady stroke and a speed sweep, kinds that no "
                  "method learned from.", ["unseen"], simulated),
         ]  # fmt: skip
     if recorded:
-        out.append(
-            make("hatt", "(d) HaTT texture models", "Wandering, steady and sweeping strokes. AR is the true model "
+        columns.append(
+            build("hatt", "(d) HaTT texture models", "Wandering, steady and sweeping strokes. AR is the true model "
                  "class here, and direction does not exist.", ["window", "unseen"], recorded)
         )  # fmt: skip
-    return out
+    return columns
 
 
 def _make_held_out_table(options: EvaluationOptions, field: Field | None) -> ExtraTable | str:
-    """field: the user's own weights; None = those shipped for this."""
+    """Build table (c) for the user's own weights, or for the shipped held-out weights if `field` is None."""
     if field is None:
         if not HELD_OUT_WEIGHTS.is_file():
             return f"(c) Held-out classes: {HELD_OUT_WEIGHTS.name} is not part of the Blender extension."
@@ -213,15 +249,15 @@ def _make_held_out_table(options: EvaluationOptions, field: Field | None) -> Ext
             "(c) Held-out classes: the weights name no classes that were kept from training "
             '(metadata "held_out", a JSON list). Without --weights, the field that was trained so is asked.'
         )
-    kept_away = set(find_held_out_names(field, library.materials))
+    all_held_out = set(find_held_out_names(field, library.materials))
     limits = library.action_range(names[0])
     action = make_random_smooth_action(
         options.sizes.seconds, 4242 + options.seed, speed_m_s=limits.speed_m_s, force_n=limits.force_n
     )
     sizes = options.sizes
-    others = [name for name in library.materials if name not in kept_away][: sizes.known]
+    others = [name for name in library.materials if name not in all_held_out][: sizes.known]
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        held = [
+        held_out_futures = [
             pool.submit(
                 measure_known_material,
                 name,
@@ -232,9 +268,15 @@ def _make_held_out_table(options: EvaluationOptions, field: Field | None) -> Ext
             )
             for name in names
         ]
-        trained = [pool.submit(measure_known_material, name, action, KNOWN_DRAWS, 0, options.seed) for name in others]
+        known_futures = [
+            pool.submit(measure_known_material, name, action, KNOWN_DRAWS, 0, options.seed) for name in others
+        ]
         return make_held_out_table(
-            field, action, [each.result() for each in held], [each.result() for each in trained], options.seed
+            field,
+            action,
+            [future.result() for future in held_out_futures],
+            [future.result() for future in known_futures],
+            options.seed,
         )
 
 
@@ -248,7 +290,7 @@ def _make_photo_table(hatt: DataSet, field: Field, options: EvaluationOptions) -
 
 
 def _collect_names(columns: Sequence[Column]) -> dict[str, str]:
-    return {row.key: row.name for found in columns for row in found.rows if row.form == "natural"}
+    return {row.key: row.name for column in columns for row in column.rows if row.form == "natural"}
 
 
 def _write_report(report: Report, done: Sequence[JobResult], out: Path) -> None:
@@ -260,16 +302,16 @@ def _write_report(report: Report, done: Sequence[JobResult], out: Path) -> None:
         ("unseen", "simulated", "Simulated, unseen kinds of stroke"),
         ("unseen", "hatt", "HaTT, unseen kinds of stroke"),
     ):
-        judged = [each.result for each in done if each.job.kind == key]
-        if judged:
-            picture = out / f"spectra-{key}-{kind}.png"
-            plot_spectra(picture, judged, kind, names, title)
-            lines += [f"![{title}]({picture.name})", ""]
-    for each in done:
-        if each.directions is not None:
-            picture = out / f"directions-{each.job.name}.png"
-            plot_directions(picture, each.directions, names)
-            lines += [f"![By direction]({picture.name})", ""]
+        material_results = [result.result for result in done if result.job.kind == key]
+        if material_results:
+            plot_path = out / f"spectra-{key}-{kind}.png"
+            plot_spectra(plot_path, material_results, kind, names, title)
+            lines += [f"![{title}]({plot_path.name})", ""]
+    for result in done:
+        if result.directions is not None:
+            plot_path = out / f"directions-{result.job.name}.png"
+            plot_directions(plot_path, result.directions, names)
+            lines += [f"![By direction]({plot_path.name})", ""]
     write_text(out / "eval.json", json.dumps(report.to_json(), indent=1, default=_to_json_value) + "\n")
     write_text(out / "eval.md", "\n".join(lines))
 

@@ -1,8 +1,8 @@
-"""What is stroked: to learn from, and to be judged on.
+"""Trials, references and scores: test strokes, recordings of the true process, and all metrics of one method.
 
-What a method is held against: one recording, the long-run spectrum, and the limits of the process.
-
-One method on one reference, by every metric.
+A `Trial` is a stroke to evaluate on. A `Reference` holds realisations of the true process for one stroke with its
+long-run spectrum and metric bounds. `score_natural` and `score_expected_magnitude` turn a method's signals into a
+`Score`.
 """
 
 from __future__ import annotations
@@ -36,17 +36,32 @@ from hnf_core.metrics.spectra import (
 from .bounds import REALISATION_COUNT, MetricBounds, compute_bounds, measure_repetition
 
 TrainingStrokes = Literal["wandering", "circular", "circular and primitives"]
-"""What a method learns from. wandering: speed, force and direction walk through their ranges. circular: as the paper's
-recordings. circular and primitives: HNF+, the eight synthetic classes of action added."""
+"""Kinds of training strokes.
+
+wandering: speed, force and direction vary within their ranges. circular: as in the paper's recordings. circular and
+primitives: HNF+, with the eight synthetic classes of action added.
+"""
 
 STROKE_S = 5.0
+"""Duration of a wandering training stroke [s]."""
 CIRCLE_RADIUS_M = 0.02
+"""Radius of circular strokes [m]."""
 CIRCLE_S = 5.0
+"""Duration of a circular stroke [s]."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """kind: "window" (new, but of the kind most methods learn from) or "unseen" (of a kind in no diet). name: words."""
+    """A stroke on which methods are evaluated.
+
+    Attributes
+    ----------
+    kind
+        "window": new, but of the kind most methods train on. "unseen": of a kind in no training set.
+    name
+        Text for the report.
+
+    """
 
     kind: Literal["window", "unseen"]
     name: str
@@ -56,25 +71,28 @@ class Trial:
 def make_training_actions(
     training_strokes: TrainingStrokes, limits: ActionRange, seconds: float, seed: int
 ) -> list[Action]:
-    """Some `seconds` of strokes within the limits; at least one. Deterministic with a seed."""
+    """Make about `seconds` of training strokes within the limits, at least one. Deterministic for a seed."""
     if training_strokes == "wandering":
         count = max(1, round(seconds / STROKE_S))
         return [_make_wandering(limits, min(seconds, STROKE_S), 10_000 + 100 * seed + index) for index in range(count)]
     circles = seconds if training_strokes == "circular" else 0.5 * seconds
     actions = _make_circles(limits, circles, seed)
     if training_strokes == "circular and primitives":
-        kinds = [make_primitive_action(name, seed=seed) for name in PRIMITIVE_NAMES]
-        repeats = max(1, round((seconds - circles) / sum(each.duration_s for each in kinds)))
+        primitive_actions = [make_primitive_action(name, seed=seed) for name in PRIMITIVE_NAMES]
+        repeats = max(1, round((seconds - circles) / sum(action.duration_s for action in primitive_actions)))
         actions += [
-            make_primitive_action(name, seed=1000 * seed + again)
-            for again in range(repeats)
+            make_primitive_action(name, seed=1000 * seed + repeat)
+            for repeat in range(repeats)
             for name in PRIMITIVE_NAMES
         ]
     return actions
 
 
 def make_trials(limits: ActionRange, seconds: float, seed: int) -> list[Trial]:
-    """Two new wandering strokes; a steady stroke; and a speed sweep at constant force: the last two are in no diet."""
+    """Make two new wandering strokes, a steady stroke and a speed sweep at constant force.
+
+    The last two kinds are in no training set.
+    """
     speed, force = _compute_middle(limits.speed_m_s), _compute_middle(limits.force_n)
     low, high = limits.speed_m_s
     angle = float(np.random.default_rng(seed).uniform(*limits.angle_rad))
@@ -95,7 +113,7 @@ def make_trials(limits: ActionRange, seconds: float, seed: int) -> list[Trial]:
 
 
 def make_sweep_action(duration_s: float, speed_m_s: tuple[float, float], force_n: float, angle_rad: float) -> Action:
-    """Speed rises evenly from one limit to the other; direction and force stay."""
+    """Make a stroke of constant direction and force whose speed rises linearly between the limits."""
     count = round(duration_s * ACTION_RATE_HZ) + 1
     speed = np.linspace(*speed_m_s, count)
     position = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) / ACTION_RATE_HZ
@@ -104,7 +122,7 @@ def make_sweep_action(duration_s: float, speed_m_s: tuple[float, float], force_n
 
 
 def _make_circles(limits: ActionRange, seconds: float, seed: int) -> list[Action]:
-    """Circles of constant speed and force, a grid of both gone through in turn."""
+    """Make circles of constant speed and force that step through a grid of both."""
     rng = np.random.default_rng(seed)
     length = min(CIRCLE_S, seconds)
     count = max(1, round(seconds / length))
@@ -133,17 +151,24 @@ def _interpolate_log(limits: tuple[float, float], share: float) -> float:
 Float = NDArray[np.float64]
 
 RATE_HZ = 10_000.0
+"""Sample rate of all signals [Hz]."""
 FREQUENCY_HZ = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / RATE_HZ)
+"""(501,) frequencies of the Welch bins [Hz]."""
 WINDOW_OFFSETS = (0, 250, 500, 750)
-"""Window offsets at which expected-magnitude forms are tried: a natural form does not care."""
+"""Window offsets [samples] at which expected-magnitude signals are tested; natural signals are insensitive."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """One stroke on one material.
+    """Realisations of the true process for one stroke on one material.
 
-    draws: (R, n) realisations of the true process; the first stands for *the* recording. oracle: further ones, from
-    another seed, that no figure of the reference was taken from.
+    Attributes
+    ----------
+    draws
+        (R, n) realisations; the first is *the* recording.
+    oracle
+        Further realisations from another seed, independent of all figures of the reference.
+
     """
 
     material: str
@@ -154,30 +179,34 @@ class Reference:
 
     @property
     def recording(self) -> Float:
+        """First realisation, (n,) [m/s²]."""
         return np.asarray(self.draws[0])
 
     @cached_property
     def density(self) -> Float:
-        """(501,) Welch average over all draws: the long-run spectrum."""
-        return np.asarray(np.mean([welch(each, RATE_HZ)[1] for each in self.draws], axis=0))
+        """Long-run spectrum: (501,) Welch average over all draws."""
+        return np.asarray(np.mean([welch(draw, RATE_HZ)[1] for draw in self.draws], axis=0))
 
     @cached_property
     def limits(self) -> tuple[MetricBounds, ...]:
-        """One for each window offset of OFFSETS."""
+        """Metric bounds for each window offset of WINDOW_OFFSETS."""
         return tuple(
-            compute_bounds([window_magnitudes(each[offset:]) for each in self.draws]) for offset in WINDOW_OFFSETS
+            compute_bounds([window_magnitudes(draw[offset:]) for draw in self.draws]) for offset in WINDOW_OFFSETS
         )
 
 
 def make_references(
     process: TextureProcess, strokes: Sequence[tuple[str, Action]], seed: int, realisations: int, renders: int
 ) -> list[Reference]:
-    """One Reference per named stroke, all equally long. Two seeds for the draws (one for few), another for the oracle:
-    none stands on a single piece of surface."""
+    """Make one Reference per named stroke; all strokes are equally long.
+
+    Draws use two seeds (one if there are few) and the oracle another, so no reference depends on a single surface.
+    """
     actions = [action for _, action in strokes]
     half = -(-realisations // 2) if realisations >= REALISATION_COUNT else realisations
     drawn = [
-        _record_draws(process, actions, 3 * seed + part, count) for part, count in ((0, half), (1, realisations - half))
+        _record_draws(process, actions, 3 * seed + block, count)
+        for block, count in ((0, half), (1, realisations - half))
     ]
     oracle = _record_draws(process, actions, 3 * seed + 2, renders)
     return [
@@ -185,7 +214,7 @@ def make_references(
             process.name,
             name,
             action,
-            np.concatenate([part[index] for part in drawn if len(part[index])]),
+            np.concatenate([block[index] for block in drawn if len(block[index])]),
             tuple(oracle[index]),
         )
         for index, (name, action) in enumerate(strokes)
@@ -193,7 +222,7 @@ def make_references(
 
 
 def _record_draws(process: TextureProcess, actions: Sequence[Action], seed: int, times: int) -> list[Float]:
-    """(times, n) per action, all in one call: the simulator's cost is by the call."""
+    """Return (times, n) per action from a single call, since the simulator's cost is mostly per call."""
     if times == 0:
         return [np.zeros((0, 0))] * len(actions)
     recordings = process.record([action for action in actions for _ in range(times)], seed)
@@ -203,11 +232,21 @@ def _record_draws(process: TextureProcess, actions: Sequence[Action], seed: int,
 
 @dataclass(frozen=True)
 class Score:
-    """None where a metric says nothing of such a signal.
+    """Metrics of one method on one reference; None where a metric does not apply.
 
-    distance_db, power_bias_db, nine_band_db: average spectra, against the long run. mse: spectral MSE averaged over all
-    recordings the process could give, (m/s²)² of an unscaled DFT; mse_oracle, mse_best: over the limits. lsd_db,
-    lsd_log10, gfc, st_sim_*, spqi: against one recording. repetition: largest autocorrelation beyond 0.1 s.
+    Attributes
+    ----------
+    distance_db, power_bias_db, nine_band_db
+        Average spectra against the long-run spectrum [dB].
+    mse
+        Spectral MSE averaged over all recordings the process could give, (m/s²)² of an unscaled DFT.
+    mse_oracle, mse_best
+        MSE divided by the bounds.
+    lsd_db, lsd_log10, gfc, st_sim_tum, st_sim_cosine, st_sim_cosine_spectral, spqi
+        Metrics against one recording.
+    repetition
+        Largest autocorrelation beyond 0.1 s.
+
     """
 
     distance_db: float | None = None
@@ -233,7 +272,7 @@ METRIC_NAMES = tuple(Score.__dataclass_fields__)
 
 
 def score_density(density: Float, reference: Reference) -> Score:
-    """What an average spectrum (501,) alone can be judged by."""
+    """Compute the metrics that need only an average spectrum (501,)."""
     return Score(
         distance_db=average_spectrum_distance_db(density, reference.density, FREQUENCY_HZ),
         power_bias_db=power_bias_db(density, reference.density, FREQUENCY_HZ),
@@ -242,38 +281,43 @@ def score_density(density: Float, reference: Reference) -> Score:
 
 
 def score_natural(signals: Sequence[Float], reference: Reference) -> Score:
-    """Signals to feel: renderings of the reference's action. Average spectra are taken over all of them (the bars speak
-    of 8 s of signal), every other metric is the mean over them."""
-    signals = [_check_rendering(each, reference) for each in signals]
-    density = np.mean([welch(each, RATE_HZ)[1] for each in signals], axis=0)
-    errors = [reference.limits[0].expected_mse(window_magnitudes(each)) for each in signals]
-    shown = _score_waveforms(signals, reference)
-    spectral = score_density(density, reference)
+    """Score natural signals: renderings of the reference's action.
+
+    Average spectra are taken over all signals (the pass criteria refer to 8 s); other metrics are means over them.
+    """
+    signals = [_check_rendering(signal, reference) for signal in signals]
+    density = np.mean([welch(signal, RATE_HZ)[1] for signal in signals], axis=0)
+    errors = [reference.limits[0].expected_mse(window_magnitudes(signal)) for signal in signals]
+    waveform_scores = _score_waveforms(signals, reference)
+    density_score = score_density(density, reference)
     return Score(
         **{
-            **{name: value for name, value in spectral.values().items() if value is not None},
-            **shown,
+            **{name: value for name, value in density_score.values().items() if value is not None},
+            **waveform_scores,
             **_compute_mse_ratios(float(np.mean(errors)), reference, 0),
-            "repetition": float(np.mean([measure_repetition(each, RATE_HZ) for each in signals])),
+            "repetition": float(np.mean([measure_repetition(signal, RATE_HZ) for signal in signals])),
         }
     )
 
 
 def score_expected_magnitude(signals: Sequence[Float], reference: Reference) -> Score:
-    """Forms whose windows show E|X_k|: the worst window offset of each, and no metric of a natural signal's power."""
-    signals = [_check_rendering(each, reference) for each in signals]
+    """Score signals whose windows have the expected magnitude E|X_k|.
+
+    The worst window offset counts. Metrics of a natural signal's power are omitted.
+    """
+    signals = [_check_rendering(signal, reference) for signal in signals]
     worst: dict[str, float] = {}
-    for each in signals:
+    for signal in signals:
         for index, offset in enumerate(WINDOW_OFFSETS):
-            error = reference.limits[index].expected_mse(window_magnitudes(each[offset:]))
-            found = _compute_mse_ratios(error, reference, index)
-            if found["mse_best"] > worst.get("mse_best", 0.0):
-                worst = found
+            error = reference.limits[index].expected_mse(window_magnitudes(signal[offset:]))
+            ratios = _compute_mse_ratios(error, reference, index)
+            if ratios["mse_best"] > worst.get("mse_best", 0.0):
+                worst = ratios
     return Score(**{**_score_waveforms(signals, reference), **worst})
 
 
 def score_best(reference: Reference) -> Score:
-    """The best that any prediction of |X_k| can score: the process's own mean over realisations."""
+    """Score the best possible prediction of |X_k|: the process's own mean over realisations."""
     limits, recorded = reference.limits[0], window_magnitudes(reference.recording)
     return Score(
         **_compute_mse_ratios(limits.best, reference, 0),
@@ -291,25 +335,25 @@ def _compute_mse_ratios(mse: float, reference: Reference, offset: int) -> dict[s
 def _score_waveforms(signals: Sequence[Float], reference: Reference) -> dict[str, float]:
     recording, recorded = reference.recording, window_magnitudes(reference.recording)
     rows = []
-    for each in signals:
-        magnitude = window_magnitudes(each)
-        cosine = st_sim_cosine(each, recording)
+    for signal in signals:
+        magnitude = window_magnitudes(signal)
+        cosine = st_sim_cosine(signal, recording)
         rows.append(
             {
                 "lsd_db": lsd_power_db(magnitude, recorded),
                 "lsd_log10": lsd_log10_magnitude(magnitude, recorded),
                 "gfc": gfc(magnitude, recorded),
-                "st_sim_tum": st_sim_tum(each, recording, RATE_HZ),
+                "st_sim_tum": st_sim_tum(signal, recording, RATE_HZ),
                 "st_sim_cosine": cosine.combined,
                 "st_sim_cosine_spectral": cosine.spectral,
-                "spqi": spqi(each, recording, RATE_HZ),
+                "spqi": spqi(signal, recording, RATE_HZ),
             }
         )
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
 
 def _check_rendering(signal: Float, reference: Reference) -> Float:
-    """Raises ValueError where a method returned another length than the stroke's, or something that is no number."""
+    """Return the signal as float64. Raises ValueError for a wrong length or values that are not finite."""
     samples = np.asarray(signal, dtype=np.float64)
     if samples.shape != reference.recording.shape or not np.isfinite(samples).all():
         raise ValueError(f"a rendering of {samples.shape} for a stroke of {reference.recording.shape}, or not finite.")

@@ -1,10 +1,11 @@
-"""Train the encoders of docs/alignment.md and judge them: on GelSight tuples, on DIGIT tuples, on both.
+"""Train and evaluate the encoders of docs/alignment.md: on GelSight tuples, on DIGIT tuples, and on both.
 
-Usage: python -m hnf_lab.experiments.alignment (--minutes N | --steps N) [--pixels N] [--batch N] [--rate R]
-       [--data DIR] [--out DIR] [--record FILE]
-Needs the extra "train" and the pairs of tools/make_tactile_pairs.py. Of the steps or minutes each sensor's training
-takes a quarter and that on both takes half, so that each sees a sensor's tuples equally often. What is finished is not
-done again. Weights stay in the folder; the record, with their checksums, is committed.
+  Usage: python -m hnf_lab.experiments.alignment (--minutes N | --steps N) [--pixels N] [--batch N] [--rate R]
+         [--data DIR] [--out DIR] [--record FILE]
+
+Needs the extra "train" and the pairs of tools/make_tactile_pairs.py. Each single sensor gets a quarter of the steps or
+minutes and both together get half, so that each training uses a sensor's tuples equally often. Finished parts are not
+repeated. Weights stay in the folder; the record, with their checksums, is committed.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ from ..alignment.train import AlignedEncoders, Recipe, fit_encoders, load_encode
 from ..cli.train_alignment import CHECKPOINT
 
 BUDGET_SHARES = {"gelsight": 0.25, "digit": 0.25, "both": 0.5}
-"""Of the steps or the time."""
+"""Fraction of the steps or the time for each training."""
 
 
 def load_or_train(folder: Path, sensor: str, training: Tuples, recipe: Recipe, threads: int) -> AlignedEncoders:
-    """The encoders in the folder, trained now where they are not there yet."""
+    """Load the encoders from the folder, or train them."""
     try:
         return load_encoders(folder)
     except FileError:
@@ -53,8 +54,8 @@ def load_or_train(folder: Path, sensor: str, training: Tuples, recipe: Recipe, t
 
     fitted = fit_encoders(tuples, recipe, folder / CHECKPOINT, watch)
     print(file=sys.stderr)
-    told = {"sensor": sensor, "tuples": len(tuples), "threads": threads, "trunk": None, "torch": version}
-    save_encoders(folder, fitted, recipe, told)
+    details = {"sensor": sensor, "tuples": len(tuples), "threads": threads, "trunk": None, "torch": version}
+    save_encoders(folder, fitted, recipe, details)
     (folder / CHECKPOINT).unlink(missing_ok=True)
     return load_encoders(folder)
 
@@ -62,12 +63,12 @@ def load_or_train(folder: Path, sensor: str, training: Tuples, recipe: Recipe, t
 def load_or_measure(
     path: Path, models: AlignedEncoders, training: Tuples, held_out: HeldOutTuples, seed: int
 ) -> Measurement:
-    """What these weights are worth, measured now where it is not there yet."""
-    found = load_measurement(path, models.record["sha256"])
-    if found is None:
-        found = measure_encoders(models, training, held_out, seed)
-        save_measurement(path, found, models.record["sha256"])
-    return found
+    """Load the evaluation of these weights, or measure and store it."""
+    measurement = load_measurement(path, models.record["sha256"])
+    if measurement is None:
+        measurement = measure_encoders(models, training, held_out, seed)
+        save_measurement(path, measurement, models.record["sha256"])
+    return measurement
 
 
 def main() -> int:
@@ -88,27 +89,27 @@ def main() -> int:
     arguments = parser.parse_args()
     set_torch_threads(arguments.threads)
     source = GeneratedSource(arguments.data)
-    learn = source.load_training()
+    training = source.load_training()
     models = []
-    for sensor, part in BUDGET_SHARES.items():
+    for sensor, fraction in BUDGET_SHARES.items():
         if arguments.only in (None, sensor):
             recipe = Recipe(
                 pixels=arguments.pixels, batch=arguments.batch, chunk=arguments.batch, rate=arguments.rate,
-                minutes=None if arguments.minutes is None else part * arguments.minutes,
-                steps=None if arguments.steps is None else round(part * arguments.steps), seed=arguments.seed,
+                minutes=None if arguments.minutes is None else fraction * arguments.minutes,
+                steps=None if arguments.steps is None else round(fraction * arguments.steps), seed=arguments.seed,
             )  # fmt: skip
-            models.append(load_or_train(arguments.out / sensor, sensor, learn, recipe, arguments.threads))
+            models.append(load_or_train(arguments.out / sensor, sensor, training, recipe, arguments.threads))
     if arguments.only is not None:
         return 0
-    judged = source.load_held_out()
+    held_out = source.load_held_out()
     results = [
-        load_or_measure(arguments.out / each.sensor / "measured.json", each, learn, judged, arguments.seed)
-        for each in models
+        load_or_measure(arguments.out / encoders.sensor / "measured.json", encoders, training, held_out, arguments.seed)
+        for encoders in models
     ]
-    told = make_report(results, compute_chance_levels(judged))
-    record = {**told.to_json(), "models": [dict(each.record) for each in models]}
+    report = make_report(results, compute_chance_levels(held_out))
+    record = {**report.to_json(), "models": [dict(encoders.record) for encoders in models]}
     write_text(arguments.record, json.dumps(record, indent=1) + "\n")
-    print(format_report(told))
+    print(format_report(report))
     return 0
 
 

@@ -1,11 +1,12 @@
-"""How long a sound output still sounds after a stream on it is stopped, ends with its program, or is killed: through a
-real sound server (PulseAudio with a null sink, as the tests have), each way many times, at random moments.
+"""Measure how long a sound output continues after a stream is stopped, paused, interrupted or killed.
 
-Usage: python -m hnf_lab.experiments.audio_silence [TIMES]    100 of each by default; needs pulseaudio, pulseaudio-utils
+  Usage: python -m hnf_lab.experiments.audio_silence [TIMES]    100 of each by default; needs pulseaudio,
+         pulseaudio-utils
 
-The output's own clock is read off a recording of what it got: a frame cannot have sounded later than it was recorded,
-so the earliest that all pieces of a recording allow for its first frame is the latest that this frame sounded. What is
-told is therefore an upper bound; it is counted from just before the command. Prints a Markdown table.
+Each case runs many times at random moments through a real sound server (PulseAudio with a null sink, as in the tests).
+The time is taken from a recording of the output: a frame cannot have sounded later than it was recorded, so the
+earliest start that all blocks of a recording allow is the latest that its first frame sounded. The result is therefore
+an upper bound, counted from just before the command. Prints a Markdown table.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 
 Play = Callable[[], Callable[[], None]]
-"""Begins to play, and returns the command that shall end it."""
+"""Starts playing, and returns the command that must end it."""
 Ending = Callable[[], AbstractContextManager[Play]]
 
 PLAY_RANGE_S = (0.15, 0.4)
 RECORDED_AFTER_S = 0.35
-"""Of recording after the command: what still sounds by then is told as that much."""
+"""Recording time after the command [s], the largest result."""
 MAX_WAIT_S = 30.0
 CHILD_CODE = f"""
 import sys; sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / "tools")!r}]
@@ -54,17 +55,17 @@ with make_endless_stream() as stream:
 
 
 def make_endless_stream() -> Stream:
-    """Never zero, so that a frame of zero is silence."""
+    """Make a stream that is never zero, so that a zero frame is silence."""
     return Stream(BufferSource(np.ones((500, 1)), 10_000.0, loop=True), AudioSink(), Limits(10.0))
 
 
 class Recorder:
-    """What the output gets, and when it was got."""
+    """Records the output with the arrival time of each block."""
 
     def __init__(self, server: SoundServer) -> None:
-        words = ["parec", "--device=lab.monitor", "--format=s16le", f"--rate={RATE_HZ}", "--channels=1"]
+        command = ["parec", "--device=lab.monitor", "--format=s16le", f"--rate={RATE_HZ}", "--channels=1"]
         self._process = subprocess.Popen(
-            [*words, "--latency-msec=2"], stdout=subprocess.PIPE, env=server.environment, bufsize=0
+            [*command, "--latency-msec=2"], stdout=subprocess.PIPE, env=server.environment, bufsize=0
         )
         self._blocks: list[tuple[float, bytes]] = []
         self._thread = threading.Thread(target=self._read, daemon=True)
@@ -72,32 +73,32 @@ class Recorder:
 
     def _read(self) -> None:
         assert self._process.stdout is not None
-        while piece := self._process.stdout.read(4096):
-            self._blocks.append((time.monotonic(), piece))
+        while block := self._process.stdout.read(4096):
+            self._blocks.append((time.monotonic(), block))
 
     def stop(self) -> tuple[NDArray[np.int16], float]:
-        """(counts (n,), the latest moment at which the first of them sounded)."""
+        """Return the counts (n,), and the latest moment at which the first of them sounded."""
         self._process.terminate()
         self._process.wait(MAX_WAIT_S)
         self._thread.join(MAX_WAIT_S)
-        ends = np.cumsum([len(piece) // 2 for _, piece in self._blocks])
-        begun = min(at - end / RATE_HZ for (at, _), end in zip(self._blocks, ends, strict=True))
-        return np.frombuffer(b"".join(piece for _, piece in self._blocks), dtype="<i2"), begun
+        ends = np.cumsum([len(block) // 2 for _, block in self._blocks])
+        start = min(arrival - end / RATE_HZ for (arrival, _), end in zip(self._blocks, ends, strict=True))
+        return np.frombuffer(b"".join(block for _, block in self._blocks), dtype="<i2"), start
 
 
 def measure_sound_s(server: SoundServer, play: Play, moment_s: float) -> float:
-    """Seconds from the command, moment_s after play(), until silence."""
+    """Return the seconds from the command, moment_s after play(), until silence."""
     recorder = Recorder(server)
     command = play()
     time.sleep(moment_s)
-    at = time.monotonic()
+    commanded_at = time.monotonic()
     command()
-    time.sleep(max(0.0, at + RECORDED_AFTER_S - time.monotonic()))
-    counts, begun = recorder.stop()
+    time.sleep(max(0.0, commanded_at + RECORDED_AFTER_S - time.monotonic()))
+    counts, start = recorder.stop()
     loud = np.flatnonzero(counts)
     if len(loud) == 0 or counts[loud[0] : loud[-1]].max() < 1000:
         raise SystemExit("nothing was heard: the sound server is too late for this machine; try again at rest.")
-    return float(begun + (loud[-1] + 1) / RATE_HZ - at)
+    return float(start + (loud[-1] + 1) / RATE_HZ - commanded_at)
 
 
 @contextmanager
@@ -127,7 +128,7 @@ def play_until_pause() -> Iterator[Play]:
 
 def play_until_signal(number: signal.Signals) -> Ending:
     @contextmanager
-    def way() -> Iterator[Play]:
+    def play_in_child() -> Iterator[Play]:
         with subprocess.Popen(
             [sys.executable, "-c", CHILD_CODE], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         ) as child:
@@ -142,7 +143,7 @@ def play_until_signal(number: signal.Signals) -> Ending:
             finally:
                 child.kill()
 
-    return way
+    return play_in_child
 
 
 ENDINGS: dict[str, Ending] = {
@@ -161,13 +162,19 @@ def main(times: int) -> None:
     rng = np.random.default_rng(0)
     print("| | median | 99 % | most | beyond 20 ms |\n|---|---|---|---|---|", flush=True)
     with tempfile.TemporaryDirectory() as folder, sound_server(Path(folder)) as server:
-        for name, way in ENDINGS.items():
-            found = []
+        for name, ending in ENDINGS.items():
+            durations_ms = []
             for _ in range(times):
-                with way() as play:
-                    found.append(1e3 * measure_sound_s(server, play, rng.uniform(*PLAY_RANGE_S)))
-            middle, p99, beyond = np.median(found), np.percentile(found, 99), sum(each > 20.0 for each in found)
-            print(f"| {name} | {middle:.1f} ms | {p99:.1f} | {max(found):.1f} | {beyond} of {times} |", flush=True)
+                with ending() as play:
+                    durations_ms.append(1e3 * measure_sound_s(server, play, rng.uniform(*PLAY_RANGE_S)))
+            median, p99, beyond = (
+                np.median(durations_ms),
+                np.percentile(durations_ms, 99),
+                sum(duration > 20.0 for duration in durations_ms),
+            )
+            print(
+                f"| {name} | {median:.1f} ms | {p99:.1f} | {max(durations_ms):.1f} | {beyond} of {times} |", flush=True
+            )
 
 
 if __name__ == "__main__":

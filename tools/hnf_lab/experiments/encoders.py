@@ -1,6 +1,7 @@
-"""Measure both makes of E and print the tables of docs/encoder.md.
+"""Compare the available token encoders E and print the tables of docs/encoder.md.
 
-Usage: python -m hnf_lab.experiments.encoders [--pairs DIR] [--encoder NAME|FILE …] [--seed N] [--json FILE]
+  Usage: python -m hnf_lab.experiments.encoders [--pairs DIR] [--encoder NAME|FILE …] [--seed N] [--json FILE]
+
 Needs the pairs of tools/make_tactile_pairs.py (splits held-out-instances and held-out-classes).
 """
 
@@ -53,7 +54,7 @@ from ..encoder.evaluate import (
 )
 
 INSTANCE_SEED = 900
-"""Seed of the instances looked at here; pairs are made from others."""
+"""Seed of the instances measured here; the pairs use other seeds."""
 SHIFTS_PX = (1, 2, 4)
 LAMP_SEEDS = (1, 2)
 
@@ -79,7 +80,7 @@ def main() -> int:
                 figures[split][name]["predicted, widest and finest"] = found
         print(format_views(split, figures[split]), flush=True)
     pieces = [make_sample(name, INSTANCE_SEED) for name in list_classes()[:: arguments.every]]
-    figures["steadiness"] = {each.name: measure_stability(each, pieces) for each in encoders}
+    figures["steadiness"] = {encoder.name: measure_stability(encoder, pieces) for encoder in encoders}
     print(format_stability(figures["steadiness"]), flush=True)
     figures["signal"] = measure_signals(encoders, pieces, arguments.seed)
     print(format_signals(figures["signal"]), flush=True)
@@ -89,8 +90,8 @@ def main() -> int:
 
 
 def measure_views(encoder: Encoder, pairs: Pairs, every: int) -> dict[str, Any]:
-    """Errors of single views under both sensors, and of a tile's views merged."""
-    # Chosen at random: views of one pitch stand at equal distances.
+    """Measure errors of single views under both sensors, and of a tile's merged views."""
+    # A random choice, since views of one pitch are at equal intervals.
     rows = np.sort(np.random.default_rng(0).permutation(len(pairs))[: len(pairs) // every])
     tiles = np.unique(pairs.tile_index)[::every]
     merged = [
@@ -99,7 +100,7 @@ def measure_views(encoder: Encoder, pairs: Pairs, every: int) -> dict[str, Any]:
         )
         for tile in tiles
     ]
-    together = compute_token_errors(
+    merged_errors = compute_token_errors(
         np.array([token.values for token in merged], dtype=np.float64),
         np.array([token.known for token in merged]),
         pairs.token[tiles].astype(np.float64),
@@ -107,18 +108,18 @@ def measure_views(encoder: Encoder, pairs: Pairs, every: int) -> dict[str, Any]:
     return {
         "one view, GelSight": asdict(evaluate_encoder(encoder, pairs, list(rows), "gelsight")),
         "one view, DIGIT": asdict(evaluate_encoder(encoder, pairs, list(rows), "digit")),
-        "four views merged": asdict(together),
+        "four views merged": asdict(merged_errors),
     }
 
 
 def measure_predicted(encoders: list[Encoder], weights: MapWeights, pairs: Pairs, count: int) -> dict[str, Any]:
-    """Errors of the tokens of maps that D_φ draws from a tile's look: its widest and its finest view, merged."""
+    """Measure errors of tokens from maps that D_φ predicts: a tile's widest and finest views, merged."""
     tiles = np.unique(pairs.tile_index)
     tiles = tiles[:: max(1, len(tiles) // count)][:count]
-    tokens: dict[str, list[Token]] = {each.name: [] for each in encoders}
+    tokens: dict[str, list[Token]] = {encoder.name: [] for encoder in encoders}
     for tile in tiles:
         rows = [int(row) for row in np.flatnonzero(pairs.tile_index == tile) if pairs.pitch_index[row] in (0, 3)]
-        looks = [
+        views = [
             AppearanceView(
                 decode_rgb(pairs.rgb[row]),
                 pairs.depth[row].astype(np.float32) * np.float32(pairs.pitch_m[row]),
@@ -127,17 +128,19 @@ def measure_predicted(encoders: list[Encoder], weights: MapWeights, pairs: Pairs
             )
             for row in rows
         ]
-        maps = predict_tactile_maps(weights, looks, "gelsight", seed=int(tile))
-        for each in encoders:
-            tokens[each.name].append(describe_views(each, maps))
-    wanted = pairs.token[tiles].astype(np.float64)
+        maps = predict_tactile_maps(weights, views, "gelsight", seed=int(tile))
+        for encoder in encoders:
+            tokens[encoder.name].append(describe_views(encoder, maps))
+    expected = pairs.token[tiles].astype(np.float64)
     return {
         name: asdict(
             compute_token_errors(
-                np.array([t.values for t in found], np.float64), np.array([t.known for t in found]), wanted
+                np.array([t.values for t in tokens_of_encoder], np.float64),
+                np.array([t.known for t in tokens_of_encoder]),
+                expected,
             )
         )
-        for name, found in tokens.items()
+        for name, tokens_of_encoder in tokens.items()
     }
 
 
@@ -149,33 +152,38 @@ def format_views(split: str, figures: dict[str, dict[str, Any]]) -> str:
         "| " + " | ".join(("seen", "make", *heads, "all", "median", "two-fold", "four-fold", "peak", "offset")) + " |",
         "|---" * (len(heads) + 8) + "|",
     ]
-    for seen in next(iter(figures.values())):
-        for name, found in figures.items():
-            errors = TokenErrors(**found[seen])
+    for views in next(iter(figures.values())):
+        for name, by_views in figures.items():
+            errors = TokenErrors(**by_views[views])
             cells = [f"{value:.2f}" for value in errors.level_db]
             cells += [f"{errors.compute_overall_db():.2f}", f"{errors.median_level_db:.2f}"]
             cells += [
                 f"{np.sqrt(np.nanmean(np.square(getattr(errors, key)))):.3f}"
                 for key in ("two_fold", "four_fold", "peak", "offset")
             ]
-            lines.append("| " + " | ".join((seen, name, *cells)) + " |")
+            lines.append("| " + " | ".join((views, name, *cells)) + " |")
     return "\n".join(lines) + "\n"
 
 
 def measure_stability(encoder: Encoder, samples: list[SurfaceSample]) -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for near, what in ((0, "whole map"), (NEAR_VIEWS, f"1 + {NEAR_VIEWS} views")):
-        plain = SensorView(near_views=near)
-        first = describe_samples(encoder, samples, plain)
-        out[what] = {"nearest other material": [compute_neighbour_distance(first, samples), float("nan")]}
-        for words, shots in make_perturbations(plain).items():
-            found = [compute_stability(first, describe_samples(encoder, samples, shot)) for shot in shots]
-            out[what][words] = [float(np.mean([f.token for f in found])), float(np.mean([f.level_db for f in found]))]
-    return out
+    figures: dict[str, Any] = {}
+    for near_views, label in ((0, "whole map"), (NEAR_VIEWS, f"1 + {NEAR_VIEWS} views")):
+        base = SensorView(near_views=near_views)
+        first = describe_samples(encoder, samples, base)
+        figures[label] = {"nearest other material": [compute_neighbour_distance(first, samples), float("nan")]}
+        for change, perturbations in make_perturbations(base).items():
+            stabilities = [
+                compute_stability(first, describe_samples(encoder, samples, perturbed)) for perturbed in perturbations
+            ]
+            figures[label][change] = [
+                float(np.mean([f.token for f in stabilities])),
+                float(np.mean([f.level_db for f in stabilities])),
+            ]
+    return figures
 
 
 def make_perturbations(base: SensorView) -> dict[str, list[SensorView]]:
-    # A pixel of the widest view is eight of the tile; a finest view sees the tile's own.
+    # A pixel of the widest view covers eight pixels of the tile, a pixel of the finest view one.
     return {
         **{f"moved by {shift} px (0.{39 * shift:03d} mm)": [replace(base, shift_px=shift)] for shift in SHIFTS_PX},
         "other lamps": [replace(base, lamps=seed) for seed in LAMP_SEEDS],
@@ -188,24 +196,24 @@ def format_stability(figures: dict[str, dict[str, Any]]) -> str:
     lines = ["### How far a token moves", "", "| seen | change | " + " | ".join(figures) + " |"]
     lines.append("|---" * (2 + len(figures)) + "|")
     first = next(iter(figures.values()))
-    for what, rows in first.items():
-        for words in rows:
+    for label, rows in first.items():
+        for change in rows:
             cells = []
-            for found in figures.values():
-                token, level = found[what][words]
+            for by_label in figures.values():
+                token, level = by_label[label][change]
                 cells.append(f"{token:.3f}" + ("" if np.isnan(level) else f" ({level:.2f} dB)"))
-            lines.append("| " + " | ".join((what, words, *cells)) + " |")
+            lines.append("| " + " | ".join((label, change, *cells)) + " |")
     return "\n".join(lines) + "\n"
 
 
 def measure_signals(encoders: list[Encoder], samples: list[SurfaceSample], seed: int) -> dict[str, Any]:
     field, action = load_field(), make_random_smooth_action(4.0, seed, speed_m_s=(0.05, 0.25), force_n=(0.5, 2.0))
-    truth: dict[str, Token] = {each.name: describe(render_maps(each, SensorView())[0]) for each in samples}
+    truth: dict[str, Token] = {sample.name: describe(render_maps(sample, SensorView())[0]) for sample in samples}
     names = {each.name: each.class_name for each in samples}
-    out: dict[str, Any] = {"unseen": [names[each.name] in UNSEEN_CLASSES for each in samples]}
+    figures: dict[str, Any] = {"unseen": [names[each.name] in UNSEEN_CLASSES for each in samples]}
 
     def add(words: str, token: Any) -> None:
-        out[words] = list(compute_signal_distances_db(field, action, samples, lambda each: truth[each.name], token))
+        figures[words] = list(compute_signal_distances_db(field, action, samples, lambda each: truth[each.name], token))
 
     for encoder in encoders:
         for near, what in ((0, "whole map"), (NEAR_VIEWS, f"1 + {NEAR_VIEWS} views")):
@@ -221,7 +229,7 @@ def measure_signals(encoders: list[Encoder], samples: list[SurfaceSample], seed:
         "another piece of the class",
         lambda each: describe(render_maps(make_sample(each.class_name, INSTANCE_SEED + 1), SensorView())[0]),
     )
-    return out
+    return figures
 
 
 def format_signals(figures: dict[str, Any]) -> str:
@@ -232,11 +240,11 @@ def format_signals(figures: dict[str, Any]) -> str:
         "| token from | median [dB] | 90 % below | worst | median, unseen classes |",
         "|---|---|---|---|---|",
     ]
-    for words, values in figures.items():
-        if words != "unseen":
-            found = np.array(values)
-            cells = (np.median(found), np.percentile(found, 90), found.max(), np.median(found[unseen]))
-            lines.append("| " + " | ".join((words, *(f"{value:.2f}" for value in cells))) + " |")
+    for label, values in figures.items():
+        if label != "unseen":
+            distances = np.array(values)
+            cells = (np.median(distances), np.percentile(distances, 90), distances.max(), np.median(distances[unseen]))
+            lines.append("| " + " | ".join((label, *(f"{value:.2f}" for value in cells))) + " |")
     return "\n".join(lines) + "\n"
 
 

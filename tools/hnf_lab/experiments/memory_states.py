@@ -1,11 +1,10 @@
-"""N = 1, N = 5 heads of one state as published, and N = 5 past states: trained on the same strokes, judged on held-out
-windows. Prints the Markdown table of docs/field.md.
+"""Compare N = 1, N = 5 heads of one state as published, and N = 5 past states on held-out windows.
 
-Usage: python -m hnf_lab.experiments.memory_states [--seconds S] [--seeds N] [MATERIAL …]    needs the extra "train"
+  Usage: python -m hnf_lab.experiments.memory_states [--seconds S] [--seeds N] [MATERIAL …]    needs the extra "train"
 
-The strokes are the simulator's on library materials: a hand that rubs to and fro under a load that changes too. There
-memory could matter: at reversals, at the onset of sliding, and where friction sticks and slips. Landing and lifting are
-left out: the blow of a landing is the contact's own term in synthesis, not the texture's.
+Prints the table of docs/field.md. All are trained on the same simulated strokes on library materials: a hand that rubs
+to and fro under a varying load. Memory could matter at reversals, at the onset of sliding, and with stick–slip. Landing
+and lifting are excluded, since the impact of a landing is synthesised by a separate contact term.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ CONFIGS = {
 
 
 def make_rubbing_action(seed: int) -> Action:
-    """To and fro two to five times a second at up to 0.05–0.2 m/s, the load swinging by half of itself."""
+    """Make a reversing stroke at 2 to 5 reversals per second, up to 0.05–0.2 m/s, with a load varying by half."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(STROKE_S * ACTION_RATE_HZ) + 1) / ACTION_RATE_HZ
     swing = np.sin(2.0 * np.pi * rng.uniform(1.0, 2.5) * time + rng.uniform(0.0, 6.3))

@@ -1,11 +1,11 @@
-"""The table of docs/numerics.md: worst errors of temporal rendering, of its gradients and of long synthesis.
+"""Measure the table of docs/numerics.md: worst errors of temporal rendering, its gradients and long synthesis.
 
-Usage: python -m hnf_lab.experiments.numerics    (about 3 minutes on one core; needs the extras "train" and "test")
+  Usage: python -m hnf_lab.experiments.numerics    (about 3 minutes on one core; needs the extras "train" and "test")
 
-Every figure is computed here, against mpmath with 50 digits or against the same thing computed another way. Further
-rows show how many digits each stage needs: the same numbers kept, or computed with, in narrower types against float64.
-Nothing of the product is changed for it: the inputs of a stage are rounded to the type and back, and F_Θ's layers are
-computed in the type by their torch twin.
+Every figure is computed here, against mpmath with 50 digits or an independent computation. Further rows show the
+precision that each stage needs: numbers stored or computed in narrower types against float64. The product is not
+changed: inputs of a stage are rounded to the type and back, and F_Θ's layers are computed in the type by their torch
+twin.
 """
 
 from __future__ import annotations
@@ -63,48 +63,52 @@ PRECISION_HEADER = (
 
 
 def round_to_type(values: Float, dtype: torch.dtype) -> Float:
-    """Values rounded to the type once; still float64."""
+    """Round values to the type and return them as float64."""
     return torch.tensor(np.asarray(values), dtype=torch.float64).to(dtype).double().numpy()
 
 
 def compute_error_db(found: Float, exact: Float) -> float:
-    """Power of the difference over that of exact."""
+    """Return the power of the difference over that of `exact` [dB]."""
     with np.errstate(divide="ignore"):
         return float(10.0 * np.log10(np.sum(np.square(found - exact)) / np.sum(np.square(exact))))
 
 
 def measure_precision(field: Field) -> Iterator[tuple[str, ...]]:
-    """One row a stage, cells as in HEAD."""
+    """Yield one row per stage, with cells as in PRECISION_HEADER."""
     stroke = make_example_stroke()
     yield "ray cast", "vertices, origins, directions; 1 m", *(measure_ray_error(dtype) for dtype in NARROW_TYPES)
     yield "E", "the sensor image", *(measure_token_error(dtype) for dtype in NARROW_TYPES)
-    for what in ("its picture", "its weights"):
-        yield "D_φ", what, *(measure_map_error(dtype, what) for dtype in NARROW_TYPES)
+    for rounded in ("its picture", "its weights"):
+        yield "D_φ", rounded, *(measure_map_error(dtype, rounded) for dtype in NARROW_TYPES)
     yield (
         "linear contact",
         "stiffness, damping, force, frequency",
         *(measure_contact_error(dtype) for dtype in NARROW_TYPES),
     )
     exact = evaluate_in_type(field, stroke, torch.float64)
-    whole = synthesise_emission(field, stroke, exact)
-    found = [evaluate_in_type(field, stroke, dtype) for dtype in NARROW_TYPES]
-    yield "F_Θ", "layers and heads computed", *(f"{compute_error_db(each.alpha, exact.alpha):.0f} dB" for each in found)
-    played = [synthesise_emission(field, stroke, each) for each in found]
+    signal = synthesise_emission(field, stroke, exact)
+    emissions = [evaluate_in_type(field, stroke, dtype) for dtype in NARROW_TYPES]
+    yield (
+        "F_Θ",
+        "layers and heads computed",
+        *(f"{compute_error_db(item.alpha, exact.alpha):.0f} dB" for item in emissions),
+    )
+    signals = [synthesise_emission(field, stroke, item) for item in emissions]
     yield (
         "synthesis, end to end",
         "layers and heads computed",
-        *(f"{compute_error_db(each, whole):.0f} dB" for each in played),
+        *(f"{compute_error_db(item, signal):.0f} dB" for item in signals),
     )
     coarse = [replace(stroke, tokens=round_to_type(stroke.tokens, dtype).astype(np.float32)) for dtype in NARROW_TYPES]
-    played = [synthesise_emission(field, each, evaluate_in_type(field, each, torch.float64)) for each in coarse]
-    off = [compute_error_db(each, whole) for each in played]
-    yield "synthesis, end to end", "the token", *(format_db(x) for x in off)
+    signals = [synthesise_emission(field, item, evaluate_in_type(field, item, torch.float64)) for item in coarse]
+    errors_db = [compute_error_db(item, signal) for item in signals]
+    yield "synthesis, end to end", "the token", *(format_db(error_db) for error_db in errors_db)
     yield (
         "resampler, 10 to 48 kHz",
         "the signal",
-        *(format_db(measure_resampling_error(whole, dtype)) for dtype in NARROW_TYPES),
+        *(format_db(measure_resampling_error(signal, dtype)) for dtype in NARROW_TYPES),
     )
-    yield "limiter, generic coil", "the signal", *(measure_counts_error(whole, dtype) for dtype in NARROW_TYPES)
+    yield "limiter, generic coil", "the signal", *(measure_counts_error(signal, dtype) for dtype in NARROW_TYPES)
 
 
 def format_db(off_db: float) -> str:
@@ -112,14 +116,14 @@ def format_db(off_db: float) -> str:
 
 
 def make_example_stroke(seconds: float = 2.0) -> StrokeInput:
-    """A wandering stroke on the library's first material."""
+    """Make a wandering stroke on the library's first material."""
     entry = load_library()[0]
     action = make_random_smooth_action(seconds, 0, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
     return uniform_stroke(action, entry.token, entry.mechanics)
 
 
 def evaluate_in_type(field: Field, stroke: StrokeInput, dtype: torch.dtype) -> Emission:
-    """F_Θ at every state of a stroke, its layers and heads in the type, the rest in float64."""
+    """Evaluate F_Θ at every state of a stroke, with layers and heads in the type and the rest in float64."""
     config, condition = field.config, build_condition(stroke, *resample_action(stroke))
     inputs = build_field_inputs(field, condition)
     network = FieldNetwork(config, field.parameters).to(dtype)
@@ -129,7 +133,7 @@ def evaluate_in_type(field: Field, stroke: StrokeInput, dtype: torch.dtype) -> E
 
 
 def compute_amplitudes(field: Field, alpha: Float, inputs: Inputs) -> Float:
-    """(n, heads, K) of the α head (n, heads, outputs), in float64 as field.evaluate has it."""
+    """Return amplitudes (n, heads, K) of the α head (n, heads, outputs) in float64, as field.evaluate does."""
     config, gains = field.config, None
     if config.line_gains:
         alpha, gains = alpha[..., :-LINE_GAIN_COUNT], alpha[:, 0, -LINE_GAIN_COUNT:]
@@ -157,22 +161,22 @@ def build_field_inputs(field: Field, condition: Condition) -> Inputs:
 
 
 def synthesise_emission(field: Field, stroke: StrokeInput, emission: Emission) -> Float:
-    """The signal (n,) of a stroke whose field emits this."""
+    """Return the signal (n,) of a stroke for a given field emission."""
     prepared = prepare_stroke(field, stroke, seed=1)
     prepared = replace(prepared, amplitude=accumulate(field.config, emission))
     return render_block(prepared, 0, prepared.count)
 
 
 def measure_ray_error(dtype: torch.dtype) -> str:
-    """On a bumpy plate of 1 m: largest difference in distance, and rays that meet another triangle."""
+    """Measure rays on a bumpy plate of 1 m: largest error in distance, and the rate of other triangles hit."""
     side = np.linspace(-0.5, 0.5, 25)
     x, y = np.meshgrid(side, side)
     vertices = np.stack([x, y, 0.05 * np.sin(9.0 * x) * np.cos(7.0 * y)], axis=-1).reshape(-1, 3)
     index = np.arange(len(vertices)).reshape(x.shape)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    a, b, c, d = (corner.ravel() for corner in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
     triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
-    places = np.random.default_rng(0).uniform(-0.4, 0.4, (400, 2))
-    origins = np.concatenate([places, np.ones((400, 1))], axis=1)
+    positions = np.random.default_rng(0).uniform(-0.4, 0.4, (400, 2))
+    origins = np.concatenate([positions, np.ones((400, 1))], axis=1)
     directions = np.tile([0.02, 0.01, -1.0], (400, 1))
 
     def cast(*arrays: Float):
@@ -184,24 +188,24 @@ def measure_ray_error(dtype: torch.dtype) -> str:
         cast(vertices, origins, directions),
         cast(*(round_to_type(x, dtype) for x in (vertices, origins, directions))),
     )
-    off = np.abs(found.distance - exact.distance).max()
-    return f"{off:.0e} m; {np.mean(found.triangle != exact.triangle):.1%} elsewhere"
+    error_m = np.abs(found.distance - exact.distance).max()
+    return f"{error_m:.0e} m; {np.mean(found.triangle != exact.triangle):.1%} elsewhere"
 
 
 def measure_token_error(dtype: torch.dtype) -> str:
-    """Of a rough relief: largest difference of a band's level."""
+    """Return the largest level error of a band, on a rough relief."""
     relief = 1e-5 * np.cumsum(np.random.default_rng(0).standard_normal((128, 128)), axis=1) / 8.0
     pitch = 20e-3 / 128
-    plain = tactile_map_from_height(relief, None, pitch, 2.0 * pitch)
-    exact = describe(plain)
-    found = describe(replace(plain, image=round_to_type(plain.image, dtype).astype(np.float32)))
+    tactile_map = tactile_map_from_height(relief, None, pitch, 2.0 * pitch)
+    exact = describe(tactile_map)
+    found = describe(replace(tactile_map, image=round_to_type(tactile_map.image, dtype).astype(np.float32)))
     known = exact.known[LEVELS]
-    off = 20.0 * np.abs(found.values[LEVELS] - exact.values[LEVELS])[known].max()
-    return "what it is" if off == 0.0 else f"{off:.0e} dB in a band"
+    error_db = 20.0 * np.abs(found.values[LEVELS] - exact.values[LEVELS])[known].max()
+    return "what it is" if error_db == 0.0 else f"{error_db:.0e} dB in a band"
 
 
 def measure_map_error(dtype: torch.dtype, what: str) -> str:
-    """Of the slopes that D_φ predicts of a rough grey picture, in dB."""
+    """Return the error [dB] of the slopes that D_φ predicts from a rough grey image."""
     weights, rng = load_map_weights(), np.random.default_rng(0)
     grey = np.clip(0.5 + 0.05 * np.cumsum(rng.standard_normal((VIEW_PIXELS, VIEW_PIXELS, 1)), axis=1), 0.0, 1.0)
     rgb = np.repeat(grey, 3, axis=2).astype(np.float32)
@@ -211,9 +215,9 @@ def measure_map_error(dtype: torch.dtype, what: str) -> str:
     if what == "its picture":
         view = replace(view, rgb=round_to_type(rgb, dtype).astype(np.float32))
     else:
-        kept = weights.network.parameters
-        narrow = {name: round_to_type(value, dtype).astype(np.float32) for name, value in kept.items()}
-        weights = replace(weights, network=build_unet(weights.config, narrow))
+        parameters = weights.network.parameters
+        rounded = {name: round_to_type(value, dtype).astype(np.float32) for name, value in parameters.items()}
+        weights = replace(weights, network=build_unet(weights.config, rounded))
     return format_db(
         compute_error_db(predict_slopes(weights, view, sensor, 0).astype(np.float64), exact.astype(np.float64))
     )
@@ -225,17 +229,17 @@ def measure_resampling_error(signal: Float, dtype: torch.dtype) -> float:
 
 
 def measure_counts_error(signal: Float, dtype: torch.dtype) -> str:
-    """Largest difference of what a wire would get."""
+    """Return the largest difference of the counts sent to a device."""
     exact, found = (
-        Limiter(GENERIC.limits, 10_000.0, 1).process(each[:, None]).astype(np.int64)
-        for each in (signal, round_to_type(signal, dtype))
+        Limiter(GENERIC.limits, 10_000.0, 1).process(version[:, None]).astype(np.int64)
+        for version in (signal, round_to_type(signal, dtype))
     )
-    off = int(np.abs(found - exact).max())
-    return f"{off} of 32767 counts" if off else "what it is"
+    error = int(np.abs(found - exact).max())
+    return f"{error} of 32767 counts" if error else "what it is"
 
 
 def measure_contact_error(dtype: torch.dtype) -> str:
-    """|H| of height over stiffness, force and frequency, over the largest |H| at that stiffness and force."""
+    """Return the error of the height response |H| over the largest |H| at that stiffness and force."""
     stiffness, force = np.geomspace(1e3, 1e6, 7), np.geomspace(0.05, 20.0, 7)
     frequency = np.geomspace(20.0, 1000.0, 60)
     worst = 0.0
@@ -263,8 +267,10 @@ BLOCK_SIZES = (1, 7, 64, 1000)
 
 @dataclass(frozen=True)
 class WorstError:
-    """Largest absolute error, and largest relative one where the true value is of the type's normal range; where:
-    in words, of the relative one."""
+    """Largest absolute error, and largest relative error.
+
+    The relative error counts where the true value is in the type's normal range; `where` describes its location.
+    """
 
     absolute: float
     relative: float
@@ -279,8 +285,10 @@ NO_ERROR = WorstError(0.0, 0.0, "nowhere")
 
 
 def make_density_cases(count: int, largest: float, smallest: float, seed: int = 0) -> dict[str, Float]:
-    """Named σΔt (count,) in float64, within a type's least and greatest positive number: what a network gives, and
-    what it should never give."""
+    """Return named σΔt (count,) in float64 within the type's range.
+
+    They include values a network gives and values it should never give.
+    """
     rng = np.random.default_rng(seed)
     spread = np.exp(rng.uniform(np.log(smallest), np.log(largest), count))
     mixed = np.where(rng.random(count) < 0.5, np.minimum(spread, 80.0 / count), 0.0)
@@ -301,29 +309,32 @@ def make_density_cases(count: int, largest: float, smallest: float, seed: int = 
 
 @mp.workdps(DIGITS)
 def compute_exact_weights(sigma_dt: Sequence[float]) -> list[mp.mpf]:
-    """w_n of the numbers as given, to DIGITS digits."""
-    before, out = mp.mpf(0), []
+    """Return the weights w_n of the given numbers to DIGITS digits."""
+    depth, weights = mp.mpf(0), []
     for value in sigma_dt:
         density = mp.mpf(float(value))
-        hidden = mp.mpf(0) if mp.isinf(before) else mp.exp(-before)
-        out.append(hidden * (mp.mpf(1) if mp.isinf(density) else -mp.expm1(-density)))
-        before += density
-    return out
+        transmittance = mp.mpf(0) if mp.isinf(depth) else mp.exp(-depth)
+        weights.append(transmittance * (mp.mpf(1) if mp.isinf(density) else -mp.expm1(-density)))
+        depth += density
+    return weights
 
 
 @mp.workdps(DIGITS)
 def compute_exact_gradient(sigma_dt: Sequence[float], upstream: Sequence[float]) -> tuple[list[mp.mpf], list[mp.mpf]]:
-    """d/dσ_j of Σ g_n w_n = g_j T_{j+1} − Σ_{n>j} g_n w_n; and the same with every term's absolute value."""
-    weights, after, magnitude = compute_exact_weights(sigma_dt), mp.mpf(0), mp.mpf(0)
+    """Return d/dσ_j of Σ g_n w_n = g_j T_{j+1} − Σ_{n>j} g_n w_n, and the same with absolute terms.
+
+    Both lists have one entry per density.
+    """
+    weights, later_sum, later_magnitude = compute_exact_weights(sigma_dt), mp.mpf(0), mp.mpf(0)
     sums = [mp.mpf(0)]
     for value in sigma_dt:
         sums.append(sums[-1] + mp.mpf(float(value)))
     gradient, scale = [mp.mpf(0)] * len(weights), [mp.mpf(0)] * len(weights)
     for j in reversed(range(len(weights))):
         direct = mp.mpf(float(upstream[j])) * (mp.mpf(0) if mp.isinf(sums[j + 1]) else mp.exp(-sums[j + 1]))
-        gradient[j], scale[j] = direct - after, abs(direct) + magnitude
-        after += mp.mpf(float(upstream[j])) * weights[j]
-        magnitude += abs(mp.mpf(float(upstream[j])) * weights[j])
+        gradient[j], scale[j] = direct - later_sum, abs(direct) + later_magnitude
+        later_sum += mp.mpf(float(upstream[j])) * weights[j]
+        later_magnitude += abs(mp.mpf(float(upstream[j])) * weights[j])
     return gradient, scale
 
 
@@ -331,24 +342,24 @@ def compute_exact_gradient(sigma_dt: Sequence[float], upstream: Sequence[float])
 def find_worst_error(
     found: Float, exact: Sequence[mp.mpf], least: float, name: str, scale: Sequence[mp.mpf] = ()
 ) -> WorstError:
-    """Errors of found against exact; relative ones over scale (default: the exact value) where that is ≥ least.
+    """Return the errors of `found` against `exact`.
 
-    A value that is not finite counts as infinitely wrong.
+    Relative errors are over `scale` (default: the exact value) where that is ≥ least. A value that is not finite counts
+    as an infinite error.
     """
     worst = NO_ERROR
     for n, (value, truth) in enumerate(zip(found, exact, strict=True)):
         if not np.isfinite(value):
             return WorstError(np.inf, np.inf, f"{name}, n = {n}: {value}")
-        error, over = abs(mp.mpf(float(value)) - truth), scale[n] if scale else abs(truth)
-        relative = float(error / over) if over >= least else 0.0
+        error, divisor = abs(mp.mpf(float(value)) - truth), scale[n] if scale else abs(truth)
+        relative = float(error / divisor) if divisor >= least else 0.0
         worst = worst.max_with(WorstError(float(error), relative, f"{name}, n = {n}"))
     return worst
 
 
 @dataclass(frozen=True)
 class NumberType:
-    """A number type: its name, unit roundoff, least normal, least positive and greatest numbers, and how to round to
-    it."""
+    """A number type: unit roundoff, least normal, least positive and greatest number, and rounding function."""
 
     name: str
     epsilon: float
@@ -376,13 +387,13 @@ def make_rounded_cases(dtype: torch.dtype, count: int) -> Iterator[tuple[str, to
 
 
 def measure_weight_errors(dtype: torch.dtype, which: str, lengths: Sequence[int] = LENGTHS) -> WorstError:
-    """Worst error of render_weights, "numpy" or "torch", over all cases."""
+    """Return the worst error of render_weights, "numpy" or "torch", over all cases."""
     worst = NO_ERROR
     with mp.workdps(DIGITS):
         for count in lengths:
-            for name, given in make_rounded_cases(dtype, count):
-                found = torch.tensor(render_weights(given.numpy())) if which == "numpy" else twin(given)
-                exact = compute_exact_weights(given.double().tolist())
+            for name, densities in make_rounded_cases(dtype, count):
+                found = torch.tensor(render_weights(densities.numpy())) if which == "numpy" else twin(densities)
+                exact = compute_exact_weights(densities.double().tolist())
                 worst = worst.max_with(
                     find_worst_error(found.double().numpy(), exact, describe_type(dtype).normal, f"{name}, N = {count}")
                 )
@@ -390,16 +401,19 @@ def measure_weight_errors(dtype: torch.dtype, which: str, lengths: Sequence[int]
 
 
 def measure_gradient_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS) -> WorstError:
-    """Worst error of the torch twin's gradient; relative to Σ of the terms' absolute values, since they cancel."""
+    """Return the worst error of the torch twin's gradient.
+
+    It is relative to the sum of the terms' absolute values, because they cancel.
+    """
     worst = NO_ERROR
     with mp.workdps(DIGITS):
         for count in lengths:
             upstream = describe_type(dtype).round(np.random.default_rng(1).standard_normal(count))
-            for name, given in make_rounded_cases(dtype, count):
-                leaf = given.clone().requires_grad_()
+            for name, densities in make_rounded_cases(dtype, count):
+                leaf = densities.clone().requires_grad_()
                 twin(leaf).backward(upstream)
                 assert leaf.grad is not None
-                exact, scale = compute_exact_gradient(given.double().tolist(), upstream.double().tolist())
+                exact, scale = compute_exact_gradient(densities.double().tolist(), upstream.double().tolist())
                 found = leaf.grad.double().numpy()
                 worst = worst.max_with(
                     find_worst_error(found, exact, describe_type(dtype).normal, f"{name}, N = {count}", scale)
@@ -408,10 +422,12 @@ def measure_gradient_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS
 
 
 def measure_emission_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS) -> WorstError:
-    """Worst error of render(), α from the least to the greatest number of the type and both signs, K = 3 each;
-    relative to Σ |w_n α_n|."""
+    """Return the worst error of render() relative to Σ |w_n α_n|, with K = 3.
+
+    α covers the type's range with both signs.
+    """
     worst, kind = NO_ERROR, describe_type(dtype)
-    # Below the normal range the result itself is coarse, whatever the terms.
+    # Below the normal range the result itself has few digits, whatever the terms.
     least = kind.normal / kind.epsilon
     with mp.workdps(DIGITS):
         for count in lengths:
@@ -421,43 +437,46 @@ def measure_emission_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS
             alpha = np.stack([np.full(count, kind.greatest), sign * kind.greatest, sign * spread], axis=1)
             alpha = np.clip(alpha, -kind.greatest, kind.greatest)
             alpha = kind.round(alpha).numpy()
-            for name, given in make_rounded_cases(dtype, count):
-                weights = compute_exact_weights(given.double().tolist())
+            for name, densities in make_rounded_cases(dtype, count):
+                weights = compute_exact_weights(densities.double().tolist())
                 terms = [[w * mp.mpf(float(a)) for w, a in zip(weights, column, strict=True)] for column in alpha.T]
                 exact, scale = [mp.fsum(column) for column in terms], [mp.fsum(map(abs, column)) for column in terms]
-                found = render(given.numpy(), alpha).astype(np.float64)
+                found = render(densities.numpy(), alpha).astype(np.float64)
                 worst = worst.max_with(find_worst_error(found, exact, least, f"{name}, N = {count}, K = 3", scale))
     return worst
 
 
 def make_library_stroke(seconds: float, material: int = 0) -> StrokeInput:
-    """A steady stroke, 0.1 m/s and 1 N, on a material of the library."""
+    """Make a steady stroke, 0.1 m/s and 1 N, on a material of the library."""
     entry = load_library()[material]
     return uniform_stroke(make_steady_action(seconds, 0.1, 1.0), entry.token, entry.mechanics)
 
 
 def make_wandering_stroke(seconds: float, seed: int = 0, material: int = 0) -> StrokeInput:
-    """A stroke whose speed, force and direction wander."""
+    """Make a stroke with varying speed, force and direction."""
     entry = load_library()[material]
     action = make_random_smooth_action(seconds, seed, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
     return uniform_stroke(action, entry.token, entry.mechanics)
 
 
 def measure_block_errors(field: Field, stroke: StrokeInput, size: int, start: int, count: int) -> float:
-    """Largest difference between one block of count samples and blocks of `size`, over its RMS."""
+    """Return the largest difference between one block of `count` samples and blocks of `size`, over the RMS."""
     prepared = prepare_stroke(field, stroke, seed=5)
-    whole = render_block(prepared, start, count)
-    parts = [
+    single_block = render_block(prepared, start, count)
+    blocks = [
         render_block(prepared, first, min(size, start + count - first)) for first in range(start, start + count, size)
     ]
-    return float(np.max(np.abs(np.concatenate(parts) - whole)) / np.sqrt(np.mean(np.square(whole))))
+    return float(np.max(np.abs(np.concatenate(blocks) - single_block)) / np.sqrt(np.mean(np.square(single_block))))
 
 
 def measure_rate_errors(
     field: Field, stroke: StrokeInput, rates: Sequence[float] = RATES
 ) -> Iterator[tuple[float, float]]:
-    """(rate, largest difference [dB]) of Welch spectra between the output at each rate and at the model's: bins of
-    10 Hz (of 2.5 Hz where a tenth of a second is no even number of samples) up to 1 kHz or 0.45 of the rate."""
+    """Yield (rate, largest difference [dB]) of Welch spectra between each output rate and the model rate.
+
+    Bins are 10 Hz wide (2.5 Hz if a tenth of a second is not an even number of samples), up to 1 kHz or 0.45 of the
+    rate.
+    """
     model = synthesise(field, stroke, seed=1).signal
     for rate in rates:
         other = synthesise(field, stroke, seed=1, sample_rate=rate).signal
@@ -470,7 +489,7 @@ def measure_rate_errors(
 
 
 def compute_correlation(samples: Float, least_lag: int, greatest_lag: int) -> float:
-    """Largest |autocorrelation| between the lags, each over the samples that overlap there."""
+    """Return the largest |autocorrelation| between the lags, normalised by the overlap."""
     count = len(samples)
     spectrum = np.fft.rfft(samples, 1 << (2 * count - 1).bit_length())
     products = np.fft.irfft(np.square(np.abs(spectrum)))[: greatest_lag + 1]
@@ -479,8 +498,10 @@ def compute_correlation(samples: Float, least_lag: int, greatest_lag: int) -> fl
 
 
 def compute_spread_db(power: Float, blocks_per_minute: int) -> tuple[float, float]:
-    """Spread of mean power between minutes [dB], and the one to expect from that between the pieces of a minute, were
-    they independent. power: (minutes · pieces,)."""
+    """Return the spread of mean power between minutes [dB], and that expected of independent blocks.
+
+    power: (minutes · blocks,).
+    """
     minutes = power.reshape(-1, blocks_per_minute)
     in_db = 10.0 / np.log(10.0) / power.mean()
     expected = np.sqrt(minutes.var(axis=1, ddof=1).mean() / blocks_per_minute)
@@ -488,30 +509,33 @@ def compute_spread_db(power: Float, blocks_per_minute: int) -> tuple[float, floa
 
 
 def measure_stream(field: Field, minutes: int) -> Iterator[tuple[str, str]]:
-    """What `minutes` of streaming do, block after block: (what, figure)."""
+    """Yield (quantity, figure) of `minutes` of streaming, block by block."""
     stroke, started = make_library_stroke(60.0 * minutes), time.process_time()
     prepared = prepare_stroke(field, stroke, seed=7)
     yield (
         "preparing all states",
         f"{time.process_time() - started:.0f} s of one core, peak memory {read_peak_mb():.0f} MB",
     )
-    power, resident, kept = [], [], []
+    power, resident, blocks = [], [], []
     for start in range(0, prepared.count, 10_000):
         block = render_block(prepared, start, 10_000)
         power.append(float(np.mean(np.square(block))))
-        kept.append(block.astype(np.float32))
+        blocks.append(block.astype(np.float32))
         if (start + 10_000) % 600_000 == 0:
-            resident.append(read_resident_mb() - sum(each.nbytes for each in kept) / 1e6)
+            resident.append(read_resident_mb() - sum(array.nbytes for array in blocks) / 1e6)
     yield "resident memory less the signal, minute 1 and last", f"{resident[0]:.0f} MB, {resident[-1]:.0f} MB"
-    inner = np.array(power)
-    inner[0], inner[-1] = inner[1], inner[-2]  # the touch and the lift are no texture
-    between, expected = compute_spread_db(inner, 60)
-    yield "RMS by minute: spread, and what chance gives", f"{between:.3f} dB, {expected:.3f} dB"
+    block_power = np.array(power)
+    block_power[0], block_power[-1] = (
+        block_power[1],
+        block_power[-2],
+    )  # the impact of the touch and the lift are not part of the texture
+    spread, expected = compute_spread_db(block_power, 60)
+    yield "RMS by minute: spread, and what chance gives", f"{spread:.3f} dB, {expected:.3f} dB"
     minute = np.arange(minutes)
-    slope = np.polyfit(minute, 10.0 * np.log10(inner.reshape(minutes, 60).mean(axis=1)), 1)[0]
+    slope = np.polyfit(minute, 10.0 * np.log10(block_power.reshape(minutes, 60).mean(axis=1)), 1)[0]
     chance = expected / np.sqrt(np.sum(np.square(minute - minute.mean())))
     yield "trend of the level, and what chance gives", f"{slope:+.4f} dB a minute, ± {chance:.4f}"
-    signal = np.concatenate(kept).astype(np.float64)[10_000:-10_000]
+    signal = np.concatenate(blocks).astype(np.float64)[10_000:-10_000]
     least, greatest = 1000, len(signal) // 2
     yield (
         "largest autocorrelation, lags 0.1 s to half the length",
@@ -519,10 +543,10 @@ def measure_stream(field: Field, minutes: int) -> Iterator[tuple[str, str]]:
     )
     fresh = prepare_stroke(field, stroke, seed=7)
     last = prepared.count - 20_000
-    again = render_block(fresh, last, 10_000).astype(np.float32)
+    recomputed = render_block(fresh, last, 10_000).astype(np.float32)
     yield (
         "a block of the last minute, computed anew and alone",
-        ("the same bytes" if again.tobytes() == kept[last // 10_000].tobytes() else "differs"),
+        ("the same bytes" if recomputed.tobytes() == blocks[last // 10_000].tobytes() else "differs"),
     )
     for start in (20_000, last):
         exact = synthesise_reference(field, stroke, seed=7, start=start, count=1000)
@@ -536,7 +560,7 @@ def read_peak_mb() -> float:
 
 
 def read_resident_mb() -> float:
-    """Linux only, as the tool."""
+    """Return the resident memory [MB]; Linux only."""
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * resource.getpagesize() / 1e6
 

@@ -1,13 +1,14 @@
-"""The project's optics (tactile.optics) against real touch sensors: how much of what they show is linear in the normal.
+"""Compare the project's optics (hnf_core.tactile.optics) with real touch sensors and published calibrations.
 
-Real balls: fitted on every other press, judged on the rest, then the other way round. Published tables: their own
-response, judged where they were calibrated.
-
-Usage: python -m hnf_lab.experiments.optics_check DIR [--picture PNG] [--response PNG]
+  Usage: python -m hnf_lab.experiments.optics_check DIR [--picture PNG] [--response PNG]
 
 DIR holds ObjectFolder's dataPack.npz and polycalib.npz and Taxim's polycalib.npz files, in any arrangement whose folder
-names say which is which (objectfolder…, taxim…, digit, …r1.5). Prints Markdown tables; --picture draws real balls
-beside what fitted optics make of them.
+names identify them (objectfolder…, taxim…, digit, …r1.5). Prints Markdown tables; --picture plots real balls next to
+the prediction of the fitted optics.
+
+The question is how much of the response is linear in the surface normal. Ball presses: models are fitted to every other
+press and tested on the rest, then the other way round. Published tables are tested on their own response, within the
+range where they were calibrated.
 """
 
 from __future__ import annotations
@@ -66,9 +67,9 @@ Float = NDArray[np.float64]
 TILT_EDGES_DEG = (0.0, 15.0, 30.0, 45.0, 90.0)
 REFIT_BINS = 40
 DECODING_STRIDE = 16
-"""Reading a table backwards tries every cell for every pixel."""
+"""Stride of the decoded pixels, since inverting a table tries every cell for every pixel."""
 STEEPEST_DEG = 58.0
-"""Of the normals that a table is read back to: what the project's own decoding is limited to."""
+"""Largest tilt of the normals decoded from a table [degrees], the limit of the project's own decoding."""
 FAR_DISTANCE_PX = 60.0
 NOMINAL_SENSOR = SENSORS["gelsight"]
 GRAZING_DEG = 20.0
@@ -81,8 +82,20 @@ LINEAR_NAMES: dict[Form, str] = {
 
 @dataclass(frozen=True)
 class OpticsRow:
-    """numbers: fitted. rms_codes: error of predicted pixels, code values of 255. angle_deg: mean and median angle
-    between true and decoded normal, None where the method does not decode. by_tilt_codes: rms per TILT_EDGES_DEG."""
+    """Errors of one model.
+
+    Attributes
+    ----------
+    numbers
+        Number of fitted parameters.
+    rms_codes
+        Error of predicted pixels, in code values of 255.
+    angle_deg
+        Mean and median angle between true and decoded normal [degrees]; None if the model does not decode.
+    by_tilt_codes
+        RMS error per interval of TILT_EDGES_DEG.
+
+    """
 
     name: str
     numbers: int
@@ -97,7 +110,7 @@ class OpticsRow:
 
 @dataclass(frozen=True)
 class BallCheck:
-    """noise_codes: rms change of pixels more than FAR_PX away from the ball."""
+    """Results on ball presses. noise_codes: RMS change of pixels more than FAR_DISTANCE_PX from the ball."""
 
     presses: int
     pixels: int
@@ -109,8 +122,11 @@ class BallCheck:
 
 @dataclass(frozen=True)
 class TableCheck:
-    """A published table's own change against the background, rms in codes, and what is left of it by twelve
-    numbers, by 72 that vary over the window, and by the nominal sensor turned and exposed as fits best."""
+    """Results on a published table.
+
+    Its change against the background (RMS, code values), and the residual after fitting twelve parameters, 72 that vary
+    over the window, and the mounting and exposure of the nominal sensor.
+    """
 
     name: str
     change_codes: float
@@ -127,8 +143,21 @@ class _Prediction:
 
 
 def check_presses(presses: BallPresses, published: PolynomialTable | None = None) -> BallCheck:
-    """Every method on every pixel under the balls. published: a table that saw all presses, the half it is judged on
-    too: a floor more than a rival. Raises UsageError for one press, or where they do not span all normals."""
+    """Test every model on every pixel under the balls.
+
+    Parameters
+    ----------
+    presses
+        Frames with balls of known size.
+    published
+        A table fitted to all presses, including those it is tested on: a lower bound rather than a fair comparison.
+
+    Raises
+    ------
+    UsageError
+        If there is only one press, or the presses do not span all normals.
+
+    """
     if len(presses.frames) < 2:
         raise UsageError("one press can be fitted or judged, not both.", remedy="Give more presses.")
     contact = find_contact_radius_px(presses)
@@ -161,11 +190,11 @@ def check_presses(presses: BallPresses, published: PolynomialTable | None = None
             published.coefficients.size,
             lambda fit, judge: _predict_by_table(published, judge),
         )
-    halves = [pixels.select(pixels.press % 2 == each) for each in (0, 1)]
+    halves = [pixels.select(pixels.press % 2 == parity) for parity in (0, 1)]
     rows = []
-    for name, (numbers, guess) in methods.items():
-        judged = [(judge, guess(fit, judge)) for fit, judge in (halves, halves[::-1])]
-        rows.append(_make_row(name, numbers, judged))
+    for name, (numbers, predict) in methods.items():
+        predictions = [(judge, predict(fit, judge)) for fit, judge in (halves, halves[::-1])]
+        rows.append(_make_row(name, numbers, predictions))
     far = (presses.frames - presses.background)[np.hypot(*compute_offsets_px(presses)) > FAR_DISTANCE_PX]
     return BallCheck(
         presses=len(presses.frames),
@@ -180,38 +209,40 @@ def check_presses(presses: BallPresses, published: PolynomialTable | None = None
 def check_table(
     name: str, table: PolynomialTable, size_px: tuple[int, int], nominal: Sensor = NOMINAL_SENSOR
 ) -> TableCheck:
-    """size_px: width and height of the frames it was made for. nominal: the project's sensor of that kind. Judged
-    at 15 places in the middle 60 %, up to 52°."""
+    """Test a published table at 15 positions in the middle 60 % of the frame, up to 52°.
+
+    size_px: width and height of its frames. nominal: the project's sensor of that kind.
+    """
     width, height = size_px
     directions, tilts = np.arange(0.0, 360.0, 6.0) + 3.0, np.arange(2.0, 53.0, 5.0)
-    places = [(x * width, y * height) for x, y in product((0.2, 0.35, 0.5, 0.65, 0.8), (0.25, 0.5, 0.75))]
-    grid = np.array([(*place, tilt, towards) for place in places for tilt in tilts for towards in directions])
+    positions = [(x * width, y * height) for x, y in product((0.2, 0.35, 0.5, 0.65, 0.8), (0.25, 0.5, 0.75))]
+    grid = np.array([(*position, tilt, towards) for position in positions for tilt in tilts for towards in directions])
     tilt, towards = np.radians(grid[:, 2]), np.radians(grid[:, 3])
     normal = np.stack([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)], axis=1)
     grey = np.full((len(grid), 3), 0.5)
-    bare = BallPixels(normal, grey, grey, grid[:, 0], grid[:, 1], np.zeros(len(grid), dtype=np.int64))
-    change = optics_models.compute_polynomial_change(table, bare)
-    pixels = BallPixels(normal, np.minimum(grey + change, 0.97), grey, grid[:, 0], grid[:, 1], bare.press)
+    flat_pixels = BallPixels(normal, grey, grey, grid[:, 0], grid[:, 1], np.zeros(len(grid), dtype=np.int64))
+    change = optics_models.compute_polynomial_change(table, flat_pixels)
+    pixels = BallPixels(normal, np.minimum(grey + change, 0.97), grey, grid[:, 0], grid[:, 1], flat_pixels.press)
     linear = fit_linear_optics(pixels, "difference").predict(pixels)
     mounted = _fit_mount(pixels, nominal).predict(pixels)
-    left = (
-        255.0 * _compute_rms(guess - pixels.colour)
-        for guess in (linear, _predict_varying(pixels, pixels).colour, mounted)
+    residuals = (
+        255.0 * _compute_rms(prediction - pixels.colour)
+        for prediction in (linear, _predict_varying(pixels, pixels).colour, mounted)
     )
-    return TableCheck(name, 255.0 * _compute_rms(change), *left)
+    return TableCheck(name, 255.0 * _compute_rms(change), *residuals)
 
 
 def get_lamps(sensor: Sensor) -> list[tuple[float, float, float]]:
-    """Per channel: azimuth and elevation in degrees of the direction it is lit from, and its strength."""
-    out = []
+    """Return, per channel, azimuth and elevation of the light direction [degrees], and its strength."""
+    lamps = []
     for x, y, z in sensor.shading:
-        out.append((float(np.degrees(np.arctan2(y, x)) % 360.0), float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
+        lamps.append((float(np.degrees(np.arctan2(y, x)) % 360.0), float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
                     float(np.sqrt(x * x + y * y + z * z))))  # fmt: skip
-    return out
+    return lamps
 
 
 def format_ball_check(check: BallCheck) -> str:
-    """Two tables: errors, and errors by how steep the ball is."""
+    """Format two tables: errors, and errors by tilt of the surface."""
     names = [f"{low:g}–{min(high, check.steepest_deg):.0f}°" for low, high in _list_tilt_ranges(check)]
     lines = [
         "| | numbers | RMS [codes] | PSNR [dB] | normal, mean (median) |",
@@ -249,10 +280,10 @@ def format_table_checks(checks: Sequence[TableCheck]) -> str:
 
 
 def _make_linear_predictor(form: Form) -> Callable[[BallPixels, BallPixels], _Prediction]:
-    def guess(fit: BallPixels, judge: BallPixels) -> _Prediction:
+    def predict(fit: BallPixels, judge: BallPixels) -> _Prediction:
         return _predict_linear(fit_linear_optics(fit, form), judge)
 
-    return guess
+    return predict
 
 
 def _predict_linear(optics: LinearOptics, test: BallPixels) -> _Prediction:
@@ -260,15 +291,16 @@ def _predict_linear(optics: LinearOptics, test: BallPixels) -> _Prediction:
 
 
 def _predict_linearised(fit: BallPixels, test: BallPixels) -> _Prediction:
-    """Whether a camera's code values should be linearised as a photograph's are."""
+    """Predict with code values linearised like those of a photograph."""
 
-    def linear(pixels: BallPixels) -> BallPixels:
+    def linearise(pixels: BallPixels) -> BallPixels:
         return replace(pixels, colour=srgb_to_linear(pixels.colour), background=srgb_to_linear(pixels.background))
 
-    guess = _predict_linear(
-        fit_linear_optics(linear(fit.select((fit.colour < SATURATION_VALUE).all(axis=1))), "difference"), linear(test)
+    prediction = _predict_linear(
+        fit_linear_optics(linearise(fit.select((fit.colour < SATURATION_VALUE).all(axis=1))), "difference"),
+        linearise(test),
     )
-    return replace(guess, colour=linear_to_srgb(guess.colour))
+    return replace(prediction, colour=linear_to_srgb(prediction.colour))
 
 
 def _predict_refitted(fit: BallPixels, test: BallPixels) -> _Prediction:
@@ -286,7 +318,10 @@ def _predict_grazing(fit: BallPixels, test: BallPixels) -> _Prediction:
 
 
 def _predict_varying(fit: BallPixels, test: BallPixels) -> _Prediction:
-    """Near lamps: ambient and S each a quadratic of the place. Not the project's model, but the step beyond it."""
+    """Predict with ambient light and S each a quadratic of the position, for near lamps.
+
+    This is not the project's model but the next more general one.
+    """
 
     def terms(pixels: BallPixels, scale: Float) -> Float:
         x, y = pixels.column / scale[0], pixels.row / scale[1]
@@ -294,11 +329,11 @@ def _predict_varying(fit: BallPixels, test: BallPixels) -> _Prediction:
 
     scale = np.array([fit.column.max(), fit.row.max()])
     light, known = fit.colour - fit.background, fit.colour < SATURATION_VALUE
-    whole = np.concatenate([fit.normal, np.ones((len(fit.normal), 1))], axis=1)
-    columns = (whole[:, :, None] * terms(fit, scale)[:, None, :]).reshape(len(whole), -1)
+    homogeneous = np.concatenate([fit.normal, np.ones((len(fit.normal), 1))], axis=1)
+    columns = (homogeneous[:, :, None] * terms(fit, scale)[:, None, :]).reshape(len(homogeneous), -1)
     solved = [np.linalg.lstsq(columns[good], light[good, k], rcond=None)[0] for k, good in enumerate(known.T)]
-    here = np.einsum("kit,mt->mki", np.reshape(solved, (3, 4, 6)), terms(test, scale))
-    shading, ambient = here[:, :, :3], here[:, :, 3]
+    local_model = np.einsum("kit,mt->mki", np.reshape(solved, (3, 4, 6)), terms(test, scale))
+    shading, ambient = local_model[:, :, :3], local_model[:, :, 3]
     colour = test.background + np.einsum("mki,mi->mk", shading, test.normal) + ambient
     normal = np.linalg.solve(shading, (test.colour - test.background - ambient)[:, :, None])[:, :, 0]
     normal *= np.sign(normal[:, 2:]) / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -306,22 +341,22 @@ def _predict_varying(fit: BallPixels, test: BallPixels) -> _Prediction:
 
 
 def _make_mounted_optics(shading: Float) -> LinearOptics:
-    """A sensor's S as a change against a real background: 0 on the flat gel."""
+    """Return a sensor's S as a change against a real background: 0 on the flat gel."""
     return LinearOptics(make_sensor(shading, -shading[:, 2]), "difference")
 
 
 def _fit_mount(pixels: BallPixels, sensor: Sensor) -> LinearOptics:
-    """A nominal sensor turned (steps of 5°), mirrored, its channels ordered and its camera exposed as fits best."""
-    few = pixels.select(_select_every(pixels, max(1, len(pixels.press) // 2000)))
-    tilted, change = few.normal - [0.0, 0.0, 1.0], few.colour - few.background
-    best, least = sensor.shading, np.inf
+    """Fit rotation (steps of 5°), reflection, channel order and exposure of a nominal sensor."""
+    subset = pixels.select(_select_every(pixels, max(1, len(pixels.press) // 2000)))
+    tilted, change = subset.normal - [0.0, 0.0, 1.0], subset.colour - subset.background
+    best, least_error = sensor.shading, np.inf
     for angle, mirrored, order in product(np.arange(0.0, 360.0, 5.0), (False, True), permutations(range(3))):
         shading = mount_sensor(sensor, float(np.radians(angle)), mirrored, order).shading
         light = tilted @ shading.T
         exposure = max(0.0, float(np.sum(light * change) / np.sum(light * light)))
         error = _compute_rms(exposure * light - change)
-        if error < least:
-            best, least = exposure * shading, error
+        if error < least_error:
+            best, least_error = exposure * shading, error
     return _make_mounted_optics(best)
 
 
@@ -358,72 +393,83 @@ def _compute_rms(values: Float) -> float:
 
 CELL_PX, HEAD_PX, LEFT_PX, FOOT_PX = 150, 84, 96, 46
 MARGIN_PX = 6
-"""Of the frame, shown around the contact."""
+"""Margin of the frame shown around the contact [pixels]."""
 MAX_SHOWN_CODES = 60.0
 RESPONSE_PANEL_PX = (380, 340)
 MAX_OFF_AXIS = 0.25
-"""Largest part of the normal across a lamp's direction, of the pixels shown along it."""
+"""Largest component of the normal across a lamp's direction, of the pixels plotted along it."""
 
 
 def plot_presses(path: Path, presses: BallPresses, published: PolynomialTable, press_numbers: Sequence[int]) -> None:
-    """Per press, named by number: the frame, ours from twelve numbers fitted to the presses of other parity, the
-    published polynomials, and the errors of both. Under the ball only; around it is the real frame.
+    """Plot presses with predictions and errors.
 
-    Raises FileError where matplotlib is missing or the file cannot be written.
+    Per press: the frame, the linear model fitted to the presses of other parity, the published polynomials, and the
+    errors of both. Predictions cover the ball only; the real frame is around it.
+
+    Raises
+    ------
+    FileError
+        If matplotlib is missing or the file cannot be written.
+
     """
     radius = find_contact_radius_px(presses)
     pixels = select_pixels_under(presses, radius)
     rows = []
     for number in press_numbers:
         ours = fit_linear_optics(pixels.select(pixels.press % 2 != number % 2), "difference")
-        own = pixels.select(pixels.press == number)
-        places = own.row.astype(int), own.column.astype(int)
+        press_pixels = pixels.select(pixels.press == number)
+        pixel_index = press_pixels.row.astype(int), press_pixels.column.astype(int)
         frame = presses.frames[number]
-        guesses = []
-        for colour in (ours.predict(own), optics_models.predict_polynomial(published, own)):
-            guess = frame.copy()
-            guess[places] = colour
-            guesses.append(guess)
+        predictions = []
+        for colour in (ours.predict(press_pixels), optics_models.predict_polynomial(published, press_pixels)):
+            prediction = frame.copy()
+            prediction[pixel_index] = colour
+            predictions.append(prediction)
         column, row = presses.centre_px[number]
         reach = radius + MARGIN_PX
         window = (slice(max(0, round(row - reach)), round(row + reach)),
                   slice(max(0, round(column - reach)), round(column + reach)))  # fmt: skip
-        rows.append([each[window] for each in (frame, *guesses)])
-    heads = ("frame", "ours, 12 numbers", "polynomials, saw it", "error of ours", "of polynomials")
-    size = (LEFT_PX + CELL_PX * len(heads) + 90, HEAD_PX + CELL_PX * len(rows) + FOOT_PX)
+        rows.append([each[window] for each in (frame, *predictions)])
+    titles = ("frame", "ours, 12 numbers", "polynomials, saw it", "error of ours", "of polynomials")
+    size = (LEFT_PX + CELL_PX * len(titles) + 90, HEAD_PX + CELL_PX * len(rows) + FOOT_PX)
 
     def draw(figure: Figure) -> None:
         figure.text(0.02, 1.0 - 26 / size[1], "A 4 mm ball on a GelSight", fontsize=14, fontweight="bold")
-        for line, (number, (frame, ours, theirs)) in enumerate(zip(press_numbers, rows, strict=True)):
-            errors = [255.0 * np.abs(each - frame).mean(axis=-1) for each in (ours, theirs)]
-            for place, values in enumerate((frame, ours, theirs, *errors)):
-                left = (LEFT_PX + CELL_PX * place) / size[0]
+        for line, (number, (frame, ours, polynomial)) in enumerate(zip(press_numbers, rows, strict=True)):
+            errors = [255.0 * np.abs(each - frame).mean(axis=-1) for each in (ours, polynomial)]
+            for column_index, values in enumerate((frame, ours, polynomial, *errors)):
+                left = (LEFT_PX + CELL_PX * column_index) / size[0]
                 bottom = 1.0 - (HEAD_PX + CELL_PX * (line + 1)) / size[1]
                 axes = figure.add_axes((left, bottom, (CELL_PX - 8) / size[0], (CELL_PX - 8) / size[1]))
                 axes.set_axis_off()
-                drawn = axes.imshow(values, cmap="magma", vmin=0.0, vmax=MAX_SHOWN_CODES, interpolation="nearest")
+                image = axes.imshow(values, cmap="magma", vmin=0.0, vmax=MAX_SHOWN_CODES, interpolation="nearest")
                 if line == 0:
-                    axes.set_title(heads[place], fontsize=10.5, loc="left")
+                    axes.set_title(titles[column_index], fontsize=10.5, loc="left")
             figure.text(0.02, 1.0 - (HEAD_PX + CELL_PX * (line + 0.5)) / size[1], f"press {number + 1}", fontsize=10.5)
         bar = figure.add_axes(((LEFT_PX + CELL_PX * 5 + 6) / size[0], FOOT_PX / size[1], 12 / size[0], 0.5))
-        figure.colorbar(drawn, cax=bar, label="codes of 255")
+        figure.colorbar(image, cax=bar, label="codes of 255")
 
     write_figure(path, size, draw)
 
 
 def plot_response(path: Path, presses: BallPresses, published: PolynomialTable) -> None:
-    """Per channel, how it changes as the ball's surface leans towards the lamp and away from it: median and quartiles
-    of every second press, and ours, fitted to the others.
+    """Plot each channel's change over the tilt of the surface towards the lamp.
 
-    Raises FileError as presses_picture.
+    Median and quartiles of every second press are shown with the linear model fitted to the others.
+
+    Raises
+    ------
+    FileError
+        If matplotlib is missing or the file cannot be written.
+
     """
     pixels = select_pixels_under(presses, find_contact_radius_px(presses))
     ours = fit_linear_optics(pixels.select(pixels.press % 2 == 0), "difference")
-    judge = pixels.select(pixels.press % 2 == 1)
-    seen = 255.0 * (judge.colour - judge.background)
-    guesses = {
-        "ours, 12 numbers": ("#0072b2", ours.predict(judge)),
-        "polynomials, saw them": ("#d55e00", optics_models.predict_polynomial(published, judge)),
+    test_pixels = pixels.select(pixels.press % 2 == 1)
+    measured = 255.0 * (test_pixels.colour - test_pixels.background)
+    predictions = {
+        "ours, 12 numbers": ("#0072b2", ours.predict(test_pixels)),
+        "polynomials, saw them": ("#d55e00", optics_models.predict_polynomial(published, test_pixels)),
     }
     size = (3 * RESPONSE_PANEL_PX[0], RESPONSE_PANEL_PX[1] + 66)
 
@@ -433,25 +479,27 @@ def plot_response(path: Path, presses: BallPresses, published: PolynomialTable) 
             axes = figure.add_axes(((70 + channel * RESPONSE_PANEL_PX[0]) / size[0], 92 / size[1],
                                     (RESPONSE_PANEL_PX[0] - 90) / size[0],
                                     (RESPONSE_PANEL_PX[1] - 100) / size[1]))  # fmt: skip
-            towards = np.array([np.cos(np.radians(lamp[0])), np.sin(np.radians(lamp[0]))])
-            along = judge.normal[:, :2] @ towards
-            near = np.abs(judge.normal[:, :2] @ [-towards[1], towards[0]]) < MAX_OFF_AXIS
+            lamp_direction = np.array([np.cos(np.radians(lamp[0])), np.sin(np.radians(lamp[0]))])
+            along = test_pixels.normal[:, :2] @ lamp_direction
+            near = np.abs(test_pixels.normal[:, :2] @ [-lamp_direction[1], lamp_direction[0]]) < MAX_OFF_AXIS
             edges = np.linspace(-0.8, 0.8, 17)
             steps = [(0.5 * (a + b), near & (along >= a) & (along < b)) for a, b in pairwise(edges)]
-            bins = [each for _, each in steps if each.any()]
-            at = np.degrees(np.arcsin([middle for middle, each in steps if each.any()]))
-            low, middle, high = np.transpose([np.percentile(seen[each, channel], [25, 50, 75]) for each in bins])
-            axes.fill_between(at, low, high, color="#1c2430", alpha=0.15, lw=0)
+            bins = [in_bin for _, in_bin in steps if in_bin.any()]
+            tilt_deg = np.degrees(np.arcsin([middle for middle, in_bin in steps if in_bin.any()]))
+            low, middle, high = np.transpose(
+                [np.percentile(measured[in_bin, channel], [25, 50, 75]) for in_bin in bins]
+            )
+            axes.fill_between(tilt_deg, low, high, color="#1c2430", alpha=0.15, lw=0)
             axes.plot(
-                at,
+                tilt_deg,
                 middle,
                 color="#1c2430",
                 lw=2.6,
-                label=f"{len(np.unique(judge.press))} real presses: median, quartiles",
+                label=f"{len(np.unique(test_pixels.press))} real presses: median, quartiles",
             )
-            for label, (colour, guess) in guesses.items():
-                change = 255.0 * (guess - judge.background)[:, channel]
-                axes.plot(at, [np.median(change[each]) for each in bins], color=colour, lw=1.6, label=label)
+            for label, (colour, prediction) in predictions.items():
+                change = 255.0 * (prediction - test_pixels.background)[:, channel]
+                axes.plot(tilt_deg, [np.median(change[in_bin]) for in_bin in bins], color=colour, lw=1.6, label=label)
             axes.set_title(f"{name}, lit from {lamp[0]:.0f}°", fontsize=10.5, loc="left")
             axes.set_xlabel("tilt towards the lamp [°]")
             if channel == 0:
@@ -461,8 +509,8 @@ def plot_response(path: Path, presses: BallPresses, published: PolynomialTable) 
     write_figure(path, size, draw)
 
 
-# Frames' width and height: basics/sensorParams.py of ObjectFolder, Basics/sensorParams.py and the DIGIT's
-# renderer/config_digit.py of Taxim, Isaac Lab's GELSIGHT_R15_CFG. The first word that a folder's name holds counts.
+# Width and height of the frames are from basics/sensorParams.py of ObjectFolder, Basics/sensorParams.py and
+# renderer/config_digit.py of Taxim, and Isaac Lab's GELSIGHT_R15_CFG. The first key found in a path is used.
 SENSOR_KINDS = {
     "objectfolder": ("GelSight (ObjectFolder)", (160, 120), "gelsight"),
     "r1.5": ("GelSight R1.5 (Taxim)", (240, 320), "gelsight"),
@@ -477,9 +525,9 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--picture", type=Path, help="real frames beside predicted ones")
     parser.add_argument("--response", type=Path, help="change of colour over tilt")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     try:
-        print_report(given.folder, given.picture, given.response)
+        print_report(arguments.folder, arguments.picture, arguments.response)
     except HnfError as error:
         print(error, file=sys.stderr)
         return 1

@@ -1,9 +1,8 @@
-"""A ball of known size pressed on a touch sensor: the true normal of every pixel under it, and optics fitted to that.
+"""Optics models fitted to ball presses: the project's linear model, and Taxim's polynomial table.
 
-W. Yuan, S. Dong & E. Adelson (2017), "GelSight: high-resolution robot tactile sensors", Sensors 17(12), calibrate so.
-Frame as in tactile.optics: column → +x, row → −y.
-
-The rival: Taxim's table of polynomials, applied, read backwards, and fitted anew (Si & Yuan 2022, section III-B).
+A ball of known size pressed on a touch sensor gives the true normal of every pixel under it (W. Yuan, S. Dong & E.
+Adelson 2017, "GelSight: high-resolution robot tactile sensors", Sensors 17(12)). Frame as in hnf_core.tactile.optics:
+column → +x, row → −y. The polynomial table (Si & Yuan 2022, section III-B) is applied, inverted and fitted.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ Float = NDArray[np.float64]
 Form = Literal["frame", "difference", "ratio"]
 
 SATURATION_VALUE = 250.0 / 255.0
-"""Code values from here on are clipped, and say nothing of the light."""
+"""Code value above which pixels are clipped and not used."""
 
 
 @dataclass(frozen=True, eq=False)
 class BallPixels:
-    """(m, …) pixels under balls. normal: (m, 3) unit. colour, background: (m, 3). column, row: (m,). press: (m,)."""
+    """The m pixels under balls: unit normals (m, 3), colours (m, 3), positions (m,) and press numbers (m,)."""
 
     normal: Float
     colour: Float
@@ -41,14 +40,15 @@ class BallPixels:
 
     @property
     def tilt(self) -> Float:
-        """(m,) angle between normal and gel, rad."""
+        """Angle between normal and gel, (m,) [rad]."""
         return np.asarray(np.arccos(np.clip(self.normal[:, 2], -1.0, 1.0)))
 
 
 def find_contact_radius_px(presses: BallPresses) -> float:
-    """Where the frames differ most from the background, as the mean over all presses and directions, in whole pixels.
+    """Return the radius [pixels] at which frames differ most from the background.
 
-    Under a ball the slope grows outwards; beyond the contact's edge the membrane leaves it and flattens.
+    The difference is averaged over presses and directions. Under a ball the slope grows outwards; beyond the contact's
+    edge the membrane leaves the ball and flattens.
     """
     change = np.abs(presses.frames - presses.background).mean(axis=-1)
     distance = np.hypot(*compute_offsets_px(presses))
@@ -57,7 +57,7 @@ def find_contact_radius_px(presses: BallPresses) -> float:
 
 
 def select_pixels_under(presses: BallPresses, radius_px: float) -> BallPixels:
-    """Pixels less than radius_px from a ball's centre, press by press. Raises UsageError where the ball is smaller."""
+    """Select pixels less than radius_px from a ball's centre. Raises UsageError if the ball is smaller."""
     if not 0.0 < radius_px < presses.ball_radius_px:
         raise UsageError(f"{radius_px:g} pixels are no part of a ball of {presses.ball_radius_px:g}.")
     x, y = compute_offsets_px(presses)
@@ -74,56 +74,62 @@ def select_pixels_under(presses: BallPresses, radius_px: float) -> BallPixels:
 
 
 def compute_offsets_px(presses: BallPresses) -> tuple[Float, Float]:
-    """(n, H, W) each: how far a pixel is to the right of a ball's centre, and above it."""
+    """Return the offsets of all pixels to the right of and above a ball's centre, (n, H, W) each."""
     rows, columns = presses.background.shape[:2]
     x = np.arange(columns)[None, None, :] - presses.centre_px[:, 0, None, None]
     y = presses.centre_px[:, 1, None, None] - np.arange(rows)[None, :, None]
-    whole_x, whole_y = np.broadcast_arrays(x, y)
-    return whole_x, whole_y
+    full_x, full_y = np.broadcast_arrays(x, y)
+    return full_x, full_y
 
 
 @dataclass(frozen=True)
 class LinearOptics:
-    """The project's own optics (tactile.optics) with fitted numbers.
+    """The project's own optics (hnf_core.tactile.optics) with fitted parameters.
 
-    form: what is linear in the normal: the frame itself; its difference from the background, so that ambient light
-    may vary over the window; or its ratio to it, so that the lamps' strength may.
+    form: quantity that is linear in the normal. "frame": the frame itself. "difference": frame − background, so ambient
+    light may vary over the window. "ratio": frame / background, so the lamps' strength may vary.
     """
 
     sensor: Sensor
     form: Form
 
     def predict(self, pixels: BallPixels) -> Float:
-        """(m, 3) code values, clipped to 0…1."""
+        """Return (m, 3) code values, clipped to 0…1."""
         gx, gy = compute_slopes(pixels.normal)
         light = shade(gx, gy, self.sensor).astype(np.float64)
         return np.asarray(np.clip(_to_frame(light, pixels.background, self.form), 0.0, 1.0))
 
     def decode(self, pixels: BallPixels) -> Float:
-        """(m, 3) unit normals by tactile.optics.decode_gradients."""
+        """Return (m, 3) unit normals by hnf_core.tactile.optics.decode_gradients."""
         gx, gy = decode_gradients(_to_light(pixels.colour, pixels.background, self.form), self.sensor)
         return np.asarray(np.stack([-gx, -gy, np.ones_like(gx)], axis=-1) / np.sqrt(1.0 + gx**2 + gy**2)[..., None])
 
 
 def fit_linear_optics(pixels: BallPixels, form: Form) -> LinearOptics:
-    """Least squares of light = ambient + S n: twelve numbers. Saturated values are left out, channel by channel.
+    """Fit light = ambient + S n by least squares, twelve parameters; saturated values are excluded per channel.
 
-    Raises UsageError where the normals do not span all directions.
+    Raises
+    ------
+    UsageError
+        If the normals do not span all directions.
+
     """
     light = _to_light(pixels.colour, pixels.background, form)
     terms = np.concatenate([pixels.normal, np.ones((len(pixels.normal), 1))], axis=1)
-    solved = np.empty((4, 3))
+    solution = np.empty((4, 3))
     for channel in range(3):
-        good = pixels.colour[:, channel] < SATURATION_VALUE
-        solved[:, channel], _, rank, _ = np.linalg.lstsq(terms[good], light[good, channel], rcond=None)
+        valid = pixels.colour[:, channel] < SATURATION_VALUE
+        solution[:, channel], _, rank, _ = np.linalg.lstsq(terms[valid], light[valid, channel], rcond=None)
         if rank < 4:
             raise UsageError("the normals under the balls do not tell the lamps apart.")
-    return LinearOptics(make_sensor(solved[:3].T, solved[3]), form)
+    return LinearOptics(make_sensor(solution[:3].T, solution[3]), form)
 
 
 def make_sensor(shading: Float, ambient: Float) -> Sensor:
-    """A sensor with this S (3, 3) and ambient light (3,): the nominal GelSight's gel and lamp directions, everything
-    that differs in the crosstalk."""
+    """Make a sensor with this S (3, 3) and ambient light (3,).
+
+    Gel and lamp directions are the nominal GelSight's; all differences are in the crosstalk.
+    """
     nominal = SENSORS["gelsight"]
     lamps = np.linalg.solve(np.asarray(nominal.crosstalk) * np.asarray(nominal.intensity), nominal.shading)
     crosstalk = shading @ np.linalg.inv(lamps)
@@ -137,19 +143,19 @@ def make_sensor(shading: Float, ambient: Float) -> Sensor:
 
 
 def compute_slopes(normal: Float) -> tuple[Float, Float]:
-    """(∂h/∂x, ∂h/∂y) of surfaces with these unit normals (…, 3)."""
+    """Return (∂h/∂x, ∂h/∂y) of surfaces with these unit normals (…, 3)."""
     return -normal[..., 0] / normal[..., 2], -normal[..., 1] / normal[..., 2]
 
 
 def mount_sensor(sensor: Sensor, angle_rad: float, mirrored: bool, channels: tuple[int, ...]) -> Sensor:
-    """The same sensor mounted otherwise: turned in its plane, seen in a mirror, its channels in another order."""
+    """Return the sensor rotated in its plane, mirrored, and with reordered channels."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     mount = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ np.diag(
         [-1.0 if mirrored else 1.0, 1.0, 1.0]
     )
     order = list(channels)
-    out = make_sensor((sensor.shading @ mount)[order], np.asarray(sensor.ambient)[order])
-    return replace(out, name=sensor.name)
+    mounted = make_sensor((sensor.shading @ mount)[order], np.asarray(sensor.ambient)[order])
+    return replace(mounted, name=sensor.name)
 
 
 def _to_light(colour: Float, background: Float, form: Form) -> Float:
@@ -168,51 +174,58 @@ ROWS_PER_CHUNK = 256
 
 
 def predict_polynomial(table: PolynomialTable, pixels: BallPixels) -> Float:
-    """(m, 3) code values, clipped to 0…1: background + polynomial of the cell that the normal falls in."""
+    """Return (m, 3) code values, clipped to 0…1: background plus the polynomial of the normal's cell."""
     return np.asarray(np.clip(pixels.background + compute_polynomial_change(table, pixels), 0.0, 1.0))
 
 
 def compute_polynomial_change(table: PolynomialTable, pixels: BallPixels) -> Float:
-    """(m, 3) what the table adds to the background."""
+    """Return the (m, 3) change that the table adds to the background."""
     tilt, direction = _locate_cells(pixels.normal, len(table.coefficients))
     return np.asarray(np.einsum("mkt,mt->mk", table.coefficients[tilt, direction], _compute_terms(pixels)))
 
 
 def decode_polynomial(table: PolynomialTable, pixels: BallPixels, steepest_rad: float) -> Float:
-    """(m, 3) unit normals: of all cells up to steepest_rad, the one whose colour at that place is nearest."""
+    """Return (m, 3) unit normals: the cell up to steepest_rad whose colour at that position is nearest."""
     bins = len(table.coefficients)
-    tilt, direction = (each.ravel() for each in np.mgrid[:bins, :bins])
-    angle, towards = (tilt + 0.5) * _compute_tilt_step(bins), (direction + 0.5) * _compute_direction_step(bins) - np.pi
+    tilt, direction = (index.ravel() for index in np.mgrid[:bins, :bins])
+    angle, azimuth = (tilt + 0.5) * _compute_tilt_step(bins), (direction + 0.5) * _compute_direction_step(bins) - np.pi
     known = (angle <= steepest_rad) & (direction < bins - 1)
-    tilt, direction, angle, towards = tilt[known], direction[known], angle[known], towards[known]
+    tilt, direction, angle, azimuth = tilt[known], direction[known], angle[known], azimuth[known]
     # Taxim's direction is the gradient's in the image, rows downwards: the normal's is its negative.
-    normal = np.stack([-np.sin(angle) * np.cos(towards), np.sin(angle) * np.sin(towards), np.cos(angle)], axis=1)
-    cells, terms, seen = table.coefficients[tilt, direction], _compute_terms(pixels), pixels.colour - pixels.background
-    out = np.empty_like(pixels.normal)
+    normal = np.stack([-np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
+    cells, terms, observed = (
+        table.coefficients[tilt, direction],
+        _compute_terms(pixels),
+        pixels.colour - pixels.background,
+    )
+    normals = np.empty_like(pixels.normal)
     for start in range(0, len(terms), ROWS_PER_CHUNK):
-        here = slice(start, start + ROWS_PER_CHUNK)
-        colours = np.tensordot(terms[here], cells, axes=(1, 2))
-        out[here] = normal[np.argmin(np.sum((colours - seen[here, None]) ** 2, axis=2), axis=1)]
-    return out
+        rows = slice(start, start + ROWS_PER_CHUNK)
+        colours = np.tensordot(terms[rows], cells, axes=(1, 2))
+        normals[rows] = normal[np.argmin(np.sum((colours - observed[rows, None]) ** 2, axis=2), axis=1)]
+    return normals
 
 
 def fit_polynomial_table(pixels: BallPixels, bins: int) -> PolynomialTable:
-    """Taxim's calibration: each press fills the table by its nearest cell; each cell is fitted over the presses."""
-    places, changes = [], []
+    """Fit a table as Taxim does: each press fills it by nearest cells; each cell is fitted over presses."""
+    term_sets, changes = [], []
     rows, columns = np.mgrid[:bins, :bins]
     grid = np.stack([rows.ravel(), columns.ravel()], axis=1).astype(np.float64)
     for press in np.unique(pixels.press):
-        own = pixels.select(pixels.press == press)
-        cells = np.stack(_locate_cells(own.normal, bins), axis=1).astype(np.float64)
+        press_pixels = pixels.select(pixels.press == press)
+        cells = np.stack(_locate_cells(press_pixels.normal, bins), axis=1).astype(np.float64)
         nearest = np.concatenate(
-            [_find_nearest_cells(grid[at : at + ROWS_PER_CHUNK], cells) for at in range(0, len(grid), ROWS_PER_CHUNK)]
+            [
+                _find_nearest_cells(grid[start : start + ROWS_PER_CHUNK], cells)
+                for start in range(0, len(grid), ROWS_PER_CHUNK)
+            ]
         )
-        places.append(_compute_terms(own)[nearest])
-        changes.append((own.colour - own.background)[nearest])
-    terms, seen = np.stack(places, axis=1), np.stack(changes, axis=1)
+        term_sets.append(_compute_terms(press_pixels)[nearest])
+        changes.append((press_pixels.colour - press_pixels.background)[nearest])
+    terms, observed = np.stack(term_sets, axis=1), np.stack(changes, axis=1)
     scale = np.maximum(np.abs(terms).max(axis=(0, 1)), 1.0)
-    solved = np.linalg.pinv(terms / scale) @ seen / scale[:, None]
-    return PolynomialTable(np.moveaxis(solved.reshape(bins, bins, 6, 3), 2, 3))
+    solution = np.linalg.pinv(terms / scale) @ observed / scale[:, None]
+    return PolynomialTable(np.moveaxis(solution.reshape(bins, bins, 6, 3), 2, 3))
 
 
 def _find_nearest_cells(cells: Float, known: Float) -> NDArray[np.int64]:

@@ -1,11 +1,11 @@
-"""The shared field against its bars: per-material fields, fewer materials, other directions, classes never met.
+"""Compare the shared field with its targets and print docs/shared-field.md.
 
-Measures it and prints docs/shared-field.md.
+  Usage: python -m hnf_lab.experiments.shared_field [--weights FILE] [--seed N] [--workers N] [--cache DIR]
+         [--parts LIST] > docs/shared-field.md
 
-Usage: python -m hnf_lab.experiments.shared_field [--weights FILE] [--seed N] [--workers N] [--cache DIR] [--parts LIST]
-       > docs/shared-field.md
-Uses what tools/train_default_field.py left in the cache. --parts: of own,long,curve,direction,unseen; results of a part
-stay in the cache as JSON, so that parts can be run one by one.
+It is compared with per-material fields, fields for fewer materials, and the simulator by direction and on held-out
+classes. Uses the cache of tools/train_default_field.py. --parts: of own,long,curve,direction,unseen; results of a part
+are stored in the cache as JSON, so parts can be run separately.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ Float = NDArray[np.float64]
 
 SINGLE_MATERIAL_SCHEDULE = Schedule(epochs=100, batch=32, learning_rate=5e-3, token_noise=0.0, ridge=1e-3)
 LONG_SCHEDULE = replace(SINGLE_MATERIAL_SCHEDULE, epochs=40)
-"""For twelve times the data."""
+"""Schedule for twelve times the data."""
 BOOTSTRAP_DRAWS = 4000
-"""Draws of the bootstrap."""
+"""Number of bootstrap resamples."""
 
 
 def make_single_material_config(hidden: int) -> FieldConfig:
-    """A field for one material: the same carriers and linear contact, two layers."""
+    """Return the configuration for one material: same carriers and linear contact, two layers."""
     return FieldConfig(hidden=hidden, layers=2, line_gains=True, stroke_frame=True)
 
 
@@ -76,29 +76,36 @@ def measure_single_material_field_db(
     seed: int,
     schedule: Schedule = SINGLE_MATERIAL_SCHEDULE,
 ) -> float:
-    """Distance, mean over conditions, of a field trained on that material's strokes alone and asked with one of its
-    training tokens: for one material a token is a constant."""
+    """Return the distance [dB], mean over conditions, of a field trained on one material alone.
+
+    One of its training tokens is used for all, since the token is a constant for one material.
+    """
     strokes = training_data.select_strokes(training_data.get_stroke_materials() == material)
     patch = int(np.flatnonzero(training_data.material == material)[0])
     constant = tuple(replace(stroke, surface=patch) for stroke in strokes.strokes)
     config = make_single_material_config(hidden)
     data = build_training_set(config, constant, training_data.tokens, strokes.power, 1, seed)
     network = fit_network(config, data, schedule, seed)
-    alone = select_materials(references, [material])
-    return float(compute_distances_db(alone, predict_spectra(network, alone, training_data.tokens[[patch]])).mean())
+    reference = select_materials(references, [material])
+    return float(
+        compute_distances_db(reference, predict_spectra(network, reference, training_data.tokens[[patch]])).mean()
+    )
 
 
 def measure_training_token_db(network: FieldNetwork, references: References, data: TrainingData) -> Float:
-    """(M,) as on_new_patches_db, but asked with the tokens of the patches trained on."""
+    """Return distances (M,) like compute_new_patch_distances_db, but with tokens of training patches."""
     stroked = np.unique([stroke.surface for stroke in data.strokes])
     patches = [stroked[data.material[stroked] == material] for material in range(len(data.names))]
     return np.asarray(
         np.mean(
             [
                 compute_distances_db(
-                    references, predict_spectra(network, references, data.tokens[[p[k] for p in patches]])
+                    references,
+                    predict_spectra(
+                        network, references, data.tokens[[material_patches[index] for material_patches in patches]]
+                    ),
                 )
-                for k in range(min(len(p) for p in patches))
+                for index in range(min(len(material_patches) for material_patches in patches))
             ],
             axis=(0, 2),
         )
@@ -107,8 +114,18 @@ def measure_training_token_db(network: FieldNetwork, references: References, dat
 
 @dataclass(frozen=True)
 class UnseenMaterial:
-    """Of one material of a class that was left out: distance [dB] of the field, of the mean log spectrum of its
-    category under the same strokes, and of the nearest material in token space (its name: nearest)."""
+    """Distances [dB] on one material of a held-out class.
+
+    Attributes
+    ----------
+    field_db
+        Distance of the field.
+    category_db
+        Distance of the mean log spectrum of its category under the same strokes.
+    nearest_db
+        Distance of the nearest material in token space, named `nearest`.
+
+    """
 
     name: str
     class_name: str
@@ -121,34 +138,37 @@ class UnseenMaterial:
 def measure_unseen_materials(
     network: FieldNetwork, references: References, held_out: Sequence[str], category_of: dict[str, str]
 ) -> list[UnseenMaterial]:
-    """Every material of the held-out classes. The rivals know the simulator's own long-run spectra of all others."""
-    classes = [each.class_name for each in references.specimens]
+    """Measure every material of the held-out classes.
+
+    The baselines use the simulator's own long-run spectra of all other materials.
+    """
+    classes = [specimen.class_name for specimen in references.specimens]
     known = np.array([name not in held_out for name in classes])
     field_db = compute_new_patch_distances_db(network, references)
     level = np.log(references.spectra)
     token = normalise_tokens(references.tokens.astype(np.float64).mean(axis=1))
-    found = []
+    materials = []
     for row in np.flatnonzero(~known):
-        alone = select_materials(references, [int(row)])
-        same = known & np.array([category_of[name] == category_of[classes[row]] for name in classes])
-        mean = np.exp(level[same].mean(axis=0))[None]
-        apart = np.where(known, np.linalg.norm(token - token[row], axis=1), np.inf)
-        nearest = int(np.argmin(apart))
-        found.append(
+        reference = select_materials(references, [int(row)])
+        in_category = known & np.array([category_of[name] == category_of[classes[row]] for name in classes])
+        mean = np.exp(level[in_category].mean(axis=0))[None]
+        token_distance = np.where(known, np.linalg.norm(token - token[row], axis=1), np.inf)
+        nearest = int(np.argmin(token_distance))
+        materials.append(
             UnseenMaterial(
                 name=references.specimens[row].name,
                 class_name=classes[row],
                 field_db=float(field_db[row]),
-                category_db=float(compute_distances_db(alone, mean).mean()),
-                nearest_db=float(compute_distances_db(alone, references.spectra[[nearest]]).mean()),
+                category_db=float(compute_distances_db(reference, mean).mean()),
+                nearest_db=float(compute_distances_db(reference, references.spectra[[nearest]]).mean()),
                 nearest=references.specimens[nearest].name,
             )
         )
-    return found
+    return materials
 
 
 def bootstrap_mean(values: Float, seed: int) -> tuple[float, float, float]:
-    """Mean and its 95 % interval by bootstrap (B. Efron 1979) over values."""
+    """Return the mean and its 95 % interval by bootstrap (B. Efron 1979) over values."""
     rng = np.random.default_rng(seed)
     means = rng.choice(values, (BOOTSTRAP_DRAWS, len(values))).mean(axis=1)
     low, high = np.percentile(means, [2.5, 97.5])
@@ -156,15 +176,26 @@ def bootstrap_mean(values: Float, seed: int) -> tuple[float, float, float]:
 
 
 def make_eight_directions(speed: int, force: float) -> list[StrokeCondition]:
-    """Every 22.5° over half a turn, from 11.25° on: the other half is the same line backwards."""
+    """Return directions every 22.5° over half a turn from 11.25°; the other half is the same line reversed."""
     return [StrokeCondition(speed, force, float(np.radians(11.25 + 22.5 * k))) for k in range(8)]
 
 
 @dataclass(frozen=True)
 class DirectionErrors:
-    """Of one material under eight directions. anisotropy_db: loudest over quietest power, of the simulator, and as the
-    field has it. ratio_db: RMS error of the level of each direction's spectrum over the loudest's, per 10 Hz bin;
-    third_db: the same of third octaves; power_db: the same of the whole band's power."""
+    """Errors of one material under eight directions [dB].
+
+    Attributes
+    ----------
+    anisotropy_db, field_anisotropy_db
+        Loudest over quietest power, of the simulator and of the field.
+    ratio_db
+        RMS error of each direction's spectrum relative to the loudest's, per 10 Hz bin.
+    third_db
+        The same of third octaves.
+    power_db
+        The same of the power of the full band.
+
+    """
 
     name: str
     anisotropy_db: float
@@ -175,30 +206,30 @@ class DirectionErrors:
 
 
 def measure_directions(references: References, expected: Float) -> list[DirectionErrors]:
-    """references: of eight_directions. expected: (M, 8, FINE_BINS) of the field."""
-    found = []
-    for row, each in enumerate(references.specimens):
-        true, inside = references.spectra[row], references.mask_counted_bins()[row]
+    """Return errors by material. references: under eight directions. expected: (M, 8, FINE_BINS) of the field."""
+    errors = []
+    for row, specimen in enumerate(references.specimens):
+        true, counted = references.spectra[row], references.mask_counted_bins()[row]
         loudest = int(np.argmax(true.sum(axis=1)))
         others = [k for k in range(len(true)) if k != loudest]
         error = _compute_ratio_error(expected[row], true, loudest)
-        both = inside & inside[loudest]
+        both = counted & counted[loudest]
         third_field, third_true = (_sum_bands(s, _make_third_octaves()) for s in (expected[row], true))
         counts = np.stack([both[:, a:b].all(axis=1) for a, b in _make_third_octaves()], axis=1)
-        whole = [10.0 * np.log10(s.sum(axis=1)) for s in (true, expected[row])]
-        found.append(
+        power_db = [10.0 * np.log10(s.sum(axis=1)) for s in (true, expected[row])]
+        errors.append(
             DirectionErrors(
-                name=each.name,
-                anisotropy_db=float(np.ptp(whole[0])),
-                field_anisotropy_db=float(np.ptp(whole[1])),
+                name=specimen.name,
+                anisotropy_db=float(np.ptp(power_db[0])),
+                field_anisotropy_db=float(np.ptp(power_db[1])),
                 ratio_db=_compute_masked_rms(error[others], both[others]),
                 third_db=_compute_masked_rms(_compute_ratio_error(third_field, third_true, loudest)[others],
                 counts[others]),
-                power_db=float(np.sqrt(np.mean(np.square(((whole[1] - whole[1][loudest]) -
-                                                          (whole[0] - whole[0][loudest]))[others])))),
+                power_db=float(np.sqrt(np.mean(np.square(((power_db[1] - power_db[1][loudest]) -
+                                                          (power_db[0] - power_db[0][loudest]))[others])))),
             )
         )  # fmt: skip
-    return found
+    return errors
 
 
 def _compute_ratio_error(expected: Float, true: Float, loudest: int) -> Float:
@@ -211,7 +242,7 @@ def _sum_bands(spectrum: Float, bands: Sequence[tuple[int, int]]) -> Float:
 
 
 def _make_third_octaves() -> list[tuple[int, int]]:
-    """Bins of the third octaves from 31.5 Hz to 800 Hz, as slices of bins 1–100."""
+    """Return the bins of the third octaves from 31.5 Hz to 800 Hz, as slices of bins 1–100."""
     centres = 1000.0 * 2.0 ** (np.arange(-15, 0) / 3.0)
     edges = np.unique(
         np.rint(np.append(centres * 2.0 ** (-1.0 / 6.0), 1000.0 * 2.0 ** (-1.0 / 6.0)) / 10.0).astype(int)
@@ -231,7 +262,8 @@ MARGIN_TARGET_DB = 1.0
 
 TESTED_SECTION = """## A field, not a noise table
 
-On the shipped weights, in `tests/core/test_shared_field.py`: another material's token under the same mechanics, no
+On the shipped weights, in `tests/core/training/test_shared_field.py`: another material's token under the same \
+mechanics, no
 density σ, and one component of d reversed on a twill each change the spectrum by more than 1 dB; d and −d are the same,
 mirrored strokes on isotropic surfaces nearly so. The tone of a described grating follows v/λ within 2 % from 30 to
 250 mm/s, for pitches of 0.5, 1 and 2 mm."""
@@ -309,26 +341,26 @@ Farthest off in absolute terms: {", ".join(f"{names[m]} {shared[m]:.2f}" for m i
 
 
 def _format_long(long: dict[str, Any], single: dict[str, Any], names: Sequence[str]) -> str:
-    some, alone = np.array(long["some"]), np.array(long["own"])
-    shared, same = (np.array(single[key])[some] for key in ("shared", "own"))
-    gap = shared - alone
-    fair, hard = slice(0, len(some) - long["hard"]), slice(len(some) - long["hard"], None)
-    each = ", ".join(
+    some, own_db = np.array(long["some"]), np.array(long["own"])
+    shared, short_db = (np.array(single[key])[some] for key in ("shared", "own"))
+    gap = shared - own_db
+    rest, hard = slice(0, len(some) - long["hard"]), slice(len(some) - long["hard"], None)
+    hardest = ", ".join(
         f"{names[m]} {g:+.2f} (own {a:.2f}, shared {s:.2f})"
-        for m, g, a, s in zip(some[hard], gap[hard], alone[hard], shared[hard], strict=True)
+        for m, g, a, s in zip(some[hard], gap[hard], own_db[hard], shared[hard], strict=True)
     )
     return f"""### From {long["seconds"]:.0f} s each
 
 As much as one material may be given, all under its own mechanics. On every {some[1] - some[0]}th material \
-({len(alone[fair])}): own fields come to a median of
-{np.median(alone[fair]):.2f} dB, worst {alone[fair].max():.2f} (from the shared field's seconds \
-{np.median(same[fair]):.2f} and {same[fair].max():.2f}); the shared field to {np.median(shared[fair]):.2f} and \
-{shared[fair].max():.2f}. Gap: median
-{np.median(gap[fair]):+.2f} dB (**{_format_result(np.median(gap[fair]) <= GAP_TARGETS_DB[0])}**), worst
-{gap[fair].max():+.2f} dB \
-(**{_format_result(gap[fair].max() <= GAP_TARGETS_DB[1])}**). On the {long["hard"]} others from which the shared field
+({len(own_db[rest])}): own fields come to a median of
+{np.median(own_db[rest]):.2f} dB, worst {own_db[rest].max():.2f} (from the shared field's seconds \
+{np.median(short_db[rest]):.2f} and {short_db[rest].max():.2f}); the shared field to {np.median(shared[rest]):.2f} and \
+{shared[rest].max():.2f}. Gap: median
+{np.median(gap[rest]):+.2f} dB (**{_format_result(np.median(gap[rest]) <= GAP_TARGETS_DB[0])}**), worst
+{gap[rest].max():+.2f} dB \
+(**{_format_result(gap[rest].max() <= GAP_TARGETS_DB[1])}**). On the {long["hard"]} others from which the shared field
 is farthest:
-{each}. Worst: **{_format_result(gap.max() <= GAP_TARGETS_DB[1])}**."""
+{hardest}. Worst: **{_format_result(gap.max() <= GAP_TARGETS_DB[1])}**."""
 
 
 def _format_storage(single: dict[str, Any], context: Any, hidden: int) -> str:
@@ -357,14 +389,14 @@ On every {some[1] - some[0]}th material ({len(some)}):
 def _format_curve(
     curve: dict[str, Any], single: dict[str, Any], context: Any, size: Callable[[FieldConfig], int]
 ) -> str:
-    shared, alone = np.array(single["shared"]), np.array(single["own"])
-    rows = [f"| 1 each | {np.median(alone):.2f} | {alone.max():.2f} | – | "
-            f"{len(alone) * size(make_single_material_config(64)) / 1e6:.2f} MB for all |"]  # fmt: skip
+    shared, single_db = np.array(single["shared"]), np.array(single["own"])
+    rows = [f"| 1 each | {np.median(single_db):.2f} | {single_db.max():.2f} | – | "
+            f"{len(single_db) * size(make_single_material_config(64)) / 1e6:.2f} MB for all |"]  # fmt: skip
     for point in curve["points"]:
-        kept, distance = point["materials"], np.array(point["distance"])
+        chosen, distance = point["materials"], np.array(point["distance"])
         rows.append(
-            f"| {len(kept)} | {np.median(distance):.2f} | {distance.max():.2f} | "
-            f"{np.median(shared[kept] - distance):+.2f} | {size(SHARED_CONFIG) / 1e6:.2f} MB |"
+            f"| {len(chosen)} | {np.median(distance):.2f} | {distance.max():.2f} | "
+            f"{np.median(shared[chosen] - distance):+.2f} | {size(SHARED_CONFIG) / 1e6:.2f} MB |"
         )
     rows.append(
         f"| {len(shared)} (shipped) | {np.median(shared):.2f} | {shared.max():.2f} | 0 | "
@@ -421,13 +453,13 @@ def _format_unseen(unseen: dict[str, Any]) -> str:
     lines, margins = [], {"category_db": [], "nearest_db": []}  # type: ignore[var-annotated]
     for name, members in by_class.items():
         mean = {key: float(np.mean([m[key] for m in members])) for key in ("field_db", "category_db", "nearest_db")}
-        for key, found in margins.items():
-            found.append(mean[key] - mean["field_db"])
+        for key, values_of_margin in margins.items():
+            values_of_margin.append(mean[key] - mean["field_db"])
         nearest = ", ".join(sorted({m["nearest"].partition("/")[0] for m in members}))
         lines.append(
             f"| {name} | {mean['field_db']:.2f} | {mean['category_db']:.2f} | {mean['nearest_db']:.2f} | {nearest} |"
         )
-    told = {key: bootstrap_mean(np.array(values), 0) for key, values in margins.items()}
+    intervals = {key: bootstrap_mean(np.array(values), 0) for key, values in margins.items()}
     return f"""## Classes never met
 
 Not the shipped weights: a field trained by the same recipe without the last class of every category in the table \
@@ -441,8 +473,8 @@ takes the one nearest in token space.
 |---|---|---|---|---|
 {chr(10).join(lines)}
 
-{_format_margin("category mean", told["category_db"])}
-{_format_margin("nearest neighbour", told["nearest_db"])}"""
+{_format_margin("category mean", intervals["category_db"])}
+{_format_margin("nearest neighbour", intervals["nearest_db"])}"""
 
 
 def _format_margin(name: str, interval: Sequence[float]) -> str:
@@ -460,19 +492,19 @@ def _format_result(true: bool) -> str:
 
 SINGLE_HIDDEN = 64
 SMALLER_HIDDEN = (8, 16, 32)
-"""Smaller ones, tried on every OWN_EVERY-th material."""
+"""Smaller widths, tested on every MATERIAL_STRIDE-th material."""
 MATERIAL_STRIDE = 12
 LONG_STROKES = 1600
-"""Of 0.3 s: 480 s of one material."""
+"""Number of strokes of 0.3 s: 480 s of one material."""
 LONG_HARDEST = 5
 MATERIAL_COUNTS = (11, 43)
-"""Materials; the shipped field is the last point."""
+"""Numbers of materials; the shipped field is the last point of the curve."""
 ANISOTROPIC_COUNT = 10
-"""Materials asked for their directions: those that the linear contact of the token calls most anisotropic."""
+"""Number of materials in the direction test: those with the most anisotropic linear contact."""
 
 
 class EvaluationContext:
-    """What every part needs, loaded once."""
+    """Data shared by all parts, loaded once."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self.seed, self.cache, self.workers = arguments.seed, arguments.cache, arguments.workers
@@ -489,24 +521,24 @@ class EvaluationContext:
 
 
 def measure_single_fields(context: EvaluationContext) -> dict[str, Any]:
-    """Per-material fields of OWN_HIDDEN for all, smaller ones for some, and the shared field's distances."""
+    """Measure per-material fields of SINGLE_HIDDEN, smaller ones for some materials, and the shared field."""
     count = len(context.specimens)
     some = list(range(3, count, MATERIAL_STRIDE))
     jobs = [(m, SINGLE_HIDDEN) for m in range(count)] + [(m, hidden) for hidden in SMALLER_HIDDEN for m in some]
     material = context.gathered.get_stroke_materials()
-    alone = [context.gathered.select_strokes(material == m) for m in range(count)]
-    calls = [(alone[m], context.references, m, hidden, context.seed) for m, hidden in jobs]
+    material_data = [context.gathered.select_strokes(material == m) for m in range(count)]
+    calls = [(material_data[m], context.references, m, hidden, context.seed) for m, hidden in jobs]
     with ProcessPoolExecutor(context.workers, mp_context=get_context("fork")) as pool:
-        found = dict(zip(jobs, pool.map(measure_single_material_field_db, *zip(*calls, strict=True)), strict=True))
-    distance = [found[m, SINGLE_HIDDEN] for m in range(count)]
-    smaller = {str(hidden): [found[m, hidden] for m in some] for hidden in SMALLER_HIDDEN}
-    seen = measure_training_token_db(context.network, context.references, context.gathered)
+        distances = dict(zip(jobs, pool.map(measure_single_material_field_db, *zip(*calls, strict=True)), strict=True))
+    distance = [distances[m, SINGLE_HIDDEN] for m in range(count)]
+    smaller = {str(hidden): [distances[m, hidden] for m in some] for hidden in SMALLER_HIDDEN}
+    training_token_db = measure_training_token_db(context.network, context.references, context.gathered)
     return {
         "own": distance,
         "smaller": smaller,
         "some": some,
         "shared": context.new_db.tolist(),
-        "seen": seen.tolist(),
+        "seen": training_token_db.tolist(),
         "bytes": {
             str(hidden): count_parameter_bytes(make_single_material_config(hidden))
             for hidden in (*SMALLER_HIDDEN, SINGLE_HIDDEN)
@@ -515,8 +547,10 @@ def measure_single_fields(context: EvaluationContext) -> dict[str, Any]:
 
 
 def measure_long_recordings(context: EvaluationContext) -> dict[str, Any]:
-    """Per-material fields of some materials with as much data as one material may ever have: of every OWN_EVERY-th, and
-    of those from which the shared field is farthest."""
+    """Measure per-material fields with as much data as one material may have.
+
+    They cover every MATERIAL_STRIDE-th material, and those on which the shared field is worst.
+    """
     some = list(range(3, len(context.specimens), MATERIAL_STRIDE))
     some += [int(m) for m in np.argsort(-context.new_db) if m not in some][:LONG_HARDEST]
     sizes = Sizes(patches=2, described=0, strokes=LONG_STROKES // 2, middle_share=1.0, random=0)
@@ -533,35 +567,35 @@ def measure_long_recordings(context: EvaluationContext) -> dict[str, Any]:
 
 
 def measure_material_count(context: EvaluationContext) -> dict[str, Any]:
-    """Fields for fewer materials, each with the surfaces of no material, and as many passes."""
+    """Measure fields for fewer materials, with the surfaces of no material and as many passes."""
     points = []
     for count in MATERIAL_COUNTS:
         chosen = np.arange(len(context.specimens)) * count // len(context.specimens)
-        kept = [int(row) for row in np.unique(chosen, return_index=True)[1]]
+        selected = [int(row) for row in np.unique(chosen, return_index=True)[1]]
         material = context.gathered.get_stroke_materials()
         network = fit_shared_field(
-            context.gathered.select_strokes((material < 0) | np.isin(material, kept)),
+            context.gathered.select_strokes((material < 0) | np.isin(material, selected)),
             context.plan,
             SHARED_CONFIG,
             context.seed,
         )
-        distance = compute_new_patch_distances_db(network, select_materials(context.references, kept))
-        points.append({"materials": kept, "distance": distance.tolist()})
+        distance = compute_new_patch_distances_db(network, select_materials(context.references, selected))
+        points.append({"materials": selected, "distance": distance.tolist()})
     return {"points": points}
 
 
 def measure_direction(context: EvaluationContext) -> dict[str, Any]:
-    """Eight directions of the most anisotropic materials."""
+    """Measure eight directions of the most anisotropic materials."""
     speed = int(np.argmin(np.abs(make_speed_grid() - 0.1)))
     library = context.specimens[: len(list_classes())]
     conditions = make_eight_directions(speed, 1.0)
     tokens = context.gathered.tokens[
         [int(np.flatnonzero(context.gathered.material == m)[0]) for m in range(len(library))]
     ]
-    blank = select_materials(context.references, range(len(library)))
-    shape = np.zeros((len(library), len(conditions), blank.spectra.shape[-1]))
-    asked = predict_spectra(context.network, replace(blank, conditions=tuple(conditions), spectra=shape), tokens)
-    most = np.argsort(-np.ptp(np.log(asked.sum(axis=2)), axis=1))[:ANISOTROPIC_COUNT]
+    template = select_materials(context.references, range(len(library)))
+    shape = np.zeros((len(library), len(conditions), template.spectra.shape[-1]))
+    predicted = predict_spectra(context.network, replace(template, conditions=tuple(conditions), spectra=shape), tokens)
+    most = np.argsort(-np.ptp(np.log(predicted.sum(axis=2)), axis=1))[:ANISOTROPIC_COUNT]
     chosen = [library[int(row)] for row in most]
     references = load_or_simulate_references(chosen, conditions, context.seed, context.cache, context.workers)
     expected = np.mean(
@@ -571,19 +605,21 @@ def measure_direction(context: EvaluationContext) -> dict[str, Any]:
         ],
         axis=0,
     )
-    return {"rows": [asdict(each) for each in measure_directions(references, expected)],
+    return {"rows": [asdict(result) for result in measure_directions(references, expected)],
             "scatter": float(np.median(references.scatter_db))}  # fmt: skip
 
 
 def measure_unseen_classes(context: EvaluationContext) -> dict[str, Any]:
-    """A field trained without the held-out classes, asked about them."""
-    kept = [name for name in list_classes() if name not in HELD_OUT]
-    network = fit_shared_field(select_classes(context.gathered, kept), context.plan, SHARED_CONFIG, context.seed)
+    """Train a field without the held-out classes and measure it on them."""
+    training_classes = [name for name in list_classes() if name not in HELD_OUT]
+    network = fit_shared_field(
+        select_classes(context.gathered, training_classes), context.plan, SHARED_CONFIG, context.seed
+    )
     categories = {name: get_category(name) for name in list_classes()}
     rows = measure_unseen_materials(network, context.references, HELD_OUT, categories)
-    known = [m for m, each in enumerate(context.specimens) if each.class_name in kept]
-    seen = compute_new_patch_distances_db(network, select_materials(context.references, known))
-    return {"rows": [asdict(each) for each in rows], "seen": seen.tolist()}
+    known = [m for m, each in enumerate(context.specimens) if each.class_name in training_classes]
+    known_db = compute_new_patch_distances_db(network, select_materials(context.references, known))
+    return {"rows": [asdict(row) for row in rows], "seen": known_db.tolist()}
 
 
 SECTIONS: dict[str, Callable[[EvaluationContext], dict[str, Any]]] = {
@@ -609,25 +645,25 @@ def main() -> int:
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # the processes forked later must not share a pool of threads
-    bench = EvaluationContext(arguments)
+    context = EvaluationContext(arguments)
     identity = load_field(arguments.weights).identity
     for part in filter(None, arguments.parts.split(",")):
-        began = time.monotonic()
-        found = {"weights": identity, **SECTIONS[part](bench)}
-        (arguments.cache / f"{part}.json").write_text(json.dumps(found), encoding="utf-8")
-        print(f"{part}: {time.monotonic() - began:.0f} s", file=sys.stderr)
+        start = time.monotonic()
+        result = {"weights": identity, **SECTIONS[part](context)}
+        (arguments.cache / f"{part}.json").write_text(json.dumps(result), encoding="utf-8")
+        print(f"{part}: {time.monotonic() - start:.0f} s", file=sys.stderr)
     files = {part: arguments.cache / f"{part}.json" for part in SECTIONS}
     results = {part: json.loads(file.read_text(encoding="utf-8")) for part, file in files.items() if file.exists()}
     stale = [part for part in SECTIONS if results.get(part, {}).get("weights") != identity]
     if stale:
         print(f"not measured with these weights: {stale}; run these parts too.", file=sys.stderr)
         return 1
-    print(make_page(bench, results))
+    print(make_page(context, results))
     return 0
 
 
 def make_page(context: EvaluationContext, results: dict[str, dict[str, Any]]) -> str:
-    """docs/shared-field.md."""
+    """Return the text of docs/shared-field.md."""
     pass  # moved
 
     return format_page(context, results, SINGLE_HIDDEN, count_parameter_bytes)

@@ -1,14 +1,14 @@
-"""Hold the contact simulator against recorded textures; measure its ablations and its speed. Prints Markdown.
+"""Compare the contact simulator with recorded textures; measure its ablations and its speed. Prints Markdown.
 
-Usage: python -m hnf_lab.experiments.simulator [--instances N] [--first-seed S] [--only CATEGORY …] [--classes]
-       [--speed] [--write]
+  Usage: python -m hnf_lab.experiments.simulator [--instances N] [--first-seed S] [--only CATEGORY …] [--classes]
+         [--speed] [--write]
 
 --write puts the results into docs/simulator.md, between its markers; --classes shows every class as well.
 
 The ranges of recorded textures are HaTT's per category, from the published AR models of its 100 textures (H. Culbertson
 et al. 2014, "One hundred data-driven haptic texture models and open-source methods for rendering on 3D objects", IEEE
-Haptics Symposium). An ablation takes one part of the contact model away, and one named statistic moves as the cited
-model says; tests/test_simulation_ablations.py of the laboratory asserts the same.
+Haptics Symposium). An ablation removes one part of the contact model, and one named statistic changes as the cited
+model predicts; tests/experiments/test_simulation_ablations.py asserts the same.
 """
 
 from __future__ import annotations
@@ -55,8 +55,11 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class CategoryRanges:
-    """One category: textures, medians, and 5–95 % ranges (of RMS: the whole range). RMS [m/s²] and centroid [Hz] at
-    100 mm/s, 1 N. f_exponent is one number, no range, for carbon fibre."""
+    """Recorded statistics of one category: number of textures, medians, and 5–95 % ranges.
+
+    RMS [m/s²] (full range) and centroid [Hz] are at 100 mm/s and 1 N. f_exponent is None for carbon fibre, which has a
+    single value.
+    """
 
     count: int
     rms_median: float
@@ -81,34 +84,37 @@ HATT_RANGES = {
     "Wood": CategoryRanges(5, 0.79, (0.49, 1.47), 282, (144, 345), (0.95, 0.99), (0.55, 1.49), (0.05, 0.49)),
 }
 PUBLISHED_DECIMALS = {"rms": 2, "centroid_hz": 0, "below_1k": 2, "v_exponent": 2, "f_exponent": 2}
-"""Decimals to which the ranges are published: a value counts as inside when it is so after the same rounding."""
+"""Decimals of the published ranges; values are rounded alike before the comparison."""
 
 
 NOISE_FLOOR_M_S2_PER_ROOT_HZ = 0.9e-3
 LINE_HZ = 1915.0
 LINE_RMS_M_S2 = 0.107
-"""What HaTT's instrument adds. Above 1.3 kHz eleven soft textures of twenty at hand (silk, velvet, cork, foam, …) have
-one and the same spectrum, at 50, 100 and 150 mm/s alike: a flat floor and a line, together 0.115–0.126 m/s² (medians).
-No contact does that. In silk it is a tenth of the power, and it is what keeps foam's share below 1 kHz under 1."""
+"""Noise of HaTT's instrument: floor, frequency and RMS of a spectral line.
+
+Above 1.3 kHz eleven of twenty soft textures (silk, velvet, cork, foam, …) have the same spectrum at 50, 100 and 150
+mm/s: a flat floor and a line, together 0.115–0.126 m/s² (medians). This cannot come from the contact. In silk it is a
+tenth of the power, and it keeps foam's fraction below 1 kHz under 1.
+"""
 
 
 def compute_instrument_noise(frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Power density [(m/s²)²/Hz] of that noise; the line 20 Hz wide."""
+    """Return the power density [(m/s²)²/Hz] of the instrument's noise; the line is 20 Hz wide."""
     width = 20.0
     line = LINE_RMS_M_S2**2 / (width * np.sqrt(np.pi)) * np.exp(-np.square((frequency_hz - LINE_HZ) / width))
     return np.asarray(NOISE_FLOOR_M_S2_PER_ROOT_HZ**2 + line)
 
 
 def check_ranges(statistics: TextureStatistics, category: str) -> dict[str, bool]:
-    """For each number that the category has a range of: does it lie inside? Empty for a category never recorded."""
+    """Return statistic → True if it lies in the category's range; empty for a category without recordings."""
     if category not in HATT_RANGES:
         return {}
-    found = {}
+    inside = {}
     for name, digits in PUBLISHED_DECIMALS.items():
         limits = getattr(HATT_RANGES[category], name)
         if limits is not None:
-            found[name] = limits[0] <= round(getattr(statistics, name), digits) <= limits[1]
-    return found
+            inside[name] = limits[0] <= round(getattr(statistics, name), digits) <= limits[1]
+    return inside
 
 
 Float = NDArray[np.float64]
@@ -121,7 +127,7 @@ ANGLES = (0.3, 1.1, 1.9, 2.7)
 
 
 def simulate_over(recipe: SurfaceRecipe, force_n: float, probe: Probe, physics: Physics, speed_m_s: float) -> Float:
-    """(4, n, 3): half a second in four directions, the first 50 ms left out."""
+    """Simulate half a second in four directions, (4, n, 3), without the first 50 ms."""
     surface = SmoothedMaps(height_map(recipe, 1))
     strokes = [straight_stroke(speed_m_s, force_n, 0.55, angle_rad=angle) for angle in ANGLES]
     count = len(strokes)
@@ -130,24 +136,26 @@ def simulate_over(recipe: SurfaceRecipe, force_n: float, probe: Probe, physics: 
 
 
 def measure_centroid(radius_m: float) -> float:
-    """Centroid [Hz] of the normal acceleration on a fine rough surface, 100 mm/s, 1 N, under a tip of this radius.
+    """Return the centroid [Hz] of the normal acceleration on a fine rough surface, 100 mm/s, 1 N.
 
-    Hertz: the contact is a ∝ R^(1/3) wide and averages shorter waves away, so it falls. The surface's stiffness is held
-    (k ∝ R^(1/3) is divided out), so that the tip's low-pass alone is seen.
+    By Hertz, a contact of width a ∝ R^(1/3) averages short waves, so the centroid falls with the tip radius. The
+    stiffness is kept constant (k ∝ R^(1/3) is divided out) to isolate the tip's low-pass.
     """
     probe = PEN._replace(tip_radius_m=radius_m)
-    held = replace(WOOD_MECHANICS, stiffness_n_m=1.0e5 * (PEN.tip_radius_m / radius_m) ** (1.0 / 3.0))
+    mechanics = replace(WOOD_MECHANICS, stiffness_n_m=1.0e5 * (PEN.tip_radius_m / radius_m) ** (1.0 / 3.0))
     surface = SmoothedMaps(height_map(ROUGH_RECIPE.scale_heights(0.05), 1))
     strokes = [straight_stroke(0.1, 1.0, 0.35, angle_rad=angle) for angle in ANGLES]
-    acceleration = simulate_batch([surface] * 4, strokes, [held] * 4, probe)[:, 500:, 2]
+    acceleration = simulate_batch([surface] * 4, strokes, [mechanics] * 4, probe)[:, 500:, 2]
     power = np.square(np.abs(np.fft.rfft(acceleration * np.hanning(acceleration.shape[1]), axis=1))).mean(axis=0)
     frequency = np.fft.rfftfreq(acceleration.shape[1], 1.0 / SAMPLE_RATE_HZ)
     return float((power * frequency)[frequency >= 10.0].sum() / power[frequency >= 10.0].sum())
 
 
 def simulate_slow_pull(speeds_m_s: Sequence[float], friction: str, seconds: float = 1.6) -> Float:
-    """Velocity (speeds, steps) of the pen's tip, pulled from rest over a flat surface at 1 N by the hand's spring; the
-    second half of `seconds`."""
+    """Return the tip velocity (speeds, steps) of a pen pulled over a flat surface at 1 N by the hand's spring.
+
+    The pull starts from rest; the second half of `seconds` is returned.
+    """
     n = round(seconds * SAMPLE_RATE_HZ)
     start = np.minimum(np.arange(n) / (0.05 * SAMPLE_RATE_HZ), 1.0)
     strokes = [
@@ -161,27 +169,29 @@ def simulate_slow_pull(speeds_m_s: Sequence[float], friction: str, seconds: floa
 
 
 def compute_stuck_share(sliding: Float, speed_m_s: float) -> float:
-    """Share of the time in which the tip moves at less than a fifth of the hand's speed."""
+    """Return the fraction of time in which the tip moves at less than a fifth of the hand's speed."""
     return float(np.mean(np.abs(sliding) < 0.2 * speed_m_s))
 
 
 def count_slips_per_second(sliding: Float, speed_m_s: float) -> float:
-    """Times per second that the tip breaks away, from the first break to the last."""
+    """Return the number of slips per second, from the first slip to the last."""
     fast = sliding > 2.0 * speed_m_s
     breaks = np.flatnonzero(fast[1:] & ~fast[:-1])
     return float((len(breaks) - 1) / ((breaks[-1] - breaks[0]) / (2.0 * SAMPLE_RATE_HZ))) if len(breaks) > 1 else 0.0
 
 
 def measure_level_db(friction: str) -> float:
-    """Level of all three axes on a rough surface at 100 mm/s, 1 N, in dB of (m/s²)²."""
+    """Return the level of all three axes on a rough surface at 100 mm/s, 1 N, in dB of (m/s²)²."""
     power, _ = compute_fused_spectra(simulate_over(ROUGH_RECIPE, 1.0, PEN, Physics(friction=friction), 0.1))
     return float(10.0 * np.log10(power.sum(axis=1).mean()))
 
 
 def measure_flight_and_skewness(unilateral: bool) -> tuple[float, float]:
-    """Light stroke (0.3 N, 150 mm/s) on a rough surface: share of time in free fall, and skewness of the normal
-    acceleration. A contact that cannot pull gives long falls at −F/m and short blows upwards; one that can gives
-    neither."""
+    """Return the fraction of time in free fall and the skewness of the normal acceleration.
+
+    The stroke is light (0.3 N, 150 mm/s) on a rough surface. A unilateral contact gives long falls at −F/m and short
+    upward impacts; a bilateral one gives neither.
+    """
     force = 0.3
     normal = simulate_over(ROUGH_RECIPE, force, PEN, Physics(unilateral=unilateral), 0.15)[:, :, 2]
     falling = np.abs(normal + force / PEN.mass_kg) < 0.03 * force / PEN.mass_kg
@@ -190,7 +200,7 @@ def measure_flight_and_skewness(unilateral: bool) -> tuple[float, float]:
 
 
 def measure_ring_hz(mass_kg: float) -> float:
-    """Frequency [Hz] at which the probe rings after a step of force from 1.0 to 1.1 N: sqrt(k/m) / 2π."""
+    """Return the probe's ringing frequency [Hz] after a step of force from 1.0 to 1.1 N: sqrt(k/m) / 2π."""
     n = 2500
     force = np.where(np.arange(n) < 500, 1.0, 1.1)
     stroke = Stroke(np.zeros((n, 2)), force)
@@ -202,14 +212,14 @@ def measure_ring_hz(mass_kg: float) -> float:
 
 
 def measure_ablations() -> list[tuple[str, str, str, str]]:
-    """(part, statistic, figures, what the cited model says) for docs/simulator.md."""
+    """Return (part, statistic, figures, prediction of the cited model) for docs/simulator.md."""
     tips = [measure_centroid(r) for r in (0.25e-3, 0.5e-3, 1e-3, 2e-3)]
     slow, quick = (1e-3, 2e-3, 4e-3), (0.02, 0.1)
     pulled = simulate_slow_pull((*slow, *quick), "lugre", 2.4)
     stuck = [compute_stuck_share(pulled[1], 2e-3), compute_stuck_share(simulate_slow_pull([2e-3], "coulomb")[0], 2e-3)]
     slips = [count_slips_per_second(sliding, v) for sliding, v in zip(pulled, slow, strict=False)]
     fast = [compute_stuck_share(sliding, v) for sliding, v in zip(pulled[3:], quick, strict=True)]
-    levels = [measure_level_db(law) for law in ("lugre", "coulomb")]
+    levels = [measure_level_db(friction) for friction in ("lugre", "coulomb")]
     loss = [measure_flight_and_skewness(unilateral) for unilateral in (True, False)]
     rings = [measure_ring_hz(m) for m in (0.0175, 0.035, 0.07, 0.14)]
     return [
@@ -232,9 +242,9 @@ def measure_ablations() -> list[tuple[str, str, str, str]]:
 
 
 FIRST_SEED = 1000
-"""Constants were chosen on seeds below it."""
+"""First seed of the instances; constants were chosen on lower seeds."""
 INSTANCES_PER_BATCH = 12
-"""Instances per batch: ten strokes each."""
+"""Instances per batch, with ten strokes each."""
 Instance = tuple[str, int]
 TABLE_HEADER = (
     "category", "classes", "instances", "RMS median (recorded)", "dB", "centroid median (recorded)", "%",
@@ -243,25 +253,27 @@ TABLE_HEADER = (
 
 
 def measure_instances(instances: Sequence[Instance]) -> list[tuple[TextureStatistics, TextureStatistics]]:
-    """The five numbers of some instances, as the instrument would record them and of the contact alone: one process's
-    share of the work."""
+    """Return the five statistics of some instances, with and without the instrument's noise."""
     surfaces = []
     for name, seed in instances:
         recipe, mechanics = sample_instance(name, seed)
         surfaces.append((SmoothedMaps(height_map(recipe, seed)), mechanics))
     power, frequency = simulate_strokes(surfaces)
     return [
-        (aggregate_strokes(each, frequency, compute_instrument_noise), aggregate_strokes(each, frequency))
-        for each in power
+        (
+            aggregate_strokes(strokes_power, frequency, compute_instrument_noise),
+            aggregate_strokes(strokes_power, frequency),
+        )
+        for strokes_power in power
     ]
 
 
 def measure_in_parallel(
     instances: Sequence[Instance], workers: int
 ) -> list[tuple[TextureStatistics, TextureStatistics]]:
-    parts = [instances[low : low + INSTANCES_PER_BATCH] for low in range(0, len(instances), INSTANCES_PER_BATCH)]
+    batches = [instances[low : low + INSTANCES_PER_BATCH] for low in range(0, len(instances), INSTANCES_PER_BATCH)]
     with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
-        return [each for part in pool.map(measure_instances, parts) for each in part]
+        return [item for batch in pool.map(measure_instances, batches) for item in batch]
 
 
 def format_percent(values: Sequence[bool]) -> str:
@@ -271,11 +283,11 @@ def format_percent(values: Sequence[bool]) -> str:
 def make_row(
     label: str, names: int, statistics: Sequence[TextureStatistics], inside: Sequence[dict[str, bool]], median: bool
 ) -> list[str]:
-    """One line of the table. Without `median` the middle columns stay empty."""
+    """Format one row of the table. Without `median` the middle columns stay empty."""
     middle = ["", "", "", ""]
     if median:
         recorded = HATT_RANGES[label]
-        rms = float(np.median([each.rms for each in statistics]))
+        rms = float(np.median([statistic.rms for statistic in statistics]))
         centroid = float(np.median([each.centroid_hz for each in statistics]))
         middle = [
             f"{rms:.2f} ({recorded.rms_median:.2f})",
@@ -305,23 +317,26 @@ def format_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def make_range_tables(instances: int, first_seed: int, only: Sequence[str], by_class: bool, workers: int) -> list[str]:
-    """Instances of every recorded class against the ranges of its category: with the recording instrument, without."""
+    """Compare instances of every recorded class with the ranges, with and without the instrument's noise."""
     names = [n for n in list_classes() if get_recorded_category(n) and (not only or get_recorded_category(n) in only)]
-    pieces = [(name, first_seed + k) for name in names for k in range(instances)]
+    all_instances = [(name, first_seed + k) for name in names for k in range(instances)]
     tables = []
-    for felts in zip(*measure_in_parallel(pieces, workers), strict=True):
+    for statistics in zip(*measure_in_parallel(all_instances, workers), strict=True):
         inside = [
-            check_ranges(each, get_recorded_category(name)) for each, (name, _) in zip(felts, pieces, strict=True)
+            check_ranges(item, get_recorded_category(name))
+            for item, (name, _) in zip(statistics, all_instances, strict=True)
         ]
         if by_class:
-            print_classes(names, pieces, felts, inside)
+            print_classes(names, all_instances, statistics, inside)
         rows = []
         for category in HATT_RANGES:
-            chosen = [k for k, (name, _) in enumerate(pieces) if get_recorded_category(name) == category]
+            chosen = [k for k, (name, _) in enumerate(all_instances) if get_recorded_category(name) == category]
             if chosen:
-                count = len({pieces[k][0] for k in chosen})
-                rows.append(make_row(category, count, [felts[k] for k in chosen], [inside[k] for k in chosen], True))
-        rows.append(make_row("all", len(names), felts, inside, False))
+                count = len({all_instances[k][0] for k in chosen})
+                rows.append(
+                    make_row(category, count, [statistics[k] for k in chosen], [inside[k] for k in chosen], True)
+                )
+        rows.append(make_row("all", len(names), statistics, inside, False))
         tables.append(format_table(TABLE_HEADER, rows))
     return tables
 
@@ -344,7 +359,7 @@ SPEED_ROWS, SPEED_SECONDS = 192, 1.0
 
 
 def time_batch(worker: int) -> tuple[float, float]:
-    """Wall and CPU seconds of one batch: sixteen surfaces, twelve strokes each, sampling of the maps included."""
+    """Return wall and processor seconds of one batch of sixteen surfaces with twelve strokes each."""
     surfaces = []
     for name in list_classes()[worker::2][:16]:
         recipe, mechanics = sample_instance(name, 0)
@@ -358,7 +373,7 @@ def time_batch(worker: int) -> tuple[float, float]:
 
 
 def make_speed_table() -> str:
-    """Seconds of signal per second, two processes side by side."""
+    """Measure the seconds of signal per second with two processes in parallel."""
     load = os.getloadavg()[0]
     with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
         walls, cpus = zip(*pool.map(time_batch, range(2)), strict=True)
@@ -371,7 +386,7 @@ def make_speed_table() -> str:
 
 
 def fill_markers(document: Path, tables: dict[str, str]) -> None:
-    """Put each table between its markers <!-- name --> … <!-- /name -->."""
+    """Insert each table between its markers <!-- name --> … <!-- /name -->."""
     text = document.read_text(encoding="utf-8")
     for name, table in tables.items():
         start, end = f"<!-- {name} -->", f"<!-- /{name} -->"

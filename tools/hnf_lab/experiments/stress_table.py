@@ -16,7 +16,10 @@ ARROW = " → "
 
 def list_stress_files() -> list[Path]:
     """Return the stress test files of the core and of Blender."""
-    return [*sorted((ROOT / "tests" / "core").rglob("test_stress_*.py")), ROOT / "tests" / "blender" / "test_stress.py"]
+    return [
+        *sorted((ROOT / "tests" / "core").rglob("test_stress_*.py"), key=lambda path: path.name),
+        ROOT / "tests" / "blender" / "test_stress.py",
+    ]
 
 
 def read_cases(path: Path) -> list[tuple[str, str]]:

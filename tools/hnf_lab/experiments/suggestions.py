@@ -1,13 +1,13 @@
-"""How often the ranking of library materials is right: on generated pieces of every class, and on names as met.
+"""Measure how often the ranking of library materials is right, on generated surfaces and on real asset names.
 
-Usage: python -m hnf_lab.experiments.suggestions [--calibrate] [--json]
+  Usage: python -m hnf_lab.experiments.suggestions [--calibrate] [--json]
 
-Pieces of every class that nothing was fitted to: the held-out splits of tools/make_tactile_pairs.py, five a class,
-lying as they come. Evidence: the name of a picture (a word of the class, a word of its category, or nothing, a third
-each), the look (base colour, roughness, metallic as simulation.look draws a piece, sheen and transmission as the
-library has them), the token of its relief, whose height an artist gave another scale (a factor, log-normal, 2), and all
-of them. --calibrate prints the scatter of tokens within a class and the weights of the relief that fit best, from other
-seeds: what relief.py has as constants.
+Uses five instances per class from the held-out splits of tools/make_tactile_pairs.py, to which nothing was fitted. The
+evidence is the file name of an image (a word of the class, a word of its category, or nothing, a third each), the
+appearance (base colour, roughness and metallic drawn by simulation.appearance, sheen and transmission of the library),
+the token of the relief with its height scaled by a random factor (log-normal, 2), and all of them. --calibrate prints
+the scatter of tokens within a class and the best weights of the relief, from other seeds: the constants of
+hnf_core.material.ranking.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, height_
 from hnf_core.tactile.height import tactile_map_from_height
 
 CALIBRATION_SEEDS = range(1, 5)
-"""Seeds of the pieces that the constants were fitted to; those of the pairs lie far from them."""
+"""Seeds of the instances to which the constants were fitted; seeds of the pairs are far from them."""
 CACHE_FOLDER, PAIRS_FOLDER = ROOT / "build" / "suggestions", ROOT / "build" / "tactile-pairs"
 SAMPLES_PER_CLASS = 5
-"""Of each class, for the measurement."""
+"""Instances of each class in the measurement."""
 HEIGHT_SCATTER_DECADES = 0.3
-"""Decades, standard deviation: nobody knows how high their bump really is."""
+"""Standard deviation of the unknown scale of bump heights [decades]."""
 COARSE_BANDS = 4
-"""8 to 1 mm: what a picture of a few pixels a millimetre resolves."""
+"""Number of bands, 8 to 1 mm, that an image of a few pixels per millimetre resolves."""
 TEMPERS = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)
 DOUBTS = (0.05, 0.1, 0.2, 0.3, 0.5)
 
 
 @dataclass(frozen=True)
 class SurfaceSample:
-    """One generated piece: its class, what its looks and names say, its token."""
+    """One generated instance with its class, appearance, image name and token."""
 
     name: str
     appearance: Appearance
@@ -69,69 +69,69 @@ class SurfaceSample:
 
 
 def compute_token(name: str, seed: int) -> np.ndarray:
-    """(TOKEN_DIM,) of a piece's own tile."""
+    """Return the (TOKEN_DIM,) token of an instance's tile."""
     recipe, _ = sample_instance(name, seed)
     pitch = TILE_SIZE_M / TILE_PIXELS
     return describe(tactile_map_from_height(height_map(recipe, seed), None, pitch, 2.0 * pitch)).values
 
 
 def load_calibration_tokens() -> np.ndarray:
-    """(classes, seeds, TOKEN_DIM); kept in build/, since a tile takes a third of a second."""
+    """Return (classes, seeds, TOKEN_DIM), cached in build/ because a tile takes a third of a second."""
     path = CACHE_FOLDER / f"tokens-{CALIBRATION_SEEDS[0]}-{CALIBRATION_SEEDS[-1]}.npy"
     if not path.is_file():
-        made = np.stack([[compute_token(name, seed) for seed in CALIBRATION_SEEDS] for name in list_classes()])
-        write_atomically(path, lambda temporary: np.save(temporary.open("wb"), made))
+        tokens = np.stack([[compute_token(name, seed) for seed in CALIBRATION_SEEDS] for name in list_classes()])
+        write_atomically(path, lambda temporary: np.save(temporary.open("wb"), tokens))
     return np.load(path)
 
 
 def load_held_out_tokens() -> dict[str, list[np.ndarray]]:
-    """Tokens of PIECES instances of each class, from the held-out splits. Raises FileError where they are not made."""
-    found: dict[str, dict[int, np.ndarray]] = {name: {} for name in list_classes()}
+    """Load tokens of SAMPLES_PER_CLASS instances of each class. Raises FileError if they do not exist."""
+    tokens: dict[str, dict[int, np.ndarray]] = {name: {} for name in list_classes()}
     for path in sorted(path for split in SPLITS[1:] for path in (PAIRS_FOLDER / split).glob("*.safetensors")):
         with safe_open(path, "np") as shard:
             names = json.loads(shard.metadata()["class_name"])
-            rows = zip(names, *(shard.get_tensor(each) for each in ("instance_seed", "patch", "token")), strict=True)
+            rows = zip(names, *(shard.get_tensor(key) for key in ("instance_seed", "patch", "token")), strict=True)
             for name, seed, patch, token in rows:
-                if name and patch == 0 and len(found[name]) < SAMPLES_PER_CLASS:
-                    found[name][int(seed)] = token
-    short = [name for name, kept in found.items() if len(kept) < SAMPLES_PER_CLASS]
-    if short:
+                if name and patch == 0 and len(tokens[name]) < SAMPLES_PER_CLASS:
+                    tokens[name][int(seed)] = token
+    incomplete = [name for name, of_class in tokens.items() if len(of_class) < SAMPLES_PER_CLASS]
+    if incomplete:
         raise FileError(
-            f"it lacks pieces of {', '.join(short[:5])}.",
+            f"it lacks pieces of {', '.join(incomplete[:5])}.",
             where=str(PAIRS_FOLDER),
             remedy="Run tools/make_tactile_pairs.py.",
         )
-    return {name: list(kept.values()) for name, kept in found.items()}
+    return {name: list(of_class.values()) for name, of_class in tokens.items()}
 
 
 def make_samples(tokens: Mapping[str, Sequence[np.ndarray]]) -> list[SurfaceSample]:
-    """Pieces with these tokens by class, their looks and names drawn by their place, their heights scaled."""
-    found = []
-    for name, own in tokens.items():
-        for number, values in enumerate(own):
+    """Make samples with these tokens; appearance, name and height scale are drawn from the sample's index."""
+    samples = []
+    for name, class_tokens in tokens.items():
+        for number, values in enumerate(class_tokens):
             rng = np.random.default_rng([derive_seed(name), number, 7])
             scaled = np.array(values)
             scaled[LEVELS] += np.float32(HEIGHT_SCATTER_DECADES * rng.standard_normal())
             token = Token(scaled, np.ones(len(scaled), dtype=bool))
-            found.append(SurfaceSample(name, _draw_appearance(name, rng), _draw_image_name(name, rng), token))
-    return found
+            samples.append(SurfaceSample(name, _draw_appearance(name, rng), _draw_image_name(name, rng), token))
+    return samples
 
 
 def _draw_appearance(name: str, rng: np.random.Generator) -> Appearance:
     typical = get_material(name).appearance
-    made = sample_appearance(typical, get_category(name), rng)
-    return replace(typical, base_color=made.base_color, roughness=made.roughness, metallic=made.metallic)
+    drawn = sample_appearance(typical, get_category(name), rng)
+    return replace(typical, base_color=drawn.base_color, roughness=drawn.roughness, metallic=drawn.metallic)
 
 
 def _draw_image_name(name: str, rng: np.random.Generator) -> str:
     kind, number = rng.integers(3), rng.integers(1, 99)
-    own, related = get_material(name).words, CATEGORY_WORDS[get_category(name)].split()
-    word = ("", own[rng.integers(len(own))], related[rng.integers(len(related))])[kind]
+    class_words, related = get_material(name).words, CATEGORY_WORDS[get_category(name)].split()
+    word = ("", class_words[rng.integers(len(class_words))], related[rng.integers(len(related))])[kind]
     return f"T_{word.title()}_{number:02d}_BaseColor.png"
 
 
 def select_coarse_bands(token: Token) -> Token:
-    """Only what COARSE_BANDS resolve."""
+    """Return the token limited to the first COARSE_BANDS bands."""
     known = np.zeros_like(token.known)
     for band in range(COARSE_BANDS):
         known[band_slice(band)] = True
@@ -142,67 +142,79 @@ EVIDENCE = ("words", "look", "relief", "relief, 8–1 mm", "words and look", "al
 
 
 def rank_sample(sample: SurfaceSample, evidence: str) -> tuple[Suggestion, ...]:
-    everything = evidence.startswith("all")
-    seen = select_coarse_bands(sample.token) if evidence.endswith("mm") else sample.token
+    use_all = evidence.startswith("all")
+    token = select_coarse_bands(sample.token) if evidence.endswith("mm") else sample.token
     return rank(
         load_library(),
-        sample.appearance if everything or "look" in evidence else Appearance(),
+        sample.appearance if use_all or "look" in evidence else Appearance(),
         [""],
-        image_names=[sample.image_name] if everything or "words" in evidence else [],
-        token=seen if everything or "relief" in evidence else None,
+        image_names=[sample.image_name] if use_all or "words" in evidence else [],
+        token=token if use_all or "relief" in evidence else None,
     )
 
 
 def compute_hits(samples: Sequence[SurfaceSample], evidence: str) -> dict[str, float]:
-    """Shares of pieces whose class and category come first, and among the first three."""
+    """Return the fractions of samples whose class and category rank first, and among the first three."""
     category = {material.name: material.category for material in load_library()}
     rows = []
-    for piece in samples:
-        order = [suggestion.name for suggestion in rank_sample(piece, evidence)]
+    for sample in samples:
+        order = [suggestion.name for suggestion in rank_sample(sample, evidence)]
         groups = list(dict.fromkeys(category[name] for name in order))
-        own = category[piece.name]
-        rows.append([order[0] == piece.name, piece.name in order[:3], groups[0] == own, own in groups[:3]])
+        true_category = category[sample.name]
+        rows.append(
+            [order[0] == sample.name, sample.name in order[:3], groups[0] == true_category, true_category in groups[:3]]
+        )
     names = ("class@1", "class@3", "category@1", "category@3")
     return dict(zip(names, (float(share) for share in np.mean(rows, axis=0)), strict=True))
 
 
 def compute_name_hits(names: dict[str, str]) -> dict[str, float]:
-    """The same of categories, for names alone."""
+    """Return the same fractions of categories, for names alone."""
     category = {material.name: material.category for material in load_library()}
-    first, among = 0, 0
+    first, in_first_three = 0, 0
     for name, expected in names.items():
-        as_picture = is_image_name(name)
-        ranked = rank(load_library(), Appearance(), [""] if as_picture else [name], image_names=[name] * as_picture)
-        told = ranked[0].confidence - ranked[-1].confidence > 0.05
-        groups = list(dict.fromkeys(category[each.name] for each in ranked)) if told else []
+        is_image = is_image_name(name)
+        ranked = rank(load_library(), Appearance(), [""] if is_image else [name], image_names=[name] * is_image)
+        is_conclusive = ranked[0].confidence - ranked[-1].confidence > 0.05
+        groups = list(dict.fromkeys(category[suggestion.name] for suggestion in ranked)) if is_conclusive else []
         first += groups[:1] == [expected]
-        among += expected in groups[:3]
-    return {"names": len(names), "category@1": first / len(names), "category@3": among / len(names)}
+        in_first_three += expected in groups[:3]
+    return {"names": len(names), "category@1": first / len(names), "category@3": in_first_three / len(names)}
 
 
 def calibrate() -> dict[str, object]:
-    """Scatter of the invariants within a class about the library's own token, and the temper and doubt under which
-    the right class has the highest mean log probability, from all evidence together."""
+    """Return the scatter of the invariants within a class, and the best temper and doubt.
+
+    The scatter is about the library's token. The best values maximise the mean log probability of the right class.
+    """
     tokens = load_calibration_tokens()
-    found = make_samples(dict(zip(list_classes(), tokens, strict=True)))
+    samples = make_samples(dict(zip(list_classes(), tokens, strict=True)))
     typical = np.stack([get_material(name).token for name in list_classes()])
     gap = ranking.compute_invariants(tokens.reshape(-1, tokens.shape[-1])) - np.repeat(
         ranking.compute_invariants(typical), len(CALIBRATION_SEEDS), axis=0
     )
     kinds = [*np.repeat(ranking.INVARIANT_KINDS, ranking.BAND_COUNT), *ranking.SHAPE_FEATURES]
-    within = {kind: float(np.sqrt(np.mean(gap[:, [k == kind for k in kinds]] ** 2))) for kind in dict.fromkeys(kinds)}
-    ranking.WITHIN_CLASS_SPREAD.update(within)
+    spread = {
+        kind: float(np.sqrt(np.mean(gap[:, [other == kind for other in kinds]] ** 2))) for kind in dict.fromkeys(kinds)
+    }
+    ranking.WITHIN_CLASS_SPREAD.update(spread)
     scores = {}
     for ranking.RELIEF_TEMPER in TEMPERS:
         for ranking.RELIEF_DOUBT in DOUBTS:
-            told = [
-                np.log(next(each.probability for each in rank_sample(piece, evidence) if each.name == piece.name))
-                for piece in found
+            log_probabilities = [
+                np.log(
+                    next(
+                        suggestion.probability
+                        for suggestion in rank_sample(sample, evidence)
+                        if suggestion.name == sample.name
+                    )
+                )
+                for sample in samples
                 for evidence in ("relief", "all", "all, relief 8–1 mm")
             ]
-            scores[f"temper {ranking.RELIEF_TEMPER} doubt {ranking.RELIEF_DOUBT}"] = float(np.mean(told))
+            scores[f"temper {ranking.RELIEF_TEMPER} doubt {ranking.RELIEF_DOUBT}"] = float(np.mean(log_probabilities))
     best = sorted(scores.items(), key=lambda item: -item[1])[:6]
-    return {"within": within, "log probability of the right class, best": dict(best)}
+    return {"within": spread, "log probability of the right class, best": dict(best)}
 
 
 def main() -> int:
@@ -213,13 +225,13 @@ def main() -> int:
     if arguments.calibrate:
         print(json.dumps(calibrate(), indent=1))
         return 0
-    found = make_samples(load_held_out_tokens())
-    rows = {evidence: compute_hits(found, evidence) for evidence in EVIDENCE}
+    samples = make_samples(load_held_out_tokens())
+    rows = {evidence: compute_hits(samples, evidence) for evidence in EVIDENCE}
     names = {"names, tuned half": compute_name_hits(TUNED), "names, held back": compute_name_hits(HELD_BACK)}
     if arguments.json:
-        print(json.dumps({"pieces": len(found), **rows, **names}, indent=1))
+        print(json.dumps({"pieces": len(samples), **rows, **names}, indent=1))
         return 0
-    print(f"{len(found)} pieces of {len(list_classes())} classes; chance: 1/43 of classes, 1/12 of categories")
+    print(f"{len(samples)} pieces of {len(list_classes())} classes; chance: 1/43 of classes, 1/12 of categories")
     for label, shares in rows.items():
         print(f"{label:<20}" + "  ".join(f"{name} {share:6.1%}" for name, share in shares.items()))
     for label, shares in names.items():

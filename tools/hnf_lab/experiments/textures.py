@@ -1,10 +1,10 @@
-"""How close `hnf train field` comes to published textures, on a folder of your own copy. Prints a Markdown table.
+"""Measure how close `hnf train field` comes to published textures, on your own copy. Prints a Markdown table.
 
-Usage: python -m hnf_lab.experiments.textures DIR [--seconds 20 120 480] [--seeds N] [--workers N] [MATERIAL …]
+  Usage: python -m hnf_lab.experiments.textures DIR [--seconds 20 120 480] [--seeds N] [--workers N] [MATERIAL …]
 
-Per texture: a field trained from so many seconds of strokes; then 8 s of signal at nine conditions (50, 100, 150 mm/s
-× 0.5, 1, 2 N, kept inside the model's data) and a few seeds, against the model's exact spectrum, beside the true
-process with other seeds (oracle).
+Per texture a field is trained from the given seconds of strokes. Then 8 s of signal at nine conditions (50, 100, 150
+mm/s × 0.5, 1, 2 N, limited to the model's range) and a few seeds are compared with the model's exact spectrum, as is
+the true process with other seeds (oracle).
 """
 
 from __future__ import annotations
@@ -50,13 +50,14 @@ SPEEDS_M_S, FORCES_N = (0.05, 0.1, 0.15), (0.5, 1.0, 2.0)
 RANGE_SHARE = 0.99
 STROKE_S = 8.0
 REALISATIONS = 24
-"""Of the true process at each condition: what the limits are measured on."""
+"""Realisations of the true process at each condition, for the metric bounds."""
 RATE = 10_000.0
+"""Sample rate [Hz]."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Means over conditions and seeds. cpu_s: making the strokes and training."""
+    """Means over conditions and seeds. cpu_s: processor time for making the strokes and training [s]."""
 
     material: str
     seconds: float
@@ -74,25 +75,28 @@ def evaluate_texture(job: tuple[Path, str, float, int]) -> Row:
     data = open_dataset("hatt", folder)
     process = data.process(material)
     assert process is not None
-    began = time.process_time()
+    start = time.process_time()
     trained, _ = train_from_recordings(
         get_training_recordings(data, material, seconds, 0), "hatt", "", 0, TrainingOverrides()
     )
-    spent = time.process_time() - began
-    own, top = read_trained_material(trained.field, material), data.action_range(material)
-    found: list[tuple[float, ...]] = []
+    cpu_s = time.process_time() - start
+    trained_material, limits_of_action = read_trained_material(trained.field, material), data.action_range(material)
+    metrics: list[tuple[float, ...]] = []
     for speed in SPEEDS_M_S:
         for force in FORCES_N:
-            at = min(speed, RANGE_SHARE * top.speed_m_s[1]), min(force, RANGE_SHARE * top.force_n[1])
-            action = make_steady_action(STROKE_S, *at)
-            exact, power = smooth_by_window(process.model, *at)
-            truth = [each.samples for each in process.record([action] * REALISATIONS, 1000)]
-            limits = compute_bounds([window_magnitudes(each) for each in truth])
+            condition = (
+                min(speed, RANGE_SHARE * limits_of_action.speed_m_s[1]),
+                min(force, RANGE_SHARE * limits_of_action.force_n[1]),
+            )
+            action = make_steady_action(STROKE_S, *condition)
+            exact, power = smooth_by_window(process.model, *condition)
+            truth = [recording.samples for recording in process.record([action] * REALISATIONS, 1000)]
+            limits = compute_bounds([window_magnitudes(recording) for recording in truth])
             for seed in range(seeds):
-                stroke = uniform_stroke(action, own.token, own.mechanics)
-                ours = synthesise(trained.field, stroke, seed=seed).signal.samples.astype(np.float64)
-                found.append(_compute_metrics(ours, truth[seed % REALISATIONS], limits, exact, power))
-    return Row(material, seconds, *np.mean(found, axis=0), spent)  # type: ignore[arg-type]
+                stroke = uniform_stroke(action, trained_material.token, trained_material.mechanics)
+                rendered = synthesise(trained.field, stroke, seed=seed).signal.samples.astype(np.float64)
+                metrics.append(_compute_metrics(rendered, truth[seed % REALISATIONS], limits, exact, power))
+    return Row(material, seconds, *np.mean(metrics, axis=0), cpu_s)  # type: ignore[arg-type]
 
 
 def _compute_metrics(ours, oracle, limits, exact, power) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
@@ -108,7 +112,7 @@ def _compute_metrics(ours, oracle, limits, exact, power) -> tuple[float, ...]:  
 
 
 def smooth_by_window(model, speed: float, force: float) -> tuple[np.ndarray, float]:  # type: ignore[no-untyped-def]
-    """(501,) exact density as a Hann window of 1000 samples shows it on average, and the whole power."""
+    """Return the (501,) exact density as a Hann window of 1000 samples shows it, and the total power."""
     fine = 20
     count = WINDOW_SAMPLES * fine // 2
     frequency = np.arange(count + 1) * (RATE / (WINDOW_SAMPLES * fine))
@@ -144,9 +148,9 @@ def main() -> int:
                 flush=True,
             )
     for seconds in arguments.seconds:
-        mine = [row for row in rows if row.seconds == seconds]
+        selected = [row for row in rows if row.seconds == seconds]
         distance, bias, ratio = (
-            np.array([getattr(row, key) for row in mine]) for key in ("distance_db", "bias_db", "mse_over_oracle")
+            np.array([getattr(row, key) for row in selected]) for key in ("distance_db", "bias_db", "mse_over_oracle")
         )
         print(
             f"| **median (worst)** | {seconds:g} s | {np.median(distance):.2f} ({distance.max():.2f}) | | "

@@ -1,11 +1,11 @@
-"""How far the fast paths are from the model taken literally, over the whole library: every state as scenes use it, and
-within each tolerance. Prints the Markdown table of docs/benchmarks.md.
+"""Measure the error of the fast synthesis paths against the literal model, over the complete library.
 
-Usage: python -m hnf_lab.experiments.tolerance [PRIMITIVE …]    all eight: some twenty minutes on one core
+  Usage: python -m hnf_lab.experiments.tolerance [PRIMITIVE …]    all eight: some twenty minutes on one core
 
-The literal model is tests/reference/literal_synthesis.py's: F_Θ and every carrier at each sample, in float64. Its
-carriers are the same for all materials under one stroke, so they are summed once. Errors are those of the whole signal,
-in dB of its power.
+Prints the table of docs/benchmarks.md: with every state evaluated, as scenes do, and within each tolerance. The literal
+model (tests/reference/literal_synthesis.py) evaluates F_Θ and every carrier at each sample in float64. Its carriers are
+equal for all materials under one stroke, so they are computed once. Errors are those of the complete signal, in dB of
+its power.
 """
 
 from __future__ import annotations
@@ -43,13 +43,23 @@ SEED = 0
 SAMPLES_PER_BATCH = 500
 TOLERANCES_DB = (-30.0, -35.0, -40.0, -45.0)
 FAST_PRIMITIVE = "rub-fast"
-"""It circles twice a second, so that tones pass through an octave of bands within some states."""
+"""Primitive that circles twice a second, so that tones cross an octave of bands within some states."""
 
 
 @dataclass(frozen=True)
 class ErrorResult:
-    """Of one stroke: error_db of the signal, told: whether it was said that the tolerance is not kept, knots: states
-    that F_Θ was asked for."""
+    """Error on one stroke.
+
+    Attributes
+    ----------
+    error_db
+        Error of the signal [dB].
+    warned
+        True if synthesis warned that the tolerance is exceeded.
+    knots
+        Number of states at which F_Θ was evaluated.
+
+    """
 
     primitive: str
     tolerance_db: float | None
@@ -59,13 +69,15 @@ class ErrorResult:
 
 
 def compute_literal_texture(field: Field, stroke: StrokeInput, waves: Float) -> Float:
-    """reference.texture_reference of the whole stroke; waves: its carriers, (count, K)."""
+    """Compute the texture term of a stroke by the literal model. waves: its carriers, (count, K)."""
     action, token_index = resample_action(stroke)
     config, lag = field.config, field.config.stride * SAMPLES_PER_STATE
     sample = np.arange(-lag * config.states, len(waves))
-    parts = [evaluate(field, interpolate_condition(stroke, action, token_index, at)) for at in split_samples(sample)]
-    alpha = np.concatenate([part.alpha[:, 0] for part in parts])
-    sigma_dt = np.concatenate([part.sigma_dt for part in parts])
+    emissions = [
+        evaluate(field, interpolate_condition(stroke, action, token_index, at)) for at in split_samples(sample)
+    ]
+    alpha = np.concatenate([emission.alpha[:, 0] for emission in emissions])
+    sigma_dt = np.concatenate([emission.sigma_dt for emission in emissions])
     alpha[sample < 0] = 0.0
     past = lag * config.states + np.arange(len(waves))[:, None] - lag * np.arange(config.states)
     weights = render_weights(sigma_dt[past, np.arange(config.states)])
@@ -80,7 +92,7 @@ def split_samples(sample: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def measure_primitive(primitive: str, field: Field) -> Iterator[ErrorResult]:
-    """Each material of the library under one stroke, each way."""
+    """Yield the errors on each material of the library under one stroke, for each tolerance."""
     action = make_primitive_action(PRIMITIVES[primitive], seed=SEED)
     waves: Float | None = None
     for material in load_library():
@@ -93,19 +105,21 @@ def measure_primitive(primitive: str, field: Field) -> Iterator[ErrorResult]:
                 at / SAMPLES_PER_STATE))
                 for at in split_samples(sample)
             ])  # fmt: skip
-        every = prepare_stroke(field, stroke, seed=SEED)
-        count = every.count
-        exact = every.audible * (
-            compute_literal_texture(field, stroke, waves[:count]) + render_contact(every, 0, count)
+        all_states = prepare_stroke(field, stroke, seed=SEED)
+        count = all_states.count
+        exact = all_states.audible * (
+            compute_literal_texture(field, stroke, waves[:count]) + render_contact(all_states, 0, count)
         )
         for tolerance_db in (None, *TOLERANCES_DB):
             tolerance = None if tolerance_db is None else 10.0 ** (tolerance_db / 20.0)
-            prepared = every if tolerance is None else prepare_stroke(field, stroke, seed=SEED, tolerance=tolerance)
+            prepared = (
+                all_states if tolerance is None else prepare_stroke(field, stroke, seed=SEED, tolerance=tolerance)
+            )
             error = render_block(prepared, 0, count) - exact
             error_db = 10.0 * np.log10(np.mean(np.square(error)) / np.mean(np.square(exact)))
-            told = bool(tolerance_warning(prepared.residual_power, tolerance))
+            warned = bool(tolerance_warning(prepared.residual_power, tolerance))
             knots = len(prepared.amplitude) if prepared.knots is None else len(prepared.knots)
-            yield ErrorResult(primitive, tolerance_db, float(error_db), told, knots)
+            yield ErrorResult(primitive, tolerance_db, float(error_db), warned, knots)
 
 
 def format_table(found: list[ErrorResult]) -> str:
@@ -113,35 +127,35 @@ def format_table(found: list[ErrorResult]) -> str:
         "| strokes | F_Θ | median error | 90 % within | worst | kept | said not to be | missed, and not said |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for strokes, ours in (
-        ("the seven others", [each for each in found if each.primitive != FAST_PRIMITIVE]),
-        (FAST_PRIMITIVE, [each for each in found if each.primitive == FAST_PRIMITIVE]),
+    for strokes, group in (
+        ("the seven others", [result for result in found if result.primitive != FAST_PRIMITIVE]),
+        (FAST_PRIMITIVE, [result for result in found if result.primitive == FAST_PRIMITIVE]),
     ):
         for tolerance_db in (None, *TOLERANCES_DB):
-            rows = [each for each in ours if each.tolerance_db == tolerance_db]
+            rows = [result for result in group if result.tolerance_db == tolerance_db]
             if not rows:
                 continue
-            error = np.array([each.error_db for each in rows])
+            error = np.array([result.error_db for result in rows])
             cells = [
                 f"{value:.1f} dB".replace("-", "−") for value in (*np.percentile(error, (50.0, 90.0)), error.max())
             ]
             if tolerance_db is None:
                 cells += ["", "", ""]
             else:
-                kept, told = error <= tolerance_db, np.array([each.warned for each in rows])
-                cells += [f"{kept.sum()} of {len(rows)}", str(told.sum()), str((~kept & ~told).sum())]
-            way = "every state" if tolerance_db is None else f"within −{-tolerance_db:.0f} dB"
-            lines.append(f"| {strokes} | {way} | " + " | ".join(cells) + " |")
+                within, warned = error <= tolerance_db, np.array([result.warned for result in rows])
+                cells += [f"{within.sum()} of {len(rows)}", str(warned.sum()), str((~within & ~warned).sum())]
+            label = "every state" if tolerance_db is None else f"within −{-tolerance_db:.0f} dB"
+            lines.append(f"| {strokes} | {label} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
 def main() -> int:
-    names, field, found = sys.argv[1:] or list(PRIMITIVES), load_field(), []
+    names, field, results = sys.argv[1:] or list(PRIMITIVES), load_field(), []
     for name in names:
-        for each in measure_primitive(name, field):
-            found.append(each)
-        print(f"{name}: {len(found)} renders judged", file=sys.stderr)
-    print(format_table(found))
+        for result in measure_primitive(name, field):
+            results.append(result)
+        print(f"{name}: {len(results)} renders judged", file=sys.stderr)
+    print(format_table(results))
     return 0
 
 

@@ -1,12 +1,8 @@
-"""Arrays kept between runs under the name of what they follow from.
+"""Held-out tiles with views and true slopes, network predictions on them, and a cache of both.
 
-Tiles to judge on: what the product would see of them, and what is truly there in the same views.
-
-A tile is photographed once at native pitch, camera blur, noise and eight bits included, and cut up as a close-up is in
-the main job (tactile.views.cut_views): one widest view and four of the finest pitch. Two more views, of the pitches
-between, are judged as pictures only.
-
-Networks asked about judged tiles; answers are kept under the weights' hash.
+A tile is photographed once at native pitch with camera blur, noise and 8 bits, then cut up like a close-up in the
+product (hnf_core.tactile.views.cut_views): one widest view and four of the finest pitch. Two more views of the
+intermediate pitches are scored as images only. Predictions are cached under the hash of the weights.
 """
 
 from __future__ import annotations
@@ -41,19 +37,30 @@ from hnf_core.threads import available_cpus, single_blas_thread
 
 Arrays = Mapping[str, NDArray[Any]]
 VERSION = 1
-"""Counts changes of what is kept under a name."""
+"""Version of the cached data; increment it when the data stored under a name change."""
 
 
 class ArrayCache:
-    """A folder of arrays; with None nothing is kept and everything is made anew."""
+    """Folder of cached arrays; with None nothing is stored and everything is recomputed."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
     def get_or_make(self, name: str, make: Callable[[], Arrays]) -> Arrays:
-        """What make gives, from the folder where it lies there. name: all that it follows from, in words.
+        """Return the cached arrays, or compute and store them.
 
-        Raises FileError where a file is damaged or the folder refuses, and what make raises.
+        Parameters
+        ----------
+        name
+            Text that lists everything the arrays depend on.
+        make
+            Function that computes the arrays.
+
+        Raises
+        ------
+        FileError
+            If a file is damaged or the folder cannot be written; also what `make` raises.
+
         """
         if self._folder is None:
             return make()
@@ -61,9 +68,9 @@ class ArrayCache:
         try:
             return load_tensors(path.read_bytes())[0]
         except FileNotFoundError:
-            made = dict(make())
-            write_bytes(path, dump_tensors(made))
-            return made
+            arrays = dict(make())
+            write_bytes(path, dump_tensors(arrays))
+            return arrays
         except (OSError, ValueError) as error:
             raise FileError(f"cannot be read ({error}).", where=str(path), remedy="Delete it.") from error
 
@@ -72,16 +79,27 @@ Single = NDArray[np.float32]
 
 NEAR_VIEWS = 4
 TOKEN_VIEWS = 1 + NEAR_VIEWS
-"""The first of a tile's views: those that the product would take its token from."""
+"""Number of the first views of a tile, from which the product computes its token."""
 _BETWEEN_PITCHES = (1, 2)
 _FULL_MASK = np.ones((TILE_PIXELS, TILE_PIXELS), dtype=bool)
 
 
 @dataclass(frozen=True)
 class HeldOutTile:
-    """One tile of an instance. views: seven, see the module. slopes: (7, sensor, 2, 64, 64) of the true membranes in
-    the order of PAIR_SENSORS. second: (5, 2, 64, 64) those of the first sensor in the token views of another tile of
-    the same instance. whole: the band descriptor on all of the tile."""
+    """One tile of an instance.
+
+    Attributes
+    ----------
+    views
+        The seven views described in the module docstring.
+    slopes
+        (7, sensor, 2, 64, 64) true membrane slopes, sensors in the order of PAIR_SENSORS.
+    second_slopes
+        (5, 2, 64, 64) slopes of the first sensor in the token views of another tile of the same instance.
+    full_token
+        Band descriptor of the complete tile.
+
+    """
 
     order: TileRequest
     category: str
@@ -97,7 +115,7 @@ class HeldOutTile:
 
 
 def load_tile(order: TileRequest, second: TileRequest, cache: ArrayCache) -> HeldOutTile:
-    """order, other: two tiles of one instance."""
+    """Load or make a tile; `order` and `second` are two tiles of one instance."""
     arrays = cache.get_or_make(f"tile {order} {second}", lambda: _make_arrays(order, second))
     stiffness, damping, friction = (None if np.isnan(value) else float(value) for value in arrays["mechanics"])
     views = tuple(
@@ -116,22 +134,24 @@ def load_tile(order: TileRequest, second: TileRequest, cache: ArrayCache) -> Hel
 
 
 def load_tiles(orders: Sequence[TileRequest], count: int, cache: ArrayCache) -> list[HeldOutTile]:
-    """The first tiles of the first `count` instances, each with its second. orders: as datasets.pair_tiles.orders
-    gives a held-out split, two tiles of an instance side by side."""
+    """Load the first tiles of the first `count` instances, each with its second tile.
+
+    `orders` is the result of list_tile_requests for a held-out split: two consecutive tiles per instance.
+    """
     return [
         load_tile(first, second, cache) for first, second in list(zip(orders[::2], orders[1::2], strict=True))[:count]
     ]
 
 
 def describe_slopes(slopes: Sequence[Single], pitches_m: Sequence[float], sensor: str, encoder: Encoder) -> Token:
-    """E of each view's membrane (n, 2, 64, 64), merged: the product's way from maps to a token."""
+    """Compute the token of views (n, 2, 64, 64): E of each membrane, merged as in the product."""
     return describe_views(
         encoder, [make_map(each, pitch, sensor) for each, pitch in zip(slopes, pitches_m, strict=True)]
     )
 
 
 def make_map(slopes: Single, pitch_m: float, sensor: str) -> TactileMap:
-    """The tactile map of a membrane's slopes (2, 64, 64), without height."""
+    """Make the tactile map of membrane slopes (2, 64, 64), without height."""
     image = render_sensor_image(slopes, sensor)
     return TactileMap(
         image, None, np.ones(image.shape[:2], dtype=bool), pitch_m, sensor, 2.0 * pitch_m, Route.PREDICTED
@@ -139,7 +159,7 @@ def make_map(slopes: Single, pitch_m: float, sensor: str) -> TactileMap:
 
 
 def render_sensor_image(slopes: Single, sensor: str) -> Single:
-    """(64, 64, 3) linear."""
+    """Render the (64, 64, 3) linear sensor image of slopes."""
     optics = get_sensor(sensor)
     gx, gy = np.asarray(slopes, dtype=np.float64)
     return shade(*limit_slope(gx, gy, optics.max_slope), optics)
@@ -148,7 +168,7 @@ def render_sensor_image(slopes: Single, sensor: str) -> Single:
 def _make_arrays(order: TileRequest, second_order: TileRequest) -> Arrays:
     tile, second = render_tile(order), render_tile(second_order)
     views = _cut_views(tile, order)
-    # Eight bits: a picture is a file.
+    # Views are stored with 8 bits, as in an image file.
     return {
         "rgb": np.stack([encode_rgb(view.rgb) for view in views]),
         "depth": np.stack([view.depth_m for view in views]),
@@ -163,33 +183,33 @@ def _make_arrays(order: TileRequest, second_order: TileRequest) -> Arrays:
 
 
 def _cut_views(tile: RenderedTile, order: TileRequest) -> tuple[AppearanceView, ...]:
-    picture = simulate_camera(tile.photograph, np.random.default_rng([5, order.tile_seed]))
-    place = (np.arange(TILE_PIXELS) + 0.5) / FACTORS[0] - 0.5
-    depth = interpolate_bilinear(tile.depth, place, place)
+    photograph = simulate_camera(tile.photograph, np.random.default_rng([5, order.tile_seed]))
+    position = (np.arange(TILE_PIXELS) + 0.5) / FACTORS[0] - 0.5
+    depth = interpolate_bilinear(tile.depth, position, position)
     return tuple(
         view
         for finest, near, skip in _VIEW_CUTS
-        for view in cut_views(picture, depth, None, PITCH_M, 2.0 * PITCHES_M[finest], fine_count=near)[skip:]
+        for view in cut_views(photograph, depth, None, PITCH_M, 2.0 * PITCHES_M[finest], fine_count=near)[skip:]
     )
 
 
 _VIEW_CUTS = ((len(PITCHES_M) - 1, NEAR_VIEWS, 0), *((finest, 1, 1) for finest in _BETWEEN_PITCHES))
-"""Finest pitch, near views, and how many of the first views not to take again."""
+"""Index of the finest pitch, number of near views, and number of first views to skip."""
 
 
 def _cut_true_slopes(tile: RenderedTile, sensor: int) -> list[Single]:
-    """(2, 64, 64) slopes in each of the places that _looked_at cuts."""
-    out = []
+    """Return the (2, 64, 64) slopes in each of the views that _cut_views cuts."""
+    slopes = []
     for finest, near, skip in _VIEW_CUTS:
-        places = find_view_corners(_FULL_MASK, PITCH_M, 2.0 * PITCHES_M[finest], near)
-        cut = [
+        corner_sets = find_view_corners(_FULL_MASK, PITCH_M, 2.0 * PITCHES_M[finest], near)
+        cuts = [
             decimate_tile(tile.membranes[sensor], factor)[:, row : row + VIEW_PIXELS, column : column + VIEW_PIXELS]
-            for pitch, corners in places
+            for pitch, corners in corner_sets
             for factor in [round(pitch / PITCH_M)]
             for row, column in corners // factor
         ]
-        out += cut[skip:]
-    return [each.astype(np.float32) for each in out]
+        slopes += cuts[skip:]
+    return [slope.astype(np.float32) for slope in slopes]
 
 
 def _to_mechanics_row(mechanics: Mechanics) -> NDArray[np.float64]:
@@ -199,8 +219,18 @@ def _to_mechanics_row(mechanics: Mechanics) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Query:
-    """How a network is asked. steps, guidance: of a diffusion. views: from which of the tile's views on, and up to
-    which. depth, colour: whether it is told."""
+    """Settings of one network prediction.
+
+    Attributes
+    ----------
+    steps, guidance
+        Settings of a diffusion network.
+    depth, colour
+        True if the network gets the depth and the colour.
+    views
+        First and end index of the predicted views.
+
+    """
 
     sensor: str = PAIR_SENSORS[0]
     steps: int = DEFAULT_STEPS
@@ -212,33 +242,33 @@ class Query:
 
 @dataclass(frozen=True)
 class Prediction:
-    """slopes: (views, 2, 64, 64). seconds: of processor time, for all views."""
+    """Predicted slopes (views, 2, 64, 64), and the processor time for all views [s]."""
 
     slopes: Single
     seconds: float
 
 
 def predict_tile(weights: MapWeights, tile: HeldOutTile, query: Query, seed: int, cache: ArrayCache) -> Prediction:
-    """Slopes of the tile's views. The noise of each is of the tile, the view and the seed."""
+    """Predict the slopes of a tile's views. The noise depends on the tile, the view and the seed."""
 
-    def one(index: int) -> Single:
+    def predict_view(index: int) -> Single:
         view = mask_depth(tile.views[index], query.depth)
-        own = int(np.random.default_rng([seed, tile.order.tile_seed, index]).integers(2**31))
-        return predict_slopes(weights, view, query.sensor, own, query.steps, query.guidance, query.colour)
+        noise_seed = int(np.random.default_rng([seed, tile.order.tile_seed, index]).integers(2**31))
+        return predict_slopes(weights, view, query.sensor, noise_seed, query.steps, query.guidance, query.colour)
 
-    def make() -> Arrays:
-        began = time.process_time()
+    def compute_arrays() -> Arrays:
+        start = time.process_time()
         with single_blas_thread(), ThreadPoolExecutor(available_cpus()) as pool:
-            slopes = list(pool.map(one, range(*query.views)))
+            slopes = list(pool.map(predict_view, range(*query.views)))
         return {
             "slopes": np.stack(slopes).astype(np.float16),
-            "seconds": np.array([time.process_time() - began]),
+            "seconds": np.array([time.process_time() - start]),
         }
 
-    arrays = cache.get_or_make(f"prediction {weights.fingerprint} {tile.order} {query} {seed}", make)
+    arrays = cache.get_or_make(f"prediction {weights.fingerprint} {tile.order} {query} {seed}", compute_arrays)
     return Prediction(arrays["slopes"].astype(np.float32), float(arrays["seconds"][0]))
 
 
 def mask_depth(view: AppearanceView, depth: bool) -> AppearanceView:
-    """The view, its depth unknown unless `depth`."""
+    """Return the view, with its depth unknown unless `depth` is true."""
     return view if depth else replace(view, depth_m=np.zeros_like(view.depth_m), depth_known=False)

@@ -97,7 +97,7 @@ def test_order_and_sides_do_not_matter(n: int, seed: int) -> None:
 
 
 def test_it_is_least_where_the_right_ones_meet_and_the_others_part() -> None:
-    """n ≤ d + 1 points part farthest as a regular simplex: every other cosine −1 / (n − 1)."""
+    """Up to d + 1 points are farthest apart as a regular simplex: every other cosine −1 / (n − 1)."""
     n = 9
     corners = np.eye(n) - 1.0 / n
     corners /= np.linalg.norm(corners, axis=1, keepdims=True)

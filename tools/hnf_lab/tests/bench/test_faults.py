@@ -1,5 +1,8 @@
-"""Whatever goes wrong on the wire or at the port ends in silence: each fault a few times, as `hnf bench faults` does it
-a hundred times. Those of the playing process are in test_faults_process.py."""
+"""Test that every fault on the wire or at the port ends in silence.
+
+Each fault runs a few times; `hnf bench faults` runs it a hundred times. Faults of the playing process are in
+test_faults_process.py.
+"""
 
 from __future__ import annotations
 

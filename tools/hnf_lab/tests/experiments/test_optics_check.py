@@ -154,8 +154,10 @@ def test_a_sensor_mounted_otherwise_is_the_same_sensor():
 
 
 def taxim_table(sensor: Sensor, bins: int) -> PolynomialTable:
-    """The sensor's change against a flat gel, at the middle of every cell, in the published convention: the direction
-    is that from the pixel to the ball's centre, in an image whose rows run down."""
+    """Return a sensor's change against a flat gel at the middle of every cell, in the published convention.
+
+    The direction is that from the pixel to the ball's centre, in an image whose rows run down.
+    """
     tilt = (np.arange(bins)[:, None] + 0.5) * 0.5 * np.pi / (bins - 1)
     direction = (np.arange(bins)[None] + 0.5) * 2.0 * np.pi / (bins - 1) - np.pi
     to_centre_x, to_centre_down = np.cos(direction), np.sin(direction)
