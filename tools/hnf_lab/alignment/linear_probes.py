@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bootstrap import bootstrap_ratio
+
 Float = NDArray[np.float64]
-BOOTSTRAP_DRAWS = 2000
-INTERVAL_PERCENTILES = (2.5, 97.5)
-"""Percentiles of the 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +44,10 @@ class Estimate:
 
 
 def estimate_accuracy(hits: Hits, seed: int = 0) -> Estimate:
-    """Estimate the fraction of hits, with an interval by resampling groups (bootstrap, Efron 1979)."""
+    """Estimate the fraction of hits, with an interval by resampling groups."""
     hit_count, size = _count_by_group(hits, hits.group)
-    weight = _draw_group_weights(len(size), seed)
-    low, high = np.percentile(weight @ hit_count / (weight @ size), INTERVAL_PERCENTILES)
-    return Estimate(float(hits.correct.mean()), float(low), float(high), len(hits.correct), len(size))
+    interval = bootstrap_ratio(hit_count, size, seed)
+    return Estimate(interval.value, interval.low, interval.high, len(hits.correct), len(size))
 
 
 def estimate_ratio(first: Hits, second: Hits, seed: int = 0) -> Estimate:
@@ -61,28 +59,14 @@ def estimate_ratio(first: Hits, second: Hits, seed: int = 0) -> Estimate:
         raise ValueError("a ratio is of the same items")
     first_hits, size = _count_by_group(first, first.group)
     second_hits, _ = _count_by_group(second, first.group)
-    weight = _draw_group_weights(len(size), seed)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = (weight @ first_hits) / (weight @ second_hits)
-        value = first_hits.sum() / second_hits.sum()
-    low, high = (
-        np.percentile(ratios[np.isfinite(ratios)], INTERVAL_PERCENTILES)
-        if np.isfinite(ratios).any()
-        else (np.nan, np.nan)
-    )
-    return Estimate(float(value), float(low), float(high), len(first.correct), len(size))
+    interval = bootstrap_ratio(first_hits, second_hits, seed)
+    return Estimate(interval.value, interval.low, interval.high, len(first.correct), len(size))
 
 
 def _count_by_group(hits: Hits, group: NDArray[np.int64]) -> tuple[Float, Float]:
     """Return the number of hits and of items of each group."""
     _, index = np.unique(group, return_inverse=True)
     return np.bincount(index, weights=hits.correct).astype(np.float64), np.bincount(index).astype(np.float64)
-
-
-def _draw_group_weights(groups: int, seed: int) -> Float:
-    """Return (BOOTSTRAP_DRAWS, groups): the number of times each group is drawn."""
-    rng = np.random.default_rng(seed)
-    return rng.multinomial(groups, np.full(groups, 1.0 / groups), size=BOOTSTRAP_DRAWS).astype(np.float64)
 
 
 Rows = NDArray[np.int64]

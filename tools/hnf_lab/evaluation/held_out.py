@@ -33,6 +33,7 @@ from hnf_core.material.token import LEVELS, SMOOTH_LEVEL
 from hnf_core.metrics.spectra import average_spectrum_distance_db, power_bias_db, welch
 from hnf_core.tactile.height import tactile_map_from_height
 
+from ..bootstrap import bootstrap_mean
 from .methods import compute_expected_densities
 from .report import ExtraTable
 from .scoring import FREQUENCY_HZ, RATE_HZ
@@ -42,8 +43,6 @@ Float = NDArray[np.float64]
 COUNTED_BINS = slice(1, 101)
 """Welch bins 1–100 (10–1000 Hz)."""
 METHOD_NAMES = ("field, shared", "category mean", "nearest token", "oracle, 8 s")
-BOOTSTRAPS = 2000
-"""Number of bootstrap resamples."""
 
 
 @dataclass(frozen=True)
@@ -153,11 +152,12 @@ def make_held_out_table(
     medians = np.median(table, axis=0)
     rows.append(("median", *(f"{value:.2f}" for value in medians), "", "", ""))
     margins = {
-        name: bootstrap_margin(table[:, index] - table[:, 0], seed)
+        name: bootstrap_mean(table[:, index] - table[:, 0], seed)
         for index, name in ((1, METHOD_NAMES[1]), (2, METHOD_NAMES[2]))
     }
-    for name, (mean_db, low, high) in margins.items():
-        rows.append((f"margin over {name}", f"{mean_db:+.2f} dB, 95 % {low:+.2f} … {high:+.2f}", *[""] * 6))
+    for name, margin in margins.items():
+        value = f"{margin.value:+.2f} dB, 95 % {margin.low:+.2f} … {margin.high:+.2f}"
+        rows.append((f"margin over {name}", value, *[""] * 6))
     return ExtraTable(
         "held_out",
         "(c) Held-out classes: average-spectrum distance [dB]",
@@ -166,16 +166,8 @@ def make_held_out_table(
         "oracle by 8 s of recording.",
         ("class", *METHOD_NAMES, "field's power [dB]", "mean of", "nearest"),
         tuple(rows),
-        {"classes": figures, "margins": {name: list(value) for name, value in margins.items()}},
+        {"classes": figures, "margins": {name: margin.to_list() for name, margin in margins.items()}},
     )
-
-
-def bootstrap_margin(differences: Float, seed: int) -> tuple[float, float, float]:
-    """Return the mean of the differences and the 2.5 % and 97.5 % points of its bootstrap distribution."""
-    rng = np.random.default_rng(seed)
-    means = rng.choice(differences, (BOOTSTRAPS, len(differences))).mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return float(differences.mean()), float(low), float(high)
 
 
 def _compute_log_mean(densities: Sequence[Float]) -> Float:

@@ -53,14 +53,13 @@ from hnf_core.training.train_shared import (
 )
 from hnf_core.training.training_data import Sizes, TrainingData, build_training_data, load_specimens, select_classes
 from hnf_lab import ROOT
+from hnf_lab.bootstrap import Interval, bootstrap_mean
 
 Float = NDArray[np.float64]
 
 SINGLE_MATERIAL_SCHEDULE = Schedule(epochs=100, batch=32, learning_rate=5e-3, token_noise=0.0, ridge=1e-3)
 LONG_SCHEDULE = replace(SINGLE_MATERIAL_SCHEDULE, epochs=40)
 """Schedule for twelve times the data."""
-BOOTSTRAP_DRAWS = 4000
-"""Number of bootstrap resamples."""
 
 
 def make_single_material_config(hidden: int) -> FieldConfig:
@@ -165,14 +164,6 @@ def measure_unseen_materials(
             )
         )
     return materials
-
-
-def bootstrap_mean(values: Float, seed: int) -> tuple[float, float, float]:
-    """Return the mean and its 95 % interval by bootstrap (B. Efron 1979) over values."""
-    rng = np.random.default_rng(seed)
-    means = rng.choice(values, (BOOTSTRAP_DRAWS, len(values))).mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return float(values.mean()), float(low), float(high)
 
 
 def make_eight_directions(speed: int, force: float) -> list[StrokeCondition]:
@@ -477,12 +468,11 @@ takes the one nearest in token space.
 {_format_margin("nearest neighbour", intervals["nearest_db"])}"""
 
 
-def _format_margin(name: str, interval: Sequence[float]) -> str:
-    mean, low, high = interval
+def _format_margin(name: str, margin: Interval) -> str:
     return (
-        f"Margin over {name}: {mean:.2f} dB, 95 % interval {low:.2f} … {high:.2f} (bootstrap over classes); "
-        f"bar ≥ {MARGIN_TARGET_DB:.0f} dB, interval above 0: "
-        f"**{_format_result(mean >= MARGIN_TARGET_DB and low > 0.0)}**."
+        f"Margin over {name}: {margin.value:.2f} dB, 95 % interval {margin.low:.2f} … {margin.high:.2f} "
+        f"(bootstrap over classes); bar ≥ {MARGIN_TARGET_DB:.0f} dB, interval above 0: "
+        f"**{_format_result(margin.value >= MARGIN_TARGET_DB and margin.low > 0.0)}**."
     )
 
 

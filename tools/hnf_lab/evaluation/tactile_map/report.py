@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, PAIR_SENSORS
 from hnf_core.export.plots.figure import write_figure
 from hnf_core.material.token import BAND_WAVELENGTHS_M
 from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS
 
+from ...bootstrap import bootstrap_mean, bootstrap_ratio
 from ..plots import COLOURS, TRUTH_COLOUR
 from ..report import ExtraTable, format_table
 from . import score
@@ -27,52 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Float = NDArray[np.float64]
-
-BOOTSTRAPS = 2000
-"""Number of bootstrap resamples."""
-
-
-@dataclass(frozen=True)
-class Interval:
-    """Mean with the 2.5 % and 97.5 % points of its bootstrap distribution."""
-
-    mean: float
-    low: float
-    high: float
-
-    def format(self, digits: int = 2) -> str:
-        return f"{self.mean:.{digits}f} ({self.low:.{digits}f} … {self.high:.{digits}f})"
-
-
-def bootstrap_mean(values: ArrayLike, seed: int) -> Interval:
-    """Return the mean of the (n,) values, one per tile, with its interval."""
-    array = np.asarray(values, dtype=np.float64)
-    means = array[_draw_indices(len(array), seed)].mean(axis=1)
-    return _make_interval(float(array.mean()), means)
-
-
-def bootstrap_ratio(values: ArrayLike, others: ArrayLike, seed: int) -> Interval:
-    """Return mean(values) / mean(others), (n,) each, with tiles resampled together.
-
-    The result is NaN if the mean of the others is not positive.
-    """
-    numerators, denominators = np.asarray(values, dtype=np.float64), np.asarray(others, dtype=np.float64)
-    indices = _draw_indices(len(numerators), seed)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        denominator_means = denominators[indices].mean(axis=1)
-        ratios = np.where(denominator_means > 0.0, numerators[indices].mean(axis=1) / denominator_means, np.inf)
-        ratio = numerators.mean() / denominators.mean() if denominators.mean() > 0.0 else np.nan
-    return _make_interval(float(ratio), ratios)
-
-
-def _draw_indices(count: int, seed: int) -> NDArray[np.int64]:
-    return np.random.default_rng(seed).integers(0, count, (BOOTSTRAPS, count))
-
-
-def _make_interval(mean: float, draws: Float) -> Interval:
-    low, high = np.percentile(draws, [2.5, 97.5], method="nearest")
-    return Interval(mean, float(low), float(high))
-
 
 METHOD_ROWS = (
     score.NEIGHBOUR, score.CLASS_MEAN, score.MEAN, score.GREY, score.FLAT,
@@ -117,8 +71,8 @@ def make_vibration_table(split: str, results: Sequence[TileResult], networks: Me
         count = len(get_errors(results, method, "total"))
         rows.append((method, str(count), intervals["total"].format(), intervals["level"].format(), f"{bias:+.2f}",
                      intervals["shape"].format(), excess.format()))  # fmt: skip
-        figures[method] = {"tiles": count, "bias_db": bias, "excess_db": _to_list(excess),
-                           **{f"{key}_db": _to_list(value) for key, value in intervals.items()}}  # fmt: skip
+        figures[method] = {"tiles": count, "bias_db": bias, "excess_db": excess.to_list(),
+                           **{f"{key}_db": value.to_list() for key, value in intervals.items()}}  # fmt: skip
     return ExtraTable(
         f"vibration, {split}",
         f"Vibration, {split} [dB]",
@@ -145,9 +99,9 @@ def make_margin_table(split: str, results: Sequence[TileResult], networks: Metho
                 continue
             excess, baseline_excess = compute_excess(results, method), compute_excess(results, baseline)
             ratio, gain = bootstrap_ratio(excess, baseline_excess, seed), bootstrap_mean(baseline_excess - excess, seed)
-            reached = "reached" if ratio.mean <= aim else "missed"
+            reached = "reached" if ratio.value <= aim else "missed"
             rows.append((method, baseline, ratio.format(), gain.format(), f"{aim:g}", reached))
-            figures[f"{method} / {baseline}"] = {"ratio": _to_list(ratio), "gain_db": _to_list(gain), "aim": aim}
+            figures[f"{method} / {baseline}"] = {"ratio": ratio.to_list(), "gain_db": gain.to_list(), "aim": aim}
     aim_note = "The aim is for held-out classes." if split != HELD_OUT_CLASSES else ""
     return ExtraTable(
         f"margins, {split}",
@@ -214,8 +168,8 @@ def make_curve_table(measured: Measurement, seed: int) -> ExtraTable:
         excess = bootstrap_mean(compute_excess(point.results, score.PREDICTED), seed)
         rows.append((str(point.steps), f"{point.guidance:g}", error.format(), excess.format(), f"{point.angle_deg:.2f}",
                      f"{point.seconds:.2f}"))  # fmt: skip
-        figures.append({"steps": point.steps, "guidance": point.guidance, "error_db": _to_list(error),
-                        "excess_db": _to_list(excess), "angle_deg": point.angle_deg,
+        figures.append({"steps": point.steps, "guidance": point.guidance, "error_db": error.to_list(),
+                        "excess_db": excess.to_list(), "angle_deg": point.angle_deg,
                         "seconds": point.seconds})  # fmt: skip
     return ExtraTable(
         "steps",
@@ -283,10 +237,6 @@ def _format_settings(setup: MapSetup, measured: Measurement) -> str:
         f"{1e6 * measured.grey_m:.1f} µm; tokens by {measured.encoder}; seed {setup.seed}. Processor time "
         f"of a patch of five views: {timed}."
     )
-
-
-def _to_list(value: Interval) -> list[float]:
-    return [value.mean, value.low, value.high]
 
 
 Image = NDArray[np.float64]
@@ -364,22 +314,22 @@ def plot_excess(path: Path, measured: Measurement, networks: Sequence[NetworkEnt
         positions = np.arange(len(names))[::-1]
         axes.barh(
             positions,
-            [each.mean for each in excess],
+            [each.value for each in excess],
             color=[_choose_colour(name, networks) for name in names],
             height=0.62,
         )
-        spread = np.array([[each.mean - each.low, each.high - each.mean] for each in excess]).T
-        axes.errorbar([each.mean for each in excess], positions, xerr=np.maximum(spread, 0.0), fmt="none",
+        spread = np.array([[each.value - each.low, each.high - each.value] for each in excess]).T
+        axes.errorbar([each.value for each in excess], positions, xerr=np.maximum(spread, 0.0), fmt="none",
         ecolor=TRUTH_COLOUR,
                       lw=1.4, capsize=3)  # fmt: skip
         rivals = [
-            each.mean for name, each in zip(names, excess, strict=True) if name in (score.NEIGHBOUR, score.CLASS_MEAN)
+            each.value for name, each in zip(names, excess, strict=True) if name in (score.NEIGHBOUR, score.CLASS_MEAN)
         ]
         if rivals:
             axes.axvline(0.5 * min(rivals), color=TRUTH_COLOUR, lw=1.0, ls="--")
             axes.text(0.5 * min(rivals), len(names) - 0.45, " aim", fontsize=9)
         axes.set_yticks(positions, labels=names)
-        axes.set_xlabel(f"average spectrum: error above the floor of {floor.mean:.2f} dB [dB], 95 % intervals")
+        axes.set_xlabel(f"average spectrum: error above the floor of {floor.value:.2f} dB [dB], 95 % intervals")
 
     write_figure(path, size, draw)
 
@@ -422,7 +372,7 @@ def plot_steps(path: Path, measured: Measurement, seed: int) -> None:
 def _plot_with_intervals(axes: Axes, across: Sequence[float], values: Sequence[Image], seed: int) -> None:
     intervals = [bootstrap_mean(errors, seed) for errors in values]
     order = np.argsort(across)
-    positions, means = np.array(across)[order], np.array([intervals[index].mean for index in order])
+    positions, means = np.array(across)[order], np.array([intervals[index].value for index in order])
     low, high = (np.array([getattr(intervals[index], end) for index in order]) for end in ("low", "high"))
     axes.fill_between(positions, low, high, color=COLOURS[0], alpha=0.18, lw=0)
     axes.plot(positions, means, "o-", color=COLOURS[0], lw=1.6)

@@ -14,9 +14,9 @@ from hnf_core.errors import FileError
 from hnf_core.field.weights import HELD_OUT_WEIGHTS, load_field
 from hnf_core.material.library import load_library
 from hnf_core.material.token import BAND_FEATURES, LEVELS, SMOOTH_LEVEL
+from hnf_lab.bootstrap import bootstrap_mean
 from hnf_lab.evaluation.held_out import (
     KnownMaterial,
-    bootstrap_margin,
     compute_category_mean,
     compute_distance_db,
     describe_photo,
@@ -72,10 +72,10 @@ def test_an_interval_holds_its_mean_and_narrows() -> None:
     rng = np.random.default_rng(0)
     few, many = rng.normal(1.0, 1.0, 8), rng.normal(1.0, 1.0, 800)
     for values in (few, many):
-        mean, low, high = bootstrap_margin(values, 1)
+        mean, low, high = bootstrap_mean(values, 1).to_list()
         assert low < mean < high
         assert mean == pytest.approx(values.mean())
-    assert np.ptp(bootstrap_margin(many, 1)) < 0.3 * np.ptp(bootstrap_margin(few, 1))
+    assert np.ptp(bootstrap_mean(many, 1).to_list()) < 0.3 * np.ptp(bootstrap_mean(few, 1).to_list())
 
 
 def test_held_out_classes_are_those_that_the_weights_name() -> None:

@@ -12,8 +12,8 @@ torch = pytest.importorskip("torch")
 from shared_field_builders import gather_strokes, make_references, network
 
 from hnf_core.training.references import compute_distances_db, select_materials
+from hnf_lab.bootstrap import bootstrap_mean
 from hnf_lab.experiments.shared_field import (
-    bootstrap_mean,
     measure_directions,
     measure_single_material_field_db,
     measure_training_token_db,
@@ -62,6 +62,6 @@ def test_exact_ratios_of_spectra_have_no_error_whatever_the_level(references):
 
 def test_the_interval_holds_the_mean():
     values = np.random.default_rng(0).normal(2.0, 1.0, 30)
-    mean, low, high = bootstrap_mean(values, 0)
+    mean, low, high = bootstrap_mean(values, 0).to_list()
     assert low < mean < high
     assert high - low == pytest.approx(2.0 * 1.96 / np.sqrt(30.0), rel=0.3)
