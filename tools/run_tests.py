@@ -92,13 +92,13 @@ OLD_NUMPY_ARGUMENTS = (
 # The longest first, so that two workers end at about the same time.
 CHECKS = (
     Check("lint", ".venv", ("-m", "ruff", "check", "."), 120, is_pytest=False),
-    Check("core", ".venv", ("tests/core",), 1300),
-    Check("blender-5.0", ".venv", ("tests/blender",), 1200),
-    Check("lab", ".venv", (LABORATORY_TESTS, f"--ignore={LABORATORY_TESTS}/blender"), 900),
-    Check("lab-blender", ".venv", (f"{LABORATORY_TESTS}/blender",), 600),
-    Check("blender-4.2", ".venv-4.2", OLDEST_ARGUMENTS, 1200, can_end=False),
-    Check("blender-4.5", ".venv-4.5", exclude_tests("tests/blender", *NOT_ON_MIDDLE), 1200, can_end=False),
-    Check("core-numpy-1.24", ".venv-4.2", OLD_NUMPY_ARGUMENTS, 900),
+    Check("core", ".venv", ("tests/core",), 2400),
+    Check("blender-5.0", ".venv", ("tests/blender",), 2400),
+    Check("lab", ".venv", (LABORATORY_TESTS, f"--ignore={LABORATORY_TESTS}/blender"), 1800),
+    Check("lab-blender", ".venv", (f"{LABORATORY_TESTS}/blender",), 1200),
+    Check("blender-4.2", ".venv-4.2", OLDEST_ARGUMENTS, 2400, can_end=False),
+    Check("blender-4.5", ".venv-4.5", exclude_tests("tests/blender", *NOT_ON_MIDDLE), 2400, can_end=False),
+    Check("core-numpy-1.24", ".venv-4.2", OLD_NUMPY_ARGUMENTS, 1800),
     Check("types", ".venv", ("-m", "mypy"), 600, is_pytest=False),
 )
 APP = Check("app", ".venv", ("tests/app",), 1200)
