@@ -56,17 +56,19 @@ def exclude_tests(folder: str, *names: str) -> tuple[str, ...]:
 # Words, other processes and counted work: nothing that another Blender could change.
 BLENDER_INDEPENDENT = (
     "test_batch_touch", "test_touch_words", "test_jobs_choices", "test_repository", "test_docs_reference",
+    "test_example_scene",
 )  # fmt: skip
 # Long ones about networks, counted work and numbers: the newest Blender is enough.
 NEWEST_ONLY = (
     "test_predicted_route", "test_probe_predicted", "test_touch_predicted", "test_jobs_predicted", "test_stress",
-    "test_lazy", "test_learn", *BLENDER_INDEPENDENT,
+    "test_lazy", "test_learn", "test_touch_again", "test_touch_bad_input", "test_touch_certainty",
+    *BLENDER_INDEPENDENT,
 )  # fmt: skip
 # Long ones; the oldest and the newest Blender agree on them. What calls Blender's API runs on every one of them, and
 # test_jobs runs the main job there.
 NOT_ON_MIDDLE = (
-    "test_real_scenes", "test_touch", "test_touch_again", "test_touch_bad_input", "test_probe", "test_extension",
-    "test_preview_export", "test_cache_truth", "test_splats_touch", *NEWEST_ONLY,
+    "test_real_scenes", "test_touch", "test_probe", "test_extension", "test_preview_export", "test_cache_truth",
+    "test_splats_touch", "test_demo_scene", "test_actuator*", "test_modal_job", "test_namesakes", *NEWEST_ONLY,
 )  # fmt: skip
 # Of the two real scenes, 4.2 imports and touches the smaller one.
 OLDEST_ARGUMENTS = (*exclude_tests("tests/blender", *NEWEST_ONLY), "-k", "not FlightHelmet")

@@ -75,7 +75,7 @@ def test_an_example_runs(path: Path, tmp_path: Path) -> None:
     if path.name in WITH_TORCH:
         pytest.importorskip("torch", reason="the example trains")
     if path.name == "touch_scene.py":
-        pytest.skip("needs Blender: tests/blender runs it")
+        pytest.skip("needs Blender: tests/blender/test_example_scene.py runs it")
     done = run(str(path), *([str(tmp_path)] if "[FOLDER]" in path.read_text("utf-8") else []), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()
