@@ -1,4 +1,4 @@
-"""The installed extension in a real Blender: its own commands, the command line with its exit codes."""
+"""The installed extension in a real Blender: its commands, its command line, and exit codes."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def assert_delivered(out: Path) -> None:
     assert len(list(out.glob("*.blend"))) == 1
 
 
-def test_a_missing_file_fails_and_the_start_up_scene_stays_untouched(app: App) -> None:
+def test_a_missing_file_fails_without_using_the_start_up_scene(app: App) -> None:
     """Blender goes on with its start-up scene where a file cannot be opened; the command must not."""
     finished = app.blender("-b", "/share/no-such.blend", "--command", "hnf", "touch", "--out", "/share/missing")
     assert finished.code == 1, finished.output

@@ -1,4 +1,4 @@
-"""The reading of what a session wrote: a check passes only where it came to its end and all it expected was so."""
+"""Evaluation of a session's log: a check passes only if it completed with all expected results."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_anything_less_fails_and_says_why(tmp_path: Path, lines: list[dict[str, 
         played(tmp_path, lines, code=-9, output="its last words").assert_passed("a")
 
 
-def test_a_check_that_blender_did_not_survive_shows_its_last_words(tmp_path: Path) -> None:
+def test_a_check_after_a_blender_crash_shows_the_last_output(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="its last words"):
         played(tmp_path, GOOD[:2], code=139, output="its last words").assert_passed("a")
 

@@ -1,4 +1,4 @@
-"""Work on several cores at once: all of it is done, whatever goes wrong on one of them."""
+"""Parallel work on several cores completes, and an error on one core is raised."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_parts_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count,
             both_cores.parallel_for(work, count, 3)
 
 
-def test_parts_that_were_begun_have_ended_where_another_cannot_be(monkeypatch):
+def test_started_parts_finish_if_another_thread_cannot_start(monkeypatch):
     """They write into memory that is given back then."""
     begin, begun, ended = both_cores.run_in_thread, [], []
 

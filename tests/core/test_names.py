@@ -15,6 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PRODUCT = (ROOT / "hnf_core", ROOT / "hnf_blender")
 LABORATORY = ROOT / "tools" / "hnf_lab"
+TESTS = (ROOT / "tests", LABORATORY / "tests")
 
 PRIVATE_WORDS = frozenset(
     re.findall(
@@ -43,6 +44,7 @@ SAME_MEANING = frozenset({"carriers", "contact_filter", "stream", "synthesis", "
 """File names that recur because both mean the same of two parents: offline and live, of a field and of a map."""
 CROWDED = 20
 SMALL_LINES, SMALL_SHARE = 60, 0.1
+MAX_TEST_NAME = 60
 REMAINING_DIALECT = 124
 """Docstrings that still begin so: the number goes down with every package that is rewritten, to none."""
 DIALECT_STARTS = re.compile(r"(What|Of|Where|Those|That|Whether|How|Which|Whatever|Whoever)\b")
@@ -121,6 +123,16 @@ def too_many_small_files(lines: dict[str, int]) -> list[str]:
     return small if len(small) >= SMALL_SHARE * len(lines) else []
 
 
+def long_test_names(tree: ast.Module) -> list[str]:
+    return [
+        f"line {node.lineno}: {node.name} ({len(node.name)} characters)"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.name.startswith("test_")
+        and len(node.name) > MAX_TEST_NAME
+    ]
+
+
 def breaches(rule) -> list[str]:
     files = python_files(*PRODUCT, LABORATORY)
     assert len(files) > 300
@@ -153,6 +165,13 @@ def test_few_files_are_small() -> None:
     assert too_many_small_files({str(path): len(path.read_text("utf-8").splitlines()) for path in files}) == []
 
 
+def test_test_names_are_short() -> None:
+    files = python_files(*TESTS)
+    assert len(files) > 300
+    found = {str(path.relative_to(ROOT)): long_test_names(ast.parse(path.read_text("utf-8"))) for path in files}
+    assert {path: names for path, names in found.items() if names} == {}
+
+
 @pytest.mark.parametrize(
     ("rule", "source"),
     [
@@ -168,6 +187,13 @@ def test_few_files_are_small() -> None:
 )
 def test_a_breach_of_words_is_caught(rule, source) -> None:
     assert rule(ast.parse(source), "module") != []
+
+
+def test_a_long_test_name_is_caught() -> None:
+    name = "test_".ljust(MAX_TEST_NAME, "x")
+    assert long_test_names(ast.parse(f"def {name}(): ...")) == []
+    assert long_test_names(ast.parse(f"def {name}x(): ...")) != []
+    assert long_test_names(ast.parse(f"class TestDevice:\n    async def {name}x(self): ...")) != []
 
 
 def test_a_private_file_name_is_caught() -> None:

@@ -1,4 +1,4 @@
-"""The extension build turns `from hnf_core.x import y` into relative imports and changes nothing else."""
+"""The extension build rewrites `from hnf_core.x import y` into relative imports and changes nothing else."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_known_forms(source: str, level: int, expected: str) -> None:
         "from \\\n hnf_core.units import G",
     ],
 )
-def test_what_could_not_be_found_at_run_time_is_refused_with_file_and_line(source: str) -> None:
+def test_unresolvable_imports_are_refused_with_file_and_line(source: str) -> None:
     with pytest.raises(ImportRewriteError, match=r"^bridge/x\.py:2: "):
         rewrite_imports("\n" + source, 2, "bridge/x.py")
 

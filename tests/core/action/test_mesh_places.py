@@ -1,4 +1,4 @@
-"""Places on a mesh: by UV and in space, and what they have in common with the contacts of a stroke."""
+"""Contact points on a mesh, found by UV or in space, and their agreement with the contacts of a stroke."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_place_by_uv_is_the_place_in_space(u, v) -> None:
     assert in_space.uv == pytest.approx(by_uv.uv, abs=1e-7)
 
 
-def test_the_patch_of_a_place_is_the_patch_of_a_stroke_that_touches_there() -> None:
+def test_a_point_gets_the_same_patch_as_a_stroke_contact() -> None:
     mesh, count = square(), 5
     point = np.tile([0.03, 0.04, 0.0], (count, 1))
     samples = StrokeSamples(
@@ -101,7 +101,7 @@ def test_a_mesh_without_uvs_says_what_to_do() -> None:
     assert place.uv is None
 
 
-def test_of_overlapping_islands_the_first_face_is_taken_and_it_is_said() -> None:
+def test_overlapping_uvs_give_the_first_face_and_a_note() -> None:
     mesh = joined(square(height=0.2), square())
     place = find_point_at_uv(mesh, (0.25, 0.5), where="object 'Plate'")
     assert place.face == 0
@@ -150,7 +150,7 @@ def test_words_of_a_place_are_read_back(u, v, name) -> None:
     assert parse_touch_query(place.name).at == pytest.approx(place.at, rel=1e-8)
 
 
-def test_object_names_may_hold_colons_and_three_numbers_are_a_point() -> None:
+def test_queries_parse_names_with_colons_and_3d_points() -> None:
     assert parse_touch_query("Cup:left:0.1,0.2").target == "Cup:left"
     assert parse_touch_query("Cup:1,2,-3e-1").at == (1.0, 2.0, -0.3)
 

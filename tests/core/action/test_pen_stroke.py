@@ -1,4 +1,4 @@
-"""Drawn samples → path and keys: what a hand did is what the stroke does, with few knots and keys."""
+"""Fitting of a path and of keyframes to drawn samples, within tolerance and with few knots and keys."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_pieces_join_smoothly_but_a_turn_back_is_a_corner():
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
-def test_keys_are_within_the_tolerance_and_rising_ones_never_fall(seed):
+def test_keyframes_fit_within_tolerance_and_stay_monotonic(seed):
     rng = np.random.default_rng(seed)
     time = np.arange(200) / 200.0
     rising = np.cumsum(np.maximum(0.0, rng.normal(0.2, 1.0, 200).cumsum() * 0.01 + 0.2))
@@ -162,7 +162,7 @@ def test_a_resting_hand_rests():
     assert stroke.duration_s == pytest.approx(1.5)
 
 
-def test_off_the_surface_there_is_no_force_and_the_path_runs_straight():
+def test_samples_off_the_surface_get_no_force_on_a_straight_path():
     samples = line(seconds=2.0)
     touching = np.ones(len(samples.time), dtype=bool)
     touching[40:80] = False

@@ -1,4 +1,4 @@
-"""`hnf actuators`, and profiles as files."""
+"""The command `hnf actuators` and actuator profiles as files."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def test_a_report_tells_only_of_bands_that_were_asked_for(tmp_path: Path, capsys
     assert abs(heard["before_db"]) < 0.1
 
 
-def test_a_file_without_a_unit_means_the_same_to_a_report_as_to_a_stream(
+def test_report_and_stream_use_the_same_unit_for_a_unitless_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """At rates and lengths where its coil warms: which unit was taken decides what is limited at all."""
@@ -208,9 +208,7 @@ def test_which_unit_was_taken_is_told_and_why(
     assert largest < 1.0 or "since it goes beyond 1" in told["unit"]
 
 
-def test_an_export_does_not_take_our_full_scale_for_an_actuator_s(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_export_marks_the_default_full_scale_as_assumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_wav(tmp_path / "x.wav", Signal(np.sin(0.1 * np.arange(2000)).astype(np.float32), 10_000.0, 0))
     words = ("export", tmp_path / "x.wav", "--format", "haptic", "--out", tmp_path / "x.haptic")
     assert hnf(*words, "--profile", "eai-c-mf") == 0

@@ -1,4 +1,4 @@
-"""The audio sink on a real sound server: what is written is what the output gets."""
+"""The audio sink on a real sound server: the output receives the samples that are written."""
 
 from __future__ import annotations
 
@@ -230,7 +230,7 @@ print(stream.wait(60.0), stream.report.played_s >= 2.0, stream.report.problem, f
 
 
 @needs_server
-def test_a_device_is_found_by_name_and_by_the_words_of_its_listing(server: SoundServer) -> None:
+def test_a_device_opens_by_name_or_listed_target(server: SoundServer) -> None:
     listed = list_devices()
     assert listed.missing == ()
     assert {each.title for each in listed.audio} >= {"pulse", "default"}

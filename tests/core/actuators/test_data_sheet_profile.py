@@ -1,4 +1,4 @@
-"""A data sheet's figures as a profile: the model that they stand for comes back, and what was not stated stays so."""
+"""Profiles from data-sheet figures: the model is recovered, and unstated values stay unknown."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_resonance_sharpness_and_strength_come_back(resonance_hz: float, quality
     assert level[inside].min() >= level.max() - DATASHEET_USABLE_DB
 
 
-def test_a_sine_that_is_asked_for_is_what_is_felt_once_the_response_is_corrected() -> None:
+def test_compensation_restores_the_level_of_a_sine() -> None:
     profile = make_datasheet_profile("LRA", "sheet", resonance_hz=175.0, quality=8.0, peak_m_s2=14.0)
     time = np.arange(2 * RATE) / RATE
     for hz in (150.0, 175.0, 220.0):
@@ -49,7 +49,7 @@ def test_a_sine_that_is_asked_for_is_what_is_felt_once_the_response_is_corrected
         assert abs(20.0 * np.log10(plain.rms / signal.rms)) > 1.0
 
 
-def test_a_range_that_is_stated_is_kept_and_what_is_not_stated_is_not_made_up() -> None:
+def test_a_stated_range_is_used_and_unstated_values_stay_unknown() -> None:
     profile = make_datasheet_profile(
         "LRA", "sheet", resonance_hz=175.0, quality=12.0, peak_m_s2=None, range_hz=(150.0, 200.0)
     )

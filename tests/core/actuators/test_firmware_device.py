@@ -1,4 +1,4 @@
-"""What the device core of tools/firmware plays: laws of its output, for any input. Its only clock is the tick."""
+"""Properties of the output of the device core of tools/firmware for any input, clocked by its tick alone."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def bridged(whole: Counts, kept: NDArray[np.bool_]) -> Counts:
 
 @settings(deadline=None)
 @given(seed=SEEDS, pieces=st.lists(st.tuples(st.integers(1, 25), st.booleans()), max_size=5), last=st.integers(1, 25))
-def test_lost_samples_become_a_line_and_the_stream_keeps_its_time(
+def test_lost_samples_are_interpolated_without_a_time_shift(
     check: Check, seed: int, pieces: list[tuple[int, bool]], last: int
 ) -> None:
     device = started(check)
@@ -201,7 +201,7 @@ def test_a_line_is_never_steeper_than_what_was_sent(check: Check, seed: int, ste
     assert np.abs(np.diff(played, axis=0)).max() <= max(step, first)
 
 
-def test_when_all_that_was_under_way_is_lost_an_empty_message_goes_on(check: Check) -> None:
+def test_an_empty_message_resumes_after_all_samples_were_lost(check: Check) -> None:
     device = started(check)
     device.samples(noise(1, QUEUE, 2))
     credit = credits_of(device.ask())[-1]

@@ -1,4 +1,4 @@
-"""What the device core of tools/firmware answers, state by state."""
+"""Replies of the device core of tools/firmware in each state."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_who_plays_is_not_disturbed(check: Check, message: Message) -> None:
     assert credits_of(device.poll())[-1].session == device.session
 
 
-def test_a_second_host_takes_over_once_it_is_silent_and_the_first_is_told(check: Check) -> None:
+def test_a_second_host_takes_over_and_the_first_gets_an_error(check: Check) -> None:
     device = playing(check)
     device.tick(50 + RAMP)
     assert isinstance(device.send(Hello())[0], Caps)

@@ -1,4 +1,4 @@
-"""The limiter's laws hold for any input, any limits, and any cut into blocks."""
+"""Properties of the limiter for any input, any limits and any block size."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def test_full_scale_is_the_largest_count_and_needs_no_limiting() -> None:
     assert limiter.limited == 0
 
 
-def test_the_loud_settles_just_below_what_the_coil_carries_and_nothing_zips() -> None:
+def test_loud_signals_settle_smoothly_below_the_sustained_limit() -> None:
     rate = 10000.0
     share = 0.8 * np.sin(2.0 * np.pi * 200.0 * np.arange(60000) / rate)
     counts = Limiter(LIMITS, rate, 1).process(30.0 * share[:, None])[:, 0].astype(np.float64) / FULL_SCALE_COUNTS

@@ -1,4 +1,4 @@
-"""An actuator's response: estimated, fitted, inverted; and the laws that hold for each."""
+"""Estimation, fitting and inversion of an actuator's response."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def test_compensation_of_blocks_is_that_of_the_whole(cuts: list[int], channels: 
         np.testing.assert_allclose(whole[:, channel], plain, atol=1e-4)
 
 
-def test_the_error_after_the_actuator_falls_on_the_transducer_itself() -> None:
+def test_compensation_lowers_band_errors_on_the_transducer() -> None:
     """Measured on one excitation, proved on another, through the simulated mass and spring and not its estimate."""
     limits = GENERIC.limits
     asked = make_sweep(RATE, 8.0, 8.0, 1100.0, 5.0)
@@ -255,7 +255,7 @@ class Deaf(Accelerometer):
         return Signal(np.zeros(100, np.float32), RATE, 0)
 
 
-def test_a_measurement_that_meets_a_limit_or_misses_samples_is_refused(tmp_path: Path) -> None:
+def test_a_limited_or_underrun_measurement_is_refused(tmp_path: Path) -> None:
     loud = make_sweep(RATE, 0.5, 20.0, 500.0, 20.0)
     with pytest.raises(UsageError, match=r"beyond the device's limits\. Measure with a lower --level"):
         measure_actuator(FileSink(tmp_path / "x.wav", int(RATE)), Deaf(), loud, Limits(10.0))

@@ -1,4 +1,4 @@
-"""Envelopes over OSC, heard by a real UDP receiver."""
+"""Envelopes over OSC, received by a real UDP socket."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_an_envelope_is_a_share_and_no_pitch_is_no_number(values: list[int], lev
     assert np.isnan(compute_centroid_hz(np.full((80, 1), level, np.int16), RATE_HZ)[0])
 
 
-def test_the_receiver_gets_a_message_a_slot_and_silence_at_the_end() -> None:
+def test_osc_sends_one_message_per_slot_and_silence_at_the_end() -> None:
     with receiver() as ear:
         sink = OscSink("127.0.0.1", ear.port)
         form = sink.open()

@@ -1,4 +1,4 @@
-"""Nothing that takes time, a material to load or a device to open, holds up silence or the hand."""
+"""Slow loading of materials or opening of devices delays neither a stop nor the hand."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def test_a_hand_is_felt_while_another_material_loads(monkeypatch: pytest.MonkeyP
     assert moved == [(0.25, 0.0)]
 
 
-def test_a_hand_that_pressed_before_the_device_was_there_is_felt_then(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_moves_before_the_device_opens_apply_once_it_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may rest from then on, and send nothing more. But it does not haunt what begins after a stop, or after a
     recording, however late its last word comes."""
     moved: list[tuple[LiveSource, tuple[float, float]]] = []

@@ -1,4 +1,4 @@
-"""What the host concludes from a device's messages and its own clock, without a port."""
+"""Flow control and fault detection of the host from a device's messages and its own clock, without a port."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def begun(sent: int = 0) -> SerialSession:
 
 @given(st.lists(st.tuples(st.integers(0, QUEUE), st.integers(0, QUEUE)), max_size=60), st.integers(0, 3))
 @settings(deadline=None)
-def test_never_more_is_sent_than_fits_and_lost_credits_do_no_harm(steps: list[tuple[int, int]], heard: int) -> None:
+def test_sent_frames_never_exceed_the_queue_if_credits_are_lost(steps: list[tuple[int, int]], heard: int) -> None:
     session, played = begun(), 0
     for at, (wish, plays) in enumerate(steps):
         session.sent += min(wish, session.sendable_frames)
@@ -116,7 +116,7 @@ def test_what_ends_a_stream(messages: list[Caps | Credit | Error], words: str) -
     assert session.to_sink_status().problem == str(first)
 
 
-def test_a_line_that_loses_most_is_told_and_one_that_loses_some_is_not() -> None:
+def test_only_a_line_that_loses_most_samples_is_a_problem() -> None:
     for lost_of_100, told in ((40, False), (60, True)):
         session = begun(sent=10**6)
         for at in range(60):

@@ -1,4 +1,4 @@
-"""The serial sink on real ptys: counts arrive, and whatever does not fit is said in words of the next step."""
+"""The serial sink on real ptys: samples arrive, and errors name the next step."""
 
 from __future__ import annotations
 
@@ -116,9 +116,7 @@ class Pauses:
         return getattr(time, name)
 
 
-def test_a_port_that_is_closed_lets_its_stop_out_before_it_drops_what_waits(
-    port: VirtualPort, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_close_sends_the_stop_before_it_drops_the_buffer(port: VirtualPort, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pty says that nothing waits while all of it does. This device reads while close() pauses, and not before: where
     it does not pause, what waits is dropped unheard."""
     import serial
@@ -233,9 +231,7 @@ def test_a_system_that_gives_no_pty_is_told(monkeypatch: pytest.MonkeyPatch, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_folder_of_a_program_that_was_killed_goes_with_the_next_port(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_next_port_removes_the_folder_of_a_killed_process(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     code = "from hnf_core.actuators.virtual.port import VirtualPort as P; p = P(); print(p.path, flush=True); input()"
     words = [sys.executable, "-c", f"import sys, tempfile; tempfile.tempdir = {str(tmp_path)!r}\n{code}"]
@@ -303,7 +299,7 @@ def test_a_computer_that_slept_is_told(port: VirtualPort) -> None:
     sink.close()
 
 
-def test_a_problem_is_told_by_every_call_until_it_is_opened_again(port: VirtualPort) -> None:
+def test_every_call_raises_the_problem_until_reopened(port: VirtualPort) -> None:
     sink = SerialSink(port.path, rate_hz=8000)
     sink.open()
     play(sink, noise(400, 1))

@@ -1,4 +1,4 @@
-"""A stream sends what it should, to the byte, and whatever goes wrong ends it in silence with one message."""
+"""A stream sends exact bytes, and every fault ends it in silence with one message."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_what_the_sink_gets_is_what_the_chain_makes_at_once(
     assert at_rest()
 
 
-def test_one_channel_goes_to_all_of_the_device_and_two_do_not_go_to_three() -> None:
+def test_mono_fills_all_channels_and_stereo_on_three_is_refused() -> None:
     one = render_counts(BufferSource(noise(0.05), 8000.0), SinkFormat(8000.0, 3, 100, "three"), LIMITS)
     assert np.array_equal(one[:, 0], one[:, 2])
     with pytest.raises(UsageError, match="2 channels"):
@@ -87,7 +87,7 @@ def test_one_channel_goes_to_all_of_the_device_and_two_do_not_go_to_three() -> N
     assert at_rest()
 
 
-def test_a_device_with_a_lower_peak_of_its_own_never_has_to_cut_anything_off() -> None:
+def test_the_limiter_respects_the_lower_peak_of_a_device() -> None:
     """It would do so hard, and nobody would be told; the limiter holds back softly, and counts."""
     samples = np.full((4000, 1), 25.0, np.float32) * np.sin(0.1 * np.arange(4000), dtype=np.float32)[:, None]
     sink = ClockSink()
@@ -105,7 +105,7 @@ def test_a_device_with_a_lower_peak_of_its_own_never_has_to_cut_anything_off() -
     ), "as if the profile had said so"
 
 
-def test_stages_stand_between_source_and_limiter_and_never_see_what_is_no_number() -> None:
+def test_stages_run_before_the_limiter_on_finite_samples_only() -> None:
     class Louder:
         def process(self, block: Samples) -> Samples:
             assert np.isfinite(block).all()
@@ -234,7 +234,7 @@ if child:
     assert (run.returncode, run.stderr) == (0, "")
 
 
-def test_while_it_plays_the_interpreter_is_calm_and_after_it_as_before() -> None:
+def test_streams_set_and_restore_switch_interval_and_gc_freeze() -> None:
     before = sys.getswitchinterval()
     streams = [Stream(BufferSource(noise(LONG_S), 10000.0), ClockSink(), LIMITS) for _ in range(2)]
     for stream in streams:
@@ -254,7 +254,7 @@ def test_a_stream_of_nothing_ahead_is_refused() -> None:
             Stream(BufferSource(noise(0.1), 10000.0), ClockSink(), LIMITS, **words)  # type: ignore[arg-type]
 
 
-def test_nothing_leaves_before_who_starts_it_has_had_a_look_at_the_device() -> None:
+def test_no_sample_is_sent_before_the_start_callback_returns() -> None:
     """Whoever computes something first does not make the device wait for samples: that would be underruns."""
     sink = ClockSink()
     seen = []
@@ -281,7 +281,7 @@ def test_nothing_leaves_before_who_starts_it_has_had_a_look_at_the_device() -> N
     assert at_rest()
 
 
-def test_a_source_prepares_its_next_block_when_the_last_one_is_on_its_way() -> None:
+def test_a_source_prepares_the_next_block_after_a_write() -> None:
     source = Ahead(4)
     with Stream(source, ClockSink(), LIMITS) as stream:
         stream.start()

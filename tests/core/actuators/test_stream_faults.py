@@ -1,4 +1,4 @@
-"""Whatever goes wrong with a source or a device ends a stream in silence, with one message, and nothing is left."""
+"""Faults of a source or a device end a stream in silence, with one message and no threads left."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_source_that_fails_ends_in_silence_and_one_message(error: Exception) -
     assert at_rest()
 
 
-def test_a_source_that_hangs_holds_up_neither_the_device_nor_a_stop() -> None:
+def test_a_hanging_source_blocks_neither_device_nor_stop() -> None:
     hang = threading.Event()
     sink = ClockSink()
     stream = Stream(Failing(10, lambda: hang.wait(30.0)), sink, LIMITS)
@@ -48,7 +48,7 @@ def test_a_source_that_hangs_holds_up_neither_the_device_nor_a_stop() -> None:
     assert at_rest()
 
 
-def test_a_device_that_fails_ends_the_stream_and_another_plays_at_once() -> None:
+def test_a_device_failure_ends_the_stream_and_a_new_one_plays() -> None:
     samples = noise(0.2)
     broken = ClockSink(fails_after=700)
     first = Stream(BufferSource(samples, 10000.0), broken, LIMITS)

@@ -1,4 +1,4 @@
-"""What a stream tells of itself, and what a device's coils keep from one stream to the next."""
+"""The report of a stream, and the coil heat that a device carries from one stream to the next."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_report_is_json() -> None:
     assert {"blocks", "underruns", "compute_p99_ms", "peak", "limited_samples"} <= set(record)
 
 
-def test_a_coil_cools_by_its_own_time_constant_and_not_by_a_new_stream() -> None:
+def test_coil_heat_decays_by_its_time_constant_across_streams() -> None:
     now = [100.0]
     warmth = ThermalState(lambda: now[0])
     assert warmth.get_heat("a", LIMITS, 2).tolist() == [0.0, 0.0]

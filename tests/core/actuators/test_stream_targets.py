@@ -1,4 +1,4 @@
-"""Where a stream can go, in words."""
+"""Parsing of stream targets."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_the_device_is_told_the_limits_that_hold_there(limits: Limits) -> None:
 
 
 @given(st.floats(1e-3, 1e9), st.integers(1, FULL_SCALE_COUNTS), st.integers(1000, 192_000))
-def test_no_slew_keeps_a_device_from_starting_or_changes_what_the_limiter_lets_out(slew: float, peak: int, rate: int):
+def test_the_device_slew_admits_any_output_of_the_limiter(slew: float, peak: int, rate: int):
     told, start = compute_device_slew(slew, peak, rate), Start(rate, 1, peak, 1)
     assert PlayoutFormat.from_start(start, 1).step <= told <= NO_SLEW_LIMIT
     assert told >= compute_max_step(slew, rate)

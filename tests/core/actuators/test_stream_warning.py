@@ -1,4 +1,4 @@
-"""What `hnf stream` says beforehand of a signal that is too strong: why, how much of it, and the gain that fits."""
+"""Warnings of `hnf stream` about a signal that is too strong: cause, share, and the gain that fits."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_what_no_gain_makes_fit_is_told_so(tmp_path: Path, capsys: pytest.Captur
     assert "No --gain makes it fit: check the file's unit." in played(capsys, *words)[2]
 
 
-def test_a_loop_without_an_end_is_looked_at_until_its_coil_is_warm() -> None:
+def test_an_endless_loop_is_checked_until_the_coil_is_warm() -> None:
     """Once through, it may be harmless."""
     assert compute_checked_duration(1.0, None, loop=True, thermal_s=10.0) >= 50.0
     assert compute_checked_duration(1.0, 3.0, loop=True, thermal_s=10.0) == 3.0

@@ -1,5 +1,4 @@
-"""The virtual device on its own sample clock: what it plays, what it promises, what it refuses. That it is the firmware
-in another language is shown by test_firmware_virtual.py."""
+"""Output and limits of the virtual device; test_firmware_virtual.py compares it with the firmware."""
 
 from __future__ import annotations
 
@@ -81,7 +80,7 @@ def test_whole_pieces_are_what_tick_by_tick_is(form: PlayoutFormat, actions: lis
 
 @given(FORMATS, st.lists(ACTIONS, max_size=25))
 @settings(max_examples=100, deadline=None)
-def test_nothing_leaves_it_beyond_its_limits_and_silence_comes_in_time(
+def test_the_output_stays_within_limits_and_ends_in_silence(
     form: PlayoutFormat, actions: list[tuple[str, int, int]]
 ) -> None:
     playout, out = Playout(form), [np.zeros((1, form.channels), dtype=np.int16)]
@@ -186,7 +185,7 @@ def test_a_bridge_is_straight_and_between_its_ends(one: int, other: int, gap: in
     assert np.all((line >= min(one, other)) & (line <= max(one, other)))
 
 
-def test_samples_behind_a_damaged_length_come_too_late_and_a_stop_does_not() -> None:
+def test_a_damaged_length_delays_samples_but_not_a_stop() -> None:
     """The decoder waits for the rest of a message that never was so long; 20 ms later it looks at what it has."""
     for late, state in ((Samples.from_counts(1, 60, loud(60)), State.WAITING), (Stop(), State.READY)):
         host = Host()

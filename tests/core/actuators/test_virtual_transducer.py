@@ -1,4 +1,4 @@
-"""The simulated transducer: laws of a mass on a spring, and of a coil that warms."""
+"""The simulated transducer: a mass on a spring and a coil that warms."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def test_an_end_stop_is_never_passed() -> None:
     assert np.abs(freely.position).max() > 2e-5
 
 
-def test_full_scale_above_resonance_is_what_the_generic_profile_says() -> None:
+def test_full_scale_above_resonance_matches_the_generic_profile() -> None:
     motion = simulate_motion(GENERIC_TRANSDUCER, sine(800.0, 1.0, 4000), RATE)
     assert np.abs(motion.acceleration[2000:]).max() == pytest.approx(30.0, rel=0.05)
     assert GENERIC_TRANSDUCER.resonance_hz == pytest.approx(60.0, rel=0.01)

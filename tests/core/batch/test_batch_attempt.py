@@ -1,4 +1,4 @@
-"""One attempt at a job, without any cluster: what it leaves when it ends well, badly, or with its worker."""
+"""One attempt at a job, without a cluster: files after success, failure and loss of the worker."""
 
 from __future__ import annotations
 
@@ -144,9 +144,7 @@ def test_an_end_is_judged_by_its_code(code: int | None, state: State, words: str
     assert words in why
 
 
-def test_accidents_are_counted_and_only_the_last_one_leaves_a_folder(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_accidents_are_counted_and_only_the_last_leaves_a_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = fake(monkeypatch, -9)
     order, states = order_for(folder, "a", ["synth"], retries=2), []
     while True:
@@ -160,7 +158,7 @@ def test_accidents_are_counted_and_only_the_last_one_leaves_a_folder(
     assert half_written(folder) == []
 
 
-def test_an_exception_in_the_command_is_an_accident_and_a_refusal_is_not(
+def test_an_exception_is_an_accident_and_a_refusal_is_a_failure(
     tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     refused = run(order_for(folder, "a", synth(tmp_path / "absent.csv")))
@@ -220,9 +218,7 @@ def test_lost_workers_are_not_asked_for_ever(folder: Path, monkeypatch: pytest.M
     assert run(again).state is State.DONE  # another batch's losses are not counted
 
 
-def test_a_result_that_was_not_renamed_any_more_is_not_made_again(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finished_but_unrenamed_result_is_reused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     order = order_for(folder, "a", ["synth"])
     left_by(folder, order, finished=True)
     ran = fake(monkeypatch, 0)
@@ -234,7 +230,7 @@ def test_a_result_that_was_not_renamed_any_more_is_not_made_again(
 
 
 @pytest.mark.parametrize("refused", ["once", "always", "never: the power fails"])
-def test_a_renaming_that_fails_costs_neither_the_earlier_result_nor_the_new_one(
+def test_a_failed_rename_loses_neither_old_nor_new_result(
     refused: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ran, old, new = fake(monkeypatch, 0), *(order_for(folder, "a", ["synth", "--seed", seed]) for seed in "01")

@@ -1,4 +1,4 @@
-"""`hnf batch` with real workers: one of them killed, a failure, a change, a stop; and what a second run does."""
+"""`hnf batch` with real workers: a killed worker, a failure, a change, a stop, and a second run."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def listening(pid: int) -> set[str]:
     return found
 
 
-def test_a_killed_worker_costs_no_result_and_a_stop_leaves_nothing_half_written(
+def test_a_killed_worker_or_a_stop_leaves_no_partial_result(
     tmp_path: Path, scheduler: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, action = tmp_path / "out", table(tmp_path / "a.csv")
@@ -119,7 +119,7 @@ def test_a_killed_worker_costs_no_result_and_a_stop_leaves_nothing_half_written(
         assert (out / name / "x.wav").read_bytes() == direct(words, tmp_path / f"{name}.wav")
 
 
-def test_a_failure_is_told_the_others_finish_and_only_what_changed_is_run_again(
+def test_a_failure_stops_no_other_job_and_only_changes_rerun(
     tmp_path: Path, scheduler: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
@@ -173,7 +173,7 @@ def test_a_command_that_dies_is_tried_again_and_then_given_up(
     assert half_written(out) == []
 
 
-def test_training_runs_are_jobs_and_one_that_is_killed_ends_in_the_same_weights(
+def test_a_killed_training_job_is_retried_to_the_same_weights(
     tmp_path: Path, scheduler: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     import threading
@@ -201,7 +201,7 @@ def test_training_runs_are_jobs_and_one_that_is_killed_ends_in_the_same_weights(
     assert told(capsys)[0] == {"jobs": 2, "finished": 0, "skipped": 2, "failed": 0, "retried": 0, "workers": 0}
 
 
-def test_a_scheduler_that_is_not_there_and_workers_that_see_nothing_are_told(
+def test_missing_schedulers_and_mismatched_workers_are_errors(
     tmp_path: Path, scheduler: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ("synth", "--material", "oak-wood", "--stroke", "rub-slow", "--out", tmp_path / "out")

@@ -1,4 +1,4 @@
-"""`hnf synth` and the action table, by their words."""
+"""`hnf synth` and its action table."""
 
 import json
 import math
@@ -144,7 +144,7 @@ def test_weights_of_one_material_bring_it_along(tmp_path):
     assert read_wav(out).provenance["material"] == "mine"
 
 
-def test_a_material_kept_as_a_file_sounds_as_the_one_it_was_made_from(tmp_path, material):
+def test_an_exported_material_gives_the_same_signal(tmp_path, material):
     kept, named, filed = tmp_path / "mine.hnf", tmp_path / "named.wav", tmp_path / "filed.wav"
     assert hnf("materials", "--export", material, "--out", kept) == 0
     assert hnf("synth", "--material", material, "--stroke", "rub-slow", "--out", named) == 0
@@ -152,7 +152,7 @@ def test_a_material_kept_as_a_file_sounds_as_the_one_it_was_made_from(tmp_path, 
     assert filed.read_bytes() == named.read_bytes()
 
 
-def test_a_kept_material_of_another_encoder_brings_the_field_that_knows_it(tmp_path, material):
+def test_a_material_file_selects_the_field_of_its_encoder(tmp_path, material):
     from hnf_core.field.weights import EVERY_ENCODER_WEIGHTS
     from hnf_core.material.hnf_file import from_library, write_hnf
     from hnf_core.material.library import get_material
@@ -239,7 +239,7 @@ def test_columns_that_are_no_table_are_refused_in_words():
         action_from_table(np.arange(3.0), np.array([0.0, np.nan, 0.0]), np.ones(3), np.ones(3))
 
 
-def test_a_byte_order_mark_and_other_column_order_are_no_obstacle(tmp_path):
+def test_action_csv_accepts_a_bom_and_any_column_order(tmp_path):
     path = tmp_path / "a.csv"
     path.write_bytes(b"\xef\xbb\xbfforce_n,time_s,speed_m_s,direction_rad\r\n1,0,0.1,0\r\n\r\n1,0.5,0.1,0\r\n")
     action = read_action_csv(path)

@@ -1,4 +1,4 @@
-"""HaTT's synthesis rule, its published figures, and a user's copy of the toolkit."""
+"""The synthesis rule of HaTT, its published figures, and a local copy of the toolkit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from reference.hatt_reference import compute_rms_and_centroid, synthesise_refere
 # --- interpolation -----------------------------------------------------------------------------------------------
 
 
-def test_at_a_vertex_its_own_filter_sounds_and_between_two_their_mean(tmp_path):
+def test_filters_are_exact_at_vertices_and_linear_in_between(tmp_path):
     model = read(tmp_path)
     at = interpolate_filters(model, [0.1, 0.15], [2.0, 2.0])
     np.testing.assert_allclose(at.ar_lsf[0], model.ar_lsf[4])
@@ -52,7 +52,7 @@ def test_any_speed_and_force_gives_a_stable_filter(tmp_path_factory, speed, forc
     assert bool(at.clamped_force[0]) == (force > 4.0 * (1.0 + 1e-9))
 
 
-def test_outside_the_hull_the_largest_speed_counts_and_the_recording_says_so(tmp_path):
+def test_speed_outside_the_hull_is_clamped_with_a_note(tmp_path):
     model = read(tmp_path)
     assert compute_power_spectrum(model, 0.9, 1.0, 300.0) == compute_power_spectrum(model, 0.2 - 1e-5, 1.0, 300.0)
     notes = HattProcess(model).record([make_steady_action(0.5, 0.3, 1.0)], 0)[0].notes
@@ -121,7 +121,7 @@ def test_a_seed_fixes_the_signal_and_company_does_not_change_it(tmp_path):
     assert abs(np.corrcoef(together[1].samples, together[0].samples)[0, 1]) < 0.1
 
 
-def test_no_contact_is_silent_and_actions_of_one_call_are_equally_long(tmp_path):
+def test_no_contact_is_silent_and_unequal_lengths_are_refused(tmp_path):
     process = HattProcess(read(tmp_path))
     assert np.all(process.record([make_steady_action(0.5, 0.1, 0.0)], 0)[0].samples == 0.0)
     with pytest.raises(UsageError, match="equally long"):

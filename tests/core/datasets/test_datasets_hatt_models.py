@@ -1,4 +1,4 @@
-"""Reading HaTT texture models, and the line spectral frequencies they are made of."""
+"""HaTT texture models and their line spectral frequencies."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_what_is_missing_is_taken_from_what_is_there_and_said(tmp_path):
     assert {note.partition(" ")[0] for note in model.notes} == {"SpeedUnits", "maxSpeed", "SampleRate"}
 
 
-def test_case_of_tags_and_lists_without_value_elements_do_not_matter(tmp_path):
+def test_models_parse_with_any_tag_case_and_plain_lists(tmp_path):
     text = model_xml().replace("<value>", " ").replace("</value>", "\n").replace("numTri", "NUMTRI")
     path = tmp_path / "odd.xml"
     path.write_text(text, encoding="utf-8")

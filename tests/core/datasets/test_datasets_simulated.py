@@ -43,7 +43,7 @@ def test_no_corner_at_the_action_rate():
     np.testing.assert_allclose(force[::50], action.force[: len(force[::50])], atol=1e-12)
 
 
-def test_a_call_gives_what_each_action_gives_alone_and_a_seed_is_a_new_draw():
+def test_a_batch_equals_single_actions_and_seeds_differ():
     actions = [make_random_smooth_action(0.15, seed, speed_m_s=(0.05, 0.2), force_n=(0.5, 2.0)) for seed in range(3)]
     actions[2] = replace(actions[2], probe="finger")
     together = ROUGH.record(actions, 7)

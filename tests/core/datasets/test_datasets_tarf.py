@@ -1,4 +1,4 @@
-"""TaRF: views, depth and DIGIT touches by the data set's own split file."""
+"""TaRF: views, depth and DIGIT touches, divided by the split file of the data set."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_pair_is_square_and_in_metres(tmp_path):
     assert TarfFolder(tmp_path).split("train")[0].rgb.shape == (256, 256, 3)
 
 
-def test_the_folder_may_be_one_further_down_with_the_split_beside_it(tmp_path):
+def test_a_nested_folder_with_a_separate_split_file_loads(tmp_path):
     write(tmp_path / "pairs_recalib", split=None)
     (tmp_path / "pairs").mkdir()
     (tmp_path / "pairs" / "split_interval.json").write_text(json.dumps(SPLIT))

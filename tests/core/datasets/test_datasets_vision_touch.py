@@ -1,4 +1,4 @@
-"""Pairs of look and touch: lazy sequences, splits that keep a place whole, pictures of unknown origin."""
+"""Vision–touch pairs: lazy sequences, splits by location, and images of unknown origin."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ places = st.lists(st.integers(0, 30).map(str), max_size=200)
 
 @settings(max_examples=60, deadline=None)
 @given(places, st.integers(0, 5), st.randoms())
-def test_a_split_keeps_places_whole_loses_nothing_and_knows_no_order(tmp_path_factory, names, seed, random):
+def test_splits_partition_by_location_whatever_the_order(tmp_path_factory, names, seed, random):
     folder = tmp_path_factory.getbasetemp()
     split = split_by_location(of_places(names, folder), seed)
     assert list(split) == ["train", "val", "test"]
@@ -150,7 +150,7 @@ def test_another_array_is_no_depth(tmp_path, array, message):
         read_depth(tmp_path / "a.npy", 5.0)
 
 
-def test_a_header_that_promises_more_than_there_is_costs_no_memory(tmp_path):
+def test_a_header_larger_than_its_file_is_refused(tmp_path):
     buffer = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (10**6, 10**6)}
     np.lib.format.write_array_header_1_0(buffer, header)

@@ -1,4 +1,4 @@
-"""Shards of tactile pairs: equal bytes however they came about, and whole whatever stopped the run."""
+"""Shards of tactile pairs: equal bytes from every run, and complete after an interrupted one."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_shards_come_back_and_join(made: Path) -> None:
     assert np.array_equal(pairs.rgb[8:], again.rgb)
 
 
-def test_a_second_run_writes_nothing_and_a_damaged_shard_is_made_again(made: Path) -> None:
+def test_a_second_run_rewrites_only_damaged_shards(made: Path) -> None:
     before = contents(made)
     assert write_pairs(made, FEW, 3, tiles_per_shard=1) == 0
     path = get_shard_path(made, TRAIN, 1)
@@ -123,7 +123,7 @@ def test_nothing_there_and_unknown_splits_are_said(tmp_path: Path) -> None:
         concatenate_pairs([])
 
 
-def test_a_shard_that_cannot_be_written_leaves_the_disk_as_it_was(made: Path, tmp_path: Path) -> None:
+def test_a_failed_shard_write_leaves_the_disk_unchanged(made: Path, tmp_path: Path) -> None:
     blocked = tmp_path / TRAIN
     blocked.write_text("a file where a folder should be")
     with pytest.raises(FileError):

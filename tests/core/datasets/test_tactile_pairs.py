@@ -1,4 +1,4 @@
-"""Tactile pairs: what is touched is what was seen, and no split knows another."""
+"""Tactile pairs: image and touch show the same surface, and the splits share no instance."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ def test_colour_bytes_come_back(value: int) -> None:
 # --- splits
 
 
-def test_no_instance_is_in_two_splits_and_no_held_out_class_in_another() -> None:
+def test_splits_share_no_instances_and_no_held_out_classes() -> None:
     wanted = {split: list_tile_requests(split, PairSizes(), 0) for split in SPLITS}
     things = {split: {(o.class_name, o.instance_seed) for o in wanted[split] if o.class_name} for split in SPLITS}
     assert not things[TRAIN] & things[HELD_OUT_INSTANCES]

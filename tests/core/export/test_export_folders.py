@@ -1,4 +1,4 @@
-"""An export never takes the place of something else, and leaves no file without its note."""
+"""An export overwrites only its own files and writes a sidecar for each."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_an_earlier_export_is_replaced_with_its_note(tmp_path: Path, word: str) 
     assert all(first[name] != second[name] for name in first)
 
 
-def test_the_mesh_of_a_texture_replaces_its_own_earlier_one_alone(tmp_path: Path) -> None:
+def test_a_texture_mesh_replaces_only_its_own_earlier_mesh(tmp_path: Path) -> None:
     path, options = tmp_path / "x.hjif", ExportOptions(surface=touched_sheet())
     mesh = tmp_path / "x.hjif.glb"
     mesh.write_bytes(b"a stranger")

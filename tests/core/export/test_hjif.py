@@ -1,4 +1,4 @@
-"""`.hjif`: what is read back is what was written; what the reference software asks is kept; damage is named."""
+"""`.hjif`: round trips, conformance with the reference software, and errors for damaged files."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_what_is_too_loud_for_the_device_is_not_clipped() -> None:
     check_hjif(tree)
 
 
-def test_with_its_surface_a_texture_names_the_vertices_under_the_stroke(tmp_path: Path) -> None:
+def test_a_texture_on_a_surface_lists_vertices_under_the_stroke(tmp_path: Path) -> None:
     surface = touched_sheet()
     signal, path = rough_tone(), tmp_path / "x.hjif"
     (said,) = write_hjif(path, signal, ExportOptions(surface=surface))

@@ -1,4 +1,4 @@
-"""Files of other programs are read by their rules; what is wrong with a file is one FileError, whatever it is."""
+"""Import of files of other programs by their rules, with one FileError for any damage."""
 
 from __future__ import annotations
 
@@ -319,7 +319,7 @@ JSON = st.recursive(
 @pytest.mark.parametrize("word", [*ENVELOPES, "android"])
 @given(data=st.data())
 @settings(max_examples=150, deadline=None)
-def test_any_value_in_any_place_gives_a_file_error_or_a_finite_signal(
+def test_any_damaged_value_gives_a_file_error_or_finite_signal(
     word: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.getbasetemp()

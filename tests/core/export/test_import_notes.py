@@ -1,4 +1,4 @@
-"""What an import says of itself: what it made up, what it assumed, and what was lost before."""
+"""Notes of an import: made-up values, assumptions, and losses of the earlier export."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_what_holds_no_samples_brings_none_in(
     assert ("Every sample reads back" in shown) == (not rendered)
 
 
-def test_what_the_export_lost_is_told_where_its_sidecar_still_fits(
+def test_export_losses_are_reported_if_the_sidecar_still_matches(
     tmp_path: Path, wav: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, words = tmp_path / "x.haptic", ("import", tmp_path / "x.haptic", "--out", tmp_path / "y.wav")

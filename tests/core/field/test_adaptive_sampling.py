@@ -1,4 +1,4 @@
-"""F_Θ where the action asks for it: the tolerance is kept, and no state is evaluated that it does not need."""
+"""Adaptive sampling of F_Θ: the tolerance is met, and only the necessary states are evaluated."""
 
 import dataclasses
 
@@ -64,7 +64,7 @@ def missed(sampled, function, count) -> float:
 
 
 @pytest.mark.parametrize("tolerance", [0.1, 0.03, 0.01, 0.003])
-def test_the_tolerance_is_kept_where_a_hand_lands_speeds_up_and_stops(tolerance):
+def test_tolerance_is_met_through_landing_acceleration_and_stop(tolerance):
     def swell(at):
         t = at / 1e4
         return np.clip((t - 0.2) / 0.03, 0.0, 1.0) * (1.0 + 0.7 * np.sin(5.0 * t)) * np.clip((1.9 - t) / 0.05, 0.0, 1.0)
@@ -90,7 +90,7 @@ def test_the_tolerance_is_kept_on_any_straight_lines(heights, tolerance):
     assert missed(sample_adaptively(of_time(lines), count, tolerance), lines, count) < tolerance
 
 
-def test_what_stays_the_same_costs_the_coarse_grid_and_its_middles():
+def test_constant_input_evaluates_the_coarse_grid_and_midpoints():
     emit, asked = counted(of_time(lambda at: np.ones(len(at))))
     sample_adaptively(emit, 40_000, 1e-3)
     assert len(asked) == 40_000 // MAX_INTERVAL + 1 + 40_000 // MAX_INTERVAL
@@ -187,7 +187,7 @@ def test_a_signal_within_the_tolerance_of_the_reference():
 @pytest.mark.parametrize(
     ("material", "followed"), [("leather", 3), ("silk", 0), ("knurled-metal", 1), ("sandstone", 0)]
 )
-def test_a_tolerance_is_kept_or_what_is_told_is_no_better_than_the_truth(material, followed):
+def test_the_tolerance_is_met_or_an_honest_error_is_reported(material, followed):
     """Where it is hardest: tones that pass from band to band as the hand turns, bands that a slow hand leaves."""
     of, time = get_material(material), np.arange(51) / 200.0
     speed = 0.15 * np.clip(time / 0.05, 0.05, 1.0) * np.clip((0.25 - time) / 0.05, 0.05, 1.0)
@@ -246,7 +246,7 @@ def test_a_steady_stroke_needs_few_states_and_sounds_the_same():
     assert np.sqrt(np.mean(np.square(one - two))) < 1e-3 * np.sqrt(np.mean(np.square(two)))
 
 
-def test_in_the_air_there_is_exactly_nothing_within_a_tolerance_either():
+def test_adaptive_sampling_is_exactly_silent_without_contact():
     force = np.where((np.arange(401) > 150) & (np.arange(401) < 250), 1.0, 0.0)
     stroke = uniform_stroke(make_action(np.full(401, 0.1), force), rough_token(), WOOD)
     values = synthesise(linear_field(), stroke, seed=0, tolerance=0.01).signal.samples

@@ -1,4 +1,4 @@
-"""Where a hand turns: straight in between, in C as in numpy, and nothing that the action does not ask for."""
+"""Breakpoints of an action: linear in between, equal in C and numpy, and no more than necessary."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_kernel_turns_where_numpy_does(seed, count, restless):
 
 @settings(max_examples=80, deadline=None)
 @strokes
-def test_between_two_turns_it_is_straight_on_one_material_and_either_touches_or_not(seed, count, restless):
+def test_segments_are_linear_with_one_material_and_contact_state(seed, count, restless):
     action, material = wandering(seed, count, restless)
     found = find_breakpoints(action, material)
     kept = found[found % SAMPLES_PER_STATE == 0] // SAMPLES_PER_STATE

@@ -1,4 +1,4 @@
-"""What pressing makes felt: near the exact response, the same in C and in numpy, and of each state by itself."""
+"""The contact filter: close to the exact response, equal in C and numpy, and independent for each state."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_the_kernel_presses_as_numpy_does(steps, start, count, probe, seed):
     np.testing.assert_array_equal(np.concatenate(parts), found)
 
 
-def test_a_hand_that_presses_evenly_makes_nothing_felt_and_one_that_did_soon_does_not():
+def test_constant_force_is_exactly_silent_after_the_transient():
     """Exactly nothing, not little: silence is told from sound by it."""
     time = np.arange(400) / 200.0
     force = np.where(time < 0.5, 0.0, 2.0)

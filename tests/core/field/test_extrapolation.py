@@ -1,4 +1,4 @@
-"""Out of range: inside everything trained confidence is 1 and nothing is said; further outside it falls."""
+"""Confidence is 1 inside the training ranges and falls with a warning outside them."""
 
 import dataclasses
 
@@ -154,7 +154,7 @@ def test_a_circle_covers_every_direction():
     assert all(compute_training_ranges([make_circular_action(2.0, 0.1, 1.0, 0.02)], TOKENS, MECHANICS).sectors)
 
 
-def test_directions_never_told_apart_matter_only_where_a_surface_has_one():
+def test_untrained_directions_lower_confidence_on_grain_only():
     field = trained(directed=[False] * len(EVERYWHERE))
     assert field.ranges.sectors == ()
     isotropic, grained = TOKENS[0].copy(), TOKENS[0].copy()
@@ -206,7 +206,7 @@ def test_mechanics(near, far, above, name):
     assert f"trained on {low:g}–{high:g}" in words
 
 
-def test_unknown_mechanics_are_judged_by_whether_training_left_them_open():
+def test_confidence_for_unknown_mechanics_follows_the_training():
     stroke, unknown = make_steady_action(0.1, 0.1, 1.0), dataclasses.replace(MIDDLE, friction=None)
     confidence, words = judge(FIELD, stroke, mechanics=unknown)
     assert (confidence, words) == (0.5, "Friction is unknown here; in training it was always given.")

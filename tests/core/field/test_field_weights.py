@@ -1,4 +1,4 @@
-"""A field's description on disk: whatever it says, the file is read or refused, and what is read can be felt."""
+"""A field's description on disk is either refused or loaded and rendered."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NAMES = [*ARCHITECTURE, *(f"carriers.{field.name}" for field in dataclasses.fiel
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_whatever_a_description_says_it_is_refused_or_can_be_felt(name: str) -> None:
+def test_any_description_is_refused_or_renders_finite_samples(name: str) -> None:
     for value in STRANGE:
         with contextlib.suppress(WeightsError):
             field = read(changed(name, value))

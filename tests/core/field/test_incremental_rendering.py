@@ -1,4 +1,4 @@
-"""A stroke pressed otherwise: rendering only what changed equals rendering everything, to the last bit."""
+"""Incremental rendering after a force change equals full rendering bit for bit."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def test_the_contact_between_two_loads_is_that_of_the_load() -> None:
 
 
 @pytest.mark.parametrize(("start", "count"), [(0, 1), (0, 4096), (4096, 4096), (17, 333), (7900, 2100)])
-def test_pressing_is_the_spline_of_the_force_through_the_responses(start, count) -> None:
+def test_the_contact_filter_convolves_the_force_spline(start, count) -> None:
     """Against both written out: the spline at every sample, each response run over it, blended at each sample."""
     time = np.arange(201) / 200.0
     force = np.abs(1.5 * np.sin(7.0 * time)) + 3.0 * (time > 0.6)

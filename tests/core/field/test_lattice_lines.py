@@ -1,4 +1,4 @@
-"""Tones apart from noise: together they are the linear contact, a gain moves one tone only, the twin is a twin."""
+"""Spectral lines and noise: their sum is the linear contact, a gain scales one line, and torch equals numpy."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_noise_and_tones_together_are_the_whole_contact():
     assert tones.sum(axis=1) == pytest.approx((linear.power - linear.noise).sum(axis=1), rel=0.006, abs=1e-7)
 
 
-def test_an_untrained_field_with_line_gains_is_nearly_one_without():
+def test_untrained_line_gains_barely_change_the_power():
     plain = dataclasses.replace(CONFIG, line_gains=False)
     power = [
         np.square(steady_amplitude(config, evaluate(Field(config, initial_parameters(config, 0)), condition()))).sum()
@@ -107,7 +107,7 @@ def test_the_torch_twin_equals_numpy():
     np.testing.assert_allclose(twin.numpy(), numpy, rtol=1e-4, atol=1e-6 * numpy.max())
 
 
-def test_in_the_stroke_s_frame_only_the_angle_between_surface_and_stroke_counts():
+def test_the_stroke_frame_depends_on_relative_angle_only():
     framed = dataclasses.replace(CONFIG, stroke_frame=True)
     still, turned = condition(), condition()
     angle, tokens = 0.7, turned.tokens.copy()
@@ -128,7 +128,7 @@ def test_in_the_stroke_s_frame_only_the_angle_between_surface_and_stroke_counts(
     assert np.abs(plain[0] - plain[1]).max() > 0.1
 
 
-def test_weights_with_line_gains_round_trip_and_nonsense_is_refused(tmp_path):
+def test_line_gain_weights_round_trip_and_bad_ones_are_refused(tmp_path):
     path = tmp_path / "w.safetensors"
     save_field(path, Field(CONFIG, initial_parameters(CONFIG, 0)))
     entry = get_material("denim")

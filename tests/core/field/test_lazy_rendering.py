@@ -1,4 +1,4 @@
-"""Nothing is done that a stroke does not need: samples, states and carriers are counted, no time is.
+"""Rendering computes only the samples, states and carriers that a stroke needs; they are counted, not timed.
 
 What is imported is counted in test_startup.py, what a changed force key costs in test_incremental_rendering.py.
 """
@@ -68,7 +68,7 @@ def test_a_state_is_evaluated_once_and_512_at_most_together():
     assert len(states) == -(-sum(states) // BATCH_STATES)
 
 
-def test_in_numpy_a_state_is_evaluated_once_and_those_before_a_portion_again():
+def test_numpy_evaluates_states_once_plus_the_chunk_overlap():
     field, stroke = load_field(), make_scrape(SECONDS)
     with count_states() as states, without_kernel():
         prepared.prepare_stroke(field, stroke, seed=SEED)

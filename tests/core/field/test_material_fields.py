@@ -1,4 +1,4 @@
-"""A material with a field of its own: one file, and a stroke over several of them."""
+"""Materials with a field of their own, in one file, and strokes over several of them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def stroke_over(*fields: Field | None) -> StrokeInput:
     )
 
 
-def test_a_learned_material_keeps_its_weights_licence_and_what_is_known_of_its_token() -> None:
+def test_learned_materials_round_trip_weights_licence_and_token() -> None:
     weights = serialise_field(ROUGH)
     material = build_learned_material(weights, "test")
     assert (material.name, material.licence, material.field) == ("Rough one", LICENCE, weights)
@@ -99,7 +99,7 @@ def test_without_a_field_of_its_own_a_stroke_is_what_it_was() -> None:
         assert made.samples.tobytes() == synthesise(load_field(), plain, seed=3).signal.samples.tobytes()
 
 
-def test_on_its_material_alone_a_field_is_asked_as_it_was_trained() -> None:
+def test_a_field_on_its_own_material_renders_as_trained() -> None:
     """Its own token and mechanics, and no drawn relief under the path: as `hnf synth --weights` does."""
     over = replace(stroke_over(ROUGH, ROUGH), profile=HeightProfile(1e-4, 0.0, np.ones(64), 1e-3))
     own = read_trained_material(ROUGH, "test")
@@ -117,7 +117,7 @@ def test_fields_that_were_never_saved_each_speak_for_themselves() -> None:
     np.testing.assert_array_equal(sum(part.mask for part in parts), np.ones(STATES))
 
 
-def test_each_field_speaks_where_its_material_is_touched_and_fades_at_the_border() -> None:
+def test_fields_render_their_own_materials_and_fade_at_borders() -> None:
     over = stroke_over(ROUGH, None, OTHER)
     parts = split_by_field(load_field(), over)
     assert {part.field.identity for part in parts} == {ROUGH.identity, load_field().identity, OTHER.identity}
@@ -156,7 +156,7 @@ def test_a_hand_feels_the_field_that_a_material_brings() -> None:
     assert not np.array_equal(heard[0], heard[2])
 
 
-def test_what_an_external_python_is_asked_for_is_what_the_project_pins() -> None:
+def test_external_training_packages_match_the_project_pins() -> None:
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     pinned = {*project["dependencies"], *project["optional-dependencies"]["train"]}
     assert set(TRAINING_PACKAGES.values()) <= pinned

@@ -1,4 +1,4 @@
-"""Carriers that are drawn while F_Θ is evaluated: those that are needed, no others, and the same signal."""
+"""Carriers drawn while F_Θ is evaluated: only those needed, with an unchanged signal."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_nothing_is_drawn_in_the_air_nor_where_it_is_kept():
     assert drawn() == before
 
 
-def test_a_long_stroke_pushes_nothing_out_that_is_yet_to_be_heard():
+def test_prefetch_of_a_long_stroke_evicts_no_unused_carrier():
     drawn_ahead = wanted(make_keyed_stroke(60.0))
     assert 0 < drawn()[0] <= MAX_PREFETCHED_TIME_HOPS
     assert 0 < drawn()[1] <= MAX_PREFETCHED_ARC_HOPS

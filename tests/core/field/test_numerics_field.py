@@ -1,4 +1,4 @@
-"""No finite input makes the field path give NaN or infinity, and none is too large to compute."""
+"""Finite inputs of the field path never give NaN, infinity or an input too large to compute."""
 
 import dataclasses
 
@@ -200,7 +200,7 @@ def test_states_in_portions_are_the_states_at_once():
         np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-4)
 
 
-def test_a_ripple_too_fast_for_the_model_rate_is_not_heard_as_another_tone():
+def test_relief_above_the_nyquist_rate_does_not_alias():
     """9000 waves a metre at 1 m/s are 9 kHz: read at 10 kHz they would sound at 1 kHz."""
     place = np.arange(0.0, 0.3, 1e-5)
     ripple = HeightProfile(1e-5, 0.0, 1e-6 * np.cos(2.0 * np.pi * 9000.0 * place), 5e-5)

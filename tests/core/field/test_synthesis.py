@@ -1,4 +1,4 @@
-"""Laws of synthesis: blocks, seeds, rest, air, pressing, rate, the reference, seams and borders."""
+"""Properties of synthesis: blocks, seeds, rest, air, pressing, sample rate, the reference, seams and borders."""
 
 import dataclasses
 from itertools import pairwise
@@ -189,7 +189,7 @@ def test_the_output_rate_never_changes_the_touch(rate):
     assert spectrum_distance_db(first[1:101], second[1:101]) < 0.05
 
 
-def test_a_rate_that_cannot_hold_touch_is_named_and_nonsense_refused():
+def test_low_sample_rates_warn_and_invalid_ones_are_refused():
     stroke = uniform_stroke(steady(0.2), rough_token(), WOOD)
     assert any(
         "1000 Hz" in warning for warning in synthesise(linear_field(), stroke, seed=1, sample_rate=1500).warnings

@@ -1,4 +1,4 @@
-"""OpenBLAS's threads are held to one while work runs in threads of our own, and given back; bytes follow neither."""
+"""OpenBLAS uses one thread while our own threads work, then is restored; bytes do not depend on it."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_stroke_has_the_same_bytes_on_any_number_of_threads(threads):
 
 
 @pytest.mark.parametrize("portions", [2.0, 4.0, 7.5])
-def test_states_through_a_pool_have_the_bytes_of_portions_one_after_the_other(monkeypatch, portions):
+def test_pooled_evaluation_equals_serial_evaluation_bit_for_bit(monkeypatch, portions):
     """Two portions wait for each other, so that the pool cannot pass with one thread at work."""
     config, random = FieldConfig(hidden=256, layers=3), np.random.default_rng(5)
     parameters = {

@@ -1,4 +1,4 @@
-"""The compiled kernel says what numpy says, refuses what it would misread, and nobody depends on it."""
+"""The compiled kernel equals numpy, refuses arguments it would misread, and is optional."""
 
 from __future__ import annotations
 
@@ -330,7 +330,7 @@ def test_where_the_hand_is_is_what_numpy_says(states, start, count):
 
 
 @needs_kernel
-def test_a_hand_that_jumps_asks_for_no_more_cells_than_it_can_sound():
+def test_kernel_equals_numpy_for_large_position_jumps():
     """A kilometre within a sample, and a hop of jumps: numpy and the kernel read the same stretches."""
     rng, at = np.random.default_rng(3), np.arange(0, HOP + 200, 50)
     amplitude = rng.uniform(0.0, 1.0, (len(at), CARRIERS.count))

@@ -1,4 +1,4 @@
-"""F_Θ's inputs and amplitudes by the compiled kernel: what numpy makes of them, for every form of field it knows."""
+"""Inputs and amplitudes of F_Θ by the compiled kernel equal those of numpy for every supported form of field."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_what_is_emitted_is_what_numpy_says(name, seed, probe):
     assert not found.alpha[still].any()
 
 
-def test_a_form_that_the_kernel_does_not_know_is_evaluated_by_numpy():
+def test_unsupported_field_forms_fall_back_to_numpy():
     published = FieldConfig.published(16)
     bare = FieldConfig(16, 1, physics=False)
     encoded = FieldConfig(16, 1, action_octaves=2)
@@ -208,7 +208,7 @@ def test_what_the_kernel_would_misread_never_reaches_it():
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_answers_that_are_there_emit_what_answers_that_are_asked_for_do(monkeypatch, name):
+def test_precomputed_network_outputs_give_the_same_emission(monkeypatch, name):
     """No inputs are made for them; on one core and on two, bit for bit."""
     field, condition, said = field_of(name), states(6, 300), []
 

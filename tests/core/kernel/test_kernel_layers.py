@@ -1,4 +1,4 @@
-"""F_Θ's layers by the compiled kernel: what numpy says, and of each state the same bytes whatever stands beside it."""
+"""Layers of F_Θ by the compiled kernel equal those of numpy, and each state's bytes do not depend on its batch."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_they_answer_what_numpy_does(seed, inputs, hidden, layers, outputs, dens
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 90), st.integers(1, 2 * STATES_PER_CALL + 30), st.data())
-def test_a_state_gives_the_same_bytes_alone_and_anywhere_among_others(seed, hidden, states, data):
+def test_a_state_gives_the_same_bytes_in_any_batch(seed, hidden, states, data):
     rng = np.random.default_rng(seed)
     compiled, _ = network(rng, 37, hidden, 3, 41, 5)
     x = rng.standard_normal((states, 37)).astype(np.float32)
@@ -73,7 +73,7 @@ def test_a_state_gives_the_same_bytes_alone_and_anywhere_among_others(seed, hidd
             assert some.tobytes() == all_of_them[chosen].tobytes()
 
 
-def test_the_shipped_field_gives_the_same_bytes_on_any_number_of_cores(monkeypatch):
+def test_the_shipped_field_gives_equal_bytes_on_any_core_count(monkeypatch):
     layers = load_field().layers
     x = np.random.default_rng(1).standard_normal((500, layers.inputs)).astype(np.float32)
     said = []

@@ -1,4 +1,4 @@
-"""E: what a token says of a surface, whatever the sensor, the mask and the place."""
+"""E: tokens of surfaces for any sensor, mask and place."""
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_gelsight_and_digit_give_one_token(height):
 
 @settings(max_examples=12, deadline=None)
 @given(surfaces)
-def test_twice_the_height_raises_every_level_by_log_two_and_nothing_else(height):
+def test_doubling_the_height_raises_every_level_by_log_two(height):
     once, twice = (describe(tactile(gain * height)).values for gain in (1.0, 2.0))
     # A few nanometres fade into the floor; this is the law of what stands clear of it.
     clear = int((bands_of(once)[:, 0] > SMOOTH_LEVEL + 1.5).sum())
@@ -111,7 +111,7 @@ def test_mirroring_and_pressing_the_negative_do_what_they_must(height):
 
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.3e-3, 2.5e-3), st.floats(0, np.pi))
-def test_a_real_wave_in_noise_is_told_alike_by_every_sensor_and_turn(seed, pitch, angle):
+def test_a_wave_in_noise_has_one_token_for_all_sensors_and_turns(seed, pitch, angle):
     wave = 2 * np.pi / pitch * (X * np.cos(angle) + Y * np.sin(angle))
     height = random_height(seed, 2.5, rms=0.2e-6) + 4e-6 * np.sin(wave)
     band = slice(int(np.argmin(np.abs(np.log(BAND_WAVELENGTHS_M / pitch)))) - FIRST, None)
@@ -202,7 +202,7 @@ def test_the_token_agrees_with_a_plain_spectrum_of_the_height(height):
         np.testing.assert_allclose([cos2, sin2, cos4, sin4], sums, atol=0.005 + 2.0 / np.sqrt(share.sum()))
 
 
-def test_pits_and_grains_have_opposite_skewness_and_sparse_ones_high_kurtosis():
+def test_pits_and_grains_differ_in_the_sign_of_skewness():
     rng = np.random.default_rng(5)
     grains = np.zeros((SIZE, SIZE))
     for x, y in rng.uniform(-SIDE / 2, SIDE / 2, (150, 2)):
@@ -216,7 +216,7 @@ def test_pits_and_grains_have_opposite_skewness_and_sparse_ones_high_kurtosis():
     assert abs(noise[-1]) < 0.1
 
 
-def test_a_flat_surface_is_the_smooth_token_and_a_nanometre_is_nothing():
+def test_flat_and_subnanometre_relief_give_the_smooth_token():
     flat = describe(tactile(np.zeros((SIZE, SIZE))))
     np.testing.assert_allclose(flat.values, get_smooth_token_values(), atol=0.02)
     assert bands_of(flat.known).all()
@@ -226,7 +226,7 @@ def test_a_flat_surface_is_the_smooth_token_and_a_nanometre_is_nothing():
 
 
 @pytest.mark.parametrize("resolved", [1e-9, 0.3e-3, 1.2e-3, 3.1e-3, np.inf])
-def test_only_resolved_bands_are_known_and_the_rest_is_at_the_floor(resolved):
+def test_only_resolved_bands_are_known_and_others_are_smooth(resolved):
     token = describe(tactile_map_from_height(random_height(1, 3.0), None, PITCH, resolved))
     expected = find_resolved_bands(SIDE, PITCH, resolved)
     for band, known in enumerate(expected):

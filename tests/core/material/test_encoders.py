@@ -1,4 +1,4 @@
-"""The makes of E side by side: one layout, one law of what is known, files that are checked."""
+"""The available encoders: one layout, one rule for known values, and checked files."""
 
 import json
 
@@ -172,7 +172,7 @@ def test_what_is_no_encoder_is_named(tmp_path):
         get_default_encoder(Route.PRIOR)
 
 
-def test_where_the_network_was_left_out_nothing_else_takes_its_place(tmp_path, monkeypatch):
+def test_a_missing_network_encoder_raises_with_a_remedy(tmp_path, monkeypatch):
     monkeypatch.setattr(alexnet_encoder, "DEFAULT_ENCODER", tmp_path / "encoder.safetensors")
     for asked in (
         load_encoder,

@@ -1,4 +1,4 @@
-"""The library as shipped: complete, consistent with encoder and simulator, and helpful about names."""
+"""The shipped library: complete, consistent with encoder and simulator, and tolerant of spelling."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def surface_of(name: str) -> SmoothedMaps:
     return SmoothedMaps(height_map(SurfaceRecipe.from_dict(material.recipe), material.seed))
 
 
-def test_every_category_and_enough_entries_with_unique_plain_names():
+def test_the_library_covers_every_category_with_unique_names():
     library = load_library()
     names = [material.name for material in library]
     assert len(library) >= 28
@@ -111,7 +111,7 @@ def test_a_sample_feels_as_real_materials_do():
     assert np.all((f_exponent > -0.1) & (f_exponent < 0.7)), dict(zip(SAMPLE, f_exponent, strict=True))
 
 
-def test_names_are_found_however_they_are_written_and_close_ones_are_offered():
+def test_names_match_any_spelling_and_close_ones_are_suggested():
     assert get_material("Oak Wood").name == get_material("oak_wood").name == "oak-wood"
     with pytest.raises(MaterialError, match="oak-wood"):
         get_material("oak-wod")

@@ -1,4 +1,4 @@
-"""The prior route: names and shading values, alone and against each other."""
+"""The prior route: names and shading values, alone and combined."""
 
 import dataclasses
 
@@ -120,7 +120,7 @@ def test_a_mat_is_a_material_not_a_rug():
     assert rank(LIBRARY, BLANK, ["Mat.001"]) == rank(LIBRARY, BLANK, [])
 
 
-def test_the_material_s_name_outweighs_the_object_s_and_that_the_textures():
+def test_names_weigh_material_over_object_over_texture():
     assert categories(BLANK, "leather", "MetalChair")[:2] == ["leather", "metal"]
     assert categories(BLANK, "metal", "LeatherChair")[:2] == ["metal", "leather"]
     assert categories(BLANK, "", "LeatherChair", "metal_diff")[:2] == ["leather", "metal"]
@@ -191,7 +191,7 @@ def test_a_fitting_name_never_hurts(look, material):
     assert confidence(material.words[0]) >= confidence("") - 1e-12
 
 
-def test_unusable_values_say_nothing_and_an_empty_library_is_an_error():
+def test_invalid_values_are_ignored_and_an_empty_library_raises():
     odd = dataclasses.replace(BLANK, roughness=float("nan"), base_color=(float("nan"), 0.0, 0.0))
     assert rank(LIBRARY, odd, []) == rank(LIBRARY, BLANK, [])
     assert rank(LIBRARY, Appearance(roughness=7.0), [])[0].name == rank(LIBRARY, Appearance(roughness=1.0), [])[0].name
@@ -263,7 +263,7 @@ def test_a_channel_called_metalness_makes_nothing_of_metal():
     assert rank(LIBRARY, BLANK, [""], image_names=["x_metallic.png"]) == rank(LIBRARY, BLANK, [""])
 
 
-def test_a_picture_says_more_than_the_object_and_less_than_the_material():
+def test_image_names_rank_between_object_and_material_names():
     def first(names, picture):
         return CATEGORY[rank(LIBRARY, BLANK, names, image_names=[picture])[0].name]
 
@@ -280,7 +280,7 @@ def test_a_picture_says_more_than_the_object_and_less_than_the_material():
         ("tableware", []), ("software", []),
     ],
 )  # fmt: skip
-def test_compounds_are_taken_apart_only_where_both_halves_are_words(word, parts):
+def test_compounds_split_only_where_both_halves_are_words(word, parts):
     assert set(split_compound(word, build_vocabulary(REAL))) == set(parts)
 
 

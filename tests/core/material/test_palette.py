@@ -1,4 +1,4 @@
-"""The palette: one entry per distinct material, exact round trips, damage always noticed."""
+"""The palette: one entry per distinct material, exact round trips, and detection of damage."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_a_stored_palette_comes_back_equal(items):
 
 @settings(max_examples=40, deadline=None)
 @given(entries)
-def test_every_index_leads_to_its_own_material_within_the_tolerance(items):
+def test_every_index_maps_to_its_material_within_tolerance(items):
     palette, index = palette_of(items + items)
     assert np.array_equal(index[: len(items)], index[len(items) :])
     for (token, contact, name), i in zip(items + items, index, strict=True):
@@ -50,7 +50,7 @@ def pair() -> Palette:
     return build_palette(both, [Mechanics(1e4, 0.1), UNKNOWN_MECHANICS], ["oak", "félt"])[0]
 
 
-def test_near_equal_tokens_merge_only_under_one_name_and_one_contact():
+def test_near_tokens_merge_only_with_equal_name_and_mechanics():
     token = np.zeros(TOKEN_DIM, dtype=np.float32)
     near, far = token + np.float32(0.5 * MERGE_TOLERANCE), token + np.float32(2 * MERGE_TOLERANCE)
     stiff = Mechanics(1e5)

@@ -1,4 +1,4 @@
-"""A relief as evidence: laws of the likelihood, of the distance, and of what is estimated from a ranking."""
+"""Relief as evidence: likelihood, distance, and properties estimated from a ranking."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_predicted_relief_weighs_less_than_a_measured_one() -> None:
     assert 0.0 < predicted < measured
 
 
-def test_a_relief_that_somebody_made_higher_is_still_the_material_s() -> None:
+def test_a_scaled_relief_still_ranks_its_own_material_first() -> None:
     higher = get_material("corduroy").token.copy()
     higher[LEVELS] += np.float32(np.log10(2.0))
     ranked = rank(LIBRARY, Appearance(), [], token=Token(higher, ALL))
@@ -162,7 +162,7 @@ def test_a_single_material_is_estimated_as_it_is() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(0.01, 1.0), min_size=len(LIBRARY), max_size=len(LIBRARY)))
-def test_an_estimate_lies_among_the_materials_and_spreads_no_further(shares) -> None:
+def test_an_estimate_and_its_spread_stay_within_the_materials(shares) -> None:
     weights = dict(zip(NAMES, shares, strict=True))
     values = [material.mechanics.stiffness_n_m for material in LIBRARY]
     told = estimate_property(LIBRARY, weights, "stiffness_n_m", 0.0)
@@ -172,7 +172,7 @@ def test_an_estimate_lies_among_the_materials_and_spreads_no_further(shares) -> 
     assert (thrice.value, thrice.factor) == pytest.approx((told.value, told.factor))
 
 
-def test_a_material_without_friction_does_not_make_the_others_infinitely_unlike() -> None:
+def test_zero_friction_materials_are_left_out_of_the_estimate() -> None:
     smooth = dataclasses.replace(LIBRARY[0], mechanics=dataclasses.replace(LIBRARY[0].mechanics, friction=0.0))
     weights = {smooth.name: 0.5, LIBRARY[1].name: 0.5}
     assert estimate_property([smooth, LIBRARY[1]], weights, "friction", 0.1) == estimate_property(

@@ -1,4 +1,4 @@
-"""Fusion: measured where the map told, the library's where it did not, and always said which."""
+"""Token fusion: measured bands where the map has them, library bands elsewhere, each with its route."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_without_micro_geometry_the_prior_is_all_there_is(prior, confidence):
 
 @settings(max_examples=20, deadline=None)
 @given(tokens)
-def test_a_band_without_relief_leaves_the_materials_own_roughness(prior):
+def test_a_band_without_relief_falls_back_to_the_prior(prior):
     sine = get_smooth_token_values()
     sine[band_slice(2).start] = -4.5
     fused = fuse(measured_token(sine, [True] * BAND_COUNT, True), prior, 0.1)
@@ -86,7 +86,7 @@ def test_what_a_picture_shows_to_be_smooth_stays_smooth():
 
 @settings(max_examples=50, deadline=None)
 @given(tokens, tokens, band_sets, confidences)
-def test_picture_and_prior_meet_where_each_is_as_loud_as_it_is_sure(values, prior, bands, confidence):
+def test_predicted_and_prior_bands_mix_by_confidence(values, prior, bands, confidence):
     token = measured_token(values, bands, False)
     fused = fuse(token, prior, confidence, route=Route.PREDICTED)
     share = ROUTE_CONFIDENCE[Route.PREDICTED] / (ROUTE_CONFIDENCE[Route.PREDICTED] + confidence)

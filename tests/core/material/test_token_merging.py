@@ -1,4 +1,4 @@
-"""Merging views: power adds up, shares follow the power, and nobody can tell in which order the views came."""
+"""Merging of views: powers average, shares follow power, and the order of views has no effect."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_known_where_any_view_knows_and_smooth_elsewhere(found):
 
 @settings(max_examples=60)
 @given(views)
-def test_a_bands_power_is_the_mean_power_of_the_views_that_know_it(found):
+def test_band_power_is_the_mean_over_views_that_resolve_it(found):
     merged = merge_tokens(found)
     for band in range(BAND_COUNT):
         at = band_slice(band).start

@@ -1,4 +1,4 @@
-"""The metrics keep their laws: identity, level, symmetry where it is true, and what random textures score."""
+"""Properties of the metrics: identity, level, symmetry, and scores of random textures."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ gains = st.floats(1e-3, 1e3)
 
 @given(seeds, gains)
 @settings(max_examples=20, deadline=None)
-def test_a_signal_is_no_distance_from_itself_and_level_counts_where_it_should(seed: int, gain: float) -> None:
+def test_metrics_have_identity_and_the_right_level_dependence(seed: int, gain: float) -> None:
     a, b = (window_magnitudes(texture(each, 1.0)) for each in (seed, seed + 1))
     assert spectral_mse(a, a) == 0.0
     assert lsd_power_db(a, a) == 0.0
@@ -66,7 +66,7 @@ def test_bins_are_10_to_1000_hz_and_dc_is_left_out() -> None:
     assert window_magnitudes(np.zeros(2999)).shape == (2, 100)
 
 
-def test_the_true_process_scores_037_db_and_seven_and_a_half_in_single_windows() -> None:
+def test_the_true_process_scores_037_db_and_an_lsd_of_7_5_db() -> None:
     reference = long_run()
     draws = [texture(seed) for seed in range(8)]
     scores = [average_spectrum_distance_db(welch(each, RATE)[1], reference, FREQUENCY) for each in draws]
@@ -87,7 +87,7 @@ def test_a_gain_is_its_own_decibels_in_every_average(gain: float) -> None:
     assert nine_band_error_db(gain**2 * density, density, FREQUENCY) == pytest.approx(abs(level))
 
 
-def test_what_lies_30_db_down_or_outside_20_to_1000_hz_does_not_count() -> None:
+def test_bins_30_db_down_or_outside_20_to_1000_hz_are_ignored() -> None:
     density = np.full(501, 1e-4)
     density[20] = 1.0  # 200 Hz
     assert np.flatnonzero(select_compared_bins(density, FREQUENCY)).tolist() == [20]

@@ -1,4 +1,4 @@
-"""Laws of camera records: projection and its inverse, frames, pixel rays."""
+"""Camera records: projection and its inverse, frames, and pixel rays."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_a_close_up_shows_the_patch_in_its_own_frame():
     assert np.linalg.det(camera.pose[:3, :3]) == pytest.approx(1.0)
 
 
-def test_an_orthographic_camera_makes_its_axes_square_to_each_other():
+def test_an_orthographic_camera_orthogonalises_its_axes():
     camera = orthographic([0, 0, 0], [1.0, 0.3, 0.5], [0.0, 0.0, 2.0], 0.02, 64, 0.01)
     np.testing.assert_allclose(camera.pose[:3, :3].T @ camera.pose[:3, :3], np.eye(3), atol=1e-12)
     np.testing.assert_allclose(camera.pose[:3, 2], [0, 0, -1])

@@ -1,4 +1,4 @@
-"""The part of a mesh around some places: no ray that stays there can tell it from the whole."""
+"""Cropping of a mesh around points: rays within reach hit the same triangles as in the whole mesh."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def random_mesh(seed: int, count: int = 60, size: float = 0.02) -> TriangleMesh:
 
 
 @given(st.integers(0, 10**6), st.integers(1, 5), st.floats(1e-3, 0.1))
-def test_a_triangle_is_left_out_only_where_its_box_is_out_of_reach_of_every_place(seed, count, reach):
+def test_a_crop_drops_only_triangles_out_of_reach_of_all_points(seed, count, reach):
     mesh = random_mesh(seed)
     places = np.random.default_rng(seed + 1).uniform(-0.1, 0.1, (count, 3))
     near = crop_mesh(mesh, places, reach)

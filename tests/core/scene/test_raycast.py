@@ -1,4 +1,4 @@
-"""Embree against trying every triangle, nearest points against sampling, and what a view reports."""
+"""Embree against brute-force intersection, nearest points against sampling, and the outputs of a view."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_embree_hits_what_trying_every_triangle_hits(seed, far):
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_a_hit_lies_on_its_triangle_and_does_not_depend_on_how_many_others_are_asked_for(seed):
+def test_hits_lie_on_their_triangles_for_any_batch_size(seed):
     random = np.random.default_rng(seed)
     mesh = bumpy_ball(seed)
     corners, count = mesh.corner_positions(), 3 * len(mesh.triangles)
@@ -122,7 +122,7 @@ def test_a_mesh_without_triangles_is_refused(make):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_no_sampled_point_of_a_triangle_is_nearer_than_the_nearest(seed):
+def test_the_nearest_point_beats_every_sampled_point(seed):
     random = np.random.default_rng(seed)
     corners, point = random.standard_normal((1, 3, 3)), 2.0 * random.standard_normal((1, 3))
     weights = find_closest_barycentric(corners, point)
@@ -149,7 +149,7 @@ def test_points_on_the_surface_are_their_own_nearest():
     np.testing.assert_allclose(found.position, points, atol=1e-12)
 
 
-def test_a_view_reports_depth_polygon_and_normal_and_respects_the_clip_range():
+def test_a_view_gives_depth_polygon_and_normal_in_the_clip_range():
     square = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
     roof = [[x, y, 0.004] for x, y, _ in square[:3]]
     mesh = mesh_of(np.array([*square, *roof]), [[0, 1, 2], [0, 2, 3], [4, 5, 6]])
@@ -173,7 +173,7 @@ def test_a_view_reports_depth_polygon_and_normal_and_respects_the_clip_range():
 
 
 @pytest.mark.parametrize("at_once", [1, 33, 64, 500, 1 << 20])
-def test_a_view_is_the_same_however_many_rays_are_worked_out_together(at_once, monkeypatch):
+def test_a_view_is_the_same_for_any_ray_block_size(at_once, monkeypatch):
     rng = np.random.default_rng(4)
     mesh = mesh_of(rng.uniform(-1.0, 1.0, (60, 3)), np.arange(60).reshape(-1, 3).tolist())
     view = orthographic([0.0, 0.0, 0.0], [1, 0, 0], [0, 0, 1], 2.0, 33, 3.0)

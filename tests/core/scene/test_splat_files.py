@@ -1,4 +1,4 @@
-"""Splat files: both .ply layouts say the same as what was written, in any number format, order and block size."""
+"""Splat files: both .ply layouts round trip in any number format, order and block size."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_opacities_of_0_and_1_are_kept_with_finite_logits(tmp_path: Path) -> Non
     word=st.sampled_from(["float", "double"]),
     extras=st.booleans(),
 )
-def test_order_byte_order_width_and_other_properties_do_not_matter(
+def test_reading_ignores_order_endianness_width_and_extras(
     tmp_path: Path, random, form: str, word: str, extras: bool
 ) -> None:
     splats = random_splats(20, 2)

@@ -1,4 +1,4 @@
-"""Cells, surface nets and the nearest triangle: laws of surfaces that are known exactly, and plain references."""
+"""Grid cells, surface nets and nearest triangles, against exact surfaces and plain references."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_a_hole_in_what_is_known_stays_a_hole():
     assert len(net.vertices) - len(pairs) + len(net.triangles) == 1
 
 
-def test_the_widest_grid_still_numbers_every_cell_and_a_wider_one_is_refused():
+def test_the_widest_grid_numbers_all_cells_and_wider_is_refused():
     side = MAX_CELLS_PER_AXIS
     widest, corners = VoxelGrid((side,) * 3), np.array([[0, 0, 0], [side - 1, 1, side - 2], [side - 1] * 3])
     np.testing.assert_array_equal(widest.cells(widest.keys(corners)), corners)

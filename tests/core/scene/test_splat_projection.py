@@ -1,4 +1,4 @@
-"""Splats in a picture and their colour, against the formulas written another way."""
+"""Projection and colour of splats against independent formulas."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_footprint_is_the_covariance_in_the_picture(seed, flat):
 
 @settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1))
-def test_a_box_holds_every_pixel_that_counts_and_touches_its_ellipse(seed):
+def test_a_bounding_box_holds_every_pixel_of_its_ellipse_tightly(seed):
     one, camera = cloud(seed, 20, size=0.2), perspective()
     prints = project_splats(one, camera)
     y, x = np.mgrid[: camera.height, : camera.width]
@@ -75,7 +75,7 @@ def test_a_box_holds_every_pixel_that_counts_and_touches_its_ellipse(seed):
         assert prints.bottom[i] - prints.top[i] <= 2.0 * extent + 1.0
 
 
-def test_a_jacobian_is_taken_no_farther_out_than_the_field_of_view_allows():
+def test_the_jacobian_is_clamped_to_1_3_times_the_field_of_view():
     """Beside the camera, close to its plane, a splat would be smeared over the whole picture."""
     beside = splats([(8.0, 0.0, -2.9)], 0.3, 0.9)
     assert len(project_splats(beside, perspective())) == 0
@@ -107,7 +107,7 @@ def test_harmonics_are_those_of_rodrigues():
         np.testing.assert_allclose(evaluate_sh_basis(towards, degree), expected[: (degree + 1) ** 2], atol=1e-12)
 
 
-def test_colour_is_half_grey_plus_the_harmonics_and_never_below_black():
+def test_colour_is_half_grey_plus_harmonics_clamped_at_black():
     towards = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     harmonics = np.zeros((2, 4, 3))
     harmonics[:, 0], harmonics[:, 2] = [1.0, 0.0, -9.0], [0.5, 0.5, 0.0]

@@ -1,4 +1,4 @@
-"""From splats to a surface: shapes that are known exactly, laws of the way there, and what is too poor."""
+"""Surfaces from splats: known shapes, properties of each step, and refusal of poor input."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from splat_shapes import fog, joined, moved, sheet, sphere, torus
 
 from hnf_core.errors import SceneError, UsageError
+from hnf_core.progress import Cancelled, Progress
 from hnf_core.scene.splats.depth_views import (
     fit_orthographic_camera,
     make_depth_view,
@@ -78,7 +79,7 @@ def test_a_solid_becomes_its_closed_surface(name, distance, euler):
     assert found.quality.open == compute_open_edge_share(found.triangles) == 0.0
 
 
-def test_normals_are_unit_and_look_out_and_colours_are_the_splats():
+def test_normals_point_outward_and_colours_match_the_splats():
     ball = made("ball")
     outward = ball.vertices / np.linalg.norm(ball.vertices, axis=1, keepdims=True)
     assert np.quantile(np.sum(ball.normals * outward, axis=1), 0.01) > 0.97
@@ -174,19 +175,19 @@ def test_neither_scale_nor_dirt_changes_the_surface():
 
 
 def test_progress_is_told_in_order_and_can_stop_it():
-    told = []
-    reconstruct_surface(sphere(300), cells=12, views=6, progress=lambda stage, share: told.append((stage, share)))
-    shares = [share for _, share in told]
+    told: list[Progress] = []
+    reconstruct_surface(sphere(300), cells=12, views=6, progress=told.append)
+    shares = [progress.fraction for progress in told]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
-    stages = list(dict.fromkeys(stage for stage, _ in told))
+    stages = list(dict.fromkeys(progress.stage for progress in told))
     assert stages == ["cleaning", "looking", "fusing", "meshing", "settling", "judging", "done"]
 
-    def stop(stage: str, _share: float) -> None:
-        if stage == "fusing":
-            raise KeyboardInterrupt
+    def stop(progress: Progress) -> None:
+        if progress.stage == "fusing":
+            raise Cancelled
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(Cancelled):
         reconstruct_surface(sphere(300), cells=12, views=6, progress=stop)
 
 

@@ -1,4 +1,4 @@
-"""An even grid holds of a table what it can, wherever the table is fine, and asks for no more memory than it does."""
+"""Band-limited resampling of a table to an even grid, with bounded memory."""
 
 import tracemalloc
 
@@ -52,7 +52,7 @@ def test_what_stands_still_stands_still(seed, level):
     )
 
 
-def test_a_vibration_does_not_fold_though_most_of_the_table_is_coarse():
+def test_a_ripple_does_not_alias_in_a_mostly_coarse_table():
     """Half a second at 10 kHz with a ripple of 180 Hz, then minutes at 50 Hz: the ripple folded to 20 Hz."""
     time = np.concatenate([np.arange(0.0, 0.5, 1e-4), np.arange(0.5, 200.0, 0.02)])
     force = np.where(time < 0.5, 1.0 + 0.3 * np.sin(2.0 * np.pi * 180.0 * time), 1.0)

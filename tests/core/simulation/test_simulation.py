@@ -1,4 +1,4 @@
-"""Laws of procedural surfaces, of their sampling, of the contact simulator and of DFT321."""
+"""Procedural surfaces, their sampling, the contact simulator and DFT321."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_seed_fixes_the_bytes(name):
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32))
-def test_any_random_recipe_survives_json_and_gives_finite_zero_mean_heights(seed):
+def test_random_recipes_round_trip_json_with_finite_zero_mean(seed):
     recipe = random_recipe(np.random.default_rng(seed))
     assert SurfaceRecipe.from_dict(json.loads(json.dumps(recipe.to_dict()))) == recipe
     height = height_map(recipe, seed)
@@ -163,7 +163,7 @@ def test_a_steady_stroke_on_a_flat_surface_is_silent(speed, force):
 
 @pytest.mark.parametrize(("probe", "periods", "speed"), [("pen", 16, 0.1), ("pen", 40, 0.15), ("finger", 3, 0.5)])
 @pytest.mark.parametrize("stiffness", [1e4, 1e5, 1e6])
-def test_a_small_ripple_gives_the_linear_response_at_its_own_frequency(stiffness, probe, periods, speed):
+def test_a_small_ripple_gives_the_linear_response(stiffness, probe, periods, speed):
     mechanics, amplitude = Mechanics(stiffness, 0.25, 0.3), 2e-9
     stroke = straight_stroke(speed, 1.0, 1.0)
     normal = simulate(wave(periods, amplitude), stroke, mechanics, PROBES[probe])[4000:, 2]
@@ -229,7 +229,7 @@ def test_grain_is_felt_across_more_than_along():
     assert across > 2.0 * along
 
 
-def test_pressing_and_lifting_give_transients_and_friction_only_along_the_motion():
+def test_force_steps_give_transients_and_friction_follows_motion():
     n = 2000
     force = np.concatenate([np.full(n // 2, 0.2), np.full(n // 2, 2.0)])
     pressed = simulate(FLAT, Stroke(np.zeros((n, 2)), force), WOOD)

@@ -28,7 +28,7 @@ CATEGORIES = {
 }  # fmt: skip
 
 
-def test_there_are_enough_classes_over_every_category_with_and_without_a_grain():
+def test_classes_cover_every_category_with_and_without_grain():
     assert len(list_classes()) == len(set(list_classes())) >= 24
     assert {get_category(name) for name in list_classes()} == CATEGORIES
     grained = {
@@ -44,7 +44,7 @@ def test_there_are_enough_classes_over_every_category_with_and_without_a_grain()
 
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from(list_classes()), st.integers(0, 2**31))
-def test_any_instance_is_its_own_stays_near_its_class_and_can_be_made(name, seed):
+def test_instances_are_distinct_near_their_class_and_valid(name, seed):
     recipe, mechanics = sample_instance(name, seed)
     assert (recipe, mechanics) == sample_instance(name, seed)
     assert sample_instance(name, seed + 1) != (recipe, mechanics)

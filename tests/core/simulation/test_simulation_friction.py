@@ -1,4 +1,4 @@
-"""Laws of LuGre friction, of whole strokes that press, slide, lift and land, and of contact that is lost."""
+"""LuGre friction, strokes that press, slide, lift and land, and loss of contact."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def driven(law: LuGre, velocity: np.ndarray, steps: int, touching: bool = True) 
 
 @given(st.floats(1e-5, 0.5), st.floats(0.0, 6.28), st.floats(0.05, 2.0), st.floats(1e3, 5e6))
 @settings(deadline=None, max_examples=40)
-def test_steady_sliding_meets_the_stribeck_curve_against_any_direction(speed, angle, friction, stiffness):
+def test_steady_sliding_matches_stribeck_in_any_direction(speed, angle, friction, stiffness):
     velocity = speed * np.array([[np.cos(angle)], [np.sin(angle)]])
     law = LuGre(Bristles(np.array([friction]), np.array([stiffness]), np.array([10.0])), NOWHERE, DT)
     enough = int(20.0 * STATIC_OVER_KINETIC * friction / (stiffness * speed * DT)) + 50
@@ -72,7 +72,7 @@ def test_bristles_let_go_where_contact_is_lost():
 
 
 @both_probes
-def test_below_static_friction_the_tip_stays_where_it_is_and_plain_coulomb_creeps(probe):
+def test_lugre_sticks_below_static_friction_and_coulomb_creeps(probe):
     load, n = 0.24, 7000  # N: four fifths of kinetic friction at 1 N
     stiffness = float(derive_bristles([WOOD], probe).stiffness[0])
     x = load * (1.0 / HAND_STIFFNESS_N_M + 1.0 / stiffness) * np.clip((np.arange(n) - 200) / 4000.0, 0.0, 1.0)
@@ -106,7 +106,7 @@ def test_a_law_that_does_not_exist_is_refused():
 
 @pytest.mark.parametrize(("probe_stiffness", "largest", "error"), [(4e5, 1000.0, 1e-5), (1.2e3, 20.0, 3e-3)])
 @pytest.mark.parametrize("surface", [1e3, 5e4, 1e6])
-def test_the_contact_force_is_the_root_of_hertz_in_series_with_the_probe(probe_stiffness, largest, error, surface):
+def test_contact_force_solves_hertz_in_series_with_the_probe(probe_stiffness, largest, error, surface):
     force = np.geomspace(1e-6, largest, 200)
     b = np.full(200, 1.5 / surface)
     found, stiffness = compute_contact_force(b * np.cbrt(force) ** 2 + force / probe_stiffness, b, probe_stiffness)
@@ -143,9 +143,7 @@ def test_a_stroke_presses_slides_lifts_and_lands_again(probe):
     ("name", "periods", "amplitude", "speed", "force"),
     [("pen", 20, 40e-6, 0.2, 0.3), ("finger", 2, 5e-4, 0.4, 0.1)],
 )
-def test_on_steep_waves_contact_is_lost_and_found_by_blows_and_no_momentum_is_made(
-    name, periods, amplitude, speed, force
-):
+def test_steep_waves_cause_bounces_and_conserve_momentum(name, periods, amplitude, speed, force):
     probe = PROBES[name]
     stroke = straight_stroke(speed, force, 1.0)
     motion = simulate_motion([waves(periods, amplitude)], [stroke], [WOOD], probe)

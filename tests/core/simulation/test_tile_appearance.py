@@ -1,4 +1,4 @@
-"""How a tile looks: light follows slopes alone, marks lie where they belong, depth keeps the relief to itself."""
+"""Appearance of a tile: shading by slopes alone, marks in place, and depth with relief."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_without_light_the_base_colour_is_all_there_is() -> None:
 
 
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
-def test_lamp_and_surface_turned_together_give_the_turned_picture(metallic: float) -> None:
+def test_turning_light_and_surface_together_turns_the_image(metallic: float) -> None:
     height = tile()
     light = Light(0.4, 0.6, 0.2, surroundings_rad=1.0)
     turned = replace(light, azimuth_rad=0.4 + np.pi / 2, surroundings_rad=1.0 + np.pi / 2)

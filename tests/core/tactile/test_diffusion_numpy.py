@@ -1,4 +1,4 @@
-"""D_φ at run time, without torch: the schedule's laws, what a seed fixes, and what a damaged file is told."""
+"""D_φ at run time without torch: noise schedule, effect of the seed, and errors for damaged files."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def test_signal_only_ever_turns_into_noise():
 
 @given(bar=st.floats(1e-6, 0.9999), after=st.floats(1e-6, 1.0), x=st.floats(-5, 5), noise=st.floats(-5, 5))
 @settings(max_examples=50, deadline=None)
-def test_a_true_velocity_leads_to_the_very_signal_and_noise_at_any_level(bar, after, x, noise):
+def test_a_ddim_step_with_the_true_velocity_is_exact(bar, after, x, noise):
     reached = ddim_step(noised(x, noise, bar), velocity(x, noise, bar), bar, after)
     assert reached == pytest.approx(noised(x, noise, after), abs=1e-9)
 
 
 @given(steps=st.integers(1, 60))
 @settings(max_examples=20, deadline=None)
-def test_a_network_that_knows_the_answer_gives_it_in_any_number_of_steps(steps):
+def test_an_ideal_network_denoises_exactly_in_any_step_count(steps):
     answer, level = np.linspace(-1.0, 1.0, 8), 0.3
     chain = sampling_steps(steps)
     assert len(chain) == steps
@@ -165,14 +165,14 @@ def test_each_view_can_have_a_seed_of_its_own():
         predict_tactile_maps(weights, views, "digit", seed=(1, 2, 3))
 
 
-def test_slopes_have_the_level_that_was_sampled_whatever_the_pattern_lost():
+def test_slopes_are_scaled_to_the_sampled_level():
     weights = silent("leave", "level.1")
     # One step from pure noise with v = 0 leaves almost nothing, of the pattern and of the level's own noise.
     slopes = predict_slopes(weights, look(0), "gelsight", 1, steps=1)
     assert np.sqrt(np.mean(slopes**2)) == pytest.approx(10.0**weights.config.level_mean, rel=1e-3)
 
 
-def test_guidance_of_one_is_the_conditional_model_and_more_is_not():
+def test_guidance_of_one_equals_the_conditional_model():
     weights, view = random_weights(), look(0)
     plain, one, more = (
         predict_slopes(weights, view, "gelsight", 1, steps=2, **extra)
@@ -221,7 +221,7 @@ def test_what_cannot_be_predicted_is_refused():
     assert predict_tactile_maps(weights, [], "digit", seed=0) == ()
 
 
-def test_weights_come_back_in_half_precision_and_equal_ones_give_equal_bytes(tmp_path):
+def test_weights_round_trip_in_half_precision_with_equal_bytes(tmp_path):
     config = MapConfig(**SMALL, level_mean=-1.3)
     parameters = random_parameters(config)
     paths = [tmp_path / "a.safetensors", tmp_path / "b.safetensors"]

@@ -1,4 +1,4 @@
-"""Heights: filled, levelled, cut at what is resolved, integrated from normals, and sampled under a stroke."""
+"""Height maps: filling, levelling, low-pass filtering, integration of normals, and sampling under a stroke."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_the_low_pass_limits():
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.02, 0.9))
 @settings(max_examples=20, deadline=None)
-def test_filling_touches_no_seen_pixel_and_stays_between_the_extremes(seed, share):
+def test_filling_changes_only_masked_pixels_within_the_extremes(seed, share):
     rng = np.random.default_rng(seed)
     mask = rng.random((37, 50)) < share
     mask[5, 7] = True
@@ -77,7 +77,7 @@ def test_filling_touches_no_seen_pixel_and_stays_between_the_extremes(seed, shar
     assert filled.max() <= values[mask].max() + 1e-12
 
 
-def test_filling_a_constant_is_constant_and_a_smooth_surface_is_continued():
+def test_filling_continues_constants_and_smooth_surfaces():
     mask = np.ones((SIZE, SIZE), dtype=bool)
     mask[40:60, 50:80] = False
     np.testing.assert_allclose(fill_masked(np.full((SIZE, SIZE), 2.5), mask), 2.5, atol=1e-12)
@@ -132,7 +132,7 @@ def test_slopes_that_are_not_seen_are_filled():
         height_from_slopes(gx, gy, ~EVERYWHERE, PITCH)
 
 
-def test_a_map_is_level_says_what_it_resolves_and_never_more_than_its_pixels():
+def test_a_map_is_level_and_resolves_no_finer_than_two_pixels():
     height = 1e-5 * wave(1e-3, 0.3) + 0.2 * X + 1e-3
     tactile = tactile_map_from_height(height, None, PITCH, 1e-9, "digit", Route.PREDICTED, "a test")
     assert tactile.resolved_wavelength_m == 2 * PITCH

@@ -1,4 +1,4 @@
-"""The sensor's optics: what is rendered can be read back, and obeys the surface's own symmetries."""
+"""The sensor's optics: rendered gradients decode exactly and follow the symmetries of the surface."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def test_a_mirrored_surface_has_mirrored_slopes(sensor, seed):
     np.testing.assert_allclose(my, gy[:, ::-1], atol=1e-5)
 
 
-def test_a_mirrored_surface_swaps_the_mirrored_lamps_of_a_gelsight():
+def test_mirroring_a_surface_swaps_two_gelsight_channels():
     sensor, height = SENSORS["gelsight"], rough(3)
     image = render_sensor_image(height, PITCH, sensor)
     mirrored = render_sensor_image(height[:, ::-1], PITCH, sensor)
@@ -92,7 +92,7 @@ def test_a_mirrored_surface_swaps_the_mirrored_lamps_of_a_gelsight():
 
 @given(sensors, st.floats(0, 2 * np.pi), st.floats(1.0, 1e3))
 @settings(max_examples=25, deadline=None)
-def test_walls_steeper_than_the_gel_can_follow_come_back_at_its_limit_in_their_direction(sensor, angle, times):
+def test_steep_slopes_decode_at_the_gel_limit_in_their_direction(sensor, angle, times):
     slope = sensor.max_slope * times
     gx, gy = decode_gradients(
         render_sensor_image(slope * (X * np.cos(angle) + Y * np.sin(angle)), PITCH, sensor), sensor
@@ -111,7 +111,7 @@ def test_overall_brightness_of_the_lamps_cancels_out(sensor, seed, gain):
     np.testing.assert_allclose(decode_gradients(brighter, sensor), decode_gradients(image, sensor), atol=1e-9)
 
 
-def test_a_hole_in_the_height_field_and_an_unknown_sensor_are_refused():
+def test_nan_heights_and_unknown_sensors_are_refused():
     height = rough(0)
     height[3, 4] = np.nan
     with pytest.raises(UsageError, match="Fill or mask"):

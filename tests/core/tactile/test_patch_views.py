@@ -1,4 +1,4 @@
-"""Views of a patch: where they lie, what decimation keeps, and what it must not let through."""
+"""Views of a patch: their placement, decimation, and antialiasing."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_tiles_wave_is_kept_exactly_or_gone(factor, cycles, angle):
     np.testing.assert_allclose(small, expected, atol=1e-9)
 
 
-def test_a_tile_is_decimated_plane_by_plane_and_only_by_a_divisor():
+def test_a_tile_is_decimated_per_plane_by_a_divisor_only():
     tile = np.random.default_rng(3).normal(size=(2, 64, 64))
     np.testing.assert_array_equal(decimate_tile(tile, 4)[1], decimate_tile(tile[1], 4))
     np.testing.assert_array_equal(decimate_tile(tile, 1), tile)
@@ -53,7 +53,7 @@ def test_a_tile_is_decimated_plane_by_plane_and_only_by_a_divisor():
 
 
 @pytest.mark.parametrize("factor", [2.0, 3.3, 8.0])
-def test_a_patch_keeps_planes_and_long_waves_and_loses_short_ones(factor):
+def test_antialiasing_passes_planes_and_long_waves_only(factor):
     row, column = np.mgrid[:SIDE, :SIDE]
     plane = 3.0 + 0.02 * column - 0.05 * row
     np.testing.assert_allclose(antialias(plane, factor), plane, atol=1e-9)
@@ -96,7 +96,7 @@ def test_near_views_show_what_lies_there_and_none_lies_twice():
     seed=st.integers(0, 99),
 )
 @settings(max_examples=30, deadline=None)
-def test_views_claim_no_more_than_the_picture_and_stay_inside_the_mask(resolved, pitch, side, near, seed):
+def test_views_stay_within_image_resolution_and_mask(resolved, pitch, side, near, seed):
     rng = np.random.default_rng(seed)
     mask = np.ones((side, side + 8), dtype=bool)
     hole = rng.integers(0, side, 2)
@@ -115,7 +115,7 @@ def test_views_claim_no_more_than_the_picture_and_stay_inside_the_mask(resolved,
     assert widths == sorted(widths, reverse=True)
 
 
-def test_a_coarse_picture_gives_a_wide_view_only_and_a_blurred_one_none():
+def test_coarse_images_give_one_wide_view_and_blurred_ones_none():
     rgb = grey(0.5 + 0.1 * wave(200.0))
     assert [view.pitch_m for view in cut_views(rgb, None, None, NATIVE, 2.0 * PITCHES_M[0])] == [PITCHES_M[0]]
     assert cut_views(rgb, None, None, NATIVE, 2.1 * PITCHES_M[0]) == ()

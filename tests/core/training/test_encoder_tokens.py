@@ -1,4 +1,4 @@
-"""The shared field learns the tokens of further makes of E: of the same surfaces, beside the library's own."""
+"""Tokens of further encoders for the shared field, of the same surfaces as the library's."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def encoder(tmp_path_factory):
     return str(path)
 
 
-def test_other_makes_describe_the_surfaces_that_were_stroked_in_their_order(gathered, encoder):
+def test_other_encoders_describe_the_same_surfaces_in_order(gathered, encoder):
     assert np.array_equal(encode_surfaces(ENCODER_ID, SPECIMENS, SIZES, 0, workers=1), gathered.tokens)
     other = encode_surfaces(encoder, SPECIMENS, SIZES, 0, workers=1)
     assert other.shape == gathered.tokens.shape

@@ -1,4 +1,4 @@
-"""Training one material's field from recordings: splits, likelihood, resuming, and that it learns what it should."""
+"""Training of one material's field from recordings: splits, likelihood, resuming, and convergence."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_no_window_crosses_a_border(minute: list[Recording]) -> None:
     assert HOP * 2 == WINDOW_SAMPLES
 
 
-def test_short_recordings_are_counted_on_and_too_short_ones_refused(minute: list[Recording]) -> None:
+def test_short_recordings_train_and_too_short_ones_are_refused(minute: list[Recording]) -> None:
     pieces = [noise_recording(make_steady_action(0.3, 0.1, 1.0), seed) for seed in range(10)]
     assert set(cut_windows(pieces)[1].role) == {0, 1, 2}
     with pytest.raises(UsageError, match="leave nothing to validate on"):
@@ -235,7 +235,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(minute: list[Recording], tmp_pat
         np.testing.assert_array_equal(value, resumed.field.parameters[name])
 
 
-def test_a_checkpoint_of_another_run_or_a_damaged_one_is_not_taken_up(minute: list[Recording], tmp_path) -> None:
+def test_foreign_and_damaged_checkpoints_are_ignored(minute: list[Recording], tmp_path) -> None:
     path = tmp_path / "run.checkpoint"
 
     def kill(epoch: int, epochs: int, loss: float) -> None:

@@ -1,4 +1,4 @@
-"""The shipped weights are a field, not a noise table: token, density and direction each act where they should."""
+"""The shipped weights respond to token, density and direction."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def spectrum(name: str, *, token=None, direction=(0.8, 0.6), field: Field | None
 
 
 @pytest.mark.parametrize(("name", "other"), PAIRS)
-def test_another_token_under_the_same_mechanics_is_another_spectrum(name, other):
+def test_a_different_token_alone_changes_the_spectrum(name, other):
     assert spectrum_distance_db(spectrum(name), spectrum(name, token=get_material(other).token)) > 1.0
     assert spectrum_distance_db(spectrum(other), spectrum(other, token=get_material(name).token)) > 1.0
 

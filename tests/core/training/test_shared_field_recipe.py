@@ -1,4 +1,4 @@
-"""The shared field's recipe: what is gathered, what it is held against, and that reruns agree."""
+"""The shared field's recipe: specimens, references, and equal results of reruns."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def references():
     return make_references()
 
 
-def test_materials_are_the_library_and_an_instance_of_every_class():
+def test_specimens_are_the_library_and_one_of_every_class():
     every = load_specimens(LIBRARY_PATH, Sizes())
     assert len(every) >= 64
     assert len({each.name for each in every}) == len(every)
@@ -118,14 +118,14 @@ def test_ranges_are_where_the_strokes_lay(gathered):
     assert ranges.mechanics["friction"].unknown
 
 
-def test_a_reference_is_at_no_distance_from_itself_and_a_decibel_is_one(references):
+def test_reference_distances_are_zero_to_self_and_in_decibels(references):
     assert compute_distances_db(references, references.spectra) == pytest.approx(0.0, abs=1e-12)
     assert compute_distances_db(references, references.spectra * 10.0**0.1) == pytest.approx(1.0)
     assert (references.scatter_db > 0.0).all()
     assert float(np.median(references.scatter_db)) < 2.0
 
 
-def test_references_come_back_from_disk_and_are_not_taken_for_others(tmp_path, references, specimens):
+def test_references_round_trip_and_mismatched_ones_are_refused(tmp_path, references, specimens):
     save_references(tmp_path / "r.safetensors", references)
     again = load_references(tmp_path / "r.safetensors", specimens, CONDITIONS)
     np.testing.assert_array_equal(again.spectra, references.spectra)

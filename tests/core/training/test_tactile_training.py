@@ -1,4 +1,4 @@
-"""Training of D_φ: the numpy twin, turns of a view, learning by heart, and a kill that costs nothing."""
+"""Training of D_φ: agreement with numpy, symmetries of a view, overfitting, and resuming after a kill."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_look_at_run_time_is_what_training_saw():
 
 
 @pytest.mark.parametrize("turn", range(8))
-def test_a_turned_views_slopes_are_the_slopes_of_the_turned_height(turn):
+def test_slopes_transform_with_the_height_under_symmetry(turn):
     pairs = synthetic_pairs(1)
     fx, fy = frequencies((64, 64), 1.0)
 

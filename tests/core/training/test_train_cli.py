@@ -1,4 +1,4 @@
-"""`hnf train field`, by its words, on a model that the test writes, and on a published one where it is here."""
+"""`hnf train field` on a written model and, where present, on a published one."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_plain_arrays_train_the_same_field(folder: Path) -> None:
         np.testing.assert_array_equal(value, second.field.parameters[name])
 
 
-def test_simulated_materials_train_with_their_token_and_direction(tmp_path: Path, capsys) -> None:
+def test_simulated_materials_train_with_token_and_direction(tmp_path: Path, capsys) -> None:
     out = tmp_path / "denim.safetensors"
     words = ("--seconds", "10", "--epochs", "1", "--hidden", "16", "--layers", "1")
     assert hnf("train", "field", "--data", "simulated", "--material", "denim", "--out", out, *words) == 0

@@ -1,4 +1,4 @@
-"""The training recipe: expectations are expectations, the twin is a twin, the likelihood finds the level."""
+"""The training recipe: expectations, agreement of torch and numpy, and recovery of the level."""
 
 from itertools import pairwise
 
@@ -190,7 +190,7 @@ def test_recording_does_not_depend_on_the_number_of_workers(surfaces, strokes):
     )
 
 
-def test_the_linear_contact_is_the_simulator_where_that_is_linear():
+def test_the_linear_contact_matches_the_simulator_when_linear():
     """A fine surface under a firm load: no hopping. All axes together, in third octaves, within 3 dB."""
     height = height_map(SurfaceRecipe(noise=(Noise(0.4e-6),)), 3)
     surface = make_surface("fine", height)
@@ -229,7 +229,7 @@ def test_constants_are_the_simulators():
         assert getattr(physics, name) == getattr(owner, name)
 
 
-def test_fused_maps_take_long_waves_from_one_and_short_from_the_other(surfaces):
+def test_spliced_maps_take_long_and_short_waves_from_each_input(surfaces):
     low, high = surfaces[0].maps.height, surfaces[2].maps.height
     mixed = np.abs(np.fft.rfft2(splice_spectra(low, high, 1000.0)))
     kx, ky = wavenumbers(512, 20e-3)

@@ -1,4 +1,4 @@
-"""The contrastive core of the alignment: the encoders' published form, InfoNCE's laws, gradients in little memory."""
+"""The contrastive core of the alignment: published form of the encoders, InfoNCE, and gradients in little memory."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_order_and_sides_do_not_matter(n: int, seed: int) -> None:
     assert float(compute_info_nce(touch, vision)) == pytest.approx(loss, rel=1e-12)
 
 
-def test_it_is_least_where_the_right_ones_meet_and_the_others_part() -> None:
+def test_info_nce_is_minimal_on_a_regular_simplex() -> None:
     """Up to d + 1 points are farthest apart as a regular simplex: every other cosine −1 / (n − 1)."""
     n = 9
     corners = np.eye(n) - 1.0 / n

@@ -1,4 +1,4 @@
-"""What the aligned encoders are shown: turned, cut, lit by other lamps, and no place under two sensors."""
+"""Training data of the aligned encoders: rotation, cropping, lamps, and one sensor per place."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_slopes_turn_as_the_surface_does(turn: int, seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", PAIR_SENSORS)
-def test_a_pressed_sensor_is_the_optics_less_the_untouched_picture(name: str) -> None:
+def test_a_touch_image_is_the_optics_minus_background_plus_noise(name: str) -> None:
     slopes = np.random.default_rng(0).uniform(-0.5, 0.5, (2, 64, 64)).astype(np.float32)
     piece = perturb_sensor(SENSORS[name], np.random.default_rng(7))
     plain = shade(slopes[0], slopes[1], piece) - piece.background
@@ -66,7 +66,7 @@ def test_a_pressed_sensor_is_the_optics_less_the_untouched_picture(name: str) ->
     assert (other - shown).std() > 10 * NOISE
 
 
-def test_no_place_is_touched_by_both_sensors_and_each_class_by_both() -> None:
+def test_each_place_has_one_sensor_and_each_class_has_both() -> None:
     pairs = grooved_pairs(41, MET[:3], 0)
     tuples = make_training_tuples(pairs, MET[:3])
     assert len(tuples) == len(pairs)

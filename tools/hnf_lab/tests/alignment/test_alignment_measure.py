@@ -1,4 +1,4 @@
-"""What aligned encoders are judged by: the probe, retrieval, bridging, intervals, and the table."""
+"""Evaluation of aligned encoders: probes, retrieval, pseudo-triplets, intervals, and the table."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_recall_of_the_same_the_blind_and_chance() -> None:
     assert by_chance[1000] == 1.0
 
 
-def test_triplets_take_the_nearest_and_mutual_ones_are_among_them() -> None:
+def test_triplets_take_nearest_and_mutual_neighbours() -> None:
     rng = np.random.default_rng(1)
     gelsight, digit = unit(rng, 700), unit(rng, 300)
     rows, cosine = find_nearest(gelsight, digit)
@@ -120,7 +120,7 @@ def test_triplets_take_the_nearest_and_mutual_ones_are_among_them() -> None:
     assert compute_label_agreement(found, shuffled, np.arange(700)) == 1.0
 
 
-def test_intervals_hold_their_share_and_widen_for_views_of_one_piece() -> None:
+def test_intervals_have_coverage_and_widen_for_grouped_views() -> None:
     rng = np.random.default_rng(2)
     inside = 0
     for trial in range(100):
@@ -159,7 +159,7 @@ def seen(rng: np.random.Generator, label: np.ndarray, turn: np.ndarray, noise: f
     return ProbeInput(looks, touches, label, np.arange(len(label)) // 2, 4)
 
 
-def test_a_probe_of_one_sensor_fails_where_the_other_is_turned_and_a_refitted_one_does_not() -> None:
+def test_only_a_refitted_probe_works_on_a_turned_sensor() -> None:
     rng = np.random.default_rng(4)
     turns = {"gelsight": np.eye(8), "digit": np.roll(np.eye(8), 1, axis=1)}
     label = np.tile(np.repeat(np.arange(4), 2), 20)

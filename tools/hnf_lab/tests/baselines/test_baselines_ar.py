@@ -1,4 +1,4 @@
-"""Piecewise AR: Burg finds a known process, the fit finds a known texture model, and both play at its level."""
+"""Piecewise AR: Burg recovers a known process, the fit recovers a known texture model, and levels match."""
 
 import numpy as np
 import pytest
@@ -157,7 +157,7 @@ def test_likelihood_through_the_interpolation_beats_its_start(recordings):
     assert end.loss < start.loss - 0.01
 
 
-def test_it_plays_at_the_level_of_the_texture_and_is_deterministic(fitted, process):
+def test_ar_matches_the_texture_level_and_is_deterministic(fitted, process):
     actions = [make_steady_action(4.0, 0.1, 1.0), make_steady_action(2.0, 0.2, 1.0), make_steady_action(4.0, 0.1, 1.0)]
     first, again, other = (fitted.render(actions, seed) for seed in (1, 1, 2))
     assert [len(each) for each in first] == [40_000, 20_000, 40_000]

@@ -1,4 +1,4 @@
-"""L_mag as given, and the literal HNF: silent under a smooth stroke (finding 1)."""
+"""L_mag as published, and the literal HNF, which is silent under a smooth stroke (finding 1)."""
 
 import numpy as np
 import pytest
@@ -73,7 +73,7 @@ def test_l_mag_hears_10_to_1000_hz_and_no_phase():
     assert float(compute_l_mag(tone(200.0), tone(200.0, 1.0))) < 1e-9
 
 
-def test_l_mag_refuses_other_windows_and_has_a_finite_gradient_at_silence():
+def test_l_mag_checks_window_length_and_has_a_finite_gradient():
     with pytest.raises(ValueError, match="1000"):
         compute_l_mag(torch.zeros(1, 500), torch.zeros(1, 500))
     silent = torch.zeros(2, 1000, requires_grad=True)
@@ -81,7 +81,7 @@ def test_l_mag_refuses_other_windows_and_has_a_finite_gradient_at_silence():
     assert torch.isfinite(silent.grad).all()
 
 
-def test_evaluating_at_the_action_rate_is_evaluating_at_every_sample():
+def test_evaluation_at_the_action_rate_equals_every_sample():
     """Of a network with the published shape: the smooth action holds nothing between its samples."""
     windows = cut_windows([texture(2.0)], 2.0)[:4]
     network = FieldNetwork(SMALL, initial_parameters(SMALL, 3))

@@ -1,4 +1,4 @@
-"""`hnf bench`: its frame, its words, and the rows of the benches that need no Blender. No time is asserted."""
+"""`hnf bench`: its table, its options, and the rows of benches without Blender. No time is asserted."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_row_as_json_has_medians_and_the_spread_beside():
     assert empty["error"] is None
 
 
-def test_the_table_has_a_cell_for_every_column_and_names_the_machine():
+def test_the_table_fills_every_column_and_lists_the_machine():
     rows = [
         Row("b", "slow", cpu=SPREAD, peak_mb=1.0),
         Row("b", "fast", SPREAD, ratio=SPREAD, ratio_to="slow", error=0.0, error_unit="m/s²"),
@@ -68,7 +68,7 @@ def test_the_table_has_a_cell_for_every_column_and_names_the_machine():
     assert lines[-1] == "processor P, cores 2"
 
 
-def test_a_real_time_factor_has_a_column_only_where_a_row_has_one_and_errors_in_db_a_name():
+def test_the_real_time_factor_column_is_optional():
     plain = Row("b", "slow", SPREAD, error=1e-3, error_unit="m/s²")
     paced = Row("b", "fast", SPREAD, error=-47.5, error_unit="dB", realtime_factor=123.4)
     assert "× real time" not in format_rows([plain], {})
@@ -87,7 +87,7 @@ def test_durations_have_three_digits(seconds, words):
     assert format_duration(seconds) == words
 
 
-def test_what_is_timed_gives_its_result_and_what_is_held_is_counted():
+def test_measure_returns_the_result_and_counts_peak_memory():
     times, others = Times(), Times()
     assert [times.measure(lambda: sum(range(10_000))) for _ in range(2)] == [49_995_000] * 2
     with pytest.raises(ZeroDivisionError):
@@ -110,7 +110,7 @@ def test_the_machine_is_described():
     assert all(facts.values())
 
 
-def test_what_computed_is_named_with_its_version_and_what_did_not_is_not():
+def test_the_machine_lists_versions_of_loaded_packages_only():
     """bfloat16 is torch's work; pictures and rays have packages of their own. In a process that has loaded none yet."""
     code = (
         "import json; from hnf_lab.bench.harness import describe_machine; before = describe_machine();"
@@ -178,7 +178,7 @@ def test_all_that_are_asked_for_run_in_order(capsys):
     assert [line.split(" | ")[0] for line in capsys.readouterr().out.splitlines()[2:4]] == ["| one", "| two"]
 
 
-def test_synthesis_has_a_row_for_every_way_and_an_error_beside_each(capsys):
+def test_synthesis_has_a_row_and_an_error_for_every_method(capsys):
     assert hnf("synth", "--quick", "--repeats", "1", "--json") == 0
     rows = json.loads(capsys.readouterr().out)
     reference, *ours, rival = rows
@@ -223,7 +223,7 @@ def test_layers_in_bfloat16_are_nearly_those_in_float32():
     assert 1e-5 < off < 5e-2
 
 
-def test_ways_of_synthesis_take_turns_and_those_that_keep_carriers_find_their_own(monkeypatch):
+def test_synthesis_methods_alternate_with_carriers_of_their_own(monkeypatch):
     """Three rounds of a cold and a warm one; forgetting is in no one's time, nor is what fills what is kept."""
     said, clock = [], iter(range(1000))
 
@@ -271,7 +271,7 @@ def test_maps_have_an_error_beside_narrower_numbers(capsys):
     assert all(row["seconds"] > 0.0 and row["peak_mb"] > 0.0 for row in rows.values())
 
 
-def test_splats_have_a_picture_beside_the_reference_and_crops_cost_less_work(capsys):
+def test_splat_images_match_the_reference_and_crops_cost_less(capsys):
     assert hnf("splats", "--quick", "--repeats", "1", "--json") == 0
     rows = json.loads(capsys.readouterr().out)
     reference, naive, one, two, *crops = rows
@@ -288,7 +288,7 @@ def test_splats_have_a_picture_beside_the_reference_and_crops_cost_less_work(cap
     assert pairs[-1] < pairs[0] / 10
 
 
-def test_splats_are_measured_on_a_file_too_and_a_broken_one_is_refused(tmp_path, capsys):
+def test_splats_are_measured_on_a_file_and_broken_ones_refused(tmp_path, capsys):
     from data_tools.write_splats import write_inria
     from hnf_lab.bench.splats import make_ball
 

@@ -1,4 +1,4 @@
-"""`hnf bench --plot`: which methods are on the front, how cost grows, and that the picture can be read."""
+"""`hnf bench --plot`: the Pareto front, the growth of cost, and a readable plot."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def second(value: float) -> Spread:
 
 @given(POINTS)
 @example([Point("a", -40.0, 1.0), Point("b", -40.0, 1.0), Point("c", -40.0, 2.0)])
-def test_no_point_of_the_front_is_dominated_and_every_other_one_is(points):
+def test_the_pareto_front_holds_exactly_the_undominated_points(points):
     front = find_pareto_front(points)
     assert front
     assert not [point for point in front if any(dominates(other, point) for other in points)]
@@ -256,7 +256,7 @@ def test_the_command_prints_and_draws(tmp_path, capsys):
     assert (tmp_path / "plot.png").stat().st_size > 5000
 
 
-def test_another_kind_of_picture_is_refused_before_anything_is_measured(tmp_path, capsys):
+def test_other_plot_formats_are_refused_before_measuring(tmp_path, capsys):
     assert main(["bench", "faults", "--plot", str(tmp_path / "plot.pdf")], lambda arguments: 1) == 2
     assert ".svg" in capsys.readouterr().err
 

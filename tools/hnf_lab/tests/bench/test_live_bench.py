@@ -1,4 +1,4 @@
-"""What `hnf bench live` measures is what it says."""
+"""Latencies that `hnf bench live` computes."""
 
 import itertools
 
@@ -27,7 +27,7 @@ class Device:
         return SinkStatus(played=max(self.taken - 30, 0))
 
 
-def test_an_event_is_at_the_wire_with_the_write_of_its_first_sample():
+def test_event_latency_ends_at_the_write_of_its_first_sample():
     writes = [(10.0, 50, 0.005), (10.006, 100, 0.008), (10.02, 150, 0.01)]
     heard = [EventTiming(9.999, 0), EventTiming(10.001, 50), EventTiming(10.004, 99), EventTiming(10.01, 150)]
     wire, played = compute_latencies(heard, writes, 1.0, 10_000.0)

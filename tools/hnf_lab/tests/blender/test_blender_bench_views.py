@@ -1,4 +1,4 @@
-"""The bench of views: its rows, and the law by which a time is compared at equal error. No time is asserted."""
+"""The bench of views: its rows, and comparison of times at equal error. No time is asserted."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def test_time_is_compared_where_the_errors_are_equal():
     assert (between.highest, between.lowest, between.count) == (pytest.approx(0.1), pytest.approx(0.05), 2)
 
 
-def test_an_error_that_the_other_never_reaches_is_compared_with_its_slowest_and_a_larger_one_with_nothing():
+def test_equal_error_uses_the_slowest_time_or_none():
     theirs = [timed(0.01, 4.0), timed(0.1, 1.0)]
     assert compared(timed(0.002, 1.0), theirs).median == pytest.approx(0.25)
     assert compared(timed(0.0, 1.0), theirs).median == pytest.approx(0.25)
     assert compared(timed(0.2, 1.0), theirs) is None
 
 
-def test_a_patch_lies_on_the_surface_and_keeps_a_margin_inside_the_picture():
+def test_a_patch_lies_on_the_surface_with_a_margin_in_the_image():
     camera = make_overview_camera([[0, 0, 0]], [0, -1, 0], 0.1, 64, 48)
     depth = np.full((48, 64), np.inf, dtype=np.float32)
     depth[2, 50] = 0.1

@@ -1,4 +1,4 @@
-"""The bench of a run that has nothing to do. No time is asserted."""
+"""The bench of a run with fresh results only. No time is asserted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hnf_lab.blender_bench.waiting_times import OPEN_NAME, SECOND_RUN_NAME, meas
 
 
 @pytest.mark.skipif(version() < (5, 0, 0), reason="one Blender is enough for a bench's rows")
-def test_a_second_run_is_measured_after_opening_and_loads_nothing_heavy():
+def test_a_second_run_is_compared_to_opening_and_imports_little():
     opened, again = measure_second_run(BenchOptions(repeats=1, quick=True))
     assert (opened.method, again.method, again.ratio_to) == (OPEN_NAME, SECOND_RUN_NAME, OPEN_NAME)
     assert again.ratio.median == pytest.approx(again.cpu.median / opened.cpu.median)

@@ -1,4 +1,4 @@
-"""What the comparison of makes measures: on the descriptor, whose laws are known."""
+"""Figures of the encoder comparison, on the descriptor with its known properties."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_views_are_one_widest_and_some_finest():
     assert all(view.image.shape == (64, 64, 3) for view in views)
 
 
-def test_the_descriptor_does_not_care_for_the_sensor_but_for_noise():
+def test_the_descriptor_ignores_the_sensor_but_not_noise():
     plain, digit, noisy = (
         describe_samples(DESCRIPTOR, PIECES, shot)
         for shot in (SensorView(), SensorView(sensor="digit"), SensorView(noise=0.02))

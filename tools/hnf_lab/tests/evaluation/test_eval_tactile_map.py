@@ -1,4 +1,4 @@
-"""Laws of the report on predicted tactile maps: what is perfect scores so, and what is off is off by as much."""
+"""The report on predicted tactile maps: perfect maps score perfectly, and errors have their size."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_psnr_of_a_constant_difference(seed: int, difference: float, data_range:
 
 @given(SEED)
 @settings(max_examples=20)
-def test_similarity_is_one_of_equals_less_of_others_and_symmetric(seed: int) -> None:
+def test_ssim_is_one_for_equal_images_and_symmetric(seed: int) -> None:
     one, other = picture(seed, 16, 14), picture(seed + 1, 16, 14)
     assert compute_ssim(one, one, 1.0) == pytest.approx(1.0)
     assert compute_ssim(one, other, 1.0) == pytest.approx(compute_ssim(other, one, 1.0))

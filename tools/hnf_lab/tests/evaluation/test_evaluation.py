@@ -1,4 +1,4 @@
-"""The harness: a perfect method scores as the oracle, every flaw shows where it should, and forms are never mixed."""
+"""The evaluation harness: a perfect method scores as the oracle, each flaw in its own figure, and forms stay apart."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_every_flaw_shows(reference: Reference) -> None:
         score_natural([np.full_like(reference.recording, np.nan)], reference)
 
 
-def test_the_expected_magnitude_form_comes_close_to_the_best_and_is_not_asked_for_its_power(
+def test_expected_magnitude_scores_within_ten_percent_of_best(
     reference: Reference,
 ) -> None:
     density = np.mean([welch(each, 10_000.0)[1] for each in reference.draws], axis=0)[1:101]
@@ -159,7 +159,7 @@ def test_diets_stay_within_their_limits_and_hold_no_trial() -> None:
     assert kinds == ["window", "window", "unseen", "unseen"]
 
 
-def test_directions_are_told_by_the_one_who_knows_and_not_by_the_other() -> None:
+def test_only_a_directed_method_recovers_the_anisotropy() -> None:
     class Knowing(Perfect):
         def render(self, actions, seed):  # type: ignore[no-untyped-def]
             texture = GaussianTexture(directed=True)

@@ -1,4 +1,4 @@
-"""Stand-ins for what is not known: category means, nearest tokens, and a photograph's grey level as height."""
+"""Stand-in tokens for unknown surfaces: category means, nearest tokens, and photographs as height."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_the_nearest_token_is_the_same_material_when_it_is_there() -> None:
     assert find_nearest_token(slightly, everyone).name == "denim"
 
 
-def test_margins_of_a_field_that_knows_are_positive_and_of_one_that_errs_are_not() -> None:
+def test_margins_are_positive_only_for_an_accurate_field() -> None:
     trained = [known("pine-wood", "wood"), known("granite", "stone"), known("silk", "fabric")]
     good = make_held_out_table(load_field(), ACTION, [known("oak-wood", "wood"), known("denim", "fabric")], trained, 0)
     assert good.figures["margins"]["category mean"][1] > 0.0
@@ -104,7 +104,7 @@ def test_stripes_in_a_photograph_are_a_grating_in_the_token(tmp_path: Path) -> N
     assert 10.0 ** features["level"] == pytest.approx(0.3 / np.sqrt(2.0) * 1e-5, rel=0.1)
 
 
-def test_scaling_shifts_every_level_and_goes_on_beyond_what_the_photograph_resolves(tmp_path: Path) -> None:
+def test_scaling_shifts_levels_and_extrapolates_unresolved_bands(tmp_path: Path) -> None:
     token = np.zeros(51, dtype=np.float32)
     token[LEVELS] = [-6.0, -6.2, -6.4, -6.6, -6.8, SMOOTH_LEVEL, SMOOTH_LEVEL]
     np.testing.assert_allclose(scale_token(token, 0.5)[LEVELS], [-5.5, -5.7, -5.9, -6.1, -6.3, -6.5, -6.7], atol=1e-5)
@@ -136,7 +136,7 @@ def test_names_have_categories_and_bad_pictures_a_message(tmp_path: Path) -> Non
         describe_photo(tmp_path / "broken.jpg")
 
 
-def test_shipped_weights_for_classes_never_met_name_one_of_every_category() -> None:
+def test_held_out_weights_list_materials_of_every_category() -> None:
     categories = {material.name: material.category for material in load_library()}
     library = sorted(categories)
     names = find_held_out_names(load_field(HELD_OUT_WEIGHTS), library)

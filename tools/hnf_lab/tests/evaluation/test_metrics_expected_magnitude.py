@@ -1,4 +1,4 @@
-"""The expected-magnitude form: what the field expects, shown by every window wherever it starts."""
+"""The expected-magnitude form: the field's expected spectrum in every window at any offset."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def limits_at(draws: list[Float], offset: int) -> MetricBounds:
     return compute_bounds([window_magnitudes(each[offset:]) for each in draws])
 
 
-def test_at_most_ten_per_cent_above_the_best_at_every_window_offset(stroke: StrokeInput) -> None:
+def test_mse_is_within_ten_percent_of_best_at_every_offset(stroke: StrokeInput) -> None:
     field = load_field()
     draws = [synthesise(field, stroke, seed=seed).signal.samples.astype(np.float64) for seed in range(20)]
     ours = synthesise_expected_magnitude(field, stroke)
@@ -51,7 +51,7 @@ def test_at_most_ten_per_cent_above_the_best_at_every_window_offset(stroke: Stro
     assert one.expected_mse(window_magnitudes(draws[0])) > 1.8 * one.best
 
 
-def test_densities_are_what_windows_of_the_natural_form_average_to() -> None:
+def test_expected_densities_match_averaged_periodograms() -> None:
     field, material = load_field(), get_material("denim")
     still = uniform_stroke(make_steady_action(8.0, 0.1, 1.0, 0.4), material.token, material.mechanics)
     expected = compute_expected_densities(field, still, 400)
@@ -67,7 +67,7 @@ def test_densities_are_what_windows_of_the_natural_form_average_to() -> None:
     assert abs(np.mean(level[heard])) < 0.15
 
 
-def test_it_grows_with_the_root_of_the_density_and_does_not_need_a_seed(stroke: StrokeInput) -> None:
+def test_magnitude_scales_with_root_density_without_a_seed(stroke: StrokeInput) -> None:
     density = compute_expected_densities(load_field(), stroke, 4)
     once = make_expected_magnitude_signal(density, 20_000)
     np.testing.assert_allclose(make_expected_magnitude_signal(4.0 * density, 20_000), 2.0 * once, rtol=1e-12)
@@ -89,7 +89,7 @@ def test_a_density_is_heard_when_its_state_is(left: int) -> None:
     np.testing.assert_allclose(cut[:same], ours[:same], atol=1e-3 * np.std(ours))
 
 
-def test_a_flat_density_shows_its_expected_magnitude_in_every_bin() -> None:
+def test_a_flat_density_gives_its_magnitude_in_every_bin() -> None:
     flat = make_expected_magnitude_signal(np.full((2, 100), 1e-3), 5000)
     target = 0.5 * np.sqrt(np.pi * 1e-3 * 0.5 * 10_000.0 * 375.0)
     for offset in (0, 130, 500):

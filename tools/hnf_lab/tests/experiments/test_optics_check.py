@@ -1,4 +1,4 @@
-"""Optics from a pressed ball: exact where the sensor is what the model says, honest where a real one is not."""
+"""Sensor optics from a pressed ball: exact for a sensor of the model, with honest errors for others."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def test_a_published_table_is_read_in_its_own_convention():
     assert np.degrees(np.arccos(np.minimum(cosine, 1.0))).mean() < 2.0
 
 
-def test_a_table_fitted_anew_learns_a_background_that_the_place_changes():
+def test_a_refitted_table_learns_a_varying_background():
     sensor = flat_is(make_sensor(0.3 * SENSORS["gelsight"].shading, np.zeros(3)), 1.0)
     pixels = select_pixels_under(pressed(sensor, hilly(), "ratio"), CONTACT)
     table = optics_models.fit_polynomial_table(pixels, 40)
@@ -210,7 +210,7 @@ def test_one_press_is_not_judged_by_itself():
         check_presses(replace(presses, frames=presses.frames[:1], centre_px=presses.centre_px[:1]))
 
 
-def test_a_linear_table_is_linear_whatever_its_mount_and_exposure():
+def test_a_linear_table_stays_linear_for_any_mount_and_exposure():
     mounted = mount_sensor(SENSORS["gelsight"], np.radians(35.0), True, (1, 2, 0))
     check = check_table("made", taxim_table(make_sensor(0.6 * mounted.shading, np.zeros(3)), 120), (64, 48))
     assert check.linear_codes < 0.05 * check.change_codes

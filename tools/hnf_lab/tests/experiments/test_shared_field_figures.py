@@ -1,4 +1,4 @@
-"""Figures of the shared field: fields of one material, unseen classes, directions, and the interval of a mean."""
+"""Figures of the shared field: single-material fields, unseen classes, directions, and the interval of a mean."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_rivals_on_unseen_classes_see_only_the_others(references):
     assert row.category_db == pytest.approx(float(denim))
 
 
-def test_exact_ratios_of_spectra_have_no_error_whatever_the_level(references):
+def test_exact_spectral_ratios_have_no_error_at_any_level(references):
     spectra = np.repeat(references.spectra[:1], 4, axis=1)
     eight = dataclasses.replace(references, spectra=spectra * np.arange(1.0, 9.0)[:, None])
     (exact,) = measure_directions(dataclasses.replace(eight, specimens=references.specimens[:1]), 7.0 * eight.spectra)

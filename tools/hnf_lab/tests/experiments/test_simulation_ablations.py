@@ -1,4 +1,4 @@
-"""Each part of the contact model moves its own statistic the way the cited model says."""
+"""Each part of the contact model changes its own statistic as the cited model predicts."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_slips_come_as_often_as_the_spring_is_wound_up(pulled):
     assert fast / slow == pytest.approx(2.0, rel=0.2)
 
 
-def test_far_above_the_stribeck_speed_bristles_leave_the_level_alone():
+def test_bristles_keep_the_level_far_above_the_stribeck_speed():
     assert measure_level_db("lugre") == pytest.approx(measure_level_db("coulomb"), abs=0.2)
 
 

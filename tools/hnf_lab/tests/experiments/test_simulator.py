@@ -1,4 +1,4 @@
-"""The simulator's statistics against recorded ranges: what counts as inside, and the tables of the page."""
+"""Statistics of the simulator against recorded ranges, and the tables of the documentation page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hnf_lab.experiments.simulator import HATT_RANGES, check_ranges, compute_ins
 MIDDLE = TextureStatistics(1.0, 1.0, 1.0, 250.0, 0.97, 0.9, 0.2)
 
 
-def test_a_number_counts_as_inside_after_rounding_to_published_decimals():
+def test_range_checks_round_to_the_published_decimals():
     limits = HATT_RANGES["Wood"].below_1k
     assert limits == (0.95, 0.99)
     just, over = (TextureStatistics(0.8, 0.8, 0.8, 250.0, share, 0.9, 0.2) for share in (0.9949, 0.9951))
@@ -21,7 +21,7 @@ def test_a_number_counts_as_inside_after_rounding_to_published_decimals():
     assert check_ranges(MIDDLE, "") == {}
 
 
-def test_the_instrument_adds_what_soft_recordings_have_above_their_contact():
+def test_instrument_noise_matches_soft_recordings_at_high_bands():
     frequency = np.arange(10.0, 5000.0)
     density = compute_instrument_noise(frequency)
     assert np.sqrt(density[frequency >= 1300.0].sum()) == pytest.approx(0.12, rel=0.03)
@@ -30,7 +30,7 @@ def test_the_instrument_adds_what_soft_recordings_have_above_their_contact():
     assert silence.v_exponent == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_row_counts_shares_and_sets_medians_beside_recorded_ones():
+def test_a_row_lists_shares_and_medians_with_recorded_ones():
     outside = TextureStatistics(10.0, 10.0, 10.0, 250.0, 0.97, 0.9, 0.2)
     felt = [MIDDLE, MIDDLE, outside, MIDDLE]
     row = make_row("Wood", 2, felt, [check_ranges(each, "Wood") for each in felt], True)
