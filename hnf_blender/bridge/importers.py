@@ -16,6 +16,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from hnf_core.errors import FileError, SceneError
+from hnf_core.progress import ProgressCallback, ignore_progress
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_model_transforms
 from hnf_core.scene.ply import read_ply_header
@@ -171,7 +172,7 @@ USD_MAGIC = (b"#usda", b"PXR-USDC", b"PK\x03\x04")
 def open_scene(
     path: Path,
     cache: Path | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: ProgressCallback = ignore_progress,
     *,
     write_cache: bool = True,
 ) -> Any:
@@ -187,7 +188,7 @@ def open_scene(
     cache : Path, optional
         Folder of cached reconstructions; None reconstructs splats every time.
     progress : callable, optional
-        Called with a message and the completed fraction of a reconstruction.
+        Called before each stage of a reconstruction.
     write_cache : bool, default True
         If False, the cache is only read.
 
@@ -234,9 +235,7 @@ def open_scene(
     return scene
 
 
-def _open_splats(
-    path: Path, cache: Path | None, progress: Callable[[str, float], None] | None, write_cache: bool
-) -> Any:
+def _open_splats(path: Path, cache: Path | None, progress: ProgressCallback, write_cache: bool) -> Any:
     """Import a splat file: its reconstructed surface and its splats."""
     import bpy
 

@@ -1,6 +1,6 @@
 """Bake of a scene in a child process: copy of the .blend → child process → comparison → commit, in short ticks.
 
-`bake_blocking` and `query_blocking` run the same steps in this process.
+`bake_blocking` and `query_blocking` do the same work in this process.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from ..state.addon_settings import get_cache_folder
 from ..state.job_results import QueryView
 from ..state.session_state import STATE, JobStatus, LastJob
 from ..translations import tr
-from .bake_steps import job_steps, select_strokes
 from .child_job import (
     ChildJob,
     ChildProcess,
@@ -38,6 +37,7 @@ from .child_job import (
     remove_job_folder,
 )
 from .commit import CommitResult, CommitTarget, commit_steps, find_target_scene, make_commit_target
+from .job_runner import run_job, select_strokes
 from .query_job import load_query_result
 from .request import SCENE_NAME, JobRequest, JobResult, read_result, write_request
 
@@ -132,25 +132,25 @@ class BakeJob(ChildJob):
         while self._committing is not None and self._result is not None and time.monotonic() < until:
             try:
                 next(self._committing)
-            except StopIteration as done:
-                return describe_result(self._result, done.value, time.monotonic() - self.started)
+            except StopIteration as finished:
+                return describe_result(self._result, finished.value, time.monotonic() - self.started)
         return None
 
     def _update_status(self, step: Step) -> None:
-        now, left = time.monotonic(), None
+        now, remaining_s = time.monotonic(), None
         done = step.done + step.share
         if self._started_s is not None and done > 0.0:
-            left = (now - self._started_s) / done * (step.total - done)
-        STATE.job = JobStatus(step.stage, step.done, step.total, now - self.started, left)
+            remaining_s = (now - self._started_s) / done * (step.total - done)
+        STATE.job = JobStatus(step.stage, step.done, step.total, now - self.started, remaining_s)
 
 
 def bake_blocking(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> LastJob:
-    """Bake in this process, on the scene itself, with the same steps and equal bytes."""
+    """Bake in this process, on the scene itself; the results equal those of a child process byte for byte."""
     started = time.monotonic()
     prepared = prepare_job(scene, view_layer, only)
     try:
-        result = _run_to_end(job_steps(prepared.request, prepared.folder))
-        committed = _run_to_end(commit_steps(result, prepared.folder, prepared.target))
+        result = run_job(prepared.request, prepared.folder)
+        committed = _commit_at_once(result, prepared)
         STATE.last_job = describe_result(result, committed, time.monotonic() - started)._replace(scene=scene.name)
         return STATE.last_job
     except HnfError as error:
@@ -164,7 +164,7 @@ def query_blocking(scene: Any, view_layer: Any, point: TouchQuery) -> LastJob:
     """Evaluate a touch query in this process. Raises HnfError."""
     prepared = prepare_job(scene, view_layer, point=point)
     try:
-        _run_to_end(job_steps(prepared.request, prepared.folder))
+        run_job(prepared.request, prepared.folder)
         STATE.last_job = describe_query(load_query_result(prepared.folder))._replace(scene=scene.name)
         return STATE.last_job
     finally:
@@ -180,8 +180,8 @@ def prepare_job(scene: Any, view_layer: Any, only: Sequence[str] = (), point: To
 
     if point is None:
         select_strokes(scene, only)
-    belongs = make_commit_target(scene, view_layer)
-    order = JobRequest(
+    target = make_commit_target(scene, view_layer)
+    request = JobRequest(
         scene=scene.name,
         view_layer=view_layer.name,
         only=tuple(only),
@@ -195,11 +195,11 @@ def prepare_job(scene: Any, view_layer: Any, only: Sequence[str] = (), point: To
     )
     folder = make_job_folder()
     try:
-        write_request(folder, order)
+        write_request(folder, request)
     except BaseException:
         remove_job_folder(folder)
         raise
-    return PreparedJob(folder, order, belongs)
+    return PreparedJob(folder, request, target)
 
 
 def _list_named_surfaces(scene: Any, only: Sequence[str], point: TouchQuery | None) -> list[Any]:
@@ -234,8 +234,8 @@ def save_copy(path: Path) -> None:
 
 def describe_query(view: QueryView) -> LastJob:
     """Describe the result of a touch query."""
-    said = tr("Examined '{surface}': {material}").format(surface=view.object_name, material=view.library_material)
-    return LastJob(True, f"{said}.")
+    message = tr("Examined '{surface}': {material}").format(surface=view.object_name, material=view.library_material)
+    return LastJob(True, f"{message}.")
 
 
 def describe_result(result: JobResult, committed: CommitResult, seconds: float) -> LastJob:
@@ -244,8 +244,8 @@ def describe_result(result: JobResult, committed: CommitResult, seconds: float) 
     baked = tr("{strokes} baked in {seconds} s")
     parts = [baked.format(strokes=_format_stroke_count(len(committed.strokes)), seconds=f"{seconds:.0f}")]
     if result.close_ups:
-        said = tr("1 close-up") if result.close_ups == 1 else tr("{count} close-ups")
-        parts.append(said.format(count=result.close_ups))
+        close_ups = tr("1 close-up") if result.close_ups == 1 else tr("{count} close-ups")
+        parts.append(close_ups.format(count=result.close_ups))
     if result.fresh:
         parts.append(tr("{count} already up to date").format(count=result.fresh))
     message = ", ".join(parts) + "."
@@ -254,10 +254,11 @@ def describe_result(result: JobResult, committed: CommitResult, seconds: float) 
             strokes=_format_stroke_count(result.fresh)
         )
     if problems:
-        first, left = problems[0].why, len(problems) - 1
-        said = tr("(and 1 problem more)") if left == 1 else tr("(and {count} problems more)")
-        more = f" {said.format(count=left)}" if left else ""
-        message = f"{message} {first[:1].upper()}{first[1:]}{more}"
+        first, more_count = problems[0].why, len(problems) - 1
+        message = f"{message} {first[:1].upper()}{first[1:]}"
+        if more_count:
+            more = tr("(and 1 problem more)") if more_count == 1 else tr("(and {count} problems more)")
+            message = f"{message} {more.format(count=more_count)}"
     details = (*(problem.why for problem in problems[1:]), *result.warnings)
     written = len(committed.strokes) + len(committed.meshes)
     return LastJob(not problems, message, details, written)
@@ -267,9 +268,11 @@ def _format_stroke_count(count: int) -> str:
     return tr("1 stroke") if count == 1 else tr("{count} strokes").format(count=count)
 
 
-def _run_to_end(steps: Generator[Any, None, Any]) -> Any:
+def _commit_at_once(result: JobResult, prepared: PreparedJob) -> CommitResult:
+    """Commit without pauses between the comparisons."""
+    steps = commit_steps(result, prepared.folder, prepared.target)
     while True:
         try:
             next(steps)
-        except StopIteration as done:
-            return done.value
+        except StopIteration as finished:
+            return finished.value  # type: ignore[no-any-return]

@@ -27,7 +27,7 @@ from ..touch.bake_storage import check_validity, clear_bake, count_stored_bytes,
 from ..touch.freshness import Freshness, StrokeStatus
 from ..touch.session import GatheredJobs, Session, StrokeJob, add_scene_notes, gather_curve_jobs, make_scene_session
 from ..translations import tr
-from .bake_steps import is_up_to_date
+from .job_runner import is_up_to_date
 
 CHILD_START_SECONDS = 4.0
 """Time for a second Blender to start and open the copy [s]."""
@@ -80,16 +80,16 @@ def _explain_status(status: StrokeStatus) -> str:
     return status.why
 
 
-def _estimate_bytes(session: Session, found: GatheredJobs, needed: list[StrokeJob]) -> int:
+def _estimate_bytes(session: Session, gathered: GatheredJobs, needed: list[StrokeJob]) -> int:
     """Estimate the size of bakes and tokens that the file will contain for these strokes and their surfaces."""
     total = 0
-    for job in found.jobs:
+    for job in gathered.jobs:
         stored = count_stored_bytes(find_object(session.scene, job.curve_name))
         if job in needed and job.stroke is not None:
             seconds = float(job.stroke.samples.time[-1])
             stored = int(STROKE_BYTES + METRE_BYTES * job.stroke.length_m + SECOND_BYTES * seconds)
         total += stored
-    surfaces = {job.object_name: find_object(session.scene, job.object_name) for job in found.jobs}
+    surfaces = {job.object_name: find_object(session.scene, job.object_name) for job in gathered.jobs}
     meshes = {obj.data.name_full: obj.data for obj in surfaces.values() if obj.type == "MESH"}
     for mesh in meshes.values():
         total += count_token_bytes(mesh) or FACE_BYTES * len(mesh.polygons) + PALETTE_BYTES
@@ -101,14 +101,14 @@ class PurgeResult:
     """Number of removed bytes, and sentences on what could not be removed."""
 
     bytes: int
-    left: tuple[str, ...]
+    remarks: tuple[str, ...]
 
     @property
     def message(self) -> str:
         """Sentence for the artist."""
         removed = tr("{size} of baked data removed.").format(size=format_bytes(self.bytes))
         done = removed if self.bytes else tr("There was nothing to remove.")
-        return " ".join((done, *self.left))
+        return " ".join((done, *self.remarks))
 
 
 def purge(scene: Any, view_layer: Any, *, everything: bool) -> PurgeResult:

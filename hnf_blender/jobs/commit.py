@@ -88,9 +88,8 @@ def find_target_scene(target: CommitTarget) -> Any:
 def commit_steps(result: JobResult, folder: Path, target: CommitTarget) -> Generator[None, None, CommitResult]:
     """Compare the inputs of all strokes and meshes, then write all valid results at once.
 
-    Yields between comparisons, so that the window stays responsive; what changes meanwhile is compared again.
-    Anything that
-    can fail does so before the first write. The caller makes the undo step.
+    Yields between comparisons, so that the window stays responsive; what changes meanwhile is compared again. Anything
+    that can fail does so before the first write. The caller makes the undo step.
 
     Parameters
     ----------

@@ -1,13 +1,13 @@
 """Touch query in the child process of a job: a point on an object → a result file → the panel's view of it.
 
-The scene is not changed. `query_job_steps` runs in the child, `load_query_result` in the parent.
+The scene is not changed. `run_query_job` runs in the child, `load_query_result` in the parent.
 """
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Generator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +28,8 @@ from ..state.interface import set_icon
 from ..state.job_results import NearestMaterial, QueryView, Relief
 from ..state.session_state import STATE
 from ..touch.bake_patches import get_token
-from ..touch.query import QueryResult, describe_map_source, query_steps
+from ..touch.query import QueryResult, describe_map_source, query_surface
 from ..touch.report import Counts
-from ..touch.synthesise import map_steps
 from .child_job import Started, Step
 
 if TYPE_CHECKING:
@@ -42,44 +41,46 @@ QUERY_ICON = "probe"
 """Name of the image among the add-on's icons."""
 
 
-def query_job_steps(
-    session: Session, point: TouchQuery, cache: Path, folder: Path
-) -> Generator[Started | Step, None, int]:
-    """Evaluate a touch query and write its result to `folder`; yield messages and return the number of close-ups.
+def run_query_job(
+    session: Session, query: TouchQuery, cache: Path, folder: Path, send: Callable[[Started | Step], None]
+) -> int:
+    """Evaluate a touch query and write its result to `folder`; return the number of close-ups.
 
     Parameters
     ----------
     session : Session
         Session of the opened scene.
-    point : TouchQuery
+    query : TouchQuery
         Point to be examined.
     cache : Path
         Folder of cached close-ups.
     folder : Path
         Folder of the job.
+    send : callable
+        Called with each message on the job's progress.
 
     Raises
     ------
     HnfError
         If there is no such point.
     """
-    yield Started(1, 0)
+    send(Started(1, 0))
     counts = Counts()
-    yield Step("close-up", 0, 1)
-    query_result = yield from map_steps(
-        query_steps(session, point, cache, counts), lambda share: Step("close-up", 0, 1, share)
+    send(Step("close-up", 0, 1))
+    result = query_surface(
+        session, query, cache, counts, lambda progress: send(Step("close-up", 0, 1, progress.fraction))
     )
-    write_bytes(folder / QUERY_RESULT_NAME, pack_query_result(query_result, session.scene.name))
+    write_bytes(folder / QUERY_RESULT_NAME, pack_query_result(result, session.scene.name))
     return counts.close_ups
 
 
 def pack_query_result(result: QueryResult, scene_name: str) -> bytes:
     """Pack the facts for the panel and the complete ranking as NPZ bytes without pickle."""
-    surface_contact, slot = result.touched, result.point.patch.slot
-    slots = surface_contact.obj.material_slots
+    touched, slot = result.touched, result.point.patch.slot
+    slots = touched.obj.material_slots
     material = slots[slot].material if slot < len(slots) else None
     facts = {
-        "object_name": surface_contact.surface.object_name,
+        "object_name": touched.surface.object_name,
         "material": result.material.shader,
         "material_full": "" if material is None else material.name_full,
         "library_material": result.material.library.name,

@@ -29,8 +29,8 @@ def main(child_process: Any, job_folder: str) -> int:
     importlib.import_module("bpy")  # Imported before the parent's paths are added, as they contain bpy's own files.
     sys.path += [entry for entry in request["sys_path"] if entry not in sys.path]
     child_process.load_package(request["package"], request["package_folder"])
-    bake_steps = importlib.import_module(request["package"] + ".jobs.bake_steps")
-    return int(bake_steps.run_request(folder))
+    job_runner = importlib.import_module(request["package"] + ".jobs.job_runner")
+    return int(job_runner.run_request(folder))
 
 
 if __name__ == "__main__":

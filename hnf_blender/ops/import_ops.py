@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from hnf_core.errors import FileError, HnfError, SceneError
+from hnf_core.progress import Cancelled, Progress, ProgressCallback, ignore_progress
 
 from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..compat import beside_the_file
@@ -214,15 +215,11 @@ TICK_S = 0.1
 """Interval of the timer [s]."""
 
 
-class _StoppedError(Exception):
-    pass
-
-
 class SplatReader:
     """Thread that reads a splat file and reconstructs its surface, independent of Blender's data."""
 
     def __init__(self, path: Path, cache: Path) -> None:
-        self.stage, self.share = "", 0.0
+        self.share = 0.0
         self.result: Reconstruction | None = None
         self.error: HnfError | None = None
         self._stopped = threading.Event()
@@ -242,18 +239,18 @@ class SplatReader:
             self.result = read_splat_file(path, cache, self._on_progress)
         except HnfError as error:
             self.error = error
-        except _StoppedError:
+        except Cancelled:
             pass
         except Exception as error:  # A thread would not report an unexpected error.
             self.error = SceneError(f"internal error ({error!r}). Please report it.", where=str(path))
 
-    def _on_progress(self, stage: str, share: float) -> None:
+    def _on_progress(self, progress: Progress) -> None:
         if self._stopped.is_set():
-            raise _StoppedError
-        self.stage, self.share = stage, share
+            raise Cancelled
+        self.share = progress.fraction
 
 
-def read_splat_file(path: Path, cache: Path, progress: Any = None) -> "Reconstruction":
+def read_splat_file(path: Path, cache: Path, progress: ProgressCallback = ignore_progress) -> "Reconstruction":
     """Read a splat file and reconstruct its surface.
 
     Parameters
@@ -262,8 +259,8 @@ def read_splat_file(path: Path, cache: Path, progress: Any = None) -> "Reconstru
         The .ply file.
     cache : Path
         Folder of cached reconstructions.
-    progress : callable or None
-        Called with the stage and its finished fraction.
+    progress : ProgressCallback, optional
+        Called before each stage.
 
     Returns
     -------

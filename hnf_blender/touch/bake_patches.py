@@ -6,9 +6,9 @@ The networks are loaded when they are first needed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Generator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -24,6 +24,7 @@ from hnf_core.material.encoder_registry import Encoder, describe_views, get_defa
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.library import Appearance
 from hnf_core.material.token import Token
+from hnf_core.progress import Progress, ProgressCallback, ignore_progress
 from hnf_core.scene.patch import Patch
 from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict_tactile_maps
 from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, MapWeights, load_map_weights
@@ -33,7 +34,7 @@ from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.tactile.views import PITCHES_M, AppearanceView, cut_views, measure_contrast
 from hnf_core.threads import single_blas_thread
 
-from ..bridge.render.closeup import CloseUp, iter_closeups
+from ..bridge.render.closeup import CloseUp, CloseUpRenderer
 from ..bridge.render.unlit_image import MAX_READABLE_WAVELENGTH_M, UnlitImage
 from ..bridge.scene.meshes import Surface
 from ..bridge.splats.splat_cloud import get_cloud
@@ -73,10 +74,10 @@ class ReliefPredictor:
 
     def __init__(self, encoder: str = "") -> None:
         self._path = DEFAULT_WEIGHTS
-        asked = get_encoder(encoder) if encoder else None
-        known = read_encoders(load_field().metadata)
-        self.measured_encoder: Encoder = asked or get_default_encoder(Route.MEASURED, known)
-        self.predicted_encoder: Encoder = asked or get_default_encoder(Route.PREDICTED, known)
+        chosen = get_encoder(encoder) if encoder else None
+        field_encoders = read_encoders(load_field().metadata)
+        self.measured_encoder: Encoder = chosen or get_default_encoder(Route.MEASURED, field_encoders)
+        self.predicted_encoder: Encoder = chosen or get_default_encoder(Route.PREDICTED, field_encoders)
 
     @property
     def weights_hash(self) -> str:
@@ -113,10 +114,9 @@ class ReliefPredictor:
         Empty if the image is too coarse or uniform, or too little of the surface is visible.
         """
         resolved = unlit.resolved_wavelength_m
-        soft = SHARPEST_WAVELENGTH_M < resolved <= MAX_READABLE_WAVELENGTH_M
-        views = cut_views(
-            unlit.linear, unlit.depth_m, mask, metres_per_pixel, SHARPEST_WAVELENGTH_M if soft else resolved
-        )
+        if SHARPEST_WAVELENGTH_M < resolved <= MAX_READABLE_WAVELENGTH_M:
+            resolved = SHARPEST_WAVELENGTH_M
+        views = cut_views(unlit.linear, unlit.depth_m, mask, metres_per_pixel, resolved)
         return tuple(view for view in views if measure_contrast(view.rgb) >= MIN_CONTRAST)
 
     def predict(self, unlit: UnlitImage, views: tuple[AppearanceView, ...], seed: int) -> Prediction:
@@ -127,15 +127,15 @@ class ReliefPredictor:
         """
         weights = _load_weights(self._path, self.weights_hash)
         with single_blas_thread():
-            found = predict_tactile_maps(weights, views, SENSOR, seed=range(seed, seed + len(views)))
+            predicted = predict_tactile_maps(weights, views, SENSOR, seed=range(seed, seed + len(views)))
         maps = [
-            replace(each, resolved_wavelength_m=max(each.resolved_wavelength_m, unlit.resolved_wavelength_m))
-            for each in found
+            replace(tactile, resolved_wavelength_m=max(tactile.resolved_wavelength_m, unlit.resolved_wavelength_m))
+            for tactile in predicted
         ]
         token = describe_views(self.predicted_encoder, maps)
         return Prediction(
-            images=np.stack([each.image for each in maps]).astype(np.float16),
-            pitch_m=np.array([each.metres_per_pixel for each in maps]),
+            images=np.stack([tactile.image for tactile in maps]).astype(np.float16),
+            pitch_m=np.array([tactile.metres_per_pixel for tactile in maps]),
             resolved_wavelength_m=unlit.resolved_wavelength_m,
             token=Token(token.values, token.known),
             encoder=self.predicted_encoder.name,
@@ -188,6 +188,8 @@ PATCH_PIXELS = 512
 mm)."""
 FIRST_PASS_PIXELS = 128
 """Side of a first pass if all detail is in images [pixels]: enough for texels of 0.5 mm, in a fifth of the time."""
+CLOSEUP_STAGE = "close-ups"
+"""Name of the stage in which patches are rendered and described."""
 
 
 @dataclass(frozen=True)
@@ -246,8 +248,8 @@ def compute_patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str
     """
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
     place = np.round(np.concatenate([patch.centre, patch.x_axis, patch.normal]), 7) + 0.0
-    here = slice(patch.slot, patch.slot + 1)
-    names = repr((touched.surface.materials[here], touched.texture_names[here]))
+    slot = slice(patch.slot, patch.slot + 1)
+    names = repr((touched.surface.materials[slot], touched.texture_names[slot]))
     return content_hash(
         names, touched.shape_hash, shader, touched.owner_hash, place.tobytes(), f"{patch.slot} {patch.size_m:.9g}",
         f"{__version__} {PATCH_PIXELS} {FIRST_PASS_PIXELS} {SENSOR} {encoder} {PATCH_VERSION} {touched.frame}",
@@ -261,12 +263,13 @@ def bake_patches(
     counts: Counts,
     predictor: ReliefPredictor,
     chosen_slots: Collection[int] = (),
-) -> Generator[float, None, tuple[PatchRecord, ...]]:
-    """Return one record per patch, as a generator that yields the completed fraction.
+    progress: ProgressCallback = ignore_progress,
+) -> tuple[PatchRecord, ...]:
+    """Return one record per patch, from the cache or a close-up.
 
-    Patches that are not cached are rendered, all in one temporary scene. Where the relief is unknown and the colour
-    varies, it is predicted, once per patch. Each patch is encoded and saved while the next one's rays are cast, so that
-    a stopped run loses at most one; no thread is running when the generator yields.
+    Close-ups are rendered in one temporary scene. Where the relief is unknown and the colour varies, it is predicted,
+    once per patch. Each patch is encoded and saved while the next one's rays are cast, so that a stopped run loses at
+    most one.
 
     Parameters
     ----------
@@ -282,11 +285,12 @@ def bake_patches(
         Networks.
     chosen_slots : collection of int, optional
         Slots whose material the user chose; nothing is predicted for them.
+    progress : ProgressCallback, optional
+        Called after each patch; no thread is running then.
 
     Returns
     -------
     tuple of PatchRecord
-        Return value of the generator.
 
     Raises
     ------
@@ -294,48 +298,54 @@ def bake_patches(
         If a texture is missing.
     """
     keys = [compute_patch_key(touched, patch, predictor.measured_encoder.content_id) for patch in patches]
-    wanted = dict(zip(keys, patches, strict=True))
-    found = {key: record for key in wanted if (record := load_patch(folder, key)) is not None}
-    missing = [patch for key, patch in wanted.items() if key not in found]
+    patch_by_key = dict(zip(keys, patches, strict=True))
+    records = {key: record for key in patch_by_key if (record := load_patch(folder, key)) is not None}
+    missing = {key: patch for key, patch in patch_by_key.items() if key not in records}
 
     def describe(key: str, closeup: CloseUp | None) -> None:
-        patch = wanted[key]
+        patch = patch_by_key[key]
         if closeup is not None:
-            found[key] = _make_record(closeup, touched.surface, predictor.measured_encoder, counts)
-            save_patch(folder, key, found[key])
+            records[key] = _make_record(closeup, touched.surface, predictor.measured_encoder, counts)
+            save_patch(folder, key, records[key])
         if patch.slot not in chosen_slots:
-            found[key] = _add_prediction(found[key], key, compute_noise_seed(touched, patch), folder, predictor, counts)
+            seed = compute_noise_seed(touched, patch)
+            records[key] = _add_prediction(records[key], key, seed, folder, predictor, counts)
 
-    with ThreadPoolExecutor(1) as beside:
-        describing: list[Future[None]] = []
+    with ThreadPoolExecutor(1) as executor:
+        pending: list[Future[None]] = []
 
-        def alone() -> None:
-            while describing:
-                describing.pop().result()
+        def wait_for_descriptions() -> None:
+            while pending:
+                pending.pop().result()
 
-        with closing(_iter_closeups(touched, missing, alone)) as closeups:
-            for done, key in enumerate(wanted, 1):
-                closeup = None if key in found else next(closeups)
-                alone()
+        with _open_renderer(touched, list(missing.values()), wait_for_descriptions) as render_closeup:
+            for done, key in enumerate(patch_by_key):
+                closeup = render_closeup(missing[key]) if key in missing else None
+                wait_for_descriptions()
                 if closeup is not None:
                     counts.close_ups += 1
                     counts.renders += closeup.renders
                     counts.rays += closeup.rays
-                yield (done - 1) / len(wanted)
-                describing.append(beside.submit(describe, key, closeup))
-            alone()
-    yield 1.0
-    return tuple(found[key] for key in keys)
+                progress(Progress(CLOSEUP_STAGE, done, len(patch_by_key)))
+                pending.append(executor.submit(describe, key, closeup))
+            wait_for_descriptions()
+    progress(Progress(CLOSEUP_STAGE, len(patch_by_key), len(patch_by_key)))
+    return tuple(records[key] for key in keys)
 
 
-def _iter_closeups(
+@contextmanager
+def _open_renderer(
     touched: TouchedObject, patches: Sequence[Patch], wait_for_threads: Callable[[], None]
-) -> Generator[CloseUp, None, None]:
-    """Yield a close-up per patch, in order: from splats for a reconstructed surface, else by its shader."""
-    in_splats = [touched.uses_splats(patch.slot) for patch in patches]
-    drawn = iter_closeups(
+) -> Iterator[Callable[[Patch], CloseUp]]:
+    """Provide a function that renders any of the patches, from splats for a reconstructed surface, else by its shader.
+
+    Temporary data is removed at the end of the context.
+    """
+    splat_patches = [patch for patch in patches if touched.uses_splats(patch.slot)]
+    shader_patches = [patch for patch in patches if not touched.uses_splats(patch.slot)]
+    shader_renderer = CloseUpRenderer(
         touched.obj,
-        [patch for patch, splats in zip(patches, in_splats, strict=True) if not splats],
+        shader_patches,
         surface=touched.surface,
         pixels=PATCH_PIXELS,
         metres_per_unit=touched.metres_per_unit,
@@ -344,18 +354,18 @@ def _iter_closeups(
         first_pass_pixels=FIRST_PASS_PIXELS,
         wait_for_threads=wait_for_threads,
     )
-    with closing(drawn):
-        if not any(in_splats):
-            yield from drawn
+    with shader_renderer:
+        if not splat_patches:
+            yield shader_renderer.render
             return
-        from ..bridge.splats.splat_closeup import iter_splat_closeups
+        from ..bridge.splats.splat_closeup import SplatCloseUpRenderer
 
-        own = [patch for patch, splats in zip(patches, in_splats, strict=True) if splats]
         cloud = get_cloud(touched.obj)
-        reconstructed = iter_splat_closeups(touched.obj, cloud, own, surface=touched.surface, pixels=PATCH_PIXELS)
-        with closing(reconstructed):
-            for splats in in_splats:
-                yield next(reconstructed if splats else drawn)
+        splat_renderer = SplatCloseUpRenderer(
+            touched.obj, cloud, splat_patches, surface=touched.surface, pixels=PATCH_PIXELS
+        )
+        with splat_renderer:
+            yield lambda patch: (splat_renderer if touched.uses_splats(patch.slot) else shader_renderer).render(patch)
 
 
 def compute_noise_seed(touched: TouchedObject, patch: Patch) -> int:

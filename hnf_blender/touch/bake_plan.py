@@ -112,12 +112,10 @@ class PreviousRun:
         """
         if folder is None:
             return {}
-        jobs, intact = (
-            list(jobs),
-            [candidate for candidate in _separate_shared_wavs(self.strokes) if _is_intact(candidate, folder)],
-        )
-        named = {(entry.key, entry.name): entry for entry in intact}
-        fresh = {job.name: named[job.key, job.name] for job in jobs if (job.key, job.name) in named}
+        jobs = list(jobs)
+        intact = [entry for entry in _separate_shared_wavs(self.strokes) if _is_intact(entry, folder)]
+        by_name = {(entry.key, entry.name): entry for entry in intact}
+        fresh = {job.name: by_name[job.key, job.name] for job in jobs if (job.key, job.name) in by_name}
         claimed = {entry.name for entry in fresh.values()}
         unclaimed = [entry for entry in intact if entry.name not in claimed]
         for job in jobs:
@@ -185,10 +183,10 @@ def find_orphaned_files(
         return []
     owned = {name for stroke in strokes for name in _get_file_names(stroke)}
     finished = [entry for entry in previous.strokes if entry.name not in pending]
-    named = {*previous.orphaned_files, *(name for stroke in finished for name in _get_file_names(stroke))}
+    old_files = {*previous.orphaned_files, *(name for stroke in finished for name in _get_file_names(stroke))}
     pending_files = {name for stroke in previous.strokes if stroke.name in pending for name in _get_file_names(stroke)}
     return sorted(
-        name for name in named - owned - pending_files if Path(name).name == name and (folder / name).is_file()
+        name for name in old_files - owned - pending_files if Path(name).name == name and (folder / name).is_file()
     )
 
 
@@ -223,7 +221,7 @@ def _is_intact(entry: StrokeReport, folder: Path) -> bool:
 
 
 RENDERS_PER_CLOSEUP = 2
-"""Maximum number of renders of a close-up; see `iter_closeups`."""
+"""Maximum number of renders of a close-up; see `CloseUpRenderer`."""
 PROCEDURAL_CLOSEUP_SECONDS, IMAGE_CLOSEUP_SECONDS = 0.7, 0.2
 """Time of a close-up with all pixels, and of one for which the first pass nearly suffices [s]."""
 PREDICTION_SECONDS, PLOT_SECONDS, SYNTHESIS_SECONDS = 0.1, 1.8, 0.4
@@ -514,10 +512,10 @@ def _plan_slot(
     return SlotPlan(material, Route.PRIOR, "its shader has neither relief nor picture")
 
 
-def describe_shader_reliefs(session: Session, found: GatheredJobs) -> list[str]:
+def describe_shader_reliefs(session: Session, gathered: GatheredJobs) -> list[str]:
     """Return notes on what a shader's own relief leaves of the materials of the command line."""
     notes = []
-    for name in dict.fromkeys(job.object_name for job in found.jobs):
+    for name in dict.fromkeys(job.object_name for job in gathered.jobs):
         obj, choices = find_object(session.scene, name), session.get_choices(name)
         facts = session.get_facts(obj)
         for slot, (material, relief_source) in enumerate(zip(facts.materials, facts.relief_sources, strict=True)):
@@ -530,13 +528,13 @@ def describe_shader_reliefs(session: Session, found: GatheredJobs) -> list[str]:
     return notes
 
 
-def make_plan(session: Session, found: GatheredJobs, previous: PreviousRun, source: str) -> Plan:
+def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, source: str) -> Plan:
     """Make the plan of a run, without rendering or casting rays; `source` is the hash of the scene's files."""
     needed, fresh = [], []
-    known = previous.find_fresh(found.jobs, session.request.out)
-    for job in found.jobs:
-        if job.name in known:
-            fresh.append(UpToDate(job.name, job.object_name, known[job.name].wav))
+    fresh_entries = previous.find_fresh(gathered.jobs, session.request.out)
+    for job in gathered.jobs:
+        if job.name in fresh_entries:
+            fresh.append(UpToDate(job.name, job.object_name, fresh_entries[job.name].wav))
             continue
         length = TYPICAL_PATH_M if job.stroke is None else job.stroke.length_m
         slots = session.get_facts(find_object(session.scene, job.object_name)).materials
@@ -546,12 +544,12 @@ def make_plan(session: Session, found: GatheredJobs, previous: PreviousRun, sour
         needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes))
     folder, rerun_reason = session.request.out, RerunReason.NOTHING
     if fresh and folder is not None:
-        rerun_reason = previous.get_rerun_reason(found.jobs, source, folder / get_blend_name(session))
+        rerun_reason = previous.get_rerun_reason(gathered.jobs, source, folder / get_blend_name(session))
     # If the file is the same, only a plot without a key may be outdated.
-    pictures = sum(previous.source != source or not entry.picture_key for entry in known.values())
+    pictures = sum(previous.source != source or not entry.picture_key for entry in fresh_entries.values())
     return Plan(
-        tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes), pictures=pictures,
-        again=rerun_reason,
+        tuple(needed), tuple(fresh), tuple(gathered.skipped), tuple(gathered.failed), tuple(gathered.notes),
+        pictures=pictures, again=rerun_reason,
     )  # fmt: skip
 
 

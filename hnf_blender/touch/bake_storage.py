@@ -6,7 +6,7 @@ The inputs of a bake are stored with it, so that a stale bake can be explained (
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -40,12 +40,13 @@ def group_by_mesh(strokes: Sequence[BakedStroke]) -> list[list[BakedStroke]]:
     return list(groups.values())
 
 
-def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:
-    """Write the tokens of every touched mesh; yield a warning for each that cannot be written."""
+def store_tokens(strokes: Sequence[BakedStroke]) -> tuple[str, ...]:
+    """Write the tokens of every touched mesh; return a warning for each that cannot be written."""
+    warnings = []
     for group in group_by_mesh(strokes):
         obj = group[0].touched.obj
         if obj.type != "MESH":
-            yield f"object '{obj.name}' has no mesh of its own: its tokens are not stored in the .blend."
+            warnings.append(f"object '{obj.name}' has no mesh of its own: its tokens are not stored in the .blend.")
             continue
         try:
             tokens = make_face_tokens(obj.data, group)
@@ -53,7 +54,8 @@ def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:
             if tokens.points is not None:
                 write_point_tokens(get_cloud(obj), tokens.points)
         except SceneError as error:
-            yield str(error)
+            warnings.append(str(error))
+    return tuple(warnings)
 
 
 def make_face_tokens(mesh: Any, strokes: Sequence[BakedStroke], sources: Set[str] = frozenset()) -> FaceTokens:
@@ -131,11 +133,8 @@ def make_point_tokens(
     closest = find_nearest_triangles(cropped.vertices, cropped.triangles, splats[selected], CAMERA_DISTANCE_M)
     selected, triangle = selected[closest.triangle >= 0], closest.triangle[closest.triangle >= 0]
     nearest = cropped.face[triangle] if source_face is None else source_face[cropped.face[triangle]]
-    known = nearest >= 0
-    tokens.index[selected[known]], tokens.confidence[selected[known]] = (
-        index[nearest[known]],
-        confidence[nearest[known]],
-    )
+    selected, nearest = selected[nearest >= 0], nearest[nearest >= 0]
+    tokens.index[selected], tokens.confidence[selected] = index[nearest], confidence[nearest]
     return tokens
 
 
@@ -165,8 +164,8 @@ def find_shared_sources(session: Session, obj: Any) -> set[str]:
     Linked duplicates (Alt D) may differ in scale and in the materials of their slots, while their mesh stores the
     tokens of only one source.
     """
-    chosen = (stroke.hnf_stroke.surface for stroke in session.scene.objects if stroke.hnf_stroke.is_stroke)
-    touched = {*chosen, *(find_object(session.scene, name) for name in session.known_names)} - {None, obj}
+    surfaces = (stroke.hnf_stroke.surface for stroke in session.scene.objects if stroke.hnf_stroke.is_stroke)
+    touched = {*surfaces, *(find_object(session.scene, name) for name in session.known_names)} - {None, obj}
     sources = set()
     for other in touched:
         if other.data == obj.data and find_index(session.scene.objects, other) >= 0:

@@ -224,9 +224,8 @@ def save_prediction(folder: Path, key: str, prediction: Prediction) -> None:
 
 
 def _save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    packed = (
-        io.BytesIO()
-    )  # in memory first: on a full disk a partly written archive raises a second error when it is closed
+    # In memory first: on a full disk a partly written archive raises a second error when it is closed.
+    packed = io.BytesIO()
     np.savez_compressed(packed, **arrays)
     write_bytes(path, packed.getvalue())
 

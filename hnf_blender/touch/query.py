@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 import traceback
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from hnf_core.material.fuse import FusedToken, fuse, routes_by_band
 from hnf_core.material.library import LibraryMaterial, load_library
 from hnf_core.material.ranking import PropertyEstimate, Suggestion, estimate_property, get_probabilities
 from hnf_core.material.token import TOKEN_DIM, band_slice
-from hnf_core.progress import Progress
+from hnf_core.progress import Cancelled, Progress, ProgressCallback, ignore_progress, nest_progress
 from hnf_core.simulation.material_classes import DEFAULT_SCATTER
 from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.text import pluralize
@@ -35,6 +35,7 @@ from hnf_core.units import m_to_mm
 from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..bridge.stroke.read_stroke import list_strokes
 from .bake_patches import (
+    CLOSEUP_STAGE,
     TouchedObject,
     bake_patches,
     compute_patch_key,
@@ -57,7 +58,7 @@ from .output_files import make_file_stem
 from .patch_cache import PatchRecord, load_patch
 from .report import Counts, Failed, Report, Skipped
 from .session import GatheredJobs, Session, resolve_target
-from .synthesise import CACHE_FOLDER_NAME, map_steps, record_time
+from .synthesise import CACHE_FOLDER_NAME, record_time
 
 NEAREST_COUNT = 5
 """Number of similar materials in a result."""
@@ -142,10 +143,14 @@ def locate_query(session: Session, query: TouchQuery) -> tuple[TouchedObject, Su
     return touched, find_point_near(mesh, touched.surface.stretch @ np.asarray(query.at), where=where)
 
 
-def query_steps(
-    session: Session, query: TouchQuery, cache: Path, counts: Counts
-) -> Generator[float, None, QueryResult]:
-    """Run one query as a generator that yields the completed fraction.
+def query_surface(
+    session: Session,
+    query: TouchQuery,
+    cache: Path,
+    counts: Counts,
+    progress: ProgressCallback = ignore_progress,
+) -> QueryResult:
+    """Run one query.
 
     Parameters
     ----------
@@ -157,32 +162,34 @@ def query_steps(
         Folder of cached patches, shared with strokes.
     counts : Counts
         Counters, which are incremented.
+    progress : ProgressCallback, optional
+        Called after the close-up and at the end.
 
     Returns
     -------
     QueryResult
-        Return value of the generator.
 
     Raises
     ------
     HnfError
         If the place cannot be found or rendered.
     """
-    touched, place = locate_query(session, query)
-    slot = place.patch.slot
-    words = MaterialRequest(session.get_choices(get_scene_name(session.scene, touched.obj)))
-    chosen = find_chosen_material(touched, slot, words)
-    picked = () if chosen is None else (slot,)
-    (record,) = yield from bake_patches(touched, [place.patch], cache, counts, session.predictor, picked)
-    material = decide_material(touched, slot, words, [record])
+    touched, point = locate_query(session, query)
+    slot = point.patch.slot
+    request = MaterialRequest(session.get_choices(get_scene_name(session.scene, touched.obj)))
+    chosen = find_chosen_material(touched, slot, request)
+    chosen_slots = () if chosen is None else (slot,)
+    (record,) = bake_patches(touched, [point.patch], cache, counts, session.predictor, chosen_slots, progress)
+    material = decide_material(touched, slot, request, [record])
     fused = fuse(get_token(record), material.library.token, material.confidence, record.route)
     ranked = rank_materials(touched, slot, [record])
     library = _include_material(material.library)
     weights = get_probabilities(library, ranked) if chosen is None else {chosen.name: 1.0}
+    skipped_note = format_skipped_note(session, material, record, chosen is not None)
     return QueryResult(
         name=query.name,
         touched=touched,
-        point=place,
+        point=point,
         record=record,
         fused=fused,
         material=material,
@@ -191,9 +198,7 @@ def query_steps(
         stiffness=estimate_property(library, weights, "stiffness_n_m", DEFAULT_SCATTER.stiffness),
         nearest=find_nearest_materials(fused, ranked),
         ranked=ranked,
-        notes=_collect_notes(
-            touched, place, record, format_skipped_note(session, material, record, chosen is not None)
-        ),
+        notes=_collect_notes(touched, point, record, skipped_note),
     )
 
 
@@ -209,14 +214,14 @@ def find_nearest_materials(fused: FusedToken, ranked: Sequence[Suggestion]) -> t
     """Return the materials nearest to the bands that are not prior, else the most probable ones."""
     library = load_library()
     category = {material.name: material.category for material in library}
-    known = np.zeros(TOKEN_DIM, dtype=bool)
+    observed = np.zeros(TOKEN_DIM, dtype=bool)
     for band, route in enumerate(fused.routes):
-        known[band_slice(band)] = route is not Route.PRIOR
-    if not known.any():
+        observed[band_slice(band)] = route is not Route.PRIOR
+    if not observed.any():
         return tuple(
             SimilarMaterial(suggestion, category[suggestion.name], None) for suggestion in ranked[:NEAREST_COUNT]
         )
-    distances = token_distances(fused.values, known, np.stack([material.token for material in library]))
+    distances = token_distances(fused.values, observed, np.stack([material.token for material in library]))
     suggestions = {suggestion.name: suggestion for suggestion in ranked}
     order = np.argsort(distances, kind="stable")[:NEAREST_COUNT]
     return tuple(SimilarMaterial(suggestions[library[i].name], library[i].category, float(distances[i])) for i in order)
@@ -269,10 +274,8 @@ def write_query(folder: Path, result: QueryResult) -> dict[str, Any]:
     tactile = result.tactile
     files: dict[str, Any] | None = None
     if tactile is not None:
-        stem, captions = (
-            make_file_stem(f"probe {result.name}"),
-            (f"Probe {result.name}", *_make_captions(result, tactile)),
-        )
+        stem = make_file_stem(f"probe {result.name}")
+        captions = (f"Probe {result.name}", *_make_captions(result, tactile))
         picture, numbers = folder / f"{stem}.png", folder / f"{stem}.npz"
         data = pack_map(tactile, captions)
         if not (picture.is_file() and numbers.is_file() and numbers.read_bytes() == data):
@@ -344,7 +347,7 @@ def format_query_line(entry: dict[str, Any]) -> str:
 def _describe_place(result: QueryResult) -> dict[str, Any]:
     """Return the coordinates of the place as JSON."""
     point, surface = result.point, result.touched.surface
-    own_face = point.face if surface.source_face is None else int(surface.source_face[point.face])
+    face = point.face if surface.source_face is None else int(surface.source_face[point.face])
     metres = result.touched.metres_per_unit
     world_m = surface.rigid[:3, :3] @ point.point + surface.rigid[:3, 3]
     return {
@@ -355,7 +358,7 @@ def _describe_place(result: QueryResult) -> dict[str, Any]:
         "surface_m": _round_values(point.point),
         "surface_normal": _round_values(point.normal),
         "surface_x_axis": _round_values(point.patch.x_axis),
-        "face": own_face if own_face >= 0 else None,
+        "face": face if face >= 0 else None,
         "slot": point.patch.slot,
         "directions": "UV" if point.tangent_known else "object axes",
     }
@@ -375,11 +378,11 @@ def _describe_map(result: QueryResult, tactile: TactileMap) -> dict[str, Any]:
 
 def _make_captions(result: QueryResult, tactile: TactileMap) -> tuple[str, ...]:
     """Return the lines below the tactile map."""
-    span = result.record.height_peak_to_peak_m if tactile.height is not None else None
-    tall = "" if span is None else f"; {m_to_mm(span):.3g} mm from top to bottom"
+    span = m_to_mm(result.record.height_peak_to_peak_m)
+    height = "" if tactile.height is None else f"; {span:.3g} mm from top to bottom"
     roughness = float(np.sqrt(np.sum(result.band_rms_m**2))) * 1e6
     return (
-        f"Relief from: {describe_map_source(result)}{tall}.",
+        f"Relief from: {describe_map_source(result)}{height}.",
         f"{result.material.shader or 'No material'} → {result.material.library.name}, "
         f"{result.material.confidence:.0%}; roughness {roughness:.3g} µm RMS.",
     )
@@ -406,10 +409,8 @@ def _round_values(values: Any) -> list[float]:
 def skip_strokes(session: Session) -> GatheredJobs:
     """Return no jobs and a note that the scene's strokes are skipped, as only queries are requested."""
     count = len(list_strokes(session.scene))
-    gathered = GatheredJobs()
-    if count:
-        gathered.skipped.append(Skipped(f"{pluralize(count, 'stroke')} of the scene", "only probes are asked for"))
-    return gathered
+    skipped = [Skipped(f"{pluralize(count, 'stroke')} of the scene", "only probes are asked for")] if count else []
+    return GatheredJobs(skipped=skipped)
 
 
 def carry_over_strokes(report: Report, folder: Path, baked_name: str) -> None:
@@ -444,34 +445,26 @@ def add_queries(session: Session, plan: Plan) -> Plan:
     return replace(plan, probes=tuple(planned), failed=tuple(failed))
 
 
-def run_queries(session: Session, report: Report) -> Generator[Progress, None, None]:
+def run_queries(session: Session, report: Report, progress: ProgressCallback = ignore_progress) -> None:
     """Run all queries of a request, and write their files and entries.
 
     A query that fails is listed in the report; the others are still run.
     """
-    asked = session.request.queries
-    for done, place in enumerate(asked):
-        yield Progress(f"probe {place.name}", done, len(asked))
+    queries, folder = session.request.queries, session.request.folder
+    for done, query in enumerate(queries):
+        query_progress = nest_progress(progress, f"probe {query.name}", done, len(queries))
+        query_progress(Progress(CLOSEUP_STAGE, 0, 1))
         try:
             with record_time(report, "probe_s"):
-                probed = yield from _query_progress(session, place, report, done)
-                report.probes.append(write_query(session.request.folder, probed))
-            for note in probed.notes:
-                report.add_warning(f"probe '{place.name}': {note}")
+                result = query_surface(session, query, folder / CACHE_FOLDER_NAME, report.counts, query_progress)
+                report.probes.append(write_query(folder, result))
+            for note in result.notes:
+                report.add_warning(f"probe '{query.name}': {note}")
         except HnfError as error:
-            report.failed.append(Failed(place.name, str(error)))
-        except KeyboardInterrupt:
-            report.failed += [Failed(left.name, "stopped before it was finished.") for left in asked[done:]]
+            report.failed.append(Failed(query.name, str(error)))
+        except (KeyboardInterrupt, Cancelled):
+            report.failed += [Failed(left.name, "stopped before it was finished.") for left in queries[done:]]
             raise
         except Exception as error:  # a programming error: the other queries are still run
             traceback.print_exc()
-            report.failed.append(Failed(place.name, f"{place.name}: internal error ({error!r}). Please report it."))
-
-
-def _query_progress(
-    session: Session, query: TouchQuery, report: Report, done: int
-) -> Generator[Progress, None, QueryResult]:
-    """Run one query, yielding its progress among all."""
-    steps = query_steps(session, query, session.request.folder / CACHE_FOLDER_NAME, report.counts)
-    total = len(session.request.queries)
-    return (yield from map_steps(steps, lambda share: Progress(f"probe {query.name}", done, total, share)))
+            report.failed.append(Failed(query.name, f"{query.name}: internal error ({error!r}). Please report it."))

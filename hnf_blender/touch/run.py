@@ -1,7 +1,7 @@
 """Run `hnf touch`: from a request to the files of strokes and queries, their report, and the baked .blend.
 
-The run is a generator of progress, `touch_steps`, driven here for the command line. At the end a summary lists each
-result, warnings, and what to do next.
+`run` opens the scene and plans; `touch_strokes` bakes, synthesises and writes the strokes. At the end a summary lists
+each result, warnings, and what to do next.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from hnf_core.cli.commands import get_command_prefix
 from hnf_core.errors import FileError
 from hnf_core.export.plots.stroke_figure import StrokeView
 from hnf_core.files import content_hash, folder_lock
-from hnf_core.progress import Progress, ProgressBar
+from hnf_core.progress import Progress, ProgressBar, ProgressCallback, ignore_progress
 from hnf_core.text import pluralize
 from hnf_core.touch_request import TouchRequest
 
@@ -44,7 +44,7 @@ from .overview import StrokeViews
 from .query import add_queries, carry_over_strokes, format_query_line, run_queries, skip_strokes
 from .report import REPORT_NAME, Report, StrokeReport, add_option_hint
 from .session import GatheredJobs, Session, StrokeJob, gather_jobs
-from .synthesise import CACHE_FOLDER_NAME, BakedStroke, bake_steps, map_steps, record_time, synthesise_stroke
+from .synthesise import CACHE_FOLDER_NAME, BakedStroke, bake_strokes, record_time, synthesise_stroke
 
 
 def print_summary(report: Report, request: TouchRequest) -> int:
@@ -57,7 +57,7 @@ def print_summary(report: Report, request: TouchRequest) -> int:
             print(f"{format_query_line(entry)} → {folder / (entry['tactile_map'] or {}).get('picture', REPORT_NAME)}")
         for stroke in () if request.has_only_queries else report.strokes:
             print(format_stroke_line(stroke, folder))
-    sys.stdout.flush()  # else the notes would come before what they are about
+    sys.stdout.flush()  # else the notes on stderr would come before the results
     if report.left_over:
         print(
             f"note: {', '.join(report.left_over)}: left by an earlier run, and of no stroke of this one. Nothing reads "
@@ -89,10 +89,10 @@ def format_closing(report: Report, folder: Path, *, with_strokes: bool = True) -
     strokes = report.strokes if with_strokes else []
     if not strokes and not report.probes:
         return []
-    things = [pluralize(len(strokes), "stroke")] if strokes else []
-    things += [pluralize(len(report.probes), "place")] if report.probes else []
-    lines = [f"Done: {' and '.join(things)} in {folder}. {_format_work(report)}"]
-    lines += [f"  {head:<8} {text}" for head, text in _iter_next_steps(report, strokes, folder)]
+    counts = [pluralize(len(strokes), "stroke")] if strokes else []
+    counts += [pluralize(len(report.probes), "place")] if report.probes else []
+    lines = [f"Done: {' and '.join(counts)} in {folder}. {_format_work(report)}"]
+    lines += [f"  {label:<8} {text}" for label, text in _iter_next_steps(report, strokes, folder)]
     return lines
 
 
@@ -109,11 +109,11 @@ def _iter_next_steps(report: Report, strokes: list[StrokeReport], folder: Path) 
     """Yield (label, text) of what to do next."""
     if strokes:
         loudest = max(strokes, key=lambda stroke: stroke.rms_m_s2)
-        wav, ears = folder / loudest.wav, folder / f"{Path(loudest.wav).stem}-listen.wav"
+        wav, listen_wav = folder / loudest.wav, folder / f"{Path(loudest.wav).stem}-listen.wav"
         yield "Look at", str(folder / loudest.picture)
         yield (
             "Listen",
-            shlex.join([*get_command_prefix(), "export", str(wav), "--format", "listen", "--out", str(ears)]),
+            shlex.join([*get_command_prefix(), "export", str(wav), "--format", "listen", "--out", str(listen_wav)]),
         )
         if report.baked_blend:
             yield "Open", f"{folder / report.baked_blend} in Blender: the strokes are curves that you can edit"
@@ -123,7 +123,7 @@ def _iter_next_steps(report: Report, strokes: list[StrokeReport], folder: Path) 
 def run(request: TouchRequest) -> int:
     """Run a request and print its results; return the exit code. Raises HnfError if it cannot be started."""
     with _interruptible():
-        if request.plan_only:  # nothing is written, so that no folder need be there or be held
+        if request.plan_only:  # nothing is written, so that no folder is needed or locked
             plan = _prepare(request).plan
             print(plan.as_json() if request.as_json else plan.as_text())
             return 1 if plan.failed else 0
@@ -138,7 +138,7 @@ class _Prepared:
     Attributes
     ----------
     session : Session
-    found : GatheredJobs
+    gathered : GatheredJobs
     files : list of str
         Files that the scene was read with.
     source : str
@@ -150,7 +150,7 @@ class _Prepared:
     """
 
     session: Session
-    found: GatheredJobs
+    gathered: GatheredJobs
     files: list[str]
     source: str
     previous: PreviousRun
@@ -165,30 +165,30 @@ def _prepare(request: TouchRequest) -> _Prepared:
     scene = _open_request_scene(request)
     opened = time.monotonic()
     session = _make_session(scene, request)
-    found = skip_strokes(session) if request.has_only_queries else gather_jobs(session)
-    found.notes += describe_shader_reliefs(session, found)
+    gathered = skip_strokes(session) if request.has_only_queries else gather_jobs(session)
+    gathered.notes += describe_shader_reliefs(session, gathered)
     files = list_external_files(get_scene_path(request))
     source = hash_source_files(get_scene_path(request), files)
-    earlier = read_previous_run(request.out)
-    plan = add_queries(session, make_plan(session, found, earlier, source))
-    return _Prepared(session, found, files, source, earlier, plan, opened - started, time.monotonic() - opened)
+    previous = read_previous_run(request.out)
+    plan = make_plan(session, gathered, previous, source)
+    if request.queries:
+        plan = add_queries(session, plan)
+    return _Prepared(session, gathered, files, source, previous, plan, opened - started, time.monotonic() - opened)
 
 
 def _run_request(request: TouchRequest) -> int:
     started = time.monotonic()
-    ready = _prepare(request)
-    session, found = ready.session, ready.found
-    report = _new_report(session, found, ready.files)
-    report.timings = {"open_s": round(ready.open_s, 3), "plan_s": round(ready.plan_s, 3)}
+    prepared = _prepare(request)
+    session, gathered = prepared.session, prepared.gathered
+    report = _new_report(session, gathered, prepared.files)
+    report.timings = {"open_s": round(prepared.open_s, 3), "plan_s": round(prepared.plan_s, 3)}
     bar = ProgressBar()
     try:
         if request.has_only_queries:
             carry_over_strokes(report, request.folder, get_blend_name(session))
         else:
-            for progress in touch_steps(session, found, ready.previous, ready.source, report):
-                bar.show(progress)
-        for progress in run_queries(session, report):
-            bar.show(progress)
+            touch_strokes(session, gathered, prepared.previous, prepared.source, report, bar.show)
+        run_queries(session, report, bar.show)
     finally:
         bar.close()
         report.timings["total_s"] = round(time.monotonic() - started, 3)
@@ -196,69 +196,85 @@ def _run_request(request: TouchRequest) -> int:
     return print_summary(report, request)
 
 
-def touch_steps(
-    session: Session, found: GatheredJobs, previous: PreviousRun, source: str, report: Report
-) -> Generator[Progress, None, None]:
-    """Bake, synthesise and write all strokes that are not fresh, as a generator of progress.
+def touch_strokes(
+    session: Session,
+    gathered: GatheredJobs,
+    previous: PreviousRun,
+    source: str,
+    report: Report,
+    progress: ProgressCallback = ignore_progress,
+) -> None:
+    """Bake, synthesise and write all strokes that are not fresh.
 
-    Nothing is done if all strokes are fresh and the scene's files are unchanged (`source` is their hash). If the files
-    changed, fresh strokes are baked again from cached patches, so that their tokens get into the new .blend, and
-    plotted again if their view changed.
+    Nothing is done if all strokes are fresh and the scene's files are unchanged. If the files changed, fresh strokes
+    are baked again from cached patches, so that their tokens get into the new .blend, and plotted again if their view
+    changed.
+
+    Parameters
+    ----------
+    session : Session
+        Session of the scene.
+    gathered : GatheredJobs
+        Strokes of the run.
+    previous : PreviousRun
+        Results of an earlier run in the same folder.
+    source : str
+        Hash of the scene's files.
+    report : Report
+        Report to fill in; it is written to the folder after every stroke.
+    progress : ProgressCallback, optional
+        Called before each stroke, patch and stage.
     """
     folder = session.request.folder
-    fresh = previous.find_fresh(found.jobs, folder)
+    fresh = previous.find_fresh(gathered.jobs, folder)
     baked_path = folder / get_blend_name(session)
     report.baked_blend = baked_path.name
-    report.strokes = [replace(fresh[job.name], name=job.name, fresh=True) for job in found.jobs if job.name in fresh]
+    report.strokes = [replace(fresh[job.name], name=job.name, fresh=True) for job in gathered.jobs if job.name in fresh]
     for stroke in report.strokes:
         for warning in stroke.warnings:
             report.add_warning(f"stroke '{stroke.name}': {warning}")
-    names = {job.name for job in found.jobs} | {each.stroke for each in found.failed}
+    names = {job.name for job in gathered.jobs} | {failed.stroke for failed in gathered.failed}
     report.left_over = find_orphaned_files(previous, folder, report.scene, report.strokes, names)
-    if found.jobs and len(fresh) == len(found.jobs) and not previous.get_rerun_reason(found.jobs, source, baked_path):
+    if (
+        gathered.jobs
+        and len(fresh) == len(gathered.jobs)
+        and not previous.get_rerun_reason(gathered.jobs, source, baked_path)
+    ):
         report.source = source
         return
     with StrokeViews(session.scene, session.depsgraph, session.metres_per_unit, report.counts, source) as views:
+        reported_done = 0
 
-        def each(job: StrokeJob, described: BakedStroke) -> Iterator[str]:
-            key = _compute_plot_key(job, described, views)
+        def write_and_report(state: Progress) -> None:
+            nonlocal reported_done
+            if state.done != reported_done:
+                reported_done = state.done
+                report.write(folder)
+            progress(state)
+
+        def on_stroke(job: StrokeJob, baked: BakedStroke, start_stage: Callable[[str], None]) -> None:
+            key = _compute_plot_key(job, baked, views)
             if job.name not in fresh:
-                yield "synthesis"
-                report.strokes.append(_synthesise(session, job, described, views, key, report))
+                start_stage("synthesis")
+                report.strokes.append(_synthesise(session, job, baked, views, key, report))
             elif fresh[job.name].picture_key != key:
-                yield "picture"
-                _redraw(session, job, described, views, key, report)
+                start_stage("picture")
+                _redraw(session, job, baked, views, key, report)
 
-        steps = bake_steps(session, found.jobs, folder / CACHE_FOLDER_NAME, report, each)
-        baked = yield from _write_after_each_stroke(steps, report, folder)
-    if baked:
+        cache = folder / CACHE_FOLDER_NAME
+        baked_strokes = bake_strokes(session, gathered.jobs, cache, report, on_stroke, write_and_report)
+    if baked_strokes:
         with record_time(report, "save_s"):
-            for warning in store_tokens(baked):
+            for warning in store_tokens(baked_strokes):
                 report.add_warning(warning)
             if session.request.metres_per_unit is not None:
-                # Or it would be felt in another size where it is opened.
+                # Or the baked file would have another size where it is opened.
                 session.scene.hnf.metres_per_unit = session.metres_per_unit
             save_baked_blend(baked_path)
             report.source = source
     report.left_over = find_orphaned_files(
-        previous, folder, report.scene, report.strokes, {each.stroke for each in report.failed}
+        previous, folder, report.scene, report.strokes, {failed.stroke for failed in report.failed}
     )
-
-
-def _write_after_each_stroke(
-    steps: Generator[Progress, None, tuple[BakedStroke, ...]], report: Report, folder: Path
-) -> Generator[Progress, None, tuple[BakedStroke, ...]]:
-    """Write the report after every stroke."""
-    done = 0
-
-    def kept(progress: Progress) -> Progress:
-        nonlocal done
-        if progress.done != done:
-            done = progress.done
-            report.write(folder)
-        return progress
-
-    return (yield from map_steps(steps, kept))
 
 
 def _make_session(scene: Any, request: TouchRequest) -> Session:
@@ -274,11 +290,11 @@ def _open_request_scene(request: TouchRequest) -> Any:
     if request.scene is not None:
         bar = ProgressBar()
         try:
-            said = f"reconstructing {request.scene.name}"
+            task = f"reconstructing {request.scene.name}"
             return open_scene(
                 request.scene,
                 None if request.out is None else request.out / CACHE_FOLDER_NAME,
-                lambda stage, share: bar.show(Progress(f"{said}: {stage}", 0, 1, share)),
+                lambda progress: bar.show(replace(progress, stage=f"{task}: {progress.stage}")),
                 write_cache=not request.plan_only,
             )
         finally:
@@ -292,17 +308,17 @@ def _open_request_scene(request: TouchRequest) -> Any:
     return bpy.context.scene
 
 
-def _new_report(session: Session, found: GatheredJobs, files: list[str]) -> Report:
+def _new_report(session: Session, gathered: GatheredJobs, files: list[str]) -> Report:
     request = session.request
     report = Report(
         scene=get_scene_path(request).name,
-        metres_per_unit=float(f"{session.metres_per_unit:.7g}"),  # the scene keeps no more of it
+        metres_per_unit=float(f"{session.metres_per_unit:.7g}"),  # the precision of the scene's property
         scale_source="the scene's units" if request.metres_per_unit is None else "--scale",
-        skipped=list(found.skipped),
-        failed=list(found.failed),
+        skipped=list(gathered.skipped),
+        failed=list(gathered.failed),
         files=files,
     )
-    for note in found.notes:
+    for note in gathered.notes:
         report.add_warning(note)
     return report
 
@@ -311,23 +327,21 @@ def _synthesise(
     session: Session, job: StrokeJob, baked: BakedStroke, views: StrokeViews, picture_key: str, report: Report
 ) -> StrokeReport:
     with record_time(report, "synthesis_s"):
-        felt = synthesise_stroke(baked, session.field, job.seed, report.counts)
-    for warning in felt.warnings:
+        synthesised = synthesise_stroke(baked, session.field, job.seed, report.counts)
+    for warning in synthesised.warnings:
         report.add_warning(f"stroke '{job.name}': {warning}")
     with record_time(report, "picture_s"):
-        view, taken = _render_view(job, baked, views, report), {stroke.wav for stroke in report.strokes}
-        return write_stroke_files(session.request.folder, job, baked, felt, view, taken, picture_key)
+        view, used_names = _render_view(job, baked, views, report), {stroke.wav for stroke in report.strokes}
+        return write_stroke_files(session.request.folder, job, baked, synthesised, view, used_names, picture_key)
 
 
 def _redraw(
     session: Session, job: StrokeJob, baked: BakedStroke, views: StrokeViews, picture_key: str, report: Report
 ) -> None:
     with record_time(report, "picture_s"):
-        at = next(index for index, stroke in enumerate(report.strokes) if stroke.name == job.name)
-        view = _render_view(job, baked, views, report)
-        report.strokes[at] = redraw_stroke_plot(
-            session.request.folder, report.strokes[at], job, baked, view, picture_key
-        )
+        index = next(index for index, stroke in enumerate(report.strokes) if stroke.name == job.name)
+        entry, view = report.strokes[index], _render_view(job, baked, views, report)
+        report.strokes[index] = redraw_stroke_plot(session.request.folder, entry, job, baked, view, picture_key)
 
 
 def _render_view(job: StrokeJob, baked: BakedStroke, views: StrokeViews, report: Report) -> StrokeView:
@@ -346,7 +360,7 @@ def _interruptible() -> Iterator[None]:
     """Let Ctrl-C stop the run and keep what is finished; Blender ignores it in background mode."""
     try:
         before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    except ValueError:  # not the main thread: whoever runs us there stops us
+    except ValueError:  # not the main thread, where signals cannot be handled
         yield
         return
     try:

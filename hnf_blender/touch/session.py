@@ -74,26 +74,25 @@ def resolve_target(scene: Any, text: str) -> Target:
     name = _match_name(before, meshes) if colon else None
     if name is not None:
         return Target(name, _find_slot(meshes[name], slot_text))
-    other = scene.objects.get(text)
-    if other is not None:
+    obj = scene.objects.get(text)
+    if obj is not None:
         raise SceneError(
-            f"it is a {other.type.lower()} object and has no surface to touch.",
+            f"it is a {obj.type.lower()} object and has no surface to touch.",
             where=f"object '{text}'",
             remedy="Name a mesh object, or convert this one to a mesh (Object > Convert > Mesh).",
         )
-    wanted = before if colon else text
-    raise SceneError(
-        "there is no such object in the scene.", where=f"object '{wanted}'", remedy=_suggest_objects(wanted, meshes)
-    )
+    object_name = before if colon else text
+    remedy = _suggest_objects(object_name, meshes)
+    raise SceneError("there is no such object in the scene.", where=f"object '{object_name}'", remedy=remedy)
 
 
 def _match_name(text: str, names: Iterable[str]) -> str | None:
     """Return the name equal to `text`, or the only one that differs in case alone; None if there is none."""
-    known = list(names)
-    if text in known:
+    names = list(names)
+    if text in names:
         return text
-    same = [name for name in known if name.casefold() == text.casefold()]
-    return same[0] if len(same) == 1 else None
+    matches = [name for name in names if name.casefold() == text.casefold()]
+    return matches[0] if len(matches) == 1 else None
 
 
 def _find_slot(obj: Any, text: str) -> int:
@@ -473,9 +472,8 @@ class Session:
         neighbourhood = describe_neighbours(obj, self.scene, self.depsgraph, self.metres_per_unit)
         world = obj.evaluated_get(self.depsgraph).matrix_world
         rigid, _ = compute_surface_frame(world, self.metres_per_unit, f"object '{obj.name}'")
-        neighbourhood.append(
-            repr((np.round(rigid[2, :3], 3) + 0.0).tolist())
-        )  # which side is up, since undersides are avoided
+        # The upwards direction matters, since undersides are avoided.
+        neighbourhood.append(repr((np.round(rigid[2, :3], 3) + 0.0).tolist()))
         path = content_hash("placed", primitive.name, str(target.slot), *neighbourhood)
         inputs = self._hash_inputs(target.object_name, "", path, content_hash(str(seed)))
         return StrokeJob(name, target.object_name, inputs, seed, primitive=primitive, slot=target.slot)
@@ -510,9 +508,9 @@ def make_scene_session(scene: Any, view_layer: Any, folder: Path) -> Session:
     return Session(scene, view_layer, get_metres_per_unit(scene), request)
 
 
-def _with_splats(shown: ReliefSource) -> ReliefSource:
+def _with_splats(source: ReliefSource) -> ReliefSource:
     """Return the relief source of a slot of a reconstructed surface, whose splats always show a colour."""
-    return ReliefSource.RELIEF if shown is ReliefSource.RELIEF else ReliefSource.VARYING_COLOUR
+    return ReliefSource.RELIEF if source is ReliefSource.RELIEF else ReliefSource.VARYING_COLOUR
 
 
 def _to_hashable(choice: str | MaterialFile) -> str | bytes:
@@ -560,25 +558,25 @@ def gather_curve_jobs(session: Session, curves: Iterable[Any]) -> GatheredJobs:
     return gathered
 
 
-def add_scene_notes(session: Session, found: GatheredJobs) -> None:
+def add_scene_notes(session: Session, gathered: GatheredJobs) -> None:
     """Add what the jobs leave out, and warnings about surfaces of implausible size."""
-    found.skipped += list(_iter_skipped(session, {job.object_name for job in found.jobs}))
-    for name in dict.fromkeys(job.object_name for job in found.jobs):
+    gathered.skipped += list(_iter_skipped(session, {job.object_name for job in gathered.jobs}))
+    for name in dict.fromkeys(job.object_name for job in gathered.jobs):
         obj = find_object(session.scene, name)
         warning = get_size_warning(obj, session.metres_per_unit)
-        found.notes += [*([warning] if warning else []), *session.get_splat_notes(obj)]
+        gathered.notes += [*([warning] if warning else []), *session.get_splat_notes(obj)]
 
 
-def _add_job(found: GatheredJobs, name: str, make: Any) -> None:
+def _add_job(gathered: GatheredJobs, name: str, make: Any) -> None:
     """Append the job that `make` returns, or a failure."""
     try:
-        found.jobs.append(make())
+        gathered.jobs.append(make())
     except HnfError as error:
-        found.failed.append(Failed(name, str(error)))
+        gathered.failed.append(Failed(name, str(error)))
 
 
-def _make_unique_name(name: str, found: GatheredJobs) -> str:
-    used = {job.name for job in found.jobs} | {failure.stroke for failure in found.failed}
+def _make_unique_name(name: str, gathered: GatheredJobs) -> str:
+    used = {job.name for job in gathered.jobs} | {failure.stroke for failure in gathered.failed}
     if name not in used:
         return name
     return next(text for number in range(2, len(used) + 3) if (text := f"{name} {number}") not in used)

@@ -1,7 +1,7 @@
 """Synthesise strokes: contacts → patches → materials and tokens → action and height profile → field → signal.
 
-`bake_steps` runs the strokes of a session one after the other, as a generator of progress; the command line and
-Blender's worker process share it. `synthesise_stroke` turns a baked stroke into a signal.
+`bake_strokes` bakes the strokes of a session one after the other; the command line and Blender's worker process share
+it. `synthesise_stroke` turns a baked stroke into a signal.
 """
 
 from __future__ import annotations
@@ -9,11 +9,9 @@ from __future__ import annotations
 import contextlib
 import time
 import traceback
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +25,7 @@ from hnf_core.field.height_profile import build_stroke_profile
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.synthesis import synthesise_by_field
 from hnf_core.material.fuse import BAND_COUNT, FusedToken, format_routes, fuse
-from hnf_core.progress import Progress
+from hnf_core.progress import Cancelled, Progress, ProgressCallback, ignore_progress, nest_progress
 from hnf_core.scene.patch import Patch
 from hnf_core.signal import Signal
 from hnf_core.threads import single_blas_thread
@@ -36,6 +34,7 @@ from ..bridge.render.unlit_image import UnlitImage
 from ..bridge.scene.scene_names import find_object
 from ..bridge.stroke.read_stroke import SceneStroke
 from .bake_patches import (
+    CLOSEUP_STAGE,
     ReliefPredictor,
     TouchedObject,
     bake_patches,
@@ -49,24 +48,6 @@ from .material_choice import MaterialRequest, SlotMaterial, decide_material, fin
 from .patch_cache import PatchRecord
 from .report import Counts, Failed, Report
 from .session import Session, StrokeJob
-
-Step = TypeVar("Step")
-Mapped = TypeVar("Mapped")
-Result = TypeVar("Result")
-
-
-def map_steps(
-    steps: Generator[Step, None, Result], convert: Callable[[Step], Mapped]
-) -> Generator[Mapped, None, Result]:
-    """Apply a function to every item that a generator yields, and pass its return value through."""
-    with contextlib.closing(steps):
-        while True:
-            try:
-                step = next(steps)
-            except StopIteration as finished:
-                return finished.value  # type: ignore[no-any-return]  # what the generator declares
-            yield convert(step)
-
 
 USUAL_HEIGHT_RANGE_M = (0.5e-6, 2e-3)
 """Usual peak-to-peak heights [m]; others are probably a mistake, or a bump made for its look."""
@@ -119,19 +100,21 @@ class BakedStroke:
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks for the user, each once."""
-        remarks = list(self.stroke.notes) + list(self.touched.surface.notes)
+        notes = list(self.stroke.notes) + list(self.touched.surface.notes)
         for record in self.records:
-            remarks += record.notes
-        remarks += [*self._relief_notes(), *self._learned_notes(), *self._guess_notes(), *self.skip_reasons]
-        off = float(np.mean(~self.contacts.on_surface))
-        if off > 0.0:
-            remarks.append(f"stroke '{self.stroke.name}': {off:.0%} of its time it is off the surface and silent.")
+            notes += record.notes
+        notes += [*self._relief_notes(), *self._learned_notes(), *self._guess_notes(), *self.skip_reasons]
+        off_fraction = float(np.mean(~self.contacts.on_surface))
+        if off_fraction > 0.0:
+            notes.append(
+                f"stroke '{self.stroke.name}': {off_fraction:.0%} of its time it is off the surface and silent."
+            )
         if not self.contacts.uv_known[self.contacts.on_surface].all():
-            remarks.append(
+            notes.append(
                 f"object '{self.stroke.object_name}' has no usable UVs under stroke '{self.stroke.name}': directions "
                 "are counted from the object's own axes."
             )
-        return tuple(dict.fromkeys(remarks))
+        return tuple(dict.fromkeys(notes))
 
     def _guess_notes(self) -> list[str]:
         notes = (format_guess_note(material, self.stroke.object_name) for material in self.materials.values())
@@ -154,8 +137,7 @@ class BakedStroke:
         return [
             f"material '{shader}': its relief is {height * 1e3:.3g} mm from top to bottom; "
             f"{USUAL_HEIGHT_RANGE_M[0] * 1e3:g}–{USUAL_HEIGHT_RANGE_M[1] * 1e3:g} mm is usual. Check the Distance, "
-            f"Strength or "
-            "Scale of its bump, and the scene's unit scale."
+            "Strength or Scale of its bump, and the scene's unit scale."
             for shader, height in tallest.items()
             if height > 0.0 and not USUAL_HEIGHT_RANGE_M[0] <= height <= USUAL_HEIGHT_RANGE_M[1]
         ]
@@ -187,15 +169,16 @@ class SynthesisedStroke:
         return self.stroke.action
 
 
-def bake_stroke_steps(
+def bake_stroke(
     stroke: SceneStroke,
     touched: TouchedObject,
     choices: Mapping[int | None, str],
     folder: Path,
     counts: Counts,
     predictor: ReliefPredictor,
-) -> Generator[float, None, BakedStroke]:
-    """Bake one stroke, as a generator that yields the completed fraction of its patches.
+    progress: ProgressCallback = ignore_progress,
+) -> BakedStroke:
+    """Bake one stroke.
 
     Parameters
     ----------
@@ -211,11 +194,12 @@ def bake_stroke_steps(
         Counters, which are incremented.
     predictor : ReliefPredictor
         Networks that predict relief.
+    progress : ProgressCallback, optional
+        Called after each patch.
 
     Returns
     -------
     BakedStroke
-        Return value of the generator.
 
     Raises
     ------
@@ -230,28 +214,28 @@ def bake_stroke_steps(
     require_contact(contacts, where=where, surface=stroke.object_name)
     patches, patch_index = plan_patches(contacts)
     slots = dict.fromkeys(patch.slot for patch in patches)
-    asked = MaterialRequest(choices, stroke.material, where)
-    chosen = {slot for slot in slots if find_chosen_material(touched, slot, asked) is not None}
-    records = yield from bake_patches(touched, patches, folder, counts, predictor, chosen)
+    request = MaterialRequest(choices, stroke.material, where)
+    chosen_slots = {slot for slot in slots if find_chosen_material(touched, slot, request) is not None}
+    records = bake_patches(touched, patches, folder, counts, predictor, chosen_slots, progress)
     materials = {}
     for slot in slots:
-        own = [record for patch, record in zip(patches, records, strict=True) if patch.slot == slot]
-        materials[slot] = decide_material(touched, slot, asked, own)
+        slot_records = [record for patch, record in zip(patches, records, strict=True) if patch.slot == slot]
+        materials[slot] = decide_material(touched, slot, request, slot_records)
     fused = tuple(
         fuse(get_token(record), materials[patch.slot].library.token, materials[patch.slot].confidence, record.route)
         for patch, record in zip(patches, records, strict=True)
     )
-    unread = {
-        f"material '{materials[slot].shader}': {predictor.missing_reason or explain_skipped(look)}."
-        for slot in materials.keys() - chosen
-        for look in _select_skipped_images(
+    skip_reasons = {
+        f"material '{materials[slot].shader}': {predictor.missing_reason or explain_skipped(unlit)}."
+        for slot in materials.keys() - chosen_slots
+        for unlit in _select_skipped_images(
             record.unlit
             for patch, record in zip(patches, records, strict=True)
             if patch.slot == slot and record.unlit is not None and record.predicted is None
         )
     }
     return BakedStroke(
-        stroke, touched, contacts, patches, patch_index, records, fused, materials, tuple(sorted(unread))
+        stroke, touched, contacts, patches, patch_index, records, fused, materials, tuple(sorted(skip_reasons))
     )
 
 
@@ -318,9 +302,10 @@ def compute_known_shares(baked: BakedStroke) -> NDArray[np.float64]:
     confidence in the library material.
     """
     confidences = [baked.materials[patch.slot].confidence for patch in baked.patches]
+    total = BAND_COUNT + MECHANICAL_PROPERTY_COUNT
     return np.array([
-        (BAND_COUNT * fused.confidence + MECHANICAL_PROPERTY_COUNT * value) / (BAND_COUNT + MECHANICAL_PROPERTY_COUNT)
-        for fused, value in zip(baked.fused, confidences, strict=True)
+        (BAND_COUNT * fused.confidence + MECHANICAL_PROPERTY_COUNT * confidence) / total
+        for fused, confidence in zip(baked.fused, confidences, strict=True)
     ])  # fmt: skip
 
 
@@ -354,21 +339,28 @@ def add_provenance(signal: Signal, name: str, facts: Mapping[str, str], confiden
 
 def _extend_patch_index(index: NDArray[np.int32]) -> NDArray[np.int32]:
     """Replace −1 by the last touched patch, before the first contact by the first one."""
-    good = np.flatnonzero(index >= 0)
-    at = np.clip(np.searchsorted(good, np.arange(len(index)), side="right") - 1, 0, None)
-    return np.asarray(index[good[at]], dtype=np.int32)
+    touching = np.flatnonzero(index >= 0)
+    last = np.clip(np.searchsorted(touching, np.arange(len(index)), side="right") - 1, 0, None)
+    return np.asarray(index[touching[last]], dtype=np.int32)
 
 
 CACHE_FOLDER_NAME = "cache"
 """Folder of cached patches next to a run's results."""
-OnStroke = Callable[[StrokeJob, BakedStroke], Iterable[str]]
-"""Function that processes a baked stroke and yields the name of each stage before it begins."""
+OnStroke = Callable[[StrokeJob, BakedStroke, Callable[[str], None]], None]
+"""Function that processes a baked stroke; it calls its third argument with the name of each stage before it begins."""
+BAKE_SHARE = 0.9
+"""Fraction of a stroke's time, in reports of progress, that its bake takes."""
 
 
-def bake_steps(
-    session: Session, jobs: Sequence[StrokeJob], cache: Path, report: Report, on_stroke: OnStroke
-) -> Generator[Progress, None, tuple[BakedStroke, ...]]:
-    """Bake every job and pass it to `on_stroke`, as a generator of progress.
+def bake_strokes(
+    session: Session,
+    jobs: Sequence[StrokeJob],
+    cache: Path,
+    report: Report,
+    on_stroke: OnStroke,
+    progress: ProgressCallback = ignore_progress,
+) -> tuple[BakedStroke, ...]:
+    """Bake every job and pass it to `on_stroke`.
 
     A job that fails is listed in the report; the others are still baked. The last stage, "saving", is left to the
     caller.
@@ -384,41 +376,39 @@ def bake_steps(
     report : Report
         Its failures, warnings, counts and timings are extended.
     on_stroke : callable
-        Processes a baked stroke; yields the name of each stage before it begins.
+        Processes a baked stroke.
+    progress : ProgressCallback, optional
+        Called before each stroke, patch and stage.
 
     Returns
     -------
     tuple of BakedStroke
-        Return value of the generator: all strokes baked, without their maps.
+        All strokes baked, without their maps.
     """
-    baked: list[BakedStroke] = []
+    baked_strokes: list[BakedStroke] = []
     total = len(jobs) + 1
     for done, job in enumerate(jobs):
-        yield Progress(job.name, done, total)
+        progress(Progress(job.name, done, total))
+        closeup_progress = nest_progress(progress, f"{job.name}: {CLOSEUP_STAGE}", done, total, BAKE_SHARE)
+
+        def start_stage(stage: str, name: str = job.name, done: int = done) -> None:
+            progress(Progress(f"{name}: {stage}", done, total, BAKE_SHARE))
+
         try:
             with record_time(report, "bake_s"), single_blas_thread():  # leaves all cores to Cycles and ray casts
-                described = yield from map_steps(
-                    _bake_job_steps(session, job, cache, report),
-                    partial(_closeup_progress, job.name, done, total),
-                )
-            baked.append(drop_maps(described))
-            for stage in on_stroke(job, described):
-                yield Progress(f"{job.name}: {stage}", done, total, 0.9)
+                baked = _bake_job(session, job, cache, report, closeup_progress)
+            baked_strokes.append(drop_maps(baked))
+            on_stroke(job, baked, start_stage)
         except HnfError as error:
             report.failed.append(Failed(job.name, str(error)))
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, Cancelled):
             report.failed += [Failed(left.name, "stopped before it was finished.") for left in jobs[done:]]
             raise
         except Exception as error:  # a programming error: the other strokes are still baked
             traceback.print_exc()
             report.failed.append(Failed(job.name, f"{job.name}: internal error ({error!r}). Please report it."))
-    yield Progress("saving", total - 1, total)
-    return tuple(baked)
-
-
-def _closeup_progress(name: str, done: int, total: int, share: float) -> Progress:
-    """Convert the completed fraction of one stroke's patches to progress of the run."""
-    return Progress(f"{name}: close-ups", done, total, 0.9 * share)
+    progress(Progress("saving", total - 1, total))
+    return tuple(baked_strokes)
 
 
 @contextlib.contextmanager
@@ -431,9 +421,7 @@ def record_time(report: Report, name: str) -> Iterator[None]:
         report.timings[name] = round(report.timings.get(name, 0.0) + time.monotonic() - start, 3)
 
 
-def _bake_job_steps(
-    session: Session, job: StrokeJob, cache: Path, report: Report
-) -> Generator[float, None, BakedStroke]:
+def _bake_job(session: Session, job: StrokeJob, cache: Path, report: Report, progress: ProgressCallback) -> BakedStroke:
     """Place or read a job's stroke and bake it."""
     stroke = job.stroke
     if stroke is None:
@@ -442,7 +430,7 @@ def _bake_job_steps(
         stroke = session.read_stroke(curve)
     touched = session.get_touched_object(find_object(session.scene, stroke.object_name))
     choices = session.get_choices(stroke.object_name)
-    described = yield from bake_stroke_steps(stroke, touched, choices, cache, report.counts, session.predictor)
-    for note in described.notes:
+    baked = bake_stroke(stroke, touched, choices, cache, report.counts, session.predictor, progress)
+    for note in baked.notes:
         report.add_warning(note)
-    return described
+    return baked

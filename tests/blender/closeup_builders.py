@@ -11,7 +11,7 @@ import numpy as np
 from builders import add_plane, bump_material
 from numpy.typing import NDArray
 
-from hnf_blender.bridge.render.closeup import CloseUp, iter_closeups
+from hnf_blender.bridge.render.closeup import CloseUp, CloseUpRenderer
 from hnf_blender.bridge.render.cycles import add_camera, configure_cycles, render_passes, set_camera
 from hnf_blender.bridge.render.isolated_object import isolate_object
 from hnf_blender.bridge.render.lit_render import add_dome
@@ -33,9 +33,10 @@ def render_closeup(obj: Any, patch: Patch, **options: Any) -> CloseUp:
 
 
 def render_closeups(obj: Any, patches: Sequence[Patch], *, samples: int | None = None, **options: Any) -> list[CloseUp]:
-    """All that iter_closeups gives. samples: also light the patches with a neutral dome and render the original shader
+    """A close-up of each patch. samples: also light the patches with a neutral dome and render the original shader
     with so many samples (rgb)."""
-    made = list(iter_closeups(obj, patches, **options))
+    with CloseUpRenderer(obj, patches, **options) as renderer:
+        made = [renderer.render(patch) for patch in patches]
     if samples and made:
         pictures = render_lit_images(obj, [each.view.camera for each in made], samples)
         made = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from closeup_builders import principled
 from hnf_blender.touch import bake_patches
 from hnf_blender.touch.report import Report
 from hnf_blender.touch.session import StrokeJob, gather_jobs, make_scene_session
-from hnf_blender.touch.synthesise import BakedStroke, bake_steps
+from hnf_blender.touch.synthesise import BakedStroke, bake_strokes
 from hnf_core.tactile.diffusion.unet import MapConfig
 from hnf_core.tactile.diffusion.weights import save_map_weights
 
@@ -90,11 +91,9 @@ def bake_open_scene(cache: Path) -> Baked:
     report = Report("", 1.0, "", failed=list(found.failed))
     strokes: list[BakedStroke] = []
 
-    def each(job: StrokeJob, described: BakedStroke) -> tuple[str, ...]:
-        strokes.append(described)
-        return ()
+    def keep(job: StrokeJob, baked: BakedStroke, start_stage: Callable[[str], None]) -> None:
+        strokes.append(baked)
 
-    for _ in bake_steps(session, found.jobs, cache, report, each):
-        pass
+    bake_strokes(session, found.jobs, cache, report, keep)
     assert report.failed == []
     return Baked(tuple(strokes), tuple(found.jobs), report)

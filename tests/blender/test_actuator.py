@@ -1,4 +1,4 @@
-"""The actuator as a player: the real process, the virtual device, and what an artist is told."""
+"""The actuator player with the real process and the virtual device, and its messages for the artist."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ from hnf_blender.actuator.player_process import list_worker_commands
 from hnf_blender.actuator.sound import SWEEP_LEVEL_SHARE, make_test_sweep
 from hnf_blender.props import scene_settings
 from hnf_blender.props.scene_settings import get_actuator_profile
-from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, make_user_profile
-from hnf_core.actuators.profile_json import write_profile
+from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, make_user_profile, write_profile
 from hnf_core.errors import DeviceError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -85,7 +84,7 @@ def test_stopped_it_is_silent_and_can_be_played_again(link) -> None:
     assert link.pid == pid
 
 
-def test_a_change_goes_on_where_it_is_without_opening_the_device_anew(link) -> None:
+def test_a_swap_continues_without_reopening_the_device(link) -> None:
     link.play(tone(4.0, level=1.0))
     assert until(link, lambda: link.position_s > 0.4)
     began = link.began
@@ -96,7 +95,7 @@ def test_a_change_goes_on_where_it_is_without_opening_the_device_anew(link) -> N
     assert link.current_status.status.play == began.play
 
 
-def test_played_anew_it_begins_where_it_is_told_on_the_open_device(link) -> None:
+def test_a_replay_restarts_on_the_open_device(link) -> None:
     link.play(tone(9.0))
     assert until(link, lambda: link.current_status is not None and link.current_status.status.position_s > 1.0)
     began, at = link.began, link.current_status.status.position_s
@@ -117,7 +116,7 @@ def test_what_ends_in_the_moment_of_a_change_is_begun_anew(link) -> None:
     assert link.is_playing
 
 
-def test_asked_for_while_the_device_is_taken_the_newest_alone_is_played(link) -> None:
+def test_only_the_newest_request_plays_on_a_busy_device(link) -> None:
     for level in (1.0, 2.0, 3.0, 8.0):
         link.play(tone(2.0, level=level))
     assert until(link, lambda: link.current_status is not None and link.current_status.status.level_m_s2 > 4.0)
@@ -260,7 +259,7 @@ def test_the_limits_are_those_of_the_scenes_actuator() -> None:
     assert make_output_spec(VIRTUAL, make_user_profile(0.0, 40.0, 400.0)).own[0] == 0.0
 
 
-def test_a_measured_profile_is_the_files_and_is_read_again_where_it_is_played(link, tmp_path, monkeypatch) -> None:
+def test_a_profile_file_is_read_again_before_playback(link, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(scene_settings, "CHECK_INTERVAL_S", 1e-6)
     scene, path = bpy.context.scene, tmp_path / "mine.json"
     scene.hnf.actuator = "file"

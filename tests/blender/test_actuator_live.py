@@ -1,4 +1,4 @@
-"""A hand that touches live: where it is on the surface, along which axes, and what is felt there."""
+"""Live touch: position on the surface, its axes, and the material in contact."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def choose(obj, library: str) -> None:
     obj.data.materials[0].hnf_touch.library = library
 
 
-def test_a_hand_goes_its_way_in_metres_along_the_surfaces_own_axes() -> None:
+def test_hand_positions_are_metres_along_the_surface_axes() -> None:
     choose(add_plane(), "denim")
     touch, told = hand()
     for k, x in enumerate((0.0, 0.01, 0.03)):
@@ -105,7 +105,7 @@ def test_axes_are_those_of_the_uvs_however_the_object_stands(angles, scale, mirr
     assert way == pytest.approx((0.1 * scale[0] * metres, 0.0), abs=1e-5 * metres * 5)
 
 
-def test_a_face_that_python_does_not_see_is_touched_along_the_objects_axes() -> None:
+def test_an_unlisted_face_uses_the_axes_of_its_object() -> None:
     """As where a graphics card subdivides: rays meet faces that the mesh does not list."""
     add_plane()
     hit = cast(0.01, 0.0)
@@ -138,13 +138,13 @@ def test_set_down_elsewhere_it_has_travelled_nothing() -> None:
     assert walker.touch("B", np.array([9.0, 3.5, 0.0]), axes) == (0.01, 0.5)
 
 
-def test_a_pens_pressure_is_a_share_of_the_force_a_mouse_has_its_own() -> None:
+def test_pen_pressure_scales_the_force_and_a_mouse_force_is_set() -> None:
     assert force_from_pressure(0.5, True, 3.0, 1.0) == 1.5
     assert force_from_pressure(0.0, True, 3.0, 1.0) == 0.0
     assert force_from_pressure(0.3, False, 3.0, 1.0) == 1.0
 
 
-def test_lifted_again_and_again_is_told_once_and_a_pen_without_pressure_is_lifted() -> None:
+def test_repeated_lifts_send_one_move_and_zero_pressure_lifts() -> None:
     choose(add_plane(), "denim")
     touch, told = hand()
     touch.lift(0.0)
@@ -155,7 +155,7 @@ def test_lifted_again_and_again_is_told_once_and_a_pen_without_pressure_is_lifte
     assert [force for _, _, force in told.moves] == [1.0, 0.0]
 
 
-def test_another_surface_feels_otherwise_and_is_told_before_it_is_touched() -> None:
+def test_a_material_change_is_sent_before_the_next_contact() -> None:
     left, right = add_plane("Left", 0.04), add_plane("Right", 0.04)
     left.location.x, right.location.x = -0.03, 0.03
     choose(left, "oak-wood")
@@ -169,7 +169,7 @@ def test_another_surface_feels_otherwise_and_is_told_before_it_is_touched() -> N
     assert len(told.moves) == 5
 
 
-def test_the_artists_choice_then_a_definition_then_the_looks_decide() -> None:
+def test_material_priority_is_choice_then_definition_then_looks() -> None:
     plane = add_plane()
     felt = find_touched_material(plane, depsgraph(), 0, -1)
     assert felt.name in {material.name for material in load_library()}
@@ -201,7 +201,7 @@ def test_what_cannot_be_felt_lifts_the_hand() -> None:
     assert told.moves[-1][2] == 0.0
 
 
-def test_what_was_baked_there_is_felt_until_another_material_is_chosen(warm_bake) -> None:
+def test_a_baked_material_is_used_until_another_is_chosen(warm_bake) -> None:
     from job_scene import small_scene
 
     small_scene()
@@ -223,7 +223,7 @@ def test_what_was_baked_there_is_felt_until_another_material_is_chosen(warm_bake
     assert find_touched_material(plate, depsgraph(), met.slot, met.token) == baked
 
 
-def test_what_was_baked_of_another_state_of_the_surface_is_not_felt(warm_bake) -> None:
+def test_a_material_baked_on_a_changed_surface_is_not_used(warm_bake) -> None:
     from job_scene import small_scene
 
     small_scene()

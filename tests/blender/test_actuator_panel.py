@@ -1,4 +1,4 @@
-"""Choosing an output and playing on it: buttons, the panel, the timeline, speakers in place of a sound card."""
+"""The actuator panel: output choice, playback buttons, timeline, and simulated speakers."""
 
 from __future__ import annotations
 
@@ -319,7 +319,7 @@ def test_dragging_the_playhead_is_felt_on_an_actuator_alone(stroke) -> None:
         assert not PLAYER_CLIENT.is_playing
 
 
-def test_what_a_skin_would_get_is_what_the_virtual_device_would_have_recorded() -> None:
+def test_skin_estimates_equal_the_virtual_device_recording() -> None:
     sound = tone(0.4, level=60.0)  # twice what the generic voice coil bears
     limiter = Limiter(GENERIC.limits, RATE_HZ, 1)
     counts = np.concatenate([limiter.process(sound.samples[:, None]), limiter.flush()])
@@ -334,7 +334,7 @@ def test_what_a_skin_would_get_is_what_the_virtual_device_would_have_recorded() 
     assert estimate_skin(Signal(np.zeros(0, np.float32), RATE_HZ, seed=0), GENERIC).rms == 0.0
 
 
-def test_on_the_virtual_actuator_the_panel_says_what_a_skin_would_get(stroke) -> None:
+def test_the_panel_shows_skin_levels_on_the_virtual_actuator(stroke) -> None:
     heard = PREVIEW.results["Along"]
 
     def told(signal=heard.signal) -> bool:

@@ -1,4 +1,4 @@
-"""What happens where Blender tells of a change, before it draws: the overlay is computed and the sound is asked for."""
+"""Immediate updates in depsgraph handlers: the overlay is computed and the signal is requested before the redraw."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def last_forces() -> list[float]:
     return [round(float(path.forces.max()), 1) for path in overlay.OVERLAY.paths.values()]
 
 
-def test_a_changed_stroke_is_drawn_with_the_next_redraw_and_no_other_is_computed(told) -> None:
+def test_a_changed_stroke_alone_is_recomputed_for_the_redraw(told) -> None:
     first, second = some_strokes(2)
     assert last_forces() == [2.0, 2.0]
     kept = overlay.OVERLAY.paths[second.name]
@@ -99,7 +99,7 @@ def test_many_changed_strokes_wait_for_the_timer(told) -> None:
     assert len(kept) == len(strokes)
 
 
-def test_after_an_undo_all_are_computed_a_part_at_a_time_and_drawn_meanwhile(told, monkeypatch) -> None:
+def test_undo_recomputes_all_strokes_in_steps_while_drawing(told, monkeypatch) -> None:
     strokes = some_strokes(3)
     kept = dict(overlay.OVERLAY.paths)
     monkeypatch.setattr(overlay, "REFRESH_BUDGET_S", 0.0)
@@ -149,7 +149,7 @@ def test_the_active_strokes_force_is_asked_for_without_a_timer(listening) -> Non
     assert PREVIEW.requested[stroke.name] == stamp
 
 
-def test_nothing_is_asked_for_what_is_no_part_of_it_or_takes_an_evaluation(listening) -> None:
+def test_unrelated_or_driven_changes_request_no_preview(listening) -> None:
     plate, stroke = listening
     plate.location.x += 0.1
     bpy.context.view_layer.update()

@@ -1,4 +1,4 @@
-"""A scene as a job of a batch: the direct command's bytes, and made again where a picture changes."""
+"""A scene as a batch job: the bytes of the direct command, and a new run after an image changes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hnf_core.batch.attempt import RUN_FILE_NAME, Request, State, run_request
 from hnf_core.batch.staging import compute_digest, compute_version, is_fresh, read_record
 
 
-def test_a_touched_scene_is_the_direct_commands_and_its_pictures_are_inputs(tmp_path: Path) -> None:
+def test_a_batch_job_equals_the_command_and_tracks_its_images(tmp_path: Path) -> None:
     ridge_plate()
     line_stroke("Along")
     beside = tmp_path / "wood.png"

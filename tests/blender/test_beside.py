@@ -1,4 +1,4 @@
-"""A patch is described beside the casting of the next one, and never while Blender is asked for something."""
+"""Concurrent description of patches: in parallel with ray casting, never with a call into Blender."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from hnf_blender.bridge.render import closeup
 from hnf_blender.touch import bake_patches
 from hnf_blender.touch.report import Counts
 from hnf_blender.touch.session import gather_jobs, make_scene_session
-from hnf_blender.touch.synthesise import bake_stroke_steps
+from hnf_blender.touch.synthesise import bake_stroke
 from hnf_core.errors import MaterialError
+from hnf_core.progress import Cancelled, Progress
 
 LONG_S = 30.0
 
 
-def baked(folder, counts):
+def baked(folder, counts, cancel_at=None):
     session = make_scene_session(bpy.context.scene, bpy.context.view_layer, folder)
     (job,) = gather_jobs(session).jobs
-    steps = bake_stroke_steps(
-        job.stroke, session.get_touched_object(bpy.data.objects[PLATE]), {}, folder / "cache", counts, session.predictor
-    )
-    shares = []
-    while True:
-        try:
-            shares.append(next(steps))
-        except StopIteration as finished:
-            return finished.value, shares
+    touched, shares = session.get_touched_object(bpy.data.objects[PLATE]), []
+
+    def show(progress: Progress) -> None:
+        shares.append(progress.fraction)
+        if len(shares) == cancel_at:
+            raise Cancelled
+
+    stroke = bake_stroke(job.stroke, touched, {}, folder / "cache", counts, session.predictor, show)
+    return stroke, shares
 
 
-def test_patches_are_described_beside_rays_and_never_beside_a_render(tmp_path, monkeypatch) -> None:
+def test_patches_are_described_during_ray_casts_but_not_renders(tmp_path, monkeypatch) -> None:
     ridge_plate()
     line_stroke("Along")
     plain, _ = baked(tmp_path / "plain", Counts())
@@ -76,7 +77,7 @@ def test_patches_are_described_beside_rays_and_never_beside_a_render(tmp_path, m
         assert np.array_equal(one.token, other.token)
 
 
-def test_what_goes_wrong_in_a_description_is_told_and_nothing_is_left_running(tmp_path, monkeypatch) -> None:
+def test_a_description_error_is_raised_and_no_thread_is_left(tmp_path, monkeypatch) -> None:
     ridge_plate()
     line_stroke("Along")
     before, record, count = set(threading.enumerate()), bake_patches._make_record, iter(range(100))
@@ -95,3 +96,17 @@ def test_what_goes_wrong_in_a_description_is_told_and_nothing_is_left_running(tm
     stroke, _ = baked(tmp_path, again)
     assert again.close_ups == len(stroke.patches) - 1  # the first one was stored
     assert all(np.isfinite(each.token).all() for each in stroke.records)
+
+
+def test_a_cancelled_bake_leaves_stored_patches_only(tmp_path) -> None:
+    ridge_plate()
+    line_stroke("Along")
+    threads, data = set(threading.enumerate()), len(list(bpy.data.user_map()))
+    with pytest.raises(Cancelled):
+        baked(tmp_path, Counts(), cancel_at=2)
+    assert set(threading.enumerate()) <= threads
+    assert len(list(bpy.data.user_map())) == data
+    assert len(list((tmp_path / "cache").glob("*.npz"))) == 1
+    again = Counts()
+    stroke, _ = baked(tmp_path, again)
+    assert again.close_ups == len(stroke.patches) - 1

@@ -1,4 +1,4 @@
-"""What is kept is true: whatever a close-up follows from is noticed, and what it does not follow from costs nothing.
+"""Validity of caches: every input of a close-up invalidates it, and nothing else does.
 
 Each change goes through the job that a window's bake is (bake_blocking), in an open file. Work is counted.
 """
@@ -21,7 +21,7 @@ from touch_scene import line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.bridge.stroke.read_stroke import list_strokes
 from hnf_blender.compat import version
-from hnf_blender.jobs import bake_job, bake_steps
+from hnf_blender.jobs import bake_job, job_runner
 from hnf_blender.touch import bake_patches
 from hnf_blender.touch import session as jobs
 from hnf_blender.touch.bake_storage import hash_surface_source
@@ -78,7 +78,7 @@ def job(stored, tmp_path, monkeypatch):
         return reports[-1]
 
     monkeypatch.setattr(bake_job, "get_cache_folder", lambda: cache)
-    monkeypatch.setattr(bake_steps, "Report", report)
+    monkeypatch.setattr(job_runner, "Report", report)
 
     def run() -> Work:
         before = bakes()
@@ -105,7 +105,7 @@ def bakes() -> dict[str, bytes]:
 def keys() -> dict[str, tuple[str, str]]:
     """Stroke → the key of its signal, and the name of what its tokens are measured from."""
     bpy.context.view_layer.update()
-    session = bake_steps.make_scene_session(bpy.context.scene, bpy.context.view_layer, Path())
+    session = job_runner.make_scene_session(bpy.context.scene, bpy.context.view_layer, Path())
     found = [session.make_curve_job(curve) for curve in list_strokes(bpy.context.scene)]
     surfaces = [session.get_facts(bpy.data.objects[each.object_name]) for each in found]
     return {each.name: (each.key, hash_surface_source(facts)) for each, facts in zip(found, surfaces, strict=True)}
@@ -321,13 +321,13 @@ sys.path[:0] = [{root!r}, {tests!r}]
 import bpy
 from hnf_blender import props
 props.register()
-from hnf_blender.jobs import bake_job, bake_steps
+from hnf_blender.jobs import bake_job, job_runner
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_blender.touch import bake_patches, session
 bake_patches.PATCH_PIXELS = session.PATCH_PIXELS = {pixels}
 bake_job.get_cache_folder = lambda: Path({cache!r})
-made, report = [], bake_steps.Report
-bake_steps.Report = lambda *arguments, **settings: made.append(report(*arguments, **settings)) or made[-1]
+made, report = [], job_runner.Report
+job_runner.Report = lambda *arguments, **settings: made.append(report(*arguments, **settings)) or made[-1]
 bpy.ops.wm.open_mainfile(filepath={scene!r})
 for lost in (False, True):
     if lost:
@@ -339,7 +339,7 @@ for lost in (False, True):
 
 
 @worked_through
-def test_another_process_and_another_name_of_the_file_change_nothing(job, stored, tmp_path) -> None:
+def test_another_process_or_file_name_keeps_the_cache_valid(job, stored, tmp_path) -> None:
     """What is baked is found in the file; and where the file has lost it, its close-ups are found in the store."""
     scene = shutil.copy(stored / "scene.blend", tmp_path / "renamed.blend")
     root = Path(bake_job.__file__).parents[2]

@@ -1,4 +1,4 @@
-"""What close-ups read off bumps and displacements: heights in metres; and that nothing else can change them."""
+"""Close-up heights from bumps and displacements in metres, independent of unrelated settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_sine_bump_is_measured_in_metres_and_in_place():
     ("distance", "told"), [(1.2e-5, "0.012 mm"), (0.05, "50 mm"), (4e-7, "0.4 µm")], ids=["fine", "coarse", "tiny"]
 )
 @pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
-def test_a_height_is_told_in_millimetres_whatever_the_scenes_unit_is(distance, told, metres_per_unit):
+def test_a_height_is_reported_in_millimetres_for_any_scene_unit(distance, told, metres_per_unit):
     unit = distance / metres_per_unit
     plane = bumpy_plane(wavelength=2e-3 / metres_per_unit, height=1e-4 / metres_per_unit, distance=unit)
     close = look(plane, metres_per_unit=metres_per_unit)

@@ -1,4 +1,4 @@
-"""Close-ups: shading values, masks, materials from modifiers, and that nothing is left behind."""
+"""Close-ups: shading values, masks, materials from modifiers, and cleanup of temporary data."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_bump_turned_off_is_no_micro_geometry():
     assert close.appearance.roughness == pytest.approx(0.5)
 
 
-def test_only_the_patchs_own_connected_surface_in_its_slot_counts():
+def test_the_mask_holds_only_the_connected_surface_of_its_slot():
     corners = [
         (-0.05, -0.05, 0),
         (0.005, -0.05, 0),

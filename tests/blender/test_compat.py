@@ -1,4 +1,4 @@
-"""What differs between Blender versions, seen through compat."""
+"""Differences between Blender versions, as handled by compat."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_nobody_else_asks_whether_a_material_has_nodes():
     assert asking == []
 
 
-def test_the_export_folder_may_stand_beside_the_file_without_a_warning():
+def test_a_relative_export_folder_gives_no_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         bpy.context.scene.hnf.export_folder = "//elsewhere"

@@ -1,4 +1,4 @@
-"""Files dropped on the view: what a drop gives a surface, what a file handler offers, and what is refused."""
+"""Files dropped on the view: assignment to a surface, file handlers, and refusals."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_a_linked_material_is_left_alone(tmp_path: Path) -> None:
         assign_definition(bpy.data.objects["Plate"], 0, KNIT)
 
 
-def test_the_ray_under_the_mouse_finds_the_first_face_and_its_slot() -> None:
+def test_picking_finds_the_first_face_on_the_ray_and_its_slot() -> None:
     low, high = ridge_plate(), ridge_plate(name="High")
     high.location.z = 0.1
     high.data.materials.append(bpy.data.materials.new("Second"))

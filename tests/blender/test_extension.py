@@ -1,4 +1,4 @@
-"""The add-on as a user gets it: built, validated, installed into an empty profile, and doing the main job there.
+"""The add-on as a user gets it: built, validated, installed into an empty profile, and used for its main job.
 
 Blender runs in a process of its own for each step, because an installed extension stays in a process for good.
 """
@@ -119,7 +119,7 @@ def test_the_validator_can_refuse(archive: Path, tmp_path: Path) -> None:
         build_extension.run_blender_tool("validate", str(tmp_path))
 
 
-def test_the_zip_holds_code_data_licence_and_wheels_and_nothing_else(archive: Path) -> None:
+def test_the_zip_holds_only_code_data_licence_and_wheels(archive: Path) -> None:
     with zipfile.ZipFile(archive) as zipped:
         names = set(zipped.namelist())
     assert {"__init__.py", "blender_manifest.toml", "LICENSE", "hnf_core/__init__.py"} <= names
@@ -248,7 +248,7 @@ def test_an_actuator_is_driven_from_the_installed_extension(profile: Profile) ->
     assert told == {"problem": "", "looked": True, "missing": [], "foreign": False}
 
 
-def test_a_python_without_blender_learns_with_the_code_inside_the_zip(profile: Profile) -> None:
+def test_training_code_in_the_zip_runs_without_blender(profile: Profile) -> None:
     """As far as the material's name, which training comes after: with no other hnf_core in reach, and no bpy."""
     inside = next(profile.folder.glob("extensions/user_default/hnf"))
     lesson = {"kind": "simulated", "folder": "", "material": "unobtainium", "seconds": 5.0, "epochs": 1}
@@ -267,7 +267,7 @@ def test_a_python_without_blender_learns_with_the_code_inside_the_zip(profile: P
     assert "unobtainium" in said
 
 
-def test_switched_on_and_off_fifty_times_it_leaves_nothing_behind(profile: Profile) -> None:
+def test_enabling_and_disabling_fifty_times_leaves_no_traces(profile: Profile) -> None:
     """Counted in Blender itself: classes, properties, handlers, keymap items, menu entries, threads."""
     code = f"""
         import addon_utils, json, threading

@@ -12,7 +12,7 @@ from closeup_builders import patch, principled
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_blender.bridge.render.closeup import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, choose_resolution, iter_closeups
+from hnf_blender.bridge.render.closeup import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, CloseUpRenderer, choose_resolution
 from hnf_blender.bridge.render.isolated_object import SlotReading
 from hnf_blender.bridge.render.unlit_image import MAX_READABLE_WAVELENGTH_M
 from hnf_blender.bridge.shader.aov_taps import ImageTap, Tap
@@ -59,8 +59,9 @@ def plate(texel_m: float, *, cuts: int = 0, procedural: bool = False, as_colour:
 
 
 def looked(obj, first: int | None = FIRST):
-    (found,) = iter_closeups(obj, [patch()], pixels=MOST, first_pass_pixels=first)
-    return found
+    place = patch()
+    with CloseUpRenderer(obj, [place], pixels=MOST, first_pass_pixels=first) as renderer:
+        return renderer.render(place)
 
 
 def token_of(closeup):

@@ -1,4 +1,4 @@
-"""Statuses follow the scene: what handlers note, and what a look at it costs and finds."""
+"""Status updates by handlers: recorded changes, and the cost and result of a check."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ def test_two_scenes_in_two_windows_keep_their_statuses(noting) -> None:
     assert [set(STATE.get_statuses(scene)) for scene in (first, second)] == [{"Along"}, set()]
 
 
-def test_the_active_stroke_of_a_second_windows_scene_is_heard_too() -> None:
+def test_the_active_stroke_of_a_second_scene_is_previewed_too() -> None:
     plate, stroke = baked_scene()
     second = bpy.data.scenes.new("Second")
     second.collection.objects.link(plate)
@@ -262,7 +262,7 @@ def test_leaving_the_file_stops_its_bake() -> None:
     assert STATE.job is None
 
 
-def test_a_fault_of_ours_is_shown_and_the_other_strokes_are_looked_at(noting, monkeypatch) -> None:
+def test_an_internal_error_is_shown_and_other_strokes_update(noting, monkeypatch) -> None:
     from hnf_blender.touch.session import Session
 
     plate, _ = baked_scene()

@@ -1,4 +1,4 @@
-"""Pictures as icons: whatever a stroke is called, its picture is no other's."""
+"""Preview icons: every stroke has an image of its own, whatever its name."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def heard(shade: float) -> SimpleNamespace:
     return SimpleNamespace(stamp="", style=None, image=np.full((4, 4, 4), shade, np.float32))
 
 
-def test_a_stroke_called_as_the_probes_picture_has_one_of_its_own() -> None:
+def test_a_stroke_named_like_the_query_icon_has_its_own_icon() -> None:
     interface.set_icon(QUERY_ICON, to_icon_pixels(np.full((4, 4, 3), 51, np.uint8)))
     probe = interface._previews[QUERY_ICON]
     controller.store_result(QUERY_ICON, heard(1.0))

@@ -1,4 +1,4 @@
-"""Opening scene files: each format gives its meshes in an empty scene, and bad files give one clear line."""
+"""Import of scene files: meshes of each format in an empty scene, and one-line errors for bad files."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def everything() -> dict[str, list]:
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_every_format_gives_the_mesh_in_metres_and_nothing_of_the_start_up_scene(ball_files: Path, kind: str) -> None:
+def test_every_format_imports_only_its_mesh_in_metres(ball_files: Path, kind: str) -> None:
     assert "Cube" in start_up_scene()
     scene = open_scene(ball_files / f"ball.{kind}")
     assert scene == bpy.context.scene
@@ -204,7 +204,7 @@ SPLAT = [*"xyz", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "sca
 
 
 @pytest.mark.parametrize("damage", ["cut short", "all zero", "empty", "no surface", "spz"])
-def test_splats_that_cannot_be_touched_give_one_line_and_leave_the_open_scene(tmp_path: Path, damage: str) -> None:
+def test_unusable_splats_raise_one_line_and_keep_the_open_scene(tmp_path: Path, damage: str) -> None:
     before = start_up_scene()
     path = tmp_path / ("garden.spz" if damage == "spz" else "garden.ply")
     names = [*SPLAT, "rot_0", "rot_1", "rot_2", "rot_3"]
@@ -353,7 +353,7 @@ def test_real_scenes(file: str, materials: set[str]) -> None:
 
 
 @pytest.mark.skipif(not SCENES.is_dir(), reason="the real scenes are not beside the repository")
-def test_a_real_scene_with_a_missing_texture_still_opens_and_names_it(tmp_path: Path) -> None:
+def test_a_scene_opens_and_lists_its_missing_texture(tmp_path: Path) -> None:
     for part in (SCENES / "FlightHelmet").iterdir():
         if "LeatherPartsMat_Normal" not in part.name:
             (tmp_path / part.name).symlink_to(part)

@@ -1,4 +1,4 @@
-"""Bakes in a child process: the same bytes as in line, and whatever is stopped or killed leaves nothing behind."""
+"""Bakes in a child process: the bytes of an in-line bake, and cleanup after a stop or a kill."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_what_is_fresh_is_not_baked_again(warm_bake) -> None:
     assert kept() == before
 
 
-def test_unsaved_changes_are_baked_and_the_open_file_stays_what_it_is(tmp_path, warm_bake) -> None:
+def test_a_bake_includes_unsaved_changes_and_keeps_the_open_file(tmp_path, warm_bake) -> None:
     _, stroke = small_scene()
     scene = tmp_path / "scene.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(scene))

@@ -1,4 +1,4 @@
-"""What a person does while a bake runs: what is still true is committed, the rest is said."""
+"""Edits during a bake: results that are still valid are committed, and the others are reported."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from job_scene import NOTHING, PLATE, kept, line_stroke, small_scene
 from touch_scene import save_scene
 
 from hnf_blender.jobs import bake_job
-from hnf_blender.jobs.bake_steps import job_steps
 from hnf_blender.jobs.child_job import remove_job_folder
 from hnf_blender.jobs.commit import commit_steps
+from hnf_blender.jobs.job_runner import run_job
 from hnf_blender.state.session_state import STATE
 from hnf_blender.touch.freshness import Freshness
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
@@ -28,7 +28,7 @@ def baked(warm_bake):
 
 def worked_on():
     prepared = bake_job.prepare_job(bpy.context.scene, bpy.context.view_layer)
-    yield end(job_steps(prepared.request, prepared.folder)), prepared.folder, prepared.target
+    yield run_job(prepared.request, prepared.folder), prepared.folder, prepared.target
     remove_job_folder(prepared.folder)
 
 
@@ -104,7 +104,7 @@ def test_a_deleted_stroke_is_said(baked) -> None:
     assert strokes_kept() == ["Beside"]
 
 
-def test_a_renamed_stroke_is_found_and_its_namesake_is_not_taken_for_it(baked) -> None:
+def test_a_commit_follows_a_renamed_stroke_and_not_its_name(baked) -> None:
     along = bpy.data.objects["Along"]
     along.name = "Other name"
     line_stroke("Along", surface=bpy.data.objects[PLATE], force=3.0)

@@ -1,4 +1,4 @@
-"""The artist's own word on a material: on the command line, on the stroke, on the material; then the ranking."""
+"""Material choices by priority: command line, stroke, material, then ranking."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def felt_as() -> str:
     return load_bake(bpy.data.objects["Along"]).facts["library_material"]
 
 
-def test_the_stroke_goes_before_the_material_and_both_before_the_ranking() -> None:
+def test_choices_rank_stroke_over_material_over_ranking() -> None:
     plate, stroke = small_scene()
     ranked = felt_as()
     assert ranked not in {"oak-wood", "cork"}
@@ -57,7 +57,7 @@ def test_the_command_line_goes_before_all(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(("where", "named"), [("stroke", "stroke 'Along'"), ("material", "material 'Plate plastic'")])
-def test_an_unknown_name_fails_that_stroke_and_says_where_it_stands(where, named) -> None:
+def test_an_unknown_material_fails_its_stroke_with_its_location(where, named) -> None:
     plate, stroke = small_scene()
     if where == "stroke":
         stroke.hnf_stroke.material = "oak-wod"
@@ -68,7 +68,7 @@ def test_an_unknown_name_fails_that_stroke_and_says_where_it_stands(where, named
     assert kept()["bakes"] == {}
 
 
-def test_an_unknown_name_on_a_slot_that_is_not_touched_costs_nothing() -> None:
+def test_an_unknown_material_on_an_untouched_slot_is_ignored() -> None:
     plate, _ = small_scene()
     other = bpy.data.materials.new("Elsewhere")
     other.hnf_touch.library = "no-such-thing"

@@ -1,4 +1,4 @@
-"""A child process that is killed, at every stage; a parent that is."""
+"""Killed child processes at every stage, and a killed parent."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_the_child_of_a_dead_parent_ends_and_its_folder_is_found(tmp_path, monke
     assert not list(get_job_root().glob(f"{JOB_FOLDER_PREFIX}*"))
 
 
-def test_it_is_cleared_away_where_no_thread_can_be_begun_any_more(warm_bake, monkeypatch) -> None:
+def test_a_job_is_cleaned_up_when_no_thread_can_start(warm_bake, monkeypatch) -> None:
     """Python 3.12 and later begin none while they end, which is when Blender quits."""
     import threading
 

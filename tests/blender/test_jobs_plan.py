@@ -1,4 +1,4 @@
-"""The plan before a bake, what a bake keeps, and taking it out again."""
+"""The plan before a bake, the stored results of a bake, and their removal."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_the_size_is_known_before_it_is_kept() -> None:
     assert expected == pytest.approx(size_kept(), rel=0.3)
 
 
-def test_a_plan_says_why_something_is_stale_and_that_force_needs_nothing() -> None:
+def test_a_plan_explains_staleness_and_needs_no_bake_for_force() -> None:
     _, stroke = small_scene()
     bpy.ops.hnf.bake()
     stroke.hnf_stroke.probe = "finger"

@@ -1,4 +1,4 @@
-"""The predicted route in a window's job: the child and its twin in line give equal bytes, and the plan tells of it."""
+"""The predicted route in a background job: equal bytes in line and in the child, and its entry in the plan."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_the_child_and_its_twin_in_line_give_equal_bytes(lone_bake) -> None:
     assert kept() == in_line
 
 
-def test_the_plan_tells_which_surface_is_read_and_counts_its_time(tmp_path, monkeypatch) -> None:
+def test_the_plan_lists_predicted_surfaces_and_their_time(tmp_path, monkeypatch) -> None:
     plate = photo_plate()
     line_stroke("Along", surface=plate)
     scene, layer = bpy.context.scene, bpy.context.view_layer

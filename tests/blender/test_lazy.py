@@ -1,4 +1,4 @@
-"""Nothing is done that the strokes of a scene do not need: what is read, built and rendered is counted, no time is.
+"""Work is limited to what the strokes of a scene need: reads, builds and renders are counted, not timed.
 
 docs/benchmarks.md lists every rule and where its test is.
 """
@@ -73,7 +73,7 @@ def test_no_mesh_is_read_but_that_under_the_stroke(tmp_path, read, named, way) -
     assert (cost.work["renders"], cost.work["F_Θ calls"]) == (1, 1)
 
 
-def test_collections_are_looked_through_once_however_many_objects_there_are(monkeypatch) -> None:
+def test_collections_are_searched_once_for_any_object_count(monkeypatch) -> None:
     planes = [add_plane(f"Plate {number}", 0.1) for number in range(6)]
     in_hidden_collection(planes[0], "disabled in renders")
     asked, rendered = [], bounding_boxes._iter_rendered_collections
@@ -168,7 +168,7 @@ def test_passes_are_rendered_of_the_touched_slot_alone(tmp_path, monkeypatch) ->
     assert {tap.name.partition("_")[0] for tap in taps} == {"hnf0"}
 
 
-def test_a_map_is_pictured_for_its_token_and_not_again_for_the_path(tmp_path, monkeypatch) -> None:
+def test_a_map_is_rendered_for_its_token_and_not_for_the_path(tmp_path, monkeypatch) -> None:
     """Two strokes over one place: one close-up, one token, and no sensor image beside E's own."""
     pictured = []
     monkeypatch.setattr(bake_patches, "render_sensor_image", lambda *parts: pictured.append(parts))

@@ -1,4 +1,4 @@
-"""A material learned in a Python outside Blender: what that Python is found to be, and what a lesson leaves."""
+"""Materials learned in a Python outside Blender: checks of that Python, and results of a training job."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_what_cannot_be_run_is_said(tmp_path) -> None:
     assert check_python(str(tmp_path / "text")).problem.startswith("It cannot be started")
 
 
-def test_a_program_that_never_answers_is_ended_with_all_it_started(tmp_path) -> None:
+def test_an_unresponsive_python_is_ended_with_its_children(tmp_path) -> None:
     noted = tmp_path / "pid"
     found = check_python(program(tmp_path / "slow", f"sleep 60 & echo $! > {noted}; wait"), timeout_s=0.5)
     assert found.problem == "It gave no answer within 0.5 s"
@@ -182,7 +182,7 @@ def test_the_dialog_shows_the_licence_of_what_is_learned(kind) -> None:
 
 
 @pytest.mark.skipif(NO_TORCH, reason="needs a Python with torch: make env-test")
-def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, learned, tmp_path) -> None:
+def test_training_resumes_after_a_cancel_and_assigns_its_result(warm_bake, learned, tmp_path) -> None:
     """Esc leaves the checkpoint and nothing else; the second run ends with the material in the slot; the stroke over it
     is what the field of that material says, from the bake and from the preview alike."""
     plate, stroke = small_scene()
@@ -300,7 +300,7 @@ def test_a_lessons_parent_that_dies_takes_it_along(tmp_path) -> None:
     assert not is_process_alive(process.pid)
 
 
-def test_a_slot_that_has_its_word_keeps_it_and_the_material_is_offered(tmp_path) -> None:
+def test_a_slot_with_a_choice_is_not_overwritten_by_training(tmp_path) -> None:
     plate, _ = small_scene()
     made, kept = from_library(get_material("slate")), tmp_path / "kept.hnf"
     for said in ("library", "definition"):

@@ -1,5 +1,4 @@
-"""Strokes and curves of another file: what a button would change on them Blender forgets with the next load, so that no
-button says it did."""
+"""Linked strokes and curves: operators refuse changes that Blender would lose at the next load."""
 
 from __future__ import annotations
 
@@ -81,7 +80,7 @@ def test_a_linked_stroke_takes_no_force(linked, capsys):
     assert bpy.ops.hnf.stroke_copy_force() == {"FINISHED"}
 
 
-def test_solo_changes_the_strokes_of_this_file_and_names_the_others(linked, capsys):
+def test_solo_changes_local_strokes_and_lists_linked_ones(linked, capsys):
     _, stroke = linked
     own = bpy.data.objects["Own"]
     assert bpy.ops.hnf.stroke_solo(name="Own") == {"FINISHED"}

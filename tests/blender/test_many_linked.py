@@ -1,5 +1,4 @@
-"""Linked objects cost a panel and the timer no more than local ones: how often a scene's objects are gone through does
-not follow how many of them are linked. Passes are counted."""
+"""Passes over the objects of a scene, counted for panels and timer, do not grow with linked objects."""
 
 from __future__ import annotations
 
@@ -83,7 +82,7 @@ def known(scene, strokes) -> None:
     }
 
 
-def test_a_name_that_only_one_has_is_known_without_looking_through_the_scene(tmp_path) -> None:
+def test_a_unique_name_is_found_without_searching_the_scene(tmp_path) -> None:
     scene, strokes = linked_strokes(tmp_path, FEW)
     assert [get_scene_name(scene, obj) for obj in strokes] == ["Line 0", "Line 1"]
     assert find_object(scene, "") is find_object(scene, "Nobody") is find_object(scene, "Plate [set.blend]") is None
@@ -127,7 +126,7 @@ def test_buttons_ask_once_whether_a_surface_is_here(told) -> None:
 
 
 @pytest.mark.parametrize("changed", [(), ("Plate",)], ids=["nothing new", "a surface changed"])
-def test_the_timer_looks_through_a_scene_as_often_for_many_as_for_few(tmp_path, monkeypatch, changed) -> None:
+def test_timer_passes_do_not_grow_with_linked_objects(tmp_path, monkeypatch, changed) -> None:
     passes = []
     for count in (FEW, MANY):
         bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -1,4 +1,4 @@
-"""Suggestions, the artist's own choice, and back to automatic: as buttons call them."""
+"""Material operators: suggestions, the artist's choice, and the return to automatic."""
 
 from __future__ import annotations
 
@@ -233,7 +233,7 @@ def textured(name: str, picture: str) -> bpy.types.Material:
     return made
 
 
-def test_names_of_pictures_that_feed_the_shader_are_read_and_no_others() -> None:
+def test_only_images_connected_to_the_shader_are_listed() -> None:
     made = textured("Material", "T_Oak_Planks_BaseColor.png")
     loose = made.node_tree.nodes.new("ShaderNodeTexImage")
     loose.image = bpy.data.images.new("steel.png", 4, 4)
@@ -253,7 +253,7 @@ def test_a_picture_s_name_suggests_what_it_shows() -> None:
     assert not made.hnf_touch.library
 
 
-def test_a_relief_that_was_seen_is_evidence_until_the_material_changes() -> None:
+def test_a_measured_relief_is_evidence_until_a_material_change() -> None:
     made = material("Material")
     touched(made)
     token = get_material("corduroy").token
@@ -264,7 +264,7 @@ def test_a_relief_that_was_seen_is_evidence_until_the_material_changes() -> None
     assert STATE.reliefs == {}
 
 
-def test_what_a_picture_is_called_counts_as_what_a_stroke_follows_from(tmp_path) -> None:
+def test_the_surface_key_depends_on_image_names(tmp_path) -> None:
     made = textured("Material", "T_Oak_Planks_BaseColor.png")
     plane = touched(made)
 

@@ -1,4 +1,4 @@
-"""The life that operators of a job share: whichever way the job ends, the screen is as it was before."""
+"""Modal job operators restore the screen however the job ends."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_a_job_that_runs_lets_events_pass_and_ends_by_itself(begun) -> None:
     assert poll_no_job(operator)
 
 
-def test_esc_over_the_view_ends_it_at_once_elsewhere_it_is_another_editors(begun) -> None:
+def test_esc_cancels_in_the_view_and_passes_to_other_editors(begun) -> None:
     operator, screen, pid = begun
     beside = SimpleNamespace(**vars(ESC) | {"mouse_x": 120})
     assert operator.modal(screen.context, beside) == {"PASS_THROUGH"}
@@ -147,7 +147,7 @@ def test_a_dead_child_is_told(begun) -> None:
     assert is_over(screen, pid)
 
 
-def test_an_error_of_ours_is_not_swallowed_and_leaves_the_screen_bare(begun, monkeypatch) -> None:
+def test_an_internal_error_is_raised_and_the_screen_restored(begun, monkeypatch) -> None:
     operator, screen, _pid = begun
 
     def fails() -> None:
@@ -178,7 +178,7 @@ def test_in_line_the_end_is_told_as_in_a_window(lone_bake) -> None:
     assert operator.ended == [ended]
 
 
-def test_a_place_is_waited_for_in_the_view_and_other_editors_keep_their_clicks() -> None:
+def test_picking_waits_for_clicks_in_the_view_alone() -> None:
     from hnf_blender.ops.material_ops import HNF_OT_probe
 
     view = SimpleNamespace(**vars(VIEW) | {"regions": [SimpleNamespace(type="WINDOW", x=0, y=0, width=80, height=100)]})

@@ -1,4 +1,4 @@
-"""Several views on one temporary scene: each as if it were alone, and nothing of it left."""
+"""Several views on one temporary scene: each equals a view rendered alone, and no data is left."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def assert_equal(view, other):
     np.testing.assert_array_equal(view.rgb, other.rgb)
 
 
-def test_each_view_is_what_it_would_be_alone_whatever_was_rendered_before_it(things):
+def test_each_view_equals_one_rendered_alone(things):
     ball, floor = things
     wanted = [(LEFT, [ball, floor]), (RIGHT, [ball]), (LEFT, [floor]), (LEFT, [ball, floor])]
     with OverviewRenderer(bpy.context.scene, samples=2) as overviews:
@@ -83,7 +83,7 @@ def test_what_changed_between_two_views_is_seen(things, change):
     assert_equal(after, alone(LEFT, [ball, floor]))
 
 
-def test_other_work_goes_on_meanwhile_and_nothing_of_the_views_is_left(things):
+def test_views_allow_other_edits_and_leave_no_data(things):
     ball, floor = things
     before = datablock_names()
     with OverviewRenderer(bpy.context.scene, samples=1) as overviews:
@@ -127,7 +127,7 @@ def test_a_rectangle_of_a_view_shows_what_the_whole_shows_there(things):
     assert np.quantile(np.abs(part.depth[both] / there[both] - 1.0), 0.95) < 1e-3
 
 
-def test_a_denoised_view_of_few_samples_is_nearer_to_many_samples_than_a_raw_one(things):
+def test_denoising_lowers_the_error_of_a_view_with_few_samples(things):
     def srgb(samples, denoised):
         with OverviewRenderer(bpy.context.scene, samples=samples, entire_scene=True) as overviews:
             overviews.temporary.scene.cycles.use_denoising = denoised
@@ -138,7 +138,7 @@ def test_a_denoised_view_of_few_samples_is_nearer_to_many_samples_than_a_raw_one
     assert 0.0 < denoised < 0.7 * raw
 
 
-def test_with_relief_the_denoiser_leaves_the_ridges_that_are_touched():
+def test_denoising_with_relief_passes_preserves_ridges():
     """A few pixels wide, faint, in a noisy light: 0.68 by colour alone."""
     cloth = coloured(add_plane(size=1.0), (0.1, 0.3, 0.3))
     nodes, links = (getattr(cloth.active_material.node_tree, name) for name in ("nodes", "links"))
@@ -169,7 +169,7 @@ def test_with_relief_the_denoiser_leaves_the_ridges_that_are_touched():
     assert shown > max(0.8, by_colour + 0.05)
 
 
-def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a_stroke(things, monkeypatch):
+def test_views_of_a_run_share_one_lazily_built_scene(things, monkeypatch):
     _, floor = things
     scenes = []
     monkeypatch.setattr(touch_view, "WIDTH", 96)
@@ -237,7 +237,7 @@ def test_a_stroke_that_no_view_shows_is_told(small, monkeypatch):
     assert "stroke 'Under the board': all of it is hidden in its picture." in notes
 
 
-def test_a_scene_camera_with_something_before_the_stroke_is_not_taken(small):
+def test_an_occluded_scene_camera_is_not_used(small):
     board = coloured(add_plane("Board", size=0.4), (0.8, 0.1, 0.1))
     coloured(add_plane("Lid", size=0.4, z=0.5), (0, 0, 1))
     data = bpy.data.cameras.new("Above")
@@ -265,7 +265,7 @@ def lamp(place, energy=2.0):
     return found
 
 
-def test_a_tree_of_lights_is_grown_where_there_are_several_and_beside_one_lamp_it_is_the_same(things, monkeypatch):
+def test_a_light_tree_is_used_only_with_several_lights(things, monkeypatch):
     ball, _ = things
 
     def seen(tree=None, seed=0):

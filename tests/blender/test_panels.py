@@ -1,4 +1,4 @@
-"""The Touch tab: what every panel says and asks for, empty and full, and that nothing of it stays behind."""
+"""Panels of the Touch tab: contents for empty and full scenes, and clean unregistration."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_the_tab_is_in_the_order_of_the_work() -> None:
     ]  # fmt: skip
 
 
-def test_an_empty_scene_says_what_to_do_first_and_the_hint_goes_away() -> None:
+def test_panels_show_first_steps_until_they_are_done() -> None:
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None
     assert "1  Draw a stroke" in scene.words
@@ -190,7 +190,7 @@ def test_the_preview_says_what_is_missing_then_shows_figures() -> None:
     assert ("hnf.preview_ab", "action", "SWITCH") in playing.given
 
 
-def test_figures_of_her_own_are_asked_for_where_her_own_actuator_is_chosen() -> None:
+def test_custom_actuator_fields_show_only_for_a_custom_actuator() -> None:
     settings, own = bpy.context.scene.hnf, ["own_peak_m_s2", "own_lowest_hz", "own_highest_hz"]
     listed = drawn(panel("HNF_PT_actuator"))
     assert listed is not None
@@ -255,7 +255,7 @@ def test_the_ready_strokes_are_the_primitives() -> None:
     assert "0.5 N, 100 mm/s" in recorder.words
 
 
-def test_the_active_stroke_is_the_selected_one_then_the_listed_then_the_only_one() -> None:
+def test_the_active_stroke_is_selected_then_listed_then_only_one() -> None:
     first, second = add_stroke("A"), add_stroke("B")
     scene = bpy.context.scene
     assert get_active_stroke(bpy.context) == second
@@ -352,7 +352,7 @@ os._exit(0)
 """
 
 
-def test_where_a_part_cannot_be_loaded_nothing_half_done_stays_and_a_panel_can_say_why() -> None:
+def test_a_failed_registration_is_undone_and_explained() -> None:
     run = subprocess.run(
         [sys.executable, "-c", BROKEN.format(root=str(ROOT))],
         capture_output=True,

@@ -1,4 +1,4 @@
-"""Primitives placed on planes, spheres, heads and helmets: on their slot, facing out, at their own speed."""
+"""Primitives placed on planes, spheres, heads and helmets: slot, orientation and speed."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, list
 from hnf_blender.bridge.stroke.read_stroke import list_strokes, read_stroke
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import action_from_contacts, plan_patches
-from hnf_core.action.primitive_path import make_primitive_action
-from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
+from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES, make_primitive_action
 from hnf_core.errors import SceneError
 
 HELMET = Path(__file__).resolve().parents[2].parent / "shared/data/scenes/FlightHelmet/FlightHelmet.gltf"
@@ -109,7 +108,7 @@ def test_the_default_takes_the_longer_way():
     assert action.position[-1] == pytest.approx(0.06, rel=1e-3)
 
 
-def test_a_placed_stroke_can_be_read_at_once_wherever_its_object_stands():
+def test_a_placed_stroke_lies_on_a_transformed_object_at_once():
     plane = add_plane(size=0.1)
     plane.location, plane.rotation_euler = (1, 2, 3), (0.3, 0.2, 2.0)
     depsgraph = graph()

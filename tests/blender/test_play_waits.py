@@ -1,4 +1,4 @@
-"""A Play that waits for its signal is kept until that one comes, whatever else comes first."""
+"""A pending Play starts when its signal is ready, whatever signals come first."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def hear(*names):
     preview._update_playback(SimpleNamespace(scene=bpy.context.scene), set(names), timeline_plays=False)
 
 
-def test_what_sounds_goes_on_and_what_waits_is_played_in_its_turn(begun):
+def test_playback_continues_and_a_pending_play_starts_when_ready(begun):
     PREVIEW.sounding, PREVIEW.play_when_ready = "Sounds", "Waits"
     hear("Sounds")
     assert begun == [("continue_playback", "Sounds")]

@@ -1,4 +1,4 @@
-"""Where relief is estimated from pictures: on which patches, how often D_φ is called, and what makes a stroke stale."""
+"""Relief estimated from images: affected patches, the number of D_φ calls, and causes of staleness."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def test_what_the_artist_chose_is_not_overruled_by_a_picture(tmp_path, where) ->
     assert "predicted" in again.routes
 
 
-def test_other_weights_make_stale_what_a_picture_told_and_nothing_else(tmp_path, monkeypatch) -> None:
+def test_new_weights_invalidate_predicted_reliefs_only(tmp_path, monkeypatch) -> None:
     photo_plate()
     line_stroke("Along")
     first = bake_open_scene(tmp_path)

@@ -1,4 +1,4 @@
-"""From a stored bake to a signal that is heard: the bytes of `hnf touch`, or nothing."""
+"""The preview from a stored bake to an audible signal with the bytes of `hnf touch`."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_one_stale_stroke_does_not_keep_the_others(stroke, tmp_path) -> None:
     assert len(export(tmp_path, all=True)) == 1
 
 
-def test_a_folder_beside_an_unsaved_file_is_refused_with_a_remedy(stroke) -> None:
+def test_a_relative_folder_needs_a_saved_file(stroke) -> None:
     bpy.context.scene.hnf.export_folder = "//touch"
     with pytest.raises(RuntimeError, match=r"not saved yet.*Save the file"):
         bpy.ops.hnf.export()
@@ -205,7 +205,7 @@ def test_a_changed_key_is_heard_in_part_and_equals_the_whole(stroke) -> None:
     assert second.stamp != first.stamp
 
 
-def test_beside_the_window_it_is_heard_the_same_and_the_newest_wins(stroke) -> None:
+def test_background_synthesis_is_exact_and_the_newest_wins(stroke) -> None:
     listener = SynthesisThread()
     try:
         for force in (0.4, 0.6, 0.8):
@@ -269,7 +269,7 @@ def test_facts_are_there_to_be_shown(stroke) -> None:
     assert controller.update_facts("Along", bpy.context.scene).headroom_db is None
 
 
-def test_an_actuator_of_her_own_counts_at_once_in_levels_and_picture(stroke) -> None:
+def test_a_custom_actuator_updates_levels_and_image_at_once(stroke) -> None:
     settings = bpy.context.scene.hnf
     settings.actuator = "own"
     plain = controller.refresh(stroke, bpy.context, wait=True)
@@ -318,7 +318,7 @@ def test_the_sequencer_gets_one_strip_at_the_start(stroke, tmp_path) -> None:
 
 
 @pytest.mark.skipif(has_sound(), reason="this Blender has sound")
-def test_without_sound_the_sequencer_gets_nothing_and_the_wav_is_named(stroke, tmp_path) -> None:
+def test_without_audio_no_strip_is_added_and_the_wav_is_reported(stroke, tmp_path) -> None:
     bpy.context.scene.hnf.export_folder = str(tmp_path)
     with pytest.raises(RuntimeError, match=r"'Along'.*no sound strip.*along.wav"):
         bpy.ops.hnf.add_to_sequencer()

@@ -50,7 +50,7 @@ def test_the_exported_wav_is_that_of_the_command_line(warm_bake, tmp_path) -> No
     assert second == touched(tmp_path, warm_bake, "second")
 
 
-def test_a_strip_is_found_again_by_its_stroke_whatever_both_are_called() -> None:
+def test_a_strip_is_linked_to_its_stroke_by_identity() -> None:
     """Renamed, and its name given to another; duplicated with its identity; marked before there were identities."""
     small_scene()
     scene, own = bpy.context.scene, bpy.data.objects["Along"]

@@ -1,4 +1,4 @@
-"""What needs no scene: places in time, loudness, pictures."""
+"""Preview functions without a scene: time positions, loudness and images."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_the_monitor_is_a_gain_and_nothing_else(gain, level) -> None:
         assert level * compute_monitor_gain(gain - over) == pytest.approx(1.0)
 
 
-def test_a_fingertips_metre_per_second_squared_is_20_db_below_full_scale() -> None:
+def test_monitor_gain_puts_one_m_s2_20_db_below_full_scale() -> None:
     assert 20.0 * np.log10(compute_monitor_gain(0.0)) == pytest.approx(-20.0)
     assert compute_monitor_gain(0.0) * FULL_SCALE_M_S2 == 1.0
 

@@ -1,4 +1,4 @@
-"""Static touch queries: what is felt at one place, on the command line and in the window's job."""
+"""Static touch queries at one place, on the command line and in a background job."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 from hnf_blender.jobs import manager
 from hnf_blender.state.session_state import STATE
 from hnf_blender.touch.bake_patches import get_token
-from hnf_blender.touch.query import QueryResult, query_steps
+from hnf_blender.touch.query import QueryResult, query_surface
 from hnf_blender.touch.report import Counts
 from hnf_blender.touch.session import gather_jobs, make_scene_session
-from hnf_blender.touch.synthesise import bake_stroke_steps
+from hnf_blender.touch.synthesise import bake_stroke
 from hnf_core.errors import SceneError
 from hnf_core.material.library import load_library
 from hnf_core.material.token import BAND_FEATURES, band_slice
@@ -29,18 +29,10 @@ RIDGES = 2
 """The band of 2 mm waves."""
 
 
-def exhausted(steps):
-    while True:
-        try:
-            next(steps)
-        except StopIteration as done:
-            return done.value
-
-
 def probed(place: TouchQuery, folder, counts: Counts | None = None) -> QueryResult:
     bpy.context.view_layer.update()
     session = make_scene_session(bpy.context.scene, bpy.context.view_layer, folder)
-    return exhausted(query_steps(session, place, folder / "cache", counts or Counts()))
+    return query_surface(session, place, folder / "cache", counts or Counts())
 
 
 def feature(found: QueryResult, name: str, band: int = RIDGES) -> float:
@@ -92,7 +84,7 @@ def test_a_probe_finds_the_token_that_a_stroke_has_there(tmp_path) -> None:
     session = make_scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
     (job,) = gather_jobs(session).jobs
     touched = session.get_touched_object(bpy.data.objects[PLATE])
-    baked = exhausted(bake_stroke_steps(job.stroke, touched, {}, tmp_path / "cache", Counts(), session.predictor))
+    baked = bake_stroke(job.stroke, touched, {}, tmp_path / "cache", Counts(), session.predictor)
     counts = Counts()
     for patch, record, fused in zip(baked.patches, baked.records, baked.fused, strict=True):
         local = np.linalg.inv(touched.surface.stretch) @ patch.centre
@@ -104,7 +96,7 @@ def test_a_probe_finds_the_token_that_a_stroke_has_there(tmp_path) -> None:
     assert counts.renders == 0  # the very patches that the stroke left in the store
 
 
-def test_moving_and_turning_the_object_changes_nothing_but_where_it_is(tmp_path) -> None:
+def test_a_query_result_is_invariant_to_object_transforms(tmp_path) -> None:
     plate = ridge_plate()
     first = probed(TouchQuery(PLATE, (0.01, 0.02)), tmp_path)
     plate.location, plate.rotation_euler = (1.0, -2.0, 0.5), (0.4, -0.3, 1.1)
@@ -141,7 +133,7 @@ def test_uvs_turned_by_a_quarter_swap_what_has_a_direction(tmp_path) -> None:
     assert turned.friction.value == pytest.approx(straight.friction.value, rel=1e-3)
 
 
-def test_places_that_are_not_there_are_named_and_cost_the_others_nothing(tmp_path, capsys) -> None:
+def test_invalid_queries_are_reported_and_valid_ones_still_run(tmp_path, capsys) -> None:
     ridge_plate()
     add_mesh("Bare", [(0, 0, 0.2), (0.1, 0, 0.2), (0, 0.1, 0.2)], [(0, 1, 2)])
     scene = save_scene(tmp_path / "scene.blend")
@@ -158,7 +150,7 @@ def test_places_that_are_not_there_are_named_and_cost_the_others_nothing(tmp_pat
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_without_uvs_a_place_in_space_will_do_and_directions_are_the_objects_own(tmp_path) -> None:
+def test_meshes_without_uvs_accept_3d_query_points_only(tmp_path) -> None:
     add_mesh("Bare", [(0, 0, 0.2), (0.1, 0, 0.2), (0, 0.1, 0.2)], [(0, 1, 2)])
     found = probed(TouchQuery("Bare", (0.02, 0.02, 0.2)), tmp_path)
     assert found.tactile is None
@@ -286,7 +278,7 @@ def test_a_look_that_is_given_up_leaves_nothing(lone_bake) -> None:
     assert STATE.job is None
 
 
-def test_an_empty_panel_is_a_button_whose_tooltip_says_what_to_do(panel, operators) -> None:
+def test_an_empty_query_panel_is_one_button_with_a_tooltip(panel, operators) -> None:
     STATE.clear()
     said = drawn(panel)
     assert said.words == "Examine a Place"

@@ -1,4 +1,4 @@
-"""An object that stands in several scenes, and a scene of several view layers: each is felt with what is its own."""
+"""Objects in several scenes or view layers use the properties of the scene that is evaluated."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def key_in(layer) -> str:
     return session.make_curve_job(*list_strokes(layer.id_data)).key
 
 
-def test_an_object_in_two_scenes_is_seen_in_the_one_it_is_touched_in(scene) -> None:
+def test_an_object_in_two_scenes_uses_the_evaluated_scene(scene) -> None:
     layer = scene.view_layers[0]
     alone, other = height_in(layer), other_scene(0.25)
     before = key_in(layer)
@@ -89,7 +89,7 @@ def test_an_object_in_two_scenes_is_seen_in_the_one_it_is_touched_in(scene) -> N
     assert key_in(layer) != before
 
 
-def test_a_sequence_is_seen_at_the_frame_of_the_scene_it_is_touched_in(scene, tmp_path) -> None:
+def test_an_image_sequence_uses_the_frame_of_its_scene(scene, tmp_path) -> None:
     for number in (1, 2, 3):
         write_picture(tmp_path / f"worn_{number:04d}.bmp", 0.2 * number)
     add_picture(tmp_path / "worn_0001.bmp", "SEQUENCE", frame_duration=3, use_auto_refresh=True)

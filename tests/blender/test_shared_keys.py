@@ -1,4 +1,4 @@
-"""Two strokes with one action, as a linked duplicate (Alt D) makes them: what is done to one leaves the other alone."""
+"""Two strokes with one action, as by Alt D: edits of one leave the other unchanged."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_moving_a_linked_duplicate_moves_it_alone(twins):
     assert keys_of(stroke) == [(float(frame), value) for frame, value in KEYS]
 
 
-def test_a_stroke_that_is_not_keyed_gives_its_value_to_one_that_shares_keys(twins):
+def test_copying_an_unkeyed_force_leaves_shared_keys_intact(twins):
     stroke, twin = twins
     plain = add_stroke(LINE, name="Plain")
     plain.hnf_stroke.force = 1.25

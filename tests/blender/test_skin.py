@@ -1,4 +1,4 @@
-"""What a skin would get, where the actuator was measured."""
+"""Estimated output at the skin for a measured actuator."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from hnf_blender.actuator.skin_preview import (
 )
 from hnf_blender.props.scene_settings import read_file_profile
 from hnf_core.actuators.measure.frequency_response import FrequencyResponse
-from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.profile_json import read_profile, write_profile
+from hnf_core.actuators.profile import GENERIC, read_profile, write_profile
 from hnf_core.signal import Signal
 
 LIMIT_S = 20.0
@@ -58,7 +57,7 @@ def noise(seconds: float = 2.0) -> Signal:
     return Signal(samples, RATE_HZ, seed=2)
 
 
-def test_bands_after_a_measured_actuator_are_told_with_and_without_its_filter() -> None:
+def test_band_errors_are_reported_with_and_without_compensation() -> None:
     shown = estimate_output(noise(), measured(-8.0), virtual=False)
     assert shown.skin is None
     assert shown.uncompensated is not None

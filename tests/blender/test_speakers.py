@@ -1,4 +1,4 @@
-"""Which sound device is played on, and what happens where it breaks: with a driver that breaks when told to."""
+"""Choice of the sound device and recovery from its failures, with a driver that fails on demand."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_one_device_is_opened_and_kept(driver) -> None:
     assert speakers.is_playing
 
 
-def test_a_device_that_is_gone_is_opened_anew_and_one_that_never_played_is_told(driver) -> None:
+def test_a_lost_device_is_reopened_and_a_failing_one_raises(driver) -> None:
     speakers = sound_device.Speakers()
     speakers.start(TONE, 1000.0)
     driver.broken = {1}
@@ -100,7 +100,7 @@ def test_without_one_of_blenders_it_is_the_chosen_one(driver) -> None:
     assert driver.opened == [OWN]
 
 
-def test_who_chose_silence_hears_no_other_device_with_the_timeline(driver, monkeypatch) -> None:
+def test_a_silent_device_choice_also_applies_to_the_timeline(driver, monkeypatch) -> None:
     monkeypatch.setattr(sound_device, "get_device_name", lambda: sound_device.NO_DEVICE)
     speakers = sound_device.Speakers()
     speakers.use_shared_device(True)

@@ -1,4 +1,4 @@
-"""Patches seen in splats: colour, depth, mask and detail of a slab whose truth is known, in any frame and unit."""
+"""Patches rendered from splats: colour, depth, mask and detail of a known slab, in any frame and unit."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.splats.splat_closeup import (
     HALF_PASS_SIGMAS,
     PIXELS_PER_WAVELENGTH,
+    SplatCloseUpRenderer,
     choose_splat_resolution,
     compute_surface_distance,
     fill_pinholes,
-    iter_splat_closeups,
 )
 from hnf_blender.bridge.splats.splat_cloud import create_cloud, link_cloud
 from hnf_core.errors import SceneError
@@ -48,8 +48,8 @@ def slab_object(splats: Splats, unit: float = METRES):
 def look(plane, cloud, unit: float = METRES, patch: Patch = TOP, pixels: int = PIXELS):
     bpy.context.view_layer.update()
     surface = read_surface(plane, bpy.context.view_layer.depsgraph, unit)
-    (closeup,) = iter_splat_closeups(plane, cloud, [patch], surface=surface, pixels=pixels)
-    return closeup
+    with SplatCloseUpRenderer(plane, cloud, [patch], surface=surface, pixels=pixels) as renderer:
+        return renderer.render(patch)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_the_unit_decides_what_is_resolved(splats: Splats) -> None:
     assert closeup.unlit.resolved_wavelength_m == pytest.approx(2.0 * HALF_PASS_SIGMAS * FINE_M, rel=1e-3)
 
 
-def test_fine_splats_of_a_coarse_picture_resolve_what_the_picture_holds(splats: Splats) -> None:
+def test_resolution_follows_the_image_and_not_the_splat_size(splats: Splats) -> None:
     rng = np.random.default_rng(6)
     waves, phases = rng.uniform(3e-3, 9e-3, 20)[:, None], rng.uniform(0.0, 2.0 * np.pi, 20)[:, None]
     light = 0.05 * np.cos(2.0 * np.pi * splats.means[:, 0] * METRES / waves + phases).sum(axis=0)
@@ -158,7 +158,7 @@ def test_stretched_and_mirrored_splats_are_refused(splats: Splats) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.floats(-5e-3, 5e-3), st.integers(0, 100))
-def test_a_surface_that_stands_off_its_splats_is_laid_on_them_first(off: float, seed: int) -> None:
+def test_surface_distance_ignores_a_constant_offset(off: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = 0.01 + 1e-3 * rng.normal(size=(16, 16))
     shown = rng.uniform(size=true.shape) < 0.9
@@ -173,7 +173,7 @@ def test_a_surface_that_stands_off_its_splats_is_laid_on_them_first(off: float, 
     assert away[rest] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_what_lies_between_splats_is_filled_and_what_lies_beside_them_is_not() -> None:
+def test_holes_between_splats_are_filled_and_outside_stays_empty() -> None:
     own = np.ones((40, 40), dtype=bool)
     own[:, 30:] = False
     opacity = np.where(own, 0.9, 0.0).astype(np.float32)
@@ -201,7 +201,7 @@ def test_a_picture_has_as_many_pixels_as_its_detail_takes(wave: float) -> None:
     assert choose_splat_resolution(None, TOP, 128, 512) == 128
 
 
-def test_a_faint_surface_shows_its_colour_and_not_the_black_behind() -> None:
+def test_a_faint_surface_keeps_its_colour_without_background() -> None:
     shape = (4, 4)
     opacity = np.full(shape, 0.25, dtype=np.float32)
     rgb = np.full((*shape, 3), 0.5 * 0.25, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Splats in a .blend: the same numbers come back, the surface finds them, and a hash says when they changed."""
+"""Splats in a .blend: exact round trips, lookup by surface, and a hash that follows changes."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_what_goes_in_comes_out_bit_for_bit(count: int, degree: int, seed: int) 
     assert (cloud.hide_render, cloud.hide_select) == (True, True)
 
 
-def test_a_saved_file_an_appended_surface_and_other_names_keep_the_splats(tmp_path: Path) -> None:
+def test_splats_survive_saving_appending_and_renaming(tmp_path: Path) -> None:
     splats = some_splats(degree=2)
     surface, cloud = reconstructed(splats)
     key = hash_cloud(surface, cloud)
@@ -97,7 +97,7 @@ def test_a_saved_file_an_appended_surface_and_other_names_keep_the_splats(tmp_pa
     assert get_reconstruction_notes(jug) == ()
 
 
-def test_the_hash_follows_the_values_and_the_place_on_the_surface_alone() -> None:
+def test_the_hash_depends_on_values_and_local_placement_only() -> None:
     surface, cloud = reconstructed(some_splats(degree=1))
     key = hash_cloud(surface, cloud)
     surface.location, surface.rotation_euler = (3.0, -2.0, 1.0), (0.3, 1.0, -2.0)
@@ -168,7 +168,7 @@ def rotation(seed: int) -> np.ndarray:
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 1000), st.floats(1e-3, 1e3))
-def test_one_scale_along_all_axes_is_seen_through_and_any_other_refused(seed: int, k: float) -> None:
+def test_a_uniform_scale_is_found_and_any_other_is_refused(seed: int, k: float) -> None:
     turn = rotation(seed)
     assert get_uniform_scale(k * turn, "here") == pytest.approx(k, rel=1e-9)
     with pytest.raises(SceneError, match="three axes"):
@@ -191,7 +191,7 @@ def test_a_camera_sees_the_same_in_the_clouds_frame(seed: int, metres: float) ->
     assert deep * metres == pytest.approx(depth, abs=1e-9 * max(1.0, np.abs(depth).max()))
 
 
-def test_the_splats_stay_where_they_are_when_the_surfaces_transform_is_applied() -> None:
+def test_applying_the_surface_transform_keeps_splats_in_place() -> None:
     surface, cloud = reconstructed()
     surface.location, surface.scale = (1.0, 2.0, 3.0), (2.0, 2.0, 2.0)
     surface.rotation_euler = (0.4, 0.0, 0.0)

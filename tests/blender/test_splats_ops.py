@@ -1,4 +1,4 @@
-"""Buttons and drops for reconstructions: import, the real length, a pen over ellipsoids."""
+"""Operators and drops for reconstructions: import, real length, and drawing over splats."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from hnf_blender.bridge.viewport_pick import cast_on_surface, pick_object_along_
 from hnf_blender.ops import import_ops
 from hnf_blender.ops.import_ops import SplatReader
 from hnf_blender.ui.scene_panel import HNF_PT_scale
+from hnf_core.progress import Progress, ignore_progress
 
 pytestmark = pytest.mark.usefixtures("operators")
 
@@ -38,10 +39,10 @@ def quick(monkeypatch, tmp_path):
     quality = SimpleNamespace(warnings=SQUARE.warnings)
     made = SimpleNamespace(vertices=SQUARE.vertices, triangles=SQUARE.triangles, colour=SQUARE.colour, quality=quality)
 
-    def reconstruct(_splats, *, progress=None, **_named):
+    def reconstruct(_splats, *, progress, **_named):
         for share in np.linspace(0.0, 1.0, 5):
-            if progress is not None:
-                progress("looking", float(share))
+            progress(Progress("looking", 0, 1, float(share)))
+            if progress is not ignore_progress:
                 time.sleep(0.01)
         return made
 
@@ -119,7 +120,7 @@ def wait(reading: SplatReader) -> None:
     raise AssertionError("it did not end")
 
 
-def test_a_window_reads_in_a_thread_that_tells_how_far_it_is_and_can_be_stopped(quick, tmp_path: Path) -> None:
+def test_a_splat_reader_thread_reports_progress_and_stops(quick, tmp_path: Path) -> None:
     path = slab_file(tmp_path)
     reading = SplatReader(path, tmp_path / "cache")
     wait(reading)

@@ -1,4 +1,4 @@
-"""The main job on a reconstruction: `hnf touch slab.ply`, once for all tests, and what it leaves."""
+"""`hnf touch slab.ply` on a reconstruction, run once for all tests, and its results."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_a_second_run_does_nothing_again(ran: Ran, no_work) -> None:
     assert report["warnings"] == [line for line in ran.report["warnings"] if line in report["warnings"]]
 
 
-def test_the_plan_says_what_the_splats_are_for_and_what_is_missing(ran: Ran, no_work, tmp_path, capsys) -> None:
+def test_the_plan_lists_the_use_of_splats_and_the_missing_scale(ran: Ran, no_work, tmp_path, capsys) -> None:
     shutil.copytree(ran.out / "cache", tmp_path / "out" / "cache")
     capsys.readouterr()
     assert touch(ran.path, tmp_path / "out", "--plan", "--json", *STROKE[:4])[0] == 0
@@ -154,7 +154,7 @@ def test_the_splats_as_they_are_come_back_from_the_file(baked) -> None:
     assert found.scales == pytest.approx(meant.scales, rel=1e-6)
 
 
-def test_a_changed_splat_is_noticed_and_a_changed_name_or_place_is_not(baked, tmp_path) -> None:
+def test_the_key_follows_splat_values_and_not_name_or_location(baked, tmp_path) -> None:
     surface, cloud = baked
 
     def key() -> str:
@@ -192,7 +192,7 @@ def test_a_bake_in_the_window_gives_the_same_tokens(baked, ran: Ran, no_work, op
     assert found.confidence.tolist() == meant.confidence.tolist()
 
 
-def test_a_surface_with_a_relief_of_its_own_is_seen_by_its_shader(baked, tmp_path) -> None:
+def test_a_shader_relief_takes_precedence_over_splats(baked, tmp_path) -> None:
     from builders import bump_material
 
     surface, _ = baked
@@ -212,7 +212,7 @@ def test_poor_reconstructions_are_said_to_be_poor(baked, tmp_path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["none", "cut", "noise", "indices"])
-def test_a_kept_surface_is_used_where_it_is_whole_and_made_anew_where_not(damage, tmp_path, monkeypatch) -> None:
+def test_a_cached_surface_is_used_if_intact_and_rebuilt_if_not(damage, tmp_path, monkeypatch) -> None:
     calls = []
     plain = TouchSurface(
         np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.int32), np.eye(3, dtype=np.float32), ()

@@ -1,4 +1,4 @@
-"""Adding, converting, duplicating, deleting, selecting and soloing strokes, and their force, as the buttons do."""
+"""Stroke operators: add, convert, duplicate, delete, select, solo, and force."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_add_in_words():
         bpy.ops.hnf.stroke_add(words="tickle")
 
 
-def test_a_second_stroke_goes_on_the_surface_of_the_first_and_one_material_can_be_asked_for():
+def test_a_new_stroke_uses_the_active_surface_and_a_given_slot():
     plane = add_plane()
     add_plane("Other").location.x = 1.0
     select(plane)
@@ -323,7 +323,7 @@ def test_the_force_graph_needs_a_window():
         bpy.ops.hnf.force_graph()
 
 
-def test_a_view_that_fills_the_window_stays_a_view_and_nothing_is_keyed():
+def test_the_force_graph_is_cancelled_in_a_full_screen_view():
     from types import SimpleNamespace
 
     from hnf_blender.ops.force_ops import HNF_OT_force_graph

@@ -1,4 +1,4 @@
-"""Drawing a stroke without a window: the same operator, given what a pen would have done."""
+"""Drawing a stroke without a window, by the operator with simulated pen events."""
 
 from __future__ import annotations
 
@@ -305,7 +305,7 @@ def test_what_is_seen_and_no_surface_is_named_with_a_way_out(pen, desk):
     assert pen.reject_reason.startswith("'Hose' is not a mesh")
 
 
-def test_the_pen_follows_the_surface_and_knows_where_it_leaves_it(pen, desk):
+def test_the_pen_follows_the_surface_and_detects_leaving_it(pen, desk):
     add_plane("Cloth")
     assert not press(pen, desk, 10, 100)
     assert "No mesh under the pen" in pen.reject_reason
@@ -349,7 +349,7 @@ def test_a_pen_that_tells_of_itself_late_and_not_at_the_release(pen, desk):
     assert [round(sample[1], 6) for sample in pen.samples(desk.context)] == [0.4, 0.4, 0.6, 0.6]
 
 
-def test_the_tool_is_taken_in_object_mode_over_a_view_else_it_says_why():
+def test_the_tool_polls_true_only_in_object_mode_over_a_view():
     from types import SimpleNamespace
 
     from hnf_blender.ops.draw_ops import HNF_OT_stroke_tool

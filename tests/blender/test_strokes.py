@@ -1,4 +1,4 @@
-"""Stroke objects read from real Blender data: curves, keys, laws, refusals."""
+"""Stroke objects read from Blender data: curves, keys, motion profiles, and refusals."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_keys_are_blenders_own_values(interpolation):
     assert np.allclose(values[away], np.array(expected)[away], atol=2e-5)
 
 
-def test_handles_that_overshoot_are_blenders_and_clamped_at_the_end():
+def test_overshooting_handles_match_blender_and_force_is_clamped():
     obj = add_stroke(LINE)
     add_plane()
     key(obj, "force", (1, 0.0), (10, 1.0), (20, 0.0))

@@ -1,4 +1,4 @@
-"""Strokes in place and in motion: moving, turned, scaled and deforming surfaces; which surface; the hash."""
+"""Strokes on moving, turned, scaled and deforming surfaces: choice of the surface, and the hash."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def test_turntable_under_a_resting_hand():
     assert action.position[-1] == pytest.approx(0.08 * 1.5, rel=1e-2)
 
 
-def test_hand_and_surface_under_one_moving_parent_are_at_rest_together():
+def test_a_shared_moving_parent_adds_no_relative_motion():
     carrier = bpy.data.objects.new("Carrier", None)
     bpy.context.scene.collection.objects.link(carrier)
     carrier.keyframe_insert("location", frame=1)
@@ -242,7 +242,7 @@ def test_armature_deforms_the_surface():
     assert np.allclose(action.direction, [-1, 0], atol=1e-3)
 
 
-def test_still_modifiers_cost_nothing_and_simulations_are_refused():
+def test_still_modifiers_are_ignored_and_simulations_are_refused():
     plane = add_plane()
     plane.modifiers.new("Wave", "WAVE").height = 0.0
     assert read(add_stroke(LINE)).deforming is None

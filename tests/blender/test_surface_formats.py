@@ -1,4 +1,4 @@
-"""Formats that bind touch to geometry, from a scene that was really baked; read back by Blender's own importer."""
+"""Formats that bind touch to geometry, from a baked scene, read back by Blender's own importer."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def test_what_is_missing_is_asked_for(words, said, baked, tmp_path, capsys) -> N
     assert not (tmp_path / "x.glb").exists()
 
 
-def test_faces_that_modifiers_make_keep_the_material_of_their_own() -> None:
+def test_faces_from_modifiers_inherit_the_token_of_their_source() -> None:
     """Two squares side by side, each made sixteen: what is left of the middle is the left one's."""
     corners = [(x, y, 0.0) for y in (0.0, 0.1) for x in (-0.1, 0.0, 0.1)]
     obj = add_mesh("Pair", corners, [(0, 1, 4, 3), (1, 2, 5, 4)])

@@ -1,4 +1,4 @@
-"""What an artist's day does to a file: nothing that was made is lost, and nothing that is stale is used in silence."""
+"""Edits of a file over a working day: results are never lost, and stale ones are never used silently."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_a_linked_stroke_is_heard_and_left_alone(saved: Path) -> None:
     assert bytes(stroke[BAKE_PROPERTY]) == first["bakes"]["Along"]
 
 
-def test_an_overridden_stroke_is_felt_otherwise_and_keeps_its_own_bake(saved: Path, tmp_path: Path) -> None:
+def test_a_library_override_stores_its_own_bake(saved: Path, tmp_path: Path) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     (linked,) = append(saved, "Along", link=True)
     original = bytes(linked[BAKE_PROPERTY])
@@ -215,7 +215,7 @@ def test_a_renamed_stroke_stays_fresh(saved: Path) -> None:
 
 
 @pytest.mark.parametrize("what", ["surface", "material"])
-def test_a_renamed_surface_or_material_is_shown_as_stale_and_bakes_to_the_same(saved: Path, what: str) -> None:
+def test_a_rename_marks_strokes_stale_and_rebakes_identically(saved: Path, what: str) -> None:
     """Names are what materials are guessed by; where the artist has chosen, the signal stays what it was."""
     opened(saved)
     before = heard("Along")
@@ -310,7 +310,7 @@ def test_each_scene_bakes_its_own_strokes_on_a_shared_object(saved: Path) -> Non
     assert len(read_tokens(plate.data).palette) >= 1
 
 
-def test_a_surface_hidden_in_one_view_layer_is_there_in_the_other(saved: Path) -> None:
+def test_a_surface_excluded_in_one_view_layer_works_in_another(saved: Path) -> None:
     opened(saved)
     scene, plate = bpy.context.scene, bpy.data.objects["Plate"]
     aside = bpy.data.collections.new("Aside")

@@ -1,4 +1,4 @@
-"""OBJECT[:SLOT] as people write it, and what they are told where there is no such thing."""
+"""Parsing of OBJECT[:SLOT] and error messages for unknown names."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_case_counts_only_where_it_tells_two_apart(scene) -> None:
         resolve_target(scene, "CUSHION")
 
 
-def test_an_unknown_object_is_answered_with_those_that_can_be_touched(scene) -> None:
+def test_an_unknown_object_error_lists_touchable_objects(scene) -> None:
     with pytest.raises(SceneError) as caught:
         resolve_target(scene, "Helmet:Leather")
     assert str(caught.value) == (

@@ -1,4 +1,4 @@
-"""The main job, end to end, on scenes made here: what comes out, and how it follows what goes in."""
+"""The main job end to end on small scenes: outputs, and their dependence on inputs."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_any_change_is_noticed_and_only_what_it_touches_is_done(tmp_path, change
     assert closeups == (first["counts"]["renders"] - 1 if change in {"vertex", "node"} else 0)
 
 
-def test_moving_the_camera_or_a_neighbour_keeps_everything_that_is_felt(tmp_path) -> None:
+def test_moving_the_camera_or_a_neighbour_keeps_touch_results(tmp_path) -> None:
     """The neighbour is in the picture, which is made anew."""
     ridge_plate()
     line_stroke("Along")
@@ -194,7 +194,7 @@ def test_turning_the_uvs_swaps_along_and_across(tmp_path) -> None:
     assert distance(after["Y"], before["X"]) < 0.5 * distance(after["Y"], before["Y"])
 
 
-def test_pressing_and_lifting_without_moving_gives_two_transients(tmp_path) -> None:
+def test_pressing_and_lifting_in_place_gives_two_transients(tmp_path) -> None:
     ridge_plate()
     stroke = line_stroke("Press")
     stroke.animation_data_clear()

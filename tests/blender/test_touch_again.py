@@ -1,4 +1,4 @@
-"""A run into a folder that holds an earlier one's results: nothing in it is older than the scene. Work is counted."""
+"""Runs into a folder with earlier results: every file matches the current scene. Work is counted."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ SEEN = {
 
 
 @pytest.mark.parametrize("change", SEEN.values(), ids=SEEN)
-def test_what_a_picture_shows_is_pictured_anew_and_nothing_is_felt_again(scene, tmp_path, change) -> None:
+def test_visual_changes_rerender_images_and_keep_signals(scene, tmp_path, change) -> None:
     """As a run into an empty folder would show it."""
     out = tmp_path / "out"
     _, first = touch(scene, out)
@@ -217,7 +217,7 @@ def files_of(report) -> dict[str, tuple[str, str]]:
     return {stroke["name"]: (stroke["wav"], stroke["picture"]) for stroke in report["strokes"]}
 
 
-def test_a_duplicate_gets_its_own_files_and_leaves_the_others_alone(scene, tmp_path) -> None:
+def test_a_duplicate_gets_its_own_files(scene, tmp_path) -> None:
     out = tmp_path / "out"
     _, first = touch(scene, out)
     before = pictures(out, first)
@@ -249,7 +249,7 @@ def test_a_new_name_keeps_the_files(scene, tmp_path) -> None:
     assert pictures(out, second)["New"] != before
 
 
-def test_strokes_that_an_older_version_let_share_files_are_parted(scene, tmp_path) -> None:
+def test_strokes_that_share_files_from_old_versions_are_split(scene, tmp_path) -> None:
     out = tmp_path / "out"
     changed(scene, duplicate)
     _, whole = touch(scene, out)

@@ -1,4 +1,4 @@
-"""What --plan says, and that it is true of the run; that it writes nothing."""
+"""`--plan`: its text, its agreement with the run, and no written files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_plan_needs_no_folder_and_leaves_none(tmp_path, capsys, words) -> None
     assert list(tmp_path.iterdir()) == [scene]
 
 
-def test_a_chosen_material_is_said_to_be_a_part_where_the_shader_has_a_relief(tmp_path, capsys) -> None:
+def test_a_chosen_material_sets_mechanics_but_not_shader_relief(tmp_path, capsys) -> None:
     ridge_plate()
     scene = save_scene(tmp_path / "scene.blend")
     said = f"material '{PLATE} plastic' on '{PLATE}': the relief of its shader is kept; denim gives friction, stiffness"

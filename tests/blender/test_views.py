@@ -1,4 +1,4 @@
-"""Views: rays against Cycles, Blender's cameras as records, supplied cameras and light, and a file left as it was."""
+"""Views: rays against Cycles, Blender cameras as records, supplied cameras and lights, and an unchanged file."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def assert_rays_agree_with_cycles(obj, camera, metres_per_unit=1.0):
     assert not (differ & ~near_an_edge(cast)).any()
 
 
-def test_cast_depth_and_ids_are_those_of_cycles_on_a_transformed_ball():
+def test_cast_depth_and_ids_match_cycles_on_a_transformed_sphere():
     ball = add_sphere(radius=0.5)
     ball.scale, ball.rotation_euler, ball.location = (1.0, -0.6, 1.4), (0.3, 0.5, 0.7), (2.0, 3.0, -1.0)
     bpy.context.view_layer.update()
@@ -102,7 +102,7 @@ def test_cast_depth_and_ids_are_those_of_cycles_on_a_transformed_ball():
 
 
 @pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
-def test_cast_depth_and_ids_are_those_of_cycles_through_an_orthographic_camera(metres_per_unit):
+def test_orthographic_cast_depth_and_ids_match_cycles(metres_per_unit):
     ball = add_sphere(radius=0.5 / metres_per_unit, segments=16, rings=8)
     ball.modifiers.new("fine", "SUBSURF").levels = 1
     bpy.context.view_layer.update()
@@ -192,7 +192,7 @@ def scene_with_ball():
     return ball, floor
 
 
-def test_an_overview_supplies_light_and_leaves_the_file_as_it_was():
+def test_an_overview_adds_light_and_leaves_the_file_unchanged():
     ball, floor = scene_with_ball()
     scene = bpy.context.scene
     before = datablock_names()

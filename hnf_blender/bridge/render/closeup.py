@@ -7,7 +7,8 @@ Only pixels connected to the patch's centre without a step in depth count as its
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -51,7 +52,7 @@ PIXELS_PER_TRIANGLE = 16
 
 def get_relief_sources(slot: SlotReading) -> tuple[Relief | Slopes, ...]:
     """Return all reliefs and slopes that shape a slot's surface."""
-    micros = [each.micro for each in list_closures(slot.reading.layers)] + [slot.reading.displacement]
+    micros = [closure.micro for closure in list_closures(slot.reading.layers)] + [slot.reading.displacement]
     return tuple(chain.from_iterable((*micro.reliefs, *micro.slopes) for micro in micros))
 
 
@@ -62,9 +63,10 @@ def is_image_based(slot: SlotReading) -> bool:
     """
     if slot.colour is not None:
         return bool(slot.colour.images) and not (slot.colour.procedural or slot.colour.painted)
-    detail = get_relief_sources(slot)
-    of_images = bool(detail) and all(each.images and each.texel_limited and not each.procedural for each in detail)
-    return of_images and all(isinstance(each, Constant) for each in list_mix_factors(slot.reading.layers))
+    sources = get_relief_sources(slot)
+    if not all(source.images and source.texel_limited and not source.procedural for source in sources):
+        return False
+    return bool(sources) and all(isinstance(factor, Constant) for factor in list_mix_factors(slot.reading.layers))
 
 
 def choose_resolution(
@@ -203,29 +205,17 @@ class CloseUp:
         return self.patch.size_m / self.mask.shape[1]
 
 
-def iter_closeups(
-    obj: Any,
-    patches: Sequence[Patch],
-    *,
-    surface: Surface | None = None,
-    caster: RayCaster | None = None,
-    pixels: int = 512,
-    metres_per_unit: float = 1.0,
-    frame: float | None = None,
-    view_layer: Any = None,
-    first_pass_pixels: int | None = None,
-    wait_for_threads: Callable[[], None] = lambda: None,
-) -> Generator[CloseUp, None, None]:
-    """Yield a close-up of every patch of one object, rendered in one temporary scene.
+class CloseUpRenderer:
+    """Renderer of close-ups of one object's patches in one temporary scene; a context manager.
 
-    The scene exists until the generator is exhausted or closed; the user's file is left unchanged, also after errors.
+    The scene is made for the first patch and removed on exit; the user's file is left unchanged, also after errors.
 
     Parameters
     ----------
     obj : bpy.types.Object
         Touched object.
     patches : sequence of Patch
-        Patches in its surface frame.
+        All patches that will be rendered, in its surface frame.
     surface, caster : Surface and RayCaster, optional
         Surface of `obj` at `frame` and its ray caster, if known.
     pixels : int, default 512
@@ -241,66 +231,110 @@ def iter_closeups(
     wait_for_threads : callable, optional
         Waits for the caller's threads; called before every use of Blender, whose operators let other threads run
         Python, which crashes it.
-
-    Yields
-    ------
-    CloseUp
-
-    Raises
-    ------
-    SceneError
-        For a missing texture (names object, material and image), or if there is no surface.
     """
-    if not patches:
-        return
-    where = f"object '{obj.name}'"
-    wait_for_threads()
-    with TemporaryScene() as temporary:
+
+    def __init__(
+        self,
+        obj: Any,
+        patches: Sequence[Patch],
+        *,
+        surface: Surface | None = None,
+        caster: RayCaster | None = None,
+        pixels: int = 512,
+        metres_per_unit: float = 1.0,
+        frame: float | None = None,
+        view_layer: Any = None,
+        first_pass_pixels: int | None = None,
+        wait_for_threads: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._obj, self._patches, self._surface, self._caster = obj, patches, surface, caster
+        self._pixels, self._first_pass_pixels = pixels, first_pass_pixels
+        self._metres_per_unit, self._frame, self._view_layer = metres_per_unit, frame, view_layer
+        self._wait_for_threads = wait_for_threads
+        self._exit_stack = ExitStack()
+        self._scene: _CloseUpScene | None = None
+
+    def __enter__(self) -> CloseUpRenderer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._exit_stack.close()
+
+    def render(self, patch: Patch) -> CloseUp:
+        """Render one of the patches.
+
+        Raises SceneError for a missing texture (names object, material and image), or if there is no surface.
+        """
+        if self._scene is None:
+            self._scene = self._make_scene()
+        scene, first_side = self._scene, self._first_pass_pixels
+        slot = scene.slots[patch.slot]
+        side = self._pixels if _has_detail(slot) else min(self._pixels, APPEARANCE_PIXELS)
+        if first_side is None or first_side >= side or not is_image_based(slot):
+            return _build_closeup(self._render_pass(scene, patch, side), scene.surface)
+        first_pass = self._render_pass(scene, patch, first_side)
+        cast, passes = first_pass.rendered.cast, first_pass.rendered.passes
+        needed = choose_resolution(slot, passes, first_pass.mask, cast.triangle, patch.size_m, side)
+        if needed <= first_side:
+            return _build_closeup(first_pass, scene.surface)
+        second_pass = self._render_pass(scene, patch, needed)
+        total_rays, total_renders = first_pass.rays + second_pass.rays, first_pass.renders + second_pass.renders
+        return _build_closeup(replace(second_pass, rays=total_rays, renders=total_renders), scene.surface)
+
+    def _make_scene(self) -> _CloseUpScene:
+        """Make the temporary scene, with an AOV for every quantity of the patches' slots."""
+        where = f"object '{self._obj.name}'"
+        self._wait_for_threads()
+        temporary = self._exit_stack.enter_context(TemporaryScene())
         configure_cycles(temporary.scene, samples=1)
         disable_lighting(temporary.scene)
-        stage = isolate_object(temporary, obj, metres_per_unit, frame, surface, view_layer)
-        surface = stage.surface if caster is not None else crop_to_patches(stage.surface, patches)
-        caster = caster or make_ray_caster(surface.mesh)
-        readings = {slot: instrument_slot(stage, slot, where) for slot in sorted({patch.slot for patch in patches})}
-        taps = [tap for reading in readings.values() for tap in reading.taps]
-        add_aovs(temporary.view_layer, taps)
-        camera_object = add_camera(temporary)
-        temporary.scene.render.use_persistent_data = len(patches) > 1
+        isolated = isolate_object(
+            temporary, self._obj, self._metres_per_unit, self._frame, self._surface, self._view_layer
+        )
+        surface = isolated.surface if self._caster is not None else crop_to_patches(isolated.surface, self._patches)
+        caster = self._caster or make_ray_caster(surface.mesh)
+        slot_numbers = sorted({patch.slot for patch in self._patches})
+        slots = {number: instrument_slot(isolated, number, where) for number in slot_numbers}
+        add_aovs(temporary.view_layer, [tap for slot in slots.values() for tap in slot.taps])
+        camera = add_camera(temporary)
+        temporary.scene.render.use_persistent_data = len(self._patches) > 1
+        return _CloseUpScene(temporary, isolated, surface, caster, slots, camera)
 
-        def render_patch(patch: Patch, side: int, before: _MaskedPatch | None = None) -> _MaskedPatch:
-            try:
-                camera, rays = make_unoccluded_camera(patch, side, caster)
-                cast = cast_view(caster, surface.mesh, camera)
-            finally:
-                wait_for_threads()
-            passes: Passes = {}
-            if readings[patch.slot].taps:
-                set_camera(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
-                passes = render_passes(temporary)
-            seen = _RenderedPatch(patch, camera, cast, passes, readings[patch.slot], stage, metres_per_unit)
-            rays, renders = rays + cast.depth.size, 1 if passes else 0
-            if before is not None:
-                rays, renders = before.rays + rays, before.renders + renders
-            return _MaskedPatch(seen, _mask_patch_surface(seen, surface), rays, renders)
-
-        for patch in patches:
-            slot = readings[patch.slot]
-            side = pixels if _has_detail(slot) else min(pixels, APPEARANCE_PIXELS)
-            if first_pass_pixels is None or first_pass_pixels >= side or not is_image_based(slot):
-                yield _build_closeup(render_patch(patch, side), surface)
-                continue
-            looked = render_patch(patch, first_pass_pixels)
-            cast, passes = looked.rendered.cast, looked.rendered.passes
-            enough = choose_resolution(slot, passes, looked.mask, cast.triangle, patch.size_m, side)
-            yield _build_closeup(
-                looked if enough <= first_pass_pixels else render_patch(patch, enough, looked), surface
+    def _render_pass(self, scene: _CloseUpScene, patch: Patch, side: int) -> _MaskedPatch:
+        """Cast rays and render one image of a patch."""
+        try:
+            camera, clip_rays = make_unoccluded_camera(patch, side, scene.caster)
+            cast = cast_view(scene.caster, scene.surface.mesh, camera)
+        finally:
+            self._wait_for_threads()
+        passes: Passes = {}
+        slot = scene.slots[patch.slot]
+        if slot.taps:
+            set_camera(
+                scene.temporary.scene, scene.camera, camera, scene.isolated.rigid, scene.isolated.metres_per_unit
             )
+            passes = render_passes(scene.temporary)
+        rendered = _RenderedPatch(patch, camera, cast, passes, slot, scene.isolated, self._metres_per_unit)
+        mask = _mask_patch_surface(rendered, scene.surface)
+        return _MaskedPatch(rendered, mask, clip_rays + cast.depth.size, 1 if passes else 0)
+
+
+@dataclass(frozen=True)
+class _CloseUpScene:
+    """Temporary scene with the isolated object, the part of its surface in reach, and a reading of each slot."""
+
+    temporary: TemporaryScene
+    isolated: IsolatedObject
+    surface: Surface
+    caster: RayCaster
+    slots: Mapping[int, SlotReading]
+    camera: Any
 
 
 def crop_to_patches(surface: Surface, patches: Sequence[Patch]) -> Surface:
     """Return the part of a surface that the patches' cameras can see, so that the BVH is built of it alone."""
-    near = crop_mesh(surface.mesh, [patch.centre for patch in patches], max(patch.reach_m for patch in patches))
-    return replace(surface, mesh=near) if len(near.triangles) else surface
+    mesh = crop_mesh(surface.mesh, [patch.centre for patch in patches], max(patch.reach_m for patch in patches))
+    return replace(surface, mesh=mesh) if len(mesh.triangles) else surface
 
 
 def _has_detail(slot: SlotReading) -> bool:
@@ -346,37 +380,37 @@ def make_unoccluded_camera(patch: Patch, pixels: int, caster: RayCaster) -> tupl
 
 
 def _build_closeup(masked: _MaskedPatch, surface: Surface) -> CloseUp:
-    seen, mask = masked.rendered, masked.mask
-    layers = seen.slot.reading.layers
-    notes = [*seen.isolated.notes, *seen.slot.reading.notes]
-    height, source, resolved = _compute_height(seen, mask, notes)
+    rendered, mask = masked.rendered, masked.mask
+    layers = rendered.slot.reading.layers
+    notes = [*rendered.isolated.notes, *rendered.slot.reading.notes]
+    height, source, resolved = _compute_height(rendered, mask, notes)
     rgb = (
         None
         if layers is None
-        else mix_closures(layers, seen.passes, partial(read_shading_value, "base_color", seen.passes))
+        else mix_closures(layers, rendered.passes, partial(read_shading_value, "base_color", rendered.passes))
     )
     shape = mask.shape
     albedo = np.zeros((*shape, 3), np.float32) if rgb is None else np.broadcast_to(rgb, (*shape, 3)).astype(np.float32)
     view = RgbdView(
-        camera=seen.camera,
-        rgb=np.where((seen.cast.triangle >= 0)[..., None], albedo, np.float32(0.0)),
-        depth=seen.cast.depth.astype(np.float32),
-        face_id=seen.cast.face_id,
-        normal=seen.cast.normal.astype(np.float32),
+        camera=rendered.camera,
+        rgb=np.where((rendered.cast.triangle >= 0)[..., None], albedo, np.float32(0.0)),
+        depth=rendered.cast.depth.astype(np.float32),
+        face_id=rendered.cast.face_id,
+        normal=rendered.cast.normal.astype(np.float32),
     )
     return CloseUp(
-        patch=seen.patch,
+        patch=rendered.patch,
         view=view,
         height=height,
         height_source=source,
-        appearance=average_appearance(layers, seen.passes, mask),
+        appearance=average_appearance(layers, rendered.passes, mask),
         mask=mask,
         resolved_wavelength_m=resolved,
         notes=tuple(dict.fromkeys(notes)),
-        faces=np.unique(seen.cast.face_id[mask]),
+        faces=np.unique(rendered.cast.face_id[mask]),
         rays=masked.rays,
         renders=masked.renders,
-        unlit=_build_unlit_image(seen, albedo, mask, surface),
+        unlit=_build_unlit_image(rendered, albedo, mask, surface),
     )
 
 
@@ -406,7 +440,7 @@ def _compute_height(
     nothing = (None, "", float("inf"))
     if not mask.any() or not rendered.passes:
         return nothing
-    micros = [each.micro for each in list_closures(layers)] + [displacement]
+    micros = [closure.micro for closure in list_closures(layers)] + [displacement]
     reliefs = [relief for micro in micros for relief in micro.reliefs]
     slopes = [slope for micro in micros for slope in micro.slopes]
     height = np.zeros(mask.shape)
@@ -429,7 +463,7 @@ def _compute_height(
     resolved = compute_resolved_wavelength(used, rendered.passes, mask, rendered.pixel_m)
     return (
         height.astype(np.float32),
-        "; ".join(dict.fromkeys(_describe_source(rendered, each) for each in used)),
+        "; ".join(dict.fromkeys(_describe_source(rendered, source) for source in used)),
         resolved,
     )
 
@@ -446,8 +480,8 @@ def _get_height_scale(rendered: _RenderedPatch, relief: Relief) -> float:
     if not relief.in_object_space:
         return rendered.metres_per_unit
     # A step along the object's own normal, as long as the object's scale makes it.
-    along = rendered.isolated.stretch.T @ rendered.patch.normal
-    step = rendered.isolated.stretch @ (along / np.linalg.norm(along))
+    object_normal = rendered.isolated.stretch.T @ rendered.patch.normal
+    step = rendered.isolated.stretch @ (object_normal / np.linalg.norm(object_normal))
     return float(step @ rendered.patch.normal)
 
 
@@ -456,7 +490,7 @@ def _compute_relief_height(rendered: _RenderedPatch, layers: Layers | None, disp
     bumps = (
         None
         if layers is None
-        else mix_closures(layers, rendered.passes, lambda each: _sum_reliefs(rendered, each.micro.reliefs))
+        else mix_closures(layers, rendered.passes, lambda closure: _sum_reliefs(rendered, closure.micro.reliefs))
     )
     return total if bumps is None else total + bumps
 
@@ -471,10 +505,10 @@ def _sum_reliefs(rendered: _RenderedPatch, reliefs: Sequence[Relief]) -> Float:
 def _integrate_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, notes: list[str]) -> Float:
     """Return the height whose slopes against the smooth surface are those of the normal maps [m]."""
 
-    def along(axis: int) -> Float | None:
-        return mix_closures(layers, rendered.passes, lambda each: _compute_slope(rendered, each.micro, axis))
+    def compute_slope(axis: int) -> Float | None:
+        return mix_closures(layers, rendered.passes, lambda closure: _compute_slope(rendered, closure.micro, axis))
 
-    gx, gy = along(0), along(1)
+    gx, gy = compute_slope(0), compute_slope(1)
     if gx is None or gy is None:
         return np.zeros(mask.shape)
     valid = mask & np.isfinite(gx) & np.isfinite(gy)
@@ -498,9 +532,9 @@ def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int) ->
     tangent = x_axis if axis == 0 else np.cross(smooth, x_axis)
     for slopes in micro.slopes:
         normal = slopes.tap.read(rendered.passes) @ rendered.isolated.rigid[:3, :3]
-        up = np.sum(normal * smooth, axis=-1)
-        lean = np.sum(normal * tangent, axis=-1)
-        total = total - np.clip(lean / np.where(up > 0.05, up, np.nan), -10.0, 10.0)
+        normal_part = np.sum(normal * smooth, axis=-1)
+        tangent_part = np.sum(normal * tangent, axis=-1)
+        total = total - np.clip(tangent_part / np.where(normal_part > 0.05, normal_part, np.nan), -10.0, 10.0)
     return total
 
 

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from hnf_core import __version__
 from hnf_core.files import NPZ_ERRORS, content_hash, write_bytes
+from hnf_core.progress import ProgressCallback, ignore_progress
 from hnf_core.scene.ply import read_ply_header
 from hnf_core.scene.splats.gaussians import C0, Splats
 from hnf_core.scene.splats.io_ply import detect_up_axis, read_splats
-from hnf_core.scene.splats.reconstruct import DEFAULT_CELLS, DEFAULT_VIEWS, Progress, reconstruct_surface
+from hnf_core.scene.splats.reconstruct import DEFAULT_CELLS, DEFAULT_VIEWS, reconstruct_surface
 
 from ... import compat
 from ..scene.mesh_attributes import show_vertex_colours
@@ -92,7 +93,7 @@ def read_reconstruction(
     *,
     write_cache: bool = True,
     cells: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback = ignore_progress,
 ) -> Reconstruction:
     """Read a splat file and its surface, from the cache if the surface was made before.
 

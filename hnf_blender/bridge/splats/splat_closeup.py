@@ -5,7 +5,7 @@ This is the counterpart of `bridge/render/closeup.py` for surfaces with splats i
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -50,18 +50,11 @@ PIXELS_PER_WAVELENGTH = 8
 """Pixels per shortest wavelength that splats show; widening splats to a pixel then costs at most a tenth of it."""
 
 
-def iter_splat_closeups(
-    obj: Any,
-    cloud: Any,
-    patches: Sequence[Patch],
-    *,
-    surface: Surface,
-    caster: RayCaster | None = None,
-    pixels: int = 512,
-) -> Generator[CloseUp, None, None]:
-    """Yield a close-up of every patch, rendered from splats.
+class SplatCloseUpRenderer:
+    """Renderer of close-ups of one object's patches from its splats; a context manager.
 
-    A patch is rendered with APPEARANCE_PIXELS first, and again if its splats resolve more.
+    The splats are read for the first patch and released on exit. A patch is rendered with APPEARANCE_PIXELS first, and
+    again if its splats resolve more.
 
     Parameters
     ----------
@@ -70,83 +63,112 @@ def iter_splat_closeups(
     cloud : bpy.types.Object
         Object with the splats of `obj`.
     patches : sequence of Patch
-        Patches in the surface frame.
+        All patches that will be rendered, in the surface frame.
     surface : Surface
         Surface of `obj`.
     caster : RayCaster, optional
         Ray caster of `surface`.
     pixels : int, default 512
         Maximum side of an image [pixels].
-
-    Yields
-    ------
-    CloseUp
-
-    Raises
-    ------
-    SceneError
-        If the splats cannot be read, are scaled unevenly or mirrored.
     """
-    if not patches:
-        return
-    frame = compute_cloud_frame(obj, cloud, surface.stretch)
-    splats = read_cloud(cloud)
-    surface = surface if caster is not None else crop_to_patches(surface, patches)
-    caster = caster or make_ray_caster(surface.mesh)
-    source = f"splats of {get_cloud_source(cloud)}"
-    fewest = min(pixels, APPEARANCE_PIXELS)
-    for patch in patches:
-        camera, rays = make_unoccluded_camera(patch, fewest, caster)
-        cast = cast_view(caster, surface.mesh, camera)
-        near = _SplatPatch(patch, camera.clip_start, cast, surface, frame, splats, source)
-        closeup = _render_closeup(near, fewest)
-        side = choose_splat_resolution(closeup.unlit, patch, fewest, pixels)
-        if side > fewest:
-            closeup = replace(_render_closeup(near, side), renders=2)
-        yield limit_resolution(replace(closeup, rays=rays + cast.depth.size))
+
+    def __init__(
+        self,
+        obj: Any,
+        cloud: Any,
+        patches: Sequence[Patch],
+        *,
+        surface: Surface,
+        caster: RayCaster | None = None,
+        pixels: int = 512,
+    ) -> None:
+        self._obj, self._cloud, self._patches = obj, cloud, patches
+        self._surface, self._caster, self._pixels = surface, caster, pixels
+        self._scene: _SplatScene | None = None
+
+    def __enter__(self) -> SplatCloseUpRenderer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._scene = None
+
+    def render(self, patch: Patch) -> CloseUp:
+        """Render one of the patches.
+
+        Raises SceneError if the splats cannot be read, are scaled unevenly or mirrored.
+        """
+        if self._scene is None:
+            self._scene = self._read_scene()
+        scene, min_side = self._scene, min(self._pixels, APPEARANCE_PIXELS)
+        camera, clip_rays = make_unoccluded_camera(patch, min_side, scene.caster)
+        cast = cast_view(scene.caster, scene.surface.mesh, camera)
+        splat_patch = _SplatPatch(patch, camera.clip_start, cast, scene)
+        closeup = _render_closeup(splat_patch, min_side)
+        side = choose_splat_resolution(closeup.unlit, patch, min_side, self._pixels)
+        if side > min_side:
+            closeup = replace(_render_closeup(splat_patch, side), renders=2)
+        return limit_resolution(replace(closeup, rays=clip_rays + cast.depth.size))
+
+    def _read_scene(self) -> _SplatScene:
+        frame = compute_cloud_frame(self._obj, self._cloud, self._surface.stretch)
+        splats = read_cloud(self._cloud)
+        surface = self._surface if self._caster is not None else crop_to_patches(self._surface, self._patches)
+        caster = self._caster or make_ray_caster(surface.mesh)
+        return _SplatScene(surface, caster, frame, splats, f"splats of {get_cloud_source(self._cloud)}")
+
+
+@dataclass(frozen=True)
+class _SplatScene:
+    """Splats with their frame and source, and the part of the surface in reach of the patches."""
+
+    surface: Surface
+    caster: RayCaster
+    frame: CloudFrame
+    splats: Splats
+    source: str
 
 
 def choose_splat_resolution(unlit: UnlitImage | None, patch: Patch, min_pixels: int, max_pixels: int) -> int:
     """Return the image side [pixels] at which a patch shows all that its splats resolve."""
     if unlit is None:
         return min_pixels
-    wanted = int(np.ceil(PIXELS_PER_WAVELENGTH * patch.size_m / unlit.resolved_wavelength_m))
-    # With the least wave that fewest pixels show, the splats may show more than was seen.
-    return (
-        max_pixels
-        if unlit.resolved_wavelength_m <= 2.0 * patch.size_m / min_pixels
-        else min(max(wanted, min_pixels), max_pixels)
-    )
+    # If the pixels of the first pass limited its resolution, the splats may show more.
+    if unlit.resolved_wavelength_m <= 2.0 * patch.size_m / min_pixels:
+        return max_pixels
+    needed = int(np.ceil(PIXELS_PER_WAVELENGTH * patch.size_m / unlit.resolved_wavelength_m))
+    return min(max(needed, min_pixels), max_pixels)
 
 
 @dataclass(frozen=True)
 class _SplatPatch:
-    """Inputs for rendering one patch; `clip_start` is the camera's near clipping distance [m]."""
+    """A patch with its rays; `clip_start` is the camera's near clipping distance [m]."""
 
     patch: Patch
     clip_start: float
     cast: CastView
-    surface: Surface
-    frame: CloudFrame
-    splats: Splats
-    source: str
+    scene: _SplatScene
 
 
 def _render_closeup(splat_patch: _SplatPatch, pixels: int) -> CloseUp:
-    patch, cast, surface = splat_patch.patch, splat_patch.cast, splat_patch.surface
+    patch, cast, scene = splat_patch.patch, splat_patch.cast, splat_patch.scene
+    surface, metres_per_unit = scene.surface, scene.frame.metres_per_unit
     camera = replace(patch.camera(pixels), clip_start=splat_patch.clip_start)
-    seen = render_splats(splat_patch.splats, splat_patch.frame.to_cloud_camera(camera))
+    view = render_splats(scene.splats, scene.frame.to_cloud_camera(camera))
     pixel_m = patch.size_m / pixels
-    # Half of the light is gone at the surface; the mean of all that shines through lies behind it.
-    depth = np.asarray(seen.median, dtype=np.float32) * np.float32(splat_patch.frame.metres_per_unit)
+    # The median depth, as half of the light is gone at the surface; the mean of all that shines through lies behind it.
+    depth = np.asarray(view.median, dtype=np.float32) * np.float32(metres_per_unit)
     slot = np.where(cast.triangle >= 0, surface.mesh.slot[cast.triangle], -1)
-    own = _upsample(find_connected_pixels(slot == patch.slot, cast.depth, patch.size_m / cast.depth.shape[1]), camera)
-    opaque = own & (seen.opacity >= MIN_SURFACE_OPACITY)
-    resolved = compute_splat_resolution(splat_patch.splats, seen, opaque) * splat_patch.frame.metres_per_unit
-    reach = max(MAX_SURFACE_OFFSET_M, resolved) if np.isfinite(resolved) else MAX_SURFACE_OFFSET_M
-    shown = opaque & (compute_surface_distance(depth, _upsample(cast.depth, camera), opaque) <= reach)
-    opacity = np.where(opaque & ~shown, np.float32(0.0), seen.opacity)
-    mask, linear, depth = fill_pinholes(shown, own, compute_linear_colour(seen), depth, opacity, resolved, pixel_m)
+    ray_pixel_m = patch.size_m / cast.depth.shape[1]
+    on_patch = _upsample(find_connected_pixels(slot == patch.slot, cast.depth, ray_pixel_m), camera)
+    opaque = on_patch & (view.opacity >= MIN_SURFACE_OPACITY)
+    resolved = compute_splat_resolution(scene.splats, view, opaque) * metres_per_unit
+    max_distance = max(MAX_SURFACE_OFFSET_M, resolved) if np.isfinite(resolved) else MAX_SURFACE_OFFSET_M
+    distance = compute_surface_distance(depth, _upsample(cast.depth, camera), opaque)
+    visible = opaque & (distance <= max_distance)
+    opacity = np.where(opaque & ~visible, np.float32(0.0), view.opacity)
+    mask, linear, depth = fill_pinholes(
+        visible, on_patch, compute_linear_colour(view), depth, opacity, resolved, pixel_m
+    )
     notes = () if mask.any() else (_format_no_surface_note(surface.object_name),)
     colour = tuple(float(part) for part in linear[mask].mean(axis=0)) if mask.any() else None
     return CloseUp(
@@ -161,7 +183,7 @@ def _render_closeup(splat_patch: _SplatPatch, pixels: int) -> CloseUp:
         faces=np.unique(cast.face_id[_downsample_mask(mask, cast.face_id.shape) & (cast.face_id >= 0)]),
         rays=cast.depth.size,
         renders=1,
-        unlit=_make_unlit_image(linear, depth, mask, resolved, pixel_m, splat_patch.source),
+        unlit=_make_unlit_image(linear, depth, mask, resolved, pixel_m, scene.source),
     )
 
 
@@ -173,8 +195,8 @@ def compute_surface_distance(
     The median offset in the middle of the image is removed first. All arrays are (H, W).
     """
     known = visible & np.isfinite(reference)
-    away = np.full(depth.shape, np.inf)
-    away[known] = depth[known].astype(np.float64) - reference[known]
+    offset = np.full(depth.shape, np.inf)
+    offset[known] = depth[known].astype(np.float64) - reference[known]
     middle = np.zeros_like(known)
     rows, columns = (
         np.rint(np.array([1.0 - CENTRE_FRACTION, 1.0 + CENTRE_FRACTION]) * side / 2.0).astype(int)
@@ -182,7 +204,7 @@ def compute_surface_distance(
     )
     middle[slice(*rows), slice(*columns)] = True
     middle &= known
-    return np.asarray(np.abs(away - (np.median(away[middle]) if middle.any() else 0.0)))
+    return np.asarray(np.abs(offset - (np.median(offset[middle]) if middle.any() else 0.0)))
 
 
 def fill_pinholes(
@@ -212,10 +234,11 @@ def fill_pinholes(
 
 def _compute_box_mean(values: NDArray[np.floating[Any]], side: int) -> Float:
     """Return means (H, W) over squares of about `side` pixels, cropped at the borders."""
-    before = side // 2
+    half = side // 2
     total = np.pad(np.cumsum(np.cumsum(values, axis=0, dtype=np.float64), axis=1), ((1, 0), (1, 0)))
     (top, bottom), (left, right) = (
-        (np.maximum(at - before, 0), np.minimum(at + side - before, len(at))) for at in map(np.arange, values.shape)
+        (np.maximum(pixel - half, 0), np.minimum(pixel + side - half, len(pixel)))
+        for pixel in map(np.arange, values.shape)
     )
     sums = total[bottom][:, right] - total[top][:, right] - total[bottom][:, left] + total[top][:, left]
     return np.asarray(sums / np.outer(bottom - top, right - left))
@@ -234,33 +257,35 @@ def compute_splat_resolution(splats: Splats, splat_view: SplatView, mask: Mask) 
     height, width = mask.shape
     column, row = (np.floor(uv[:, axis]).astype(np.int64) for axis in (0, 1))
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    here = np.flatnonzero(inside)
-    here = here[mask[row[here], column[here]]]
-    if len(here) == 0:
+    selected = np.flatnonzero(inside)
+    selected = selected[mask[row[selected], column[selected]]]
+    if len(selected) == 0:
         return float("inf")
-    wide, narrow, deep = _project_extents(splats.take(here), camera.pose[:3, :3])
-    front = depth[here] <= splat_view.depth[row[here], column[here]] + MAX_DEPTH_SIGMAS * deep
-    weight = splats.opacities[here] * np.minimum(wide * narrow, mask.sum() / scale**2) * front
+    long_sigma, short_sigma, depth_sigma = _project_extents(splats.take(selected), camera.pose[:3, :3])
+    surface_depth = splat_view.depth[row[selected], column[selected]]
+    visible = depth[selected] <= surface_depth + MAX_DEPTH_SIGMAS * depth_sigma
+    weight = splats.opacities[selected] * np.minimum(long_sigma * short_sigma, mask.sum() / scale**2) * visible
     if weight.sum() <= 0.0:
         return float("inf")
-    order = np.argsort(narrow, kind="stable")
+    order = np.argsort(short_sigma, kind="stable")
     share = np.cumsum(weight[order]) / weight.sum()
-    finest = narrow[order][np.searchsorted(share, FINEST_AREA_FRACTION)]
+    finest = short_sigma[order][np.searchsorted(share, FINEST_AREA_FRACTION)]
     return float(max(HALF_PASS_SIGMAS * finest, 2.0 / scale))
 
 
-def _project_extents(splats: Splats, turn: Float) -> tuple[Float, Float, Float]:
-    """Return splats' standard deviations (N,) in an orthographic view with rotation `turn` (camera → frame).
+def _project_extents(splats: Splats, rotation: Float) -> tuple[Float, Float, Float]:
+    """Return splats' standard deviations (N,) in an orthographic view with a `rotation` (camera → frame).
 
     They are along the long and the short axis of the projected ellipse, and along the view.
     """
     right, down, forward = (
-        np.stack(row) for row in transform_to_principal_axes(splats, np.arange(len(splats)), turn.T.tolist())
+        np.stack(row) for row in transform_to_principal_axes(splats, np.arange(len(splats)), rotation.T.tolist())
     )
-    along, across, both = (right * right).sum(axis=0), (down * down).sum(axis=0), (right * down).sum(axis=0)
-    mean, apart = (along + across) / 2.0, np.hypot((along - across) / 2.0, both)
-    deep = np.sqrt((forward * forward).sum(axis=0))
-    return np.sqrt(mean + apart), np.sqrt(np.maximum(mean - apart, 0.0)), deep
+    # The eigenvalues of the covariance in the image are its mean variance ± half_difference.
+    xx, yy, xy = (right * right).sum(axis=0), (down * down).sum(axis=0), (right * down).sum(axis=0)
+    mean, half_difference = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
+    depth_sigma = np.sqrt((forward * forward).sum(axis=0))
+    return np.sqrt(mean + half_difference), np.sqrt(np.maximum(mean - half_difference, 0.0)), depth_sigma
 
 
 def _make_unlit_image(
@@ -276,8 +301,8 @@ def _make_unlit_image(
     rgb = np.rint(MAX_CODE * np.sqrt(linear)).astype(np.uint8)
     if float(rgb[mask].std(axis=0).max()) < MIN_COLOUR_STD_CODES:
         return None
-    known = np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
-    return UnlitImage(rgb, known, max(resolved, 2.0 * pixel_m), source)
+    known_depth = np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
+    return UnlitImage(rgb, known_depth, max(resolved, 2.0 * pixel_m), source)
 
 
 def limit_resolution(closeup: CloseUp) -> CloseUp:
@@ -285,13 +310,13 @@ def limit_resolution(closeup: CloseUp) -> CloseUp:
 
     Splats may be finer than the photographs they were trained on.
     """
-    look = closeup.unlit
-    if look is None:
+    unlit = closeup.unlit
+    if unlit is None:
         return closeup
-    held = estimate_resolved_wavelength(
-        closeup.view.rgb, closeup.mask, closeup.metres_per_pixel, look.resolved_wavelength_m
+    resolved = estimate_resolved_wavelength(
+        closeup.view.rgb, closeup.mask, closeup.metres_per_pixel, unlit.resolved_wavelength_m
     )
-    return replace(closeup, unlit=replace(look, resolved_wavelength_m=held))
+    return replace(closeup, unlit=replace(unlit, resolved_wavelength_m=resolved))
 
 
 def _upsample(values: NDArray[Any], camera: Camera) -> NDArray[Any]:
@@ -306,8 +331,8 @@ def _downsample_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
     rows = (np.arange(mask.shape[0]) * shape[0]) // mask.shape[0]
     columns = (np.arange(mask.shape[1]) * shape[1]) // mask.shape[1]
     small = np.zeros(shape, dtype=np.bool_)
-    at = np.nonzero(mask)
-    small[rows[at[0]], columns[at[1]]] = True
+    mask_row, mask_column = np.nonzero(mask)
+    small[rows[mask_row], columns[mask_column]] = True
     return small
 
 

@@ -14,8 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.action.curves import build_arc_curve, compute_smooth_handles, make_smooth_curve
-from hnf_core.action.primitive_path import make_path_curve, make_primitive_keyframes, make_primitive_path
-from hnf_core.action.primitives import DEFAULT_PRIMITIVE, DEFAULT_PRIMITIVE_DOWN, Primitive, find_primitive
+from hnf_core.action.primitives import (
+    DEFAULT_PRIMITIVE,
+    DEFAULT_PRIMITIVE_DOWN,
+    Primitive,
+    find_primitive,
+    make_path_curve,
+    make_primitive_keyframes,
+    make_primitive_path,
+)
 from hnf_core.action.stroke_placement import (
     OPENNESS_M,
     PATH_SIZE_MARGIN,

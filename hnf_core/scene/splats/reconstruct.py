@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SceneError, UsageError
+from ...progress import Progress, ProgressCallback, ignore_progress
 from ..camera import Camera
 from .depth_views import DepthView, make_depth_view, make_surrounding_cameras, sample_points
 from .gaussians import Splats
 from .prune import PruneResult, prune_splats
 from .rasterize import SplatView, render_splats
-from .surface_nets import extract_surface
-from .tsdf import THICKNESS, find_band, fuse_depth_views
+from .tsdf import THICKNESS, extract_surface, find_band, fuse_depth_views
 from .voxel_grid import find_nearest_triangles, label_components
 
 Float = NDArray[np.float64]
@@ -416,7 +416,6 @@ def _make_warnings(count: int, near: float, retained: float, open_: float, clari
 
 
 RenderFunction = Callable[[Splats, Camera], SplatView]
-Progress = Callable[[str, float], None]
 
 DEFAULT_CELLS = 256
 """Number of cells along the longest axis."""
@@ -474,7 +473,7 @@ def reconstruct_surface(
     *,
     cells: int = DEFAULT_CELLS,
     views: int = DEFAULT_VIEWS,
-    progress: Progress | None = None,
+    progress: ProgressCallback = ignore_progress,
     render: RenderFunction = render_splats,
     where: str = "",
 ) -> SplatSurface:
@@ -489,7 +488,7 @@ def reconstruct_surface(
     views : int
         Number of orthographic depth views from all around.
     progress : callable, optional
-        Called with a stage's name and the finished fraction, 0 to 1; an exception that it raises cancels.
+        Called before each stage; an exception that it raises cancels.
     render : callable
         Function that renders splats for a camera.
     where : str
@@ -515,7 +514,10 @@ def reconstruct_surface(
         raise UsageError(f"{cells} cells.", remedy=f"Choose {MIN_CELLS} to {MAX_CELLS} along the longest axis.")
     if not 6 <= views <= 1000:
         raise UsageError(f"{views} views.", remedy="Choose 6 to 1000.")
-    report: Progress = progress or (lambda _stage, _share: None)
+
+    def report(stage: str, share: float) -> None:
+        progress(Progress(stage, 0, 1, share))
+
     report("cleaning", 0.0)
     pruned = prune_splats(splats, where=where)
     local, centre, spacing = _scale_to_cells(pruned.splats, cells)
@@ -577,12 +579,14 @@ def _scale_to_cells(splats: Splats, cells: int) -> tuple[Splats, Float, float]:
     return local, centre, side
 
 
-def _render_depth_views(local: Splats, views: int, render: RenderFunction, progress: Progress) -> list[DepthView]:
+def _render_depth_views(
+    local: Splats, views: int, render: RenderFunction, report: Callable[[str, float], None]
+) -> list[DepthView]:
     reach = np.minimum(2.0 * local.scales.max(axis=1).astype(np.float64), MAX_VIEW_MARGIN)
     cameras = make_surrounding_cameras(local.means.astype(np.float64), reach, views, 1.0)
     depth_views = []
     for index, camera in enumerate(cameras):
-        progress("looking", 0.05 + 0.7 * index / len(cameras))
+        report("looking", 0.05 + 0.7 * index / len(cameras))
         depth_views.append(make_depth_view(render(local, camera)))
     return depth_views
 

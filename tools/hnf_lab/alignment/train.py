@@ -1,20 +1,15 @@
-"""Symmetric InfoNCE: each picture must find its own touch among those of the batch, and each touch its picture.
+"""Contrastive training of the two encoders, and their files.
 
-Gradients of a large contrastive batch in the memory of a small one (Gao et al. 2021, "Scaling deep contrastive
-learning batch size under memory limited setup").
+The loss is symmetric InfoNCE: each image must find its own touch in the batch, and each touch its image.
 
-The loss couples all rows, but only through their embeddings. So: embed chunk by chunk without a graph; take the loss's
-gradient with respect to the embeddings of the whole batch; embed each chunk once more, with a graph, and send its share
-of that gradient down. One forward pass more than the plain batch costs, and the graph of one chunk at a time.
+Large batches use gradient caching (Gao et al. 2021, "Scaling deep contrastive learning batch size under memory limited
+setup"). The loss couples all rows only through their embeddings: embed chunk by chunk without a graph, take the
+gradient with respect to all embeddings, then embed each chunk again with a graph and propagate its part of the
+gradient. This costs one more forward pass and the memory of one chunk. Batch normalisation uses the statistics of the
+chunk in both passes (the "ghost batch" of Hoffer et al. 2017), so the gradients are exactly those of a batch whose
+chunks are embedded separately; running statistics are updated once per chunk, in the second pass.
 
-Batch normalisation knows its chunk only, in both passes alike (the "ghost batch" of Hoffer et al. 2017): what comes out
-are exactly the gradients of a plain batch whose chunks are embedded one by one, and with normalisation that does not
-look at the batch (frozen statistics, groups) those of the plain batch itself. Running statistics move once for each
-chunk, in the second pass.
-
-Both encoders trained together, within a number of steps or of minutes; a killed run goes on where it was.
-
-Two trained encoders in a folder: weights under the standard names, and how they came about.
+Training runs for a number of steps or minutes and resumes from a checkpoint.
 """
 
 from __future__ import annotations
@@ -38,28 +33,39 @@ from torch.nn.modules.batchnorm import _BatchNorm
 from hnf_core.errors import FileError, UsageError, WeightsError
 from hnf_core.files import content_hash, write_bytes, write_text
 from hnf_core.safetensors_io import dump_tensors, load_tensors
-from hnf_core.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from hnf_core.training.fit import Checkpoint, load_checkpoint, save_checkpoint
 
 from .encoders import RESNET50, Architecture, ResNetEncoder, load_backbone, make_training_batch
 from .inputs import Tuples
 
 TEMPERATURE = 0.07
-"""As van den Oord et al. (2018) is used by CMC (Tian et al. 2020) and by the paper."""
+"""Temperature, as in CMC (Tian et al. 2020) and the paper."""
 
 
 def compute_info_nce(vision: Tensor, touch: Tensor, temperature: float = TEMPERATURE) -> Tensor:
-    """Mean of −log p(touch i | vision i) and −log p(vision i | touch i) over a batch; a scalar.
+    """Return the symmetric InfoNCE loss of a batch, a scalar.
 
-    vision, touch: (n, d) of length 1; row i of one belongs to row i of the other. p is the softmax of the cosines over
-    the temperature. By log-sum-exp, in float32 at least whatever autocast says: no exponential of a logit is ever
-    formed, so that neither 1 / 0.07 nor thousands of rows cost precision. 0 is never reached: n rows at right angles
-    give log(1 + (n − 1) exp(−1 / temperature)).
+    Parameters
+    ----------
+    vision, touch
+        (n, d) unit vectors; row i of one belongs to row i of the other.
+    temperature
+        Divisor of the cosines.
+
+    Notes
+    -----
+    The loss is the mean of −log p(touch i | vision i) and −log p(vision i | touch i) (van den Oord et al. 2018), with p
+    the
+    softmax of the cosines over the temperature. It is computed by log-sum-exp in float32 at least, whatever autocast is
+    set, so that no exponential of a logit is formed. It never reaches 0: n orthogonal rows give
+    log(1 + (n − 1) exp(−1 / temperature)).
+
     """
     with torch.autocast(vision.device.type, enabled=False):
-        wide = torch.promote_types(torch.promote_types(vision.dtype, touch.dtype), torch.float32)
-        logits = vision.to(wide) @ touch.to(wide).T / temperature
-        right = logits.diagonal()
-        return (0.5 * (logits.logsumexp(dim=0) + logits.logsumexp(dim=1)) - right).mean()
+        dtype = torch.promote_types(torch.promote_types(vision.dtype, touch.dtype), torch.float32)
+        logits = vision.to(dtype) @ touch.to(dtype).T / temperature
+        matching = logits.diagonal()
+        return (0.5 * (logits.logsumexp(dim=0) + logits.logsumexp(dim=1)) - matching).mean()
 
 
 Loss = Callable[..., Tensor]
@@ -68,50 +74,81 @@ Loss = Callable[..., Tensor]
 def backward_with_gradient_cache(
     encoders: Sequence[nn.Module], inputs: Sequence[Tensor], loss: Loss, chunk: int
 ) -> Tensor:
-    """Add the gradients of loss(encoders[0](inputs[0]), encoders[1](inputs[1]), …) to the encoders' parameters and
-    return the loss, detached.
+    """Add the gradients of loss(encoders[0](inputs[0]), encoders[1](inputs[1]), …) to the parameters.
 
-    inputs: (n, …) each. chunk: rows that are embedded at once. Encoders must give the same answer twice (no dropout).
+    Parameters
+    ----------
+    encoders
+        Networks that return the same output for the same input (no dropout).
+    inputs
+        One (n, …) tensor per encoder.
+    loss
+        Function of all embeddings.
+    chunk
+        Number of rows embedded at once.
+
+    Returns
+    -------
+    Tensor
+        The detached loss.
+
     """
     embedded = []
     with torch.no_grad():
         for encoder, batch in zip(encoders, inputs, strict=True):
             with freeze_running_statistics(encoder):
-                embedded.append(torch.cat([encoder(part) for part in torch.split(batch, chunk)]))
-    leaves = [each.requires_grad_() for each in embedded]
+                embedded.append(torch.cat([encoder(rows) for rows in torch.split(batch, chunk)]))
+    leaves = [embedding.requires_grad_() for embedding in embedded]
     value = loss(*leaves)
     gradients = torch.autograd.grad(value, leaves)
     for encoder, batch, gradient in zip(encoders, inputs, gradients, strict=True):
-        for part, share in zip(torch.split(batch, chunk), torch.split(gradient, chunk), strict=True):
-            encoder(part).backward(share)
+        for rows, rows_gradient in zip(torch.split(batch, chunk), torch.split(gradient, chunk), strict=True):
+            encoder(rows).backward(rows_gradient)
     return value.detach()
 
 
 @contextmanager
 def freeze_running_statistics(network: nn.Module) -> Iterator[None]:
-    """Batch normalisation as in training, but its running statistics stay as they are."""
-    tracking = [each for each in network.modules() if isinstance(each, _BatchNorm) and each.track_running_stats]
-    training = [each for each in tracking if each.training]
-    for each in training:
-        each.track_running_stats = False
+    """Keep batch normalisation in training mode without updating its running statistics."""
+    tracking = [module for module in network.modules() if isinstance(module, _BatchNorm) and module.track_running_stats]
+    training = [module for module in tracking if module.training]
+    for module in training:
+        module.track_running_stats = False
     try:
         yield
     finally:
-        for each in training:
-            each.track_running_stats = True
+        for module in training:
+            module.track_running_stats = True
 
 
 Float = NDArray[np.float64]
 ProgressCallback = Callable[[float, float], None]
 CHECKPOINT_INTERVAL_S = 240.0
+"""Time between checkpoints [s]."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """pixels: side of what is cut out of a view. batch: tuples that are told apart. chunk: of them embedded at once,
-    with gradients cached where that is fewer. rate: of AdamW at its highest: a straight start over `warmup` of the run,
-    then half a cosine to 0. decay: of weights. steps: after which it ends. minutes: after which it ends, if earlier;
-    the rate then follows the clock, and no two runs are equal."""
+    """Hyperparameters of a training.
+
+    Attributes
+    ----------
+    pixels
+        Side of the crop of a view.
+    batch
+        Number of tuples that are contrasted.
+    chunk
+        Number of them embedded at once; with cached gradients if smaller than the batch.
+    rate
+        Peak learning rate of AdamW: linear warm-up over the fraction `warmup` of the run, then half a cosine to 0.
+    decay
+        Weight decay.
+    steps
+        Number of steps after which training ends.
+    minutes
+        Time after which training ends, if earlier; the rate then follows the clock and runs are not reproducible.
+
+    """
 
     pixels: int = 48
     batch: int = 128
@@ -132,15 +169,15 @@ class Recipe:
             raise UsageError("a batch and a chunk need two tuples at least, a picture 32 pixels.")
 
     def compute_progress(self, steps: int, seconds: float) -> float:
-        """0 at the start, 1 at the end."""
-        shares = [
+        """Return the progress, 0 at the start and 1 at the end."""
+        fractions = [
             0.0 if self.steps is None else steps / max(self.steps, 1),
             0.0 if self.minutes is None else seconds / max(60.0 * self.minutes, 1e-9),
         ]
-        return min(max(shares), 1.0)
+        return min(max(fractions), 1.0)
 
     def compute_learning_rate(self, progress: float) -> float:
-        """The learning rate."""
+        """Return the learning rate at a progress."""
         if progress < self.warmup:
             return self.rate * (progress / self.warmup + 0.01)
         return self.rate * 0.5 * (1.0 + cos(pi * (progress - self.warmup) / (1.0 - self.warmup)))
@@ -148,7 +185,7 @@ class Recipe:
 
 @dataclass(frozen=True)
 class FitResult:
-    """vision, touch: in evaluation mode. history: (steps, 3) step, seconds of training so far, loss."""
+    """Trained encoders in evaluation mode. history: (steps, 3) step, seconds of training so far, loss."""
 
     vision: ResNetEncoder
     touch: ResNetEncoder
@@ -162,11 +199,31 @@ def fit_encoders(
     watch: ProgressCallback = lambda *_: None,
     start: Mapping[str, torch.Tensor] | None = None,
 ) -> FitResult:
-    """Train two encoders on tuples (their labels are not looked at).
+    """Train two encoders on tuples; labels are not used.
 
-    checkpoint: file to go on from and to write to every few minutes; one of another recipe or of other tuples is passed
-    over. watch(progress, loss) after every step. start: state dict of a trunk that both encoders start from
-    (ImageNet's). Raises UsageError for fewer tuples than a batch.
+    Parameters
+    ----------
+    tuples
+        Training tuples.
+    recipe
+        Hyperparameters.
+    checkpoint
+        File to resume from and to write every few minutes; one of another recipe or other tuples is ignored.
+    watch
+        Progress callback (progress, loss), called after every step.
+    start
+        State dict of a backbone from which both encoders start (ImageNet weights).
+
+    Returns
+    -------
+    FitResult
+        Encoders and history.
+
+    Raises
+    ------
+    UsageError
+        If there are fewer tuples than a batch.
+
     """
     if len(tuples) < recipe.batch:
         raise UsageError(
@@ -174,30 +231,30 @@ def fit_encoders(
         )
     run = _TrainingRun(tuples, recipe)
     fingerprint = content_hash(repr(asdict(recipe)), tuples.row.tobytes(), tuples.sensor.tobytes())
-    found = None if checkpoint is None else load_checkpoint(checkpoint, fingerprint)
-    if found is not None:
-        run.restore_checkpoint(found)
+    stored = None if checkpoint is None else load_checkpoint(checkpoint, fingerprint)
+    if stored is not None:
+        run.restore_checkpoint(stored)
     elif start is not None:
         for encoder in (run.vision, run.touch):
             load_backbone(encoder, start, "the trunk to start from")
-    written = time.monotonic()
+    saved_at = time.monotonic()
     while (progress := recipe.compute_progress(len(run.history), run.seconds)) < 1.0:
         loss = run.step(progress)
         watch(progress, loss)
-        if checkpoint is not None and time.monotonic() - written > CHECKPOINT_INTERVAL_S:
+        if checkpoint is not None and time.monotonic() - saved_at > CHECKPOINT_INTERVAL_S:
             save_checkpoint(checkpoint, run.make_checkpoint(), fingerprint)
-            written = time.monotonic()
+            saved_at = time.monotonic()
     return FitResult(run.vision.eval(), run.touch.eval(), np.array(run.history).reshape(-1, 3))
 
 
 def set_torch_threads(threads: int) -> str:
-    """Let torch use so many; its version."""
+    """Set the number of threads of torch; return its version."""
     torch.set_num_threads(threads)
     return str(torch.__version__)
 
 
 class _TrainingRun:
-    """What a step changes."""
+    """State of a training."""
 
     def __init__(self, tuples: Tuples, recipe: Recipe) -> None:
         torch.manual_seed(recipe.seed)
@@ -209,16 +266,16 @@ class _TrainingRun:
         self.history: list[tuple[float, float, float]] = []
         self.seconds = 0.0
         parameters = [*self.vision.parameters(), *self.touch.parameters()]
-        # Decay is for what multiplies: neither biases nor normalisation.
+        # Weight decay applies to matrices only, not to biases or normalisation.
         groups = [
-            {"params": [each for each in parameters if each.ndim > 1], "weight_decay": recipe.decay},
-            {"params": [each for each in parameters if each.ndim <= 1], "weight_decay": 0.0},
+            {"params": [parameter for parameter in parameters if parameter.ndim > 1], "weight_decay": recipe.decay},
+            {"params": [parameter for parameter in parameters if parameter.ndim <= 1], "weight_decay": 0.0},
         ]
         self.optimiser = torch.optim.AdamW(groups, lr=recipe.rate, fused=True)
 
     def step(self, progress: float) -> float:
-        """One batch; the loss."""
-        began, recipe, number = time.monotonic(), self.recipe, len(self.history)
+        """Train on one batch and return the loss."""
+        start, recipe, number = time.monotonic(), self.recipe, len(self.history)
         for group in self.optimiser.param_groups:
             group["lr"] = recipe.compute_learning_rate(progress)
         rng = np.random.default_rng([recipe.seed, 1, number])
@@ -227,7 +284,7 @@ class _TrainingRun:
         with torch.autocast("cpu", torch.bfloat16):
             loss = self._backward([batch.vision, batch.touch])
         self.optimiser.step()
-        self.seconds += time.monotonic() - began
+        self.seconds += time.monotonic() - start
         self.history.append((number + 1, self.seconds, loss))
         return loss
 
@@ -244,10 +301,10 @@ class _TrainingRun:
         return float(value.detach())
 
     def _select_rows(self, number: int) -> NDArray[np.int64]:
-        """Of one batch: every epoch goes through all tuples in an order of its own, the last few left out."""
-        epoch, place = divmod(number, len(self.tuples) // self.recipe.batch)
+        """Return the rows of one batch; every epoch permutes all tuples and omits the last incomplete batch."""
+        epoch, index = divmod(number, len(self.tuples) // self.recipe.batch)
         order = np.random.default_rng([self.recipe.seed, 0, epoch]).permutation(len(self.tuples))
-        return order[place * self.recipe.batch : (place + 1) * self.recipe.batch]
+        return order[index * self.recipe.batch : (index + 1) * self.recipe.batch]
 
     def make_checkpoint(self) -> Checkpoint:
         tensors = {f"vision.{name}": value for name, value in self.vision.state_dict().items()}
@@ -262,14 +319,14 @@ class _TrainingRun:
         tensors = {name: torch.from_numpy(np.array(value)) for name, value in found.tensors.items()}
         for prefix, encoder in (("vision.", self.vision), ("touch.", self.touch)):
             encoder.load_state_dict({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
-        # The fused optimiser walks through memory: moments must lie as their parameter does.
-        parameters = [each for group in self.optimiser.param_groups for each in group["params"]]
+        # The fused optimiser needs moments with the memory layout of their parameters.
+        parameters = [parameter for group in self.optimiser.param_groups for parameter in group["params"]]
         state: dict[int, dict[str, torch.Tensor]] = {}
         for name, value in tensors.items():
             if name.startswith("adam."):
                 _, index, key = name.split(".")
-                own = torch.empty(()) if key == "step" else torch.empty_like(parameters[int(index)])
-                state.setdefault(int(index), {})[key] = own.copy_(value.reshape(own.shape))
+                moment = torch.empty(()) if key == "step" else torch.empty_like(parameters[int(index)])
+                state.setdefault(int(index), {})[key] = moment.copy_(value.reshape(moment.shape))
         self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": state})
         self.seconds = float(tensors["seconds"].item())
         self.history = [tuple(row) for row in found.history.tolist()]
@@ -281,7 +338,7 @@ RECORD_FILE = "alignment.json"
 
 @dataclass(frozen=True)
 class AlignedEncoders:
-    """vision, touch: frozen encoders. pixels: what they were trained on. record: what RECORD says."""
+    """Frozen encoders with the side of their crops, and the contents of RECORD_FILE."""
 
     vision: ResNetEncoder
     touch: ResNetEncoder
@@ -290,13 +347,16 @@ class AlignedEncoders:
 
     @property
     def sensor(self) -> str:
-        """gelsight, digit or both: what its tuples were of."""
+        """Sensor of the training tuples: gelsight, digit or both."""
         return str(self.record["sensor"])
 
 
 def save_encoders(folder: Path, fitted: FitResult, recipe: Recipe, details: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Write vision.safetensors, touch.safetensors and RECORD, which holds what is `told` (sensor: …), the recipe, the
-    curve of the loss and the weights' checksums; return the record. Raises FileError."""
+    """Write vision.safetensors, touch.safetensors and RECORD_FILE; return the record.
+
+    The record holds `details` (sensor and others), the recipe, the loss curve and the checksums of the weights. Raises
+    FileError.
+    """
     sums = {}
     for name, encoder in (("vision", fitted.vision), ("touch", fitted.touch)):
         tensors = {key: value.contiguous().numpy() for key, value in encoder.state_dict().items()}
@@ -314,7 +374,16 @@ def save_encoders(folder: Path, fitted: FitResult, recipe: Recipe, details: Mapp
 
 
 def load_encoders(folder: Path) -> AlignedEncoders:
-    """Raises FileError where the folder holds no such weights, WeightsError where they do not fit the record."""
+    """Load encoders from a folder.
+
+    Raises
+    ------
+    FileError
+        If the folder holds no such weights.
+    WeightsError
+        If the weights do not match the record.
+
+    """
     try:
         record = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))
         if record["format"] != MODEL_FORMAT:
@@ -323,7 +392,7 @@ def load_encoders(folder: Path) -> AlignedEncoders:
         shape = recipe["architecture"]
         architecture = Architecture(tuple(shape["blocks"]), int(shape["width"]), int(shape["outputs"]))
         data = {name: (folder / f"{name}.safetensors").read_bytes() for name in ("vision", "touch")}
-        states = {name: load_tensors(each)[0] for name, each in data.items()}
+        states = {name: load_tensors(content)[0] for name, content in data.items()}
         sums, pixels = record["sha256"], int(recipe["pixels"])
         str(record["sensor"])
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -348,5 +417,5 @@ def load_encoders(folder: Path) -> AlignedEncoders:
 
 
 def _space_indices(count: int, most: int) -> list[int]:
-    """Up to `most` of the numbers below count, the last among them."""
+    """Return up to `most` evenly spaced indices below count, including the last."""
     return sorted({count - 1 - (count - 1) * index // most for index in range(most)}) if count else []

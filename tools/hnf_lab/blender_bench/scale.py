@@ -1,4 +1,4 @@
-"""Cost against size: objects, faces, strokes, materials; and one touched object among a thousand, in pairs."""
+"""Bench of cost over scene size: objects, faces, strokes, materials; and one touched object among a thousand."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ OBJECTS, FACES, STROKES, SLOTS = (
 )
 QUICK_OBJECTS, QUICK_FACES, QUICK_STROKES, QUICK_SLOTS = (3,), (256,), (2,), (3,)
 LENGTH_M, QUICK_LENGTH_M = 0.03, 0.01
-"""Of a stroke: three close-ups, or one."""
+"""Length of a stroke [m]: three close-ups, or one in quick runs."""
 MAX_SEPARATE_STROKES = 100
-"""Strokes with places of their own: each takes its own close-ups, and a thousand of them a quarter of an hour."""
+"""Most strokes at separate positions; each needs its own close-ups, a thousand take a quarter of an hour."""
 EXTRA_OBJECTS, QUICK_EXTRA_OBJECTS = 999, 2
 MAX_SIZE_S = 240.0
 DRAW_REPEATS = 20
@@ -46,80 +46,83 @@ CROWD_KINDS = (("meshes of their own", True), ("one mesh", False))
 
 
 def measure_scale(options: BenchOptions) -> list[Row]:
-    """The pairs, then the curves. Raises HnfError without bpy. Empties the file that is open."""
+    """Measure the pairs, then the curves. Raises HnfError without bpy. Empties the open file."""
     require_bpy(SCALE_NAME)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        found = measure_among_others(options, folder)
+        rows = measure_among_others(options, folder)
         lines = (
             *make_object_sweeps(options, folder),
             *make_face_sweeps(options, folder),
             *make_touch_sweeps(options, folder),
             *make_panel_sweeps(options),
         )
-        return found + add_exponents([row for line in lines for row in run_sizes(SCALE_NAME, line, options)])
+        return rows + add_exponents([row for sweep in lines for row in run_sizes(SCALE_NAME, sweep, options)])
 
 
 def measure_among_others(options: BenchOptions, folder: Path) -> list[Row]:
-    """`hnf touch` on an open file, in turn: one object alone, among others with one mesh, with meshes of their own."""
+    """Measure `hnf touch` on an open file: one object alone, and among others.
+
+    The others share one mesh or have meshes of their own; the cases run in turn.
+    """
     others = QUICK_EXTRA_OBJECTS if options.quick else EXTRA_OBJECTS
-    ways: dict[str, Callable[[], None]] = {
+    cases: dict[str, Callable[[], None]] = {
         SINGLE_OBJECT: lambda: None,
         f"beside {others} with meshes of their own": lambda: add_crowd(others, own_meshes=True),
     }
     if not options.quick:
-        ways[f"beside {others} that share a mesh"] = lambda: add_crowd(others, own_meshes=False)
+        cases[f"beside {others} that share a mesh"] = lambda: add_crowd(others, own_meshes=False)
     files, length = {}, _get_stroke_length(options)
-    for number, (way, beside) in enumerate(ways.items()):
-        _make_scene(beside, length)
-        files[way] = folder / f"among-{number}.blend"
-        save_file(files[way])
+    for number, (case, add_others) in enumerate(cases.items()):
+        _make_scene(add_others, length)
+        files[case] = folder / f"among-{number}.blend"
+        save_file(files[case])
     if not options.quick:
-        measure_touch(files[SINGLE_OBJECT])  # what is made once in a process
-    runs: dict[str, list[Cost]] = {way: [] for way in ways}
+        measure_touch(files[SINGLE_OBJECT])  # warm up what is created once per process
+    runs: dict[str, list[Cost]] = {case: [] for case in cases}
     for repeat in range(options.repeats):
-        for way, file in files.items():
-            options.watch(f"{SCALE_NAME}: {way}, {repeat + 1} of {options.repeats}")
-            runs[way].append(measure_touch(file))
+        for case, file in files.items():
+            options.watch(f"{SCALE_NAME}: {case}, {repeat + 1} of {options.repeats}")
+            runs[case].append(measure_touch(file))
     alone = runs[SINGLE_OBJECT]
-    found = []
-    for way, made in runs.items():
-        ratio = Spread.from_values([mine.cpu / its.cpu for mine, its in zip(made, alone, strict=True)])
+    rows = []
+    for case, costs in runs.items():
+        ratio = Spread.from_values([own.cpu / base.cpu for own, base in zip(costs, alone, strict=True)])
         walls, cpus = (
-            Spread.from_values([cost.seconds for cost in made]),
-            Spread.from_values([cost.cpu for cost in made]),
+            Spread.from_values([cost.seconds for cost in costs]),
+            Spread.from_values([cost.cpu for cost in costs]),
         )
-        found.append(
+        rows.append(
             Row(
                 SCALE_NAME,
-                way,
+                case,
                 walls,
                 cpus,
-                None if way == SINGLE_OBJECT else ratio,
-                "" if way == SINGLE_OBJECT else SINGLE_OBJECT,
-                work=made[0].work,
+                None if case == SINGLE_OBJECT else ratio,
+                "" if case == SINGLE_OBJECT else SINGLE_OBJECT,
+                work=costs[0].work,
             )
         )
-    return found
+    return rows
 
 
 def make_object_sweeps(options: BenchOptions, folder: Path) -> list[Sweep]:
-    """`hnf touch` on an open file of one touched object and others."""
+    """Make sweeps of `hnf touch` on an open file with one touched object and a growing number of others."""
     sizes = QUICK_OBJECTS if options.quick else OBJECTS
     file = folder / "objects.blend"
 
-    def line(name: str, own_meshes: bool) -> Sweep:
+    def make_sweep(name: str, own_meshes: bool) -> Sweep:
         def prepare(count: int) -> None:
             _make_scene(lambda: add_crowd(count - 1, own_meshes), _get_stroke_length(options))
             save_file(file)
 
         return Sweep("objects", name, sizes, lambda count: measure_touch(file), MAX_SIZE_S, prepare)
 
-    return [line(name, own) for name, own in CROWD_KINDS[: 1 if options.quick else None]]
+    return [make_sweep(name, own) for name, own in CROWD_KINDS[: 1 if options.quick else None]]
 
 
 def make_face_sweeps(options: BenchOptions, folder: Path) -> list[Sweep]:
-    """A bake of the file that is open: one stroke on a plate of so many faces."""
+    """Make a sweep of a bake of the open file with one stroke on a plate with a growing number of faces."""
 
     def prepare(count: int) -> None:
         open_empty_file()
@@ -134,7 +137,7 @@ def make_face_sweeps(options: BenchOptions, folder: Path) -> list[Sweep]:
 
 
 def make_touch_sweeps(options: BenchOptions, folder: Path) -> list[Sweep]:
-    """The same with so many strokes, and with so many materials on the object, one of them touched."""
+    """Make sweeps over the number of strokes, and over the materials of the object, one of them touched."""
 
     def with_strokes(apart: bool) -> Callable[[int], None]:
         def prepare(count: int) -> None:
@@ -152,30 +155,30 @@ def make_touch_sweeps(options: BenchOptions, folder: Path) -> list[Sweep]:
         open_empty_file()
         add_strokes(1, add_relief_plate(64, slots=count), apart=False, length_m=_get_stroke_length(options))
 
-    many, slots = (QUICK_STROKES, QUICK_SLOTS) if options.quick else (STROKES, SLOTS)
-    few = tuple(size for size in many if size <= MAX_SEPARATE_STROKES)
+    counts, slots = (QUICK_STROKES, QUICK_SLOTS) if options.quick else (STROKES, SLOTS)
+    separate = tuple(size for size in counts if size <= MAX_SEPARATE_STROKES)
     bake = lambda count: measure_open_file_bake(folder)  # noqa: E731
     return [
-        Sweep("strokes", "over one place", many, bake, MAX_SIZE_S, with_strokes(apart=False)),
-        Sweep("strokes", "over places of their own", few, bake, MAX_SIZE_S, with_strokes(apart=True)),
+        Sweep("strokes", "over one place", counts, bake, MAX_SIZE_S, with_strokes(apart=False)),
+        Sweep("strokes", "over places of their own", separate, bake, MAX_SIZE_S, with_strokes(apart=True)),
         Sweep("materials", "on the touched object", slots, bake, MAX_SIZE_S, with_slots),
     ]
 
 
 def make_panel_sweeps(options: BenchOptions) -> list[Sweep]:
-    """The Touch tab drawn once, in scenes of so many objects, and of so many strokes."""
+    """Make sweeps of drawing the Touch tab once, over the number of objects and of strokes."""
 
-    def beside(count: int) -> None:
+    def prepare_objects(count: int) -> None:
         _make_scene(lambda: add_crowd(count - 1, own_meshes=False), QUICK_LENGTH_M)
 
-    def with_strokes(count: int) -> None:
+    def prepare_strokes(count: int) -> None:
         open_empty_file()
         add_strokes(count, add_relief_plate(8), apart=False, length_m=QUICK_LENGTH_M)
 
-    many = (QUICK_OBJECTS, QUICK_STROKES) if options.quick else (OBJECTS, STROKES)
+    counts = (QUICK_OBJECTS, QUICK_STROKES) if options.quick else (OBJECTS, STROKES)
     return [
-        Sweep("objects", "the tab drawn", many[0], lambda count: measure_tab_drawing(), MAX_SIZE_S, beside),
-        Sweep("strokes", "the tab drawn", many[1], lambda count: measure_tab_drawing(), MAX_SIZE_S, with_strokes),
+        Sweep("objects", "the tab drawn", counts[0], lambda count: measure_tab_drawing(), MAX_SIZE_S, prepare_objects),
+        Sweep("strokes", "the tab drawn", counts[1], lambda count: measure_tab_drawing(), MAX_SIZE_S, prepare_strokes),
     ]
 
 
@@ -190,7 +193,7 @@ def _get_stroke_length(options: BenchOptions) -> float:
 
 
 def measure_tab_drawing() -> Cost:
-    """The Touch tab of the file that is open, drawn while nothing changes; the mean of several times."""
+    """Measure drawing the Touch tab of the unchanged open file, mean of several times."""
     import bpy
 
     scene, layer = bpy.context.scene, bpy.context.view_layer
@@ -205,7 +208,7 @@ def measure_tab_drawing() -> Cost:
 
 
 def measure_touch(path: Path) -> Cost:
-    """`hnf touch` once path is open: what it costs. Raises HnfError where it fails."""
+    """Measure `hnf touch` after path was opened. Raises HnfError if it fails."""
     import bpy
 
     from hnf_blender.bridge.scene.suppress_output import suppress_output
@@ -216,51 +219,47 @@ def measure_touch(path: Path) -> Cost:
         bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
     with tempfile.TemporaryDirectory() as name:
         request = TouchRequest(scene=None, out=Path(name), as_json=True)
-        told = io.StringIO()
+        output = io.StringIO()
         clock = CostClock()
-        with contextlib.redirect_stdout(told), contextlib.redirect_stderr(io.StringIO()):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(io.StringIO()):
             code = run(request)
         cost = clock.read_cost({})
         if code != 0 or not read_previous_run(Path(name)).strokes:
-            raise HnfError(f"the run failed:\n{told.getvalue()[-1500:]}", where=SCALE_NAME)
-        return replace(cost, work=_count_work(_read_counts(told.getvalue())))
+            raise HnfError(f"the run failed:\n{output.getvalue()[-1500:]}", where=SCALE_NAME)
+        return replace(cost, work=_count_work(_read_counts(output.getvalue())))
 
 
 def measure_open_file_bake(folder: Path) -> Cost:
-    """Every stroke of the file that is open, read, described, synthesised and its tokens stored: what a bake does, its
-    cache empty. Raises HnfError where a stroke fails."""
+    """Measure a bake of the open file with an empty cache.
+
+    Every stroke is read, described and synthesised, and its tokens are stored. Raises HnfError if a stroke fails.
+    """
     import bpy
 
     from hnf_blender.bridge.stroke.read_stroke import list_strokes
     from hnf_blender.touch.bake_storage import store_tokens
     from hnf_blender.touch.report import Report
     from hnf_blender.touch.session import gather_curve_jobs, make_scene_session
-    from hnf_blender.touch.synthesise import bake_steps, synthesise_stroke
+    from hnf_blender.touch.synthesise import bake_strokes, synthesise_stroke
 
     bpy.context.view_layer.update()
     with tempfile.TemporaryDirectory(dir=folder) as cache:
         clock = CostClock()
         session = make_scene_session(bpy.context.scene, bpy.context.view_layer, folder)
-        found = gather_curve_jobs(session, list_strokes(session.scene))
-        report = Report("", session.metres_per_unit, "", failed=list(found.failed))
+        gathered = gather_curve_jobs(session, list_strokes(session.scene))
+        report = Report("", session.metres_per_unit, "", failed=list(gathered.failed))
 
-        def each(job: Any, described: Any) -> list[str]:
-            synthesise_stroke(described, session.field, job.seed, report.counts)
-            return []
+        def synthesise(job: Any, stroke: Any, start_stage: Any) -> None:
+            synthesise_stroke(stroke, session.field, job.seed, report.counts)
 
-        steps = bake_steps(session, found.jobs, Path(cache), report, each)
-        while True:
-            try:
-                next(steps)
-            except StopIteration as finished:
-                baked = finished.value
-                break
+        baked = bake_strokes(session, gathered.jobs, Path(cache), report, synthesise)
         for warning in store_tokens(baked):
             report.add_warning(warning)
         cost = clock.read_cost({})
     if report.failed or not baked:
         raise HnfError(
-            f"the bake failed: {[each.why for each in report.failed[:3]]}", where=f"{SCALE_NAME}, '{PLATE_NAME}'"
+            f"the bake failed: {[failed.why for failed in report.failed[:3]]}",
+            where=f"{SCALE_NAME}, '{PLATE_NAME}'",
         )
     return replace(cost, work=_count_work(vars(report.counts)))
 

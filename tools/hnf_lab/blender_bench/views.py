@@ -1,13 +1,10 @@
-"""Scenes to look at from all sides: two real ones where the data for development are, else a small one of ours.
+"""Bench of RGB-D views: the product's renders and BlenderProc's, by time and error; patches; depth; samples.
 
-Depth alone: rays of ours, and Cycles' own depth, against every triangle tried for every ray in float64.
-
-How many samples a close-up needs until the token that is predicted from its look no longer moves.
-
-RGB-D of the same cameras: ours and BlenderProc's way, time beside error; the touched patches alone; depth alone.
-
-Both render by the Cycles of this Blender, on all cores, with BlenderProc's light bounces, one seed, the scene opened
-anew for each. Error is the RMS of sRGB colour in 0–1 against 256 samples of another seed without a denoiser.
+All render with the Cycles of this Blender on all cores, with BlenderProc's light bounces and one seed, with the scene
+opened again for each. The error is the RMS of sRGB colour in 0–1 against 256 samples of another seed without a
+denoiser. Depth from rays and from Cycles is compared with a float64 reference that tests every triangle. A last part
+measures how many samples a close-up needs until the token predicted from it is stable. Two real scenes are used if the
+development data are present, else a small built-in one.
 """
 
 from __future__ import annotations
@@ -42,14 +39,14 @@ REAL_SCENES = (
     SCENE_DATA / "SheenChairScene" / "MixedLightingExample.gltf",
 )
 FLOOR_NAME = "Plane"
-"""Not what the cameras are to show."""
+"""Name of the floor, which the cameras do not frame."""
 MARGIN_PX = 8
-"""Around a patch, so that the denoiser sees what goes on beside it."""
+"""Margin around a patch that the denoiser needs [pixels]."""
 
 
 @dataclass(frozen=True)
 class Rectangle:
-    """Of pixels."""
+    """A rectangle of pixels."""
 
     left: int
     top: int
@@ -57,19 +54,19 @@ class Rectangle:
     height: int
 
     def crop(self, image: NDArray[Any]) -> NDArray[Any]:
-        """Of an image (H, W, …)."""
+        """Crop an image (H, W, …)."""
         return image[self.top : self.top + self.height, self.left : self.left + self.width]
 
 
 def list_scenes(quick: bool) -> dict[str, Callable[[], Any]]:
-    """Name → what opens it anew, lit, and returns it."""
+    """Return name → function that opens the scene again, with light, and returns it."""
     if quick or not all(path.is_file() for path in REAL_SCENES):
         return {"three balls": make_three_balls}
     return {path.parent.name: lambda path=path: _open_scene(path) for path in REAL_SCENES}  # type: ignore[misc]
 
 
 def make_three_balls() -> Any:
-    """Balls of 60 mm on a floor, under a lamp."""
+    """Make balls of 60 mm on a floor, under a lamp."""
     import bpy
 
     from hnf_blender.bridge.importers import open_empty_scene
@@ -78,8 +75,10 @@ def make_three_balls() -> Any:
     scene = bpy.context.scene
     _, floor = bpy.ops.mesh.primitive_plane_add(size=0.6), bpy.context.object
     floor.name = FLOOR_NAME
-    for place in (-0.08, 0.0, 0.08):
-        bpy.ops.mesh.primitive_uv_sphere_add(segments=24, ring_count=12, radius=0.03, location=(place, place / 2, 0.03))
+    for offset in (-0.08, 0.0, 0.08):
+        bpy.ops.mesh.primitive_uv_sphere_add(
+            segments=24, ring_count=12, radius=0.03, location=(offset, offset / 2, 0.03)
+        )
     lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "SUN"))
     scene.collection.objects.link(lamp)
     lamp.data.energy, lamp.rotation_euler = 2.0, (0.5, 0.3, 0.0)
@@ -88,7 +87,7 @@ def make_three_balls() -> Any:
 
 
 def place_cameras(scene: Any, count: int, width: int, height: int) -> list[Camera]:
-    """count cameras on a ring, three-quarter views of all that stands on the floor."""
+    """Place `count` cameras on a ring, with three-quarter views of everything on the floor."""
     from hnf_blender.bridge.render.cycles import make_overview_camera
     from hnf_blender.bridge.scene.bounding_boxes import get_world_box
 
@@ -105,7 +104,7 @@ def list_meshes(scene: Any) -> list[Any]:
 
 
 def find_patch(camera: Camera, depth: NDArray[np.float32]) -> Rectangle:
-    """What shows 20 mm of surface around the pixel nearest to the middle of the picture that shows any."""
+    """Return the rectangle with 20 mm of surface around the surface pixel nearest to the image centre."""
     rows, columns = np.nonzero(np.isfinite(depth))
     nearest = np.argmin((rows - camera.height / 2.0) ** 2 + (columns - camera.width / 2.0) ** 2)
     row, column = int(rows[nearest]), int(columns[nearest])
@@ -115,7 +114,7 @@ def find_patch(camera: Camera, depth: NDArray[np.float32]) -> Rectangle:
 
 
 def expand_rectangle(patch: Rectangle, camera: Camera) -> Rectangle:
-    """With MARGIN_PX around it, as far as the picture reaches."""
+    """Add MARGIN_PX on all sides, within the image."""
     left, top = max(0, patch.left - MARGIN_PX), max(0, patch.top - MARGIN_PX)
     right = min(camera.width, patch.left + patch.width + MARGIN_PX)
     bottom = min(camera.height, patch.top + patch.height + MARGIN_PX)
@@ -123,26 +122,26 @@ def expand_rectangle(patch: Rectangle, camera: Camera) -> Rectangle:
 
 
 def make_world_mesh(scene: Any) -> TriangleMesh:
-    """Every solid of the scene in one mesh, world metres."""
+    """Merge all meshes of the scene into one, in world metres."""
     from hnf_blender.bridge.scene.meshes import read_surface
 
     depsgraph = scene.view_layers[0].depsgraph
-    parts = [read_surface(obj, depsgraph, 1.0) for obj in list_meshes(scene)]
-    starts = np.cumsum([0, *(len(part.mesh.vertices) for part in parts)])
-    turned = [part.rigid[:3, :3] for part in parts]
+    solids = [read_surface(obj, depsgraph, 1.0) for obj in list_meshes(scene)]
+    starts = np.cumsum([0, *(len(solid.mesh.vertices) for solid in solids)])
+    turns = [solid.rigid[:3, :3] for solid in solids]
     return TriangleMesh(
         vertices=np.concatenate([
-            part.mesh.vertices @ turn.T + part.rigid[:3, 3] for part, turn in zip(parts, turned, strict=True)
+            solid.mesh.vertices @ turn.T + solid.rigid[:3, 3] for solid, turn in zip(solids, turns, strict=True)
         ]),
-        triangles=np.concatenate([part.mesh.triangles + start for part, start in zip(parts, starts, strict=False)]),
-        normals=np.concatenate([part.mesh.normals @ turn.T for part, turn in zip(parts, turned, strict=True)]),
-        face=np.concatenate([part.mesh.face for part in parts]),
-        slot=np.concatenate([part.mesh.slot for part in parts]),
+        triangles=np.concatenate([solid.mesh.triangles + start for solid, start in zip(solids, starts, strict=False)]),
+        normals=np.concatenate([solid.mesh.normals @ turn.T for solid, turn in zip(solids, turns, strict=True)]),
+        face=np.concatenate([solid.mesh.face for solid in solids]),
+        slot=np.concatenate([solid.mesh.slot for solid in solids]),
     )  # fmt: skip
 
 
 def _open_scene(path: Path) -> Any:
-    """Lit by a neutral dome where it has no light, as our pictures of it are."""
+    """Open a scene; add a neutral dome if it has no light, as the product does."""
     from hnf_blender.bridge.importers import open_scene
     from hnf_blender.bridge.render.lit_render import add_dome, is_lit
 
@@ -153,7 +152,7 @@ def _open_scene(path: Path) -> Any:
 
 
 REFERENCE_RAYS, QUICK_REFERENCE_RAYS = 250, 20
-"""Compared with the reference, of each camera."""
+"""Rays of each camera compared with the reference."""
 NO_DEPTH = 1e9
 
 Depths = list[NDArray[np.float32]]
@@ -162,7 +161,10 @@ Depths = list[NDArray[np.float32]]
 def measure_depth(
     bench: str, name: str, opened: Callable[[], Any], cameras: Sequence[Camera], options: BenchOptions
 ) -> list[Row]:
-    """BlenderProc's depth (one sample, no denoiser), Cycles' without light, and ours by rays: time, worst error."""
+    """Measure time and largest error of three kinds of depth.
+
+    They are BlenderProc's (one sample, no denoiser), Cycles' without light, and ray casting.
+    """
     from .blenderproc import render_as_blenderproc
 
     mesh = make_world_mesh(opened())
@@ -198,14 +200,14 @@ def measure_depth(
 def compute_reference(
     mesh: TriangleMesh, cameras: Sequence[Camera], count: int
 ) -> tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]:
-    """Flat pixel numbers and planar depths of count pixels of each camera that surely show a surface."""
+    """Return flat pixel indices and planar depths of `count` surface pixels of each camera."""
     rng = np.random.default_rng(0)
     geometry, caster = ReferenceGeometry(mesh), make_embree_caster(mesh)
     pixels, depths = [], []
     for camera in cameras:
         solid = np.flatnonzero(np.isfinite(cast_view(caster, mesh, camera).depth).ravel())
         chosen = rng.choice(solid, min(count, len(solid)), replace=False)
-        origins, directions = (each.reshape(-1, 3)[chosen] for each in camera.pixel_rays())
+        origins, directions = (rays.reshape(-1, 3)[chosen] for rays in camera.pixel_rays())
         pixels.append(chosen)
         depths.append(geometry.cast(origins, directions).distance)
     return pixels, depths
@@ -214,15 +216,15 @@ def compute_reference(
 def compute_depth_error(
     depths: Depths, pixels: Sequence[NDArray[np.int64]], true: Sequence[NDArray[np.float64]]
 ) -> tuple[float, float]:
-    """Median and 99.9 % of the relative error; where only one of the two sees a surface, 1."""
+    """Return the median and 99.9 % of the relative error; 1 if only one of the two sees a surface."""
     errors = []
     for depth, chosen, expected in zip(depths, pixels, true, strict=True):
-        found = depth.ravel()[chosen].astype(np.float64)
-        both = np.isfinite(expected) & (found < NO_DEPTH)
+        measured = depth.ravel()[chosen].astype(np.float64)
+        both = np.isfinite(expected) & (measured < NO_DEPTH)
         scale = np.where(np.isfinite(expected), expected, 1.0)
-        errors.append(np.where(both, np.abs(np.where(both, found, 0.0) - scale) / scale, 1.0))
-    median, most = np.percentile(np.concatenate(errors), [50.0, 99.9])
-    return float(median), float(most)
+        errors.append(np.where(both, np.abs(np.where(both, measured, 0.0) - scale) / scale, 1.0))
+    median, largest = np.percentile(np.concatenate(errors), [50.0, 99.9])
+    return float(median), float(largest)
 
 
 def _render_unlit_depth(scene: Any, cameras: Sequence[Camera]) -> Depths:
@@ -242,7 +244,7 @@ def _cast_depth(scene: Any, cameras: Sequence[Camera]) -> Depths:
 
 
 SAMPLES, QUICK_SAMPLES = (1, 4, 16, 64, 256), (1, 4, 16)
-"""The last is the reference."""
+"""Numbers of samples; the last is the reference."""
 CHAIR = SCENE_DATA / "SheenChairScene" / "MixedLightingExample.gltf"
 CHAIR_PARTS = ("SheenChair_wood", "SheenChair_label")
 MAX_TRIES = 20
@@ -250,16 +252,16 @@ TEXELS, PLATE_M = 256, 0.1
 
 
 def measure_appearance(bench: str, options: BenchOptions) -> list[Row]:
-    """For each material and number of samples: time of the close-up, and by how many dB its token's levels are off."""
+    """Measure, per material and number of samples, the time of the close-up and the level error of its token."""
     from hnf_blender.bridge.importers import open_scene
 
     if options.quick or not CHAIR.is_file():
         return _measure_object(bench, make_printed_plate(), "a printed plate", options)
-    found: list[Row] = []
+    rows: list[Row] = []
     for name in CHAIR_PARTS:
         options.watch(f"{bench}: the look of {name}")
-        found += _measure_object(bench, open_scene(CHAIR).objects[name], name, options)
-    return found
+        rows += _measure_object(bench, open_scene(CHAIR).objects[name], name, options)
+    return rows
 
 
 def _measure_object(bench: str, obj: Any, name: str, options: BenchOptions) -> list[Row]:
@@ -269,9 +271,9 @@ def _measure_object(bench: str, obj: Any, name: str, options: BenchOptions) -> l
     counts = QUICK_SAMPLES if options.quick else SAMPLES
     for samples in counts:
         wall, cpu = time.perf_counter(), time.process_time()
-        seen = close_up(samples)
+        view = close_up(samples)
         times[samples] = time.perf_counter() - wall, time.process_time() - cpu
-        tokens[samples] = _predict_token(seen)
+        tokens[samples] = _predict_token(view)
     return [
         Row(
             bench, f"look, {samples}", Spread.from_values([times[samples][0]]), Spread.from_values([times[samples][1]]),
@@ -283,13 +285,16 @@ def _measure_object(bench: str, obj: Any, name: str, options: BenchOptions) -> l
 
 
 def compute_level_error_db(token: Token, true: Token) -> float:
-    """The largest difference of a band's level that both know, in dB."""
+    """Return the largest level difference [dB] of a band known to both."""
     known = token.known[LEVELS] & true.known[LEVELS]
     return float(20.0 * np.abs(token.values[LEVELS] - true.values[LEVELS])[known].max())
 
 
 def _find_readable_patch(obj: Any) -> Callable[[int], Any]:
-    """Samples → the close-up of a place of obj whose picture can be read. Raises HnfError where there is none."""
+    """Return a function from samples to the close-up of a patch of obj with a usable image.
+
+    Raises HnfError if there is no such patch.
+    """
     import bpy
 
     from hnf_blender.bridge.render import closeup
@@ -298,21 +303,23 @@ def _find_readable_patch(obj: Any) -> Callable[[int], Any]:
     from hnf_blender.touch.bake_patches import ReliefPredictor
 
     surface = read_surface(obj, bpy.context.evaluated_depsgraph_get(), 1.0)
-    caster, seeing = make_ray_caster(surface.mesh), ReliefPredictor()
+    caster, predictor = make_ray_caster(surface.mesh), ReliefPredictor()
 
-    def sampled(place: Patch, samples: int) -> Any:
-        with patched.object(closeup, "configure_cycles", lambda scene, **_: configure_cycles(scene, samples)):
-            (found,) = closeup.iter_closeups(obj, [place], surface=surface, caster=caster)
-            return found
+    def render_closeup(patch: Patch, samples: int) -> Any:
+        with (
+            patched.object(closeup, "configure_cycles", lambda scene, **_: configure_cycles(scene, samples)),
+            closeup.CloseUpRenderer(obj, [patch], surface=surface, caster=caster) as renderer,
+        ):
+            return renderer.render(patch)
 
     corners = surface.mesh.corner_positions()
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
     for chosen in np.random.default_rng(0).choice(len(area), MAX_TRIES, p=area / area.sum()):
-        place = _make_patch(corners[chosen], normal[chosen] / area[chosen], int(surface.mesh.slot[chosen]))
-        seen = sampled(place, 1)
-        if seen.unlit is not None and seeing.make_views(seen.unlit, seen.mask, seen.metres_per_pixel):
-            return partial(sampled, place)
+        patch = _make_patch(corners[chosen], normal[chosen] / area[chosen], int(surface.mesh.slot[chosen]))
+        view = render_closeup(patch, 1)
+        if view.unlit is not None and predictor.make_views(view.unlit, view.mask, view.metres_per_pixel):
+            return partial(render_closeup, patch)
     raise HnfError(f"no place of '{obj.name}' has a picture that can be read.", where="views")
 
 
@@ -325,13 +332,13 @@ def _make_patch(corners: NDArray[np.float64], normal: NDArray[np.float64], slot:
 def _predict_token(closeup: Any) -> Token:
     from hnf_blender.touch.bake_patches import ReliefPredictor
 
-    seeing = ReliefPredictor()
-    views = seeing.make_views(closeup.unlit, closeup.mask, closeup.metres_per_pixel)
-    return seeing.predict(closeup.unlit, views, seed=1).token
+    predictor = ReliefPredictor()
+    views = predictor.make_views(closeup.unlit, closeup.mask, closeup.metres_per_pixel)
+    return predictor.predict(closeup.unlit, views, seed=1).token
 
 
 def make_printed_plate() -> Any:
-    """A plate of 100 mm under a picture of brown noise, 0.4 mm a texel."""
+    """Make a plate of 100 mm with an image of brown noise, 0.4 mm per texel."""
     import bpy
 
     from hnf_blender import compat
@@ -360,7 +367,7 @@ REFERENCE_SAMPLES, QUICK_REFERENCE_SAMPLES = 256, 16
 BLENDERPROC_SAMPLES, HNF_SAMPLES, PATCH_SAMPLES = (1, 4, 16), (1, 2, 4, 8), (16, 64)
 QUICK_BLENDERPROC_SAMPLES, QUICK_HNF_SAMPLES, QUICK_PATCH_SAMPLES = (1, 4), (1, 4), (4,)
 MIN_ERROR = 1e-6
-"""Of sRGB: a smaller error counts as this one."""
+"""Smallest error of sRGB; smaller ones count as this."""
 AT_EQUAL_ERROR = "BlenderProc's at equal error"
 
 Colours = list[NDArray[np.float32]]
@@ -368,8 +375,18 @@ Colours = list[NDArray[np.float32]]
 
 @dataclass
 class TimedRenders:
-    """One method. cpu: of all threads of this process. errors: of whole pictures, and inside the patches. peak_mb: of
-    the first time, beyond what was there."""
+    """Measurements of one method.
+
+    Attributes
+    ----------
+    cpus
+        Processor times of all threads of this process [s].
+    error, patch_error
+        Errors of complete images, and within the patches.
+    peak_mb
+        Memory of the first run beyond that before [MB].
+
+    """
 
     walls: list[float] = field(default_factory=list)
     cpus: list[float] = field(default_factory=list)
@@ -378,22 +395,22 @@ class TimedRenders:
     peak_mb: float | None = None
 
     def measure(self, function: Callable[[], Colours]) -> Colours:
-        def timed() -> Colours:
+        def run_timed() -> Colours:
             wall, cpu = time.perf_counter(), time.process_time()
-            found = function()
+            colours = function()
             self.walls.append(time.perf_counter() - wall)
             self.cpus.append(time.process_time() - cpu)
-            return found
+            return colours
 
-        found, peak = run_with_peak(timed)
+        colours, peak = run_with_peak(run_timed)
         if len(self.walls) == 1:
             self.peak_mb = peak
-        return found
+        return colours
 
 
 @dataclass(frozen=True)
 class ReferenceViews:
-    """What a scene looks like from its cameras, and where it is touched in each picture."""
+    """Reference colours of a scene's cameras, and the touched patch in each image."""
 
     cameras: list[Camera]
     colours: Colours
@@ -401,29 +418,33 @@ class ReferenceViews:
 
 
 def measure_views(options: BenchOptions) -> list[Row]:
-    """For each scene: BlenderProc's way and ours at several samples, patches alone, depth alone.
+    """Measure, for each scene, both ways at several samples, patches alone, and depth alone. Empties the open file.
 
-    Raises HnfError without bpy, or without Open Image Denoise. Empties the file that is open.
+    Raises
+    ------
+    HnfError
+        Without bpy or Open Image Denoise.
+
     """
     require_bpy(VIEWS_NAME)
-    import bpy  # noqa: F401  # it brings _cycles, which is asked for the denoiser
+    import bpy  # noqa: F401  # loads _cycles, which reports the denoiser
 
     from hnf_blender.compat import has_denoiser
 
     if not has_denoiser():
         raise HnfError("this Blender has no Open Image Denoise, which BlenderProc's way goes by.", where=VIEWS_NAME)
-    found: list[Row] = []
-    for name, opened in list_scenes(options.quick).items():
+    rows: list[Row] = []
+    for name, open_anew in list_scenes(options.quick).items():
         options.watch(f"{VIEWS_NAME}: {name}, the reference")
-        truth = render_reference(opened(), options.quick)
-        found += _measure_scene(name, opened, truth, options) + measure_depth(
-            VIEWS_NAME, name, opened, truth.cameras, options
+        truth = render_reference(open_anew(), options.quick)
+        rows += _measure_scene(name, open_anew, truth, options) + measure_depth(
+            VIEWS_NAME, name, open_anew, truth.cameras, options
         )
-    return found + measure_appearance(VIEWS_NAME, options)
+    return rows + measure_appearance(VIEWS_NAME, options)
 
 
 def render_reference(scene: Any, quick: bool) -> ReferenceViews:
-    """By our own path, undenoised, with a seed of its own."""
+    """Render the reference by the product's path, without denoiser and with another seed."""
     cameras = place_cameras(scene, CAMERA_COUNT, *(QUICK_IMAGE_SIZE if quick else IMAGE_SIZE))
     views = render_views(scene, cameras, QUICK_REFERENCE_SAMPLES if quick else REFERENCE_SAMPLES, denoise=False, seed=1)
     patches = [find_patch(camera, depth) for camera, (_, depth) in zip(cameras, views, strict=True)]
@@ -433,15 +454,15 @@ def render_reference(scene: Any, quick: bool) -> ReferenceViews:
 def render_views(
     scene: Any, cameras: Sequence[Camera], samples: int, denoise: bool = True, seed: int = 0
 ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Colour and depth as the product's pictures are made, but with BlenderProc's bounces."""
+    """Render colour and depth like the product, but with BlenderProc's bounces."""
     from hnf_blender.bridge.render.lit_render import OverviewRenderer
 
     from .blenderproc import limit_bounces
 
     with OverviewRenderer(scene, samples=samples, entire_scene=True) as overviews:
-        own = overviews.temporary.scene
-        limit_bounces(own)
-        own.cycles.use_denoising, own.cycles.seed = denoise, seed
+        temporary = overviews.temporary.scene
+        limit_bounces(temporary)
+        temporary.cycles.use_denoising, temporary.cycles.seed = denoise, seed
         views = [overviews.render_view(camera)[0] for camera in cameras]
     return [(view.rgb, view.depth) for view in views]
 
@@ -450,46 +471,52 @@ def _measure_scene(name: str, opened: Callable[[], Any], truth: ReferenceViews, 
     from .blenderproc import render_as_blenderproc
 
     cameras = truth.cameras
-    cut = [expand_rectangle(patch, camera) for patch, camera in zip(truth.patches, cameras, strict=True)]
-    near = [
-        camera.crop(each.left, each.top, each.width, each.height) for camera, each in zip(cameras, cut, strict=True)
+    rectangles = [expand_rectangle(patch, camera) for patch, camera in zip(truth.patches, cameras, strict=True)]
+    patch_cameras = [
+        camera.crop(each.left, each.top, each.width, each.height)
+        for camera, each in zip(cameras, rectangles, strict=True)
     ]
     counts = (
         (QUICK_BLENDERPROC_SAMPLES, QUICK_HNF_SAMPLES,
         QUICK_PATCH_SAMPLES) if options.quick else (BLENDERPROC_SAMPLES, HNF_SAMPLES, PATCH_SAMPLES)
     )  # fmt: skip
-    theirs, ours, on_patches = ({samples: TimedRenders() for samples in each} for each in counts)
-    plain = TimedRenders()
+    blenderproc, product, on_patches = ({samples: TimedRenders() for samples in count} for count in counts)
+    undenoised = TimedRenders()
     for repeat in range(options.repeats):
         options.watch(f"{VIEWS_NAME}: {name}, {repeat + 1} of {options.repeats}")
-        for samples, timed in theirs.items():
+        for samples, timed in blenderproc.items():
             scene = opened()
             colours = timed.measure(lambda: _get_colours(render_as_blenderproc(scene, cameras, samples)))  # noqa: B023
             _record_errors(timed, colours, truth)
         scene = opened()
-        most = counts[0][-1]
+        most_samples = counts[0][-1]
         _record_errors(
-            plain,
-            plain.measure(lambda: _get_colours(render_as_blenderproc(scene, cameras, most, False))),  # noqa: B023
+            undenoised,
+            undenoised.measure(lambda: _get_colours(render_as_blenderproc(scene, cameras, most_samples, False))),  # noqa: B023
             truth,
         )
-        for samples, timed in ours.items():
+        for samples, timed in product.items():
             scene = opened()
             _record_errors(timed, timed.measure(lambda: _get_colours(render_views(scene, cameras, samples))), truth)  # noqa: B023
         for samples, timed in on_patches.items():
             scene = opened()
-            colours = timed.measure(lambda: _get_colours(render_views(scene, near, samples)))  # noqa: B023
-            timed.patch_error = _compute_patch_error(colours, cut, truth)
+            colours = timed.measure(lambda: _get_colours(render_views(scene, patch_cameras, samples)))  # noqa: B023
+            timed.patch_error = _compute_patch_error(colours, rectangles, truth)
     note = f"{name}, {len(cameras)} views of {cameras[0].width} × {cameras[0].height}"
     return [
-        *(_make_row(f"BlenderProc's way, {samples}", each, note) for samples, each in theirs.items()),
-        _make_row(f"the same without its denoiser, {most}", plain, note),
+        *(_make_row(f"BlenderProc's way, {samples}", each, note) for samples, each in blenderproc.items()),
+        _make_row(f"the same without its denoiser, {most_samples}", undenoised, note),
         *(
-            _make_row(f"ours, {samples}", each, note, compute_ratio_at_equal_error(each, theirs, lambda one: one.error))
-            for samples, each in ours.items()
+            _make_row(
+                f"ours, {samples}",
+                each,
+                note,
+                compute_ratio_at_equal_error(each, blenderproc, lambda timed_renders: timed_renders.error),
+            )
+            for samples, each in product.items()
         ),
         *(
-            _make_patch_row(f"touched patches only, {samples}", each, theirs, f"{name}, one of 20 mm a view")
+            _make_patch_row(f"touched patches only, {samples}", each, blenderproc, f"{name}, one of 20 mm a view")
             for samples, each in on_patches.items()
         ),
     ]
@@ -498,16 +525,18 @@ def _measure_scene(name: str, opened: Callable[[], Any], truth: ReferenceViews, 
 def compute_ratio_at_equal_error(
     method: TimedRenders, rivals: dict[int, TimedRenders], error: Callable[[TimedRenders], float]
 ) -> Spread | None:
-    """Mine to theirs, repeat by repeat, of CPU: theirs' time where its error is mine, along its own curve of log time
-    over log error. Where mine is smaller than any of its errors, its slowest time counts, which flatters it; None where
-    mine is larger than all."""
+    """Return the ratio of processor times at equal error, repeat by repeat.
+
+    The other's time is interpolated along its curve of log time over log error. If the method's error is below all
+    others, the other's slowest time is used, in its favour; if it is above all others, the result is None.
+    """
     curve = sorted(rivals.values(), key=error)
-    errors = [max(error(each), MIN_ERROR) for each in curve]
+    errors = [max(error(rival), MIN_ERROR) for rival in curve]
     if error(method) > errors[-1]:
         return None
-    reached = np.log(max(error(method), MIN_ERROR))
-    times = np.array([each.cpus for each in curve])
-    theirs_s = [np.exp(np.interp(reached, np.log(errors), np.log(column))) for column in times.T]
+    log_error = np.log(max(error(method), MIN_ERROR))
+    times = np.array([rival.cpus for rival in curve])
+    theirs_s = [np.exp(np.interp(log_error, np.log(errors), np.log(column))) for column in times.T]
     return Spread.from_values(np.divide(method.cpus, theirs_s).tolist())
 
 
@@ -520,8 +549,8 @@ def _make_row(method: str, timed: TimedRenders, note: str, ratio: Spread | None 
 
 
 def _make_patch_row(method: str, timed: TimedRenders, rivals: dict[int, TimedRenders], note: str) -> Row:
-    ratio = compute_ratio_at_equal_error(timed, rivals, lambda one: one.patch_error)
-    least = min(each.patch_error for each in rivals.values())
+    ratio = compute_ratio_at_equal_error(timed, rivals, lambda renders: renders.patch_error)
+    least = min(rival.patch_error for rival in rivals.values())
     return Row(
         VIEWS_NAME, method, Spread.from_values(timed.walls), Spread.from_values(timed.cpus), ratio,
         AT_EQUAL_ERROR if ratio else "",
@@ -530,22 +559,22 @@ def _make_patch_row(method: str, timed: TimedRenders, rivals: dict[int, TimedRen
 
 
 def _record_errors(timed: TimedRenders, colours: Colours, reference: ReferenceViews) -> None:
-    whole = [Rectangle(0, 0, camera.width, camera.height) for camera in reference.cameras]
-    timed.error = _compute_patch_error(colours, whole, ReferenceViews(reference.cameras, reference.colours, whole))
-    timed.patch_error = _compute_patch_error(colours, whole, reference)
+    full = [Rectangle(0, 0, camera.width, camera.height) for camera in reference.cameras]
+    timed.error = _compute_patch_error(colours, full, ReferenceViews(reference.cameras, reference.colours, full))
+    timed.patch_error = _compute_patch_error(colours, full, reference)
 
 
 def _compute_patch_error(colours: Colours, rectangles: Sequence[Rectangle], reference: ReferenceViews) -> float:
-    """RMS of sRGB over the patches' pixels. shown: which pixels of the whole picture each colour holds."""
+    """Return the RMS of sRGB over the patches' pixels. rectangles: part of the image each colour covers."""
     differences = [
-        (to_srgb(crop_patch(rgb, patch, part)) - to_srgb(patch.crop(true))).ravel()
-        for rgb, true, patch, part in zip(colours, reference.colours, reference.patches, rectangles, strict=True)
+        (to_srgb(crop_patch(rgb, patch, shown)) - to_srgb(patch.crop(true))).ravel()
+        for rgb, true, patch, shown in zip(colours, reference.colours, reference.patches, rectangles, strict=True)
     ]
     return float(np.sqrt(np.mean(np.concatenate(differences) ** 2)))
 
 
 def crop_patch(rgb: NDArray[np.float32], patch: Rectangle, shown: Rectangle) -> NDArray[np.float32]:
-    """The pixels of a patch, where rgb shows only a part of the picture."""
+    """Return the pixels of a patch from an image that covers only the rectangle `shown`."""
     return Rectangle(patch.left - shown.left, patch.top - shown.top, patch.width, patch.height).crop(rgb)
 
 

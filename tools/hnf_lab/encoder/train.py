@@ -1,8 +1,7 @@
-"""Batches for E: membranes of the pairs, turned, scaled, lit by scattered lamps and seen through noise.
+"""Train the encoder E by regression on the band descriptor of the complete tile (`hnf train encoder`).
 
-Fit E: regression on the band descriptor of the whole tile, every output in units of its own spread.
-
-From pairs to an encoder: `hnf train encoder`, and how the shipped weights come about.
+Batches are membranes of the pairs, rotated, scaled, lit by perturbed lamps and with noise. Every output is in units of
+its spread. `train_encoder` goes from a folder of pairs to weights with metrics.
 """
 
 from __future__ import annotations
@@ -47,27 +46,27 @@ from .network import TorchAlexNet, load_backbone
 Single = NDArray[np.float32]
 
 LAMP_SET_COUNT = 256
-"""Scattered sensors of each make that batches choose from."""
+"""Number of perturbed sensors of each kind from which batches choose."""
 NOMINAL_LAMP_SHARE = 2 / 3
-"""Share of views under the lamps that the sensor's make names; the others under scattered ones."""
+"""Fraction of views under nominal lamps; the others have perturbed lamps."""
 BACKGROUND_ERROR = 0.02
 NOISE_SHARE, NOISE_LOG10 = 0.5, (-3.5, -1.6)
-"""Share of views with sensor noise, and log10 of its deviation (full scale 1), uniform."""
+"""Fraction of views with sensor noise, and range of log10 of its deviation (full scale 1), uniform."""
 SCALE_LOG10 = (-0.5, 0.1)
-"""Heights are multiplied by a factor, log-uniform: more levels than the tiles have."""
+"""Range of log10 of the height factor, uniform, for more levels than the tiles have."""
 ROTATED_SHARE = 0.75
-"""Share of the widest views turned by any angle: most materials lie along the axes of their tile."""
+"""Fraction of widest views rotated by any angle, since most materials are aligned with their tile."""
 UPSAMPLING = 2
 FAINT_DECADES = 3.0
-"""Levels further below the view's strongest band are taught as this far below: no picture shows them."""
+"""Levels further below the view's strongest band are clamped to this distance, as they are not visible."""
 QUARTER_TURN_SIGNS = np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
 MIRROR_SIGNS = np.array([1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
-"""What a quarter turn and a mirror (left and right) make of a band's features."""
+"""Signs of a band's features under a quarter turn and under a reflection (left and right)."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """views: (n, 3, 64, 64) of contrast 1. given: (n, CONDITIONS). target: (n, OUTPUTS)."""
+    """Views (n, 3, 64, 64) of contrast 1, conditions (n, CONDITION_COUNT), and targets (n, OUTPUT_COUNT)."""
 
     views: Tensor
     given: Tensor
@@ -76,7 +75,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class LampSets:
-    """shading: (makes, sets + 1, 3, 3), ambient: (makes, sets + 1, 3); the last set is the make's own."""
+    """Shading (sensors, sets + 1, 3, 3) and ambient (sensors, sets + 1, 3); the last set is nominal."""
 
     shading: Tensor
     ambient: Tensor
@@ -84,51 +83,54 @@ class LampSets:
 
 
 def draw_lamps(seed: int, sets: int = LAMP_SET_COUNT) -> LampSets:
-    """Sensors of both makes with scattered lamps."""
+    """Draw perturbed lamps for both sensors."""
     rng = np.random.default_rng(seed)
-    makes = tuple(SENSORS[name] for name in PAIR_SENSORS)
-    pieces = [[*(perturb_sensor(make, rng) for _ in range(sets)), make] for make in makes]
+    sensors = tuple(SENSORS[name] for name in PAIR_SENSORS)
+    variants = [[*(perturb_sensor(sensor, rng) for _ in range(sets)), sensor] for sensor in sensors]
     return LampSets(
-        torch.tensor(np.array([[each.shading for each in row] for row in pieces]), dtype=torch.float32),
-        torch.tensor(np.array([[each.ambient for each in row] for row in pieces]), dtype=torch.float32),
-        makes,
+        torch.tensor(np.array([[variant.shading for variant in row] for row in variants]), dtype=torch.float32),
+        torch.tensor(np.array([[variant.ambient for variant in row] for row in variants]), dtype=torch.float32),
+        sensors,
     )
 
 
 def make_batch(pairs: Pairs, rows: NDArray[np.intp], lamps: LampSets, rng: np.random.Generator) -> Batch:
-    """Views of the pairs (rows) under conditions drawn from rng."""
+    """Make a batch of the pairs' views (rows) with random augmentation."""
     count = len(rows)
-    make = rng.integers(0, len(PAIR_SENSORS), count)
+    sensor_index = rng.integers(0, len(PAIR_SENSORS), count)
     pitch = pairs.pitch_index[rows]
-    slopes = pairs.slopes[rows, make].astype(np.float32)
+    slopes = pairs.slopes[rows, sensor_index].astype(np.float32)
     scale = 10.0 ** rng.uniform(*SCALE_LOG10, count)
     slopes *= scale[:, None, None, None].astype(np.float32)
     for row in np.flatnonzero(pitch == 0):
-        # The widest view is the whole tile, which repeats: it can be shifted at will.
+        # The widest view is the complete periodic tile, so any cyclic shift is valid.
         slopes[row] = np.roll(slopes[row], tuple(rng.integers(0, 64, 2)), axis=(1, 2))
     turn, angle = rng.integers(0, 8, count), rng.uniform(-np.pi / 4.0, np.pi / 4.0, count)
     token = pairs.token[pairs.tile_index[rows]].astype(np.float64)
     slopes, token = apply_symmetry(slopes, token, turn)
-    whole = np.flatnonzero((pitch == 0) & (rng.random(count) < ROTATED_SHARE))
-    slopes[whole], token[whole] = rotate_views(slopes[whole], token[whole], angle[whole])
-    limit = np.array([sensor.max_slope for sensor in lamps.sensors], dtype=np.float32)[make]
+    rotated = np.flatnonzero((pitch == 0) & (rng.random(count) < ROTATED_SHARE))
+    slopes[rotated], token[rotated] = rotate_views(slopes[rotated], token[rotated], angle[rotated])
+    limit = np.array([sensor.max_slope for sensor in lamps.sensors], dtype=np.float32)[sensor_index]
     sets = lamps.shading.shape[1] - 1
     chosen = np.where(rng.random(count) < NOMINAL_LAMP_SHARE, sets, rng.integers(0, sets, count))
     nominal = rng.random(count) < 0.5
     image = shade_views(
-        torch.tensor(slopes), torch.tensor(limit), lamps.shading[make, chosen], lamps.ambient[make, chosen]
+        torch.tensor(slopes),
+        torch.tensor(limit),
+        lamps.shading[sensor_index, chosen],
+        lamps.ambient[sensor_index, chosen],
     )
-    told = np.where(nominal, sets, chosen)
-    background = lamps.shading[make, told][:, :, 2] + lamps.ambient[make, told]
+    background_set = np.where(nominal, sets, chosen)
+    background = lamps.shading[sensor_index, background_set][:, :, 2] + lamps.ambient[sensor_index, background_set]
     error = 1.0 + BACKGROUND_ERROR * rng.standard_normal((count, 3)) * (chosen != sets)[:, None]
-    noisy = (rng.random(count) < NOISE_SHARE) * 10.0 ** rng.uniform(*NOISE_LOG10, count)
+    noise_level = (rng.random(count) < NOISE_SHARE) * 10.0 ** rng.uniform(*NOISE_LOG10, count)
     noise = torch.tensor(rng.standard_normal(image.shape, dtype=np.float32))
-    image = image + noise * torch.tensor(noisy, dtype=torch.float32)[:, None, None, None]
+    image = image + noise * torch.tensor(noise_level, dtype=torch.float32)[:, None, None, None]
     views, contrast = normalise_views(image, background * torch.tensor(error, dtype=torch.float32))
     given = np.stack(
         [
             build_view_conditions(float(c), lamps.sensors[m], PITCHES_M[p])
-            for c, m, p in zip(contrast.numpy(), make, pitch, strict=True)
+            for c, m, p in zip(contrast.numpy(), sensor_index, pitch, strict=True)
         ]
     )
     target = clamp_faint_levels(encode_targets(token, contrast.numpy().astype(np.float64), pitch))
@@ -139,16 +141,18 @@ def make_batch(pairs: Pairs, rows: NDArray[np.intp], lamps: LampSets, rng: np.ra
 def apply_symmetry(
     slopes: Single, token: NDArray[np.float64], turn: NDArray[np.int64]
 ) -> tuple[Single, NDArray[np.float64]]:
-    """Slopes (n, 2, 64, 64) and tokens (n, TOKEN_DIM) of the surfaces after turn & 3 quarter turns counter-clockwise,
-    mirrored (left and right) before where turn & 4."""
+    """Transform slopes (n, 2, 64, 64) and tokens (n, TOKEN_DIM) by symmetries of the square.
+
+    They are mirrored left to right if turn & 4, then rotated counter-clockwise by turn & 3 quarter turns.
+    """
     slopes, token = slopes.copy(), token.copy()
     bands = token[:, :-2].reshape(len(token), -1, len(BAND_FEATURES))
-    for row, way in enumerate(turn):
+    for row, symmetry in enumerate(turn):
         gx, gy = slopes[row]
-        if way & 4:
+        if symmetry & 4:
             gx, gy = -gx[:, ::-1], gy[:, ::-1]
             bands[row] *= MIRROR_SIGNS
-        for _ in range(int(way) & 3):
+        for _ in range(int(symmetry) & 3):
             gx, gy = -np.rot90(gy), np.rot90(gx)
             bands[row] *= QUARTER_TURN_SIGNS
         slopes[row] = np.stack([gx, gy])
@@ -159,10 +163,9 @@ def apply_symmetry(
 def rotate_views(
     slopes: Single, token: NDArray[np.float64], angle: NDArray[np.float64]
 ) -> tuple[Single, NDArray[np.float64]]:
-    """The same as seen after a turn counter-clockwise by any angle in radians, for tiles that repeat.
+    """Rotate slopes and tokens counter-clockwise by any angle [rad], for tiles that repeat.
 
-    The tile is enlarged by its Fourier series before it is read by cubic splines, which then cost the shortest band
-    nothing that counts.
+    The tile is upsampled by its Fourier series before cubic interpolation, which then hardly affects the shortest band.
     """
     if not len(slopes):
         return slopes, token
@@ -173,27 +176,27 @@ def rotate_views(
     fine_spectrum[..., :half, :half] = spectrum[..., :half, :half]
     fine_spectrum[..., -half + 1 :, :half] = spectrum[..., half + 1 :, :half]
     fine = UPSAMPLING**2 * np.fft.irfft2(fine_spectrum, s=(fine_side, fine_side))
-    # A pixel's place, from the middle, in pixels: x to the right, y up.
+    # Position of a pixel relative to the centre [pixels]: x to the right, y up.
     along = np.arange(side) - (side - 1) / 2.0
     x, y = np.broadcast_arrays(along[None, :], -along[:, None])
     cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    places = UPSAMPLING * (np.stack([sin * x - cos * y, cos * x + sin * y], axis=1) + (side - 1) / 2.0)
-    seen = np.empty_like(slopes)
+    positions = UPSAMPLING * (np.stack([sin * x - cos * y, cos * x + sin * y], axis=1) + (side - 1) / 2.0)
+    sampled = np.empty_like(slopes)
     for index in np.ndindex(slopes.shape[:2]):
-        ndimage.map_coordinates(fine[index], places[index[0]], seen[index], order=3, mode="grid-wrap")
-    gx, gy = seen[:, 0], seen[:, 1]
+        ndimage.map_coordinates(fine[index], positions[index[0]], sampled[index], order=3, mode="grid-wrap")
+    gx, gy = sampled[:, 0], sampled[:, 1]
     narrow_cos, narrow_sin = cos.astype(np.float32), sin.astype(np.float32)
-    out = np.stack([narrow_cos * gx - narrow_sin * gy, narrow_sin * gx + narrow_cos * gy], axis=1)
+    rotated = np.stack([narrow_cos * gx - narrow_sin * gy, narrow_sin * gx + narrow_cos * gy], axis=1)
     bands = token[:, :-2].reshape(len(token), -1, len(BAND_FEATURES)).copy()
     for fold, first in ((2, 1), (4, 3)):
         c, s = np.cos(fold * angle)[:, None], np.sin(fold * angle)[:, None]
         even, odd = bands[:, :, first].copy(), bands[:, :, first + 1].copy()
         bands[:, :, first], bands[:, :, first + 1] = c * even - s * odd, s * even + c * odd
-    return out, np.concatenate([bands.reshape(len(token), -1), token[:, -2:]], axis=1)
+    return rotated, np.concatenate([bands.reshape(len(token), -1), token[:, -2:]], axis=1)
 
 
 def shade_views(slopes: Tensor, limit: Tensor, shading: Tensor, ambient: Tensor) -> Tensor:
-    """(n, 3, 64, 64) sensor images, as tactile.optics.shade, of slopes (n, 2, 64, 64) held at limit (n,)."""
+    """Return (n, 3, 64, 64) sensor images, as optics.shade, of slopes (n, 2, 64, 64) clamped to limit (n,)."""
     length = slopes.square().sum(dim=1, keepdim=True).sqrt()
     slopes = slopes * torch.clamp(limit[:, None, None, None] / length.clamp(min=1e-9), max=1.0)
     upward = torch.ones_like(length)
@@ -202,7 +205,7 @@ def shade_views(slopes: Tensor, limit: Tensor, shading: Tensor, ambient: Tensor)
 
 
 def normalise_views(image: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
-    """Twin of material.alexnet.network.view_input for batches (n, 3, 64, 64), background (n, 3)."""
+    """Normalise images (n, 3, 64, 64) like the run-time encoder; background: (n, 3)."""
     relative = image / background[:, :, None, None] - 1.0
     basis = torch.tensor(plane_basis(image.shape[2], image.shape[3]), dtype=torch.float32)
     weights = torch.einsum("hwk,nchw->nck", basis, relative)
@@ -212,11 +215,11 @@ def normalise_views(image: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def clamp_faint_levels(target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, OUTPUTS) with no level further than FAINT_DECADES below the strongest of its view."""
-    out = target.copy()
-    levels = out[:, LEVEL_INDICES]
-    out[:, LEVEL_INDICES] = np.maximum(levels, levels.max(axis=1, keepdims=True) - FAINT_DECADES)
-    return out
+    """Return targets (n, OUTPUT_COUNT) with levels at most FAINT_DECADES below the view's strongest."""
+    clamped = target.copy()
+    levels = clamped[:, LEVEL_INDICES]
+    clamped[:, LEVEL_INDICES] = np.maximum(levels, levels.max(axis=1, keepdims=True) - FAINT_DECADES)
+    return clamped
 
 
 ProgressCallback = Callable[[int, float, float], None]
@@ -224,9 +227,23 @@ ProgressCallback = Callable[[int, float, float], None]
 
 @dataclass(frozen=True)
 class Schedule:
-    """steps of `batch` views, or `minutes` where they are sooner over (None: steps alone, and then the same seed gives
-    the same weights on the same machine). learning_rate: its peak; warm_up: share of the run until there, then a
-    cosine down to nothing. level_weight: of the levels against the other outputs. narrow: convolutions in bfloat16.
+    """Schedule of a training.
+
+    Attributes
+    ----------
+    steps
+        Number of steps.
+    minutes
+        Time after which training ends, if sooner; None: results are reproducible on one machine.
+    batch
+        Views per step.
+    learning_rate
+        Peak rate; it rises over the fraction `warm_up` of the run, then falls as a cosine to 0.
+    level_weight
+        Weight of the levels relative to the other outputs.
+    narrow
+        Convolutions in bfloat16.
+
     """
 
     steps: int = 12000
@@ -240,10 +257,10 @@ class Schedule:
 
 
 STATISTICS_VIEWS, INITIALISATION_VIEWS = 1024, 256
-"""Views that the units of the outputs, and the scale of the first weights, are taken from."""
+"""Views for the units of the outputs, and for the scale of the initial weights."""
 SMALLEST_SPREAD = 0.02
 HUBER_DELTA = 0.2
-"""In units of spread: below it errors count as squares, above as they are: chance peaks must not lead."""
+"""Error above which the loss is linear, in units of spread, so that outliers do not dominate."""
 
 
 def fit_encoder(
@@ -257,11 +274,32 @@ def fit_encoder(
     refresh: Callable[[], Pairs] | None = None,
     watch: ProgressCallback | None = None,
 ) -> TorchAlexNet:
-    """Train the whole network, or with a trunk (torchvision's names) the head alone, the trunk as it is.
+    """Train the complete network, or only the head on a fixed backbone.
 
-    start: an encoder of the same design to go on from, with its units. refresh: asked for the pairs of every further
-    epoch, for a folder that still grows. watch(step, share done, mean loss of the last steps) is called about a hundred
-    times.
+    Parameters
+    ----------
+    design
+        Configuration of the network.
+    pairs
+        Training pairs.
+    schedule
+        Length and rates.
+    seed
+        Seed of weights and augmentation.
+    backbone
+        Fixed weights with torchvision's names.
+    start
+        Encoder of the same design to continue from, with its units.
+    refresh
+        Returns the pairs for every further epoch, for a folder that still grows.
+    watch
+        Progress callback (step, progress, mean loss of the last steps), called about a hundred times.
+
+    Returns
+    -------
+    TorchAlexNet
+        The trained network.
+
     """
     torch.set_num_threads(1)
     twin = TorchAlexNet(design)
@@ -275,14 +313,14 @@ def fit_encoder(
     else:
         twin.load_state_dict({name: torch.tensor(value) for name, value in start.tensors.items()})
     twin.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    learnt = [parameter for parameter in twin.parameters() if parameter.requires_grad]
-    optimiser = torch.optim.AdamW(learnt, lr=schedule.learning_rate, weight_decay=schedule.decay)
+    trainable = [parameter for parameter in twin.parameters() if parameter.requires_grad]
+    optimiser = torch.optim.AdamW(trainable, lr=schedule.learning_rate, weight_decay=schedule.decay)
     rng = np.random.default_rng([seed, 1])
     rows = np.zeros(0, dtype=np.intp)
-    began, step, told, losses = time.monotonic(), 0, 0.0, []
-    while (done := _compute_progress(schedule, step, time.monotonic() - began)) < 1.0:
+    start_time, step, next_report, losses = time.monotonic(), 0, 0.0, []
+    while (progress := _compute_progress(schedule, step, time.monotonic() - start_time)) < 1.0:
         for group in optimiser.param_groups:
-            group["lr"] = schedule.learning_rate * _compute_rate_factor(done, schedule.warm_up)
+            group["lr"] = schedule.learning_rate * _compute_rate_factor(progress, schedule.warm_up)
         if len(rows) < schedule.batch:
             if refresh is not None and step:
                 pairs, rows = refresh(), rows[:0]
@@ -290,32 +328,32 @@ def fit_encoder(
         batch = make_batch(pairs, rows[: schedule.batch], lamps, rng)
         rows = rows[schedule.batch :]
         with torch.autocast("cpu", torch.bfloat16, enabled=schedule.narrow):
-            found = twin(batch.views, batch.given)
-        loss = compute_loss(twin, found, batch.target, schedule.level_weight)
+            outputs = twin(batch.views, batch.given)
+        loss = compute_loss(twin, outputs, batch.target, schedule.level_weight)
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(learnt, 1.0)
+        torch.nn.utils.clip_grad_norm_(trainable, 1.0)
         optimiser.step()
         losses.append(float(loss.detach()))
         step += 1
-        if watch is not None and done >= told:
-            watch(step, done, float(np.mean(losses)))
-            told, losses = done + 0.01, []
+        if watch is not None and progress >= next_report:
+            watch(step, progress, float(np.mean(losses)))
+            next_report, losses = progress + 0.01, []
     twin.eval()
     return twin
 
 
 def compute_loss(network: TorchAlexNet, found: Tensor, target: Tensor, level_weight: float) -> Tensor:
-    """Mean Huber loss over outputs in units of spread, levels weighted."""
-    wanted = (target - network.output_mean) / network.output_spread
+    """Return the mean Huber loss over outputs in units of spread, with weighted levels."""
+    expected = (target - network.output_mean) / network.output_spread
     weight = torch.ones(OUTPUT_COUNT)
     weight[list(LEVEL_INDICES)] = level_weight
-    each = functional.huber_loss(found, wanted, reduction="none", delta=HUBER_DELTA) / HUBER_DELTA
-    return (each * weight).mean() / weight.mean()
+    losses = functional.huber_loss(found, expected, reduction="none", delta=HUBER_DELTA) / HUBER_DELTA
+    return (losses * weight).mean() / weight.mean()
 
 
 def _initialise_outputs(network: TorchAlexNet, pairs: Pairs, lamps: LampSets, seed: int) -> None:
-    """Units of the outputs, and layers that start where they can learn."""
+    """Set the units of the outputs, and scale the layers for the start."""
     rng = np.random.default_rng([seed, 2])
     batch = make_batch(pairs, rng.integers(0, len(pairs), STATISTICS_VIEWS), lamps, rng)
     network.output_mean.copy_(batch.target.mean(dim=0))
@@ -337,14 +375,14 @@ def _compute_rate_factor(done: float, warm_up: float) -> float:
 LICENCE = "GPL-3.0-or-later"
 USER_BACKBONE_LICENCE = "the trunk's own terms apply; the head: GPL-3.0-or-later"
 EVALUATED_VIEWS = 400
-"""Views of held-out instances that the metrics in the weights come from."""
+"""Number of held-out views for the metrics stored in the weights."""
 USER_BACKBONE_PIXELS = 128
-"""Views are enlarged to this for a trunk that was trained on photographs of 224 pixels."""
+"""Side to which views are enlarged for a backbone trained on photographs of 224 pixels."""
 
 
 @dataclass(frozen=True)
 class TrainedEncoder:
-    """errors: on held-out instances, None where the folder has none."""
+    """A trained encoder. errors: on held-out instances, None if the folder has none."""
 
     network: AlexNet
     errors: TokenErrors | None
@@ -361,10 +399,34 @@ def train_encoder(
     partial: bool = False,
     watch: ProgressCallback | None = None,
 ) -> TrainedEncoder:
-    """Train on the pairs in folder: everything, or with a trunk file the head alone. Raises FileError, WeightsError.
+    """Train on the pairs in a folder: the complete network, or only the head on a backbone file.
 
-    start: an encoder to go on from. partial: train on the shards that are there, and take in at every epoch what has
-    come since.
+    Parameters
+    ----------
+    folder
+        Folder of training pairs.
+    schedule
+        Length and rates.
+    seed
+        Seed of weights and augmentation.
+    backbone
+        File of fixed backbone weights.
+    design
+        Configuration of the network.
+    start
+        Encoder to continue from.
+    partial
+        Train on the shards present, and reload them at every epoch.
+    watch
+        Progress callback, see fit_encoder.
+
+    Raises
+    ------
+    FileError
+        If pairs or the backbone cannot be read.
+    WeightsError
+        If the backbone does not fit.
+
     """
     pairs = load_pairs(folder, TRAIN, partial=partial)
     if backbone is None:
@@ -378,12 +440,12 @@ def train_encoder(
         weights, digest = load_backbone(backbone)
         source = f"trunk of {backbone.name} (SHA-256 {digest}) as it is, head trained"
 
-    def there_now() -> Pairs:
+    def reload_pairs() -> Pairs:
         nonlocal pairs
         pairs = load_pairs(folder, TRAIN, partial=True)
         return pairs
 
-    refresh = there_now if partial else None
+    refresh = reload_pairs if partial else None
     twin = fit_encoder(design, pairs, schedule, seed, backbone=weights, start=start, refresh=refresh, watch=watch)
     metadata = {
         "training_data": f"{len(pairs)} views of {pairs.tiles} tiles made by this project's generator of surfaces; "
@@ -395,18 +457,20 @@ def train_encoder(
     network = twin.to_numpy(metadata)
     errors = _evaluate_held_out(network, folder, partial)
     if errors is not None:
-        words = f"single views of held-out instances against their whole tiles: {format_errors(errors)}"
-        network = AlexNet(network.config, network.tensors, {**metadata, "metrics": words})
+        metrics = f"single views of held-out instances against their whole tiles: {format_errors(errors)}"
+        network = AlexNet(network.config, network.tensors, {**metadata, "metrics": metrics})
     return TrainedEncoder(network, errors)
 
 
 def _evaluate_held_out(network: AlexNet, folder: Path, partial: bool) -> TokenErrors | None:
     try:
-        held = load_pairs(folder, HELD_OUT_INSTANCES, partial=partial)
+        held_out = load_pairs(folder, HELD_OUT_INSTANCES, partial=partial)
     except FileError:
         if partial:
             return None
         raise
-    # Chosen at random: views of one pitch stand at equal distances.
-    rows = sorted(np.random.default_rng(0).permutation(len(held))[:EVALUATED_VIEWS].tolist())
-    return evaluate_encoder(Encoder(ALEXNET_ID, "", lambda each: describe_with_alexnet(network, each)), held, rows)
+    # A random choice, since views of one pitch are at equal intervals.
+    rows = sorted(np.random.default_rng(0).permutation(len(held_out))[:EVALUATED_VIEWS].tolist())
+    return evaluate_encoder(
+        Encoder(ALEXNET_ID, "", lambda tactile_map: describe_with_alexnet(network, tactile_map)), held_out, rows
+    )

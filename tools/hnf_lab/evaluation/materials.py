@@ -1,8 +1,8 @@
-"""Does a method know which way the hand goes? Spectra by direction on one anisotropic material (HNF, fig. 5).
+"""Evaluate all methods on one material: training recordings, references, scores, and spectra by direction.
 
-Methods on materials that can be stroked anew: each learns from its own diet, judged on strokes it never met.
-
-One material of the evaluation as a job of its own, so that two cores work on two of them.
+Every method is trained on its own kind of strokes and scored on strokes that are not among them (`evaluate_material`).
+`run_jobs` evaluates several materials in worker processes. `DirectionSpectra` compares spectra by stroke direction on
+an anisotropic material (as in HNF, fig. 5).
 """
 
 from __future__ import annotations
@@ -51,12 +51,23 @@ from .scoring import (
 Float = NDArray[np.float64]
 
 DIRECTION_COUNT = 8
-"""Over half a circle, 22.5° apart: there and back feel nearly the same."""
+"""Directions over half a circle, 22.5° apart; opposite directions feel nearly the same."""
 
 
 @dataclass(frozen=True)
 class DirectionSpectra:
-    """angle: (8,) rad. truth: (8, 501) long-run densities. methods: name → (8, 501)."""
+    """Spectra by stroke direction.
+
+    Attributes
+    ----------
+    angle
+        (8,) directions [rad].
+    truth
+        (8, 501) long-run densities.
+    methods
+        Method → (8, 501) densities.
+
+    """
 
     material: str
     speed: float
@@ -66,7 +77,7 @@ class DirectionSpectra:
     methods: Mapping[str, Float]
 
     def compute_anisotropy_db(self) -> float:
-        """Largest RMS level ratio of two directions' spectra, over the bins that count in both."""
+        """Return the largest RMS level ratio of two directions' spectra over the bins valid in both."""
         return max(
             _compute_rms(_compute_ratio_db(self.truth, i, j), self._count_bins(i, j))
             for i in range(DIRECTION_COUNT)
@@ -74,7 +85,7 @@ class DirectionSpectra:
         )
 
     def compute_ratio_error_db(self, name: str) -> float:
-        """RMS error of the level ratio of each direction's spectrum to the first one's."""
+        """Return the RMS error of the level ratio of each direction's spectrum to the first one's."""
         spectra = self.methods[name]
         errors = [
             _compute_rms(_compute_ratio_db(spectra, i, 0) - _compute_ratio_db(self.truth, i, 0), self._count_bins(i, 0))
@@ -94,7 +105,10 @@ def measure_directions(
     draws: int,
     seed: int,
 ) -> DirectionSpectra:
-    """Steady strokes at the middle speed and force in eight directions: `draws` of the truth and of each method."""
+    """Measure spectra of steady strokes at middle speed and force in eight directions.
+
+    `draws` realisations of the true process and of each method are averaged.
+    """
     speed, force = (float(np.sqrt(low * high)) for low, high in (limits.speed_m_s, limits.force_n))
     angle = np.arange(DIRECTION_COUNT) * np.pi / DIRECTION_COUNT
     actions = [make_steady_action(seconds, speed, force, float(each)) for each in angle]
@@ -110,7 +124,7 @@ def measure_directions(
 
 
 def _average_spectra(signals: list[Float]) -> Float:
-    spectra = np.stack([welch(each, RATE_HZ)[1] for each in signals])
+    spectra = np.stack([welch(signal, RATE_HZ)[1] for signal in signals])
     return np.asarray(spectra.reshape(DIRECTION_COUNT, len(signals) // DIRECTION_COUNT, -1).mean(axis=1))
 
 
@@ -124,15 +138,30 @@ def _compute_rms(values: Float, bins: NDArray[np.bool_]) -> float:
 
 
 ProgressCallback = Callable[[str], None]
+"""Receives the name of the current step."""
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class EvaluationSizes:
-    """seconds: of each judged stroke. realisations: of the true process per stroke, for limits and long-run spectrum.
-    renders: of each method, averaged (seconds × renders = 8 s is what the bars speak of). training_s: of recordings
-    that a method learns from. simulated, hatt, held_out: materials of each kind. known: trained materials that stand
-    beside the held-out ones; None = all."""
+    """Sizes of an evaluation.
+
+    Attributes
+    ----------
+    seconds
+        Duration of each test stroke [s].
+    realisations
+        Realisations of the true process per stroke, for bounds and long-run spectrum.
+    renders
+        Averaged renderings of each method; the pass criteria refer to seconds × renders = 8 s.
+    training_s
+        Duration of the recordings that a method is trained on [s].
+    simulated, hatt, held_out
+        Number of materials of each kind.
+    known
+        Number of trained materials compared with the held-out ones; None = all.
+
+    """
 
     seconds: float = 4.0
     realisations: int = 32
@@ -146,7 +175,7 @@ class EvaluationSizes:
 
 @dataclass(frozen=True)
 class EvaluatedMaterial:
-    """A material under evaluation. known: which parts of u(t) its recordings may claim to know."""
+    """A material under evaluation. known: components of u(t) that its recordings contain."""
 
     process: TextureProcess
     limits: ActionRange
@@ -158,7 +187,7 @@ class EvaluatedMaterial:
 
 @dataclass(frozen=True)
 class MaterialResult:
-    """A material's references by kind of stroke, and what every method made of them."""
+    """References of a material by kind of stroke, and the scores and fits of every method."""
 
     references: dict[str, list[Reference]]
     cells: dict[str, dict[str, list[Cell]]]
@@ -175,65 +204,91 @@ def evaluate_material(
     seed: int,
     watch: ProgressCallback,
 ) -> MaterialResult:
-    """All entries on one material. One that fails is named in the notes and does not cost the others."""
+    """Evaluate all entries on one material. A method that fails is reported in the notes and skipped.
+
+    Parameters
+    ----------
+    subject
+        Material and true process.
+    entries
+        Methods.
+    sizes, budget
+        Amounts of data and training.
+    seed
+        Seed of strokes, recordings, training and rendering.
+    watch
+        Progress callback.
+
+    Returns
+    -------
+    MaterialResult
+        References, scores, times and fitted methods.
+
+    """
     name = subject.process.name
     watch(f"{name}: the true process")
-    planned = make_trials(subject.limits, sizes.seconds, seed)
-    drawn = make_references(
-        subject.process, [(each.name, each.action) for each in planned], 77 + seed, sizes.realisations, sizes.renders
+    trials = make_trials(subject.limits, sizes.seconds, seed)
+    references = make_references(
+        subject.process, [(item.name, item.action) for item in trials], 77 + seed, sizes.realisations, sizes.renders
     )
     cells = {
-        "oracle": _group_by_kind(planned, [_make_natural_cell(each.oracle, each) for each in drawn]),
-        "best": _group_by_kind(planned, [Cell(each.material, each.stroke, score_best(each)) for each in drawn]),
+        "oracle": _group_by_kind(trials, [_make_natural_cell(item.oracle, item) for item in references]),
+        "best": _group_by_kind(trials, [Cell(item.material, item.stroke, score_best(item)) for item in references]),
     }
     seconds, notes = {"oracle": 0.0, "best": 0.0}, []
     fitted: dict[str, FittedMaterial] = {}
-    diets: dict[TrainingStrokes, tuple[Recording, ...]] = {}
+    recordings_by_kind: dict[TrainingStrokes, tuple[Recording, ...]] = {}
     for entry in entries:
         if entry.needs_token and subject.token is None:
             continue
         watch(f"{name}: {entry.key}")
         try:
-            if entry.needs_recordings and entry.reuses not in fitted and entry.training_strokes not in diets:
-                diets[entry.training_strokes] = record_training_strokes(
+            if (
+                entry.needs_recordings
+                and entry.reuses not in fitted
+                and entry.training_strokes not in recordings_by_kind
+            ):
+                recordings_by_kind[entry.training_strokes] = record_training_strokes(
                     subject, entry.training_strokes, sizes.training_s, seed
                 )
-            began = time.monotonic()
+            start = time.monotonic()
             method = entry.build(budget)
-            fitted[entry.key] = _fit_method(entry, method, subject, diets.get(entry.training_strokes, ()), fitted, seed)
-            made = score_method(method, fitted[entry.key], drawn, sizes.renders, seed)
-            cells[entry.key] = _group_by_kind(planned, made)
-            seconds[entry.key] = time.monotonic() - began
+            fitted[entry.key] = _fit_method(
+                entry, method, subject, recordings_by_kind.get(entry.training_strokes, ()), fitted, seed
+            )
+            method_cells = score_method(method, fitted[entry.key], references, sizes.renders, seed)
+            cells[entry.key] = _group_by_kind(trials, method_cells)
+            seconds[entry.key] = time.monotonic() - start
         except (HnfError, ValueError) as error:
             notes.append(f"{entry.key} on {name}: {error}")
-    return MaterialResult(_group_by_kind(planned, drawn), cells, seconds, fitted, tuple(notes))
+    return MaterialResult(_group_by_kind(trials, references), cells, seconds, fitted, tuple(notes))
 
 
 def record_training_strokes(
     subject: EvaluatedMaterial, training_strokes: TrainingStrokes, seconds: float, seed: int
 ) -> tuple[Recording, ...]:
-    """What a method learns from: the true process on its diet."""
+    """Record the true process on the training strokes of a method."""
     actions = make_training_actions(training_strokes, subject.limits, seconds, seed)
-    out: list[Recording] = []
+    recordings: list[Recording] = []
     for group, length in enumerate(sorted({len(action.speed) for action in actions})):
-        same = [action for action in actions if len(action.speed) == length]
-        out += subject.process.record(same, 500_000 + 1000 * seed + group)
-    return tuple(replace(each, known=subject.known) for each in out)
+        equally_long = [action for action in actions if len(action.speed) == length]
+        recordings += subject.process.record(equally_long, 500_000 + 1000 * seed + group)
+    return tuple(replace(recording, known=subject.known) for recording in recordings)
 
 
 def make_column(key: str, title: str, note: str, kinds: Sequence[str], results: Sequence[MaterialResult],
            entries: Sequence[MethodEntry], budget: Budget) -> Column:  # fmt: skip
-    """One column of the table from judged materials: limits first, then every entry that took part."""
+    """Build one column of the table from evaluated materials: bounds first, then every entry that took part."""
     rows = []
     for row_key in ("oracle", "best", *(entry.key for entry in entries)):
-        cells = [cell for each in results for kind in kinds for cell in each.cells.get(row_key, {}).get(kind, [])]
+        cells = [cell for result in results for kind in kinds for cell in result.cells.get(row_key, {}).get(kind, [])]
         if not cells:
             continue
         method = next((entry.build(budget) for entry in entries if entry.key == row_key), None)
         name = method.name if method else {"oracle": ORACLE_NAME, "best": BEST_NAME}[row_key]
         form = method.form if method else {"oracle": "natural", "best": "expected magnitude"}[row_key]
-        spent = sum(each.seconds.get(row_key, 0.0) for each in results)
-        rows.append(Row(row_key, name, form, tuple(cells), spent))  # type: ignore[arg-type]
+        seconds = sum(result.seconds.get(row_key, 0.0) for result in results)
+        rows.append(Row(row_key, name, form, tuple(cells), seconds))  # type: ignore[arg-type]
     return Column(key, title, note, tuple(rows))
 
 
@@ -245,18 +300,20 @@ def _fit_method(
     fitted: dict[str, FittedMaterial],
     seed: int,
 ) -> FittedMaterial:
-    shown = fitted.get(entry.reuses)
-    if isinstance(shown, FittedField):
-        return replace(shown, form=method.form)
-    specimen = MaterialRecordings(subject.process.name, recordings, subject.token, subject.mechanics, subject.category)
-    return method.fit(specimen, seed)
+    reused = fitted.get(entry.reuses)
+    if isinstance(reused, FittedField):
+        return replace(reused, form=method.form)
+    recordings_of_material = MaterialRecordings(
+        subject.process.name, recordings, subject.token, subject.mechanics, subject.category
+    )
+    return method.fit(recordings_of_material, seed)
 
 
 def score_method(
     method: Method, fitted: FittedMaterial, drawn: Sequence[Reference], renders: int, seed: int
 ) -> list[Cell]:
-    """One cell per reference."""
-    rendered = [fitted.render([each.action for each in drawn], seed + 1 + again) for again in range(renders)]
+    """Return one cell per reference."""
+    rendered = [fitted.render([each.action for each in drawn], seed + 1 + repeat) for repeat in range(renders)]
     out = []
     for index, reference in enumerate(drawn):
         signals = [each[index] for each in rendered]
@@ -268,24 +325,37 @@ def score_method(
 
 
 def _make_natural_cell(signals: Sequence[Float], reference: Reference) -> Cell:
-    density = np.asarray(np.mean([welch(each, RATE_HZ)[1] for each in signals], axis=0))
+    density = np.asarray(np.mean([welch(signal, RATE_HZ)[1] for signal in signals], axis=0))
     return Cell(reference.material, reference.stroke, score_natural(signals, reference), density)
 
 
 def _group_by_kind(planned: Sequence[Trial], values: Sequence[T]) -> dict[str, list[T]]:
-    out: dict[str, list[T]] = {}
-    for trial, thing in zip(planned, values, strict=True):
-        out.setdefault(trial.kind, []).append(thing)
-    return out
+    groups: dict[str, list[T]] = {}
+    for trial, value in zip(planned, values, strict=True):
+        groups.setdefault(trial.kind, []).append(value)
+    return groups
 
 
 DIRECTION_METHODS = ("field", "shared", "gacm", "ar", "playback")
+"""Methods whose spectra by direction are measured."""
 
 
 @dataclass(frozen=True)
 class EvaluationJob:
-    """kind: "simulated" or "hatt". folder: of the HaTT copy. place: of the material in the run, from 0. directions:
-    also measure spectra by direction."""
+    """Evaluation of one material, to be run in a worker process.
+
+    Attributes
+    ----------
+    kind
+        "simulated" or "hatt".
+    folder
+        Folder of the HaTT copy, or None.
+    index
+        Position of the material in the run, from 0.
+    directions
+        True to measure spectra by direction as well.
+
+    """
 
     kind: str
     name: str
@@ -300,7 +370,10 @@ class EvaluationJob:
 
 @dataclass(frozen=True)
 class JobResult:
-    """sensors: touch sensor → the shared field's cells with that sensor's token, on the column's own strokes."""
+    """Result of an EvaluationJob.
+
+    sensors: touch sensor → the shared field's cells with that sensor's token, on the strokes of the first column.
+    """
 
     job: EvaluationJob
     result: MaterialResult
@@ -309,7 +382,7 @@ class JobResult:
 
 
 def make_subject(job: EvaluationJob) -> EvaluatedMaterial:
-    """Raises HnfError where the data set does not have the material."""
+    """Load the material of a job. Raises HnfError if the data set does not have it."""
     if job.kind == "simulated":
         data, material = SimulatedLibrary(), get_material(job.name)
         process = data.process(material.name)
@@ -324,47 +397,47 @@ def make_subject(job: EvaluationJob) -> EvaluatedMaterial:
 
 
 def run_job(job: EvaluationJob, watch: Callable[[str], None] = lambda _: None) -> JobResult:
-    """Everything about one material."""
+    """Run the complete evaluation of one material."""
     subject = make_subject(job)
     entries = [
         entry for entry in select_entries(job.keys) if entry.max_materials is None or job.index < entry.max_materials
     ]
-    judged = evaluate_material(subject, entries, job.sizes, job.budget, job.seed, watch)
-    sensors = _score_by_sensor(job, judged) if job.kind == "simulated" and "shared" in job.keys else {}
+    result = evaluate_material(subject, entries, job.sizes, job.budget, job.seed, watch)
+    sensors = _score_by_sensor(job, result) if job.kind == "simulated" and "shared" in job.keys else {}
     directions = None
     if job.directions:
         watch(f"{job.name}: by direction")
-        shown = {key: judged.fitted[key] for key in DIRECTION_METHODS if key in judged.fitted}
+        fitted = {key: result.fitted[key] for key in DIRECTION_METHODS if key in result.fitted}
         directions = measure_directions(
-            subject.process, subject.limits, shown, job.sizes.seconds, max(2, job.sizes.realisations // 4), job.seed
+            subject.process, subject.limits, fitted, job.sizes.seconds, max(2, job.sizes.realisations // 4), job.seed
         )
-    return JobResult(job, replace(judged, fitted={}), sensors, directions)
+    return JobResult(job, replace(result, fitted={}), sensors, directions)
 
 
 def run_jobs(jobs: Sequence[EvaluationJob], workers: int, watch: Callable[[str], None]) -> Iterator[JobResult]:
-    """In order; each in a process of its own where there are workers for it."""
+    """Yield the results of the jobs in order, from worker processes if there are several."""
     if workers <= 1 or len(jobs) <= 1:
         for job in jobs:
             yield run_job(job, watch)
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        waiting = [pool.submit(run_job, job) for job in jobs]
-        for job, future in zip(jobs, waiting, strict=True):
+        futures = [pool.submit(run_job, job) for job in jobs]
+        for job, future in zip(jobs, futures, strict=True):
             watch(f"{job.name}")
             yield future.result()
 
 
 def _score_by_sensor(job: EvaluationJob, result: MaterialResult) -> dict[str, list[Cell]]:
-    """The shared field with tokens that E makes of each sensor's image of the same height map."""
+    """Score the shared field with the tokens that E computes from each sensor's image of one height map."""
     material = get_material(job.name)
     height = height_map(SurfaceRecipe.from_dict(material.recipe), material.seed)
     pitch = TILE_SIZE_M / TILE_PIXELS
-    drawn = result.references["window"]
+    references = result.references["window"]
     shared = select_entries(["shared"])[0].build(job.budget)
     assert isinstance(shared, SharedField)
-    out = {}
+    cells = {}
     for sensor in SENSORS:
         token = describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch, sensor)).values
         fitted = shared.fit(MaterialRecordings(material.name, (), token, material.mechanics), job.seed)
-        out[sensor] = score_method(shared, fitted, drawn, job.sizes.renders, job.seed)
-    return out
+        cells[sensor] = score_method(shared, fitted, references, job.sizes.renders, job.seed)
+    return cells

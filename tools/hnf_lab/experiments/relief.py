@@ -1,10 +1,10 @@
-"""Does the relief under a stroke matter? A real scene's measured relief, blurred, doubled, turned, flattened, and a(t).
+"""Measure the effect of relief on a(t): a scene's measured relief blurred, doubled, rotated and flattened.
 
-Usage: python -m hnf_lab.experiments.relief SCENE [--out DIR] [--picture PNG] [--material NAME] [--json FILE]
+  Usage: python -m hnf_lab.experiments.relief SCENE [--out DIR] [--picture PNG] [--material NAME] [--json FILE]
 
 Touches SCENE as `hnf touch` does (default strokes, Blender as a module), then changes the height map of every patch and
-goes on by the same path: tactile map, E, fusion with the library material, field, a(t) with the same seed. Beside that
-the map alone: what it does not resolve counts as smooth, and no library material fills it in.
+continues with the same steps: tactile map, E, fusion with the library material, field, a(t) with the same seed. The map
+alone is synthesised as well: bands it does not resolve count as smooth, without a library material to fill them.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ from numpy.typing import NDArray
 
 from hnf_blender import cli
 from hnf_blender.touch import run as touch_run
+from hnf_blender.touch import synthesise as touch_synthesise
 from hnf_blender.touch.bake_patches import SENSOR
 from hnf_blender.touch.patch_cache import PatchRecord
 from hnf_blender.touch.session import StrokeJob, gather_jobs
-from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, BakedStroke, bake_steps, make_stroke_input
+from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, BakedStroke, make_stroke_input
 from hnf_core.errors import HnfError, SceneError
 from hnf_core.export.plots.figure import write_figure
 from hnf_core.field.synthesis import synthesise
@@ -59,7 +60,7 @@ Float = NDArray[np.float64]
 Height = NDArray[np.float32]
 
 BLUR_M = 1e-3
-"""Standard deviation: half of a wave of 5.3 mm is left, a tenth of one of 2.9 mm."""
+"""Standard deviation of the blur [m]: halves a wave of 5.3 mm, leaves a tenth of one of 2.9 mm."""
 UNCHANGED, SMOOTH_SURFACE = "as it is", "smooth surface"
 PLOTTED_S = 0.25
 COLOURS = {UNCHANGED: "#1c2430", "blurred, 1 mm": "#0072b2", "twice as high": "#d55e00", "turned by 90°": "#009e73",
@@ -71,8 +72,8 @@ def blur(height: Height, metres_per_pixel: float) -> Height:
         fx, fy = frequencies(shape, metres_per_pixel)
         return [gaussian_mtf(np.hypot(fx, fy), BLUR_M)]
 
-    (kept,), _ = apply_filters(height.astype(np.float64), metres_per_pixel, response, "even", 6.0 * BLUR_M)
-    return kept.astype(np.float32)
+    (blurred,), _ = apply_filters(height.astype(np.float64), metres_per_pixel, response, "even", 6.0 * BLUR_M)
+    return blurred.astype(np.float32)
 
 
 RELIEF_CHANGES: dict[str, Callable[[Height, float], Height]] = {
@@ -86,8 +87,18 @@ RELIEF_CHANGES: dict[str, Callable[[Height, float], Height]] = {
 
 @dataclass(frozen=True)
 class ReliefResult:
-    """One change on one stroke. samples: a(t) at rate, of the product's path; alone: of the map without a library
-    material. profile_m: RMS height under the path."""
+    """Result of one change on one stroke.
+
+    Attributes
+    ----------
+    samples
+        a(t) of the product's path, at `rate`.
+    map_only
+        a(t) of the map without a library material.
+    profile_m
+        RMS height under the path [m].
+
+    """
 
     change: str
     samples: Float
@@ -97,14 +108,14 @@ class ReliefResult:
 
 
 def change_relief(baked: BakedStroke, change: str, *, map_only: bool) -> BakedStroke:
-    """The stroke on patches whose measured height is changed, described and fused anew."""
+    """Return the stroke with every measured height changed, described and fused again."""
     records, fused = [], []
     for patch, record in zip(baked.patches, baked.records, strict=True):
-        new, told = _change_record(record, change)
+        changed, token = _change_record(record, change)
         material = baked.materials[patch.slot]
         prior = get_smooth_token_values() if map_only else material.library.token
-        records.append(new)
-        fused.append(fuse(told, prior, material.confidence, Route.MEASURED if told is not None else record.route))
+        records.append(changed)
+        fused.append(fuse(token, prior, material.confidence, Route.MEASURED if token is not None else record.route))
     return replace(baked, records=tuple(records), fused=tuple(fused))
 
 
@@ -122,17 +133,17 @@ def _change_record(record: PatchRecord, change: str) -> tuple[PatchRecord, Token
 
 
 def synthesise_changed(baked: BakedStroke, change: str, seed: int) -> ReliefResult:
-    made = []
-    for alone in (False, True):
-        given = make_stroke_input(change_relief(baked, change, map_only=alone))
-        made.append(synthesise(load_field(), given, seed=seed).signal)
-    profile = 0.0 if given.profile is None else float(np.std(given.profile.height))
-    return ReliefResult(change, made[0].samples.astype(np.float64), made[1].samples.astype(np.float64),
-                 float(made[0].sample_rate), profile)  # fmt: skip
+    signals = []
+    for map_only in (False, True):
+        stroke_input = make_stroke_input(change_relief(baked, change, map_only=map_only))
+        signals.append(synthesise(load_field(), stroke_input, seed=seed).signal)
+    profile = 0.0 if stroke_input.profile is None else float(np.std(stroke_input.profile.height))
+    return ReliefResult(change, signals[0].samples.astype(np.float64), signals[1].samples.astype(np.float64),
+                 float(signals[0].sample_rate), profile)  # fmt: skip
 
 
 def measure_smooth(baked: BakedStroke, seed: int) -> float:
-    """RMS of a(t) on the same path over a surface with nothing in it."""
+    """Return the RMS of a(t) on the same path over a perfectly smooth surface."""
     flat = replace(
         baked,
         records=tuple(replace(record, height=None, token=None, known=None) for record in baked.records),
@@ -142,52 +153,50 @@ def measure_smooth(baked: BakedStroke, seed: int) -> float:
 
 
 def compute_rms(samples: Float) -> float:
-    """Of the middle third: full speed and force."""
+    """Return the RMS of the middle third, at full speed and force."""
     middle = samples[len(samples) // 3 : -len(samples) // 3]
     return float(np.sqrt(np.mean(middle**2)))
 
 
 def bake_strokes(scene: Path, out: Path) -> Iterator[tuple[StrokeJob, BakedStroke]]:
-    """Default strokes of a scene, baked by the main job's own steps. Raises HnfError where nothing can be touched."""
+    """Bake the default strokes of a scene by the product's own steps. Raises HnfError if nothing can be touched."""
     request = TouchRequest(scene=scene, out=out)
     cli._register_properties()
     session = touch_run._make_session(touch_run._open_request_scene(request), request)
-    found = gather_jobs(session)
-    report = touch_run._new_report(session, found, [])
-    kept: list[tuple[StrokeJob, BakedStroke]] = []
+    gathered = gather_jobs(session)
+    report = touch_run._new_report(session, gathered, [])
+    baked_strokes: list[tuple[StrokeJob, BakedStroke]] = []
 
-    def each(job: StrokeJob, described: BakedStroke) -> list[str]:
-        kept.append((job, described))
-        return []
+    def collect(job: StrokeJob, baked: BakedStroke, start_stage: Callable[[str], None]) -> None:
+        baked_strokes.append((job, baked))
 
-    for _ in bake_steps(session, found.jobs, out / CACHE_FOLDER_NAME, report, each):
-        pass
-    if not kept:
+    touch_synthesise.bake_strokes(session, gathered.jobs, out / CACHE_FOLDER_NAME, report, collect)
+    if not baked_strokes:
         raise SceneError("nothing could be touched.", where=str(scene), remedy="Run hnf touch on it to see why.")
-    yield from kept
+    yield from baked_strokes
 
 
 def plot_signals(path: Path, name: str, results: list[ReliefResult]) -> None:
-    """Of the map alone: what the library material fills in does not change with the map, and would hide it."""
+    """Plot a(t) of the map alone, since the library material would hide the changes."""
     size = (1000, 118 * len(results) + 96)
 
-    def fill(figure: Figure) -> None:
+    def draw(figure: Figure) -> None:
         figure.text(0.02, 1.0 - 28 / size[1], f"{name}: a(t) of the map alone, as its relief is changed", fontsize=14,
                     fontweight="bold")  # fmt: skip
-        top = max(float(np.abs(each.map_only).max()) for each in results)
-        for row, each in enumerate(results):
+        top = max(float(np.abs(result.map_only).max()) for result in results)
+        for row, result in enumerate(results):
             bottom = (size[1] - 66 - 118 * (row + 1) + 30) / size[1]
             wave = figure.add_axes((0.075, bottom, 0.53, 74 / size[1]))
-            start = len(each.map_only) // 2
-            count = min(round(PLOTTED_S * each.rate), len(each.map_only) - start)
-            wave.plot(1e3 * np.arange(count) / each.rate, each.map_only[start : start + count],
-                      color=COLOURS[each.change], lw=0.9)  # fmt: skip
+            start = len(result.map_only) // 2
+            count = min(round(PLOTTED_S * result.rate), len(result.map_only) - start)
+            wave.plot(1e3 * np.arange(count) / result.rate, result.map_only[start : start + count],
+                      color=COLOURS[result.change], lw=0.9)  # fmt: skip
             wave.set_ylim(-top, top)
-            wave.set_title(f"{each.change}: {compute_rms(each.map_only):.3f} m/s² RMS", fontsize=10, loc="left")
+            wave.set_title(f"{result.change}: {compute_rms(result.map_only):.3f} m/s² RMS", fontsize=10, loc="left")
             spectrum = figure.add_axes((0.68, bottom, 0.29, 74 / size[1]))
-            for other, width in ((results[0], 2.4), (each, 1.2)):
-                hertz, density = compute_spectrum(other.map_only, other.rate)
-                spectrum.plot(hertz, 10 * np.log10(np.maximum(density, 1e-12)), color=COLOURS[other.change], lw=width,
+            for shown, width in ((results[0], 2.4), (result, 1.2)):
+                hertz, density = compute_spectrum(shown.map_only, shown.rate)
+                spectrum.plot(hertz, 10 * np.log10(np.maximum(density, 1e-12)), color=COLOURS[shown.change], lw=width,
                               alpha=0.35 if width > 2 else 1.0)  # fmt: skip
             spectrum.set_xscale("log")
             spectrum.set_xlim(20, 1000)
@@ -195,14 +204,14 @@ def plot_signals(path: Path, name: str, results: list[ReliefResult]) -> None:
             spectrum.set_xticks([], minor=True)
             spectrum.set_ylim(-95, 5)
             for axes in (wave, spectrum):
-                axes.tick_params(labelbottom=each is results[-1])
+                axes.tick_params(labelbottom=result is results[-1])
             if row == 0:
                 spectrum.set_title("dB re 1 (m/s²)²/Hz; pale: as it is", fontsize=10, loc="left")
                 wave.set_ylabel("m/s²")
         wave.set_xlabel("ms")
         spectrum.set_xlabel("Hz")
 
-    write_figure(path, size, fill)
+    write_figure(path, size, draw)
 
 
 def compute_spectrum(samples: Float, rate: float) -> tuple[Float, Float]:
@@ -242,27 +251,27 @@ def make_report(arguments: argparse.Namespace) -> tuple[list[tuple[str, ...]], l
         if all(record.height is None for record in baked.records):
             continue
         shader = baked.main_material.shader
-        made = [synthesise_changed(baked, change, job.seed) for change in RELIEF_CHANGES]
-        for each in made:
-            level = 20.0 * np.log10(compute_rms(each.map_only) / compute_rms(made[0].map_only))
-            distance, alone = (
+        results = [synthesise_changed(baked, change, job.seed) for change in RELIEF_CHANGES]
+        for result in results:
+            level = 20.0 * np.log10(compute_rms(result.map_only) / compute_rms(results[0].map_only))
+            distance, map_distance = (
                 average_spectrum_distance_db(
-                    compute_spectrum(ours, each.rate)[1], *compute_spectrum(before, each.rate)[::-1]
+                    compute_spectrum(changed, result.rate)[1], *compute_spectrum(unchanged, result.rate)[::-1]
                 )
-                for ours, before in ((each.samples, made[0].samples), (each.map_only, made[0].map_only))
+                for changed, unchanged in ((result.samples, results[0].samples), (result.map_only, results[0].map_only))
             )
-            rows.append((shader, each.change, f"{compute_rms(each.samples):.3f}", f"{distance:.1f}",
-            f"{compute_rms(each.map_only):.4f}",
-                         f"{level:+.1f}", f"{alone:.1f}", f"{1e6 * each.profile_m:.1f}"))  # fmt: skip
-            figures.append({"material": shader, "relief": each.change, "rms_m_s2": compute_rms(each.samples),
-                            "distance_db": distance, "alone_rms_m_s2": compute_rms(each.map_only),
+            rows.append((shader, result.change, f"{compute_rms(result.samples):.3f}", f"{distance:.1f}",
+            f"{compute_rms(result.map_only):.4f}",
+                         f"{level:+.1f}", f"{map_distance:.1f}", f"{1e6 * result.profile_m:.1f}"))  # fmt: skip
+            figures.append({"material": shader, "relief": result.change, "rms_m_s2": compute_rms(result.samples),
+                            "distance_db": distance, "alone_rms_m_s2": compute_rms(result.map_only),
                             "alone_level_db": level,
-                            "alone_distance_db": alone, "profile_rms_m": each.profile_m})  # fmt: skip
-        bare = measure_smooth(baked, job.seed)
-        rows.append((shader, SMOOTH_SURFACE, "", "", f"{bare:.4f}", "", "", "0.0"))
-        figures.append({"material": shader, "relief": SMOOTH_SURFACE, "alone_rms_m_s2": bare})
+                            "alone_distance_db": map_distance, "profile_rms_m": result.profile_m})  # fmt: skip
+        smooth_rms = measure_smooth(baked, job.seed)
+        rows.append((shader, SMOOTH_SURFACE, "", "", f"{smooth_rms:.4f}", "", "", "0.0"))
+        figures.append({"material": shader, "relief": SMOOTH_SURFACE, "alone_rms_m_s2": smooth_rms})
         if arguments.picture is not None and shader == arguments.material:
-            plot_signals(arguments.picture, shader, made)
+            plot_signals(arguments.picture, shader, results)
     return rows, figures
 
 

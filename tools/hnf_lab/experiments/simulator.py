@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 from hnf_core.files import write_text
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.probe import PROBES, Probe
-from hnf_core.simulation.contact_dynamics import Physics
-from hnf_core.simulation.height_sampling import SmoothedMaps
+from hnf_core.simulation.contact_dynamics import Physics, SmoothedMaps
 from hnf_core.simulation.material_classes import get_recorded_category, list_classes, sample_instance
 from hnf_core.simulation.simulate import (
     SAMPLE_RATE_HZ,

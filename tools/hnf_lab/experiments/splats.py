@@ -1,11 +1,11 @@
-"""How near are splats to the true mesh? Depth, token and choice of material on patches that strokes touch.
+"""Compare splats with the true mesh: depth, token and choice of material on touched patches.
 
-Usage: python -m hnf_lab.experiments.splats [SCENE]… [--most N] [--spacing M] [--fine M] [--seed N] [--json FILE]
-       [--markdown FILE]
+  Usage: python -m hnf_lab.experiments.splats [SCENE]… [--most N] [--spacing M] [--fine M] [--seed N] [--json FILE]
+         [--markdown FILE]
 
-Without a SCENE: the demo scene. Materials lose their relief first and keep their colour, as in a reconstruction; then
-every patch is looked at on the mesh and on splats of it (tests/data_tools/splats_from_scene.py), by the same predicted
-route.
+Without a SCENE the demo scene is used. Materials lose their relief first and keep their colour, as in a reconstruction;
+then every patch is viewed on the mesh and on splats of it (tests/data_tools/splats_from_scene.py), by the same
+predicted route.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from data_tools.object_splats import find_touched_patches, make_object_splats
 from data_tools.splats_from_scene import FINE_M, SPACING_M, open_session
-from hnf_blender.bridge.render.closeup import CloseUp, iter_closeups
+from hnf_blender.bridge.render.closeup import CloseUp, CloseUpRenderer
 from hnf_blender.bridge.render.unlit_image import UnlitImage
 from hnf_blender.bridge.scene.meshes import Surface
-from hnf_blender.bridge.splats.splat_closeup import iter_splat_closeups
+from hnf_blender.bridge.splats.splat_closeup import SplatCloseUpRenderer
 from hnf_blender.bridge.splats.splat_cloud import create_cloud, link_cloud
 from hnf_blender.touch.bake_patches import ReliefPredictor
 from hnf_blender.touch.session import Session
@@ -54,8 +54,18 @@ BAND_COUNT = len(BAND_WAVELENGTHS_M)
 
 @dataclass(frozen=True)
 class PatchReading:
-    """What one close-up tells. token: by the predicted route, None where the picture cannot be read. colour: linear
-    mean. resolved_m: shortest wave that the picture shows."""
+    """Evaluation of one close-up.
+
+    Attributes
+    ----------
+    token
+        Token by the predicted route; None if the image is unusable.
+    colour
+        Mean linear colour.
+    resolved_m
+        Shortest resolved wavelength [m].
+
+    """
 
     token: Token | None
     colour: tuple[float, float, float] | None
@@ -64,9 +74,18 @@ class PatchReading:
 
 @dataclass(frozen=True)
 class PatchPair:
-    """One patch. expected_m, median_m: median absolute errors of the splats' two depths, metres; inf where
-    they show none. covered: share of what the mesh shows at which the splats show a surface. mesh, splats: what each
-    tells; alike: what the mesh tells of the waves alone that the splats show too."""
+    """One patch on the mesh and on its splats.
+
+    Attributes
+    ----------
+    expected_m, median_m
+        Median absolute errors of the splats' expected and median depth [m]; inf without coverage.
+    covered
+        Fraction of the mesh's pixels on which the splats show a surface.
+    alike
+        Reading of the mesh limited to the wavelengths that the splats resolve.
+
+    """
 
     object_name: str
     material: str
@@ -79,7 +98,7 @@ class PatchPair:
 
 
 def remove_relief(scene: Any) -> None:
-    """Leave of every material its colour alone, as a reconstruction does, so that it is read from pictures."""
+    """Remove bump and displacement from every material, as a reconstruction does, so images are used instead."""
     for obj in scene.objects:
         for slot in getattr(obj, "material_slots", ()):
             tree = slot.material.node_tree if slot.material is not None else None
@@ -100,71 +119,77 @@ def compare_patches(
     metres_per_unit: float,
     predictor: ReliefPredictor,
 ) -> Iterator[PatchPair]:
-    """A pair a patch. splats: of obj, in its surface frame."""
+    """Yield a pair per patch. splats: splats of obj, in its surface frame."""
     cloud = create_cloud("Splats", splats, "the comparison")
     link_cloud(obj, cloud)
-    # The cloud counts in metres of the surface frame, whatever the object's own scale.
-    place = np.eye(4)
-    place[:3, :3] = np.linalg.inv(surface.stretch)
-    cloud.matrix_basis = _to_matrix(place)
-    true = iter_closeups(obj, patches, surface=surface, pixels=CLOSEUP_PIXELS, metres_per_unit=metres_per_unit)
-    seen = iter_splat_closeups(obj, cloud, patches, surface=surface, pixels=CLOSEUP_PIXELS)
-    for patch, mesh, splat in zip(patches, true, seen, strict=True):
-        expected, median, covered = compute_depth_errors(mesh, splats)
-        name = surface.materials[patch.slot] if patch.slot < len(surface.materials) else ""
-        look = read_patch(splat, predictor)
-        own, alike = read_patch(mesh, predictor), read_patch(mesh, predictor, look.resolved_m)
-        yield PatchPair(obj.name, name, expected, median, covered, own, look, alike)
+    # The cloud is in metres of the surface frame, independent of the object's scale.
+    frame = np.eye(4)
+    frame[:3, :3] = np.linalg.inv(surface.stretch)
+    cloud.matrix_basis = _to_matrix(frame)
+    mesh_renderer = CloseUpRenderer(
+        obj, patches, surface=surface, pixels=CLOSEUP_PIXELS, metres_per_unit=metres_per_unit
+    )
+    splat_renderer = SplatCloseUpRenderer(obj, cloud, patches, surface=surface, pixels=CLOSEUP_PIXELS)
+    with mesh_renderer, splat_renderer:
+        for patch in patches:
+            mesh, splat = mesh_renderer.render(patch), splat_renderer.render(patch)
+            expected, median, covered = compute_depth_errors(mesh, splats)
+            name = surface.materials[patch.slot] if patch.slot < len(surface.materials) else ""
+            splat_reading, mesh_reading = read_patch(splat, predictor), read_patch(mesh, predictor)
+            limited_reading = read_patch(mesh, predictor, splat_reading.resolved_m)
+            yield PatchPair(obj.name, name, expected, median, covered, mesh_reading, splat_reading, limited_reading)
 
 
 def compute_depth_errors(mesh: CloseUp, splats: Splats) -> tuple[float, float, float]:
-    """Median absolute errors of expected and of median depth (metres) where the patch's own surface is seen, and the
-    share of that which splats cover. splats: in the patch's frame."""
+    """Return the median absolute errors of expected and median depth [m], and the covered fraction.
+
+    Only pixels of the patch's own surface count. splats: in the patch's frame.
+    """
     view = render_splats(splats, mesh.view.camera)
-    own = mesh.mask & np.isfinite(mesh.view.depth)
-    covered = own & (view.opacity >= 0.5)
+    visible = mesh.mask & np.isfinite(mesh.view.depth)
+    covered = visible & (view.opacity >= 0.5)
     if not covered.any():
         return float("inf"), float("inf"), 0.0
     errors = [
         np.abs(depth[covered].astype(np.float64) - mesh.view.depth[covered]) for depth in (view.depth, view.median)
     ]
-    return float(np.median(errors[0])), float(np.median(errors[1])), float(covered.sum() / own.sum())
+    return float(np.median(errors[0])), float(np.median(errors[1])), float(covered.sum() / visible.sum())
 
 
 def read_patch(closeup: CloseUp, predictor: ReliefPredictor, coarsest_m: float = 0.0) -> PatchReading:
-    """coarsest_m: the picture is taken to show no shorter wave."""
-    look: UnlitImage | None = closeup.unlit
-    if look is not None and look.resolved_wavelength_m < coarsest_m:
-        look = replace(look, resolved_wavelength_m=coarsest_m)
+    """Evaluate a close-up; its resolved wavelength is at least `coarsest_m`."""
+    image: UnlitImage | None = closeup.unlit
+    if image is not None and image.resolved_wavelength_m < coarsest_m:
+        image = replace(image, resolved_wavelength_m=coarsest_m)
     token = None
-    if look is not None:
-        views = predictor.make_views(look, closeup.mask, closeup.metres_per_pixel)
-        token = predictor.predict(look, views, PREDICTION_SEED).token if views else None
-    resolved = float("inf") if look is None else look.resolved_wavelength_m
+    if image is not None:
+        views = predictor.make_views(image, closeup.mask, closeup.metres_per_pixel)
+        token = predictor.predict(image, views, PREDICTION_SEED).token if views else None
+    resolved = float("inf") if image is None else image.resolved_wavelength_m
     return PatchReading(token, closeup.appearance.base_color, resolved)
 
 
 def choose_library_material(reading: PatchReading, names: Sequence[str] = ()) -> str:
-    """What the library takes a patch for, by its colour and its relief, and by names where they are given."""
+    """Return the library material ranked first by colour, relief and, if given, names."""
     route = Route.PRIOR if reading.token is None else Route.PREDICTED
     return rank(load_library(), Appearance(reading.colour), names, token=reading.token, route=route)[0].name
 
 
 @dataclass(frozen=True)
 class PaletteEntry:
-    """Of the palette that the true mesh gives: one a material."""
+    """Token of one material, from the true mesh."""
 
     name: str
     token: Token
 
 
 def make_palette(pairs: Sequence[PatchPair]) -> tuple[PaletteEntry, ...]:
-    """What the true mesh's patches of each material say together; without those that no picture tells of."""
+    """Merge the tokens of each material's patches on the true mesh; materials without a token are omitted."""
     tokens: dict[str, list[Token]] = {}
     for pair in pairs:
         if pair.mesh.token is not None:
             tokens.setdefault(get_entry_name(pair), []).append(pair.mesh.token)
-    return tuple(PaletteEntry(name, merge_tokens(own)) for name, own in tokens.items())
+    return tuple(PaletteEntry(name, merge_tokens(entry_tokens)) for name, entry_tokens in tokens.items())
 
 
 def get_entry_name(pair: PatchPair) -> str:
@@ -172,31 +197,33 @@ def get_entry_name(pair: PatchPair) -> str:
 
 
 def find_nearest_entry(token: Token, palette: Sequence[PaletteEntry], known: NDArray[np.bool_]) -> str:
-    """The entry whose token is nearest over the features known: in standard deviations between pieces of one class,
-    over what no turn of the surface changes."""
-    own = compute_invariants(token.values[None])[0]
-    within = np.array(
+    """Return the palette entry whose token is nearest over the known features.
+
+    The distance is over rotation-invariant features, in standard deviations within one class.
+    """
+    invariants = compute_invariants(token.values[None])[0]
+    spread = np.array(
         [WITHIN_CLASS_SPREAD[kind] for kind in INVARIANT_KINDS for _ in range(BAND_COUNT)]
         + [WITHIN_CLASS_SPREAD[name] for name in SHAPE_FEATURES]
     )
-    counted = np.concatenate([np.tile(known[LEVELS], len(INVARIANT_KINDS)), known[-len(SHAPE_FEATURES) :]])
+    is_counted = np.concatenate([np.tile(known[LEVELS], len(INVARIANT_KINDS)), known[-len(SHAPE_FEATURES) :]])
 
     def distance(entry: PaletteEntry) -> float:
-        off = (own - compute_invariants(entry.token.values[None])[0]) / within
-        return float(np.sum(off[counted] ** 2))
+        difference = (invariants - compute_invariants(entry.token.values[None])[0]) / spread
+        return float(np.sum(difference[is_counted] ** 2))
 
     return min(palette, key=distance).name
 
 
 def compute_level_difference_db(pair: PatchPair) -> float | None:
-    """RMS over the bands that both know, of height in dB; None where they share none."""
+    """Return the RMS height difference [dB] over the bands known to both, or None."""
     if pair.mesh.token is None or pair.splats.token is None:
         return None
     both = (pair.mesh.token.known & pair.splats.token.known)[LEVELS]
     if not both.any():
         return None
-    off = (pair.mesh.token.values - pair.splats.token.values)[LEVELS][both]
-    return float(20.0 * np.sqrt(np.mean(off.astype(np.float64) ** 2)))
+    difference = (pair.mesh.token.values - pair.splats.token.values)[LEVELS][both]
+    return float(20.0 * np.sqrt(np.mean(difference.astype(np.float64) ** 2)))
 
 
 def _to_matrix(values: Float) -> Any:
@@ -211,11 +238,24 @@ MAX_PATCHES = 6
 
 @dataclass(frozen=True)
 class PatchRow:
-    """One patch. Depth errors are shares of the patch's size. level_db: None where a picture cannot be read on both.
-    palette: None where it can be read on neither, False where on one alone. token: as palette, but where it can be read
-    on neither, whether the prior, whose token is then the patch's, is the same library material on both. by_look,
-    by_name: whether the library takes both for the same material, without and with the scene's names; alike: without,
-    the mesh's picture being as soft."""
+    """Results of one patch.
+
+    Attributes
+    ----------
+    expected, median
+        Depth errors as fractions of the patch's size.
+    level_db
+        Level difference; None if one of the two images is unusable.
+    palette
+        True if both give the same palette entry; None if both images are unusable, False if one is.
+    token
+        As palette, but if both are unusable, whether the library materials chosen as prior agree.
+    by_look, by_name
+        True if the library ranks the same material first, without and with the scene's names.
+    alike
+        As by_look, with the mesh's image as coarse as that of the splats.
+
+    """
 
     scene: str
     entry: str
@@ -232,7 +272,7 @@ class PatchRow:
 
 
 def select_patches(session: Session, most: int) -> dict[str, tuple[Patch, ...]]:
-    """Up to most patches of every object that is touched, spread over its strokes."""
+    """Return up to `most` patches of every touched object, spread over its strokes."""
     return {name: _space_evenly(patches, most) for name, patches in find_touched_patches(session).items()}
 
 
@@ -249,27 +289,27 @@ def compare_scene(path: Path, most: int, spacing_m: float, fine_m: float, seed: 
     for name, patches in select_patches(session, most).items():
         obj: Any = session.scene.objects[name]
         surface = session.get_surface(obj)
-        in_own_frame = make_object_splats(
+        splats = make_object_splats(
             obj, surface, spacing_m, seed, session.metres_per_unit, patches, fine_m, in_world=False
         )
-        pairs += compare_patches(obj, surface, patches, in_own_frame, session.metres_per_unit, session.predictor)
+        pairs += compare_patches(obj, surface, patches, splats, session.metres_per_unit, session.predictor)
     return make_rows(path.stem, pairs)
 
 
 def make_rows(scene: str, pairs: Sequence[PatchPair]) -> list[PatchRow]:
     palette = make_palette(pairs)
-    made = []
+    rows = []
     for pair in pairs:
         read = (pair.mesh.token is not None, pair.splats.token is not None)
-        same = None if not any(read) else False
+        same_entry = None if not any(read) else False
         if pair.mesh.token is not None and pair.splats.token is not None:
             known = pair.mesh.token.known & pair.splats.token.known
-            same = find_nearest_entry(pair.mesh.token, palette, known) == find_nearest_entry(
+            same_entry = find_nearest_entry(pair.mesh.token, palette, known) == find_nearest_entry(
                 pair.splats.token, palette, known
             )
         names = [pair.material, pair.object_name]
         by_name = choose_library_material(pair.mesh, names) == choose_library_material(pair.splats, names)
-        made.append(
+        rows.append(
             PatchRow(
                 scene=scene,
                 entry=get_entry_name(pair),
@@ -278,14 +318,14 @@ def make_rows(scene: str, pairs: Sequence[PatchPair]) -> list[PatchRow]:
                 covered=pair.covered,
                 resolved_mm=pair.splats.resolved_m * 1e3,
                 level_db=compute_level_difference_db(pair),
-                palette=same,
-                token=by_name if same is None else same,
+                palette=same_entry,
+                token=by_name if same_entry is None else same_entry,
                 alike=choose_library_material(pair.alike) == choose_library_material(pair.splats),
                 by_look=choose_library_material(pair.mesh) == choose_library_material(pair.splats),
                 by_name=by_name,
             )
         )
-    return made
+    return rows
 
 
 TABLE_HEADER = (
@@ -295,41 +335,41 @@ TABLE_HEADER = (
 
 
 def format_rows(found: Sequence[PatchRow]) -> str:
-    """A row a material, and one of all together."""
+    """Format a row per material, and one of all together."""
     groups: dict[tuple[str, str], list[PatchRow]] = {}
     for row in found:
         groups.setdefault((row.scene, row.entry), []).append(row)
-    lines = [TABLE_HEADER, *(_format_line(scene, entry, own) for (scene, entry), own in groups.items())]
+    lines = [TABLE_HEADER, *(_format_line(scene, entry, group) for (scene, entry), group in groups.items())]
     return "\n".join([*lines, _format_line("**all**", "", found)]) + "\n"
 
 
 def _format_line(scene: str, entry: str, group: Sequence[PatchRow]) -> str:
-    def share(name: str) -> str:
+    def count(name: str) -> str:
         values = [getattr(row, name) for row in group if getattr(row, name) is not None]
         return f"{sum(values)} of {len(values)}" if values else "–"
 
-    def middle(name: str, unit: float, digits: str) -> str:
+    def median(name: str, unit: float, digits: str) -> str:
         values = [getattr(row, name) for row in group if getattr(row, name) is not None]
         return f"{unit * float(np.median(values)):{digits}}" if values else "–"
 
     return (
-        f"| {scene} | {entry} | {len(group)} | {middle('expected', 100, '.3f')} % | {middle('median', 100, '.3f')} % | "
-        f"{middle('covered', 100, '.0f')} % | {middle('resolved_mm', 1, '.2f')} mm | "
-        f"{middle('level_db', 1, '.1f')} dB | {share('palette')} | {share('token')} | {share('by_look')} | "
-        f"{share('alike')} | {share('by_name')} |"
+        f"| {scene} | {entry} | {len(group)} | {median('expected', 100, '.3f')} % | {median('median', 100, '.3f')} % | "
+        f"{median('covered', 100, '.0f')} % | {median('resolved_mm', 1, '.2f')} mm | "
+        f"{median('level_db', 1, '.1f')} dB | {count('palette')} | {count('token')} | {count('by_look')} | "
+        f"{count('alike')} | {count('by_name')} |"
     )
 
 
 def summarise(found: Sequence[PatchRow]) -> dict[str, Any]:
-    """Figures against the targets. patches_within: share of patches whose expected depth is within DEPTH_TARGET."""
-    told = [row.palette for row in found if row.palette is not None]
+    """Return the figures for the targets. patches_within: fraction of patches within DEPTH_TARGET."""
+    readable = [row.palette for row in found if row.palette is not None]
     return {
         "patches": len(found),
         "depth_expected": float(np.median([row.expected for row in found])),
         "depth_median": float(np.median([row.median for row in found])),
         "patches_within": float(np.mean([row.expected <= DEPTH_TARGET for row in found])),
-        "same_palette_entry": float(np.mean(told)) if told else None,
-        "patches_read": len(told),
+        "same_palette_entry": float(np.mean(readable)) if readable else None,
+        "patches_read": len(readable),
         "same_token": float(np.mean([row.token for row in found])),
         "same_material_by_look": float(np.mean([row.by_look for row in found])),
         "same_material_of_equal_detail": float(np.mean([row.alike for row in found])),
@@ -365,19 +405,19 @@ def main() -> int:
     parser.add_argument("--markdown", type=Path, metavar="FILE")
     arguments = parser.parse_args()
     try:
-        found: list[PatchRow] = []
+        rows: list[PatchRow] = []
         for path in arguments.scene or [build_demo_scene()]:
-            found += compare_scene(path, arguments.most, arguments.spacing, arguments.fine, arguments.seed)
+            rows += compare_scene(path, arguments.most, arguments.spacing, arguments.fine, arguments.seed)
     except HnfError as error:
         print(error, file=sys.stderr)
         return 1
-    figures = summarise(found)
+    figures = summarise(rows)
     if arguments.json:
-        patches = [vars(row) for row in found]
+        patches = [vars(row) for row in rows]
         write_text(arguments.json, json.dumps({"summary": figures, "patches": patches}, indent=1) + "\n")
     if arguments.markdown:
-        write_text(arguments.markdown, format_rows(found))
-    print(format_rows(found))
+        write_text(arguments.markdown, format_rows(rows))
+    print(format_rows(rows))
     print(json.dumps(figures, indent=1))
     return 0 if meets_targets(figures) else 1
 

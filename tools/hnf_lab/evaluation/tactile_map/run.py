@@ -1,6 +1,7 @@
-"""The networks that are judged, and what they are called: the main one, and another beside it.
+"""Run the comparison of tactile map networks and baselines on held-out tiles.
 
-The whole report: which tiles, which methods, in which order.
+`MapSetup` names the networks, data and sizes; `measure_maps` returns a `Measurement` with scores by split and method,
+times, example maps, and a curve over steps and guidance for a diffusion network.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from .tiles import TOKEN_VIEWS, ArrayCache, Arrays, HeldOutTile, Query, load_til
 
 @dataclass(frozen=True)
 class NetworkEntry:
-    """name: of its row. short: the same above a picture."""
+    """A network under test. name: row of the tables. short_name: title in plots."""
 
     name: str
     short_name: str
@@ -45,9 +46,15 @@ class NetworkEntry:
 
 
 def make_network_entries(main: MapWeights, comparison: MapWeights | None, steps: int) -> tuple[NetworkEntry, ...]:
-    """Both under different names, the main one first. beside: None = none. steps: of those that are a diffusion.
+    """Return the main network and the comparison network, if any, under different names.
 
-    Raises UsageError where both are one network.
+    `steps` appears in the names of diffusion networks.
+
+    Raises
+    ------
+    UsageError
+        If both are the same network.
+
     """
     first = NetworkEntry(_make_name(main.config, steps), main.config.objective, main)
     if comparison is None:
@@ -64,8 +71,8 @@ def make_network_entries(main: MapWeights, comparison: MapWeights | None, steps:
 
 
 def find_diffusion(entries: Sequence[NetworkEntry]) -> NetworkEntry | None:
-    """The first that has steps and guidance."""
-    return next((each for each in entries if each.is_diffusion), None)
+    """Return the first network that has steps and guidance, or None."""
+    return next((entry for entry in entries if entry.is_diffusion), None)
 
 
 def _make_name(config: MapConfig, steps: int) -> str:
@@ -73,22 +80,36 @@ def _make_name(config: MapConfig, steps: int) -> str:
 
 
 def _is_same(first: MapWeights, second: MapWeights) -> bool:
-    """By what they compute, whatever else is in the files."""
-    ours, theirs = first.network.parameters, second.network.parameters
-    return first.config == second.config and all(np.array_equal(ours[name], theirs[name]) for name in ours)
+    """Return True if both networks have the same configuration and parameters, whatever else the files contain."""
+    first_parameters, second_parameters = first.network.parameters, second.network.parameters
+    return first.config == second.config and all(
+        np.array_equal(first_parameters[name], second_parameters[name]) for name in first_parameters
+    )
 
 
 SPLITS = (HELD_OUT_INSTANCES, HELD_OUT_CLASSES)
 ProgressCallback = Callable[[str, int, int], None]
-"""(what is being done, how much of it is done, of how many)."""
+"""Arguments: name of the current step, number of items done, total number."""
 
 
 @dataclass(frozen=True)
 class MapSizes:
-    """instances, classes: tiles of held-out instances and of held-out classes. varied: of each, how many with depth or
-    colour withheld and with the other sensor. all_pitches: of each, judged as pictures in the two pitches between as
-    well. curve: of the held-out classes, over steps and guidance of a diffusion. made: training tiles made on the fly
-    where there are no pairs."""
+    """Sizes of a comparison.
+
+    Attributes
+    ----------
+    instances, classes
+        Number of tiles of held-out instances and of held-out classes.
+    varied
+        Tiles of each split that are also predicted without depth, without colour and with the other sensor.
+    all_pitches
+        Tiles of each split whose two intermediate pitches are scored as images too.
+    curve
+        Tiles of held-out classes for the curve over steps and guidance.
+    made
+        Number of generated training tiles if there are no stored pairs.
+
+    """
 
     instances: int = 24
     classes: int = 36
@@ -116,8 +137,20 @@ QUICK_SIZES = MapSizes(
 
 @dataclass(frozen=True)
 class MapSetup:
-    """weights: what is judged. beside: another network to compare, None = none. data: folder of pairs, None = a few
-    training tiles are made."""
+    """Networks, data and sizes of a comparison.
+
+    Attributes
+    ----------
+    weights
+        Network under test.
+    comparison
+        Second network, or None.
+    data
+        Folder of training pairs; None generates a few tiles.
+    cache
+        Folder of cached arrays, or None.
+
+    """
 
     weights: MapWeights
     comparison: MapWeights | None = None
@@ -128,13 +161,24 @@ class MapSetup:
 
     @property
     def networks(self) -> tuple[NetworkEntry, ...]:
-        """The main one first. Raises UsageError where both are one network."""
+        """Networks under test, the main one first. Raises UsageError if both are the same network."""
         return make_network_entries(self.weights, self.comparison, self.sizes.steps)
 
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """results: of the tiles, under judge.PREDICTED. seconds: of processor time a patch. angle_deg: mean over views."""
+    """Results at one number of steps and one guidance.
+
+    Attributes
+    ----------
+    results
+        Results of the tiles, under score.PREDICTED.
+    seconds
+        Processor time per patch [s].
+    angle_deg
+        Mean angle between normals over the views [degrees].
+
+    """
 
     steps: int
     guidance: float
@@ -145,7 +189,7 @@ class CurvePoint:
 
 @dataclass(frozen=True)
 class Example:
-    """One tile as pictures: what was seen, and slopes (views, 2, 64, 64) by method, the truth among them."""
+    """A tile to plot, with slopes (views, 2, 64, 64) by method."""
 
     tile: HeldOutTile
     slopes: Maps
@@ -153,7 +197,22 @@ class Example:
 
 @dataclass(frozen=True)
 class Measurement:
-    """results, pictures: split → …; curve: empty without a diffusion; seconds: of a patch, by method."""
+    """All results of a comparison.
+
+    Attributes
+    ----------
+    results, images
+        Split → scores.
+    curve
+        Results over steps and guidance; empty without a diffusion network.
+    seconds
+        Method → processor time per patch [s].
+    training_views
+        Number of training views behind the baselines.
+    grey_m
+        Fitted height of the full grey scale [m].
+
+    """
 
     results: Mapping[str, tuple[TileResult, ...]]
     images: Mapping[str, tuple[ImageScore, ...]]
@@ -166,42 +225,59 @@ class Measurement:
 
 
 def measure_maps(setup: MapSetup, watch: ProgressCallback = lambda what, done, total: None) -> Measurement:
-    """Deterministic: the same setup gives the same figures on the same numpy, times apart. Raises FileError where pairs
-    or the cache cannot be read, UsageError where both networks are one."""
-    networks, kept, sizes = setup.networks, ArrayCache(setup.cache), setup.sizes
+    """Compare the networks and baselines on all held-out tiles.
+
+    The same setup gives the same results with the same numpy, except for times.
+
+    Parameters
+    ----------
+    setup
+        Networks, data and sizes.
+    watch
+        Progress callback.
+
+    Raises
+    ------
+    FileError
+        If pairs or the cache cannot be read.
+    UsageError
+        If both networks are the same.
+
+    """
+    networks, cache, sizes = setup.networks, ArrayCache(setup.cache), setup.sizes
     tiles: dict[str, list[HeldOutTile]] = {}
     for split in SPLITS:
         watch(f"tiles, {split}", len(tiles), len(SPLITS))
         count = sizes.classes if split == HELD_OUT_CLASSES else sizes.instances
-        tiles[split] = load_tiles(list_tile_requests(split, PairSizes(), setup.seed), count, kept)
-    every = list(chain.from_iterable(tiles.values()))
+        tiles[split] = load_tiles(list_tile_requests(split, PairSizes(), setup.seed), count, cache)
+    all_tiles = list(chain.from_iterable(tiles.values()))
     watch("training set", 0, 1)
-    learned = _fit_baselines(setup, every, kept)
+    baselines = _fit_baselines(setup, all_tiles, cache)
     field_weights, encoder = load_field(), get_default_encoder(Route.PREDICTED)
     results: dict[str, list[TileResult]] = {split: [] for split in SPLITS}
-    pictures: dict[str, list[ImageScore]] = {split: [] for split in SPLITS}
+    images: dict[str, list[ImageScore]] = {split: [] for split in SPLITS}
     seconds: dict[str, list[float]] = {}
     examples: list[Example] = []
     done = 0
     for split in SPLITS:
-        for place, tile in enumerate(tiles[split]):
-            watch(split, done, len(every))
+        for index, tile in enumerate(tiles[split]):
+            watch(split, done, len(all_tiles))
             maps = _make_maps(
-                setup, tile, place, learned.neighbours[_get_query_rows(done)], learned.grey_m, kept, seconds
+                setup, tile, index, baselines.neighbours[_get_query_rows(done)], baselines.grey_m, cache, seconds
             )
-            results[split].append(score_spectra(field_weights, encoder, tile, maps, learned, networks[0].name))
-            pictures[split] += score_images(tile, maps)
+            results[split].append(score_spectra(field_weights, encoder, tile, maps, baselines, networks[0].name))
+            images[split] += score_images(tile, maps)
             examples.append(Example(tile, maps))
             done += 1
-    curve = _measure_curve(setup, tiles[HELD_OUT_CLASSES][: sizes.curve], field_weights, encoder, kept, watch)
+    curve = _measure_curve(setup, tiles[HELD_OUT_CLASSES][: sizes.curve], field_weights, encoder, cache, watch)
     return Measurement(
-        {split: tuple(own) for split, own in results.items()},
-        {split: tuple(own) for split, own in pictures.items()},
+        {split: tuple(items) for split, items in results.items()},
+        {split: tuple(items) for split, items in images.items()},
         curve,
         {name: float(np.mean(values)) for name, values in seconds.items()},
         tuple(examples[len(tiles[HELD_OUT_INSTANCES]) :]),
-        learned.views,
-        learned.grey_m,
+        baselines.views,
+        baselines.grey_m,
         encoder.name,
     )
 
@@ -217,26 +293,26 @@ def _make_maps(
 ) -> Maps:
     first, second = PAIR_SENSORS
     sizes, plain = setup.sizes, Query(steps=setup.sizes.steps)
-    networks = {each.name: each.weights for each in setup.networks}
-    asked = {name: (weights, plain) for name, weights in networks.items()}
+    networks = {query.name: query.weights for query in setup.networks}
+    queries = {name: (weights, plain) for name, weights in networks.items()}
     if index < sizes.varied:
-        asked[score.NO_DEPTH] = (setup.weights, replace(plain, depth=False))
-        asked[score.NO_COLOUR] = (setup.weights, replace(plain, colour=False))
-        asked[score.DIGIT] = (setup.weights, replace(plain, sensor=second))
+        queries[score.NO_DEPTH] = (setup.weights, replace(plain, depth=False))
+        queries[score.NO_COLOUR] = (setup.weights, replace(plain, colour=False))
+        queries[score.DIGIT] = (setup.weights, replace(plain, sensor=second))
     maps: dict[str, tuple[str, score.Single]] = {}
-    for name, (weights, each) in asked.items():
-        answer = predict_tile(weights, tile, each, setup.seed, cache)
-        maps[name] = (each.sensor, answer.slopes)
-        seconds.setdefault(name, []).append(answer.seconds)
-    shown = TOKEN_VIEWS
+    for name, (weights, query) in queries.items():
+        prediction = predict_tile(weights, tile, query, setup.seed, cache)
+        maps[name] = (query.sensor, prediction.slopes)
+        seconds.setdefault(name, []).append(prediction.seconds)
+    view_count = TOKEN_VIEWS
     if index < sizes.all_pitches:
-        shown, rest = len(tile.views), replace(plain, views=(TOKEN_VIEWS, len(tile.views)))
+        view_count, intermediate_query = len(tile.views), replace(plain, views=(TOKEN_VIEWS, len(tile.views)))
         for name, weights in networks.items():
-            between = predict_tile(weights, tile, rest, setup.seed, cache)
-            maps[name] = (first, np.concatenate([maps[name][1], between.slopes]))
-    maps[score.NEIGHBOUR] = (first, neighbours[:shown])
-    maps[score.GREY] = (first, np.stack([compute_grey_slopes(view, grey_m) for view in tile.views[:shown]]))
-    maps[score.FLAT] = (first, np.zeros((shown, *tile.slopes.shape[2:]), dtype=np.float32))
+            intermediate = predict_tile(weights, tile, intermediate_query, setup.seed, cache)
+            maps[name] = (first, np.concatenate([maps[name][1], intermediate.slopes]))
+    maps[score.NEIGHBOUR] = (first, neighbours[:view_count])
+    maps[score.GREY] = (first, np.stack([compute_grey_slopes(view, grey_m) for view in tile.views[:view_count]]))
+    maps[score.FLAT] = (first, np.zeros((view_count, *tile.slopes.shape[2:]), dtype=np.float32))
     return maps
 
 
@@ -254,20 +330,20 @@ def _fit_baselines(setup: MapSetup, tiles: Sequence[HeldOutTile], cache: ArrayCa
         shards, source = make_shards(setup.sizes.made, setup.seed), f"{setup.sizes.made} made, seed {setup.seed}"
     else:
         shards, source = load_training_shards(setup.data), f"{len(list(setup.data.rglob('*.safetensors')))} shards"
-    known = list_classes()
+    class_names = list_classes()
 
-    def make() -> Arrays:
-        found = fit_naive_baselines(shards, queries)
+    def compute_arrays() -> Arrays:
+        baselines = fit_naive_baselines(shards, queries)
         return {
-            "neighbours": found.neighbours,
-            "tokens": found.tokens,
-            "classes": np.array([known.index(name) for name in found.class_name]),
-            "numbers": np.array([found.grey_m, found.views], dtype=np.float64),
+            "neighbours": baselines.neighbours,
+            "tokens": baselines.tokens,
+            "classes": np.array([class_names.index(name) for name in baselines.class_name]),
+            "numbers": np.array([baselines.grey_m, baselines.views], dtype=np.float64),
         }
 
-    arrays = cache.get_or_make(f"learned {source} {[tile.order for tile in tiles]}", make)
+    arrays = cache.get_or_make(f"learned {source} {[tile.order for tile in tiles]}", compute_arrays)
     grey_m, views = arrays["numbers"]
-    names = tuple(known[index] for index in arrays["classes"])
+    names = tuple(class_names[index] for index in arrays["classes"])
     return NaiveBaselines(arrays["neighbours"], arrays["tokens"], names, float(grey_m), int(views))
 
 
@@ -282,17 +358,17 @@ def _measure_curve(
     network = find_diffusion(setup.networks)
     if network is None:
         return ()
-    wanted = [(steps, 1.0) for steps in setup.sizes.curve_steps]
-    wanted += [(setup.sizes.steps, each) for each in setup.sizes.guidance if each != 1.0]
+    settings = [(steps, 1.0) for steps in setup.sizes.curve_steps]
+    settings += [(setup.sizes.steps, each) for each in setup.sizes.guidance if each != 1.0]
     points = []
-    for done, (steps, guidance) in enumerate(wanted):
-        watch("steps and guidance", done, len(wanted))
+    for done, (steps, guidance) in enumerate(settings):
+        watch("steps and guidance", done, len(settings))
         results, seconds, angles = [], [], []
         for tile in tiles:
-            answer = predict_tile(network.weights, tile, Query(steps=steps, guidance=guidance), setup.seed, cache)
-            maps: Maps = {score.PREDICTED: (PAIR_SENSORS[0], answer.slopes)}
+            prediction = predict_tile(network.weights, tile, Query(steps=steps, guidance=guidance), setup.seed, cache)
+            maps: Maps = {score.PREDICTED: (PAIR_SENSORS[0], prediction.slopes)}
             results.append(score_spectra(field_weights, encoder, tile, maps, None))
-            seconds.append(answer.seconds)
+            seconds.append(prediction.seconds)
             angles += [each.angle_deg for each in score_images(tile, maps)]
         points.append(CurvePoint(steps, guidance, tuple(results), float(np.mean(seconds)), float(np.mean(angles))))
     return tuple(points)
