@@ -613,7 +613,7 @@ class OutputStream:
     """An actuator that signals are played on; made by `open_stream`."""
 
     def __init__(self, target: str, profile: str, gain_db: float) -> None:
-        from .actuators.profile_json import load_profile
+        from .actuators.profile import load_profile
         from .actuators.sources import db_to_gain
         from .actuators.stream_targets import parse_target
 
@@ -774,7 +774,7 @@ def _get_library_material(name: str) -> Material:
 
 
 def _to_grid(action: Action | Primitive | str, seed: int) -> tuple[GridAction, str]:
-    from .action.primitive_path import make_primitive_action
+    from .action.primitives import make_primitive_action
 
     if isinstance(action, Action):
         return action.to_grid(), "action"

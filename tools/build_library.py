@@ -21,7 +21,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 from hnf_core.files import write_text
 from hnf_core.material.band_descriptor import describe
 from hnf_core.material.token import ENCODER_ID
-from hnf_core.simulation.height_sampling import SmoothedMaps
+from hnf_core.simulation.contact_dynamics import SmoothedMaps
 from hnf_core.simulation.material_classes import (
     MATERIAL_TABLE,
     MaterialEntry,

@@ -22,10 +22,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
 from hnf_core.training.tactile_map.train_map import (
     LEARNING_RATES,
+    Distance,
     MapTrainingPlan,
     train_map,
 )
-from hnf_core.training.tactile_map.validation import Distance
 
 BUILD = ROOT / "build"
 

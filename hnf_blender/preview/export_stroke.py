@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from hnf_core.export.convert import ExportResult
     from hnf_core.export.formats import Format
     from hnf_core.export.options import ExportOptions
-    from hnf_core.metrics.band_energy import BandChange
+    from hnf_core.metrics.spectra import BandChange
 
 NEGLIGIBLE_DB = 0.05
 """Level changes below this are reported as no change [dB]; the message states the figure."""

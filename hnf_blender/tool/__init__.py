@@ -10,7 +10,7 @@ from types import ModuleType
 
 from ..registration import register_modules, unregister_modules
 
-MODULES = (".stroke_tool", ".menus", ".overlay")
+MODULES = (".stroke_tool", ".overlay")
 """Modules with register() and unregister(), in order of registration."""
 
 _registered: list[ModuleType] = []

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..metrics.band_energy import BandChange, band_power
+from ..metrics.spectra import BandChange, band_power
 from ..signal import Signal
 from .limits import FULL_SCALE_COUNTS, Limits
 from .measure.inverse_filter import BANDS_PER_OCTAVE, compute_third_octave_centres, make_compensation

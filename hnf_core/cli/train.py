@@ -29,7 +29,7 @@ from .commands import (
 
 if TYPE_CHECKING:
     from ..datasets.recording import DataSet, Recording
-    from ..training.tactile_map.validation import Distance
+    from ..training.tactile_map.train_map import Distance
     from ..training.train_material import TrainingResult
 
 SIMULATED_PAIRS = "simulated"

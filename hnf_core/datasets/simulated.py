@@ -14,8 +14,8 @@ from ..errors import UsageError
 from ..material.contact_model import Mechanics
 from ..material.library import LibraryMaterial, load_library
 from ..material.probe import PROBES
+from ..simulation.contact_dynamics import SmoothedMaps
 from ..simulation.dft321 import dft321
-from ..simulation.height_sampling import SmoothedMaps
 from ..simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate_batch
 from ..simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
 from .recording import ActionRange, DataSet, Recording, match_name

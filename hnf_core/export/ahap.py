@@ -1,13 +1,15 @@
-"""`.ahap`, Apple's haptic pattern: continuous events whose intensity and sharpness follow curves, and clicks.
+"""Apple's haptic pattern (`.ahap`): continuous events with intensity and sharpness curves, and transient clicks.
 
-Keys, ranges and limits from Apple's documentation of Core Haptics ("Representing haptic patterns in AHAP files",
-CHHapticEvent, CHHapticDynamicParameter, CHHapticParameterCurve.ControlPoint): a continuous event lasts at most 30 s; a
-control point's time is relative to the start of its curve, a curve's to that of the pattern; between them lines; the
-intensity control multiplies (0 … 1), the sharpness control adds (−1 … 1), the sum stays within 0 … 1; keys that are not
-Apple's are ignored, so that Metadata may hold full scale, range and origin. Apple states no largest number of points a
-curve; 16, and the square-root law from amplitude to intensity and from frequency to sharpness, are those of the one
-published converter (github.com/Lofelt/NiceVibrations, `core/datamodel/src/ios/v1.rs`). That converter writes the times
-of control points from the start of the pattern, against Apple's words; here they are as Apple says.
+Keys, ranges and limits are those of Apple's documentation of Core Haptics ("Representing haptic patterns in AHAP
+files", CHHapticEvent, CHHapticDynamicParameter, CHHapticParameterCurve.ControlPoint): a continuous event lasts at most
+30 s; a control point's time is relative to the start of its curve, a curve's to that of the pattern; curves are linear
+between points; the intensity control multiplies (0 … 1), the sharpness control adds (−1 … 1), and the sum stays within
+0 … 1; unknown keys are ignored, so that Metadata can hold full scale, range and origin.
+
+Apple states no largest number of points per curve. That limit (16) and the square-root law from amplitude to intensity
+and from frequency to sharpness are those of the one published converter (github.com/Lofelt/NiceVibrations,
+`core/datamodel/src/ios/v1.rs`). That converter writes the times of control points from the start of the pattern,
+against Apple's documentation; this file follows Apple.
 """
 
 from __future__ import annotations
@@ -47,27 +49,30 @@ MAX_POINTS_PER_CURVE = 16
 INTENSITY, SHARPNESS = "HapticIntensityControl", "HapticSharpnessControl"
 RENDERED_EVENT_TYPES = ("HapticContinuous", "HapticTransient")
 ASSUMED_PARAMETERS = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
-"""Of an event that gives none: an assumption, since what Apple publishes leaves its defaults open."""
+"""Values assumed for an event that gives none; Apple does not publish its defaults."""
 MAX_TIME_S = 10_000.0
-"""Nobody's pattern is longer; a file that says so is damaged."""
+"""Longest time accepted in a pattern [s]; a larger one means a damaged file."""
 MAX_EVENTS = 20_000
 MAX_IGNORED_LISTED = 8
 MAX_PARAMETER_VALUE = 1e30
 EDGE_RAMP_S = 1e-9
 PAUSE_RAMP_S = 1e-3
 MIN_DURATION_WITH_CLICKS_S = 4.0 * PAUSE_RAMP_S
-"""A pause and its rises fit into what is longer; in what is not, a click stays in the strength."""
+"""Shortest signal with separate clicks [s]; a pause and its ramps do not fit into a shorter one."""
 _DIGITS = 6
 
 Curve = tuple[Float, Float]
-"""Times, and values between which lines run."""
+"""Times and values of a piecewise linear curve."""
 Pause = tuple[float, float, float, float]
-"""Its start, the click's time, its end, and the click's amplitude."""
+"""Start, time of the click, end, and amplitude of the click."""
 
 
 def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """What was left out. Raises FileError where a sample is not finite, the disk refuses, there are too many clicks,
-    or the signal is empty: a pattern needs an event, and an event a length."""
+    """Write a signal as a haptic pattern; return what was left out, in sentences.
+
+    Raises FileError if a sample is not finite, the file cannot be written, there are too many clicks, or the signal is
+    empty: a pattern needs an event with a duration.
+    """
     if len(signal.samples) == 0:
         raise FileError("an empty signal makes no pattern.", where=str(path), remedy="Give one with samples in it.")
     clicks = signal.duration_s > MIN_DURATION_WITH_CLICKS_S
@@ -86,10 +91,10 @@ def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
 
 
 def encode_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[str, Any]], int]:
-    """The pattern's entries, and how many values exceeded full scale.
+    """Return the pattern's entries and the number of values that exceed full scale.
 
-    Curves apply to clicks too: while one sounds, the continuous event pauses and the intensity's curve is 1; the
-    sharpness at its place is the curve's alone.
+    Curves apply to clicks too: during a click, the continuous event pauses and the intensity curve is 1; the sharpness
+    there is the curve's alone.
     """
     intensity = np.sqrt(np.clip(envelope.amplitude / options.full_scale_m_s2, 0.0, 1.0))
     share = np.clip(normalise_frequency(envelope.frequency, options.range_hz), 0.0, 1.0)
@@ -110,7 +115,7 @@ def encode_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dic
 
 
 def _find_pauses(envelope: Envelope) -> list[Pause]:
-    """Of each click, within the signal and before its last RISE_S / 2."""
+    """Return the pause of each click, within the signal and before its last PAUSE_RAMP_S / 2."""
     end, half = envelope.duration_s, 0.5 * EMPHASIS_DURATION_S
     found = []
     for each in envelope.emphases:
@@ -121,7 +126,7 @@ def _find_pauses(envelope: Envelope) -> list[Pause]:
 
 
 def _raise_in_pauses(time: Float, value: Float, pauses: list[Pause]) -> Curve:
-    """The curve at 1 during each pause, but for a rise of RISE_S / 4 inside both its ends."""
+    """Return the curve raised to 1 in each pause, with a ramp of PAUSE_RAMP_S / 4 inside both ends."""
     outside = np.ones(len(time), bool)
     times, values = [], []
     for start, _, stop, _ in pauses:
@@ -148,8 +153,11 @@ def _iter_continuous_events(start: float, end: float) -> Iterator[dict[str, Any]
 
 
 def read_ahap(path: Path, options: ImportOptions) -> Signal:
-    """The file's pattern, rendered. Overlapping continuous events: the strongest counts. Attack, decay and release,
-    audio, and parameters that jump are named in provenance["ignored"], and not played. Raises FileError."""
+    """Render the pattern of an `.ahap` file as acceleration [m/s²].
+
+    Of overlapping continuous events, the strongest counts. Attack, decay and release, audio, and parameters that jump
+    are not rendered; provenance["ignored"] lists them. Raises FileError if the file is damaged.
+    """
     record = read_json(path)
     metadata = record.get("Metadata")
     origin = parse_provenance(metadata.get("Description") if isinstance(metadata, dict) else None, options)
@@ -160,7 +168,7 @@ def read_ahap(path: Path, options: ImportOptions) -> Signal:
 
 
 def decode_pattern(record: dict[str, Any], origin: Provenance, path: Path) -> tuple[Envelope, tuple[str, ...]]:
-    """The pattern in m/s² and Hz, and what was not understood. Raises FileError."""
+    """Return the pattern's envelope in m/s² and Hz, and a list of ignored entries. Raises FileError."""
     reading = JsonReader(path)
     events: list[tuple[float, float, float, float]] = []
     clicks: list[tuple[float, float, float]] = []
@@ -205,8 +213,11 @@ def _combine_events(
     control: dict[str, Curve],
     origin: Provenance,
 ) -> Envelope:
-    """Events (start, stop, intensity, sharpness) and clicks (time, …) under their curves. A line of intensity is a
-    parabola of amplitude, so that points are added every STEP_S. Edges are ramps of a nanosecond."""
+    """Combine events (start, stop, intensity, sharpness) and clicks (time, …) with the control curves.
+
+    A linear intensity is a parabola of amplitude, so points are added every `ENVELOPE_STEP_S`. Edges are ramps of a
+    nanosecond.
+    """
     over = max((stop for _, stop, _, _ in events), default=0.0)
     end = max([over, *(at + 0.5 * EMPHASIS_DURATION_S for at, _, _ in clicks if at > over or not events)])
     borders = np.array([border for start, stop, _, _ in events for border in (start, stop)])
@@ -232,7 +243,7 @@ def _combine_events(
 
 
 def _read_parameters(reading: JsonReader, event: dict[str, Any], ignored: set[str]) -> tuple[float, float]:
-    """Intensity and sharpness of an event, clamped as Apple does. Where one is missing: NOT_GIVEN."""
+    """Return intensity and sharpness of an event, clamped as Apple does; missing: `ASSUMED_PARAMETERS`."""
     found = dict(ASSUMED_PARAMETERS)
     for each in reading.get_array(event, "EventParameters") if "EventParameters" in event else []:
         value = reading.get_number(each, "ParameterValue", -MAX_PARAMETER_VALUE, MAX_PARAMETER_VALUE)
@@ -245,7 +256,7 @@ def _read_parameters(reading: JsonReader, event: dict[str, Any], ignored: set[st
 
 
 def _list_assumptions(pattern: list[Any]) -> tuple[str, ...]:
-    """For how many events of a sound pattern each of NOT_GIVEN was taken."""
+    """Report for how many rendered events each of `ASSUMED_PARAMETERS` was used."""
     events = [entry["Event"] for entry in pattern if entry.get("Event", {}).get("EventType") in RENDERED_EVENT_TYPES]
     given = [{str(each.get("ParameterID")) for each in event.get("EventParameters", ())} for event in events]
     missing = {name: sum(name not in each for each in given) for name in ASSUMED_PARAMETERS}
@@ -259,7 +270,7 @@ def _list_assumptions(pattern: list[Any]) -> tuple[str, ...]:
 
 
 def _read_curve(reading: JsonReader, curve: dict[str, Any], lowest: float) -> Curve:
-    """A curve on the pattern's time."""
+    """Return a curve with times relative to the start of the pattern."""
     start = reading.get_number(curve, "Time", 0.0, MAX_TIME_S)
     rows = reading.get_array(curve, "ParameterCurveControlPoints")
     if not rows:
@@ -275,7 +286,7 @@ def _read_curve(reading: JsonReader, curve: dict[str, Any], lowest: float) -> Cu
 
 
 def _concatenate_curves(curves: list[Curve], default: float) -> Curve:
-    """Curves one after the other, by their starts: the value rests at resting before the first, holds between them."""
+    """Join curves in order of their starts; the value is `default` before the first and is held between them."""
     if not curves:
         return np.zeros(1), np.full(1, default)
     curves = sorted(curves, key=lambda each: float(each[0][0]))
@@ -295,7 +306,7 @@ def _concatenate_curves(curves: list[Curve], default: float) -> Curve:
 
 
 def _iter_curves(name: str, time: Float, value: Float, points: Index) -> Iterator[dict[str, Any]]:
-    """Curves of at most POINTS_A_CURVE points, each starting where the last ended."""
+    """Yield curves of at most `MAX_POINTS_PER_CURVE` points, each starting at the end of the one before."""
     for first in range(0, max(1, len(points) - 1), MAX_POINTS_PER_CURVE - 1):
         part = points[first : first + MAX_POINTS_PER_CURVE]
         # Rounded on the pattern's time first: the difference of a rounded and an exact one may lie before the start.

@@ -1,9 +1,12 @@
-"""Android's waveform: how long and how strong, step by step, as `VibrationEffect.createWaveform(timings, amplitudes,
-repeat)` takes it (API 26; Android's reference of android.os.VibrationEffect).
+"""Android's waveform as JSON: durations and amplitudes of the steps of a vibration.
 
-{"timings": [ms …], "amplitudes": [0 … 255 …], "repeat": -1, "metadata": {…}}; equally many of both. A device plays the
-steps at its own resonance; a reader here takes the energy's centre, which metadata keeps. Android publishes no file
-format for it: this JSON is the call's arguments by their names.
+The file holds the arguments of `VibrationEffect.createWaveform(timings, amplitudes, repeat)` by name (API 26;
+Android's reference of android.os.VibrationEffect), since Android publishes no file format:
+
+    {"timings": [ms …], "amplitudes": [0 … 255 …], "repeat": -1, "metadata": {…}}
+
+Both lists have the same length. A device plays the steps at its own resonance; `read_android` renders them at the
+power centroid that `metadata` holds.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from .provenance import Provenance, make_provenance_record, make_rendered_proven
 
 MAX_AMPLITUDE = 255
 STEP_MS = 10
-"""A choice of ours: Android takes any whole number of milliseconds."""
+"""Duration of a step [ms]; a free choice, as Android takes any whole number of milliseconds."""
 MAX_TIMING_MS = 10_000_000
 DROPPED = (
     "The waveform and every frequency: strength over time is kept, and a device plays it at its own resonance.",
@@ -33,8 +36,11 @@ DROPPED = (
 
 
 def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """What was left out. Raises FileError where a sample is not finite, the disk refuses, or the signal is shorter than
-    a millisecond, which Android does not play."""
+    """Write a signal as Android's steps; return what was left out, in sentences.
+
+    Raises FileError if a sample is not finite, the file cannot be written, or the signal is shorter than a
+    millisecond, which Android does not play.
+    """
     envelope = compute_envelope(signal, options.range_hz, separate_clicks=False, where=str(path))
     timings, amplitudes, clipped = encode_steps(envelope, options.full_scale_m_s2)
     if not timings:
@@ -51,8 +57,10 @@ def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[s
 
 
 def encode_steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int], list[int], int]:
-    """Timings [ms], amplitudes 0 … 255, each a step's root mean square, and how many steps exceeded full scale. Equal
-    neighbours are one step."""
+    """Return timings [ms], amplitudes 0 … 255 and the number of steps above full scale.
+
+    The amplitude of a step is its root mean square. Equal neighbours are merged into one step.
+    """
     whole = round(1000.0 * envelope.duration_s)
     edges = np.append(np.arange(0, whole, STEP_MS), whole)
     fine = np.arange(0.5, whole, 1.0)
@@ -68,7 +76,7 @@ def encode_steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int],
 
 
 def compute_centre_frequency(envelope: Envelope) -> float:
-    """Hz: the frequency's mean, weighted with power."""
+    """Return the mean frequency weighted by power [Hz]."""
     power = np.square(envelope.amplitude)
     if not power.any():
         return float(envelope.frequency[0])
@@ -76,7 +84,11 @@ def compute_centre_frequency(envelope: Envelope) -> float:
 
 
 def read_android(path: Path, options: ImportOptions) -> Signal:
-    """The steps, rendered at the frequency that metadata states, else in the middle of the range. Raises FileError."""
+    """Render the steps of a file as acceleration [m/s²].
+
+    The carrier has the frequency that the metadata states, otherwise the middle of the range. Raises FileError if the
+    file is damaged.
+    """
     record = read_json(path)
     metadata = record.get("metadata")
     origin = parse_provenance(json.dumps(metadata) if isinstance(metadata, dict) else None, options)
@@ -89,7 +101,7 @@ def read_android(path: Path, options: ImportOptions) -> Signal:
 
 
 def decode_steps(record: dict[str, Any], origin: Provenance, path: Path) -> Envelope:
-    """Steps as ramps of a nanosecond, in m/s². Raises FileError."""
+    """Return the steps as an envelope [m/s²] with ramps of a nanosecond. Raises FileError."""
     reading = JsonReader(path)
     timings, amplitudes = reading.get_array(record, "timings"), reading.get_array(record, "amplitudes")
     if len(timings) != len(amplitudes):

@@ -1,6 +1,7 @@
-"""Out into a format and back in: the two ways that the command line and Blender share.
+"""Export a signal to a format and import it back: the entry points for the command line and Blender.
 
-Where an export writes beside its file, and what must not be lost there.
+An export also writes a sidecar, and for some formats a mesh. Files at these paths that belong to something else are
+never overwritten.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ from .provenance import get_sidecar_path, is_sidecar, write_sidecar
 
 
 def check_output_paths(path: Path, *, with_mesh: bool) -> None:
-    """Look before anything is written. path: of the export. mesh: whether one may be written beside it.
+    """Check that an export to `path` overwrites nothing but its own earlier files, before anything is written.
 
-    Raises FileError where path, its note or its mesh would replace what is not its own earlier one.
+    `with_mesh` includes the mesh next to the file. Raises FileError if the path, its sidecar or its mesh is another
+    file.
     """
     note = get_sidecar_path(path)
     for each in (path, note, *((get_mesh_path(path),) if with_mesh else ())):
@@ -47,7 +49,7 @@ def check_output_paths(path: Path, *, with_mesh: bool) -> None:
 
 
 def _is_exported_mesh(path: Path) -> bool:
-    """Whether it was written beside a texture: a GLB of this project, without a note of its own."""
+    """Return True for a GLB that this project wrote next to a texture: it has no sidecar of its own."""
     if not path.exists() or get_sidecar_path(path).exists():
         return False
     try:
@@ -62,12 +64,24 @@ def _occupied_error(path: Path, why: str) -> FileError:
 
 
 CHECKED_PREFIX = "This file was read again by hnf. Files of this writer are checked in the tests against"
-"""How what is told of a file's checking begins: of this very file no more is true."""
+"""Beginning of the sentence on a file's checks: more than reading it back was not done with this file."""
 
 
 @dataclass(frozen=True)
 class ExportResult:
-    """path: of the file. form: its format. options: what 1 stands for. loss: measured on the file, read again."""
+    """Result of an export.
+
+    Attributes
+    ----------
+    path : Path
+        Written file.
+    form : Format
+        Its format.
+    options : ExportOptions
+        Options it was written with; they hold the full scale.
+    loss : ConversionLoss
+        Loss measured on the file after reading it back.
+    """
 
     path: Path
     form: Format
@@ -76,12 +90,12 @@ class ExportResult:
 
     @property
     def dropped(self) -> tuple[str, ...]:
-        """What the format has no place for, in words."""
+        """Sentences on what the format cannot hold."""
         return self.loss.dropped
 
     @property
     def clipped(self) -> str:
-        """The sentence of what exceeded full scale; empty where nothing did."""
+        """Sentence on values above full scale; empty if there are none."""
         return next((each for each in self.dropped if each.startswith(CLIPPED_PREFIX)), "")
 
     def to_json(self) -> dict[str, Any]:
@@ -97,16 +111,40 @@ class ExportResult:
         }
 
     def report(self) -> str:
-        """For people, several lines."""
+        """Format the result as several lines for the terminal."""
         scale = f"1 = {self.options.full_scale_m_s2:g} m/s²" if self.form.states_scale else "in m/s²"
         return f"{self.path}: {self.form.what}; {scale}\n{format_loss_table(self.loss)}"
 
 
 def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptions, blend: str = "") -> ExportResult:
-    """Write signal to path, atomically, and what its numbers stand for to path.json, with the name of the .blend it
-    comes from; then read the file again and measure what is missing. Envelopes are rendered with the signal's seed, at
-    its rate or one that holds the range. Raises FileError for a rate that is none or where something else is in the
-    place of what would be written, FileError and UsageError of the format."""
+    """Write a signal and its sidecar, read the file back, and measure the loss.
+
+    Parameters
+    ----------
+    signal : Signal
+        Acceleration [m/s²].
+    form : Format
+        Format to write.
+    path : Path
+        File to write, atomically; the sidecar is written to path.json.
+    options : ExportOptions
+        Scale, range, envelope error and surface.
+    blend : str
+        Name of the .blend file that the signal comes from, for the sidecar.
+
+    Returns
+    -------
+    ExportResult
+        The options in use and the measured loss. Envelopes are rendered with the signal's seed, at its rate or one
+        that holds the range.
+
+    Raises
+    ------
+    FileError
+        If the sample rate is not valid, another file is at one of the paths, or the format cannot hold the signal.
+    UsageError
+        If the format needs an option that is missing.
+    """
     if not 0.0 < signal.sample_rate <= MAX_RATE_HZ:
         raise FileError(
             f"a signal of {signal.sample_rate:g} Hz is none, so nothing was written.", where=str(path),
@@ -129,5 +167,25 @@ def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptio
 
 
 def import_signal(path: Path, options: ImportOptions, form: Format | None = None) -> Signal:
-    """The signal in path, in m/s². form: its format; None: as its suffix says. Raises FileError and UsageError."""
+    """Read a signal from a file in any known format.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    options : ImportOptions
+        Scale, range, rate and seed for what the file does not state.
+    form : Format, optional
+        Format of the file; by default its suffix decides.
+
+    Returns
+    -------
+    Signal
+        Acceleration [m/s²].
+
+    Raises
+    ------
+    FileError, UsageError
+        If the file is damaged or its format is not known.
+    """
     return (form or format_of_file(path)).read(path, options)

@@ -1,8 +1,8 @@
-"""CSV and NPZ, for laboratories: the samples themselves, lossless.
+"""Lossless CSV and NPZ files of a signal's samples.
 
-CSV: the header `time_s,acceleration_m_s2` and a row a sample, float32 with nine digits, which give back the same bits.
-The rate is read from the times; seed and origin stand in the sidecar. NPZ: `samples` (n,) float32 m/s²,
-`sample_rate_hz`, `seed`, and `origin`, a JSON text; arrays of plain numbers and text, read without pickle.
+CSV has the header `time_s,acceleration_m_s2` and one row per sample; nine digits restore every float32 exactly. The
+rate is inferred from the times; seed and provenance are in the sidecar. NPZ holds `samples` (n,) float32 [m/s²],
+`sample_rate_hz`, `seed`, and `origin`, a JSON text; all arrays are plain numbers and text, read without pickle.
 """
 
 from __future__ import annotations
@@ -26,15 +26,18 @@ from .provenance import encode_provenance, read_sidecar_provenance
 HEADER = "time_s,acceleration_m_s2"
 MAX_TABLE_BYTES = 2**29
 MAX_ROW_BYTES = 40
-"""At most: a time of up to nine digits before the point and twelve after it, and a float32."""
+"""Most bytes per row: a time with nine digits before the point and twelve after it, and a float32."""
 MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e9
 MAX_TIME_DEVIATION = 0.1
-"""Of a sample's time: more than this off its place, and times are not even. Tables round their times."""
+"""Largest deviation of a row's time from the even grid, in samples; tables round their times."""
 
 
 def write_csv(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Raises FileError where a sample is not finite, there are fewer than two, whose times tell no rate, the table
-    would be larger than is read again, or the disk refuses."""
+    """Write a signal as a table; return what was left out, in sentences.
+
+    Raises FileError if a sample is not finite, there are fewer than two samples (their times would not give a rate),
+    the table would be larger than `read_csv` accepts, or the file cannot be written.
+    """
     samples = get_finite_samples(signal, str(path))
     if len(samples) < 2:
         raise FileError(f"a table of {len(samples)} rows tells no rate.", where=str(path), remedy="Write NPZ instead.")
@@ -48,8 +51,11 @@ def write_csv(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
 
 
 def read_csv(path: Path, options: ImportOptions) -> Signal:
-    """Seed and provenance come from the sidecar where it speaks of these very bytes. Raises FileError where it is no
-    such table, its times do not rise evenly, a value is not finite, or it has fewer than two rows and so no rate."""
+    """Read a table of accelerations [m/s²].
+
+    Seed and provenance come from the sidecar if its hash matches the file. Raises FileError if the header or the
+    columns differ, the times do not rise evenly, a value is not finite, or there are fewer than two rows.
+    """
     data = read_limited_bytes(path, MAX_TABLE_BYTES)
     try:
         text = data.decode("utf-8-sig")
@@ -73,7 +79,7 @@ def read_csv(path: Path, options: ImportOptions) -> Signal:
 
 
 def _infer_rate(time: NDArray[np.float64], path: Path) -> float:
-    """Hz, a whole number where rounded times allow it."""
+    """Return the sample rate [Hz], as a whole number if the rounded times allow it."""
     with np.errstate(over="ignore"):
         span = time[-1] - time[0]
     if not span > 0.0:
@@ -91,7 +97,10 @@ def _infer_rate(time: NDArray[np.float64], path: Path) -> float:
 
 
 def write_npz(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Equal signals give equal bytes. Raises FileError where a sample is not finite or the disk refuses."""
+    """Write a signal as an NPZ archive; equal signals give equal bytes.
+
+    Raises FileError if a sample is not finite or the file cannot be written.
+    """
     arrays: dict[str, NDArray[Any]] = {
         "samples": get_finite_samples(signal, str(path)),
         "sample_rate_hz": np.array(float(signal.sample_rate)),
@@ -110,8 +119,11 @@ def write_npz(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
 
 
 def read_npz(path: Path, options: ImportOptions) -> Signal:
-    """Raises FileError where it is no such archive, an array is missing, larger than it says, of another kind, or not
-    finite."""
+    """Read a signal from an NPZ archive.
+
+    Raises FileError if the file is no archive, an array is missing, larger than its header states or of another type,
+    or a sample is not finite.
+    """
     data = read_limited_bytes(path, MAX_TABLE_BYTES)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -134,7 +146,7 @@ def read_npz(path: Path, options: ImportOptions) -> Signal:
 
 
 def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    """An array whose header claims no more than is there."""
+    """Return an array after checking that its header matches the number of bytes."""
     info = archive.getinfo(f"{name}.npy")
     if info.file_size > MAX_TABLE_BYTES:
         raise ValueError(f"{name} is larger than {MAX_TABLE_BYTES} bytes")
@@ -152,7 +164,7 @@ def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
 
 
 def _read_array_header(stream: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and type of the array that follows. numpy reads the literal, and evaluates nothing."""
+    """Return shape, Fortran order and dtype of the next array; numpy parses the header without evaluating it."""
     layout: Any = np.lib.format
     read = layout.read_array_header_1_0 if layout.read_magic(stream) == (1, 0) else layout.read_array_header_2_0
     shape, fortran, kind = read(stream)

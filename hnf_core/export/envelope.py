@@ -1,15 +1,10 @@
-"""A signal as phones and game controllers keep it: how strong, and at which frequency, over time.
+"""Amplitude and frequency envelopes of a signal, and their rendering back to acceleration.
 
 *Amplitude* is that of the sine with the same local power: |z| of the analytic signal z within the device's range, as a
 root mean square over a Hann window (a sine of 3 m/s² has amplitude 3, noise of 1 m/s² RMS has √2). *Frequency* is the
-local power centroid within the range, Im(z̄ z′)/(2π |z|²) averaged with the power as weight (L. Cohen, Time-Frequency
-Analysis, 1995, ch. 2): exact for a tone, however short the window. Both need numpy's FFT alone.
-
-Curves as formats keep them: few points, and lines between them.
-
-Envelopes back to acceleration: what a device that knows only strength and frequency plays.
-
-m/s² and Hz ↔ the 0 … 1 of formats that know nothing else, and what did not fit.
+local power centroid within the range, Im(z̄ z′)/(2π |z|²), averaged with the power as weight (L. Cohen, Time-Frequency
+Analysis, 1995, ch. 2); it is exact for a tone, however short the window. The file also reduces envelopes to few
+control points, maps m/s² and Hz to the unit range that some formats use, and renders an envelope on a sine carrier.
 """
 
 from __future__ import annotations
@@ -32,31 +27,35 @@ Complex = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 ENVELOPE_STEP_S = 0.005
-"""From one value to the next before control points are chosen."""
+"""Time step of the envelope before control points are selected [s]."""
 HALF_WINDOW_S = 0.010
+"""Half width of the Hann window [s]."""
 PEAK_REACH_S = 0.025
-"""An amplitude is never above the largest sample this near: half a period of the slowest vibration that is felt."""
+"""Half width [s] of the window whose largest sample bounds the amplitude: half a period at 20 Hz."""
 FLANK_OCTAVES = 0.5
-"""Width of the flanks outside the range."""
+"""Width of the cosine flanks outside the frequency range [octaves]."""
 CLICK_RATIO, CLICK_CREST = 4.0, 1.8
-"""A sample this far above the amplitude before and after (more than 5 σ of a noise), and this far above that of its own
-place, is a click, which an envelope cannot hold. That amplitude is of all that is not below the range: beside what is
-within it alone, every steady vibration above it would be a row of clicks."""
+"""Least height of a click, relative to the amplitude before and after it and to the amplitude at its own position.
+
+A ratio of 4 is more than 5 σ of noise. The amplitude in the comparison includes everything above the lower edge of the
+range: otherwise every steady vibration above the range would be detected as a row of clicks.
+"""
 SIDE_STEPS = (3, 12)
-"""Steps from a place to where before and after begin and end."""
+"""Nearest and farthest step of the neighbourhoods before and after a click."""
 MIN_CLICK_SHARE = 0.2
-"""Of the signal's peak, that a click has at least."""
+"""Least height of a click, as a fraction of the signal's peak."""
 MIN_CLICK_SPACING_S = 0.030
+"""Least distance between two clicks [s]."""
 MIN_AMPLITUDE_SHARE = 1e-3
-"""Share of the largest amplitude below which a frequency means nothing; it is then taken from the neighbours."""
+"""Fraction of the largest amplitude below which the frequency is interpolated from the neighbours."""
 ROUNDING_SHARE = 1e-12
-"""Share of the largest sample below which an amplitude is what transforms round: a constant has no frequency."""
+"""Fraction of the largest sample below which an amplitude is rounding error of the transform."""
 _WINDOWS_PER_BLOCK = 4096
 
 
 @dataclass(frozen=True)
 class Emphasis:
-    """A click: time_s, amplitude [m/s²], frequency_hz."""
+    """Click at time_s [s] with amplitude [m/s²] and frequency_hz [Hz]."""
 
     time_s: float
     amplitude: float
@@ -65,8 +64,19 @@ class Emphasis:
 
 @dataclass(frozen=True)
 class Envelope:
-    """time: (k,) s, rising from 0; the last is the duration. amplitude: (k,) m/s². frequency: (k,) Hz. Linear between
-    them. emphases: rising in time."""
+    """Amplitude and frequency over time, linear between the points.
+
+    Attributes
+    ----------
+    time : (k,) array
+        Times [s], increasing from 0; the last is the duration.
+    amplitude : (k,) array
+        Amplitude [m/s²].
+    frequency : (k,) array
+        Frequency [Hz].
+    emphases : tuple of Emphasis
+        Clicks in order of time; they are not part of the amplitude.
+    """
 
     time: Float
     amplitude: Float
@@ -81,10 +91,28 @@ class Envelope:
 def compute_envelope(
     signal: Signal, range_hz: tuple[float, float], *, separate_clicks: bool = True, where: str = "envelope"
 ) -> Envelope:
-    """The envelope of signal within range_hz, every STEP_S. Silence has amplitude 0, and the range's middle frequency.
-    clicks: are told apart, and are then not in amplitude; else they are in it, as all else.
+    """Compute the envelope of a signal within a frequency range, every `ENVELOPE_STEP_S`.
 
-    Raises FileError naming where, if a sample is not finite or the signal is longer than could be rendered again.
+    Parameters
+    ----------
+    signal : Signal
+        Acceleration [m/s²].
+    range_hz : tuple of float
+        Lowest and highest frequency [Hz].
+    separate_clicks : bool
+        Detect clicks and return them as emphases; otherwise they stay part of the amplitude.
+    where : str
+        Source that error messages name.
+
+    Returns
+    -------
+    Envelope
+        Silence has amplitude 0 and the middle frequency of the range.
+
+    Raises
+    ------
+    FileError
+        If a sample is not finite, or the signal is longer than can be rendered again.
     """
     x, rate = get_finite_samples(signal, where).astype(np.float64), float(signal.sample_rate)
     if signal.duration_s * (heard_at := choose_render_rate(signal, range_hz)) > MAX_RENDERED_SAMPLES:
@@ -128,16 +156,18 @@ def compute_envelope(
 
 
 def make_envelope_grid(count: int, rate: float) -> Index:
-    """Samples of the envelope: one every STEP_S, and count itself, the end."""
+    """Return the sample indices of the envelope: one every `ENVELOPE_STEP_S`, and `count`, the end."""
     steps = int(count / rate / ENVELOPE_STEP_S) + 1
     at = np.minimum(np.round(np.arange(steps) * ENVELOPE_STEP_S * rate).astype(np.intp), count)
     return np.asarray(np.unique(np.append(at, count)))
 
 
 def compute_analytic_signal(x: Float, rate: float, range_hz: tuple[float, float]) -> tuple[Complex, Complex, Float]:
-    """z and dz/dt of x within range_hz, cosine flanks of EDGE_OCTAVES outside; and x without what is below. x is
-    followed by its mirror image, so that it goes on at both ends as it was there: what starts at once is not heard as
-    swelling, and what rests on a constant has no step."""
+    """Return z and dz/dt of x within range_hz, and x without the frequencies below the range.
+
+    The range has cosine flanks of `FLANK_OCTAVES`. x is extended by its mirror image, so that an abrupt start does not
+    become a fade-in and a constant offset does not become a step.
+    """
     hertz = np.fft.rfftfreq(2 * len(x), 1.0 / rate)
     octaves = np.log2(np.maximum(hertz, 1e-9))
     spectrum = np.fft.rfft(np.concatenate([x, x[::-1]])) * _cosine_flank(np.log2(range_hz[0]) - octaves)
@@ -149,13 +179,16 @@ def compute_analytic_signal(x: Float, rate: float, range_hz: tuple[float, float]
 
 
 def _cosine_flank(outside: Float) -> Float:
-    """1 within, 0 from EDGE_OCTAVES outside on."""
+    """Return 1 inside the range, falling to 0 at `FLANK_OCTAVES` outside."""
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / FLANK_OCTAVES, 0.0, 1.0)))
 
 
 def reduce_windows(values: Float, centres: Index, half_width: int, reduce: Callable[[Float, Float], Float]) -> Float:
-    """fold(rows (m, 2 reach + 1), inside (same, 1 where there is a sample)) → (m,), of the values within reach samples
-    of each of at. In pieces, so that memory stays bounded."""
+    """Apply `reduce` to the window of values around every centre.
+
+    `reduce` takes rows (m, 2 half_width + 1) and a mask of the same shape, 1 where a sample exists, and returns (m,)
+    values. Windows are processed in blocks, so that memory stays bounded.
+    """
     found = np.empty(len(centres))
     offsets = np.arange(-half_width, half_width + 1)
     for first in range(0, len(centres), _WINDOWS_PER_BLOCK):
@@ -167,8 +200,11 @@ def reduce_windows(values: Float, centres: Index, half_width: int, reduce: Calla
 
 
 def _detect_clicks(height: Float, rate: float, centres: Index, body: Float, min_height: float) -> dict[int, float]:
-    """Where on the grid → how high, in order of time. Of those nearer than CLICKS_APART_S, the highest. body: on the
-    grid, the amplitude of what height is of. floor: a height below it is rounding."""
+    """Return the height of each click by its index in the envelope grid, in order of time.
+
+    Of clicks nearer to each other than `MIN_CLICK_SPACING_S`, the highest is kept. `body` is the amplitude on the
+    grid; heights below `min_height` are rounding errors.
+    """
     half = max(1, round(0.5 * ENVELOPE_STEP_S * rate))
     peak = reduce_windows(height, centres, half, _window_max)
     calm = reduce_windows(body, np.arange(len(centres)), SIDE_STEPS[1], _larger_side_median)
@@ -196,18 +232,21 @@ def _window_max(rows: Float, inside: Float) -> Float:
 
 
 def _larger_side_median(rows: Float, inside: Float) -> Float:
-    """The greater of the medians before and after."""
+    """Return the larger of the medians before and after the centre."""
     side = SIDE_STEPS[1] - SIDE_STEPS[0] + 1
     return np.asarray(np.maximum(np.median(rows[:, :side], axis=1), np.median(rows[:, -side:], axis=1)))
 
 
 MAX_FREQUENCY_ERROR = 0.02
-"""Of the frequency, between its control points."""
+"""Largest relative error of the frequency between its control points."""
 
 
 def select_control_points(time: Float, value: Float, error: float, required: Iterable[int] = ()) -> Index:
-    """Indices (m,) of as few of the points as a greedy pass finds whose connecting lines stay within error of all
-    others; the first, the last and kept are always among them."""
+    """Return the indices (m,) of the control points of a piecewise linear approximation.
+
+    A greedy pass keeps as few points as it can while all others lie within `error` of the lines. The first point, the
+    last one and `required` are always kept.
+    """
     times, values = time.tolist(), value.tolist()
     chosen = [0]
     for stop in sorted({*required, len(times) - 1}):
@@ -217,12 +256,12 @@ def select_control_points(time: Float, value: Float, error: float, required: Ite
 
 
 def select_frequency_points(envelope: Envelope) -> Index:
-    """Where the frequency needs a control point."""
+    """Return the indices of the control points of the frequency envelope."""
     return select_control_points(envelope.time, np.log(envelope.frequency), MAX_FREQUENCY_ERROR)
 
 
 def separate_equal_times(time: Float) -> Float:
-    """Times that never fall → times that rise: of two equal ones, a step, the second comes a nanosecond later."""
+    """Make non-decreasing times strictly increasing: of two equal ones, the second moves by a nanosecond."""
     rising = time.copy()
     for index in np.flatnonzero(np.diff(time) <= 0.0) + 1:
         rising[index] = max(rising[index - 1] + 1e-9, np.nextafter(rising[index - 1], np.inf))
@@ -230,8 +269,11 @@ def separate_equal_times(time: Float) -> Float:
 
 
 def _find_farthest_point(time: Sequence[float], value: Sequence[float], error: float, start: int, stop: int) -> int:
-    """The farthest point up to stop that a line from start reaches within error of all between. Such a line lies in the
-    cone of slopes that pass each of them within error (J. Sklansky and V. Gonzalez 1980); it only narrows."""
+    """Return the farthest point up to `stop` whose line from `start` stays within `error` of all points between.
+
+    Such a line lies in the cone of slopes that pass each of these points within the error; the cone only narrows (J.
+    Sklansky and V. Gonzalez 1980).
+    """
     low, high, best = -math.inf, math.inf, start + 1
     for index in range(start + 1, stop + 1):
         span, rise = time[index] - time[start], value[index] - value[start]
@@ -245,14 +287,24 @@ def _find_farthest_point(time: Sequence[float], value: Sequence[float], error: f
 
 CARRIER_DESCRIPTION = "a sine whose phase is the integral of the frequency envelope; the seed draws where it starts"
 EMPHASIS_DURATION_S = 0.015
-"""Length of a click, under a Hann window; the tone gives way to it. As long as Lofelt's tests of its emphasis on
-Android (`core/datamodel/src/emphasis.rs`); its level is the emphasis's own."""
+"""Length of a rendered click under a Hann window [s]; the tone is faded out under it.
+
+It equals the length in Lofelt's tests of emphasis on Android (`core/datamodel/src/emphasis.rs`); the level is the
+emphasis's own.
+"""
 
 
 def render_envelope(envelope: Envelope, rate_hz: float, seed: int, *, where: str = "envelope") -> NDArray[np.float32]:
-    """(n,) m/s², n = round(duration · rate_hz): amplitude(t) sin(φ₀ + 2π ∫ frequency dt), φ₀ from seed, and the clicks.
+    """Render an envelope on a sine carrier, with its clicks: (n,) [m/s²], n = round(duration · rate_hz).
 
-    Raises FileError where it would be longer than LONGEST_SAMPLES or a frequency reaches rate_hz / 2.
+    Raises
+    ------
+    FileError
+        If the result would exceed `MAX_RENDERED_SAMPLES`, or a frequency reaches rate_hz / 2.
+
+    Notes
+    -----
+    The samples are amplitude(t) sin(φ₀ + 2π ∫ frequency dt), with φ₀ drawn from the seed.
     """
     if not envelope.duration_s * rate_hz <= MAX_RENDERED_SAMPLES:
         raise FileError(
@@ -281,27 +333,27 @@ def render_envelope(envelope: Envelope, rate_hz: float, seed: int, *, where: str
 
 
 CLIPPED_PREFIX = "Clipped"
-"""How the sentence of what did not fit begins."""
+"""First word of the sentence that reports clipped values."""
 
 
 def normalise_frequency(hertz: Any, range_hz: tuple[float, float]) -> Any:
-    """Hz → 0 … 1 of the range, linear."""
+    """Map [Hz] linearly to 0 … 1 of the range."""
     return (hertz - range_hz[0]) / (range_hz[1] - range_hz[0])
 
 
 def denormalise_frequency(share: Any, range_hz: tuple[float, float]) -> Any:
-    """0 … 1 of the range → Hz."""
+    """Map 0 … 1 of the range to [Hz]."""
     return range_hz[0] + share * (range_hz[1] - range_hz[0])
 
 
 def count_clipped(envelope: Envelope, options: ExportOptions) -> int:
-    """How many of its values and clicks exceed full scale; rounding is not counted."""
+    """Count the values and clicks that exceed full scale, rounding errors excluded."""
     levels = np.concatenate([envelope.amplitude, [each.amplitude for each in envelope.emphases]])
     return int(np.count_nonzero(np.round(levels / options.full_scale_m_s2, 12) > 1.0))
 
 
 def format_clipped(count: int, options: ExportOptions) -> tuple[str, ...]:
-    """The sentence, where count is not 0."""
+    """Return the sentence that reports clipped values; none if `count` is 0."""
     if not count:
         return ()
     return (f"{CLIPPED_PREFIX}: {count} values above the full scale of {options.full_scale_m_s2:g} m/s².",)

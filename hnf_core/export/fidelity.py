@@ -1,4 +1,8 @@
-"""What a conversion cost, measured on the written file, decoded again."""
+"""Fidelity of a conversion, measured on the written file after reading it back.
+
+Level, peak, crest factor, dynamics and octave band levels of the original and the decoded signal are compared, and
+printed as a table or stored as JSON.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +13,34 @@ from typing import Any
 
 import numpy as np
 
-from ..metrics.band_energy import BandChange, compare_bands
+from ..metrics.spectra import BandChange, compare_bands
 from ..signal import Signal
 
 FRAME_S = 0.02
 SILENCE_DB = -120.0
-"""Levels below it, re 1 m/s², are silence."""
+"""Level below which a signal is silent [dB re 1 m/s²]."""
 SILENT_OUTPUT = "All of it: what is read back is silent. A .wav in m/s² keeps every sample."
 BAND_RANGE_DB = 60.0
-"""A band this far below the loudest says nothing, and is not in the table."""
+"""Bands this far below the loudest are left out of the table [dB]."""
 
 
 @dataclass(frozen=True)
 class SignalStats:
-    """duration_s, sample_rate_hz; rms, peak: m/s². crest_db: peak over RMS. range_db: from the 5th to the 95th
-    percentile of the levels of 20 ms frames. None: of silence."""
+    """Level statistics of a signal.
+
+    Attributes
+    ----------
+    duration_s : float
+        Duration [s].
+    sample_rate_hz : float
+        Sample rate [Hz].
+    rms, peak : float
+        Root mean square and largest absolute value [m/s²].
+    crest_db : float or None
+        Peak over RMS [dB]; None for silence.
+    range_db : float or None
+        5th to 95th percentile of the levels of 20 ms frames [dB]; None for silence.
+    """
 
     duration_s: float
     sample_rate_hz: float
@@ -35,8 +52,19 @@ class SignalStats:
 
 @dataclass(frozen=True)
 class ConversionLoss:
-    """before, after: the conversion; bands: of energy; exact: every sample is as it was; dropped: what the format has
-    no place for, in words."""
+    """Difference between a signal and its converted form.
+
+    Attributes
+    ----------
+    before, after : SignalStats
+        Statistics of the original and of the decoded signal.
+    bands : tuple of BandChange
+        Energy per octave band.
+    exact : bool
+        Every sample is unchanged.
+    dropped : tuple of str
+        Sentences on what the format cannot hold.
+    """
 
     before: SignalStats
     after: SignalStats
@@ -66,7 +94,22 @@ class ConversionLoss:
 
 
 def measure_loss(before: Signal, after: Signal, dropped: tuple[str, ...] = ()) -> ConversionLoss:
-    """after: read again from the file. Where nothing of it is left, ALL_LOST comes first in dropped."""
+    """Compare a signal with its decoded form.
+
+    Parameters
+    ----------
+    before : Signal
+        Original signal [m/s²].
+    after : Signal
+        Signal read back from the written file [m/s²].
+    dropped : tuple of str
+        Sentences on what the format cannot hold. `SILENT_OUTPUT` comes before them if nothing is left of the signal.
+
+    Returns
+    -------
+    ConversionLoss
+        Statistics of both signals, and the change per octave band.
+    """
     bands = compare_bands(before.samples, before.sample_rate, after.samples, after.sample_rate)
     exact = before.sample_rate == after.sample_rate and np.array_equal(before.samples, after.samples)
     was, now = compute_signal_stats(before), compute_signal_stats(after)
@@ -97,12 +140,12 @@ def _compute_range_db(samples: np.ndarray[Any, np.dtype[np.float64]], rate: floa
 
 
 def power_to_level_db(power: float) -> float | None:
-    """re 1 (m/s²)²; None for what is silent."""
+    """Convert power to a level [dB re 1 (m/s²)²]; None for silence."""
     return 10.0 * math.log10(power) if power > 10.0 ** (SILENCE_DB / 10.0) else None
 
 
 def format_loss_table(loss: ConversionLoss) -> str:
-    """A few lines for a terminal; of a conversion that is exact, one."""
+    """Format a loss as a table for the terminal; an exact conversion takes one line."""
     before, after = loss.before, loss.after
     if loss.exact:
         return _append_dropped(f"Every sample reads back as it was: {_format_stats(before)}.", loss)
@@ -124,14 +167,16 @@ def format_loss_table(loss: ConversionLoss) -> str:
 
 
 def format_rendered_summary(loss: ConversionLoss) -> str:
-    """In place of loss_table, of a signal whose file holds no samples: there is nothing to compare it with."""
+    """Format the summary of a rendered signal, for which there are no original samples to compare with."""
     head = "Rendered from strength and frequency over time, and its waveform is made up"
     return _append_dropped(f"{head}: {_format_stats(loss.after)}.", loss)
 
 
 def describe_sidecar_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    """Lines on what an export changed, from its Loss.to_json in the file called where. Its sentences follow as they
-    are: not each of them is of a loss, as the one that states a gain."""
+    """Describe the loss of an earlier export, from the `ConversionLoss.to_json` in the sidecar called `where`.
+
+    The sidecar's sentences are quoted unchanged, since some of them do not report a loss, for example a stated gain.
+    """
     if loss["exact"]:
         return (f"Its export, as {where} says, kept every sample.",)
     before, after = loss["before"], loss["after"]
@@ -145,7 +190,7 @@ def describe_sidecar_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...
 
 
 def format_level_table(facts: SignalStats, bands: tuple[BandChange, ...]) -> str:
-    """How strong a signal is, whole and octave by octave (bands: of it, as after): for a terminal."""
+    """Format crest factor, dynamics and octave band levels (`after` of each band) for the terminal."""
     rows: list[tuple[str, ...]] = [
         ("crest factor", _format_level(facts.crest_db)),
         ("dynamics, 5–95 %", _format_level(facts.range_db)),
@@ -160,13 +205,13 @@ def _format_stats(facts: SignalStats) -> str:
 
 
 def _significant_bands(bands: tuple[BandChange, ...]) -> list[BandChange]:
-    """Those that are not QUIET_DB below the loudest."""
+    """Return the bands within `BAND_RANGE_DB` of the loudest."""
     loudest = max(max(band.before, band.after) for band in bands)
     return [each for each in bands if max(each.before, each.after) > loudest * 10.0 ** (-BAND_RANGE_DB / 10.0)]
 
 
 def _align_columns(rows: list[tuple[str, ...]]) -> str:
-    """The first column to the left, the others to the right."""
+    """Left-align the first column and right-align the others."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [[row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows]
     return "\n".join("  ".join(line).rstrip() for line in lines)

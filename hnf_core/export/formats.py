@@ -1,15 +1,14 @@
-"""Every flat format that a signal leaves in and comes back from: one table, word → Format.
+"""Table of all file formats for a single signal: name → `Format` with its writer and reader.
 
-To add one: write two functions of the types below in a file of its own, and put a Format with them into FORMATS. The
-command line, the loss report and the tests of all formats take it from there.
+To add a format, write two functions of the types below in a file of their own, and add a `Format` with them to
+`FORMATS`. The command line, the loss report and the tests of all formats use this table.
 
-* A *writer* `(path, signal, options) -> (what it left out, …)` writes path atomically (`hnf_core/files.py`) and
-  returns, in sentences, what the format has no place for and what was clipped; the loss report measures the rest. It
-  raises FileError where the signal cannot be held (not finite, no rate that fits), UsageError where an option is
-  missing.
-* A *reader* `(path, options) -> Signal` gives back m/s². Where the format keeps envelopes only, they are rendered on a
-  carrier (`tone.py`). It raises one FileError for whatever is wrong with the file, within bounded memory
-  (`json_files.py` reads JSON so). It reads all that the writer writes: what was lost is measured so.
+* A *writer* `(path, signal, options) -> (sentence, …)` writes path atomically (`hnf_core/files.py`) and returns
+  sentences on what the format cannot hold and on clipped values; the loss report measures the rest. It raises
+  FileError if the signal cannot be held (not finite, no valid rate), UsageError if an option is missing.
+* A *reader* `(path, options) -> Signal` returns m/s². If the format holds only envelopes, they are rendered on a
+  carrier (`envelope.py`). It raises one FileError for any damage, within bounded memory (`json_reader.py` does so for
+  JSON). It reads everything that the writer writes, since the loss is measured on the result.
 """
 
 from __future__ import annotations
@@ -37,11 +36,29 @@ Fit = Callable[[Signal, ExportOptions], ExportOptions]
 
 @dataclass(frozen=True)
 class Format:
-    """word: as asked for. suffix: of its files, with the dot. what: it is, in a sentence. checked: against what files
-    of its writer are checked in the tests, and what was not checked. write, read: see above. scaled: its numbers are
-    shares of a full scale and of a range, and no m/s². surface: it has a place for what the stroke was drawn on.
-    sampled: it holds the waveform; else strength and frequency over time, and a waveform is made up when it is read.
-    fit: what finds the full scale in the signal itself, None = it is as told."""
+    """File format with its writer and reader.
+
+    Attributes
+    ----------
+    word : str
+        Name on the command line.
+    suffix : str
+        Suffix of its files, with the dot.
+    what : str
+        Description in one sentence.
+    checked : str
+        Reference that the tests check its files against, and what was not checked.
+    write, read : callable
+        Writer and reader, see the module's description.
+    scaled : bool
+        Numbers are fractions of a full scale and of a frequency range, not m/s².
+    surface : bool
+        Can hold the surface that the stroke was drawn on.
+    sampled : bool
+        Holds the waveform; otherwise amplitude and frequency over time, from which a waveform is rendered.
+    fit : callable or None
+        Function that derives the full scale from the signal; None uses the option.
+    """
 
     word: str
     suffix: str
@@ -55,12 +72,12 @@ class Format:
     fit: Fit | None = None
 
     def fitted(self, signal: Signal, options: ExportOptions) -> ExportOptions:
-        """The options that a file of signal is written with."""
+        """Return the options for writing a signal, with the full scale that `fit` derives from it."""
         return options if self.fit is None else self.fit(signal, options)
 
     @property
     def states_scale(self) -> bool:
-        """Does 1 stand for a full scale in its files?"""
+        """True if a value of 1 in its files stands for a full scale."""
         return self.scaled or self.fit is not None
 
 
@@ -129,14 +146,14 @@ SUFFIXES = tuple(sorted({each.suffix for each in FORMATS.values()}))
 
 
 def format_of(word: str) -> Format:
-    """Raises UsageError naming those there are."""
+    """Return the format with a given name. Raises UsageError that lists the known names."""
     if word not in FORMATS:
         raise UsageError(f"there is no format '{word}'.", remedy=f"There are: {', '.join(FORMATS)}.")
     return FORMATS[word]
 
 
 def format_of_file(path: Path) -> Format:
-    """The format to read path with, by its suffix. Raises UsageError naming those that can be read."""
+    """Return the format that reads a path, by its suffix. Raises UsageError that lists the known suffixes."""
     found = [each for each in FORMATS.values() if each.suffix == path.suffix.lower()]
     if found:
         return found[0]

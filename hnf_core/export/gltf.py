@@ -1,29 +1,22 @@
-"""The binary container of glTF 2.0 (GLB): one JSON object and one block of bytes.
+"""GLB files (glTF 2.0): the touched mesh with its UV map, the touch data baked onto it, and the stroke's signal.
 
-Layout: Khronos, "glTF 2.0 Specification", 4.4 "Binary glTF Layout": magic "glTF", version 2, length; chunks of uint32
-length, uint32 type and data, padded to four bytes, JSON with spaces and BIN with zeros.
+Container: Khronos, "glTF 2.0 Specification", 4.4 "Binary glTF Layout": magic "glTF", version 2, length; chunks of
+uint32 length, uint32 type and data, padded to four bytes, JSON with spaces and BIN with zeros.
 
-A touched surface → the vertices of a glTF mesh, which knows no faces and no corners.
+Vertex attributes are _HNF_TOKEN (palette index, −1 untouched), _HNF_ROUGHNESS (RMS height [m]), _HNF_CONFIDENCE (0–1)
+and _HNF_VERTEX (vertex index in Blender's mesh). They are floats, since glTF allows no other exact type for −1 and
+large numbers. The palette is in extras.hnf of the mesh. The stroke's WAV is a buffer view that extras.hnf of the asset
+names, since glTF has no place for vibration data other than .hmpg.
 
-MPEG_haptic_material: what a baked surface feels like, as textures of a glTF file.
+Baked materials are textures of the extension MPEG_haptic_material (ISO/IEC 23090-14, 2nd edition; description and
+schemas: github.com/KhronosGroup/glTF, extensions/2.0/Vendor/MPEG_haptic_material). The file lists materials; a mesh
+names one by hapticMaterialIndex; a material has arrays of textures {texture, type} by property. The specification does
+not define the scale of pixel values, so each texture has its range, unit and exact values in extras.
 
-ISO/IEC 23090-14, 2nd edition; the extension's page and schemas are public: github.com/KhronosGroup/glTF,
-extensions/2.0/Vendor/MPEG_haptic_material (README.md, schema/glTF.MPEG_haptic_material.schema.json,
-MPEG_haptic_material.schema.json, ….material.schema.json, ….material.texture.schema.json). The file lists materials; a
-mesh names one by hapticMaterialIndex; a material has arrays of textures {texture, type} by property.
-
-The page says what a property means but not how pixels count. So each texture has its range, unit and exact values in
-extras, and a taxel a baked material: a row of pixels that a UV map of its own points at. So values are not averaged
-over seams of the artist's UV map, and a mesh without one has them too. Left out, as nothing baked says them:
-temperature, vibration, custom. Left out, as it needs binary haptic media (.hmpg), which this project does not write:
-haptic, and textures of type Reference.
-
-GLB (glTF 2.0): the touched mesh with its UVs, what was baked onto it, and the stroke's signal.
-
-What stands where: MPEG_haptic_material as `gltf_haptics.py` says; vertex attributes _HNF_TOKEN (index into the palette,
-−1 untouched), _HNF_ROUGHNESS (m RMS), _HNF_CONFIDENCE (0–1) and _HNF_VERTEX (of the mesh in Blender), floats, as glTF
-allows no other exact kind for −1 and large numbers; the palette, in extras.hnf of the mesh; the stroke's WAV, byte for
-byte, in a view that extras.hnf of the asset names (glTF has no place for a vibration that is not .hmpg).
+Each baked material is one taxel, a pixel in a row, and a separate UV map points at it. Values are thus not averaged
+across seams of the artist's UV map, and meshes without one work too. The properties temperature, vibration and custom
+are left out, since nothing baked defines them; so are haptic and textures of type Reference, which need binary haptic
+media (.hmpg).
 """
 
 from __future__ import annotations
@@ -57,7 +50,7 @@ _MAX_GLB_BYTES = 2**32 - 1
 
 
 class BufferBuilder:
-    """The bytes of a file, with the views and accessors that speak of them."""
+    """Builder of a file's binary buffer with its buffer views and accessors."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -69,7 +62,7 @@ class BufferBuilder:
         return bytes(self._data)
 
     def add_bytes(self, data: bytes, target: int | None = None) -> int:
-        """Index of a new view, aligned to four bytes."""
+        """Add a buffer view aligned to four bytes; return its index."""
         self._data.extend(b"\0" * (-len(self._data) % 4))
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(data)}
         if target is not None:
@@ -79,14 +72,14 @@ class BufferBuilder:
         return len(self.views) - 1
 
     def add_vertices(self, values: NDArray[np.float32]) -> int:
-        """Index of a new accessor of (N,) or (N, k) floats, with its bounds."""
+        """Add an accessor of (N,) or (N, k) floats with its bounds; return its index."""
         rows = np.ascontiguousarray(values.reshape(len(values), -1), dtype="<f4")
         bounds = {"min": [float(v) for v in rows.min(axis=0)], "max": [float(v) for v in rows.max(axis=0)]}
         view = self.add_bytes(rows.tobytes(), ARRAY_BUFFER)
         return self._add_accessor(view, _FLOAT, len(rows), _ACCESSOR_TYPES[rows.shape[1]], bounds)
 
     def add_indices(self, values: NDArray[np.uint32]) -> int:
-        """Index of a new accessor of vertex indices."""
+        """Add an accessor of vertex indices; return its index."""
         flat = np.ascontiguousarray(values.ravel(), dtype="<u4")
         bounds = {"min": [int(flat.min())], "max": [int(flat.max())]}
         view = self.add_bytes(flat.tobytes(), ELEMENT_ARRAY_BUFFER)
@@ -98,7 +91,7 @@ class BufferBuilder:
 
 
 def encode_glb(tree: dict[str, Any], data: bytes, *, where: str = "glb") -> bytes:
-    """The file of tree and its one buffer. Equal input gives equal bytes. Raises FileError above 4 GB."""
+    """Encode a JSON tree and its one buffer as a GLB; equal input gives equal bytes. Raises FileError above 4 GB."""
     tree = {**tree, "buffers": [{"byteLength": len(data)}]}
     text = json.dumps(tree, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
@@ -111,7 +104,7 @@ def encode_glb(tree: dict[str, Any], data: bytes, *, where: str = "glb") -> byte
 
 
 def decode_glb(data: bytes, path: Path) -> tuple[dict[str, Any], bytes]:
-    """JSON and bytes of a GLB. Raises FileError where it is damaged."""
+    """Return the JSON tree and the binary buffer of a GLB. Raises FileError if it is damaged."""
     if len(data) < 20 or data[:4] != _MAGIC:
         raise _damaged_error(path, "it does not begin like a binary glTF file")
     version, total = struct.unpack_from("<II", data, 4)
@@ -134,7 +127,7 @@ def decode_glb(data: bytes, path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def get_view_bytes(tree: dict[str, Any], block: bytes, index: object, path: Path) -> bytes:
-    """The bytes of a view. Raises FileError where it is not there."""
+    """Return the bytes of a buffer view. Raises FileError if it is missing or out of bounds."""
     try:
         view = tree["bufferViews"][index]
         start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
@@ -162,16 +155,29 @@ def _damaged_error(path: Path, why: str) -> FileError:
 Float32 = NDArray[np.float32]
 
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""glTF ← Blender: +y up and right-handed, z up before (glTF 2.0, 3.4 "Coordinate System and Units")."""
+"""Rotation from Blender (z up) to glTF (y up, right-handed; glTF 2.0, 3.4 "Coordinate System and Units")."""
 
 
 @dataclass(frozen=True)
 class VertexTable:
-    """N vertices, each of one corner's normal and UV and of one kind of face, so that nothing is averaged.
+    """Vertices of a glTF mesh, each with a single normal, UV and face type, so that nothing is averaged.
 
-    position: (N, 3) m, y up. normal: (N, 3) unit. uv: (N, 2), origin at the upper left as glTF has it, or None.
-    taxel: (N, 2) place of the face's material in a row of taxels. token, roughness, confidence: (N,) of the face.
-    vertex: (N,) of the surface's own mesh. corner: (T, 3) uint32 into these.
+    Attributes
+    ----------
+    position : (N, 3) array
+        Position [m], y up.
+    normal : (N, 3) array
+        Unit normal.
+    uv : (N, 2) array or None
+        Texture coordinates with the origin at the upper left, as in glTF.
+    taxel : (N, 2) array
+        Texture coordinates of the face's material in the row of taxels.
+    token, roughness, confidence : (N,) array
+        Values of the face.
+    vertex : (N,) array
+        Vertex index in the surface's own mesh.
+    corner : (T, 3) uint32 array
+        Vertex index of each triangle corner.
     """
 
     position: Float32
@@ -186,7 +192,7 @@ class VertexTable:
 
 
 def build_vertex_table(surface: TouchedSurface) -> VertexTable:
-    """Corners that agree in everything become one vertex, in the order of the triangles."""
+    """Merge triangle corners that agree in all attributes into vertices, in the order of the triangles."""
     mesh = surface.mesh
     count = len(mesh.triangles)
     normal = _normalise_rows(mesh.normals.reshape(-1, 3) @ Y_UP.T)
@@ -216,7 +222,10 @@ def build_vertex_table(surface: TouchedSurface) -> VertexTable:
 
 
 def find_distinct_rows(rows: Float32) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(first row of each kind, in the order of the rows; kind of each row). Equal means equal bits."""
+    """Return (index of the first of each distinct row, in order; distinct row of each row).
+
+    Rows are equal if all their bits are.
+    """
     rows = np.ascontiguousarray(rows)
     whole = rows.view(np.dtype((np.void, rows.strides[0]))).reshape(-1)
     _, first, inverse = np.unique(whole, return_index=True, return_inverse=True)
@@ -227,7 +236,7 @@ def find_distinct_rows(rows: Float32) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def find_vertices_on_path(surface: TouchedSurface, table: VertexTable) -> NDArray[np.int32]:
-    """Vertices of table in the triangles under the surface's path, rising; empty where there is no path."""
+    """Return the sorted vertices of the triangles under the surface's path; empty without a path."""
     if surface.path is None:
         return np.zeros(0, dtype=np.int32)
     touched = np.unique(surface.path.triangle[surface.path.triangle > UNTOUCHED])
@@ -235,25 +244,25 @@ def find_vertices_on_path(surface: TouchedSurface, table: VertexTable) -> NDArra
 
 
 def compute_taxel_uv(token: NDArray[np.int64], entries: int) -> Float32:
-    """(…, 2) centre of each token's pixel in the row of taxels: the first is of what was not touched."""
+    """Return the (…, 2) pixel centre of each token in the row of taxels; the first pixel is for untouched faces."""
     across = (token + 1 + 0.5) / compute_taxel_row_width(entries)
     return np.asarray(np.stack([across, np.full(across.shape, 0.5)], axis=-1), dtype=np.float32)
 
 
 def compute_taxel_row_width(entries: int) -> int:
-    """Pixels of a row of taxels: a power of two, as old renderers want it, for entries and what was not touched."""
+    """Return the width of the row of taxels [px]: a power of two, for old renderers, with room for untouched."""
     return 1 << entries.bit_length()
 
 
 def encode_placement(placement: NDArray[np.float64]) -> list[float]:
-    """A world ← surface matrix (Blender's axes) as glTF's 16 numbers, column by column."""
+    """Encode a surface-to-world matrix in Blender's axes as glTF's 16 column-major numbers."""
     turn = np.eye(4)
     turn[:3, :3] = Y_UP
     return [float(value) for value in (turn @ placement @ turn.T).T.ravel()]
 
 
 def _normalise_rows(normals: NDArray[np.float64]) -> Float32:
-    """Unit length in float32; what has no direction points up, as glTF wants one."""
+    """Normalise to unit length in float32; zero vectors point up, since glTF requires a direction."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     up = np.array([0.0, 1.0, 0.0])
     return np.where(length > 1e-12, normals / np.where(length > 1e-12, length, 1.0), up).astype(np.float32)
@@ -264,8 +273,11 @@ _NEAREST, _CLAMP = 9728, 33071
 
 
 def encode_haptic_material(palette: Palette, buffer: BufferBuilder, uv_map: int) -> dict[str, Any]:
-    """glTF's samplers, images, textures and extensions of a palette; a property that no material knows is left out.
-    uv_map: number of the TEXCOORD that points at the taxels."""
+    """Return the glTF samplers, images, textures and extensions of a palette.
+
+    `uv_map` is the index of the TEXCOORD that points at the taxels. A property without a value in any material is left
+    out.
+    """
     roughness = np.sqrt(np.sum(10.0 ** (2.0 * palette.tokens[:, LEVELS].astype(np.float64)), axis=1))
     columns: dict[str, tuple[str, str, str, list[float | None]]] = {
         "stiffness": ("High_Resolution", "contact stiffness at 1 N", "N/m", _get_mechanics(palette, "stiffness_n_m")),
@@ -294,7 +306,7 @@ def encode_haptic_material(palette: Palette, buffer: BufferBuilder, uv_map: int)
 
 
 def encode_palette(palette: Palette) -> dict[str, Any]:
-    """The palette in words and numbers that JSON holds exactly, for extras."""
+    """Return the palette as JSON values without loss, for extras."""
     return {
         "schema": palette.schema,
         "encoder": palette.encoder_id,
@@ -313,7 +325,7 @@ def _get_mechanics(palette: Palette, name: str) -> list[float | None]:
 
 
 def _encode_taxel_row(values: list[float | None], largest: float) -> bytes:
-    """A row of taxels: black for what was not touched or is not known, 255 for the largest."""
+    """Encode a row of taxels as PNG: black if untouched or unknown, 255 for the largest value."""
     pixels: NDArray[np.uint8] = np.zeros((1, compute_taxel_row_width(len(values))), dtype=np.uint8)
     pixels[0, 1 : len(values) + 1] = [round(255.0 * (value or 0.0) / largest) for value in values]
     return encode_grey_png(pixels)
@@ -337,13 +349,16 @@ def _encode_png_chunk(tag: bytes, body: bytes) -> bytes:
 
 MAX_READ_BYTES = 512 * 2**20
 GENERATOR = "Haptic Neural Fields"
-"""How what a file says of its maker begins."""
+"""Prefix of the generator entry in the files of this project."""
 _TRIANGLES = 4
 
 
 def write_glb(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write the surface in options with signal. Returns what was left out. Raises UsageError where options have no
-    surface, FileError where the signal is not finite or the disk refuses."""
+    """Write the surface in the options and the signal as GLB; return what was left out, in sentences.
+
+    Raises UsageError if the options have no surface, FileError if the signal is not finite or the file cannot be
+    written.
+    """
     if options.surface is None:
         raise UsageError(
             "a GLB needs the mesh that the stroke was drawn on.",
@@ -359,7 +374,7 @@ def write_glb(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
 
 
 def read_glb(path: Path, options: ImportOptions) -> Signal:
-    """The signal in a GLB of write_glb, as it was. Raises FileError where the file is damaged or holds none."""
+    """Read the signal from a GLB of `write_glb`. Raises FileError if the file is damaged or holds none."""
     tree, block = decode_glb(read_limited_bytes(path, MAX_READ_BYTES), path)
     try:
         view = tree["asset"]["extras"]["hnf"]["signal"]["bufferView"]
@@ -373,7 +388,7 @@ def read_glb(path: Path, options: ImportOptions) -> Signal:
 def encode_surface(
     surface: TouchedSurface, table: VertexTable, signal: Signal | None = None, *, where: str = "glb"
 ) -> bytes:
-    """The file of a surface, and of a stroke's signal on it. Equal input gives equal bytes."""
+    """Encode a surface, and optionally a stroke's signal, as GLB; equal input gives equal bytes."""
     buffer = BufferBuilder()
     tree = _encode_tree(surface, table, buffer)
     if signal is not None:

@@ -1,9 +1,10 @@
-"""`.haptic` 1.0.0: amplitude, frequency and emphases over time (Meta Haptics Studio, formerly Lofelt Studio).
+"""Meta Haptics Studio's `.haptic` 1.0.0 (formerly Lofelt Studio): amplitude, frequency and emphases over time.
 
-The format and its rules are those of the maker's own reader: github.com/Lofelt/NiceVibrations,
-`core/datamodel/README.md` and `core/datamodel/src/v1.rs` (`DataModel::validate`): at least one amplitude point; times
-never fall, and start at 0 or later; every value 0 … 1; an emphasis has both values and is not weaker than its point. It
-keeps float32, and has no limit of times or counts. metadata.description is free text: here full scale, range, origin.
+The format and its rules are those of the maker's own reader (github.com/Lofelt/NiceVibrations,
+`core/datamodel/README.md` and `DataModel::validate` in `core/datamodel/src/v1.rs`): there is at least one amplitude
+point; times never fall and start at 0 or later; every value is 0 … 1; an emphasis has both values and is not weaker
+than its point. Values are float32, without a limit of times or counts. metadata.description is free text; here it
+holds full scale, range and origin.
 """
 
 from __future__ import annotations
@@ -41,7 +42,10 @@ DROPPED = (
 
 
 def write_haptic(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """What was left out. Raises FileError where a sample is not finite or the disk refuses."""
+    """Write a signal's envelopes as `.haptic`; return what was left out, in sentences.
+
+    Raises FileError if a sample is not finite or the file cannot be written.
+    """
     envelope = compute_envelope(signal, options.range_hz, where=str(path))
     record, clipped = encode_haptic(envelope, options)
     record["metadata"] = {
@@ -57,7 +61,7 @@ def write_haptic(path: Path, signal: Signal, options: ExportOptions) -> tuple[st
 
 
 def encode_haptic(envelope: Envelope, options: ExportOptions) -> tuple[dict[str, Any], int]:
-    """version and signals of the file, and how many values exceeded full scale."""
+    """Return the file's version and signals, and the number of values that exceed full scale."""
     strength = np.round(envelope.amplitude / options.full_scale_m_s2, 12)
     marks = {int(np.argmin(np.abs(envelope.time - each.time_s))): each for each in envelope.emphases}
     points = []
@@ -81,7 +85,7 @@ def encode_haptic(envelope: Envelope, options: ExportOptions) -> tuple[dict[str,
 
 
 def read_haptic(path: Path, options: ImportOptions) -> Signal:
-    """The file's envelopes, rendered. Raises FileError for every breach of the rules above."""
+    """Render a file's envelopes as acceleration [m/s²]. Raises FileError if it breaks the format's rules."""
     record = read_json(path)
     metadata = record.get("metadata")
     origin = parse_provenance(metadata.get("description") if isinstance(metadata, dict) else None, options)
@@ -92,7 +96,7 @@ def read_haptic(path: Path, options: ImportOptions) -> Signal:
 
 
 def _list_assumptions(record: dict[str, Any], envelope: Envelope) -> tuple[str, ...]:
-    """What a sound file leaves open, and was read so."""
+    """List the assumptions made for values that a valid file leaves out."""
     envelopes = record["signals"]["continuous"]["envelopes"]
     found, first = [], float(envelopes["amplitude"][0]["time"])
     if not envelopes.get("frequency"):
@@ -104,7 +108,7 @@ def _list_assumptions(record: dict[str, Any], envelope: Envelope) -> tuple[str, 
 
 
 def decode_haptic(record: dict[str, Any], origin: Provenance, path: Path) -> Envelope:
-    """The file's envelopes in m/s² and Hz, on the times of both. Raises FileError."""
+    """Return the file's envelopes in m/s² and Hz on a common time axis. Raises FileError."""
     reading = JsonReader(path)
     version = reading.get_object(record, "version")
     if reading.get_number(version, "major", 0, 1e9) != 1:
@@ -138,7 +142,7 @@ def decode_haptic(record: dict[str, Any], origin: Provenance, path: Path) -> Env
 def merge_time_axes(
     time: Float, amplitude: Float, frequency_time: Float, frequency: Float
 ) -> tuple[Float, Float, Float]:
-    """Two curves on the times of both, up to the end of the first: (time, amplitude, frequency)."""
+    """Sample two curves at the times of both, up to the end of the first: (time, amplitude, frequency)."""
     both = np.unique(np.concatenate([[0.0], time, frequency_time[frequency_time < time[-1]]]))
     return both, np.interp(both, time, amplitude), np.interp(both, frequency_time, frequency)
 

@@ -1,25 +1,21 @@
-"""`.hjif`, the Haptics JSON Interchange Format of ISO/IEC 23090-31: the standard that binds a vibration to vertices.
+"""Haptics JSON Interchange Format (`.hjif`, ISO/IEC 23090-31): a vibration, optionally bound to vertices.
 
-The standard's text and JSON schema are not public. Names, types and limits here are those that the reference software
-reads and checks (MPEGGroup/HapticReferenceSoftware, BSD: IOHaptics/src/IOJson.cpp, IOHaptics/include/IOCompatibility.h,
+The text and the JSON schema of the standard are not public. Names, types and limits follow the reference software
+(MPEGGroup/HapticReferenceSoftware, BSD: IOHaptics/src/IOJson.cpp, IOHaptics/include/IOCompatibility.h,
 Types/src/Band.cpp), profile "Main", level 1.
 
-A signal is one band of type Curve with linear interpolation, a keyframe per sample, so that nothing is lost: effects of
-one second each, which share their border, as the reference synthesiser joins them. amplitude_modulation is a share of
-full scale, −1 … 1; a louder signal has a gain above 1 and is not clipped. What they stand for in m/s², the seed and the
-origin stand as JSON in the three descriptions (255 bytes each at most).
+A signal is written as one band of type Curve with linear interpolation and one keyframe per sample, which is lossless.
+Effects are one second long and share their border keyframes, as the reference synthesiser joins them.
+amplitude_modulation is a fraction of full scale, −1 … 1; a louder signal has a gain above 1 and is not clipped. Scale,
+seed and provenance are JSON in the three descriptions (at most 255 bytes each).
 
-* A stroke alone: perception_modality Vibrotactile, ticks of time at the signal's own rate.
-* With the surface it was drawn on: VibrotactileTexture, ticks of way (10^unit_exponent m), a channel whose `vertices`
-  are those under the stroke, in the mesh that the avatar names: NAME.hjif.glb, written beside. timescale is the
-  mean speed in ticks a second, so that a player that knows time alone plays it at that speed.
+* Stroke alone: perception_modality Vibrotactile, with time ticks at the signal's own rate.
+* Stroke on a surface: VibrotactileTexture, with distance ticks of 10^unit_exponent m. The channel's `vertices` are
+  those under the stroke, in the mesh that the avatar names, NAME.hjif.glb next to the file. timescale is the mean
+  speed in ticks per second, so that a player that knows only time plays it at that speed.
 
-The bands of `.hjif`, rendered: keyframes of an effect → samples (see `hjif_read.py`).
-
-`.hjif` → Signal: what `hjif.py` writes, and of other files bands of the types Curve, VectorialWave and Transient.
-
-Rendered as the reference software's synthesiser does (MPEGGroup/HapticReferenceSoftware: Types/src/Band.cpp,
-Types/src/Effect.cpp), with a chirp's phase as the exact integral of its frequency.
+The reader handles bands of the types Curve, VectorialWave and Transient. It renders them as the reference synthesiser
+does (Types/src/Band.cpp, Types/src/Effect.cpp), with a chirp's phase as the exact integral of its frequency.
 """
 
 from __future__ import annotations
@@ -56,20 +52,33 @@ from .wav import UNITS
 VERSION, PROFILE, LEVEL = "2025", "Main", 1
 MAX_TIMESCALE = 48_000
 MAX_WRITTEN_SAMPLES = 480_000
-"""Some 68 bytes each: what a reader of 32 MB holds (`json_files.py`); 48 s at 10 kHz."""
+"""Most samples written, at some 68 bytes each: within MAX_JSON_BYTES of `json_reader.py`; 48 s at 10 kHz."""
 MAX_TEXT_BYTES = 255
 MAX_DEVICE_HZ = 10_000.0
 MAX_VERTICES = 2**16 - 1
 TEXTURE_EXPONENTS = (-6, -5, -4)
-"""Ticks of 1, 10 or 100 µm: the finest whose timescale the profile allows."""
+"""Exponents of ticks of 1, 10 or 100 µm; the finest with an allowed timescale is used."""
 _PRIORITY_FACTS = ("stroke", "object", "field", "material", "library_material", "probe", "confidence")
 _REMEDY = "Write WAV instead, or shorten the stroke."
 
 
 @dataclass(frozen=True)
 class VibrotactileTexture:
-    """A vibration over the way of a stroke. samples: (n,) m/s², one a tick. rate: ticks a second at the stroke's mean
-    speed. exponent: a tick is 10^exponent m. vertices: those under the stroke. mesh: file that they count in."""
+    """Vibration over the distance travelled in a stroke.
+
+    Attributes
+    ----------
+    samples : (n,) array
+        Acceleration [m/s²], one sample per tick.
+    rate : int
+        Ticks per second at the stroke's mean speed.
+    exponent : int
+        A tick is 10^exponent m.
+    vertices : array
+        Vertices under the stroke.
+    mesh : str
+        File that holds these vertices.
+    """
 
     samples: NDArray[np.float32]
     rate: int
@@ -79,19 +88,20 @@ class VibrotactileTexture:
 
 
 def get_mesh_path(path: Path) -> Path:
-    """The GLB that a texture in path counts its vertices in."""
+    """Return the path of the GLB with the vertices of a texture."""
     return path.with_name(f"{path.name}.glb")
 
 
 def has_path(surface: TouchedSurface | None) -> bool:
-    """Whether a stroke lies on it as a texture, so that its mesh is written too."""
+    """Return True if the surface has a path with motion, so that a texture and its mesh are written."""
     return surface is not None and surface.path is not None and surface.path.mean_speed_m_s > 0.0
 
 
 def write_hjif(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write signal as .hjif, and beside it the surface as .hjif.glb, where options name one and the way on it is known.
+    """Write a signal as `.hjif`; return what was left out, in sentences.
 
-    Returns what was left out. Raises FileError where the signal is not finite or longer than the format holds.
+    If the options hold a surface with a path, the surface is written next to it as .hjif.glb. Raises FileError if the
+    signal is not finite or longer than the format holds.
     """
     surface, texture = options.surface, None
     mesh, beside = get_mesh_path(path), b""
@@ -131,7 +141,26 @@ def encode_hjif(
     texture: VibrotactileTexture | None = None,
     where: str = "hjif",
 ) -> dict[str, Any]:
-    """The file as JSON objects; equal input gives equal trees. date: ISO 8601. Raises FileError as write_hjif does."""
+    """Return a file's JSON objects; equal input gives equal trees.
+
+    Parameters
+    ----------
+    signal : Signal
+        Acceleration [m/s²].
+    options : ExportOptions
+        Full scale and range.
+    date : str
+        Date in ISO 8601.
+    texture : VibrotactileTexture, optional
+        Texture to write in place of the signal's samples.
+    where : str
+        Source that error messages name.
+
+    Raises
+    ------
+    FileError
+        If the signal is not finite or longer than the format holds.
+    """
     rate = _require_integer_rate(signal, where) if texture is None else texture.rate
     given = signal if texture is None else texture_to_signal(signal, texture)
     samples = get_finite_samples(given, where).astype(np.float64)
@@ -186,8 +215,10 @@ def encode_hjif(
 def make_texture(
     signal: Signal, path: StrokePath, vertices: NDArray[np.int32], mesh: str, where: str = "hjif"
 ) -> VibrotactileTexture:
-    """Signal over the way that the hand travelled: linear interpolation of a(t) at t(way), one sample a tick. While the
-    hand rests, there is no way, and nothing is kept. Raises FileError where the hand does not move."""
+    """Resample a signal over the distance travelled: a(t) at t(distance), linearly interpolated, one sample per tick.
+
+    Samples at rest have no distance and are dropped. Raises FileError if the stroke does not move.
+    """
     speed = path.mean_speed_m_s
     if speed <= 0.0:
         raise FileError("the hand does not move, so no texture lies along its way.", where=where, remedy=_REMEDY)
@@ -204,7 +235,7 @@ def make_texture(
 
 
 def texture_to_signal(signal: Signal, texture: VibrotactileTexture) -> Signal:
-    """The texture as it is read back: at the mean speed."""
+    """Return the texture as a signal at the mean speed, as a reader gets it."""
     return replace(signal, samples=texture.samples, sample_rate=float(texture.rate))
 
 
@@ -230,7 +261,7 @@ def _encode_band(shares: NDArray[np.float64], rate: int) -> dict[str, Any]:
 
 
 def _encode_device(options: ExportOptions) -> dict[str, Any]:
-    """maximum_amplitude is left out: in which unit it counts is not public."""
+    """Encode the reference device, without maximum_amplitude, whose unit is not public."""
     low, high = (min(hertz, MAX_DEVICE_HZ) for hertz in options.range_hz)
     name = f"a device of {options.full_scale_m_s2:g} m/s^2"
     return {"id": 0, "name": name, "minimum_frequency": low, "maximum_frequency": high}
@@ -248,7 +279,7 @@ def _require_integer_rate(signal: Signal, where: str) -> int:
 
 
 def _select_facts(provenance: Mapping[str, str]) -> dict[str, str]:
-    """The facts that a description holds, the most telling first."""
+    """Return the entries that fit into a description, the most informative first."""
     told: dict[str, str] = {}
     ordered = [
         *(name for name in _PRIORITY_FACTS if name in provenance),
@@ -271,12 +302,12 @@ def _truncate_text(text: str) -> str:
 
 Float = NDArray[np.float64]
 TRANSIENT_S = 0.022
-"""Of a transient: two periods of a sine (the reference software's TRANSIENT_DURATION_MS)."""
+"""Duration of a transient [s]: two periods of a sine (TRANSIENT_DURATION_MS of the reference software)."""
 
 
 @dataclass(frozen=True)
 class TickGrid:
-    """The grid to render on: count samples, rate a second, with timescale ticks a second."""
+    """Sample grid of a rendering: `count` samples at `rate` [Hz], with `timescale` ticks per second."""
 
     count: int
     rate: int
@@ -285,10 +316,29 @@ class TickGrid:
 
 @dataclass(frozen=True)
 class EffectKeyframes:
-    """An effect's keyframes. start: tick at which it begins. place: (k,) ticks after it, never falling. amplitude,
-    frequency: (k,), Hz, NaN where a keyframe has none. phase: rad. shape: of its wave. low_hz, high_hz: of its band.
-    linear: whether a curve goes in lines. joined: another begins exactly where this one ends. tail: ticks that it
-    sounds on after its last keyframe."""
+    """Keyframes of one effect.
+
+    Attributes
+    ----------
+    start : int
+        First tick.
+    position : (k,) array
+        Ticks after the start, non-decreasing.
+    amplitude, frequency : (k,) array
+        Amplitude and frequency [Hz]; NaN if a keyframe has none.
+    phase : float
+        Initial phase [rad].
+    shape : str
+        Waveform.
+    low_hz, high_hz : float
+        Limits of the band [Hz].
+    linear : bool
+        Linear interpolation of a curve.
+    joined : bool
+        Another effect starts exactly at the end of this one.
+    tail : float
+        Ticks that the effect sounds on after its last keyframe.
+    """
 
     start: int
     position: Float
@@ -304,12 +354,12 @@ class EffectKeyframes:
 
     @property
     def end(self) -> float:
-        """Tick at which it is over."""
+        """Tick at the end of the effect."""
         return self.start + (float(self.position[-1]) if len(self.position) else 0.0) + self.tail
 
 
 def render_curve(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """(first sample, values) of a curve: lines, or cubics that are level at each keyframe."""
+    """Return (first sample, values) of a curve: linear, or cubic with zero slope at every keyframe."""
     known = np.isfinite(effect.amplitude)
     place, value = effect.position[known], effect.amplitude[known]
     first, at = _sample_ticks(effect, ticks)
@@ -326,7 +376,7 @@ def render_curve(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
 
 
 def render_wave(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """(first sample, values) of a wave whose amplitude and frequency go in lines from keyframe to keyframe."""
+    """Return (first sample, values) of a wave with piecewise linear amplitude and frequency."""
     first, at = _sample_ticks(effect, ticks)
     if len(effect.position) == 0:
         return first, np.zeros(0)
@@ -342,7 +392,7 @@ def render_wave(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
 
 
 def render_transient(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """(first sample, values) of clicks: two periods of a sine at each keyframe."""
+    """Return (first sample, values) of clicks: two periods of a sine at each keyframe."""
     first, at = _sample_ticks(effect, ticks)
     values = np.zeros(len(at))
     for place, amplitude in zip(effect.position, effect.amplitude, strict=True):
@@ -360,7 +410,7 @@ BAND_RENDERERS: dict[str, Callable[[EffectKeyframes, TickGrid], tuple[int, Float
 
 
 def _sample_ticks(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """First sample of an effect within the grid, and the ticks after its start of all its samples."""
+    """Return an effect's first sample within the grid, and the ticks of all its samples relative to its start."""
     # In whole numbers: a tick of a float grid may fall short of a keyframe that it stands on.
     first = max(0, -((-effect.start * ticks.rate) // ticks.timescale))
     stop = min(ticks.count, int(effect.end * ticks.rate // ticks.timescale) + 1)
@@ -369,7 +419,7 @@ def _sample_ticks(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]
 
 
 def _integrate_frequency(time: Float, keyframe_time: Float, keyframe_frequency: Float) -> Float:
-    """Cycles from 0 to time of a frequency that goes in lines through (place, tone), and stays before and after."""
+    """Integrate a piecewise linear frequency, constant outside its keyframes, from 0 to time [cycles]."""
     knots = np.concatenate([[0.0], keyframe_time]) if keyframe_time[0] > 0.0 else keyframe_time
     tones = (
         np.concatenate([[keyframe_frequency[0]], keyframe_frequency]) if keyframe_time[0] > 0.0 else keyframe_frequency
@@ -397,13 +447,13 @@ DEFAULT_TIMESCALE = 1000
 MAX_TICKS = 2**31 - 1
 MAX_READ_SAMPLES = 20_000_000
 MAX_GAIN = 1e45
-"""The largest float32 over the smallest full scale."""
+"""Largest float32 over the smallest full scale."""
 _REFERENCE_REMEDY = "Render it with MPEG's reference software, and import the WAV."
 
 
 @dataclass(frozen=True)
 class _StatedScale:
-    """full_scale: m/s² that 1 stands for. told: whether the file says so. seed: as told, else of the options."""
+    """Full scale [m/s²], True if the file states it, and the seed of the file or the options."""
 
     full_scale: float
     is_stated: bool
@@ -411,10 +461,10 @@ class _StatedScale:
 
 
 def read_hjif(path: Path, options: ImportOptions) -> Signal:
-    """The file's one channel in m/s², at the rate that it states, else that of options.
+    """Read the file's one channel [m/s²], at the rate that it states, otherwise at that of the options.
 
-    A texture is played at the speed that the file's timescale stands for. Raises FileError where the file breaks the
-    format, has several channels, or bands of another type.
+    A texture is rendered at the speed given by the file's timescale. Raises FileError if the file breaks the format,
+    or has several channels or bands of another type.
     """
     tree, reading = read_json(path), JsonReader(path)
     perceptions = [
@@ -454,7 +504,7 @@ def read_hjif(path: Path, options: ImportOptions) -> Signal:
 def _iter_effects(
     reading: JsonReader, channel: dict[str, Any], library: dict[int, dict[str, Any]], timescale: int
 ) -> Iterator[tuple[str, EffectKeyframes]]:
-    """(band type, effect) of everything in a channel."""
+    """Yield (band type, effect) for every effect of a channel."""
     for row in reading.get_array(channel, "bands"):
         band = _require_object(reading, row)
         kind = band.get("band_type")
@@ -507,7 +557,7 @@ def _read_effect(reading: JsonReader, row: dict[str, Any], library: dict[int, di
 
 
 def _read_values(reading: JsonReader, keyframes: list[dict[str, Any]], name: str, largest: float) -> Float:
-    """NaN where a keyframe has none."""
+    """Read a value per keyframe; NaN if a keyframe has none."""
     return np.array(
         [reading.get_number(each, name, -largest, largest) if name in each else np.nan for each in keyframes]
     )
@@ -526,7 +576,7 @@ def _read_integer(reading: JsonReader, owner: Any, name: str, low: int, high: in
 
 
 def _read_scale(text: object, options: ImportOptions) -> _StatedScale:
-    """What the file's description states, else what options say. Text of others states nothing."""
+    """Read the scale from the file's description; without a valid one, use the options."""
     try:
         record = json.loads(text) if isinstance(text, str) else {}
         scale, seed = float(record["full_scale"]), int(record["seed"])
@@ -538,7 +588,7 @@ def _read_scale(text: object, options: ImportOptions) -> _StatedScale:
 
 
 def _make_provenance(path: Path, perception: dict[str, Any], scale: _StatedScale) -> dict[str, str]:
-    """Provenance: as it was told, and where not, what was assumed."""
+    """Return the file's provenance; if it states no scale, the assumed one."""
     if not scale.is_stated:
         said = f"1 = {scale.full_scale:g} m/s² (the file states none)"
         return {"source": path.name, "scale": said, "modality": str(perception.get("perception_modality"))}

@@ -1,4 +1,7 @@
-"""JSON of unknown origin → values of the right kind, or one FileError that names the place."""
+"""Validated reading of JSON files of unknown origin.
+
+Every defect raises one FileError that names the file and the entry.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,13 @@ from ..errors import FileError
 from ..files import write_bytes
 
 MAX_JSON_BYTES = 32 * 2**20
-"""A quarter of an hour of control points every 5 ms; a stroke is kilobytes."""
+"""Largest file: a quarter of an hour of control points every 5 ms; a stroke takes kilobytes."""
 _READ_BLOCK_BYTES = 2**20
 REEXPORT_REMEDY = "Export or download it again."
 
 
 def read_limited_bytes(path: Path, max_bytes: int) -> bytes:
-    """The file's bytes. Raises FileError where it cannot be read or is larger."""
+    """Return a file's bytes. Raises FileError if it cannot be read or exceeds `max_bytes`."""
     try:
         size = path.stat().st_size
         if size > max_bytes:
@@ -36,8 +39,11 @@ def read_limited_bytes(path: Path, max_bytes: int) -> bytes:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The file's one object. Raises FileError where it is larger than LARGEST_BYTES, no UTF-8, no JSON (NaN and
-    Infinity are none), nested beyond Python's depth, or no object."""
+    """Return the JSON object in a file.
+
+    Raises FileError if the file exceeds `MAX_JSON_BYTES`, is not UTF-8 or not JSON (NaN and Infinity are refused), is
+    nested beyond Python's recursion limit, or holds no object.
+    """
     try:
         found = json.loads(
             read_limited_bytes(path, MAX_JSON_BYTES).decode("utf-8-sig"), parse_constant=_refuse_constant
@@ -52,8 +58,11 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_json(path: Path, record: dict[str, Any], *, indent: int | None = 1) -> None:
-    """Atomically; indent None: on one line, without blanks. Equal records give equal bytes. Raises FileError where it
-    would be larger than is read again, or the disk refuses."""
+    """Write a record as JSON, atomically; equal records give equal bytes.
+
+    With `indent` None, the text is one line without blanks. Raises FileError if the file would exceed `MAX_JSON_BYTES`
+    or cannot be written.
+    """
     separators = (",", ":") if indent is None else None
     text = json.dumps(record, indent=indent, separators=separators, ensure_ascii=False, allow_nan=False)
     data = (text + "\n").encode()
@@ -64,7 +73,7 @@ def write_json(path: Path, record: dict[str, Any], *, indent: int | None = 1) ->
 
 
 class JsonReader:
-    """Values of one file by name; the first that is wrong raises FileError."""
+    """Typed access to the values of one file; the first invalid value raises FileError."""
 
     def __init__(self, path: Path) -> None:
         self._where = str(path)
@@ -73,21 +82,21 @@ class JsonReader:
         return FileError(f"{why}.", where=self._where, remedy=REEXPORT_REMEDY)
 
     def get_object(self, owner: dict[str, Any], name: str) -> dict[str, Any]:
-        """The object called name."""
+        """Return the object at `name`."""
         found = owner.get(name)
         if not isinstance(found, dict):
             raise self.make_error(f"'{name}' is missing" if found is None else f"'{name}' is no object")
         return found
 
     def get_array(self, owner: dict[str, Any], name: str) -> list[Any]:
-        """The array called name."""
+        """Return the array at `name`."""
         found = owner.get(name)
         if not isinstance(found, list):
             raise self.make_error(f"'{name}' is missing" if found is None else f"'{name}' is no array")
         return found
 
     def get_number(self, owner: Any, name: str, low: float, high: float) -> float:
-        """The number called name, low … high."""
+        """Return the number at `name`, within low … high."""
         if not isinstance(owner, dict):
             raise self.make_error(f"where '{name}' should stand is no object")
         found = owner.get(name)

@@ -1,6 +1,7 @@
-"""What a conversion must be told because a flat format has no place, or only 0 … 1, for it.
+"""Options of conversions, and checks that all formats share.
 
-What every format asks of a signal before it writes it.
+The options hold what a format cannot state itself, above all the acceleration [m/s²] and the frequencies [Hz] that its
+unit range stands for.
 """
 
 from __future__ import annotations
@@ -15,22 +16,32 @@ from ..signal import Signal
 from .touched_surface import TouchedSurface
 
 DEFAULT_FULL_SCALE_M_S2 = 30.0
-"""Where nobody says: the generic voice coil's largest acceleration (`hnf_core/actuators/profile.py`)."""
+"""Largest acceleration [m/s²] of the generic voice coil (`hnf_core/actuators/profile.py`)."""
 DEFAULT_RANGE_HZ = (20.0, 1000.0)
-"""Where nobody says: the generic voice coil's range."""
+"""Frequency range of the generic voice coil [Hz]."""
 MIN_FULL_SCALE_M_S2, MAX_FULL_SCALE_M_S2 = 1e-6, 1e6
-"""m/s²; no device is outside."""
+"""Limits of a plausible full scale [m/s²]."""
 DEFAULT_ENVELOPE_ERROR = 0.01
 DEFAULT_RENDER_RATE_HZ = 10_000.0
 
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """full_scale_m_s2: acceleration that 1.0, or the largest integer, of a format stands for; what exceeds it is
-    clipped and counted, and nothing is ever normalised. range_hz: what a frequency of 0 and of 1 stand for. error: of
-    envelopes, the largest distance between the control points' lines and the envelope, as a share of its peak.
-    surface: what the stroke was drawn on, for formats that bind touch to geometry; None where it is not known.
-    full_scale_assumed: nobody stated or measured full_scale_m_s2; the sidecar says so.
+    """Options for writing a signal.
+
+    Attributes
+    ----------
+    full_scale_m_s2 : float
+        Acceleration [m/s²] of the value 1.0 or the largest integer. Larger values are clipped and counted; nothing is
+        normalised.
+    range_hz : tuple of float
+        Frequencies [Hz] of the values 0 and 1.
+    error : float
+        Largest distance between an envelope and the lines between its control points, as a fraction of its peak.
+    surface : TouchedSurface or None
+        Surface that the stroke was drawn on, for formats that bind touch to geometry; None if not known.
+    full_scale_assumed : bool
+        The full scale is a default that nobody stated or measured; the sidecar records this.
     """
 
     full_scale_m_s2: float = DEFAULT_FULL_SCALE_M_S2
@@ -47,8 +58,17 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """full_scale_m_s2, range_hz: as in ExportOptions; what the file states itself counts more. None: FULL_SCALE_M_S2
-    and RANGE_HZ. rate_hz, seed: of what is rendered from envelopes; samples come at their own."""
+    """Options for reading a signal.
+
+    Attributes
+    ----------
+    full_scale_m_s2, range_hz : optional
+        As in `ExportOptions`; values stated in the file take precedence. None: the defaults.
+    rate_hz : float
+        Sample rate [Hz] of signals rendered from envelopes; sampled files keep their own.
+    seed : int
+        Seed of the carrier's phase in rendered signals.
+    """
 
     full_scale_m_s2: float | None = None
     range_hz: tuple[float, float] | None = None
@@ -72,11 +92,11 @@ def _check_scale_and_range(full_scale_m_s2: float, range_hz: tuple[float, float]
 
 
 MAX_RENDERED_SAMPLES = 2**24
-"""Rendered from envelopes: 28 minutes at 10 kHz. A file that claims more is damaged, or made to fill memory."""
+"""Most samples rendered from envelopes: 28 minutes at 10 kHz; a larger request means a damaged or hostile file."""
 
 
 def get_finite_samples(signal: Signal, where: str) -> NDArray[np.float32]:
-    """The signal's samples, (n,). Raises FileError where there is one that is not finite, or another shape."""
+    """Return a signal's samples (n,). Raises FileError if one is not finite or the shape differs."""
     with np.errstate(over="ignore"):
         samples = np.asarray(signal.samples, dtype="<f4")
     if samples.ndim != 1:
@@ -92,5 +112,5 @@ def get_finite_samples(signal: Signal, where: str) -> NDArray[np.float32]:
 
 
 def choose_render_rate(signal: Signal, range_hz: tuple[float, float]) -> float:
-    """Hz at which an envelope of signal is rendered again: the signal's own, or what holds the range."""
+    """Return the rate [Hz] to render a signal's envelope: its own rate, or one that holds the range."""
     return float(min(max(round(signal.sample_rate), round(2.5 * range_hz[1]), 1), 1_000_000))

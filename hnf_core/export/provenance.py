@@ -1,6 +1,7 @@
-"""Where a signal comes from and what its numbers stand for, as one line of text that formats keep in a free field.
+"""Provenance of an exported signal: its source, unit and scale, as JSON text inside a file and as a sidecar.
 
-FILE.json beside an exported FILE: what its numbers stand for, where it comes from, and which bytes it speaks of.
+`encode_provenance` makes the line of text that formats keep in a free field. The sidecar FILE.json next to an exported
+FILE holds the same record, the loss of the export, and a hash of the file's bytes.
 """
 
 from __future__ import annotations
@@ -32,8 +33,10 @@ _RECORD_SCHEMA = 1
 
 
 def make_provenance_record(signal: Signal, options: ExportOptions | None) -> dict[str, Any]:
-    """What can be written beside the data: schema, units, full scale and range (options None: a number is what it says,
-    in units), seed, rate and provenance."""
+    """Return the record stored with the data: schema, units, scale, seed, rate and provenance.
+
+    `options` give full scale and range; None means that the numbers are accelerations in `UNITS`.
+    """
     scale: dict[str, Any] = {"scale": 1.0}
     if options is not None:
         scale = {"full_scale": options.full_scale_m_s2, "range_hz": list(options.range_hz)}
@@ -55,7 +58,19 @@ def encode_provenance(signal: Signal, options: ExportOptions | None) -> str:
 
 @dataclass(frozen=True)
 class Provenance:
-    """full_scale_m_s2, range_hz: what 1 and 0 … 1 stand for. stated: whether the file said so. provenance: its own."""
+    """Scale and source of a file's values.
+
+    Attributes
+    ----------
+    full_scale_m_s2 : float
+        Acceleration [m/s²] of the value 1.
+    range_hz : tuple of float
+        Frequencies [Hz] of the values 0 and 1.
+    stated : bool
+        The file states this scale.
+    provenance : dict
+        The file's own provenance.
+    """
 
     full_scale_m_s2: float
     range_hz: tuple[float, float]
@@ -64,7 +79,10 @@ class Provenance:
 
 
 def parse_provenance(text: object, options: ImportOptions) -> Provenance:
-    """What text states, else what options say, else the defaults. Text of others, or damaged, states nothing."""
+    """Parse a provenance text; without a valid one, use the options or the defaults.
+
+    Damaged text and text of other programs count as no statement.
+    """
     mine = Provenance(
         options.full_scale_m_s2 or DEFAULT_FULL_SCALE_M_S2, options.range_hz or DEFAULT_RANGE_HZ, False, {}
     )
@@ -84,8 +102,11 @@ def parse_provenance(text: object, options: ImportOptions) -> Provenance:
 def make_rendered_provenance(
     origin: Provenance, name: str, ignored: tuple[str, ...] = (), assumed: tuple[str, ...] = ()
 ) -> dict[str, str]:
-    """Provenance of what was rendered from the envelopes in the file called name. ignored, assumed: what was not
-    understood in it, and what it leaves open. Those of the file before it, in origin, speak of that file alone."""
+    """Return the provenance of a signal rendered from the envelopes in the file called `name`.
+
+    `ignored` lists entries that were not understood, `assumed` lists values that the file leaves open. Entries of
+    these two names in `origin` are dropped, since they describe the file before it.
+    """
     low, high = origin.range_hz
     said = "stated in the file" if origin.stated else "the file states none"
     named = {"ignored": "; ".join(ignored), "assumed": "; ".join(assumed)}
@@ -106,7 +127,7 @@ def get_sidecar_path(path: Path) -> Path:
 
 
 def is_sidecar(path: Path) -> bool:
-    """Whether path is one, of whichever file."""
+    """Return True if a file is a sidecar."""
     try:
         record = read_json(path)
     except FileError:
@@ -116,7 +137,7 @@ def is_sidecar(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class SourceStroke:
-    """What an exported file was made of: a stroke, and the .blend it is in; "" where that is not told."""
+    """Stroke that an exported file was made from, and its .blend file; "" if not known."""
 
     stroke: str
     blend: str
@@ -125,8 +146,28 @@ class SourceStroke:
 def write_sidecar(
     path: Path, format_name: str, signal: Signal, options: ExportOptions | None, loss: dict[str, Any], blend: str = ""
 ) -> None:
-    """signal: what was exported to path, as the format called word. options: as for origin_record. loss: the report.
-    blend: name of the .blend that the signal's stroke is in. Raises FileError."""
+    """Write the sidecar of an exported file.
+
+    Parameters
+    ----------
+    path : Path
+        Exported file.
+    format_name : str
+        Name of its format.
+    signal : Signal
+        Exported signal.
+    options : ExportOptions or None
+        Scale, as in `make_provenance_record`.
+    loss : dict
+        `ConversionLoss.to_json` of the export.
+    blend : str
+        Name of the .blend file with the stroke; "" if not known.
+
+    Raises
+    ------
+    FileError
+        If the sidecar cannot be written.
+    """
     record = {
         "schema": SIDECAR_SCHEMA,
         "file": path.name,
@@ -142,7 +183,7 @@ def write_sidecar(
 
 
 def read_sidecar_provenance(path: Path) -> tuple[int, dict[str, str]] | None:
-    """Seed and provenance from the sidecar; None where there is none, or it speaks of other bytes."""
+    """Return seed and provenance from the sidecar; None if it is missing or its hash differs."""
     try:
         record = _read_matching_sidecar(path)
         return int(record["seed"]), {str(name): str(value) for name, value in record["provenance"].items()}
@@ -151,8 +192,10 @@ def read_sidecar_provenance(path: Path) -> tuple[int, dict[str, str]] | None:
 
 
 def read_sidecar_loss(path: Path) -> dict[str, Any] | None:
-    """What the export of path lost, as `Loss.to_json` wrote it into the sidecar; None where there is none, or it speaks
-    of other bytes, or is damaged."""
+    """Return the loss of an export from its sidecar, as `ConversionLoss.to_json` wrote it.
+
+    None if the sidecar is missing or damaged, or its hash differs.
+    """
     try:
         loss = _read_matching_sidecar(path)["loss"]
         sound = isinstance(loss["exact"], bool) and all(isinstance(each, str) for each in loss["dropped"])
@@ -163,8 +206,10 @@ def read_sidecar_loss(path: Path) -> dict[str, Any] | None:
 
 
 def _read_matching_sidecar(path: Path) -> dict[str, Any]:
-    """The sidecar, where it speaks of the bytes in path. Raises ValueError where it does not, FileError where there is
-    none, KeyError, OSError."""
+    """Return the sidecar of a file.
+
+    Raises ValueError if its hash differs from the file's, FileError if it is missing, KeyError, OSError.
+    """
     record = read_json(get_sidecar_path(path))
     if record["hash"] != content_hash(path.read_bytes()):
         raise ValueError("it speaks of other bytes")
@@ -172,7 +217,7 @@ def _read_matching_sidecar(path: Path) -> dict[str, Any]:
 
 
 def read_source_stroke(path: Path) -> SourceStroke | None:
-    """Who made path, as its sidecar says; None where it names no stroke, or there is none."""
+    """Return the stroke that a file was made from; None if its sidecar is missing or names no stroke."""
     try:
         record = read_json(get_sidecar_path(path))
         return SourceStroke(str(record["provenance"]["stroke"]), str(record.get("blend", "")))

@@ -1,4 +1,4 @@
-"""A baked surface and a stroke on it, on the way to formats that bind touch to geometry."""
+"""Baked surface and a stroke on it, for export to formats that bind touch to geometry."""
 
 from __future__ import annotations
 
@@ -17,8 +17,17 @@ UNTOUCHED = -1
 
 @dataclass(frozen=True)
 class StrokePath:
-    """Where the hand went. time: (n,) s, increasing, from 0. distance: (n,) m travelled over the surface, never less,
-    from 0. triangle: (n,) int32 of the mesh, UNTOUCHED where the hand is off the surface or does not press."""
+    """Path of a stroke over a surface.
+
+    Attributes
+    ----------
+    time : (n,) array
+        Times [s], increasing from 0.
+    distance : (n,) array
+        Distance travelled over the surface [m], non-decreasing from 0.
+    triangle : (n,) int32 array
+        Triangle of the mesh; `UNTOUCHED` without contact.
+    """
 
     time: Float
     distance: Float
@@ -30,7 +39,7 @@ class StrokePath:
 
     @property
     def mean_speed_m_s(self) -> float:
-        """Over the time that the hand moves, m/s; 0 where it never does."""
+        """Mean speed over the time in motion [m/s]; 0 without motion."""
         moving = np.diff(self.distance) > 0.0
         seconds = float(np.diff(self.time)[moving].sum())
         return self.length_m / seconds if seconds > 0.0 else 0.0
@@ -38,12 +47,33 @@ class StrokePath:
 
 @dataclass(frozen=True)
 class TouchedSurface:
-    """An object with what was baked onto it.
+    """Object with its baked touch data.
 
-    name: of the object. mesh: in the surface frame, z up as in Blender. materials: names by slot. token: (T,) int32,
-    index into palette of each triangle, UNTOUCHED where nothing was baked. roughness: (T,) float32, RMS height in m.
-    confidence: (T,) float32, 0–1. palette: None where nothing was baked. placement: (4, 4) world metres ← surface
-    frame. path: of the stroke that is exported, None where it is not known. Raises SceneError where parts do not fit.
+    Attributes
+    ----------
+    name : str
+        Name of the object.
+    mesh : TriangleMesh
+        Mesh in the surface frame, z up as in Blender.
+    materials : tuple of str
+        Material names by slot.
+    token : (T,) int32 array
+        Palette index per triangle; `UNTOUCHED` where nothing was baked.
+    roughness : (T,) float32 array
+        RMS height [m].
+    confidence : (T,) float32 array
+        Confidence, 0–1.
+    palette : Palette or None
+        Baked materials; None if nothing was baked.
+    placement : (4, 4) array
+        Transform from the surface frame to world metres.
+    path : StrokePath or None
+        Path of the exported stroke; None if not known.
+
+    Raises
+    ------
+    SceneError
+        If the sizes of the parts do not match.
     """
 
     name: str

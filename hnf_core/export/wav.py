@@ -1,4 +1,10 @@
-"""WAV files in m/s²: float32 samples that are never normalised, with their origin in the file.
+"""WAV files of acceleration [m/s²], with their provenance in the file.
+
+Three kinds are written. Float32 files hold m/s² at the signal's own rate and are never normalised. 16-bit PCM copies
+for actuators hold fractions of full scale: a count of 32767 is full_scale_m_s2, as in `hnf_core/actuators`. They are
+rounded without dither, so that silence stays silence and equal signals give equal bytes. Copies for listening are
+scaled to just below clipping by one gain, which the file states; they are not meant for actuators, and their loudness
+must not be compared.
 
 Layout (Microsoft/IBM "Multimedia Programming Interface and Data Specifications 1.0", 1991, and the 1994 revision that
 adds the fact chunk to every non-PCM format): fmt (WAVE_FORMAT_IEEE_FLOAT), fact, LIST/INFO, data. INFO holds ISFT (the
@@ -6,18 +12,7 @@ software), INAM (the stroke), ISBJ (the material) and ICMT, a JSON object
 
     {"schema": 1, "units": "m/s^2", "scale": 1.0, "seed": 7, "provenance": {"stroke": …, "material": …, "probe": …, …}}
 
-A sample times scale is an acceleration in units.
-
-Actuator-ready WAV: 16-bit PCM at a device's rate, with the acceleration that its full scale stands for.
-
-A count of 32767 is full_scale_m_s2, as on every wire of `hnf_core/actuators`; the file's LIST/INFO (ICMT) holds the
-factor from a sample (−1 … 1) back to m/s², so that `read_wav` gives accelerations again. Rounded, not dithered: silence
-stays silence, and equal signals give equal bytes.
-
-A copy for ears: as loud as a player goes without clipping, by one gain that the file states.
-
-A signal in m/s² leaves the −1 … 1 that players take for full scale, and they cut it off hard. Such a copy is for no
-actuator: how strong a touch is shows in its gain alone, and two copies are not to be compared by their loudness.
+A sample (−1 … 1 for PCM) times scale is an acceleration in units.
 """
 
 from __future__ import annotations
@@ -45,24 +40,47 @@ SCHEMA = 1
 _PCM, _IEEE_FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _MAX_UINT32 = 2**32 - 1
 _UNKNOWN_SIZE = _MAX_UINT32
-"""Size of a chunk by who could not know it when it began."""
+"""Chunk size written by programs that stream to a pipe and do not know the length."""
 
 
 def write_wav(path: Path, signal: Signal) -> None:
-    """Write signal as a mono float32 WAV at its own rate, in m/s², atomically.
+    """Write a signal as a mono float32 WAV [m/s²] at its own rate, atomically.
 
-    Raises FileError when a sample is not finite, the rate is not a whole number of Hz, the signal is longer than a
-    WAV can hold (4 GB), or the disk refuses; an earlier file at path is then unharmed.
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    signal : Signal
+        Acceleration [m/s²].
+
+    Raises
+    ------
+    FileError
+        If a sample is not finite, the rate is not a whole number of Hz, the signal exceeds a WAV's 4 GB, or the file
+        cannot be written; an earlier file at path is then unchanged.
     """
     write_bytes(Path(path), encode_wav(signal, where=str(path)))
 
 
 def write_wav_stream(path: Path, template: Signal, sample_count: int, blocks: Iterable[NDArray[np.float32]]) -> None:
-    """As write_wav, of a signal of count samples that arrives in blocks: only one of them is held.
+    """Write a signal that arrives in blocks as a WAV like `write_wav`, with one block in memory at a time.
 
-    head: a signal without samples, for the rate, seed and provenance. Raises what write_wav raises (a signal too long
-    before anything is asked of blocks), FileError where blocks hold another number of samples, and what they raise; an
-    earlier file at path is then unharmed.
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    template : Signal
+        Signal without samples, for rate, seed and provenance.
+    sample_count : int
+        Number of samples in all blocks.
+    blocks : iterable of arrays
+        Samples [m/s²].
+
+    Raises
+    ------
+    FileError
+        If `write_wav` would raise it (a signal that is too long: before any block is read), or the blocks hold another
+        number of samples; an earlier file at path is then unchanged.
     """
     path = Path(path)
     start = _encode_header(template, sample_count, str(path))
@@ -82,13 +100,13 @@ def write_wav_stream(path: Path, template: Signal, sample_count: int, blocks: It
 
 
 def encode_wav(signal: Signal, *, where: str = "WAV") -> bytes:
-    """The file that write_wav writes. Equal signals give equal bytes."""
+    """Return the bytes that `write_wav` writes; equal signals give equal bytes."""
     samples = get_finite_samples(signal, where)
     return _encode_header(signal, len(samples), where) + samples.tobytes()
 
 
 def _encode_header(signal: Signal, count: int, where: str) -> bytes:
-    """All of the file that comes before its count samples."""
+    """Return all bytes of the file before its samples."""
     rate, size = signal.sample_rate, 4 * count
     if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= _MAX_UINT32 // 4):
         raise FileError(
@@ -108,19 +126,30 @@ def _encode_header(signal: Signal, count: int, where: str) -> bytes:
 
 
 def read_wav(path: Path) -> Signal:
-    """Read a mono WAV: this project's own (samples, rate, seed and provenance come back as they were written), or any
-    plain PCM (8, 16, 24, 32 bit) or float (32, 64 bit) file.
+    """Read a mono WAV: a file of this project, or any PCM (8, 16, 24, 32 bit) or float (32, 64 bit) file.
 
-    A file that does not state its unit gives PCM as −1…1 of full scale and float as stored, and says so in
-    provenance["units"]. Raises FileError where the file is missing, damaged, compressed, has several channels or
-    samples that are not finite.
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    Signal
+        Files of this project keep samples, rate, seed and provenance. A file without a unit gives PCM as −1 … 1 of
+        full scale and float as stored; provenance["units"] states this.
+
+    Raises
+    ------
+    FileError
+        If the file is missing, damaged or compressed, has several channels, or a sample is not finite.
     """
     path = Path(path)
     return decode_wav(_read_file(path), path)
 
 
 def read_wav_channels(path: Path) -> tuple[Signal, ...]:
-    """As read_wav, of a file with any number of channels: a signal of each."""
+    """Read a WAV with any number of channels like `read_wav`: one signal per channel."""
     path = Path(path)
     return decode_wav_channels(_read_file(path), path)
 
@@ -135,7 +164,7 @@ def _read_file(path: Path) -> bytes:
 
 
 def decode_wav(data: bytes, path: Path) -> Signal:
-    """As read_wav, of the bytes of a file. path: what messages name."""
+    """Decode the bytes of a mono WAV like `read_wav`; error messages name `path`."""
     signals = decode_wav_channels(data, path)
     if len(signals) != 1:
         raise FileError(
@@ -145,7 +174,7 @@ def decode_wav(data: bytes, path: Path) -> Signal:
 
 
 def decode_wav_channels(data: bytes, path: Path) -> tuple[Signal, ...]:
-    """As read_channels, of the bytes of a file."""
+    """Decode the bytes of a WAV like `read_wav_channels`; error messages name `path`."""
     if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise FileError("is not a RIFF/WAVE file.", where=str(path), remedy="Give a .wav file.")
     form: bytes | None = None
@@ -177,7 +206,7 @@ def decode_wav_channels(data: bytes, path: Path) -> tuple[Signal, ...]:
 
 
 def encode_info_chunk(signal: Signal, scale: float = 1.0) -> bytes:
-    """LIST/INFO with signal's origin; a stored sample (PCM: −1 … 1) times scale is in m/s²."""
+    """Encode the signal's provenance as LIST/INFO; a stored sample (PCM: −1 … 1) times scale is in m/s²."""
     return _encode_chunk(
         b"LIST", b"INFO" + b"".join(_encode_chunk(tag, text) for tag, text in _iter_info(signal, scale))
     )
@@ -202,13 +231,15 @@ def _decode_text(data: bytes) -> str:
 
 
 def _encode_chunk(tag: bytes, body: bytes) -> bytes:
-    """A RIFF chunk; odd bodies are padded, and the size does not count the pad byte."""
+    """Encode a RIFF chunk; an odd body is padded by a byte that its size does not count."""
     return tag + struct.pack("<I", len(body)) + body + b"\0" * (len(body) % 2)
 
 
 def _iter_chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
-    """Tag and body of each chunk. Fewer than 8 trailing bytes are ignored, as most readers do. Samples of a size that
-    was never filled in, as by what writes into a pipe, go on to the end."""
+    """Yield tag and body of each chunk.
+
+    Fewer than 8 trailing bytes are ignored, as by most readers. A data chunk of unknown size extends to the end.
+    """
     at = 0
     while at + 8 <= len(data):
         tag, size = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]
@@ -221,7 +252,7 @@ def _iter_chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _decode_samples(format_chunk: bytes, data_chunk: bytes, path: Path) -> tuple[int, NDArray[np.float32]]:
-    """Sample rate and samples (channels, n)."""
+    """Return sample rate [Hz] and samples (channels, n)."""
     kind, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", format_chunk)
     if kind == _EXTENSIBLE and len(format_chunk) >= 26:
         kind = struct.unpack_from("<H", format_chunk, 24)[0]
@@ -253,13 +284,13 @@ def _decode_samples(format_chunk: bytes, data_chunk: bytes, path: Path) -> tuple
 
 
 def _deinterleave(samples: NDArray[np.float32], channels: int) -> NDArray[np.float32]:
-    """Samples as they are stored, channel after channel at each moment → (channels, n)."""
+    """Convert interleaved samples to (channels, n)."""
     return samples[None] if channels == 1 else np.ascontiguousarray(samples.reshape(-1, channels).T)
 
 
 @dataclass(frozen=True)
 class _CommentRecord:
-    """What this project wrote into ICMT."""
+    """Content of the ICMT entry in files of this project."""
 
     seed: int
     scale: float
@@ -267,7 +298,7 @@ class _CommentRecord:
 
 
 def _parse_comment(comment: str) -> _CommentRecord | None:
-    """None for a comment that is not this project's."""
+    """Parse the ICMT entry; None if it is not from this project."""
     try:
         record = json.loads(comment)
         if record["units"] != UNITS or not isinstance(record["provenance"], dict):
@@ -284,20 +315,20 @@ def _damaged_error(path: Path, why: str) -> FileError:
 
 FULL_SCALE_COUNTS = 32767
 UNSTATED_UNITS = "as stored"
-"""What read_wav says of a file without a unit."""
+"""Unit that `read_wav` reports for a file without one."""
 _PCM16_DIVISOR = 32768.0
-"""What a 16-bit sample is divided by to lie within −1 … 1."""
+"""Divisor that maps 16-bit samples to −1 … 1."""
 _MAX_COPY_BYTES = 2**32 - 2**16
 
 
 def write_native_wav(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """float32 in m/s² at the signal's own rate: nothing is lost."""
+    """Write float32 [m/s²] at the signal's own rate, without loss."""
     write_wav(path, signal)
     return ()
 
 
 def make_copy_writer(rate_hz: int) -> Callable[[Path, Signal, ExportOptions], tuple[str, ...]]:
-    """The writer of copies at rate_hz."""
+    """Return a writer of PCM copies at rate_hz [Hz]."""
 
     def write(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
         return write_pcm16_wav(path, signal, float(rate_hz), options)
@@ -306,10 +337,10 @@ def make_copy_writer(rate_hz: int) -> Callable[[Path, Signal, ExportOptions], tu
 
 
 def write_pcm16_wav(path: Path, signal: Signal, rate_hz: float, options: ExportOptions) -> tuple[str, ...]:
-    """Write signal at rate_hz as PCM; what was lost, in words. Below 0.9 of the lower Nyquist frequency the resampler
-    (`field/resampling.py`) keeps amplitudes within 0.01 dB.
+    """Write a signal at rate_hz [Hz] as 16-bit PCM; return what was lost, in sentences.
 
-    Raises FileError where a sample is not finite, the file would exceed 4 GB, or the disk refuses.
+    Below 0.9 of the lower Nyquist frequency the resampler (`field/resampling.py`) keeps amplitudes within 0.01 dB.
+    Raises FileError if a sample is not finite, the file would exceed 4 GB, or it cannot be written.
     """
     samples = get_finite_samples(signal, str(path)).astype(np.float64)
     resampled, warnings = resample(samples, signal.sample_rate, rate_hz)
@@ -331,7 +362,7 @@ def write_pcm16_wav(path: Path, signal: Signal, rate_hz: float, options: ExportO
 
 
 def read_wav_with_units(path: Path) -> Signal:
-    """A WAV that states its unit. Raises FileError for one that does not, and for what read_wav refuses."""
+    """Read a WAV that states its unit. Raises FileError if it does not, and as `read_wav`."""
     signal = read_wav(path)
     if signal.provenance.get("units") == UNSTATED_UNITS:
         raise FileError(
@@ -343,9 +374,9 @@ def read_wav_with_units(path: Path) -> Signal:
 
 
 def read_wav_scaled(path: Path, options: ImportOptions) -> Signal:
-    """A WAV of this project as it was; any other one times options.full_scale_m_s2.
+    """Read a WAV; samples of a file without a unit are multiplied by options.full_scale_m_s2.
 
-    Raises FileError for a file that states no unit where options give no full scale, and for what read_wav refuses.
+    Raises FileError if neither the file nor the options give a scale, and as `read_wav`.
     """
     signal = read_wav(path)
     if signal.provenance.get("units") != UNSTATED_UNITS:
@@ -367,13 +398,13 @@ def read_wav_scaled(path: Path, options: ImportOptions) -> Signal:
 LISTEN_FORMAT = "listen"
 LISTEN_RATE_HZ = 48_000.0
 LISTEN_PEAK_DBFS = -1.0
-"""What converters and players need to spare."""
+"""Peak of a listening copy [dBFS]; the rest is headroom for converters and players."""
 
 
 def fit_full_scale(signal: Signal, options: ExportOptions) -> ExportOptions:
-    """options with the full scale, m/s², that brings the signal's peak to PEAK_DBFS; as they are for silence.
+    """Return options with the full scale [m/s²] that brings the signal's peak to `LISTEN_PEAK_DBFS`.
 
-    Raises FileError where a sample is not finite.
+    Silence leaves the options unchanged. Raises FileError if a sample is not finite.
     """
     samples = get_finite_samples(signal, LISTEN_FORMAT).astype(np.float64)
     loudest = float(np.abs(resample(samples, signal.sample_rate, LISTEN_RATE_HZ)[0]).max(initial=0.0))
@@ -384,7 +415,7 @@ def fit_full_scale(signal: Signal, options: ExportOptions) -> ExportOptions:
 
 
 def write_listening_copy(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write the copy, 48 kHz and 16 bit; what was lost, in words. Raises FileError as write_copy does."""
+    """Write a 48 kHz, 16-bit copy; return what was lost, in sentences. Raises FileError as `write_pcm16_wav`."""
     own = fit_full_scale(signal, options)
     gain = f"One gain for the whole file: 1 stands for {own.full_scale_m_s2:.3g} m/s². For ears, not for an actuator."
     return (gain, *write_pcm16_wav(path, signal, LISTEN_RATE_HZ, own))

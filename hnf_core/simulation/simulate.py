@@ -24,9 +24,9 @@ from .contact_dynamics import (
     DRIVE_COUNT,
     ContactMotion,
     Physics,
+    SmoothedMaps,
     integrate_contact,
 )
-from .height_sampling import SmoothedMaps
 
 Float = NDArray[np.float64]
 BLOCK_SAMPLES = 128

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from ..material.contact_model import Mechanics
 from ..material.probe import PROBES, Probe
-from .contact_dynamics import Physics
+from .contact_dynamics import Physics, SmoothedMaps
 from .dft321 import dft321
-from .height_sampling import SmoothedMaps
 from .simulate import FULL_PHYSICS, SAMPLE_RATE_HZ, simulate_batch, straight_stroke
 
 Float = NDArray[np.float64]

@@ -1,12 +1,16 @@
-"""Fit F_Θ to the observed spectra of steady strokes by likelihood: AdamW with cosine annealing, all data in memory."""
+"""Fit F_Θ to the observed spectra of steady strokes by likelihood: AdamW with cosine annealing, all data in memory.
+
+A `Checkpoint` holds everything that the next epoch of a training run depends on, in one safetensors file.
+"""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,8 +21,10 @@ from ..field.carriers import Carriers
 from ..field.features import DIRECTION_COLUMN, build_inputs
 from ..field.field import FieldConfig, initial_parameters
 from ..field.linear_contact import Condition
+from ..files import write_bytes
 from ..material.contact_model import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
+from ..safetensors_io import dump_tensors, load_tensors
 from .likelihood import DENSITY_FLOOR, WindowLikelihood, compute_arc_density, compute_expectation_matrices
 from .model import FieldNetwork, accumulate_steady
 from .simulated_strokes import SteadyStroke, make_speed_grid, withhold_mechanics
@@ -251,3 +257,43 @@ def rotate_inputs(x: Tensor, angle: Tensor) -> Tensor:
     x[:, columns] = first * cos - second * sin
     x[:, columns + 1] = first * sin + second * cos
     return x
+
+
+FORMAT = "hnf-checkpoint-1"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """State of a run after `epoch` epochs.
+
+    tensors: network, optimiser, best weights and random state, by name. history: (epoch, 3) epoch number, training loss
+    and validation loss.
+    """
+
+    epoch: int
+    tensors: Mapping[str, NDArray[np.generic]]
+    history: NDArray[np.float64]
+
+
+def save_checkpoint(path: Path, checkpoint: Checkpoint, fingerprint: str) -> None:
+    """Write a checkpoint atomically, with the fingerprint of its run. Raises FileError."""
+    tensors = {name: np.ascontiguousarray(value) for name, value in checkpoint.tensors.items()}
+    tensors["history"] = checkpoint.history
+    metadata = {"format": FORMAT, "fingerprint": fingerprint, "epoch": str(checkpoint.epoch)}
+    write_bytes(path, dump_tensors(tensors, metadata))
+
+
+def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
+    """Read the checkpoint of the run with this fingerprint.
+
+    Returns None if there is none, if it is damaged, or if it belongs to other data, another architecture or another
+    seed; the run then starts from the beginning.
+    """
+    try:
+        tensors, metadata = load_tensors(path.read_bytes())
+        if metadata["format"] != FORMAT or metadata["fingerprint"] != fingerprint:
+            return None
+        history = tensors.pop("history")
+        return Checkpoint(int(metadata["epoch"]), tensors, history)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

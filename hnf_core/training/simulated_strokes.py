@@ -25,8 +25,8 @@ from ..material.encoder_registry import get_encoder
 from ..material.probe import PROBES
 from ..material.token import ENCODER_ID
 from ..metrics.spectra import WINDOW_SAMPLES, window_power
+from ..simulation.contact_dynamics import SmoothedMaps
 from ..simulation.dft321 import dft321
-from ..simulation.height_sampling import SmoothedMaps
 from ..simulation.material_classes import derive_seed, list_classes, sample_instance
 from ..simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate_batch, straight_stroke
 from ..simulation.surface_recipe import TILE_SIZE_M, SurfaceRecipe, height_map, random_recipe

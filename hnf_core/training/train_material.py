@@ -26,7 +26,7 @@ from ..field.training_ranges import compute_training_ranges
 from ..files import content_hash
 from ..material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from ..material.token import TOKEN_DIM
-from .checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from .fit import Checkpoint, load_checkpoint, save_checkpoint
 from .likelihood import DENSITY_FLOOR, WindowLikelihood, compute_arc_density, compute_expectation_matrices
 from .model import FieldNetwork, render_weights
 from .simulated_strokes import FINE_BINS, compute_bin_widths

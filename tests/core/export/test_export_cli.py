@@ -15,7 +15,7 @@ from export_signals import FACTS, WORDS, texture, tone
 from hnf_core.cli.main import main
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.wav import read_wav, write_wav
-from hnf_core.metrics.band_energy import OCTAVE_EDGES_HZ
+from hnf_core.metrics.spectra import OCTAVE_EDGES_HZ
 
 
 def hnf(*words: Any) -> int:

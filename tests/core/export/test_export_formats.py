@@ -26,7 +26,7 @@ from hnf_core.export.formats import FORMATS
 from hnf_core.export.options import ExportOptions, ImportOptions
 from hnf_core.export.provenance import get_sidecar_path
 from hnf_core.export.wav import read_wav
-from hnf_core.metrics.band_energy import band_power
+from hnf_core.metrics.spectra import band_power
 from hnf_core.signal import Signal
 
 SAMPLES = hnp.arrays(np.float32, st.integers(2, 1500), elements=st.floats(-40.0, 40.0, width=32))

@@ -18,7 +18,7 @@ from hnf_core.export.convert import export_signal
 from hnf_core.export.envelope import compute_envelope
 from hnf_core.export.fidelity import SILENT_OUTPUT, compute_signal_stats, format_loss_table, measure_loss
 from hnf_core.export.formats import FORMATS
-from hnf_core.metrics.band_energy import OCTAVE_CENTRES_HZ, OCTAVE_EDGES_HZ, band_power, compare_bands
+from hnf_core.metrics.spectra import OCTAVE_CENTRES_HZ, OCTAVE_EDGES_HZ, band_power, compare_bands
 
 SAMPLES = hnp.arrays(np.float64, st.integers(1, 800), elements=st.floats(-30.0, 30.0))
 

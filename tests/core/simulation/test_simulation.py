@@ -13,9 +13,8 @@ from hnf_core.errors import MaterialError
 from hnf_core.material import contact_model
 from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.probe import PROBES
-from hnf_core.simulation.contact_dynamics import HAND_DRAG_PER_S
+from hnf_core.simulation.contact_dynamics import HAND_DRAG_PER_S, SmoothedMaps
 from hnf_core.simulation.dft321 import dft321
-from hnf_core.simulation.height_sampling import SmoothedMaps
 from hnf_core.simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate, simulate_batch, straight_stroke
 from hnf_core.simulation.surface_recipe import (
     EXAMPLE_RECIPES,

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import MaterialError
-from hnf_core.simulation.height_sampling import SmoothedMaps
+from hnf_core.simulation.contact_dynamics import SmoothedMaps
 from hnf_core.simulation.material_classes import (
     DEFAULT_SCATTER,
     MATERIAL_TABLE,

@@ -16,10 +16,10 @@ from hnf_core.simulation.contact_dynamics import (
     Bristles,
     LuGre,
     Physics,
+    SmoothedMaps,
     compute_contact_force,
     derive_bristles,
 )
-from hnf_core.simulation.height_sampling import SmoothedMaps
 from hnf_core.simulation.simulate import Stroke, simulate, simulate_motion, straight_stroke
 
 WOOD = Mechanics(1.0e5, 0.2, 0.3)

@@ -27,7 +27,7 @@ from hnf_core.field.synthesis import synthesise
 from hnf_core.material.contact_model import UNKNOWN_MECHANICS
 from hnf_core.material.token import TOKEN_DIM
 from hnf_core.metrics.spectra import WINDOW_SAMPLES
-from hnf_core.training.checkpoint import load_checkpoint
+from hnf_core.training.fit import load_checkpoint
 from hnf_core.training.from_recordings import (
     TrainingOverrides,
     choose_config,

@@ -22,15 +22,15 @@ from hnf_core.tactile.diffusion.predict import predict_slopes
 from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, forward
 from hnf_core.tactile.diffusion.weights import load_map_weights
 from hnf_core.tactile.fourier_filters import frequencies
-from hnf_core.training.tactile_map.batches import (
+from hnf_core.training.tactile_map.map_network import (
+    MapNetwork,
     apply_symmetry,
     compute_level_statistics,
     make_fixed_batch,
     make_training_batch,
+    sample_slopes,
 )
-from hnf_core.training.tactile_map.map_network import MapNetwork, sample_slopes
-from hnf_core.training.tactile_map.train_map import MapTrainingPlan, fit_map
-from hnf_core.training.tactile_map.validation import compute_band_powers
+from hnf_core.training.tactile_map.train_map import MapTrainingPlan, compute_band_powers, fit_map
 
 TINY = MapConfig(**SMALL)
 QUICK = MapTrainingPlan(steps=6, batch=4, warm_up=2, half=False, validate_views=4)
