@@ -78,7 +78,7 @@ def read_scene_surface(path: Path, provenance: Mapping[str, str], object_name: s
     import bpy
 
     from .bridge.importers import open_scene
-    from .bridge.scene.unit_scale import get_metres_per_unit
+    from .bridge.scene.object_size import get_metres_per_unit
     from .bridge.stroke.surface_export import find_surface_in_scene
 
     scene, view_layer = open_scene(path), bpy.context.view_layer

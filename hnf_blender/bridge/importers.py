@@ -22,7 +22,7 @@ from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_
 from hnf_core.scene.ply import read_ply_header
 from hnf_core.scene.splats.io_ply import check_splat_file
 
-from .scene.mesh_attributes import show_vertex_colours
+from .scene.stored_data import show_vertex_colours
 from .scene.suppress_output import suppress_output
 
 EXPORT_MESHES = ("mesh.obj", "poisson_mesh.ply", "tsdf_mesh.ply", "sdf_marching_cubes_mesh.ply")

@@ -9,8 +9,8 @@ from typing import Any
 from hnf_core.errors import HnfError
 from hnf_core.tactile.tactile_map import Route
 
-from ..bridge.scene.mesh_attributes import SCHEMA_PROPERTY, count_token_bytes, remove_tokens
 from ..bridge.scene.scene_names import find_object
+from ..bridge.scene.stored_data import SCHEMA_PROPERTY, count_token_bytes, remove_tokens
 from ..bridge.splats.splat_cloud import get_cloud, remove_point_tokens
 from ..bridge.stroke.read_stroke import list_strokes
 from ..props.scene_settings import find_index

@@ -10,8 +10,8 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
-from ..bridge.scene.mesh_attributes import FaceTokens, write_tokens
 from ..bridge.scene.scene_names import get_named_objects, get_scene_name
+from ..bridge.scene.stored_data import FaceTokens, write_tokens
 from ..bridge.splats.splat_cloud import get_cloud, require_writable, write_point_tokens
 from ..state.session_state import STATE, suppress_change_tracking
 from ..touch.bake_storage import make_status, save_bake

@@ -12,7 +12,7 @@ from hnf_core.errors import FileError
 from hnf_core.files import NPZ_ERRORS, read_npz, write_text
 from hnf_core.material.palette import Palette
 
-from ..bridge.scene.mesh_attributes import FaceTokens, PointTokens
+from ..bridge.scene.stored_data import FaceTokens, PointTokens
 from ..touch.session import InputHashes
 from .child_job import from_json, to_json
 

@@ -14,7 +14,6 @@ MODULES = (
     "bake_ops",
     "diagnose_ops",
     "import_ops",
-    "scale_ops",
     "draw_ops",
     "stroke_ops",
     "force_ops",

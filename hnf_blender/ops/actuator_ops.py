@@ -21,7 +21,7 @@ from ..actuator.actuator_state import (
     select_output,
 )
 from ..actuator.live_touch import LiveTouch, force_from_pressure
-from ..bridge.scene.unit_scale import get_metres_per_unit
+from ..bridge.scene.object_size import get_metres_per_unit
 from ..props.scene_settings import get_actuator_profile
 from ..state.interface import redraw_tab
 from ..translations import tr
@@ -208,7 +208,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
 
     def _check_likely_surface(self, context: Any) -> None:
         """Check the tokens of the surface most likely touched first, since hashing it later would delay the pen."""
-        from ..bridge.scene.mesh_attributes import TOKEN_ATTRIBUTE
+        from ..bridge.scene.stored_data import TOKEN_ATTRIBUTE
         from .material_ops import find_material_object
 
         surface = find_material_object(context)

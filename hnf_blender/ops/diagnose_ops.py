@@ -92,7 +92,7 @@ def measure_folder(folder: Path) -> int:
 
 def measure_baked_data() -> int:
     """Return the size of bakes, tokens and palettes in the open file [bytes]."""
-    from ..bridge.scene.mesh_attributes import count_token_bytes
+    from ..bridge.scene.stored_data import count_token_bytes
     from ..touch.bake_storage import count_stored_bytes
 
     return sum(count_stored_bytes(obj) for obj in bpy.data.objects) + sum(

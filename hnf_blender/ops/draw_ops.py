@@ -11,7 +11,7 @@ from hnf_core.errors import HnfError, SceneError
 from hnf_core.material.probe import PROBES
 from hnf_core.units import m_to_mm, mm_to_m
 
-from ..bridge.scene.unit_scale import get_metres_per_unit
+from ..bridge.scene.object_size import get_metres_per_unit
 from ..props.stroke_settings import FORCE_MAX_N
 from ..translations import tr
 from .context import DEFAULT_PROBE, fail_poll, format_error, make_active_and_visible, resolve_probe

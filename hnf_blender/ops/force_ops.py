@@ -10,7 +10,7 @@ import bpy
 from hnf_core.errors import HnfError
 
 from .. import compat
-from ..bridge.scene.unit_scale import get_metres_per_unit
+from ..bridge.scene.object_size import get_metres_per_unit
 from ..props.scene_settings import find_index, get_active_stroke
 from ..props.stroke_settings import FORCE_MAX_N
 from ..translations import tr

@@ -12,8 +12,7 @@ from hnf_core.action.pen_stroke import REST_S, spread_times_evenly
 from hnf_core.export.plots.figure import force_to_colour
 from hnf_core.units import m_to_mm
 
-from ..bridge.scene.bounding_boxes import filter_rendered
-from ..bridge.scene.unit_scale import get_metres_per_unit
+from ..bridge.scene.object_size import filter_rendered, get_metres_per_unit
 from ..bridge.viewport_pick import explain_untouchable, find_region_under_mouse, find_view_under_mouse, pick_surface
 from ..translations import tr
 

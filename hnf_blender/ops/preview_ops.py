@@ -22,7 +22,7 @@ NOT_BAKED_REASON = "Not baked yet: press Bake in the Touch tab"
 
 def poll_playable(cls: Any, context: Any) -> bool:
     """Return whether the active stroke has a valid bake; for poll(), with the reason if not."""
-    from ..bridge.scene.id_properties import has_property
+    from ..bridge.scene.stored_data import has_property
     from ..touch.stroke_bake import BAKE_PROPERTY
 
     if not poll_active_stroke(cls, context):

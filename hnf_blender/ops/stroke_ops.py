@@ -9,7 +9,7 @@ import bpy
 from hnf_core.action.primitives import PRIMITIVES, Primitive
 from hnf_core.errors import HnfError, SceneError
 
-from ..bridge.scene.unit_scale import get_metres_per_unit
+from ..bridge.scene.object_size import get_metres_per_unit
 from ..compat import own_action
 from ..props.object_cache import CHANGES
 from ..props.scene_settings import find_index, find_stroke, get_active_stroke, has_strokes, list_strokes

@@ -316,7 +316,7 @@ def describe_signal(shown: PreviewResult, profile: ActuatorProfile, gain_db: flo
 
 def update_outdated_strips(obj: Any, scene: Any) -> None:
     """Store the names of the stroke's strips and speakers that play an earlier signal."""
-    from .linked_strips import find_outdated_strips
+    from .strips_and_speakers import find_outdated_strips
 
     requested = PREVIEW.requested.get(obj.name)
     PREVIEW.outdated[obj.name] = [] if requested is None else find_outdated_strips(obj, scene, requested[0])

@@ -21,9 +21,9 @@ from ..props.scene_settings import CHOICE_BY_NAME, get_actuator_profile
 from ..state.session_state import STATE
 from ..touch.freshness import Freshness
 from ..translations import tr
-from .linked_strips import find_linked_strips, mark_linked
 from .preview_state import PREVIEW
 from .sound_device import compute_monitor_gain
+from .strips_and_speakers import find_linked_strips, mark_linked
 
 if TYPE_CHECKING:
     from hnf_core.export.convert import ExportResult
@@ -203,7 +203,7 @@ def _find_free_path(folder: Path, author: SourceStroke, ending: str) -> Path:
 def _make_options(obj: Any, context: Any, form: Format) -> ExportOptions:
     from hnf_core.export.options import DEFAULT_RANGE_HZ, ExportOptions
 
-    from ..bridge.scene.unit_scale import get_metres_per_unit
+    from ..bridge.scene.object_size import get_metres_per_unit
     from ..bridge.stroke.surface_export import read_touched_surface
 
     profile, surface = get_actuator_profile(context.scene), None
@@ -259,10 +259,10 @@ def add_stroke_speaker(obj: Any, context: Any) -> Any:
     """
     import bpy
 
-    from ..bridge.scene.speakers import add_speaker
-    from ..bridge.scene.unit_scale import get_metres_per_unit
+    from ..bridge.scene.object_size import get_metres_per_unit
     from ..bridge.stroke.read_stroke import sample_timeline
     from ..touch.output_files import make_file_stem
+    from .strips_and_speakers import add_speaker
 
     signal, scene = get_current_signal(obj, context), context.scene
     scale = get_metres_per_unit(scene)

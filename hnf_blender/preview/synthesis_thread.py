@@ -26,7 +26,7 @@ from hnf_core.files import content_hash
 from hnf_core.signal import Signal
 from hnf_core.units import seconds_to_frame
 
-from ..bridge.scene.id_properties import get_property
+from ..bridge.scene.stored_data import get_property
 from ..bridge.stroke.animation import read_channel, sample_channels
 from ..props.stroke_settings import FORCE_MAX_N
 from ..state.session_state import suppress_change_tracking

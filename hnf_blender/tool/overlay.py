@@ -167,7 +167,7 @@ def _refresh() -> float | None:
 
 
 def _compute_paths(strokes: Sequence[Any], scene: Any, depsgraph: Any) -> None:
-    from ..bridge.scene.unit_scale import get_metres_per_unit
+    from ..bridge.scene.object_size import get_metres_per_unit
     from . import overlay_drawing
     from .overlay_drawing import compute_overlay_path
 

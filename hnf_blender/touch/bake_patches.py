@@ -25,7 +25,7 @@ from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.library import Appearance
 from hnf_core.material.token import Token
 from hnf_core.progress import Progress, ProgressCallback, ignore_progress
-from hnf_core.scene.patch import Patch
+from hnf_core.scene.camera import Patch
 from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict_tactile_maps
 from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, MapWeights, load_map_weights
 from hnf_core.tactile.height import tactile_map_from_height

@@ -16,12 +16,12 @@ from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.files import content_hash
 from hnf_core.material.palette import Palette, build_palette
 from hnf_core.material.token import ENCODER_ID, LEVELS, split_encoders
+from hnf_core.scene.camera import CAMERA_DISTANCE_M
 from hnf_core.scene.mesh import crop_mesh
-from hnf_core.scene.patch import CAMERA_DISTANCE_M
 
-from ..bridge.scene import id_properties
-from ..bridge.scene.mesh_attributes import SOURCE_PROPERTY, UNBAKED, FaceTokens, PointTokens, read_tokens, write_tokens
+from ..bridge.scene import stored_data
 from ..bridge.scene.scene_names import find_object
+from ..bridge.scene.stored_data import SOURCE_PROPERTY, UNBAKED, FaceTokens, PointTokens, read_tokens, write_tokens
 from ..bridge.splats.splat_cloud import compute_cloud_frame, get_cloud, read_cloud, write_point_tokens
 from ..props.scene_settings import find_index
 from ..translations import tr
@@ -181,20 +181,20 @@ INPUTS_PROPERTY = "hnf_inputs"
 def save_bake(obj: Any, bake: StrokeBake, inputs: InputHashes) -> None:
     """Store a bake and its inputs on a stroke. Raises SceneError for a linked object."""
     store_bake(obj, bake)
-    id_properties.set_property(obj, INPUTS_PROPERTY, inputs.to_text())
+    stored_data.set_property(obj, INPUTS_PROPERTY, inputs.to_text())
 
 
 def clear_bake(obj: Any) -> int:
     """Remove what `save_bake` stored; return the bytes freed."""
     freed = count_stored_bytes(obj)
     remove_bake(obj)
-    id_properties.delete_property(obj, INPUTS_PROPERTY)
+    stored_data.delete_property(obj, INPUTS_PROPERTY)
     return freed
 
 
 def count_stored_bytes(obj: Any) -> int:
     """Return the size of what `save_bake` stored on a stroke [bytes]."""
-    data, text = id_properties.get_property(obj, BAKE_PROPERTY), id_properties.get_property(obj, INPUTS_PROPERTY)
+    data, text = stored_data.get_property(obj, BAKE_PROPERTY), stored_data.get_property(obj, INPUTS_PROPERTY)
     return (len(data) if isinstance(data, bytes) else 0) + (len(text) if isinstance(text, str) else 0)
 
 
@@ -249,7 +249,7 @@ def has_tokens(session: Session, obj: Any) -> bool:
 
 def _describe_changes(obj: Any, job: StrokeJob, bake: StrokeBake) -> str:
     """Describe which inputs changed since the bake."""
-    earlier = InputHashes.from_text(id_properties.get_property(obj, INPUTS_PROPERTY))
+    earlier = InputHashes.from_text(stored_data.get_property(obj, INPUTS_PROPERTY))
     if earlier is None or earlier.path_key != bake.path_key:
         return tr("Changed since it was baked.")
     changes = job.inputs.describe_changes(earlier, same_surface=bake.facts.get("object") == job.object_name)

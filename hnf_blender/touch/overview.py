@@ -20,8 +20,8 @@ from hnf_core.scene.rgbd_view import RgbdView
 
 from ..bridge.render.cycles import make_overview_camera, read_camera
 from ..bridge.render.lit_render import OverviewRenderer, RenderHashes
-from ..bridge.scene.bounding_boxes import get_world_boxes
 from ..bridge.scene.meshes import Surface
+from ..bridge.scene.object_size import get_world_boxes
 from ..compat import has_denoiser
 from .report import Counts
 

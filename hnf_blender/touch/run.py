@@ -25,7 +25,7 @@ from hnf_core.text import pluralize
 from hnf_core.touch_request import TouchRequest
 
 from ..bridge.importers import open_scene
-from ..bridge.scene.unit_scale import get_metres_per_unit
+from ..bridge.scene.object_size import get_metres_per_unit
 from .bake_plan import (
     Plan,
     PreviousRun,

@@ -25,7 +25,6 @@ from hnf_core.material.library import LIBRARY_PATH, get_material
 from hnf_core.text import close_matches, format_choices
 from hnf_core.touch_request import TouchRequest
 
-from ..bridge.scene.bounding_boxes import describe_neighbours, filter_visible, is_visible
 from ..bridge.scene.material_definition import get_artist_choice
 from ..bridge.scene.meshes import (
     Surface,
@@ -35,8 +34,14 @@ from ..bridge.scene.meshes import (
     hash_mesh,
     read_surface,
 )
+from ..bridge.scene.object_size import (
+    describe_neighbours,
+    filter_visible,
+    get_metres_per_unit,
+    get_size_warning,
+    is_visible,
+)
 from ..bridge.scene.scene_names import find_object, get_named_objects, get_scene_name
-from ..bridge.scene.unit_scale import get_metres_per_unit, get_size_warning
 from ..bridge.shader.closures import ReliefSource, find_relief_source, is_direct_image
 from ..bridge.shader.images import list_texture_names
 from ..bridge.shader.object_inputs import find_shader_inputs, format_object_inputs

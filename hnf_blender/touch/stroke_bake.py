@@ -22,7 +22,7 @@ from hnf_core.files import NPZ_ERRORS, read_npz
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.probe import PROBES
 
-from ..bridge.scene.id_properties import delete_property, get_property, set_property
+from ..bridge.scene.stored_data import delete_property, get_property, set_property
 
 if TYPE_CHECKING:
     from hnf_core.field.field import Field

@@ -26,7 +26,7 @@ from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.synthesis import synthesise_by_field
 from hnf_core.material.fuse import BAND_COUNT, FusedToken, format_routes, fuse
 from hnf_core.progress import Cancelled, Progress, ProgressCallback, ignore_progress, nest_progress
-from hnf_core.scene.patch import Patch
+from hnf_core.scene.camera import Patch
 from hnf_core.signal import Signal
 from hnf_core.threads import single_blas_thread
 

@@ -138,7 +138,7 @@ class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: Any) -> None:
-        from ..bridge.scene.unit_scale import get_metres_per_unit
+        from ..bridge.scene.object_size import get_metres_per_unit
         from ..bridge.splats.splat_cloud import TOUCHABLE_SURFACES
 
         layout, scene = self.layout, context.scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene.patch import PATCH_SIZE_M, Patch
+from ..scene.camera import PATCH_SIZE_M, Patch
 from .action import Action
 from .contacts import Contacts
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SceneError
+from ..scene.camera import PATCH_SIZE_M, Patch
 from ..scene.mesh import TriangleMesh
-from ..scene.patch import PATCH_SIZE_M, Patch
 from .contacts import CONTACT_TOLERANCE_M, compute_tangents, find_nearest_on_triangles, interpolate_normals
 
 Float = NDArray[np.float64]

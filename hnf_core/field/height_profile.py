@@ -22,7 +22,7 @@ from .linear_contact import SPEED_FLOOR_M_S, Condition, profile_band_power
 from .stroke import HeightProfile, interpolate_cubic
 
 if TYPE_CHECKING:
-    from ..scene.patch import Patch
+    from ..scene.camera import Patch
     from ..tactile.tactile_map import HeightMap
 
 Float = NDArray[np.float64]

@@ -16,8 +16,7 @@ from hnf_blender.bridge.render.cycles import add_camera, configure_cycles, rende
 from hnf_blender.bridge.render.isolated_object import isolate_object
 from hnf_blender.bridge.render.lit_render import add_dome
 from hnf_blender.bridge.scene.temp_scene import TemporaryScene
-from hnf_core.scene.camera import Camera
-from hnf_core.scene.patch import Patch
+from hnf_core.scene.camera import Camera, Patch
 
 PIXELS = 64
 UP = np.array([0.0, 0.0, 1.0])

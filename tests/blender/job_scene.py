@@ -10,7 +10,7 @@ import time
 import bpy
 from touch_scene import PLATE, line_stroke, ridge_plate
 
-from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_blender.jobs import manager
 from hnf_blender.jobs.child_job import JOB_FOLDER_PREFIX, get_job_root, is_process_alive
 from hnf_blender.jobs.request import pack_tokens

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from data_tools.write_splats import write_inria
-from hnf_blender.bridge.scene.mesh_attributes import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
+from hnf_blender.bridge.scene.stored_data import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
 from hnf_core.scene.splats.gaussians import Splats
 
 Y_00 = 0.28209479177387814

@@ -15,7 +15,7 @@ from touch_scene import signals, touch
 
 from hnf_blender import compat
 from hnf_blender.bridge.importers import open_scene
-from hnf_blender.bridge.scene.unit_scale import get_size_warning
+from hnf_blender.bridge.scene.object_size import get_size_warning
 from hnf_core.actuators.profile import PROFILES
 
 REPOSITORY = Path(__file__).parents[2]
@@ -167,7 +167,7 @@ def test_building_twice_gives_the_same_scene() -> None:
 def test_a_close_up_of_the_cushion_measures_its_wales(scene) -> None:
     from closeup_builders import render_closeup
 
-    from hnf_core.scene.patch import Patch
+    from hnf_core.scene.camera import Patch
 
     cushion, pixels = scene.objects["Cushion"], 256
     _, place, normal, _ = cushion.closest_point_on_mesh(Vector((0.0, 0.0, 0.2)))

@@ -15,8 +15,8 @@ import pytest
 from builders import add_plane, add_sphere, float_image
 
 from hnf_blender.bridge.importers import open_scene
+from hnf_blender.bridge.scene.object_size import get_metres_per_unit, get_size_warning
 from hnf_blender.bridge.scene.suppress_output import suppress_output
-from hnf_blender.bridge.scene.unit_scale import get_metres_per_unit, get_size_warning
 from hnf_blender.bridge.shader.closures import ReliefSource, find_relief_source
 from hnf_blender.bridge.shader.images import explain_missing_image
 from hnf_core.errors import FileError, HnfError, SceneError

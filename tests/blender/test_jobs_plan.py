@@ -8,7 +8,7 @@ from builders import add_plane
 from job_scene import NOTHING, PLATE, kept, line_stroke, small_scene
 from touch_scene import save_scene
 
-from hnf_blender.bridge.scene.mesh_attributes import count_token_bytes
+from hnf_blender.bridge.scene.stored_data import count_token_bytes
 from hnf_blender.state.session_state import STATE
 from hnf_blender.touch.bake_storage import count_stored_bytes
 from hnf_blender.touch.freshness import Freshness

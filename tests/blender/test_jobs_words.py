@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_blender.bridge.scene.mesh_attributes import FaceTokens
+from hnf_blender.bridge.scene.stored_data import FaceTokens
 from hnf_blender.jobs import child_job
 from hnf_blender.jobs.child_job import MESSAGE_PREFIX, Failed, Finished, Started, Step, decode_message, encode_message
 from hnf_blender.jobs.request import (

@@ -15,9 +15,9 @@ from builders import add_plane, bump_material
 from touch_scene import PLATE, line_stroke, ridge_plate
 
 from hnf_blender.bridge.render import closeup
-from hnf_blender.bridge.scene import bounding_boxes
-from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.bridge.scene import object_size
 from hnf_blender.bridge.scene.meshes import evaluated_mesh
+from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_blender.bridge.stroke.read_stroke import find_nearest_surface
 from hnf_blender.touch import bake_patches, bake_storage, patch_cache, session
 from hnf_lab.blender_bench.scale import measure_open_file_bake
@@ -76,18 +76,18 @@ def test_no_mesh_is_read_but_that_under_the_stroke(tmp_path, read, named, way) -
 def test_collections_are_searched_once_for_any_object_count(monkeypatch) -> None:
     planes = [add_plane(f"Plate {number}", 0.1) for number in range(6)]
     in_hidden_collection(planes[0], "disabled in renders")
-    asked, rendered = [], bounding_boxes._iter_rendered_collections
+    asked, rendered = [], object_size._iter_rendered_collections
 
     def counted(layer):
         asked.append(layer.name)
         return rendered(layer)
 
-    monkeypatch.setattr(bounding_boxes, "_iter_rendered_collections", counted)
-    shown = bounding_boxes.filter_visible(bpy.context.scene.objects, bpy.context.view_layer)
+    monkeypatch.setattr(object_size, "_iter_rendered_collections", counted)
+    shown = object_size.filter_visible(bpy.context.scene.objects, bpy.context.view_layer)
     assert {obj.name for obj in shown} == {obj.name for obj in planes[1:]}
     assert len(asked) == len(set(asked)) == 2
     planes[1].hide_render = True
-    assert [bounding_boxes.is_visible(obj, bpy.context.view_layer) for obj in planes[:3]] == [False, False, True]
+    assert [object_size.is_visible(obj, bpy.context.view_layer) for obj in planes[:3]] == [False, False, True]
 
 
 def test_the_next_surface_is_found_among_the_near_boxes(read) -> None:
@@ -112,12 +112,12 @@ def test_boxes_of_many_are_those_of_each() -> None:
         obj.location, obj.rotation_euler, obj.scale = (number, -2.0, 0.5), (0.3 * number, 0.2, 1.0), (1.0, 2.0, number)
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    low, high = bounding_boxes.get_world_boxes(list(bpy.context.scene.objects), depsgraph, 0.01)
+    low, high = object_size.get_world_boxes(list(bpy.context.scene.objects), depsgraph, 0.01)
     assert low.shape == high.shape == (4, 3)
     for index, obj in enumerate(bpy.context.scene.objects):
         corners = np.array([obj.matrix_world @ vertex.co for vertex in obj.data.vertices]) * 0.01
         np.testing.assert_allclose([low[index], high[index]], [corners.min(axis=0), corners.max(axis=0)], atol=1e-7)
-    assert [each.shape for each in bounding_boxes.get_world_boxes([], depsgraph)] == [(0, 3), (0, 3)]
+    assert [each.shape for each in object_size.get_world_boxes([], depsgraph)] == [(0, 3), (0, 3)]
 
 
 def grid(cuts: int, size: float):

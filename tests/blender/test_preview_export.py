@@ -9,8 +9,8 @@ from job_scene import small_scene
 from touch_scene import save_scene, set_keys, touch
 
 from hnf_blender.preview import controller
-from hnf_blender.preview.linked_strips import ID_PROPERTY, find_linked_strips, mark_linked
 from hnf_blender.preview.preview_state import PREVIEW
+from hnf_blender.preview.strips_and_speakers import ID_PROPERTY, find_linked_strips, mark_linked
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import refresh_status
 from hnf_blender.touch.freshness import Freshness

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from touch_scene import signals, spectrum_db, touch
 
-from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_core.field.field import evaluate, steady_amplitude
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.weights import load_field

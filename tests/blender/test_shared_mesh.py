@@ -6,7 +6,7 @@ import bpy
 import pytest
 from job_scene import small_scene
 
-from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_blender.jobs import bake_job, baked_data
 from hnf_blender.jobs.baked_data import purge
 

@@ -23,7 +23,7 @@ from hnf_blender.bridge.splats.splat_closeup import (
 )
 from hnf_blender.bridge.splats.splat_cloud import create_cloud, link_cloud
 from hnf_core.errors import SceneError
-from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
+from hnf_core.scene.camera import CAMERA_DISTANCE_M, Patch
 from hnf_core.scene.splats.depth_views import compute_linear_colour
 from hnf_core.scene.splats.gaussians import Splats
 from hnf_core.scene.splats.rasterize import SplatView

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mathutils import Matrix
 from splat_builders import read_point_tokens
 
-from hnf_blender.bridge.scene.mesh_attributes import PointTokens
+from hnf_blender.bridge.scene.stored_data import PointTokens
 from hnf_blender.bridge.splats import reconstruction
 from hnf_blender.bridge.splats.reconstruction import GROUP_NAME, MAX_SHOWN_SPLATS, get_display_stride, show_ellipsoids
 from hnf_blender.bridge.splats.splat_cloud import (
@@ -34,7 +34,7 @@ from hnf_blender.bridge.splats.splat_cloud import (
     write_point_tokens,
 )
 from hnf_core.errors import SceneError
-from hnf_core.scene.patch import Patch
+from hnf_core.scene.camera import Patch
 from hnf_core.scene.splats.gaussians import Splats
 
 

@@ -15,7 +15,7 @@ from touch_scene import line_stroke
 from data_tools import splats_from_scene
 from data_tools.object_splats import compute_rotations_from_z, make_object_splats
 from hnf_blender.bridge.scene.meshes import read_surface
-from hnf_core.scene.patch import Patch
+from hnf_core.scene.camera import Patch
 from hnf_core.scene.splats.gaussians import C0
 from hnf_core.scene.splats.io_ply import read_splats
 

@@ -14,8 +14,8 @@ from predicted_scene import small_weights, use_weights
 from splat_builders import FINE_M, HALF_M, METRES, read_point_tokens, slab, slab_file
 from touch_scene import signals, touch
 
-from hnf_blender.bridge.scene.mesh_attributes import UNBAKED, read_tokens
 from hnf_blender.bridge.scene.meshes import read_surface
+from hnf_blender.bridge.scene.stored_data import UNBAKED, read_tokens
 from hnf_blender.bridge.splats import reconstruction, splat_closeup
 from hnf_blender.bridge.splats.reconstruction import TouchSurface, read_reconstruction
 from hnf_blender.bridge.splats.splat_closeup import HALF_PASS_SIGMAS

@@ -13,7 +13,7 @@ from builders import add_mesh
 from job_scene import small_scene
 from touch_scene import PLATE, save_scene, touch
 
-from hnf_blender.bridge.scene.mesh_attributes import FaceTokens, read_tokens, write_tokens
+from hnf_blender.bridge.scene.stored_data import FaceTokens, read_tokens, write_tokens
 from hnf_blender.bridge.stroke.surface_export import read_touched_surface
 from hnf_blender.cli import main
 from hnf_core.export.gltf import decode_glb, read_glb

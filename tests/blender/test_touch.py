@@ -10,7 +10,7 @@ import pytest
 from builders import add_mesh, add_plane, bump_material
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, signals, spectrum_db, touch
 
-from hnf_blender.bridge.scene.mesh_attributes import TOKEN_ATTRIBUTE, read_tokens
+from hnf_blender.bridge.scene.stored_data import TOKEN_ATTRIBUTE, read_tokens
 from hnf_blender.touch import output_files
 from hnf_core.export.plots.stroke_figure import write_stroke_figure
 

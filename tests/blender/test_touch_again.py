@@ -10,7 +10,7 @@ import pytest
 from builders import add_plane
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
-from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_blender.cli import main
 from hnf_blender.touch import overview
 from hnf_blender.touch.overview import MAX_STROKE_VIEWS, MIN_STROKE_FRACTION

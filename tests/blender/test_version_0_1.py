@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 
-from hnf_blender.bridge.scene.mesh_attributes import read_tokens
+from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_blender.cli import main
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import refresh_status

@@ -33,9 +33,8 @@ from hnf_blender.touch.session import Session, StrokeJob, gather_jobs
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import plan_patches
 from hnf_core.errors import SceneError
-from hnf_core.scene.camera import Camera, orthographic
+from hnf_core.scene.camera import PATCH_SIZE_M, Camera, Patch, orthographic
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.patch import PATCH_SIZE_M, Patch
 from hnf_core.scene.raycast import cast_view
 from hnf_core.scene.splats.gaussians import C0, Splats
 from hnf_core.units import linear_to_srgb

@@ -25,10 +25,10 @@ from data_tools.object_splats import concatenate_splats, find_touched_patches, m
 from data_tools.write_splats import write_inria
 from hnf_blender import props
 from hnf_blender.bridge.importers import open_scene
-from hnf_blender.bridge.scene.bounding_boxes import is_visible
+from hnf_blender.bridge.scene.object_size import is_visible
 from hnf_blender.touch.session import Session, make_scene_session
 from hnf_core.errors import HnfError, UsageError
-from hnf_core.scene.patch import Patch
+from hnf_core.scene.camera import Patch
 from hnf_core.scene.splats.gaussians import Splats
 from reference.geometry import ReferenceGeometry
 

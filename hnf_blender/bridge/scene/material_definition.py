@@ -14,7 +14,7 @@ from hnf_core.material.library import Appearance
 
 from ... import compat
 from ...props.material_settings import DEFINITION_NAME_PROPERTY, DEFINITION_PROPERTY
-from .id_properties import set_property
+from .stored_data import set_property
 
 PRINCIPLED_INPUTS = {
     "base_color": "Base Color",

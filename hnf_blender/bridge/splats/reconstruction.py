@@ -25,7 +25,7 @@ from hnf_core.scene.splats.io_ply import detect_up_axis, read_splats
 from hnf_core.scene.splats.reconstruct import DEFAULT_CELLS, DEFAULT_VIEWS, reconstruct_surface
 
 from ... import compat
-from ..scene.mesh_attributes import show_vertex_colours
+from ..scene.stored_data import show_vertex_colours
 from .splat_cloud import (
     HARMONIC_ATTRIBUTE,
     OPACITY_ATTRIBUTE,

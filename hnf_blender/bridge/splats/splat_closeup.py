@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.material.library import Appearance
-from hnf_core.scene.camera import Camera
-from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
+from hnf_core.scene.camera import CAMERA_DISTANCE_M, Camera, Patch
 from hnf_core.scene.raycast import CastView, RayCaster, cast_view
 from hnf_core.scene.rgbd_view import RgbdView
 from hnf_core.scene.splats.depth_views import compute_linear_colour

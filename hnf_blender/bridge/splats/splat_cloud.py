@@ -21,8 +21,8 @@ from hnf_core.scene.camera import Camera
 from hnf_core.scene.splats.gaussians import Splats
 
 from ...props.object_cache import CachedFilter
-from ..scene.mesh_attributes import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
 from ..scene.meshes import flush_edits
+from ..scene.stored_data import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
 
 Float = NDArray[np.float64]
 

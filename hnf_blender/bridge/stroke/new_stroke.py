@@ -16,7 +16,7 @@ from hnf_core.units import m_to_mm
 
 from ... import compat
 from ...props.object_cache import CHANGES
-from ..scene.bounding_boxes import filter_rendered
+from ..scene.object_size import filter_rendered
 
 Float = NDArray[np.float64]
 

@@ -35,8 +35,8 @@ from hnf_core.action.stroke_placement import (
 from hnf_core.errors import SceneError
 from hnf_core.scene.raycast import Hits, RayCaster
 
-from ..scene.bounding_boxes import filter_visible, get_world_box, is_visible
 from ..scene.meshes import Surface, flush_edits, make_ray_caster, read_surface
+from ..scene.object_size import filter_visible, get_world_box, is_visible
 from .new_stroke import create_bezier_object, insert_keys
 
 Float = NDArray[np.float64]

@@ -43,8 +43,8 @@ from hnf_core.units import mm_to_m, seconds_to_frame
 from ... import compat
 from ...props.scene_settings import find_index
 from ...props.stroke_settings import FORCE_MAX_N
-from ..scene.bounding_boxes import filter_visible, get_world_boxes, is_visible
 from ..scene.meshes import Surface, compute_surface_frame, evaluated_mesh, read_surface
+from ..scene.object_size import filter_visible, get_world_boxes, is_visible
 from ..scene.scene_names import get_scene_name
 from .animation import (
     Channel,

@@ -16,9 +16,9 @@ from hnf_core.action.contacts import Contacts, find_contacts
 from hnf_core.errors import UsageError
 from hnf_core.export.touched_surface import UNTOUCHED, StrokePath, TouchedSurface
 
-from ..scene.mesh_attributes import FaceTokens, read_tokens
 from ..scene.meshes import Surface, read_surface
 from ..scene.scene_names import find_object, get_scene_name
+from ..scene.stored_data import FaceTokens, read_tokens
 from .read_stroke import read_stroke
 
 

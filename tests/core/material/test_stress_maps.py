@@ -25,7 +25,7 @@ from hnf_core.material.contact_model import (
 )
 from hnf_core.material.probe import PROBES
 from hnf_core.material.token import LEVELS, SMOOTH_LEVEL, TOKEN_DIM
-from hnf_core.scene.patch import Patch
+from hnf_core.scene.camera import Patch
 from hnf_core.tactile.height import MAX_HEIGHT_M, height_from_slopes, tactile_map_from_height
 from hnf_core.tactile.optics import SENSORS
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.scene.camera import Camera, orthographic
-from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
+from hnf_core.scene.camera import CAMERA_DISTANCE_M, Camera, Patch, orthographic
 
 finite = st.floats(-10.0, 10.0)
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hnf_core.scene.camera import Patch
 from hnf_core.scene.mesh import TriangleMesh, crop_mesh
-from hnf_core.scene.patch import Patch
 from hnf_core.scene.raycast import cast_view
 from reference.geometry import ReferenceGeometry
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hnf_core.field.height_profile import build_stroke_profile
-from hnf_core.scene.patch import PATCH_SIZE_M, Patch
+from hnf_core.scene.camera import PATCH_SIZE_M, Patch
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import TactileMap
 

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from hnf_core.errors import HnfError
 from hnf_core.material.token import LEVELS, Token
-from hnf_core.scene.camera import Camera
+from hnf_core.scene.camera import PATCH_SIZE_M, Camera, Patch
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.patch import PATCH_SIZE_M, Patch
 from hnf_core.scene.raycast import cast_view, make_embree_caster
 from hnf_core.units import linear_to_srgb
 from hnf_lab import ROOT
@@ -89,7 +88,7 @@ def make_three_balls() -> Any:
 def place_cameras(scene: Any, count: int, width: int, height: int) -> list[Camera]:
     """Place `count` cameras on a ring, with three-quarter views of everything on the floor."""
     from hnf_blender.bridge.render.cycles import make_overview_camera
-    from hnf_blender.bridge.scene.bounding_boxes import get_world_box
+    from hnf_blender.bridge.scene.object_size import get_world_box
 
     depsgraph = scene.view_layers[0].depsgraph
     boxes = [get_world_box(obj, depsgraph, 1.0) for obj in list_meshes(scene) if obj.name != FLOOR_NAME]

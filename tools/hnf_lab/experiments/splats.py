@@ -40,7 +40,7 @@ from hnf_core.material.fuse import merge_tokens
 from hnf_core.material.library import Appearance, load_library
 from hnf_core.material.ranking import INVARIANT_KINDS, WITHIN_CLASS_SPREAD, compute_invariants, rank
 from hnf_core.material.token import BAND_WAVELENGTHS_M, LEVELS, SHAPE_FEATURES, Token
-from hnf_core.scene.patch import PATCH_SIZE_M, Patch
+from hnf_core.scene.camera import PATCH_SIZE_M, Patch
 from hnf_core.scene.splats.gaussians import Splats
 from hnf_core.scene.splats.rasterize import render_splats
 from hnf_core.tactile.tactile_map import Route

@@ -15,7 +15,7 @@ from data_tools.object_splats import make_object_splats
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.touch.bake_patches import ReliefPredictor
 from hnf_core.material.token import LEVELS, TOKEN_DIM, Token
-from hnf_core.scene.patch import Patch
+from hnf_core.scene.camera import Patch
 from hnf_lab.experiments import splats as compare
 from hnf_lab.experiments.splats import (
     PatchPair,

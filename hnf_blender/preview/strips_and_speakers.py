@@ -1,4 +1,4 @@
-"""Links between a stroke and the strips and speakers that play it, by ID properties that survive renaming."""
+"""Sequencer strips and speaker objects that play a stroke, linked to it by ID properties that survive renaming."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import uuid
 from collections.abc import Iterable
 from typing import Any
 
-from ..bridge.scene.id_properties import get_property, set_property
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bridge.scene.stored_data import get_property, set_property
 from ..props.scene_settings import list_strokes
 
 NAME_PROPERTY = "hnf_stroke_name"
@@ -66,3 +69,58 @@ def mark_linked(strip: Any, stroke: Any, scene: Any, stamp: str) -> None:
         identity = uuid.uuid4().hex
         set_property(stroke, ID_PROPERTY, identity)
     strip[ID_PROPERTY] = identity
+
+
+SYMBOL_SIZE_FRACTION = 0.25
+"""Size of a speaker's symbol, as a fraction of its parent's size; the default of 1 m would cover a cup."""
+
+
+def get_bounding_box_centre(obj: Any) -> tuple[float, float, float]:
+    """Return the centre of an object's bounding box, in world coordinates [Blender units]."""
+    corners = _get_world_corners(obj)
+    x, y, z = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
+    return float(x), float(y), float(z)
+
+
+def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any = None) -> Any:
+    """Add a Speaker object; works in Object Mode only.
+
+    Only Blender's own operator creates the NLA strip that starts the sound.
+
+    Parameters
+    ----------
+    sound : bpy.types.Sound
+        Sound to play.
+    name : str
+        Name of the new object.
+    location : (3,) vector
+        World location [Blender units].
+    frame : float
+        Frame at which the sound starts.
+    parent : bpy.types.Object, optional
+        Object that the speaker moves with; its size scales the speaker's symbol.
+
+    Returns
+    -------
+    bpy.types.Object
+    """
+    import bpy
+
+    bpy.ops.object.speaker_add(location=location)
+    speaker = bpy.context.view_layer.objects.active
+    speaker.name = speaker.data.name = name
+    speaker.data.sound = sound
+    for track in speaker.animation_data.nla_tracks:
+        for strip in track.strips:
+            strip.frame_start = frame
+    if parent is not None:
+        speaker.parent = parent
+        speaker.matrix_parent_inverse = parent.matrix_world.inverted()
+        speaker.scale = (max(SYMBOL_SIZE_FRACTION * float(np.ptp(_get_world_corners(parent), axis=0).max()), 1e-6),) * 3
+    return speaker
+
+
+def _get_world_corners(obj: Any) -> NDArray[np.float64]:
+    """Return the corners (8, 3) of an object's bounding box in world coordinates."""
+    corners = np.array([(*corner, 1.0) for corner in obj.bound_box], dtype=np.float64)
+    return np.asarray((corners @ np.array(obj.matrix_world, dtype=np.float64).T)[:, :3])
