@@ -18,11 +18,12 @@ import threading
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar
 
 from hnf_core.child_process import CORE_FOLDER
+from hnf_core.dataclass_json import encode_json, load_json, parse_record
 from hnf_core.errors import FileError, HnfError
 
 from ..state.session_state import STATE, LastJob
@@ -30,56 +31,12 @@ from ..state.session_state import STATE, LastJob
 Record = TypeVar("Record")
 
 
-def to_json(record: Any) -> str:
-    """Encode a dataclass as one line of JSON."""
-    return json.dumps(asdict(record), ensure_ascii=True, separators=(",", ":"))
-
-
 def from_json(kind: type[Record], text: str, *, where: str = "record") -> Record:
-    """Decode a dataclass of type `kind` from JSON; values are checked against its annotations.
-
-    Parameters
-    ----------
-    kind : type
-        Frozen dataclass of str, int, float, bool, tuples and dataclasses.
-    text : str
-        Text written by `to_json`.
-    where : str
-        Name of the source, for the error.
-
-    Returns
-    -------
-    Record
-        Instance of `kind`.
-
-    Raises
-    ------
-    FileError
-        If the text has other fields or types.
-    """
+    """Decode a dataclass from JSON. Raises FileError, which names `where`, if the text has other fields or types."""
     try:
-        record: Record = _convert_value(kind, json.loads(text))
-        return record
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        return parse_record(kind, load_json(text))
+    except (ValueError, TypeError, RecursionError) as error:
         raise FileError(f"it is no {kind.__name__} ({error}).", where=where, remedy="Bake again.") from error
-
-
-def _convert_value(kind: Any, value: Any) -> Any:
-    if is_dataclass(kind) and isinstance(kind, type):
-        hints = get_type_hints(kind)
-        names = {field.name for field in fields(kind)}
-        if not isinstance(value, dict) or set(value) != names:
-            raise ValueError(f"{kind.__name__} has the fields {', '.join(sorted(names))}")
-        return kind(**{name: _convert_value(hints[name], value[name]) for name in names})
-    if get_origin(kind) is tuple:
-        if not isinstance(value, list):
-            raise ValueError(f"{value!r} is no list")
-        return tuple(_convert_value(get_args(kind)[0], item) for item in value)
-    if kind is float and type(value) is int:
-        return float(value)
-    if type(value) is not kind:
-        raise ValueError(f"{value!r} is no {kind.__name__}")
-    return value
 
 
 MESSAGE_PREFIX = "@hnf "
@@ -132,7 +89,7 @@ MESSAGE_TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in (Star
 
 def encode_message(message: Message) -> str:
     """Encode a message as a line without its line end."""
-    return f"{MESSAGE_PREFIX}{type(message).__name__} {to_json(message)}"
+    return f"{MESSAGE_PREFIX}{type(message).__name__} {encode_json(message)}"
 
 
 def decode_message(line: str) -> Message | None:

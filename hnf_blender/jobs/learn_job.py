@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from hnf_core.child_process import CORE_FOLDER
+from hnf_core.dataclass_json import encode_json
 from hnf_core.datasets.registry import LICENCES
 from hnf_core.diagnostics import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
 from hnf_core.errors import FileError, HnfError
@@ -40,7 +41,6 @@ from .child_job import (
     kill_process_group,
     make_job_folder,
     remove_job_folder,
-    to_json,
 )
 
 CHECK_TIMEOUT_S = 60.0
@@ -161,7 +161,7 @@ class LearnJob(ChildJob):
         self._training_since: float | None = None
         self.out = make_weights_path(lesson)
         self.folder = make_job_folder()
-        command = [python, str(WORKER), CORE_FOLDER, to_json(lesson), str(self.out)]
+        command = [python, str(WORKER), CORE_FOLDER, encode_json(lesson), str(self.out)]
         program = ChildProgram(
             command, "the external Python", "Check it in the add-on's preferences.", make_clean_environment()
         )  # fmt: skip

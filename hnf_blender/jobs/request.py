@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from hnf_core.dataclass_json import encode_json
 from hnf_core.errors import FileError
 from hnf_core.files import NPZ_ERRORS, read_npz, write_text
 from hnf_core.material.palette import Palette
 
 from ..bridge.scene.stored_data import FaceTokens, PointTokens
 from ..touch.session import InputHashes
-from .child_job import from_json, to_json
+from .child_job import from_json
 
 REQUEST_NAME, RESULT_NAME, SCENE_NAME = "order.json", "result.json", "scene.blend"
 """File names in a job's folder."""
@@ -125,7 +126,7 @@ class JobResult:
 
 
 def write_request(folder: Path, request: JobRequest) -> None:
-    write_text(folder / REQUEST_NAME, to_json(request))
+    write_text(folder / REQUEST_NAME, encode_json(request))
 
 
 def read_request(folder: Path) -> JobRequest:
@@ -134,7 +135,7 @@ def read_request(folder: Path) -> JobRequest:
 
 def write_result(folder: Path, result: JobResult) -> None:
     """Write the result, last of all files, so that it exists only if all files that it names do."""
-    write_text(folder / RESULT_NAME, to_json(result))
+    write_text(folder / RESULT_NAME, encode_json(result))
 
 
 def read_result(folder: Path) -> JobResult:

@@ -284,10 +284,10 @@ def test_a_lessons_parent_that_dies_takes_it_along(tmp_path) -> None:
     """Its standard input ends."""
     import subprocess
 
-    from hnf_blender.jobs.child_job import to_json
     from hnf_core import errors
+    from hnf_core.dataclass_json import encode_json
 
-    lesson = to_json(LearnRequest("simulated", "", "oak-wood", 60.0, 1))
+    lesson = encode_json(LearnRequest("simulated", "", "oak-wood", 60.0, 1))
     words = [sys.executable, str(learn_job.WORKER), str(Path(errors.__file__).parent), lesson, str(tmp_path / "out")]
     process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout is not None
