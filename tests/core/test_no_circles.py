@@ -1,5 +1,7 @@
-"""No file of the library or the add-on needs, by whatever way, a file that needs it, and no room a room: imports inside
-functions and for types alone count as well, since a reader has to follow those too."""
+"""No file of the library or the add-on imports, directly or not, a file that imports it; and so for packages.
+
+Imports inside functions and for types alone count as well, since a reader has to follow those too.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,7 @@ def circle(sources: Mapping[str, str]) -> list[str]:
     """Modules that need one another in turn, the first one again at the end; [] where there are none."""
     folders = {name for name in sources if any(other.startswith(f"{name}.") for other in sources)}
     graph = {
-        # A face imports its room to switch it on, and everybody in the room reaches the face by its name alone.
+        # A face imports its package to switch it on, and everybody in the package reaches the face by its name alone.
         name: {each for each in needed(name, source, sources, is_folder=name in folders) if each not in folders}
         for name, source in sources.items()
         if name not in folders
@@ -52,18 +54,18 @@ def circle(sources: Mapping[str, str]) -> list[str]:
     return in_turn(graph)
 
 
-def circle_of_rooms(sources: Mapping[str, str]) -> list[str]:
-    """The same of rooms: the folders, and the single files, in a package."""
+def circle_of_packages(sources: Mapping[str, str]) -> list[str]:
+    """The same of packages: the folders, and the single files, in a package."""
 
-    def room(name: str) -> str:
+    def package(name: str) -> str:
         return ".".join(name.split(".")[:2])
 
     folders = {name for name in sources if any(other.startswith(f"{name}.") for other in sources)}
     graph: dict[str, set[str]] = {}
     for name, source in sources.items():
-        found = {room(each) for each in needed(name, source, sources, is_folder=name in folders)}
+        found = {package(each) for each in needed(name, source, sources, is_folder=name in folders)}
         if name not in PACKAGES:
-            graph.setdefault(room(name), set()).update(found - {room(name), *PACKAGES})
+            graph.setdefault(package(name), set()).update(found - {package(name), *PACKAGES})
     return in_turn(graph)
 
 
@@ -80,27 +82,28 @@ def test_nobody_needs_what_needs_it() -> None:
     sources = modules(ROOT)
     assert len(sources) > 300
     assert circle(sources) == []
-    assert circle_of_rooms(sources) == []
+    assert circle_of_packages(sources) == []
 
 
-def test_a_circle_of_rooms_is_seen_where_no_file_is_in_one() -> None:
+def test_a_circle_of_packages_is_seen_where_no_file_is_in_one() -> None:
     sources = {"hnf_core": "", "hnf_core.one": "", "hnf_core.one.a": "", "hnf_core.one.b": "from ..other.a import A"}
     sources |= {"hnf_core.other": "", "hnf_core.other.a": "", "hnf_core.other.b": "def f():\n    from ..one.a import A"}
     assert circle(sources) == []
-    assert set(circle_of_rooms(sources)) == {"hnf_core.one", "hnf_core.other"}
+    assert set(circle_of_packages(sources)) == {"hnf_core.one", "hnf_core.other"}
 
 
 @pytest.mark.parametrize(
     "way_back",
     [
         "from .a import A",
-        "def later():\n    from ..room.a import A",
-        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from hnf_core.room.a import A",
-        "import hnf_core.room.a",
+        "def later():\n    from ..package.a import A",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from hnf_core.package.a import A",
+        "import hnf_core.package.a",
         "from . import a",
     ],
 )
 def test_a_circle_is_seen_however_it_is_written(way_back: str) -> None:
-    sources = {"hnf_core": "", "hnf_core.room": "", "hnf_core.room.a": "from .b import B", "hnf_core.room.b": way_back}
-    assert set(circle(sources)) == {"hnf_core.room.a", "hnf_core.room.b"}
-    assert circle({**sources, "hnf_core.room.b": ""}) == []
+    sources = {"hnf_core": "", "hnf_core.package": "", "hnf_core.package.a": "from .b import B"}
+    sources["hnf_core.package.b"] = way_back
+    assert set(circle(sources)) == {"hnf_core.package.a", "hnf_core.package.b"}
+    assert circle({**sources, "hnf_core.package.b": ""}) == []

@@ -18,8 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 CORE, BRIDGE = ROOT / "hnf_core", ROOT / "hnf_blender"
 LINE_LIMIT = 800
 
-# docs/architecture.md: a room may use the rooms of a lower floor only. Rooms of one floor do not know each other.
-FLOORS = (
+# docs/architecture.md: a package may import from lower layers only, not from packages of its own layer.
+LAYERS = (
     ("errors", "text", "progress", "child_process", "dataclass_json"),
     ("units", "files", "signal", "threads"),
     ("kernel",),
@@ -36,7 +36,7 @@ FLOORS = (
     ("batch", "diagnostics", "touch_request"),
     ("api", "cli"),
 )
-FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+LAYER_OF = {package: layer for layer, packages in enumerate(LAYERS) for package in packages}
 
 BLENDER_MODULES = {"bpy", "bpy_extras", "bmesh", "mathutils", "gpu", "addon_utils", "hnf_blender"}
 TRAINING_MODULES = {"torch", "scipy", "torchvision"}
@@ -61,7 +61,7 @@ def absolute_imports(tree: ast.Module) -> Iterator[tuple[int, str]]:
 
 
 def rooms_used(path: Path, tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """(line, room) of every relative import in a file of hnf_core."""
+    """(line, package) of every relative import in a file of hnf_core."""
     here = path.relative_to(CORE).with_suffix("").parts
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.level > 0:
@@ -88,15 +88,15 @@ def imports_itself_absolutely(path: Path, tree: ast.Module) -> list[str]:
     return [f"line {line}: {name}" for line, name in absolute_imports(tree) if name == "hnf_core"]
 
 
-def looks_upstairs(path: Path, tree: ast.Module) -> list[str]:
-    room = path.relative_to(CORE).with_suffix("").parts[0]
-    if room == "__init__":  # the front door: it loads names when they are used, and nothing when it is imported
+def imports_a_higher_layer(path: Path, tree: ast.Module) -> list[str]:
+    package = path.relative_to(CORE).with_suffix("").parts[0]
+    if package == "__init__":  # the front door: it loads names when they are used, and nothing when it is imported
         imported_at_once = ast.Module([node for node in tree.body if isinstance(node, ast.ImportFrom)], [])
         return [f"line {line}: {used}" for line, used in rooms_used(path, imported_at_once)]
     return [
-        f"line {line}: {room} uses {used}"
+        f"line {line}: {package} uses {used}"
         for line, used in rooms_used(path, tree)
-        if used not in (room, "__version__") and FLOOR_OF.get(used, len(FLOORS)) >= FLOOR_OF.get(room, -1)
+        if used not in (package, "__version__") and LAYER_OF.get(used, len(LAYERS)) >= LAYER_OF.get(package, -1)
     ]
 
 
@@ -154,7 +154,7 @@ def breaches(rule: Rule, *folders: Path) -> list[str]:
         (uses_training_modules_elsewhere, (CORE, BRIDGE)),
         (uses_the_laboratory, (CORE, BRIDGE)),
         (imports_itself_absolutely, (CORE,)),
-        (looks_upstairs, (CORE,)),
+        (imports_a_higher_layer, (CORE,)),
         (is_unsafe, (CORE, BRIDGE, ROOT / "tools", ROOT / "tests")),
         (asks_for_the_version, (BRIDGE,)),
         (is_called_back_by_a_property, (BRIDGE,)),
@@ -175,11 +175,11 @@ def test_no_file_breaks_the_rule(rule: Rule, folders: tuple[Path, ...]) -> None:
         (uses_the_laboratory, "scene/x.py", "from data_tools.write_splats import write_inria"),
         (uses_the_laboratory, "scene/x.py", "import reference.geometry"),
         (imports_itself_absolutely, "field/x.py", "from hnf_core.units import G"),
-        (looks_upstairs, "scene/x.py", "from ..tactile.tactile_map import TactileMap"),
-        (looks_upstairs, "scene/x.py", "from .. import cli"),
-        (looks_upstairs, "action/x.py", "from ..material import token"),
-        (looks_upstairs, "errors.py", "from .files import write_text"),
-        (looks_upstairs, "__init__.py", "from .api import touch"),
+        (imports_a_higher_layer, "scene/x.py", "from ..tactile.tactile_map import TactileMap"),
+        (imports_a_higher_layer, "scene/x.py", "from .. import cli"),
+        (imports_a_higher_layer, "action/x.py", "from ..material import token"),
+        (imports_a_higher_layer, "errors.py", "from .files import write_text"),
+        (imports_a_higher_layer, "__init__.py", "from .api import touch"),
         (is_unsafe, "files.py", "import pickle"),
         (is_unsafe, "files.py", "value = eval('1')"),
         (is_unsafe, "files.py", "np.load('x', allow_pickle=True)"),
@@ -194,8 +194,8 @@ def test_the_rule_catches_a_breach(rule: Rule, where: str, source: str) -> None:
 
 
 def test_every_room_stands_on_a_floor() -> None:
-    rooms = {path.relative_to(CORE).with_suffix("").parts[0] for path in python_files(CORE)} - {"__init__"}
-    assert rooms <= set(FLOOR_OF)
+    packages = {path.relative_to(CORE).with_suffix("").parts[0] for path in python_files(CORE)} - {"__init__"}
+    assert packages <= set(LAYER_OF)
 
 
 def test_bridge_imports_can_move_into_the_extension() -> None:
