@@ -79,7 +79,7 @@ __all__ = [
 
 
 class _FrontDoor(ModuleType):
-    """This package, whose functions `export` and `material` are not replaced by the sub-packages of those names.
+    """Module type of hnf_core: its functions `export` and `material` are not replaced by the sub-packages so named.
 
     Python binds a sub-package to its parent when it is first imported; `from hnf_core.export.wav import …` needs no
     such binding.

@@ -234,7 +234,7 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]
         switches.prop(obj.hnf_stroke, "mute", text="", icon=mute, emboss=False)
 
     def filter_items(self, _context: Any, data: Any, name: str) -> tuple[list[int], list[int]]:
-        """The scene's strokes, those whose name matches what is searched for, sorted by name."""
+        """Return the flags and the order of the scene's strokes: shown if the name matches, sorted by name."""
         numbered, query = STROKES.list_indexed(data), self.filter_name.lower()
         shown = [0] * len(getattr(data, name))
         for index, obj in numbered:

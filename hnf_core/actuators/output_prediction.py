@@ -125,17 +125,17 @@ def predict_limiting(
     LimitingForecast or None
         None if nothing is changed.
     """
-    share = _compute_limited_share(make_chain(limits, gain_db))
-    if share == 0.0:
+    limited_share = _compute_limited_share(make_chain(limits, gain_db))
+    if limited_share == 0.0:
         return None
     cold = replace(limits, sustained=1.0)
     peak = _compute_limited_share(make_chain(replace(cold, slew_per_s=math.inf), gain_db))
     steep = _compute_limited_share(make_chain(cold, gain_db))
     return LimitingForecast(
-        share,
+        limited_share,
         peak,
         max(steep - peak, 0.0),
-        max(share - steep, 0.0),
+        max(limited_share - steep, 0.0),
         _find_max_gain_db(make_chain, limits, gain_db, first_guess_db),
     )
 

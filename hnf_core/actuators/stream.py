@@ -478,11 +478,11 @@ class Stream:
     def _send(self, ring: RingBuffer, device: SinkFormat, frames: int) -> None:
         min_write = max(min(frames, device.queue_frames // 4), 1)
         while not self._stopping.is_set():
-            room = self._sink.wait(_POLL_S)
-            if room < min_write and not ring.ended:
-                self._stopping.wait((min_write - room) / device.rate_hz)  # avoids many tiny writes
-                room = self._sink.wait(_POLL_S)
-            counts, stamp = ring.get(room, _POLL_S) if room > 0 else (_NO_COUNTS, 0.0)
+            free_frames = self._sink.wait(_POLL_S)
+            if free_frames < min_write and not ring.ended:
+                self._stopping.wait((min_write - free_frames) / device.rate_hz)  # avoids many tiny writes
+                free_frames = self._sink.wait(_POLL_S)
+            counts, stamp = ring.get(free_frames, _POLL_S) if free_frames > 0 else (_NO_COUNTS, 0.0)
             if len(counts):
                 self._sink.write(counts)
             self._update_statistics(counts, stamp, self._sink.status())

@@ -1,7 +1,4 @@
-"""`hnf actuators`: what is plugged in, what is known of it, and how one is measured.
-
-`hnf actuators describe`: a data sheet's figures become a profile.
-"""
+"""`hnf actuators`: list devices and profiles, and write profiles from measurements or data sheets."""
 
 from __future__ import annotations
 
@@ -41,6 +38,7 @@ BAND_ERROR_FIELDS = ("before_db", "after_db")
 
 
 def add_describe(actions: Any) -> None:
+    """Add `hnf actuators describe`, which makes a profile from the figures of a data sheet."""
     parser: argparse.ArgumentParser = actions.add_parser(
         "describe",
         help="write a profile from the figures of a data sheet",
@@ -70,7 +68,7 @@ def add_describe(actions: Any) -> None:
 
 
 def run_describe(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf actuators describe`; return the exit code. Raises HnfError."""
     for name in ("q", "bandwidth", "peak", "peak_g", "sustained", "thermal"):
         value = getattr(arguments, name)
         if value is not None and not 0.0 < value < 1e6:
@@ -94,22 +92,22 @@ def run_describe(arguments: argparse.Namespace) -> int:
     assert profile.range_hz is not None
     errors = compute_band_errors(profile.response, profile.range_hz, MODEL_RATE_HZ)
     write_profile(arguments.out, profile)
-    # Of a range narrower than a third of an octave there is no band to tell of.
+    # A range narrower than a third of an octave contains no band to report.
     before, after = (
-        compute_rms_db([getattr(each, when) for each in errors]) if errors else None for when in BAND_ERROR_FIELDS
+        compute_rms_db([getattr(error, state) for error in errors]) if errors else None for state in BAND_ERROR_FIELDS
     )
     low, high = profile.range_hz
-    full = profile.limits.full_scale_m_s2
+    full_scale_m_s2 = profile.limits.full_scale_m_s2
     if arguments.json:
         record = {
-            "profile": str(arguments.out), "range_hz": [low, high], "full_scale_m_s2": full,
+            "profile": str(arguments.out), "range_hz": [low, high], "full_scale_m_s2": full_scale_m_s2,
             "full_scale_assumed": profile.assumes_full_scale, "rms_error_before_db": before,
             "rms_error_after_db": after,
         }  # fmt: skip
         print(json.dumps(record, indent=1))
         return 0
     assumed = ", an assumption" if profile.assumes_full_scale else ""
-    print(f"{arguments.out}: {low:.0f} to {high:.0f} Hz, {full:.3g} m/s² at full scale{assumed}")
+    print(f"{arguments.out}: {low:.0f} to {high:.0f} Hz, {full_scale_m_s2:.3g} m/s² at full scale{assumed}")
     if before is not None and after is not None:
         print(
             f"off by {before:.1f} dB RMS per third of an octave; with its response corrected {after:.2f} dB, if the "
@@ -120,11 +118,12 @@ def run_describe(arguments: argparse.Namespace) -> int:
 
 LOW_HZ, HIGH_HZ, SECONDS = 10.0, 1000.0, 8.0
 LEVEL = 0.2
-"""Of an excitation, as a share of full scale: no limit is met, and the coil stays cool."""
+"""Level of an excitation as a fraction of full scale, low enough to meet no limit and to keep the coil cool."""
 RATE_HZ = MODEL_RATE_HZ
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    """Add `hnf actuators` and its actions."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "actuators",
         help=HELP["actuators"],
@@ -203,20 +202,20 @@ def _add_excitation_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run_list(arguments: argparse.Namespace) -> int:
-    """Print what is there. Returns the exit code."""
-    found = list_devices()
+    """List devices and profiles; return the exit code."""
+    devices = list_devices()
     if arguments.json:
-        print(json.dumps(_devices_to_json(found), indent=1, ensure_ascii=False))
+        print(json.dumps(_devices_to_json(devices), indent=1, ensure_ascii=False))
         return 0
-    for each in found.all:
-        print(f"{each.target:<32}  {each.title}" + (f" ({each.facts})" if each.facts else ""))
+    for device in devices.all:
+        print(f"{device.target:<32}  {device.title}" + (f" ({device.facts})" if device.facts else ""))
     print(f"{'virtual':<32}  a simulated voice coil, reached as a serial device is")
     print(f"{'osc:HOST:PORT':<32}  envelopes, for a program that listens to OSC")
     print(f"{'file:PATH':<32}  a WAV of what would go on the wire")
-    for what, there in (("serial port", found.serial), ("sound output", found.audio)):
-        if not there:
-            print(f"no {what} found")
-    for line in found.missing:
+    for kind, listed in (("serial port", devices.serial), ("sound output", devices.audio)):
+        if not listed:
+            print(f"no {kind} found")
+    for line in devices.missing:
         print(f"not listed: {line}")
     print("\nprofiles:")
     for profile in PROFILES.values():
@@ -233,7 +232,7 @@ def _devices_to_json(found: DeviceList) -> dict[str, Any]:
         }
         for profile in PROFILES.values()
     ]  # fmt: skip
-    listed = [asdict(each) for each in found.all]
+    listed = [asdict(device) for device in found.all]
     return {"devices": listed, "missing": list(found.missing), "profiles": profiles}
 
 
@@ -245,7 +244,7 @@ def _format_limits(profile: ActuatorProfile) -> str:
 
 
 def make_excitation(arguments: argparse.Namespace, full_scale_m_s2: float) -> Signal:
-    """Raises UsageError."""
+    """Return a sweep or noise as the options say. Raises UsageError if they are invalid."""
     if not 0.0 < arguments.level <= 1.0:
         raise UsageError(
             f"--level {arguments.level:g} is no share of full scale.", remedy="Give more than 0, at most 1."
@@ -256,7 +255,7 @@ def make_excitation(arguments: argparse.Namespace, full_scale_m_s2: float) -> Si
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf actuators sweep`; return the exit code. Raises HnfError."""
     signal = make_excitation(arguments, GENERIC.limits.full_scale_m_s2)
     write_wav(arguments.out, signal)
     record = {"wav": str(arguments.out), "duration_s": signal.duration_s, "rms_m_s2": signal.rms, **signal.provenance}
@@ -267,37 +266,41 @@ def run_sweep(arguments: argparse.Namespace) -> int:
 
 
 def run_measure(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf actuators measure`; return the exit code. Raises HnfError."""
     base = load_profile(arguments.profile)
-    asked, got, calibrated = _get_excitation_and_recording(arguments, base)
-    response = estimate_response(asked.samples, got.samples, asked.sample_rate, arguments.low, arguments.high)
+    excitation, recording, calibrated = _get_excitation_and_recording(arguments, base)
+    response = estimate_response(
+        excitation.samples, recording.samples, excitation.sample_rate, arguments.low, arguments.high
+    )
     range_hz = None if arguments.range is None else (arguments.range[0], arguments.range[1])
-    found = make_measured_profile(base, response, title=arguments.title, calibrated=calibrated, range_hz=range_hz)
-    errors = compute_band_errors(get_response(found), get_range(found), asked.sample_rate)
-    write_profile(arguments.out, found.profile)
+    measured = make_measured_profile(base, response, title=arguments.title, calibrated=calibrated, range_hz=range_hz)
+    errors = compute_band_errors(get_response(measured), get_range(measured), excitation.sample_rate)
+    write_profile(arguments.out, measured.profile)
     if arguments.json:
-        print(json.dumps(_measurement_to_json(arguments.out, found, errors, calibrated), indent=1, ensure_ascii=False))
+        print(
+            json.dumps(_measurement_to_json(arguments.out, measured, errors, calibrated), indent=1, ensure_ascii=False)
+        )
         return 0
     if not calibrated:
         print("hnf: without --sensitivity the level is not known; full scale stays as it was.", file=sys.stderr)
-    print(_format_measurement(arguments.out, found, errors))
+    print(_format_measurement(arguments.out, measured, errors))
     return 0
 
 
 def get_response(found: MeasuredProfile) -> Any:
-    """Of a measured profile, which has one."""
+    """Return the response of a measured profile, which always has one."""
     assert found.profile.response is not None
     return found.profile.response
 
 
 def get_range(found: MeasuredProfile) -> tuple[float, float]:
-    """Of a measured profile, which has one."""
+    """Return the range [Hz] of a measured profile, which always has one."""
     assert found.profile.range_hz is not None
     return found.profile.range_hz
 
 
 def _get_excitation_and_recording(arguments: argparse.Namespace, base: ActuatorProfile) -> tuple[Signal, Signal, bool]:
-    """At one rate; whether the second's m/s² are true."""
+    """Return the played and the recorded signal at one rate, and whether the recording's m/s² are calibrated."""
     from ..actuators.measure.accelerometer import Accelerometer, measure_actuator, resample_signal, simulate_measurement
 
     if (arguments.played is None) != (arguments.response is None) or (arguments.to is None) == (
@@ -311,13 +314,13 @@ def _get_excitation_and_recording(arguments: argparse.Namespace, base: ActuatorP
     if not 0.0 < sensitivity < 1e9:
         raise UsageError(f"--sensitivity {sensitivity:g} is no acceleration.", remedy="Give m/s² at full scale.")
     if arguments.played is not None:
-        asked, came = read_wav(arguments.played), read_wav(arguments.response)
-        stated = came.provenance.get("units") is None
+        played, raw = read_wav(arguments.played), read_wav(arguments.response)
+        stated = raw.provenance.get("units") is None
         if stated and arguments.sensitivity is not None:
             raise UsageError("it is in m/s² already.", where=str(arguments.response), remedy="Leave out --sensitivity.")
-        true = stated or arguments.sensitivity is not None
-        got = resample_signal(came, asked.sample_rate)
-        return asked, Signal(got.samples * sensitivity, got.sample_rate, 0), true
+        calibrated = stated or arguments.sensitivity is not None
+        recording = resample_signal(raw, played.sample_rate)
+        return played, Signal(recording.samples * sensitivity, recording.sample_rate, 0), calibrated
     target, limits = parse_target(arguments.to), base.limits
     if isinstance(target, FileTarget | OscTarget):
         raise UsageError(f"nothing moves behind {arguments.to}.", remedy="Measure on serial, audio or virtual.")
@@ -325,8 +328,8 @@ def _get_excitation_and_recording(arguments: argparse.Namespace, base: ActuatorP
     if isinstance(target, VirtualTarget):
         return *simulate_measurement(excitation, limits), True
     sensor = Accelerometer(_parse_input(arguments.input), sensitivity)
-    asked, got = measure_actuator(make_sink(target, arguments.rate, limits), sensor, excitation, limits)
-    return asked, got, arguments.sensitivity is not None
+    played, recording = measure_actuator(make_sink(target, arguments.rate, limits), sensor, excitation, limits)
+    return played, recording, arguments.sensitivity is not None
 
 
 def _parse_input(text: str | None) -> str | int | None:
@@ -348,7 +351,7 @@ def _measurement_to_json(
         "range_hz": get_range(found),
         "delay_ms": 1e3 * get_response(found).delay_s,
         "resonator": asdict(found.resonator),
-        "bands": [asdict(each) for each in errors],
+        "bands": [asdict(error) for error in errors],
         "largest_error_before_db": before,
         "largest_error_after_db": after,
     }
@@ -366,45 +369,47 @@ def _format_measurement(path: Path, found: MeasuredProfile, errors: tuple[BandEr
         f"{path}: {low:.0f} to {high:.0f} Hz, {model}",
         f"{'band':>9}  {'without':>9}  {'with compensation':>18}",
     ]
-    lines += [f"{each.centre_hz:>6.0f} Hz  {each.before_db:>+6.1f} dB  {each.after_db:>+15.2f} dB" for each in errors]
-    rms = compute_rms_db([each.before_db for each in errors]), compute_rms_db([each.after_db for each in errors])
+    lines += [
+        f"{error.centre_hz:>6.0f} Hz  {error.before_db:>+6.1f} dB  {error.after_db:>+15.2f} dB" for error in errors
+    ]
+    rms = compute_rms_db([error.before_db for error in errors]), compute_rms_db([error.after_db for error in errors])
     return "\n".join([*lines, f"{'RMS':>9}  {rms[0]:>6.1f} dB  {rms[1]:>15.2f} dB"])
 
 
 def run_report(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf actuators report`; return the exit code. Raises HnfError."""
     profile = load_profile(arguments.profile)
-    found = to_acceleration([read_wav(arguments.file)], profile.limits, str(arguments.file))
-    signal = Signal(found.samples[:, 0], found.rate_hz, 0)
-    plain, made_up = (simulate_output(signal, profile, compensate=compensate) for compensate in (False, True))
-    without, compensated = (compute_band_changes(signal, each.signal, profile) for each in (plain, made_up))
+    acceleration = to_acceleration([read_wav(arguments.file)], profile.limits, str(arguments.file))
+    signal = Signal(acceleration.samples[:, 0], acceleration.rate_hz, 0)
+    plain, corrected = (simulate_output(signal, profile, compensate=compensate) for compensate in (False, True))
+    without, compensated = (compute_band_changes(signal, output.signal, profile) for output in (plain, corrected))
     if not any(band.before > 0.0 for band in without):
-        raise _make_empty_signal_error(found, profile, str(arguments.file))
+        raise _make_empty_signal_error(acceleration, profile, str(arguments.file))
     rows = [
-        {"low_hz": one.low_hz, "high_hz": one.high_hz, "before_db": one.change_db, "after_db": other.change_db}
-        for one, other in zip(without, compensated, strict=True)
+        {"low_hz": before.low_hz, "high_hz": before.high_hz, "before_db": before.change_db, "after_db": after.change_db}
+        for before, after in zip(without, compensated, strict=True)
     ]
     if arguments.json:
         record = {
             "profile": profile.name,
-            "unit": found.unit,
+            "unit": acceleration.unit,
             "measured": profile.response is not None,
             "limited_samples_before": plain.limited_samples,
-            "limited_samples_after": made_up.limited_samples,
+            "limited_samples_after": corrected.limited_samples,
             "bands": rows,
         }
         print(json.dumps(record, indent=1))
         return 0
     if profile.response is None:
         print("hnf: this profile has no measured response: only its limits count here.", file=sys.stderr)
-    for what, each in (("", plain), (" with compensation", made_up)):
-        if each.limited_samples and (each is plain or profile.response is not None):
+    for suffix, output in (("", plain), (" with compensation", corrected)):
+        if output.limited_samples and (output is plain or profile.response is not None):
             print(
-                f"hnf: its limits change {pluralize(each.limited_samples, 'sample')}{what}; a softer signal keeps its "
-                "shape.",
+                f"hnf: its limits change {pluralize(output.limited_samples, 'sample')}{suffix}; a softer signal keeps "
+                "its shape.",
                 file=sys.stderr,
             )
-    print(f"{arguments.file}: {found.unit}, largest {found.peak_m_s2:.3g} m/s²")
+    print(f"{arguments.file}: {acceleration.unit}, largest {acceleration.peak_m_s2:.3g} m/s²")
     print(f"{'band':>17}  {'without':>9}  {'with compensation':>18}")
     for row in rows:
         texts = ["–" if row[key] is None else f"{row[key]:+.2f} dB" for key in ("before_db", "after_db")]
@@ -413,7 +418,7 @@ def run_report(arguments: argparse.Namespace) -> int:
 
 
 def _make_empty_signal_error(found: Acceleration, profile: ActuatorProfile, where: str) -> FileError:
-    """Why there is no band to report on."""
+    """Return the error that explains why there is no band to report."""
     if found.peak_m_s2 == 0.0:
         return FileError("is silent: there is nothing to report.", where=where, remedy="Give a file with a vibration.")
     low, high = profile.range_hz or DEFAULT_RANGE_HZ

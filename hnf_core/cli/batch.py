@@ -1,4 +1,4 @@
-"""`hnf batch`: many `hnf` commands on many workers, each in a process and a folder of its own."""
+"""`hnf batch`: run many `hnf` commands on many workers, each in its own process and folder."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ VARIED_OPTIONS = {
     "synth": ("--material", "--weights", "--stroke", "--action", "--seed"),
     "train": ("--material", "--seed"),
 }
-"""Options that make a job for each of their values; of `hnf touch` its scenes do."""
+"""Options with a job for each of their values; `hnf touch` has a job for each scene instead."""
 RETRIES = 2
 NON_INPUT_ARGUMENTS = ("out", "verb", "what", "run")
-"""What a parsed command holds that is none of its inputs."""
+"""Attributes of a parsed command that are not inputs."""
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    """Add `hnf batch`."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "batch",
         help="run many of these commands on many workers; what is finished is not run again",
@@ -63,7 +64,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf batch`; return the exit code. Raises HnfError."""
     try:
         from ..batch.runner import BatchOptions, check_address, run_batch
     except ImportError as error:
@@ -82,39 +83,44 @@ def run(arguments: argparse.Namespace) -> int:
         check_address(arguments.scheduler)
     options = BatchOptions(arguments.scheduler, arguments.workers or available_cpus(), arguments.retries)
     folder = Path(os.path.abspath(arguments.out))
-    named = {job.name: _find_inputs(job, base, folder / job.name) for job in jobs}
+    inputs = {job.name: _find_inputs(job, base, folder / job.name) for job in jobs}
     bar = ProgressBar()
 
-    def watch(outcome: Outcome, again: bool, summary: BatchSummary) -> None:
+    def watch(outcome: Outcome, retried: bool, summary: BatchSummary) -> None:
         bar.close()
-        _report_outcome(outcome, again, folder, arguments.json)
+        _report_outcome(outcome, retried, folder, arguments.json)
         done = summary.skipped + summary.finished + len(summary.failed)
         bar.show(Progress(f"after {outcome.name}", done, summary.jobs))
 
     bar.show(Progress("starting", 0, len(jobs)))
     try:
-        summary = run_batch(jobs, named, base, folder, options, watch)
+        summary = run_batch(jobs, inputs, base, folder, options, watch)
     finally:
         bar.close()
     return _report_summary(summary, folder, arguments.json)
 
 
 def _read_jobs(arguments: argparse.Namespace) -> tuple[tuple[Job, ...], Path]:
-    """The jobs, and the folder that their paths count from; the batch's own options among the words are taken out."""
+    """Return the jobs and the folder that their paths are relative to.
+
+    Also removes the batch's own options from the words of the command.
+    """
     from ..batch.jobs import SUFFIXES, make_combined_jobs, make_scene_jobs, read_jobs
 
     what = arguments.what
-    own = argparse.ArgumentParser(
+    option_parser = argparse.ArgumentParser(
         prog=f"hnf batch {what}", allow_abbrev=False, epilog="Other options are those of the command itself."
     )
-    _add_options(own)
+    _add_options(option_parser)
     for option in VARIED_OPTIONS.get(what, ()):
-        own.add_argument(option, action="append", default=[], dest=option, metavar="VALUE", help="again for more jobs")
-    _, rest = own.parse_known_args(arguments.words, arguments)
+        option_parser.add_argument(
+            option, action="append", default=[], dest=option, metavar="VALUE", help="again for more jobs"
+        )
+    _, rest = option_parser.parse_known_args(arguments.words, arguments)
     varied = {option: getattr(arguments, option) for option in VARIED_OPTIONS.get(what, ())}
     if what == "touch":
-        first = next((place for place, word in enumerate(rest) if word.startswith("-")), len(rest))
-        return make_scene_jobs(rest[:first], rest[first:]), Path.cwd()
+        option_start = next((index for index, word in enumerate(rest) if word.startswith("-")), len(rest))
+        return make_scene_jobs(rest[:option_start], rest[option_start:]), Path.cwd()
     if what == "synth":
         return make_combined_jobs(["synth"], varied, rest, ".wav"), Path.cwd()
     if what == "train":
@@ -134,8 +140,10 @@ def _read_jobs(arguments: argparse.Namespace) -> tuple[tuple[Job, ...], Path]:
 
 
 def _find_inputs(job: Job, base: Path, job_folder: Path) -> tuple[str, ...]:
-    """The files and folders that a job names, absolute. Raises UsageError where hnf does not take its command, or an
-    input that was declared is not there."""
+    """Return the absolute paths of the files and folders that a job names.
+
+    Raises UsageError if hnf does not accept its command or a declared input is missing.
+    """
     from ..batch.staging import find_named_files
 
     parsed = _parse_job(job)
@@ -149,22 +157,22 @@ def _find_inputs(job: Job, base: Path, job_folder: Path) -> tuple[str, ...]:
 def _parse_job(job: Job) -> argparse.Namespace:
     from .main import build_parser
 
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+        with contextlib.redirect_stderr(output), contextlib.redirect_stdout(output):
             verb, subject = (*job.words, "")[:2]
             return build_parser(lambda _arguments: 0, only=verb, subject=subject).parse_args(list(job.command))
-    except SystemExit as refused:
-        last = (said.getvalue().strip().splitlines() or ["it asks for nothing"])[-1]
+    except SystemExit as stop:
+        last_line = (output.getvalue().strip().splitlines() or ["it asks for nothing"])[-1]
         raise UsageError(
-            f"hnf does not take its command: {last if refused.code else 'it asks for help'}",
+            f"hnf does not take its command: {last_line if stop.code else 'it asks for help'}",
             where=f"job {job.name}",
             remedy=f"Try it alone: hnf {' '.join(job.command)}",
-        ) from refused
+        ) from stop
 
 
 def _report_outcome(outcome: Outcome, retried: bool, folder: Path, as_json: bool) -> None:
-    """One line an attempt: a result to stdout, the reason of another attempt to stderr."""
+    """Print one line per attempt: a result to stdout, the reason for another attempt to stderr."""
     from ..batch.attempt import State
 
     reasons: Sequence[str] = (*outcome.earlier, outcome.why) if retried else outcome.earlier
@@ -176,13 +184,13 @@ def _report_outcome(outcome: Outcome, retried: bool, folder: Path, as_json: bool
 
 
 def _report_summary(summary: BatchSummary, folder: Path, as_json: bool) -> int:
-    """The end: counts to stdout, what to do to stderr. Returns the exit code."""
+    """Print counts to stdout and advice on failures to stderr; return the exit code."""
     from ..batch.attempt import State
 
     for outcome in summary.failed:
         record = folder / f"{outcome.name}.failed" / "batch.json"
-        more = f" All of it: {record}" if record.is_file() else ""
-        print(f"hnf: {outcome.name} failed: {outcome.why.rstrip('.')}.{more}", file=sys.stderr)
+        details = f" All of it: {record}" if record.is_file() else ""
+        print(f"hnf: {outcome.name} failed: {outcome.why.rstrip('.')}.{details}", file=sys.stderr)
     if summary.failed:
         accidents = any(outcome.state is State.ACCIDENT for outcome in summary.failed)
         hint = " Where processes died, look at the machine's memory, or give fewer --workers." if accidents else ""

@@ -1,12 +1,8 @@
-"""The verbs of the command line, and what each is for: all that `hnf --help` needs to know of them.
+"""Table of the commands with their help, and helpers that several commands share.
 
-What a verb loads and which options it takes stands in its own module, which is imported when the verb is asked for.
-
---seed of the verbs that feel strokes.
-
-How this program was called, for lines that a person is to paste.
-
-What the subjects of `hnf train` have in common: torch, a seed, and a file of weights to write.
+`hnf --help` needs only this module; options and imports of a command are in its own module, which is imported when the
+command is used. Shared are the parsing of --seed, the prefix for commands shown to people, and the checks of `hnf
+train`.
 """
 
 from __future__ import annotations
@@ -37,7 +33,7 @@ COMMAND_MODULES = {
     "batch": "batch",
     "doctor": "doctor",
 }
-"""Verb → module of this package. Its add_parser(verbs) adds the verb; its run, where it has one, does it."""
+"""Command → module of this package, which has `add_parser(verbs)` and usually `run`."""
 
 HELP = {
     "touch": "bake a scene and write what each stroke feels like as WAV files",
@@ -56,14 +52,15 @@ LABORATORY_HELP = {
     "eval": "measure fields and rivals by every metric, with the limits beside them",
     "bench": "measure time, memory and error, as a table",
 }
-"""Verbs of the laboratory (tools/hnf_lab), which registers them in COMMAND_GROUP, and what each is for."""
+"""Help of the laboratory's commands (tools/hnf_lab), which are registered in `COMMAND_GROUP`."""
 LABORATORY_SUBJECTS = {
     "encoder": "the network that turns views of a touch sensor into tokens",
     "alignment": "one space for looks and the touch of two sensors",
 }
-"""What `hnf train` can train in a checkout alone: registered in SUBJECT_GROUP."""
+"""Subjects that `hnf train` has only in a checkout, registered in `SUBJECT_GROUP`."""
 COMMAND_GROUP, SUBJECT_GROUP = "hnf.commands", "hnf.train_subjects"
-"""Entry-point groups: a verb's module with add_parser and run; an add_parser of a subject of `hnf train`."""
+"""Entry-point groups: a command's module with `add_parser` and `run`, and the `add_parser` of a subject of `hnf train`.
+"""
 
 EXAMPLES = """examples:
   hnf touch scene.blend --plan                          what can be touched, and what it would take
@@ -71,11 +68,11 @@ EXAMPLES = """examples:
   hnf synth --material oak-wood --stroke rub-slow --out rub.wav"""
 
 COMMAND_HINTS = {"probe": "To ask about one place: hnf touch SCENE --out DIR --at OBJECT:u,v"}
-"""What people look for as a command of its own → what does it."""
+"""Word that people may try as a command → hint on what to use instead."""
 
 
 def import_command(verb: str) -> ModuleType:
-    """Import the module of a verb of this package, or of one that another package has registered."""
+    """Import the module of a command of this package, or of one that another package has registered."""
     if verb in COMMAND_MODULES:
         return import_module(f".{COMMAND_MODULES[verb]}", __package__)
     module: ModuleType = find_plugins(COMMAND_GROUP)[verb].load()
@@ -84,7 +81,7 @@ def import_command(verb: str) -> ModuleType:
 
 def find_plugins(group: str) -> dict[str, EntryPoint]:
     """Return the entry points that installed packages register in a group, by name."""
-    from importlib.metadata import entry_points  # some 50 ms: only `--help` and words not of this package pay
+    from importlib.metadata import entry_points  # takes some 50 ms, so it is imported only here
 
     return {point.name: point for point in entry_points(group=group)}
 
@@ -101,14 +98,17 @@ SEED_LIMIT = 2**63
 
 
 def parse_seed(text: str) -> int:
-    """For argparse. Raises UsageError for what is no whole number from 0 to SEEDS − 1."""
+    """Parse --seed for argparse. Raises UsageError unless it is a whole number from 0 to SEED_LIMIT − 1."""
     if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) < SEED_LIMIT):
         raise UsageError(f"--seed {text[:40]}: not a whole number from 0 to 2^63 − 1.", remedy="Give e.g. 0.")
     return int(text)
 
 
 def get_command_prefix(argv: Sequence[str] | None = None) -> list[str]:
-    """The words before a command: hnf as it was found, or Blender's way to it. argv: None = sys.argv."""
+    """Return the words before a command: hnf as it was called, or Blender with its options.
+
+    `argv` defaults to sys.argv.
+    """
     first = (sys.argv if argv is None else argv)[0]
     name = Path(first).name.lower()
     if name.startswith("blender"):
@@ -118,7 +118,7 @@ def get_command_prefix(argv: Sequence[str] | None = None) -> list[str]:
 
 @contextmanager
 def require_torch(what: str) -> Iterator[None]:
-    """For imports that torch is needed for. Raises HnfError, which names what, where they fail."""
+    """Turn a failed import in this context into an HnfError that says `what` needs torch."""
     try:
         yield
     except ImportError as error:
@@ -129,7 +129,7 @@ def require_torch(what: str) -> Iterator[None]:
 
 
 def check_seed_and_weights(arguments: argparse.Namespace) -> None:
-    """--seed and --out. Raises UsageError where one of them will not do."""
+    """Check --seed and --out. Raises UsageError if one of them is invalid."""
     if arguments.seed < 0:
         raise UsageError("--seed must be a whole number from 0.")
     if arguments.out.suffix != ".safetensors":

@@ -1,4 +1,4 @@
-"""`hnf doctor`: what is installed, what is at work, and what a missing part costs."""
+"""`hnf doctor`: report what is installed and active, and what is unavailable without missing packages."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ CACHE_LOCATION = "in the folder 'cache' of each --out"
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    """Add `hnf doctor`."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "doctor",
         help=HELP["doctor"],
@@ -31,7 +32,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints; returns the exit code, 0 whatever is missing."""
+    """Print the report; return the exit code, which is always 0."""
     facts = (
         *get_base_versions(),
         Fact("compiled_kernel", "Compiled kernel", describe_kernel()),
@@ -39,16 +40,20 @@ def run(arguments: argparse.Namespace) -> int:
         *hash_data_files(),
         Fact("touch_cache", "Cache of touch", CACHE_LOCATION),
     )
-    packages = [(each, get_version(each.name)) for each in OPTIONAL_PACKAGES]
+    packages = [(entry, get_version(entry.name)) for entry in OPTIONAL_PACKAGES]
     if arguments.json:
-        found = {
-            each.name: {"version": version or None, "without": "" if version else each.without}
-            for each, version in packages
+        installed = {
+            entry.name: {"version": version or None, "without": "" if version else entry.without}
+            for entry, version in packages
         }
-        print(json.dumps({**{each.key: each.value for each in facts}, "packages": found}, indent=1, ensure_ascii=False))
+        print(
+            json.dumps(
+                {**{entry.key: entry.value for entry in facts}, "packages": installed}, indent=1, ensure_ascii=False
+            )
+        )
         return 0
-    rows = [(each.label, each.value) for each in facts]
-    rows += [(each.name, version or f"not installed: {each.without}") for each, version in packages]
+    rows = [(entry.label, entry.value) for entry in facts]
+    rows += [(entry.name, version or f"not installed: {entry.without}") for entry, version in packages]
     width = max(len(name) for name, _ in rows)
     print("\n".join(f"{name:<{width}}  {value}" for name, value in rows))
     return 0

@@ -1,4 +1,4 @@
-"""`hnf export`: a signal in a format of the rest of the world, and what that cost."""
+"""`hnf export`: write a signal in another format and report what was lost."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ SceneReader = Callable[[Path, Mapping[str, str], str | None], TouchedSurface]
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
-    listed = "\n".join(f"  {each.word:<8} {each.what}" for each in FORMATS.values())
+    """Add `hnf export`."""
+    listed = "\n".join(f"  {form.word:<8} {form.what}" for form in FORMATS.values())
     parser: argparse.ArgumentParser = verbs.add_parser(
         "export",
         help=HELP["export"],
@@ -45,7 +46,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def add_scale_options(parser: argparse.ArgumentParser) -> None:
-    """The options that say what 1 stands for."""
+    """Add the options that define what 1 stands for."""
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
         "--profile", metavar="NAME", help=f"an actuator, for full scale and range: {', '.join(PROFILES)}, or FILE.json"
@@ -64,7 +65,10 @@ def add_scale_options(parser: argparse.ArgumentParser) -> None:
 
 
 def get_scale(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, float] | None]:
-    """Full scale and range as told, None where they are not, not even by the profile. Raises UsageError."""
+    """Return full scale [m/s²] and range [Hz] from the options or the profile, None if not given.
+
+    Raises UsageError if the profile is invalid.
+    """
     full_scale, range_hz = arguments.full_scale, None
     if arguments.profile is not None:
         profile = load_profile(arguments.profile)
@@ -76,7 +80,7 @@ def get_scale(arguments: argparse.Namespace) -> tuple[float | None, tuple[float,
 
 
 def check_output(out: Path, suffix: str, source: Path) -> None:
-    """Other programs go by the suffix, and what is read must not be written over. Raises UsageError."""
+    """Check the suffix of the output, and that it is not the input file. Raises UsageError."""
     if out.suffix.lower() != suffix:
         raise UsageError(f"--out {out}: such a file ends in {suffix}.", remedy=f"Give --out {out.stem}{suffix}")
     if out.exists() and source.exists() and out.samefile(source):
@@ -84,7 +88,7 @@ def check_output(out: Path, suffix: str, source: Path) -> None:
 
 
 def refuse_scene(scene: Path, provenance: Mapping[str, str], object_name: str | None) -> TouchedSurface:
-    """Where there is no Blender. Raises UsageError."""
+    """Raise a UsageError: a scene can be opened only with Blender."""
     raise UsageError(
         f"{scene} can be opened with Blender alone, and this Python has no bpy.",
         remedy="Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf export …",
@@ -92,12 +96,30 @@ def refuse_scene(scene: Path, provenance: Mapping[str, str], object_name: str | 
 
 
 def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -> int:
-    """read_scene: --scene, the WAV's provenance and --object → the surface. Raises HnfError; returns the exit code."""
+    """Export a signal; return the exit code.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Parsed options.
+    read_scene : callable
+        Maps --scene, the WAV's provenance and --object to the surface.
+
+    Returns
+    -------
+    int
+        Exit code.
+
+    Raises
+    ------
+    HnfError
+        If the export fails.
+    """
     form = format_of(arguments.format)
     check_output(arguments.out, form.suffix, arguments.file)
     if arguments.scene is not None and not form.surface:
-        takers = ", ".join(each.word for each in FORMATS.values() if each.surface)
-        raise UsageError(f"the format '{form.word}' has no place for --scene.", remedy=f"Those that have: {takers}.")
+        names = ", ".join(candidate.word for candidate in FORMATS.values() if candidate.surface)
+        raise UsageError(f"the format '{form.word}' has no place for --scene.", remedy=f"Those that have: {names}.")
     if arguments.object is not None and arguments.scene is None:
         raise UsageError("--object without --scene.", remedy="Name the baked scene too: --scene BAKED.blend")
     full_scale, range_hz = get_scale(arguments)
@@ -127,7 +149,7 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
 
 
 def _explain_assumption(profile: str | None) -> str:
-    """Why full scale is the default, and what to do about it."""
+    """Explain why full scale is the default and how to change it."""
     if profile in (None, GENERIC.name):
         return "an assumption, the generic voice coil's: another --profile or --full-scale say otherwise."
     return f"an assumption: '{profile}' does not state its largest acceleration. If you know it, give --full-scale."

@@ -1,4 +1,4 @@
-"""`hnf import`: a file of the rest of the world → WAV in m/s²."""
+"""`hnf import`: convert a haptic file of another program to a WAV in m/s²."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ from .commands import HELP
 from .export import add_scale_options, check_output, get_scale
 
 REPORTED_PROVENANCE = ("scale", "assumed", "carrier", "ignored")
-"""Of the provenance: what was assumed, made up, and left out."""
+"""Entries of the provenance that are printed: what was assumed, synthesised and ignored."""
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    """Add `hnf import`."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "import",
         help=HELP["import"],
@@ -50,18 +51,18 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf import`; return the exit code. Raises HnfError."""
     check_output(arguments.out, ".wav", arguments.file)
     form = format_of_file(arguments.file) if arguments.format is None else format_of(arguments.format)
     full_scale, range_hz = get_scale(arguments)
     options = ImportOptions(full_scale, range_hz, arguments.rate, arguments.seed)
     signal = import_signal(arguments.file, options, form)
     write_wav(arguments.out, signal)
-    told = tuple(f"{name}: {signal.provenance[name]}" for name in REPORTED_PROVENANCE if name in signal.provenance)
-    if (lost := read_sidecar_loss(arguments.file)) is not None:
-        told += describe_sidecar_loss(lost, get_sidecar_path(arguments.file).name)
-    loss = measure_loss(signal, read_wav_scaled(arguments.out, options), told)
-    # What was rendered equals itself, which says nothing of a file that holds no samples.
+    notes = tuple(f"{name}: {signal.provenance[name]}" for name in REPORTED_PROVENANCE if name in signal.provenance)
+    if (export_loss := read_sidecar_loss(arguments.file)) is not None:
+        notes += describe_sidecar_loss(export_loss, get_sidecar_path(arguments.file).name)
+    loss = measure_loss(signal, read_wav_scaled(arguments.out, options), notes)
+    # A rendered signal always equals itself, so exactness means nothing for a file without samples.
     loss = replace(loss, exact=loss.exact and form.sampled)
     record = {
         "wav": str(arguments.out),
@@ -73,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         "seed": signal.seed,
         "provenance": dict(signal.provenance),
         "waveform": "as stored" if form.sampled else "made up",
-        "export_loss": lost,
+        "export_loss": export_loss,
         "loss": loss.to_json(),
     }
     if arguments.json:

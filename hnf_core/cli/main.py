@@ -1,4 +1,4 @@
-"""The words of the command line: one parser for `hnf VERB` and `blender -b FILE --command hnf VERB`.
+"""Entry point of the command line: one parser for `hnf COMMAND` and `blender -b FILE --command hnf COMMAND`.
 
 Exit codes: 0 done, 1 failed (one clear line on stderr), 2 wrong usage.
 """
@@ -31,11 +31,21 @@ Runner = Callable[[argparse.Namespace], int]
 def build_parser(
     run_touch: Runner, run_export: Runner | None = None, only: str | None = None, subject: str = ""
 ) -> argparse.ArgumentParser:
-    """Build the command line.
+    """Build the parser of the command line.
 
-    The runners do the Blender part, which this package may not import. only: the one verb whose options are needed, ""
-    for none; of the others the parser holds no more than their help. None means all verbs. subject: what `hnf train` is
-    to train, so that other packages' subjects are looked up only where it is none of this package's.
+    Parameters
+    ----------
+    run_touch, run_export : callable
+        Run the commands that need Blender, which this package may not import.
+    only : str or None
+        The one command whose options are needed, "" for none; the others get only their help. None means all commands.
+    subject : str
+        Subject of `hnf train`, so that subjects of other packages are loaded only if it is not one of this package.
+
+    Returns
+    -------
+    argparse.ArgumentParser
+        The parser; its result has `run`.
     """
     parser = argparse.ArgumentParser(
         prog="hnf",
@@ -45,24 +55,24 @@ def build_parser(
     )
     parser.add_argument("--version", action="version", version=f"hnf {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
-    given = {"touch": run_touch, "export": run_export}
+    runners = {"touch": run_touch, "export": run_export}
     registered = () if only in COMMAND_MODULES else find_plugins(COMMAND_GROUP)
     for verb in (*COMMAND_MODULES, *registered):
         if only not in (None, verb):
             verbs.add_parser(verb, help=HELP.get(verb) or LABORATORY_HELP.get(verb))
             continue
         module = import_command(verb)
-        added = module.add_parser(verbs, subject) if verb == "train" else module.add_parser(verbs)
-        run = given.get(verb) or getattr(module, "run", None)
+        command_parser = module.add_parser(verbs, subject) if verb == "train" else module.add_parser(verbs)
+        run = runners.get(verb) or getattr(module, "run", None)
         if run is not None:
-            added.set_defaults(run=run)
+            command_parser.set_defaults(run=run)
     return parser
 
 
 def main(argv: Sequence[str], run_touch: Runner, run_export: Runner | None = None) -> int:
-    """Parse argv (without the program's name), run the verb, and turn every outcome into an exit code."""
+    """Parse `argv` (without the program's name), run the command, and return the exit code."""
     for out in (sys.stdout, sys.stderr):
-        if isinstance(out, io.TextIOWrapper):  # not every terminal or file knows "²"
+        if isinstance(out, io.TextIOWrapper):  # not every encoding of a terminal or file has "²"
             out.reconfigure(errors="backslashreplace")
     try:
         verb, subject = (*(word for word in argv if not word.startswith("-")), "", "")[:2]
@@ -70,7 +80,7 @@ def main(argv: Sequence[str], run_touch: Runner, run_export: Runner | None = Non
         if not argv:
             parser.print_help()
             return 2
-        # After an option, argparse judges: --help helps.
+        # An option as first word is left to argparse, for example --help.
         if (
             argv[0] not in COMMAND_MODULES
             and not argv[0].startswith("-")
@@ -81,9 +91,9 @@ def main(argv: Sequence[str], run_touch: Runner, run_export: Runner | None = Non
         code = int(arguments.run(arguments))
         print(end="", flush=True)
         return code
-    except SystemExit as stop:  # argparse's own way out: --help gives 0, wrong words give 2
+    except SystemExit as stop:  # raised by argparse: 0 for --help, 2 for wrong words
         return stop.code if isinstance(stop.code, int) else 2
-    except BrokenPipeError:  # whoever read it, as in `hnf … | head`, has enough
+    except BrokenPipeError:  # the reader has closed the pipe, as in `hnf … | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except UsageError as error:
@@ -100,11 +110,11 @@ def main(argv: Sequence[str], run_touch: Runner, run_export: Runner | None = Non
 def _make_unknown_command_error(word: str) -> UsageError:
     if word in LABORATORY_HELP:
         return make_laboratory_error(word)
-    from ..text import close_matches  # here: who makes no mistake needs no guesses
+    from ..text import close_matches  # imported only when a correction is needed
 
     verbs = (*COMMAND_MODULES, *find_plugins(COMMAND_GROUP))
-    near = close_matches(word, verbs)
-    guess = f"Did you mean {' or '.join(repr(name) for name in near)}? " if near else ""
+    matches = close_matches(word, verbs)
+    guess = f"Did you mean {' or '.join(repr(name) for name in matches)}? " if matches else ""
     return UsageError(
         f"there is no command '{word}'.",
         remedy=COMMAND_HINTS.get(word) or f"{guess}Commands: {', '.join(verbs)}. What each does: hnf --help",

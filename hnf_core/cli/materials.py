@@ -1,4 +1,4 @@
-"""`hnf materials`: what the library holds, what of it a name suggests, and one of it as a file."""
+"""`hnf materials`: list the library, rank it by a name, or write one material to a file."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from ..material.ranking import NO_EVIDENCE, Suggestion, rank
 from .commands import HELP
 
 LIBRARY_LICENCE = "GPL-3.0-or-later"
-"""Of the library, and so of what is exported from it."""
+"""Licence of the library, and therefore of what is exported from it."""
 MAX_SUGGESTIONS = 8
-"""Suggestions for a person; --json gives all."""
+"""Most suggestions printed for a person; --json prints all."""
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    """Add `hnf materials`."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "materials", help=HELP["materials"], description="List the materials that --material takes."
     )
@@ -34,8 +35,10 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the library, with --suggest rank it, or with --export write one material. Raises UsageError, MaterialError
-    and FileError."""
+    """List the library, rank it (--suggest), or write one material (--export); return the exit code.
+
+    Raises UsageError, MaterialError or FileError.
+    """
     if arguments.suggest is not None:
         if arguments.export is not None or arguments.out is not None:
             raise UsageError("--suggest writes nothing.", remedy="Leave out --export and --out.")
@@ -53,8 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def rank_suggestions(words: str) -> tuple[Suggestion, ...]:
-    """The whole library, the most apt first, for a name alone: of a texture's file where it ends like one ("….png"),
-    else of a material. Raises UsageError where it holds no letter."""
+    """Rank the library by a name alone, best first.
+
+    A name that ends like an image file ("….png") is ranked as a texture, any other as a material. Raises UsageError if
+    the name holds no letter.
+    """
     if not any(letter.isalpha() for letter in words):
         raise UsageError(f"--suggest {words!r} holds no word.", remedy="Example: --suggest 'old oak table'")
     if is_image_name(words):
@@ -67,18 +73,23 @@ def _print_suggestions(words: str, as_json: bool) -> int:
     if as_json:
         category = {material.name: material.category for material in load_library()}
         records = [
-            {"name": each.name, "category": category[each.name], "confidence": round(each.confidence, 4),
-             "probability": round(each.probability, 4), "reason": each.reason}
-            for each in ranked
-        ]  # fmt: skip
+            {
+                "name": suggestion.name,
+                "category": category[suggestion.name],
+                "confidence": round(suggestion.confidence, 4),
+                "probability": round(suggestion.probability, 4),
+                "reason": suggestion.reason,
+            }
+            for suggestion in ranked
+        ]
         print(json.dumps(records, indent=1, ensure_ascii=False))
         return 0
-    told = [each for each in ranked if each.reason != NO_EVIDENCE][:MAX_SUGGESTIONS]
-    if not told:
+    shown = [suggestion for suggestion in ranked if suggestion.reason != NO_EVIDENCE][:MAX_SUGGESTIONS]
+    if not shown:
         print(f"no word of {words!r} names a material that the library knows; hnf materials lists them.")
-    width = max((len(each.name) for each in told), default=0)
-    for each in told:
-        print(f"{each.name:<{width}}  {each.confidence:4.0%}  {each.reason}")
+    width = max((len(suggestion.name) for suggestion in shown), default=0)
+    for suggestion in shown:
+        print(f"{suggestion.name:<{width}}  {suggestion.confidence:4.0%}  {suggestion.reason}")
     return 0
 
 

@@ -1,9 +1,4 @@
-"""`hnf stream`: play a WAV on an actuator.
-
-How a stream is doing, on a terminal: one line, redrawn; elsewhere a plain line now and then.
-
-What is said before a signal plays that is too strong for an actuator.
-"""
+"""`hnf stream`: play a WAV on an actuator, with a level meter and a warning if the limiter will change the signal."""
 
 from __future__ import annotations
 
@@ -43,7 +38,10 @@ METER_WIDTH = 12
 
 
 class LevelMeter:
-    """full_m_s2: where the meter ends. whole_s: how long it plays, None = until it is stopped."""
+    """Level meter: one line that is redrawn on a terminal, else a plain line now and then.
+
+    The meter ends at `full_m_s2`. `duration_s` is the playing time, None if it plays until it is stopped.
+    """
 
     def __init__(self, full_m_s2: float, duration_s: float | None, stream: TextIO | None = None) -> None:
         self._full, self._duration_s = full_m_s2, duration_s
@@ -52,9 +50,10 @@ class LevelMeter:
         self._next_s = time.monotonic() + PLAIN_LINE_INTERVAL_S
 
     def show(self, report: StreamReport) -> None:
+        """Print the present state of a stream."""
         line = format_meter(report, self._full, self._duration_s)
         if self._redraws:
-            columns = shutil.get_terminal_size().columns  # a line that wraps cannot be redrawn
+            columns = shutil.get_terminal_size().columns  # a wrapped line cannot be redrawn
             self._stream.write(f"\r\x1b[K{line[: columns - 1]}")
             self._stream.flush()
         elif time.monotonic() >= self._next_s:
@@ -62,68 +61,90 @@ class LevelMeter:
             print(line, file=self._stream, flush=True)
 
     def close(self) -> None:
+        """Erase the redrawn line."""
         if self._redraws:
             self._stream.write("\r\x1b[K")
             self._stream.flush()
 
 
 def format_meter(report: StreamReport, full_m_s2: float, duration_s: float | None) -> str:
-    """Time, RMS level in dB below full_m_s2 as a bar and a figure, underruns, samples that were limited."""
-    of = f" of {duration_s:.1f}" if duration_s is not None else ""
+    """Format time, RMS level (a bar and dB re `full_m_s2`), underruns and limited samples."""
+    total = f" of {duration_s:.1f}" if duration_s is not None else ""
     level_db = 20.0 * math.log10(report.level_m_s2 / full_m_s2) if report.level_m_s2 > 0.0 else -math.inf
-    share = min(max(1.0 - level_db / METER_MIN_DB, 0.0), 1.0)
-    filled = round(METER_WIDTH * share)
+    fraction = min(max(1.0 - level_db / METER_MIN_DB, 0.0), 1.0)
+    filled = round(METER_WIDTH * fraction)
     level = f"{level_db:4.0f} dB" if level_db >= METER_MIN_DB else " silent"
     bar = f"{'█' * filled}{'·' * (METER_WIDTH - filled)}"
     counts = f"underruns {report.underruns}  limited {report.limited_samples}"
-    return f"{report.played_s:6.1f}{of} s  {bar} {level} {report.level_m_s2:6.2f} m/s²  {counts}"
+    return f"{report.played_s:6.1f}{total} s  {bar} {level} {report.level_m_s2:6.2f} m/s²  {counts}"
 
 
 MAX_CHECKED_S = 120.0
-"""So much of a long signal is looked at beforehand, about its strongest place: somebody waits meanwhile."""
+"""Longest part [s] of a signal, around its peak, that is checked before playing, since the user waits meanwhile."""
 WARM_TIME_CONSTANTS = 6.0
-"""Time constants after which a coil is as warm as it gets."""
+"""Time constants after which a coil has reached its final temperature."""
 
 
 def compute_checked_duration(duration_s: float, seconds: float | None, *, loop: bool, thermal_s: float) -> float:
-    """How much of what plays is looked at: of a loop as much as warms the coil."""
+    """Return the duration [s] to check before playing; a loop is checked until it has warmed the coil."""
     plays_s = duration_s + WARM_TIME_CONSTANTS * thermal_s if loop else duration_s
     return min(plays_s if seconds is None else seconds if loop else min(seconds, duration_s), MAX_CHECKED_S)
 
 
 def cut_strongest(found: Acceleration, seconds: float) -> Acceleration:
-    """So much of it, its largest sample in the middle; all of what is no longer."""
+    """Return `seconds` of a signal around its largest sample, or all of it if it is no longer."""
     count = round(seconds * found.rate_hz)
     if count >= len(found.samples):
         return found
-    loudest = int(np.abs(found.samples).max(axis=1).argmax())
-    start = min(max(loudest - count // 2, 0), len(found.samples) - count)
+    peak_index = int(np.abs(found.samples).max(axis=1).argmax())
+    start = min(max(peak_index - count // 2, 0), len(found.samples) - count)
     return replace(found, samples=found.samples[start : start + count])
 
 
 def format_limit_warning(
     found: LimitingForecast, profile: ActuatorProfile, device: SinkFormat, largest_m_s2: float, *, partial: bool
 ) -> str:
-    """One line. largest_m_s2: of the signal, its gain included. in_part: only strongest_of it was looked at."""
+    """Format a one-line warning that the limiter will change the signal.
+
+    Parameters
+    ----------
+    found : LimitingForecast
+        The predicted changes.
+    profile : ActuatorProfile
+        Profile of the actuator.
+    device : SinkFormat
+        Format and peak of the device.
+    largest_m_s2 : float
+        Peak of the signal with its gain [m/s²].
+    partial : bool
+        Whether only the part around the peak was checked.
+
+    Returns
+    -------
+    str
+        The warning.
+    """
     limits = profile.limits.with_device_peak(device.peak)
-    most = limits.peak * limits.full_scale_m_s2
+    largest_allowed = limits.peak * limits.full_scale_m_s2
     reasons = []
-    if found.peak and largest_m_s2 > most:
-        reasons.append(f"{largest_m_s2:.3g} m/s² is more than the {most:.4g} m/s² of '{profile.title}'")
+    if found.peak and largest_m_s2 > largest_allowed:
+        reasons.append(f"{largest_m_s2:.3g} m/s² is more than the {largest_allowed:.4g} m/s² of '{profile.title}'")
     elif found.peak and profile.response is not None:
-        reasons.append(f"with the response of '{profile.title}' corrected, it is more than its {most:.4g} m/s²")
+        reasons.append(
+            f"with the response of '{profile.title}' corrected, it is more than its {largest_allowed:.4g} m/s²"
+        )
     elif found.peak:
-        reasons.append(f"between its samples it is more than the {most:.4g} m/s² of '{profile.title}'")
+        reasons.append(f"between its samples it is more than the {largest_allowed:.4g} m/s² of '{profile.title}'")
     if found.slew:
         reasons.append(f"it changes faster than '{profile.title}' may follow")
     if found.heat:
         reasons.append(f"it warms the coil of '{profile.title}' beyond what it carries for long")
-    share = f"{found.share:.2%}" if found.share >= 5e-5 else "less than 0.01%"
-    fits = "No --gain makes it fit: check the file's unit."
+    limited_share = f"{found.share:.2%}" if found.share >= 5e-5 else "less than 0.01%"
+    advice = "No --gain makes it fit: check the file's unit."
     if found.max_gain_db is not None:
-        fits = f"--gain {found.max_gain_db:.1f} fits."
+        advice = f"--gain {found.max_gain_db:.1f} fits."
     where = f" about its strongest place ({MAX_CHECKED_S:.0f} s)" if partial else ""
-    return f"{', and '.join(reasons)}: {share} of the samples{where} are limited. {fits}"
+    return f"{', and '.join(reasons)}: {limited_share} of the samples{where} are limited. {advice}"
 
 
 AHEAD_BLOCKS = 3
@@ -131,6 +152,7 @@ POLL_S = 0.05
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    """Add `hnf stream`."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "stream",
         help=HELP["stream"],
@@ -158,36 +180,36 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf stream`; return the exit code. Raises HnfError."""
     target, gain = parse_target(arguments.to), db_to_gain(arguments.gain)
     _check_arguments(arguments, target)
     profile = load_profile(arguments.profile)
     limits = profile.limits
-    found = read_accelerations(arguments.wav, limits)
-    source, whole_s = _make_source(found, gain, arguments.loop, arguments.seconds)
-    sink = make_sink(target, found.rate_hz, limits, source.channels)
-    # Nobody touches a recording: the resampler may take its time.
-    stages = () if arguments.raw else make_compensation(profile, found.rate_hz, source.channels)
+    recorded = read_accelerations(arguments.wav, limits)
+    source, duration_s = _make_source(recorded, gain, arguments.loop, arguments.seconds)
+    sink = make_sink(target, recorded.rate_hz, limits, source.channels)
+    # A recording does not react to anybody, so the slower resampler with more delay is used.
+    stages = () if arguments.raw else make_compensation(profile, recorded.rate_hz, source.channels)
     block_s = arguments.block / 1e3
     stream = Stream(
         source, sink, limits, block_s=block_s, ahead_blocks=AHEAD_BLOCKS, processors=stages, low_latency=False
     )
 
-    def look(device: SinkFormat) -> None:
+    def on_start(device: SinkFormat) -> None:
         if not arguments.json:
-            print(_describe_playback(arguments, found, profile, device), flush=True)
-        _print_warning(arguments, found, profile, device)
+            print(_describe_playback(arguments, recorded, profile, device), flush=True)
+        _print_warning(arguments, recorded, profile, device)
 
     with _sigterm_as_ctrl_c():
         try:
-            device = stream.start(look)
-            within = limits.with_device_peak(device.peak)
-            _show_levels(stream, LevelMeter(within.peak * within.full_scale_m_s2, whole_s))
+            device = stream.start(on_start)
+            device_limits = limits.with_device_peak(device.peak)
+            _show_levels(stream, LevelMeter(device_limits.peak * device_limits.full_scale_m_s2, duration_s))
         except KeyboardInterrupt:
             pass
         finally:
             stream.stop()
-    return _report_result(arguments, profile, found, stream.report)
+    return _report_result(arguments, profile, recorded, stream.report)
 
 
 def _check_arguments(arguments: argparse.Namespace, target: Target) -> None:
@@ -202,25 +224,25 @@ def _check_arguments(arguments: argparse.Namespace, target: Target) -> None:
 
 
 def _make_source(found: Acceleration, gain: float, loop: bool, seconds: float | None) -> tuple[Source, float | None]:
-    """And how long it plays, None = for ever."""
-    recorded, whole_s = BufferSource(found.samples * np.float32(gain), found.rate_hz, loop=loop), found.duration_s
+    """Return the source and its playing time [s], None if it plays without end."""
+    source, duration_s = BufferSource(found.samples * np.float32(gain), found.rate_hz, loop=loop), found.duration_s
     if seconds is None:
-        return recorded, None if loop else whole_s
-    return TruncatedSource(recorded, round(seconds * found.rate_hz)), seconds if loop else min(seconds, whole_s)
+        return source, None if loop else duration_s
+    return TruncatedSource(source, round(seconds * found.rate_hz)), seconds if loop else min(seconds, duration_s)
 
 
 def _describe_playback(
     arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat
 ) -> str:
-    owed_ms = 1e3 * device.queue_frames / device.rate_hz
-    owes = "" if isinstance(parse_target(arguments.to), FileTarget) else f", delay at most {owed_ms:.0f} ms"
-    made_up = ", with its response corrected" if profile.response is not None and not arguments.raw else ""
+    delay_ms = 1e3 * device.queue_frames / device.rate_hz
+    delay = "" if isinstance(parse_target(arguments.to), FileTarget) else f", delay at most {delay_ms:.0f} ms"
+    compensation = ", with its response corrected" if profile.response is not None and not arguments.raw else ""
     channels = f" on {found.samples.shape[1]} channels" if found.samples.shape[1] > 1 else ""
     return (
         f"{_join_names(arguments)}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz{channels}, {found.unit}, "
         f"largest {found.peak_m_s2:.3g} m/s²\n"
-        f"to {device.device}: {device.rate_hz:g} Hz{owes}; gain {arguments.gain:g} dB; "
-        f"{describe_peak_limit(profile, device)}{made_up}"
+        f"to {device.device}: {device.rate_hz:g} Hz{delay}; gain {arguments.gain:g} dB; "
+        f"{describe_peak_limit(profile, device)}{compensation}"
     )
 
 
@@ -231,24 +253,24 @@ def _join_names(arguments: argparse.Namespace) -> str:
 def _print_warning(
     arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat
 ) -> None:
-    """Beforehand, so that nobody wonders; the limiter counts what it really changed."""
+    """Print a warning before playing if the limiter is predicted to change the signal."""
     limits, loop = profile.limits, arguments.loop
     plays_s = found.duration_s if arguments.seconds is None or loop else min(arguments.seconds, found.duration_s)
     played = replace(found, samples=found.samples[: max(round(plays_s * found.rate_hz), 1)])
-    seen = cut_strongest(played, MAX_CHECKED_S)
-    seconds = compute_checked_duration(seen.duration_s, arguments.seconds, loop=loop, thermal_s=limits.thermal_s)
+    checked = cut_strongest(played, MAX_CHECKED_S)
+    seconds = compute_checked_duration(checked.duration_s, arguments.seconds, loop=loop, thermal_s=limits.thermal_s)
 
-    def chained(limits: Limits, gain_db: float) -> SignalChain:
-        source, _ = _make_source(seen, db_to_gain(gain_db), loop, seconds)
+    def make_chain(limits: Limits, gain_db: float) -> SignalChain:
+        source, _ = _make_source(checked, db_to_gain(gain_db), loop, seconds)
         stages = () if arguments.raw else make_compensation(profile, found.rate_hz, source.channels)
         return SignalChain(source, device, limits, stages, low_latency=False)
 
-    most = limits.with_device_peak(device.peak).peak * limits.full_scale_m_s2
-    guess_db = 20.0 * math.log10(most / seen.peak_m_s2) if seen.peak_m_s2 > 0.0 else 0.0
-    foretold = predict_limiting(chained, limits, arguments.gain, guess_db)
-    if foretold is not None:
-        largest, in_part = seen.peak_m_s2 * db_to_gain(arguments.gain), seen is not played
-        print(f"hnf: {format_limit_warning(foretold, profile, device, largest, partial=in_part)}", file=sys.stderr)
+    largest_allowed = limits.with_device_peak(device.peak).peak * limits.full_scale_m_s2
+    guess_db = 20.0 * math.log10(largest_allowed / checked.peak_m_s2) if checked.peak_m_s2 > 0.0 else 0.0
+    forecast = predict_limiting(make_chain, limits, arguments.gain, guess_db)
+    if forecast is not None:
+        largest, partial = checked.peak_m_s2 * db_to_gain(arguments.gain), checked is not played
+        print(f"hnf: {format_limit_warning(forecast, profile, device, largest, partial=partial)}", file=sys.stderr)
 
 
 def _show_levels(stream: Stream, meter: LevelMeter) -> None:
@@ -263,9 +285,9 @@ def _report_result(
     arguments: argparse.Namespace, profile: ActuatorProfile, found: Acceleration, report: StreamReport
 ) -> int:
     if arguments.json:
-        asked = {"wav": _join_names(arguments), "unit": found.unit, "target": arguments.to, "profile": profile.name}
+        inputs = {"wav": _join_names(arguments), "unit": found.unit, "target": arguments.to, "profile": profile.name}
         scale = {"full_scale_m_s2": profile.limits.full_scale_m_s2, "full_scale_assumed": profile.assumes_full_scale}
-        print(json.dumps(asked | scale | report.to_json(), indent=1))
+        print(json.dumps(inputs | scale | report.to_json(), indent=1))
     else:
         print(
             f"{report.played_s:.2f} s played: {pluralize(report.blocks, 'block')}, 99 % of them computed within "
@@ -286,15 +308,15 @@ def _report_result(
 
 @contextmanager
 def _sigterm_as_ctrl_c() -> Iterator[None]:
-    """Meanwhile a polite kill stops as softly as Ctrl C does."""
+    """Handle SIGTERM as Ctrl C within this context, so that it stops the signal as softly."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, _interrupt)
+    previous_handler = signal.signal(signal.SIGTERM, _interrupt)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, previous_handler)
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:

@@ -1,6 +1,7 @@
-"""`hnf synth`: a material and a stroke, without any scene → WAV.
+"""`hnf synth`: synthesise one stroke on one material, without a scene, and write it as WAV.
 
-`hnf synth` of a stroke of minutes or hours, or at megahertz: written as it is made, in the memory of one minute.
+Long strokes, and high sample rates, are written while they are computed, within the memory of about one minute of
+signal.
 """
 
 from __future__ import annotations
@@ -47,13 +48,14 @@ from ..signal import Signal
 from .commands import HELP, parse_seed
 
 MAX_IN_MEMORY_S = 120.0
+"""Longest duration of a signal that is computed in one piece [s]."""
 MAX_IN_MEMORY_SAMPLES = 2**24
-"""Seconds and output samples up to which a signal is one piece, which takes a few hundred MB at most."""
+"""Most output samples of a signal that is computed in one piece, which takes a few hundred MB at most."""
 
 
 @dataclass(frozen=True)
 class WrittenSignal:
-    """What is told of a signal that is no longer in memory; fields as `hnf synth --json` names them."""
+    """Summary of a written signal; fields as `hnf synth --json` names them."""
 
     sample_rate: float
     duration_s: float
@@ -64,29 +66,33 @@ class WrittenSignal:
 
 
 def is_long(duration_s: float, rate: float) -> bool:
-    """Whether a signal of this duration at `rate` Hz is to be written as it is made."""
+    """Return whether a signal of this duration at `rate` Hz is to be written while it is computed."""
     return duration_s > MAX_IN_MEMORY_S or duration_s * rate > MAX_IN_MEMORY_SAMPLES
 
 
 class _SignalMeter:
-    """What passes through, summed up."""
+    """Running statistics of a signal that is computed in chunks."""
 
     def __init__(self) -> None:
         self.max_amplitude, self.max_residual, self.square, self.peak = 0.0, 0.0, 0.0, 0.0
 
     def iterate_samples(self, chunks: Iterator[RenderedChunk], total: int) -> Iterator[NDArray[np.float64]]:
-        bar, done = ProgressBar(), 0
-        for piece in chunks:
+        """Yield the samples of each chunk, record its largest emission and residual, and show the progress."""
+        progress_bar, done = ProgressBar(), 0
+        for chunk in chunks:
             self.max_amplitude, self.max_residual = (
-                max(self.max_amplitude, piece.loudest),
-                max(self.max_residual, piece.residual_power),
+                max(self.max_amplitude, chunk.loudest),
+                max(self.max_residual, chunk.residual_power),
             )
-            yield piece.samples
-            done += len(piece.samples)
-            bar.show(Progress("of the signal is written", done // int(MODEL_RATE_HZ), total // int(MODEL_RATE_HZ)))
-        bar.close()
+            yield chunk.samples
+            done += len(chunk.samples)
+            progress_bar.show(
+                Progress("of the signal is written", done // int(MODEL_RATE_HZ), total // int(MODEL_RATE_HZ))
+            )
+        progress_bar.close()
 
     def convert_blocks(self, blocks: Iterator[NDArray[np.float64]]) -> Iterator[NDArray[np.float32]]:
+        """Yield blocks as float32 and record their power and peak."""
         for block in blocks:
             out = block.astype(np.float32)
             self.square += float(np.sum(np.square(out, dtype=np.float64)))
@@ -98,22 +104,52 @@ def write_in_chunks(
     path: Path, field: Field, stroke: StrokeInput, *, seed: int, rate: float, facts: Mapping[str, str],
     tolerance: float | None = None, chunk_samples: int = CHUNK_SAMPLES,
 ) -> WrittenSignal:  # fmt: skip
-    """Synthesise stroke into a WAV at path; the samples are those of synthesise() within 1e-6 of their RMS, or, with a
-    tolerance, as near to the field's as that says.
+    """Synthesise a stroke chunk by chunk into a WAV.
 
-    facts: more provenance. portion: samples made at once. Raises what synthesise() and write_wav() raise, of a signal
-    too long for a WAV before anything is made; an earlier file at path is then unharmed.
+    The samples equal those of `synthesise` within 1e-6 of their RMS or, with a tolerance, approximate those of the
+    field to within it.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; an earlier file is unharmed if writing fails.
+    field : Field
+        The field.
+    stroke : StrokeInput
+        Action and material.
+    seed : int
+        Seed of the carriers.
+    rate : float
+        Output sample rate [Hz].
+    facts : mapping of str to str
+        More provenance.
+    tolerance : float or None
+        Largest relative error of adaptive sampling; None for the regular grid.
+    chunk_samples : int
+        Samples computed at once.
+
+    Returns
+    -------
+    WrittenSignal
+        Summary of the signal.
+
+    Raises
+    ------
+    HnfError
+        As `synthesise` and `write_wav`; for a signal that is too long for a WAV before anything is computed.
     """
     action, _ = resample_action(stroke)
     check_rates(MODEL_RATE_HZ, rate)
     total, meter = sample_count(action), _SignalMeter()
-    made = meter.iterate_samples(
+    model_samples = meter.iterate_samples(
         render_chunks(field, stroke, seed=seed, length=chunk_samples, tolerance=tolerance), total
     )
     count = count_outputs(total, MODEL_RATE_HZ, rate)
     origin = {"probe": action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
-    head = Signal(np.zeros(0, dtype=np.float32), rate, seed, {**origin, **facts})
-    write_wav_stream(path, head, count, meter.convert_blocks(resample_stream(made, total, MODEL_RATE_HZ, rate)))
+    template = Signal(np.zeros(0, dtype=np.float32), rate, seed, {**origin, **facts})
+    write_wav_stream(
+        path, template, count, meter.convert_blocks(resample_stream(model_samples, total, MODEL_RATE_HZ, rate))
+    )
     confidence, warnings = check_ranges(field, stroke, action)
     warnings += (
         *check_ceiling(field.config, meter.max_amplitude),
@@ -125,12 +161,13 @@ def write_in_chunks(
 
 
 _NEGATIVE_NUMBER = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|^-(inf|nan)$", re.IGNORECASE)
-"""Of argparse's own, -1e1 is no number but an option that nobody knows."""
+"""Pattern for argparse, whose own takes -1e1 for an unknown option."""
 MAX_TOLERANCE_DB, MIN_TOLERANCE_DB = -10.0, -45.0
-"""Below it what the reference itself does in single samples is not followed."""
+"""Accepted tolerances [dB]; below the lower one even the reference deviates in single samples."""
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    """Add `hnf synth`."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "synth",
         help=HELP["synth"],
@@ -168,7 +205,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf synth`; return the exit code. Raises HnfError."""
     if not MIN_RATE_HZ <= arguments.rate <= MAX_RATE_HZ:
         raise UsageError(
             f"--rate {arguments.rate:.10g}: not within {MIN_RATE_HZ:.0f} to {MAX_RATE_HZ:.0f} Hz.",
@@ -178,9 +215,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--rate {arguments.rate:.10g}: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
     tolerance = _db_to_ratio(arguments.tolerance)
     field, material = _load_field_and_material(arguments.material, arguments.weights)
-    doubts: list[str] = []
+    action_warnings: list[str] = []
     if arguments.action is not None:
-        action = read_action_csv(arguments.action, arguments.probe, warn=doubts.append)
+        action = read_action_csv(arguments.action, arguments.probe, warn=action_warnings.append)
         stroke_name = arguments.action.name
     else:
         action = replace(make_primitive_action(arguments.stroke, seed=arguments.seed), probe=arguments.probe)
@@ -196,7 +233,7 @@ def run(arguments: argparse.Namespace) -> int:
     written = write(
         arguments.out, field, stroke, seed=arguments.seed, rate=arguments.rate, facts=facts, tolerance=tolerance
     )
-    warnings = (*doubts, *written.warnings)
+    warnings = (*action_warnings, *written.warnings)
     for warning in warnings:
         print(f"hnf: {warning}", file=sys.stderr)
     record = {
@@ -244,7 +281,7 @@ def _db_to_ratio(tolerance_db: float | None) -> float | None:
 
 
 def _load_field_and_material(material: str | None, weights: Path | None) -> tuple[Field, LibraryMaterial]:
-    """The field, and a material that it knows: of the library, of a `.hnf` file, or its own."""
+    """Return the field and a material that it knows: from the library, a `.hnf` file, or its own."""
     if material is None:
         field = load_field(weights)
         return field, read_trained_material(field, str(weights))

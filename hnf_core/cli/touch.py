@@ -1,4 +1,7 @@
-"""`hnf touch`: the words of the main job. What they do stands in hnf_blender.touch."""
+"""`hnf touch`: options of the command that computes strokes on a scene, parsed into a `TouchRequest`.
+
+The request is carried out by hnf_blender.touch.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from .commands import HELP, parse_seed
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    """Add `hnf touch`."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "touch",
         help=HELP["touch"],
@@ -66,7 +70,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
-    """Parsed words → request. Raises UsageError where they do not fit together."""
+    """Convert parsed options to a request. Raises UsageError if they contradict each other."""
     if len(arguments.strokes) != len(arguments.targets):
         raise UsageError(
             f"{len(arguments.strokes)} --stroke but {len(arguments.targets)} --on.",
@@ -89,12 +93,12 @@ def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
         encoder=arguments.encoder,
     )
     if not request.plan_only:
-        request.folder  # refused here, before Blender starts  # noqa: B018
+        request.folder  # raises before Blender starts if it is invalid  # noqa: B018
     return request
 
 
 def _refuse_former_query(text: str) -> None:
-    """Answer the former name of --at by naming the new one."""
+    """Raise a UsageError that names --at, which replaced --probe."""
     raise UsageError(
         "--probe names the tip that touches, and a scene's strokes have their own.",
         remedy=f"To ask about one place: --at {text if ':' in text else 'OBJECT:u,v'}",

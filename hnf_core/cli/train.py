@@ -1,7 +1,7 @@
-"""`hnf train`: what can be trained; `hnf train field`, a field for one material, from the user's own copy of a data set
-or from the simulator.
+"""`hnf train`: train a field for one material, or the network that predicts tactile maps.
 
-`hnf train tactile-map`: D_φ, which predicts tactile maps from colour and depth, from paired views.
+`hnf train field` reads a data set or simulated recordings; `hnf train tactile-map` trains D_φ on paired views. Other
+packages register more subjects.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _add_tactile_map(subjects: Any) -> argparse.ArgumentParser:
 
 
 def _run_tactile_map(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf train tactile-map`; return the exit code. Raises HnfError."""
     check_seed_and_weights(arguments)
     if not arguments.minutes > 0.0:
         raise UsageError("--minutes must be more than 0.")
@@ -111,7 +111,7 @@ def _find_pairs(arguments: argparse.Namespace, bar: ProgressBar) -> Path:
 
 
 def add_parser(verbs: Any, subject: str = "") -> argparse.ArgumentParser:
-    """Add the verb. subject: what is to be trained; other packages are asked only where this one does not know it."""
+    """Add `hnf train`; subjects of other packages are loaded only if `subject` is not one of this package."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "train",
         help=HELP["train"],
@@ -130,7 +130,7 @@ def _add_registered_subjects(subjects: Any) -> None:
     for plugin in registered.values():
         plugin.load()(subjects)
     for subject in LABORATORY_SUBJECTS.keys() - registered.keys():
-        # Whatever is behind it is taken as it is, options too: the message says where the subject is.
+        # All words after the subject are accepted, options too, so that the error explains where the subject is.
         missing = subjects.add_parser(subject, add_help=False, prefix_chars="\0")
         missing.add_argument("words", nargs="*")
         missing.set_defaults(run=_refuse_laboratory_subject)
@@ -175,7 +175,7 @@ def _add_field(subjects: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+    """Run `hnf train field`; return the exit code. Raises HnfError."""
     check_seed_and_weights(arguments)
     from ..datasets.registry import get_training_recordings
 
@@ -239,5 +239,5 @@ def _format_record(record: dict[str, Any]) -> str:
             f"power {test['bias_db']:+.2f} dB"
         )
     )
-    noted = f" ({'; '.join(record['notes'])})" if record["notes"] else ""
-    return f"{record['weights']}: {record['material']}, {record['training_data']}{noted}; {held_out}"
+    notes = f" ({'; '.join(record['notes'])})" if record["notes"] else ""
+    return f"{record['weights']}: {record['material']}, {record['training_data']}{notes}; {held_out}"

@@ -1,5 +1,5 @@
-"""Conversion of signals [m/s²] to and from other haptic file formats, and figures of strokes.
+"""Write a signal in m/s² to other formats, read it back, and measure what the conversion lost.
 
-Read `formats.py` first: its table lists every format with its writer and reader. `convert.py` has the two entry
-points, `export_signal` and `import_signal`.
+`formats.py` lists all formats with their writers and readers; `convert.py` has the two entry points, `export_signal`
+and `import_signal`. Read `formats.py` first.
 """

@@ -1,15 +1,15 @@
-"""Apple's haptic pattern (`.ahap`): continuous events with intensity and sharpness curves, and transient clicks.
+"""Write and read `.ahap`, Apple's haptic pattern: continuous events under intensity and sharpness curves, and clicks.
 
-Keys, ranges and limits are those of Apple's documentation of Core Haptics ("Representing haptic patterns in AHAP
-files", CHHapticEvent, CHHapticDynamicParameter, CHHapticParameterCurve.ControlPoint): a continuous event lasts at most
-30 s; a control point's time is relative to the start of its curve, a curve's to that of the pattern; curves are linear
-between points; the intensity control multiplies (0 … 1), the sharpness control adds (−1 … 1), and the sum stays within
-0 … 1; unknown keys are ignored, so that Metadata can hold full scale, range and origin.
+Keys, ranges and limits follow Apple's documentation of Core Haptics ("Representing haptic patterns in AHAP files",
+CHHapticEvent, CHHapticDynamicParameter, CHHapticParameterCurve.ControlPoint). A continuous event lasts at most 30 s.
+The time of a control point is relative to the start of its curve, that of a curve to the start of the pattern; values
+are interpolated linearly. The intensity control multiplies (0 … 1), the sharpness control adds (−1 … 1), and the sum
+stays within 0 … 1. Keys that are not Apple's are ignored, so Metadata may hold full scale, range and provenance.
 
-Apple states no largest number of points per curve. That limit (16) and the square-root law from amplitude to intensity
-and from frequency to sharpness are those of the one published converter (github.com/Lofelt/NiceVibrations,
+Apple states no maximum number of points per curve. The 16 used here, and the square-root law from amplitude to
+intensity and from frequency to sharpness, are those of the one published converter (github.com/Lofelt/NiceVibrations,
 `core/datamodel/src/ios/v1.rs`). That converter writes the times of control points from the start of the pattern,
-against Apple's documentation; this file follows Apple.
+against Apple's documentation, which is followed here.
 """
 
 from __future__ import annotations
@@ -49,29 +49,32 @@ MAX_POINTS_PER_CURVE = 16
 INTENSITY, SHARPNESS = "HapticIntensityControl", "HapticSharpnessControl"
 RENDERED_EVENT_TYPES = ("HapticContinuous", "HapticTransient")
 ASSUMED_PARAMETERS = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
-"""Values assumed for an event that gives none; Apple does not publish its defaults."""
+"""Parameters of an event that gives none. An assumption, since Apple publishes no defaults."""
 MAX_TIME_S = 10_000.0
-"""Longest time accepted in a pattern [s]; a larger one means a damaged file."""
+"""Longest accepted time [s]; a file with a later one is damaged."""
 MAX_EVENTS = 20_000
 MAX_IGNORED_LISTED = 8
 MAX_PARAMETER_VALUE = 1e30
 EDGE_RAMP_S = 1e-9
 PAUSE_RAMP_S = 1e-3
 MIN_DURATION_WITH_CLICKS_S = 4.0 * PAUSE_RAMP_S
-"""Shortest signal with separate clicks [s]; a pause and its ramps do not fit into a shorter one."""
+"""Shortest signal [s] that has room for a pause and its ramps; in a shorter one clicks stay in the envelope."""
 _DIGITS = 6
 
 Curve = tuple[Float, Float]
-"""Times and values of a piecewise linear curve."""
+"""Times and values of control points, interpolated linearly."""
 Pause = tuple[float, float, float, float]
-"""Start, time of the click, end, and amplitude of the click."""
+"""Start, click time and end of a pause [s], and the click's amplitude [m/s²]."""
 
 
 def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write a signal as a haptic pattern; return what was left out, in sentences.
+    """Write a signal as `.ahap`; return sentences on what was left out.
 
-    Raises FileError if a sample is not finite, the file cannot be written, there are too many clicks, or the signal is
-    empty: a pattern needs an event with a duration.
+    Raises
+    ------
+    FileError
+        If the signal is empty (a pattern needs an event of some length), a sample is not finite, there are too many
+        clicks, or the file cannot be written.
     """
     if len(signal.samples) == 0:
         raise FileError("an empty signal makes no pattern.", where=str(path), remedy="Give one with samples in it.")
@@ -91,23 +94,23 @@ def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
 
 
 def encode_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[str, Any]], int]:
-    """Return the pattern's entries and the number of values that exceed full scale.
+    """Return the entries of the pattern and the number of values above full scale.
 
-    Curves apply to clicks too: during a click, the continuous event pauses and the intensity curve is 1; the sharpness
-    there is the curve's alone.
+    Curves apply to clicks too. During a click the continuous event therefore pauses and the intensity curve is 1; the
+    sharpness there is that of the curve.
     """
     intensity = np.sqrt(np.clip(envelope.amplitude / options.full_scale_m_s2, 0.0, 1.0))
-    share = np.clip(normalise_frequency(envelope.frequency, options.range_hz), 0.0, 1.0)
+    relative_frequency = np.clip(normalise_frequency(envelope.frequency, options.range_hz), 0.0, 1.0)
     pauses = _find_pauses(envelope)
-    borders = [0.0, *(border for start, _, stop, _ in pauses for border in (start, stop)), envelope.duration_s]
+    edges = [0.0, *(border for start, _, stop, _ in pauses for border in (start, stop)), envelope.duration_s]
     entries: list[dict[str, Any]] = []
-    for start, stop in zip(borders[::2], borders[1::2], strict=True):
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
         entries += _iter_continuous_events(round(start, _DIGITS), round(stop, _DIGITS))
     time, paused = _raise_in_pauses(envelope.time, intensity, pauses)
     entries += _iter_curves(
         INTENSITY, time, paused, select_control_points(time, paused, options.error * float(intensity.max()))
     )
-    entries += _iter_curves(SHARPNESS, envelope.time, np.sqrt(share), select_frequency_points(envelope))
+    entries += _iter_curves(SHARPNESS, envelope.time, np.sqrt(relative_frequency), select_frequency_points(envelope))
     for _, at, _, amplitude in pauses:
         level = min(1.0, amplitude / options.full_scale_m_s2) ** 0.5
         entries.append(_make_event("HapticTransient", round(at, _DIGITS), level, 0.0))
@@ -115,18 +118,18 @@ def encode_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dic
 
 
 def _find_pauses(envelope: Envelope) -> list[Pause]:
-    """Return the pause of each click, within the signal and before its last PAUSE_RAMP_S / 2."""
+    """Return a pause for every click, within the signal and before its last `PAUSE_RAMP_S` / 2."""
     end, half = envelope.duration_s, 0.5 * EMPHASIS_DURATION_S
-    found = []
-    for each in envelope.emphases:
-        at = min(each.time_s, end - PAUSE_RAMP_S)
-        start = at - half if at - half > PAUSE_RAMP_S else 0.0
-        found.append((start, at, min(at + half, end - 0.5 * PAUSE_RAMP_S), each.amplitude))
-    return found
+    pauses = []
+    for emphasis in envelope.emphases:
+        click_s = min(emphasis.time_s, end - PAUSE_RAMP_S)
+        start = click_s - half if click_s - half > PAUSE_RAMP_S else 0.0
+        pauses.append((start, click_s, min(click_s + half, end - 0.5 * PAUSE_RAMP_S), emphasis.amplitude))
+    return pauses
 
 
 def _raise_in_pauses(time: Float, value: Float, pauses: list[Pause]) -> Curve:
-    """Return the curve raised to 1 in each pause, with a ramp of PAUSE_RAMP_S / 4 inside both ends."""
+    """Set the curve to 1 during each pause, except for a ramp of `PAUSE_RAMP_S` / 4 inside both ends."""
     outside = np.ones(len(time), bool)
     times, values = [], []
     for start, _, stop, _ in pauses:
@@ -134,9 +137,9 @@ def _raise_in_pauses(time: Float, value: Float, pauses: list[Pause]) -> Curve:
         heights = np.array([np.interp(start, time, value), 1.0, 1.0, np.interp(stop, time, value)])
         if start == 0.0:
             edges, heights = edges[1:] * [0, 1, 1], heights[1:]
-        # Two points nearer than this could be one once their times are rounded.
-        apart = 0.1 * PAUSE_RAMP_S
-        outside[np.searchsorted(time, edges[0] - apart) : np.searchsorted(time, edges[-1] + apart, side="right")] = (
+        # Points closer than this margin could get equal times by rounding.
+        margin = 0.1 * PAUSE_RAMP_S
+        outside[np.searchsorted(time, edges[0] - margin) : np.searchsorted(time, edges[-1] + margin, side="right")] = (
             False
         )
         times.append(edges)
@@ -153,10 +156,10 @@ def _iter_continuous_events(start: float, end: float) -> Iterator[dict[str, Any]
 
 
 def read_ahap(path: Path, options: ImportOptions) -> Signal:
-    """Render the pattern of an `.ahap` file as acceleration [m/s²].
+    """Read the pattern of a file and render it.
 
-    Of overlapping continuous events, the strongest counts. Attack, decay and release, audio, and parameters that jump
-    are not rendered; provenance["ignored"] lists them. Raises FileError if the file is damaged.
+    Of overlapping continuous events the strongest counts. Attack, decay, release, audio, and parameters that jump are
+    not rendered; they are listed in provenance["ignored"]. Raises FileError if the file is damaged.
     """
     record = read_json(path)
     metadata = record.get("Metadata")
@@ -168,7 +171,10 @@ def read_ahap(path: Path, options: ImportOptions) -> Signal:
 
 
 def decode_pattern(record: dict[str, Any], origin: Provenance, path: Path) -> tuple[Envelope, tuple[str, ...]]:
-    """Return the pattern's envelope in m/s² and Hz, and a list of ignored entries. Raises FileError."""
+    """Return the envelope of a pattern in m/s² and Hz, and the names of ignored entries.
+
+    Raises FileError if the pattern is damaged or holds no haptic event.
+    """
     reading = JsonReader(path)
     events: list[tuple[float, float, float, float]] = []
     clicks: list[tuple[float, float, float]] = []
@@ -179,15 +185,22 @@ def decode_pattern(record: dict[str, Any], origin: Provenance, path: Path) -> tu
             raise reading.make_error("an entry of 'Pattern' is no object")
         if "Event" in entry:
             event = reading.get_object(entry, "Event")
-            kind, at = event.get("EventType"), reading.get_number(event, "Time", 0.0, MAX_TIME_S)
+            kind, time_s = event.get("EventType"), reading.get_number(event, "Time", 0.0, MAX_TIME_S)
             if kind not in RENDERED_EVENT_TYPES:
                 ignored.add(f"events of the type {kind!s:.40}")
                 continue
-            level, tone = _read_parameters(reading, event, ignored)
+            intensity, sharpness = _read_parameters(reading, event, ignored)
             if kind == "HapticTransient":
-                clicks.append((at, level, tone))
+                clicks.append((time_s, intensity, sharpness))
             else:
-                events.append((at, at + reading.get_number(event, "EventDuration", 0.0, MAX_EVENT_S), level, tone))
+                events.append(
+                    (
+                        time_s,
+                        time_s + reading.get_number(event, "EventDuration", 0.0, MAX_EVENT_S),
+                        intensity,
+                        sharpness,
+                    )
+                )
         elif "ParameterCurve" in entry:
             curve = reading.get_object(entry, "ParameterCurve")
             name = str(curve.get("ParameterID"))
@@ -201,10 +214,12 @@ def decode_pattern(record: dict[str, Any], origin: Provenance, path: Path) -> tu
         raise reading.make_error("its pattern holds no haptic event")
     if len(events) + len(clicks) > MAX_EVENTS:
         raise reading.make_error(f"it holds more than {MAX_EVENTS} events")
-    control = {name: _concatenate_curves(found, 1.0 if name == INTENSITY else 0.0) for name, found in curves.items()}
-    strangers = sorted(ignored)
-    more = (f"and {len(strangers) - MAX_IGNORED_LISTED} more",) if len(strangers) > MAX_IGNORED_LISTED else ()
-    return _combine_events(events, clicks, control, origin), (*strangers[:MAX_IGNORED_LISTED], *more)
+    control = {name: _concatenate_curves(parts, 1.0 if name == INTENSITY else 0.0) for name, parts in curves.items()}
+    ignored_names = sorted(ignored)
+    remainder = (
+        (f"and {len(ignored_names) - MAX_IGNORED_LISTED} more",) if len(ignored_names) > MAX_IGNORED_LISTED else ()
+    )
+    return _combine_events(events, clicks, control, origin), (*ignored_names[:MAX_IGNORED_LISTED], *remainder)
 
 
 def _combine_events(
@@ -213,53 +228,59 @@ def _combine_events(
     control: dict[str, Curve],
     origin: Provenance,
 ) -> Envelope:
-    """Combine events (start, stop, intensity, sharpness) and clicks (time, …) with the control curves.
+    """Combine events (start, stop, intensity, sharpness) and clicks (time, intensity, sharpness) with their curves.
 
-    A linear intensity is a parabola of amplitude, so points are added every `ENVELOPE_STEP_S`. Edges are ramps of a
-    nanosecond.
+    A linear intensity is a parabola of amplitude, so points are added every `ENVELOPE_STEP_S`. Edges are ramps of 1 ns.
     """
-    over = max((stop for _, stop, _, _ in events), default=0.0)
-    end = max([over, *(at + 0.5 * EMPHASIS_DURATION_S for at, _, _ in clicks if at > over or not events)])
-    borders = np.array([border for start, stop, _, _ in events for border in (start, stop)])
+    last_stop = max((stop for _, stop, _, _ in events), default=0.0)
+    end = max([last_stop, *(at + 0.5 * EMPHASIS_DURATION_S for at, _, _ in clicks if at > last_stop or not events)])
+    edges = np.array([border for start, stop, _, _ in events for border in (start, stop)])
     knots = np.concatenate([control[name][0] for name in (INTENSITY, SHARPNESS)])
     time = np.unique(
-        np.concatenate([[0.0, end], np.arange(0.0, end, ENVELOPE_STEP_S), borders, borders + EDGE_RAMP_S, knots])
+        np.concatenate([[0.0, end], np.arange(0.0, end, ENVELOPE_STEP_S), edges, edges + EDGE_RAMP_S, knots])
     )
     time = time[(time >= 0.0) & (time <= end)]
-    level, tone = np.zeros(len(time)), np.zeros(len(time))
-    for start, stop, own_level, own_tone in events:
+    level, sharpness_values = np.zeros(len(time)), np.zeros(len(time))
+    for start, stop, event_intensity, event_sharpness in events:
         first, last = np.searchsorted(time, [start + (EDGE_RAMP_S if start else 0.0), stop + 0.5 * EDGE_RAMP_S])
-        stronger = own_level > level[first:last]
-        level[first:last] = np.where(stronger, own_level, level[first:last])
-        tone[first:last] = np.where(stronger, own_tone, tone[first:last])
+        stronger = event_intensity > level[first:last]
+        level[first:last] = np.where(stronger, event_intensity, level[first:last])
+        sharpness_values[first:last] = np.where(stronger, event_sharpness, sharpness_values[first:last])
 
-    def played(at: Any, intensity: Any, sharpness: Any) -> tuple[Any, Any]:
-        strong = np.clip(intensity * np.interp(at, *control[INTENSITY]), 0.0, 1.0)
-        sharp = np.clip(sharpness + np.interp(at, *control[SHARPNESS]), 0.0, 1.0)
-        return strong**2 * origin.full_scale_m_s2, denormalise_frequency(sharp**2, origin.range_hz)
+    def to_amplitude_and_frequency(at: Any, intensity: Any, sharpness: Any) -> tuple[Any, Any]:
+        scaled_intensity = np.clip(intensity * np.interp(at, *control[INTENSITY]), 0.0, 1.0)
+        scaled_sharpness = np.clip(sharpness + np.interp(at, *control[SHARPNESS]), 0.0, 1.0)
+        return scaled_intensity**2 * origin.full_scale_m_s2, denormalise_frequency(scaled_sharpness**2, origin.range_hz)
 
-    bursts = ((at, *played(at, own_level, own_tone)) for at, own_level, own_tone in sorted(clicks))
-    return Envelope(time, *played(time, level, tone), tuple(Emphasis(*map(float, each)) for each in bursts))
+    emphases = (
+        (at, *to_amplitude_and_frequency(at, event_intensity, event_sharpness))
+        for at, event_intensity, event_sharpness in sorted(clicks)
+    )
+    return Envelope(
+        time,
+        *to_amplitude_and_frequency(time, level, sharpness_values),
+        tuple(Emphasis(*map(float, values)) for values in emphases),
+    )
 
 
 def _read_parameters(reading: JsonReader, event: dict[str, Any], ignored: set[str]) -> tuple[float, float]:
-    """Return intensity and sharpness of an event, clamped as Apple does; missing: `ASSUMED_PARAMETERS`."""
-    found = dict(ASSUMED_PARAMETERS)
-    for each in reading.get_array(event, "EventParameters") if "EventParameters" in event else []:
-        value = reading.get_number(each, "ParameterValue", -MAX_PARAMETER_VALUE, MAX_PARAMETER_VALUE)
-        name = str(each.get("ParameterID"))
-        if name in found:
-            found[name] = min(1.0, max(0.0, value))
+    """Return intensity and sharpness of an event, clamped as Apple does; missing ones are `ASSUMED_PARAMETERS`."""
+    parameters = dict(ASSUMED_PARAMETERS)
+    for row in reading.get_array(event, "EventParameters") if "EventParameters" in event else []:
+        value = reading.get_number(row, "ParameterValue", -MAX_PARAMETER_VALUE, MAX_PARAMETER_VALUE)
+        name = str(row.get("ParameterID"))
+        if name in parameters:
+            parameters[name] = min(1.0, max(0.0, value))
         else:
             ignored.add(f"{name:.40}")
-    return found["HapticIntensity"], found["HapticSharpness"]
+    return parameters["HapticIntensity"], parameters["HapticSharpness"]
 
 
 def _list_assumptions(pattern: list[Any]) -> tuple[str, ...]:
-    """Report for how many rendered events each of `ASSUMED_PARAMETERS` was used."""
+    """List for how many events of a valid pattern each of `ASSUMED_PARAMETERS` was used."""
     events = [entry["Event"] for entry in pattern if entry.get("Event", {}).get("EventType") in RENDERED_EVENT_TYPES]
-    given = [{str(each.get("ParameterID")) for each in event.get("EventParameters", ())} for event in events]
-    missing = {name: sum(name not in each for each in given) for name in ASSUMED_PARAMETERS}
+    given = [{str(item.get("ParameterID")) for item in event.get("EventParameters", ())} for event in events]
+    missing = {name: sum(name not in item for item in given) for name in ASSUMED_PARAMETERS}
     return tuple(
         f"{'an intensity' if name == 'HapticIntensity' else 'a sharpness'} of {ASSUMED_PARAMETERS[name]:g} for "
         f"{count} of "
@@ -270,7 +291,7 @@ def _list_assumptions(pattern: list[Any]) -> tuple[str, ...]:
 
 
 def _read_curve(reading: JsonReader, curve: dict[str, Any], lowest: float) -> Curve:
-    """Return a curve with times relative to the start of the pattern."""
+    """Read a curve; its times count from the start of the pattern."""
     start = reading.get_number(curve, "Time", 0.0, MAX_TIME_S)
     rows = reading.get_array(curve, "ParameterCurveControlPoints")
     if not rows:
@@ -286,30 +307,30 @@ def _read_curve(reading: JsonReader, curve: dict[str, Any], lowest: float) -> Cu
 
 
 def _concatenate_curves(curves: list[Curve], default: float) -> Curve:
-    """Join curves in order of their starts; the value is `default` before the first and is held between them."""
+    """Join curves in the order of their starts, with `default` before the first; values are held between curves."""
     if not curves:
         return np.zeros(1), np.full(1, default)
-    curves = sorted(curves, key=lambda each: float(each[0][0]))
+    curves = sorted(curves, key=lambda curve: float(curve[0][0]))
     time = [np.zeros(1)] if curves[0][0][0] > 0.0 else []
     value = [np.full(1, default)] if curves[0][0][0] > 0.0 else []
-    held = default
-    for index, (at, to) in enumerate(curves):
-        until = curves[index + 1][0][0] if index + 1 < len(curves) else np.inf
-        here = at <= until
-        if at[0] > 0.0:
-            time.append(at[:1])
-            value.append(np.full(1, held))
-        time.append(at[here])
-        value.append(to[here])
-        held = float(np.interp(until, at, to))
+    last_value = default
+    for index, (curve_time, curve_value) in enumerate(curves):
+        next_start = curves[index + 1][0][0] if index + 1 < len(curves) else np.inf
+        before_next = curve_time <= next_start
+        if curve_time[0] > 0.0:
+            time.append(curve_time[:1])
+            value.append(np.full(1, last_value))
+        time.append(curve_time[before_next])
+        value.append(curve_value[before_next])
+        last_value = float(np.interp(next_start, curve_time, curve_value))
     return separate_equal_times(np.maximum.accumulate(np.concatenate(time))), np.concatenate(value)
 
 
 def _iter_curves(name: str, time: Float, value: Float, points: Index) -> Iterator[dict[str, Any]]:
-    """Yield curves of at most `MAX_POINTS_PER_CURVE` points, each starting at the end of the one before."""
+    """Yield curves of at most `MAX_POINTS_PER_CURVE` points, each of which starts where the previous one ends."""
     for first in range(0, max(1, len(points) - 1), MAX_POINTS_PER_CURVE - 1):
         part = points[first : first + MAX_POINTS_PER_CURVE]
-        # Rounded on the pattern's time first: the difference of a rounded and an exact one may lie before the start.
+        # Times are rounded before they are made relative; otherwise a point could lie before the start of its curve.
         at = [round(float(time[point]), _DIGITS) for point in part]
         rows = [
             {"Time": round(when - at[0], _DIGITS), "ParameterValue": round(float(value[point]), _DIGITS)}

@@ -1,12 +1,9 @@
-"""Android's waveform as JSON: durations and amplitudes of the steps of a vibration.
+"""Write and read Android waveforms: the arguments of `VibrationEffect.createWaveform(timings, amplitudes, repeat)`.
 
-The file holds the arguments of `VibrationEffect.createWaveform(timings, amplitudes, repeat)` by name (API 26;
-Android's reference of android.os.VibrationEffect), since Android publishes no file format:
-
-    {"timings": [ms …], "amplitudes": [0 … 255 …], "repeat": -1, "metadata": {…}}
-
-Both lists have the same length. A device plays the steps at its own resonance; `read_android` renders them at the
-power centroid that `metadata` holds.
+The file is {"timings": [ms …], "amplitudes": [0 … 255 …], "repeat": -1, "metadata": {…}}, with equally many timings and
+amplitudes (API 26; Android's reference of android.os.VibrationEffect). Android publishes no file format; this JSON
+holds the arguments under their names. A device plays the steps at its own resonance; the reader here uses the centroid
+frequency, which metadata holds.
 """
 
 from __future__ import annotations
@@ -27,7 +24,7 @@ from .provenance import Provenance, make_provenance_record, make_rendered_proven
 
 MAX_AMPLITUDE = 255
 STEP_MS = 10
-"""Duration of a step [ms]; a free choice, as Android takes any whole number of milliseconds."""
+"""Duration of a step [ms], a choice of this project: Android takes any whole number of milliseconds."""
 MAX_TIMING_MS = 10_000_000
 DROPPED = (
     "The waveform and every frequency: strength over time is kept, and a device plays it at its own resonance.",
@@ -36,10 +33,9 @@ DROPPED = (
 
 
 def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write a signal as Android's steps; return what was left out, in sentences.
+    """Write a signal as an Android waveform; return sentences on what was left out.
 
-    Raises FileError if a sample is not finite, the file cannot be written, or the signal is shorter than a
-    millisecond, which Android does not play.
+    Raises FileError if a sample is not finite, the signal is shorter than 1 ms, or the file cannot be written.
     """
     envelope = compute_envelope(signal, options.range_hz, separate_clicks=False, where=str(path))
     timings, amplitudes, clipped = encode_steps(envelope, options.full_scale_m_s2)
@@ -57,26 +53,26 @@ def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[s
 
 
 def encode_steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int], list[int], int]:
-    """Return timings [ms], amplitudes 0 … 255 and the number of steps above full scale.
+    """Return timings [ms], amplitudes (0 … 255) and the number of steps above full scale.
 
-    The amplitude of a step is its root mean square. Equal neighbours are merged into one step.
+    An amplitude is the RMS of its step. Equal neighbours are merged.
     """
-    whole = round(1000.0 * envelope.duration_s)
-    edges = np.append(np.arange(0, whole, STEP_MS), whole)
-    fine = np.arange(0.5, whole, 1.0)
-    power = np.square(np.interp(1e-3 * fine, envelope.time, envelope.amplitude))
+    duration_ms = round(1000.0 * envelope.duration_s)
+    edges = np.append(np.arange(0, duration_ms, STEP_MS), duration_ms)
+    midpoints_ms = np.arange(0.5, duration_ms, 1.0)
+    power = np.square(np.interp(1e-3 * midpoints_ms, envelope.time, envelope.amplitude))
     level = np.sqrt([power[first:last].mean() for first, last in pairwise(edges)])
-    share = np.round(level / full_scale_m_s2, 12)
-    counts = np.minimum(np.rint(MAX_AMPLITUDE * share), MAX_AMPLITUDE).astype(int)
+    relative_level = np.round(level / full_scale_m_s2, 12)
+    counts = np.minimum(np.rint(MAX_AMPLITUDE * relative_level), MAX_AMPLITUDE).astype(int)
     timings, amplitudes = [], []
-    for value, group in groupby(zip(np.diff(edges).tolist(), counts.tolist(), strict=True), key=lambda each: each[1]):
-        timings.append(sum(each[0] for each in group))
+    for value, group in groupby(zip(np.diff(edges).tolist(), counts.tolist(), strict=True), key=lambda step: step[1]):
+        timings.append(sum(step[0] for step in group))
         amplitudes.append(value)
-    return timings, amplitudes, int(np.count_nonzero(share > 1.0))
+    return timings, amplitudes, int(np.count_nonzero(relative_level > 1.0))
 
 
 def compute_centre_frequency(envelope: Envelope) -> float:
-    """Return the mean frequency weighted by power [Hz]."""
+    """Return the mean frequency [Hz], weighted with power."""
     power = np.square(envelope.amplitude)
     if not power.any():
         return float(envelope.frequency[0])
@@ -84,10 +80,9 @@ def compute_centre_frequency(envelope: Envelope) -> float:
 
 
 def read_android(path: Path, options: ImportOptions) -> Signal:
-    """Render the steps of a file as acceleration [m/s²].
+    """Read the steps of a file and render them at the frequency in metadata, else at the middle of the range.
 
-    The carrier has the frequency that the metadata states, otherwise the middle of the range. Raises FileError if the
-    file is damaged.
+    Raises FileError if the file is damaged.
     """
     record = read_json(path)
     metadata = record.get("metadata")
@@ -101,26 +96,31 @@ def read_android(path: Path, options: ImportOptions) -> Signal:
 
 
 def decode_steps(record: dict[str, Any], origin: Provenance, path: Path) -> Envelope:
-    """Return the steps as an envelope [m/s²] with ramps of a nanosecond. Raises FileError."""
+    """Return the envelope of the steps in m/s², with ramps of 1 ns between them.
+
+    Raises FileError if the steps are damaged or repeat for ever.
+    """
     reading = JsonReader(path)
     timings, amplitudes = reading.get_array(record, "timings"), reading.get_array(record, "amplitudes")
     if len(timings) != len(amplitudes):
         raise reading.make_error(f"it has {len(timings)} timings and {len(amplitudes)} amplitudes")
     if "repeat" in record and reading.get_number(record, "repeat", -1, 1e9) != -1:
         raise reading.make_error("it repeats for ever, which no file can hold")
-    length = np.array([reading.get_number({"timing": each}, "timing", 0, MAX_TIMING_MS) for each in timings])
-    level = np.array([reading.get_number({"amplitude": each}, "amplitude", 0, MAX_AMPLITUDE) for each in amplitudes])
+    length = np.array([reading.get_number({"timing": value}, "timing", 0, MAX_TIMING_MS) for value in timings])
+    level = np.array([reading.get_number({"amplitude": value}, "amplitude", 0, MAX_AMPLITUDE) for value in amplitudes])
     if not length.sum() > 0.0:
         raise reading.make_error("all its timings are 0")
-    played = length > 0.0
-    end = np.cumsum(length[played]) / 1000.0
+    nonzero = length > 0.0
+    end = np.cumsum(length[nonzero]) / 1000.0
     start = np.concatenate([[0.0], end[:-1] + 1e-9])
     time = np.stack([start, end], axis=1).ravel()
-    amplitude = np.repeat(level[played] / MAX_AMPLITUDE * origin.full_scale_m_s2, 2)
-    middle = 0.5 * (origin.range_hz[0] + origin.range_hz[1])
-    stated = _has_frequency(record)
-    hertz = reading.get_number(record["metadata"], "frequency_hz", *origin.range_hz) if stated else middle
-    return Envelope(time, amplitude, np.full(len(time), hertz))
+    amplitude = np.repeat(level[nonzero] / MAX_AMPLITUDE * origin.full_scale_m_s2, 2)
+    centre_hz = 0.5 * (origin.range_hz[0] + origin.range_hz[1])
+    has_frequency = _has_frequency(record)
+    frequency_hz = (
+        reading.get_number(record["metadata"], "frequency_hz", *origin.range_hz) if has_frequency else centre_hz
+    )
+    return Envelope(time, amplitude, np.full(len(time), frequency_hz))
 
 
 def _has_frequency(record: dict[str, Any]) -> bool:

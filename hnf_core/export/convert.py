@@ -1,7 +1,6 @@
-"""Export a signal to a format and import it back: the entry points for the command line and Blender.
+"""Export a signal to a format and import one from it, as the command line and Blender both do.
 
-An export also writes a sidecar, and for some formats a mesh. Files at these paths that belong to something else are
-never overwritten.
+Also checks that an export, its sidecar and its mesh overwrite no file that they do not own.
 """
 
 from __future__ import annotations
@@ -26,30 +25,39 @@ from .provenance import get_sidecar_path, is_sidecar, write_sidecar
 
 
 def check_output_paths(path: Path, *, with_mesh: bool) -> None:
-    """Check that an export to `path` overwrites nothing but its own earlier files, before anything is written.
+    """Check that an export to `path` overwrites nothing but its own earlier files.
 
-    `with_mesh` includes the mesh next to the file. Raises FileError if the path, its sidecar or its mesh is another
-    file.
+    Parameters
+    ----------
+    path : Path
+        File to export to.
+    with_mesh : bool
+        Whether a mesh may be written next to it.
+
+    Raises
+    ------
+    FileError
+        If the file, its sidecar or its mesh would replace something else.
     """
-    note = get_sidecar_path(path)
-    for each in (path, note, *((get_mesh_path(path),) if with_mesh else ())):
-        if each.is_dir():
-            raise FileError("is a folder, and no file.", where=str(each), remedy=suggest_other_path(each))
+    sidecar = get_sidecar_path(path)
+    for output in (path, sidecar, *((get_mesh_path(path),) if with_mesh else ())):
+        if output.is_dir():
+            raise FileError("is a folder, and no file.", where=str(output), remedy=suggest_other_path(output))
     if is_sidecar(path):
         raise _occupied_error(
             path, f"it is the note of {path.name.removesuffix('.json')}, and says what its numbers stand for."
         )
-    if os.path.lexists(note) and not is_sidecar(note):
-        raise _occupied_error(note, f"here goes the note of {path.name}, and another file is in its place.")
-    if with_mesh and os.path.lexists(there := get_mesh_path(path)) and not _is_exported_mesh(there):
-        raise _occupied_error(there, f"here goes the mesh of {path.name}, and another file is in its place.")
+    if os.path.lexists(sidecar) and not is_sidecar(sidecar):
+        raise _occupied_error(sidecar, f"here goes the note of {path.name}, and another file is in its place.")
+    if with_mesh and os.path.lexists(mesh := get_mesh_path(path)) and not _is_exported_mesh(mesh):
+        raise _occupied_error(mesh, f"here goes the mesh of {path.name}, and another file is in its place.")
     owner = path.with_name(path.stem)
     if owner.suffix.lower() == ".hjif" and owner.exists() and get_mesh_path(owner) == path and _is_exported_mesh(path):
         raise _occupied_error(path, f"it is the mesh of {owner.name}, which counts its vertices.")
 
 
 def _is_exported_mesh(path: Path) -> bool:
-    """Return True for a GLB that this project wrote next to a texture: it has no sidecar of its own."""
+    """Return whether a file is the mesh of an exported texture: a GLB of this project without a sidecar."""
     if not path.exists() or get_sidecar_path(path).exists():
         return False
     try:
@@ -64,23 +72,23 @@ def _occupied_error(path: Path, why: str) -> FileError:
 
 
 CHECKED_PREFIX = "This file was read again by hnf. Files of this writer are checked in the tests against"
-"""Beginning of the sentence on a file's checks: more than reading it back was not done with this file."""
+"""Beginning of the sentence on how a file was checked; no more is known of an individual file."""
 
 
 @dataclass(frozen=True)
 class ExportResult:
-    """Result of an export.
+    """An exported file and what the conversion lost.
 
     Attributes
     ----------
     path : Path
-        Written file.
+        The file.
     form : Format
         Its format.
     options : ExportOptions
-        Options it was written with; they hold the full scale.
+        Options it was written with, full scale included.
     loss : ConversionLoss
-        Loss measured on the file after reading it back.
+        Loss, measured on the file after it was read again.
     """
 
     path: Path
@@ -95,8 +103,8 @@ class ExportResult:
 
     @property
     def clipped(self) -> str:
-        """Sentence on values above full scale; empty if there are none."""
-        return next((each for each in self.dropped if each.startswith(CLIPPED_PREFIX)), "")
+        """Sentence on values above full scale; empty if there were none."""
+        return next((sentence for sentence in self.dropped if sentence.startswith(CLIPPED_PREFIX)), "")
 
     def to_json(self) -> dict[str, Any]:
         scaled = self.form.scaled
@@ -111,39 +119,40 @@ class ExportResult:
         }
 
     def report(self) -> str:
-        """Format the result as several lines for the terminal."""
+        """Format the result for a terminal, in several lines."""
         scale = f"1 = {self.options.full_scale_m_s2:g} m/s²" if self.form.states_scale else "in m/s²"
         return f"{self.path}: {self.form.what}; {scale}\n{format_loss_table(self.loss)}"
 
 
 def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptions, blend: str = "") -> ExportResult:
-    """Write a signal and its sidecar, read the file back, and measure the loss.
+    """Export a signal, write its sidecar, read the file again and measure the loss.
+
+    Envelopes are rendered with the signal's seed, at its rate or at one that covers the range.
 
     Parameters
     ----------
     signal : Signal
-        Acceleration [m/s²].
+        Signal in m/s².
     form : Format
         Format to write.
     path : Path
-        File to write, atomically; the sidecar is written to path.json.
+        File to write, atomically. The sidecar is `path` with ".json" appended.
     options : ExportOptions
-        Scale, range, envelope error and surface.
+        Full scale, range and surface.
     blend : str
-        Name of the .blend file that the signal comes from, for the sidecar.
+        Name of the .blend file with the signal's stroke, for the sidecar.
 
     Returns
     -------
     ExportResult
-        The options in use and the measured loss. Envelopes are rendered with the signal's seed, at its rate or one
-        that holds the range.
+        The file and its loss.
 
     Raises
     ------
     FileError
-        If the sample rate is not valid, another file is at one of the paths, or the format cannot hold the signal.
+        If the sample rate is invalid, another file is in the way, or the format cannot hold the signal.
     UsageError
-        If the format needs an option that is missing.
+        If an option that the format needs is missing.
     """
     if not 0.0 < signal.sample_rate <= MAX_RATE_HZ:
         raise FileError(
@@ -153,9 +162,9 @@ def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptio
     options = form.fitted(signal, options)
     check_output_paths(path, with_mesh=form.word == "hjif" and has_path(options.surface))
     dropped = form.write(path, signal, options)
-    told = ImportOptions(rate_hz=choose_render_rate(signal, options.range_hz), seed=signal.seed)
-    loss = measure_loss(signal, form.read(path, told), dropped)
-    # The note holds the file's hash and what it lost, so that it comes second.
+    import_options = ImportOptions(rate_hz=choose_render_rate(signal, options.range_hz), seed=signal.seed)
+    loss = measure_loss(signal, form.read(path, import_options), dropped)
+    # The sidecar holds the hash and the loss of the file, so it is written second.
     try:
         write_sidecar(path, form.word, signal, options if form.states_scale else None, loss.to_json(), blend)
     except FileError as error:
@@ -167,25 +176,8 @@ def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptio
 
 
 def import_signal(path: Path, options: ImportOptions, form: Format | None = None) -> Signal:
-    """Read a signal from a file in any known format.
+    """Read a signal in m/s² from `path`; the format is that of its suffix if `form` is None.
 
-    Parameters
-    ----------
-    path : Path
-        File to read.
-    options : ImportOptions
-        Scale, range, rate and seed for what the file does not state.
-    form : Format, optional
-        Format of the file; by default its suffix decides.
-
-    Returns
-    -------
-    Signal
-        Acceleration [m/s²].
-
-    Raises
-    ------
-    FileError, UsageError
-        If the file is damaged or its format is not known.
+    Raises FileError if the file is damaged, UsageError if the suffix is unknown or an option is missing.
     """
     return (form or format_of_file(path)).read(path, options)

@@ -1,8 +1,8 @@
-"""Lossless CSV and NPZ files of a signal's samples.
+"""Write and read the samples themselves, without loss, as CSV and NPZ.
 
-CSV has the header `time_s,acceleration_m_s2` and one row per sample; nine digits restore every float32 exactly. The
-rate is inferred from the times; seed and provenance are in the sidecar. NPZ holds `samples` (n,) float32 [m/s²],
-`sample_rate_hz`, `seed`, and `origin`, a JSON text; all arrays are plain numbers and text, read without pickle.
+CSV: the header `time_s,acceleration_m_s2` and one row per sample, as float32 with nine digits, which restore the same
+bits. The rate is inferred from the times; seed and provenance are in the sidecar. NPZ: `samples` (n,) float32 [m/s²],
+`sample_rate_hz`, `seed`, and `origin`, a JSON text. The arrays hold plain numbers and text and are read without pickle.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from .provenance import encode_provenance, read_sidecar_provenance
 HEADER = "time_s,acceleration_m_s2"
 MAX_TABLE_BYTES = 2**29
 MAX_ROW_BYTES = 40
-"""Most bytes per row: a time with nine digits before the point and twelve after it, and a float32."""
+"""Largest size of a row [bytes]: a time of nine digits before the point and twelve after it, and a float32."""
 MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e9
 MAX_TIME_DEVIATION = 0.1
-"""Largest deviation of a row's time from the even grid, in samples; tables round their times."""
+"""Largest deviation of a time from an even grid, as a fraction of the sample interval, since tables round times."""
 
 
 def write_csv(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write a signal as a table; return what was left out, in sentences.
+    """Write a signal as a table; return sentences on what was left out.
 
-    Raises FileError if a sample is not finite, there are fewer than two samples (their times would not give a rate),
-    the table would be larger than `read_csv` accepts, or the file cannot be written.
+    Raises FileError if a sample is not finite, there are fewer than two samples (which define no rate), the table would
+    be too large to be read again, or the file cannot be written.
     """
     samples = get_finite_samples(signal, str(path))
     if len(samples) < 2:
@@ -51,10 +51,10 @@ def write_csv(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
 
 
 def read_csv(path: Path, options: ImportOptions) -> Signal:
-    """Read a table of accelerations [m/s²].
+    """Read a table; seed and provenance come from the sidecar if it matches the file.
 
-    Seed and provenance come from the sidecar if its hash matches the file. Raises FileError if the header or the
-    columns differ, the times do not rise evenly, a value is not finite, or there are fewer than two rows.
+    Raises FileError if the header is another one, times do not rise evenly, a value is not finite, or there are fewer
+    than two rows.
     """
     data = read_limited_bytes(path, MAX_TABLE_BYTES)
     try:
@@ -79,7 +79,7 @@ def read_csv(path: Path, options: ImportOptions) -> Signal:
 
 
 def _infer_rate(time: NDArray[np.float64], path: Path) -> float:
-    """Return the sample rate [Hz], as a whole number if the rounded times allow it."""
+    """Return the sample rate [Hz], a whole number if the rounded times allow one."""
     with np.errstate(over="ignore"):
         span = time[-1] - time[0]
     if not span > 0.0:
@@ -92,8 +92,8 @@ def _infer_rate(time: NDArray[np.float64], path: Path) -> float:
         )
     if np.abs((time - time[0]) * rate - np.arange(len(time))).max() > MAX_TIME_DEVIATION:
         raise FileError("its times are not even.", where=str(path), remedy="Resample it to even times.")
-    whole = float(round(rate))
-    return whole if abs(rate - whole) <= rate * max(1e-6, 2e-12 / span) else float(rate)
+    rounded = float(round(rate))
+    return rounded if abs(rate - rounded) <= rate * max(1e-6, 2e-12 / span) else float(rate)
 
 
 def write_npz(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
@@ -112,26 +112,25 @@ def write_npz(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
         for name, array in arrays.items():
             member = io.BytesIO()
             np.save(member, array, allow_pickle=False)
-            # A date of its own would make two files of one signal differ.
+            # A fixed date, so that equal signals give equal bytes.
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), member.getvalue())
     write_bytes(path, buffer.getvalue())
     return ()
 
 
 def read_npz(path: Path, options: ImportOptions) -> Signal:
-    """Read a signal from an NPZ archive.
+    """Read an archive that `write_npz` wrote.
 
-    Raises FileError if the file is no archive, an array is missing, larger than its header states or of another type,
-    or a sample is not finite.
+    Raises FileError if it is no archive, or if an array is missing, of the wrong type or size, or not finite.
     """
     data = read_limited_bytes(path, MAX_TABLE_BYTES)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            found = {name: _read_member(archive, name) for name in ("samples", "sample_rate_hz", "seed", "origin")}
-        samples, rate = found["samples"], float(found["sample_rate_hz"])
-        seed, record = int(str(found["seed"])), json.loads(str(found["origin"]))
+            arrays = {name: _read_member(archive, name) for name in ("samples", "sample_rate_hz", "seed", "origin")}
+        samples, rate = arrays["samples"], float(arrays["sample_rate_hz"])
+        seed, record = int(str(arrays["seed"])), json.loads(str(arrays["origin"]))
         facts = {str(name): str(value) for name, value in record["provenance"].items()}
-        sound = (
+        is_valid = (
             samples.ndim == 1
             and samples.dtype == np.float32
             and np.isfinite(samples).all()
@@ -140,32 +139,32 @@ def read_npz(path: Path, options: ImportOptions) -> Signal:
     except (zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError, EOFError, NotImplementedError,
             RuntimeError, RecursionError, OSError) as error:  # fmt: skip
         raise FileError(f"is no archive of a signal ({error}).", where=str(path), remedy=REEXPORT_REMEDY) from error
-    if not sound:
+    if not is_valid:
         raise FileError("its samples are no finite float32 at a rate.", where=str(path), remedy=REEXPORT_REMEDY)
     return Signal(samples, rate, seed, facts)
 
 
 def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    """Return an array after checking that its header matches the number of bytes."""
+    """Read an array after checking that its header claims no more data than the file holds."""
     info = archive.getinfo(f"{name}.npy")
     if info.file_size > MAX_TABLE_BYTES:
         raise ValueError(f"{name} is larger than {MAX_TABLE_BYTES} bytes")
     stream = io.BytesIO(archive.read(info))
-    shape, fortran, kind = _read_array_header(stream)
-    rest = stream.read()
-    if kind.hasobject or kind.kind not in "fU" or fortran or any(size < 0 for size in shape):
-        raise ValueError(f"{name} is of the kind {kind}")
+    shape, fortran, dtype = _read_array_header(stream)
+    content = stream.read()
+    if dtype.hasobject or dtype.kind not in "fU" or fortran or any(size < 0 for size in shape):
+        raise ValueError(f"{name} is of the kind {dtype}")
     count = 1
     for size in shape:
         count *= int(size)
-    if count * kind.itemsize != len(rest):
-        raise ValueError(f"{name} claims {count} values and holds {len(rest)} bytes")
-    return np.frombuffer(rest, kind, count).reshape(shape).copy()
+    if count * dtype.itemsize != len(content):
+        raise ValueError(f"{name} claims {count} values and holds {len(content)} bytes")
+    return np.frombuffer(content, dtype, count).reshape(shape).copy()
 
 
 def _read_array_header(stream: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return shape, Fortran order and dtype of the next array; numpy parses the header without evaluating it."""
+    """Read shape, Fortran order and dtype of the array that follows; numpy parses the literal without evaluating it."""
     layout: Any = np.lib.format
     read = layout.read_array_header_1_0 if layout.read_magic(stream) == (1, 0) else layout.read_array_header_2_0
-    shape, fortran, kind = read(stream)
-    return shape, fortran, kind
+    shape, fortran, dtype = read(stream)
+    return shape, fortran, dtype

@@ -1,8 +1,4 @@
-"""Fidelity of a conversion, measured on the written file after reading it back.
-
-Level, peak, crest factor, dynamics and octave band levels of the original and the decoded signal are compared, and
-printed as a table or stored as JSON.
-"""
+"""Measure what a conversion lost, from the signal before it and the written file decoded again."""
 
 from __future__ import annotations
 
@@ -18,10 +14,10 @@ from ..signal import Signal
 
 FRAME_S = 0.02
 SILENCE_DB = -120.0
-"""Level below which a signal is silent [dB re 1 m/s²]."""
+"""Level [dB re 1 m/s²] below which a signal is silent."""
 SILENT_OUTPUT = "All of it: what is read back is silent. A .wav in m/s² keeps every sample."
 BAND_RANGE_DB = 60.0
-"""Bands this far below the loudest are left out of the table [dB]."""
+"""Range below the loudest band [dB]; softer bands are left out of tables."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +26,14 @@ class SignalStats:
 
     Attributes
     ----------
-    duration_s : float
-        Duration [s].
-    sample_rate_hz : float
-        Sample rate [Hz].
+    duration_s, sample_rate_hz : float
+        Duration [s] and sample rate [Hz].
     rms, peak : float
-        Root mean square and largest absolute value [m/s²].
+        RMS and peak [m/s²].
     crest_db : float or None
-        Peak over RMS [dB]; None for silence.
+        Ratio of peak to RMS [dB]; None for silence.
     range_db : float or None
-        5th to 95th percentile of the levels of 20 ms frames [dB]; None for silence.
+        Range from the 5th to the 95th percentile of the levels of 20 ms frames [dB]; None for silence.
     """
 
     duration_s: float
@@ -52,16 +46,16 @@ class SignalStats:
 
 @dataclass(frozen=True)
 class ConversionLoss:
-    """Difference between a signal and its converted form.
+    """Difference between a signal before and after a conversion.
 
     Attributes
     ----------
     before, after : SignalStats
-        Statistics of the original and of the decoded signal.
+        Statistics before and after.
     bands : tuple of BandChange
         Energy per octave band.
     exact : bool
-        Every sample is unchanged.
+        Whether every sample is unchanged.
     dropped : tuple of str
         Sentences on what the format cannot hold.
     """
@@ -94,27 +88,27 @@ class ConversionLoss:
 
 
 def measure_loss(before: Signal, after: Signal, dropped: tuple[str, ...] = ()) -> ConversionLoss:
-    """Compare a signal with its decoded form.
+    """Compare a signal with the one that was read from its exported file.
 
     Parameters
     ----------
     before : Signal
-        Original signal [m/s²].
+        The signal as it was exported.
     after : Signal
-        Signal read back from the written file [m/s²].
+        The signal as it was read from the file.
     dropped : tuple of str
-        Sentences on what the format cannot hold. `SILENT_OUTPUT` comes before them if nothing is left of the signal.
+        Sentences of the writer. `SILENT_OUTPUT` is put first if nothing is left of the signal.
 
     Returns
     -------
     ConversionLoss
-        Statistics of both signals, and the change per octave band.
+        Statistics, band energies and the sentences.
     """
     bands = compare_bands(before.samples, before.sample_rate, after.samples, after.sample_rate)
     exact = before.sample_rate == after.sample_rate and np.array_equal(before.samples, after.samples)
-    was, now = compute_signal_stats(before), compute_signal_stats(after)
-    all_lost = (SILENT_OUTPUT,) if now.rms == 0.0 < was.rms else ()
-    return ConversionLoss(was, now, bands, exact, (*all_lost, *dropped))
+    stats_before, stats_after = compute_signal_stats(before), compute_signal_stats(after)
+    all_lost = (SILENT_OUTPUT,) if stats_after.rms == 0.0 < stats_before.rms else ()
+    return ConversionLoss(stats_before, stats_after, bands, exact, (*all_lost, *dropped))
 
 
 def compute_signal_stats(signal: Signal) -> SignalStats:
@@ -132,20 +126,20 @@ def _compute_range_db(samples: np.ndarray[Any, np.dtype[np.float64]], rate: floa
     if count == 0:
         return None
     power = np.square(samples[: count * frame]).reshape(count, frame).mean(axis=1)
-    heard = power[power > 10.0 ** (SILENCE_DB / 10.0)]
-    if len(heard) == 0:
+    audible = power[power > 10.0 ** (SILENCE_DB / 10.0)]
+    if len(audible) == 0:
         return None
-    low, high = np.percentile(10.0 * np.log10(heard), [5.0, 95.0])
+    low, high = np.percentile(10.0 * np.log10(audible), [5.0, 95.0])
     return float(high - low)
 
 
 def power_to_level_db(power: float) -> float | None:
-    """Convert power to a level [dB re 1 (m/s²)²]; None for silence."""
+    """Return the level of a mean square [dB re 1 (m/s²)²]; None for silence."""
     return 10.0 * math.log10(power) if power > 10.0 ** (SILENCE_DB / 10.0) else None
 
 
 def format_loss_table(loss: ConversionLoss) -> str:
-    """Format a loss as a table for the terminal; an exact conversion takes one line."""
+    """Format a loss as a table for a terminal, or as one line if the conversion is exact."""
     before, after = loss.before, loss.after
     if loss.exact:
         return _append_dropped(f"Every sample reads back as it was: {_format_stats(before)}.", loss)
@@ -167,15 +161,15 @@ def format_loss_table(loss: ConversionLoss) -> str:
 
 
 def format_rendered_summary(loss: ConversionLoss) -> str:
-    """Format the summary of a rendered signal, for which there are no original samples to compare with."""
+    """Summarise a signal rendered from a file without samples, where a loss table has nothing to compare with."""
     head = "Rendered from strength and frequency over time, and its waveform is made up"
     return _append_dropped(f"{head}: {_format_stats(loss.after)}.", loss)
 
 
 def describe_sidecar_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    """Describe the loss of an earlier export, from the `ConversionLoss.to_json` in the sidecar called `where`.
+    """Describe the loss of an earlier export, from `ConversionLoss.to_json` in the sidecar named `where`.
 
-    The sidecar's sentences are quoted unchanged, since some of them do not report a loss, for example a stated gain.
+    The sentences in "dropped" follow unchanged; not all of them are losses, for example the one that states a gain.
     """
     if loss["exact"]:
         return (f"Its export, as {where} says, kept every sample.",)
@@ -190,7 +184,7 @@ def describe_sidecar_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...
 
 
 def format_level_table(facts: SignalStats, bands: tuple[BandChange, ...]) -> str:
-    """Format crest factor, dynamics and octave band levels (`after` of each band) for the terminal."""
+    """Format crest factor, dynamics and the level of each octave band (`after` of each band) for a terminal."""
     rows: list[tuple[str, ...]] = [
         ("crest factor", _format_level(facts.crest_db)),
         ("dynamics, 5–95 %", _format_level(facts.range_db)),
@@ -200,25 +194,25 @@ def format_level_table(facts: SignalStats, bands: tuple[BandChange, ...]) -> str
 
 
 def _format_stats(facts: SignalStats) -> str:
-    at = f"{facts.duration_s:.4f} s at {facts.sample_rate_hz:g} Hz"
-    return f"{at}, {facts.rms:.3g} m/s² RMS, peak {facts.peak:.3g} m/s²"
+    length = f"{facts.duration_s:.4f} s at {facts.sample_rate_hz:g} Hz"
+    return f"{length}, {facts.rms:.3g} m/s² RMS, peak {facts.peak:.3g} m/s²"
 
 
 def _significant_bands(bands: tuple[BandChange, ...]) -> list[BandChange]:
-    """Return the bands within `BAND_RANGE_DB` of the loudest."""
+    """Return the bands that are less than `BAND_RANGE_DB` below the loudest."""
     loudest = max(max(band.before, band.after) for band in bands)
-    return [each for each in bands if max(each.before, each.after) > loudest * 10.0 ** (-BAND_RANGE_DB / 10.0)]
+    return [item for item in bands if max(item.before, item.after) > loudest * 10.0 ** (-BAND_RANGE_DB / 10.0)]
 
 
 def _align_columns(rows: list[tuple[str, ...]]) -> str:
-    """Left-align the first column and right-align the others."""
+    """Align the first column left and the others right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [[row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows]
     return "\n".join("  ".join(line).rstrip() for line in lines)
 
 
 def _append_dropped(text: str, loss: ConversionLoss) -> str:
-    return "\n".join([text, *(f"- {each}" for each in loss.dropped)])
+    return "\n".join([text, *(f"- {sentence}" for sentence in loss.dropped)])
 
 
 def _format_band(band: BandChange) -> str:
@@ -235,7 +229,7 @@ def _format_pair(before: float | None, after: float | None) -> tuple[str, str, s
 
 
 def _format_change(decibels: float) -> str:
-    # + 0.0: what rounds to nothing has no sign
+    # Adding 0.0 removes the sign of a negative zero.
     return f"{round(decibels, 1) + 0.0:+.1f} dB"
 
 

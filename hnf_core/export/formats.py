@@ -1,14 +1,14 @@
-"""Table of all file formats for a single signal: name → `Format` with its writer and reader.
+"""Table of all file formats that a signal can be written to and read from: name → `Format`.
 
-To add a format, write two functions of the types below in a file of their own, and add a `Format` with them to
-`FORMATS`. The command line, the loss report and the tests of all formats use this table.
+To add one, write the two functions below in a file of its own and add a `Format` with them to `FORMATS`. The command
+line, the loss report and the tests of all formats use this table.
 
-* A *writer* `(path, signal, options) -> (sentence, …)` writes path atomically (`hnf_core/files.py`) and returns
-  sentences on what the format cannot hold and on clipped values; the loss report measures the rest. It raises
-  FileError if the signal cannot be held (not finite, no valid rate), UsageError if an option is missing.
-* A *reader* `(path, options) -> Signal` returns m/s². If the format holds only envelopes, they are rendered on a
-  carrier (`envelope.py`). It raises one FileError for any damage, within bounded memory (`json_reader.py` does so for
-  JSON). It reads everything that the writer writes, since the loss is measured on the result.
+* A *writer* `(path, signal, options) -> (sentence, …)` writes `path` atomically (`hnf_core/files.py`) and returns
+  sentences on what the format cannot hold and on what was clipped; the loss report measures the rest. It raises
+  FileError if the signal cannot be written (not finite, unsupported rate), UsageError if an option is missing.
+* A *reader* `(path, options) -> Signal` returns m/s². A format that stores only envelopes is rendered on a carrier
+  (`envelope.py`). It raises one FileError for any defect of the file, within bounded memory (see `json_reader.py`). It
+  must read everything that the writer writes, since the loss is measured on it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Fit = Callable[[Signal, ExportOptions], ExportOptions]
 
 @dataclass(frozen=True)
 class Format:
-    """File format with its writer and reader.
+    """A file format with its writer and reader.
 
     Attributes
     ----------
@@ -45,19 +45,20 @@ class Format:
     suffix : str
         Suffix of its files, with the dot.
     what : str
-        Description in one sentence.
+        Description in a sentence.
     checked : str
-        Reference that the tests check its files against, and what was not checked.
+        References that the tests check its files against, and what was not checked.
     write, read : callable
-        Writer and reader, see the module's description.
+        Writer and reader, see the module.
     scaled : bool
-        Numbers are fractions of a full scale and of a frequency range, not m/s².
+        Whether its numbers are fractions of a full scale and of a range instead of m/s².
     surface : bool
-        Can hold the surface that the stroke was drawn on.
+        Whether it can hold the surface of the stroke.
     sampled : bool
-        Holds the waveform; otherwise amplitude and frequency over time, from which a waveform is rendered.
+        Whether it holds the waveform; otherwise it holds amplitude and frequency over time, from which reading renders
+        a waveform.
     fit : callable or None
-        Function that derives the full scale from the signal; None uses the option.
+        Derives the full scale from the signal itself; None if the options state it.
     """
 
     word: str
@@ -72,12 +73,12 @@ class Format:
     fit: Fit | None = None
 
     def fitted(self, signal: Signal, options: ExportOptions) -> ExportOptions:
-        """Return the options for writing a signal, with the full scale that `fit` derives from it."""
+        """Return the options that a file of `signal` is written with."""
         return options if self.fit is None else self.fit(signal, options)
 
     @property
     def states_scale(self) -> bool:
-        """True if a value of 1 in its files stands for a full scale."""
+        """True if 1 stands for a full scale in its files."""
         return self.scaled or self.fit is not None
 
 
@@ -146,17 +147,17 @@ SUFFIXES = tuple(sorted({each.suffix for each in FORMATS.values()}))
 
 
 def format_of(word: str) -> Format:
-    """Return the format with a given name. Raises UsageError that lists the known names."""
+    """Return the format with this name. Raises UsageError, which lists all names, if there is none."""
     if word not in FORMATS:
         raise UsageError(f"there is no format '{word}'.", remedy=f"There are: {', '.join(FORMATS)}.")
     return FORMATS[word]
 
 
 def format_of_file(path: Path) -> Format:
-    """Return the format that reads a path, by its suffix. Raises UsageError that lists the known suffixes."""
-    found = [each for each in FORMATS.values() if each.suffix == path.suffix.lower()]
-    if found:
-        return found[0]
+    """Return the format to read `path` with, by its suffix. Raises UsageError if the suffix is unknown."""
+    matching = [form for form in FORMATS.values() if form.suffix == path.suffix.lower()]
+    if matching:
+        return matching[0]
     raise UsageError(
         f"{path.name}: files of the kind '{path.suffix}' cannot be read.", remedy=f"Give one of {', '.join(SUFFIXES)}."
     )

@@ -1,22 +1,22 @@
-"""GLB files (glTF 2.0): the touched mesh with its UV map, the touch data baked onto it, and the stroke's signal.
+"""Write a touched mesh, its baked touch and a stroke's signal as GLB (glTF 2.0), and read the signal back.
 
-Container: Khronos, "glTF 2.0 Specification", 4.4 "Binary glTF Layout": magic "glTF", version 2, length; chunks of
+Container (Khronos, "glTF 2.0 Specification", 4.4 "Binary glTF Layout"): magic "glTF", version 2, length; chunks of
 uint32 length, uint32 type and data, padded to four bytes, JSON with spaces and BIN with zeros.
 
-Vertex attributes are _HNF_TOKEN (palette index, −1 untouched), _HNF_ROUGHNESS (RMS height [m]), _HNF_CONFIDENCE (0–1)
-and _HNF_VERTEX (vertex index in Blender's mesh). They are floats, since glTF allows no other exact type for −1 and
-large numbers. The palette is in extras.hnf of the mesh. The stroke's WAV is a buffer view that extras.hnf of the asset
-names, since glTF has no place for vibration data other than .hmpg.
+Mesh: glTF knows neither faces nor face corners, so corners that differ in normal, UV or baked material become separate
+vertices. Vertex attributes are _HNF_TOKEN (index into the palette, −1 untouched), _HNF_ROUGHNESS (m RMS),
+_HNF_CONFIDENCE (0–1) and _HNF_VERTEX (vertex of the mesh in Blender), all floats, since glTF has no other type for −1
+and large numbers. The palette is in extras.hnf of the mesh. The stroke's WAV is stored byte for byte in a buffer view
+that extras.hnf of the asset names, since glTF has no place for a vibration that is not .hmpg.
 
-Baked materials are textures of the extension MPEG_haptic_material (ISO/IEC 23090-14, 2nd edition; description and
-schemas: github.com/KhronosGroup/glTF, extensions/2.0/Vendor/MPEG_haptic_material). The file lists materials; a mesh
-names one by hapticMaterialIndex; a material has arrays of textures {texture, type} by property. The specification does
-not define the scale of pixel values, so each texture has its range, unit and exact values in extras.
-
-Each baked material is one taxel, a pixel in a row, and a separate UV map points at it. Values are thus not averaged
-across seams of the artist's UV map, and meshes without one work too. The properties temperature, vibration and custom
-are left out, since nothing baked defines them; so are haptic and textures of type Reference, which need binary haptic
-media (.hmpg).
+Baked touch: the extension MPEG_haptic_material (ISO/IEC 23090-14, 2nd edition; public page and schemas in
+github.com/KhronosGroup/glTF, extensions/2.0/Vendor/MPEG_haptic_material). The file lists materials; a mesh names one by
+hapticMaterialIndex; a material has arrays of textures {texture, type} by property. The page defines what a property
+means but not how pixels are scaled. So each texture has its range, unit and exact values in extras, and one texel per
+baked material: a row of pixels that a separate UV map points at. This way values are not averaged across seams of the
+artist's UV map, and a mesh without UVs works too. Left out because nothing is baked for them: temperature, vibration,
+custom. Left out because they need binary haptic media (.hmpg), which this project does not write: haptic, and textures
+of type Reference.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _MAX_GLB_BYTES = 2**32 - 1
 
 
 class BufferBuilder:
-    """Builder of a file's binary buffer with its buffer views and accessors."""
+    """Binary buffer of a glTF file, with its buffer views and accessors."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -62,7 +62,7 @@ class BufferBuilder:
         return bytes(self._data)
 
     def add_bytes(self, data: bytes, target: int | None = None) -> int:
-        """Add a buffer view aligned to four bytes; return its index."""
+        """Append bytes, aligned to four, as a new view; return its index."""
         self._data.extend(b"\0" * (-len(self._data) % 4))
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(data)}
         if target is not None:
@@ -72,14 +72,14 @@ class BufferBuilder:
         return len(self.views) - 1
 
     def add_vertices(self, values: NDArray[np.float32]) -> int:
-        """Add an accessor of (N,) or (N, k) floats with its bounds; return its index."""
+        """Append (N,) or (N, k) floats as a new accessor with bounds; return its index."""
         rows = np.ascontiguousarray(values.reshape(len(values), -1), dtype="<f4")
         bounds = {"min": [float(v) for v in rows.min(axis=0)], "max": [float(v) for v in rows.max(axis=0)]}
         view = self.add_bytes(rows.tobytes(), ARRAY_BUFFER)
         return self._add_accessor(view, _FLOAT, len(rows), _ACCESSOR_TYPES[rows.shape[1]], bounds)
 
     def add_indices(self, values: NDArray[np.uint32]) -> int:
-        """Add an accessor of vertex indices; return its index."""
+        """Append vertex indices as a new accessor; return its index."""
         flat = np.ascontiguousarray(values.ravel(), dtype="<u4")
         bounds = {"min": [int(flat.min())], "max": [int(flat.max())]}
         view = self.add_bytes(flat.tobytes(), ELEMENT_ARRAY_BUFFER)
@@ -91,7 +91,10 @@ class BufferBuilder:
 
 
 def encode_glb(tree: dict[str, Any], data: bytes, *, where: str = "glb") -> bytes:
-    """Encode a JSON tree and its one buffer as a GLB; equal input gives equal bytes. Raises FileError above 4 GB."""
+    """Encode a JSON tree and its one buffer as GLB. Equal input gives equal bytes.
+
+    Raises FileError above 4 GB.
+    """
     tree = {**tree, "buffers": [{"byteLength": len(data)}]}
     text = json.dumps(tree, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
@@ -104,7 +107,7 @@ def encode_glb(tree: dict[str, Any], data: bytes, *, where: str = "glb") -> byte
 
 
 def decode_glb(data: bytes, path: Path) -> tuple[dict[str, Any], bytes]:
-    """Return the JSON tree and the binary buffer of a GLB. Raises FileError if it is damaged."""
+    """Return the JSON tree and the buffer of a GLB. Raises FileError if it is damaged."""
     if len(data) < 20 or data[:4] != _MAGIC:
         raise _damaged_error(path, "it does not begin like a binary glTF file")
     version, total = struct.unpack_from("<II", data, 4)
@@ -155,29 +158,29 @@ def _damaged_error(path: Path, why: str) -> FileError:
 Float32 = NDArray[np.float32]
 
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Rotation from Blender (z up) to glTF (y up, right-handed; glTF 2.0, 3.4 "Coordinate System and Units")."""
+"""Rotation from Blender's axes (z up) to glTF's (y up, right-handed; glTF 2.0, 3.4 "Coordinate System and Units")."""
 
 
 @dataclass(frozen=True)
 class VertexTable:
-    """Vertices of a glTF mesh, each with a single normal, UV and face type, so that nothing is averaged.
+    """Table of N vertices, each with one normal, UV and baked material, so that nothing is averaged between faces.
 
     Attributes
     ----------
-    position : (N, 3) array
-        Position [m], y up.
-    normal : (N, 3) array
-        Unit normal.
-    uv : (N, 2) array or None
-        Texture coordinates with the origin at the upper left, as in glTF.
-    taxel : (N, 2) array
-        Texture coordinates of the face's material in the row of taxels.
-    token, roughness, confidence : (N,) array
-        Values of the face.
-    vertex : (N,) array
-        Vertex index in the surface's own mesh.
-    corner : (T, 3) uint32 array
-        Vertex index of each triangle corner.
+    position : (N, 3) float32
+        Positions [m], y up.
+    normal : (N, 3) float32
+        Unit normals.
+    uv : (N, 2) float32 or None
+        UVs with glTF's origin at the upper left.
+    taxel : (N, 2) float32
+        UVs of the face's material in the row of taxels.
+    token, roughness, confidence : (N,) float32
+        Baked values of the face.
+    vertex : (N,) float32
+        Index in the surface's own mesh.
+    corner : (T, 3) uint32
+        Rows of this table for the corners of each triangle.
     """
 
     position: Float32
@@ -192,7 +195,7 @@ class VertexTable:
 
 
 def build_vertex_table(surface: TouchedSurface) -> VertexTable:
-    """Merge triangle corners that agree in all attributes into vertices, in the order of the triangles."""
+    """Merge equal corners into vertices, in the order of the triangles."""
     mesh = surface.mesh
     count = len(mesh.triangles)
     normal = _normalise_rows(mesh.normals.reshape(-1, 3) @ Y_UP.T)
@@ -200,35 +203,32 @@ def build_vertex_table(surface: TouchedSurface) -> VertexTable:
     columns = [mesh.triangles.reshape(-1, 1).astype(np.float32), normal, np.repeat(faces, 3, axis=0)]
     if mesh.uv is not None:
         columns.append(mesh.uv.reshape(-1, 2).astype(np.float32))
-    # Large meshes have more vertices than float32 counts, so their number goes beside it, bit for bit.
+    # Vertex numbers of large meshes exceed the integers of float32, so their bits are stored instead.
     rows = np.ascontiguousarray(np.concatenate(columns, axis=1), dtype=np.float32) + np.float32(0.0)
     rows[:, 0] = mesh.triangles.reshape(-1).astype(np.int32).view(np.float32)
     first, inverse = find_distinct_rows(rows)
-    kept, vertex = rows[first], mesh.triangles.reshape(-1)[first]
+    distinct, vertex = rows[first], mesh.triangles.reshape(-1)[first]
     uv = None
     if mesh.uv is not None:
-        uv = np.stack([kept[:, 7], np.float32(1.0) - kept[:, 8]], axis=1)
+        uv = np.stack([distinct[:, 7], np.float32(1.0) - distinct[:, 8]], axis=1)
     return VertexTable(
         position=(mesh.vertices[vertex] @ Y_UP.T).astype(np.float32),
-        normal=kept[:, 1:4].copy(),
+        normal=distinct[:, 1:4].copy(),
         uv=uv,
-        taxel=compute_taxel_uv(kept[:, 4].astype(np.int64), 0 if surface.palette is None else len(surface.palette)),
-        token=kept[:, 4].copy(),
-        roughness=kept[:, 5].copy(),
-        confidence=kept[:, 6].copy(),
+        taxel=compute_taxel_uv(distinct[:, 4].astype(np.int64), 0 if surface.palette is None else len(surface.palette)),
+        token=distinct[:, 4].copy(),
+        roughness=distinct[:, 5].copy(),
+        confidence=distinct[:, 6].copy(),
         vertex=vertex.astype(np.float32),
         corner=inverse.reshape(count, 3).astype(np.uint32),
     )
 
 
 def find_distinct_rows(rows: Float32) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (index of the first of each distinct row, in order; distinct row of each row).
-
-    Rows are equal if all their bits are.
-    """
+    """Return the first row of each kind, in the order of the rows, and the kind of each row. Compares bits."""
     rows = np.ascontiguousarray(rows)
-    whole = rows.view(np.dtype((np.void, rows.strides[0]))).reshape(-1)
-    _, first, inverse = np.unique(whole, return_index=True, return_inverse=True)
+    row_bytes = rows.view(np.dtype((np.void, rows.strides[0]))).reshape(-1)
+    _, first, inverse = np.unique(row_bytes, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
@@ -236,7 +236,7 @@ def find_distinct_rows(rows: Float32) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def find_vertices_on_path(surface: TouchedSurface, table: VertexTable) -> NDArray[np.int32]:
-    """Return the sorted vertices of the triangles under the surface's path; empty without a path."""
+    """Return the sorted vertices of `table` in the triangles under the surface's path; empty if there is no path."""
     if surface.path is None:
         return np.zeros(0, dtype=np.int32)
     touched = np.unique(surface.path.triangle[surface.path.triangle > UNTOUCHED])
@@ -244,25 +244,28 @@ def find_vertices_on_path(surface: TouchedSurface, table: VertexTable) -> NDArra
 
 
 def compute_taxel_uv(token: NDArray[np.int64], entries: int) -> Float32:
-    """Return the (…, 2) pixel centre of each token in the row of taxels; the first pixel is for untouched faces."""
+    """Return (…, 2) UVs of each token's pixel centre in the row of taxels, whose first pixel is untouched surface."""
     across = (token + 1 + 0.5) / compute_taxel_row_width(entries)
     return np.asarray(np.stack([across, np.full(across.shape, 0.5)], axis=-1), dtype=np.float32)
 
 
 def compute_taxel_row_width(entries: int) -> int:
-    """Return the width of the row of taxels [px]: a power of two, for old renderers, with room for untouched."""
+    """Return the width of a row of taxels [pixels]: a power of two with room for `entries` and the untouched surface.
+
+    Old renderers need a power of two.
+    """
     return 1 << entries.bit_length()
 
 
 def encode_placement(placement: NDArray[np.float64]) -> list[float]:
-    """Encode a surface-to-world matrix in Blender's axes as glTF's 16 column-major numbers."""
-    turn = np.eye(4)
-    turn[:3, :3] = Y_UP
-    return [float(value) for value in (turn @ placement @ turn.T).T.ravel()]
+    """Return a world ← surface matrix (Blender's axes) as glTF's 16 numbers, column by column."""
+    rotation = np.eye(4)
+    rotation[:3, :3] = Y_UP
+    return [float(value) for value in (rotation @ placement @ rotation.T).T.ravel()]
 
 
 def _normalise_rows(normals: NDArray[np.float64]) -> Float32:
-    """Normalise to unit length in float32; zero vectors point up, since glTF requires a direction."""
+    """Normalise to unit length in float32; a zero vector becomes +y, since glTF needs a direction."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     up = np.array([0.0, 1.0, 0.0])
     return np.where(length > 1e-12, normals / np.where(length > 1e-12, length, 1.0), up).astype(np.float32)
@@ -273,10 +276,10 @@ _NEAREST, _CLAMP = 9728, 33071
 
 
 def encode_haptic_material(palette: Palette, buffer: BufferBuilder, uv_map: int) -> dict[str, Any]:
-    """Return the glTF samplers, images, textures and extensions of a palette.
+    """Build glTF's samplers, images, textures and extensions for a palette.
 
-    `uv_map` is the index of the TEXCOORD that points at the taxels. A property without a value in any material is left
-    out.
+    A property without a value in any material is left out. `uv_map` is the number of the TEXCOORD that points at the
+    taxels.
     """
     roughness = np.sqrt(np.sum(10.0 ** (2.0 * palette.tokens[:, LEVELS].astype(np.float64)), axis=1))
     columns: dict[str, tuple[str, str, str, list[float | None]]] = {
@@ -320,12 +323,12 @@ def encode_palette(palette: Palette) -> dict[str, Any]:
 
 
 def _get_mechanics(palette: Palette, name: str) -> list[float | None]:
-    values = [getattr(each, name) for each in palette.mechanics]
+    values = [getattr(mechanics, name) for mechanics in palette.mechanics]
     return [None if value is None else float(value) for value in values]
 
 
 def _encode_taxel_row(values: list[float | None], largest: float) -> bytes:
-    """Encode a row of taxels as PNG: black if untouched or unknown, 255 for the largest value."""
+    """Encode a row of taxels as PNG: 0 for untouched or unknown, 255 for the largest value."""
     pixels: NDArray[np.uint8] = np.zeros((1, compute_taxel_row_width(len(values))), dtype=np.uint8)
     pixels[0, 1 : len(values) + 1] = [round(255.0 * (value or 0.0) / largest) for value in values]
     return encode_grey_png(pixels)
@@ -337,7 +340,8 @@ def encode_grey_png(pixels: NDArray[np.uint8]) -> bytes:
     Equal pixels give equal bytes with one version of zlib.
     """
     height, width = pixels.shape
-    rows = b"".join(b"\0" + row.tobytes() for row in np.ascontiguousarray(pixels))  # filter 0: as they are
+    # Each row starts with filter type 0, "None".
+    rows = b"".join(b"\0" + row.tobytes() for row in np.ascontiguousarray(pixels))
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
     chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(_encode_png_chunk(tag, body) for tag, body in chunks)
@@ -349,15 +353,14 @@ def _encode_png_chunk(tag: bytes, body: bytes) -> bytes:
 
 MAX_READ_BYTES = 512 * 2**20
 GENERATOR = "Haptic Neural Fields"
-"""Prefix of the generator entry in the files of this project."""
+"""Beginning of the "generator" of files written here."""
 _TRIANGLES = 4
 
 
 def write_glb(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write the surface in the options and the signal as GLB; return what was left out, in sentences.
+    """Write the surface in `options` with the signal; return sentences on what was left out.
 
-    Raises UsageError if the options have no surface, FileError if the signal is not finite or the file cannot be
-    written.
+    Raises UsageError if `options` has no surface, FileError if the signal is not finite or the file cannot be written.
     """
     if options.surface is None:
         raise UsageError(
@@ -374,7 +377,10 @@ def write_glb(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
 
 
 def read_glb(path: Path, options: ImportOptions) -> Signal:
-    """Read the signal from a GLB of `write_glb`. Raises FileError if the file is damaged or holds none."""
+    """Read the signal from a GLB that `write_glb` wrote, unchanged.
+
+    Raises FileError if the file is damaged or holds no signal.
+    """
     tree, block = decode_glb(read_limited_bytes(path, MAX_READ_BYTES), path)
     try:
         view = tree["asset"]["extras"]["hnf"]["signal"]["bufferView"]
@@ -388,7 +394,7 @@ def read_glb(path: Path, options: ImportOptions) -> Signal:
 def encode_surface(
     surface: TouchedSurface, table: VertexTable, signal: Signal | None = None, *, where: str = "glb"
 ) -> bytes:
-    """Encode a surface, and optionally a stroke's signal, as GLB; equal input gives equal bytes."""
+    """Encode a surface and, if given, a stroke's signal on it as GLB. Equal input gives equal bytes."""
     buffer = BufferBuilder()
     tree = _encode_tree(surface, table, buffer)
     if signal is not None:
@@ -408,8 +414,12 @@ def _encode_tree(surface: TouchedSurface, table: VertexTable, buffer: BufferBuil
         "_HNF_CONFIDENCE": buffer.add_vertices(table.confidence),
         "_HNF_VERTEX": buffer.add_vertices(table.vertex),
     }
-    maps = [each for each in (table.uv, None if surface.palette is None else table.taxel) if each is not None]
-    attributes |= {f"TEXCOORD_{number}": buffer.add_vertices(each) for number, each in enumerate(maps)}
+    maps = [
+        coordinates
+        for coordinates in (table.uv, None if surface.palette is None else table.taxel)
+        if coordinates is not None
+    ]
+    attributes |= {f"TEXCOORD_{number}": buffer.add_vertices(coordinates) for number, coordinates in enumerate(maps)}
     mesh: dict[str, Any] = {"name": surface.name, "primitives": []}
     slots = np.unique(surface.mesh.slot)
     tree: dict[str, Any] = {

@@ -1,10 +1,9 @@
-"""Meta Haptics Studio's `.haptic` 1.0.0 (formerly Lofelt Studio): amplitude, frequency and emphases over time.
+"""Write and read `.haptic` 1.0.0: amplitude, frequency and emphases over time (Meta Haptics Studio, formerly Lofelt).
 
-The format and its rules are those of the maker's own reader (github.com/Lofelt/NiceVibrations,
-`core/datamodel/README.md` and `DataModel::validate` in `core/datamodel/src/v1.rs`): there is at least one amplitude
-point; times never fall and start at 0 or later; every value is 0 … 1; an emphasis has both values and is not weaker
-than its point. Values are float32, without a limit of times or counts. metadata.description is free text; here it
-holds full scale, range and origin.
+The rules are those of the maker's own reader (github.com/Lofelt/NiceVibrations, `core/datamodel/README.md` and
+`DataModel::validate` in `core/datamodel/src/v1.rs`): at least one amplitude point; times never fall and start at 0 or
+later; every value lies in 0 … 1; an emphasis has both values and is not weaker than its point. It stores float32 and
+limits neither times nor counts. metadata.description is free text; here it holds full scale, range and provenance.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ DROPPED = (
 
 
 def write_haptic(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write a signal's envelopes as `.haptic`; return what was left out, in sentences.
+    """Write a signal as `.haptic`; return sentences on what was left out.
 
     Raises FileError if a sample is not finite or the file cannot be written.
     """
@@ -61,9 +60,9 @@ def write_haptic(path: Path, signal: Signal, options: ExportOptions) -> tuple[st
 
 
 def encode_haptic(envelope: Envelope, options: ExportOptions) -> tuple[dict[str, Any], int]:
-    """Return the file's version and signals, and the number of values that exceed full scale."""
+    """Return "version" and "signals" of the file, and the number of values above full scale."""
     strength = np.round(envelope.amplitude / options.full_scale_m_s2, 12)
-    marks = {int(np.argmin(np.abs(envelope.time - each.time_s))): each for each in envelope.emphases}
+    marks = {int(np.argmin(np.abs(envelope.time - emphasis.time_s))): emphasis for emphasis in envelope.emphases}
     points = []
     for index in select_control_points(envelope.time, strength, options.error * strength.max(), marks):
         value = _round_to_unit_range(strength[index])
@@ -75,9 +74,12 @@ def encode_haptic(envelope: Envelope, options: ExportOptions) -> tuple[dict[str,
                 "frequency": _round_to_unit_range(normalise_frequency(mark.frequency_hz, options.range_hz)),
             }
         points.append(point)
-    share = normalise_frequency(envelope.frequency, options.range_hz)
+    relative_frequency = normalise_frequency(envelope.frequency, options.range_hz)
     tones = [
-        {"time": round(float(envelope.time[index]), _DIGITS), "frequency": _round_to_unit_range(share[index])}
+        {
+            "time": round(float(envelope.time[index]), _DIGITS),
+            "frequency": _round_to_unit_range(relative_frequency[index]),
+        }
         for index in select_frequency_points(envelope)
     ]
     signals = {"continuous": {"envelopes": {"amplitude": points, "frequency": tones}}}
@@ -85,7 +87,7 @@ def encode_haptic(envelope: Envelope, options: ExportOptions) -> tuple[dict[str,
 
 
 def read_haptic(path: Path, options: ImportOptions) -> Signal:
-    """Render a file's envelopes as acceleration [m/s²]. Raises FileError if it breaks the format's rules."""
+    """Read the envelopes of a file and render them. Raises FileError for any breach of the rules above."""
     record = read_json(path)
     metadata = record.get("metadata")
     origin = parse_provenance(metadata.get("description") if isinstance(metadata, dict) else None, options)
@@ -96,19 +98,19 @@ def read_haptic(path: Path, options: ImportOptions) -> Signal:
 
 
 def _list_assumptions(record: dict[str, Any], envelope: Envelope) -> tuple[str, ...]:
-    """List the assumptions made for values that a valid file leaves out."""
+    """List what a valid file leaves undefined and how it was interpreted."""
     envelopes = record["signals"]["continuous"]["envelopes"]
-    found, first = [], float(envelopes["amplitude"][0]["time"])
+    assumptions, first = [], float(envelopes["amplitude"][0]["time"])
     if not envelopes.get("frequency"):
         hertz = envelope.frequency[0]
-        found.append(f"{hertz:g} Hz, the middle of the range, since the file gives no frequency")
+        assumptions.append(f"{hertz:g} Hz, the middle of the range, since the file gives no frequency")
     if first > 0.0:
-        found.append(f"a strength of {envelope.amplitude[0]:g} m/s² before the first point, at {first:g} s")
-    return tuple(found)
+        assumptions.append(f"a strength of {envelope.amplitude[0]:g} m/s² before the first point, at {first:g} s")
+    return tuple(assumptions)
 
 
 def decode_haptic(record: dict[str, Any], origin: Provenance, path: Path) -> Envelope:
-    """Return the file's envelopes in m/s² and Hz on a common time axis. Raises FileError."""
+    """Return the file's envelopes in m/s² and Hz, on common times. Raises FileError if the file is damaged."""
     reading = JsonReader(path)
     version = reading.get_object(record, "version")
     if reading.get_number(version, "major", 0, 1e9) != 1:
@@ -142,7 +144,7 @@ def decode_haptic(record: dict[str, Any], origin: Provenance, path: Path) -> Env
 def merge_time_axes(
     time: Float, amplitude: Float, frequency_time: Float, frequency: Float
 ) -> tuple[Float, Float, Float]:
-    """Sample two curves at the times of both, up to the end of the first: (time, amplitude, frequency)."""
+    """Resample two curves to the union of their times, up to the end of the first: (time, amplitude, frequency)."""
     both = np.unique(np.concatenate([[0.0], time, frequency_time[frequency_time < time[-1]]]))
     return both, np.interp(both, time, amplitude), np.interp(both, frequency_time, frequency)
 

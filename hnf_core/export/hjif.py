@@ -1,21 +1,22 @@
-"""Haptics JSON Interchange Format (`.hjif`, ISO/IEC 23090-31): a vibration, optionally bound to vertices.
+"""Write and read `.hjif`, the Haptics JSON Interchange Format of ISO/IEC 23090-31, which binds vibrations to vertices.
 
-The text and the JSON schema of the standard are not public. Names, types and limits follow the reference software
-(MPEGGroup/HapticReferenceSoftware, BSD: IOHaptics/src/IOJson.cpp, IOHaptics/include/IOCompatibility.h,
+The standard's text and JSON schema are not public. Names, types and limits here are those that the reference software
+reads and checks (MPEGGroup/HapticReferenceSoftware, BSD: IOHaptics/src/IOJson.cpp, IOHaptics/include/IOCompatibility.h,
 Types/src/Band.cpp), profile "Main", level 1.
 
-A signal is written as one band of type Curve with linear interpolation and one keyframe per sample, which is lossless.
-Effects are one second long and share their border keyframes, as the reference synthesiser joins them.
-amplitude_modulation is a fraction of full scale, −1 … 1; a louder signal has a gain above 1 and is not clipped. Scale,
-seed and provenance are JSON in the three descriptions (at most 255 bytes each).
+Writing: a signal is one band of type Curve with linear interpolation and one keyframe per sample, so that nothing is
+lost. Effects last one second each and share their border sample, as the reference synthesiser joins them.
+amplitude_modulation is a fraction of full scale, −1 … 1; a louder signal has a gain above 1 and is not clipped. Full
+scale in m/s², seed and provenance are JSON in the three descriptions (at most 255 bytes each).
 
-* Stroke alone: perception_modality Vibrotactile, with time ticks at the signal's own rate.
-* Stroke on a surface: VibrotactileTexture, with distance ticks of 10^unit_exponent m. The channel's `vertices` are
-  those under the stroke, in the mesh that the avatar names, NAME.hjif.glb next to the file. timescale is the mean
-  speed in ticks per second, so that a player that knows only time plays it at that speed.
+* A stroke alone: perception_modality Vibrotactile, ticks of time at the signal's own rate.
+* With its surface: VibrotactileTexture, ticks of distance (10^unit_exponent m), and a channel whose `vertices` are
+  those under the stroke, in the mesh that the avatar names: NAME.hjif.glb, written next to it. timescale is the mean
+  speed in ticks per second, so a player that supports only time plays it at that speed.
 
-The reader handles bands of the types Curve, VectorialWave and Transient. It renders them as the reference synthesiser
-does (Types/src/Band.cpp, Types/src/Effect.cpp), with a chirp's phase as the exact integral of its frequency.
+Reading: files written here, and of other files bands of the types Curve, VectorialWave and Transient. They are rendered
+as the reference software's synthesiser does (Types/src/Band.cpp, Types/src/Effect.cpp), with a chirp's phase as the
+exact integral of its frequency.
 """
 
 from __future__ import annotations
@@ -52,32 +53,32 @@ from .wav import UNITS
 VERSION, PROFILE, LEVEL = "2025", "Main", 1
 MAX_TIMESCALE = 48_000
 MAX_WRITTEN_SAMPLES = 480_000
-"""Most samples written, at some 68 bytes each: within MAX_JSON_BYTES of `json_reader.py`; 48 s at 10 kHz."""
+"""Largest number of samples: some 68 bytes each, within the 32 MB limit of `json_reader.py`; 48 s at 10 kHz."""
 MAX_TEXT_BYTES = 255
 MAX_DEVICE_HZ = 10_000.0
 MAX_VERTICES = 2**16 - 1
 TEXTURE_EXPONENTS = (-6, -5, -4)
-"""Exponents of ticks of 1, 10 or 100 µm; the finest with an allowed timescale is used."""
+"""Exponents for ticks of 1, 10 or 100 µm; the finest whose timescale the profile allows is used."""
 _PRIORITY_FACTS = ("stroke", "object", "field", "material", "library_material", "probe", "confidence")
 _REMEDY = "Write WAV instead, or shorten the stroke."
 
 
 @dataclass(frozen=True)
 class VibrotactileTexture:
-    """Vibration over the distance travelled in a stroke.
+    """Vibration over the distance of a stroke.
 
     Attributes
     ----------
-    samples : (n,) array
-        Acceleration [m/s²], one sample per tick.
+    samples : (n,) float32
+        Acceleration [m/s²], one value per tick.
     rate : int
         Ticks per second at the stroke's mean speed.
     exponent : int
         A tick is 10^exponent m.
-    vertices : array
+    vertices : (k,) int32
         Vertices under the stroke.
     mesh : str
-        File that holds these vertices.
+        Name of the mesh file that they index.
     """
 
     samples: NDArray[np.float32]
@@ -88,29 +89,29 @@ class VibrotactileTexture:
 
 
 def get_mesh_path(path: Path) -> Path:
-    """Return the path of the GLB with the vertices of a texture."""
+    """Return the path of the GLB that a texture in `path` refers to."""
     return path.with_name(f"{path.name}.glb")
 
 
 def has_path(surface: TouchedSurface | None) -> bool:
-    """Return True if the surface has a path with motion, so that a texture and its mesh are written."""
+    """Return whether the surface has a stroke with a length, so that a texture and its mesh are written."""
     return surface is not None and surface.path is not None and surface.path.mean_speed_m_s > 0.0
 
 
 def write_hjif(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write a signal as `.hjif`; return what was left out, in sentences.
+    """Write a signal as `.hjif`, and next to it the surface as `.hjif.glb` if `options` has one with a known path.
 
-    If the options hold a surface with a path, the surface is written next to it as .hjif.glb. Raises FileError if the
-    signal is not finite or longer than the format holds.
+    Returns sentences on what was left out. Raises FileError if the signal is not finite or longer than the format
+    holds.
     """
     surface, texture = options.surface, None
-    mesh, beside = get_mesh_path(path), b""
+    mesh, mesh_bytes = get_mesh_path(path), b""
     left_out: list[str] = []
     if surface is not None and surface.path is not None and has_path(surface):
         table = build_vertex_table(surface)
         vertices = find_vertices_on_path(surface, table)
         texture = make_texture(signal, surface.path, vertices[:MAX_VERTICES], mesh.name, str(path))
-        beside = encode_surface(surface, table, signal, where=str(mesh))
+        mesh_bytes = encode_surface(surface, table, signal, where=str(mesh))
         left_out.append(
             f"Time and force: a texture lies along the stroke's way of {m_to_mm(surface.path.length_m):.3g} mm, as it "
             f"was pressed, without the moments at rest; read back, it is played at its mean speed, "
@@ -122,13 +123,15 @@ def write_hjif(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
         left_out.append(f"The vertices: where the stroke goes on object '{surface.name}' is not known.")
     else:
         left_out.append("The vertices: they are on the baked scene, which was not given.")
-    cut = [name for name in signal.provenance if name not in _select_facts(signal.provenance)]
-    if cut:
-        left_out.append(f"Of its origin: {', '.join(sorted(cut))}. A description holds 255 bytes; the .json has all.")
+    omitted = [name for name in signal.provenance if name not in _select_facts(signal.provenance)]
+    if omitted:
+        left_out.append(
+            f"Of its origin: {', '.join(sorted(omitted))}. A description holds 255 bytes; the .json has all."
+        )
     today = datetime.date.today().isoformat()
     tree = encode_hjif(signal, options, date=today, texture=texture, where=str(path))
-    if beside:
-        write_bytes(mesh, beside)
+    if mesh_bytes:
+        write_bytes(mesh, mesh_bytes)
     write_json(path, tree, indent=None)
     return tuple(left_out)
 
@@ -141,35 +144,40 @@ def encode_hjif(
     texture: VibrotactileTexture | None = None,
     where: str = "hjif",
 ) -> dict[str, Any]:
-    """Return a file's JSON objects; equal input gives equal trees.
+    """Return the file as JSON objects; equal input gives equal trees.
 
     Parameters
     ----------
     signal : Signal
-        Acceleration [m/s²].
+        Signal in m/s².
     options : ExportOptions
         Full scale and range.
     date : str
         Date in ISO 8601.
-    texture : VibrotactileTexture, optional
-        Texture to write in place of the signal's samples.
+    texture : VibrotactileTexture or None
+        Texture to write instead of samples over time.
     where : str
-        Source that error messages name.
+        File name for error messages.
+
+    Returns
+    -------
+    dict
+        The JSON tree.
 
     Raises
     ------
     FileError
-        If the signal is not finite or longer than the format holds.
+        If the signal is not finite, too long, or of an unsupported rate.
     """
     rate = _require_integer_rate(signal, where) if texture is None else texture.rate
-    given = signal if texture is None else texture_to_signal(signal, texture)
-    samples = get_finite_samples(given, where).astype(np.float64)
+    source = signal if texture is None else texture_to_signal(signal, texture)
+    samples = get_finite_samples(source, where).astype(np.float64)
     if len(samples) > MAX_WRITTEN_SAMPLES:
         why = f"{len(samples)} samples are more than the {MAX_WRITTEN_SAMPLES} that are written as text."
         raise FileError(why, where=where, remedy=_REMEDY)
     full_scale_m_s2 = options.full_scale_m_s2
     gain = max(1.0, float(np.abs(samples).max(initial=0.0)) / full_scale_m_s2)
-    head = {"hnf": __version__, "units": UNITS, "full_scale": full_scale_m_s2, "seed": signal.seed}
+    file_facts = {"hnf": __version__, "units": UNITS, "full_scale": full_scale_m_s2, "seed": signal.seed}
     channel: dict[str, Any] = {
         "id": 0,
         "description": _truncate_text(signal.provenance.get("stroke", "")),
@@ -204,7 +212,7 @@ def encode_hjif(
         "profile": PROFILE,
         "level": LEVEL,
         "date": date,
-        "description": _dump_compact_json(head),
+        "description": _dump_compact_json(file_facts),
         "timescale": rate,
         "avatars": avatars,
         "perceptions": [perception],
@@ -215,38 +223,38 @@ def encode_hjif(
 def make_texture(
     signal: Signal, path: StrokePath, vertices: NDArray[np.int32], mesh: str, where: str = "hjif"
 ) -> VibrotactileTexture:
-    """Resample a signal over the distance travelled: a(t) at t(distance), linearly interpolated, one sample per tick.
+    """Resample a signal over the distance travelled: linear interpolation of a(t) at t(distance), one sample per tick.
 
-    Samples at rest have no distance and are dropped. Raises FileError if the stroke does not move.
+    Times at rest have no extent in distance and are dropped. Raises FileError if the hand does not move.
     """
     speed = path.mean_speed_m_s
     if speed <= 0.0:
         raise FileError("the hand does not move, so no texture lies along its way.", where=where, remedy=_REMEDY)
-    fits = [each for each in TEXTURE_EXPONENTS if 1 <= round(speed / 10.0**each) <= MAX_TIMESCALE]
-    if not fits:
+    exponents = [exponent for exponent in TEXTURE_EXPONENTS if 1 <= round(speed / 10.0**exponent) <= MAX_TIMESCALE]
+    if not exponents:
         raise FileError(f"a mean speed of {speed:g} m/s fits no timescale.", where=where, remedy=_REMEDY)
-    tick = 10.0 ** fits[0]
-    first = np.flatnonzero(np.diff(path.distance, prepend=-1.0) > 0.0)
-    way = np.arange(int(path.length_m / tick + 1e-6) + 1) * tick  # 20 mm are 1999.9999999 ticks
-    time = np.interp(way, path.distance[first], path.time[first])
+    tick = 10.0 ** exponents[0]
+    moving = np.flatnonzero(np.diff(path.distance, prepend=-1.0) > 0.0)
+    distance = np.arange(int(path.length_m / tick + 1e-6) + 1) * tick  # 1e-6: 20 mm come out as 1999.9999999 ticks
+    time = np.interp(distance, path.distance[moving], path.time[moving])
     grid = np.arange(len(signal.samples)) / signal.sample_rate
     samples = np.interp(time, grid, signal.samples.astype(np.float64)) if len(grid) else np.zeros(0)
-    return VibrotactileTexture(samples.astype(np.float32), round(speed / tick), fits[0], vertices, mesh)
+    return VibrotactileTexture(samples.astype(np.float32), round(speed / tick), exponents[0], vertices, mesh)
 
 
 def texture_to_signal(signal: Signal, texture: VibrotactileTexture) -> Signal:
-    """Return the texture as a signal at the mean speed, as a reader gets it."""
+    """Return a texture as it is read back: as a signal at the mean speed."""
     return replace(signal, samples=texture.samples, sample_rate=float(texture.rate))
 
 
 def _encode_band(shares: NDArray[np.float64], rate: int) -> dict[str, Any]:
-    # Nine digits tell every float32 from its neighbours.
-    values = [float(f"{share:.9g}") for share in shares]
+    # Nine digits distinguish every float32 from its neighbours.
+    values = [float(f"{fraction:.9g}") for fraction in shares]
     effects = []
     for start in range(0, max(len(values) - 1, min(len(values), 1)), rate):
         keyframes = [
-            {"relative_position": place, "amplitude_modulation": value}
-            for place, value in enumerate(values[start : start + rate + 1])
+            {"relative_position": position, "amplitude_modulation": value}
+            for position, value in enumerate(values[start : start + rate + 1])
         ]
         effects.append(
             {"effect_type": "Basis", "position": start, "phase": 0.0, "base_signal": "Sine", "keyframes": keyframes}
@@ -261,7 +269,7 @@ def _encode_band(shares: NDArray[np.float64], rate: int) -> dict[str, Any]:
 
 
 def _encode_device(options: ExportOptions) -> dict[str, Any]:
-    """Encode the reference device, without maximum_amplitude, whose unit is not public."""
+    """Return the reference device; maximum_amplitude is left out because its unit is not public."""
     low, high = (min(hertz, MAX_DEVICE_HZ) for hertz in options.range_hz)
     name = f"a device of {options.full_scale_m_s2:g} m/s^2"
     return {"id": 0, "name": name, "minimum_frequency": low, "maximum_frequency": high}
@@ -279,17 +287,17 @@ def _require_integer_rate(signal: Signal, where: str) -> int:
 
 
 def _select_facts(provenance: Mapping[str, str]) -> dict[str, str]:
-    """Return the entries that fit into a description, the most informative first."""
-    told: dict[str, str] = {}
+    """Select the provenance facts that fit into a description, by priority."""
+    selected: dict[str, str] = {}
     ordered = [
         *(name for name in _PRIORITY_FACTS if name in provenance),
         *sorted(set(provenance) - set(_PRIORITY_FACTS)),
     ]
     for name in ordered:
-        more = {**told, name: str(provenance[name])}
-        if len(_dump_compact_json(more).encode()) <= MAX_TEXT_BYTES:
-            told = more
-    return told
+        extended = {**selected, name: str(provenance[name])}
+        if len(_dump_compact_json(extended).encode()) <= MAX_TEXT_BYTES:
+            selected = extended
+    return selected
 
 
 def _dump_compact_json(facts: Mapping[str, Any]) -> str:
@@ -302,12 +310,12 @@ def _truncate_text(text: str) -> str:
 
 Float = NDArray[np.float64]
 TRANSIENT_S = 0.022
-"""Duration of a transient [s]: two periods of a sine (TRANSIENT_DURATION_MS of the reference software)."""
+"""Duration of a transient [s]: two periods of a sine (the reference software's TRANSIENT_DURATION_MS)."""
 
 
 @dataclass(frozen=True)
 class TickGrid:
-    """Sample grid of a rendering: `count` samples at `rate` [Hz], with `timescale` ticks per second."""
+    """Rendering grid: `count` samples at `rate` per second, with `timescale` ticks per second."""
 
     count: int
     rate: int
@@ -316,16 +324,16 @@ class TickGrid:
 
 @dataclass(frozen=True)
 class EffectKeyframes:
-    """Keyframes of one effect.
+    """Keyframes of an effect.
 
     Attributes
     ----------
     start : int
-        First tick.
-    position : (k,) array
-        Ticks after the start, non-decreasing.
-    amplitude, frequency : (k,) array
-        Amplitude and frequency [Hz]; NaN if a keyframe has none.
+        Start [ticks].
+    position : (k,) float64
+        Times after the start [ticks], non-decreasing.
+    amplitude, frequency : (k,) float64
+        Amplitude and frequency [Hz]; NaN where a keyframe has none.
     phase : float
         Initial phase [rad].
     shape : str
@@ -333,11 +341,11 @@ class EffectKeyframes:
     low_hz, high_hz : float
         Limits of the band [Hz].
     linear : bool
-        Linear interpolation of a curve.
+        Whether a curve is interpolated linearly.
     joined : bool
-        Another effect starts exactly at the end of this one.
+        Whether another effect begins exactly where this one ends.
     tail : float
-        Ticks that the effect sounds on after its last keyframe.
+        Duration after the last keyframe [ticks].
     """
 
     start: int
@@ -354,51 +362,51 @@ class EffectKeyframes:
 
     @property
     def end(self) -> float:
-        """Tick at the end of the effect."""
+        """End [ticks]."""
         return self.start + (float(self.position[-1]) if len(self.position) else 0.0) + self.tail
 
 
 def render_curve(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """Return (first sample, values) of a curve: linear, or cubic with zero slope at every keyframe."""
+    """Return the first sample and the values of a curve: linear, or cubic with zero slope at each keyframe."""
     known = np.isfinite(effect.amplitude)
-    place, value = effect.position[known], effect.amplitude[known]
+    position, value = effect.position[known], effect.amplitude[known]
     first, at = _sample_ticks(effect, ticks)
-    if len(place) == 0:
+    if len(position) == 0:
         return first, np.zeros(0)
     if effect.joined and len(at) and at[-1] >= effect.position[-1]:
         at = at[:-1]
-    if effect.linear or len(place) == 1:
-        return first, np.interp(at, place, value)
-    after = np.clip(np.searchsorted(place, at, side="right"), 1, len(place) - 1)
-    wide = np.maximum(place[after] - place[after - 1], 1e-12)
-    share = np.clip((at - place[after - 1]) / wide, 0.0, 1.0)
-    return first, value[after - 1] + (value[after] - value[after - 1]) * (3.0 - 2.0 * share) * share**2
+    if effect.linear or len(position) == 1:
+        return first, np.interp(at, position, value)
+    upper = np.clip(np.searchsorted(position, at, side="right"), 1, len(position) - 1)
+    interval = np.maximum(position[upper] - position[upper - 1], 1e-12)
+    fraction = np.clip((at - position[upper - 1]) / interval, 0.0, 1.0)
+    return first, value[upper - 1] + (value[upper] - value[upper - 1]) * (3.0 - 2.0 * fraction) * fraction**2
 
 
 def render_wave(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """Return (first sample, values) of a wave with piecewise linear amplitude and frequency."""
+    """Return the first sample and the values of a wave with linear amplitude and frequency between keyframes."""
     first, at = _sample_ticks(effect, ticks)
     if len(effect.position) == 0:
         return first, np.zeros(0)
     known = np.isfinite(effect.amplitude)
     amplitude = np.interp(at, effect.position[known], effect.amplitude[known]) if known.any() else np.ones(len(at))
-    tones = np.isfinite(effect.frequency)
+    has_frequency = np.isfinite(effect.frequency)
     cycles = np.full(len(at), effect.phase / (2.0 * np.pi))
-    if tones.any():
-        place = effect.position[tones] / ticks.timescale
-        tone = np.clip(effect.frequency[tones], effect.low_hz, effect.high_hz)
-        cycles = cycles + _integrate_frequency(at / ticks.timescale, place, tone)
+    if has_frequency.any():
+        keyframe_s = effect.position[has_frequency] / ticks.timescale
+        keyframe_hz = np.clip(effect.frequency[has_frequency], effect.low_hz, effect.high_hz)
+        cycles = cycles + _integrate_frequency(at / ticks.timescale, keyframe_s, keyframe_hz)
     return first, amplitude * _WAVEFORMS.get(effect.shape, _sine)(cycles)
 
 
 def render_transient(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """Return (first sample, values) of clicks: two periods of a sine at each keyframe."""
+    """Return the first sample and the values of clicks: two periods of a sine at each keyframe."""
     first, at = _sample_ticks(effect, ticks)
     values = np.zeros(len(at))
-    for place, amplitude in zip(effect.position, effect.amplitude, strict=True):
-        inside = slice(*np.searchsorted(at, (place, place + TRANSIENT_S * ticks.timescale)))
-        turn = (at[inside] - place) / (TRANSIENT_S * ticks.timescale)
-        values[inside] += np.nan_to_num(amplitude) * np.sin(4.0 * np.pi * turn)
+    for position, amplitude in zip(effect.position, effect.amplitude, strict=True):
+        inside = slice(*np.searchsorted(at, (position, position + TRANSIENT_S * ticks.timescale)))
+        progress = (at[inside] - position) / (TRANSIENT_S * ticks.timescale)
+        values[inside] += np.nan_to_num(amplitude) * np.sin(4.0 * np.pi * progress)
     return first, values
 
 
@@ -410,8 +418,8 @@ BAND_RENDERERS: dict[str, Callable[[EffectKeyframes, TickGrid], tuple[int, Float
 
 
 def _sample_ticks(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """Return an effect's first sample within the grid, and the ticks of all its samples relative to its start."""
-    # In whole numbers: a tick of a float grid may fall short of a keyframe that it stands on.
+    """Return the first sample of an effect within the grid, and the ticks after its start of all its samples."""
+    # In integers: a tick of a float grid may come out just below the keyframe that it coincides with.
     first = max(0, -((-effect.start * ticks.rate) // ticks.timescale))
     stop = min(ticks.count, int(effect.end * ticks.rate // ticks.timescale) + 1)
     at = np.arange(first, max(first, stop), dtype=np.float64) * ticks.timescale / ticks.rate - effect.start
@@ -419,15 +427,15 @@ def _sample_ticks(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]
 
 
 def _integrate_frequency(time: Float, keyframe_time: Float, keyframe_frequency: Float) -> Float:
-    """Integrate a piecewise linear frequency, constant outside its keyframes, from 0 to time [cycles]."""
-    knots = np.concatenate([[0.0], keyframe_time]) if keyframe_time[0] > 0.0 else keyframe_time
-    tones = (
+    """Integrate a piecewise linear frequency from 0 to `time` [cycles]; it is constant outside its keyframes."""
+    knot_time = np.concatenate([[0.0], keyframe_time]) if keyframe_time[0] > 0.0 else keyframe_time
+    knot_frequency = (
         np.concatenate([[keyframe_frequency[0]], keyframe_frequency]) if keyframe_time[0] > 0.0 else keyframe_frequency
     )
-    area = np.concatenate([[0.0], np.cumsum(np.diff(knots) * (tones[1:] + tones[:-1]) / 2.0)])
-    index = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(knots) - 1)
-    here = np.interp(time, knots, tones)
-    return np.asarray(area[index] + (time - knots[index]) * (tones[index] + here) / 2.0)
+    area = np.concatenate([[0.0], np.cumsum(np.diff(knot_time) * (knot_frequency[1:] + knot_frequency[:-1]) / 2.0)])
+    index = np.clip(np.searchsorted(knot_time, time, side="right") - 1, 0, len(knot_time) - 1)
+    frequency = np.interp(time, knot_time, knot_frequency)
+    return np.asarray(area[index] + (time - knot_time[index]) * (knot_frequency[index] + frequency) / 2.0)
 
 
 def _sine(cycles: Float) -> Float:
@@ -447,13 +455,13 @@ DEFAULT_TIMESCALE = 1000
 MAX_TICKS = 2**31 - 1
 MAX_READ_SAMPLES = 20_000_000
 MAX_GAIN = 1e45
-"""Largest float32 over the smallest full scale."""
+"""Largest accepted gain: the largest float32 over the smallest full scale."""
 _REFERENCE_REMEDY = "Render it with MPEG's reference software, and import the WAV."
 
 
 @dataclass(frozen=True)
 class _StatedScale:
-    """Full scale [m/s²], True if the file states it, and the seed of the file or the options."""
+    """Full scale [m/s²], whether the file states it, and the seed (from the options if the file states none)."""
 
     full_scale: float
     is_stated: bool
@@ -461,41 +469,41 @@ class _StatedScale:
 
 
 def read_hjif(path: Path, options: ImportOptions) -> Signal:
-    """Read the file's one channel [m/s²], at the rate that it states, otherwise at that of the options.
+    """Read the file's one channel in m/s², at the rate that it states, else at that of `options`.
 
-    A texture is rendered at the speed given by the file's timescale. Raises FileError if the file breaks the format,
+    A texture is played at the speed that the file's timescale implies. Raises FileError if the file breaks the format,
     or has several channels or bands of another type.
     """
     tree, reading = read_json(path), JsonReader(path)
     perceptions = [
-        (each, reading.get_array(_require_object(reading, each), "channels"))
-        for each in reading.get_array(tree, "perceptions")
+        (record, reading.get_array(_require_object(reading, record), "channels"))
+        for record in reading.get_array(tree, "perceptions")
     ]
-    filled = [(perception, channel) for perception, channels in perceptions for channel in channels]
-    if len(filled) != 1:
-        raise reading.make_error(f"has {len(filled)} channels, and a vibration has one")
-    perception, channel = filled[0][0], _require_object(reading, filled[0][1])
+    channels_found = [(perception, channel) for perception, channels in perceptions for channel in channels]
+    if len(channels_found) != 1:
+        raise reading.make_error(f"has {len(channels_found)} channels, and a vibration has one")
+    perception, channel = channels_found[0][0], _require_object(reading, channels_found[0][1])
     timescale = _read_integer(reading, tree, "timescale", 1, 10**6, DEFAULT_TIMESCALE)
     rate = _read_integer(reading, channel, "frequency_sampling", 1, 10**6, int(options.rate_hz))
     library = {
-        _read_integer(reading, each, "id", -1, MAX_TICKS): each
-        for each in reading.get_array(perception, "effect_library")
+        _read_integer(reading, record, "id", -1, MAX_TICKS): record
+        for record in reading.get_array(perception, "effect_library")
     }
-    parts = list(_iter_effects(reading, channel, library, timescale))
-    last = int(max((part.end for _, part in parts), default=-1.0) * rate // timescale)
-    count = _read_integer(reading, channel, "sample_count", 0, MAX_TICKS, max(last + 1, 0))
+    effects = list(_iter_effects(reading, channel, library, timescale))
+    last_sample = int(max((effect.end for _, effect in effects), default=-1.0) * rate // timescale)
+    count = _read_integer(reading, channel, "sample_count", 0, MAX_TICKS, max(last_sample + 1, 0))
     if count > MAX_READ_SAMPLES:
         raise reading.make_error(f"lasts {count / rate:.0f} s, more than can be held")
     ticks = TickGrid(count, rate, timescale)
-    shares = np.zeros(count)
-    for band, part in parts:
-        first, values = BAND_RENDERERS[band](part, ticks)
-        shares[first : first + len(values)] += values
+    relative = np.zeros(count)
+    for band, effect in effects:
+        first, values = BAND_RENDERERS[band](effect, ticks)
+        relative[first : first + len(values)] += values
     exponent = _read_integer(reading, perception, "perception_unit_exponent", -128, 127, 0)
     gain = reading.get_number(channel, "gain", -MAX_GAIN, MAX_GAIN) * 10.0**exponent
     scale = _read_scale(tree.get("description"), options)
     with np.errstate(over="ignore"):
-        samples = np.asarray(shares * (gain * scale.full_scale), dtype=np.float32)
+        samples = np.asarray(relative * (gain * scale.full_scale), dtype=np.float32)
     if not np.isfinite(samples).all():
         raise reading.make_error("some samples are beyond all measure")
     return Signal(samples, float(rate), scale.seed, _make_provenance(path, perception, scale))
@@ -504,7 +512,7 @@ def read_hjif(path: Path, options: ImportOptions) -> Signal:
 def _iter_effects(
     reading: JsonReader, channel: dict[str, Any], library: dict[int, dict[str, Any]], timescale: int
 ) -> Iterator[tuple[str, EffectKeyframes]]:
-    """Yield (band type, effect) for every effect of a channel."""
+    """Yield (band type, effect) for everything in a channel."""
     for row in reading.get_array(channel, "bands"):
         band = _require_object(reading, row)
         kind = band.get("band_type")
@@ -521,8 +529,8 @@ def _iter_effects(
         high = reading.get_number(band, "upper_frequency_limit", 0.0, 1e6)
         effects = sorted(
             (
-                _read_effect(reading, _require_object(reading, each), library)
-                for each in reading.get_array(band, "effects")
+                _read_effect(reading, _require_object(reading, record), library)
+                for record in reading.get_array(band, "effects")
             ),
             key=lambda effect: effect.start,
         )
@@ -539,16 +547,16 @@ def _read_effect(reading: JsonReader, row: dict[str, Any], library: dict[int, di
         kind = row.get("effect_type")
     if kind != "Basis":
         raise reading.make_error(f"holds an effect of type '{kind}', and only Basis and Reference can be read")
-    keyframes = [_require_object(reading, each) for each in reading.get_array(row, "keyframes")]
-    place = np.array(
-        [_read_integer(reading, each, "relative_position", 0, MAX_TICKS, 0) for each in keyframes], dtype=float
+    keyframes = [_require_object(reading, keyframe) for keyframe in reading.get_array(row, "keyframes")]
+    position = np.array(
+        [_read_integer(reading, keyframe, "relative_position", 0, MAX_TICKS, 0) for keyframe in keyframes], dtype=float
     )
-    if np.any(np.diff(place) < 0.0):
+    if np.any(np.diff(position) < 0.0):
         raise reading.make_error("the places of its keyframes fall")
     signal = row.get("base_signal")
     return EffectKeyframes(
         start=start,
-        position=place,
+        position=position,
         amplitude=_read_values(reading, keyframes, "amplitude_modulation", 1e6),
         frequency=_read_values(reading, keyframes, "frequency_modulation", 1e6),
         phase=reading.get_number(row, "phase", -1e6, 1e6),
@@ -557,9 +565,12 @@ def _read_effect(reading: JsonReader, row: dict[str, Any], library: dict[int, di
 
 
 def _read_values(reading: JsonReader, keyframes: list[dict[str, Any]], name: str, largest: float) -> Float:
-    """Read a value per keyframe; NaN if a keyframe has none."""
+    """Return a value per keyframe, NaN for those without one."""
     return np.array(
-        [reading.get_number(each, name, -largest, largest) if name in each else np.nan for each in keyframes]
+        [
+            reading.get_number(keyframe, name, -largest, largest) if name in keyframe else np.nan
+            for keyframe in keyframes
+        ]
     )
 
 
@@ -576,7 +587,10 @@ def _read_integer(reading: JsonReader, owner: Any, name: str, low: int, high: in
 
 
 def _read_scale(text: object, options: ImportOptions) -> _StatedScale:
-    """Read the scale from the file's description; without a valid one, use the options."""
+    """Return the scale that the file's description states, else that of `options`.
+
+    A description of another program states none.
+    """
     try:
         record = json.loads(text) if isinstance(text, str) else {}
         scale, seed = float(record["full_scale"]), int(record["seed"])
@@ -588,12 +602,12 @@ def _read_scale(text: object, options: ImportOptions) -> _StatedScale:
 
 
 def _make_provenance(path: Path, perception: dict[str, Any], scale: _StatedScale) -> dict[str, str]:
-    """Return the file's provenance; if it states no scale, the assumed one."""
+    """Return the provenance in the file, or else what was assumed."""
     if not scale.is_stated:
-        said = f"1 = {scale.full_scale:g} m/s² (the file states none)"
-        return {"source": path.name, "scale": said, "modality": str(perception.get("perception_modality"))}
+        scale_text = f"1 = {scale.full_scale:g} m/s² (the file states none)"
+        return {"source": path.name, "scale": scale_text, "modality": str(perception.get("perception_modality"))}
     try:
-        told = json.loads(str(perception.get("description")))
-        return {str(name): str(value) for name, value in told.items()}
+        record = json.loads(str(perception.get("description")))
+        return {str(name): str(value) for name, value in record.items()}
     except (ValueError, AttributeError, RecursionError):
         return {"source": path.name}

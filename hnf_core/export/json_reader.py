@@ -1,7 +1,4 @@
-"""Validated reading of JSON files of unknown origin.
-
-Every defect raises one FileError that names the file and the entry.
-"""
+"""Read JSON files of unknown origin: values of the expected type, or one FileError that names the file."""
 
 from __future__ import annotations
 
@@ -13,20 +10,20 @@ from ..errors import FileError
 from ..files import write_bytes
 
 MAX_JSON_BYTES = 32 * 2**20
-"""Largest file: a quarter of an hour of control points every 5 ms; a stroke takes kilobytes."""
+"""Largest file [bytes]: a quarter of an hour of control points every 5 ms; a stroke takes kilobytes."""
 _READ_BLOCK_BYTES = 2**20
 REEXPORT_REMEDY = "Export or download it again."
 
 
 def read_limited_bytes(path: Path, max_bytes: int) -> bytes:
-    """Return a file's bytes. Raises FileError if it cannot be read or exceeds `max_bytes`."""
+    """Return the file's bytes. Raises FileError if it cannot be read or exceeds `max_bytes`."""
     try:
         size = path.stat().st_size
         if size > max_bytes:
             raise FileError(f"{size / 2**20:.0f} MB are too much.", where=str(path), remedy="Split it.")
         data = bytearray()
         with path.open("rb") as stream:
-            # A device says that it is empty: what it gives is counted.
+            # A device file reports size 0, so the bytes are counted as they come.
             while len(data) <= max_bytes and (piece := stream.read(_READ_BLOCK_BYTES)):
                 data += piece
     except OSError as error:
@@ -39,29 +36,28 @@ def read_limited_bytes(path: Path, max_bytes: int) -> bytes:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file.
+    """Return the one JSON object of a file.
 
-    Raises FileError if the file exceeds `MAX_JSON_BYTES`, is not UTF-8 or not JSON (NaN and Infinity are refused), is
-    nested beyond Python's recursion limit, or holds no object.
+    Raises FileError if the file exceeds `MAX_JSON_BYTES`, is not UTF-8 or not JSON (NaN and Infinity are not), is
+    nested too deeply for Python, or holds no object.
     """
     try:
-        found = json.loads(
+        value = json.loads(
             read_limited_bytes(path, MAX_JSON_BYTES).decode("utf-8-sig"), parse_constant=_refuse_constant
         )
     except UnicodeDecodeError as error:
         raise FileError("is no UTF-8 text.", where=str(path), remedy="Save it as UTF-8.") from error
     except (ValueError, RecursionError) as error:
         raise FileError(f"is no JSON ({error}).", where=str(path), remedy=REEXPORT_REMEDY) from error
-    if not isinstance(found, dict):
+    if not isinstance(value, dict):
         raise FileError("holds no JSON object.", where=str(path), remedy=REEXPORT_REMEDY)
-    return found
+    return value
 
 
 def write_json(path: Path, record: dict[str, Any], *, indent: int | None = 1) -> None:
-    """Write a record as JSON, atomically; equal records give equal bytes.
+    """Write an object atomically; equal objects give equal bytes. With `indent` None it is one line without blanks.
 
-    With `indent` None, the text is one line without blanks. Raises FileError if the file would exceed `MAX_JSON_BYTES`
-    or cannot be written.
+    Raises FileError if the text would be too large to be read again or cannot be written.
     """
     separators = (",", ":") if indent is None else None
     text = json.dumps(record, indent=indent, separators=separators, ensure_ascii=False, allow_nan=False)
@@ -73,7 +69,7 @@ def write_json(path: Path, record: dict[str, Any], *, indent: int | None = 1) ->
 
 
 class JsonReader:
-    """Typed access to the values of one file; the first invalid value raises FileError."""
+    """Typed access to the values of one file; the first invalid one raises FileError."""
 
     def __init__(self, path: Path) -> None:
         self._where = str(path)
@@ -82,30 +78,30 @@ class JsonReader:
         return FileError(f"{why}.", where=self._where, remedy=REEXPORT_REMEDY)
 
     def get_object(self, owner: dict[str, Any], name: str) -> dict[str, Any]:
-        """Return the object at `name`."""
-        found = owner.get(name)
-        if not isinstance(found, dict):
-            raise self.make_error(f"'{name}' is missing" if found is None else f"'{name}' is no object")
-        return found
+        """Return the object `name` of `owner`."""
+        value = owner.get(name)
+        if not isinstance(value, dict):
+            raise self.make_error(f"'{name}' is missing" if value is None else f"'{name}' is no object")
+        return value
 
     def get_array(self, owner: dict[str, Any], name: str) -> list[Any]:
-        """Return the array at `name`."""
-        found = owner.get(name)
-        if not isinstance(found, list):
-            raise self.make_error(f"'{name}' is missing" if found is None else f"'{name}' is no array")
-        return found
+        """Return the array `name` of `owner`."""
+        value = owner.get(name)
+        if not isinstance(value, list):
+            raise self.make_error(f"'{name}' is missing" if value is None else f"'{name}' is no array")
+        return value
 
     def get_number(self, owner: Any, name: str, low: float, high: float) -> float:
-        """Return the number at `name`, within low … high."""
+        """Return the number `name` of `owner`, which must lie in low … high."""
         if not isinstance(owner, dict):
             raise self.make_error(f"where '{name}' should stand is no object")
-        found = owner.get(name)
-        if isinstance(found, bool) or not isinstance(found, int | float):
-            raise self.make_error(f"'{name}' is missing" if found is None else f"'{name}' is no number")
-        if not low <= found <= high:
-            shown = f"{found:g}" if -1e300 < found < 1e300 else "beyond all measure"
+        value = owner.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.make_error(f"'{name}' is missing" if value is None else f"'{name}' is no number")
+        if not low <= value <= high:
+            shown = f"{value:g}" if -1e300 < value < 1e300 else "beyond all measure"
             raise self.make_error(f"'{name}' is {shown}, and not within {low:g} … {high:g}")
-        return float(found)
+        return float(value)
 
 
 def _refuse_constant(constant: str) -> float:

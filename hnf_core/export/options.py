@@ -1,8 +1,4 @@
-"""Options of conversions, and checks that all formats share.
-
-The options hold what a format cannot state itself, above all the acceleration [m/s²] and the frequencies [Hz] that its
-unit range stands for.
-"""
+"""Options of exports and imports (full scale, range, surface), and the checks that every format makes of a signal."""
 
 from __future__ import annotations
 
@@ -16,32 +12,32 @@ from ..signal import Signal
 from .touched_surface import TouchedSurface
 
 DEFAULT_FULL_SCALE_M_S2 = 30.0
-"""Largest acceleration [m/s²] of the generic voice coil (`hnf_core/actuators/profile.py`)."""
+"""Default full scale [m/s²]: the generic voice coil's largest acceleration (`hnf_core/actuators/profile.py`)."""
 DEFAULT_RANGE_HZ = (20.0, 1000.0)
-"""Frequency range of the generic voice coil [Hz]."""
+"""Default frequency range [Hz]: that of the generic voice coil."""
 MIN_FULL_SCALE_M_S2, MAX_FULL_SCALE_M_S2 = 1e-6, 1e6
-"""Limits of a plausible full scale [m/s²]."""
+"""Accepted full scales [m/s²]; no device lies outside."""
 DEFAULT_ENVELOPE_ERROR = 0.01
 DEFAULT_RENDER_RATE_HZ = 10_000.0
 
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Options for writing a signal.
+    """Options of an export.
 
     Attributes
     ----------
     full_scale_m_s2 : float
-        Acceleration [m/s²] of the value 1.0 or the largest integer. Larger values are clipped and counted; nothing is
-        normalised.
-    range_hz : tuple of float
-        Frequencies [Hz] of the values 0 and 1.
+        Acceleration [m/s²] that 1.0, or the largest integer, of a format stands for. Larger values are clipped and
+        counted; nothing is normalised.
+    range_hz : (float, float)
+        Frequencies [Hz] that 0 and 1 stand for.
     error : float
-        Largest distance between an envelope and the lines between its control points, as a fraction of its peak.
+        Largest error of an envelope between its control points, as a fraction of its peak.
     surface : TouchedSurface or None
-        Surface that the stroke was drawn on, for formats that bind touch to geometry; None if not known.
+        Surface of the stroke, for formats that bind touch to geometry.
     full_scale_assumed : bool
-        The full scale is a default that nobody stated or measured; the sidecar records this.
+        Whether the full scale was neither stated nor measured; recorded in the sidecar.
     """
 
     full_scale_m_s2: float = DEFAULT_FULL_SCALE_M_S2
@@ -58,16 +54,16 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options for reading a signal.
+    """Options of an import; what the file itself states has priority.
 
     Attributes
     ----------
-    full_scale_m_s2, range_hz : optional
-        As in `ExportOptions`; values stated in the file take precedence. None: the defaults.
+    full_scale_m_s2, range_hz : float, (float, float) or None
+        As in `ExportOptions`; None means `DEFAULT_FULL_SCALE_M_S2` and `DEFAULT_RANGE_HZ`.
     rate_hz : float
-        Sample rate [Hz] of signals rendered from envelopes; sampled files keep their own.
+        Sample rate of signals rendered from envelopes [Hz]; samples keep their own.
     seed : int
-        Seed of the carrier's phase in rendered signals.
+        Seed of signals rendered from envelopes.
     """
 
     full_scale_m_s2: float | None = None
@@ -92,11 +88,14 @@ def _check_scale_and_range(full_scale_m_s2: float, range_hz: tuple[float, float]
 
 
 MAX_RENDERED_SAMPLES = 2**24
-"""Most samples rendered from envelopes: 28 minutes at 10 kHz; a larger request means a damaged or hostile file."""
+"""Largest number of samples rendered from an envelope: 28 minutes at 10 kHz.
+
+A file that claims more is damaged, or made to exhaust memory.
+"""
 
 
 def get_finite_samples(signal: Signal, where: str) -> NDArray[np.float32]:
-    """Return a signal's samples (n,). Raises FileError if one is not finite or the shape differs."""
+    """Return the signal's samples, (n,). Raises FileError if one is not finite or the shape is another."""
     with np.errstate(over="ignore"):
         samples = np.asarray(signal.samples, dtype="<f4")
     if samples.ndim != 1:
@@ -112,5 +111,5 @@ def get_finite_samples(signal: Signal, where: str) -> NDArray[np.float32]:
 
 
 def choose_render_rate(signal: Signal, range_hz: tuple[float, float]) -> float:
-    """Return the rate [Hz] to render a signal's envelope: its own rate, or one that holds the range."""
+    """Return the rate [Hz] to render an envelope of a signal at: the signal's own, or one that covers the range."""
     return float(min(max(round(signal.sample_rate), round(2.5 * range_hz[1]), 1), 1_000_000))

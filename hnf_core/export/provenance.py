@@ -1,7 +1,7 @@
-"""Provenance of an exported signal: its source, unit and scale, as JSON text inside a file and as a sidecar.
+"""Store the provenance and scale of a signal: as one line of text in a format's free field, and in a sidecar file.
 
-`encode_provenance` makes the line of text that formats keep in a free field. The sidecar FILE.json next to an exported
-FILE holds the same record, the loss of the export, and a hash of the file's bytes.
+The sidecar FILE.json of an exported FILE states what its numbers stand for, where the signal comes from, and the hash
+of the bytes that it describes.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _RECORD_SCHEMA = 1
 
 
 def make_provenance_record(signal: Signal, options: ExportOptions | None) -> dict[str, Any]:
-    """Return the record stored with the data: schema, units, scale, seed, rate and provenance.
+    """Return schema, units, scale, seed, rate and provenance of a signal as a JSON object.
 
-    `options` give full scale and range; None means that the numbers are accelerations in `UNITS`.
+    With `options` None the format stores m/s² directly; otherwise full scale and range are included.
     """
     scale: dict[str, Any] = {"scale": 1.0}
     if options is not None:
@@ -53,23 +53,24 @@ def make_provenance_record(signal: Signal, options: ExportOptions | None) -> dic
 
 
 def encode_provenance(signal: Signal, options: ExportOptions | None) -> str:
+    """Return `make_provenance_record` as one line of JSON."""
     return json.dumps(make_provenance_record(signal, options), ensure_ascii=False)
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Scale and source of a file's values.
+    """Scale and provenance of a file.
 
     Attributes
     ----------
     full_scale_m_s2 : float
-        Acceleration [m/s²] of the value 1.
-    range_hz : tuple of float
-        Frequencies [Hz] of the values 0 and 1.
+        Acceleration [m/s²] that 1 stands for.
+    range_hz : (float, float)
+        Frequencies [Hz] that 0 and 1 stand for.
     stated : bool
-        The file states this scale.
-    provenance : dict
-        The file's own provenance.
+        Whether the file stated both.
+    provenance : dict of str
+        The provenance in the file.
     """
 
     full_scale_m_s2: float
@@ -79,43 +80,60 @@ class Provenance:
 
 
 def parse_provenance(text: object, options: ImportOptions) -> Provenance:
-    """Parse a provenance text; without a valid one, use the options or the defaults.
+    """Return what `text` states, else what `options` or the defaults give.
 
-    Damaged text and text of other programs count as no statement.
+    A text of another program, or a damaged one, states nothing.
     """
-    mine = Provenance(
+    fallback = Provenance(
         options.full_scale_m_s2 or DEFAULT_FULL_SCALE_M_S2, options.range_hz or DEFAULT_RANGE_HZ, False, {}
     )
     try:
         record = json.loads(text) if isinstance(text, str) else {}
-        low, high = (float(each) for each in record["range_hz"])
+        low, high = (float(limit) for limit in record["range_hz"])
         scale = float(record["full_scale"])
         facts = {str(name): str(value) for name, value in record["provenance"].items()}
-        sound = (
+        is_valid = (
             record["units"] == UNITS and MIN_FULL_SCALE_M_S2 <= scale <= MAX_FULL_SCALE_M_S2 and 0.0 < low < high <= 1e5
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
-        return mine
-    return replace(mine, full_scale_m_s2=scale, range_hz=(low, high), stated=True, provenance=facts) if sound else mine
+        return fallback
+    return (
+        replace(fallback, full_scale_m_s2=scale, range_hz=(low, high), stated=True, provenance=facts)
+        if is_valid
+        else fallback
+    )
 
 
 def make_rendered_provenance(
     origin: Provenance, name: str, ignored: tuple[str, ...] = (), assumed: tuple[str, ...] = ()
 ) -> dict[str, str]:
-    """Return the provenance of a signal rendered from the envelopes in the file called `name`.
+    """Return the provenance of a signal rendered from the envelopes in the file `name`.
 
-    `ignored` lists entries that were not understood, `assumed` lists values that the file leaves open. Entries of
-    these two names in `origin` are dropped, since they describe the file before it.
+    Parameters
+    ----------
+    origin : Provenance
+        Scale and provenance of the file. Its own "ignored" and "assumed" concern an earlier file and are dropped.
+    name : str
+        Name of the file.
+    ignored : tuple of str
+        Parts of the file that were not understood.
+    assumed : tuple of str
+        Values that the file leaves undefined.
+
+    Returns
+    -------
+    dict of str
+        The provenance.
     """
     low, high = origin.range_hz
-    said = "stated in the file" if origin.stated else "the file states none"
-    named = {"ignored": "; ".join(ignored), "assumed": "; ".join(assumed)}
+    basis = "stated in the file" if origin.stated else "the file states none"
+    notes = {"ignored": "; ".join(ignored), "assumed": "; ".join(assumed)}
     return {
-        **{key: value for key, value in origin.provenance.items() if key not in named},
+        **{key: value for key, value in origin.provenance.items() if key not in notes},
         "source": name,
         "carrier": CARRIER_DESCRIPTION,
-        "scale": f"1 = {origin.full_scale_m_s2:g} m/s², 0 … 1 = {low:g} … {high:g} Hz ({said})",
-        **{key: value for key, value in named.items() if value},
+        "scale": f"1 = {origin.full_scale_m_s2:g} m/s², 0 … 1 = {low:g} … {high:g} Hz ({basis})",
+        **{key: value for key, value in notes.items() if value},
     }
 
 
@@ -123,11 +141,12 @@ SIDECAR_SCHEMA = 1
 
 
 def get_sidecar_path(path: Path) -> Path:
+    """Return the path of the sidecar of a file."""
     return path.with_name(path.name + ".json")
 
 
 def is_sidecar(path: Path) -> bool:
-    """Return True if a file is a sidecar."""
+    """Return whether a file is a sidecar of any exported file."""
     try:
         record = read_json(path)
     except FileError:
@@ -137,7 +156,7 @@ def is_sidecar(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class SourceStroke:
-    """Stroke that an exported file was made from, and its .blend file; "" if not known."""
+    """Stroke that an exported file was made from, and its .blend file ("" if unknown)."""
 
     stroke: str
     blend: str
@@ -151,17 +170,17 @@ def write_sidecar(
     Parameters
     ----------
     path : Path
-        Exported file.
+        The exported file.
     format_name : str
         Name of its format.
     signal : Signal
-        Exported signal.
+        The exported signal.
     options : ExportOptions or None
-        Scale, as in `make_provenance_record`.
+        As for `make_provenance_record`.
     loss : dict
-        `ConversionLoss.to_json` of the export.
+        The loss report as JSON.
     blend : str
-        Name of the .blend file with the stroke; "" if not known.
+        Name of the .blend file with the signal's stroke.
 
     Raises
     ------
@@ -183,7 +202,7 @@ def write_sidecar(
 
 
 def read_sidecar_provenance(path: Path) -> tuple[int, dict[str, str]] | None:
-    """Return seed and provenance from the sidecar; None if it is missing or its hash differs."""
+    """Return seed and provenance from the sidecar; None if there is none, or it describes other bytes."""
     try:
         record = _read_matching_sidecar(path)
         return int(record["seed"]), {str(name): str(value) for name, value in record["provenance"].items()}
@@ -192,23 +211,23 @@ def read_sidecar_provenance(path: Path) -> tuple[int, dict[str, str]] | None:
 
 
 def read_sidecar_loss(path: Path) -> dict[str, Any] | None:
-    """Return the loss of an export from its sidecar, as `ConversionLoss.to_json` wrote it.
+    """Return the loss of the export of `path`, as `ConversionLoss.to_json` wrote it into the sidecar.
 
-    None if the sidecar is missing or damaged, or its hash differs.
+    Returns None if there is no sidecar, or it is damaged or describes other bytes.
     """
     try:
         loss = _read_matching_sidecar(path)["loss"]
-        sound = isinstance(loss["exact"], bool) and all(isinstance(each, str) for each in loss["dropped"])
-        levels = [float(loss[when][what]) for when in ("before", "after") for what in ("rms", "peak")]
-        return dict(loss) if sound and all(0.0 <= each < math.inf for each in levels) else None
+        is_valid = isinstance(loss["exact"], bool) and all(isinstance(item, str) for item in loss["dropped"])
+        levels = [float(loss[state][key]) for state in ("before", "after") for key in ("rms", "peak")]
+        return dict(loss) if is_valid and all(0.0 <= item < math.inf for item in levels) else None
     except (FileError, OSError, KeyError, TypeError, ValueError, OverflowError):
         return None
 
 
 def _read_matching_sidecar(path: Path) -> dict[str, Any]:
-    """Return the sidecar of a file.
+    """Return the sidecar of `path` if it describes its bytes.
 
-    Raises ValueError if its hash differs from the file's, FileError if it is missing, KeyError, OSError.
+    Raises ValueError if it describes other bytes, FileError if there is none, and KeyError or OSError.
     """
     record = read_json(get_sidecar_path(path))
     if record["hash"] != content_hash(path.read_bytes()):
@@ -217,7 +236,7 @@ def _read_matching_sidecar(path: Path) -> dict[str, Any]:
 
 
 def read_source_stroke(path: Path) -> SourceStroke | None:
-    """Return the stroke that a file was made from; None if its sidecar is missing or names no stroke."""
+    """Return the stroke that `path` was made from, according to its sidecar; None if unknown."""
     try:
         record = read_json(get_sidecar_path(path))
         return SourceStroke(str(record["provenance"]["stroke"]), str(record.get("blend", "")))

@@ -1,4 +1,4 @@
-"""Baked surface and a stroke on it, for export to formats that bind touch to geometry."""
+"""A baked surface with a stroke on it, for formats that bind touch to geometry."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class StrokePath:
 
     Attributes
     ----------
-    time : (n,) array
+    time : (n,) float64
         Times [s], increasing from 0.
-    distance : (n,) array
+    distance : (n,) float64
         Distance travelled over the surface [m], non-decreasing from 0.
-    triangle : (n,) int32 array
-        Triangle of the mesh; `UNTOUCHED` without contact.
+    triangle : (n,) int32
+        Triangle under the hand; `UNTOUCHED` while it is off the surface or does not press.
     """
 
     time: Float
@@ -39,7 +39,7 @@ class StrokePath:
 
     @property
     def mean_speed_m_s(self) -> float:
-        """Mean speed over the time in motion [m/s]; 0 without motion."""
+        """Mean speed while the hand moves [m/s]; 0 if it never does."""
         moving = np.diff(self.distance) > 0.0
         seconds = float(np.diff(self.time)[moving].sum())
         return self.length_m / seconds if seconds > 0.0 else 0.0
@@ -47,33 +47,33 @@ class StrokePath:
 
 @dataclass(frozen=True)
 class TouchedSurface:
-    """Object with its baked touch data.
+    """An object with its baked touch.
 
     Attributes
     ----------
     name : str
         Name of the object.
     mesh : TriangleMesh
-        Mesh in the surface frame, z up as in Blender.
+        Mesh of T triangles in the surface frame, z up as in Blender.
     materials : tuple of str
         Material names by slot.
-    token : (T,) int32 array
-        Palette index per triangle; `UNTOUCHED` where nothing was baked.
-    roughness : (T,) float32 array
+    token : (T,) int32
+        Index into the palette; `UNTOUCHED` where nothing is baked.
+    roughness : (T,) float32
         RMS height [m].
-    confidence : (T,) float32 array
+    confidence : (T,) float32
         Confidence, 0–1.
     palette : Palette or None
-        Baked materials; None if nothing was baked.
-    placement : (4, 4) array
-        Transform from the surface frame to world metres.
+        Baked materials; None if nothing is baked.
+    placement : (4, 4) float64
+        World [m] ← surface frame.
     path : StrokePath or None
-        Path of the exported stroke; None if not known.
+        Path of the exported stroke; None if unknown.
 
     Raises
     ------
     SceneError
-        If the sizes of the parts do not match.
+        If the parts do not fit together.
     """
 
     name: str

@@ -1,10 +1,4 @@
-"""WAV files of acceleration [m/s²], with their provenance in the file.
-
-Three kinds are written. Float32 files hold m/s² at the signal's own rate and are never normalised. 16-bit PCM copies
-for actuators hold fractions of full scale: a count of 32767 is full_scale_m_s2, as in `hnf_core/actuators`. They are
-rounded without dither, so that silence stays silence and equal signals give equal bytes. Copies for listening are
-scaled to just below clipping by one gain, which the file states; they are not meant for actuators, and their loudness
-must not be compared.
+"""Write and read WAV files in m/s² (float32, never normalised), 16-bit copies for actuators, and copies to listen to.
 
 Layout (Microsoft/IBM "Multimedia Programming Interface and Data Specifications 1.0", 1991, and the 1994 revision that
 adds the fact chunk to every non-PCM format): fmt (WAVE_FORMAT_IEEE_FLOAT), fact, LIST/INFO, data. INFO holds ISFT (the
@@ -12,7 +6,15 @@ software), INAM (the stroke), ISBJ (the material) and ICMT, a JSON object
 
     {"schema": 1, "units": "m/s^2", "scale": 1.0, "seed": 7, "provenance": {"stroke": …, "material": …, "probe": …, …}}
 
-A sample (−1 … 1 for PCM) times scale is an acceleration in units.
+A sample times scale is an acceleration in units.
+
+16-bit copies: a count of 32767 is full_scale_m_s2, as in every protocol of `hnf_core/actuators`; ICMT holds the factor
+from a sample (−1 … 1) to m/s², so that `read_wav` returns accelerations again. Values are rounded, not dithered:
+silence stays silence, and equal signals give equal bytes.
+
+Copies to listen to: a signal in m/s² exceeds the −1 … 1 that players take for full scale and would be clipped. Such a
+copy is scaled to just below clipping by one gain that the file states. It is not for actuators: its loudness does not
+show the strength of a touch, and two copies cannot be compared by loudness.
 """
 
 from __future__ import annotations
@@ -40,55 +42,55 @@ SCHEMA = 1
 _PCM, _IEEE_FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _MAX_UINT32 = 2**32 - 1
 _UNKNOWN_SIZE = _MAX_UINT32
-"""Chunk size written by programs that stream to a pipe and do not know the length."""
+"""Size of a chunk whose writer did not know it in advance, for example a pipe."""
 
 
 def write_wav(path: Path, signal: Signal) -> None:
-    """Write a signal as a mono float32 WAV [m/s²] at its own rate, atomically.
+    """Write a signal as a mono float32 WAV at its own rate, in m/s², atomically.
 
     Parameters
     ----------
     path : Path
-        File to write.
+        File to write; an earlier file is unharmed if writing fails.
     signal : Signal
-        Acceleration [m/s²].
+        Signal in m/s².
 
     Raises
     ------
     FileError
-        If a sample is not finite, the rate is not a whole number of Hz, the signal exceeds a WAV's 4 GB, or the file
-        cannot be written; an earlier file at path is then unchanged.
+        If a sample is not finite, the rate is not a whole number of Hz, the file would exceed 4 GB, or it cannot be
+        written.
     """
     write_bytes(Path(path), encode_wav(signal, where=str(path)))
 
 
 def write_wav_stream(path: Path, template: Signal, sample_count: int, blocks: Iterable[NDArray[np.float32]]) -> None:
-    """Write a signal that arrives in blocks as a WAV like `write_wav`, with one block in memory at a time.
+    """Write a signal that arrives in blocks as `write_wav` does; only one block is in memory.
 
     Parameters
     ----------
     path : Path
-        File to write.
+        File to write; an earlier file is unharmed if writing fails.
     template : Signal
-        Signal without samples, for rate, seed and provenance.
+        Signal without samples, for the rate, seed and provenance.
     sample_count : int
-        Number of samples in all blocks.
-    blocks : iterable of arrays
+        Total number of samples.
+    blocks : iterable of (n,) float32
         Samples [m/s²].
 
     Raises
     ------
     FileError
-        If `write_wav` would raise it (a signal that is too long: before any block is read), or the blocks hold another
-        number of samples; an earlier file at path is then unchanged.
+        As `write_wav` (for a signal that is too long before the first block is requested), or if the blocks hold
+        another number of samples.
     """
     path = Path(path)
-    start = _encode_header(template, sample_count, str(path))
+    header = _encode_header(template, sample_count, str(path))
 
     def write(temporary: Path) -> None:
         written = 0
         with temporary.open("wb") as stream:
-            stream.write(start)
+            stream.write(header)
             for block in blocks:
                 samples = get_finite_samples(replace(template, samples=block), str(path))
                 stream.write(samples.tobytes())
@@ -100,22 +102,22 @@ def write_wav_stream(path: Path, template: Signal, sample_count: int, blocks: It
 
 
 def encode_wav(signal: Signal, *, where: str = "WAV") -> bytes:
-    """Return the bytes that `write_wav` writes; equal signals give equal bytes."""
+    """Return the bytes that `write_wav` writes. Equal signals give equal bytes."""
     samples = get_finite_samples(signal, where)
     return _encode_header(signal, len(samples), where) + samples.tobytes()
 
 
 def _encode_header(signal: Signal, count: int, where: str) -> bytes:
-    """Return all bytes of the file before its samples."""
+    """Return the part of the file before its `count` samples."""
     rate, size = signal.sample_rate, 4 * count
     if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= _MAX_UINT32 // 4):
         raise FileError(
             f"a WAV needs a whole sample rate, not {rate:g} Hz.", where=where, remedy="Synthesise at e.g. 8000 Hz."
         )
     format_chunk = struct.pack("<HHIIHHH", _IEEE_FLOAT, 1, int(rate), int(rate) * 4, 4, 32, 0)
-    head = _encode_chunk(b"fmt ", format_chunk) + _encode_chunk(b"fact", struct.pack("<I", min(count, _MAX_UINT32)))
-    head += encode_info_chunk(signal)
-    body = b"WAVE" + head + b"data" + struct.pack("<I", min(size, _MAX_UINT32))
+    chunks = _encode_chunk(b"fmt ", format_chunk) + _encode_chunk(b"fact", struct.pack("<I", min(count, _MAX_UINT32)))
+    chunks += encode_info_chunk(signal)
+    body = b"WAVE" + chunks + b"data" + struct.pack("<I", min(size, _MAX_UINT32))
     if len(body) + size > _MAX_UINT32:
         raise FileError(
             f"{count / rate:.0f} s at {rate:g} Hz is more than a WAV can hold (4 GB).",
@@ -126,7 +128,7 @@ def _encode_header(signal: Signal, count: int, where: str) -> bytes:
 
 
 def read_wav(path: Path) -> Signal:
-    """Read a mono WAV: a file of this project, or any PCM (8, 16, 24, 32 bit) or float (32, 64 bit) file.
+    """Read a mono WAV: one of this project, or any PCM (8, 16, 24, 32 bit) or float (32, 64 bit) file.
 
     Parameters
     ----------
@@ -136,20 +138,20 @@ def read_wav(path: Path) -> Signal:
     Returns
     -------
     Signal
-        Files of this project keep samples, rate, seed and provenance. A file without a unit gives PCM as −1 … 1 of
-        full scale and float as stored; provenance["units"] states this.
+        Samples, rate, seed and provenance as they were written. A file that does not state its unit gives PCM as −1 … 1
+        of full scale and float as stored, and provenance["units"] notes it.
 
     Raises
     ------
     FileError
-        If the file is missing, damaged or compressed, has several channels, or a sample is not finite.
+        If the file is missing, damaged or compressed, has several channels, or holds samples that are not finite.
     """
     path = Path(path)
     return decode_wav(_read_file(path), path)
 
 
 def read_wav_channels(path: Path) -> tuple[Signal, ...]:
-    """Read a WAV with any number of channels like `read_wav`: one signal per channel."""
+    """Read a WAV of any number of channels as `read_wav` does; return a signal per channel."""
     path = Path(path)
     return decode_wav_channels(_read_file(path), path)
 
@@ -164,7 +166,7 @@ def _read_file(path: Path) -> bytes:
 
 
 def decode_wav(data: bytes, path: Path) -> Signal:
-    """Decode the bytes of a mono WAV like `read_wav`; error messages name `path`."""
+    """Decode the bytes of a mono WAV as `read_wav` does; `path` is only for messages."""
     signals = decode_wav_channels(data, path)
     if len(signals) != 1:
         raise FileError(
@@ -174,24 +176,24 @@ def decode_wav(data: bytes, path: Path) -> Signal:
 
 
 def decode_wav_channels(data: bytes, path: Path) -> tuple[Signal, ...]:
-    """Decode the bytes of a WAV like `read_wav_channels`; error messages name `path`."""
+    """Decode the bytes of a WAV as `read_wav_channels` does."""
     if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise FileError("is not a RIFF/WAVE file.", where=str(path), remedy="Give a .wav file.")
-    form: bytes | None = None
-    content: bytes | None = None
+    format_chunk: bytes | None = None
+    data_chunk: bytes | None = None
     info: dict[str, str] = {}
     for tag, body in _iter_chunks(data[12:], str(path)):
-        if tag == b"fmt " and form is None:
-            form = body
-        elif tag == b"data" and content is None:
-            content = body
+        if tag == b"fmt " and format_chunk is None:
+            format_chunk = body
+        elif tag == b"data" and data_chunk is None:
+            data_chunk = body
         elif tag == b"LIST" and body[:4] == b"INFO":
             info = {name.decode("latin-1"): _decode_text(text) for name, text in _iter_chunks(body[4:], str(path))}
-    if form is None or content is None:
-        raise _damaged_error(path, "it has no " + ("fmt" if form is None else "data") + " chunk")
-    if len(form) < 16:
+    if format_chunk is None or data_chunk is None:
+        raise _damaged_error(path, "it has no " + ("fmt" if format_chunk is None else "data") + " chunk")
+    if len(format_chunk) < 16:
         raise _damaged_error(path, "its fmt chunk is too short")
-    rate, samples = _decode_samples(form, content, path)
+    rate, samples = _decode_samples(format_chunk, data_chunk, path)
     record = _parse_comment(info.get("ICMT", ""))
     seed, provenance = 0, {"units": "as stored", "source": path.name}
     if record is not None:
@@ -206,7 +208,7 @@ def decode_wav_channels(data: bytes, path: Path) -> tuple[Signal, ...]:
 
 
 def encode_info_chunk(signal: Signal, scale: float = 1.0) -> bytes:
-    """Encode the signal's provenance as LIST/INFO; a stored sample (PCM: −1 … 1) times scale is in m/s²."""
+    """Return LIST/INFO with the signal's provenance; a stored sample (PCM: −1 … 1) times `scale` is in m/s²."""
     return _encode_chunk(
         b"LIST", b"INFO" + b"".join(_encode_chunk(tag, text) for tag, text in _iter_info(signal, scale))
     )
@@ -231,14 +233,15 @@ def _decode_text(data: bytes) -> str:
 
 
 def _encode_chunk(tag: bytes, body: bytes) -> bytes:
-    """Encode a RIFF chunk; an odd body is padded by a byte that its size does not count."""
+    """Encode a RIFF chunk; odd bodies are padded, and the size does not count the pad byte."""
     return tag + struct.pack("<I", len(body)) + body + b"\0" * (len(body) % 2)
 
 
 def _iter_chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
     """Yield tag and body of each chunk.
 
-    Fewer than 8 trailing bytes are ignored, as by most readers. A data chunk of unknown size extends to the end.
+    Fewer than 8 trailing bytes are ignored, as most readers do. A data chunk whose size was never filled in, as by a
+    writer into a pipe, extends to the end.
     """
     at = 0
     while at + 8 <= len(data):
@@ -252,45 +255,45 @@ def _iter_chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _decode_samples(format_chunk: bytes, data_chunk: bytes, path: Path) -> tuple[int, NDArray[np.float32]]:
-    """Return sample rate [Hz] and samples (channels, n)."""
-    kind, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", format_chunk)
-    if kind == _EXTENSIBLE and len(format_chunk) >= 26:
-        kind = struct.unpack_from("<H", format_chunk, 24)[0]
+    """Return the sample rate and the samples, (channels, n)."""
+    encoding, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", format_chunk)
+    if encoding == _EXTENSIBLE and len(format_chunk) >= 26:
+        encoding = struct.unpack_from("<H", format_chunk, 24)[0]
     if channels == 0:
         raise _damaged_error(path, "it has no channel")
     if rate == 0:
         raise _damaged_error(path, "its sample rate is 0")
-    if kind not in (_PCM, _IEEE_FLOAT) or bits not in ((8, 16, 24, 32) if kind == _PCM else (32, 64)):
+    if encoding not in (_PCM, _IEEE_FLOAT) or bits not in ((8, 16, 24, 32) if encoding == _PCM else (32, 64)):
         raise FileError(
-            f"has an encoding that cannot be read (format {kind}, {bits} bits).",
+            f"has an encoding that cannot be read (format {encoding}, {bits} bits).",
             where=str(path),
             remedy="Convert it to PCM or 32-bit float.",
         )
     size = bits // 8
     if block != channels * size or len(data_chunk) % block:
         raise _damaged_error(path, "its data does not divide into whole samples")
-    if kind == _IEEE_FLOAT:
-        with np.errstate(over="ignore", invalid="ignore"):  # refused by their number, later
+    if encoding == _IEEE_FLOAT:
+        with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses samples that are not finite
             return rate, _deinterleave(np.frombuffer(data_chunk, f"<f{size}").astype(np.float32), channels)
     if bits == 8:
         values = np.frombuffer(data_chunk, np.uint8).astype(np.float64) - 128.0
     elif bits == 24:
-        wide = np.zeros((len(data_chunk) // 3, 4), np.uint8)
-        wide[:, 1:] = np.frombuffer(data_chunk, np.uint8).reshape(-1, 3)
-        values = (wide.view("<i4")[:, 0] >> 8).astype(np.float64)
+        padded = np.zeros((len(data_chunk) // 3, 4), np.uint8)
+        padded[:, 1:] = np.frombuffer(data_chunk, np.uint8).reshape(-1, 3)
+        values = (padded.view("<i4")[:, 0] >> 8).astype(np.float64)
     else:
         values = np.frombuffer(data_chunk, f"<i{size}").astype(np.float64)
     return rate, _deinterleave((values / 2.0 ** (bits - 1)).astype(np.float32), channels)
 
 
 def _deinterleave(samples: NDArray[np.float32], channels: int) -> NDArray[np.float32]:
-    """Convert interleaved samples to (channels, n)."""
+    """Reorder interleaved samples to (channels, n)."""
     return samples[None] if channels == 1 else np.ascontiguousarray(samples.reshape(-1, channels).T)
 
 
 @dataclass(frozen=True)
 class _CommentRecord:
-    """Content of the ICMT entry in files of this project."""
+    """Seed, scale and provenance from an ICMT comment of this project."""
 
     seed: int
     scale: float
@@ -298,7 +301,7 @@ class _CommentRecord:
 
 
 def _parse_comment(comment: str) -> _CommentRecord | None:
-    """Parse the ICMT entry; None if it is not from this project."""
+    """Parse an ICMT comment; None if it is not this project's."""
     try:
         record = json.loads(comment)
         if record["units"] != UNITS or not isinstance(record["provenance"], dict):
@@ -315,20 +318,20 @@ def _damaged_error(path: Path, why: str) -> FileError:
 
 FULL_SCALE_COUNTS = 32767
 UNSTATED_UNITS = "as stored"
-"""Unit that `read_wav` reports for a file without one."""
+"""Value of provenance["units"] for a file that states no unit."""
 _PCM16_DIVISOR = 32768.0
 """Divisor that maps 16-bit samples to −1 … 1."""
 _MAX_COPY_BYTES = 2**32 - 2**16
 
 
 def write_native_wav(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write float32 [m/s²] at the signal's own rate, without loss."""
+    """Write float32 in m/s² at the signal's own rate, without loss."""
     write_wav(path, signal)
     return ()
 
 
 def make_copy_writer(rate_hz: int) -> Callable[[Path, Signal, ExportOptions], tuple[str, ...]]:
-    """Return a writer of PCM copies at rate_hz [Hz]."""
+    """Return a writer of 16-bit copies at `rate_hz`."""
 
     def write(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
         return write_pcm16_wav(path, signal, float(rate_hz), options)
@@ -337,32 +340,33 @@ def make_copy_writer(rate_hz: int) -> Callable[[Path, Signal, ExportOptions], tu
 
 
 def write_pcm16_wav(path: Path, signal: Signal, rate_hz: float, options: ExportOptions) -> tuple[str, ...]:
-    """Write a signal at rate_hz [Hz] as 16-bit PCM; return what was lost, in sentences.
+    """Write a signal as 16-bit PCM at `rate_hz`; return sentences on what was lost.
 
     Below 0.9 of the lower Nyquist frequency the resampler (`field/resampling.py`) keeps amplitudes within 0.01 dB.
+
     Raises FileError if a sample is not finite, the file would exceed 4 GB, or it cannot be written.
     """
     samples = get_finite_samples(signal, str(path)).astype(np.float64)
     resampled, warnings = resample(samples, signal.sample_rate, rate_hz)
-    share = resampled / options.full_scale_m_s2
-    counts = np.clip(np.rint(share * FULL_SCALE_COUNTS), -FULL_SCALE_COUNTS, FULL_SCALE_COUNTS).astype("<i2")
+    relative = resampled / options.full_scale_m_s2
+    counts = np.clip(np.rint(relative * FULL_SCALE_COUNTS), -FULL_SCALE_COUNTS, FULL_SCALE_COUNTS).astype("<i2")
     if counts.nbytes > _MAX_COPY_BYTES:
         raise FileError(f"{signal.duration_s:.0f} s are more than a WAV can hold (4 GB).", where=str(path))
     scale = options.full_scale_m_s2 * _PCM16_DIVISOR / FULL_SCALE_COUNTS
-    head = struct.pack("<4sIHHIIHH", b"fmt ", 16, 1, 1, int(rate_hz), int(rate_hz) * 2, 2, 16)
-    body = b"WAVE" + head + encode_info_chunk(replace(signal, sample_rate=rate_hz), scale)
+    format_chunk = struct.pack("<4sIHHIIHH", b"fmt ", 16, 1, 1, int(rate_hz), int(rate_hz) * 2, 2, 16)
+    body = b"WAVE" + format_chunk + encode_info_chunk(replace(signal, sample_rate=rate_hz), scale)
     body += b"data" + struct.pack("<I", counts.nbytes)
     write_bytes(path, b"RIFF" + struct.pack("<I", len(body) + counts.nbytes) + body + counts.tobytes())
     step = options.full_scale_m_s2 / FULL_SCALE_COUNTS
-    words: tuple[str, ...] = (f"Everything finer than half a step of {step:.3g} m/s² (16 bit).",)
+    losses: tuple[str, ...] = (f"Everything finer than half a step of {step:.3g} m/s² (16 bit).",)
     if rate_hz < signal.sample_rate:
-        words += (f"Frequencies above {0.45 * rate_hz:.0f} Hz fade; above {0.5 * rate_hz:.0f} Hz there are none.",)
-    clipped = int(np.count_nonzero(np.abs(share) > 1.0 + 0.5 / FULL_SCALE_COUNTS))
-    return words + warnings + format_clipped(clipped, options)
+        losses += (f"Frequencies above {0.45 * rate_hz:.0f} Hz fade; above {0.5 * rate_hz:.0f} Hz there are none.",)
+    clipped = int(np.count_nonzero(np.abs(relative) > 1.0 + 0.5 / FULL_SCALE_COUNTS))
+    return losses + warnings + format_clipped(clipped, options)
 
 
 def read_wav_with_units(path: Path) -> Signal:
-    """Read a WAV that states its unit. Raises FileError if it does not, and as `read_wav`."""
+    """Read a WAV that states its unit. Raises FileError for one that does not, and as `read_wav` does."""
     signal = read_wav(path)
     if signal.provenance.get("units") == UNSTATED_UNITS:
         raise FileError(
@@ -374,9 +378,9 @@ def read_wav_with_units(path: Path) -> Signal:
 
 
 def read_wav_scaled(path: Path, options: ImportOptions) -> Signal:
-    """Read a WAV; samples of a file without a unit are multiplied by options.full_scale_m_s2.
+    """Read a WAV of this project unchanged, any other multiplied by options.full_scale_m_s2.
 
-    Raises FileError if neither the file nor the options give a scale, and as `read_wav`.
+    Raises FileError for a file without a unit if `options` has no full scale, and as `read_wav` does.
     """
     signal = read_wav(path)
     if signal.provenance.get("units") != UNSTATED_UNITS:
@@ -398,24 +402,29 @@ def read_wav_scaled(path: Path, options: ImportOptions) -> Signal:
 LISTEN_FORMAT = "listen"
 LISTEN_RATE_HZ = 48_000.0
 LISTEN_PEAK_DBFS = -1.0
-"""Peak of a listening copy [dBFS]; the rest is headroom for converters and players."""
+"""Peak of a copy to listen to [dBFS]; the rest is headroom for converters and players."""
 
 
 def fit_full_scale(signal: Signal, options: ExportOptions) -> ExportOptions:
     """Return options with the full scale [m/s²] that brings the signal's peak to `LISTEN_PEAK_DBFS`.
 
-    Silence leaves the options unchanged. Raises FileError if a sample is not finite.
+    Silence leaves them unchanged. Raises FileError if a sample is not finite.
     """
     samples = get_finite_samples(signal, LISTEN_FORMAT).astype(np.float64)
-    loudest = float(np.abs(resample(samples, signal.sample_rate, LISTEN_RATE_HZ)[0]).max(initial=0.0))
-    if loudest == 0.0:
+    peak = float(np.abs(resample(samples, signal.sample_rate, LISTEN_RATE_HZ)[0]).max(initial=0.0))
+    if peak == 0.0:
         return options
-    full_scale = loudest * 10.0 ** (-LISTEN_PEAK_DBFS / 20.0)
+    full_scale = peak * 10.0 ** (-LISTEN_PEAK_DBFS / 20.0)
     return replace(options, full_scale_m_s2=min(max(full_scale, MIN_FULL_SCALE_M_S2), MAX_FULL_SCALE_M_S2))
 
 
 def write_listening_copy(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write a 48 kHz, 16-bit copy; return what was lost, in sentences. Raises FileError as `write_pcm16_wav`."""
-    own = fit_full_scale(signal, options)
-    gain = f"One gain for the whole file: 1 stands for {own.full_scale_m_s2:.3g} m/s². For ears, not for an actuator."
-    return (gain, *write_pcm16_wav(path, signal, LISTEN_RATE_HZ, own))
+    """Write a copy to listen to, 48 kHz and 16 bit; return sentences on what was lost.
+
+    Raises FileError as `write_pcm16_wav` does.
+    """
+    fitted = fit_full_scale(signal, options)
+    gain = (
+        f"One gain for the whole file: 1 stands for {fitted.full_scale_m_s2:.3g} m/s². For ears, not for an actuator."
+    )
+    return (gain, *write_pcm16_wav(path, signal, LISTEN_RATE_HZ, fitted))

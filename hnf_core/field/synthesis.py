@@ -131,18 +131,20 @@ def split_by_field(field: Field, stroke: StrokeInput) -> tuple[FieldStroke, ...]
     A material's field gets the token and mechanics it was trained with, and no height profile, because the recorded
     relief is part of what it learned. Raises WeightsError if such a field names no material.
     """
-    own, of_row = _find_distinct_fields(stroke.fields)
-    if not own:
+    fields, field_index = _find_distinct_fields(stroke.fields)
+    if not fields:
         return (FieldStroke(field, stroke),)
-    touched = of_row[stroke.token_index]
-    found = [index for index in range(-1, len(own)) if (touched == index).any()]
+    touched = field_index[stroke.token_index]
+    present = [index for index in range(-1, len(fields)) if (touched == index).any()]
     return tuple(
         FieldStroke(
-            field if index < 0 else own[index],
-            replace(stroke, fields=()) if index < 0 else _restore_training_inputs(own[index], stroke, of_row == index),
-            None if len(found) == 1 else (touched == index).astype(np.float64),
+            field if index < 0 else fields[index],
+            replace(stroke, fields=())
+            if index < 0
+            else _restore_training_inputs(fields[index], stroke, field_index == index),
+            None if len(present) == 1 else (touched == index).astype(np.float64),
         )
-        for index in found
+        for index in present
     )
 
 
@@ -153,18 +155,18 @@ def blend(strokes: Sequence[FieldStroke], results: Sequence[Synthesis]) -> Synth
     first = results[0].signal
     time_s = np.arange(len(first.samples)) / first.sample_rate
     samples, weight, confidence = np.zeros(len(first.samples)), 0.0, 0.0
-    for part, one in zip(strokes, results, strict=True):
+    for part, result in zip(strokes, results, strict=True):
         if part.mask is None:
-            raise ValueError("a part that is everywhere leaves no room for another")
-        at = np.arange(len(part.mask)) / part.stroke.action.rate
-        samples += np.interp(time_s, at, part.mask) * one.signal.samples
-        lasting = float(part.mask.sum())
-        weight, confidence = weight + lasting, confidence + lasting * one.confidence
-    fields = "+".join(one.signal.provenance["field"] for one in results)
+            raise ValueError("a part without a mask covers the whole stroke")
+        state_time_s = np.arange(len(part.mask)) / part.stroke.action.rate
+        samples += np.interp(time_s, state_time_s, part.mask) * result.signal.samples
+        state_count = float(part.mask.sum())
+        weight, confidence = weight + state_count, confidence + state_count * result.confidence
+    fields = "+".join(result.signal.provenance["field"] for result in results)
     signal = Signal(
         samples.astype(np.float32), first.sample_rate, first.seed, {**first.provenance, "field": fields}
     )  # fmt: skip
-    warnings = tuple(dict.fromkeys(warning for one in results for warning in one.warnings))
+    warnings = tuple(dict.fromkeys(warning for result in results for warning in result.warnings))
     return Synthesis(signal, confidence / weight, warnings)
 
 
@@ -176,16 +178,16 @@ def synthesise_by_field(field: Field, stroke: StrokeInput, *, seed: int) -> Synt
 
 def _find_distinct_fields(fields: Sequence[Field | None]) -> tuple[list[Field], NDArray[np.int32]]:
     """Return the distinct fields in order of first occurrence, and the index (M,) of each material's, −1 for none."""
-    own: list[Field] = []
-    of_row = np.full(len(fields), -1, dtype=np.int32)
-    for row, each in enumerate(fields):
-        if each is None:
+    distinct: list[Field] = []
+    field_index = np.full(len(fields), -1, dtype=np.int32)
+    for row, field in enumerate(fields):
+        if field is None:
             continue
-        known = [index for index, other in enumerate(own) if is_same_field(each, other)]
+        known = [index for index, earlier in enumerate(distinct) if is_same_field(field, earlier)]
         if not known:
-            own.append(each)
-        of_row[row] = known[0] if known else len(own) - 1
-    return own, of_row
+            distinct.append(field)
+        field_index[row] = known[0] if known else len(distinct) - 1
+    return distinct, field_index
 
 
 def _restore_training_inputs(field: Field, stroke: StrokeInput, rows: NDArray[np.bool_]) -> StrokeInput:
@@ -193,7 +195,7 @@ def _restore_training_inputs(field: Field, stroke: StrokeInput, rows: NDArray[np
     material = read_trained_material(field, "the field of a material")
     tokens = np.where(rows[:, None], material.token, stroke.tokens).astype(np.float32)
     mechanics = tuple(
-        material.mechanics if own else each for own, each in zip(rows, stroke.mechanics, strict=True)
+        material.mechanics if is_own else mechanics for is_own, mechanics in zip(rows, stroke.mechanics, strict=True)
     )  # fmt: skip
     return replace(stroke, tokens=tokens, mechanics=mechanics, profile=None, fields=())
 
@@ -253,23 +255,25 @@ def render_incremental(
 
 def is_same_path(earlier: RenderedStroke, field: Field, stroke: StrokeInput, seed: int) -> bool:
     """Return True if two strokes differ in force and contact alone."""
-    mine, other = stroke, earlier.stroke
-    if not is_same_field(earlier.field, field) or earlier.prepared.seed != seed or mine.mechanics != other.mechanics:
+    old = earlier.stroke
+    if not is_same_field(earlier.field, field) or earlier.prepared.seed != seed or stroke.mechanics != old.mechanics:
         return False
-    a, b = mine.action, other.action
+    a, b = stroke.action, old.action
     if (a.rate, a.probe, len(a.speed)) != (b.rate, b.probe, len(b.speed)):
         return False
     pairs: list[tuple[NDArray[Any], NDArray[Any]]] = [
-        (a.direction, b.direction), (a.speed, b.speed), (a.position, b.position), (mine.tokens, other.tokens),
-        (mine.token_index, other.token_index),
+        (a.direction, b.direction), (a.speed, b.speed), (a.position, b.position), (stroke.tokens, old.tokens),
+        (stroke.token_index, old.token_index),
     ]  # fmt: skip
-    one, two = mine.profile, other.profile
-    if one is not None and two is not None:
-        scales = [(each.step_m, each.origin_m, each.resolved_wavelength_m) for each in (one, two)]
+    if stroke.profile is not None and old.profile is not None:
+        scales = [
+            (profile.step_m, profile.origin_m, profile.resolved_wavelength_m)
+            for profile in (stroke.profile, old.profile)
+        ]
         if scales[0] != scales[1]:
             return False
-        pairs.append((one.height, two.height))
-    elif one is not two:
+        pairs.append((stroke.profile.height, old.profile.height))
+    elif stroke.profile is not old.profile:
         return False
     return all(first is second or np.array_equal(first, second) for first, second in pairs)
 

@@ -107,9 +107,9 @@ class AudioSink:
         deadline = time.monotonic() + timeout_s
         while True:
             self._check()
-            room = self._count_free_frames()
-            if room > 0 or time.monotonic() >= deadline:
-                return max(0, room)
+            free_frames = self._count_free_frames()
+            if free_frames > 0 or time.monotonic() >= deadline:
+                return max(0, free_frames)
             time.sleep(_POLL_S)
 
     def write(self, counts: Counts) -> None:

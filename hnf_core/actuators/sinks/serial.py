@@ -257,9 +257,9 @@ class SerialSink:
             if self._session.number is None:
                 self._start_session(self._caps)
             while True:
-                room, now = self._session.sendable_frames, self._clock()
-                if room > 0 or now >= deadline:
-                    return room
+                free_frames, now = self._session.sendable_frames, self._clock()
+                if free_frames > 0 or now >= deadline:
+                    return free_frames
                 # The frames that the device waits for may have been lost, so report the host's position.
                 if self._session.pending_frames > 0 and now - self._last_sent_s > RESEND_S:
                     self._last_sent_s = now

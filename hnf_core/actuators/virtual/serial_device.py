@@ -493,13 +493,13 @@ class VirtualDevice:
             self._send_error(ErrorCode.OVERRUN, "More than the credit allows: these samples are dropped.")
             return
         ahead = counts[0] if len(counts) else np.zeros_like(self._last)
-        whole = np.concatenate([interpolate_gap(self._last, ahead, gap), counts])
-        if len(whole):
+        filled = np.concatenate([interpolate_gap(self._last, ahead, gap), counts])
+        if len(filled):
             self.last_samples_clock = self.clock
-            out.push(whole)
-            self._last = whole[-1]
+            out.push(filled)
+            self._last = filled[-1]
         self._lost += gap
-        self._position = (self._position + len(whole)) & 0xFFFFFFFF
+        self._position = (self._position + len(filled)) & 0xFFFFFFFF
 
     @_handle.register
     def _(self, stop: Stop) -> None:

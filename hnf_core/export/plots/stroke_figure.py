@@ -1,7 +1,4 @@
-"""A stroke drawn over a rendered view: its colour is the force.
-
-One picture of a stroke: where the hand went, what it did, and what was felt.
-"""
+"""Draw a stroke as one figure: its path over a rendered view, coloured by force, and its tracks over time."""
 
 from __future__ import annotations
 
@@ -26,26 +23,37 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORCE_TICKS_N = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Under the colour bar, which is the same in every picture; the last is its end."""
+"""Ticks of the colour bar [N], the same in every figure; the last is its end."""
 CASING_COLOUR = "#10141a"
 FULL_WEIGHT_EXTENT_PX = 130.0
-"""Of the finished picture: a stroke that reaches less far is drawn with a finer line and smaller marks, or they would
-cover it."""
+"""Extent [pixels of the figure] below which a stroke gets a finer line and smaller marks, so that they do not cover it.
+"""
 MIN_MARK_SCALE = 0.3
 DOT_EXTENT_PX = 8.0
-"""Below this a stroke is a dot."""
+"""Extent [pixels of the figure] below which a stroke is drawn as a dot."""
 ARROW_HEAD_PX = 17.0
 MAX_ARROW_HEADS = 4
 BAR_LINEAR_LIMIT_N = 0.25
-"""Above this the bar runs by the force's logarithm, below it nearly evenly: most strokes are of 0.3 to 3 N."""
+"""Force [N] above which the colour bar is about logarithmic and below which it is about linear.
+
+Most strokes have 0.3 to 3 N.
+"""
 
 
 @dataclass(frozen=True)
 class StrokeView:
-    """A rendered view with the stroke in it.
+    """A rendered view with the path of a stroke.
 
-    rgb: (H, W, 3) linear. path: (k, 2) pixel coordinates of the hand over time (pixel centres at +0.5, y down).
-    force: (k,) N. visible: (k,) bool, False where the scene hides the hand; None = all visible.
+    Attributes
+    ----------
+    rgb : (H, W, 3) float32
+        Linear colours.
+    path : (k, 2) float64
+        Pixel coordinates of the hand over time (pixel centres at +0.5, y down).
+    force : (k,) float64
+        Normal force [N].
+    visible : (k,) bool or None
+        False where the scene hides the hand; None if it is visible throughout.
     """
 
     rgb: NDArray[np.float32]
@@ -55,51 +63,60 @@ class StrokeView:
 
 
 def draw_path(figure: Figure, axes: Axes, view: StrokeView, bar: tuple[float, float, float, float]) -> None:
-    """Path in force_colour, start, direction and, at bar (figure fractions: left, bottom, width, height), the colour
-    bar in N.
+    """Draw the path coloured by force, its start and direction, and the colour bar [N].
 
-    A cased line stays readable over any picture; where the hand is hidden it is thin and dashed.
+    `bar` is (left, bottom, width, height) in fractions of the figure. The line has a casing, which keeps it readable
+    over any image; where the hand is hidden it is thin and dashed.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
 
     path, force = np.asarray(view.path, dtype=np.float64), np.asarray(view.force, dtype=np.float64)
-    seen = np.ones(len(path), bool) if view.visible is None else np.asarray(view.visible, bool)
+    visible = np.ones(len(path), bool) if view.visible is None else np.asarray(view.visible, bool)
     scale = axes.get_window_extent().width / view.rgb.shape[1]
     extent = float(np.linalg.norm(np.ptp(path, axis=0))) * scale if len(path) else 0.0
     size = float(np.clip(extent / FULL_WEIGHT_EXTENT_PX, MIN_MARK_SCALE, 1.0))
-    clear = seen[:-1] & seen[1:]
-    pieces = np.stack([path[:-1], path[1:]], axis=1)[clear] if len(path) > 1 else np.zeros((0, 2, 2))
-    shade = (0.5 * (force[:-1] + force[1:]))[clear]
+    segment_visible = visible[:-1] & visible[1:]
+    pieces = np.stack([path[:-1], path[1:]], axis=1)[segment_visible] if len(path) > 1 else np.zeros((0, 2, 2))
+    shade = (0.5 * (force[:-1] + force[1:]))[segment_visible]
     for width, colour, alpha in ((9.0, "white", 0.9), (6.6, CASING_COLOUR, 1.0)):
         casing = LineCollection(list(pieces), colors=colour, linewidths=size * width, capstyle="round", alpha=alpha)
         axes.add_collection(casing)
     line = LineCollection(list(pieces), colors=_forces_to_colours(shade), linewidths=4.6 * size, capstyle="round")
     axes.add_collection(line)
-    for run in _find_runs(~clear):
+    for run in _find_runs(~segment_visible):
         x, y = path[run.start : run.stop + 1].T
         axes.plot(x, y, color=CASING_COLOUR, lw=3.4, ls=(0, (1.6, 1.6)), dash_capstyle="round")
         axes.plot(x, y, color="white", lw=1.8, ls=(0, (3.02, 3.02)), dash_capstyle="round")
-    legs = _split_at_turns(path)
-    pressed = extent < DOT_EXTENT_PX
-    if not pressed:
-        _draw_arrow_heads(axes, path, legs, ARROW_HEAD_PX * size / scale, 1.6 * size)
+    segments = _split_at_turns(path)
+    is_dot = extent < DOT_EXTENT_PX
+    if not is_dot:
+        _draw_arrow_heads(axes, path, segments, ARROW_HEAD_PX * size / scale, 1.6 * size)
     if len(path):
-        face = force_to_colour(float(np.max(force, initial=0.0))) if pressed else "white"
-        wide = 13.0 if pressed else 13.0 * size
+        face = force_to_colour(float(np.max(force, initial=0.0))) if is_dot else "white"
+        marker_size = 13.0 if is_dot else 13.0 * size
         axes.plot(
-            path[:1, 0], path[:1, 1], "o", ms=wide, mfc=face, mec=CASING_COLOUR, mew=max(2.2 * size, 0.8), zorder=5
+            path[:1, 0],
+            path[:1, 1],
+            "o",
+            ms=marker_size,
+            mfc=face,
+            mec=CASING_COLOUR,
+            mew=max(2.2 * size, 0.8),
+            zorder=5,
         )
     _draw_colour_bar(figure.add_axes(bar))
-    start = "pressed here, colour of the strongest" if pressed else "start"
-    marks = [Line2D([], [], marker="o", ms=9, mfc="white", mec=CASING_COLOUR, mew=1.8, ls="", label=start)]
-    if not pressed:
-        turns = len(legs) - 1
-        said = "direction" + (f", turns {'once' if turns == 1 else f'{turns} times'}" if turns else "")
-        marks.append(Line2D([], [], marker=">", ms=9, mfc="white", mec=CASING_COLOUR, mew=1.8, ls="", label=said))
-    if not seen.all():
-        marks.append(Line2D([], [], color=CASING_COLOUR, lw=2.5, ls=(0, (1.6, 1.6)), label="hidden from this view"))
-    axes.legend(handles=marks, loc="upper right", ncols=len(marks), framealpha=0.85, edgecolor="none", fontsize=9.5)
+    start = "pressed here, colour of the strongest" if is_dot else "start"
+    handles = [Line2D([], [], marker="o", ms=9, mfc="white", mec=CASING_COLOUR, mew=1.8, ls="", label=start)]
+    if not is_dot:
+        turns = len(segments) - 1
+        direction_label = "direction" + (f", turns {'once' if turns == 1 else f'{turns} times'}" if turns else "")
+        handles.append(
+            Line2D([], [], marker=">", ms=9, mfc="white", mec=CASING_COLOUR, mew=1.8, ls="", label=direction_label)
+        )
+    if not visible.all():
+        handles.append(Line2D([], [], color=CASING_COLOUR, lw=2.5, ls=(0, (1.6, 1.6)), label="hidden from this view"))
+    axes.legend(handles=handles, loc="upper right", ncols=len(handles), framealpha=0.85, edgecolor="none", fontsize=9.5)
 
 
 def _draw_colour_bar(axes: Axes) -> None:
@@ -120,45 +137,50 @@ def _force_to_bar_position(force: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _forces_to_colours(force: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.array([force_to_colour(float(each)) for each in force]).reshape(-1, 4)
+    return np.array([force_to_colour(float(newtons)) for newtons in force]).reshape(-1, 4)
 
 
 def _split_at_turns(path: NDArray[np.float64]) -> list[slice]:
-    """The path's points from turn to turn: where the hand goes back on its way."""
+    """Split the path where the hand reverses its direction; return slices."""
     steps = np.diff(path, axis=0)
     moving = np.flatnonzero(np.linalg.norm(steps, axis=1) > 1e-9)
     if not len(moving):
         return [slice(0, len(path))]
-    back = np.einsum("ij,ij->i", steps[moving[:-1]], steps[moving[1:]]) < 0.0
-    edges = [0, *(int(each) for each in moving[1:][back]), len(path) - 1]
+    reverses = np.einsum("ij,ij->i", steps[moving[:-1]], steps[moving[1:]]) < 0.0
+    edges = [0, *(int(index) for index in moving[1:][reverses]), len(path) - 1]
     return [slice(low, high + 1) for low, high in itertools.pairwise(edges)]
 
 
 def _draw_arrow_heads(
     axes: Axes, path: NDArray[np.float64], segments: list[slice], size: float, line_pt: float
 ) -> None:
-    """Arrow heads of size (pixels of the view) along the path: half way and at the end of a long leg, else past the
-    middle of each of the first legs; none lies on another or on the start."""
+    """Draw arrow heads of `size` (pixels of the view) along the path, clear of one another and of the start.
+
+    A long single segment gets one half way and one at its end; otherwise each of the first segments gets one past its
+    middle.
+    """
     from matplotlib.patches import Polygon
 
-    taken = [path[0]]
-    for leg in segments[:MAX_ARROW_HEADS]:
-        way = path[leg]
-        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
-        for share in (0.5, 1.0) if len(segments) == 1 and length[-1] > 8.0 * size else (0.7,):
-            at = [max(share * length[-1] - back, 0.0) for back in (0.0, size)]
-            tip, tail = (np.array([np.interp(each, length, way[:, axis]) for axis in (0, 1)]) for each in at)
-            ahead = (tip - tail) / max(float(np.linalg.norm(tip - tail)), 1e-9)
-            if length[-1] < 2.0 * size or any(np.linalg.norm(tip - other) < 1.5 * size for other in taken):
+    occupied = [path[0]]
+    for segment in segments[:MAX_ARROW_HEADS]:
+        points = path[segment]
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        for fraction in (0.5, 1.0) if len(segments) == 1 and length[-1] > 8.0 * size else (0.7,):
+            positions = [max(fraction * length[-1] - back, 0.0) for back in (0.0, size)]
+            tip, tail = (
+                np.array([np.interp(position, length, points[:, axis]) for axis in (0, 1)]) for position in positions
+            )
+            direction = (tip - tail) / max(float(np.linalg.norm(tip - tail)), 1e-9)
+            if length[-1] < 2.0 * size or any(np.linalg.norm(tip - point) < 1.5 * size for point in occupied):
                 continue
-            taken.append(tip)
-            side = 0.55 * size * np.array([-ahead[1], ahead[0]])
-            corners = np.stack([tip, tip - size * ahead + side, tip - size * ahead - side])
+            occupied.append(tip)
+            side = 0.55 * size * np.array([-direction[1], direction[0]])
+            corners = np.stack([tip, tip - size * direction + side, tip - size * direction - side])
             axes.add_patch(Polygon(corners, fc="white", ec=CASING_COLOUR, lw=line_pt, joinstyle="round", zorder=4))
 
 
 def _find_runs(flags: NDArray[np.bool_]) -> list[slice]:
-    """Slices of consecutive True."""
+    """Return slices of consecutive True values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -166,9 +188,9 @@ def _find_runs(flags: NDArray[np.bool_]) -> list[slice]:
 SIZE_PX = (1600, 1000)
 LEFT_MARGIN = 0.025
 MAX_FACT_ROWS = 13
-"""Of facts, under a view of 16 to 9: down to the lower edge of the tracks."""
+"""Most rows of facts below a view of 16:9, down to the lower edge of the tracks."""
 MAP_WIDTH = 0.1
-"""Of a tactile map, as a share of the picture's width."""
+"""Width of a tactile map, as a fraction of the figure's width."""
 
 
 def write_stroke_figure(
@@ -183,13 +205,40 @@ def write_stroke_figure(
     frequency_scale: Literal["linear", "log"] = "linear",
     highest_hz: float = 1000.0,
 ) -> None:
-    """Draw a stroke into a PNG of 1600 × 1000 pixels, atomically: the view with the stroke coloured by force, and on
-    one time axis force [N], speed [mm/s], acceleration [m/s²] and its spectrogram [dB re 1 (m/s²)²/Hz].
+    """Draw a stroke into a PNG of 1600 × 1000 pixels, atomically.
 
-    facts: label → text lines below the view (material, routes, confidence, …); seed, duration and RMS are added.
-    tactile: what a touch sensor sees of the surface, shown beside them with its route and its contrast raised.
-    Equal input gives equal bytes with one version of matplotlib. No display and no global figure is used.
-    Raises FileError where matplotlib is missing or the file cannot be written.
+    The figure shows the view with the stroke coloured by force and, on one time axis, force [N], speed [mm/s],
+    acceleration [m/s²] and the spectrogram [dB re 1 (m/s²)²/Hz].
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    title : str
+        Title; long ones are cut.
+    action : Action
+        The stroke.
+    signal : Signal
+        Its signal in m/s².
+    view : StrokeView or None
+        Rendered view with the path.
+    tactile : TactileMap or None
+        Tactile map of the surface, drawn with its route and stretched contrast.
+    facts : mapping of str to str, or None
+        Labelled lines below the view (material, routes, confidence, …); seed, duration and RMS are added.
+    frequency_scale : {"linear", "log"}
+        Scale of the spectrogram's frequency axis.
+    highest_hz : float
+        Upper end of that axis [Hz].
+
+    Raises
+    ------
+    FileError
+        If matplotlib is missing or the file cannot be written.
+
+    Notes
+    -----
+    Equal input gives equal bytes with one version of matplotlib.
     """
 
     def draw(figure: Figure) -> None:
@@ -205,11 +254,11 @@ def write_stroke_figure(
 
 
 def _list_facts(signal: Signal, facts: Mapping[str, str]) -> list[tuple[str, str]]:
-    own = {
+    measured = {
         "Strength": f"{signal.rms:.3g} m/s² RMS, peak {np.abs(signal.samples).max(initial=0.0):.3g} m/s²",
         "Signal": f"{signal.duration_s:.2f} s at {signal.sample_rate:g} Hz, seed {signal.seed}",
     }
-    return [(label, text) for label, text in {**facts, **own}.items()]
+    return [(label, text) for label, text in {**facts, **measured}.items()]
 
 
 def _truncate(text: str, max_length: int) -> str:
@@ -220,20 +269,22 @@ def _truncate(text: str, max_length: int) -> str:
 def _draw_view(
     figure: Figure, view: StrokeView | None, tactile: TactileMap | None, lines: list[tuple[str, str]]
 ) -> float:
-    """The view as large as fits in the left column, its colour bar, and the facts and tactile map below. Returns where
-    they end."""
+    """Draw the view, its colour bar, the facts and the tactile map in the left column; return their lower end.
+
+    The view is as large as fits above the text.
+    """
     left, top, width, line = LEFT_MARGIN, 0.915, 0.475, 0.025
-    letters = 82 if tactile is None else 56
-    rows = wrap_lines(lines, letters, MAX_FACT_ROWS)
+    row_length = 82 if tactile is None else 56
+    rows = wrap_lines(lines, row_length, MAX_FACT_ROWS)
     below = max(line * len(rows), 0.0 if tactile is None else MAP_WIDTH * SIZE_PX[0] / SIZE_PX[1] + 2 * line)
     bottom = top
     if view is not None:
         height, columns = view.rgb.shape[:2]
-        room = top - 0.1 - below - 0.05
-        tallest = width * SIZE_PX[0] * height / columns / SIZE_PX[1]
-        share = min(1.0, room / tallest)
-        bottom = top - tallest * share
-        axes = figure.add_axes((left + width * (1 - share) / 2, bottom, width * share, tallest * share))
+        available = top - 0.1 - below - 0.05
+        full_height = width * SIZE_PX[0] * height / columns / SIZE_PX[1]
+        scale = min(1.0, available / full_height)
+        bottom = top - full_height * scale
+        axes = figure.add_axes((left + width * (1 - scale) / 2, bottom, width * scale, full_height * scale))
         axes.imshow(linear_to_srgb(view.rgb), extent=(0, columns, height, 0), interpolation="antialiased")
         axes.set(xlim=(0, columns), ylim=(height, 0), xticks=[], yticks=[])
         axes.grid(False)
@@ -250,12 +301,12 @@ def _draw_view(
 
 
 def _draw_map(figure: Figure, tactile: TactileMap, left: float, top: float) -> None:
-    """A square with its upper edge at top, and below it where the map comes from and how wide it is."""
-    tall = MAP_WIDTH * SIZE_PX[0] / SIZE_PX[1]
-    axes = figure.add_axes((left, top - tall, MAP_WIDTH, tall))
+    """Draw a tactile map as a square with its upper edge at `top`, and its route and width below."""
+    height = MAP_WIDTH * SIZE_PX[0] / SIZE_PX[1]
+    axes = figure.add_axes((left, top - height, MAP_WIDTH, height))
     axes.imshow(linear_to_srgb(stretch_contrast(tactile)), interpolation="antialiased")
     axes.set(xticks=[], yticks=[])
     axes.grid(False)
-    wide = tactile.image.shape[1] * tactile.metres_per_pixel * 1e3
-    said = f"{tactile.route.value} relief, {wide:.3g} mm"
-    figure.text(left + MAP_WIDTH / 2, top - tall - 0.02, said, color=MUTED, ha="center", fontsize=9)
+    width_mm = tactile.image.shape[1] * tactile.metres_per_pixel * 1e3
+    caption = f"{tactile.route.value} relief, {width_mm:.3g} mm"
+    figure.text(left + MAP_WIDTH / 2, top - height - 0.02, caption, color=MUTED, ha="center", fontsize=9)

@@ -1,4 +1,4 @@
-"""A tactile map for people to look at: its contrast raised, with a scale bar and what it shows."""
+"""Draw a tactile map for people: contrast stretched, with a scale bar and a description."""
 
 from __future__ import annotations
 
@@ -19,35 +19,51 @@ if TYPE_CHECKING:
 
 SIZE_PX = (640, 800)
 MAX_TEXT_ROWS = 7
-"""Of text below the map: down to the lower edge."""
+"""Most rows of text below the map, down to the lower edge."""
 CONTRAST_TARGET = 0.2
-"""How far the strongest percent of a map's pixels is drawn from its mean: its own contrast is that of a gel."""
+"""Distance from the mean that the strongest percent of pixels is stretched to; the contrast of a gel is much smaller.
+"""
 MAX_BAR_SHARE = 0.4
-"""Of the map's width, that the scale bar does not exceed."""
+"""Largest length of the scale bar, as a fraction of the map's width."""
 
 
 def compute_contrast_gain(tactile: TactileMap) -> float:
-    """By how much the contrast is raised; 1 where it is strong enough."""
-    seen = np.asarray(tactile.image, dtype=np.float64)[tactile.mask]
-    spread = float(np.percentile(np.abs(seen - seen.mean(axis=0)), 99)) if len(seen) else 0.0
+    """Return the factor by which the contrast is raised; 1 if it is strong enough."""
+    covered = np.asarray(tactile.image, dtype=np.float64)[tactile.mask]
+    spread = float(np.percentile(np.abs(covered - covered.mean(axis=0)), 99)) if len(covered) else 0.0
     return max(1.0, CONTRAST_TARGET / max(spread, 1e-3))
 
 
 def stretch_contrast(tactile: TactileMap) -> NDArray[np.float64]:
-    """(H, W, 3) linear, gain_of as far from its mean; what is not seen is the mean."""
+    """Return the map with its contrast raised, (H, W, 3) linear; pixels outside the mask are the mean."""
     image = np.asarray(tactile.image, dtype=np.float64)
-    seen = image[tactile.mask]
-    mean = seen.mean(axis=0) if len(seen) else image.mean(axis=(0, 1))
+    covered = image[tactile.mask]
+    mean = covered.mean(axis=0) if len(covered) else image.mean(axis=(0, 1))
     return np.where(tactile.mask[..., None], mean + (image - mean) * compute_contrast_gain(tactile), mean)
 
 
 def write_tactile_map_figure(path: Path, tactile: TactileMap, title: str, facts: Sequence[str] = ()) -> None:
-    """Draw a tactile map into a PNG of 640 × 800 pixels, atomically: enlarged, with a scale bar [mm], and below it what
-    sensor and light it is, how far its contrast is raised, and facts, a paragraph each, fewer than MOST_ROWS. What has
-    no room is cut short, with a mark.
+    """Draw a tactile map into a PNG of 640 × 800 pixels, atomically: enlarged, with a scale bar [mm] and text below.
 
-    Equal input gives equal bytes with one version of matplotlib. Raises FileError where matplotlib is missing or the
-    file cannot be written.
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    tactile : TactileMap
+        The map; sensor, light and contrast gain are described below it.
+    title : str
+        Title; long ones are cut.
+    facts : sequence of str
+        More paragraphs. Text beyond `MAX_TEXT_ROWS` rows is cut, with a mark.
+
+    Raises
+    ------
+    FileError
+        If matplotlib is missing or the file cannot be written.
+
+    Notes
+    -----
+    Equal input gives equal bytes with one version of matplotlib.
     """
 
     def draw(figure: Figure) -> None:
@@ -55,15 +71,15 @@ def write_tactile_map_figure(path: Path, tactile: TactileMap, title: str, facts:
             0.05, 0.965, textwrap.shorten(title, 52, placeholder=" …"), fontsize=14, fontweight="bold", va="top"
         )
         _draw_map(figure, tactile)
-        said = [("", text) for text in (_describe_map(tactile), *facts)]
-        for number, (_, row) in enumerate(wrap_lines(said, 82, MAX_TEXT_ROWS)):
+        paragraphs = [("", text) for text in (_describe_map(tactile), *facts)]
+        for number, (_, row) in enumerate(wrap_lines(paragraphs, 82, MAX_TEXT_ROWS)):
             figure.text(0.05, 0.165 - 0.024 * number, row, fontsize=9.5, color=MUTED, va="top")
 
     write_figure(path, SIZE_PX, draw)
 
 
 def choose_bar_length_mm(width_mm: float) -> float:
-    """The longest of 1, 2, 5 times a power of ten that is BAR_SHARE of width_mm at most."""
+    """Return the longest of 1, 2, 5 times a power of ten that is at most `MAX_BAR_SHARE` of `width_mm`."""
     decade = 10.0 ** np.floor(np.log10(MAX_BAR_SHARE * width_mm))
     return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= MAX_BAR_SHARE * width_mm))
 
@@ -77,18 +93,18 @@ def _draw_map(figure: Figure, tactile: TactileMap) -> None:
     axes.set(xticks=[], yticks=[])
     axes.grid(False)
     millimetres = choose_bar_length_mm(m_to_mm(width * tactile.metres_per_pixel))
-    long, left, low = millimetres / m_to_mm(tactile.metres_per_pixel), 0.04 * width, 0.95 * height
-    back = Rectangle((left - 0.015 * width, low - 0.055 * height), long + 0.03 * width, 0.08 * height)
-    back.set(fc="white", ec="none", alpha=0.85)
-    axes.add_patch(back)
-    axes.add_patch(Rectangle((left, low), long, 0.012 * height, fc=INK, ec="none"))
-    axes.text(left + long / 2, low - 0.008 * height, f"{millimetres:g} mm", ha="center", va="bottom", color=INK)
+    length, left, bottom = millimetres / m_to_mm(tactile.metres_per_pixel), 0.04 * width, 0.95 * height
+    background = Rectangle((left - 0.015 * width, bottom - 0.055 * height), length + 0.03 * width, 0.08 * height)
+    background.set(fc="white", ec="none", alpha=0.85)
+    axes.add_patch(background)
+    axes.add_patch(Rectangle((left, bottom), length, 0.012 * height, fc=INK, ec="none"))
+    axes.text(left + length / 2, bottom - 0.008 * height, f"{millimetres:g} mm", ha="center", va="bottom", color=INK)
 
 
 def _describe_map(tactile: TactileMap) -> str:
-    gain, wide = compute_contrast_gain(tactile), m_to_mm(tactile.image.shape[1] * tactile.metres_per_pixel)
+    gain, width_mm = compute_contrast_gain(tactile), m_to_mm(tactile.image.shape[1] * tactile.metres_per_pixel)
     raised = f"; contrast raised {gain:.2g}-fold" if gain > 1.0 else ""
     return (
         f"What a {tactile.sensor} touch sensor would see of the surface: relief lit from the sides, "
-        f"{wide:.3g} mm wide, {tactile.route.value}{raised}."
+        f"{width_mm:.3g} mm wide, {tactile.route.value}{raised}."
     )

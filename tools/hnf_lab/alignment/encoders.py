@@ -39,7 +39,6 @@ class Architecture:
         Width of the first stage; each later stage doubles it.
     outputs
         Dimensions of the embedding space.
-
     """
 
     blocks: tuple[int, int, int, int] = (3, 4, 6, 3)
@@ -111,7 +110,6 @@ def load_backbone(encoder: ResNetEncoder, published: Mapping[str, Tensor], where
     ------
     WeightsError
         If a weight is missing, unknown, of another shape, or not finite.
-
     """
     state = encoder.state_dict()
     trunk = {name: value for name, value in state.items() if not name.startswith("fc.")}

@@ -67,7 +67,6 @@ class ImagePairs(Protocol):
         Number of rotations and reflections under which the touch is still one that a sensor could give.
     floor
         Touch contrast below which it enters linearly, above as a logarithm.
-
     """
 
     @property
@@ -124,7 +123,6 @@ class RecordedImagePairs:
         (N, P, P, 3) uint8, square root of linear colour.
     touch_images
         (N, P, P, 3) float16, background subtracted.
-
     """
 
     images: NDArray[np.uint8]
@@ -185,7 +183,6 @@ class Tuples:
         (n,) indices in classes, or NO_LABEL.
     group
         (n,) material instance or place; tuples of one group are not independent and must not be split.
-
     """
 
     images: ImagePairs
@@ -260,7 +257,6 @@ def make_recorded_tuples(pairs: Iterable[VisionTouchPair], classes: Sequence[str
     ------
     UsageError
         If there are no pairs.
-
     """
     index = {name: number for number, name in enumerate(classes)}
     places: dict[str, int] = {}
@@ -307,7 +303,6 @@ class HeldOutTuples:
         Sensor → mask of the known tuples such that no place is touched by both sensors, for cross-sensor retrieval;
         None
         with a single sensor.
-
     """
 
     known: Mapping[str, Tuples]
@@ -339,7 +334,6 @@ def open_source(sets: Sequence[Sequence[str]]) -> Source:
     ------
     UsageError
         If the number of folders is wrong or own pairs are combined with other sets.
-
     """
     named_sets = [tuple(words) if words[0] in FOLDER_COUNTS else ("pairs", *words) for words in sets]
     for kind, *folders in named_sets:

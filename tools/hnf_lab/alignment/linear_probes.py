@@ -172,7 +172,6 @@ class ProbeInput:
         (n,) see Tuples.
     classes
         Number of classes.
-
     """
 
     image: Float32
@@ -215,7 +214,6 @@ def evaluate_probes(
         Sensor → tuples to test on.
     trained_on
         Sensors that the encoders were trained on.
-
     """
     known = concatenate_inputs([fitted[name] for name in trained_on])
     first = next(iter(tested.values()))

@@ -50,7 +50,6 @@ def compute_ranks(queries: Float32, gallery: Float32) -> NDArray[np.int64]:
         (n, d) unit vectors.
     gallery
         (m ≥ n, d) unit vectors.
-
     """
     ranks = []
     for start in range(0, len(queries), QUERIES_PER_BLOCK):
@@ -81,7 +80,6 @@ class PseudoTriplets:
         (t,) rows of the DIGIT tuples.
     cosine
         (t,) cosine similarity of the two patches.
-
     """
 
     gelsight: Rows
@@ -107,7 +105,6 @@ def make_pseudo_triplets(gelsight: Float32, digit: Float32, *, mutual: bool = Fa
         (n, d) and (m ≥ 1, d) touch embeddings of unit length.
     mutual
         Keep only mutual nearest neighbours: fewer and more reliable.
-
     """
     nearest, cosine = find_nearest(gelsight, digit)
     rows = np.arange(len(gelsight))
@@ -144,7 +141,6 @@ class CrossSensorRetrieval:
         Number of mutual nearest neighbours.
     mutual_of_class
         Fraction of those of one class.
-
     """
 
     triplets: int
@@ -169,7 +165,6 @@ class Measurement:
         Sensor → direction → k → recall with `gallery` candidates.
     bridged
         Cross-sensor retrieval; None with a single sensor.
-
     """
 
     trained_on: str
@@ -205,7 +200,6 @@ def measure_encoders(
     ------
     UsageError
         If a sensor has no training tuples.
-
     """
     trained_on = PAIR_SENSORS if models.sensor == "both" else (models.sensor,)
     known = _embed_sets(models, held_out.known, seed)
@@ -284,7 +278,6 @@ def load_measurement(path: Path, sums: Mapping[str, str]) -> Measurement | None:
     ------
     FileError
         If the file is damaged.
-
     """
     try:
         record = json.loads(path.read_text(encoding="utf-8"))

@@ -59,7 +59,6 @@ def compute_info_nce(vision: Tensor, touch: Tensor, temperature: float = TEMPERA
     softmax of the cosines over the temperature. It is computed by log-sum-exp in float32 at least, whatever autocast is
     set, so that no exponential of a logit is formed. It never reaches 0: n orthogonal rows give
     log(1 + (n − 1) exp(−1 / temperature)).
-
     """
     with torch.autocast(vision.device.type, enabled=False):
         dtype = torch.promote_types(torch.promote_types(vision.dtype, touch.dtype), torch.float32)
@@ -91,7 +90,6 @@ def backward_with_gradient_cache(
     -------
     Tensor
         The detached loss.
-
     """
     embedded = []
     with torch.no_grad():
@@ -147,7 +145,6 @@ class Recipe:
         Number of steps after which training ends.
     minutes
         Time after which training ends, if earlier; the rate then follows the clock and runs are not reproducible.
-
     """
 
     pixels: int = 48
@@ -223,7 +220,6 @@ def fit_encoders(
     ------
     UsageError
         If there are fewer tuples than a batch.
-
     """
     if len(tuples) < recipe.batch:
         raise UsageError(
@@ -382,7 +378,6 @@ def load_encoders(folder: Path) -> AlignedEncoders:
         If the folder holds no such weights.
     WeightsError
         If the weights do not match the record.
-
     """
     try:
         record = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))

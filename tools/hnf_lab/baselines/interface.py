@@ -39,7 +39,6 @@ class MaterialRecordings:
         (TOKEN_DIM,) E(I), or None without a sensor image.
     category
         Category, or "".
-
     """
 
     name: str
@@ -167,7 +166,6 @@ class Segments:
         (S, lead + n); the first `lead` samples belong to the past, needed to predict the first sample.
     rate
         Sample rate [Hz].
-
     """
 
     speed: Float
@@ -202,7 +200,6 @@ def cut_segments(
     ------
     FileError
         If there is no such segment, or the sample rates differ.
-
     """
     rates = {recording.sample_rate for recording in recordings}
     if len(rates) != 1:

@@ -87,7 +87,6 @@ class GrainSynthesiser:
         (G,) first sample of each grain.
     features
         (G, D) weighted features.
-
     """
 
     samples: Float

@@ -41,7 +41,6 @@ class Prediction:
         (p,) coefficients within ±1, so that every order's polynomial is stable.
     error
         (p + 1,) residual variance of orders 0 … p.
-
     """
 
     reflection: Float
@@ -74,7 +73,6 @@ def fit_burg(segments: ArrayLike, order: int, weight: ArrayLike | None = None) -
     ------
     ValueError
         If a segment is not longer than the order, or all are silent.
-
     """
     x = np.atleast_2d(np.asarray(segments, dtype=np.float64))
     w = np.ones(len(x)) if weight is None else np.asarray(weight, dtype=np.float64)
@@ -145,7 +143,6 @@ class VertexGrid:
         (V,) vertices on the axes: variance 0 as in HaTT, with the shape of their neighbour.
     triangles
         (T, 3) vertices.
-
     """
 
     models: Float
@@ -237,7 +234,6 @@ def fit_best_grid(segments: Segments, grids: Sequence[tuple[int, int]] = GRIDS) 
     ------
     FileError
         If all segments are silent or no grid can be fitted.
-
     """
     if not segments.body.any():
         raise FileError("every steady piece is silent.", where="recordings", remedy="Look at the sensor's channel.")

@@ -56,7 +56,6 @@ def compute_l_mag(predicted: Tensor, recorded: Tensor, bins: int = MAGNITUDE_BIN
     -----
     Mean over C segments and K bins of (|DFT(â_c)|_k − |DFT(a_c)|_k)² with a Hann window and an unscaled DFT (HNF, CVPR
     2026). Between two random draws its minimum is too quiet (docs/rivals.md).
-
     """
     if predicted.shape != recorded.shape or predicted.ndim != 2 or predicted.shape[1] != WINDOW_SAMPLES:
         raise ValueError(
@@ -94,7 +93,6 @@ class PublishedHnf:
         which a smooth action has no content.
     seconds
         Duration of the recordings used [s].
-
     """
 
     config: FieldConfig = field(default_factory=FieldConfig.published)
@@ -111,7 +109,6 @@ class PublishedHnf:
         ------
         UsageError
             If there are fewer than 10 windows, or the sample rate is not 10 kHz.
-
         """
         token = np.zeros(TOKEN_DIM, dtype=np.float32) if specimen.token is None else specimen.token
         windows = cut_windows(specimen.recordings, self.seconds)
@@ -152,7 +149,6 @@ class WindowBatch:
         (1000, Q) linear interpolation from points to samples.
     role
         (C,) 0 train, 1 validation, 2 test.
-
     """
 
     x: Tensor

@@ -66,7 +66,6 @@ class Outcome:
         Reason why the stream cannot be started again, or "".
     played_on
         True if the fault did not end the stream.
-
     """
 
     silent_after_s: float

@@ -58,7 +58,6 @@ class Fault:
         Number of messages that the user must get.
     survives
         True if the stream must play on.
-
     """
 
     name: str

@@ -131,7 +131,6 @@ class Row:
         Name → number of operations done.
     exponent
         p of cost ∝ sizeᵖ over the rows of the same bench, size.of and size.line.
-
     """
 
     bench: str
@@ -179,7 +178,6 @@ class BenchOptions:
         Progress callback; receives the current step.
     scene
         File to measure in addition to generated data.
-
     """
 
     repeats: int = 5
@@ -380,7 +378,6 @@ def fit_exponent(sizes: Sequence[float], costs: Sequence[float]) -> Spread | Non
     -------
     Spread or None
         Spread of the slopes in log-log coordinates; None with fewer than two different sizes.
-
     """
     if not sizes:
         return None
@@ -498,7 +495,6 @@ class Sweep:
         Largest expected processor time of a size that is still measured [s].
     prepare
         Function called with the size before every measurement, neither timed nor counted.
-
     """
 
     counted: str

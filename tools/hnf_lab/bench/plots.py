@@ -44,7 +44,6 @@ class Axis:
         Position of a perfect value, None if there is none.
     ticks
         Pairs of position and label.
-
     """
 
     low: float
@@ -150,7 +149,6 @@ def lay_out_labels(anchors: Float, sizes: Float, frame: Box, occupied: Sequence[
         Area available for labels.
     occupied
         Boxes that labels must not cover.
-
     """
     marks = [(x - MARK_PX, y - MARK_PX, x + MARK_PX, y + MARK_PX) for x, y in anchors.tolist()]
     placed: list[Box] = []
@@ -229,7 +227,6 @@ class Point:
         In the unit of its panel, less is better; −inf dB is exact.
     time
         In the measure of its panel.
-
     """
 
     method: str
@@ -247,7 +244,6 @@ class TradeOff:
         Label of the time axis.
     omitted
         Number of rows with an error but no such time, or with an error that is not a number.
-
     """
 
     bench: str
@@ -353,7 +349,6 @@ def write_plot(path: Path, rows: Sequence[Row]) -> None:
         If the file has another suffix or no row can be drawn.
     FileError
         If matplotlib is missing or the file cannot be written.
-
     """
     check_suffix(path)
     layouts, curves = [lay_out(trade) for trade in group_trade_offs(rows)], group_curves(rows)
@@ -392,7 +387,6 @@ def lay_out(trade_off: TradeOff) -> PanelLayout:
     ------
     UsageError
         If the panel would become too large.
-
     """
     errors = [point.error for point in trade_off.points]
     error = make_decibel_axis(errors) if trade_off.unit == "dB" else make_log_axis(errors, lambda value: f"{value:g}")

@@ -33,7 +33,6 @@ class StallLog:
         Duration of each stall on all cores, set at the end of the measurement [s].
     watched
         False if the system does not permit the high-priority processes.
-
     """
 
     def __init__(self) -> None:

@@ -54,7 +54,6 @@ class ProcessRun:
         Names of all loaded modules.
     output
         Standard output.
-
     """
 
     wall_s: float
@@ -76,7 +75,6 @@ def run_process(code: str, *arguments: str) -> ProcessRun:
     ------
     HnfError
         If it fails, or if the system does not report the resources of a process (Windows).
-
     """
     if not hasattr(os, "wait4"):
         raise HnfError("this system does not tell what a process took.", remedy="Run this bench on Linux or macOS.")

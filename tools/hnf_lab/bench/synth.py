@@ -155,7 +155,6 @@ class FieldTable:
         Log of the first point, and step of the log.
     outputs
         Number of outputs of the α head.
-
     """
 
     values: Float32
@@ -297,7 +296,6 @@ class SynthMethod:
         True if it should give the reference's signal.
     share
         Fraction of the signal that is rendered if all of it would take too long; times are scaled to all of it.
-
     """
 
     name: str

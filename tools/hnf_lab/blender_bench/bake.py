@@ -56,7 +56,6 @@ class BakeMethod:
         Function that sets up the state before it, neither timed nor counted.
     first_pass
         Side of the first pass [pixels], or None.
-
     """
 
     name: str
@@ -120,7 +119,6 @@ def measure_bake(options: BenchOptions) -> list[Row]:
     ------
     HnfError
         Without bpy, or if a bake fails.
-
     """
     require_bpy(BAKE_NAME)
     rows = _measure_scene(options, "", lambda session: _make_pattern_methods(session, options.quick))

@@ -59,7 +59,6 @@ def render_as_blenderproc(
         Samples per pixel.
     denoise
         Use the Denoise node.
-
     """
     import bpy
 

@@ -384,7 +384,6 @@ class TimedRenders:
         Errors of complete images, and within the patches.
     peak_mb
         Memory of the first run beyond that before [MB].
-
     """
 
     walls: list[float] = field(default_factory=list)
@@ -423,7 +422,6 @@ def measure_views(options: BenchOptions) -> list[Row]:
     ------
     HnfError
         Without bpy or Open Image Denoise.
-
     """
     require_bpy(VIEWS_NAME)
     import bpy  # noqa: F401  # loads _cycles, which reports the denoiser

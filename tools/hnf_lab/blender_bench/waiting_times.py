@@ -80,7 +80,6 @@ class EnableRun:
         Peak of Python's memory [MB], 0 if not traced.
     modules
         Modules loaded by the add-on.
-
     """
 
     numpy_s: float
@@ -101,7 +100,6 @@ def measure_enable(options: BenchOptions) -> list[Row]:
     ------
     HnfError
         Without bpy.
-
     """
     require_bpy(ENABLE_NAME)
     options.watch(f"{ENABLE_NAME}: compiling")
@@ -167,7 +165,6 @@ def measure_second_run(options: BenchOptions) -> list[Row]:
     ------
     HnfError
         Without bpy, or if the second run renders, casts rays or evaluates a network.
-
     """
     require_bpy(STARTUP_NAME)
     with tempfile.TemporaryDirectory() as folder:
@@ -307,7 +304,6 @@ def measure_responsiveness(options: BenchOptions) -> list[Row]:
     ------
     HnfError
         Without bpy, or if a bake fails.
-
     """
     require_bpy(RESPONSIVENESS_NAME)
     waits: WaitTimes = defaultdict(Times)

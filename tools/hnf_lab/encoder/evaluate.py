@@ -50,7 +50,6 @@ class TokenErrors:
         (7,) RMS error.
     median_level_db
         Median of |error| over all bands [dB].
-
     """
 
     level_db: Float
@@ -124,7 +123,6 @@ def evaluate_encoder(
         Views to use; None = all.
     sensor
         Sensor that renders the views.
-
     """
     chosen = range(len(pairs)) if rows is None else rows
     tokens, known = describe_single_views(encoder, pairs, chosen, sensor)
@@ -186,7 +184,6 @@ class SensorView:
         Seed of perturbed lamps unknown to the encoder; None = nominal.
     near_views
         0 = the complete map, else number of near views as in prediction.
-
     """
 
     sensor: str = "gelsight"

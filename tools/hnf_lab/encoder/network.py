@@ -55,7 +55,6 @@ def read_state_dict(path: Path, network: str) -> tuple[dict[str, Tensor], str]:
         If there is no file.
     WeightsError
         If it is not a safetensors file.
-
     """
     from safetensors import SafetensorError
     from safetensors.torch import load
@@ -99,7 +98,6 @@ def load_backbone(path: Path) -> tuple[dict[str, Tensor], str]:
         If there is no file.
     WeightsError
         If it is not a safetensors file, or names, shapes or numbers are not AlexNet's.
-
     """
     state, digest = read_state_dict(path, BACKBONE_NAME)
     expected_shapes = get_backbone_shapes()

@@ -243,7 +243,6 @@ class Schedule:
         Weight of the levels relative to the other outputs.
     narrow
         Convolutions in bfloat16.
-
     """
 
     steps: int = 12000
@@ -299,7 +298,6 @@ def fit_encoder(
     -------
     TorchAlexNet
         The trained network.
-
     """
     torch.set_num_threads(1)
     twin = TorchAlexNet(design)
@@ -426,7 +424,6 @@ def train_encoder(
         If pairs or the backbone cannot be read.
     WeightsError
         If the backbone does not fit.
-
     """
     pairs = load_pairs(folder, TRAIN, partial=partial)
     if backbone is None:

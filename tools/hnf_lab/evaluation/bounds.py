@@ -34,7 +34,6 @@ class MetricBounds:
         Spectral MSE of the process's own E|X_k| against one realisation: the lower bound for any prediction.
     realisations
         Number of realisations.
-
     """
 
     mean_magnitude: Float
@@ -74,7 +73,6 @@ def compute_bounds(magnitudes: Sequence[Float]) -> MetricBounds:
     ------
     ValueError
         If there are fewer than two realisations, or if they are silent.
-
     """
     magnitude, count = np.stack(magnitudes), len(magnitudes)
     power = float(np.mean(np.square(magnitude)))
@@ -97,7 +95,6 @@ def measure_repetition(samples: ArrayLike, rate: float, max_lag_s: float | None 
     ------
     ValueError
         If the signal is shorter than 0.2 s.
-
     """
     x = np.asarray(samples, dtype=np.float64)
     first = round(MIN_LAG_S * rate)

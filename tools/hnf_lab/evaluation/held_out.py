@@ -55,7 +55,6 @@ class KnownMaterial:
         (501,) long-run spectrum under the common action.
     oracle
         (501,) spectrum of 8 s of signal from another seed, or None.
-
     """
 
     name: str
@@ -216,7 +215,6 @@ def describe_photo(path: Path) -> NDArray[np.float32]:
     ------
     FileError
         If the image cannot be read or is too small.
-
     """
     try:
         import matplotlib.image

@@ -66,7 +66,6 @@ class DirectionSpectra:
         (8, 501) long-run densities.
     methods
         Method → (8, 501) densities.
-
     """
 
     material: str
@@ -160,7 +159,6 @@ class EvaluationSizes:
         Number of materials of each kind.
     known
         Number of trained materials compared with the held-out ones; None = all.
-
     """
 
     seconds: float = 4.0
@@ -223,7 +221,6 @@ def evaluate_material(
     -------
     MaterialResult
         References, scores, times and fitted methods.
-
     """
     name = subject.process.name
     watch(f"{name}: the true process")
@@ -354,7 +351,6 @@ class EvaluationJob:
         Position of the material in the run, from 0.
     directions
         True to measure spectra by direction as well.
-
     """
 
     kind: str

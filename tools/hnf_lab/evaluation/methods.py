@@ -63,7 +63,6 @@ def compute_expected_densities(field: Field, stroke: StrokeInput, every: int = 1
         The stroke.
     every
         Stride of the action states.
-
     """
     action, token_index = resample_action(stroke)
     amplitude = accumulate(field.config, evaluate(field, build_condition(stroke, action, token_index)))
@@ -106,7 +105,6 @@ def make_expected_magnitude_signal(density: ArrayLike, count: int, lasting: floa
     The lines at 15, 35 … 995 Hz have phases 2π n² / n_tot and such levels that |X_k| of a Hann window of 1000 samples
     is
     sqrt(π S_k) / 2, the expectation for a Gaussian texture of density S, wherever the window starts.
-
     """
     states = np.asarray(density, dtype=np.float64)
     window = hann_window(WINDOW_SAMPLES)
@@ -254,7 +252,6 @@ class MethodEntry:
         True if it needs a token.
     reuses
         Key of the entry whose fit this one uses in another form, so that it is trained once.
-
     """
 
     key: str

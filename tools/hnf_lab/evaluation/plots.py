@@ -52,7 +52,6 @@ def plot_spectra(path: Path, results: Sequence[MaterialResult], kind: str, names
     ------
     FileError
         If matplotlib is missing or the file cannot be written.
-
     """
     panels = [(result, index) for result in results for index in range(len(result.references.get(kind, [])))]
     columns = min(3, max(1, len(panels)))
@@ -85,7 +84,6 @@ def plot_directions(path: Path, measured: DirectionSpectra, names: dict[str, str
     ------
     FileError
         If matplotlib is missing or the file cannot be written.
-
     """
     panels = [("the true process", measured.truth), *((names[key], measured.methods[key]) for key in measured.methods)]
     columns = min(3, len(panels))

@@ -74,7 +74,6 @@ class Report:
         Omitted results and the reasons.
     timings
         Seconds by stage.
-
     """
 
     settings: dict[str, Any]

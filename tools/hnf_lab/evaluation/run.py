@@ -111,7 +111,6 @@ class EvaluationOptions:
         Training budget and weights of the shared field; without weights the shipped ones are used.
     workers
         Number of worker processes.
-
     """
 
     out: Path
@@ -143,7 +142,6 @@ def run_evaluation(options: EvaluationOptions, watch: Callable[[str], None] = la
     ------
     HnfError
         For errors that the user can correct: unknown methods, a folder without textures, unreadable weights.
-
     """
     entries = select_entries(options.keys)
     hatt = None if options.hatt is None else open_dataset("hatt", options.hatt)

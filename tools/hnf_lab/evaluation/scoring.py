@@ -59,7 +59,6 @@ class Trial:
         "window": new, but of the kind most methods train on. "unseen": of a kind in no training set.
     name
         Text for the report.
-
     """
 
     kind: Literal["window", "unseen"]
@@ -167,7 +166,6 @@ class Reference:
         (R, n) realisations; the first is *the* recording.
     oracle
         Further realisations from another seed, independent of all figures of the reference.
-
     """
 
     material: str
@@ -245,7 +243,6 @@ class Score:
         Metrics against one recording.
     repetition
         Largest autocorrelation beyond 0.1 s.
-
     """
 
     distance_db: float | None = None

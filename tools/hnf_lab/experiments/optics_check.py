@@ -94,7 +94,6 @@ class OpticsRow:
         Mean and median angle between true and decoded normal [degrees]; None if the model does not decode.
     by_tilt_codes
         RMS error per interval of TILT_EDGES_DEG.
-
     """
 
     name: str
@@ -156,7 +155,6 @@ def check_presses(presses: BallPresses, published: PolynomialTable | None = None
     ------
     UsageError
         If there is only one press, or the presses do not span all normals.
-
     """
     if len(presses.frames) < 2:
         raise UsageError("one press can be fitted or judged, not both.", remedy="Give more presses.")
@@ -410,7 +408,6 @@ def plot_presses(path: Path, presses: BallPresses, published: PolynomialTable, p
     ------
     FileError
         If matplotlib is missing or the file cannot be written.
-
     """
     radius = find_contact_radius_px(presses)
     pixels = select_pixels_under(presses, radius)
@@ -461,7 +458,6 @@ def plot_response(path: Path, presses: BallPresses, published: PolynomialTable) 
     ------
     FileError
         If matplotlib is missing or the file cannot be written.
-
     """
     pixels = select_pixels_under(presses, find_contact_radius_px(presses))
     ours = fit_linear_optics(pixels.select(pixels.press % 2 == 0), "difference")

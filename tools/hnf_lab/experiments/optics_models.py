@@ -112,7 +112,6 @@ def fit_linear_optics(pixels: BallPixels, form: Form) -> LinearOptics:
     ------
     UsageError
         If the normals do not span all directions.
-
     """
     light = _to_light(pixels.colour, pixels.background, form)
     terms = np.concatenate([pixels.normal, np.ones((len(pixels.normal), 1))], axis=1)

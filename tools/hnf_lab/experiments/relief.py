@@ -97,7 +97,6 @@ class ReliefResult:
         a(t) of the map without a library material.
     profile_m
         RMS height under the path [m].
-
     """
 
     change: str

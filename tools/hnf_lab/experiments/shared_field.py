@@ -123,7 +123,6 @@ class UnseenMaterial:
         Distance of the mean log spectrum of its category under the same strokes.
     nearest_db
         Distance of the nearest material in token space, named `nearest`.
-
     """
 
     name: str
@@ -185,7 +184,6 @@ class DirectionErrors:
         The same of third octaves.
     power_db
         The same of the power of the full band.
-
     """
 
     name: str

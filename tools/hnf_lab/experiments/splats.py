@@ -64,7 +64,6 @@ class PatchReading:
         Mean linear colour.
     resolved_m
         Shortest resolved wavelength [m].
-
     """
 
     token: Token | None
@@ -84,7 +83,6 @@ class PatchPair:
         Fraction of the mesh's pixels on which the splats show a surface.
     alike
         Reading of the mesh limited to the wavelengths that the splats resolve.
-
     """
 
     object_name: str
@@ -254,7 +252,6 @@ class PatchRow:
         True if the library ranks the same material first, without and with the scene's names.
     alike
         As by_look, with the mesh's image as coarse as that of the splats.
-
     """
 
     scene: str

@@ -57,7 +57,6 @@ class ErrorResult:
         True if synthesis warned that the tolerance is exceeded.
     knots
         Number of states at which F_Θ was evaluated.
-
     """
 
     primitive: str

@@ -47,7 +47,6 @@ class NaiveBaselines:
         Height of the full grey scale [m]: geometric mean of the values that match each training view's RMS slope.
     views
         Number of training views compared.
-
     """
 
     neighbours: Single
@@ -89,7 +88,6 @@ def fit_naive_baselines(shards: Iterable[Pairs], queries: Sequence[AppearanceVie
     ------
     FileError
         If the training set is empty.
-
     """
     query_features = np.stack([compute_features(np.sqrt(view.rgb), view.depth_m / view.pitch_m) for view in queries])
     query_pitch = np.array([int(np.argmin(np.abs(np.log(np.array(PITCHES_M) / view.pitch_m)))) for view in queries])
@@ -136,7 +134,6 @@ def compute_features(encoded: NDArray[Any], depth: NDArray[Any]) -> Float:
         (64, 64, 3) square root of linear colour.
     depth
         (64, 64) depth [pixels].
-
     """
     colour = np.asarray(encoded, dtype=np.float64)
     depth_px = np.asarray(depth, dtype=np.float64)

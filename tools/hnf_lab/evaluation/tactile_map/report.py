@@ -260,7 +260,6 @@ def write_plots(folder: Path, setup: MapSetup, measured: Measurement) -> None:
     ------
     FileError
         If matplotlib is missing or a file cannot be written.
-
     """
     plot_examples(folder / "tactile-map-examples.png", measured.examples, setup.networks)
     plot_excess(folder / "tactile-map-excess.png", measured, setup.networks, setup.seed)

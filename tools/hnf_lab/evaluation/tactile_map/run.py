@@ -54,7 +54,6 @@ def make_network_entries(main: MapWeights, comparison: MapWeights | None, steps:
     ------
     UsageError
         If both are the same network.
-
     """
     first = NetworkEntry(_make_name(main.config, steps), main.config.objective, main)
     if comparison is None:
@@ -108,7 +107,6 @@ class MapSizes:
         Tiles of held-out classes for the curve over steps and guidance.
     made
         Number of generated training tiles if there are no stored pairs.
-
     """
 
     instances: int = 24
@@ -149,7 +147,6 @@ class MapSetup:
         Folder of training pairs; None generates a few tiles.
     cache
         Folder of cached arrays, or None.
-
     """
 
     weights: MapWeights
@@ -177,7 +174,6 @@ class CurvePoint:
         Processor time per patch [s].
     angle_deg
         Mean angle between normals over the views [degrees].
-
     """
 
     steps: int
@@ -211,7 +207,6 @@ class Measurement:
         Number of training views behind the baselines.
     grey_m
         Fitted height of the full grey scale [m].
-
     """
 
     results: Mapping[str, tuple[TileResult, ...]]
@@ -242,7 +237,6 @@ def measure_maps(setup: MapSetup, watch: ProgressCallback = lambda what, done, t
         If pairs or the cache cannot be read.
     UsageError
         If both networks are the same.
-
     """
     networks, cache, sizes = setup.networks, ArrayCache(setup.cache), setup.sizes
     tiles: dict[str, list[HeldOutTile]] = {}

@@ -45,7 +45,6 @@ def compute_psnr_db(image: ArrayLike, reference: ArrayLike, data_range: float) -
     ------
     UsageError
         If the shapes differ or the range is not positive.
-
     """
     x, y = _check_images(image, reference, data_range)
     square = float(np.mean(np.square(x - y)))
@@ -62,7 +61,6 @@ def compute_ssim(image: ArrayLike, reference: ArrayLike, data_range: float) -> f
     ------
     UsageError
         If the shapes differ, the range is not positive, or an image is smaller than 11 × 11 pixels.
-
     """
     x, y = _check_images(image, reference, data_range)
     if min(x.shape[:2]) < SSIM_SIDE:
@@ -123,7 +121,6 @@ def predict_long_run_spectra(field: Field, tokens: NDArray[np.float32], mechanic
         (n, TOKEN_DIM) tokens.
     mechanics
         Mechanics of the n materials.
-
     """
     count, grid = len(tokens), make_speed_grid()
     spectra = []
@@ -157,7 +154,6 @@ class SpectrumError:
         Mean difference with its sign.
     shape
         RMS of the remainder.
-
     """
 
     total: float
@@ -217,7 +213,6 @@ class ImageScore:
         Mean angle between normals [degrees].
     level_db
         RMS slope relative to the true one [dB].
-
     """
 
     method: str
@@ -242,7 +237,6 @@ class TileResult:
         Method → error of its spectra against those of the true map in the same views.
     bands_db
         Method → (7,) level of each of the token's bands relative to the true one [dB].
-
     """
 
     tile: str
@@ -272,7 +266,6 @@ def score_spectra(
         Baselines from the training set; None omits class mean, mean of all and FUSED.
     main
         Method whose token is fused with the category's, "" = none.
-
     """
     pitches = [view.pitch_m for view in tile.views[:TOKEN_VIEWS]]
 

@@ -60,7 +60,6 @@ class ArrayCache:
         ------
         FileError
             If a file is damaged or the folder cannot be written; also what `make` raises.
-
         """
         if self._folder is None:
             return make()
@@ -98,7 +97,6 @@ class HeldOutTile:
         (5, 2, 64, 64) slopes of the first sensor in the token views of another tile of the same instance.
     full_token
         Band descriptor of the complete tile.
-
     """
 
     order: TileRequest
@@ -229,7 +227,6 @@ class Query:
         True if the network gets the depth and the colour.
     views
         First and end index of the predicted views.
-
     """
 
     sensor: str = PAIR_SENSORS[0]
