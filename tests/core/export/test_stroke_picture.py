@@ -251,7 +251,7 @@ def test_edges_of_input(tmp_path: Path, moves: Action, felt: Signal, seen: Strok
 
 def test_no_display_no_pyplot_and_the_style_is_put_back(tmp_path: Path) -> None:
     code = (
-        "import sys; sys.path.insert(0, 'tests/core')\n"
+        "import sys; sys.path.insert(0, 'tests/core/export')\n"
         "import matplotlib\n"
         "from pathlib import Path\n"
         "from test_stroke_picture import action, signal, view\n"
