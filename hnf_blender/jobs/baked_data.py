@@ -24,8 +24,8 @@ from ..touch.bake_plan import (
     plan_slots,
 )
 from ..touch.bake_storage import check_validity, clear_bake, count_stored_bytes, has_tokens
-from ..touch.freshness import Freshness, StrokeStatus
 from ..touch.session import GatheredJobs, Session, StrokeJob, add_scene_notes, gather_curve_jobs, make_scene_session
+from ..touch.stroke_status import Freshness, StrokeStatus
 from ..translations import tr
 from .job_runner import is_up_to_date
 

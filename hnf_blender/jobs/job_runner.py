@@ -22,10 +22,10 @@ from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..bridge.scene.suppress_output import suppress_output
 from ..bridge.stroke.read_stroke import list_strokes
 from ..touch.bake_storage import check_validity, find_shared_sources, group_by_mesh, has_tokens, make_face_tokens
-from ..touch.freshness import Freshness
 from ..touch.report import Report
 from ..touch.session import Session, StrokeJob, gather_curve_jobs, make_scene_session
 from ..touch.stroke_bake import make_stroke_bake
+from ..touch.stroke_status import Freshness
 from ..touch.synthesise import BakedStroke, bake_strokes, synthesise_stroke
 from .child_job import Failed, Finished, Message, Started, Step, encode_message
 from .query_job import run_query_job

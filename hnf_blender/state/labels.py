@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from ..touch.freshness import Freshness, StrokeStatus
+from ..touch.stroke_status import Freshness, StrokeStatus
 from ..translations import tr
 from .session_state import JobStatus, PlanLine, PlanView
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bridge.scene.scene_names import SceneNames, find_object
-from ..touch.freshness import Freshness, StrokeStatus
+from ..touch.stroke_status import Freshness, StrokeStatus
 from ..translations import tr
 from .session_state import STATE, suppress_change_tracking
 

@@ -26,9 +26,9 @@ from ..bridge.splats.splat_cloud import compute_cloud_frame, get_cloud, read_clo
 from ..props.scene_settings import find_index
 from ..translations import tr
 from .bake_patches import TouchedObject, get_encoder_name
-from .freshness import Freshness, StrokeStatus
 from .session import InputHashes, Session, StrokeJob, SurfaceFacts
 from .stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
+from .stroke_status import Freshness, StrokeStatus
 from .synthesise import BakedStroke
 
 

@@ -19,7 +19,7 @@ from ..state.labels import (
     format_stiffness,
 )
 from ..state.session_state import STATE, get_shown_name
-from ..touch.freshness import StrokeStatus
+from ..touch.stroke_status import StrokeStatus
 from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
 from .preview_panel import compute_image_size

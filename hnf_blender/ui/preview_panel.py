@@ -10,7 +10,7 @@ from ..actuator.actuator_state import ACTUATOR
 from ..preview.preview_state import PreviewFacts, get_preview_facts, get_preview_icon
 from ..props.scene_settings import get_active_stroke, list_cached_strokes
 from ..state.session_state import STATE
-from ..touch.freshness import Freshness
+from ..touch.stroke_status import Freshness
 from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph
 

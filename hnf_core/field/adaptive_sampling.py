@@ -22,8 +22,8 @@ from ..kernel.compiled_field import blend_rows
 from ..kernel.loader import load_kernel
 from .field import Emission, FieldConfig
 from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
+from .render_weights import render_weights
 from .stroke import SAMPLES_PER_STATE
-from .temporal_rendering import render_weights
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -54,8 +54,8 @@ from .linear_contact import (
     lateral_hand_impedance,
     time_edges_in_arc_bands,
 )
+from .render_weights import render_weights
 from .surface_spectrum import build_kernel_tables
-from .temporal_rendering import render_weights
 from .training_ranges import TrainingRanges
 
 Float = NDArray[np.float64]
@@ -322,7 +322,7 @@ def accumulate(config: FieldConfig, emission: Emission, first: int = 0) -> Float
     -----
     "past": Σ_n w_n α(u_{i − n·stride}), with σ_n of the same past state. Before the first sample nothing is emitted,
     and σ is that of the first sample. "heads": w_n α_n of each state. The weights are those of
-    temporal_rendering.render_weights.
+    render_weights.render_weights.
     """
     if config.accumulation == "heads":
         return np.asarray(render_weights(emission.sigma_dt[first:])[:, :, None] * emission.alpha[first:])

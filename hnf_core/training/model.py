@@ -15,7 +15,7 @@ from ..field.linear_contact import HARMONIC_SHIFTS, HARMONIC_START_LOG, LINE_COU
 
 
 def render_weights(sigma_dt: Tensor) -> Tensor:
-    """Compute the weights (..., N) of σΔt (..., N), as field.temporal_rendering.render_weights.
+    """Compute the weights (..., N) of σΔt (..., N), as field.render_weights.render_weights.
 
     Gradients are finite for σΔt in [0, ∞]. float16 and bfloat16 are accumulated in float32, float32 and float64 in
     float64, gradients likewise.
@@ -24,7 +24,7 @@ def render_weights(sigma_dt: Tensor) -> Tensor:
     density = sigma_dt.to(torch.float32 if narrow else torch.float64)
     before = functional.pad(density[..., :-1], (1, 0))
     step = 1
-    while step < before.shape[-1]:  # As field.temporal_rendering.prefix_sums.
+    while step < before.shape[-1]:  # As field.render_weights.prefix_sums.
         before = torch.cat([before[..., :step], before[..., step:] + before[..., :-step]], dim=-1)
         step *= 2
     # The gradient of expm1 is computed as expm1 + 1, which loses exp(−x) for large x; 1 − exp(−x) loses x for small x.

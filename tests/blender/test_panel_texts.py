@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hnf_blender.state import labels
-from hnf_blender.touch.freshness import Freshness, StrokeStatus
+from hnf_blender.touch.stroke_status import Freshness, StrokeStatus
 from hnf_blender.ui.materials_panel import group_equal_bakes
 
 LONG = "A stroke along the very long seam of the left armrest"

@@ -1,5 +1,4 @@
-"""The virtual serial device by the plainest code: checksum bit by bit, playout tick by tick, transducer sample by
-sample.
+"""Reference for the virtual serial device: checksum bit by bit, playout tick by tick, transducer sample by sample.
 
 hnf_core.actuators.serial_protocol, virtual.serial_device and virtual.transducer must equal it.
 """
@@ -37,22 +36,22 @@ def crc16_reference(data: bytes) -> int:
 
 
 class ReferencePlayout(Playout):
-    """A Playout that advances tick by tick."""
+    """Playout that advances tick by tick."""
 
     def advance(self, frames: int) -> Counts:
-        """Return the next frames that sound, (frames, channels)."""
+        """Return the next frames that are output, (frames, channels)."""
         out: Counts = np.zeros((frames, self.form.channels), dtype=np.int16)
-        for at in range(frames):
+        for frame in range(frames):
             self._update_phase()
             if self.phase is PlayoutPhase.SOUNDING:
-                self._play(out[at : at + 1])
+                self._play(out[frame : frame + 1])
             elif self.phase is PlayoutPhase.FADING:
-                self._fade(out[at : at + 1])
+                self._fade(out[frame : frame + 1])
         return out
 
 
 def simulate_reference(system: StateSpace, start: Floats, inputs: Floats) -> Floats:
-    """Simulate a linear system one sample after the other: StateSpace.simulate."""
+    """Simulate a linear system one sample at a time, as the reference for StateSpace.simulate."""
     states = [start]
     for value in inputs:
         states.append(system.transition @ states[-1] + np.outer(system.input_vector, value))
@@ -62,12 +61,12 @@ def simulate_reference(system: StateSpace, start: Floats, inputs: Floats) -> Flo
 def simulate_motion_reference(
     transducer: Transducer, drive: Floats, rate_hz: float, start: TransducerState | None = None
 ) -> Motion:
-    """Simulate a transducer one sample after the other, the end stops always checked: simulate_motion."""
+    """Simulate a transducer one sample at a time with end stops always checked; reference for simulate_motion."""
     start = make_rest_state(transducer, drive.shape[1]) if start is None else start
     force = transducer.compute_force(drive)
     first = np.stack([start.position, start.velocity])
     states = simulate_with_stops(make_mechanical_system(transducer, rate_hz), first, force, transducer.stroke_m)
-    warmth = (start.temperature - transducer.ambient_c)[None]
+    start_excess = (start.temperature - transducer.ambient_c)[None]
     thermal = make_thermal_system(transducer, rate_hz)
-    warmths = simulate_reference(thermal, warmth, transducer.compute_power(drive))[:, 0]
-    return make_motion(transducer, states, force, warmths + transducer.ambient_c)
+    temperature_excess = simulate_reference(thermal, start_excess, transducer.compute_power(drive))[:, 0]
+    return make_motion(transducer, states, force, temperature_excess + transducer.ambient_c)

@@ -1,4 +1,4 @@
-"""Rays and nearest points on a mesh, every triangle tried: the definition that the fast ray casters are held to."""
+"""Brute-force reference for ray casting and closest points on a mesh, which the fast ray casters must match."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from hnf_core.scene.raycast import (
 
 
 class ReferenceGeometry:
-    """Every triangle tried for every ray or point: the plain reference for the fast casters (O(n T))."""
+    """Mesh that tries every triangle for every ray or point, in O(n T)."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self._corners = mesh.corner_positions()
-        compute_float32_frame(self._corners)  # refuses what has no place
+        compute_float32_frame(self._corners)  # raises for coordinates that do not fit
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         origins, directions = as_ray_arrays(origins, directions)
         chosen, planes = np.full(len(origins), -1, dtype=np.int32), compute_triangle_planes(self._corners)
         for index in range(len(origins)):
-            origin, direction = (np.broadcast_to(each[index], planes[0].shape) for each in (origins, directions))
+            origin, direction = (np.broadcast_to(vectors[index], planes[0].shape) for vectors in (origins, directions))
             distance, weights = intersect_planes(*planes, origin, direction)
             valid = (weights >= 0.0).all(axis=-1) & (distance >= 0.0)
             if valid.any():

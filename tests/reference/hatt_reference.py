@@ -1,5 +1,4 @@
-"""Texture models of the HaTT by their formulas: synthesis one sample after the other,
-and the exact RMS and centroid."""
+"""Texture models of the HaTT by their formulas: synthesis one sample at a time, and the exact RMS and centroid."""
 
 from __future__ import annotations
 
@@ -10,8 +9,7 @@ from hnf_core.datasets.hatt_synthesis import FilterStates, Float, compute_power_
 
 
 def compute_rms_and_centroid(model: TextureModel, speed_m_s: float, force_n: float) -> tuple[float, float]:
-    """Return the RMS [m/s²], sqrt(variance · mean |H|²),
-    and the power-weighted mean frequency [Hz] up to half the rate."""
+    """Compute the RMS [m/s²], sqrt(variance · mean |H|²), and the power-weighted mean frequency [Hz] up to half the rate."""
     grid = (np.arange(2**15) + 0.5) / 2**16 * model.sample_rate  # midpoints: exact to rounding for such smooth spectra
     density = compute_power_spectrum(model, speed_m_s, force_n, grid)
     total = float(density.sum())
@@ -20,7 +18,7 @@ def compute_rms_and_centroid(model: TextureModel, speed_m_s: float, force_n: flo
 
 
 def synthesise_reference(states: FilterStates, noise: Float) -> Float:
-    """Synthesise by the formula, one sample after the other: synthesise_autoregressive."""
+    """Synthesise by the formula, one sample at a time, as the reference for synthesise_autoregressive."""
     total, width = noise.shape
     driven, signal = np.zeros((total, width)), np.zeros((total, width))
     for b in range(width):

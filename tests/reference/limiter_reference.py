@@ -1,4 +1,4 @@
-"""The limiter's law, one value at a time in plain Python: what limiter.py must equal, byte for byte."""
+"""Reference limiter in plain Python, one value at a time, which hnf_core/actuators/limiter.py must equal byte for byte."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from hnf_core.actuators.limits import FULL_SCALE_COUNTS, THERMAL_KNEE, LimiterPa
 
 @dataclass
 class ChannelReference:
-    """One channel's limiter. process() and soft_stop() take and give one frame. square: the mean square's bound from
-    above, counts²."""
+    """Limiter of one channel; process() and soft_stop() return one frame each.
+
+    mean_square is an upper bound of the mean square [counts²].
+    """
 
     params: LimiterParams
     mean_square: float = 0.0
@@ -34,7 +36,7 @@ class ChannelReference:
         self.cap = self._compute_level_cap()
 
     def process(self, value: float) -> int:
-        """m/s² → counts."""
+        """Limit one value [m/s²]; returns counts."""
         self.playing = True
         if not math.isfinite(value):
             self.nonfinite += 1
@@ -46,7 +48,7 @@ class ChannelReference:
         return self._limit(level)
 
     def soft_stop(self) -> int:
-        """Counts of one frame of the fade to 0."""
+        """Return one frame of the fade to 0 [counts]."""
         if self.playing:
             self.playing = False
             self.fade_in_frames = 0
@@ -61,10 +63,10 @@ class ChannelReference:
             tail = self.fade_out_start * float(self.params.ramp[self.fade_out_frames_left])
         wanted = round(level + tail)
         if math.isfinite(self.params.max_mean_square):
-            share = (self.grid_position + 1) / self.params.grid_frames
-            level = level * (self.previous_gain + (self.gain - self.previous_gain) * share)
-        aim = round(min(max(level + tail, -self.cap), self.cap))
-        self.last = min(max(aim, self.last - self.params.max_step), self.last + self.params.max_step)
+            fraction = (self.grid_position + 1) / self.params.grid_frames
+            level = level * (self.previous_gain + (self.gain - self.previous_gain) * fraction)
+        target = round(min(max(level + tail, -self.cap), self.cap))
+        self.last = min(max(target, self.last - self.params.max_step), self.last + self.params.max_step)
         self.limited += self.last != wanted
         if math.isfinite(self.params.max_mean_square):
             self._update_heat()
@@ -85,12 +87,12 @@ class ChannelReference:
     def _compute_level_cap(self) -> int:
         if not math.isfinite(self.params.max_mean_square):
             return self.params.peak
-        room = (self.params.max_mean_square - self.params.grid_decay * self.mean_square) / self.params.pole_weight
-        owed = self._compute_ramp_down_energy(abs(self.last))
+        budget = (self.params.max_mean_square - self.params.grid_decay * self.mean_square) / self.params.pole_weight
+        ramp_energy = self._compute_ramp_down_energy(abs(self.last))
         lowest, highest = 0, self.params.peak
         while lowest < highest:
             middle = (lowest + highest + 1) // 2
-            if max(self._compute_ramp_down_energy(middle), owed) + self.params.grid_frames * float(middle) ** 2 <= room:
+            if max(self._compute_ramp_down_energy(middle), ramp_energy) + self.params.grid_frames * float(middle) ** 2 <= budget:
                 lowest = middle
             else:
                 highest = middle - 1
@@ -101,7 +103,7 @@ class ChannelReference:
 
 
 def limit(limits: Limits, rate_hz: float, frames: Sequence[Sequence[float]], channels: int) -> list[list[int]]:
-    """frames of m/s², each of channels values → as many frames of counts, of a limiter that starts with them."""
-    law = compute_limiter_params(limits, rate_hz)
-    lanes = [ChannelReference(law) for _ in range(channels)]
-    return [[lane.process(float(value)) for lane, value in zip(lanes, frame, strict=True)] for frame in frames]
+    """Limit frames of m/s², each of `channels` values, from rest; returns as many frames of counts."""
+    params = compute_limiter_params(limits, rate_hz)
+    references = [ChannelReference(params) for _ in range(channels)]
+    return [[reference.process(float(value)) for reference, value in zip(references, frame, strict=True)] for frame in frames]

@@ -1,4 +1,4 @@
-"""The literal model, sample by sample in float64: slow, plain, and what the fast path is tested against.
+"""Reference synthesis of the model, sample by sample in float64, against which the fast path is tested.
 
 u(t) is read at every 10 kHz sample, F_Θ evaluated there and at the N past samples, and every carrier summed from its
 Fourier coefficients at the exact t or s(t). No tables, no interpolation of amplitudes, no spatial grid.
@@ -15,6 +15,7 @@ from hnf_core.field.carriers import ARC_BLOCK, TIME_BLOCK, Carriers
 from hnf_core.field.field import Field, evaluate
 from hnf_core.field.prepare import prepare_stroke
 from hnf_core.field.render import render_contact
+from hnf_core.field.render_weights import render_weights
 from hnf_core.field.stroke import (
     SAMPLES_PER_STATE,
     StrokeInput,
@@ -23,16 +24,15 @@ from hnf_core.field.stroke import (
     resample_action,
     sample_count,
 )
-from hnf_core.field.temporal_rendering import render_weights
 
 Float = NDArray[np.float64]
 
 
 def synthesise_reference(field: Field, stroke: StrokeInput, *, seed: int, start: int = 0, count: int = 2000) -> Float:
-    """Samples start … of the model rate [m/s²], (count,) float64.
+    """Synthesise count samples at the model rate from sample start on [m/s²], (count,) float64.
 
-    The texture term is literal; pressing is the shared linear filter, which is exact already. Raises UsageError for a
-    stroke with a height profile: its share of the power is defined at the action rate.
+    The texture term is evaluated without approximation; pressing is the shared linear filter, which is exact already. Raises
+    UsageError for a stroke with a height profile, whose part of the power is defined at the action rate.
     """
     if stroke.profile is not None:
         raise UsageError("the reference does not take a height profile.", remedy="Compare without it.")
@@ -53,7 +53,7 @@ def texture_reference(
     start: int,
     count: int,
 ) -> Float:
-    """Σ_n w_n Σ_k A_k c_k, literally. Returns (count,)."""
+    """Evaluate Σ_n w_n Σ_k A_k c_k without approximation; returns (count,)."""
     config, carriers = field.config, field.config.carriers
     lag = config.stride * SAMPLES_PER_STATE
     out = np.zeros(count)
@@ -61,9 +61,9 @@ def texture_reference(
         sample = start + offset + np.arange(min(500, count - offset))
         emissions = []
         for n in range(config.states if config.accumulation == "past" else 1):
-            at = sample - n * lag
-            emission = evaluate(field, interpolate_condition(stroke, action, token_index, at))
-            emissions.append((np.where(at[:, None, None] < 0, 0.0, emission.alpha), emission.sigma_dt))
+            past = sample - n * lag
+            emission = evaluate(field, interpolate_condition(stroke, action, token_index, past))
+            emissions.append((np.where(past[:, None, None] < 0, 0.0, emission.alpha), emission.sigma_dt))
         if config.accumulation == "past":
             sigma = np.stack([emission[1][:, n] for n, emission in enumerate(emissions)], axis=1)
             weights = render_weights(sigma)
@@ -74,14 +74,14 @@ def texture_reference(
             terms = [(n, weights[:, n, None] * alpha[:, n]) for n in range(config.states)]
         total = np.zeros(len(sample))
         for delay, amplitude in terms:
-            place = interpolate_cubic(action.position, (sample - delay) / SAMPLES_PER_STATE)
-            total += np.einsum("ik,ik->i", amplitude, carriers_at(carriers, seed, sample - delay, place))
+            position = interpolate_cubic(action.position, (sample - delay) / SAMPLES_PER_STATE)
+            total += np.einsum("ik,ik->i", amplitude, carriers_at(carriers, seed, sample - delay, position))
         out[offset : offset + len(sample)] = total
     return out
 
 
 def carriers_at(carriers: Carriers, seed: int, sample: NDArray[np.intp], place: Float) -> Float:
-    """(count, K) every carrier at given samples of the model rate and places s [m], by Fourier sums."""
+    """Evaluate all carriers by Fourier sums at samples of the model rate and arc lengths s [m]; returns (count, K)."""
     columns = [np.ones((len(sample), int(carriers.constant)))]
     if carriers.time_count:
         columns.append(_fourier(lambda b: carriers.time_block_spectra(seed, b), TIME_BLOCK, sample.astype(np.float64)))
@@ -97,7 +97,7 @@ def carriers_at(carriers: Carriers, seed: int, sample: NDArray[np.intp], place: 
 
 
 def _fourier(spectra, size: int, at: Float) -> Float:  # type: ignore[no-untyped-def]
-    """Faded blocks summed at fractional positions; the window is evaluated there too."""
+    """Sum faded blocks at fractional positions, where the window is evaluated too."""
     hop = size // 2
     block = np.floor(at / hop).astype(int)
     total = None

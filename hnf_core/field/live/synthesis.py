@@ -204,7 +204,7 @@ class LiveSynthesis:
         self._remembers = True
         emitted[1:], density[1:] = emitted[:-1], density[:-1]
         emitted[0], density[0] = alpha, sigma
-        # As temporal_rendering.render_weights, without arrays and sums in pairs, which few states do not need.
+        # As render_weights.render_weights, without arrays and sums in pairs, which few states do not need.
         weights, total = list[float](), 0.0
         for state_density in density[::stride].diagonal().tolist():
             weights.append(math.exp(-total) * -math.expm1(-state_density))

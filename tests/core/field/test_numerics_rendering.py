@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("mpmath", reason="the exact weights need mpmath (test extra)")
 torch = pytest.importorskip("torch", reason="the twin needs torch (train extra)")
 
-from hnf_core.field.temporal_rendering import render_weights
+from hnf_core.field.render_weights import render_weights
 from hnf_core.training.model import render_weights as twin
 from hnf_lab.experiments.numerics import (
     TORCH_TYPES,

@@ -30,10 +30,10 @@ from hnf_core.field.field import LOG_AMPLITUDE_CEILING, Emission, Field, accumul
 from hnf_core.field.linear_contact import LINE_GAIN_COUNT, Condition, compute_line_power
 from hnf_core.field.prepare import prepare_stroke
 from hnf_core.field.render import render_block
+from hnf_core.field.render_weights import render, render_weights
 from hnf_core.field.resampling import resample
 from hnf_core.field.stroke import StrokeInput, build_condition, resample_action, uniform_stroke
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.temporal_rendering import render, render_weights
 from hnf_core.field.weights import load_field
 from hnf_core.material.band_descriptor import describe
 from hnf_core.material.contact_model import Mechanics, height_response

@@ -21,6 +21,7 @@ from hnf_core.action.primitives import PRIMITIVES, make_primitive_action
 from hnf_core.field.field import Field, evaluate
 from hnf_core.field.prepare import prepare_stroke
 from hnf_core.field.render import render_block, render_contact
+from hnf_core.field.render_weights import render_weights
 from hnf_core.field.stroke import (
     SAMPLES_PER_STATE,
     StrokeInput,
@@ -31,7 +32,6 @@ from hnf_core.field.stroke import (
     uniform_stroke,
 )
 from hnf_core.field.synthesis import tolerance_warning
-from hnf_core.field.temporal_rendering import render_weights
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import load_library
 from reference.literal_synthesis import carriers_at

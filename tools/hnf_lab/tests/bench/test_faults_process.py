@@ -1,4 +1,4 @@
-"""Whatever happens to the playing process ends in silence: a child that plays is stopped, continued and killed."""
+"""Every fault of the playing process ends in silence: a child that plays is stopped, continued and killed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stream's bench: what it compares, what it paces, and that its rows come. No time is asserted."""
+"""Stream bench: its comparison, its pacing and its rows. No time is asserted."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from hnf_lab.encoder.network import (
 
 
 def torchvision_state(seed: int = 5) -> dict:
-    """What torchvision.models.alexnet().state_dict() holds, with a small classifier in place of the large one."""
+    """Make the state dict of torchvision.models.alexnet(), with a small classifier in place of the large one."""
     tensors = random_tensors(AlexNetConfig(hidden=HIDDEN), seed)
     state = {name: torch.tensor(tensors[name]) for name in trunk_names()}
     return {**state, "classifier.1.weight": torch.zeros(4, 4), "classifier.1.bias": torch.zeros(4)}

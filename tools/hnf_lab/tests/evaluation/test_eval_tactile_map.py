@@ -202,7 +202,7 @@ def test_a_flat_map_is_far_too_quiet(tile) -> None:
 
 
 def test_looks_and_slopes_of_a_tile_show_the_same_place(monkeypatch) -> None:
-    """Where the photograph is the height itself, its gradient in every view is the true slope of that view."""
+    """The gradient of a photograph that equals the height is the true slope, in every view."""
     monkeypatch.setattr(pair_generation, "NOISE", (0.0, 0.0))
     monkeypatch.setattr(pair_generation, "BLUR_PIXELS", (0.0, 0.0))
     order = list_tile_requests(HELD_OUT_CLASSES, PairSizes(), 0)[0]

@@ -77,7 +77,7 @@ def test_magnitude_scales_with_root_density_without_a_seed(stroke: StrokeInput) 
 
 @pytest.mark.parametrize("left", [0, 1, 2, 3])
 def test_a_density_is_heard_when_its_state_is(left: int) -> None:
-    """However many states follow the last one that is asked: they do not stretch those before over the signal."""
+    """States after the last one requested do not shift the earlier ones in time, whatever their number."""
     material = get_material("pine-wood")
     whole = make_random_smooth_action(SECONDS, 5, speed_m_s=(0.06, 0.2), force_n=(0.5, 2.0))
     states = len(whole.speed) // 4 * 4 - 3 + left

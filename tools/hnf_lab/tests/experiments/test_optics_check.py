@@ -300,7 +300,7 @@ def test_a_polynomial_table_is_checked(tmp_path):
 
 @needs_calibrations
 def test_real_presses_are_as_linear_as_the_page_says():
-    """What docs/optics.md says: linear optics explain most of a real sensor, polynomials of the place more."""
+    """Linear optics explain most of a real sensor, and polynomials of the position more (docs/optics.md)."""
     folder = CALIBRATIONS / "objectfolder_gelsight" / "calibs"
     presses = read_ball_presses(folder / "dataPack.npz", BALL_RADIUS_M / PIXEL_PITCH_M["objectfolder"])
     check = check_presses(presses, read_polynomial_table(folder / "polycalib.npz"))

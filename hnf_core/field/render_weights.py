@@ -105,14 +105,3 @@ def _wide(dtype: np.dtype[Any]) -> np.dtype[Any]:
     exp(−S) multiplies the error of S, so float32 would lose digits in float32.
     """
     return np.dtype(np.float32) if dtype.itemsize == 2 else np.promote_types(dtype, np.float64)
-
-
-def render_weights_reference(sigma_dt: ArrayLike) -> Float:
-    """Compute the published formula term by term in float64, (..., N) → (..., N); the reference of render_weights."""
-    density = np.asarray(sigma_dt, dtype=np.float64)
-    weights = np.zeros_like(density)
-    for index in np.ndindex(density.shape[:-1]):
-        for n in range(density.shape[-1]):
-            transmittance = np.exp(-sum(density[index][j] for j in range(n)))
-            weights[(*index, n)] = transmittance * (1.0 - np.exp(-density[(*index, n)]))
-    return weights

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hnf_core.field.temporal_rendering import render, render_weights, render_weights_reference
+from hnf_core.field.render_weights import render, render_weights
+from reference.render_weights_reference import render_weights_reference
 
 densities = arrays(
     np.float64,
