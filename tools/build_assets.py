@@ -3,12 +3,11 @@
     .venv-4.2/bin/python tools/build_assets.py [--out hnf_blender/assets]
 
 Run it with the oldest Blender supported: later ones read its files, it does not read theirs. Blender's files hold
-memory addresses, so two builds differ in bytes and agree in `contents`.
+memory addresses, so two builds differ in bytes and agree in `read_contents`.
 
-Pictures for the asset browser, drawn without rendering: a material's own relief under a raking light, a stroke's
-path coloured by force. (H, W, 4) float32, 0–1 as shown, rows from the bottom.
-
-Few tones on purpose: the pictures are most of the asset files, and what repeats packs well.
+Previews for the asset browser are drawn without rendering: a material's relief under a raking light, a stroke's path
+coloured by force. They are (H, W, 4) float32, display values 0–1, rows from the bottom. They have few tones on purpose:
+they are most of the asset files, and repeated values compress well.
 """
 
 from __future__ import annotations
@@ -40,8 +39,8 @@ PreviewImage = NDArray[np.float32]
 PREVIEW_PIXELS = 96
 TONE_COUNT = 20
 DISPLAYED_SLOPES, TRUE_SLOPES = (0.04, 0.5), (2e-4, 0.06)
-"""RMS slopes shown for the smoothest and the roughest, between them by the logarithm of the true one: both the grain of
-glass and the pile of a carpet have to be seen, and told apart."""
+"""RMS slopes as drawn and as they are, smoothest and roughest; in between, interpolated over the logarithm of the true
+one. The grain of glass and the pile of a carpet must both be visible and differ."""
 PITCH_M = 2.0 * TILE_SIZE_M / TILE_PIXELS
 LIGHT_DIRECTION = np.array([-0.6, 0.55, 0.58])
 PRESSED_COLOUR, LIFTED_COLOUR = np.array([0.98, 0.55, 0.16]), np.array([0.25, 0.45, 0.85])
@@ -50,31 +49,34 @@ LINE_WIDTH_PX = 2.2
 
 
 def draw_material_preview(material: LibraryMaterial) -> PreviewImage:
-    """A ball would show the colour; a patch of 7.5 mm shows what a finger meets."""
+    """Draw a patch of 7.5 mm of a material under a raking light.
+
+    A sphere would show only the colour; the patch shows the relief under a finger.
+    """
     crop = 2 * PREVIEW_PIXELS
     height = height_map(SurfaceRecipe.from_dict(material.recipe), material.seed)[:crop, :crop].astype(np.float64)
     height = height.reshape(PREVIEW_PIXELS, 2, PREVIEW_PIXELS, 2).mean(axis=(1, 3))
     rows, columns = np.gradient(height, PITCH_M)
     slope = max(float(np.sqrt(np.mean(rows**2 + columns**2))), 1e-9)
-    shown = np.interp(np.log10(slope), np.log10(TRUE_SLOPES), DISPLAYED_SLOPES)
-    normal = np.stack([-columns, rows, np.full_like(rows, slope / shown)], axis=-1)
+    displayed_slope = np.interp(np.log10(slope), np.log10(TRUE_SLOPES), DISPLAYED_SLOPES)
+    normal = np.stack([-columns, rows, np.full_like(rows, slope / displayed_slope)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     light = LIGHT_DIRECTION / np.linalg.norm(LIGHT_DIRECTION)
-    look = material.appearance
+    appearance = material.appearance
     diffuse = np.clip(normal @ light, 0.0, None)
     half = light + np.array([0.0, 0.0, 1.0])
-    sharpness = 2.0 / max(look.roughness or 0.5, 0.15) ** 2
-    glint = np.clip(normal @ half / np.linalg.norm(half), 0.0, None) ** sharpness
+    sharpness = 2.0 / max(appearance.roughness or 0.5, 0.15) ** 2
+    specular = np.clip(normal @ half / np.linalg.norm(half), 0.0, None) ** sharpness
     tone = np.round(np.clip(0.18 + 0.85 * diffuse, 0.0, 1.0) * TONE_COUNT) / TONE_COUNT
-    shine = np.round(glint * (1.0 - (look.roughness or 0.5)) * 6.0) / 6.0 * 0.6
-    colour = np.array(look.base_color or (0.8, 0.8, 0.8))
-    tint = colour if (look.metallic or 0.0) > 0.5 else np.ones(3)
-    linear = np.clip(tone[..., None] * colour + shine[..., None] * tint, 0.0, 1.0)
+    highlight = np.round(specular * (1.0 - (appearance.roughness or 0.5)) * 6.0) / 6.0 * 0.6
+    colour = np.array(appearance.base_color or (0.8, 0.8, 0.8))
+    tint = colour if (appearance.metallic or 0.0) > 0.5 else np.ones(3)
+    linear = np.clip(tone[..., None] * colour + highlight[..., None] * tint, 0.0, 1.0)
     return _add_alpha(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)[::-1])
 
 
 def draw_stroke_preview(path: PlanarPath) -> PreviewImage:
-    """The path as seen from above, light where it presses; a dot where it begins."""
+    """Draw a path from above, light where it presses, with a dot at its start."""
     curve = make_path_curve(path)
     time = np.linspace(0.0, path.duration_s, 600)
     points = curve.point_at(np.clip(path.progress.sample(time)[0], 0.0, 1.0) * curve.length)
@@ -82,13 +84,13 @@ def draw_stroke_preview(path: PlanarPath) -> PreviewImage:
     strength = float(path.force.value.max()) / 2.0  # 2 N is the hardest of the eight
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     spread = float(np.abs(points - middle).max())
-    at = (points - middle) / spread * 0.38 * PREVIEW_PIXELS + PREVIEW_PIXELS / 2.0
+    pixel = (points - middle) / spread * 0.38 * PREVIEW_PIXELS + PREVIEW_PIXELS / 2.0
     grid = np.arange(PREVIEW_PIXELS) + 0.5
-    far = np.hypot(grid[None, :, None] - at[:, 0], grid[:, None, None] - at[:, 1])
-    nearest = far.argmin(axis=-1)
+    distance = np.hypot(grid[None, :, None] - pixel[:, 0], grid[:, None, None] - pixel[:, 1])
+    nearest = distance.argmin(axis=-1)
     width = LINE_WIDTH_PX * (0.6 + 0.8 * strength)
-    cover = np.clip(width + 0.5 - far.min(axis=-1), 0.0, 1.0)
-    begin = np.clip(2.2 * width + 0.5 - far[..., 0], 0.0, 1.0)
+    cover = np.clip(width + 0.5 - distance.min(axis=-1), 0.0, 1.0)
+    begin = np.clip(2.2 * width + 0.5 - distance[..., 0], 0.0, 1.0)
     pressed = np.round(force[nearest] * TONE_COUNT)[..., None] / TONE_COUNT
     line = pressed * PRESSED_COLOUR + (1.0 - pressed) * LIFTED_COLOUR
     picture = BACKGROUND + cover[..., None] * (line - BACKGROUND)
@@ -116,12 +118,12 @@ def make_material_catalog(category: str) -> str:
 
 
 def compute_catalog_id(path: str) -> str:
-    """The same for the same path in every build: asset browsers remember catalogs by it."""
+    """Compute the catalog's UUID from its path; it must not change between builds, as asset browsers store it."""
     return str(uuid.uuid5(NAMESPACE, path))
 
 
 def format_catalogs() -> str:
-    """blender_assets.cats.txt."""
+    """Format the content of blender_assets.cats.txt."""
     leaves = {make_material_catalog(material.category) for material in load_library()} | {STROKE_CATALOG}
     paths = leaves | {"Touch", "Touch/Materials"}
     lines = [f"{compute_catalog_id(path)}:{path}:{path.replace('/', '-')}" for path in sorted(paths)]
@@ -131,30 +133,30 @@ def format_catalogs() -> str:
 
 
 def format_name(name: str) -> str:
-    """`oak-wood` → `Oak wood`."""
+    """Format a name for display: `oak-wood` → `Oak wood`."""
     return name.replace("-", " ").capitalize()
 
 
 def build_material(material: LibraryMaterial) -> Any:
-    """A Blender material with the library material's look and, as the artist's own choice, its feel."""
-    made = bpy.data.materials.new(format_name(material.name))
-    set_appearance(made, material.appearance)
-    made.hnf_touch.library = material.name
-    felt = material.mechanics
-    friction = "" if felt.friction is None else f", friction {felt.friction:g}"
+    """Build a Blender material with the appearance of a library material, which is also set as its feel."""
+    datablock = bpy.data.materials.new(format_name(material.name))
+    set_appearance(datablock, material.appearance)
+    datablock.hnf_touch.library = material.name
+    mechanics = material.mechanics
+    friction = "" if mechanics.friction is None else f", friction {mechanics.friction:g}"
     mark_asset(
-        made,
+        datablock,
         make_material_catalog(material.category),
         f"Looks and feels like {format_name(material.name).lower()}{friction}",
     )
     for word in dict.fromkeys((material.category, *material.words)):
-        made.asset_data.tags.new(word, skip_if_exists=True)
-    set_preview(made, draw_material_preview(material))
-    return made
+        datablock.asset_data.tags.new(word, skip_if_exists=True)
+    set_preview(datablock, draw_material_preview(material))
+    return datablock
 
 
 def build_stroke(primitive: Primitive, plate: Any) -> Any:
-    """The primitive as a stroke object around the origin, flat on z = 0, touching whatever it is laid on."""
+    """Build a primitive as a stroke object around the origin, flat on z = 0, without a surface of its own."""
     scene = bpy.context.scene
     stroke = place_primitive(scene, plate, 0, primitive, 1.0, name=format_name(primitive.name)).curve
     stroke.parent = None
@@ -179,8 +181,8 @@ def build_stroke(primitive: Primitive, plate: Any) -> Any:
 
 def mark_asset(datablock: Any, catalog: str, text: str) -> None:
     datablock.asset_mark()
-    facts = datablock.asset_data
-    facts.catalog_id, facts.description, facts.author, facts.license = (
+    metadata = datablock.asset_data
+    metadata.catalog_id, metadata.description, metadata.author, metadata.license = (
         compute_catalog_id(catalog),
         text,
         AUTHOR,
@@ -189,14 +191,14 @@ def mark_asset(datablock: Any, catalog: str, text: str) -> None:
 
 
 def set_preview(datablock: Any, image: Any) -> None:
-    """Make picture (H, W, 4), 0–1, rows from the bottom, the datablock's preview."""
+    """Set the preview of a datablock to an image (H, W, 4), 0–1, rows from the bottom."""
     preview = datablock.preview_ensure()
     preview.image_size = (image.shape[1], image.shape[0])
     preview.image_pixels_float.foreach_set(np.ascontiguousarray(image, dtype=np.float32).ravel())
 
 
 def write_assets(folder: Path) -> None:
-    """Write both .blend files and the catalogs. Whatever is open in this Blender is lost."""
+    """Write both .blend files and the catalogs. Unsaved changes in this Blender are lost."""
     folder.mkdir(parents=True, exist_ok=True)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     _write(folder / MATERIALS, {build_material(material) for material in load_library()})
@@ -207,23 +209,23 @@ def write_assets(folder: Path) -> None:
 
 
 def read_contents(folder: Path) -> dict[str, Any]:
-    """Everything the files say but their bytes: what two builds agree in. Whatever is open in this Blender is lost."""
-    found: dict[str, Any] = {"catalogs": (folder / CATALOGS).read_text(encoding="utf-8")}
+    """Read all that must agree between two builds. Unsaved changes in this Blender are lost."""
+    contents: dict[str, Any] = {"catalogs": (folder / CATALOGS).read_text(encoding="utf-8")}
     for name, kind in ((MATERIALS, "materials"), (STROKES, "objects")):
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        with bpy.data.libraries.load(str(folder / name), assets_only=True) as (there, wanted):
-            setattr(wanted, kind, getattr(there, kind))
+        with bpy.data.libraries.load(str(folder / name), assets_only=True) as (available, wanted):
+            setattr(wanted, kind, getattr(available, kind))
         for asset in getattr(wanted, kind):
-            facts = asset.asset_data
+            metadata = asset.asset_data
             pixels = np.empty(len(asset.preview.image_pixels_float), dtype=np.float32)
             asset.preview.image_pixels_float.foreach_get(pixels)
-            found[asset.name] = {
-                "catalog": facts.catalog_id, "description": facts.description, "author": facts.author,
-                "licence": facts.license, "tags": sorted(tag.name for tag in facts.tags),
+            contents[asset.name] = {
+                "catalog": metadata.catalog_id, "description": metadata.description, "author": metadata.author,
+                "licence": metadata.license, "tags": sorted(tag.name for tag in metadata.tags),
                 "picture": (*asset.preview.image_size, np.round(255.0 * pixels).astype(np.uint8).tobytes()),
                 **(_read_material(asset) if kind == "materials" else _read_stroke(asset)),
             }  # fmt: skip
-    return found
+    return contents
 
 
 def _read_material(material: Any) -> dict[str, Any]:

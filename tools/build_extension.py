@@ -2,12 +2,9 @@
 
     .venv/bin/python tools/build_extension.py [--python 3.11]… [--platform linux-x64]… [--out dist]
 
-The extension's root is hnf_blender, with hnf_core inside it, so that it touches no module outside its own name. The
-source is addon_manifest.toml; wheels are taken from the package index unmodified and kept in build/wheels.
-
-Turn `from hnf_core.x import y` into a relative import, for code that moves into a Blender extension.
-
-An extension is the package `bl_ext.REPOSITORY.hnf`, and Blender warns of any module it puts outside that name.
+The extension's root is hnf_blender, with hnf_core inside it. An extension is the package `bl_ext.REPOSITORY.hnf`, and
+Blender warns of any module outside that name, so `from hnf_core.x import y` becomes a relative import. The manifest's
+source is addon_manifest.toml; wheels are taken from the package index unmodified and stored in build/wheels.
 """
 
 from __future__ import annotations
@@ -34,11 +31,11 @@ MODULE_NAME = re.compile(rf"({CORE}|{BRIDGE})(\.\w+)+")
 
 
 class ImportRewriteError(Exception):
-    """An import that cannot be made relative; the message names file and line."""
+    """Error for an import that cannot be made relative; the message names file and line."""
 
 
 def rewrite_imports(text: str, level: int, name: str) -> str:
-    """Source `text` with its hnf_core imports made relative, `level` dots deep; every other byte stays.
+    """Make the hnf_core imports of source `text` relative, `level` dots deep; every other byte stays.
 
     Raises ImportRewriteError (naming `name` and the line) for `import hnf_core`, for an absolute import of
     hnf_blender, and for a string that names a module of either: at run time none of them would be found.
@@ -55,14 +52,14 @@ def rewrite_imports(text: str, level: int, name: str) -> str:
                 "into the extension. Write it so."
             )
     new = "".join(lines)
-    left = [node.lineno for node in ast.walk(ast.parse(new)) if _is_core_import(node)]
-    if left:
-        raise ImportRewriteError(f"{name}:{left[0]}: `from` and `{CORE}` stand on different lines. Join them.")
+    remaining = [node.lineno for node in ast.walk(ast.parse(new)) if _is_core_import(node)]
+    if remaining:
+        raise ImportRewriteError(f"{name}:{remaining[0]}: `from` and `{CORE}` stand on different lines. Join them.")
     return new
 
 
 def rewrite_file(path: Path, extension_root: Path) -> None:
-    """Rewrite one file of a laid-out extension in place; its depth decides the number of dots."""
+    """Rewrite one file of the staged extension in place; its depth decides the number of dots."""
     relative = path.relative_to(extension_root)
     text = path.read_text(encoding="utf-8")
     if relative.parts[0] == CORE:
@@ -102,37 +99,37 @@ STAGING = ROOT / "build" / "extension"
 OMITTED_FILES = frozenset(
     f"hnf_core/data/{name}.safetensors" for name in ("field-held-out", "field-encoders", "encoder")
 )
-"""Weights that only `hnf eval` asks, which needs torch and stays outside Blender; and E's network, whose tokens the
+"""Weights that only `hnf eval` uses, which needs torch and does not run in Blender; and E's network, whose tokens the
 shipped field refuses."""
 SOURCE_ONLY = ("batch",)
-"""Folder of `hnf batch`, which runs from the source."""
+"""Folders that are not packed: `hnf batch` runs from the source."""
 IGNORED = shutil.ignore_patterns(
     "__pycache__", "*.pyc", ".*", "*.blend1", *SOURCE_ONLY, *(Path(name).name for name in OMITTED_FILES)
 )
 TAGLINE_LIMIT = 64
 KERNEL_PLATFORMS = ("linux-x64", "windows-x64")
-"""On a Mac numpy does its work: it was built for one, and never run there."""
+"""Platforms on which the kernel has run. It was built for Macs but never run there, so they use numpy."""
 
 
 class BuildError(Exception):
-    """The extension cannot be built; the message names the file and the remedy."""
+    """Error for an extension that cannot be built; the message names the file and the remedy."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """One zip: a Python version ("3.11") and one of Blender's platform names ("linux-x64")."""
+    """Target of one zip: a Python version ("3.11") and one of Blender's platform names ("linux-x64")."""
 
     python: str
     platform: str
 
     @property
     def tag(self) -> str:
-        """`linux-x64-py311`."""
+        """Name of the target in file names, such as `linux-x64-py311`."""
         return f"{self.platform}-py{self.python.replace('.', '')}"
 
 
 def read_source() -> dict[str, Any]:
-    """addon_manifest.toml as it stands. Raises BuildError where it is unreadable or says too much."""
+    """Read addon_manifest.toml. Raises BuildError where it is unreadable or its tagline is too long."""
     try:
         source = tomllib.loads((ROOT / "addon_manifest.toml").read_text(encoding="utf-8"))
     except (OSError, tomllib.TOMLDecodeError) as error:
@@ -143,7 +140,7 @@ def read_source() -> dict[str, Any]:
 
 
 def read_project_version() -> str:
-    """hnf_core.__version__, read without importing. Raises BuildError where it is no x.y.z."""
+    """Read hnf_core.__version__ without importing. Raises BuildError where it is no x.y.z."""
     text = (ROOT / "hnf_core" / "__init__.py").read_text(encoding="utf-8")
     match = re.search(r'^__version__ = "(\d+\.\d+\.\d+[\w.+-]*)"$', text, re.MULTILINE)
     if match is None:
@@ -152,7 +149,7 @@ def read_project_version() -> str:
 
 
 def list_requirements(source: dict[str, Any], target: Target) -> list[str]:
-    """The pinned wheels of one target. Raises BuildError for a Python or platform the source does not name."""
+    """List the pinned wheels of one target. Raises BuildError for a Python or platform not in the source."""
     for table, key in (("python", target.python), ("platforms", target.platform)):
         if key not in source[table]:
             raise BuildError(f"addon_manifest.toml knows no {key}; it has {', '.join(source[table])}.")
@@ -160,7 +157,7 @@ def list_requirements(source: dict[str, Any], target: Target) -> list[str]:
 
 
 def fetch_wheels(source: dict[str, Any], target: Target) -> list[Path]:
-    """The target's wheels, from build/wheels or the package index. Raises BuildError where pip finds none."""
+    """Fetch the target's wheels from build/wheels or the package index. Raises BuildError where pip finds none."""
     wanted = list_requirements(source, target)
     folder, stamp = WHEELS / target.tag, WHEELS / f"{target.tag}.stamp"
     digest = hashlib.sha256("\n".join([*wanted, *source["platforms"][target.platform]]).encode()).hexdigest()
@@ -178,8 +175,11 @@ def fetch_wheels(source: dict[str, Any], target: Target) -> list[Path]:
 
 
 def build_kernel_wheels(target: Target) -> list[Path]:
-    """The compiled kernel, for platforms on which it has run (Windows: under Wine); none, and a line that says so,
-    where its compiler is not installed. Raises BuildError where it does not compile."""
+    """Build the compiled kernel for platforms on which it has run (Windows: under Wine).
+
+    Returns an empty list, with a message on stderr, where the compiler is not installed. Raises BuildError where the
+    kernel does not compile.
+    """
     if target.platform not in KERNEL_PLATFORMS:
         return []
     if importlib.util.find_spec("ziglang") is None:
@@ -192,7 +192,7 @@ def build_kernel_wheels(target: Target) -> list[Path]:
 
 
 def download(wanted: list[str], platform_tags: list[str], python: str, folder: Path) -> None:
-    """pip download of exactly the wanted wheels for another Python and platform than this one."""
+    """Download exactly the wanted wheels with pip, for another Python and platform than this one."""
     abi = "cp" + python.replace(".", "")
     options = ["--no-deps", "--only-binary=:all:", "--implementation", "cp", "--python-version", python]
     options += [word for tag in (abi, "abi3", "none") for word in ("--abi", tag)]
@@ -207,12 +207,12 @@ def download(wanted: list[str], platform_tags: list[str], python: str, folder: P
 
 
 def format_toml(table: dict[str, Any]) -> list[str]:
-    """`key = value` lines of a table of strings and lists of strings, whose JSON form is a TOML form too."""
+    """Format a table of strings and lists of strings as `key = value` lines, whose JSON form is valid TOML."""
     return [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items()]
 
 
 def format_manifest(source: dict[str, Any], target: Target, version: str, wheels: list[Path]) -> str:
-    """blender_manifest.toml of one target."""
+    """Format blender_manifest.toml of one target."""
     fields = {key: value for key, value in source["manifest"].items() if not isinstance(value, dict)}
     fields["version"] = version
     fields |= {key: value for key, value in source["python"][target.python].items() if key.startswith("blender_")}
@@ -249,7 +249,7 @@ def stage(source: dict[str, Any], target: Target, version: str, folder: Path) ->
 
 
 def find_blender_scripts() -> Path:
-    """Folder `scripts` of this Python's bpy, found without importing it. Raises BuildError where there is none."""
+    """Find the folder `scripts` of this Python's bpy without importing it. Raises BuildError where there is none."""
     spec = importlib.util.find_spec("bpy")
     if spec is None or not spec.submodule_search_locations:
         raise BuildError("This Python has no bpy, whose extension tool builds the zip. Use .venv/bin/python.")
@@ -260,8 +260,10 @@ def find_blender_scripts() -> Path:
 
 
 def run_blender_tool(verb: str, *arguments: str, tags: bool = True) -> str:
-    """Run Blender's extension tool; its output. tags: whether the verb checks an extension's tags. Raises BuildError
-    with what it said where it refuses."""
+    """Run Blender's extension tool and return its output.
+
+    Set tags where the verb checks an extension's tags. Raises BuildError with the tool's output where it fails.
+    """
     scripts = find_blender_scripts()
     tool = scripts / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"
     command = [sys.executable, str(tool), verb, *arguments]
@@ -275,7 +277,7 @@ def run_blender_tool(verb: str, *arguments: str, tags: bool = True) -> str:
 
 
 def build(target: Target, out: Path, staging: Path = STAGING, version: str = "") -> Path:
-    """Build and validate one zip; its path. version: of the manifest, "" = the project's own. Raises BuildError."""
+    """Build and validate one zip; returns its path. The version defaults to the project's own. Raises BuildError."""
     source, version = read_source(), version or read_project_version()
     folder = staging / target.tag
     stage(source, target, version, folder)
@@ -287,7 +289,7 @@ def build(target: Target, out: Path, staging: Path = STAGING, version: str = "")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Build every Python × platform that is named; 1 with a clear line where one fails."""
+    """Build every Python × platform that is named; returns 1 with a clear message where one fails."""
     parser = argparse.ArgumentParser(description="Build the Blender extension.")
     parser.add_argument("--python", action="append", metavar="X.Y", help="Python of Blender (default 3.11)")
     parser.add_argument("--platform", action="append", metavar="NAME", help="Blender's platform (default linux-x64)")

@@ -34,13 +34,24 @@ INIT_TEXT = '"""Compiled inner loops of hnf_core.kernel, which loads them."""\n'
 
 
 class KernelError(Exception):
-    """The kernel cannot be built; the message says why."""
+    """Error for a kernel that cannot be built; the message says why."""
 
 
 @dataclass(frozen=True)
 class Platform:
-    """target: zig's name. wheel: the package index's name. suffix: of a shared library. processors: (name of the
-    library, least processor that it runs on); library.py takes the last that fits."""
+    """Platform that the kernel is built for.
+
+    Attributes
+    ----------
+    target
+        Zig's name of the platform.
+    wheel
+        The package index's name of it.
+    suffix
+        File suffix of a shared library.
+    processors
+        Pairs of a library's name and the least processor that it runs on. hnf_core loads the last that fits.
+    """
 
     target: str
     wheel: str
@@ -60,7 +71,7 @@ PLATFORMS = {
 
 
 def detect_platform() -> str:
-    """This machine's platform. Raises KernelError where the kernel is not built for it."""
+    """Detect the platform of this machine. Raises KernelError where the kernel is not built for it."""
     name = {"Linux": "linux", "Windows": "windows", "Darwin": "macos"}.get(platform.system(), "?")
     found = f"{name}-{'arm64' if platform.machine().lower() in ('arm64', 'aarch64') else 'x64'}"
     if found not in PLATFORMS:
@@ -69,13 +80,13 @@ def detect_platform() -> str:
 
 
 def compute_fingerprint() -> str:
-    """Hash of all that decides what is built."""
+    """Hash everything that determines the build."""
     files = [*sorted(SOURCE_FOLDER.glob("*.[ch]")), Path(__file__), ROOT / "tools" / "requirements" / "constraints.txt"]
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()
 
 
 def make_version() -> str:
-    """hnf_core.__version__ and a number from the sources' hash: pip and Blender tell one build from another by it."""
+    """Join hnf_core.__version__ and a number from the sources' hash, by which pip and Blender tell builds apart."""
     text = (ROOT / "hnf_core" / "__init__.py").read_text(encoding="utf-8")
     number = re.search(r'^__version__ = "(\d+\.\d+\.\d+)', text, re.MULTILINE)
     assert number is not None
@@ -83,14 +94,14 @@ def make_version() -> str:
 
 
 def build(name: str, folder: Path = BUILD_FOLDER) -> Path:
-    """The wheel for one of PLATFORMS; one that is there already is left. Raises KernelError."""
+    """Build the wheel for one of PLATFORMS, unless it exists already. Raises KernelError."""
     goal = PLATFORMS[name]
     path = folder / f"hnf_kernel-{make_version()}-py3-none-{goal.wheel}.whl"
     if path.is_file():
         return path
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=folder) as temporary:
-        libraries = [compile_library(goal, *each, Path(temporary)) for each in goal.processors]
+        libraries = [compile_library(goal, *processor, Path(temporary)) for processor in goal.processors]
         pack_wheel(path, goal, libraries, Path(temporary))
     for old in folder.glob(f"hnf_kernel-*-{goal.wheel}.whl"):
         if old != path:
@@ -99,7 +110,7 @@ def build(name: str, folder: Path = BUILD_FOLDER) -> Path:
 
 
 def compile_library(goal: Platform, library: str, processor: str, folder: Path) -> Path:
-    """One shared library. Raises KernelError with what the compiler said."""
+    """Compile one shared library. Raises KernelError with the compiler's output."""
     out = folder / f"{library}{goal.suffix}"
     sources = [str(path) for path in sorted(SOURCE_FOLDER.glob("*.c"))]
     command = [sys.executable, "-m", "ziglang", "cc", "-target", goal.target, f"-mcpu={processor}", *OPTIONS]
@@ -117,26 +128,26 @@ def compile_library(goal: Platform, library: str, processor: str, folder: Path) 
 
 
 def pack_wheel(path: Path, goal: Platform, libraries: list[Path], folder: Path) -> None:
-    """The libraries as a wheel, which appears when it is whole."""
+    """Pack the libraries into a wheel, which is moved to its path only when complete."""
     from wheel.wheelfile import WheelFile
 
-    facts = f"hnf_kernel-{make_version()}.dist-info"
-    whole = folder / path.name
-    with WheelFile(whole, "w") as wheel:
+    dist_info = f"hnf_kernel-{make_version()}.dist-info"
+    temporary_path = folder / path.name
+    with WheelFile(temporary_path, "w") as wheel:
         wheel.writestr("hnf_kernel/__init__.py", INIT_TEXT)
         for library in libraries:
             wheel.write(library, f"hnf_kernel/{library.name}")
         wheel.writestr(
-            f"{facts}/METADATA",
+            f"{dist_info}/METADATA",
             f"Metadata-Version: 2.1\nName: hnf-kernel\nVersion: {make_version()}\nLicense: GPL-3.0-or-later\n",
         )
         tag = f"Tag: py3-none-{goal.wheel}\n"
-        wheel.writestr(f"{facts}/WHEEL", f"Wheel-Version: 1.0\nGenerator: hnf\nRoot-Is-Purelib: false\n{tag}")
-    os.replace(whole, path)
+        wheel.writestr(f"{dist_info}/WHEEL", f"Wheel-Version: 1.0\nGenerator: hnf\nRoot-Is-Purelib: false\n{tag}")
+    os.replace(temporary_path, path)
 
 
 def install(pythons: list[str]) -> None:
-    """Into environments of this machine that do not have this build yet. Raises KernelError."""
+    """Install the kernel into those environments of this machine that do not have this build. Raises KernelError."""
     digest = compute_fingerprint()
     stamps = {python: Path(python).parent.parent / "hnf-compiled.stamp" for python in pythons}
     old = [
@@ -157,7 +168,7 @@ def install(pythons: list[str]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Build or install; 1 with a clear line where that fails."""
+    """Build or install; returns 1 with a clear message where that fails."""
     parser = argparse.ArgumentParser(description="Build the compiled kernel.")
     parser.add_argument("--platform", choices=PLATFORMS, help="another machine than this one")
     parser.add_argument("--install", nargs="+", metavar="PYTHON", help="into these environments of this machine")

@@ -1,5 +1,4 @@
-"""Build hnf_core/data/library.json from hnf_core/simulation/material_classes.py and print how it feels through the
-simulator.
+"""Build hnf_core/data/library.json from hnf_core/simulation/material_classes.py and print its simulated statistics.
 
 Usage: python tools/build_library.py [--check] [NAME …]    --check writes nothing; names restrict the table printed.
 Exit code 1 where an entry breaks a MUST.
@@ -37,11 +36,11 @@ SCHEMA = 1
 ENTRIES_PER_BATCH = 8
 """Entries per batch: ten strokes each."""
 LIMITS = {"rms": (0.1, 30.0), "below_1k": (0.5, 1.0), "v_exponent": (0.4, 1.4), "f_exponent": (-0.1, 0.7)}
-"""What every entry must keep."""
+"""Limits of the statistics that every entry must meet (rms in m/s²)."""
 
 
 def find_breaches(statistics: TextureStatistics) -> list[str]:
-    """The MUSTs that do not hold."""
+    """List the limits that the statistics exceed."""
     values = asdict(statistics)
     found = [f"{key} {values[key]:.2f}" for key, (low, high) in LIMITS.items() if not low <= values[key] <= high]
     low, high = LIMITS["rms"]
@@ -50,7 +49,7 @@ def find_breaches(statistics: TextureStatistics) -> list[str]:
 
 
 def measure_entries(entries: Sequence[MaterialEntry]) -> list[TextureStatistics]:
-    """The entries' own tiles under the pen."""
+    """Simulate the pen on the entries' own height maps and compute the statistics."""
     surfaces = [
         (SmoothedMaps(height_map(build_recipe(entry), derive_seed(entry.name))), entry.mechanics) for entry in entries
     ]
@@ -58,7 +57,7 @@ def measure_entries(entries: Sequence[MaterialEntry]) -> list[TextureStatistics]
 
 
 def make_record(entry: MaterialEntry) -> dict[str, Any]:
-    """What library.json holds of an entry."""
+    """Make the record of an entry in library.json."""
     recipe, seed = build_recipe(entry), derive_seed(entry.name)
     pitch = TILE_SIZE_M / TILE_PIXELS
     token = describe(tactile_map_from_height(height_map(recipe, seed), None, pitch, 2.0 * pitch))
@@ -85,16 +84,18 @@ def main() -> int:
     heads = f"{'RMS':>6}{'along':>7}{'across':>7}{'centr.':>7}{'<1k':>6}{'v exp':>7}{'F exp':>7}"
     print(f"{'name':18}{heads}  outside the recorded range")
     failed = 0
-    parts = [chosen[low : low + ENTRIES_PER_BATCH] for low in range(0, len(chosen), ENTRIES_PER_BATCH)]
-    for entry, felt in (
-        (entry, felt) for part in parts for entry, felt in zip(part, measure_entries(part), strict=True)
+    batches = [chosen[low : low + ENTRIES_PER_BATCH] for low in range(0, len(chosen), ENTRIES_PER_BATCH)]
+    for entry, statistics in (
+        (entry, statistics)
+        for batch in batches
+        for entry, statistics in zip(batch, measure_entries(batch), strict=True)
     ):
-        breaches = find_breaches(felt)
-        outside = [name for name, inside in check_ranges(felt, entry.hatt).items() if not inside]
+        breaches = find_breaches(statistics)
+        outside = [name for name, inside in check_ranges(statistics, entry.hatt).items() if not inside]
         failed += bool(breaches)
         print(
-            f"{entry.name:18}{felt.rms:6.2f}{felt.rms_along:7.2f}{felt.rms_across:7.2f}{felt.centroid_hz:7.0f}"
-            f"{felt.below_1k:6.2f}{felt.v_exponent:7.2f}{felt.f_exponent:7.2f}  {', '.join(outside)}"
+            f"{entry.name:18}{statistics.rms:6.2f}{statistics.rms_along:7.2f}{statistics.rms_across:7.2f}{statistics.centroid_hz:7.0f}"
+            f"{statistics.below_1k:6.2f}{statistics.v_exponent:7.2f}{statistics.f_exponent:7.2f}  {', '.join(outside)}"
             + (f"  BROKEN: {', '.join(breaches)}" if breaches else ""),
             flush=True,
         )

@@ -20,7 +20,7 @@ from typing import Any
 from build_extension import ROOT, BuildError, Target, build, read_source, run_blender_tool
 
 PYTHONS = ("3.11", "3.13")
-"""Of Blender's own builds: 4.2 to 5.0, and 5.1 on."""
+"""Python versions of Blender 4.2 to 5.0, and of 5.1 and later."""
 OUT = ROOT / "dist" / "repository"
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -43,24 +43,26 @@ ${body}
 </body>
 </html>
 """
-"""${body} and ${date} are Blender's to fill in."""
+"""Template of index.html, in which Blender's tool fills in ${body} and ${date}."""
 
 
 def format_page(manifest: dict[str, Any]) -> str:
-    """The HTML template that Blender's tool completes."""
+    """Format the HTML template that Blender's tool completes."""
     return PAGE.replace("$name", html.escape(manifest["name"])).replace("$tagline", html.escape(manifest["tagline"]))
 
 
 def generate_index(folder: Path) -> dict[str, Any]:
-    """Write index.json and index.html for the zips in folder; the index. Raises BuildError where Blender's tool
-    refuses a zip or warns: two zips that the same Blender would take are one too many."""
+    """Write index.json and index.html for the zips in a folder, and return the index.
+
+    Raises BuildError where Blender's tool refuses a zip or warns, as it does of two zips for the same Blender.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         template = Path(scratch) / "page.html"
         template.write_text(format_page(read_source()["manifest"]), encoding="utf-8")
-        said = run_blender_tool(
+        output = run_blender_tool(
             "server-generate", "--repo-dir", str(folder), "--html", "--html-template", str(template), tags=False
         )
-    problems = [line for line in said.splitlines() if line.startswith(("WARN", "ERROR", "FATAL"))]
+    problems = [line for line in output.splitlines() if line.startswith(("WARN", "ERROR", "FATAL"))]
     if problems:
         raise BuildError("Blender complains of the repository:\n" + "\n".join(problems))
     index: dict[str, Any] = json.loads((folder / "index.json").read_text(encoding="utf-8"))
@@ -68,7 +70,7 @@ def generate_index(folder: Path) -> dict[str, Any]:
 
 
 def publish_zips(zips: list[Path], out: Path) -> dict[str, Any]:
-    """Make out hold these zips and their index, and no zip of another version; the index. Raises BuildError."""
+    """Copy the zips to out, delete other versions there and return the new index. Raises BuildError."""
     out.mkdir(parents=True, exist_ok=True)
     for old in set(out.glob("*.zip")) - {out / path.name for path in zips}:
         old.unlink()
@@ -79,7 +81,7 @@ def publish_zips(zips: list[Path], out: Path) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Build every Python × platform, then the index; 1 with a clear line where something fails."""
+    """Build every Python × platform, then the index; returns 1 with a clear message where something fails."""
     parser = argparse.ArgumentParser(description="Build an extension repository.")
     parser.add_argument("--python", action="append", metavar="X.Y", help=f"default {' '.join(PYTHONS)}")
     parser.add_argument("--platform", action="append", metavar="NAME", help="Blender's platform (default: all)")

@@ -2,7 +2,7 @@
 
     .venv/bin/python tools/check_kernel.py --platform windows-x64 --with wine
 
-It is what a build for Windows is tried with on Linux (Debian's package wine64). Both builds of either wheel are called.
+A build for Windows is checked with it on Linux (Debian's package wine64). Both libraries of either wheel are called.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_RUN_S = 120
 
 
 def run_check(name: str, folder: Path, runner: list[str]) -> dict[str, str]:
-    """What the check prints, for each library of a platform's wheel. Raises KernelError."""
+    """Run the check with each library of a platform's wheel and return the outputs. Raises KernelError."""
     platform, out = PLATFORMS[name], folder / name
     with zipfile.ZipFile(build_kernel.build(name)) as wheel:
         wheel.extractall(out)
@@ -42,7 +42,7 @@ def run_check(name: str, folder: Path, runner: list[str]) -> dict[str, str]:
     ]
     command += ["-o", str(program), *([] if platform.suffix == ".dll" else ["-ldl", "-lm"])]
     subprocess.run(command, check=True, timeout=build_kernel.COMPILE_S, env=os.environ | build_kernel.CACHE)
-    found = {}
+    outputs = {}
     for library, _ in platform.processors:
         words = [*runner, str(program), f"{library}{platform.suffix}"]
         if not runner:
@@ -53,27 +53,27 @@ def run_check(name: str, folder: Path, runner: list[str]) -> dict[str, str]:
         )  # fmt: skip
         if run.returncode != 0:
             raise build_kernel.KernelError(f"{library} of {name}:\n{run.stdout}{run.stderr}")
-        found[library] = run.stdout.replace("\r", "")
-    return found
+        outputs[library] = run.stdout.replace("\r", "")
+    return outputs
 
 
 def main() -> int:
-    """0 where both print the same."""
+    """Return 0 if both platforms print the same."""
     parser = argparse.ArgumentParser(description="Compare another platform's kernel with this machine's.")
     parser.add_argument("--platform", choices=PLATFORMS, required=True)
     parser.add_argument("--with", dest="runner", default="", metavar="COMMAND", help="what runs its programs here")
     chosen = parser.parse_args()
     with TemporaryDirectory() as folder:
         try:
-            here = run_check(build_kernel.detect_platform(), Path(folder), [])
-            there = run_check(chosen.platform, Path(folder), shlex.split(chosen.runner))
+            expected = run_check(build_kernel.detect_platform(), Path(folder), [])
+            actual = run_check(chosen.platform, Path(folder), shlex.split(chosen.runner))
         except (build_kernel.KernelError, subprocess.SubprocessError, OSError) as error:
             print(error, file=sys.stderr)
             return 1
-    for library, text in here.items():
-        same = there.get(library) == text
-        print(f"{library}: {'the same' if same else 'NOT the same'}\n{text}{'' if same else there.get(library, '')}")
-    return int(here != there)
+    for library, text in expected.items():
+        same = actual.get(library) == text
+        print(f"{library}: {'the same' if same else 'NOT the same'}\n{text}{'' if same else actual.get(library, '')}")
+    return int(expected != actual)
 
 
 if __name__ == "__main__":

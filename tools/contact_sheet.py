@@ -1,4 +1,4 @@
-"""A contact sheet of tactile pairs: one row a category, from what is seen to what is touched."""
+"""Contact sheet of tactile pairs: one row a category, from the visual inputs to the tactile maps."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ Image = NDArray[np.uint8]
 
 GAP = 4
 RELIEF_RANGE_SIGMA = 2.5
-"""A relief is shown grey in grey over this many standard deviations to either side."""
+"""Half the range of the grey scale of a relief [standard deviations]."""
 MIN_SHOWN_SLOPE_RMS = 0.35
-"""Slopes are stretched to this RMS where they are less: real ones (0.001–0.1) hardly colour a sensor picture."""
+"""RMS to which smaller slopes are stretched: real ones (0.001–0.1) hardly colour a sensor image."""
 SHOWN_PITCHES = (0, 2)
-"""Which pitches are shown: 20 and 5 mm wide."""
+"""Indices of the pitches shown: views 20 and 5 mm wide."""
 
 
 def make_contact_sheet(seed: int, per_category: int = 1) -> Image:
-    """(H, W, 3) uint8: rows = categories and one random surface; per view rgb, depth, height, GelSight, DIGIT.
+    """Make the sheet, (H, W, 3) uint8: rows are the categories and one random surface.
 
-    Depth and height are stretched to their own spread, slopes to STEEP: the sheet shows form, not size.
+    Each view shows rgb, depth, height, GelSight and DIGIT. Depth and height are stretched to their own spread, slopes
+    to MIN_SHOWN_SLOPE_RMS: the sheet shows form, not size.
     """
     rows = []
     names = dict.fromkeys(get_category(name) for name in list_classes())
@@ -33,18 +34,18 @@ def make_contact_sheet(seed: int, per_category: int = 1) -> Image:
         for number in range(per_category):
             name = members[number % len(members)]
             first = FIRST_SEED[TRAIN] + number if name else -1
-            order = TileRequest(name, first, derive_seed(f"sheet/{seed}/{name}/{number}") // PATCHES_PER_INSTANCE)
-            rows.append(make_tile_row(make_tile(order)))
+            request = TileRequest(name, first, derive_seed(f"sheet/{seed}/{name}/{number}") // PATCHES_PER_INSTANCE)
+            rows.append(make_tile_row(make_tile(request)))
     return _stack_images(rows, 0)
 
 
 def make_tile_row(pairs: Pairs) -> Image:
-    """One tile's views side by side."""
+    """Join the views of one tile side by side."""
     return _stack_images([picture for view in SHOWN_PITCHES for picture in make_view_images(pairs, view)], 1)
 
 
 def make_view_images(pairs: Pairs, view: int) -> list[Image]:
-    """rgb (gamma as stored), depth, height and the two sensor pictures of one view, (64, 64, 3) each."""
+    """Make the images of one view, (64, 64, 3) each: rgb (gamma as stored), depth, height and the two sensors."""
     pictures = [
         pairs.rgb[view],
         _relief_to_grey(-pairs.depth[view].astype(np.float64)),

@@ -1,4 +1,4 @@
-"""Build the demo scene by code alone: a table top with things worth touching and five strokes on them.
+"""Build the demo scene by code alone: a table top with objects worth touching and five strokes on them.
 
     python tools/make_demo_scene.py build/demo/demo.blend [--picture demo.png]
 
@@ -16,7 +16,7 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
 
 import bpy
 import numpy as np
-from demo_scene import materials, things
+from demo_scene import materials, objects
 from demo_scene.strokes import add_stroke, project_from_above, project_onto_surface
 from mathutils import Vector
 
@@ -29,7 +29,7 @@ RENDER_SIZE = (960, 540)
 
 
 def build_scene() -> Any:
-    """Replace what is open by the demo scene, and return it."""
+    """Replace the open file by the demo scene, and return the scene."""
     open_empty_scene()
     if not hasattr(bpy.types.Object, "hnf_stroke"):
         props.register()
@@ -39,13 +39,13 @@ def build_scene() -> Any:
     scene.render.fps, scene.render.fps_base = 24, 1.0
     scene.collection.children.link(bpy.data.collections.new("Strokes"))
     touched = {
-        obj.name: obj for obj in (things.make_table(), things.make_cushion(), things.make_tin(), things.make_tile())
+        obj.name: obj for obj in (objects.make_table(), objects.make_cushion(), objects.make_tin(), objects.make_tile())
     }
-    touched["Notebook"] = things.make_notebook()
-    things.make_bowl()
+    touched["Notebook"] = objects.make_notebook()
+    objects.make_bowl()
     peel = materials.make_lemon_peel()
-    things.make_lemon("Lemon", (0.075, 0.025, 0.0272), (1.45, 0.2, 0.9), peel)
-    things.make_lemon("Lemon in bowl", (0.228, 0.172, 0.049), (1.1, 0.5, 2.4), peel)
+    objects.make_lemon("Lemon", (0.075, 0.025, 0.0272), (1.45, 0.2, 0.9), peel)
+    objects.make_lemon("Lemon in bowl", (0.228, 0.172, 0.049), (1.1, 0.5, 2.4), peel)
     bpy.context.view_layer.update()
     _add_strokes(touched)
     _add_lights(scene)
@@ -132,7 +132,7 @@ def _set_up_render(scene: Any) -> None:
 
 
 def save_scene(path: Path) -> None:
-    """Save a compressed .blend, leaving an earlier one alone until the new one is whole."""
+    """Save a compressed .blend; an earlier file is replaced only when the new one is complete."""
     path = path.absolute()
 
     def write(temporary: Path) -> None:
@@ -144,6 +144,7 @@ def save_scene(path: Path) -> None:
 
 
 def render_scene(path: Path, samples: int) -> None:
+    """Render the open scene into a PNG."""
     scene = bpy.context.scene
     scene.cycles.samples, scene.cycles.use_denoising = samples, True
     scene.render.image_settings.file_format = "PNG"

@@ -35,12 +35,12 @@ def main() -> int:
     parser.add_argument("--only-sheet", action="store_true", help="draw the contact sheet, write no shards")
     arguments = parser.parse_args()
     if not arguments.only_sheet:
-        began = time.monotonic()
+        started = time.monotonic()
 
-        def told(done: int, total: int) -> None:
-            print(f"{time.monotonic() - began:6.0f} s  {done}/{total} shards", file=sys.stderr, flush=True)
+        def report_progress(done: int, total: int) -> None:
+            print(f"{time.monotonic() - started:6.0f} s  {done}/{total} shards", file=sys.stderr, flush=True)
 
-        write_pairs(arguments.out, PairSizes(train=arguments.tiles), arguments.seed, arguments.workers, told)
+        write_pairs(arguments.out, PairSizes(train=arguments.tiles), arguments.seed, arguments.workers, report_progress)
     sheet = arguments.sheet or arguments.out / "contact-sheet.png"
     sheet.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(make_contact_sheet(arguments.seed)).save(sheet)

@@ -1,6 +1,6 @@
 """Draw the stroke tool's icon and write it in Blender's triangle format: hnf_blender/tool/data/hnf.stroke.dat.
 
-A fingertip comes down on a surface; from where it touches, a wave runs along.
+The icon shows a fingertip on a surface, and a wave that runs along the surface from the contact.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ WIDTH, HEIGHT = 255, 255
 
 
 def make_fan(outline: Float, colour: Colour) -> list[tuple[Float, Colour]]:
-    """Triangles of a convex outline (n, 2)."""
+    """Triangulate a convex outline (n, 2) as a fan."""
     return [(outline[[0, k, k + 1]], colour) for k in range(1, len(outline) - 1)]
 
 
 def make_ribbon(path: Float, width: Float, colour: Colour) -> list[tuple[Float, Colour]]:
-    """Triangles of a line through path (n, 2) with a width (n,) at each point."""
+    """Triangulate a line through path (n, 2) with a width (n,) at each point."""
     along = np.gradient(path, axis=0)
     aside = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
     left, right = path + aside * width[:, None] / 2.0, path - aside * width[:, None] / 2.0
@@ -39,7 +39,7 @@ def make_ribbon(path: Float, width: Float, colour: Colour) -> list[tuple[Float, 
 
 
 def draw_finger() -> list[tuple[Float, Colour]]:
-    """A rounded bar that leans to the right, with its nail."""
+    """Draw a rounded bar that leans to the right, with its nail."""
     angle = np.linspace(np.pi, 2.0 * np.pi, 13)
     tip = np.stack([34.0 * np.cos(angle), 34.0 * np.sin(angle)], axis=1)
     outline = np.concatenate([tip, [[34.0, 130.0], [-34.0, 130.0]]])
@@ -47,20 +47,20 @@ def draw_finger() -> list[tuple[Float, Colour]]:
     nail = np.concatenate([nail, [[15.0, 22.0], [-15.0, 22.0]]])
     lean = np.radians(-32.0)
     turn = np.array([[np.cos(lean), -np.sin(lean)], [np.sin(lean), np.cos(lean)]])
-    place = np.array([92.0, 92.0])
-    return make_fan(outline @ turn.T + place, WHITE) + make_fan(nail @ turn.T + place, SHADE)
+    position = np.array([92.0, 92.0])
+    return make_fan(outline @ turn.T + position, WHITE) + make_fan(nail @ turn.T + position, SHADE)
 
 
 def draw_wave() -> list[tuple[Float, Colour]]:
-    """The surface's line; under the finger it swings."""
+    """Draw the line of the surface, with a wave under the finger."""
     x = np.linspace(20.0, 236.0, 73)
-    swing = 15.0 * np.exp(-(((x - 150.0) / 60.0) ** 2)) * np.sin((x - 96.0) / 8.5)
-    swing[x < 96.0] = 0.0
-    return make_ribbon(np.stack([x, 46.0 + swing], axis=1), np.full(len(x), 15.0), MINT)
+    deflection = 15.0 * np.exp(-(((x - 150.0) / 60.0) ** 2)) * np.sin((x - 96.0) / 8.5)
+    deflection[x < 96.0] = 0.0
+    return make_ribbon(np.stack([x, 46.0 + deflection], axis=1), np.full(len(x), 15.0), MINT)
 
 
 def encode_triangles(triangles: list[tuple[Float, Colour]]) -> bytes:
-    """Blender's VCO version 0: header, three corners a triangle as bytes, a colour for each corner."""
+    """Encode triangles as Blender's VCO version 0: header, corners as bytes, a colour for each corner."""
     corners = np.concatenate([corner for corner, _ in triangles])
     colours = np.repeat(np.array([colour for _, colour in triangles]), 3, axis=0)
     header = b"VCO\x00" + struct.pack("<BBBB", WIDTH, HEIGHT, 0, 0)

@@ -17,7 +17,7 @@ OUTCOMES = ("failed", "passed", "skipped", "error")
 
 @dataclass(frozen=True)
 class Case:
-    """One test of one environment: outcome is a word of OUTCOMES, reason is its one-line message."""
+    """Result of one test in one environment: an outcome from OUTCOMES and its one-line reason."""
 
     environment: str
     name: str
@@ -26,7 +26,7 @@ class Case:
 
 
 def read_cases(path: Path) -> list[Case]:
-    """The tests of one JUnit file; the file's name is the environment. Raises ParseError where it is no XML."""
+    """Read the tests of one JUnit file, whose name is the environment. Raises ParseError where it is no XML."""
     cases = []
     for element in ElementTree.parse(path).iter("testcase"):
         outcome, reason = "passed", ""
@@ -40,7 +40,10 @@ def read_cases(path: Path) -> list[Case]:
 
 
 def get_reason(element: ElementTree.Element) -> str:
-    """Why a test was skipped or failed. A module skipped as a whole keeps its reason in the text, after `Skipped: `."""
+    """Return the reason for which a test was skipped or failed.
+
+    A module skipped as a whole has its reason in the element's text, after `Skipped: `.
+    """
     message = element.get("message") or ""
     if message == "collection skipped":
         return (element.text or message).rpartition("Skipped: ")[2].rstrip("'\")\n")
@@ -48,7 +51,7 @@ def get_reason(element: ElementTree.Element) -> str:
 
 
 def write_cases(path: Path, cases: list[Case]) -> None:
-    """Save cases as a JUnit file that `read_cases` reads back, for checks that are not pytest's."""
+    """Save cases as a JUnit file that `read_cases` reads back, for checks other than pytest."""
     suite = ElementTree.Element("testsuite", name=path.stem)
     tags = {"skipped": "skipped", "failed": "failure", "error": "error"}
     for case in cases:
@@ -59,18 +62,18 @@ def write_cases(path: Path, cases: list[Case]) -> None:
 
 
 def read_seconds(path: Path) -> float:
-    """Sum of the run times that one JUnit file states."""
+    """Sum the run times in one JUnit file [s]."""
     return sum(float(suite.get("time") or 0.0) for suite in ElementTree.parse(path).iter("testsuite"))
 
 
 def read_properties(path: Path) -> list[str]:
-    """`NAME: property value` for what a JUnit file says of itself as a whole, such as the Blender it drove."""
-    found = ElementTree.parse(path).iterfind("./testsuite/properties/property")
-    return [f"{path.stem}: {one.get('name', '')} {one.get('value', '')}" for one in found]
+    """Read a JUnit file's own properties, such as its Blender version, as lines `NAME: property value`."""
+    elements = ElementTree.parse(path).iterfind("./testsuite/properties/property")
+    return [f"{path.stem}: {element.get('name', '')} {element.get('value', '')}" for element in elements]
 
 
 def format_totals(cases: list[Case], seconds: float) -> str:
-    """`==== 1 failed, 2 passed, 3 skipped in 4.00s ====`, the words and their order as pytest has them."""
+    """Format totals as pytest does: `==== 1 failed, 2 passed, 3 skipped in 4.00s ====`."""
     count = Counter(case.outcome for case in cases)
     plural = {"error": "errors"}
     words = [
@@ -80,7 +83,7 @@ def format_totals(cases: list[Case], seconds: float) -> str:
 
 
 def format_summary(cases: list[Case], seconds: float, properties: Iterable[str] = ()) -> str:
-    """What the files say of themselves, skipped tests grouped by reason, every failed one by name, the totals last."""
+    """Format the properties, skipped tests grouped by reason, each failed test by name, and the totals last."""
     lines = ["==== merged summary ====", *properties]
     skipped = Counter((case.environment, case.reason) for case in cases if case.outcome == "skipped")
     lines += [f"SKIPPED [{n}] {environment}: {reason}" for (environment, reason), n in sorted(skipped.items())]
@@ -94,12 +97,12 @@ def format_summary(cases: list[Case], seconds: float, properties: Iterable[str] 
 
 
 def has_failed(cases: list[Case]) -> bool:
-    """True where a test failed or none ran."""
+    """Return True if a test failed or none ran."""
     return not cases or any(case.outcome in ("failed", "error") for case in cases)
 
 
 def main(arguments: list[str]) -> int:
-    """Print the merged summary of the files; 1 where something failed, was unreadable or nothing ran."""
+    """Print the merged summary of the files; returns 1 if any failed, was unreadable or no test ran."""
     cases: list[Case] = []
     seconds = 0.0
     properties: list[str] = []

@@ -5,8 +5,8 @@
     .venv/bin/python tools/run_tests.py app         the real, windowed Blender
     .venv/bin/python tools/run_tests.py core types  some of them by name
 
-Each check runs in a process group of its own with a time limit, writes build/test/NAME.log and NAME.xml, and is shown
-when it ends, so that logs of parallel checks never mix. Exit code 0 only when everything passed.
+Each check runs in a process group of its own with a time limit, writes build/test/NAME.log and NAME.xml, and is printed
+when it ends, so that logs of parallel checks never mix. The exit code is 0 only when everything passed.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ RUNNING: set[subprocess.Popen[bytes]] = set()
 
 @dataclass(frozen=True)
 class Check:
-    """One process: its environment's folder, what it runs there, and when it is ended [s].
+    """Check that runs as one process: its environment's folder, the arguments and the time limit [s].
 
-    can_end: False where bpy hangs the process at its exit; see tools/pytest_in_bpy.py.
+    can_end is False where bpy hangs the process at its exit; see tools/pytest_in_bpy.py.
     """
 
     name: str
@@ -49,36 +49,36 @@ class Check:
 
 
 def exclude_tests(folder: str, *names: str) -> tuple[str, ...]:
-    """pytest's words for a folder, test files left out by name."""
+    """Return pytest's arguments for a folder without the named test files."""
     return (folder, *(f"--ignore-glob=*/{name}.py" for name in names))
 
 
-# Words, other processes and counted work: nothing that another Blender could change.
+# Messages, other processes and counted work, which do not depend on the version of Blender.
 BLENDER_INDEPENDENT = (
     "test_batch_touch", "test_touch_words", "test_jobs_choices", "test_repository", "test_docs_reference",
     "test_example_scene",
 )  # fmt: skip
-# Long ones about networks, counted work and numbers: the newest Blender is enough.
+# Long tests of networks, counted work and numbers, for which the newest Blender is enough.
 NEWEST_ONLY = (
     "test_predicted_route", "test_probe_predicted", "test_touch_predicted", "test_jobs_predicted", "test_stress",
     "test_lazy", "test_learn", "test_touch_again", "test_touch_bad_input", "test_touch_certainty",
     *BLENDER_INDEPENDENT,
 )  # fmt: skip
-# Long ones; the oldest and the newest Blender agree on them. What calls Blender's API runs on every one of them, and
+# Long tests on which the oldest and the newest Blender agree. Tests that call Blender's API run on every version, and
 # test_jobs runs the main job there.
 NOT_ON_MIDDLE = (
     "test_real_scenes", "test_touch", "test_probe", "test_extension", "test_preview_export", "test_cache_truth",
     "test_splats_touch", "test_demo_scene", "test_actuator*", "test_modal_job", "test_namesakes", *NEWEST_ONLY,
 )  # fmt: skip
-# Of the two real scenes, 4.2 imports and touches the smaller one.
+# Blender 4.2 imports and touches only the smaller of the two real scenes.
 OLDEST_ARGUMENTS = (*exclude_tests("tests/blender", *NEWEST_ONLY), "-k", "not FlightHelmet")
-# Real time, other processes, compilers and words: nothing that another numpy could change.
+# Real time, other processes, compilers and messages, which do not depend on the version of numpy.
 NUMPY_INDEPENDENT = (
     "test_audio_sink", "test_player", "test_serial_s*", "test_osc_sink", "test_firmware_*", "test_measure_sound",
     "test_stream_cli", "test_make_tools", "test_tree", "test_docs", "test_startup", "test_lazy_rendering",
     "test_nearby_mesh", "test_names", "test_front_door", "test_no_circles",
 )  # fmt: skip
-# Numpy 1.24 is that of Blender 4.2, which never trains, simulates or judges; its own tests play and stream with it.
+# Numpy 1.24 is that of Blender 4.2, which never trains, simulates or evaluates; its own tests play and stream with it.
 NOT_USED_IN_BLENDER = (
     "test_live*", "test_limiter", "test_numerics_streaming", "test_stream*", "test_incremental_rendering",
     "test_virtual_*", "test_serial_protocol", "test_fading_queue", "test_extrapolation", "test_train_needs",
@@ -107,17 +107,17 @@ APP = Check("app", ".venv", ("tests/app",), 1200)
 
 
 def build_command(check: Check) -> list[str]:
-    """The command line of one check."""
+    """Build the command line of one check."""
     python = str(ROOT / check.venv / "bin" / "python")
     if not check.is_pytest:
         return [python, *check.arguments]
-    own = ["-o", f"cache_dir=build/test/cache-{check.name}", f"--basetemp={RESULTS / f'tmp-{check.name}'}"]
+    options = ["-o", f"cache_dir=build/test/cache-{check.name}", f"--basetemp={RESULTS / f'tmp-{check.name}'}"]
     pytest = ["-m", "pytest"] if check.can_end else ["tools/pytest_in_bpy.py"]
-    return [python, *pytest, *check.arguments, "-rfE", *own, f"--junitxml={RESULTS / check.name}.xml"]
+    return [python, *pytest, *check.arguments, "-rfE", *options, f"--junitxml={RESULTS / check.name}.xml"]
 
 
 def run(check: Check) -> tuple[list[Case], str]:
-    """Run one check to its end or its time limit; its cases and its log."""
+    """Run one check to its end or its time limit; returns its cases and its log."""
     log_path, xml_path = RESULTS / f"{check.name}.log", RESULTS / f"{check.name}.xml"
     for stale in RESULTS.glob(f"{check.name}*.xml"):
         stale.unlink()
@@ -154,7 +154,7 @@ def run(check: Check) -> tuple[list[Case], str]:
 
 
 def collect_cases(check: Check, code: int, ending: str, xml_path: Path) -> list[Case]:
-    """What one ended check adds to the totals. A check that ended badly without a failed test is itself an error."""
+    """Collect the cases of one ended check. A bad exit code without a failed test is itself an error."""
     if not check.is_pytest:
         outcome = [Case(check.name, check.name, "passed" if code == 0 else "failed", ending if code else "")]
         merge_summary.write_cases(xml_path, outcome)
@@ -168,7 +168,7 @@ def collect_cases(check: Check, code: int, ending: str, xml_path: Path) -> list[
 
 
 def stop(_number: int, _frame: object) -> None:
-    """Signal handler: end every running check, so that none outlives this process; the summary still follows."""
+    """Kill every running check on a signal, so that none outlives this process; the summary still follows."""
     STOPPING.set()
     for process in list(RUNNING):
         with contextlib.suppress(ProcessLookupError):
@@ -176,13 +176,13 @@ def stop(_number: int, _frame: object) -> None:
 
 
 def select(names: list[str]) -> list[Check]:
-    """The checks of these names; all but `app` where none is named. Raises KeyError for a name that is none."""
+    """Select checks by name, or all but `app` if no name is given. Raises KeyError for an unknown name."""
     known = {check.name: check for check in (*CHECKS, APP)}
     return [known[name] for name in names] if names else list(CHECKS)
 
 
 def main(names: list[str]) -> int:
-    """Run the checks, print each log as it ends, the merged summary last."""
+    """Run the checks; print each log as it ends, and the merged summary last."""
     try:
         checks = select(names)
     except KeyError as error:
@@ -197,13 +197,13 @@ def main(names: list[str]) -> int:
         running = {pool.submit(run, check): check for check in checks}
         for future in as_completed(running):
             check = running[future]
-            found, log = future.result()
-            cases += found
-            shown = log.rstrip().splitlines()
+            new_cases, log = future.result()
+            cases += new_cases
+            lines = log.rstrip().splitlines()
             print(f"\n---- {check.name}, {time.monotonic() - started:.0f} s after the start " + "-" * 60, flush=True)
-            if len(shown) > PRINTED_LINES:
-                print(f"… {len(shown) - PRINTED_LINES} lines before this in build/test/{check.name}.log")
-            print("\n".join(shown[-PRINTED_LINES:]), flush=True)
+            if len(lines) > PRINTED_LINES:
+                print(f"… {len(lines) - PRINTED_LINES} lines before this in build/test/{check.name}.log")
+            print("\n".join(lines[-PRINTED_LINES:]), flush=True)
     files = sorted(path for check in checks for path in RESULTS.glob(f"{check.name}.xml"))
     properties = [line for path in files for line in merge_summary.read_properties(path)]
     print("\n" + merge_summary.format_summary(cases, time.monotonic() - started, properties), flush=True)

@@ -27,17 +27,17 @@ FOLDERS = {"demo": ".venv", "test": ".venv", "blender-4.5": ".venv-4.5", "blende
 # An environment that already holds a larger set serves the smaller one.
 COVERED_BY = {"demo": ("demo", "test")}
 KERNEL_FOLDERS = (".venv", ".venv-4.5")
-"""Blender 4.2's is left without, as a platform is for which none is built: its tests show that numpy does the same."""
+"""Environments that get the kernel. That of Blender 4.2 does not, so that its tests cover the numpy code."""
 PIP_TIMEOUT_S = 1800
 MAX_PARALLEL = 2
 
 
 class SetupError(Exception):
-    """Set-up cannot go on; the message names the remedy."""
+    """Error for a set-up that cannot go on; the message names the remedy."""
 
 
 def compute_fingerprint(name: str) -> str:
-    """Hash of the requirements, the pins, the project's own dependencies and the Python version."""
+    """Hash the requirements, the pins, the project's own dependencies and the Python version."""
     with (ROOT / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)
     parts = [
@@ -51,21 +51,21 @@ def compute_fingerprint(name: str) -> str:
 
 
 def get_stamp_path(folder: Path, name: str) -> Path:
-    """Where the hash of set `name` is kept."""
+    """Return the path of the file that stores the hash of set `name`."""
     return folder / f"hnf-{name}.stamp"
 
 
 def is_fresh(folder: Path, name: str) -> bool:
-    """True where the environment holds set `name` as it is now, whether by that name or within a larger set."""
-    for served in COVERED_BY.get(name, (name,)):
-        stamp = get_stamp_path(folder, served)
-        if stamp.is_file() and stamp.read_text(encoding="utf-8") == compute_fingerprint(served):
+    """Return True if the environment holds the current set `name`, or a larger set that includes it."""
+    for set_name in COVERED_BY.get(name, (name,)):
+        stamp = get_stamp_path(folder, set_name)
+        if stamp.is_file() and stamp.read_text(encoding="utf-8") == compute_fingerprint(set_name):
             return (folder / "bin" / "python").exists()
     return False
 
 
 def ensure_interpreter(folder: Path) -> Path:
-    """Path of the environment's Python 3.11; makes the environment where there is none or a broken one."""
+    """Return the path of the environment's Python 3.11; create the environment if it is missing or broken."""
     python = folder / "bin" / "python"
     if folder.exists():
         probe = [str(python), "-c", "import sys, pip; print(sys.version_info[:2] == (3, 11))"]
@@ -85,7 +85,10 @@ def ensure_interpreter(folder: Path) -> Path:
 
 
 def pip(python: Path, *arguments: str) -> None:
-    """Run pip in the project's root, quietly. Bytecode is left to the first import: most of torch is never imported."""
+    """Run pip in the project's root, quietly.
+
+    Bytecode is compiled at the first import: most of torch is never imported.
+    """
     options = ["--disable-pip-version-check", "--no-input", "install", "-q", "--no-compile"]
     command = [str(python), "-m", "pip", *options, *arguments]
     environment = os.environ | {"DIST_EXTRA_CONFIG": str(write_build_config(python.parent.parent))}
@@ -93,8 +96,10 @@ def pip(python: Path, *arguments: str) -> None:
 
 
 def write_build_config(folder: Path) -> Path:
-    """A setuptools configuration with which builds for this environment write nothing into the project's root, where
-    builds for several environments would meet."""
+    """Write a setuptools configuration that keeps the builds for this environment out of the project's root.
+
+    Builds for several environments would overwrite each other there.
+    """
     config = folder / "build.cfg"
     config.write_text(f"[egg_info]\negg_base = {folder}\n[build]\nbuild_base = {folder / 'build'}\n", encoding="utf-8")
     return config
@@ -119,7 +124,7 @@ def ensure_environment(name: str) -> None:
 
 
 def ensure_in_turn(names: list[str]) -> list[str]:
-    """Ensure the sets of one folder in turn, to the first that fails: one line for the person."""
+    """Ensure the sets of one folder in turn, up to the first that fails; returns its message, if any."""
     for name in names:
         try:
             ensure_environment(name)
@@ -131,7 +136,7 @@ def ensure_in_turn(names: list[str]) -> list[str]:
 
 
 def main(names: list[str]) -> int:
-    """Ensure each named set, AT_ONCE folders at a time; 0 when all are ready, 1 with one line for each that failed."""
+    """Ensure each named set, MAX_PARALLEL folders at a time; returns 1 with one line for each that failed."""
     unknown = [name for name in names if name not in FOLDERS]
     if unknown or not names:
         print(f"usage: setup_env.py {{{','.join(FOLDERS)}}}…", file=sys.stderr)
@@ -145,16 +150,16 @@ def main(names: list[str]) -> int:
     for name in names:
         folders.setdefault(FOLDERS[name], []).append(name)
     with ThreadPoolExecutor(MAX_PARALLEL) as pool:
-        complaints = [complaint for found in pool.map(ensure_in_turn, folders.values()) for complaint in found]
-    for complaint in complaints:
-        print(complaint, file=sys.stderr)
-    if not complaints:
+        errors = [error for messages in pool.map(ensure_in_turn, folders.values()) for error in messages]
+    for error in errors:
+        print(error, file=sys.stderr)
+    if not errors:
         install_kernel([folder for folder in folders if folder in KERNEL_FOLDERS])
-    return int(bool(complaints))
+    return int(bool(errors))
 
 
 def install_kernel(folders: list[str]) -> None:
-    """The compiled kernel, where it can be built: without it everything works, in more time."""
+    """Install the compiled kernel where it can be built; everything works without it, more slowly."""
     builder = ROOT / ".venv" / "bin" / "python"
     if not folders or not builder.exists():
         return

@@ -1,4 +1,4 @@
-"""Which system libraries Blender's Python module needs, and the one command that installs those that are missing.
+"""Check the system libraries that Blender's Python module needs, and print one command that installs the missing ones.
 
 Libraries are looked for the way the dynamic linker does, not by package, so this holds on every distribution.
 """
@@ -32,12 +32,12 @@ PYTHON_MODULES = {"python3-venv": "ensurepip"}
 
 
 def read_packages() -> list[str]:
-    """The Debian packages of tools/apt.txt."""
+    """Read the Debian packages from tools/apt.txt."""
     return APT_LIST.read_text(encoding="utf-8").split()
 
 
 def is_present(package: str) -> bool:
-    """True where what `package` provides can be loaded by this Python."""
+    """Return True if this Python can load the library or module of `package`."""
     if package in PYTHON_MODULES:
         return importlib.util.find_spec(PYTHON_MODULES[package]) is not None
     try:
@@ -48,7 +48,7 @@ def is_present(package: str) -> bool:
 
 
 def make_install_command(missing: list[str]) -> str:
-    """One command for this machine's package manager that installs the `missing` Debian packages or their like."""
+    """Make one command for this machine's package manager that installs the `missing` Debian packages."""
     sudo = "" if os.geteuid() == 0 else "sudo "
     if shutil.which("apt-get") or not shutil.which("dnf"):
         return f"{sudo}apt-get update && {sudo}apt-get install -y " + " ".join(missing)
@@ -57,7 +57,7 @@ def make_install_command(missing: list[str]) -> str:
 
 
 def main() -> int:
-    """Print nothing and return 0 where all is there; else name what is missing and the command, and return 1."""
+    """Print the missing libraries and the command, and return 1; return 0 without output if none is missing."""
     missing = [name for name in read_packages() if not is_present(name)]
     if not missing:
         return 0

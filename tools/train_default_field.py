@@ -2,9 +2,9 @@
 
 Usage: python tools/train_default_field.py [--held-out] [--encoder NAME|FILE …] [--seed N] [--out FILE]
        [--workers N] [--cache DIR]
-Needs the extra "train". What is simulated stays in the cache for tools/hnf_lab/experiments/shared_field.py.
+Needs the extra "train". Simulated strokes stay in the cache for tools/hnf_lab/experiments/shared_field.py.
 --held-out trains hnf_core/data/field-held-out.safetensors instead, without the last class of every category: the field
-that `hnf eval` asks about classes it never met.
+that `hnf eval` uses for unseen classes.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ def main() -> int:
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder for simulated strokes")
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
-    left, shipped = (HELD_OUT, HELD_OUT_WEIGHTS) if arguments.held_out else ((), DEFAULT_WEIGHTS)
+    left_out, default_path = (HELD_OUT, HELD_OUT_WEIGHTS) if arguments.held_out else ((), DEFAULT_WEIGHTS)
     plan = TrainingPlan(encoders=tuple(arguments.encoder))
     field = train_shared_field(
-        arguments.library, plan, SHARED_CONFIG, arguments.seed, arguments.cache, arguments.workers, left
+        arguments.library, plan, SHARED_CONFIG, arguments.seed, arguments.cache, arguments.workers, left_out
     )
-    out = arguments.out or shipped
+    out = arguments.out or default_path
     save_field(out, field)
     print(f"{out}: {out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)
     return 0

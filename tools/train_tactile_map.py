@@ -49,17 +49,23 @@ def main() -> int:
     plan = MapTrainingPlan(steps=arguments.steps, minutes=arguments.minutes, seed=arguments.seed,
     threads=arguments.threads,
                 rate=rate, batch=arguments.batch)  # fmt: skip
-    began = time.monotonic()
+    started = time.monotonic()
 
-    def watch(step: int, spent: float, loss: float, distances: Mapping[str, Distance]) -> None:
+    def report_progress(step: int, spent: float, loss: float, distances: Mapping[str, Distance]) -> None:
         if step % 100 == 0 or distances:
             words = "; ".join(f"{name} {distance.describe()}" for name, distance in distances.items())
-            seconds = time.monotonic() - began
+            seconds = time.monotonic() - started
             print(f"{seconds:6.0f} s  step {step}, {spent:.1%}, loss {loss:.4f}  {words}", file=sys.stderr, flush=True)
 
     checkpoint = out.with_name(f"{out.name}.checkpoint")
     record = train_map(
-        arguments.data, plan, MapConfig(objective=objective), out, checkpoint, watch, partial=arguments.partial
+        arguments.data,
+        plan,
+        MapConfig(objective=objective),
+        out,
+        checkpoint,
+        report_progress,
+        partial=arguments.partial,
     )
     print(json.dumps(record, indent=1))
     return 0

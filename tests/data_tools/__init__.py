@@ -1,1 +1,1 @@
-"""A Blender scene as 3-D Gaussians whose truth is known: what tests/data_tools/splats_from_scene.py is made of."""
+"""Test data made by code: Blender scenes as 3-D Gaussian splats or nerfstudio exports, and bench strokes."""

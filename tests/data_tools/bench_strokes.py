@@ -1,4 +1,4 @@
-"""Strokes that the tests and the benches of the laboratory synthesise, and counters for both."""
+"""Strokes synthesised by the tests and benches of the laboratory, and a counter of field evaluations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hnf_core.material.library import get_material
 
 
 def clear_carrier_caches() -> None:
-    """Forget all drawn noise, so that a process is as at its start."""
+    """Clear the caches of drawn noise, as in a process that has just started."""
     for cached in (
         noise_cache.get_time_hop,
         noise_cache.get_arc_hop,
@@ -31,7 +31,7 @@ def clear_carrier_caches() -> None:
 
 
 def make_keyed_stroke(seconds: float) -> StrokeInput:
-    """Make a stroke on leather as an artist keys it.
+    """Make a stroke on leather with the keys an artist would set.
 
     The hand lands, speeds up and down, presses more and less, wanders within ±25° and rests once on its way.
     """
@@ -41,22 +41,22 @@ def make_keyed_stroke(seconds: float) -> StrokeInput:
     speed = speed * ends * (1.0 - np.exp(-np.square((time - 0.5 * seconds) / 0.1)))
     force = (1.0 + 0.6 * np.sin(0.6 * np.pi * time)) * np.minimum(3.0 * ends, 1.0)
     angle = np.radians(25.0 * np.sin(0.3 * np.pi * time))
-    place = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) / ACTION_RATE_HZ)])
-    ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    position = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) / ACTION_RATE_HZ)])
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     material = get_material("leather")
-    action = Action(ACTION_RATE_HZ, ahead, speed, force, place, force > 0.0)
+    action = Action(ACTION_RATE_HZ, direction, speed, force, position, force > 0.0)
     return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)
 
 
 def make_scrape(seconds: float, contact_s: float | None = None) -> StrokeInput:
-    """Make a stroke back and forth over oak at up to 150 mm/s and 1 N, in the air after contact_s (None: never)."""
+    """Make a stroke back and forth over oak at up to 150 mm/s and 1 N, in the air after contact_s [s] (None: never)."""
     count = round(seconds * ACTION_RATE_HZ) + 1
-    at: NDArray[np.float64] = np.arange(count) / ACTION_RATE_HZ
-    speed = 0.15 * np.abs(np.sin(np.pi * at))
-    touching = np.ones(count, dtype=bool) if contact_s is None else at <= contact_s
-    ahead = np.tile([1.0, 0.0], (count, 1))
+    time: NDArray[np.float64] = np.arange(count) / ACTION_RATE_HZ
+    speed = 0.15 * np.abs(np.sin(np.pi * time))
+    touching = np.ones(count, dtype=bool) if contact_s is None else time <= contact_s
+    direction = np.tile([1.0, 0.0], (count, 1))
     position = np.concatenate([[0.0], np.cumsum(speed[:-1])]) / ACTION_RATE_HZ
-    action = Action(ACTION_RATE_HZ, ahead, speed, np.where(touching, 1.0, 0.0), position, touching)
+    action = Action(ACTION_RATE_HZ, direction, speed, np.where(touching, 1.0, 0.0), position, touching)
     material = get_material("oak-wood")
     return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)
 

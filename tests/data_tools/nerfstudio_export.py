@@ -1,6 +1,4 @@
-"""Points and meshes with colours, as nerfstudio exports them.
-
-A nerfstudio-style export of a Blender scene: pictures, their cameras and depths, splats, points and a mesh.
+"""Export a Blender scene as nerfstudio does: images, cameras, depths, splats, points and a mesh.
 
     python tests/data_tools/nerfstudio_export.py SCENE --out DIR [--object NAME]… [--views N] [--width W] [--height H]
         [--samples N] [--spacing M] [--fine M] [--touched] [--without-mesh] [--seed N]
@@ -57,14 +55,14 @@ UP_AXIS = "Vertical Axis: z"
 
 
 def write_points(path: Path, points: Float, normals: Float, colours: Codes) -> None:
-    """(n, 3) each: a .ply without faces."""
+    """Write points, normals and colours, each (n, 3), as a .ply without faces."""
     names = [*((name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")), *_RGB]
     table = _make_rows(names, points, normals, colours)
     write_bytes(path, _make_header({"vertex": (len(table), names)}) + table.tobytes())
 
 
 def write_mesh(path: Path, points: Float, triangles: NDArray[np.int32], colours: Codes) -> None:
-    """points, colours: (V, 3). triangles: (T, 3)."""
+    """Write points and colours (V, 3) and triangles (T, 3) as a .ply."""
     names = [*((name, "<f4") for name in ("x", "y", "z")), *_RGB]
     faces = np.empty(len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     faces["count"], faces["corners"] = 3, triangles
@@ -73,7 +71,7 @@ def write_mesh(path: Path, points: Float, triangles: NDArray[np.int32], colours:
 
 
 def write_obj(path: Path, points: Float, triangles: NDArray[np.int32], colours: Codes) -> None:
-    """The same as an .obj whose points carry their colours."""
+    """Write points and colours (V, 3) and triangles (T, 3) as an .obj with vertex colours."""
     lines = [
         f"v {x:.6g} {y:.6g} {z:.6g} {r:.4f} {g:.4f} {b:.4f}"
         for (x, y, z), (r, g, b) in zip(points.tolist(), (colours / 255.0).tolist(), strict=True)
@@ -109,13 +107,13 @@ MAX_DEPTH_CODE = 65535
 
 
 def make_ring_cameras(points: Float, count: int, width: int, height: int) -> tuple[Camera, ...]:
-    """Perspective cameras on a ring above points (n, 3), each with all of them in its picture."""
+    """Make perspective cameras on a ring above points (n, 3), each with all of them in its image."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius = (low + high) / 2.0, max(float(np.linalg.norm(high - low)) / 2.0, 1e-3)
     focal = min(width, height) / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
     distance = 1.05 * radius / np.sin(FIELD_OF_VIEW / 2.0)
     intrinsics = np.array([[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]])
-    made = []
+    cameras = []
     for turn in 2.0 * np.pi * np.arange(count) / count - np.pi / 2.0:
         flat, up = np.cos(ELEVATION), np.sin(ELEVATION)
         back = np.array([flat * np.cos(turn), flat * np.sin(turn), up])
@@ -123,14 +121,14 @@ def make_ring_cameras(points: Float, count: int, width: int, height: int) -> tup
         pose = np.eye(4)
         pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(-back, right), -back
         pose[:3, 3] = middle + distance * back
-        made.append(Camera("perspective", width, height, intrinsics, pose, 0.01 * distance, 100.0 * distance))
-    return tuple(made)
+        cameras.append(Camera("perspective", width, height, intrinsics, pose, 0.01 * distance, 100.0 * distance))
+    return tuple(cameras)
 
 
 def export_images(
     session: Session, objects: Sequence[Any], cameras: Sequence[Camera], folder: Path, samples: int
 ) -> tuple[NerfstudioFrame, ...]:
-    """Lit pictures and planar depths, written below folder."""
+    """Render lit images and planar depths into a folder; returns the frames."""
     frames = []
     with OverviewRenderer(session.scene, metres_per_unit=session.metres_per_unit, samples=samples) as overviews:
         for number, camera in enumerate(cameras, 1):
@@ -139,8 +137,8 @@ def export_images(
             codes = np.rint(255.0 * linear_to_srgb(view.rgb)).astype(np.uint8)
             depth = np.where(np.isfinite(view.depth), view.depth * MILLIMETRES_PER_METRE, 0.0)
             _save_image(folder / frame.file_path, codes)
-            deep = np.clip(np.rint(depth), 0, MAX_DEPTH_CODE).astype(np.uint16)
-            _save_image(folder / frame.depth_file_path, deep)
+            depth_codes = np.clip(np.rint(depth), 0, MAX_DEPTH_CODE).astype(np.uint16)
+            _save_image(folder / frame.depth_file_path, depth_codes)
             frames.append(frame)
     return tuple(frames)
 
@@ -153,7 +151,7 @@ def _save_image(path: Path, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> No
 def make_coloured_mesh(
     session: Session, objects: Sequence[Any], longest_m: float
 ) -> tuple[Float, NDArray[np.int32], Float]:
-    """All objects as one mesh in world metres: points (V, 3), triangles (T, 3), linear colour (V, 3)."""
+    """Join all objects in one mesh in world metres: points (V, 3), triangles (T, 3), linear colours (V, 3)."""
     points, triangles, colours = [], [], []
     count = 0
     for obj in objects:
@@ -168,12 +166,12 @@ def make_coloured_mesh(
 
 
 def get_colour_codes(splats: Splats) -> NDArray[np.uint8]:
-    shown = np.clip(0.5 + C0 * splats.harmonics[:, 0], 0.0, 1.0)
-    return np.rint(255.0 * shown).astype(np.uint8)
+    rgb = np.clip(0.5 + C0 * splats.harmonics[:, 0], 0.0, 1.0)
+    return np.rint(255.0 * rgb).astype(np.uint8)
 
 
 def export_scene(arguments: argparse.Namespace) -> int:
-    """Returns how many splats were written."""
+    """Export the scene that the arguments name; returns the number of splats."""
     folder: Path = arguments.out
     session = open_session(arguments.scene)
     objects = list_visible_meshes(session, arguments.object)

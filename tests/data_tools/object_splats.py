@@ -1,8 +1,7 @@
-"""The unlit colour of points on an object, read from pictures of it taken from all round and close by.
+"""Objects as flat, opaque Gaussian splats on their surface, as large as their spacing, in world metres.
 
-Objects → flat, opaque Gaussians on their surface, as large as their spacing, in world metres.
-
-The patches that the strokes of a scene touch, without a close-up of any.
+The unlit colour of each point is read from images of the object taken from all sides and from close by. The patches
+that the strokes of a scene touch can be found without rendering a close-up of any.
 """
 
 from __future__ import annotations
@@ -42,16 +41,16 @@ from hnf_core.units import linear_to_srgb
 Float = NDArray[np.float64]
 
 DEFAULT_GREY = 0.8
-"""Of what has no material."""
+"""Linear grey of a surface without a material."""
 MIN_FACING_COSINE = 0.15
-"""Cosine below which a picture says nothing of a surface: 81°."""
+"""Least cosine between normal and view direction at which a pixel counts: 81°."""
 MAX_PIXELS = 1024
 CAMERA_TILT = np.array([0.1, 0.2, 0.3])
-"""So that no image axis is along an edge of the cube."""
+"""Offset of the up vector that keeps image axes off the edges of the cube."""
 
 
 def make_surrounding_cameras(mesh_points: Float, pixel_m: float) -> tuple[Camera, ...]:
-    """Orthographic cameras that see all of points (n, 3) from the faces and the corners of a cube."""
+    """Make orthographic cameras that see all of the points (n, 3) from the faces and corners of a cube."""
     low, high = mesh_points.min(axis=0), mesh_points.max(axis=0)
     middle, radius = (low + high) / 2.0, 1.01 * float(np.linalg.norm(high - low)) / 2.0
     pixels = int(np.clip(np.ceil(2.0 * radius / pixel_m), 64, MAX_PIXELS))
@@ -64,6 +63,7 @@ def make_surrounding_cameras(mesh_points: Float, pixel_m: float) -> tuple[Camera
 
 
 def make_patch_camera(point: Float, normal: Float, reach_m: float, pixel_m: float) -> Camera:
+    """Make an orthographic camera above a point, which sees reach_m to each side."""
     across = np.eye(3)[int(np.argmin(np.abs(normal)))]
     pixels = int(np.clip(np.ceil(2.0 * reach_m / pixel_m), 16, MAX_PIXELS))
     return orthographic(point, across, normal, 2.0 * reach_m, pixels, reach_m)
@@ -72,8 +72,11 @@ def make_patch_camera(point: Float, normal: Float, reach_m: float, pixel_m: floa
 def render_unlit_colours(
     obj: Any, surface: Surface, samples: Samples, cameras: Sequence[Camera], metres_per_unit: float
 ) -> NDArray[np.float32]:
-    """(n, 3) linear. Each point takes its colour from the camera that sees it largest: most pixels a metre across it.
-    What none sees has its material slot's mean. Raises SceneError for a missing texture."""
+    """Render the unlit, linear colour (n, 3) of each sample.
+
+    A point takes its colour from the camera with the most pixels per metre across it. Points that no camera sees take
+    the mean of their material slot. Raises SceneError for a missing texture.
+    """
     best = np.zeros(len(samples))
     colour = np.full((len(samples), 3), np.nan)
     for camera, albedo, depth in _render_views(obj, surface, cameras, metres_per_unit):
@@ -81,41 +84,41 @@ def render_unlit_colours(
         facing = -(samples.normal @ camera.pose[:3, 2])
         score = np.where(facing > MIN_FACING_COSINE, facing * camera.intrinsics[0, 0], 0.0)
         inside = (uv >= 0.5).all(axis=1) & (uv <= np.array([camera.width, camera.height]) - 0.5).all(axis=1)
-        asked = np.flatnonzero(inside & (score > best))
-        # One pixel across a slope is as deep as the slope is steep.
-        slack = 2.0 / camera.intrinsics[0, 0] / np.maximum(facing[asked], MIN_FACING_COSINE)
-        found, seen = _interpolate_colours(albedo, depth, uv[asked], z[asked], slack)
-        colour[asked[seen]], best[asked[seen]] = found[seen], score[asked[seen]]
+        candidates = np.flatnonzero(inside & (score > best))
+        # The depth range of one pixel grows with the slope of the surface.
+        slack = 2.0 / camera.intrinsics[0, 0] / np.maximum(facing[candidates], MIN_FACING_COSINE)
+        found, visible = _interpolate_colours(albedo, depth, uv[candidates], z[candidates], slack)
+        colour[candidates[visible]], best[candidates[visible]] = found[visible], score[candidates[visible]]
     slots = surface.mesh.slot[samples.triangle]
     for slot in np.unique(slots):
-        own = slots == slot
-        known = own & (best > 0.0)
-        colour[own & ~known] = colour[known].mean(axis=0) if known.any() else DEFAULT_GREY
+        in_slot = slots == slot
+        known = in_slot & (best > 0.0)
+        colour[in_slot & ~known] = colour[known].mean(axis=0) if known.any() else DEFAULT_GREY
     return colour.astype(np.float32)
 
 
 def _render_views(
     obj: Any, surface: Surface, cameras: Sequence[Camera], metres_per_unit: float
 ) -> Iterator[tuple[Camera, Float, Float]]:
-    """Camera, linear colour (H, W, 3) and depth (H, W) of each: one sample a pixel, as a close-up."""
+    """Yield each camera with linear colour (H, W, 3) and depth (H, W), rendered as a close-up at one sample a pixel."""
     with TemporaryScene() as temporary:
         configure_cycles(temporary.scene, samples=1)
         disable_lighting(temporary.scene)
-        stage = isolate_object(temporary, obj, metres_per_unit, None, surface)
+        isolated = isolate_object(temporary, obj, metres_per_unit, None, surface)
         caster = make_ray_caster(surface.mesh)
         slots = [int(slot) for slot in np.unique(surface.mesh.slot)]
-        readings = {slot: instrument_slot(stage, slot, f"object '{obj.name}'") for slot in slots}
+        readings = {slot: instrument_slot(isolated, slot, f"object '{obj.name}'") for slot in slots}
         taps = [tap for reading in readings.values() for tap in reading.taps]
         add_aovs(temporary.view_layer, taps)
-        eye = add_camera(temporary)
+        camera_object = add_camera(temporary)
         temporary.scene.render.use_persistent_data = True
         for camera in cameras:
             passes: Passes = {}
             if taps:
-                set_camera(temporary.scene, eye, camera, stage.rigid, stage.metres_per_unit)
+                set_camera(temporary.scene, camera_object, camera, isolated.rigid, isolated.metres_per_unit)
                 passes = render_passes(temporary)
-            seen = cast_view(caster, surface.mesh, camera)
-            slot_of = np.where(seen.triangle >= 0, surface.mesh.slot[seen.triangle], -1)
+            view = cast_view(caster, surface.mesh, camera)
+            slot_of = np.where(view.triangle >= 0, surface.mesh.slot[view.triangle], -1)
             albedo = np.full((*slot_of.shape, 3), DEFAULT_GREY)
             for slot, reading in readings.items():
                 layers = reading.reading.layers
@@ -125,26 +128,28 @@ def _render_views(
                     else mix_closures(layers, passes, partial(read_shading_value, "base_color", passes))
                 )
                 if value is not None:
-                    own = slot_of == slot
-                    albedo[own] = np.broadcast_to(value, albedo.shape)[own]
-            yield camera, np.clip(np.nan_to_num(albedo), 0.0, 1.0), seen.depth
+                    in_slot = slot_of == slot
+                    albedo[in_slot] = np.broadcast_to(value, albedo.shape)[in_slot]
+            yield camera, np.clip(np.nan_to_num(albedo), 0.0, 1.0), view.depth
 
 
 def _interpolate_colours(
     albedo: Float, depth: Float, uv: Float, z: Float, slack: Float
 ) -> tuple[Float, NDArray[np.bool_]]:
-    """Bilinear colour at uv (n, 2) from those of the four pixels around that lie at depth z (n,) ± slack; and whether
-    more than half of the weight was there."""
+    """Interpolate colours at uv (n, 2) bilinearly, from those of the four neighbouring pixels at depth z (n,) ± slack.
+
+    Also returns a mask of the points for which more than half of the weight is at that depth.
+    """
     corner = np.floor(uv - 0.5).astype(np.intp)
-    share = uv - 0.5 - corner
+    fraction = uv - 0.5 - corner
     total, weight = np.zeros((len(uv), 3)), np.zeros(len(uv))
     for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
         column = np.minimum(corner[:, 0] + right, depth.shape[1] - 1)
         row = np.minimum(corner[:, 1] + down, depth.shape[0] - 1)
-        part = np.abs(1 - right - share[:, 0]) * np.abs(1 - down - share[:, 1])
-        part = np.where(np.abs(depth[row, column] - z) <= slack, part, 0.0)
-        total += part[:, None] * albedo[row, column]
-        weight += part
+        corner_weight = np.abs(1 - right - fraction[:, 0]) * np.abs(1 - down - fraction[:, 1])
+        corner_weight = np.where(np.abs(depth[row, column] - z) <= slack, corner_weight, 0.0)
+        total += corner_weight[:, None] * albedo[row, column]
+        weight += corner_weight
     return total / np.maximum(weight, 1e-300)[:, None], weight > 0.5
 
 
@@ -152,14 +157,14 @@ RADIUS_SPACINGS, THICKNESS_SPACINGS = 0.65, 0.06
 """Standard deviations along and across the surface, in spacings."""
 OPACITY = 0.95
 FINE_RADIUS_M = 0.8 * PATCH_SIZE_M
-"""Splats are fine so far around a place: half of a patch's diagonal, and a little more."""
+"""Radius of fine splats around a patch centre [m]: a little more than half of a patch's diagonal."""
 PIXELS_PER_SPACING = 2.0
 
 
 def sample_object(
     mesh: TriangleMesh, spacing_m: float, seed: int, patches: Sequence[Patch] = (), fine_m: float | None = None
 ) -> Samples:
-    """Points of one object, fine_m apart around the patches. All in the surface frame."""
+    """Sample one object in the surface frame, with points fine_m apart around the patches."""
     return sample_mesh(
         mesh, spacing_m, seed, centres=[patch.centre for patch in patches], reach_m=FINE_RADIUS_M, fine_m=fine_m
     )
@@ -175,12 +180,13 @@ def make_object_splats(
     fine_m: float | None = None,
     in_world: bool = True,
 ) -> Splats:
-    """One object as splats of degree 0, in metres of the world, or of the surface frame."""
+    """Make splats of degree 0 from one object, in metres of the world or of the surface frame."""
     samples = sample_object(surface.mesh, spacing_m, seed, patches, fine_m)
     cameras = list(make_surrounding_cameras(surface.mesh.vertices, spacing_m / PIXELS_PER_SPACING))
     if fine_m is not None:
         cameras += [
-            make_patch_camera(each.centre, each.normal, FINE_RADIUS_M, fine_m / PIXELS_PER_SPACING) for each in patches
+            make_patch_camera(patch.centre, patch.normal, FINE_RADIUS_M, fine_m / PIXELS_PER_SPACING)
+            for patch in patches
         ]
     return make_flat_splats(
         samples,
@@ -190,7 +196,7 @@ def make_object_splats(
 
 
 def make_flat_splats(samples: Samples, linear: NDArray[np.float32], rigid: Float) -> Splats:
-    """Discs on the points, of linear colour (n, 3); rigid: (4, 4) world ← the samples' frame."""
+    """Make discs on the samples, of linear colour (n, 3); rigid (4, 4) maps the samples' frame to the world."""
     count = len(samples)
     scales = samples.spacing[:, None] * np.array([RADIUS_SPACINGS, RADIUS_SPACINGS, THICKNESS_SPACINGS])
     harmonics = (linear_to_srgb(linear) - 0.5) / C0
@@ -204,7 +210,7 @@ def make_flat_splats(samples: Samples, linear: NDArray[np.float32], rigid: Float
 
 
 def compute_rotations_from_z(normals: Float) -> Float:
-    """(n, 4) unit quaternions w x y z of the shortest turn from +z to unit normals (n, 3)."""
+    """Compute unit quaternions w x y z (n, 4) of the shortest turn from +z to unit normals (n, 3)."""
     x, y, z = normals.T
     turn = np.stack([1.0 + z, -y, x, np.zeros_like(z)], axis=1)
     turn[1.0 + z < 1e-12] = [0.0, 1.0, 0.0, 0.0]
@@ -217,9 +223,9 @@ def concatenate_splats(clouds: Sequence[Splats]) -> Splats:
 
 
 def find_touched_patches(session: Session) -> dict[str, tuple[Patch, ...]]:
-    """Object name → its patches, in the surface frame; by the default strokes where the scene has none.
+    """Find the patches touched on each object, by its name, in the surface frame.
 
-    Raises SceneError where a stroke cannot be read.
+    A scene without strokes gets the default ones. Raises SceneError where a stroke cannot be read.
     """
     found = gather_jobs(session)
     if found.failed:
@@ -231,7 +237,7 @@ def find_touched_patches(session: Session) -> dict[str, tuple[Patch, ...]]:
 
 
 def plan_job_patches(session: Session, job: StrokeJob) -> tuple[Patch, ...]:
-    """Of one stroke, placed in the scene where it is not yet."""
+    """Plan the patches of one stroke, which is first placed in the scene if it has no curve yet."""
     obj: Any = session.scene.objects[job.object_name]
     stroke = job.stroke or session.read_stroke(session.place_stroke(obj, job, Counts()))
     mesh = session.get_surface(obj).mesh

@@ -1,4 +1,4 @@
-"""A Blender scene as 3-D Gaussians, so that what is felt on splats can be compared with what is felt on the true mesh.
+"""Write a Blender scene as 3-D Gaussians, to compare results on splats with those on the true mesh.
 
     python tests/data_tools/splats_from_scene.py SCENE --out F.ply [--object NAME]… [--spacing M] [--fine M]
         [--touched] [--patch X,Y,Z]… [--seed N]
@@ -37,7 +37,7 @@ SPACING_M, FINE_M = 2e-3, 0.15e-3
 
 
 def open_session(path: Path) -> Session:
-    """The scene as `hnf touch` opens it."""
+    """Open a scene as `hnf touch` does."""
     if not hasattr(bpy.types.Object, "hnf_stroke"):
         props.register()
     scene = open_scene(path)
@@ -45,7 +45,7 @@ def open_session(path: Path) -> Session:
 
 
 def list_visible_meshes(session: Session, names: Sequence[str]) -> list[Any]:
-    """Those named, or all. Raises UsageError for a name that is no mesh of the scene."""
+    """List the named mesh objects, or all visible ones. Raises UsageError for a name that is no mesh of the scene."""
     meshes = {obj.name: obj for obj in session.scene.objects if obj.type == "MESH"}
     unknown = [name for name in names if name not in meshes]
     if unknown:
@@ -56,8 +56,8 @@ def list_visible_meshes(session: Session, names: Sequence[str]) -> list[Any]:
 
 
 def find_patch_near(session: Session, objects: Sequence[Any], point: np.ndarray) -> tuple[str, Patch]:
-    """The object whose surface is nearest to place (3,) (world metres), and the patch there."""
-    best, answer = np.inf, None
+    """Find the object whose surface is closest to a point (3,) [world metres], and the patch there."""
+    best, nearest = np.inf, None
     for obj in objects:
         surface = session.get_surface(obj)
         local = (point - surface.rigid[:3, 3]) @ surface.rigid[:3, :3]
@@ -68,17 +68,17 @@ def find_patch_near(session: Session, objects: Sequence[Any], point: np.ndarray)
             along = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
             slot = int(surface.mesh.slot[found.triangle[0]])
             best = float(found.distance[0])
-            answer = (obj.name, Patch(found.position[0], along, normal / np.linalg.norm(normal), slot))
-    if answer is None:
+            nearest = (obj.name, Patch(found.position[0], along, normal / np.linalg.norm(normal), slot))
+    if nearest is None:
         raise UsageError("the scene holds no mesh.", remedy="Give a scene with one.")
-    return answer
+    return nearest
 
 
 def make_scene_splats(
     session: Session, objects: Sequence[Any], spacing_m: float, fine_m: float, patches: dict[str, tuple[Patch, ...]],
     seed: int,
 ) -> Splats:  # fmt: skip
-    """patches: by object name, in its surface frame."""
+    """Make the splats of all objects; patches are by object name, in the object's surface frame."""
     return concatenate_splats([
         make_object_splats(
             obj, session.get_surface(obj), spacing_m, seed + number, session.metres_per_unit, patches.get(obj.name, ()),
@@ -92,29 +92,31 @@ def convert_scene(arguments: argparse.Namespace) -> Splats:
     session = open_session(arguments.scene)
     objects = list_visible_meshes(session, arguments.object)
     patches = find_touched_patches(session) if arguments.touched else {}
-    for place in arguments.patch:
-        name, patch = find_patch_near(session, objects, place)
+    for point in arguments.patch:
+        name, patch = find_patch_near(session, objects, point)
         patches[name] = (*patches.get(name, ()), patch)
     return make_scene_splats(session, objects, arguments.spacing, arguments.fine, patches, arguments.seed)
 
 
 def build_parser() -> argparse.ArgumentParser:
-    made = argparse.ArgumentParser(description="Write a Blender scene as 3-D Gaussian splats.")
-    made.add_argument("scene", type=Path)
-    made.add_argument("--out", type=Path, required=True, help="the .ply to write (INRIA layout)")
-    made.add_argument("--object", action="append", default=[], metavar="NAME", help="only this object; may be repeated")
-    made.add_argument(
+    parser = argparse.ArgumentParser(description="Write a Blender scene as 3-D Gaussian splats.")
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--out", type=Path, required=True, help="the .ply to write (INRIA layout)")
+    parser.add_argument(
+        "--object", action="append", default=[], metavar="NAME", help="only this object; may be repeated"
+    )
+    parser.add_argument(
         "--spacing", type=parse_metres, default=SPACING_M, metavar="M", help="metres (default: %(default)s)"
     )
-    made.add_argument(
+    parser.add_argument(
         "--fine", type=parse_metres, default=FINE_M, metavar="M", help="on patches (default: %(default)s)"
     )
-    made.add_argument("--touched", action="store_true", help="fine on what the scene's strokes touch")
-    made.add_argument(
+    parser.add_argument("--touched", action="store_true", help="fine on what the scene's strokes touch")
+    parser.add_argument(
         "--patch", type=_parse_point, action="append", default=[], metavar="X,Y,Z", help="fine around it too"
     )
-    made.add_argument("--seed", type=int, default=0)
-    return made
+    parser.add_argument("--seed", type=int, default=0)
+    return parser
 
 
 def parse_metres(text: str) -> float:

@@ -13,17 +13,17 @@ from hnf_core.files import write_atomically
 from hnf_core.scene.splats.gaussians import Splats
 from hnf_core.scene.splats.io_ply import CENTRE_PROPERTIES, DC_PROPERTIES, ROTATION_PROPERTIES, SCALE_PROPERTIES
 
-# Beyond it the logistic function is 0 or 1 in float32.
+# Beyond this logit the logistic function is 0 or 1 in float32.
 MAX_LOGIT = 104.0
 SPLATS_PER_WRITE = 1 << 14
 
 
 def write_inria(path: Path, splats: Splats, *, comments: Sequence[str] = ()) -> None:
-    """Little-endian binary as the reference code writes it, with normals of 0. An earlier file is replaced in one step.
+    """Write splats as little-endian binary in the layout of the reference code, with normals of 0.
 
-    An opacity of 0 or 1 gets the logit −104 or 104, which reads back as itself and not as a number that other
-    readers cannot draw. comments: of one line each, for the header. Raises FileError where it cannot be written,
-    UsageError for a comment of several lines.
+    An earlier file is replaced in one step. An opacity of 0 or 1 gets the logit −104 or 104, which reads back as itself
+    and not as a number that other readers cannot draw. Comments are one line each, for the header. Raises FileError
+    where the file cannot be written, UsageError for a comment of several lines.
     """
     if any("\n" in comment or "\r" in comment for comment in comments):
         raise UsageError("A comment of a .ply is one line.", where=str(path))
@@ -54,7 +54,7 @@ def write_inria(path: Path, splats: Splats, *, comments: Sequence[str] = ()) -> 
 
 
 def _encode_rows(splats: Splats) -> NDArray[np.float32]:
-    """(N, 14 + 3 K) as the file holds it."""
+    """Encode splats as rows (N, 14 + 3 K) of the file."""
     count = len(splats)
     opacities = splats.opacities.astype(np.float64)
     with np.errstate(divide="ignore"):

@@ -14,9 +14,10 @@ from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, check
 
 
 def write_transforms(path: Path, frames: Sequence[NerfstudioFrame], **more: Any) -> None:
-    """What read_transforms reads, lenses written once where all frames share them. more: further keys, JSON values.
+    """Write a transforms.json that read_transforms reads; intrinsics are written once where all frames share them.
 
-    Raises FileError where a camera is not perspective or a path leaves the folder.
+    Further keys with JSON values are given by name. Raises FileError where a camera is not perspective or a path leaves
+    the folder.
     """
     lenses = [_encode_lens(path, frame.camera) for frame in frames]
     shared = all(lens == lenses[0] for lens in lenses)

@@ -9,7 +9,7 @@ from hnf_core.datasets.hatt_synthesis import FilterStates, Float, compute_power_
 
 
 def compute_rms_and_centroid(model: TextureModel, speed_m_s: float, force_n: float) -> tuple[float, float]:
-    """Compute the RMS [m/s²], sqrt(variance · mean |H|²), and the power-weighted mean frequency [Hz] up to half the rate."""
+    """Compute the RMS [m/s²], sqrt(variance · mean |H|²), and the power-weighted mean frequency [Hz] up to rate / 2."""
     grid = (np.arange(2**15) + 0.5) / 2**16 * model.sample_rate  # midpoints: exact to rounding for such smooth spectra
     density = compute_power_spectrum(model, speed_m_s, force_n, grid)
     total = float(density.sum())

@@ -1,4 +1,4 @@
-"""Reference limiter in plain Python, one value at a time, which hnf_core/actuators/limiter.py must equal byte for byte."""
+"""Reference limiter in plain Python, one value at a time; hnf_core.actuators.limiter must equal it byte for byte."""
 
 from __future__ import annotations
 
@@ -92,7 +92,10 @@ class ChannelReference:
         lowest, highest = 0, self.params.peak
         while lowest < highest:
             middle = (lowest + highest + 1) // 2
-            if max(self._compute_ramp_down_energy(middle), ramp_energy) + self.params.grid_frames * float(middle) ** 2 <= budget:
+            if (
+                max(self._compute_ramp_down_energy(middle), ramp_energy) + self.params.grid_frames * float(middle) ** 2
+                <= budget
+            ):
                 lowest = middle
             else:
                 highest = middle - 1
@@ -106,4 +109,7 @@ def limit(limits: Limits, rate_hz: float, frames: Sequence[Sequence[float]], cha
     """Limit frames of m/s², each of `channels` values, from rest; returns as many frames of counts."""
     params = compute_limiter_params(limits, rate_hz)
     references = [ChannelReference(params) for _ in range(channels)]
-    return [[reference.process(float(value)) for reference, value in zip(references, frame, strict=True)] for frame in frames]
+    return [
+        [reference.process(float(value)) for reference, value in zip(references, frame, strict=True)]
+        for frame in frames
+    ]

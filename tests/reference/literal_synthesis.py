@@ -31,8 +31,8 @@ Float = NDArray[np.float64]
 def synthesise_reference(field: Field, stroke: StrokeInput, *, seed: int, start: int = 0, count: int = 2000) -> Float:
     """Synthesise count samples at the model rate from sample start on [m/s²], (count,) float64.
 
-    The texture term is evaluated without approximation; pressing is the shared linear filter, which is exact already. Raises
-    UsageError for a stroke with a height profile, whose part of the power is defined at the action rate.
+    The texture term is evaluated without approximation; pressing is the shared linear filter, which is exact already.
+    Raises UsageError for a stroke with a height profile, whose part of the power is defined at the action rate.
     """
     if stroke.profile is not None:
         raise UsageError("the reference does not take a height profile.", remedy="Compare without it.")

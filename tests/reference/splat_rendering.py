@@ -74,7 +74,11 @@ def render_reference(splats: Splats, camera: Camera, *, low_pass: float = LOW_PA
         q = steep + footprints.precision[i] * (offset * offset)
         covered = q <= footprints.cutoff[i]
         alpha = np.where(covered, np.minimum(MAX_ALPHA, footprints.opacity[i] * np.exp(-0.5 * q)), 0.0)
-        z = footprints.depth[i] + footprints.depth_slope_x[i] * ((x + 0.5) - footprints.u[i]) + footprints.depth_slope_y[i] * along
+        z = (
+            footprints.depth[i]
+            + footprints.depth_slope_x[i] * ((x + 0.5) - footprints.u[i])
+            + footprints.depth_slope_y[i] * along
+        )
         box = np.s_[footprints.top[i] : footprints.bottom[i], footprints.left[i] : footprints.right[i]]
         before = transmittance[box]
         after = before * (1.0 - alpha)

@@ -1,6 +1,9 @@
-"""Materials whose bumps are metres: every height below is that of the whole range 0 … 1 of its texture (noise uses
-about 0.4 of it), every wavelength that of the real thing. Cloth, leather and clay are flatter than real ones, worn as
-they might be: an actuator of ordinary strength can then play what is felt."""
+"""Materials of the demo scene, whose bumps are in metres.
+
+Every height is that of the whole range 0 … 1 of its texture (noise uses about 0.4 of it), every wavelength that of the
+real material. Cloth, leather and clay are flatter than real ones, as if worn: an actuator of ordinary strength can then
+play the signal.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ MM, UM = 1e-3, 1e-6
 
 
 class ShaderBuilder:
-    """A material under construction. Sockets and numbers mix freely in its operations."""
+    """Material under construction, whose operations take sockets and numbers alike."""
 
     def __init__(self, name: str, **principled: Any) -> None:
         self.material = bpy.data.materials.new(name)
@@ -29,6 +32,7 @@ class ShaderBuilder:
         self.u, self.v = split.outputs["X"], split.outputs["Y"]
 
     def add(self, kind: str, *inputs: Any, label: str = "", **properties: Any) -> Any:
+        """Add a node of a kind with these inputs (None: left as it is) and properties."""
         node = self.nodes.new(kind)
         for name, value in properties.items():
             setattr(node, name, value)
@@ -40,6 +44,7 @@ class ShaderBuilder:
         return node
 
     def set_input(self, socket: Any, value: Any) -> None:
+        """Link an input socket to an output socket, or set its default value."""
         if isinstance(value, bpy.types.NodeSocket):
             self.links.new(value, socket)
         elif socket.type == "RGBA" and len(value) == 3:
@@ -57,16 +62,16 @@ class ShaderBuilder:
         return result
 
     def ridges(self, coordinate: Any, pitch_m: float) -> Any:
-        """|cos(π x / pitch)|: round backs with sharp valleys between, 0 … 1."""
+        """Compute |cos(π x / pitch)|: round backs with sharp valleys between, 0 … 1."""
         return self.math("ABSOLUTE", self.math("COSINE", self.math("MULTIPLY", coordinate, 3.14159265 / pitch_m)))
 
     def scale_coordinates(self, u_m: float, v_m: float) -> Any:
-        """Texture coordinates that grow by one per u_m along u and per v_m along v."""
+        """Scale the UVs to texture coordinates that grow by one per u_m along u and per v_m along v."""
         parts = [self.math("DIVIDE", self.u, u_m), self.math("DIVIDE", self.v, v_m)]
         return self.add("ShaderNodeCombineXYZ", *parts).outputs[0]
 
     def noise(self, u_m: float, v_m: float | None = None, detail: float = 2.0, rough: float = 0.5) -> Any:
-        """Smooth noise of wavelength about u_m by v_m with finer octaves, 0 … 1 around 0.5."""
+        """Add smooth noise of wavelength about u_m by v_m with finer octaves, 0 … 1 around 0.5."""
         node = self.add("ShaderNodeTexNoise", self.scale_coordinates(u_m, v_m or u_m))
         node.inputs["Scale"].default_value = 1.0
         node.inputs["Detail"].default_value = detail
@@ -74,14 +79,14 @@ class ShaderBuilder:
         return node.outputs[0]
 
     def cells(self, size_m: float, feature: str = "DISTANCE_TO_EDGE", jitter: float = 1.0) -> Any:
-        """Distance in cell sizes to the cell's edge or centre."""
+        """Add Voronoi cells; returns the distance to the cell's edge or centre, in cell sizes."""
         node = self.add("ShaderNodeTexVoronoi", self.scale_coordinates(size_m, size_m), feature=feature)
         node.inputs["Scale"].default_value = 1.0
         node.inputs["Randomness"].default_value = jitter
         return node.outputs["Distance"]
 
     def step(self, value: Any, low: float, high: float) -> Any:
-        """0 below low, 1 above high, smooth between."""
+        """Add a smooth step: 0 below low, 1 above high."""
         node = self.add("ShaderNodeMapRange", interpolation_type="SMOOTHSTEP")
         for name, part in (("Value", value), ("From Min", low), ("From Max", high)):
             self.set_input(next(socket for socket in node.inputs if socket.name == name), part)
@@ -97,22 +102,25 @@ class ShaderBuilder:
         return node.outputs["Color"]
 
     def add_bump(self, height_m: float, height: Any, label: str) -> None:
-        """height (0 … 1) × height_m of relief; distance is set in metres because its default differs by version."""
+        """Add height (0 … 1) × height_m [m] of relief.
+
+        The node's distance is set in metres because its default differs by version.
+        """
         node = self.add("ShaderNodeBump", label=label)
         node.inputs["Strength"].default_value = 1.0
         node.inputs["Distance"].default_value = height_m
         self.set_input(node.inputs["Height"], height)
-        below = self.surface.inputs["Normal"]
-        if below.is_linked:
-            self.set_input(node.inputs["Normal"], below.links[0].from_socket)
-        self.set_input(below, node.outputs["Normal"])
+        normal_input = self.surface.inputs["Normal"]
+        if normal_input.is_linked:
+            self.set_input(node.inputs["Normal"], normal_input.links[0].from_socket)
+        self.set_input(normal_input, node.outputs["Normal"])
 
     def set_colour(self, colour: Any) -> None:
         self.set_input(self.surface.inputs["Base Color"], colour)
 
 
 def make_corduroy() -> Any:
-    """Wales 2.2 mm apart along v, 60 µm high, with a fibrous pile."""
+    """Make corduroy: wales 2.2 mm apart along v, 60 µm high, with a fibrous pile."""
     s = ShaderBuilder("Corduroy", Roughness=0.9, Sheen_Weight=0.35, Sheen_Roughness=0.45, Specular_IOR_Level=0.15)
     wale = s.ridges(s.u, 2.2 * MM)
     pile = s.noise(0.22 * MM, 0.6 * MM, detail=1.0)
@@ -126,7 +134,7 @@ def make_corduroy() -> Any:
 
 
 def make_linen() -> Any:
-    """Plain weave, threads 0.9 mm apart, 32 µm deep."""
+    """Make linen in plain weave: threads 0.9 mm apart, 32 µm deep."""
     s = ShaderBuilder("Linen book cloth", Roughness=0.85, Sheen_Weight=0.2, Specular_IOR_Level=0.2)
     pitch = 0.9 * MM
     waves = [s.math("COSINE", s.math("MULTIPLY", x, 3.14159265 / pitch)) for x in (s.u, s.v)]
@@ -146,7 +154,7 @@ def make_linen() -> Any:
 
 
 def make_leather() -> Any:
-    """Pebbles of 1.5 mm, 32 µm high, and finer pores."""
+    """Make leather: pebbles of 1.5 mm, 32 µm high, and finer pores."""
     s = ShaderBuilder("Leather", Roughness=0.5, Specular_IOR_Level=0.5)
     pebble = s.step(s.cells(1.5 * MM, jitter=0.9), 0.0, 0.32)
     crease = s.step(s.cells(6.0 * MM), 0.0, 0.08)
@@ -158,7 +166,7 @@ def make_leather() -> Any:
 
 
 def make_brushed_metal() -> Any:
-    """Scratches along u, 0.1–0.8 mm apart, about 5 of the noise's 15 µm deep."""
+    """Make brushed metal: scratches along u, 0.1–0.8 mm apart, about 5 of the noise's 15 µm deep."""
     s = ShaderBuilder("Brushed metal", Metallic=1.0, Roughness=0.3, Anisotropic=0.6)
     lines = s.noise(25 * MM, 0.4 * MM, detail=3.0, rough=0.7)
     s.add_bump(10 * UM, lines, "Brushing")
@@ -168,7 +176,7 @@ def make_brushed_metal() -> Any:
 
 
 def make_terracotta() -> Any:
-    """Fired clay: grain from 1.6 mm down to 0.05 mm, about 0.4 of the noise's 62 µm range, with pits."""
+    """Make fired clay: grain from 1.6 mm down to 0.05 mm, about 0.4 of the noise's 62 µm range, with pits."""
     s = ShaderBuilder("Terracotta", Roughness=0.88, Specular_IOR_Level=0.2)
     grain = s.noise(1.6 * MM, detail=5.0, rough=0.7)
     pits = s.step(s.cells(3.2 * MM, "F1"), 0.06, 0.16)
@@ -187,7 +195,7 @@ def make_terracotta() -> Any:
 
 
 def make_oak() -> Any:
-    """Planks 110 mm wide along u: open pores 60 µm deep, seams 300 µm deep."""
+    """Make oak planks 110 mm wide along u: open pores 60 µm deep, seams 300 µm deep."""
     s = ShaderBuilder("Oak planks", Roughness=0.5, Specular_IOR_Level=0.35)
     board = s.math("DIVIDE", s.v, 110 * MM)
     edge = s.math("MULTIPLY", s.math("PINGPONG", board, 0.5), 110 * MM)
@@ -208,15 +216,15 @@ def make_oak() -> Any:
     s.add_bump(60 * UM, open_pores, "Pores")
     s.add_bump(300 * UM, s.step(edge, 0.0, 0.7 * MM), "Seams")
     tone = s.add_values(s.math("MULTIPLY", rings, 0.75), s.math("MULTIPLY", open_pores, 0.16))
-    bright = s.add("ShaderNodeTexWhiteNoise", None, number, noise_dimensions="1D").outputs[0]
-    tone = s.math("ADD", tone, s.math("MULTIPLY", s.math("SUBTRACT", bright, 0.5), 0.16))
+    brightness = s.add("ShaderNodeTexWhiteNoise", None, number, noise_dimensions="1D").outputs[0]
+    tone = s.math("ADD", tone, s.math("MULTIPLY", s.math("SUBTRACT", brightness, 0.5), 0.16))
     wood = s.ramp(tone, (0.28, (0.115, 0.058, 0.026)), (0.52, (0.270, 0.150, 0.072)), (0.8, (0.420, 0.262, 0.140)))
     s.set_colour(wood)
     return s.material
 
 
 def make_paper() -> Any:
-    """The block of pages seen from its edges: sheets 0.1 mm thick along the long way."""
+    """Make the edges of a block of pages: sheets 0.1 mm thick along the long side."""
     s = ShaderBuilder("Paper", Roughness=0.8)
     sheets = s.noise(90 * MM, 0.25 * MM, detail=1.0)
     s.add_bump(30 * UM, sheets, "Sheets")
@@ -225,7 +233,7 @@ def make_paper() -> Any:
 
 
 def make_glaze() -> Any:
-    """Stoneware under a glassy glaze: no relief at all, so that only looks and names speak for it."""
+    """Make glazed stoneware without any relief, so that only its appearance and name tell how it feels."""
     s = ShaderBuilder("Ceramic glaze", Roughness=0.16, Coat_Weight=0.4, Coat_Roughness=0.05)
     specks = s.step(s.cells(7 * MM, "F1"), 0.05, 0.10)
     s.set_colour(s.ramp(specks, (0.3, (0.16, 0.10, 0.06)), (0.7, (0.70, 0.67, 0.60))))
@@ -233,7 +241,7 @@ def make_glaze() -> Any:
 
 
 def make_lemon_peel() -> Any:
-    """Oil glands 1.8 mm apart, dimples 130 µm deep."""
+    """Make lemon peel: oil glands 1.8 mm apart, dimples 130 µm deep."""
     s = ShaderBuilder("Lemon peel", Roughness=0.38, Subsurface_Weight=0.08)
     s.surface.inputs["Subsurface Radius"].default_value = (4 * MM, 2 * MM, 0.5 * MM)
     s.surface.inputs["Subsurface Scale"].default_value = 1.0

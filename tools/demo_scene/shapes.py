@@ -35,7 +35,7 @@ def new_form() -> Any:
 def add_box(
     form: Any, size: Sequence[float], centre: Sequence[float], radius: float, *, slot: int = 0, rounds: int = 4
 ) -> list[Any]:
-    """A box with rounded edges, UVs by box projection. Returns its faces."""
+    """Add a box with rounded edges, UVs by box projection; returns its faces."""
     part = bmesh.new()
     bmesh.ops.create_cube(part, size=1.0)
     for vertex in part.verts:
@@ -54,7 +54,7 @@ def add_box(
 
 
 def set_box_uv(form: Any, face: Any) -> None:
-    """UV = the two coordinates across the face's main axis; +x stays +u on top and bottom."""
+    """Set UVs to the two coordinates across the face's main axis; +x stays +u on top and bottom."""
     layer = form.loops.layers.uv.active
     face.normal_update()
     axis = max(range(3), key=lambda i: abs(face.normal[i]))
@@ -64,7 +64,7 @@ def set_box_uv(form: Any, face: Any) -> None:
 
 
 def add_lathe(form: Any, profile: Sequence[Point], *, segments: int = 128, slot: int = 0) -> None:
-    """Turn (radius, height) points around z. u runs around in metres at the widest radius, v along the profile."""
+    """Add a surface of revolution of (radius, height) points; u runs around [m at the widest radius], v along."""
     layer = form.loops.layers.uv.active
     widest = max(radius for radius, _ in profile)
     along = np.concatenate(
@@ -84,27 +84,27 @@ def add_lathe(form: Any, profile: Sequence[Point], *, segments: int = 128, slot:
             distinct = [c for i, c in enumerate(corners) if c[0] is not corners[i - 1][0]]
             face = form.faces.new([corner[0] for corner in distinct])
             face.material_index = slot
-            for loop, (_, step, place) in zip(face.loops, distinct, strict=True):
-                loop[layer].uv = (step / segments * 2 * pi * widest, along[place])
+            for loop, (_, step, ring) in zip(face.loops, distinct, strict=True):
+                loop[layer].uv = (step / segments * 2 * pi * widest, along[ring])
 
 
 def round_corners(points: Sequence[Point], radius: float, steps: int = 5) -> list[Point]:
-    """An open profile with its inner corners rounded."""
+    """Round the inner corners of an open profile."""
     path: list[Point] = [points[0]]
     for before, corner, after in zip(points, points[1:], points[2:], strict=False):
-        towards = [np.subtract(before, corner), np.subtract(after, corner)]
-        cut = min(radius, *(0.45 * float(np.linalg.norm(way)) for way in towards))
-        start, end = (np.add(corner, cut * way / np.linalg.norm(way)) for way in towards)
+        directions = [np.subtract(before, corner), np.subtract(after, corner)]
+        cut = min(radius, *(0.45 * float(np.linalg.norm(direction)) for direction in directions))
+        start, end = (np.add(corner, cut * direction / np.linalg.norm(direction)) for direction in directions)
         for t in np.linspace(0.0, 1.0, steps + 1):
-            place = (1 - t) ** 2 * start + 2 * t * (1 - t) * np.array(corner) + t**2 * end
-            path.append((float(place[0]), float(place[1])))
+            point = (1 - t) ** 2 * start + 2 * t * (1 - t) * np.array(corner) + t**2 * end
+            path.append((float(point[0]), float(point[1])))
     return [*path, points[-1]]
 
 
 def add_sheet(
     form: Any, point_at: Callable[[float, float], Sequence[float]], half: float, cells: int, *, flip: bool
 ) -> None:
-    """A grid over s, t in −1 … 1; place(s, t) is its point. UV = (s, t) × half."""
+    """Add a grid over s, t in −1 … 1, whose points are point_at(s, t) and whose UVs are (s, t) × half."""
     layer = form.loops.layers.uv.active
     # Cells shrink towards the rim, where a cushion curves most.
     steps = np.sin(np.linspace(-pi / 2, pi / 2, cells + 1))
@@ -120,15 +120,15 @@ def add_sheet(
 
 
 def add_cord(form: Any, centres: np.ndarray, radius: float, *, sides: int = 10) -> None:
-    """A closed round cord along centres (k, 3) lying about flat. u around, v along, in metres."""
+    """Add a closed round cord along centres (k, 3) lying about flat; u runs around, v along [m]."""
     layer = form.loops.layers.uv.active
     count = len(centres)
-    ahead = np.roll(centres, -1, axis=0) - np.roll(centres, 1, axis=0)
+    tangents = np.roll(centres, -1, axis=0) - np.roll(centres, 1, axis=0)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1))])
     along = np.append(along, along[-1] + np.linalg.norm(centres[0] - centres[-1]))
     rings = []
-    for centre, way in zip(centres, ahead, strict=True):
-        heading = atan2(way[1], way[0]) - pi / 2
+    for centre, tangent in zip(centres, tangents, strict=True):
+        heading = atan2(tangent[1], tangent[0]) - pi / 2
         out = np.array([cos(heading), sin(heading), 0.0])
         turns = [2 * pi * k / sides for k in range(sides)]
         rings.append([form.verts.new(centre + radius * (cos(a) * out + np.array([0, 0, sin(a)]))) for a in turns])
@@ -136,7 +136,7 @@ def add_cord(form: Any, centres: np.ndarray, radius: float, *, sides: int = 10) 
         for k in range(sides):
             m, j = (k + 1) % sides, (i + 1) % count
             face = form.faces.new([rings[i][k], rings[i][m], rings[j][m], rings[j][k]])
-            spots = [(k, i), (k + 1, i), (k + 1, i + 1), (k, i + 1)]
-            for loop, (a, b) in zip(face.loops, spots, strict=True):
+            uv_indices = [(k, i), (k + 1, i), (k + 1, i + 1), (k, i + 1)]
+            for loop, (a, b) in zip(face.loops, uv_indices, strict=True):
                 loop[layer].uv = (a / sides * 2 * pi * radius, along[b])
     bmesh.ops.recalc_face_normals(form, faces=list(form.faces))

@@ -16,7 +16,7 @@ Key = tuple[float, float]
 
 
 def project_onto_surface(obj: Any, origins: np.ndarray, directions: np.ndarray) -> list[Vector]:
-    """World points where rays in the object's own space (k, 3) first meet it."""
+    """Cast rays (k, 3) in the object's space onto it; returns the first hits in world space."""
     mesh = obj.data
     tree = BVHTree.FromPolygons([v.co for v in mesh.vertices], [p.vertices for p in mesh.polygons])
     points = []
@@ -31,7 +31,7 @@ def project_onto_surface(obj: Any, origins: np.ndarray, directions: np.ndarray) 
 def project_from_above(
     obj: Any, start: Sequence[float], end: Sequence[float], knots: int, bend: float = 0.0
 ) -> list[Vector]:
-    """Points straight below a line from start to end (x, y in the object's space), bent sideways by bend metres."""
+    """Project a line from start to end (x, y in the object's space), bent sideways by bend [m], straight down."""
     t = np.linspace(0.0, 1.0, knots)[:, None]
     a, b = np.asarray(start, float), np.asarray(end, float)
     side = np.array([-(b - a)[1], (b - a)[0]]) / np.linalg.norm(b - a)
@@ -51,7 +51,7 @@ def add_stroke(
     progress: Sequence[Key],
     seed: int,
 ) -> Any:
-    """A curve through points (near them for NURBS) with force [N] and progress keyed at (seconds, value)."""
+    """Add a curve through points (near them for NURBS), with force [N] and progress keyed at (seconds, value)."""
     curve = bpy.data.curves.new(name, "CURVE")
     curve.dimensions = "3D"
     spline = curve.splines.new(kind)

@@ -82,7 +82,7 @@ def test_l_mag_checks_window_length_and_has_a_finite_gradient():
 
 
 def test_evaluation_at_the_action_rate_equals_every_sample():
-    """A network of the published shape loses nothing, since the smooth action is linear between its samples."""
+    """A network of the published shape needs no finer rate, since a smooth action has no detail between its samples."""
     windows = cut_windows([texture(2.0)], 2.0)[:4]
     network = FieldNetwork(SMALL, initial_parameters(SMALL, 3))
     rows = torch.arange(4)

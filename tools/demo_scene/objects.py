@@ -1,4 +1,4 @@
-"""The things on the table, at their real sizes in metres."""
+"""Objects on the table of the demo scene, at their real sizes in metres."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def make_table() -> Any:
 
 
 def _compute_cushion_outline(s: float, t: float) -> tuple[float, float]:
-    """The sides of a filled cushion are drawn in, its corners stand out."""
+    """Compute the outline of a filled cushion, whose sides are drawn in and whose corners stand out."""
     return CUSHION_HALF * s * (0.925 + 0.075 * t * t), CUSHION_HALF * t * (0.925 + 0.075 * s * s)
 
 
@@ -51,7 +51,7 @@ def make_cushion() -> Any:
 
 
 def make_tin() -> Any:
-    """A tea tin with a lid, brushed around."""
+    """Make a tea tin with a lid, brushed around."""
     form = new_form()
     r = TIN_RADIUS
     body = round_corners([(0.0, 0.0), (r, 0.0), (r, 0.094)], 1.6e-3)
@@ -68,7 +68,7 @@ def make_tile() -> Any:
 
 
 def make_notebook() -> Any:
-    """A quarter-bound book: linen over the spine and a strip of the boards, leather over the rest."""
+    """Make a quarter-bound book: linen over the spine and a strip of the boards, leather over the rest."""
     leather, linen, page = 0, 1, 2
     form = new_form()
     width, length = 0.148, 0.205
