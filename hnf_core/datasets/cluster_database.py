@@ -20,6 +20,7 @@ from .data_files import find_files, parse_unit_factor, read_table
 from .recording import ActionRange, DataSet, Recording, compute_action_range, match_name
 from .time_series import (
     SIGNAL_RATE_HZ,
+    Piece,
     build_action,
     check_time_grid,
     constant_direction,
@@ -28,6 +29,7 @@ from .time_series import (
     interpolate_series,
     measure_sampling_rate,
     resample_to_action_rate,
+    split_at_gaps,
 )
 
 Float = NDArray[np.float64]
@@ -75,7 +77,8 @@ class ClusterFolder(DataSet):
     def recordings(self, name: str) -> list[Recording]:
         known, identity = self._find_identity(name)
         strokes = self._strokes[identity]
-        return [read_stroke(files, known) for _, files in sorted(strokes.items()) if "accel" in files]
+        complete = [files for _, files in sorted(strokes.items()) if "accel" in files]
+        return [recording for files in complete for recording in read_stroke(files, known)]
 
     def process(self, name: str) -> None:
         self._find_identity(name)
@@ -101,8 +104,8 @@ def get_family(identity: int) -> str:
     return next((name for end, name in FAMILIES if identity < end), "material")
 
 
-def read_stroke(files: dict[str, Path], material: str) -> Recording:
-    """Read the files of one stroke.
+def read_stroke(files: dict[str, Path], material: str) -> list[Recording]:
+    """Read the files of one stroke; it is cut where accelerations are missing for more than LONG_GAP_S.
 
     Parameters
     ----------
@@ -113,7 +116,7 @@ def read_stroke(files: dict[str, Path], material: str) -> Recording:
 
     Returns
     -------
-    Recording
+    list of Recording
         Acceleration at 10 kHz [m/s²], mean removed, fused by DFT321, from irregular samples of about 6 kHz in g.
         Direction and speed come from positions, force from its sensor, each below 20 Hz; for a missing file the value
         in the stroke's name is assumed and noted.
@@ -126,16 +129,34 @@ def read_stroke(files: dict[str, Path], material: str) -> Recording:
     path = files["accel"]
     where = str(path)
     time, axes = _read_series(path, ("X", "Y", "Z"), "acceleration", "g")
-    rate, grid_notes = measure_sampling_rate(time, where)
+    rate = measure_sampling_rate(time, where)
     force = _read_series(files["force"], ("force",), "force", "N") if "force" in files else None
     position = _read_series(files["position"], ("X", "Y"), "position", "mm") if "position" in files else None
+    return [
+        _assemble_piece(path, time, axes, piece, rate, force, position, material)
+        for piece in split_at_gaps(time, where)
+    ]
+
+
+def _assemble_piece(
+    path: Path,
+    time: Float,
+    axes: Float,
+    piece: Piece,
+    rate: float,
+    force: tuple[Float, Float] | None,
+    position: tuple[Float, Float] | None,
+    material: str,
+) -> Recording:
+    """Assemble a piece of a stroke without a long gap. force, position: times (n,) [s] and values (n, k), if known."""
+    where, time, axes = str(path), time[piece.rows], axes[piece.rows]
     grids = [time, *(series[0] for series in (force, position) if series is not None)]
     start, stop = max(grid[0] for grid in grids), min(grid[-1] for grid in grids)
     count = count_action_samples(stop - start, where)
     times = start + np.arange(round((count - 1) / 200.0 * SIGNAL_RATE_HZ)) / SIGNAL_RATE_HZ
     samples = interpolate_series(time, axes, times)
     resampled_from = f"{rate:.0f} Hz resampled to 10 kHz; gravity removed"
-    known, notes = set(), [resampled_from, "the probe is taken as the pen", *grid_notes]
+    known, notes = set(), [resampled_from, "the probe is taken as the pen", *piece.notes]
     angle, speed, newtons = _parse_stroke_name(path)
     if force is None:
         force_n = np.full(count, newtons)

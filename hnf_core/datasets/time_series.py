@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,9 @@ MIN_DURATION_S = 0.1
 MIN_SAMPLING_HZ = 2000.0
 """Least sampling rate of an accelerometer [Hz]; a slower one does not cover the band of touch."""
 LONG_GAP_S = 5e-3
-"""Gap between samples that is noted [s]."""
+"""Gap between samples of an acceleration that cuts a recording in two [s]."""
+GAP_STEPS = 3.0
+"""Interval between samples, relative to the median one, that is bridged by a straight line."""
 RATE_ROUNDING = 1e-5
 """Relative deviation of a rate from an integer that rounded times explain."""
 SMOOTHING_MARGIN_S = 0.2
@@ -48,27 +51,64 @@ def check_time_grid(time: Float, where: str) -> None:
         raise FileError(f"time does not rise at sample {row}.", where=where, remedy="Get the file again.")
 
 
-def measure_sampling_rate(time: Float, where: str) -> tuple[float, tuple[str, ...]]:
-    """Return the mean rate of an acceleration's grid [Hz], and a note on a long gap; raise FileError if too slow."""
-    rate = (len(time) - 1) / float(time[-1] - time[0])
+def measure_sampling_rate(time: Float, where: str) -> float:
+    """Return the mean rate of an acceleration's grid between its long gaps [Hz]; raise FileError if too slow."""
+    step = np.diff(time)
+    within = step[step <= LONG_GAP_S]
+    rate = len(within) / float(within.sum()) if len(within) else 1.0 / float(np.median(step))
     if rate < MIN_SAMPLING_HZ:
         raise FileError(
             f"sampled {rate:.0f} times a second only.",
             where=where,
             remedy=f"Its time column should be in seconds; {MIN_SAMPLING_HZ:g} Hz are the least.",
         )
-    gap = float(np.diff(time).max())
-    if abs(rate - round(rate)) < RATE_ROUNDING * rate:
-        rate = float(round(rate))
-    return rate, (f"a gap of {1e3 * gap:.0f} ms between samples is bridged",) if gap > LONG_GAP_S else ()
+    return float(round(rate)) if abs(rate - round(rate)) < RATE_ROUNDING * rate else rate
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Samples of an acceleration between two long gaps.
+
+    rows: of the table. notes: what was cut, and what was left out.
+    """
+
+    rows: slice
+    notes: tuple[str, ...]
+
+
+def split_at_gaps(time: Float, where: str) -> list[Piece]:
+    """Split times (n,) [s] at gaps longer than LONG_GAP_S, since nothing is known of the signal within them.
+
+    Pieces shorter than MIN_DURATION_S are left out, and noted on the others. Raises FileError if none is left.
+    """
+    gaps = np.flatnonzero(np.diff(time) > LONG_GAP_S)
+    edges = [0, *(gaps + 1).tolist(), len(time)]
+    if not len(gaps):
+        return [Piece(slice(0, len(time)), ())]
+    pieces = [slice(low, high) for low, high in pairwise(edges) if time[high - 1] - time[low] >= MIN_DURATION_S]
+    if not pieces:
+        longest = max(float(time[high - 1] - time[low]) for low, high in pairwise(edges))
+        raise FileError(
+            f"gaps of more than {1e3 * LONG_GAP_S:g} ms cut it into pieces of {longest:.3f} s and less.",
+            where=where,
+            remedy=f"Record it again without holes; {MIN_DURATION_S:g} s are the least.",
+        )
+    widest = float(np.diff(time)[gaps].max())
+    cut = f"cut at {len(gaps)} gap{'s' * (len(gaps) > 1)} of up to {1e3 * widest:.0f} ms between samples"
+    left_out = len(edges) - 1 - len(pieces)
+    short = (f"{left_out} pieces shorter than {MIN_DURATION_S:g} s are left out",) if left_out else ()
+    return [Piece(rows, (f"{cut}: piece {number} of {len(pieces)}", *short)) for number, rows in enumerate(pieces, 1)]
 
 
 def interpolate_series(time: Float, values: Float, new_time: Float) -> Float:
     """Interpolate values (n,) or (n, k) on a rising grid at new times, by cubic Hermite polynomials.
 
-    Slopes are those of parabolas through three samples; beyond the ends, values are constant.
+    Slopes are those of parabolas through three samples; beyond the ends, values are constant. Intervals of more than
+    GAP_STEPS times the median one are bridged by a straight line: a slope measured over one step and followed for many
+    would lead far beyond both neighbours.
     """
     step = np.diff(time)
+    is_gap = step > GAP_STEPS * np.median(step)
     step = step.reshape(-1, *[1] * (values.ndim - 1))
     secant = np.diff(values, axis=0) / step
     slope = np.concatenate(
@@ -80,9 +120,8 @@ def interpolate_series(time: Float, values: Float, new_time: Float) -> Float:
     t = ((new_time - time[index]).reshape(width.shape)) / width
     difference = values[index + 1] - values[index]
     curvature = width * (slope[index] + slope[index + 1]) - 2.0 * difference
-    return np.asarray(
-        values[index] + t * (width * slope[index] + t * (difference - width * slope[index] - curvature * (1.0 - t)))
-    )
+    curve = t * (width * slope[index] + t * (difference - width * slope[index] - curvature * (1.0 - t)))
+    return np.asarray(values[index] + np.where(is_gap[index].reshape(width.shape), t * difference, curve))
 
 
 def smooth_series(values: Float, rate: float, cutoff_hz: float = HAND_BANDWIDTH_HZ) -> Float:

@@ -7,7 +7,7 @@ Columns are identified by name, in any order and case, with their unit behind it
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from .data_files import find_files, parse_unit_factor, read_header, read_table
 from .recording import ActionRange, DataSet, Recording, compute_action_range, match_name
-from .time_series import MeasuredSignal, assemble_recording, check_time_grid, interpolate_series, measure_sampling_rate
+from .time_series import (
+    MeasuredSignal,
+    assemble_recording,
+    check_time_grid,
+    interpolate_series,
+    measure_sampling_rate,
+    split_at_gaps,
+)
 
 Float = NDArray[np.float64]
 
@@ -61,7 +68,7 @@ class UserFolder(DataSet):
 
     def recordings(self, name: str) -> list[Recording]:
         known = self._match_material(name)
-        return [read_stroke(path, known) for path in self._strokes[known]]
+        return [recording for path in self._strokes[known] for recording in read_stroke(path, known)]
 
     def process(self, name: str) -> None:
         self._match_material(name)
@@ -77,8 +84,11 @@ class UserFolder(DataSet):
         return match_name(name, self.materials, str(self.folder))
 
 
-def read_stroke(path: Path, material: str) -> Recording:
-    """Read one table; raise FileError that names the missing or faulty column or line."""
+def read_stroke(path: Path, material: str) -> list[Recording]:
+    """Read one table; it is cut where samples are missing for more than time_series.LONG_GAP_S.
+
+    Raises FileError that names the missing or faulty column or line.
+    """
     where = str(path)
     columns_by_title, notes = _find_columns(path)
     table, header_units = read_table(path, tuple(columns_by_title))
@@ -96,7 +106,18 @@ def read_stroke(path: Path, material: str) -> Recording:
         notes.append(f"without a unit, so taken as: {units}")
     time = columns[names.index("time")]
     check_time_grid(time, where)
-    rate, grid_notes = measure_sampling_rate(time, where)
+    rate = measure_sampling_rate(time, where)
+    recordings = []
+    for piece in split_at_gaps(time, where):
+        assembled = _assemble_piece(names, [values[piece.rows] for values in columns], rate, material, where)
+        notes_of_piece = (*notes, *piece.notes, *assembled.notes, "the probe is taken as the pen")
+        recordings.append(replace(assembled, notes=notes_of_piece))
+    return recordings
+
+
+def _assemble_piece(names: list[str], columns: list[Float], rate: float, material: str, where: str) -> Recording:
+    """Assemble columns without a long gap, called by names in `COLUMNS`, to a recording on an even grid."""
+    time = columns[names.index("time")]
     grid = time[0] + np.arange(int((time[-1] - time[0]) * rate * (1.0 + 1e-9)) + 1) / rate
     signals = []
     for quantity in ("acceleration", "force", "speed", "position"):
@@ -108,11 +129,7 @@ def read_stroke(path: Path, material: str) -> Recording:
             signals.append(
                 MeasuredSignal(quantity, tuple(COLUMNS[names[index]][1] for index in indices), values, rate, where)
             )
-    assembled = assemble_recording(signals, material, where)
-    return Recording(
-        assembled.action, assembled.samples, assembled.sample_rate, material, where, assembled.known,
-        (*notes, *grid_notes, *assembled.notes, "the probe is taken as the pen"),
-    )  # fmt: skip
+    return assemble_recording(signals, material, where)
 
 
 def _find_columns(path: Path) -> tuple[dict[str, tuple[str, str]], list[str]]:

@@ -52,9 +52,13 @@ def write(folder: Path, stem: str = STEM, root: str = "sensor_data", **files) ->
             path.write_text(text, encoding="utf-8")
 
 
-def read(folder: Path, **files) -> Recording:
+def read_all(folder: Path, **files) -> list[Recording]:
     write(folder, **files)
-    return open_dataset("cluster", folder).recordings("102")[0]
+    return open_dataset("cluster", folder).recordings("102")
+
+
+def read(folder: Path, **files) -> Recording:
+    return read_all(folder, **files)[0]
 
 
 def test_units_rates_and_gravity(tmp_path):
@@ -103,13 +107,17 @@ def test_units_in_the_header_count(tmp_path):
     np.testing.assert_allclose(headed.samples, plain.samples, rtol=1e-5, atol=1e-6)
 
 
-def test_a_gap_is_bridged_and_said(tmp_path):
+def test_a_gap_cuts_the_recording(tmp_path):
     lines = accel().splitlines()
-    recording = read(tmp_path, accel="\n".join(lines[:2000] + lines[2600:]))
-    assert any(
-        note.startswith("a gap of 10") and note.endswith("ms between samples is bridged") for note in recording.notes
-    )
-    assert not any("gap" in note for note in read(tmp_path).notes)
+    first, second = read_all(tmp_path, accel="\n".join(lines[:2000] + lines[2600:]))
+    assert any(note.startswith("cut at 1 gap of up to 10") and note.endswith("piece 1 of 2") for note in first.notes)
+    assert any(note.endswith("piece 2 of 2") for note in second.notes)
+    (whole,) = read_all(tmp_path)
+    assert first.duration_s + second.duration_s < whole.duration_s - 0.08
+    for piece in (first, second):
+        assert np.abs(piece.samples).max() <= 1.02 * np.abs(whole.samples).max()
+        assert np.mean(np.square(piece.samples)) == pytest.approx(np.mean(np.square(whole.samples)), rel=0.03)
+    assert not any("gap" in note for note in whole.notes)
 
 
 def test_a_clock_that_runs_on_for_years_costs_no_memory(tmp_path):

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.datasets.registry import open_dataset
+from hnf_core.datasets.time_series import MIN_DURATION_S
 from hnf_core.errors import FileError, MaterialError
 from hnf_core.export.csv_npz import write_csv
 from hnf_core.export.options import ExportOptions
@@ -101,6 +102,45 @@ def test_three_axes_are_fused_and_a_place_gives_the_direction(tmp_path):
     assert np.mean(np.square(found.samples)) == pytest.approx(4.5 + 1.125 + 4.5, rel=0.02)
     assert any("ax in m/s²" in note for note in found.notes)
     assert any("force" in note for note in found.notes)
+
+
+CASE = Path(__file__).resolve().parents[4] / "shared" / "cases" / "gap-in-recording"
+
+
+@pytest.mark.skipif(not CASE.is_dir(), reason="the shared cases are not here")
+def test_the_case_with_a_hole_gives_two_pieces_as_loud_as_it():
+    pieces = open_dataset("own", CASE).recordings("material")
+    assert len(pieces) == 2
+    for piece in pieces:
+        assert piece.duration_s == pytest.approx(0.15, abs=0.006)
+        assert np.abs(piece.samples).max() <= 2.7
+        assert np.sqrt(np.mean(np.square(piece.samples))) == pytest.approx(np.sqrt(2.0), rel=0.05)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.tuples(st.floats(0.0, 0.95), st.floats(0.0051, 0.2)), min_size=1, max_size=3), st.integers(0, 999))
+def test_holes_cut_a_table_and_nothing_is_louder_than_it_was(tmp_path, holes, seed):
+    table = columns(hz=160.0)
+    table["acceleration"] += 0.05 * np.random.default_rng(seed).standard_normal(len(table["time"]))
+    present = np.ones(len(table["time"]), dtype=bool)
+    for start, length in holes:
+        present &= (table["time"] < start) | (table["time"] > start + length)
+    folder = tmp_path / str(seed)
+    write(folder / "cloth" / "one.csv", {name: values[present] for name, values in table.items()})
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], present.astype(int), [0]])))
+    lengths = [(high - 1 - low) / 1e4 for low, high in edges.reshape(-1, 2)]
+    kept = sum(length >= MIN_DURATION_S for length in lengths)
+    if kept == 0:
+        with pytest.raises(FileError, match="cut it into pieces"):
+            open_dataset("own", folder).recordings("cloth")
+        return
+    pieces = open_dataset("own", folder).recordings("cloth")
+    assert len(pieces) == kept
+    for piece in pieces:
+        assert np.abs(piece.samples).max() < 3.5
+        assert piece.action.speed.min() > 0.05
+        assert piece.action.speed.max() < 0.15
+        assert (len(lengths) > 1) == any("gap" in note for note in piece.notes)
 
 
 def test_what_the_table_export_wrote_is_read(tmp_path):

@@ -39,6 +39,16 @@ def test_samples_themselves_come_back_and_ends_are_held(time):
     np.testing.assert_allclose(outside, values[[0, -1]], atol=1e-12)
 
 
+@settings(max_examples=60, deadline=None)
+@given(grids, st.integers(1, 38), st.floats(4.0, 300.0), st.integers(0, 999))
+def test_a_long_interval_is_bridged_by_a_straight_line(time, row, factor, seed):
+    time = time + np.where(np.arange(40) > row, factor * np.median(np.diff(time)), 0.0)
+    values = np.random.default_rng(seed).standard_normal((40, 2))
+    fraction = np.linspace(0.0, 1.0, 21)[:, None]
+    inside = interpolate_series(time, values, time[row] + fraction[:, 0] * (time[row + 1] - time[row]))
+    np.testing.assert_allclose(inside, values[row] + fraction * (values[row + 1] - values[row]), atol=1e-9)
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-5.0, 5.0), st.floats(-50.0, 50.0))
 def test_smoothing_leaves_a_ramp_alone_up_to_its_ends(start, slope):
