@@ -1,7 +1,7 @@
 """Haptic Neural Fields: from 3-D scenes and strokes to vibrotactile acceleration.
 
 The names below are loaded when they are used: importing this package imports no torch, no scipy, and never bpy.
-`docs/python.md` shows them at work.
+`docs/python.md` has examples.
 """
 
 from __future__ import annotations
@@ -79,10 +79,10 @@ __all__ = [
 
 
 class _FrontDoor(ModuleType):
-    """Module type of hnf_core: its functions `export` and `material` are not replaced by the sub-packages so named.
+    """Module type of hnf_core that keeps its functions `export` and `material` from being hidden by sub-packages.
 
-    Python binds a sub-package to its parent when it is first imported; `from hnf_core.export.wav import …` needs no
-    such binding.
+    Python sets a sub-package as an attribute of its parent when it is first imported, which would replace the function
+    of that name; `from hnf_core.export.wav import …` works without that attribute.
     """
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -94,7 +94,7 @@ sys.modules[__name__].__class__ = _FrontDoor
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used."""
+    """Import a public name of the package when it is first used."""
     from importlib import import_module
 
     if name == "metrics":

@@ -1,4 +1,4 @@
-"""Functions and classes of `import hnf_core as hnf`: from a material and an action to a signal, a file or an actuator.
+"""Functions and classes of `import hnf_core as hnf`: from material and hand action to a signal, a file or an actuator.
 
 Every function takes lists, numpy arrays and plain path strings, and raises an `HnfError` with a remedy for a wrong
 shape, unit or rate. Packages that a call does not need are not imported: torch only by `train`, bpy only by `touch`.
@@ -49,11 +49,11 @@ class Material:
     name : str
         Its name in the library, or in the file it was read from.
     token : ndarray of float32, shape (D,)
-        Description of its micro-geometry by the encoder E.
+        Feature vector of its micro-geometry, made by the encoder E (`material.token` has the layout).
     mechanics : Mechanics
         Stiffness [N/m], damping ratio and friction; unknown values are None.
     field : Field or None
-        A field trained for this material alone; None means the shared field.
+        A field (synthesis network) trained for this material alone; None means the shared one.
 
     Examples
     --------
@@ -119,12 +119,12 @@ class Action:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first row to the last [s]."""
+        """Time from the first sample to the last [s]."""
         time = np.asarray(self.time_s)
         return float(time[-1] - time[0])
 
     def to_grid(self) -> GridAction:
-        """Return the action on the even grid of 200 Hz on which the field is evaluated."""
+        """Return the action resampled to the even grid of 200 Hz on which the synthesis network is evaluated."""
         columns = (
             np.asarray(column, dtype=np.float64)
             for column in (self.time_s, self.direction_rad, self.speed_m_s, self.force_n)
@@ -287,7 +287,7 @@ def load_material(path: PathText) -> Material:
 
 
 def parse_stroke(text: str) -> Primitive:
-    """Read a stroke from words, or by the name of one of the eight primitives.
+    """Read a stroke from words, or by the name of one of the eight primitives (predefined strokes).
 
     Parameters
     ----------
@@ -357,11 +357,11 @@ def synthesise(
     Parameters
     ----------
     material : Material, Field or str
-        The material, a field that `train` returned, or a name in the library.
+        The material, a field (synthesis network) that `train` returned, or a name in the library.
     action : Action, Primitive or str
         The action, a stroke from `parse_stroke`, or its words.
     seed : int
-        Draw of the carriers: the same seed gives the same samples.
+        Seed of the noise carriers that the network modulates: the same seed gives the same samples.
     probe : str, optional
         The contacting tip; by default that of the action, which is the pen for a primitive.
     rate_hz : float
@@ -498,7 +498,8 @@ def export(
     Returns
     -------
     ExportResult
-        ``loss`` (measured on the file, read again) and ``dropped`` (what the format has no place for).
+        ``loss`` (measured on the file, read again) and ``dropped`` (the parts of the signal that the format cannot
+        store).
 
     Raises
     ------
@@ -526,7 +527,7 @@ def export(
 
 
 def train(recordings: Recording | Iterable[Recording], *, seed: int = 0, epochs: int | None = None) -> Field:
-    """Train a field on recordings of one material.
+    """Train a field, the network that synthesises acceleration, on recordings of one material.
 
     Parameters
     ----------
@@ -569,7 +570,7 @@ def train(recordings: Recording | Iterable[Recording], *, seed: int = 0, epochs:
 
 
 def load_field(path: PathText | None = None) -> Field:
-    """Read a field from its weights; without a path, the shared field that the package ships.
+    """Read a field (synthesis network) from its weights; without a path, the shared field that the package ships.
 
     Examples
     --------
@@ -583,7 +584,7 @@ def load_field(path: PathText | None = None) -> Field:
 
 
 def save_field(path: PathText, field: Field) -> None:
-    """Write a field's weights as safetensors, atomically.
+    """Write the weights of a field (synthesis network) as safetensors, atomically.
 
     Examples
     --------
@@ -610,7 +611,7 @@ def list_devices() -> tuple[Device, ...]:
 
 
 class OutputStream:
-    """An actuator that signals are played on; made by `open_stream`."""
+    """An actuator opened by `open_stream`, on which signals are played."""
 
     def __init__(self, target: str, profile: str, gain_db: float) -> None:
         from .actuators.profile import load_profile
@@ -633,7 +634,7 @@ class OutputStream:
         Returns
         -------
         StreamReport
-            Samples sent to the device: how many were limited, underruns, peak, time played.
+            Counts of samples played, of limited samples and of underruns, with peak and time played.
 
         Raises
         ------
@@ -720,7 +721,7 @@ def touch(
     out : str or path
         Folder of the results.
     strokes : sequence of (words, object)
-        Strokes to add to those drawn in the scene, each on an object or ``"OBJECT:SLOT"``.
+        Strokes to add to those drawn in the scene: words as for `parse_stroke`, and an object or ``"OBJECT:SLOT"``.
     materials : mapping, optional
         Library materials to use, by ``"OBJECT[:SLOT]"``.
     metres_per_unit : float, optional

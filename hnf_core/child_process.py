@@ -1,4 +1,4 @@
-"""Start and end of this project's child processes: load a package from its folder, run, end with the parent.
+"""Start and end of this project's child processes: import a package from its folder, run, end with the parent.
 
 Only the standard library and no relative imports: scripts outside any package run this file by its path, under
 Blender's Python or another version.
@@ -84,7 +84,7 @@ def load_core() -> None:
 def run_main(main: Any, *arguments: object) -> NoReturn:
     """End this process with the exit code of ``main(*arguments)``, or 1 with a traceback if it raises.
 
-    Interpreter shutdown is skipped: leaving Blender in order costs time and hangs some versions of its module, and a
+    Interpreter shutdown is skipped: in order, it costs time in Blender and hangs some versions of its module bpy, and a
     device driver must not keep a process alive whose parent is gone.
     """
     code = 1

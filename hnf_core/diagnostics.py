@@ -12,7 +12,7 @@ from .errors import HnfError
 
 @dataclass(frozen=True)
 class Fact:
-    """One line of the diagnosis.
+    """One line of the diagnosis that `hnf doctor` prints.
 
     Attributes
     ----------
@@ -71,14 +71,14 @@ def get_version(package: str) -> str:
 
 
 def describe_kernel() -> str:
-    """Return the state of the compiled kernel; without it numpy does the same in about twice the time."""
+    """Return a line on the compiled synthesis kernel; without it numpy does the same in about twice the time."""
     from .kernel.loader import load_kernel, why_unavailable
 
     return "at work" if load_kernel() is not None else f"using slower numpy version ({why_unavailable()})"
 
 
 def describe_field() -> str:
-    """Return the identity of the shipped field, or the error message if it cannot be loaded."""
+    """Return the identity of the shipped field (synthesis network), or the error message if it cannot be loaded."""
     from .field.weights import load_field
 
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class HnfError(Exception):
-    """A problem that a person can solve.
+    """A problem that a user can solve; base class of this project's exceptions.
 
     Parameters
     ----------
@@ -13,7 +13,7 @@ class HnfError(Exception):
     where : str
         The object, stroke or file concerned.
     remedy : str
-        The next step for the person.
+        What the user should do next.
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
@@ -43,7 +43,7 @@ class MaterialError(HnfError):
 
 
 class WeightsError(HnfError):
-    """Weights are damaged, or belong to another encoder or architecture."""
+    """Weights of a network are damaged, or belong to another encoder or architecture."""
 
 
 class DeviceError(HnfError):

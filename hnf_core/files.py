@@ -101,7 +101,7 @@ def _create_temporary(path: Path) -> Path:
 
 
 def suggest_other_path(path: Path) -> str:
-    """Return the remedy for a target path that is taken by something else."""
+    """Return the remedy text of an error for a target path that something else, such as a folder, occupies."""
     return f"Give another name, or move {path.name} away."
 
 
@@ -226,8 +226,8 @@ NPZ_ERRORS: tuple[type[Exception], ...] = (
 def read_npz(data: bytes) -> dict[str, NDArray[Any]]:
     """Read all arrays of an .npz archive by name, without pickle.
 
-    Raises one of `NPZ_ERRORS` if it is damaged. The end record's number of entries is compared, because zipfile does
-    not notice an entry that a damaged length in the central directory swallows.
+    Raises one of `NPZ_ERRORS` if it is damaged. The number of entries is compared with the one in the zip's end record,
+    because zipfile does not notice entries that are skipped after a damaged length.
     """
     with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
         content = {name: arrays[name] for name in arrays.files}

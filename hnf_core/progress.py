@@ -1,7 +1,7 @@
-"""Progress of a long run: the callback that receives it, and the terminal line that shows it with the time left.
+"""Progress of a long run: the callback that receives it, and the terminal progress bar that shows the time left.
 
-Long functions take a `ProgressCallback` and call it between steps, with no thread of theirs at work. A callback may
-raise `Cancelled` to stop the work; any other exception would be taken for a fault of the current step.
+Long functions take a `ProgressCallback` and call it between steps, when no threads of theirs are running. A callback
+may raise `Cancelled` to stop the work; any other exception would be taken for a fault of the current step.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import TextIO
 
 @dataclass(frozen=True)
 class Progress:
-    """State of a run.
+    """State of a long run: its stage, finished steps, and the fraction of the current step.
 
     Attributes
     ----------
     stage : str
-        Name of the current stage.
+        Name of the current stage, for people.
     done, total : int
         Finished steps, and all steps.
     share : float
@@ -51,13 +51,13 @@ ProgressCallback = Callable[[Progress], None]
 
 
 def ignore_progress(progress: Progress) -> None:
-    """Do nothing; the callback of a run that nobody watches."""
+    """Do nothing: the default progress callback."""
 
 
 def nest_progress(
     progress: ProgressCallback, stage: str, done: int, total: int, share: float = 1.0
 ) -> ProgressCallback:
-    """Return a callback for a sub-task, which reports it as part of one step of the whole run.
+    """Return a callback for a sub-task, which forwards its progress as part of one step of the whole run.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class ProgressBar:
         self._start = time.monotonic()
 
     def show(self, progress: Progress) -> None:
-        """Draw a state over the last one."""
+        """Draw the state of a run over the last one drawn."""
         if not self._active:
             return
         fraction = progress.fraction
@@ -104,7 +104,7 @@ class ProgressBar:
         self._write(f"\r\x1b[K{line[:110]}")
 
     def close(self) -> None:
-        """Erase the line."""
+        """Erase the line of the progress bar."""
         if self._active:
             self._write("\r\x1b[K")
 

@@ -40,14 +40,14 @@ def load_tensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
 
 
 def pack_header(header: Mapping[str, Any], separators: tuple[str, str] = (", ", ": ")) -> bytes:
-    """Return the start of a safetensors file: the header's length, and the header as sorted JSON."""
+    """Return the first bytes of a safetensors file: the header's length, and the header as sorted JSON."""
     text = json.dumps(header, sort_keys=True, separators=separators).encode("utf-8")
     text += b" " * (-len(text) % 8)
     return len(text).to_bytes(8, "little") + text
 
 
 def split_header(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return a file's header and the bytes of its arrays.
+    """Split a safetensors file into its header, parsed, and the bytes of its arrays.
 
     Raises ValueError if the file is cut short or its header is no JSON object.
     """
@@ -74,7 +74,7 @@ MAX_FILE_BYTES = 1 << 30
 
 @dataclass(frozen=True)
 class WeightsKind:
-    """One kind of weights file.
+    """One kind of weights file, such as an encoder's, with the texts of its error messages.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class WeightsKind:
     wrong_format : str
         Message for a file of another format.
     remedy : str
-        How to get a good file.
+        How to get a good file, for the error message.
     """
 
     name: str
@@ -101,7 +101,7 @@ class WeightsFile:
     Attributes
     ----------
     where : str
-        Path for messages.
+        Path of the file, for error messages.
     kind : WeightsKind
         Kind of weights that was read.
     tensors : mapping of str to ndarray
@@ -119,7 +119,7 @@ class WeightsFile:
     content_id: str
 
     def make_error(self, what: str) -> WeightsError:
-        """Return the error to raise if the file cannot be used."""
+        """Return the exception to raise if the file cannot be used because of `what`."""
         return WeightsError(what, where=self.where, remedy=self.kind.remedy)
 
     def parse_metadata(self, parse: Callable[[Mapping[str, str]], T]) -> T:
@@ -132,7 +132,7 @@ class WeightsFile:
     def check_parameters(
         self, shapes: Mapping[str, tuple[int, ...]], dtype: type[np.floating[Any]] = np.floating
     ) -> dict[str, NDArray[np.float32]]:
-        """Return all tensors as float32, after comparing them with an architecture.
+        """Return all tensors as float32, after checking names and shapes against an architecture.
 
         Parameters
         ----------

@@ -22,9 +22,10 @@ class Signal:
     sample_rate : float
         Sample rate [Hz].
     seed : int
-        Seed of the carriers.
+        Seed of the noise carriers that it was synthesised from.
     provenance : mapping of str to str
-        Text facts (stroke, material, probe, model hash, routes) that exports write along.
+        Facts as text (stroke, material, probe, model hash, origin of the token's bands), which exports write into
+        files.
     """
 
     samples: NDArray[np.float32]
@@ -34,12 +35,12 @@ class Signal:
 
     @property
     def duration_s(self) -> float:
-        """Duration [s]."""
+        """Duration of the signal [s]."""
         return len(self.samples) / self.sample_rate
 
     @property
     def rms(self) -> float:
-        """Root mean square [m/s²]; 0 for an empty signal."""
+        """Root mean square of the acceleration [m/s²]; 0 for an empty signal."""
         if len(self.samples) == 0:
             return 0.0
         return float(np.sqrt(np.mean(np.square(self.samples, dtype=np.float64))))

@@ -20,7 +20,7 @@ def close_matches(word: str, names: Iterable[str], limit: int = 3) -> list[str]:
 
 
 def _similarity(word: str, name: str) -> float:
-    """Return the similarity of a word and a name, 0 to 1."""
+    """Return the similarity of a mistyped word and a name, 0 to 1."""
     from difflib import SequenceMatcher  # imported here because only a mistyped name needs it
 
     parts = re.split(r"[^a-z0-9]+", name)

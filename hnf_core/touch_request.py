@@ -1,4 +1,4 @@
-"""Request of one run of `hnf touch`: scene, strokes, material choices and touch queries.
+"""Arguments of one run of `hnf touch` (synthesise the strokes of a scene): scene, strokes, materials and queries.
 
 The command line builds a `TouchRequest` from its arguments; the add-on runs it.
 """
@@ -17,14 +17,14 @@ QUERY_FORMAT = "OBJECT:u,v"
 
 @dataclass(frozen=True)
 class TouchQuery:
-    """A point of an object at which the touch is queried.
+    """A point of an object at which to report what would be felt, without a stroke (``--at``).
 
     Attributes
     ----------
     target : str
         Name of an object, optionally with ":SLOT" for one material slot.
     at : tuple of float
-        UV (2 numbers), or a point in the object's own coordinates in Blender units (3 numbers).
+        Position of the point: UV (2 numbers), or x, y, z in the object's own frame in Blender units (3 numbers).
     """
 
     target: str
@@ -32,14 +32,14 @@ class TouchQuery:
 
     @property
     def name(self) -> str:
-        """The query as text, with the numbers in full precision."""
+        """The query as text, as on the command line, with the numbers in full precision."""
         return f"{self.target}:{','.join(f'{value:.9g}' for value in self.at)}"
 
 
 def parse_touch_query(text: str) -> TouchQuery:
-    """Parse "Cup:0.5,0.25"; the last colon counts, since object names may contain colons.
+    """Parse a touch query like "Cup:0.5,0.25": object, then UV or a point; the last colon separates them.
 
-    Raises ArgumentTypeError for anything else.
+    Object names may contain colons. Raises ArgumentTypeError for any other text.
     """
     from argparse import ArgumentTypeError  # imported here because the add-on uses queries without a command line
 
@@ -58,7 +58,7 @@ def parse_touch_query(text: str) -> TouchQuery:
 
 @dataclass(frozen=True)
 class StrokeRequest:
-    """A primitive to place on a target: ``--stroke WORDS --on OBJECT[:SLOT]``."""
+    """A predefined stroke to place on an object: ``--stroke WORDS --on OBJECT[:SLOT]``."""
 
     primitive: Primitive
     target: str
@@ -66,7 +66,7 @@ class StrokeRequest:
 
 @dataclass(frozen=True)
 class MaterialChoice:
-    """A library material chosen for a target: ``--material OBJECT[:SLOT]=NAME``."""
+    """A library material to use for an object or material slot: ``--material OBJECT[:SLOT]=NAME``."""
 
     target: str
     material: str
@@ -74,14 +74,14 @@ class MaterialChoice:
 
 @dataclass(frozen=True)
 class TouchRequest:
-    """Arguments of one run of `touch`.
+    """Arguments of one run of `hnf touch`.
 
     Attributes
     ----------
     scene : Path or None
         File to open; None for the file already open in Blender.
     out : Path or None
-        Folder of the results; None if only a plan is wanted and no earlier results are read.
+        Folder of the results; None if only the plan (`plan_only`) is wanted and no earlier results are read.
     strokes : tuple of StrokeRequest
         Strokes to place.
     choices : tuple of MaterialChoice
@@ -91,13 +91,14 @@ class TouchRequest:
     seed : int or None
         Seed of all strokes; None for each stroke's own.
     plan_only : bool
-        Print the plan and stop.
+        Print the plan, which strokes would be computed, and stop.
     as_json : bool
         Print JSON.
     queries : tuple of TouchQuery
-        Points to query; with them, strokes of the scene are skipped unless `strokes` are given too.
+        Points to report on; if there are any, the strokes drawn in the scene are skipped unless `strokes` are given
+        too.
     encoder : str
-        Name or file of the encoder E that describes tactile maps; "" for the default of each route.
+        Name or file of the encoder E, which turns tactile maps into material tokens; "" for the default.
     """
 
     scene: Path | None

@@ -1,11 +1,11 @@
-"""Encoder E as a network in numpy: AlexNet's convolutional trunk and a small head, from tactile map to token.
+"""Encoder E as a network in numpy: AlexNet's convolutional layers and a small head, from tactile map to material token.
 
 A map is cut into 64-pixel views; each is divided by the sensor's background, less its plane, and by its own contrast,
-which goes to the head as a logarithm. Lengths are in pixels, so that all pitches are one problem; a level in metres is
-the head's output plus log10 of pitch and contrast. The tokens of the views are merged band by band. The trunk has the
-names and shapes of torchvision.models.alexnet (Krizhevsky 2014, One weird trick for parallelizing convolutional neural
-networks), with its last max-pooling (features.12) replaced by an average over positions. Weights are safetensors in
-half precision with JSON metadata.
+which goes to the head as a logarithm. Lengths are in pixels, so that one network serves all pixel pitches; a band's
+level (log10 of its RMS height in metres) is the head's output plus log10 of pitch and contrast. The tokens of the views
+are merged in each wavelength band. The trunk has the names and shapes of torchvision.models.alexnet (Krizhevsky 2014,
+One weird trick for parallelizing convolutional neural networks), with its last max-pooling (features.12) replaced by an
+average over positions. Weights are safetensors in half precision with JSON metadata.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Single = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Convolution:
-    """A convolution, its name in torchvision's state dict, and whether ReLU is followed by max-pooling."""
+    """A convolution: its name in torchvision's state dict, channels, kernel, and whether max-pooling follows ReLU."""
 
     name: str
     inputs: int
@@ -73,7 +73,7 @@ POOL_SIZE, POOL_STRIDE = 3, 2
 
 
 def get_backbone_shapes() -> dict[str, tuple[int, ...]]:
-    """Return the shape of every tensor of the trunk, by torchvision's name."""
+    """Return the shape of every tensor of AlexNet's convolutional trunk, by torchvision's name."""
     shapes: dict[str, tuple[int, ...]] = {}
     for layer in BACKBONE_LAYERS:
         shapes[f"{layer.name}.weight"] = (layer.outputs, layer.inputs, layer.kernel, layer.kernel)
@@ -82,7 +82,7 @@ def get_backbone_shapes() -> dict[str, tuple[int, ...]]:
 
 
 def compute_backbone_features(images: Single, weights: Mapping[str, Single]) -> Single:
-    """Return the last convolution's rectified outputs for images (n, H, W, 3), averaged over positions: (n, 256)."""
+    """Return the last convolution's rectified outputs for images (n, H, W, 3), averaged over positions, (n, 256)."""
     x = images
     for layer in BACKBONE_LAYERS:
         x = convolve(x, weights[f"{layer.name}.weight"], weights[f"{layer.name}.bias"], layer.stride, layer.padding)
@@ -143,17 +143,18 @@ def max_pool(x: Single) -> Single:
 Float = NDArray[np.float64]
 
 VIEW_BANDS = 4
-"""Number of bands that a view describes."""
+"""Number of wavelength bands that one view describes."""
 OUTPUT_COUNT = VIEW_BANDS * len(BAND_FEATURES) + len(SHAPE_FEATURES)
 """Number of outputs of the head."""
 CONDITION_COUNT = 2 + 6
-"""Number of conditions that the head reads beside the features."""
+"""Number of scalars that the head reads beside the image features: contrast, gel blur, six channel gains."""
 CONTRAST_FLOOR = 1e-5
 """Contrast below which a view counts as flat: only rounding noise is left to divide by."""
 LEVEL_INDICES = tuple(band * len(BAND_FEATURES) for band in range(VIEW_BANDS))
 """Indices of the bands' levels among the outputs."""
 INPUT_MEAN, INPUT_DEVIATION = 0.5, 0.225
-"""Grey of zero slope and contrast of a view scaled to an image between 0 and 1 (that of ImageNet's images)."""
+"""Gray of zero slope, and contrast, of a normalized view scaled to an image between 0 and 1, as ImageNet's images
+have."""
 
 
 @dataclass(frozen=True)
@@ -216,10 +217,10 @@ class AlexNet:
 
 
 def normalise_view(image: NDArray[np.float32], sensor: Sensor) -> tuple[Single, float]:
-    """Return a view's image (64, 64, 3) scaled to contrast 1, and its contrast.
+    """Return a view's sensor image (64, 64, 3) scaled to RMS contrast 1, and its contrast before.
 
-    The image divided by the background, less 1 and less its least-squares plane in each channel: slopes, in the
-    sensor's colours.
+    The image is divided by the sensor's background, less 1 and less its least-squares plane in each channel, so that it
+    shows slopes in the sensor's colors.
     """
     relative = np.asarray(image, dtype=np.float64) / sensor.background - 1.0
     basis = plane_basis(*relative.shape[:2])
@@ -229,7 +230,7 @@ def normalise_view(image: NDArray[np.float32], sensor: Sensor) -> tuple[Single, 
 
 
 def plane_basis(rows: int, columns: int) -> Float:
-    """Return the constant and the two ramps (rows, columns, 3), orthonormal."""
+    """Return an orthonormal basis of the planes over an image: a constant and two ramps, (rows, columns, 3)."""
     down = np.linspace(-1.0, 1.0, rows)[:, None] * np.ones((1, columns))
     across = np.ones((rows, 1)) * np.linspace(-1.0, 1.0, columns)[None, :]
     basis = np.stack([np.ones_like(down), down, across], axis=-1)
@@ -237,9 +238,9 @@ def plane_basis(rows: int, columns: int) -> Float:
 
 
 def build_view_conditions(contrast: float, sensor: Sensor, pitch_m: float) -> Single:
-    """Return the conditions (CONDITION_COUNT,) of a view, each of order 1.
+    """Return the numbers (CONDITION_COUNT,) that the head gets beside a view's image, each of order 1.
 
-    They are log10 of the contrast, the gel's blur in pixels, and the gain of each channel for each slope.
+    They are log10 of the contrast, the gel's blur in pixels, and the gain of each color channel for each slope.
     """
     gains = -sensor.shading[:, :2] / sensor.background[:, None]
     return np.concatenate(
@@ -248,7 +249,7 @@ def build_view_conditions(contrast: float, sensor: Sensor, pitch_m: float) -> Si
 
 
 def cubic_resize_matrix(size: int, wanted: int) -> Single:
-    """Return the matrix (wanted, size) of cubic convolution from `size` to `wanted` pixels, edges repeated.
+    """Return the matrix (wanted, size) that resizes `size` samples to `wanted` by cubic convolution, edges repeated.
 
     Kernel of Keys 1981 with a = −1/2.
     """
@@ -265,7 +266,7 @@ def cubic_resize_matrix(size: int, wanted: int) -> Single:
 
 
 def forward(network: AlexNet, views: Single, conditions: Single) -> Single:
-    """Compute the network's outputs of views.
+    """Compute the network's outputs, normalized token features, of n views.
 
     Parameters
     ----------
@@ -279,8 +280,8 @@ def forward(network: AlexNet, views: Single, conditions: Single) -> Single:
     Returns
     -------
     ndarray of float32, shape (n, OUTPUT_COUNT)
-        The features of every band, widest first, with the level as log10 in units of pitch × contrast; then skewness
-        and log kurtosis.
+        The token features of each of the view's bands, longest wavelength first, with levels (log10 RMS height) in
+        units of pitch × contrast; then skewness and log kurtosis.
     """
     config, tensors = network.config, network.tensors
     image = INPUT_MEAN + INPUT_DEVIATION * views
@@ -296,7 +297,7 @@ def forward(network: AlexNet, views: Single, conditions: Single) -> Single:
 
 
 def decode_outputs(outputs: Single, contrast: float, pitch_m: float) -> tuple[Single, NDArray[np.bool_]]:
-    """Return token values (TOKEN_DIM,) and a mask of the known ones, from one view's outputs (OUTPUT_COUNT,).
+    """Return token values (TOKEN_DIM,) and a mask of the known ones, from the outputs (OUTPUT_COUNT,) of one view.
 
     Features are clipped to their ranges: fractions to ±1 or 0 … 1, offsets to half an octave. A view without contrast
     is perfectly smooth.
@@ -320,12 +321,15 @@ def decode_outputs(outputs: Single, contrast: float, pitch_m: float) -> tuple[Si
 
 
 def get_first_band(pitch_m: float) -> int:
-    """Return the index of the longest band in views of this pitch [m]: 0 for the widest … 3 for the finest."""
+    """Return the index of the first token band that views of this pixel pitch [m] show: 0 for the widest, up to 3."""
     return int(np.argmin(np.abs(np.log(np.asarray(PITCHES_M) / pitch_m))))
 
 
 def encode_targets(token: Single | Float, contrast: Float, pitch_index: NDArray[np.intp]) -> Float:
-    """Return training targets (n, OUTPUT_COUNT) of complete tokens (n, TOKEN_DIM); inverse of `decode_outputs`."""
+    """Return the network outputs (n, OUTPUT_COUNT) to train on for complete tokens (n, TOKEN_DIM) of n views.
+
+    Inverse of `decode_outputs`.
+    """
     width = len(BAND_FEATURES)
     bands = (pitch_index[:, None] * width + np.arange(VIEW_BANDS * width)[None, :]).astype(np.intp)
     targets = np.concatenate([np.take_along_axis(token, bands, axis=1), token[:, -len(SHAPE_FEATURES) :]], axis=1)
@@ -419,17 +423,17 @@ def _parse_config(record: Mapping[str, Any]) -> AlexNetConfig:
 
 
 FINE_VIEWS = 16
-"""Number of finest views of a map, spread over it."""
+"""Number of views at the finest pitch that a map is cut into, spread over it."""
 PITCH_TOLERANCE = 0.005
 """Relative tolerance of the pitch of a 64-pixel map that is used as one view."""
 
 
 def describe_with_alexnet(network: AlexNet, tactile_map: TactileMap) -> Token:
-    """Describe a tactile map by the network.
+    """Describe a tactile map by a material token, by the network.
 
-    A 64-pixel map at one of the four pitches is one view; another map is cut into one widest view and up to
-    `FINE_VIEWS` finest ones inside the mask. Bands that the map does not resolve, or that no view covers, are unknown
-    and hold the smooth floor, as with the band descriptor.
+    A 64-pixel map at one of the four pitches is one view; another map is cut into one view at the widest pitch that
+    fits and up to `FINE_VIEWS` at the finest that it resolves, inside the mask. Bands that the map does not resolve, or
+    that no view covers, are unknown and hold the values of a smooth surface, as with the band descriptor.
 
     Parameters
     ----------
@@ -471,7 +475,7 @@ def describe_with_alexnet(network: AlexNet, tactile_map: TactileMap) -> Token:
 def _mask_unresolved(
     values: NDArray[np.float32], known: NDArray[np.bool_], size_m: float, pitch_m: float, resolved_wavelength_m: float
 ) -> Token:
-    """Return the token without the bands that the map's source does not resolve."""
+    """Return a token whose wavelength bands are unknown where the map, or its size, does not resolve them."""
     bands = find_resolved_bands(size_m, pitch_m, resolved_wavelength_m)
     resolved_features = np.concatenate(
         [np.repeat(bands, len(BAND_FEATURES)), np.full(len(SHAPE_FEATURES), bands.sum() > 2)]
@@ -481,7 +485,7 @@ def _mask_unresolved(
 
 
 def cut_map_views(tactile_map: TactileMap, fine_count: int) -> tuple[TactileMap, ...]:
-    """Cut a map into 64-pixel maps at the four pitches; nothing if no pixel is resolved or in the mask.
+    """Cut a tactile map into 64-pixel maps at the four pitches; none if no pitch is resolved or no view fits the mask.
 
     A coarser view shows the decimated slopes: averaging the image instead would mix in its curvature, which the network
     was not trained on.
@@ -491,12 +495,12 @@ def cut_map_views(tactile_map: TactileMap, fine_count: int) -> tuple[TactileMap,
     tactile_map : TactileMap
         The map; it is returned unchanged if it is such a view.
     fine_count : int
-        Largest number of finest views.
+        Largest number of views at the finest pitch.
 
     Returns
     -------
     tuple of TactileMap
-        One widest view and the finest ones inside the mask.
+        One view at the widest pitch that fits, and views at the finest pitch inside the mask.
     """
     image, mask, pitch = tactile_map.image, tactile_map.mask, float(tactile_map.metres_per_pixel)
     if not mask.any() or not np.isfinite(tactile_map.resolved_wavelength_m):

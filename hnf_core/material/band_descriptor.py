@@ -1,4 +1,4 @@
-"""Encoder E as a band descriptor ("band-descriptor-1"): from tactile map to token, by spectra.
+"""Encoder E as a band descriptor ("band-descriptor-1"): from tactile map to material token, by spectra in octave bands.
 
 The sensor image is decoded to slopes and divided by the gel's transfer function, so that any sensor of `tactile.optics`
 gives the same token. The height spectrum follows from the windowed slopes, P = |κ·G|² / κ⁴ (the curl-free part; Frankot
@@ -28,20 +28,22 @@ BAND_EDGE_RATIO = np.sqrt(2.0)
 MIN_PERIODS = 2.0
 """Least number of periods of a band's centre wavelength in the patch."""
 MIN_SHAPE_BANDS = 3
-"""Least number of known bands from which skewness and kurtosis are known: fewer octaves do not show pits and grains."""
+"""Least number of known bands at which skewness and kurtosis count as known: fewer octaves do not show pits and
+grains."""
 FLOOR_M2 = (10.0**SMOOTH_LEVEL) ** 2
 """Mean square height of a smooth band [m²]."""
 CLEAR_PEAK_SHARE = 0.3
-"""Fraction of a band's power from which a peak's offset is reported in full."""
+"""Fraction of a band's power in its strongest peak from which the peak's offset is reported in full; below, it is
+scaled down."""
 FEATHER_M = 0.4e-3
 """Distance over which the window falls to zero at the border of the mask [m]."""
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """Values that depend only on the map's size, for rfft2 bins (H, W//2 + 1).
+    """Quantities of the rfft2 bins (H, W//2 + 1) of a map that depend only on its size, cached.
 
-    `fx`, `fy` and `square` cover all bins, the others only the active ones.
+    `fx`, `fy` and `square` cover all bins, the others only the n active ones, those within the wavelength bands.
 
     Attributes
     ----------
@@ -50,15 +52,15 @@ class _Grid:
     active : ndarray of int
         Flat indices of the bins within the bands.
     frequency : ndarray
-        Frequency [cycles/m].
+        Frequency of each active bin [cycles/m].
     mirror : ndarray
         2 for bins that also stand for their mirror image, else 1.
     lower, upper : ndarray of int
-        Bands that a bin belongs to, BAND_COUNT for none.
+        Indices of the one or two bands that a bin belongs to, BAND_COUNT for none.
     lower_share : ndarray
-        Fraction of a bin in the lower of them.
+        Fraction of a bin that belongs to band `lower`; the rest belongs to `upper`.
     harmonics : ndarray, shape (4, n)
-        cos 2θ, sin 2θ, cos 4θ, sin 4θ.
+        cos 2θ, sin 2θ, cos 4θ, sin 4θ of the bins' wave-vector angle θ.
     """
 
     fx: Float
@@ -109,15 +111,16 @@ def _grid(shape: tuple[int, int], metres_per_pixel: float) -> _Grid:
 
 
 def band_edges_per_metre() -> Float:
-    """Return the ascending band edges (BAND_COUNT + 1,) [cycles/m]."""
+    """Return the ascending frequencies of the wavelength bands' edges (BAND_COUNT + 1,) [cycles/m]."""
     centres = 1.0 / BAND_WAVELENGTHS_M
     return np.concatenate([centres / BAND_EDGE_RATIO, centres[-1:] * BAND_EDGE_RATIO])
 
 
 def find_resolved_bands(size_m: float, metres_per_pixel: float, resolved_wavelength_m: float) -> NDArray[np.bool_]:
-    """Return a mask (BAND_COUNT,) of the bands that a patch resolves.
+    """Return a mask (BAND_COUNT,) of the wavelength bands that a patch of side `size_m` resolves.
 
-    A band must be resolved down to its shortest wavelength, with `MIN_PERIODS` periods of its centre in the patch.
+    The source must resolve a band's shortest wavelength, and the patch must hold `MIN_PERIODS` periods of its centre
+    wavelength.
     """
     shortest = BAND_WAVELENGTHS_M / BAND_EDGE_RATIO * (1.0 + 1e-6)
     finest = max(resolved_wavelength_m, 2.0 * metres_per_pixel)
@@ -125,7 +128,7 @@ def find_resolved_bands(size_m: float, metres_per_pixel: float, resolved_wavelen
 
 
 def get_smooth_token_values() -> NDArray[np.float32]:
-    """Return the token (TOKEN_DIM,) of a perfectly smooth surface: every level at the floor, everything else 0."""
+    """Return the token (TOKEN_DIM,) of a perfectly smooth surface: each band's level at its 1 nm floor, all else 0."""
     values = np.zeros(TOKEN_DIM, dtype=np.float32)
     for band in range(BAND_COUNT):
         values[band_slice(band)][0] = SMOOTH_LEVEL
@@ -133,10 +136,10 @@ def get_smooth_token_values() -> NDArray[np.float32]:
 
 
 def describe(tactile_map: TactileMap) -> Token:
-    """Describe a tactile map by its spectrum in bands.
+    """Describe a tactile map by a token, from its spectrum in octave bands of wavelength.
 
-    Bands that the map does not resolve, or with too few periods in the patch, are marked unknown and hold the smooth
-    floor. Pixels outside the mask do not count.
+    Bands that the map does not resolve, or with too few periods in the patch, are marked unknown and hold the values of
+    a smooth surface. Pixels outside the mask are ignored.
 
     Parameters
     ----------
@@ -155,8 +158,8 @@ def describe(tactile_map: TactileMap) -> Token:
 
     Notes
     -----
-    In noise, peak and offset describe a chance maximum. If one wave dominates a band, offset gives its wavelength
-    within 0.1 % (2 % in a band with fewer than four periods in the patch).
+    In noise, the token's peak and offset features describe a chance maximum. If one wave dominates a band, offset gives
+    its wavelength within 0.1 % (2 % in a band with fewer than four periods in the patch).
     """
     image, mask = tactile_map.image, tactile_map.mask
     if image.ndim != 3 or image.shape[2] != 3 or mask.shape != image.shape[:2]:
@@ -213,7 +216,7 @@ def _hann(size: int) -> Float:
 
 
 def _detrend(g: Float, window: Float) -> Float:
-    """Return g less its window-weighted fit of 1, x, y: tilt and curvature of the object are shape, not texture."""
+    """Subtract from slopes `g` their window-weighted fit of 1, x, y: tilt and curvature of the object, no texture."""
     rows = np.linspace(-1.0, 1.0, g.shape[0])
     columns = np.linspace(-1.0, 1.0, g.shape[1])
     wr, wc = window.sum(axis=1), window.sum(axis=0)
@@ -251,7 +254,7 @@ def _compute_spectra(gx: Float, gy: Float, window: Float, pitch: float, gel_sigm
 def _compute_band_features(
     spectrum: Complex, slope: Float, window: Float, shape: tuple[int, int], pitch: float
 ) -> Float:
-    """Return the features (BAND_COUNT, 7) in the order of BAND_FEATURES."""
+    """Return the token's features (BAND_COUNT, 7), in the order of BAND_FEATURES, from spectra of height and slopes."""
     grid = _grid(shape, pitch)
     active = spectrum.ravel()[grid.active]
     density = active.real**2 + active.imag**2
@@ -288,10 +291,11 @@ def _sum_per_band(power: Float, grid: _Grid) -> Float:
 
 
 def _refine_peak(slope: Float, index: int, shape: tuple[int, int], pitch: float) -> tuple[float, float]:
-    """Return the frequency [cycles/m] and |rfft2| of window × slope of the wave behind a local maximum.
+    """Return frequency [cycles/m] and |rfft2| of window × slope of the plane wave behind a local maximum at a bin.
 
-    Evaluated on the slopes, where one wave is exactly one Hann lobe (in the height, 1/f tilts it). Per axis the two-bin
-    ratio a gives the offset (2a − 1)/(a + 1) (Grandke 1983), and the shape of the lobe gives the loss at the bin.
+    Slopes are used, since one wave is exactly one Hann lobe there (in the height, 1/f would tilt it). Along each axis
+    the two-bin ratio a gives the offset (2a − 1)/(a + 1) (Grandke 1983), and the shape of the lobe gives the amplitude
+    loss at the bin (scalloping loss).
     """
     rows, columns = shape
     last_column = slope.shape[1] - 1
@@ -310,7 +314,7 @@ def _refine_peak(slope: Float, index: int, shape: tuple[int, int], pitch: float)
 
 
 def _estimate_hann_offset(before: float, here: float, after: float) -> tuple[float, float]:
-    """Return a wave's offset from a bin of its lobe [bins, −1 … 1], and that bin's fraction of the wave's height."""
+    """Return a wave's offset from the largest bin of its Hann lobe [bins, −1 … 1], and the amplitude share there."""
     neighbour, sign = (after, 1.0) if after >= before else (before, -1.0)
     ratio = neighbour / max(here, 1e-300)
     shift = float(np.clip((2.0 * ratio - 1.0) / (ratio + 1.0), 0.0, 0.99))
@@ -320,7 +324,7 @@ def _estimate_hann_offset(before: float, here: float, after: float) -> tuple[flo
 def _compute_shape_features(
     spectrum: Complex, window: Float, shape: tuple[int, int], pitch: float, lowest: float, highest: float
 ) -> NDArray[np.float32]:
-    """Return skewness and log10(kurtosis / 3) of the height between two frequencies, window-weighted."""
+    """Return skewness and log10(kurtosis / 3) of the heights, band-passed between `lowest` and `highest` [cycles/m]."""
     square = _grid(shape, pitch).square
     height = np.fft.irfft2(np.where((square >= lowest**2) & (square <= highest**2), spectrum, 0.0), s=shape)
     # The height includes the window, so each moment is divided by the same power of the window.

@@ -27,9 +27,9 @@ class Mechanics:
     Attributes
     ----------
     stiffness_n_m : float or None
-        Contact stiffness at 1 N under the pen [N/m].
+        Contact stiffness at 1 N under the pen, the stiff tip in `probe.py` [N/m].
     damping_ratio : float or None
-        Damping ratio of the contact oscillator.
+        Damping ratio of the oscillator of probe mass and contact.
     friction : float or None
         Coulomb μ.
     """
@@ -47,7 +47,7 @@ model."""
 
 
 def describe_limit_violation(mechanics: Mechanics) -> str:
-    """Describe the first property that is outside MECHANICS_LIMITS; "" if there is none."""
+    """Describe the first property that is outside MECHANICS_LIMITS, for an error message; "" if there is none."""
     for (name, (low, high)), value in zip(MECHANICS_LIMITS.items(), astuple(mechanics), strict=True):
         if value is not None and not low <= value <= high:
             return f"{name} must be a number from {low:g} to {high:g}, not {value:g}."
@@ -67,7 +67,7 @@ DEFAULT_FRICTION = 0.3
 
 @dataclass(frozen=True)
 class KnownMechanics:
-    """Mechanics without unknown values; fields as in `Mechanics`."""
+    """Stiffness [N/m], damping ratio and friction as in `Mechanics`, without unknown values."""
 
     stiffness_n_m: float
     damping_ratio: float
@@ -75,7 +75,7 @@ class KnownMechanics:
 
 
 def with_defaults(mechanics: Mechanics) -> KnownMechanics:
-    """Replace unknown values (None) by the defaults above."""
+    """Replace unknown values (None) of the mechanics by DEFAULT_STIFFNESS_N_M and the other defaults above."""
     return KnownMechanics(
         DEFAULT_STIFFNESS_N_M if mechanics.stiffness_n_m is None else mechanics.stiffness_n_m,
         DEFAULT_DAMPING_RATIO if mechanics.damping_ratio is None else mechanics.damping_ratio,
@@ -164,7 +164,7 @@ def contact_radius(mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Fl
 
 
 def tip_response(wavenumber_cycles_m: ArrayLike, mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Float:
-    """Return the gain, 0 to 1, of a finite contact for a ripple of a wavenumber; arguments broadcast.
+    """Return the gain, 0 to 1, of a ripple of a wavenumber under a contact of finite radius; arguments broadcast.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def tip_response(wavenumber_cycles_m: ArrayLike, mechanics: Mechanics, probe: Pr
 
 
 def tip_gain(wavenumber_cycles_m: Float, radius_m: Float) -> Float:
-    """Return `tip_response` for a contact radius [m]; arguments broadcast."""
+    """Return the gain of `tip_response` for a contact radius [m] in place of mechanics and force; both broadcast."""
     return np.asarray(np.exp(-np.square(2.0 * np.pi * wavenumber_cycles_m * radius_m) / 10.0))
 
 
@@ -217,8 +217,8 @@ def height_response(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe,
     Notes
     -----
     Base excitation (Rao, ch. 3): m ẍ = k (h − x) + c (ḣ − ẋ), so H = −ω² (k + iωc) / (k − mω² + iωc) with c = 2ζ sqrt(k
-    m). Far below the resonance the probe follows the profile (−ω²). The height is the one after `tip_response`; a
-    linear model cannot represent loss of contact.
+    m). Far below the resonance the probe follows the profile (−ω²). The profile height is that already averaged by the
+    tip (`tip_response`); a linear model cannot represent loss of contact.
     """
     omega, stiffness, damper, denominator = _oscillator_terms(frequency_hz, mechanics, probe, force_n)
     spring_and_damper: Complex = np.asarray(stiffness + 1j * omega * damper, dtype=np.complex128)
@@ -226,7 +226,7 @@ def height_response(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe,
 
 
 def height_power(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Float:
-    """Return |height_response|² [((m/s²)/m)²], at a fifth of its cost; arguments broadcast."""
+    """Return |height_response|² [((m/s²)/m)²], at a fifth of its cost; same arguments, which broadcast."""
     square = np.square(2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64))
     stiffness = contact_stiffness(mechanics, probe, force_n)
     damping = 4.0 * with_defaults(mechanics).damping_ratio ** 2 * stiffness * probe.mass_kg
@@ -234,7 +234,7 @@ def height_power(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, fo
 
 
 def power_gain(omega_squared: Float, stiffness: ArrayLike, damping: ArrayLike, mass_kg: ArrayLike) -> Float:
-    """Return `height_power` at ω² for stiffness k, damping c² = 4 ζ² k m and mass m; arguments broadcast."""
+    """Return |acceleration / height|² at ω² for stiffness k, squared damping 4ζ²km and mass m; arguments broadcast."""
     spring, damping_term = (
         np.asarray(stiffness, dtype=np.float64),
         np.asarray(damping, dtype=np.float64) * omega_squared,

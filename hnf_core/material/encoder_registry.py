@@ -1,6 +1,6 @@
-"""Choice of the encoder E by name or by route: each encoder turns tactile maps into tokens of the layout in `token.py`.
+"""Choice of the encoder E by name or by origin of the map: encoders turn tactile maps into tokens (see `token.py`).
 
-Bakes and fields store the name of the encoder.
+Baked data and trained fields store the name of the encoder.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from .fuse import merge_tokens
 from .token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, Token
 
 PREFERRED_ENCODERS = {Route.MEASURED: (ENCODER_ID,), Route.PREDICTED: (ALEXNET_ID, ENCODER_ID)}
-"""Encoders for maps of each route, best first: the descriptor is exact on a complete map without noise; on a few views
-it mistakes chance for peaks, which the network does not (docs/encoder.md has the figures)."""
+"""Encoders for maps of each origin, best first: the band descriptor is exact on a complete map without noise; on a few
+views it mistakes chance for peaks, which the network does not (docs/encoder.md has the figures)."""
 
 
 @dataclass(frozen=True)
 class Encoder:
-    """An encoder E.
+    """An encoder E: a function from a tactile map to a material token, with its name.
 
     Attributes
     ----------
     name : str
         Its name; fields store the names of the encoders whose tokens they were trained on.
     content_id : str
-        Hash that changes with anything that changes a token, for cache keys.
+        Hash that changes with anything that changes its tokens, for cache keys.
     describe : callable
         Function from a tactile map to its token.
     """
@@ -44,7 +44,7 @@ class Encoder:
 
 
 def get_encoder(name: str) -> Encoder:
-    """Return an encoder by its name, or from a file.
+    """Return an encoder by its name, or load it from a file of weights.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def get_encoder(name: str) -> Encoder:
     FileError, WeightsError
         If a file cannot be used.
     MaterialError
-        If the network is not installed, as in the Blender extension.
+        If the network's weights are not installed, as in the Blender extension.
     """
     if name == ENCODER_ID:
         return Encoder(ENCODER_ID, ENCODER_ID, describe)
@@ -81,12 +81,12 @@ def get_encoder(name: str) -> Encoder:
 
 
 def get_default_encoder(route: Route, known: Sequence[str] = (ENCODER_ID,)) -> Encoder:
-    """Return the default encoder of a route: the best of those that the field knows.
+    """Return the best encoder for tactile maps of an origin (route) among those that the field was trained on.
 
     Parameters
     ----------
     route : Route
-        Route of the maps.
+        Origin of the maps, measured or predicted.
     known : sequence of str
         Names of the encoders whose tokens the field was trained on.
 
@@ -112,10 +112,10 @@ def get_default_encoder(route: Route, known: Sequence[str] = (ENCODER_ID,)) -> E
 
 
 def describe_views(encoder: Encoder, maps: Sequence[TactileMap]) -> Token:
-    """Describe a patch by one token, from its tactile map or from several views of it.
+    """Describe a patch by one material token, from its tactile map or from the maps of several views of it.
 
-    Tokens of several views are merged band by band, weighted by the area that each view shows. Raises MaterialError if
-    there is no map.
+    Tokens of several views are merged in each wavelength band, weighted by the area that each view shows. Raises
+    MaterialError if there is no map.
     """
     sizes = [max(np.count_nonzero(view.mask), 1) * view.metres_per_pixel**2 for view in maps]
     return merge_tokens([encoder.describe(view) for view in maps], sizes)

@@ -1,7 +1,7 @@
-"""Combination of tokens: a map's bands with the library's for the rest, and several views of one patch.
+"""Combination of material tokens: a tactile map's wavelength bands with a library's for the rest, and several views.
 
-`fuse` takes a token and a library prior and gives a complete token with the route of every band; `merge_tokens`
-averages tokens of views.
+`fuse` completes a token (feature vector of a surface) from a library material's and states the origin of every band;
+`merge_tokens` averages the tokens of several views of one patch.
 """
 
 from __future__ import annotations
@@ -19,29 +19,30 @@ from .token import BAND_FEATURES, BAND_WAVELENGTHS_M, LEVELS, SHAPE_FEATURES, SM
 
 BAND_COUNT = len(BAND_WAVELENGTHS_M)
 SIGNIFICANT_DECADES = 2.5
-"""Range below the strongest band [decades of height] within which a band counts: 50 dB below, filters and windows
-leak."""
+"""Range below the strongest band within which a band is used [decades of height]: from 50 dB below on, filters and
+windows leak."""
 EMPTY_LEVEL = SMOOTH_LEVEL + 0.3
-"""Level of a band without content, 2 nm RMS: the floor of the descriptor [log10 m]."""
+"""Level of a wavelength band without content, 2 nm RMS [log10 m]: just above the descriptor's floor."""
 ROUTE_CONFIDENCE = {Route.MEASURED: 1.0, Route.PREDICTED: 0.5}
-"""Confidence of a band by the route of its map: an estimate from an image counts less than a measured relief, since one
+"""Confidence of a band by the origin of its map: an estimate from an image has less than a measured relief, since one
 image fits many reliefs (docs/tactile-maps-evaluation.md has the errors)."""
 
 
 @dataclass(frozen=True)
 class FusedToken:
-    """A complete token and the origin of its parts.
+    """A complete material token and the origin of its parts.
 
     Attributes
     ----------
     values : ndarray of float32, shape (TOKEN_DIM,)
-        The token.
+        The token; `token.py` has its layout.
     routes : tuple of Route
-        Route of each of the seven bands, longest wavelength first.
+        Origin of each of the seven wavelength bands, longest wavelength first.
     shape_route : Route
-        Route of skewness and kurtosis.
+        Origin of skewness and kurtosis.
     confidence : float
-        Mean over the bands of `ROUTE_CONFIDENCE`, or of the prior's confidence for bands of the prior; 0 to 1.
+        Mean over the bands, 0 to 1: `ROUTE_CONFIDENCE` for bands of the map, the prior's confidence for those of the
+        prior.
     """
 
     values: NDArray[np.float32]
@@ -53,20 +54,20 @@ class FusedToken:
 def fuse(
     measured: Token | None, prior: ArrayLike, prior_confidence: float, route: Route = Route.MEASURED
 ) -> FusedToken:
-    """Complete a token: bands that the map knows stay or are blended, the others come from a library token.
+    """Complete a token: wavelength bands that the tactile map shows stay or are blended, the others come from a prior.
 
     Parameters
     ----------
     measured : Token or None
-        Token of the patch's tactile map; None if there is none, so that everything is prior.
+        Token of the patch's tactile map; None if there is none, so that everything comes from the prior.
     prior : array_like, shape (TOKEN_DIM,)
         Token of a library material.
     prior_confidence : float
         Confidence of the prior, 0 to 1.
     route : Route
-        Route of the map. Of a measured one, significant bands count (`find_significant_bands`) and replace the prior.
-        Of a predicted one, all known bands count, since an empty band means that the surface is smooth, and are blended
-        with the prior (`get_map_weight`).
+        Origin of the map. Of a measured one, significant bands are used (`find_significant_bands`) and replace the
+        prior. Of a predicted one, all known bands are used, since an empty band means that the surface is smooth, and
+        are blended with the prior (`get_map_weight`).
 
     Returns
     -------
@@ -112,7 +113,7 @@ def _blend(measured: NDArray[np.float32], prior: NDArray[np.float32], weight: fl
 
 
 def get_map_weight(route: Route, prior_confidence: float) -> float:
-    """Return the weight of the map's value in a blended band, 0 to 1; the rest is the prior's.
+    """Return the weight of the tactile map's value in a blended band, 0 to 1; the library prior has the rest.
 
     A measured relief replaces the prior. The errors of a prediction and of a prior are independent, so each is weighted
     by its confidence: on unseen classes both together are closer than either alone (docs/tactile-maps-evaluation.md).
@@ -123,16 +124,16 @@ def get_map_weight(route: Route, prior_confidence: float) -> float:
 
 
 def find_known_bands(token: Token) -> list[bool]:
-    """Return for each band whether the token knows all of its features."""
+    """Return for each wavelength band whether the token knows all of its features."""
     return [bool(token.known[band_slice(band)].all()) for band in range(BAND_COUNT)]
 
 
 def find_significant_bands(measured: Token) -> list[bool]:
-    """Return for each band whether it is known and not far below the strongest band of a measured map.
+    """Return for each wavelength band whether it is known and at most 50 dB below the strongest band of the token.
 
     A sine bump fills one band and leaves the others empty, but no real surface is smooth to the nanometre below its
     ridges: a drawn relief keeps the material's own roughness. Natural roughness falls by some 5 dB an octave, 35 dB
-    over all bands, and passes completely.
+    over all bands, and passes completely. `measured` is the token of a measured map.
     """
     levels = np.array([measured.values[band_slice(band).start] for band in range(BAND_COUNT)], dtype=np.float64)
     known = np.array(find_known_bands(measured))
@@ -143,7 +144,7 @@ def find_significant_bands(measured: Token) -> list[bool]:
 
 
 def format_routes(routes: Sequence[Route]) -> str:
-    """Format the routes of the bands for a person: "8–2 mm measured, 1–0.125 mm prior"."""
+    """Format the origins of the wavelength bands for a person: "8–2 mm measured, 1–0.125 mm prior"."""
     names = [f"{wavelength * 1e3:g}" for wavelength in BAND_WAVELENGTHS_M]
     spans = []
     for route, group in groupby(range(BAND_COUNT), key=lambda band: routes[band]):
@@ -154,7 +155,7 @@ def format_routes(routes: Sequence[Route]) -> str:
 
 
 def routes_by_band(routes: Sequence[Route]) -> dict[str, str]:
-    """Return the routes by band for the report: {"8 mm": "measured", …}, longest wavelength first."""
+    """Return the origin of each wavelength band for the report: {"8 mm": "measured", …}, longest wavelength first."""
     return {
         f"{wavelength * 1e3:g} mm": route.value for wavelength, route in zip(BAND_WAVELENGTHS_M, routes, strict=True)
     }
@@ -166,7 +167,7 @@ SHAPE_SLICE = slice(-len(SHAPE_FEATURES), None)
 
 
 def merge_tokens(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> Token:
-    """Merge tokens of several views of a patch, band by band over the views that know the band.
+    """Merge tokens of several views of a patch, each wavelength band over the views that know it.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ def merge_tokens(tokens: Sequence[Token], weights: Sequence[float] | None = None
     Returns
     -------
     Token
-        The merged token; known where any view knows, else the smooth floor.
+        The merged token; a value that no view knows is that of a perfectly smooth surface.
 
     Raises
     ------
@@ -223,7 +224,7 @@ def merge_tokens(tokens: Sequence[Token], weights: Sequence[float] | None = None
 
 
 def _weighted_mean(values: Float, weight: Float, known: NDArray[np.bool_]) -> Float:
-    """Return the weighted mean over the first axis of the known values, 0 where none is known."""
+    """Return the weighted mean over the first axis of the known `values`, 0 where none is known."""
     weights = np.where(known, weight, 0.0)
     total = _sorted_sum(weights)
     return np.asarray(_sorted_sum(np.where(known, values, 0.0) * weights) / np.where(total > 0.0, total, 1.0))

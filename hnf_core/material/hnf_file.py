@@ -48,9 +48,9 @@ class MaterialFile:
     name : str
         Name for people, one line.
     token : Token
-        Token m = E(I); unknown values are completed from the library (`complete`).
+        Token (feature vector of the micro-geometry); unknown values can be completed from the library (`complete`).
     mechanics : Mechanics
-        Mechanics.
+        Stiffness, damping and friction; None = unknown.
     category : str
         Category of the library, or "".
     words : tuple of str
@@ -135,7 +135,7 @@ class MaterialFile:
         return pack_header(header)
 
     def complete(self, prior: LibraryMaterial) -> LibraryMaterial:
-        """Return this material without unknown values: tokens and mechanics are completed from `prior`."""
+        """Return this material as a library material, with unknown token values and mechanics taken from `prior`."""
         is_complete = bool(self.token.known.all())
         token = self.token.values if is_complete else fuse(self.token, prior.token, 0.0).values
         given = {name: value for name, value in asdict(self.mechanics).items() if value is not None}
@@ -152,7 +152,7 @@ def with_library_defaults(material: MaterialFile) -> LibraryMaterial:
 
 
 def from_library(material: LibraryMaterial, licence: str = "") -> MaterialFile:
-    """Convert a library material to a material file: everything but the recipe that it was simulated from."""
+    """Convert a library material to a material file, without the recipe that its surface was generated from."""
     token = Token(material.token.astype(np.float32), np.ones(TOKEN_DIM, dtype=bool))
     return MaterialFile(
         material.name, token, material.mechanics, material.category, material.words, material.appearance, licence
@@ -226,7 +226,7 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
 
 
 def _unpack(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
-    """Return metadata and raw bytes of the arrays; raise ValueError, KeyError or TypeError if damaged."""
+    """Return metadata and the raw bytes of each array of a file; raise ValueError, KeyError or TypeError if damaged."""
     if len(data) >= 8 and max(len(data), int.from_bytes(data[:8], "little")) > MAX_FILE_BYTES:
         raise ValueError("it is larger than any material, or something else")
     header, body = split_header(data)
@@ -263,7 +263,7 @@ def _parse_words(text: str) -> tuple[str, ...]:
 
 
 def _parse_numbers(record: Mapping[str, Any], kind: type) -> dict[str, float | None]:
-    """Parse the fields of a dataclass of numbers; missing ones are unknown, excess ones raise ValueError."""
+    """Convert a JSON object to numeric fields of dataclass `kind`, null to None; an unknown field raises ValueError."""
     unknown = set(record) - {field.name for field in fields(kind)}
     if unknown:
         raise ValueError(f"{', '.join(sorted(unknown))} is not known here")

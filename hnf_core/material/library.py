@@ -1,7 +1,7 @@
 """The material library: entries read from library.json (built by tools/build_library.py), and look-up by name.
 
-Wood and brushed metal have x along the grain; corduroy and other ribs run along y, so that a stroke along x crosses
-them.
+In the tangent frame of an entry, wood and brushed metal have x along the grain; corduroy and other ribs run along y, so
+that a stroke along x crosses them.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ class LibraryMaterial:
     words : tuple of str
         Lower-case names and synonyms that artists use.
     appearance : Appearance
-        Typical shading values.
+        Typical shading values (Principled BSDF).
     mechanics : Mechanics
         Stiffness, damping and friction.
     token : ndarray of float32, shape (TOKEN_DIM,)
-        Token of its micro-geometry, x along the grain.
+        Token (feature vector) of its micro-geometry, x along the grain.
     recipe : mapping
-        Recipe of that micro-geometry, for `simulation.surface_recipe.SurfaceRecipe.from_dict`.
+        Parameters that generate that micro-geometry, for `simulation.surface_recipe.SurfaceRecipe.from_dict`.
     seed : int
         Seed of that micro-geometry, for `simulation.surface_recipe.height_map`.
     """
@@ -74,7 +74,7 @@ _REBUILD_REMEDY = "Reinstall the package, or run tools/build_library.py."
 
 @lru_cache(maxsize=1)
 def load_library() -> tuple[LibraryMaterial, ...]:
-    """Load all materials of the library in order, once; raise MaterialError if the file cannot be used."""
+    """Load all materials of the shipped library in order, read once; raise MaterialError if the file cannot be used."""
     return read_library(LIBRARY_PATH)
 
 

@@ -171,7 +171,7 @@ def split_words(name: str) -> list[str]:
 
 
 def is_image_name(name: str) -> bool:
-    """Return True if a name ends like that of an image file."""
+    """Return True if a name ends in the suffix of an image file."""
     return IMAGE_SUFFIX.search(name.strip()) is not None
 
 
@@ -215,17 +215,17 @@ not."""
 OBJECT_WORD_WEIGHT = 0.55
 """Weight of words for objects and finishes: a lens is mostly glass, satin is often metal."""
 NAME_PART_WEIGHT = 0.4
-"""Weight of the parts of a library material's name: "coarse" is weak evidence for coarse-carpet."""
+"""Weight of the single words of a library material's name: "coarse" is weak evidence for coarse-carpet."""
 RELATED_WEIGHT = 0.7
-"""Weight of a category's word for materials that another of the category has as its own: velvet is fabric, but not
-denim."""
+"""Weight of a general word for materials of a category in which another material has the word as its own: velvet is
+fabric, but not denim."""
 MIN_HALF_LENGTH = 4
 """Least number of letters of each half of a compound; shorter words occur inside unrelated ones."""
 COMPOUND_LINKS = ("", "n", "s", "en", "es")
 """Linking letters between the halves of German compounds: Eiche-n-tisch."""
 
 Vocabulary = Mapping[str, Mapping[str, float]]
-"""Weight of each material by name, for each word or phrase (joined by spaces, or run together)."""
+"""For each word or phrase (with spaces, or run together), its weight for each material by name."""
 Hits = dict[str, dict[str, tuple[float, str]]]
 """For each material's name the matched words, with their weight and the name that contains them."""
 
@@ -245,11 +245,12 @@ def match_names(library: Sequence[LibraryMaterial], names: Sequence[str], image_
     Returns
     -------
     Hits
-        Matched words of every material; a word that occurs twice counts once, with its larger weight.
+        For each material's name, its matched words with weight and source; a repeated word counts once, with its larger
+        weight.
 
     Notes
     -----
-    A word that belongs to several categories weighs less, one of all categories nothing.
+    A word that fits materials of several categories weighs less; one that fits all categories weighs nothing.
     """
     vocabulary = build_vocabulary(library)
     category = {material.name: material.category for material in library}
@@ -271,14 +272,14 @@ def match_names(library: Sequence[LibraryMaterial], names: Sequence[str], image_
 
 
 def build_vocabulary(library: Sequence[LibraryMaterial]) -> Vocabulary:
-    """Return every word that is evidence for a material of the library."""
+    """Return every word that is evidence for a material of the library, with its weight for each material."""
     return _cached_vocabulary(
         tuple(_MaterialWords(material.name, material.category, tuple(material.words)) for material in library)
     )
 
 
 class _MaterialWords(NamedTuple):
-    """The fields of a library material that its words depend on, hashable for the cache."""
+    """The fields of a library material that its vocabulary depends on, hashable for the cache."""
 
     name: str
     category: str
@@ -287,7 +288,7 @@ class _MaterialWords(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _cached_vocabulary(library: tuple[_MaterialWords, ...]) -> Vocabulary:
-    """Build the vocabulary once per library: it takes 13 ms, and every slot of every stroke needs it."""
+    """Build the vocabulary once per library: it takes 13 ms, and every material slot of every stroke needs it."""
     specific_words = {form for material in library for word in material.words for form in _get_word_forms(word)}
     category_words = {
         category: {form for word in words.split() for form in _get_word_forms(word)}
@@ -320,13 +321,16 @@ def _cached_vocabulary(library: tuple[_MaterialWords, ...]) -> Vocabulary:
 
 @lru_cache(maxsize=4096)
 def _get_word_forms(word: str) -> frozenset[str]:
-    """Return a word or phrase joined by spaces and run together, without stop words."""
+    """Return the spellings of a word or phrase, spaced and run together ("oak wood", "oakwood"), less stop words."""
     parts = split_words(word)
     return frozenset({" ".join(parts), "".join(parts)} - STOP_WORDS - {""})
 
 
 def _find_matches(parts: Sequence[str], vocabulary: Vocabulary) -> list[str]:
-    """Return words, halves of compounds, and phrases of up to three words of a name that the vocabulary contains."""
+    """Return the words, halves of compounds, and phrases of up to three words in a name that the vocabulary contains.
+
+    `parts` are the words of the name in order.
+    """
     words = [word for word in parts if word not in STOP_WORDS]
     matches: list[str] = []
     for length in (1, 2, 3):
@@ -345,7 +349,8 @@ def _find_matches(parts: Sequence[str], vocabulary: Vocabulary) -> list[str]:
 def split_compound(word: str, vocabulary: Vocabulary) -> list[str]:
     """Return the halves of a compound that the vocabulary contains: "gummireifen" → gummi.
 
-    Both halves must be known words, one of them a material, so that nothing is found inside unrelated words; else [].
+    Both halves must be known words, one of them a material, so that nothing is found inside unrelated words; else the
+    result is empty.
     """
     for cut in range(MIN_HALF_LENGTH, len(word) - MIN_HALF_LENGTH + 1):
         last = next((form for form in list_singulars(word[cut:]) if _is_compound_half(form, vocabulary)), None)

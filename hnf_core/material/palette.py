@@ -25,14 +25,15 @@ _REMEDY = "Bake the object again."
 
 @dataclass(frozen=True, eq=False)
 class Palette:
-    """Tokens and mechanics of the P materials of a mesh; equal if their contents are, bit for bit.
+    """Tokens (feature vectors) and mechanics of the P distinct materials of a mesh.
 
-    Raises MaterialError if the parts do not fit together or a token is not finite.
+    Palettes are equal if their contents are, bit for bit. Raises MaterialError if the parts do not fit together or a
+    token is not finite.
 
     Attributes
     ----------
     tokens : ndarray of float32, shape (P, TOKEN_DIM)
-        Tokens.
+        Material tokens.
     mechanics : tuple of Mechanics
         Mechanics of each material.
     names : tuple of str
@@ -40,7 +41,7 @@ class Palette:
     schema : int
         Version of the stored form.
     encoder_id : str
-        Encoders of the tokens (`token.joined_encoders`).
+        Names of the encoders that made the tokens, joined by `token.joined_encoders`.
     """
 
     tokens: NDArray[np.float32]
@@ -138,7 +139,7 @@ def build_palette(
     tolerance: float = MERGE_TOLERANCE,
     encoders: Iterable[str] = (ENCODER_ID,),
 ) -> tuple[Palette, NDArray[np.int32]]:
-    """Build the palette of n materials, with near-equal ones merged.
+    """Build the palette of n materials, in which near-equal materials are merged.
 
     Parameters
     ----------
@@ -149,7 +150,7 @@ def build_palette(
     names : sequence of str
         Names of the materials.
     tolerance : float
-        Largest difference of any token feature for a merge; name and mechanics must be equal.
+        Largest difference of any token feature between materials that are merged; name and mechanics must be equal.
     encoders : iterable of str
         Names of the encoders that any of the tokens came from.
 

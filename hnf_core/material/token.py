@@ -1,4 +1,4 @@
-"""Layout of the material token m: the output of the encoder E and the input of the field.
+"""Layout of the material token m, a feature vector of a surface: output of the encoder E, input of the haptic field.
 
 Seven octave bands of surface wavelength. In each band, of the height spectrum P(κ, θ), θ the angle of the wave vector
 in the tangent frame (a grating that varies along +x has θ = 0):
@@ -32,12 +32,12 @@ TOKEN_NAMES = (
 """Names of the values of a token, in order."""
 TOKEN_DIM = len(TOKEN_NAMES)
 LARGEST_VALUE = 100.0
-"""Limit of the absolute value of any token value, far outside the encoder's output."""
+"""Limit of the absolute value of any feature of a token, far outside the encoders' output."""
 SMOOTH_LEVEL = -9.0
-"""Level of an empty band, 1 nm RMS [log10 m]: a floor, so that the logarithm stays finite."""
+"""Level of a band without relief, 1 nm RMS [log10 m]: a floor, so that the logarithm stays finite."""
 ENCODER_ID = "band-descriptor-1"
-"""Name of the band descriptor (`band_descriptor.py`), which described the library; weights trained without its tokens
-are refused."""
+"""Name of the band-descriptor encoder (`band_descriptor.py`), which made the library's tokens; field weights that were
+trained without its tokens are refused."""
 ALEXNET_ID = "alexnet-bands-1"
 """Name of the network encoder (`alexnet_encoder.py`)."""
 ENCODER_NAMES = (ENCODER_ID, ALEXNET_ID)
@@ -46,14 +46,15 @@ ENCODER_NAMES = (ENCODER_ID, ALEXNET_ID)
 
 @dataclass(frozen=True)
 class Token:
-    """A material token m = E(I).
+    """A material token m = E(I), the feature vector of a surface's micro-geometry, with a mask of known values.
 
     Attributes
     ----------
     values : ndarray of float32, shape (TOKEN_DIM,)
         Values, in the order of `TOKEN_NAMES`.
     known : ndarray of bool, shape (TOKEN_DIM,)
-        False where the map resolved nothing; values there are the smooth floor, to be replaced by the prior.
+        False where the tactile map resolved nothing; the values there are those of a smooth surface, to be replaced by
+        a library material's.
     """
 
     values: NDArray[np.float32]
@@ -65,7 +66,7 @@ LEVELS = slice(0, len(BAND_WAVELENGTHS_M) * len(BAND_FEATURES), len(BAND_FEATURE
 
 
 def band_slice(band: int) -> slice:
-    """Return the positions of a band's features in a token."""
+    """Return the positions of a wavelength band's features in a token; band 0 has the longest wavelength."""
     return slice(band * len(BAND_FEATURES), (band + 1) * len(BAND_FEATURES))
 
 

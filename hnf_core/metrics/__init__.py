@@ -1,7 +1,7 @@
 """Metrics of vibrotactile signals: spectra, distances between them, and published similarity scores.
 
-The functions here take signals and their rate; the modules of this package compute the same from arrays of windows.
-Start with `spectra.py`.
+The functions here take signals and their sample rate; the package's modules compute the same from arrays. Start with
+`spectra.py`.
 """
 
 from __future__ import annotations
@@ -110,9 +110,10 @@ def log_spectral_distance(
 
 
 def spectral_mse(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None = None) -> float:
-    """Compute the mean squared difference of Hann-window magnitudes, the paper's L_mag as a metric.
+    """Compute the mean squared difference of the DFT magnitudes of Hann windows, the paper's L_mag, used as a metric.
 
-    Parameters and errors are those of `log_spectral_distance`.
+    The paper is Haptic Neural Fields (CVPR 2026). `signal` and `reference` are Signals, or arrays (n,) with `rate_hz`
+    [Hz]; errors are as in `log_spectral_distance`.
 
     Examples
     --------
@@ -129,9 +130,10 @@ def spectral_mse(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate
 def average_spectrum_distance(
     signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None = None
 ) -> float:
-    """Compute the RMS level difference of two average spectra, over 20 Hz to 1 kHz within 30 dB of the peak [dB].
+    """Compute the RMS level difference of the Welch spectra of two signals, 20 Hz to 1 kHz [dB].
 
-    Parameters and errors are those of `log_spectral_distance`. It depends little on the realisation of noise.
+    Only bins within 30 dB of the reference's peak count. It hardly differs between realizations of the same noise.
+    `signal` and `reference` are Signals, or arrays (n,) with `rate_hz` [Hz]; errors are as in `log_spectral_distance`.
 
     Examples
     --------
@@ -152,7 +154,8 @@ def average_spectrum_distance(
 def spqi(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None = None) -> float:
     """Compute the spectral perceptual quality index (SPQI) of a signal against a reference, 0 to 1.
 
-    Parameters and errors are those of `log_spectral_distance`.
+    1 means equal to the reference. `signal` and `reference` are Signals, or arrays (n,) with `rate_hz` [Hz]; errors are
+    as in `log_spectral_distance`.
 
     Examples
     --------
@@ -169,7 +172,8 @@ def spqi(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: flo
 def st_sim(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None = None) -> float:
     """Compute the spectral–temporal similarity (ST-SIM) of a signal to a reference, at most 1.
 
-    Parameters and errors are those of `log_spectral_distance`.
+    1 means equal to the reference. `signal` and `reference` are Signals, or arrays (n,) with `rate_hz` [Hz]; errors are
+    as in `log_spectral_distance`.
 
     Examples
     --------
@@ -209,7 +213,7 @@ def _get_pair(
 
 
 def _get_window(samples: Float, rate: float) -> int:
-    """Return the window length [samples]; raise UsageError if the signal is shorter."""
+    """Return the length of the analysis window [samples]; raise UsageError if the signal is shorter."""
     window = round(WINDOW_S * rate)
     if len(samples) < window:
         raise UsageError(
@@ -221,7 +225,7 @@ def _get_window(samples: Float, rate: float) -> int:
 def _compute_magnitudes(
     signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None
 ) -> tuple[Float, Float]:
-    """Return the window magnitudes of both signals."""
+    """Return the DFT magnitudes (windows, bins) of the Hann windows of both signals."""
     from .spectra import window_magnitudes
 
     first, second, rate = _get_pair(signal, reference, rate_hz)

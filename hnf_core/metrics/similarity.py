@@ -1,9 +1,9 @@
-"""Published similarity scores of vibrotactile signals: TUM's SPQI and ST-SIM, and ST-SIM as two cosines.
+"""Published similarity scores of vibrotactile signals: SPQI and ST-SIM of TU Munich (TUM), and ST-SIM as two cosines.
 
 The first two compare perceptual spectra: blockwise DCT levels above a threshold of touch. A. Noll et al. (2022),
 "Automated quality assessment for compressed vibrotactile signals using multi-method assessment fusion", IEEE Haptics
-Symposium; formulas as in its authors' `vibromaf`. Which variant of ST-SIM gives the paper's 0.85–0.88 cannot be
-determined from it.
+Symposium; formulas as in its authors' `vibromaf`. Haptic Neural Fields (CVPR 2026) prints ST-SIM of 0.85–0.88 without
+stating the variant.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 Float = NDArray[np.float64]
 
 TUM_RATE_HZ = 8000.0
-"""Sample rate that the threshold's frequencies are defined for [Hz]."""
+"""Sample rate that the frequencies of the touch threshold are defined for [Hz]."""
 BLOCK_SAMPLES = 512
-"""Length of a block [samples]."""
+"""Length of a block for the DCT [samples]."""
 
 
 def resample_to_tum_rate(samples: ArrayLike, rate: float) -> Float:
@@ -55,8 +55,8 @@ def dct(values: Float) -> Float:
 def get_touch_threshold_db() -> Float:
     """Return the threshold of touch T (512,) [dB] at f = 8000 i / 1023 Hz.
 
-    T(f) = |62 / log10²(6/11) · log10²(f/550 + 6/11)| − 77, constant from its first positive value on. The grid is the
-    authors': the first half of 2 · 512 points from 0 to 8000 Hz inclusive.
+    T(f) = |62 / log10²(6/11) · log10²(f/550 + 6/11)| − 77, constant from its first positive value on. The frequencies
+    are those of the authors' code: the first half of 2 · 512 points from 0 to 8000 Hz inclusive.
     """
     frequency = np.linspace(0.0, TUM_RATE_HZ, 2 * BLOCK_SAMPLES)[:BLOCK_SAMPLES]
     scale = 62.0 / math.log10(6.0 / 11.0) ** 2
@@ -67,7 +67,7 @@ def get_touch_threshold_db() -> Float:
 
 
 def compute_perceptual_levels_db(samples: ArrayLike) -> Float:
-    """Return 20 log10 |DCT-II| − T(f) (blocks, 512) of a signal at 8 kHz; an exact zero counts as 1e-15."""
+    """Return 20 log10 |DCT-II| less the touch threshold T(f), (blocks, 512), of a signal at 8 kHz; 0 is 1e-15."""
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(dct(split_blocks(samples))), 1e-15)) - get_touch_threshold_db())
 
 
@@ -76,7 +76,7 @@ SPQI_SLOPE, SPQI_OFFSET = 0.3, 2.0
 
 
 def spqi(samples: ArrayLike, reference: ArrayLike, rate: float) -> float:
-    """Compute the spectral perceptual quality index (SPQI).
+    """Compute the spectral perceptual quality index (SPQI) of a signal against a reference.
 
     Parameters
     ----------
@@ -119,12 +119,12 @@ def spqi(samples: ArrayLike, reference: ArrayLike, rate: float) -> float:
 TUM_SPREAD_DB = 12.0
 """Standard deviation of the psychometric function [dB]."""
 TUM_ETA = 2.0 / 3.0
-"""Exponent of the temporal similarity."""
+"""Exponent of the temporal similarity T in TUM's ST-SIM."""
 _erf = np.frompyfunc(math.erf, 1, 1)
 
 
 def st_sim_tum(samples: ArrayLike, reference: ArrayLike, rate: float) -> float:
-    """Compute the spectral–temporal similarity T^(2/3) S^(1/3) as in TUM's `vibromaf`.
+    """Compute the spectral–temporal similarity (ST-SIM) T^(2/3) S^(1/3) as in TUM's code `vibromaf`.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def _projection_ratio(reference: Float, signal: Float) -> float:
 
 
 COSINE_ETA = 0.5
-"""Exponent of the spectral similarity."""
+"""Exponent of the spectral similarity in `st_sim_cosine`."""
 MSCN_TAPS = 7
 """Length of the Gaussian window of contrast normalisation [samples]."""
 MSCN_SIGMA = 7.0 / 6.0
@@ -193,7 +193,7 @@ MSCN_SIGMA = 7.0 / 6.0
 
 @dataclass(frozen=True)
 class CosineSimilarity:
-    """Spectral and temporal similarity, −1 to 1, and their geometric mean with the sign of their product."""
+    """Spectral and temporal cosine similarity of two signals, −1 to 1, and their geometric mean with sign."""
 
     spectral: float
     temporal: float

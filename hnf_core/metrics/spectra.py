@@ -1,13 +1,13 @@
-"""Power spectra and magnitudes of windows, and distances between them and between average spectra.
+"""Power spectra and DFT magnitudes of a signal's windows, and distances between spectra.
 
-Welch spectra (P. D. Welch 1967), the paper's window magnitudes with L_mag and GFC, the log-spectral distance in the two
-variants that papers print under one name, and distances between average spectra, which depend little on the
-realisation.
+Welch spectra (P. D. Welch 1967), the window magnitudes of the paper Haptic Neural Fields with its metrics L_mag and GFC
+(goodness of fit), the log-spectral distance in the two variants that papers print under one name, and distances between
+average spectra, which hardly differ between realizations of the same noise.
 
 `band_power` gives the energy of a vibration in octave bands, `compare_bands` its change between two signals. Energy in
 nine critical bands was the best predictor of realism in one study (J. K. Balasubramanian and Y. Vardar, arXiv
-2605.23804, 2026). Its band edges are not printed legibly, so these are nine octave bands, centred on 1000 · 2^k Hz from
-4 to 1000 Hz (base-two octaves as in IEC 61260-1), and all above them.
+2605.23804, 2026). The study does not print its band edges legibly, so these are nine octave bands, centred on 1000 ·
+2^k Hz from 4 to 1000 Hz (base-two octaves as in IEC 61260-1), and all above them.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def window_power(samples: ArrayLike, rate: float, window: int = WINDOW_SAMPLES, 
 
 
 def welch(samples: ArrayLike, rate: float, window: int = WINDOW_SAMPLES) -> tuple[Float, Float]:
-    """Return frequencies [Hz] and the mean one-sided density of half-overlapping Hann windows (P. D. Welch 1967).
+    """Return frequencies [Hz] and the mean one-sided power density of half-overlapping Hann windows (P. D. Welch 1967).
 
     Raises ValueError for a signal shorter than one window.
     """
@@ -68,7 +68,7 @@ def welch(samples: ArrayLike, rate: float, window: int = WINDOW_SAMPLES) -> tupl
 def spectrum_distance_db(a: ArrayLike, b: ArrayLike) -> float:
     """Compute the RMS level difference of two average spectra over their bins [dB].
 
-    Densities below 1e-12 of the peak count as that.
+    Densities below 1e-12 of the peak are raised to that.
     """
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     floor = 1e-12 * max(float(first.max()), float(second.max()), 1e-300)
@@ -99,7 +99,7 @@ def window_magnitudes(samples: ArrayLike, window: int = WINDOW_SAMPLES, bins: in
     Returns
     -------
     ndarray, shape (C, bins)
-        Magnitudes, without a factor.
+        Magnitudes of the DFT sum, not normalized.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def window_magnitudes(samples: ArrayLike, window: int = WINDOW_SAMPLES, bins: in
 
     Notes
     -----
-    As in L_mag of Haptic Neural Fields (CVPR 2026): 1000 samples at 10 kHz.
+    The windows are those of the loss L_mag in Haptic Neural Fields (CVPR 2026): 1000 samples at 10 kHz.
     """
     samples = np.asarray(samples, dtype=np.float64)
     count = len(samples) // window
@@ -119,7 +119,7 @@ def window_magnitudes(samples: ArrayLike, window: int = WINDOW_SAMPLES, bins: in
 
 
 def spectral_mse(first: ArrayLike, second: ArrayLike) -> float:
-    """Compute the mean of (|X_k| − |Y_k|)² over windows and bins (C, K): the paper's L_mag as a metric.
+    """Compute the mean of (|X_k| − |Y_k|)² of two arrays of DFT magnitudes (C windows, K bins), the paper's L_mag.
 
     Symmetric. A realisation of a Gaussian texture scores 2 − π/2 = 0.429 of the mean power E|X_k|² against another one;
     the best possible prediction scores 1 − π/4 = 0.215. Raises ValueError if the shapes differ.
@@ -129,7 +129,7 @@ def spectral_mse(first: ArrayLike, second: ArrayLike) -> float:
 
 
 def gfc(first: ArrayLike, second: ArrayLike) -> float:
-    """Compute the goodness-of-fit coefficient Σ A B / (‖A‖ ‖B‖) of time-averaged magnitudes A, B of (C, K).
+    """Compute the goodness-of-fit coefficient Σ A B / (‖A‖ ‖B‖); A, B are time averages of DFT magnitudes (C, K).
 
     It is 1 if the average spectra have the same shape, whatever their level, and 0 if one of them is silent. Raises
     ValueError if the shapes differ.
@@ -151,12 +151,12 @@ LSD_EPSILON = 1e-12
 
 
 def lsd_power_db(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LSD_EPSILON) -> float:
-    """Compute the log-spectral distance of window magnitudes [dB].
+    """Compute the log-spectral distance of the DFT magnitudes of windows [dB].
 
     Parameters
     ----------
     magnitude, reference : array_like, shape (C, K)
-        Magnitudes of the signal and of the reference.
+        DFT magnitudes of the signal's and of the reference's windows (C) and bins (K).
     epsilon : float
         Floor e over the reference's mean power.
 
@@ -187,7 +187,7 @@ def lsd_power_db(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LS
 def lsd_log10_magnitude(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LSD_EPSILON) -> float:
     """Compute mean_t sqrt(mean_f (log10 |X| / |Y|)²) in decades of magnitude, one twentieth of `lsd_power_db`.
 
-    Published values of 0.8–0.9 are in this unit.
+    Arguments are DFT magnitudes (C windows, K bins). Published values of 0.8–0.9 are in this unit.
     """
     return lsd_power_db(magnitude, reference, epsilon) / 20.0
 
@@ -203,7 +203,7 @@ study that found nine critical bands to predict realism does not print its edges
 
 
 def select_compared_bins(reference: ArrayLike, frequency: ArrayLike) -> NDArray[np.bool_]:
-    """Return a mask of the bins in 20–1000 Hz that are within 30 dB of the reference's peak in that range."""
+    """Return a mask of the frequency bins in 20–1000 Hz within 30 dB of the reference density's peak in that range."""
     density, hertz = np.asarray(reference, dtype=np.float64), np.asarray(frequency, dtype=np.float64)
     band = (hertz >= MIN_COMPARED_HZ - 1e-6) & (hertz <= MAX_COMPARED_HZ + 1e-6)
     peak = float(density[band].max(initial=0.0))
@@ -211,14 +211,14 @@ def select_compared_bins(reference: ArrayLike, frequency: ArrayLike) -> NDArray[
 
 
 def average_spectrum_distance_db(density: ArrayLike, reference: ArrayLike, frequency: ArrayLike) -> float:
-    """Compute the RMS level difference of two average densities over the compared bins [dB].
+    """Compute the RMS level difference of two average power densities, 20–1000 Hz within 30 dB of the peak [dB].
 
     Parameters
     ----------
     density : array_like, shape (k,)
-        Welch's average of 8 s.
+        Welch's average of the signal, of 8 s for the figures below.
     reference : array_like, shape (k,)
-        Exact density, or the average of a long run.
+        Exact density of the reference, or its average over a long run.
     frequency : array_like, shape (k,)
         Frequencies, 10 Hz apart [Hz].
 
@@ -242,7 +242,7 @@ def average_spectrum_distance_db(density: ArrayLike, reference: ArrayLike, frequ
 
 
 def power_bias_db(density: ArrayLike, reference: ArrayLike, frequency: ArrayLike) -> float:
-    """Compute the level of the power in 10–1000 Hz relative to the reference's [dB], with a floor of −120 dB."""
+    """Return the power in 10–1000 Hz relative to the reference's [dB], at least −120 dB, from power densities (k,)."""
     power, reference_power = (
         _sum_band_power(spectrum, frequency, 10.0, MAX_COMPARED_HZ, True) for spectrum in (density, reference)
     )
@@ -252,10 +252,10 @@ def power_bias_db(density: ArrayLike, reference: ArrayLike, frequency: ArrayLike
 
 
 def nine_band_error_db(density: ArrayLike, reference: ArrayLike, frequency: ArrayLike) -> float:
-    """Compute the RMS over nine bands of the level difference of their energies [dB]; edges `NINE_BANDS_HZ`.
+    """Compute the RMS over nine frequency bands, `NINE_BANDS_HZ`, of the difference of two densities' band levels [dB].
 
     A bin belongs to the band that contains its centre, the last band includes its upper edge. Bands in which the
-    reference is below 1e-6 of its power (60 dB) do not count, since nothing is felt there.
+    reference is below 1e-6 of its power (60 dB) are left out, since nothing can be felt there.
     """
     last = len(NINE_BANDS_HZ) - 2
     pairs = [
@@ -284,7 +284,7 @@ OCTAVE_EDGES_HZ = (*(centre / 2.0**0.5 for centre in OCTAVE_CENTRES_HZ), OCTAVE_
 
 
 def band_power(samples: ArrayLike, rate: float, edges_hz: tuple[float, ...] = OCTAVE_EDGES_HZ) -> Float:
-    """Compute the mean square of a signal in bands.
+    """Compute the mean square of a signal in frequency bands.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ def band_power(samples: ArrayLike, rate: float, edges_hz: tuple[float, ...] = OC
 
 @dataclass(frozen=True)
 class BandChange:
-    """Mean squares in the band from `low_hz` to `high_hz` [Hz], before and after a change [(m/s²)²]."""
+    """Mean squares of two signals in the band `low_hz` to `high_hz` [Hz], before and after a change [(m/s²)²]."""
 
     low_hz: float
     high_hz: float
@@ -326,19 +326,19 @@ class BandChange:
 
     @property
     def change_db(self) -> float | None:
-        """Change of level [dB]; None if either mean square is 0."""
+        """Change of the band's level [dB]; None if either mean square is 0."""
         if not (self.before > 0.0 and self.after > 0.0):
             return None
         return float(10.0 * np.log10(self.after / self.before))
 
 
 def compare_bands(before: ArrayLike, rate_before: float, after: ArrayLike, rate_after: float) -> tuple[BandChange, ...]:
-    """Compare two signals in the nine octave bands and all above them.
+    """Compare the band levels of two signals in nine octave bands, 4 to 1000 Hz, and all frequencies above.
 
     Parameters
     ----------
     before, after : array_like, shape (n,)
-        The signals.
+        Accelerations [m/s²].
     rate_before, rate_after : float
         Their sample rates [Hz].
 

@@ -68,12 +68,12 @@ class Camera:
         return np.asarray(local @ self.pose[:3, :3].T + self.pose[:3, 3])
 
     def pixel_centres(self, rows: slice = slice(None)) -> Float:
-        """Return the pixel coordinates (H, W, 2) of all pixel centres of some rows."""
+        """Return the pixel coordinates (u, v) of the pixel centres, (H, W, 2), of a range of image rows."""
         x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height)[rows] + 0.5)
         return np.stack([x, y], axis=-1)
 
     def pixel_rays(self, rows: slice = slice(None)) -> tuple[Float, Float]:
-        """Return the ray origins and directions (H, W, 3) in the world, for the pixels of some rows.
+        """Return the world-space ray origins and directions, (H, W, 3) each, of the pixels in a range of image rows.
 
         Directions have camera z = 1, so that a hit's ray parameter is its planar depth.
         """
@@ -143,15 +143,15 @@ CAMERA_DISTANCE_M = 10e-3
 class Patch:
     """A square of surface with its tangent frame.
 
-    Directions of strokes on the patch are angles in (x_axis, normal × x_axis).
+    The direction of a stroke on it is an angle in the tangent plane, counted from `x_axis` towards `y_axis`.
 
     Attributes
     ----------
     centre, x_axis, normal : ndarray of float64, shape (3,)
-        Centre [m] and axes in the surface frame. `x_axis` is the surface's tangent (∂p/∂u if it has UVs), orthogonal to
-        `normal`.
+        Centre [m] and axes in the frame of the mesh. `x_axis` is the surface's tangent (∂p/∂u if it has UVs),
+        orthogonal to `normal`.
     slot : int
-        Material slot.
+        Material slot of the object, as in Blender.
     size_m : float
         Side of the square [m].
     """
@@ -169,7 +169,7 @@ class Patch:
 
     @property
     def reach_m(self) -> float:
-        """Radius around the centre that contains the clip range of the close-up camera [m]."""
+        """Radius of the sphere around the patch's centre that contains all its close-up camera can see [m]."""
         return float(np.hypot(CAMERA_DISTANCE_M, self.size_m * np.sqrt(0.5)))
 
     def camera(self, pixels: int) -> Camera:
@@ -177,6 +177,6 @@ class Patch:
         return orthographic(self.centre, self.x_axis, self.normal, self.size_m, pixels, CAMERA_DISTANCE_M)
 
     def to_plane(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert surface-frame points (..., 3) to tangent-plane coordinates (..., 2) [m]; centre = 0, +y up."""
+        """Convert points (..., 3) in the mesh's frame to tangent-plane coordinates (..., 2) [m]; centre = 0, +y up."""
         local = points - self.centre
         return np.stack([local @ self.x_axis, local @ self.y_axis], axis=-1)

@@ -1,4 +1,4 @@
-"""Triangle meshes in metres, their frame for float32 ray tracing, and the part of a mesh around given points."""
+"""Triangle meshes in metres, their scaled frame for float32 ray tracing, and the part of a mesh around given points."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class TriangleMesh:
     triangles : ndarray of int32, shape (T, 3)
         Vertex indices.
     face : ndarray of int32, shape (T,)
-        Polygon that each triangle came from.
+        Index of the polygon that each triangle came from.
     slot : ndarray of int32, shape (T,)
-        Material slot of each triangle.
+        Material slot of each triangle, as in Blender.
     normals : ndarray of float64, shape (T, 3, 3)
         Unit corner normals, smooth shading included.
     uv : ndarray of float64, shape (T, 3, 2), or None
@@ -53,7 +53,7 @@ class TriangleMesh:
 def has_area(corners: Float) -> NDArray[np.bool_]:
     """Return a mask (T,) of the triangles (T, 3, 3) that are wider than `MIN_RELATIVE_WIDTH` times their longest side.
 
-    A thinner triangle stops no ray, but a float32 tree may choose it before the surface that it lies on.
+    A thinner triangle stops no ray, but a float32 ray tracer may report it in place of the surface that it lies on.
     """
     sides = corners - np.roll(corners, 1, axis=1)
     longest = np.einsum("tcx,tcx->tc", sides, sides).max(axis=1, initial=0.0)
@@ -63,14 +63,14 @@ def has_area(corners: Float) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Float32Frame:
-    """Coordinates in which a float32 tree stores a mesh: (x − centre) · scale.
+    """Coordinates in which a float32 ray tracer (Embree) stores a mesh: (x − centre) · scale.
 
     Attributes
     ----------
     centre : ndarray of float64, shape (3,)
-        Median of the triangles' centroids [m], so that a part 10 km away costs the rest no digits.
+        Median of the triangles' centroids [m], so that a part 10 km away costs the rest no precision.
     scale : float
-        Power of two that brings the farthest corner to a distance of about 1 [1/m]; it rounds nothing.
+        Power of two that brings the farthest corner to a distance of about 1 [1/m]; a power of two causes no rounding.
     radius : float
         Radius of the sphere around `centre` that contains every triangle [m].
     """
@@ -85,7 +85,7 @@ class Float32Frame:
 
 
 def compute_float32_frame(corners: Float) -> Float32Frame:
-    """Compute the frame of triangles (T, 3, 3) [m].
+    """Compute the frame in which triangles (T, 3, 3) [m] fit float32 best.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def compute_float32_frame(corners: Float) -> Float32Frame:
 
 
 def crop_mesh(mesh: TriangleMesh, points: ArrayLike, reach_m: float) -> TriangleMesh:
-    """Return the part of a mesh around some points, so that later work does not depend on the size of the rest.
+    """Return the part of a mesh around some points, so that later work does not grow with the rest of the mesh.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def crop_mesh(mesh: TriangleMesh, points: ArrayLike, reach_m: float) -> Triangle
 def _triangles_in_box(
     mesh: TriangleMesh, triangles: NDArray[np.intp], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.intp]:
-    """Return the given triangles whose bounding boxes overlap a box; tests one axis after the other."""
+    """Return those of the given triangle indices whose bounding boxes overlap the box from `low` to `high` (3,) [m]."""
     for axis in range(3):
         corners = mesh.vertices[:, axis][mesh.triangles[triangles]]
         triangles = triangles[(corners.min(axis=1) <= high[axis]) & (corners.max(axis=1) >= low[axis])]

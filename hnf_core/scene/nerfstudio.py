@@ -44,7 +44,7 @@ class NerfstudioFrame:
     file_path, depth_file_path : str
         Paths below the folder of transforms.json, with '/'; "" if there is no depth image.
     camera : Camera
-        Camera in the frame and unit of the poses, or of the model if read by `read_model_transforms`.
+        Camera in the frame and unit of the file's poses, or of the trained model if read by `read_model_transforms`.
     """
 
     file_path: str
@@ -58,7 +58,7 @@ class NerfstudioFrame:
 
 
 def read_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
-    """Read the frames of a transforms.json in file order, with cameras in the frame of the poses.
+    """Read the images of a transforms.json in file order, with cameras in the frame of the file's poses.
 
     Raises FileError if the file is damaged, a key is missing or no number, a lens is no plain pinhole, a matrix is not
     rigid, or a path leaves the file's folder.
@@ -71,7 +71,7 @@ def read_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
 
 
 def read_model_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
-    """Read the frames of a transforms.json, with cameras in the frame of the exported model.
+    """Read the images of a transforms.json, with cameras in the frame of the exported model.
 
     Parameters
     ----------
@@ -87,7 +87,8 @@ def read_model_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
     Raises
     ------
     FileError
-        As `read_transforms`, and if a transform is damaged or cannot be inverted.
+        If a file is damaged, a key is missing or no number, a lens is no plain pinhole, a path leaves the folder, or a
+        transform is not rigid or cannot be inverted.
     """
     frames = read_transforms(path)
     model_path = path.with_name(MODEL_TRANSFORM_FILE)
@@ -182,7 +183,7 @@ def _read_number(path: Path, settings: Mapping[str, Any], key: str, where: str) 
 
 
 def _read_rigid_matrix(path: Path, values: Any, name: str) -> Float:
-    """Return a rigid (4, 4) matrix from three or four rows, its rotation made exact; raise FileError for any other."""
+    """Return the rigid (4, 4) matrix of three or four rows, its rotation made exact; raise FileError if not rigid."""
     try:
         rows = np.array(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
@@ -203,7 +204,7 @@ def _read_rigid_matrix(path: Path, values: Any, name: str) -> Float:
 
 
 def check_relative_path(path: Path, name: str, where: str) -> str:
-    """Return a path below the folder of `path`, with '/'; raise FileError for any other."""
+    """Return a path relative to the folder of the file `path`, with '/'; raise FileError if it leaves that folder."""
     text = name.replace("\\", "/")
     parts = PurePosixPath(text).parts
     if not parts or ".." in parts or PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive or "\0" in text:

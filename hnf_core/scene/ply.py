@@ -1,4 +1,4 @@
-"""Reading of PLY files: the header before anything is imported, and the rows of an element block by block."""
+"""Reading of PLY files: the header alone, and the rows of an element (such as vertex) in blocks."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ MAX_LINE_BYTES = 1 << 16
 
 
 def count_complete_rows(path: Path, header: PlyHeader, element: str) -> int:
-    """Count the rows of an element whose bytes are all in the file; for an ascii file return the header's count.
+    """Count the rows of an element that the file holds completely; for an ascii file return the header's count.
 
     Raises FileError if the element, or one before it, has rows of no fixed size.
     """
@@ -135,7 +135,7 @@ def count_complete_rows(path: Path, header: PlyHeader, element: str) -> int:
 
 
 def iter_rows(path: Path, header: PlyHeader, element: str, block: int) -> Iterator[Rows]:
-    """Yield structured arrays of an element's rows, up to `block` rows each, in the machine's byte order or the file's.
+    """Yield an element's rows as structured arrays of up to `block` rows, in native byte order or the file's.
 
     Raises FileError if the file is cut short, holds something other than numbers, or has rows of no fixed size.
     """
@@ -158,7 +158,7 @@ def iter_rows(path: Path, header: PlyHeader, element: str, block: int) -> Iterat
 
 
 def make_truncated_error(path: Path, element: str, present: int, count: int) -> FileError:
-    """Return the error for a file that ends too early."""
+    """Return the error for a file that has only `present` of the `count` rows of an element."""
     noun = "splats" if element == "vertex" else f"rows of its element '{element}'"
     return FileError(
         f"is cut short: {present} of its {count} {noun} are there.",
@@ -206,7 +206,7 @@ def _parse_numbers(path: Path, text: list[str], columns: int) -> NDArray[np.floa
 
 
 def _find_element_offset(path: Path, header: PlyHeader, element: str) -> int:
-    """Return the position of a binary element in the file [bytes]."""
+    """Return the position in the file of the first row of an element of a binary file [bytes]."""
     offset = header.data_offset
     for name, (count, _) in header.elements.items():
         if name == element:

@@ -1,4 +1,4 @@
-"""Ray casting and closest points on a triangle mesh: depth, faces, barycentrics and normals without rendering."""
+"""Ray casting and closest points on a triangle mesh: depth, polygons, barycentrics and normals without rendering."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Hits:
     triangle : ndarray of int32, shape (n,)
         Triangle index, -1 if the ray hits nothing.
     distance : ndarray of float64, shape (n,)
-        Ray parameter in lengths of the direction, inf if none.
+        Ray parameter t of the hit point origin + t · direction, inf if none.
     barycentric : ndarray of float64, shape (n, 3)
         Weights of the triangle's corners, zero if none.
     """
@@ -39,7 +39,7 @@ class Hits:
 
 @dataclass(frozen=True)
 class ClosestPoints:
-    """Closest surface points of n points.
+    """Surface points closest to n given points.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class ClosestPoints:
 
 
 class RayCaster(Protocol):
-    """Interface of ray casters."""
+    """Interface of objects that cast rays at one mesh."""
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Return the first hits of n rays, origins and directions (n, 3); directions need not be unit vectors."""
@@ -76,7 +76,7 @@ class CastView:
     depth : ndarray of float64, shape (H, W)
         Planar depth [m], inf if nothing is hit.
     triangle, face_id : ndarray of int32, shape (H, W)
-        Triangle and polygon, -1 if none.
+        Index of the triangle and of its polygon, -1 if none.
     barycentric : ndarray of float64, shape (H, W, 3)
         Weights of the triangle's corners.
     normal : ndarray of float64, shape (H, W, 3)
@@ -91,10 +91,10 @@ class CastView:
 
 
 class EmbreeCaster:
-    """Ray caster on Embree, through embreex.
+    """Ray caster on Embree, through the package embreex.
 
-    Embree computes in float32, so it only chooses the triangle, in the mesh's `Float32Frame`. Distance and barycentrics
-    come from the triangle's plane in float64.
+    Embree computes in float32, so it only chooses the triangle, in the mesh's `Float32Frame`. Distance and barycentric
+    weights come from the triangle's plane in float64.
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:
@@ -133,7 +133,7 @@ def make_embree_caster(mesh: TriangleMesh) -> EmbreeCaster:
 
 
 def cast_view(caster: RayCaster, mesh: TriangleMesh, camera: Camera) -> CastView:
-    """Cast a ray through every pixel centre: depth, ids, barycentrics and smooth normals within the clip range.
+    """Cast a ray through every pixel center of a camera: depth, ids, barycentrics and smooth normals in the clip range.
 
     Parameters
     ----------
@@ -179,14 +179,14 @@ def _cast_rows(caster: RayCaster, mesh: TriangleMesh, camera: Camera, rows: slic
 
 
 def find_closest_points(corners: Float, triangle: Int, points: Float) -> ClosestPoints:
-    """Return the closest point of one given triangle to each point.
+    """Return the point of one given triangle closest to each point.
 
     Parameters
     ----------
     corners : ndarray of float64, shape (T, 3, 3)
         Corner positions of all triangles [m].
     triangle : ndarray of int32, shape (n,)
-        Triangle of each point.
+        Index of the triangle to use for each point.
     points : ndarray of float64, shape (n, 3)
         The points [m].
 
@@ -202,7 +202,7 @@ def find_closest_points(corners: Float, triangle: Int, points: Float) -> Closest
 
 
 def find_closest_barycentric(corners: Float, points: Float) -> Float:
-    """Return barycentric weights (n, 3) of the point of triangle n (corners (n, 3, 3)) closest to point n (n, 3).
+    """Return barycentric weights (n, 3) of the point of each triangle (n, 3, 3) closest to the point (n, 3) of its row.
 
     The closest point is the projection onto the plane if that lies inside, else the nearest projection onto an edge.
     """
@@ -236,7 +236,7 @@ def _dot(first: Float, second: Float) -> Float:
 
 
 def compute_triangle_planes(corners: Float) -> tuple[Float, Float, Float, Float]:
-    """Return plane and barycentric axes of triangles (T, 3, 3), each (T, 3).
+    """Return the plane and the barycentric axes of triangles (T, 3, 3), four arrays (T, 3).
 
     Returns
     -------
@@ -256,7 +256,7 @@ def compute_triangle_planes(corners: Float) -> tuple[Float, Float, Float, Float]
 
 
 def _plane_barycentric(towards: tuple[Float, Float], offset: Float) -> Float:
-    """Return weights (n, 3) of offsets from corner 0 in the planes of `compute_triangle_planes`."""
+    """Return barycentric weights (n, 3) of in-plane offsets (n, 3) from corner 0; `towards` holds both axes (n, 3)."""
     v, w = _dot(offset, towards[0]), _dot(offset, towards[1])
     return np.stack([1.0 - v - w, v, w], axis=-1)
 
@@ -264,7 +264,10 @@ def _plane_barycentric(towards: tuple[Float, Float], offset: Float) -> Float:
 def intersect_planes(
     origin: Float, normal: Float, second: Float, third: Float, origins: Float, directions: Float
 ) -> tuple[Float, Float]:
-    """Return ray parameters (inf if parallel) and barycentric weights on planes from `compute_triangle_planes`."""
+    """Intersect n rays with n planes from `compute_triangle_planes`; all arguments are (n, 3).
+
+    Returns the ray parameters (n,), inf if parallel, and the barycentric weights (n, 3) of the intersections.
+    """
     facing = _dot(directions, normal)
     parallel = facing == 0.0
     distance = np.where(parallel, np.inf, _dot(origin - origins, normal) / np.where(parallel, 1.0, facing))
@@ -274,7 +277,7 @@ def intersect_planes(
 
 
 def refine_hits(corners: Float, triangle: Int, origins: Float, directions: Float) -> Hits:
-    """Compute distance and barycentrics in float64 for triangles that are already chosen.
+    """Compute distance and barycentrics in float64 for rays whose triangle is already known.
 
     Parameters
     ----------
@@ -307,7 +310,10 @@ def refine_hits(corners: Float, triangle: Int, origins: Float, directions: Float
 
 
 def _find_distinct_triangles(triangle: Int, count: int) -> tuple[Any, NDArray[np.integer[Any]]]:
-    """Return the distinct triangles, or all if there are few, and the index of each entry among them."""
+    """Return an index of the distinct triangles among `triangle` (n,), and the position (n,) of each entry among them.
+
+    If the mesh has fewer triangles (`count`) than n, the index selects all of them, which saves sorting.
+    """
     if count < len(triangle):
         return slice(None), triangle
     distinct, inverse = np.unique(triangle, return_inverse=True)
@@ -327,7 +333,7 @@ def as_ray_arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[Float, Flo
 
 
 def _drop_unused_vertices(vertices: Float, triangles: Int) -> tuple[Float, Int]:
-    """Return only the vertices that triangles use, and renumbered triangles: a stray vertex may exceed float32."""
+    """Return the vertices that triangles use, and renumbered triangles: an unused vertex may exceed float32's range."""
     used = np.zeros(len(vertices), dtype=bool)
     used[triangles] = True
     if used.all():

@@ -24,11 +24,12 @@ class RgbdView:
     rgb : ndarray of float32, shape (H, W, 3)
         Linear colour.
     depth : ndarray of float32, shape (H, W)
-        Planar depth [m], inf for the sky.
+        Planar depth [m], inf where nothing is hit.
     face_id : ndarray of int32, shape (H, W)
-        Polygon, -1 if none.
+        Index of the polygon seen, -1 if none.
     normal : ndarray of float32, shape (H, W, 3), or None
-        World shading normal with micro-normals, zero if nothing is hit; None if the pass was not rendered.
+        World shading normal, with bump and normal maps applied, zero if nothing is hit; None if the pass was not
+        rendered.
     channels : mapping of str to ndarray of float32
         Further passes (H, W) or (H, W, 3) by name.
     """

@@ -4,9 +4,9 @@ LuGre (C. Canudas de Wit, H. Olsson, K. J. Åström & P. Lischinsky 1995, "A new
 friction", IEEE Trans. Autom. Control 40): bristles that bend elastically and slip at the Stribeck curve, dw/dt = σ0 (v
 − |v| w / g(v)), force per load f = w + (σ1/σ0) dw/dt, g = μ (1 + (s − 1) exp(−(v/v_s)²)), where w = σ0 z is the
 bristles' force per load. Scaled by the load N and in two dimensions as in tyres (C. Canudas de Wit et al. 2003, Vehicle
-System Dynamics 39; E. Velenis, P. Tsiotras & C. Canudas de Wit 2005, ibid. 43). Bristles are released where contact is
-lost. Viscous σ2 is left out, since the contacts are dry. No constant is fitted: bristles have the contact's own
-tangential stiffness and damping.
+System Dynamics 39; E. Velenis, P. Tsiotras & C. Canudas de Wit 2005, ibid. 43). The bristles' deflection is reset where
+contact is lost. Viscous σ2 is left out, since the contacts are dry. No constant is fitted: bristles have the contact's
+own tangential stiffness and damping.
 
 `SmoothedMaps` gives heights and slopes of a periodic map under a path, by cubic B-splines on maps that are smoothed by
 the tip's contact.
@@ -43,17 +43,17 @@ Björklund 2007, Tribology International 40)."""
 
 @dataclass(frozen=True)
 class Bristles:
-    """Bristle constants of B contacts, each (B,).
+    """Constants of LuGre's bristles (elastic friction state) for B contacts, each (B,).
 
     Attributes
     ----------
     friction : ndarray
         Coulomb μ.
     stiffness : ndarray
-        σ0 at 1 N [1/m].
+        Bristle stiffness σ0 per load, at 1 N [1/m].
     damping : ndarray
-        σ1 at rest [s/m]; it fades with the Stribeck curve so that bristles never drive the probe (Olsson et al. 1998,
-        Eur. J. Control 4).
+        Bristle damping σ1 per load at rest [s/m]; it fades with the Stribeck curve so that bristles never drive the
+        probe (Olsson et al. 1998, Eur. J. Control 4).
     """
 
     friction: Float
@@ -62,7 +62,7 @@ class Bristles:
 
 
 def derive_bristles(mechanics: Sequence[Mechanics], probe: Probe) -> Bristles:
-    """Derive bristle constants: σ0 by Mindlin from the normal stiffness at 1 N, σ1 from the normal damping ratio ζ."""
+    """Derive LuGre's σ0 by Mindlin from the normal stiffness at 1 N, and σ1 from the normal damping ratio ζ."""
     normal = [
         float(contact_stiffness(entry, probe, 1.0)) if probe.soft_tip else surface_stiffness_at_1n(entry, probe)
         for entry in mechanics
@@ -74,7 +74,7 @@ def derive_bristles(mechanics: Sequence[Mechanics], probe: Probe) -> Bristles:
 
 
 class FrictionLaw(Protocol):
-    """Interface of friction laws of B contacts, as the integrator uses it; `LuGre` documents the arguments."""
+    """Interface of friction laws of B contacts, as the integrator calls it at every time step."""
 
     force: Float
 
@@ -83,19 +83,19 @@ class FrictionLaw(Protocol):
     def linearise(
         self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
     ) -> tuple[Float, Float]:
-        """Linearise the friction of this step; see `LuGre.linearise`."""
+        """Return a (2, B), b (B,) [s/m] of the friction force per load a + b v_new; see `LuGre.linearise`."""
         ...
 
     def update(self, sliding: Float) -> None:
-        """Update the state by the new velocity (2, B) [m/s]."""
+        """Update the state of the law by the new sliding velocity (2, B) [m/s]."""
         ...
 
 
 class LuGre:
-    """LuGre friction of B contacts; `force` (2, B) is the bristles' force per load."""
+    """LuGre friction of B contacts; its state `force` (2, B) is the force of the bristles per load."""
 
     def __init__(self, bristles: Bristles, velocity: Float, dt: float) -> None:
-        """Start with bristles settled at the velocity (2, B) of the first step [m/s]."""
+        """Start with bristles settled at steady sliding with the velocity (2, B) of the first step [m/s]."""
         self._friction, self._dt = bristles.friction, dt
         self._step = bristles.stiffness * dt
         self._damping = bristles.damping / self._step
@@ -107,16 +107,16 @@ class LuGre:
     def linearise(
         self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
     ) -> tuple[Float, Float]:
-        """Linearise the friction of this step as a + b v_new per unit of load.
+        """Linearise this step's friction force per unit of load as a + b v_new, v_new the sliding velocity after it.
 
         Parameters
         ----------
         sliding : ndarray, shape (2, B)
             Velocity over the surface before the step [m/s].
         flank_friction : ndarray, shape (B,)
-            Rise of μ per unit of slope against the motion.
+            Rise of μ per unit of slope that the tip climbs.
         surface_slope : ndarray, shape (2, B)
-            Slope of the surface.
+            Slope of the surface, ∂h/∂x and ∂h/∂y.
         touching : ndarray of bool, shape (B,)
             True in contact.
 
@@ -129,7 +129,8 @@ class LuGre:
 
         Notes
         -----
-        Backward Euler in w and v; |v| and g are those before the step. Call `update` with v_new afterwards.
+        Backward Euler in the bristles' force w and the velocity v; |v| and the Stribeck curve g are those before the
+        step. Call `update` with v_new afterwards.
         """
         squared = sliding[0] * sliding[0]
         squared += sliding[1] * sliding[1]
@@ -155,12 +156,12 @@ class LuGre:
         return gain * self._predicted_force - self._damped * self.force, gain * self._velocity_gain
 
     def update(self, sliding: Float) -> None:
-        """Update the bristles by the new velocity (2, B) [m/s]."""
+        """Update the bristles by the new sliding velocity (2, B) [m/s]."""
         self.force = self._predicted_force + self._velocity_gain * sliding
 
 
 class Coulomb:
-    """Kinetic friction regularised at creep speed, without memory or stiction."""
+    """Kinetic Coulomb friction, regularised below a creep speed, without memory or stiction."""
 
     def __init__(self, bristles: Bristles, velocity: Float, dt: float) -> None:
         del dt
@@ -170,7 +171,7 @@ class Coulomb:
     def linearise(
         self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
     ) -> tuple[Float, Float]:
-        """Linearise as `LuGre.linearise`, with a = 0."""
+        """Return a = 0 and b (B,) [s/m] of the friction force per load a + b v_new; arguments of `LuGre.linearise`."""
         del touching
         speed = np.sqrt(np.square(sliding).sum(axis=0) + CREEP_SPEED_M_S**2)
         flank = (surface_slope * sliding).sum(axis=0) * flank_friction / speed
@@ -194,7 +195,7 @@ HAND_DRAG_PER_S = 10.0
 
 @dataclass(frozen=True)
 class Physics:
-    """Modelled effects; the default is all of them, other values are for ablations.
+    """Physical effects that the simulation models; the default is all of them, other values are for ablations.
 
     Attributes
     ----------
@@ -232,19 +233,20 @@ class ContactMotion:
 
 
 DRIVE_COUNT = 7
-"""Number of drives: height [m], slopes along x and y, the hand's velocity x and y [m/s], force [N], rise of friction
-with slope."""
+"""Number of inputs of the contact simulation (drives), in this order: height [m], slopes along x and y, the hand's
+velocity x and y [m/s], force [N], rise of friction with slope."""
 
 
 def integrate_contact(
     blocks: Iterable[Float], mechanics: Sequence[Mechanics], probe: Probe, dt: float, physics: Physics
 ) -> Iterator[ContactMotion]:
-    """Integrate the motion of B contacts by semi-implicit Euler from static equilibrium.
+    """Integrate the motion of a probe at B contacts by semi-implicit Euler from static equilibrium.
 
     Parameters
     ----------
     blocks : iterable of ndarray, shape (DRIVE_COUNT, steps + 2, B)
-        Drives; the first and last step of a block belong to its neighbours.
+        Inputs over time, in the order of `DRIVE_COUNT`; the first and last step of a block repeat the adjacent blocks'
+        steps.
     mechanics : sequence of Mechanics
         Mechanics of each contact.
     probe : Probe
@@ -252,7 +254,7 @@ def integrate_contact(
     dt : float
         Time step [s].
     physics : Physics
-        Modelled effects.
+        Physical effects to model.
 
     Yields
     ------
@@ -331,11 +333,11 @@ def integrate_contact(
 
 
 def compute_contact_force(depth: Float, b: Float, probe_stiffness: float) -> tuple[Float, Float]:
-    """Return elastic force [N] and tangent stiffness [N/m] at a penetration ≥ 0 [m].
+    """Return elastic force [N] and tangent stiffness [N/m] at a penetration δ ≥ 0 [m] of a Hertzian contact and spring.
 
-    Solves δ = b s² + s³/k, F = s³. With s = sqrt(δ/b) / y, y³ = y + β, β = sqrt(δ/b) / (b k): three fixed-point steps,
-    then Newton. The error of F is below 1e-6 up to β = 30 (the pen), 2e-4 up to 3000, and 0.3 % for a fingertip that
-    strikes stone with 20 N.
+    Solves δ = b s² + s³/k, F = s³: b is the surface's Hertzian compliance, k the stiffness of the probe in series. With
+    s = sqrt(δ/b) / y, y³ = y + β, β = sqrt(δ/b) / (b k): three fixed-point steps, then Newton. The error of F is below
+    1e-6 up to β = 30 (the pen), 2e-4 up to 3000, and 0.3 % for a fingertip that strikes stone with 20 N.
     """
     x = depth / b
     np.sqrt(x, out=x)
@@ -365,12 +367,13 @@ def compute_contact_force(depth: Float, b: Float, probe_stiffness: float) -> tup
 
 
 RADIUS_STEP = 1.03
-"""Ratio of consecutive contact radii for which maps are smoothed; at q = 3 the low-pass is off by 3 % at most."""
+"""Ratio of consecutive contact radii for which maps are smoothed; where κ · 2π · radius = 3, the low-pass is off by 3 %
+at most."""
 
 
 @dataclass
 class SmoothedMaps:
-    """Spline coefficients of one height map, smoothed for several contact radii; the latest `cache_size` are cached.
+    """One height map as B-spline coefficients, smoothed for several contact radii; the latest `cache_size` are cached.
 
     Attributes
     ----------
@@ -411,7 +414,7 @@ class SmoothedMaps:
         return np.fft.irfft2(self._spectrum * gain, (rows, columns)).astype(np.float32)
 
     def sample(self, position: Float, radius_m: float) -> tuple[Float, Float, Float]:
-        """Return height [m] and slopes ∂h/∂x, ∂h/∂y, (n,) each, at positions (n, 2) [m, +y up]."""
+        """Return height [m], ∂h/∂x and ∂h/∂y, (n,) each, at positions (n, 2) [m, +y up] for a contact radius [m]."""
         coefficients = self.coefficients(radius_m)
         rows, columns = coefficients.shape
         pixel = self.size_m / columns
@@ -432,12 +435,12 @@ class SmoothedMaps:
 
 
 def _spline_gain(frequency: Float) -> Float:
-    """Return the transfer of the cubic B-spline at the grid points, (4 + 2 cos 2πf) / 6."""
+    """Return the frequency response of cubic B-spline samples at f [cycles/pixel], (4 + 2 cos 2πf) / 6."""
     return np.asarray((2.0 + np.cos(2.0 * np.pi * frequency)) / 3.0)
 
 
 def _spline_weights(t: Float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the weights (n, 4) of the four taps around t in 0 … 1, and their derivatives by t."""
+    """Return cubic B-spline weights (n, 4) of the four samples around fractions t, 0 … 1, and derivatives by t."""
     s = 1.0 - t
     weights = np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3], axis=-1) / 6.0
     slopes = np.stack([-(s**2), 3 * t**2 - 4 * t, -3 * s**2 + 4 * s, t**2], axis=-1) / 2.0

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def dft321(acceleration: ArrayLike) -> NDArray[np.float64]:
-    """Fuse three axes of acceleration into one.
+    """Fuse three axes of acceleration into one signal of the same spectral power.
 
     Parameters
     ----------

@@ -6,10 +6,10 @@ never a gain on the output.
 
 Frame: x runs along the grain (wood, brushed metal); ribs and grooves (corduroy, ribbed plastic) run along y, so that a
 stroke along x crosses them. Stiffness, damping and friction describe the contact under the pen at 1 N, backing included
-(a cloth lies on a board). Roughness is the RMS height of the complete surface; the parts' own rms_m are relative
-weights. Both are chosen so that simulated accelerations lie in the range of recorded textures of the category (H.
-Culbertson et al. 2014, "One hundred data-driven haptic texture models", IEEE Haptics Symposium): the values make the
-model feel right, they are no profilometer readings.
+(a cloth lies on a board). Roughness is the RMS height of the complete surface; the rms_m of the recipe's parts (noise,
+lattices, grains) are only relative weights. Both are chosen so that simulated accelerations lie in the range of
+recorded textures of the category (H. Culbertson et al. 2014, "One hundred data-driven haptic texture models", IEEE
+Haptics Symposium): the values make the model feel right, they are no profilometer readings.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ MM = 1e-3
 
 @dataclass(frozen=True)
 class MaterialEntry:
-    """A row of the table.
+    """A row of the table of materials.
 
     Attributes
     ----------
     name, category : str
-        As in `material.library.LibraryMaterial`.
+        Unique name ("oak-wood") and category ("wood"), as in `material.library.LibraryMaterial`.
     hatt : str
-        Recorded HaTT category that it is compared with, "" if there is none.
+        Category of recorded textures in the data set HaTT that it is compared with, "" if there is none.
     words : str
         Words that name it, separated by blanks.
     mechanics : Mechanics
-        Mechanics under the pen.
+        Stiffness, damping and friction under the pen.
     roughness_um : float
-        RMS height [µm].
+        RMS height of the complete surface [µm].
     parts : SurfaceRecipe
-        Parts of the surface, with relative heights.
+        Noise, lattices and grains that the surface is the sum of, with relative heights.
     appearance : Appearance
         Typical shading values.
     scatter : float
-        Factor of `Scatter` for its instances.
+        Factor on the standard deviations of `Scatter` when instances are drawn.
     """
 
     name: str
@@ -67,19 +67,19 @@ class MaterialEntry:
 def make_noise(
     slope: float, rolloff_mm: float, *, weight: float = 1.0, stretch: float = 1.0, cutoff_mm: float = 0.06
 ) -> Noise:
-    """Return a `Noise` part, with lengths in mm."""
+    """Return a `Noise` part of a surface, with lengths in mm and a relative height (`weight`)."""
     return Noise(weight, slope, rolloff_mm * MM, cutoff_mm * MM, stretch)
 
 
 def make_grains(
     diameter_mm: float, cover: float, *, sign: int = 1, weight: float = 1.0, stretch: float = 1.0
 ) -> Grains:
-    """Return a `Grains` part, with the diameter in mm."""
+    """Return a `Grains` part of a surface, with the diameter in mm and a relative height (`weight`)."""
     return Grains(weight, diameter_mm * MM, cover, sign, stretch=stretch)
 
 
 def make_recipe(*parts: Noise | Lattice | Grains) -> SurfaceRecipe:
-    """Collect parts into a `SurfaceRecipe`."""
+    """Collect noise, lattices and grains into a `SurfaceRecipe`."""
     return SurfaceRecipe(
         tuple(p for p in parts if isinstance(p, Noise)),
         tuple(p for p in parts if isinstance(p, Lattice)),
@@ -95,12 +95,12 @@ def make_appearance(
     sheen: float = 0.0,
     transmission: float = 0.0,
 ) -> Appearance:
-    """Return an `Appearance` without unknown values."""
+    """Return an `Appearance` (shading values) without unknown values."""
     return Appearance(color, roughness, metallic, sheen, transmission)
 
 
 def build_recipe(entry: MaterialEntry) -> SurfaceRecipe:
-    """Return the recipe of an entry, with weights converted to RMS heights in metres."""
+    """Return the surface recipe of an entry, with the parts' weights converted to RMS heights in metres."""
     parts: tuple[Noise | Lattice | Grains, ...] = (*entry.parts.noise, *entry.parts.lattices, *entry.parts.grains)
     return entry.parts.scale_heights(entry.roughness_um * 1e-6 / float(np.sqrt(sum(part.rms_m**2 for part in parts))))
 
@@ -314,18 +314,19 @@ CLASS_ENTRIES = {entry.name: entry for entry in MATERIAL_TABLE}
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of instances within a class, for all classes.
+    """Random scatter of instances (pieces) of a material class, the same for all classes.
 
-    Standard deviations of the natural logarithm (of `slope`: absolute), truncated at two of them.
+    Values are standard deviations of the quantity's natural logarithm (of `slope`: of its value), truncated at two of
+    them.
 
     Attributes
     ----------
     level : float
         RMS height; makers control Ra to about a third (ISO 1302 classes are a factor of two apart).
     balance : float
-        Height of one part against the others.
+        Height of one part (noise, lattice, grains) against the others.
     slope : float
-        Exponent of the spectrum.
+        Exponent of the noise spectrum.
     length : float
         Roll-off, cut-off and grain size.
     pitch : float
@@ -333,7 +334,7 @@ class Scatter:
     cover : float
         Coverage of grains.
     stiffness, damping, friction : float
-        Mechanics, as data sheets and tribometers scatter within one material.
+        Mechanical properties, as data sheets and tribometers scatter within one material.
     """
 
     level: float = 0.2
@@ -351,22 +352,22 @@ DEFAULT_SCATTER = Scatter()
 
 
 def list_classes() -> tuple[str, ...]:
-    """Return the names of all classes."""
+    """Return the names of all material classes."""
     return tuple(CLASS_ENTRIES)
 
 
 def get_category(class_name: str) -> str:
-    """Return the category of a class, for example "wood"."""
+    """Return the category of a material class, for example "wood"."""
     return _get_entry(class_name).category
 
 
 def get_recorded_category(class_name: str) -> str:
-    """Return the HaTT category that a class is compared with, "" if there is none."""
+    """Return the category of recorded textures (data set HaTT) that a class is compared with, "" if there is none."""
     return _get_entry(class_name).hatt
 
 
 def sample_instance(class_name: str, seed: int, scatter: Scatter = DEFAULT_SCATTER) -> tuple[SurfaceRecipe, Mechanics]:
-    """Sample an instance of a class.
+    """Sample an instance (one piece) of a material class: its surface recipe and mechanics.
 
     Parameters
     ----------
@@ -439,7 +440,7 @@ def sample_instance(class_name: str, seed: int, scatter: Scatter = DEFAULT_SCATT
 
 
 def derive_seed(name: str) -> int:
-    """Derive a seed from a name, the same on every machine."""
+    """Derive a random seed from a name, the same on every machine."""
     return int.from_bytes(blake2b(name.encode(), digest_size=4).digest(), "little")
 
 
@@ -452,7 +453,7 @@ def _get_entry(class_name: str) -> MaterialEntry:
 
 
 def _scale_pitch(lattice: Lattice, x: float, y: float) -> Lattice:
-    """Divide a lattice's pitch by `x` and `y`, to the nearest whole number of repeats on the tile."""
+    """Return a lattice with its pitch divided by `x` and `y` along the axes, to whole numbers of periods on a tile."""
     repeats = [gcd(*(wave[0] for wave in lattice.waves)), gcd(*(wave[1] for wave in lattice.waves))]
     if repeats[0] == repeats[1]:
         y = x  # keeps a square lattice square

@@ -30,7 +30,7 @@ from .contact_dynamics import (
 
 Float = NDArray[np.float64]
 BLOCK_SAMPLES = 128
-"""Number of samples integrated together: large batches stay within the processor's cache."""
+"""Number of samples integrated in one block, so that large batches stay within the processor's cache."""
 SAMPLE_RATE_HZ = 10_000.0
 """Sample rate of strokes and accelerations [Hz]."""
 ASPERITY_SHARE = 0.5
@@ -43,12 +43,12 @@ fitted together with the form of that factor, `ASPERITY_SHARE` and the pen's tip
 about the effect that they have in recorded textures (HaTT). All materials share one value, which was not checked on
 held-out ones."""
 FULL_PHYSICS = Physics()
-"""Physics with all effects."""
+"""Simulation with all physical effects."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """Motion of the hand, sampled at `SAMPLE_RATE_HZ`: position (n, 2) on the map [m], force (n,) ≥ 0 [N]."""
+    """Motion of the hand, sampled at `SAMPLE_RATE_HZ`: position (n, 2) on the height map [m], force (n,) ≥ 0 [N]."""
 
     position: Float
     force: Float
@@ -62,7 +62,7 @@ def straight_stroke(
     angle_rad: float = 0.0,
     start_m: tuple[float, float] = (0.0, 0.0),
 ) -> Stroke:
-    """Make a stroke of constant direction, speed and force."""
+    """Make a stroke of constant direction `angle_rad` (from +x), speed and force, from `start_m` on the map."""
     n = round(duration_s * SAMPLE_RATE_HZ)
     distance = np.arange(n) * (speed_m_s / SAMPLE_RATE_HZ)
     direction = np.array([np.cos(angle_rad), np.sin(angle_rad)])
@@ -78,27 +78,27 @@ def simulate_batch(
     oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
 ) -> Float:
-    """Simulate a batch of strokes.
+    """Simulate a batch of B strokes, each on its own surface.
 
     Parameters
     ----------
     maps : sequence of SmoothedMaps
-        Height map of each row; one map may serve many rows, best adjacent ones, since it caches what it smoothed.
+        Height map of each stroke; one map may serve several, best adjacent ones, since it caches its smoothed versions.
     strokes : sequence of Stroke
-        Stroke of each row, all equally long.
+        The strokes, all equally long.
     mechanics : sequence of Mechanics
-        Mechanics of each row.
+        Stiffness, damping and friction of each stroke's surface.
     probe : Probe
         The probe.
     oversample : int
         Integration steps per sample.
     physics : Physics
-        Modelled effects.
+        Physical effects to model.
 
     Returns
     -------
     ndarray, shape (B, n, 3)
-        Acceleration of the probe at `SAMPLE_RATE_HZ` [m/s²], axes x, y, normal of the maps' frame.
+        Acceleration of the probe at `SAMPLE_RATE_HZ` [m/s²], axes x, y of the height map and its normal.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def simulate_batch(
 
     Notes
     -----
-    A Python step costs the same for 1 row as for 50, so batches are fast. Every row starts in static equilibrium.
+    A time step costs about the same for 1 stroke as for 50, so batches are fast. Each starts in static equilibrium.
     """
     blocks = [
         motion.acceleration for motion in _integrate_strokes(maps, strokes, mechanics, probe, oversample, physics)
@@ -124,7 +124,7 @@ def simulate_motion(
     oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
 ) -> ContactMotion:
-    """Simulate a batch as `simulate_batch`, but return the complete motion at every integration step."""
+    """Simulate a batch like `simulate_batch`, but return acceleration, force and sliding at every integration step."""
     blocks = list(_integrate_strokes(maps, strokes, mechanics, probe, oversample, physics))
     return ContactMotion(
         np.concatenate([block.acceleration for block in blocks]),
@@ -142,7 +142,7 @@ def simulate(
     oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
 ) -> Float:
-    """Simulate one stroke, (n, 3); see `simulate_batch`."""
+    """Simulate one stroke; return the acceleration (n, 3) [m/s²] along x, y and the normal (see `simulate_batch`)."""
     return np.asarray(
         simulate_batch([surface], [stroke], [mechanics], probe, oversample=oversample, physics=physics)[0]
     )
@@ -179,7 +179,10 @@ def _validate_batch(
 
 
 def _compute_drives(surface: SmoothedMaps, stroke: Stroke, mechanics: Mechanics, probe: Probe) -> Float:
-    """Compute the drives (DRIVE_COUNT, n) of one stroke, in the order of `contact_dynamics.DRIVE_COUNT`."""
+    """Compute the inputs (DRIVE_COUNT, n) of the contact simulation over one stroke: heights, slopes, velocity, force.
+
+    Their order is that of `contact_dynamics.DRIVE_COUNT`.
+    """
     position = np.asarray(stroke.position, dtype=np.float64)
     force = np.maximum(np.asarray(stroke.force, dtype=np.float64), 0.0)
     velocity = np.gradient(position, 1.0 / SAMPLE_RATE_HZ, axis=0)
@@ -191,7 +194,7 @@ def _compute_drives(surface: SmoothedMaps, stroke: Stroke, mechanics: Mechanics,
 
 
 def _sample_at_radius(surface: SmoothedMaps, position: Float, radius: Float) -> Float:
-    """Return height and slopes (3, n) under a contact of varying radius (n,), blended between smoothed maps."""
+    """Return height and slopes (3, n) under a contact of varying radius (n,), interpolated between smoothed maps."""
     largest = float(radius.max())
     # Since a ∝ F^(1/3), a twofold range of radius covers an eightfold range of force; lighter contact hardly sounds.
     smallest = max(float(radius.min()), 0.5 * largest)
@@ -205,9 +208,10 @@ def _sample_at_radius(surface: SmoothedMaps, position: Float, radius: Float) -> 
 
 
 def oversample_blocks(drives: Float, factor: int) -> Iterator[Float]:
-    """Interpolate drives (D, n, B) by `factor`; yield blocks (D, steps + 2, B) that overlap by one fine step per side.
+    """Interpolate D time series of B contacts, (D, n, B), by `factor`; yield them in blocks (D, steps + 2, B).
 
-    Cubic (Catmull–Rom) interpolation; both ends are extrapolated linearly.
+    A block overlaps the adjacent ones by one fine step on either side. Cubic (Catmull–Rom) interpolation; both ends of
+    the series are extrapolated linearly.
     """
     first, last = drives[:, :1], drives[:, -1:]
     rise, fall = drives[:, 1:2] - first, last - drives[:, -2:-1]
@@ -220,7 +224,7 @@ def oversample_blocks(drives: Float, factor: int) -> Iterator[Float]:
 
 
 def _interpolate_cubic(values: Float, factor: int) -> Float:
-    """Interpolate (D, m + 3, B) to (D, m · factor, B), from the second value towards the next."""
+    """Interpolate time series (D, m + 3, B) to (D, m · factor, B) by Catmull–Rom splines, from the second sample on."""
     a, b, c, d = values[:, :-3], values[:, 1:-2], values[:, 2:-1], values[:, 3:]
     fine = np.empty((b.shape[0], b.shape[1], factor, b.shape[2]))
     fine[:, :, 0] = b
@@ -234,7 +238,7 @@ def _interpolate_cubic(values: Float, factor: int) -> Float:
 
 
 def decimate(fine: Float, factor: int) -> Float:
-    """Decimate (n · factor, C, B) to (B, n, C) by a zero-phase windowed-sinc low-pass, so that impacts do not alias."""
+    """Decimate series (n · factor, C, B) to (B, n, C) by a zero-phase windowed-sinc low-pass against aliasing."""
     steps, channels, rows = fine.shape
     n = steps // factor
     samples = np.empty((rows, n, channels))

@@ -1,4 +1,4 @@
-"""Procedural micro-geometry: from a recipe in physical units and a seed to one period of a height map.
+"""Procedural micro-geometry: from a recipe (parameters in physical units) and a seed to one period of a height map.
 
 A height map is (pixels, pixels) float32 in metres, mean 0, periodic on its tile; column → +x, row → −y (the patch frame
 of tactile maps), pixel (0, 0) at the origin. Angles are counted from +x towards +y. A recipe is a sum of self-affine
@@ -107,14 +107,14 @@ class Grains:
 
 @dataclass(frozen=True)
 class SurfaceRecipe:
-    """A surface as the sum of its parts."""
+    """Parameters of a generated surface, the sum of its parts: noise, lattices, grains or pits."""
 
     noise: tuple[Noise, ...] = ()
     lattices: tuple[Lattice, ...] = ()
     grains: tuple[Grains, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert to a JSON-able dict, for `from_dict`."""
+        """Convert to a dict for JSON, which `from_dict` reads."""
         return asdict(self)
 
     @staticmethod
@@ -146,12 +146,12 @@ class SurfaceRecipe:
 def height_map(
     recipe: SurfaceRecipe, seed: int, *, pixels: int = TILE_PIXELS, size_m: float = TILE_SIZE_M
 ) -> NDArray[np.float32]:
-    """Render one period of a surface.
+    """Render one period of a surface as a height map.
 
     Parameters
     ----------
     recipe : SurfaceRecipe
-        The recipe; each part has exactly its rms_m on the tile.
+        Parameters of the surface; each part's RMS height over the tile is exactly its rms_m.
     seed : int
         Seed; the same seed gives the same bytes.
     pixels : int
@@ -167,7 +167,7 @@ def height_map(
     Raises
     ------
     MaterialError
-        For a lattice finer than two pixels.
+        For a lattice whose pitch is below two pixels.
     """
     rng = np.random.default_rng(seed)
     total = np.zeros((pixels, pixels))
@@ -249,18 +249,18 @@ def _render_grains(grains: Grains, rng: np.random.Generator, pixels: int, size_m
 
 
 def _round_periods(pitch_m: float, multiple: int = 1) -> int:
-    """Return the number of periods nearest to a pitch on the tile, a positive multiple of `multiple`."""
+    """Return the number of periods on the tile nearest to a pitch [m], a positive multiple of `multiple`."""
     return multiple * max(1, round(TILE_SIZE_M / pitch_m / multiple))
 
 
 def grating(rms_m: float, pitch_m: float, *, harmonic: float = 0.3, irregularity: float = 0.0) -> Lattice:
-    """Make grooves along y, so that a stroke along x crosses them; `harmonic` is the second harmonic's amplitude."""
+    """Make grooves along y, so that a stroke along x crosses them; `harmonic` is the second harmonic's weight."""
     n = _round_periods(pitch_m)
     return Lattice(rms_m, ((n, 0, 1.0, 0.0), (2 * n, 0, harmonic, 0.0)), irregularity)
 
 
 def plain_weave(rms_m: float, thread_m: float, *, weft_m: float | None = None, irregularity: float = 0.05) -> Lattice:
-    """Make a plain weave: a checkerboard of crests of twice the thread pitch, and the threads themselves."""
+    """Make a plain weave of a thread pitch [m]: a checkerboard of crests at twice the pitch, and the threads."""
     x, y = _round_periods(thread_m, 2), _round_periods(weft_m or thread_m, 2)
     waves = ((x // 2, y // 2, 1.0, 0.0), (x // 2, -y // 2, 1.0, 0.0), (x, 0, 0.5, 0.0), (0, y, 0.4, 0.0))
     return Lattice(rms_m, waves, irregularity)
@@ -291,7 +291,7 @@ EXAMPLE_RECIPES = {
 
 
 def random_recipe(rng: np.random.Generator) -> SurfaceRecipe:
-    """Draw a recipe from the range of everyday materials: always noise, often grain, lattices or pits."""
+    """Draw a recipe from the range of everyday materials: always noise, often anisotropic, with lattices or grains."""
     rms = 10.0 ** rng.uniform(-6.2, -4.6)
     angle = rng.uniform(0.0, np.pi)
     stretch = 1.0 if rng.random() < 0.5 else float(np.exp(rng.uniform(0.3, 3.0)))

@@ -1,6 +1,6 @@
-"""Statistics of a simulated texture: level, direction, centroid, band power, and exponents of speed and force.
+"""Statistics of a simulated texture's acceleration: level, spectrum, anisotropy, dependence on speed and force.
 
-They are compared with those of recorded textures, for the method and for the library.
+They are compared with those of recorded textures, to validate the simulator and the material library.
 """
 
 from __future__ import annotations
@@ -20,26 +20,27 @@ from .simulate import FULL_PHYSICS, SAMPLE_RATE_HZ, simulate_batch, straight_str
 Float = NDArray[np.float64]
 
 STROKE_CONDITIONS = ((0.1, 1.0), (0.05, 1.0), (0.15, 1.0), (0.1, 0.5), (0.1, 2.0))
-"""Speed [m/s] and force [N]: the centre, then the ends of the speed and of the force exponent."""
+"""Speed [m/s] and force [N] of strokes: a central condition, two speeds for the exponent of speed, two forces for that
+of force."""
 STROKE_ANGLES_RAD = (float(np.radians(8.0)), float(np.radians(98.0)))
 """Directions almost along x and y [rad]: exactly along them, a stroke would cross the same line of the tile
 repeatedly."""
 SETTLE_S = 0.1
 """Start of a stroke that is discarded [s]."""
 LOWEST_HZ = 10.0
-"""Lowest frequency that counts [Hz]."""
+"""Lowest frequency in the spectra [Hz]."""
 
 
 @dataclass(frozen=True)
 class TextureStatistics:
-    """Statistics of one surface at 100 mm/s and 1 N; of both directions together, averaged in power.
+    """Statistics of the acceleration on one surface at 100 mm/s and 1 N, averaged in power over two directions.
 
     Attributes
     ----------
     rms : float
         RMS acceleration [m/s²].
     rms_along, rms_across : float
-        RMS acceleration of each direction alone [m/s²].
+        RMS acceleration of strokes almost along x, and almost along y [m/s²].
     centroid_hz : float
         Spectral centroid [Hz].
     below_1k : float
@@ -67,7 +68,7 @@ def compute_texture_statistics(
     physics: Physics = FULL_PHYSICS,
     oversample: int = 2,
 ) -> list[TextureStatistics]:
-    """Compute the statistics of each surface; parameters as `simulate_strokes`."""
+    """Simulate strokes on each surface and compute its statistics; parameters as in `simulate_strokes`."""
     power, frequency = simulate_strokes(surfaces, duration_s, probe=probe, physics=physics, oversample=oversample)
     return [aggregate_strokes(surface_power, frequency) for surface_power in power]
 
@@ -80,25 +81,26 @@ def simulate_strokes(
     physics: Physics = FULL_PHYSICS,
     oversample: int = 2,
 ) -> tuple[Float, Float]:
-    """Simulate ten strokes of each surface: `STROKE_CONDITIONS` × `STROKE_ANGLES_RAD`.
+    """Simulate ten strokes on each surface (five speeds and forces, two directions) and return their spectra.
 
     Parameters
     ----------
     surfaces : sequence of (SmoothedMaps, Mechanics)
-        The surfaces.
+        Height map and mechanics of each surface.
     duration_s : float
-        Duration of a stroke after `SETTLE_S` [s].
+        Duration of a stroke that is evaluated, after `SETTLE_S` [s].
     probe : Probe
         The probe.
     physics : Physics
-        Modelled effects.
+        Physical effects to model.
     oversample : int
         Integration steps per sample.
 
     Returns
     -------
     power : ndarray, shape (surfaces, 10, bins)
-        Power per bin [(m/s²)²].
+        Power per FFT bin of the three axes fused by DFT321 [(m/s²)²]; strokes in the order `STROKE_CONDITIONS` ×
+        `STROKE_ANGLES_RAD`.
     frequency : ndarray, shape (bins,)
         Frequencies of the bins [Hz].
     """
@@ -117,7 +119,10 @@ def simulate_strokes(
 
 
 def compute_fused_spectra(acceleration: Float) -> tuple[Float, Float]:
-    """Return power per bin (rows, bins) of the DFT321 signal from `LOWEST_HZ` on, and the bins' frequencies [Hz]."""
+    """Return power per FFT bin (rows, bins) of accelerations fused by DFT321, and the bins' frequencies [Hz].
+
+    `acceleration` is (rows, n, 3) [m/s²]; bins start at `LOWEST_HZ`.
+    """
     fused = dft321(acceleration - acceleration.mean(axis=1, keepdims=True))
     n = fused.shape[1]
     frequency = np.fft.rfftfreq(n, 1.0 / SAMPLE_RATE_HZ)
@@ -128,12 +133,12 @@ def compute_fused_spectra(acceleration: Float) -> tuple[Float, Float]:
 def aggregate_strokes(
     power: Float, frequency: Float, instrument: Callable[[Float], Float] | None = None
 ) -> TextureStatistics:
-    """Compute the statistics of one surface from its ten strokes.
+    """Compute the statistics of one surface from the spectra of its ten strokes.
 
     Parameters
     ----------
     power : ndarray, shape (10, bins)
-        Power per bin [(m/s²)²].
+        Power per FFT bin from `simulate_strokes` [(m/s²)²].
     frequency : ndarray, shape (bins,)
         Frequencies [Hz].
     instrument : callable, optional

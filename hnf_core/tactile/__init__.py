@@ -1,4 +1,4 @@
-"""Tactile maps: heights or images of a patch converted to what a vision-based touch sensor would show.
+"""Tactile maps: heights or images of a surface patch converted to what a touch sensor (GelSight, DIGIT) would show.
 
 Start with `tactile_map.py`; `height.py` makes maps from measured relief, `optics.py` models the sensor, and `diffusion`
 predicts maps from images.

@@ -1,4 +1,4 @@
-"""Fourier-domain filters for patches that do not repeat: plane removal, reflection and fading before the product."""
+"""Fourier-domain filters for height maps that are not periodic: plane removal, reflection and fading before the FFT."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def frequencies(shape: tuple[int, int], metres_per_pixel: float) -> tuple[Float,
 
 
 def gaussian_mtf(frequency: Float, sigma_m: float) -> Float:
-    """Return exp(−2π²σ²f²), the transfer function of a Gaussian blur with standard deviation σ [m] at f [cycles/m]."""
+    """Return exp(−2π²σ²f²), the transfer function of a Gaussian blur of standard deviation σ [m] at f [cycles/m]."""
     return np.asarray(np.exp(-2.0 * (np.pi * sigma_m * frequency) ** 2))
 
 
 def fit_plane(height: Float, weight: Float | None = None) -> tuple[float, float, float]:
-    """Fit the least-squares plane a + b · column + c · row, columns and rows counted from the centre [pixels]."""
+    """Fit the least-squares plane a + b · column + c · row, counted from the center [pixels]; return (a, b, c)."""
     rows = np.arange(height.shape[0]) - (height.shape[0] - 1) / 2
     columns = np.arange(height.shape[1]) - (height.shape[1] - 1) / 2
     if weight is None:
@@ -70,10 +70,10 @@ def apply_filters(
     reflection: Literal["odd", "even"],
     kernel_length_m: float,
 ) -> tuple[list[Float], tuple[float, float]]:
-    """Apply Fourier-domain responses to a map that does not repeat.
+    """Multiply the spectrum of a height map that is not periodic by frequency responses.
 
     The mean plane is removed, the rest is continued beyond the edges by reflection and faded to zero, so that no step
-    rings back into the patch.
+    at the edges rings back into the map.
 
     Parameters
     ----------
@@ -82,18 +82,18 @@ def apply_filters(
     metres_per_pixel : float
         Pixel size [m].
     responses : callable
-        Function from the padded shape to factors for its rfft2 bins, one per result.
+        Function from the padded shape to a sequence of frequency responses on its rfft2 bins, one for each result.
     reflection : {"odd", "even"}
         Odd reflection keeps slopes continuous (for derivatives), even keeps the local mean (for low-pass filters).
     kernel_length_m : float
-        Length of the filters' kernel [m].
+        Length of the filters' kernels in space, which sets the padding [m].
 
     Returns
     -------
     maps : list of ndarray, shape (H, W)
         Filtered maps, without the plane.
     slopes : tuple of float
-        Slopes of the plane (∂h/∂x, ∂h/∂y).
+        Slopes (∂h/∂x, ∂h/∂y) of the plane that was removed.
     """
     rows, columns = height.shape
     plane = fit_plane(height)

@@ -20,7 +20,7 @@ Float = NDArray[np.float64]
 
 
 def cubic_taps(position: Float, size: int, outside: str = "clamp") -> tuple[NDArray[np.intp], Float]:
-    """Return the four neighbours (n, 4) of fractional indices and their weights, for cubic convolution.
+    """Return the four neighboring samples (n, 4) of fractional indices and their weights, for cubic convolution.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def cubic_taps(position: Float, size: int, outside: str = "clamp") -> tuple[NDAr
     Returns
     -------
     index : ndarray of int, shape (n, 4)
-        Neighbours.
+        Indices of the samples.
     weight : ndarray, shape (n, 4)
         Their weights.
     """
@@ -52,8 +52,8 @@ def cubic_taps(position: Float, size: int, outside: str = "clamp") -> tuple[NDAr
 
 
 ROLL_OFF = 0.75
-"""Ratio of the stop-band wavelength to the pass-band wavelength λ of the low-pass, a raised cosine between them: the
-texel rate λ/2 and its images are removed without the ringing of a sharp cut."""
+"""Ratio of the stop-band wavelength to the pass-band wavelength λ of the low-pass, a raised cosine between them: texels
+of size λ/2 and their aliases are removed without the ringing of a sharp cut."""
 MIN_PIXEL_M, MAX_PIXEL_M = 1e-9, 1e3
 """Accepted pixel sizes, from atoms to landscapes [m]; others are a mistake of unit."""
 MAX_HEIGHT_M = 1e6
@@ -83,13 +83,14 @@ def tactile_map_from_height(
     metres_per_pixel : float
         Pixel size [m].
     resolved_wavelength_m : float
-        Shortest wavelength of the source, two of its texels [m]; at least two pixels are used.
+        Shortest wavelength that the source of the heights resolves, two of its texels [m]; at least two pixels are
+        used.
     sensor : str
         Name in `optics.SENSORS`.
     route : Route
-        Route of the heights.
+        Origin of the heights: measured or predicted.
     height_source : str
-        Origin of the metres, for the report.
+        Text for the report that tells where the height scale comes from.
 
     Returns
     -------
@@ -138,7 +139,8 @@ def tactile_map_from_height(
 def low_pass(height: ArrayLike, metres_per_pixel: float, wavelength_m: float) -> Float:
     """Remove wavelengths below `wavelength_m` from heights (H, W); inf leaves only the mean plane.
 
-    Heights are unchanged if the pixel grid itself holds nothing shorter. `ROLL_OFF` gives the transition.
+    Heights are unchanged if the pixel grid itself holds nothing shorter. `ROLL_OFF` gives the width of the filter's
+    transition band.
     """
     values = np.asarray(height, dtype=np.float64)
     if wavelength_m <= 2.0 * metres_per_pixel:
@@ -179,7 +181,7 @@ def fill_masked(values: ArrayLike, mask: ArrayLike) -> Float:
 
 
 def _fill_pyramid(values: Float, weight: Float) -> Float:
-    """Fill weighted values: average to half the size, fill that, enlarge it into the gaps."""
+    """Fill pixels of low weight: average to half the size, fill that recursively, and enlarge it into the gaps."""
     if weight.min() > 0 or max(values.shape) == 1:
         return np.asarray(values / np.maximum(weight, 1e-300))
     edges = [(0, side % 2) for side in values.shape]
@@ -194,7 +196,7 @@ def _fill_pyramid(values: Float, weight: Float) -> Float:
 
 
 def _upsample(small: Float, shape: tuple[int, int]) -> Float:
-    """Enlarge by two with linear interpolation, cell centres aligned."""
+    """Enlarge an image to `shape`, twice its size, by linear interpolation with pixel centers aligned."""
     for axis, size in enumerate(shape):
         position = (np.arange(size) - 0.5) / 2.0
         low = np.clip(np.floor(position).astype(int), 0, small.shape[axis] - 1)
@@ -252,7 +254,7 @@ def _check_pixel_size(metres_per_pixel: float) -> None:
 
 
 def integrate_gradients(gx: ArrayLike, gy: ArrayLike, metres_per_pixel: float) -> Float:
-    """Integrate slopes ∂h/∂x, ∂h/∂y (H, W), y up, to zero-mean heights (H, W) [m], nearest in least squares.
+    """Integrate slopes ∂h/∂x, ∂h/∂y (H, W), y up, to zero-mean heights (H, W) [m] that fit them in least squares.
 
     Frankot–Chellappa: H = −i (κx Gx + κy Gy) / κ², on the evenly mirrored map (height even, so that the slope along an
     axis is odd across it), without wavelengths above the longer side.
@@ -275,7 +277,7 @@ def integrate_gradients(gx: ArrayLike, gy: ArrayLike, metres_per_pixel: float) -
 def sample_height(tactile_map: HeightMap, plane_xy: ArrayLike, outside: Literal["clamp", "mirror"] = "clamp") -> Float:
     """Sample the height of a map at points, by cubic convolution (Keys 1981, a = −1/2).
 
-    Slopes are smooth; with bilinear interpolation they would hum at the pixel rate.
+    The slopes of the result are continuous; with bilinear interpolation a stroke would hum at the pixel rate.
 
     Parameters
     ----------
@@ -284,7 +286,7 @@ def sample_height(tactile_map: HeightMap, plane_xy: ArrayLike, outside: Literal[
     plane_xy : array_like, shape (n, 2)
         Points in the patch frame [m], centre 0, +x = column, +y = −row.
     outside : {"clamp", "mirror"}
-        Repeat the edge, or mirror the map, so that a longer stroke keeps its texture.
+        Repeat the edge value, or mirror the map, so that a longer stroke keeps its texture.
 
     Returns
     -------

@@ -36,15 +36,17 @@ MIN_BANDS = 6
 MIN_PERIODS = 2.0
 """Least number of periods of the longest evaluated wave across the image."""
 MAX_BINS_WEIGHTED = 200
-"""Number of bins in a band beyond which its weight no longer grows, since no spectrum follows its law exactly."""
+"""Number of FFT bins in a band beyond which its weight no longer grows, since no spectrum follows its power law
+exactly."""
 CUTOFF_MAX_RESIDUAL = 0.75
-"""Misfit with a cutoff, relative to that without, below which the cutoff counts."""
+"""Ratio of the misfits of a power law with and without a cutoff, below which the cutoff is accepted."""
 GRAIN_POWER_SHARE = 0.25
-"""Fraction of the power beyond the cutoff from which it is grain of the image and no remainder of a blur."""
+"""Power beyond the cutoff over that below it, from which it is taken for grain of the image and not for a remainder of
+a blur."""
 MIN_RELATIVE_CONTRAST = 1e-5
 """Contrast of float32 rounding errors."""
 WINDOW_RAMP_DIVISOR = 8
-"""The window rises over this fraction (1/n) of the shorter side."""
+"""The analysis window rises from 0 to 1 over 1/n of the shorter side of the image."""
 
 
 def estimate_resolved_wavelength(
@@ -52,14 +54,15 @@ def estimate_resolved_wavelength(
 ) -> float:
     """Estimate the shortest wavelength that an image resolves [m].
 
-    A Gaussian blur equivalent to the image's leaves `CUTOFF_MTF` of that wave's amplitude.
+    A Gaussian blur as strong as the one found in the image leaves `CUTOFF_MTF` of the amplitude of a wave of this
+    length.
 
     Parameters
     ----------
     linear : array_like, shape (H, W, 3)
         Linear colour.
     mask : array_like of bool, shape (H, W)
-        Pixels that count.
+        True for the pixels to use.
     metres_per_pixel : float
         Pixel size [m].
     finest_m : float
@@ -94,7 +97,7 @@ def estimate_resolved_wavelength(
 
 
 def compute_soft_window(mask: Mask) -> Float:
-    """Return a window (H, W), 0 … 1, that vanishes outside the mask and at its edges; all zero for narrow masks."""
+    """Return a window (H, W), 0 … 1, that falls smoothly to 0 at the edges of the mask; all zero for a narrow mask."""
     reach = min(mask.shape) // WINDOW_RAMP_DIVISOR
     while reach >= 3:
         inner = (_box_filter(mask.astype(np.float64), reach) > 1.0 - 1e-9).astype(np.float64)
@@ -107,7 +110,7 @@ def compute_soft_window(mask: Mask) -> Float:
 
 
 def _box_filter(values: Float, half: int) -> Float:
-    """Return means (H, W) over squares of 2 half + 1 pixels; outside is 0."""
+    """Return means (H, W) over squares of (2 half + 1)² pixels; outside the image counts as 0."""
     for axis in (0, 1):
         total = np.cumsum(
             np.pad(values, [(half + 1, half) if dimension == axis else (0, 0) for dimension in (0, 1)]), axis=axis
@@ -118,9 +121,10 @@ def _box_filter(values: Float, half: int) -> Float:
 
 
 def _compute_band_powers(colour: Float, window: Float, mask: Mask, finest: float) -> tuple[Float, Float, Float] | None:
-    """Return frequency [cycles/pixel], mean power and bin count of each band up to 1 / finest; None without content.
+    """Return frequency [cycles/pixel], mean power and FFT bin count of bands up to 1 / `finest`; None if featureless.
 
-    The mean over all directions is dominated by the sharpest one.
+    Bands are rings of the 2-D spectrum, `BANDS_PER_OCTAVE`; the mean over a ring is dominated by the sharpest
+    direction. `finest` is a wavelength [pixels].
     """
     area = float(window.sum())
     lowest = MIN_PERIODS / np.sqrt(max(area, 1.0))
@@ -145,7 +149,7 @@ def _compute_band_powers(colour: Float, window: Float, mask: Mask, finest: float
 
 
 def _find_cutoff(frequency: Float, power: Float, bin_count: Float, finest: float) -> float:
-    """Return the wavelength at the cutoff [pixels], or `finest` if there is none."""
+    """Return the wavelength at which a fitted blur cuts off the spectrum [pixels], or `finest` if there is no blur."""
     octaves = np.log2(frequency[-1] / frequency[0])
     waves = finest * 2.0 ** np.arange(0.0, octaves - 0.5, 1.0 / CUTOFFS_PER_OCTAVE)
     log_power = np.log(np.maximum(power, power.max() * 10.0 ** (-DYNAMIC_RANGE_DB / 10.0)))
@@ -172,9 +176,11 @@ def _find_cutoff(frequency: Float, power: Float, bin_count: Float, finest: float
 
 
 def _compute_misfit(log_power: Float, weights: Float, model: Float, floors: Float) -> NDArray[np.floating[Any]]:
-    """Return the mean absolute misfit (…, floors) of a law (…, 1, bands) over noise floors (floors, bands), best level.
+    """Return the mean absolute misfit of a model spectrum to the image's, for each of several noise floors (floors,).
 
-    It is not squared, because a repeating pattern has spectral lines, which no law predicts.
+    All spectra are logarithms of power: `log_power` (bands,), `model` (…, 1, bands), `floors` (floors, bands). The
+    model's overall level is fitted. The misfit is not squared, since a repeating pattern has spectral lines that no
+    model predicts.
     """
     prediction = np.logaddexp(model, np.logaddexp(floors, -DYNAMIC_RANGE_DB * np.log(10.0) / 10.0))
     residual = log_power - prediction

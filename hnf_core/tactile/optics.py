@@ -70,7 +70,7 @@ class Sensor:
 
     @property
     def background(self) -> Float:
-        """Colour (3,) of a flat surface."""
+        """Color (3,) of the sensor image of a flat surface."""
         return np.asarray(np.asarray(self.ambient) + self.shading[:, 2])
 
 
@@ -113,7 +113,7 @@ def get_sensor(name: str) -> Sensor:
 
 
 def gel_gradients(height_m: ArrayLike, metres_per_pixel: float, sensor: Sensor) -> tuple[Float, Float]:
-    """Return the slopes (∂h/∂x, ∂h/∂y), (H, W) each, of the membrane on a height field.
+    """Return the slopes (∂h/∂x, ∂h/∂y), (H, W) each, of the sensor's gel membrane pressed on a height field.
 
     The height is smoothed by a Gaussian and differentiated in the Fourier domain (exact up to the limit of the pixel
     grid); slopes are limited to `sensor.max_slope`.
@@ -139,7 +139,7 @@ def limit_slope(gx: Float, gy: Float, max_slope: float) -> tuple[Float, Float]:
 
 
 def shade(gx: ArrayLike, gy: ArrayLike, sensor: Sensor) -> NDArray[np.float32]:
-    """Return the linear image (H, W, 3) float32 of a membrane with slopes `gx`, `gy` (H, W)."""
+    """Return the linear sensor image (H, W, 3), float32, of a gel membrane with slopes `gx`, `gy` (H, W)."""
     gx, gy = np.asarray(gx, dtype=np.float64), np.asarray(gy, dtype=np.float64)
     normal = np.stack([-gx, -gy, np.ones_like(gx)], axis=-1) / np.sqrt(1.0 + gx**2 + gy**2)[..., None]
     return np.asarray(normal @ sensor.shading.T + np.asarray(sensor.ambient), dtype=np.float32)
@@ -177,7 +177,7 @@ def render_sensor_image(height_m: ArrayLike, metres_per_pixel: float, sensor: Se
 
 
 def decode_gradients(image: ArrayLike, sensor: Sensor) -> tuple[Float, Float]:
-    """Decode slopes from a linear sensor image.
+    """Decode the membrane's slopes from a linear sensor image, by photometric stereo.
 
     Parameters
     ----------
@@ -212,10 +212,10 @@ AMBIENT_SCATTER = 0.03
 
 
 def perturb_sensor(sensor: Sensor, rng: np.random.Generator) -> Sensor:
-    """Draw another unit of a sensor: other lamp directions, intensities, cross-talk and ambient light.
+    """Draw a slightly different specimen of a sensor: other lamp directions, intensities, cross-talk and ambient light.
 
-    It keeps networks from learning one unit's colours. Gel, slope limit and name stay, and every lamp reaches the slope
-    limit.
+    Training on such specimens keeps networks from learning the colors of one. Gel, slope limit and name stay, and every
+    lamp still reaches the membrane up to the slope limit.
     """
     lowest = float(np.degrees(np.arctan(sensor.max_slope))) + 0.5
     off_diagonal = 1.0 - np.eye(3)

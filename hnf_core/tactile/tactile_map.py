@@ -1,4 +1,4 @@
-"""The tactile map of a patch: the image that a vision-based touch sensor would give, its height and its route."""
+"""The tactile map of a surface patch: the image that a vision-based touch sensor would give, its height and origin."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 class Route(str, Enum):
-    """Origin of a property of a patch."""
+    """Origin of a property of a patch: measured relief, prediction from an image, or a library material as prior."""
 
     MEASURED = "measured"
     PREDICTED = "predicted"
@@ -19,7 +19,7 @@ class Route(str, Enum):
 
 
 class HeightMap(Protocol):
-    """Part of a tactile map, or of a stored one, that height sampling needs; fields as in `TactileMap`."""
+    """Interface of the part of a `TactileMap` that height sampling needs: height, pixel size, resolved wavelength."""
 
     @property
     def height(self) -> NDArray[np.float32] | None: ...
@@ -31,7 +31,7 @@ class HeightMap(Protocol):
 
 @dataclass(frozen=True)
 class TactileMap:
-    """A sensor image in the patch's tangent frame (column → +x tangent, row → −y, so that +y points up).
+    """An image that a touch sensor would give, in the patch's tangent frame (column → +x, row → −y, so +y points up).
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class TactileMap:
     resolved_wavelength_m : float
         Shortest wavelength that the source resolves, two texels [m]; inf if nothing is resolved.
     route : Route
-        Origin of the map.
+        Origin of the map: measured or predicted.
     height_source : str
-        Origin of the metres, for the report ("bump node 'Bump', distance 0.001 m").
+        Text for the report that tells where the height scale comes from ("bump node 'Bump', distance 0.001 m").
     """
 
     image: NDArray[np.float32]

@@ -1,8 +1,8 @@
-"""Views of a patch: 64 × 64 pixel crops at one of four pitches an octave apart, the input of the networks.
+"""Views of a patch: 64 × 64 pixel crops at one of four pixel pitches, an octave apart, the input of the networks.
 
-At every pitch the same four token bands are resolved with at least two periods, at 25.6, 12.8, 6.4 and 3.2 pixels. With
-lengths in pixels (slopes have none), a pattern of 8 mm in the widest view is the same problem as one of 1 mm in the
-finest, so one network learns all pitches.
+The material token describes octave bands of wavelength; at every pitch four of them are resolved with at least two
+periods, at 25.6, 12.8, 6.4 and 3.2 pixels. With lengths in pixels (slopes have none), a pattern of 8 mm in the widest
+view is the same problem as one of 1 mm in the finest, so one network learns all pitches.
 """
 
 from __future__ import annotations
@@ -20,31 +20,32 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PITCHES_M = (312.5e-6, 156.25e-6, 78.125e-6, 39.0625e-6)
-"""Pitches [m per pixel]; views are 20, 10, 5 and 2.5 mm wide."""
+"""Pixel pitches of views [m per pixel]; the views are 20, 10, 5 and 2.5 mm wide."""
 VIEW_PIXELS = 64
 """Side of a view [pixels]."""
 PASSBAND_SHARE = 0.9
 """Fraction of the new Nyquist frequency up to which decimation passes everything; at Nyquist nothing is left."""
 RELATIVE_TOLERANCE = 1e-6
-"""Relative tolerance of pitches, against rounding."""
+"""Relative tolerance, against rounding, when pixel pitches are compared."""
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 """Angle between consecutive points of a sunflower spiral [rad]."""
 
 
 @dataclass(frozen=True)
 class AppearanceView:
-    """Appearance of a patch in one view (column → +x, row → −y).
+    """Color and depth of a patch in one 64 × 64 pixel view (column → +x, row → −y).
 
     Attributes
     ----------
     rgb : ndarray of float32, shape (64, 64, 3)
         Linear colour, 0 to 1.
     depth_m : ndarray of float32, shape (64, 64)
-        Macro depth less its mean [m], growing away from the viewer; 0 where unknown.
+        Macro depth (the object's shape without fine relief) less its mean [m], growing away from the viewer; 0 where
+        unknown.
     depth_known : bool
         True if any depth is known.
     pitch_m : float
-        One of `PITCHES_M`.
+        Pixel size, one of `PITCHES_M` [m].
     """
 
     rgb: NDArray[np.float32]
@@ -62,28 +63,29 @@ def cut_views(
     *,
     fine_count: int = 4,
 ) -> tuple[AppearanceView, ...]:
-    """Cut one widest view of a patch, and several at the finest pitch that the image resolves.
+    """Cut views of a patch image: one at the widest pitch that fits, and several at the finest pitch that it resolves.
 
     Parameters
     ----------
     rgb : array_like, shape (H, W, 3)
         Linear colour.
     depth_m : array_like, shape (H, W), or None
-        Macro depth [m], not finite where unknown.
+        Macro depth, the object's shape without fine relief [m]; not finite where unknown.
     mask : array_like of bool, shape (H, W), or None
         True where the patch's own surface is visible; None means everywhere.
     metres_per_pixel : float
         Pixel size [m].
     resolved_wavelength_m : float
-        Shortest wavelength of the image, two texels [m]; pitches from half of it on are resolved.
+        Shortest wavelength that the image resolves, two texels [m]; pitches of at least half of it are used.
     fine_count : int
-        Largest number of finest views.
+        Largest number of views at the finest pitch.
 
     Returns
     -------
     tuple of AppearanceView
-        The widest view nearest to the centre, and finest ones spread over the patch without overlap, all completely
-        inside the mask. Their positions depend on the mask alone. Empty if no pitch is resolved or no view fits.
+        The widest view nearest to the centre, and views at the finest pitch spread over the patch without overlap, all
+        completely inside the mask. Their positions depend on the mask alone. Empty if no pitch is resolved or no view
+        fits.
 
     Raises
     ------
@@ -107,9 +109,9 @@ def cut_views(
 
 
 def measure_contrast(rgb: ArrayLike) -> float:
-    """Measure the contrast of linear colours (…, 3): the largest channel's standard deviation of the square root.
+    """Measure the contrast of linear colors (…, 3): standard deviation of their square roots, of the strongest channel.
 
-    The square root is what eight bits store, 0 to 1. Values that are not finite do not count; 0 if none counts.
+    The square root approximates display encoding, 0 to 1. Values that are not finite are left out; 0 if none is left.
     """
     encoded = np.sqrt(np.clip(np.asarray(rgb, dtype=np.float64).reshape(-1, 3), 0.0, 1.0))
     finite = encoded[np.isfinite(encoded).all(axis=1)]
@@ -128,12 +130,12 @@ def find_view_corners(
     metres_per_pixel, resolved_wavelength_m : float
         Pixel size and shortest wavelength of the image [m].
     fine_count : int
-        Largest number of finest views.
+        Largest number of views at the finest pitch.
 
     Returns
     -------
     list of (float, ndarray of int, shape (n, 2))
-        At most two pitches, the widest first, with the upper left source pixels of their views.
+        At most two pitches, the widest first, each with the source pixels (row, column) at the upper left of its views.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def find_view_corners(
 
 
 def extract_view(layer: Float, factor: float, corner: NDArray[np.intp]) -> Float:
-    """Return the view (64, 64) at an upper left source pixel of a layer (H, W) filtered by `antialias` for `factor`."""
+    """Return the view (64, 64) at upper left source pixel `corner`, of a layer (H, W) low-passed by `antialias`."""
     rows, columns = (start + (np.arange(VIEW_PIXELS) + 0.5) * factor - 0.5 for start in corner)
     return _interpolate(layer, rows, columns)
 
@@ -161,7 +163,8 @@ def extract_view(layer: Float, factor: float, corner: NDArray[np.intp]) -> Float
 def antialias(values: ArrayLike, factor: float) -> Float:
     """Low-pass values (H, W) for a grid `factor` times as coarse; unchanged for a factor of 1 or less.
 
-    Full up to `PASSBAND_SHARE` of the new Nyquist frequency, then a raised cosine to zero at it, along each axis.
+    The gain is 1 up to `PASSBAND_SHARE` of the new Nyquist frequency, then a raised cosine to zero at it, along each
+    axis.
     """
     layer = np.asarray(values, dtype=np.float64)
     if factor <= 1.0 + RELATIVE_TOLERANCE:
@@ -176,7 +179,7 @@ def antialias(values: ArrayLike, factor: float) -> Float:
 
 
 def decimate_tile(tile: ArrayLike, factor: int) -> Float:
-    """Decimate a periodic tile (..., H, W) to (..., H/factor, W/factor), with the low-pass of `antialias`.
+    """Decimate a periodic map (..., H, W) to (..., H/factor, W/factor), with the low-pass of `antialias`.
 
     New pixel centres are the centres of the factor × factor blocks that they replace. Raises UsageError if the factor
     does not divide the size.
@@ -205,7 +208,7 @@ def _raised_cosine(nyquist_fraction: Float) -> Float:
 
 
 def _list_corners(mask: Mask, factor: float) -> NDArray[np.intp]:
-    """Return the upper left source pixels (n, 2) of views inside the mask, an eighth of a view apart."""
+    """Return upper left source pixels (n, 2), row and column, of views inside the mask, an eighth of a view apart."""
     side = int(np.ceil(VIEW_PIXELS * factor - RELATIVE_TOLERANCE))
     rows, columns = mask.shape
     if side > min(rows, columns):
@@ -225,7 +228,7 @@ def _list_corners(mask: Mask, factor: float) -> NDArray[np.intp]:
 def _select_spread_corners(
     pitch: float, corners: NDArray[np.intp], metres_per_pixel: float, shape: tuple[int, int], wanted: int
 ) -> NDArray[np.intp]:
-    """Select up to `wanted` corners that do not overlap, each the nearest to a point of a sunflower spiral."""
+    """Select up to `wanted` of the view corners so that views do not overlap, spread out along a sunflower spiral."""
     side = VIEW_PIXELS * pitch / metres_per_pixel
     view_centre = corners + side / 2.0
     centre = np.asarray(shape) / 2.0
@@ -264,12 +267,12 @@ def _extract_views(
 
 
 def _interpolate(values: Float, rows: Float, columns: Float) -> Float:
-    """Interpolate values at fractional rows and columns, by cubic convolution along each axis."""
+    """Interpolate an image at fractional rows and columns, by cubic convolution along each axis."""
     return np.asarray(_cubic_matrix(rows, values.shape[0]) @ values @ _cubic_matrix(columns, values.shape[1]).T)
 
 
 def _cubic_matrix(position: Float, size: int) -> Float:
-    """Return the interpolation matrix (n, size) at fractional positions; the edge is repeated."""
+    """Return the cubic-convolution matrix (n, size) from samples to fractional positions (n,); the edge is repeated."""
     index, weight = cubic_taps(position, size)
     weights = np.zeros((len(position), size))
     np.add.at(weights, (np.arange(len(position))[:, None], index), weight)

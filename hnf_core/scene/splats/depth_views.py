@@ -1,4 +1,4 @@
-"""Orthographic depth views of splats from all around, and the depth of any point relative to the visible surface."""
+"""Orthographic depth images of splats from all around, and the depth of any point relative to the visible surface."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_DEPTH_DIFFERENCE = 3.0
 
 @dataclass(frozen=True)
 class DepthView:
-    """An orthographic depth image with slopes, for looking up points; lengths in pixels.
+    """An orthographic depth image with slopes, in which points are looked up; lengths in pixels.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class DepthView:
     opacity : ndarray of float32, shape (H, W)
         Accumulated opacity.
     rgb : ndarray of float32, shape (H, W, 3)
-        Linear colour, as if opaque.
+        Linear color, divided by the opacity.
     """
 
     camera: Camera
@@ -62,7 +62,7 @@ class DepthView:
 
 @dataclass(frozen=True)
 class PointSample:
-    """Samples of one depth view at n points.
+    """Result of looking up n points in one depth view.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ def compute_linear_colour(view: SplatView) -> Single:
 
 
 def sample_points(view: DepthView, points: NDArray[np.floating[Any]]) -> PointSample:
-    """Sample a depth view at points (n, 3) in the camera's world frame."""
+    """Look up points (n, 3), in the camera's world frame, in a depth view."""
     axes = view.camera.pose[:3, :3].astype(np.float32)
     local = np.asarray(points, dtype=np.float32) @ axes - (view.camera.pose[:3, 3] @ view.camera.pose[:3, :3]).astype(
         np.float32
@@ -134,7 +134,7 @@ def sample_points(view: DepthView, points: NDArray[np.floating[Any]]) -> PointSa
 
 
 def _compute_slope(depth: Single, axis: int) -> Single:
-    """Return the smaller of the differences to both neighbours, zero if neither is finite."""
+    """Return the smaller of the depth differences to the two neighbors along an axis, zero if neither is finite."""
     with np.errstate(invalid="ignore"):
         step = np.diff(depth, axis=axis)
     nothing = np.full_like(np.take(step, [0], axis=axis) if step.size else np.take(depth, [0], axis=axis), np.inf)
@@ -158,16 +158,16 @@ def make_sphere_directions(count: int) -> Float:
 
 
 def fit_orthographic_camera(direction: ArrayLike, means: Float, reach: Float, pixel: float) -> Camera:
-    """Fit an orthographic camera around balls, so that it sees all of them.
+    """Fit an orthographic camera around spheres, so that it sees all of them.
 
     Parameters
     ----------
     direction : array_like, shape (3,)
         Unit viewing direction.
     means : ndarray, shape (n, 3)
-        Centres of the balls.
+        Centers of the spheres.
     reach : ndarray, shape (n,)
-        Radii of the balls.
+        Radii of the spheres.
     pixel : float
         Side of a pixel, in the unit of `means`.
 
@@ -192,5 +192,5 @@ def fit_orthographic_camera(direction: ArrayLike, means: Float, reach: Float, pi
 
 
 def make_surrounding_cameras(means: Float, reach: Float, count: int, pixel: float) -> list[Camera]:
-    """Fit orthographic cameras in `count` evenly spread directions, each looking inwards."""
+    """Fit orthographic cameras around spheres (centers `means`, radii `reach`) in `count` evenly spread directions."""
     return [fit_orthographic_camera(-direction, means, reach, pixel) for direction in make_sphere_directions(count)]

@@ -20,7 +20,7 @@ Single = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Splats:
-    """N Gaussians, in the file's own frame and unit.
+    """N Gaussians of a splatting scene, in the file's own frame and unit.
 
     Colour is 0.5 + Σ Y · c, clipped at 0, with spherical harmonics Y of degree L = 0 … 3.
 
@@ -53,7 +53,7 @@ class Splats:
         return math.isqrt(self.harmonics.shape[1]) - 1
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Splats:
-        """Return the splats of a mask (N,) or of indices (K,)."""
+        """Return the splats selected by a mask (N,) or by indices (K,)."""
         return Splats(
             self.means[which], self.scales[which], self.rotations[which], self.opacities[which], self.harmonics[which]
         )
@@ -61,7 +61,7 @@ class Splats:
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box in the splats' frame and unit; both corners included."""
+    """An axis-aligned box in the splats' frame and unit; points on its faces are inside."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -135,7 +135,7 @@ def evaluate_sh_basis(directions: Floats, degree: int) -> list[Floats]:
 def evaluate_sh_colours(harmonics: Floats, directions: Floats) -> Floats:
     """Evaluate display-referred colours (N, 3), max(0, 0.5 + Σ Y c).
 
-    Coefficients are added one after the other, so that a splat's colour does not depend on its neighbours.
+    Terms are added one after the other, so that a splat's color does not depend, by rounding, on the other splats.
 
     Parameters
     ----------

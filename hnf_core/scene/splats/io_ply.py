@@ -1,4 +1,4 @@
-"""Reading of splat files in two .ply layouts, with validation: INRIA's, and PlayCanvas's compressed one.
+"""Reading of Gaussian splat files in two .ply layouts, with validation: INRIA's, and PlayCanvas's compressed one.
 
 INRIA's layout (Kerbl et al. 2023, gaussian_model.py save_ply and load_ply) is also written by nerfstudio, gsplat and
 most others. In PlayCanvas's (SuperSplat, splat-transform), 256 splats share the bounds of a chunk and each splat is
@@ -48,7 +48,7 @@ class RawSplats:
     opacities : ndarray, shape (N,)
         Opacities in [0, 1].
     harmonics : ndarray, shape (N, K, 3)
-        Coefficients of the spherical harmonics.
+        Coefficients of the spherical harmonics of color, K = (degree + 1)².
     """
 
     means: Real
@@ -164,7 +164,7 @@ def get_rest_names(path: Path, names: Sequence[str]) -> list[str]:
 
 
 def iter_inria(path: Path, header: PlyHeader, block: int) -> Iterator[RawSplats]:
-    """Yield splats as the file stores them, up to `block` at a time; raise FileError for a file that ends early."""
+    """Yield the splats of a file in INRIA's layout, up to `block` at a time; raise FileError if it ends early."""
     rest_names = get_rest_names(path, header.names("vertex"))
     for rows in iter_rows(path, header, "vertex", block):
         yield RawSplats(
@@ -177,7 +177,7 @@ def iter_inria(path: Path, header: PlyHeader, block: int) -> Iterator[RawSplats]
 
 
 def stack_columns(rows: Rows, names: Sequence[str]) -> Real:
-    """Return columns as a table (N, len(names)), float32, or float64 if one of them is."""
+    """Return named columns of a structured array as a table (N, len(names)), float32, or float64 if one of them is."""
     has_double = any(rows.dtype[name].itemsize == 8 for name in names)
     table: Real = np.empty((len(rows), len(names)), dtype=np.float64 if has_double else np.float32)
     with np.errstate(invalid="ignore"):  # widening a signalling NaN warns
@@ -187,13 +187,13 @@ def stack_columns(rows: Rows, names: Sequence[str]) -> Real:
 
 
 def join_harmonics(constant: Real, rest: Real) -> Real:
-    """Join constant (N, 3) and higher (N, 3 (K − 1)) coefficients, stored channel by channel, to (N, K, 3)."""
+    """Join constant (N, 3) and higher-degree (N, 3 (K − 1)) SH coefficients, stored by color channel, to (N, K, 3)."""
     higher = rest.reshape(len(rest), 3, -1).transpose(0, 2, 1)
     return np.asarray(np.concatenate([constant[:, None, :], higher], axis=1))
 
 
 def sigmoid(logits: Real) -> NDArray[np.float64]:
-    """Return 1 / (1 + e^−x) without overflow; 0 and 1 at ∓∞."""
+    """Return 1 / (1 + e^−x) without overflow, for stored opacities; 0 and 1 at ∓∞."""
     with np.errstate(invalid="ignore"):  # widening a signalling NaN warns
         small = np.exp(-np.abs(logits.astype(np.float64)))
     return np.asarray(np.where(logits >= 0.0, 1.0, small) / (1.0 + small))
@@ -258,9 +258,9 @@ def check_compressed(path: Path, header: PlyHeader) -> None:
 
 
 def iter_compressed(path: Path, header: PlyHeader, block: int) -> Iterator[RawSplats]:
-    """Yield splats as the file stores them, up to `block` at a time; raise FileError for a file that ends early.
+    """Yield the splats of a file in PlayCanvas's layout, up to `block` at a time; raise FileError if it ends early.
 
-    The bounds of all chunks stay in memory (0.3 bytes a splat).
+    The bounds of all chunks (256 splats each) stay in memory, 0.3 bytes a splat.
     """
     bounds = np.concatenate(list(iter_rows(path, header, "chunk", block)))
     with_harmonics = header.count("sh") > 0 and len(header.names("sh")) > REST_COUNTS[0]
@@ -273,7 +273,7 @@ def iter_compressed(path: Path, header: PlyHeader, block: int) -> Iterator[RawSp
 
 
 def _unpack_splats(rows: Rows, bounds: Rows, rest: Float) -> RawSplats:
-    """Unpack the words of splats; `bounds` holds the chunk's bounds for each row."""
+    """Unpack the four 32-bit words of each splat; `bounds` holds its chunk's bounds, `rest` the higher SH degrees."""
     colour = _unpack_fractions(rows["packed_color"], COLOUR_BITS)
     rgb = (
         _interpolate_bounds(bounds, COLOUR_BOUNDS, colour[:, :3])
@@ -290,7 +290,7 @@ def _unpack_splats(rows: Rows, bounds: Rows, rest: Float) -> RawSplats:
 
 
 def _unpack_fractions(words: NDArray[np.uint32], fields: tuple[tuple[int, int], ...]) -> Float:
-    """Unpack K bit fields (shift, bits) of words (N,) to fractions (N, K) in [0, 1]."""
+    """Unpack K bit fields, given as (shift, bits), of 32-bit words (N,) to fractions (N, K) in [0, 1]."""
     words = words.astype(np.uint32)
     parts = [((words >> np.uint32(shift)) & np.uint32((1 << bits) - 1)) / ((1 << bits) - 1) for shift, bits in fields]
     return np.asarray(np.stack(parts, axis=1), dtype=np.float64)
@@ -304,7 +304,7 @@ def _interpolate_bounds(bounds: Rows, names: tuple[str, ...], fractions: Float) 
 
 
 def _unpack_rotations(words: NDArray[np.uint32]) -> Float:
-    """Unpack quaternions (N, 4) w x y z; the omitted component is the positive root that makes the length 1."""
+    """Unpack unit quaternions (N, 4) w x y z from 32-bit words that omit the largest component, which is positive."""
     stored = (_unpack_fractions(words, ROTATION_BITS) - 0.5) * np.sqrt(2.0)
     largest = (words.astype(np.uint32) >> np.uint32(30)).astype(np.intp)
     rotations = np.empty((len(words), 4))
@@ -315,7 +315,7 @@ def _unpack_rotations(words: NDArray[np.uint32]) -> Float:
 
 
 def _unpack_harmonics(rows: Rows) -> Float:
-    """Unpack bytes to coefficients (N, 3 (K − 1)): the middle of each step, the range's ends for 0 and 255."""
+    """Dequantize bytes to higher-degree SH coefficients (N, 3 (K − 1)): the middle of each step, ±4 at the ends."""
     names = [f"f_rest_{number}" for number in range(len(rows.dtype.names or ()))]
     table = stack_columns(rows, names).astype(np.float64)
     fractions = np.where(table == 0.0, 0.0, np.where(table == 255.0, 1.0, (table + 0.5) / 256.0))
@@ -360,7 +360,8 @@ def read_splats(path: Path, *, within: Box | None = None) -> Splats:
 def read_validated_splats(path: Path, *, within: Box | None = None) -> ValidatedSplats:
     """Read the usable Gaussians of a file, with the number of dropped ones.
 
-    Counts are of the whole file, with or without a box. Raises as `read_splats`.
+    The counts are of the whole file, even if only splats inside the box `within` are kept. Raises FileError for a file
+    that cannot be used, as `read_splats` does.
     """
     path = Path(path)
     header = check_splat_file(path)
@@ -377,7 +378,7 @@ def read_validated_splats(path: Path, *, within: Box | None = None) -> Validated
 
 
 def check_splat_file(path: Path) -> PlyHeader:
-    """Return the header of a file whose splats can be read; raise FileError if its kind, header or length is wrong."""
+    """Return the header of a splat file; raise FileError if its kind, header or length shows that it cannot be read."""
     path = Path(path)
     if path.suffix.lower() in UNSUPPORTED_SUFFIXES:
         raise FileError(
@@ -438,7 +439,7 @@ def iter_validated_splats(path: Path, header: PlyHeader, chunk: int) -> Iterator
 
 
 class _SplatAccumulator:
-    """Concatenation of blocks, in preallocated arrays if `capacity` is given, so that none is stored twice."""
+    """Splats concatenated block by block; arrays are preallocated if `capacity`, the number of splats, is given."""
 
     def __init__(self, capacity: int | None) -> None:
         self._capacity, self._count = capacity, 0
@@ -470,7 +471,7 @@ UP_AXIS_COMMENT = re.compile(r"vertical axis:\s*\+?(-?[xyz])\s*$", re.IGNORECASE
 
 @dataclass(frozen=True)
 class UpAxis:
-    """The axis of a file's frame that points up, and a reason for a person to judge."""
+    """The axis of a file's frame that points up, with a sign, and the reason for that guess as a text."""
 
     axis: Axis
     reason: str
@@ -484,11 +485,10 @@ class UpAxis:
 
 
 def detect_up_axis(header: PlyHeader) -> UpAxis:
-    """Detect which axis of a splat file's frame points up: as a comment in the file states, else −y.
+    """Detect which axis of a splat file's frame points up: the one that a comment in the file states, else −y.
 
-    COLMAP's world takes the +y down of its first cameras (OpenCV's axes), training keeps that frame, and PlayCanvas's
-    tools write .ply so that half a turn about z makes +y up. Neither kind of file states it; a scene may still be
-    tilted.
+    In COLMAP's world +y points down as in its first camera (OpenCV's axes), and training keeps that frame; PlayCanvas's
+    tools write .ply in the same orientation. Neither states it, and a scene may still be tilted.
     """
     for comment in header.comments:
         if stated := UP_AXIS_COMMENT.search(comment):

@@ -44,7 +44,7 @@ BOX_MARGIN = 1e-9
 
 @dataclass(frozen=True)
 class Footprints:
-    """M splats that overlap an image, as 2-D Gaussians in it. All (M,) float64 unless stated.
+    """The 2-D Gaussians in an image of the M splats that overlap it. All arrays (M,), float64 unless stated.
 
     The Mahalanobis distance squared is q = dy² / var_y + precision · (x − u − shear · dy)², dy = y − v: the conic,
     completed to a square, which loses no digits for needle-like splats.
@@ -52,7 +52,7 @@ class Footprints:
     Attributes
     ----------
     index : ndarray of int
-        Index of the splat.
+        Index of the splat in the cloud.
     depth : ndarray
         Planar depth of the centre.
     u, v : ndarray
@@ -66,11 +66,11 @@ class Footprints:
     inverse_std : ndarray
         Upper bound of 1 over the least standard deviation [1/pixels].
     cutoff : ndarray
-        q at which α falls to `MIN_ALPHA`.
+        q at which the opacity at a pixel, α = opacity · exp(−q/2), falls to `MIN_ALPHA`.
     opacity : ndarray
-        Opacity.
+        Opacity of the splat.
     depth_slope_x, depth_slope_y : ndarray
-        Growth of depth per pixel.
+        Growth of depth per pixel to the right and down.
     left, right, top, bottom : ndarray of int
         Pixels whose centres lie in the bounding box within the image; right and bottom exclusive.
     """
@@ -96,22 +96,23 @@ class Footprints:
         return len(self.index)
 
     def take(self, which: Int | NDArray[np.bool_]) -> Footprints:
-        """Return the footprints of a mask or of indices."""
+        """Return the footprints selected by a mask or by indices."""
         return Footprints(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 def evaluate_quadratic_form(prints: Footprints, which: Int, y: Int | Float) -> tuple[Float, Float, Float]:
-    """Return the terms of q for splats `which` on pixel rows `y`: (q at the row's nearest point, its x, dy).
+    """Return the terms of the Mahalanobis distance squared q of splats `which` along pixel rows `y`, elementwise.
 
-    q = first + precision · (x + ½ − second)². All code that needs q calls this function, so that the reference and the
-    fast rasterizer skip the same pixels.
+    They are the least q on the row, the x at which it is reached, and dy = y − v; then q = first + precision · (x + ½ −
+    second)². All code that needs q calls this function, so that the reference and the fast rasterizer skip the same
+    pixels.
     """
     dy = (y + 0.5) - prints.v[which]
     return dy * dy / prints.var_y[which], prints.u[which] + prints.shear[which] * dy, dy
 
 
 def split_into_chunks(count: int) -> list[slice]:
-    """Return slices of `SPLATS_PER_CHUNK` splats, at least one slice."""
+    """Return slices that divide `count` splats into chunks of `SPLATS_PER_CHUNK`, at least one slice."""
     return [slice(start, min(start + SPLATS_PER_CHUNK, count)) for start in range(0, max(count, 1), SPLATS_PER_CHUNK)]
 
 
@@ -229,7 +230,10 @@ def _linearise_projection(
 
 
 def _jacobian_bounds(camera: Camera, focal: Float) -> list[tuple[float, float]]:
-    """Return the range of x / z and of y / z at which Jacobians are taken; a crop has that of the uncropped image."""
+    """Return the ranges of x / z and y / z to which points are clamped before Jacobians are taken, as in INRIA's code.
+
+    A crop has the ranges of the uncropped image, so that it shows the same.
+    """
     left, top, right, bottom = camera.frame
     corners = np.array([[left, top], [right, top], [left, bottom], [right, bottom]]) - camera.intrinsics[:2, 2]
     flat = corners @ np.linalg.inv(focal).T
@@ -239,9 +243,9 @@ def _jacobian_bounds(camera: Camera, focal: Float) -> list[tuple[float, float]]:
 
 
 def transform_to_principal_axes(splats: Splats, index: Int, rows: Sequence[Sequence[Any]]) -> list[list[Float]]:
-    """Return rows · R · diag(scales): linear forms of the frame on the splats' principal axes.
+    """Return rows · R · diag(scales): row vectors, such as Jacobian rows, in the scaled principal axes of each splat.
 
-    Dot products of two results are covariances.
+    The dot product of two results is an entry of J Σ Jᵀ, the covariance of the projected splat.
 
     Parameters
     ----------
@@ -250,12 +254,12 @@ def transform_to_principal_axes(splats: Splats, index: Int, rows: Sequence[Seque
     index : ndarray of int, shape (N,)
         Splats to transform.
     rows : sequence of sequence
-        Linear forms, 3 entries each, numbers or arrays (N,).
+        Row vectors, 3 entries each, numbers or arrays (N,).
 
     Returns
     -------
     list of list of ndarray
-        For each form its 3 components, (N,) each.
+        For each row its 3 components, (N,) each.
     """
     w, x, y, z = (splats.rotations[index, i].astype(np.float64) for i in range(4))
     norm = 2.0 / (w * w + x * x + y * y + z * z)
@@ -271,10 +275,12 @@ def transform_to_principal_axes(splats: Splats, index: Int, rows: Sequence[Seque
 def _compute_depth_slopes(
     sxx: Float, sxy: Float, syy: Float, area: Float, depth: tuple[Float, Float, Float], low_pass: float
 ) -> tuple[Float, Float]:
-    """Return the growth of depth per pixel of the mean along a ray, Σ_xy⁻¹ Σ_xy,z: for a disc, its plane.
+    """Return the depth slopes per pixel, right and down, (N,) each, of a splat: Σ_xy⁻¹ Σ_xy,z of its 3-D covariance.
 
-    The low pass is left out, since it would bend the plane. Slopes are limited if the splat is seen so nearly edge-on
-    that pixels around it would leave it.
+    They describe the mean depth of the Gaussian along each ray; for a flat disc this is the disc's plane. `sxx`, `sxy`,
+    `syy` are the 2-D covariance without the low-pass, which would bend the plane, `area` its determinant, and `depth`
+    its covariances with depth. Slopes are limited for a splat seen nearly edge-on, whose plane would run far from its
+    center.
     """
     sxz, syz, szz = depth
     floor = MIN_EIGENVALUE_SHARE * (sxx + syy)
@@ -291,7 +297,10 @@ def _compute_depth_slopes(
 
 
 def _gram_determinant(mx: list[Float], my: list[Float]) -> Float:
-    """Return det(M Mᵀ) of two rows as a sum of squares (Cauchy and Binet), which cancellation cannot make negative."""
+    """Return det(M Mᵀ) of the 2 × 3 matrix with rows mx, my as a sum of squares, which rounding cannot make negative.
+
+    This is the Cauchy–Binet formula; a difference of products would suffer from cancellation.
+    """
     pairs = ((0, 1), (0, 2), (1, 2))
     return np.asarray(sum((mx[i] * my[k] - mx[k] * my[i]) ** 2 for i, k in pairs))
 
@@ -306,7 +315,7 @@ def _compute_box(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -
 
 
 def _compute_edges(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> tuple[Float, Float, Float, Float]:
-    """Return the pixels whose centres lie within a half width and height, rounded outwards."""
+    """Return left, right, top, bottom (N,) of the pixels within half sizes `wide`, `high` of (u, v), in the image."""
     wide, high = wide + BOX_MARGIN * (1.0 + wide + abs(u)), high + BOX_MARGIN * (1.0 + high + abs(v))
     return (
         np.maximum(np.ceil(u - wide - 0.5), 0.0),
@@ -317,6 +326,6 @@ def _compute_edges(camera: Camera, u: Float, v: Float, wide: Float, high: Float)
 
 
 def _dot(first: object, second: object) -> Float:
-    """Return the dot product of two vectors of three entries, numbers or (N,), added in order."""
+    """Return the dot product of two 3-vectors whose entries are numbers or arrays (N,), added in a fixed order."""
     a, b = first, second
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])  # type: ignore[index]

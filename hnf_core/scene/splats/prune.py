@@ -1,4 +1,4 @@
-"""Pruning of splats that show no surface: broken, faint, far, too large, floating or isolated ones."""
+"""Pruning of Gaussian splats that show no surface: not finite, faint, far, too large, floating or isolated ones."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ Int = NDArray[np.int64]
 MIN_OPACITY = 0.05
 """Least opacity of a splat that is kept; twenty fainter ones in a row stop less than two thirds of the light."""
 MAX_DISTANCE = 30.0
-"""Largest distance of a splat from the median along an axis, in sizes of the middle half of the cloud."""
+"""Largest distance of a splat from the median centre along an axis, in multiples of `PruneResult.size`."""
 MAX_SCALE = 0.5
-"""Largest standard deviation of a splat, in sizes of the middle half; larger ones are sky or blur."""
+"""Largest standard deviation of a splat, in multiples of `PruneResult.size`; larger ones are sky or blur."""
 MAX_THICKNESS = 0.1
-"""Largest standard deviation along a splat's thinnest axis, in sizes of the middle half: a splat of a surface is thin
-one way."""
+"""Largest standard deviation along a splat's thinnest axis, in multiples of `PruneResult.size`: a splat of a surface is
+thin one way."""
 NEIGHBOURS_PER_CELL = 12
 """Number of splats in the cell of the median splat, itself included; determines the cell size."""
 MIN_COMPONENT_SHARE = 0.01
 """Least fraction of all opacity in a connected component that is kept."""
 MIN_SUPPORT = 0.02
-"""Least opacity around a splat, as a fraction of the median splat's."""
+"""Least opacity in the cells around a splat, as a fraction of that around the median splat."""
 
 PRUNE_REASONS = ("broken", "faint", "far", "giant", "floating", "lonely")
 """Names of the reasons in `PruneResult.dropped`, in the order of the tests."""
@@ -46,11 +46,11 @@ class PruneResult:
     mask : ndarray of bool, shape (N,)
         True for the splats of the input that remain.
     dropped : dict of str to int
-        Number of dropped splats for each of `PRUNE_REASONS`; each counts once, under the first.
+        Number of dropped splats for each of `PRUNE_REASONS`; each counts once, under the first test that it fails.
     size : float
-        Diagonal of the bounding box of the middle half of the cloud, in the cloud's unit.
+        Diagonal of the box between the quartiles of the centres along each axis, in the cloud's unit.
     spacing : float
-        Side of the cells that connect components, in the cloud's unit.
+        Side of the grid cells by whose adjacency splats count as connected, in the cloud's unit.
     """
 
     splats: Splats
@@ -69,9 +69,10 @@ def prune_splats(splats: Splats, *, where: str = "") -> PruneResult:
     """Drop splats that belong to no surface.
 
     Tests in this order: broken (not finite or without size), faint (`MIN_OPACITY`), far (`MAX_DISTANCE`), too large
-    (`MAX_SCALE`, `MAX_THICKNESS`), floating (in a component below `MIN_COMPONENT_SHARE` of the opacity), isolated
-    (`MIN_SUPPORT`). Components are connected over 26 neighbouring cells of `choose_cell_size`. All lengths are relative
-    to the cloud's size, so that the result does not depend on its unit.
+    (`MAX_SCALE`, `MAX_THICKNESS`), floating (in a connected component with less than `MIN_COMPONENT_SHARE` of the total
+    opacity), isolated (little opacity in the cells around it, `MIN_SUPPORT`). Components are connected over 26
+    neighbouring cells of `choose_cell_size`. All lengths are relative to the cloud's size (`PruneResult.size`), so that
+    the result does not depend on its unit.
 
     Parameters
     ----------
@@ -135,7 +136,7 @@ def _get_remaining(reason: NDArray[np.int64], splats: Splats, where: str) -> NDA
 
 
 def choose_cell_size(positions: Float, size: float) -> float:
-    """Return the smallest cell size · 2^(−n/4) at which the median splat's cell has `NEIGHBOURS_PER_CELL` splats.
+    """Return the smallest cell size, size · 2^(−n/4), that gives the median splat's cell `NEIGHBOURS_PER_CELL` splats.
 
     `positions` (n, 3) are not negative. Powers of two make the result scale exactly with the cloud.
     """
@@ -158,7 +159,7 @@ def _compute_cell_keys(positions: Float, spacing: float) -> tuple[VoxelGrid, Int
 
 @dataclass(frozen=True)
 class _Components:
-    """Opacity (n,) of each splat's connected component, and (n,) of its cell and the 26 cells next to it."""
+    """Summed opacity (n,) of each splat's connected component, and (n,) of its cell with the 26 neighbouring cells."""
 
     mass: Float
     around: Float

@@ -1,4 +1,4 @@
-"""Rendering of splats on the CPU: projection, tiles, and front-to-back compositing, in numpy.
+"""Rendering of Gaussian splats on the CPU: projection, tiles, and front-to-back compositing, in numpy.
 
 A region of the image is composited at a time, many tiles and many splats at once; `render_splats` runs regions in
 threads. tests/reference/splat_rendering.py has the plain definition that the result is compared with.
@@ -33,14 +33,15 @@ from .project import (
 
 @dataclass(frozen=True)
 class SplatView:
-    """One rendered view of splats, in the unit of its camera; float32, or float64 from the reference.
+    """One rendered view of splats, depths in its camera's unit; w = α · transmittance is a splat's weight in a pixel.
 
     Attributes
     ----------
     camera : Camera
         The camera.
     rgb : ndarray, shape (H, W, 3)
-        Display-referred (sRGB) colour over black, Σ w c: the space that splats are trained in.
+        Display-referred (sRGB) color over black, Σ w c: splats are trained in this color space. All images are float32,
+        or float64 from the reference renderer.
     depth : ndarray, shape (H, W)
         Expected planar depth Σ w z / Σ w, inf if opacity is 0.
     median : ndarray, shape (H, W)
@@ -50,7 +51,7 @@ class SplatView:
     drawn : int
         Number of splats that overlap the image.
     pairs : int
-        Number of Gaussians evaluated at pixels.
+        Number of splat–pixel pairs evaluated.
     """
 
     camera: Camera
@@ -69,7 +70,7 @@ Bool = NDArray[np.bool_]
 SPLATS_PER_BATCH = 1 << 13
 """Number of splats whose tiles are found together."""
 INTERSECTIONS_PER_BATCH = 1 << 16
-"""Largest number of splat–tile pairs in memory, apart from those of the last splat."""
+"""Largest number of splat–tile pairs in memory; only the pairs of the last splat of a batch may exceed it."""
 PIXELS_PER_GROUP = 1 << 12
 """Number of pixels of the tiles that are composited together."""
 PAIRS_PER_BATCH = 1 << 17
@@ -83,7 +84,7 @@ SMALLEST_TRANSMITTANCE, MIN_EXPONENT = np.float32(1e-30), np.float32(-50.0)
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of an image in tiles of side × side pixels; tiles at the right and lower edge may exceed it."""
+    """A rectangle of an image in tiles of side × side pixels; the last tile in a row or column may exceed it."""
 
     left: int
     top: int
@@ -104,20 +105,20 @@ class Region:
 
 @dataclass(frozen=True)
 class Canvas:
-    """Accumulated values of the T tiles of a region, P = side² pixels each. All (P, T).
+    """Accumulated values of the T tiles of a region, with P = side² pixels each; w is a splat's weight. All (P, T).
 
     Attributes
     ----------
     region : Region
         The region.
     transmittance : ndarray of float32
-        Light that is left, 0 outside the region.
+        Fraction of the light not yet absorbed, 0 outside the region.
     weight : ndarray of float64
         Σ w.
     sums : ndarray of float64, shape (6, P, T)
-        Σ w of the attributes of `_evaluate_layer_attributes`.
+        Σ w · attribute for the six attributes of `_evaluate_layer_attributes`: depth plane and color.
     median : ndarray of float32
-        Median depth less the base depth, inf if not reached yet.
+        Median depth less the region's base depth, inf if not reached yet.
     """
 
     region: Region
@@ -128,7 +129,7 @@ class Canvas:
 
     @classmethod
     def empty(cls, region: Region) -> Canvas:
-        """Return the canvas of a region before any splat."""
+        """Return the canvas of a region before any splat is composited."""
         side = region.side
         transmittance = np.zeros((region.tiles_down, side, region.tiles_across, side), dtype=np.float32)
         transmittance.reshape(region.tiles_down * side, -1)[: region.height, : region.width] = 1.0
@@ -137,12 +138,12 @@ class Canvas:
         return cls(region, transmittance, zero[0], zero[1:], np.full_like(transmittance, np.inf))
 
     def depth(self) -> Float:
-        """Return Σ w (z − base), (P, T)."""
+        """Return Σ w (z − base), (P, T): the weighted sum of depth relative to the base depth."""
         pixel = np.arange(self.region.side**2)[:, None]
         return np.asarray(_evaluate_depth_plane(self.sums[:3], pixel, self.region.side), dtype=np.float64)
 
     def to_image(self, values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """Rearrange values (P, T) of tiles to an image (height, width)."""
+        """Rearrange values (P, T), pixels by tiles, to an image (height, width) of the region."""
         side, down, across = self.region.side, self.region.tiles_down, self.region.tiles_across
         image = values.reshape(side, side, down, across).transpose(2, 0, 3, 1)
         return image.reshape(down * side, -1)[: self.region.height, : self.region.width]
@@ -150,14 +151,14 @@ class Canvas:
 
 @dataclass(frozen=True)
 class TileIntersections:
-    """Pairs of splats and tiles, sorted by tile and within it front to back.
+    """Pairs of splats and the tiles that they touch, sorted by tile and within it front to back.
 
     Attributes
     ----------
     splat : ndarray of int, shape (I,)
-        Index of the footprint.
+        Index of the splat's footprint.
     tile : ndarray of int, shape (A,)
-        Tiles that have any.
+        Indices of the tiles that any splat touches.
     start, end : ndarray of int, shape (A,)
         Range of each tile's pairs in `splat`.
     """
@@ -171,12 +172,12 @@ class TileIntersections:
 def composite_region(
     footprints: Footprints, order: Int, colour: Single, base: float, region: Region
 ) -> tuple[Canvas, int]:
-    """Composite the splats of a region of an image.
+    """Composite splats front to back into one region of an image.
 
     Parameters
     ----------
     footprints : Footprints
-        M footprints.
+        Footprints of M splats in the image.
     order : ndarray of int, shape (M,)
         Front-to-back order.
     colour : ndarray of float32, shape (3, M)
@@ -214,7 +215,10 @@ def composite_region(
 
 
 def _intersect_tiles(prints: Footprints, at: int, region: Region, open_: Bool) -> tuple[TileIntersections, int]:
-    """Return the pairs of the foremost splats from `at` on with unfinished tiles, and the next position."""
+    """Return pairs of splats and unfinished tiles for a batch of splats from index `at` on, and the next batch's index.
+
+    `open_` (T,) marks the tiles that still let light through; footprints are in front-to-back order.
+    """
     span, side = np.s_[at : at + SPLATS_PER_BATCH], region.side
     left = np.maximum(prints.left[span] - region.left, 0) // side
     right = (np.minimum(prints.right[span] - region.left, region.width) - 1) // side + 1
@@ -247,7 +251,7 @@ def _intersect_tiles(prints: Footprints, at: int, region: Region, open_: Bool) -
 
 
 def _has_open_tile(open_: Bool, left: Int, right: Int, top: Int, bottom: Int) -> Bool:
-    """Return a mask of the boxes of tiles that contain an unfinished one (summed-area table)."""
+    """Return a mask of the boxes (in tiles) that contain an unfinished tile of `open_`, by a summed-area table."""
     if open_.all():
         return np.ones(len(left), dtype=np.bool_)
     total = np.zeros((open_.shape[0] + 1, open_.shape[1] + 1), dtype=np.int32)
@@ -256,10 +260,10 @@ def _has_open_tile(open_: Bool, left: Int, right: Int, top: Int, bottom: Int) ->
 
 
 def _may_reach_tile(prints: Footprints, splat: Int, left: Int, top: Int, side: int) -> Bool:
-    """Return False where a splat's ellipse surely misses a tile.
+    """Return a mask of splat–tile pairs; False where the splat's ellipse certainly misses the tile.
 
-    No pixel is nearer, in Mahalanobis distance, than the tile's centre less the most that half its diagonal can
-    contribute.
+    A pixel's Mahalanobis distance is at least that of the tile's center less half the diagonal over the least standard
+    deviation. `left`, `top` are the tile's first pixel.
     """
     row_term, nearest_x, _ = evaluate_quadratic_form(prints, splat, top + (0.5 * side - 0.5))
     offset = left + 0.5 * side - nearest_x
@@ -270,9 +274,9 @@ def _may_reach_tile(prints: Footprints, splat: Int, left: Int, top: Int, side: i
 def _composite_tiles(
     canvas: Canvas, prints: Footprints, colour: Single, base: float, touches: TileIntersections
 ) -> int:
-    """Composite splats into their tiles; return the number of contributing pairs.
+    """Composite splats into the tiles that they touch; return the number of contributing splat–pixel pairs.
 
-    Tiles are grouped with those that have equally many splats.
+    Tiles with about equally many splats are composited together.
     """
     pairs, size, counts = 0, canvas.region.side**2, touches.end - touches.start
     by_count = np.argsort(counts, kind="stable")
@@ -296,7 +300,10 @@ def _composite_tiles(
 def _composite_layers(
     canvas: Canvas, prints: Footprints, colour: Single, base: float, tile: Int, splat: Int, there: Bool
 ) -> int:
-    """Composite L splats, one behind the other, into each of A tiles; `splat` and `there` are (L, A)."""
+    """Composite up to L splats, front to back, into each of A tiles; return the number of contributing pairs.
+
+    `splat` (L, A) holds the footprint of each layer of each tile, and `there` (L, A) is False where a tile has fewer.
+    """
     y, x = np.divmod(tile, canvas.region.tiles_across)
     side = canvas.region.side
     left, top = canvas.region.left + side * x, canvas.region.top + side * y
@@ -324,7 +331,10 @@ def _composite_layers(
 
 
 def _evaluate_alpha(prints: Footprints, left: Int, top: Int, side: int, splat: Int, there: Bool) -> tuple[Single, Bool]:
-    """Return α and a mask of the pairs that count, (L, P, A) each; q is compared in float64, as in the reference."""
+    """Return α and a mask of the pixels within the splat's cutoff, (L, P, A) each, for L layers of A tiles.
+
+    The Mahalanobis distance is compared with the cutoff in float64, as in the reference renderer, so that both agree.
+    """
     steps = np.arange(side)[:, None]
     row_term, nearest_x, _ = evaluate_quadratic_form(prints, splat[:, None], (top + steps)[None])
     q = (left + steps + 0.5) - nearest_x[:, :, None]
@@ -346,7 +356,7 @@ def _evaluate_alpha(prints: Footprints, left: Int, top: Int, side: int, splat: I
 def _evaluate_layer_attributes(
     prints: Footprints, colour: Single, base: float, left: Int, top: Int, splat: Int
 ) -> Single:
-    """Return depth less base at a tile's first pixel, its growth right and down, and colour: (6, L, A)."""
+    """Return depth at a tile's first pixel less `base`, depth slopes right and down, and color of splats, (6, L, A)."""
     dy, dx = top + 0.5 - prints.v[splat], left + 0.5 - prints.u[splat]
     slope_x, slope_y = prints.depth_slope_x[splat], prints.depth_slope_y[splat]
     corner = prints.depth[splat] - base + slope_x * dx + slope_y * dy
@@ -356,7 +366,7 @@ def _evaluate_layer_attributes(
 
 
 def _evaluate_depth_plane(plane: NDArray[np.floating[Any]], pixel: Int, side: int) -> NDArray[np.floating[Any]]:
-    """Return depth at pixels (n,) of a tile, from its first pixel's depth and the slopes right and down (3, n, …)."""
+    """Return depths at flat pixel indices (n,) of a tile; `plane` is its first pixel's depth and slopes right, down."""
     row, column = np.divmod(pixel, side)
     corner, right, down = plane
     return np.asarray(corner + right * column + down * row)
@@ -365,8 +375,8 @@ def _evaluate_depth_plane(plane: NDArray[np.floating[Any]], pixel: Int, side: in
 REGION_SIZE_PX = 128
 """Side of the region that one thread composites at a time [pixels]."""
 TILE_SIDES = ((32.0, 2), (2000.0, 4), (np.inf, 8))
-"""Pairs of a largest mean area of the splats' boxes [pixels²] and the side of a tile [pixels]: small tiles waste fewer
-pixels on small splats, large ones need fewer entries for large splats. The image is the same."""
+"""Pairs of a largest mean area of the splats' bounding boxes [pixels²] and the side of a tile [pixels]: small tiles
+waste fewer pixels on small splats, large ones need fewer splat–tile pairs for large splats. The image is the same."""
 
 Result = TypeVar("Result")
 
@@ -425,7 +435,7 @@ def render_splats(splats: Splats, camera: Camera, *, low_pass: float = LOW_PASS_
 
 
 class _ThreadMap:
-    """Map of a function over items in several threads, with results in order."""
+    """Small thread pool; `run` maps a function over items and returns the results in order."""
 
     def __init__(self, threads: int) -> None:
         self._threads = threads
@@ -444,7 +454,7 @@ def _choose_tile_side(prints: Footprints) -> int:
 
 
 def _compute_colours(splats: Splats, camera: Camera, visible: Int, chunk: slice) -> NDArray[np.float32]:
-    """Return the colours (3, n) of one chunk of the visible splats."""
+    """Return the display-referred colors (3, n) of one chunk of the visible splats, as seen from the camera."""
     index = visible[chunk]
     colours = evaluate_sh_colours(splats.harmonics[index], compute_view_directions(splats.means[index], camera))
     return np.ascontiguousarray(colours.T, dtype=np.float32)

@@ -1,8 +1,8 @@
 """Reconstruction of a triangle mesh from splats, with a measure of its quality.
 
-The splats are pruned and rendered as depth views from all around; the views are fused to a TSDF, surface nets mesh it,
-and the vertices move to the depth that the views show. The quality compares the mesh with the splats, and the views
-with each other.
+The splats are pruned and rendered as depth views (orthographic depth images) from all around; the views are fused to a
+truncated signed distance field (TSDF), surface nets mesh it, and the vertices move to the depth that the views show.
+The quality compares the mesh with the splats, and the views with each other.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ SMOOTHING_FACTOR = 0.5
 
 @dataclass(frozen=True)
 class VertexObservations:
-    """Observations of V vertices in the depth views; lengths in pixels.
+    """Averages of what the depth views show at each of V mesh vertices; lengths in pixels.
 
     Attributes
     ----------
     height : ndarray of float32, shape (V,)
-        Mean signed distance of the vertex above the visible surface along its normal; 0 if no view counts.
+        Mean signed distance of the vertex above the visible surface along its normal; 0 if no view sees it.
     spread : ndarray of float32, shape (V,)
         Standard deviation of that distance among the views.
     views : ndarray of int32, shape (V,)
-        Number of views that count.
+        Number of views that see the vertex.
     back : ndarray of float32, shape (V,)
-        Distance to the other side behind the vertex, inf if none is seen near.
+        Distance to the opposite side of a thin sheet, behind the vertex; inf if none is seen near.
     colour : ndarray of float32, shape (V, 3)
         Linear colour.
     """
@@ -69,9 +69,10 @@ class VertexObservations:
 
 
 def observe_vertices(depth_views: Sequence[DepthView], vertices: Float, normals: Float) -> VertexObservations:
-    """Average what the depth views show of each vertex.
+    """Average over the depth views the height of the visible surface and its color at each vertex.
 
-    Views have the weight opacity · cos θ of the visible surface · cos θ of the vertex's normal.
+    A view's weight is opacity · cos θ₁ · cos θ₂, the angles between the view and the normals of the visible surface and
+    of the vertex.
 
     Parameters
     ----------
@@ -127,8 +128,8 @@ def refine_vertices(
 ) -> Float:
     """Move vertices along their normals to the visible surface, and across them towards their neighbours' centroid.
 
-    The lateral motion keeps triangles from folding over (the elastic part of Gibson's nets). Vertices that no view
-    shows move as their neighbours do, at first by `default_height`. The two sides of a sheet stay
+    The lateral motion keeps triangles from folding over (the elastic relaxation of Gibson's surface nets). Vertices
+    that no view shows start from `default_height` and follow their neighbours. The two sides of a sheet stay
     `MIN_SHEET_THICKNESS_PX` apart. A hole's rim only moves along the normals.
 
     Parameters
@@ -138,9 +139,9 @@ def refine_vertices(
     triangles : ndarray of int, shape (T, 3)
         Vertex indices.
     observed : VertexObservations
-        Observations per vertex.
+        Observations of the vertices, from `observe_vertices`.
     default_height : float
-        Height of vertices that no view shows [pixels].
+        Assumed height above the surface of vertices that no view shows [pixels].
 
     Returns
     -------
@@ -160,7 +161,7 @@ def refine_vertices(
 
 @dataclass(frozen=True)
 class _EdgeGraph:
-    """Edges of a mesh, both ways, with each vertex's degree (V,) and a mask (V,) of vertices on a hole's rim."""
+    """Edges of a mesh in both directions, each vertex's number of neighbors (V,), and a mask (V,) of open borders."""
 
     start: Int
     end: Int
@@ -178,7 +179,7 @@ class _EdgeGraph:
         return _EdgeGraph(start, end, np.maximum(np.bincount(start, minlength=count), 1), rim)
 
     def mean(self, values: Float) -> Float:
-        """Return the mean (V,) over each vertex's neighbours."""
+        """Return the mean of `values` (V,) over the neighbors of each vertex, (V,)."""
         return np.asarray(np.bincount(self.start, weights=values[self.end], minlength=len(self.degree)) / self.degree)
 
 
@@ -198,9 +199,9 @@ def compute_vertex_normals(vertices: Float, triangles: Int) -> Float:
 OPAQUE_OPACITY = 0.5
 """Opacity from which a splat's centre should lie on the surface."""
 NEAR_SPACINGS = 2.0
-"""Distance within which a splat counts as near the surface [spacings]."""
+"""Distance within which a splat counts as near the surface [vertex spacings]."""
 SEARCH_SPACINGS = 4.0
-"""Distance within which the surface is searched for [spacings]."""
+"""Distance from a splat within which the surface is searched for [vertex spacings]."""
 MAX_SAMPLED_SPLATS = 1 << 12
 """Number of splats, evenly chosen, whose distance is measured: a fraction of so many is accurate to 0.8 %."""
 MIN_NEAR_SHARE = 0.6
@@ -223,7 +224,7 @@ DEPTH_JUMP_PX = 3.0
 
 @dataclass(frozen=True)
 class Clarity:
-    """Two fractions that are small if the views show a surface, whatever its shape.
+    """Two fractions that are small if the depth views show a clear surface rather than fog, whatever its shape.
 
     Attributes
     ----------
@@ -238,7 +239,7 @@ class Clarity:
 
 
 def measure_clarity(depth_views: Sequence[DepthView]) -> Clarity:
-    """Measure the clarity of all views together; lengths in their pixels."""
+    """Measure the clarity of all depth views together: translucent pixels, and depth jumps between adjacent pixels."""
     shown = translucent = pairs = jumps = 0
     for view in depth_views:
         shown += int(np.count_nonzero(view.opacity > TRANSLUCENT_RANGE[0]))
@@ -255,25 +256,25 @@ def measure_clarity(depth_views: Sequence[DepthView]) -> Clarity:
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of a reconstructed surface.
+    """Quality of a reconstructed surface; a vertex spacing is the side of the grid cells that it was meshed in.
 
     Attributes
     ----------
     median, most : float
         Distance of opaque splats' centres to the surface, median and 95th percentile, in the cloud's unit; inf beyond
-        `SEARCH_SPACINGS`.
+        `SEARCH_SPACINGS` vertex spacings.
     spacing : float
-        Spacing of the surface's vertices, in the cloud's unit.
+        Vertex spacing, in the cloud's unit.
     near : float
-        Fraction of the opaque splats' opacity within `NEAR_SPACINGS`.
+        Fraction of the opaque splats' opacity within `NEAR_SPACINGS` vertex spacings of the surface.
     retained : float
         Fraction of all opacity left after pruning.
     spread : float
-        Median over the vertices of the standard deviation of depth among views [spacings].
+        Median over the vertices of the standard deviation of depth among views [vertex spacings].
     views : float
         Number of views that see the median vertex.
     open : float
-        Fraction of edges with one triangle only.
+        Fraction of edges with one triangle only, the borders of holes.
     components : int
         Number of connected components.
     clarity : Clarity
@@ -315,9 +316,10 @@ class Quality:
 def measure_surface_distance(
     splats: Splats, vertices: Float, triangles: NDArray[np.integer[Any]], spacing: float
 ) -> tuple[Float, Float]:
-    """Return distances of opaque splats' centres to the surface, inf beyond `SEARCH_SPACINGS`, and their opacities.
+    """Return the distances of opaque splats' centers to the surface (n,), and the splats' opacities (n,).
 
-    If no splat is opaque, all splats are used.
+    Distances beyond `SEARCH_SPACINGS` vertex spacings (`spacing`) are inf. Up to `MAX_SAMPLED_SPLATS` splats are
+    sampled; if none is opaque, from all.
     """
     opaque = splats.opacities >= OPAQUE_OPACITY
     candidates = np.flatnonzero(opaque if opaque.any() else np.ones(len(splats), dtype=np.bool_))
@@ -337,28 +339,28 @@ def assess_quality(
     components: int,
     clarity: Clarity,
 ) -> Quality:
-    """Assess a reconstructed surface.
+    """Assess whether a reconstructed surface is good enough to touch.
 
     Parameters
     ----------
     splats : Splats
         Pruned splats, in the frame of `vertices`.
     retained : float
-        Fraction of all opacity that they hold.
+        Fraction of the original cloud's opacity that the pruned splats hold.
     vertices : ndarray, shape (V, 3)
         Positions.
     triangles : ndarray of int, shape (T, 3)
         Vertex indices.
     spacing : float
-        Spacing of the vertices.
+        Spacing of the vertices, in the unit of `vertices`.
     spread : ndarray, shape (V,)
-        Standard deviation of each vertex's depth among views [spacings].
+        Standard deviation of each vertex's depth among views [vertex spacings].
     views : ndarray of int, shape (V,)
         Number of views that see each vertex.
     components : int
         Number of connected components.
     clarity : Clarity
-        Clarity of the views.
+        Clarity of the depth views, from `measure_clarity`.
 
     Returns
     -------
@@ -378,7 +380,7 @@ def assess_quality(
 
 
 def compute_open_edge_share(triangles: NDArray[np.integer[Any]]) -> float:
-    """Return the fraction of edges that belong to one triangle only."""
+    """Return the fraction of a mesh's edges that belong to one triangle only, as at the border of a hole."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     keys = edges[:, 0].astype(np.int64) * (int(edges.max(initial=0)) + 1) + edges[:, 1]
     _, count = np.unique(keys, return_counts=True)
@@ -418,15 +420,16 @@ def _make_warnings(count: int, near: float, retained: float, open_: float, clari
 RenderFunction = Callable[[Splats, Camera], SplatView]
 
 DEFAULT_CELLS = 256
-"""Number of cells along the longest axis."""
+"""Number of grid cells along the longest axis of the cloud."""
 MIN_CELLS, MAX_CELLS = 8, 2048
-"""Accepted numbers of cells along the longest axis."""
+"""Accepted numbers of grid cells along the longest axis of the cloud."""
 DEFAULT_VIEWS = 32
 """Number of depth views."""
 MAX_VIEW_MARGIN = 20.0
-"""Largest radius around a splat's centre that views include [cells]."""
+"""Largest radius around a splat's center that views include [grid cells]."""
 REFINEMENT_ROUNDS = 2
-"""Number of rounds that move vertices to the visible surface; a third moves them by less than 0.01 spacings."""
+"""Number of rounds that move vertices to the visible surface; a third would move them by less than 0.01 vertex
+spacings."""
 MIN_COMPONENT_AREA_SHARE = 0.005
 """Least fraction of the area in a connected component that is kept."""
 
@@ -448,9 +451,9 @@ class SplatSurface:
     support : ndarray of float32, shape (V,)
         Number of views that see the vertex.
     spread : ndarray of float32, shape (V,)
-        Standard deviation of the vertex's depth among them.
+        Standard deviation of the vertex's depth among these views, in the unit of the splats.
     spacing : float
-        Spacing of the grid that it was meshed in.
+        Spacing of the grid that it was meshed in, about that of the vertices.
     pruned : PruneResult
         Splats that it was made from.
     quality : Quality
@@ -484,7 +487,7 @@ def reconstruct_surface(
     splats : Splats
         The splats.
     cells : int
-        Number of cells along the longest axis of the pruned cloud.
+        Resolution: number of grid cells along the longest axis of the pruned cloud.
     views : int
         Number of orthographic depth views from all around.
     progress : callable, optional
@@ -567,7 +570,7 @@ def reconstruct_surface(
 
 
 def _scale_to_cells(splats: Splats, cells: int) -> tuple[Splats, Float, float]:
-    """Return the cloud centred and scaled to a cell size of 1, its former centre, and the cell size."""
+    """Return the cloud centered and scaled so that a grid cell has side 1, its former center (3,), and cell size."""
     means = splats.means.astype(np.float64)
     low, high = means.min(axis=0), means.max(axis=0)
     side, centre = float((high - low).max()) / cells, (low + high) / 2.0
@@ -607,7 +610,7 @@ def _refine_surface(
 def _drop_small_components(
     vertices: Float, triangles: Int, observed: VertexObservations
 ) -> tuple[Float, Int, VertexObservations]:
-    """Drop triangles that no view sees, and components below `MIN_COMPONENT_AREA_SHARE` of the area."""
+    """Drop triangles that no view sees, and components with less than `MIN_COMPONENT_AREA_SHARE` of the mesh's area."""
     triangles = triangles[(observed.views[triangles] > 0).any(axis=1)]
     label = label_components(len(vertices), np.repeat(triangles[:, 0], 2), triangles[:, 1:].reshape(-1))[
         triangles[:, 0]

@@ -1,4 +1,4 @@
-"""Fusion of depth views to a truncated signed distance (TSDF), and the triangle mesh of its zero level.
+"""Fusion of depth images to a truncated signed distance field (TSDF), and the triangle mesh of its zero level set.
 
 The distance is stored in a band around the surface only (Curless & Levoy 1996, A volumetric method for building complex
 models from range images); the mesh is made by naive surface nets over the known samples (Gibson 1998, Constrained
@@ -29,12 +29,12 @@ _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(_CORNERS[a
 
 @dataclass(frozen=True)
 class GridSamples:
-    """Known samples of a signed distance on a grid, none of them on its rim; all others are unknown.
+    """Known samples of a signed distance at grid points, none at the grid's border; all other points are unknown.
 
     Attributes
     ----------
     grid : VoxelGrid
-        The grid.
+        The grid; its cells stand for grid points.
     keys : ndarray of int64, shape (K,)
         Sorted keys of the grid points.
     values : ndarray, shape (K,)
@@ -53,7 +53,7 @@ class SurfaceNet:
     Attributes
     ----------
     vertices : ndarray of float64, shape (V, 3)
-        Positions in spacings from grid point (0, 0, 0).
+        Positions in grid spacings from grid point (0, 0, 0).
     triangles : ndarray of int64, shape (T, 3)
         Vertex indices, counter-clockwise seen from outside.
     corners : ndarray of int, shape (V, 8)
@@ -66,7 +66,7 @@ class SurfaceNet:
 
 
 def extract_surface(samples: GridSamples) -> SurfaceNet:
-    """Mesh the zero level of known samples.
+    """Mesh the zero level of known signed-distance samples by naive surface nets.
 
     Every cube of eight known samples with both signs gets one vertex, at the mean of its edges' zero crossings. Every
     crossing edge with four known cubes gets a quad, split in two. Holes in the samples stay holes; an ambiguous cube
@@ -96,20 +96,20 @@ def _unit_step(axis: int) -> tuple[int, int, int]:
 
 
 def _find_cut_edges(samples: GridSamples, inside: NDArray[np.bool_], axis: int) -> tuple[Int, NDArray[np.bool_]]:
-    """Return keys of the lower ends of an axis' edges with a sign change, and whether each edge leaves the inside."""
+    """Return keys of the lower ends of the grid edges along `axis` that change sign, and whether that end is inside."""
     above = find_keys(samples.keys, samples.keys + samples.grid.key_offset(_unit_step(axis)))
     lower = np.flatnonzero((above >= 0) & (inside != inside[above]))
     return samples.keys[lower], inside[lower]
 
 
 def _get_cube_key_offsets(grid: VoxelGrid, axis: int) -> list[int]:
-    """Return key offsets from an edge's lower end to its four cubes, counter-clockwise around the axis."""
+    """Return key offsets from an edge's lower end to the four cubes around it, counter-clockwise about its axis."""
     b, c = grid.key_offset(_unit_step((axis + 1) % 3)), grid.key_offset(_unit_step((axis + 2) % 3))
     return [0, -b, -b - c, -c]
 
 
 def _find_complete_cubes(samples: GridSamples, cubes: Int) -> tuple[Int, NDArray[np.intp]]:
-    """Return the cubes with eight known corners, and the indices of these corners."""
+    """Return the cubes whose eight corners are all known samples, and the indices (n, 8) of these corners."""
     corners = np.stack(
         [find_keys(samples.keys, cubes + samples.grid.key_offset(tuple(corner))) for corner in _CORNERS], axis=1
     )
@@ -130,7 +130,7 @@ def _compute_vertices(samples: GridSamples, cubes: Int, corners: NDArray[np.intp
 
 
 def _split_quads(vertices: Float, quads: Int) -> Int:
-    """Split quads into two triangles each, along the diagonal whose smaller triangle is larger."""
+    """Split quads (n, 4) into triangles (2n, 3), along the diagonal whose smaller triangle has the larger area."""
     corner = vertices[quads]
     options = (((0, 1, 2), (0, 2, 3)), ((0, 1, 3), (1, 2, 3)))
     area = [np.min([_compute_triangle_areas(corner[:, list(half)]) for half in option], axis=0) for option in options]
@@ -171,16 +171,16 @@ MIN_WEIGHT = 0.002
 
 @dataclass(frozen=True)
 class TsdfBand:
-    """Fused samples near the surface.
+    """Fused signed-distance samples in a band near the surface.
 
     Attributes
     ----------
     samples : GridSamples
-        Signed distance to the surface thickened by `THICKNESS` [spacings].
+        Signed distance to the surface thickened by `THICKNESS` [grid spacings].
     origin : ndarray, shape (3,)
         Position of grid point (0, 0, 0).
     weight : ndarray of float32, shape (K,)
-        Total weight of each sample.
+        Summed weight of the views of each sample.
     """
 
     samples: GridSamples
@@ -189,7 +189,7 @@ class TsdfBand:
 
 
 def find_band(depth_views: Sequence[DepthView]) -> tuple[VoxelGrid, Float, NDArray[np.int64]]:
-    """Return a grid of spacing 1, its origin, and the keys of its points near a visible surface.
+    """Return a grid of spacing 1, the position (3,) of its point 0, and the keys of its points near a visible surface.
 
     Memory grows with the surface, not the volume. There are no keys if nothing is visible.
     """
@@ -231,7 +231,7 @@ def fuse_depth_views(
     Returns
     -------
     TsdfBand
-        Samples with enough weight.
+        The samples whose summed weight is at least `MIN_WEIGHT`.
 
     Notes
     -----

@@ -19,7 +19,7 @@ MAX_CELLS_PER_AXIS = (1 << 21) - 1
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """A grid of (nx, ny, nz) cells that is never stored; the key of cell (i, j, k) is (i · ny + j) · nz + k.
+    """An implicit grid of (nx, ny, nz) cells, known by integer keys: cell (i, j, k) has the key (i · ny + j) · nz + k.
 
     Raises SceneError if there are more than `MAX_CELLS_PER_AXIS` cells along an axis.
     """
@@ -34,26 +34,26 @@ class VoxelGrid:
             )
 
     def keys(self, cells: Int) -> Int:
-        """Return the keys (n,) of cells (n, 3)."""
+        """Return the keys (n,) of cell indices (n, 3)."""
         _, ny, nz = self.shape
         return (cells[:, 0] * ny + cells[:, 1]) * nz + cells[:, 2]
 
     def cells(self, keys: Int) -> Int:
-        """Return the cells (n, 3) of keys (n,)."""
+        """Return the cell indices (n, 3) of keys (n,)."""
         _, ny, nz = self.shape
         return np.stack([keys // (ny * nz), keys // nz % ny, keys % nz], axis=1)
 
     def key_offset(self, offset: tuple[int, int, int]) -> int:
         """Return the difference of keys of two cells that are `offset` apart.
 
-        It is valid only away from the grid's rim: leave one cell of border per step.
+        Added to the key of a cell at the grid's border it would give a wrong cell: leave one empty cell per step.
         """
         _, ny, nz = self.shape
         return (offset[0] * ny + offset[1]) * nz + offset[2]
 
 
 def find_keys(keys: Int, wanted: Int) -> NDArray[np.intp]:
-    """Return the index of each wanted key among sorted keys, -1 if it is missing."""
+    """Return the position of each wanted key (n,) in sorted `keys`, -1 if it is missing."""
     if len(keys) == 0:
         return np.full(wanted.shape, -1, dtype=np.intp)
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
@@ -61,7 +61,7 @@ def find_keys(keys: Int, wanted: Int) -> NDArray[np.intp]:
 
 
 def dilate_keys(grid: VoxelGrid, keys: Int, reach: int) -> Int:
-    """Return the sorted keys of all cells within `reach` of the given ones along every axis.
+    """Return the sorted keys of all cells within `reach` cells of the given ones along every axis.
 
     The given cells must be that far from the grid's rim.
     """
@@ -114,12 +114,12 @@ Index = NDArray[np.intp]
 _POINTS_PER_CHUNK = 1 << 13
 """Number of points that are searched together."""
 _MAX_CELLS = 1 << 20
-"""Largest number of cells along the longest axis."""
+"""Largest number of grid cells along the longest axis."""
 
 
 @dataclass(frozen=True)
 class NearestTriangles:
-    """Nearest triangle (n,) of each point, -1 if none is within reach, and its distance (n,), inf then."""
+    """Index (n,) of the triangle nearest to each point, -1 if none is within reach, and its distance (n,), inf then."""
 
     triangle: NDArray[np.int32]
     distance: Float
@@ -185,7 +185,7 @@ def find_nearest_triangles(
 
 @dataclass(frozen=True)
 class _TriangleBins:
-    """Triangles sorted by the cell of their centroid: cell keys[i] holds order[start[i] : start[i + 1]]."""
+    """Triangles binned by the cell of their centroid: cell keys[i] holds triangles order[start[i] : start[i + 1]]."""
 
     grid: VoxelGrid
     low: Float
@@ -209,7 +209,7 @@ class _TriangleBins:
 def _search_bins(
     bins: _TriangleBins, corners: Float, centre: Float, radius: Float, points: Float
 ) -> tuple[Index, Float]:
-    """Return the nearest triangle (n,) in the 27 cells around each point, and its distance; -1 and inf if none."""
+    """Return the nearest triangle (n,) in the 27 cells around each point, and its distance (n,); -1 and inf if none."""
     nearest, min_distance = np.full(len(points), -1, dtype=np.intp), np.full(len(points), np.inf)
     inside = np.flatnonzero(((points >= bins.low - bins.side) & (points <= bins.high + bins.side)).all(axis=1))
     keys = bins.grid.keys(np.floor((points[inside] - bins.low) / bins.side).astype(np.int64) + 2)
@@ -231,7 +231,7 @@ def _search_bins(
 
 
 def _neighbour_key_offsets(grid: VoxelGrid) -> list[int]:
-    """Return key offsets to the 27 cells around a cell, itself first because the nearest is likely there."""
+    """Return the key offsets to the 27 cells in and around a cell, itself first because the nearest is likely there."""
     near = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
     return [grid.key_offset(step) for step in sorted(near, key=lambda step: sum(map(abs, step)))]
 
@@ -245,9 +245,10 @@ def _find_candidate_pairs(
     keys: NDArray[np.int64],
     bound: Float,
 ) -> tuple[Index, Index, Float]:
-    """Return pairs of points and triangles in cells `keys` that may be nearest, and their least possible distance.
+    """Return point and triangle indices of pairs that may be nearest, and each pair's least possible distance, (m,).
 
-    `bound` (n,) holds the distance within which some triangle lies; it is lowered in place.
+    `keys` holds one cell to search for each point of `inside`; `centre` and `radius` are the bounding spheres of all
+    triangles. `bound` (n,) is an upper bound of each point's distance, lowered in place.
     """
     cell = find_keys(bins.keys, keys)
     occupied = np.flatnonzero(cell >= 0)

@@ -1,4 +1,4 @@
-"""Base colour of a height tile: marks that follow the relief, the lattice, the grain, or nothing at all."""
+"""Base color of a simulated surface: color patterns that follow its relief, its lattice, its grain, or none of them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Single = NDArray[np.float32]
 Complex = NDArray[np.complex128]
 
 MIN_MARK_STRENGTH = 0.01
-"""Weakest mark that is rendered; weaker ones do not show in eight bits of colour."""
+"""Weakest color pattern that is rendered; weaker ones do not show in eight bits of color."""
 MIN_ALBEDO, MAX_ALBEDO = 0.004, 0.95
 """Range of linear base colour."""
 MIN_GRAIN_STRETCH = 1.3
-"""Least stretch of noise that shows streaks."""
+"""Least stretch (length over width of features) of a noise part that shows streaks."""
 
 
 def compute_cavity_depth(spectrum: Complex, pixels: int, size_m: float, reach_m: float) -> Single:
-    """Compute the depth (H, W) [m] below the height's Gaussian mean over `reach_m`; crests are negative.
+    """Compute the depth (H, W) [m] below the height's Gaussian mean, σ = `reach_m`; crests are negative.
 
-    `spectrum` is rfft2 of the height.
+    `spectrum` is rfft2 of the height map, `size_m` its side.
     """
     kx, ky = wavenumbers(pixels, size_m)
     high_pass = gaussian_mtf(np.hypot(kx, ky), reach_m) - 1.0
@@ -36,20 +36,20 @@ def compute_cavity_depth(spectrum: Complex, pixels: int, size_m: float, reach_m:
 def render_albedo(
     recipe: SurfaceRecipe, spectrum: Complex, appearance: SurfaceAppearance, size_m: float, rng: np.random.Generator
 ) -> Single:
-    """Render the linear base colour of a tile.
+    """Render the linear base color of a surface tile, with its color patterns.
 
     Parameters
     ----------
     recipe : SurfaceRecipe
-        Recipe of the surface.
+        Parameters that the surface's height map was generated from.
     spectrum : ndarray of complex
-        rfft2 of its height (H = W).
+        rfft2 of its height map (H = W).
     appearance : SurfaceAppearance
-        Its appearance.
+        Base color and strengths of the patterns.
     size_m : float
         Side of the tile [m].
     rng : numpy.random.Generator
-        Source of marks that do not follow the relief.
+        Source of randomness for patterns that do not follow the relief.
 
     Returns
     -------
@@ -90,9 +90,9 @@ def render_albedo(
 
 
 def render_lattice_pattern(lattice: Lattice, spectrum: Complex, size_m: float) -> Single:
-    """Return a pattern (H, W), −1 … 1, of the lattice's raised parts.
+    """Return a color pattern (H, W), −1 … 1, that is high on the raised parts of a lattice (weave, knurl, grating).
 
-    It is filtered from the height around the waves' wave vectors, so that colour follows irregular threads.
+    It is the height band-passed around the lattice's wave vectors, so that color follows irregular threads.
     """
     pixels = spectrum.shape[0]
     kx, ky = wavenumbers(pixels, size_m)
@@ -108,7 +108,7 @@ def render_lattice_pattern(lattice: Lattice, spectrum: Complex, size_m: float) -
 def render_streaks(
     noise: Noise, spectrum: Complex, relief_share: float, size_m: float, rng: np.random.Generator
 ) -> Single:
-    """Return streaks (H, W) of RMS 1 along the grain, partly from the relief and partly independent of it."""
+    """Return streaks (H, W) of RMS 1 along the grain, a fraction `relief_share` of their power from the relief."""
     pixels = spectrum.shape[0]
     kx, ky = wavenumbers(pixels, size_m)
     along = kx * np.cos(noise.angle_rad) + ky * np.sin(noise.angle_rad)
@@ -123,7 +123,7 @@ def render_streaks(
 
 
 def render_speckle(pixels: int, size_m: float, appearance: SurfaceAppearance, rng: np.random.Generator) -> Single:
-    """Return spots (H, W) of about `speckle_m`, RMS near 1: cloudy, or sharp-edged as the minerals of granite."""
+    """Return spots (H, W) of size `speckle_m`, RMS near 1: cloudy, or sharp-edged as the minerals of granite."""
     kx, ky = wavenumbers(pixels, size_m)
     square = np.square(kx) + np.square(ky)
     size = appearance.speckle_m / 4.0
@@ -138,7 +138,7 @@ def render_speckle(pixels: int, size_m: float, appearance: SurfaceAppearance, rn
 def render_printed_pattern(
     pixels: int, size_m: float, appearance: SurfaceAppearance, rng: np.random.Generator
 ) -> Single:
-    """Return a printed pattern (H, W), −1 … 1, at a random position and angle."""
+    """Return a printed pattern (H, W), −1 … 1 (stripes, dots or clouds), at a random position and angle."""
     if appearance.print_kind == "clouds":
         kx, ky = wavenumbers(pixels, size_m)
         gain = np.exp(-0.5 * np.square(2.0 * appearance.print_m) * (np.square(kx) + np.square(ky)))

@@ -1,6 +1,7 @@
-"""Appearance of one instance: base colour, gloss and the strength of every pattern, drawn by a seed around its class.
+"""Random appearance of one simulated surface: base color, gloss and the strength of its color patterns.
 
-Every pattern is a factor exp(strength · field · tint) on the base colour, with fields of order one.
+Values scatter around those of the material class. A pattern multiplies the base color by exp(strength · field · tint),
+where its field is an image (H, W) of order one.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Mark:
-    """Strength of a pattern: logarithm of the factor where the field is 1, and its weight per channel."""
+    """A color pattern: strength (log of its factor on the base color where its field is 1) and tint per channel."""
 
     strength: float
     tint: Colour = (1.0, 1.0, 1.0)
@@ -27,7 +28,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class SurfaceAppearance:
-    """Appearance of one instance of a surface.
+    """Appearance of one surface of a material class: base color, gloss and color patterns.
 
     Attributes
     ----------
@@ -38,15 +39,15 @@ class SurfaceAppearance:
     dirt, wear : Mark
         Dark matter in pits, and lighter crests.
     depth_m : float
-        Depth at which both saturate [m]; absolute, so that the content of a pit shows how deep it is.
+        Depth at which dirt and wear saturate [m]; absolute, so that the color of a pit tells its depth.
     reach_m : float
-        Length of the mean height that depth is measured against [m].
+        Standard deviation of the Gaussian mean of height from which that depth is measured [m].
     yarns : Mark
-        Raised against low parts of a lattice (warp and weft).
+        Contrast of raised to low parts of a lattice (warp and weft).
     streak : Mark
-        Streaks along the grain of stretched noise.
+        Streaks along the grain of anisotropic noise, as in wood.
     streak_relief_share : float
-        Fraction of the streaks' power that is the relief itself.
+        Fraction of the streaks' power that follows the relief; the rest is independent.
     speckle : Mark
         Spots independent of height.
     speckle_m : float
@@ -84,7 +85,7 @@ PRINT_KINDS = ("stripes", "dots", "clouds")
 
 @dataclass(frozen=True)
 class AppearanceRanges:
-    """Ranges of the strengths of marks in a category; `dyed` and `printed` are fractions of its instances."""
+    """Ranges of pattern strengths in a material category; `dyed` and `printed` are fractions of its surfaces."""
 
     dyed: float
     dirt: Range = (0.0, 0.9)
@@ -111,20 +112,20 @@ CATEGORY_RANGES: Mapping[str, AppearanceRanges] = MappingProxyType(
         "glass": AppearanceRanges(0.2, dirt=(0.0, 0.5)),
     }
 )
-"""Ranges by category."""
+"""Ranges of pattern strengths by material category."""
 DEFAULT_RANGES = AppearanceRanges(0.9, (0.0, 1.0), (0.0, 0.3), (0.0, 0.7), (0.0, 0.45), (0.0, 0.5), 0.3)
-"""Ranges of a surface without category."""
+"""Ranges of pattern strengths of a surface without category."""
 
 
 def sample_appearance(appearance: Appearance | None, category: str, rng: np.random.Generator) -> SurfaceAppearance:
-    """Sample the appearance of an instance; the same generator state gives the same appearance.
+    """Sample the appearance of a surface around its class; the same generator state gives the same appearance.
 
     Parameters
     ----------
     appearance : Appearance or None
         Typical shading values of the class; None for any appearance.
     category : str
-        Category that the scatter follows; "" for none.
+        Material category (wood, metal …), which sets the ranges; "" for none.
     rng : numpy.random.Generator
         Source of randomness.
 

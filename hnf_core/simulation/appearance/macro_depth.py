@@ -1,6 +1,6 @@
-"""Macro depth of a tile: an object's shape as a reconstruction gives it, without micro-relief.
+"""Simulated macro depth of a surface tile: an object's shape as a 3-D reconstruction gives it, without fine relief.
 
-Tilt, curvature, the relief's long waves and reconstruction noise; nothing shorter than 3 mm.
+It consists of tilt, curvature, the long waves of the relief, and reconstruction noise; no wave is shorter than 3 mm.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from ...tactile.fourier_filters import frequencies
 Float = NDArray[np.float64]
 
 MIN_RADIUS_M = 20e-3
-"""Smallest radius of curvature [m]."""
+"""Smallest radius of curvature of the shape [m]."""
 MAX_TILT_DEG = 8.0
-"""Largest tilt [°]."""
+"""Largest tilt of the shape [°]."""
 CUTOFF_WAVELENGTH_M = (4e-3, 6.5e-3)
-"""Range of the cutoff wavelength [m]: full above it, nothing below `ROLL_OFF` times it, 3 mm at the least."""
+"""Range of the low-pass cutoff wavelength [m]: longer waves pass fully, those below `ROLL_OFF` times it, 3 mm at the
+least, not at all."""
 ROLL_OFF = 0.75
 """Ratio of the stop-band wavelength to the cutoff wavelength."""
 NOISE_RMS_M = (0.05e-3, 0.5e-3)
@@ -30,24 +31,24 @@ NOISE_CORRELATION_M = (0.6e-3, 3e-3)
 
 @dataclass(frozen=True)
 class Shape:
-    """A quadratic shape z = tilt · x + ½ xᵀ curvature x around the tile's centre [m]; curvature xx, yy, xy [1/m]."""
+    """A quadratic surface z = tilt · x + ½ xᵀ C x around a tile's center [m]; `curvature` is C's xx, yy, xy [1/m]."""
 
     tilt: tuple[float, float]
     curvature: tuple[float, float, float]
 
     def height(self, x: Float, y: Float) -> Float:
-        """Return the height [m] at x, y [m]."""
+        """Return the height z [m] at x, y [m] from the tile's center."""
         xx, yy, xy = self.curvature
         return np.asarray(self.tilt[0] * x + self.tilt[1] * y + 0.5 * (xx * x**2 + yy * y**2) + xy * x * y)
 
     def slopes(self, x: Float, y: Float) -> tuple[Float, Float]:
-        """Return the slopes ∂z/∂x, ∂z/∂y at x, y [m]."""
+        """Return the slopes ∂z/∂x, ∂z/∂y at x, y [m] from the tile's center."""
         xx, yy, xy = self.curvature
         return np.asarray(self.tilt[0] + xx * x + xy * y), np.asarray(self.tilt[1] + yy * y + xy * x)
 
 
 def sample_shape(rng: np.random.Generator) -> Shape:
-    """Draw a shape from flat to a radius of 20 mm, convex or concave, with principal curvatures in any direction."""
+    """Draw a shape from flat to a radius of 20 mm, convex or concave, with random tilt and principal directions."""
     slope, direction = np.tan(np.radians(MAX_TILT_DEG * rng.random())), rng.uniform(0.0, 2.0 * np.pi)
     # The draw is cubed, since most surfaces are flat at this scale.
     first, second = rng.uniform(-1.0, 1.0, 2) ** 3 / MIN_RADIUS_M
@@ -67,12 +68,12 @@ def centred_grid(pixels: int, size_m: float) -> tuple[Float, Float]:
 
 
 def simulate_macro_depth(height_m: Float, shape: Shape, size_m: float, rng: np.random.Generator) -> Float:
-    """Simulate the macro depth of a coarse tile.
+    """Simulate the macro depth of a tile: the object's shape and its relief's long waves, with reconstruction noise.
 
     Parameters
     ----------
     height_m : ndarray, shape (H, W)
-        Heights [m], band-limited to their pixels (`tactile.views.decimate_tile`) so that nothing aliases.
+        Heights on a coarse grid [m], low-passed to its pixels (`tactile.views.decimate_tile`) so that nothing aliases.
     shape : Shape
         Shape of the object.
     size_m : float
@@ -99,9 +100,9 @@ def simulate_macro_depth(height_m: Float, shape: Shape, size_m: float, rng: np.r
 
 
 def interpolate_bilinear(coarse: Float, rows: Float, columns: Float) -> Float:
-    """Interpolate values at fractional rows and columns, bilinearly, extrapolating beyond the outermost ones.
+    """Interpolate an image at fractional rows and columns, bilinearly, extrapolating beyond the outermost samples.
 
-    A reconstruction is a mesh, with facets between its vertices.
+    Bilinear pieces resemble the flat facets between the vertices of a reconstructed mesh.
     """
     return np.asarray(_bilinear_matrix(rows, coarse.shape[0]) @ coarse @ _bilinear_matrix(columns, coarse.shape[1]).T)
 

@@ -15,18 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 Single = NDArray[np.float32]
 
 OCCLUSION_PER_DEPTH = 2.0
-"""Fraction of the sky hidden per cavity depth over the length that it is measured against."""
+"""Fraction of the sky that is hidden, per ratio of cavity depth to the width (`reach_m`) of the mean it is measured
+from."""
 DIELECTRIC_REFLECTANCE = 0.04
 """Reflectance of dielectrics at normal incidence."""
 MAX_HIGHLIGHT = 1.5
-"""Largest highlight: it saturates the film, and a brighter one would only cost exposure."""
+"""Largest brightness of a highlight, above which an image is saturated."""
 ENVIRONMENT_SHARE = 0.7
 """Fraction of a metal's light that comes from the surroundings and not the lamp; no metal here is a mirror."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """A lamp and the sky.
+    """A light setting for one image: a lamp and the sky.
 
     Attributes
     ----------
@@ -59,7 +60,7 @@ ELEVATION_DEG = (15.0, 75.0)
 
 
 def sample_light(rng: np.random.Generator) -> Light:
-    """Draw a light; 30 % are unlit, as in a base-colour texture."""
+    """Draw a random light; 30 % are unlit, so that the image is a bare base-color texture."""
     return Light(
         azimuth_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
         elevation_rad=float(np.radians(rng.uniform(*ELEVATION_DEG))),
@@ -80,7 +81,7 @@ def shade_surface(
     metallic: float = 0.0,
     occlusion: ArrayLike = 0.0,
 ) -> Single:
-    """Shade a surface: linear light towards the viewer (H, W, 3), not clipped at 1.
+    """Shade a height map by a lamp and the sky: linear light towards the viewer, (H, W, 3), not clipped at 1.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def shade_surface(
     light : Light
         The light.
     roughness, metallic : float
-        Shading values.
+        Roughness and metallic value of the Principled BSDF, 0 to 1.
     occlusion : array_like, shape (H, W) or scalar
         Fraction of the sky that is hidden.
 
@@ -130,7 +131,7 @@ def shade_surface(
 
 
 def compute_ambient_occlusion(cavity_m: ArrayLike, reach_m: float) -> Single:
-    """Compute the fraction of the sky (H, W) that is hidden, from the depth of `albedo.compute_cavity_depth` [m]."""
+    """Compute the fraction of the sky (H, W) hidden by the relief, from depths of `albedo.compute_cavity_depth` [m]."""
     relative_depth = np.maximum(np.asarray(cavity_m, dtype=np.float32), 0.0) / np.float32(reach_m)
     return np.minimum(np.float32(OCCLUSION_PER_DEPTH) * relative_depth, np.float32(0.8))
 

@@ -1,4 +1,4 @@
-"""D_φ: prediction of tactile maps from images of a patch, by a small U-Net in numpy.
+"""The network D_φ: prediction of tactile maps (touch-sensor images and heights) from images, by a small U-Net.
 
 Start with `predict.py`, which turns views into tactile maps; `conditioning.py` normalises its input, `unet.py` is the
 network, `schedule.py` the noise schedule.

@@ -1,4 +1,4 @@
-"""Input of D_φ: images of unit contrast, and a condition vector with the scales that were divided out.
+"""Input of the network D_φ: images of unit contrast, and a condition vector with the scales that were divided out.
 
 The same functions serve training (batches of pairs) and inference (`AppearanceView`), in numpy.
 """
@@ -20,25 +20,26 @@ LOG_SNR_FEATURES = 16
 LOG_SNR_SCALES = np.geomspace(0.05, 1.5, LOG_SNR_FEATURES // 2)
 """Angular frequencies of the sines and cosines [rad per unit of log-SNR]."""
 LOG_SNR_LIMIT = 12.0
-"""Range to which the log-SNR is clipped."""
+"""Largest absolute log-SNR; others are clipped."""
 SCALAR_COUNT = 7
 """Number of scalars: mean colour (3), log contrast, log depth scale, depth known, colour known."""
 CONTRAST_FLOOR = 1.0 / 1024.0
-"""Contrast floor, a quarter of a level of an 8-bit image."""
+"""Least RMS contrast that colors are divided by, a quarter of a level of an 8-bit image."""
 DEPTH_FLOOR = 1e-2
-"""Depth floor [pixels]."""
+"""Least RMS depth that depth is divided by [pixels]."""
 
 
 @dataclass(frozen=True)
 class NormalisedAppearance:
-    """Normalised appearance of n views.
+    """Appearance (color and depth) of n views, normalized for the network.
 
     Attributes
     ----------
     images : ndarray of float32, shape (n, 4, 64, 64)
-        Three colours (square root of linear) and depth, each group less its mean and divided by its RMS over the view.
+        Three colors (square root of linear) and depth; the colors together, and depth, are less their mean and divided
+        by their RMS over the view.
     scalars : ndarray of float32, shape (n, SCALAR_COUNT)
-        The means and scales.
+        The means and RMS values that were removed, as logarithms where they are scales (`SCALAR_COUNT` lists them).
     """
 
     images: Array
@@ -48,7 +49,7 @@ class NormalisedAppearance:
 def normalise_appearance(
     encoded_rgb: Array, depth: Array, depth_known: NDArray[np.bool_], rgb_known: NDArray[np.bool_]
 ) -> NormalisedAppearance:
-    """Normalise the appearance of n views.
+    """Normalize the color and depth images of n views to zero mean and unit RMS.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def normalise_appearance(
     Returns
     -------
     NormalisedAppearance
-        The normalised appearance.
+        The normalized images and the removed means and scales.
     """
     count = len(encoded_rgb)
     images = np.zeros((count, 4, *encoded_rgb.shape[2:]), dtype=np.float32)
@@ -85,14 +86,14 @@ def normalise_appearance(
 
 
 def normalise_view(view: AppearanceView, rgb_known: bool = True) -> NormalisedAppearance:
-    """Normalise the appearance of one view, n = 1."""
+    """Normalize the color and depth images of one view; n = 1 in the result."""
     encoded = np.sqrt(np.clip(view.rgb, 0.0, 1.0)).transpose(2, 0, 1)[None].astype(np.float32)
     depth = (view.depth_m / np.float32(view.pitch_m))[None].astype(np.float32)
     return normalise_appearance(encoded, depth, np.array([view.depth_known]), np.array([rgb_known]))
 
 
 def get_pitch_index(pitch_m: float) -> int:
-    """Return the index of a pitch in `PITCHES_M`; raise UsageError for another pitch."""
+    """Return the index of a pixel pitch [m] in `PITCHES_M`; raise UsageError for another pitch."""
     index = int(np.argmin(np.abs(np.log(np.asarray(PITCHES_M) / pitch_m)))) if pitch_m > 0 else 0
     if not np.isclose(PITCHES_M[index], pitch_m, rtol=1e-6, atol=0.0):
         raise UsageError(f"no view has a pitch of {pitch_m:g} m.", remedy="Cut views with tactile.views.cut_views.")
@@ -107,18 +108,18 @@ def build_condition(
     sensors: int,
     scalars: Array,
 ) -> Array:
-    """Build the condition vectors of n views.
+    """Build the condition vectors of the network for n views.
 
     Parameters
     ----------
     log_snr : ndarray, shape (n,)
-        Log signal-to-noise ratio.
+        Log signal-to-noise ratio of the diffusion step.
     level : ndarray of float32, shape (n,)
-        Noisy level.
+        Noisy level, the normalized log10 RMS slope.
     pitch_index, sensor_index : ndarray of int, shape (n,)
-        Pitch and sensor of each view.
+        Index of each view's pixel pitch in `PITCHES_M`, and of its sensor in the network's list.
     sensors : int
-        Number of sensors.
+        Number of sensors that the network knows.
     scalars : ndarray of float32, shape (n, SCALAR_COUNT)
         Scalars from `normalise_appearance`.
 

@@ -1,4 +1,4 @@
-"""Prediction of tactile maps from views by D_φ in numpy, in one pass or by DDIM sampling."""
+"""Prediction of tactile maps from images of a patch by the network D_φ, in one pass or by DDIM sampling."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .unet import REGRESSION, forward
 from .weights import MapWeights
 
 Velocity = Callable[[Any, Any, float], tuple[Any, Any]]
-"""Function from noisy slopes, noisy level and log-SNR to the predicted v of both."""
+"""Function from noisy slopes, noisy level (log10 RMS slope) and log-SNR to the predicted v of slopes and level."""
 
 
 def denoise(velocity: Velocity, slopes: Any, level: Any, steps: int) -> tuple[Any, Any]:
@@ -30,16 +30,16 @@ def denoise(velocity: Velocity, slopes: Any, level: Any, steps: int) -> tuple[An
     Parameters
     ----------
     velocity : callable
-        Function from (slopes, level, log-SNR) to the predicted v of both.
+        Function from (slopes, level, log-SNR) to the predicted v of slopes and level.
     slopes, level : array or tensor
-        Initial noise.
+        Initial unit noise of the slopes, and of their level, the normalized log10 RMS slope.
     steps : int
         Number of steps.
 
     Returns
     -------
     slopes, level : array or tensor
-        The sample.
+        The denoised sample.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def denoise(velocity: Velocity, slopes: Any, level: Any, steps: int) -> tuple[An
 
 
 def apply_guidance(conditional: tuple[Any, Any], unconditional: tuple[Any, Any], guidance: float) -> tuple[Any, Any]:
-    """Combine predictions by classifier-free guidance (Ho & Salimans 2022).
+    """Combine two predictions (slopes, level) by classifier-free guidance (Ho & Salimans 2022).
 
     Returns the unconditional prediction (without the view's colour) plus `guidance` times the difference to the
     conditional one.
@@ -80,14 +80,14 @@ def predict_tactile_maps(
     steps: int = DEFAULT_STEPS,
     guidance: float = 1.0,
 ) -> tuple[TactileMap, ...]:
-    """Predict the tactile map of every view (route PREDICTED).
+    """Predict the tactile map of every view, marked as Route.PREDICTED.
 
     Parameters
     ----------
     weights : MapWeights
         Weights of D_φ.
     views : sequence of AppearanceView
-        The views.
+        Images of a patch, 64 × 64 pixels each.
     sensor : str
         Name of the sensor to predict.
     seed : int or sequence of int
@@ -100,8 +100,8 @@ def predict_tactile_maps(
     Returns
     -------
     tuple of TactileMap
-        One map per view; its height is integrated from the predicted slopes, without tilt and anything longer than the
-        view.
+        One map per view; its height is integrated from the predicted slopes, without tilt and wavelengths longer than
+        the view.
 
     Raises
     ------
@@ -113,8 +113,8 @@ def predict_tactile_maps(
     -----
     A map depends only on its view and seed, not on the other views or their order; views that differ by rounding give
     maps that differ as little. A regression, such as the shipped weights, gives the conditional mean in one pass; seed
-    and steps have no effect. A diffusion gives a sample: a pattern that suits the view, one of many. Its level starts
-    at the mean of its noise, 0, which DDIM carries to the median of the suitable levels.
+    and steps have no effect. A diffusion gives a sample: a pattern that suits the view, one of many. The noise of its
+    level (log10 RMS slope) is 0, the mean, which DDIM carries to the median of the suitable levels.
     """
     if get_sensor(sensor).name not in weights.config.sensors:
         raise UsageError(
@@ -151,7 +151,8 @@ def predict_slopes(
 ) -> Array:
     """Predict the membrane's slopes ∂h/∂x, ∂h/∂y in one view, (2, 64, 64).
 
-    With `rgb_known=False` the colours are withheld; the other parameters are those of `predict_tactile_maps`.
+    With `rgb_known=False` the network gets no colors, only depth. `seed` draws the noise, `steps` counts DDIM steps,
+    and `guidance` is the strength of classifier-free guidance, 1 for none; a regression network ignores seed and steps.
     """
     config = weights.config
     with_colour = normalise_view(view, rgb_known)

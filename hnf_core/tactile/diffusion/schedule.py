@@ -1,4 +1,4 @@
-"""Noise schedule of D_φ: cosine in a thousand steps, v-prediction, and deterministic DDIM.
+"""Noise schedule of the diffusion network D_φ: cosine in a thousand steps, v-prediction, and deterministic DDIM.
 
 Nichol & Dhariwal 2021 (cosine), Salimans & Ho 2022 (v = √ᾱ ε − √(1 − ᾱ) x), Song et al. 2021 (DDIM, η = 0). The numbers
 equal those of DDIMScheduler of diffusers with squaredcos_cap_v2, v_prediction, trailing steps and clip_sample=False, if
@@ -18,16 +18,16 @@ from ...errors import UsageError
 Float = NDArray[np.float64]
 
 TRAIN_STEPS = 1000
-"""Number of steps of the schedule."""
+"""Number of noise steps of the schedule in training."""
 OFFSET = 0.008
-"""Offset s of the cosine schedule."""
+"""Offset s of the cosine schedule, as a fraction of its length (Nichol & Dhariwal 2021)."""
 LARGEST_BETA = 0.999
-"""Upper limit of β."""
+"""Upper limit of β, the noise variance added in one step."""
 
 
 @lru_cache(maxsize=1)
 def alpha_bars() -> Float:
-    """Return ᾱ (TRAIN_STEPS,), the fraction of the signal's power left after each step."""
+    """Return ᾱ (TRAIN_STEPS,), the fraction of the clean signal's power left after each step of adding noise."""
     progress = np.arange(TRAIN_STEPS + 1) / TRAIN_STEPS
     level = np.cos((progress + OFFSET) / (1.0 + OFFSET) * np.pi / 2.0) ** 2
     betas = np.minimum(1.0 - level[1:] / level[:-1], LARGEST_BETA)
@@ -55,17 +55,17 @@ def sampling_steps(steps: int) -> tuple[tuple[float, float], ...]:
 
 
 def noised(x: Any, noise: Any, alpha_bar: Any) -> Any:
-    """Return √ᾱ x + √(1 − ᾱ) ε, for arrays and tensors alike."""
+    """Return the noisy sample √ᾱ x + √(1 − ᾱ) ε of clean x and unit noise ε, for arrays and tensors alike."""
     return alpha_bar**0.5 * x + (1.0 - alpha_bar) ** 0.5 * noise
 
 
 def velocity(x: Any, noise: Any, alpha_bar: Any) -> Any:
-    """Return v = √ᾱ ε − √(1 − ᾱ) x, for arrays and tensors alike."""
+    """Return the prediction target v = √ᾱ ε − √(1 − ᾱ) x of clean x and unit noise ε, for arrays and tensors alike."""
     return alpha_bar**0.5 * noise - (1.0 - alpha_bar) ** 0.5 * x
 
 
 def ddim_step(noisy: Any, v: Any, before: float, after: float) -> Any:
-    """Step from ᾱ = before to ᾱ = after along the predicted v."""
+    """Take one DDIM step (η = 0) of a noisy sample from ᾱ = before to ᾱ = after, given the predicted v."""
     x = before**0.5 * noisy - (1.0 - before) ** 0.5 * v
     noise = before**0.5 * v + (1.0 - before) ** 0.5 * noisy
     return after**0.5 * x + (1.0 - after) ** 0.5 * noise

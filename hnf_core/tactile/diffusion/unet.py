@@ -1,8 +1,8 @@
-"""The U-Net of D_φ in numpy: architecture, and the forward pass of one view as a few dozen matrix products.
+"""The U-Net of the tactile-map network D_φ in numpy: architecture, and the forward pass of one view.
 
-An image is (channels, rows · columns). A 3 × 3 convolution copies the image three times, shifted by a column, and is
-then one matrix product per row of the kernel: shifts by a row are offsets into the copies.
-`training.tactile_map.map_network` is the same network in torch.
+The forward pass is a few dozen matrix products. An image is (channels, rows · columns). A 3 × 3 convolution copies the
+image three times, shifted by a column, and is then one matrix product per row of the kernel: shifts by a row are
+offsets into the copies. `training.tactile_map.map_network` is the same network in torch.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DIFFUSION, REGRESSION = "diffusion", "regression"
 
 @dataclass(frozen=True)
 class MapConfig:
-    """Architecture of D_φ and the scale of its output.
+    """Architecture of the tactile-map network D_φ and the scale of its output.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class MapConfig:
     groups : int
         Groups of the group norms.
     sensors : tuple of str
-        Sensors that it was trained for.
+        Names in `optics.SENSORS` that it was trained for.
     level_mean, level_scale : float
-        log10 RMS slope = mean + scale × the network's level.
+        The network outputs slopes up to a factor, and a level: log10 RMS slope = level_mean + level_scale × level.
     objective : {"regression", "diffusion"}
         Regression takes one pass without noise and predicts x; diffusion predicts v and is sampled.
     """
@@ -61,11 +61,11 @@ class MapConfig:
 
     @property
     def condition_size(self) -> int:
-        """Length of a condition: log-SNR features, noisy level, pitch, sensor, scalars of the appearance."""
+        """Length of a condition vector: log-SNR features, noisy level, pixel pitch, sensor, appearance scalars."""
         return LOG_SNR_FEATURES + 1 + len(PITCHES_M) + len(self.sensors) + SCALAR_COUNT
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Return name and shape of every parameter; the same in torch and numpy."""
+        """Return the shape of every parameter by name; the same in torch and numpy."""
         width_32, width_16, width_8 = self.channels
         emb = self.embedding
         result: dict[str, tuple[int, ...]] = {}
@@ -112,7 +112,7 @@ NORM_EPSILON = 1e-5
 
 @dataclass(frozen=True)
 class UNet:
-    """A U-Net that is ready to run.
+    """A U-Net with its parameters, ready to run.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class UNet:
     parameters : mapping of str to ndarray of float32
         Parameters, with the shapes of `MapConfig.shapes`.
     kernels : mapping of str to ndarray of float32
-        3 × 3 weights rearranged to (3, out, 3 · in).
+        3 × 3 convolution weights by name, rearranged to (3, out, 3 · in) for matrix products.
     """
 
     config: MapConfig
@@ -147,16 +147,16 @@ def forward(network: UNet, images: Array, conditions: Array) -> tuple[Array, np.
     network : UNet
         The network.
     images : ndarray of float32, shape (6, 64, 64)
-        Noisy slopes, colours and depth.
+        Noisy slopes (2), colors (3) and depth of the view.
     conditions : ndarray of float32, shape (condition_size,)
-        Condition from `build_condition`.
+        Condition vector from `build_condition`.
 
     Returns
     -------
     slopes : ndarray of float32, shape (2, 64, 64)
-        v (or x) of the slopes.
+        Predicted v (diffusion) or x (regression) of the slopes.
     level : float32
-        v (or x) of the level.
+        The same of the level, the normalized log10 RMS slope.
     """
     config, parameters = network.config, network.parameters
     embedding = _silu(_dense(network, "embed.1", _silu(_dense(network, "embed.0", conditions))))
@@ -215,7 +215,7 @@ def _attention(network: UNet, x: Array) -> Array:
 
 
 def _group_norm(x: Array, weight: Array, bias: Array, groups: int) -> tuple[Array, Array]:
-    """Return group norm (Wu & He 2018) as factor and offset per channel."""
+    """Return group normalization (Wu & He 2018) of (c, n) as a factor and an offset per channel."""
     grouped = x.reshape(groups, -1)
     count = grouped.shape[1]
     mean = grouped.mean(axis=1)
@@ -226,7 +226,7 @@ def _group_norm(x: Array, weight: Array, bias: Array, groups: int) -> tuple[Arra
 
 
 def _scaled_silu(x: Array, scale: Array, shift: Array) -> Array:
-    """Return SiLU of scale · x + shift."""
+    """Return SiLU of scale · x + shift, with scale and shift per channel."""
     out = x * scale[:, None]
     out += shift[:, None]
     return _silu(out)
@@ -269,6 +269,6 @@ def _conv3(network: UNet, name: str, x: Array, side: int) -> Array:
 
 
 def _pixel_unshuffle(x: Array, side: int) -> Array:
-    """Rearrange (c, side²) to (4 c, side²/4): each 2 × 2 block of pixels becomes four channels."""
+    """Rearrange a square image (c, side²) to (4 c, side²/4): each 2 × 2 block of pixels becomes four channels."""
     blocks = x.reshape(-1, side // 2, 2, side // 2, 2).transpose(0, 2, 4, 1, 3)
     return np.ascontiguousarray(blocks).reshape(4 * len(x), -1)

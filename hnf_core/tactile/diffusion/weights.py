@@ -1,4 +1,4 @@
-"""Weights of D_φ on disk: half-precision safetensors with architecture and metrics in the header."""
+"""Weights of the tactile-map network D_φ on disk: half-precision safetensors with architecture and metrics."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MAP_KIND = WeightsKind(
 
 @dataclass(frozen=True)
 class MapWeights:
-    """Weights of D_φ, ready to run.
+    """Weights of the tactile-map network D_φ, ready to run.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class MapWeights:
 def save_map_weights(
     path: Path, config: MapConfig, parameters: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, str]
 ) -> None:
-    """Write weights in half precision, atomically; equal weights give equal bytes.
+    """Write the weights of D_φ in half precision, atomically; equal weights give equal bytes.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def save_map_weights(
 
 
 def load_map_weights(path: Path | str | None = None) -> MapWeights:
-    """Load weights from a file; without a path the shipped ones, which are read once.
+    """Load the weights of D_φ from a file; without a path the shipped ones, which are read once.
 
     Raises FileError if there is no file, WeightsError if it is damaged, of another format or architecture, not finite,
     or trained for a sensor that `tactile.optics` lacks.
