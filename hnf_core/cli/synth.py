@@ -40,8 +40,9 @@ from ..field.stroke import StrokeInput, resample_action, sample_count, uniform_s
 from ..field.synthesis import synthesise, tolerance_warning
 from ..field.weights import load_field, load_field_for_encoders, load_material_field, read_trained_material
 from ..material.hnf_file import HNF_SUFFIX, read_hnf, with_library_defaults
-from ..material.library import LibraryMaterial, get_material
+from ..material.library import LibraryMaterial
 from ..material.probe import PROBES
+from ..material.ranking import find_material
 from ..material.token import split_encoders
 from ..progress import Progress, ProgressBar
 from ..signal import Signal
@@ -176,7 +177,8 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     )
     material = parser.add_mutually_exclusive_group(required=True)
     material.add_argument(
-        "--material", metavar="NAME|FILE.hnf", help="a library material, see `hnf materials`; or one kept as a file"
+        "--material", metavar="NAME|FILE.hnf",
+        help="a library material, see `hnf materials`, or words that name one; or one kept as a file",
     )
     material.add_argument("--weights", type=Path, metavar="FILE", help="a field trained for one material")
     stroke = parser.add_mutually_exclusive_group(required=True)
@@ -214,8 +216,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.rate != round(arguments.rate):
         raise UsageError(f"--rate {arguments.rate:.10g}: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
     tolerance = _db_to_ratio(arguments.tolerance)
-    field, material = _load_field_and_material(arguments.material, arguments.weights)
-    action_warnings: list[str] = []
+    field, material, notes = _load_field_and_material(arguments.material, arguments.weights)
+    action_warnings = [*notes]
     if arguments.action is not None:
         action = read_action_csv(arguments.action, arguments.probe, warn=action_warnings.append)
         stroke_name = arguments.action.name
@@ -280,15 +282,21 @@ def _db_to_ratio(tolerance_db: float | None) -> float | None:
     return float(10.0 ** (tolerance_db / 20.0))
 
 
-def _load_field_and_material(material: str | None, weights: Path | None) -> tuple[Field, LibraryMaterial]:
-    """Return the field and a material that it knows: from the library, a `.hnf` file, or its own."""
+def _load_field_and_material(
+    material: str | None, weights: Path | None
+) -> tuple[Field, LibraryMaterial, tuple[str, ...]]:
+    """Return the field, a material that it knows (from the library, a `.hnf` file, or its own), and notes."""
     if material is None:
         field = load_field(weights)
-        return field, read_trained_material(field, str(weights))
+        return field, read_trained_material(field, str(weights)), ()
     if material.lower().endswith(HNF_SUFFIX):
         described = read_hnf(Path(material))
         learned = load_material_field(described)
         if learned is not None:
-            return learned, read_trained_material(learned, material)
-        return load_field_for_encoders(split_encoders(described.encoder)), with_library_defaults(described)
-    return load_field(), get_material(material)
+            return learned, read_trained_material(learned, material), ()
+        return load_field_for_encoders(split_encoders(described.encoder)), with_library_defaults(described), ()
+    found, suggestion = find_material(material)
+    if suggestion is None:
+        return load_field(), found, ()
+    note = f"no library material is called {material!r}: {found.name} is taken, {suggestion.probability:.0%} likely "
+    return load_field(), found, (f"{note}by its words ({suggestion.reason}).",)

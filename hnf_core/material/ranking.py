@@ -1,15 +1,15 @@
-"""Ranking of library materials by evidence: names, shading values and relief; naive Bayes over the library.
+"""Ranking of library materials by names, shading values and relief (height map) of a surface: naive Bayes.
 
 Prior: the frequency of a category in scenes, within it from usual to special entries. Names (`name_matching.py`): a
 word that names a material makes it `WORD_ODDS` times likelier, less if it belongs to several categories or a less
 telling name. Shading values: truncated normals around the library's typical value, mixed with a uniform distribution
 (artists choose freely) and tempered (values are correlated).
 
-Relief: the likelihood of a map's token under each material against that under any relief. Only features that do not
-change when the surface is turned are compared: level, strength of two- and four-fold anisotropy, peak and offset of
-every band, skewness and kurtosis. They scatter by `WITHIN_CLASS_SPREAD` (measured on generated instances by
-tools/hnf_lab/experiments/suggestions.py), all levels together by `RELIEF_SCALE_DECADES`, since artists choose a
-relief's height freely.
+Relief: the likelihood of a tactile map's token (feature vector) under each material against that under any relief. Only
+features that do not change when the surface is turned are compared: level, strength of two- and four-fold anisotropy,
+peak and offset of every band, skewness and kurtosis. They scatter by `WITHIN_CLASS_SPREAD` (measured on generated
+instances by tools/hnf_lab/experiments/suggestions.py), all levels together by `RELIEF_SCALE_DECADES`, since artists
+choose a relief's height freely.
 
 The confidence of a suggestion is its expected aptness: 1 for the right material, `SAME_CATEGORY_APTNESS` for another
 one of its category. Mechanics, which no image shows, are estimated as a mean over the ranked materials with its spread.
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ..errors import MaterialError
 from ..tactile.tactile_map import Route
 from .fuse import BAND_COUNT, find_known_bands, find_significant_bands
-from .library import Appearance, LibraryMaterial
+from .library import Appearance, LibraryMaterial, get_material, load_library
 from .name_matching import match_names
 from .token import BAND_FEATURES, SHAPE_FEATURES, TOKEN_DIM, Token
 
@@ -38,11 +38,11 @@ WITHIN_CLASS_SPREAD = {
     "level": 0.105, "two_fold": 0.104, "four_fold": 0.096, "peak": 0.114, "offset": 0.189, "skewness": 0.205,
     "log_kurtosis": 0.072,
 }  # fmt: skip
-"""Standard deviations between instances of one class, in the units of a token."""
+"""Standard deviations of token features between generated instances of one material, in the features' units."""
 RELIEF_SCALE_DECADES = 0.3
 """Standard deviation of an artist's relief height relative to the real one [decades]; a factor of 2."""
 ROUTE_SPREAD_FACTORS = {Route.MEASURED: 1.0, Route.PREDICTED: 2.0}
-"""Factor of the spread by the route of the map: a predicted token is less accurate. Chosen by judgement."""
+"""Factor of that spread by the origin of the map: a predicted token is less accurate. Chosen by judgement."""
 RELIEF_DOUBT = 0.1
 """Probability that a relief is not the material's own: dents, letters, a bump for looks. Generated instances fit best
 with the least value tried (0.05), but artists choose freely."""
@@ -56,7 +56,7 @@ makes the right class of generated instances likeliest."""
 
 
 def relief_log_odds(library: Sequence[LibraryMaterial], token: Token | None, route: Route = Route.MEASURED) -> Float:
-    """Compute how much likelier a map's token is under each material than under any relief, as log odds.
+    """Compute the log odds of a tactile map's token under each material against any relief.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def relief_log_odds(library: Sequence[LibraryMaterial], token: Token | None, rou
     token : Token or None
         Token of the map; without one, or of the prior route, all odds are 0.
     route : Route
-        Route of the map. Bands that `fuse.fuse` would leave to the prior do not count.
+        Origin of the map. Wavelength bands that `fuse.fuse` would take from the library do not count.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def relief_log_odds(library: Sequence[LibraryMaterial], token: Token | None, rou
 
 
 def compute_invariants(tokens: NDArray[np.float32]) -> Float:
-    """Return the rotation-invariant features (n, BAND_COUNT · 5 + 2) of tokens (n, TOKEN_DIM).
+    """Return the rotation-invariant features (n, BAND_COUNT · 5 + 2) of material tokens (n, TOKEN_DIM).
 
     All bands' levels, then their two-fold strengths, and so on in the order of `INVARIANT_KINDS`; then skewness and log
     kurtosis.
@@ -127,7 +127,7 @@ def compute_invariants(tokens: NDArray[np.float32]) -> Float:
 
 
 def _get_within_class_spread() -> Float:
-    """Return `WITHIN_CLASS_SPREAD` (BAND_COUNT · 5 + 2,) in the order of `compute_invariants`."""
+    """Return `WITHIN_CLASS_SPREAD` for each feature, (BAND_COUNT · 5 + 2,), in the order of `compute_invariants`."""
     return np.concatenate(
         [
             np.repeat([WITHIN_CLASS_SPREAD[kind] for kind in INVARIANT_KINDS], BAND_COUNT),
@@ -141,9 +141,10 @@ def _log_normal_density(residual: Float, spread: Float) -> Float:
 
 
 def _log_level_density(residual: Float, spread: Float) -> Float:
-    """Return the log density (up to a constant) of levels that scatter each by `spread` and all by a common factor.
+    """Return the log density, up to a constant, of deviations (…, bands) of band levels from a material's.
 
-    A normal of covariance diag(spread²) + s² 11ᵀ, s = `RELIEF_SCALE_DECADES` (Sherman & Morrison 1950).
+    Each level scatters by `spread`, and all together by a common factor of the relief's height: a normal of covariance
+    diag(spread²) + s² 11ᵀ, s = `RELIEF_SCALE_DECADES` (Sherman & Morrison 1950).
     """
     weight = 1.0 / spread**2
     common_weight = RELIEF_SCALE_DECADES**2 / (1.0 + RELIEF_SCALE_DECADES**2 * weight.sum())
@@ -201,9 +202,9 @@ class Suggestion:
     name : str
         Name in the library.
     confidence : float
-        Expected aptness, 0 to 1.
+        Expected aptness, 0 to 1: 1 if it is the right material, less if only its category is right.
     reason : str
-        Reason for the report, one line.
+        Why it was ranked so, one line for the report.
     probability : float
         Probability that it is this material; all of a ranking sum to 1.
     """
@@ -223,7 +224,7 @@ def rank(
     token: Token | None = None,
     route: Route = Route.MEASURED,
 ) -> tuple[Suggestion, ...]:
-    """Rank all library materials, the most apt first.
+    """Rank all library materials by how well they fit a surface, the most apt first.
 
     Parameters
     ----------
@@ -236,9 +237,9 @@ def rank(
     image_names : sequence of str
         Names of the textures of the shader and of their files.
     token : Token, optional
-        Token of the surface's tactile map.
+        Token of the surface's tactile map, as evidence of its relief.
     route : Route
-        Route of that map.
+        Origin of that map, measured or predicted.
 
     Returns
     -------
@@ -284,10 +285,26 @@ def rank(
     return tuple(Suggestion(library[i].name, float(aptness[i]), reasons[i], float(probability[i])) for i in order)
 
 
-def describe_relief_fit(material: LibraryMaterial, log_odds: float, best: float) -> str:
-    """Describe how a relief fits a material; "" if it hardly matters.
+def find_material(words: str) -> tuple[LibraryMaterial, Suggestion | None]:
+    """Return the library material of a name or, for other words, the best-ranked one with its suggestion.
 
-    `best` is the highest log odds of the library: a relief unlike any material's is no evidence against one.
+    Raises MaterialError with close matches if the words are neither a name nor name a material.
+    """
+    try:
+        return get_material(words), None
+    except MaterialError:
+        library = load_library()
+        best = rank(library, Appearance(), [words])[0]
+        if best.reason == NO_EVIDENCE:
+            raise
+        return next(material for material in library if material.name == best.name), best
+
+
+def describe_relief_fit(material: LibraryMaterial, log_odds: float, best: float) -> str:
+    """Describe how a surface's relief fits a material, from its log odds (`relief_log_odds`); "" if it hardly matters.
+
+    `best` is the highest log odds in the library: a relief that is unlike all materials is no evidence against one of
+    them.
     """
     if log_odds > MIN_RELIEF_LOG_ODDS:
         return f"its relief is like {material.name}'s"
@@ -295,7 +312,7 @@ def describe_relief_fit(material: LibraryMaterial, log_odds: float, best: float)
 
 
 def _log_prior(library: Sequence[LibraryMaterial]) -> NDArray[np.float64]:
-    """Return the log prior (not normalised): within a category the k-th entry weighs 1/√k."""
+    """Return the log prior of each material, not normalized: its category's frequency times 1/√k for its k-th entry."""
     counts: dict[str, int] = {}
     weights = []
     for material in library:
@@ -311,7 +328,7 @@ def _log_prior(library: Sequence[LibraryMaterial]) -> NDArray[np.float64]:
 
 
 def _drop_defaults(appearance: Appearance) -> Appearance:
-    """Remove base colour and roughness of a new material's defaults, which nobody chose."""
+    """Set base color and roughness to unknown if they are the defaults of a new Principled BSDF, which nobody chose."""
     color, roughness = appearance.base_color, appearance.roughness
     if color is not None and all(abs(channel - DEFAULT_GREY) < 1e-3 for channel in color):
         color = None
@@ -321,7 +338,7 @@ def _drop_defaults(appearance: Appearance) -> Appearance:
 
 
 def _appearance_log_odds(material: LibraryMaterial, appearance: Appearance) -> dict[str, float]:
-    """Return for each shading value the log of its density under the material, over the uniform density."""
+    """Return for each shading value the log of its probability density under the material over the uniform density."""
     odds: dict[str, float] = {}
     for field, spread in APPEARANCE_SPREAD.items():
         value, typical = getattr(appearance, field), getattr(material.appearance, field)
@@ -342,9 +359,9 @@ def _appearance_log_odds(material: LibraryMaterial, appearance: Appearance) -> d
 
 
 def _to_light_chroma(color: Sequence[float]) -> tuple[float, float, float]:
-    """Return mean and two differences of the channels' cube roots.
+    """Return lightness and two chroma values of a linear RGB color: mean and two differences of the cube roots.
 
-    They are near perception; with linear values, all dark colours would be alike.
+    Cube roots are near perception; with linear values, all dark colors would be alike.
     """
     red, green, blue = (math.cbrt(min(max(channel, 0.0), 1.0)) for channel in color)
     return (red + green + blue) / 3.0, red - green, green - blue
@@ -368,7 +385,7 @@ def _format_reason(
     appearance: Appearance,
     relief: str,
 ) -> str:
-    """Format the matched words, the values that fit better than the library's median, those that clash, the relief."""
+    """Format the reason for a rank: matched words, values that fit better than usual, values that clash, the relief."""
     clauses = [f"'{word}' in '{name}'" for word, (_, name) in sorted(hits.items(), key=lambda item: -item[1][0])]
     del clauses[MAX_REASON_WORDS:]
     for verdict, values in (
@@ -386,14 +403,14 @@ def _format_value(field: str, appearance: Appearance) -> str:
 
 @dataclass(frozen=True)
 class PropertyEstimate:
-    """An estimated mechanical property.
+    """A mechanical property estimated from the probabilities of the materials.
 
     Attributes
     ----------
     value : float
-        Geometric mean: a stiffness of 10³ and one of 10⁵ N/m give 10⁴.
+        Geometric mean over the materials: stiffnesses of 10³ and 10⁵ N/m give 10⁴.
     factor : float
-        One standard deviation as a factor ≥ 1: spread between the likely materials and within each.
+        One standard deviation as a factor ≥ 1: from the spread between the likely materials and within each.
     """
 
     value: float
@@ -401,7 +418,7 @@ class PropertyEstimate:
 
 
 def get_probabilities(library: Sequence[LibraryMaterial], ranked: Sequence[Suggestion]) -> dict[str, float]:
-    """Return the probability of every ranked material by name; raise MaterialError if the library lacks one."""
+    """Return the probability of every suggestion by material name; raise MaterialError if the library lacks one."""
     known = {material.name for material in library}
     missing = [suggestion.name for suggestion in ranked if suggestion.name not in known]
     if missing:
@@ -421,7 +438,7 @@ def estimate_property(
     weights : mapping of str to float
         Probability by name; need not sum to 1.
     field : str
-        Name of a field of `Mechanics`.
+        Name of the property, a field of `Mechanics`.
     spread_within : float
         Standard deviation of the natural logarithm between instances of one material.
 

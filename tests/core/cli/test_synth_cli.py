@@ -15,6 +15,7 @@ from hnf_core.export.wav import read_wav
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.weights import save_field
 from hnf_core.material.library import load_library
+from hnf_core.material.ranking import find_material
 
 HEADER = "time_s,direction_rad,speed_m_s,force_n\n"
 
@@ -51,6 +52,34 @@ def test_the_same_words_write_the_same_bytes(tmp_path, material):
     first, second, third = (path.read_bytes() for path in paths)
     assert first == second
     assert first != third
+
+
+@pytest.mark.parametrize(
+    ("words", "name"), [("Paper Plate", "copy-paper"), ("Carpet 2", "loop-carpet"), ("Old denim jeans", "denim")]
+)
+def test_words_take_the_best_ranked_material_and_say_so(tmp_path, capsys, words, name):
+    one, other = tmp_path / "one.wav", tmp_path / "other.wav"
+    assert hnf("synth", "--material", words, "--stroke", "rub-slow", "--out", one, "--json") == 0
+    printed = capsys.readouterr()
+    record = json.loads(printed.out)
+    assert record["material"] == name
+    assert f"{words!r}: {name} is taken" in record["warnings"][0]
+    assert record["warnings"][0] in printed.err
+    assert hnf("synth", "--material", name, "--stroke", "rub-slow", "--out", other) == 0
+    assert one.read_bytes() == other.read_bytes()
+    assert "is taken" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", ["oakwod", "xyzzy", "Object.001"])
+def test_words_that_name_no_material_are_refused(tmp_path, capsys, words):
+    assert hnf("synth", "--material", words, "--stroke", "rub-slow", "--out", tmp_path / "x.wav") == 1
+    assert "no library material is called" in capsys.readouterr().err
+    assert not (tmp_path / "x.wav").exists()
+
+
+def test_every_library_name_is_itself():
+    for material in load_library():
+        assert find_material(material.name) == (material, None)
 
 
 def test_rate_and_probe_are_obeyed(tmp_path, material):
