@@ -314,6 +314,9 @@ def test_over_another_material_the_hand_goes_on(link) -> None:
     assert until(link, lambda: link.current_status is not None)
     pid = link.pid
     told = stroke_by_hand(link, touch, 1.5)
+    deadline = time.perf_counter() + 20.0  # a busy machine takes seconds to load the other material
+    while len({status.play for status in told}) == 1 and time.perf_counter() < deadline:
+        told += stroke_by_hand(link, touch, 0.5)
     assert max(status.level_m_s2 for status in told) > 0.01
     assert touch.material in ("oak-wood", "denim")
     assert len({status.play for status in told}) > 1
